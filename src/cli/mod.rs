@@ -1,0 +1,88 @@
+//! The command line: one file a subcommand.
+//!
+//! Results go to standard output, everything else to standard error. Exit status: 0 done; 1 the run failed or what
+//! was checked differs; 2 bad input or usage.
+
+mod run;
+mod scenes;
+
+use std::{fmt, io::Write, process::ExitCode};
+
+use clap::{Parser, Subcommand};
+
+/// A visual debugger for soft bodies that merge and split.
+///
+/// Steps the simulation and streams meshes, influence spheres, force vectors, pair phases and frame timings to the
+/// Rerun viewer or to an .rrd file.
+#[derive(Parser)]
+#[command(name = "meldscope", version)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Simulate a scene and record it.
+    Run(Box<run::Arguments>),
+    /// List the scenes that come with the program, and what to look at in each.
+    Scenes,
+}
+
+/// How a command ended badly.
+#[derive(Debug)]
+enum Failure {
+    /// The run failed, or what was checked differs: exit status 1.
+    Run(String),
+    /// Bad input or usage: exit status 2.
+    Input(String),
+}
+
+impl Failure {
+    fn input(error: impl fmt::Display) -> Failure {
+        Failure::Input(error.to_string())
+    }
+}
+
+/// The program.
+pub fn main() -> ExitCode {
+    // Prints help and usage errors itself, and exits with 0 or 2.
+    let arguments = Arguments::parse();
+    let result = match arguments.command {
+        Command::Run(arguments) => run::run(*arguments),
+        Command::Scenes => {
+            scenes::list();
+            Ok(())
+        }
+    };
+    let (status, message) = match result {
+        Ok(()) => return ExitCode::SUCCESS,
+        Err(Failure::Run(message)) => (1, message),
+        Err(Failure::Input(message)) => (2, message),
+    };
+    say(&format!("error: {message}"));
+    ExitCode::from(status)
+}
+
+/// A line on standard output. A reader that went away is no error: there is nobody left to tell.
+fn print(line: &str) {
+    let _ = writeln!(std::io::stdout(), "{line}");
+}
+
+/// A line on standard error.
+fn say(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// 1234567 as 1,234,567.
+fn thousands(n: u64) -> String {
+    let digits = n.to_string();
+    let mut text = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i) % 3 == 0 {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}

@@ -1,0 +1,414 @@
+//! `meldscope run`: a scene file becomes a recording.
+
+use std::{
+    net::{IpAddr, Ipv4Addr},
+    path::{Path, PathBuf},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::{Failure, print, say, thousands};
+use crate::{
+    scene::{Integrator, Scene, builtin},
+    sim::{Event, World, memory},
+    stream::{
+        Recorder, Settings,
+        recorder::{Detail, Entities, describe, file_stem},
+        sinks::{Destinations, Finished, Serve, SinkError, Sinks, Spawn},
+    },
+};
+
+/// Frames that go into a chunk of a file: large enough that its overhead vanishes, small enough to scrub.
+const FRAMES_PER_CHUNK: u64 = 64;
+/// What is recorded reaches a file at least this often.
+const FILE_INTERVAL: Duration = Duration::from_millis(250);
+/// What is recorded reaches a viewer at least this often.
+const LIVE_INTERVAL: Duration = Duration::from_millis(30);
+/// More events than this are counted, not listed.
+const LISTED_EVENTS: usize = 20;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// A scene file, or the name of a built-in scene (see `meldscope scenes`).
+    scene: String,
+
+    /// Write the recording to a file [default, if no other destination is given: NAME.rrd].
+    #[arg(long, value_name = "F.rrd", help_heading = "Destinations")]
+    save: Option<PathBuf>,
+    /// Start the Rerun viewer and stream to it.
+    #[arg(long, help_heading = "Destinations")]
+    spawn: bool,
+    /// Stream to a viewer that is running.
+    #[arg(long, value_name = "URL", num_args = 0..=1, default_missing_value = rerun::DEFAULT_CONNECT_URL, help_heading = "Destinations")]
+    connect: Option<String>,
+    /// Serve a web viewer with the recording: nothing to install. Stays up until Ctrl-C.
+    #[arg(long, help_heading = "Destinations")]
+    serve: bool,
+    /// Write the recording to standard output.
+    #[arg(long, help_heading = "Destinations")]
+    stdout: bool,
+    /// The address on which --serve listens.
+    #[arg(long, value_name = "IP", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST), requires = "serve", help_heading = "Destinations")]
+    bind: IpAddr,
+    /// The port of the web viewer of --serve; 0 for any that is free.
+    #[arg(long, value_name = "PORT", default_value_t = 9090, requires = "serve", help_heading = "Destinations")]
+    web_port: u16,
+    /// The port of the data of --serve; 0 for any that is free.
+    #[arg(long, value_name = "PORT", default_value_t = rerun::DEFAULT_SERVER_PORT, requires = "serve", help_heading = "Destinations")]
+    grpc_port: u16,
+
+    /// How steps are taken, instead of what the scene says.
+    #[arg(long, value_parser = parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential")]
+    integrator: Option<Integrator>,
+    /// The step, s, instead of the scene's.
+    #[arg(long, value_name = "S", value_parser = parse_step)]
+    dt: Option<f64>,
+    /// The number of steps, instead of the scene's duration; 0: until Ctrl-C.
+    #[arg(long, value_name = "N")]
+    steps: Option<u64>,
+    /// Record every Nth step.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
+    every: u64,
+    /// How much to record of a frame.
+    #[arg(long, default_value = "forces")]
+    detail: DetailName,
+    /// One entity a body, or all bodies in a few [default: batch beyond 64 bodies].
+    #[arg(long)]
+    entities: Option<EntitiesName>,
+    /// Do not simulate faster than real time.
+    #[arg(long)]
+    realtime: bool,
+    /// Threads to use [default: as many as there are cores].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+    /// Print errors only.
+    #[arg(long)]
+    quiet: bool,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum DetailName {
+    Surface,
+    Forces,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum EntitiesName {
+    Body,
+    Batch,
+}
+
+fn parse_integrator(text: &str) -> Result<Integrator, String> {
+    let known = Integrator::ALL.into_iter().find(|integrator| integrator.name() == text);
+    known.ok_or_else(|| format!("expected one of {}", Integrator::ALL.map(Integrator::name).join(", ")))
+}
+
+fn parse_step(text: &str) -> Result<f64, String> {
+    let dt: f64 = text.parse().map_err(|_| "expected a number of seconds".to_owned())?;
+    let range = Scene::STEP_RANGE;
+    if range.contains(&dt) {
+        Ok(dt)
+    } else {
+        Err(format!("expected between {:e} and {:e} s", range.start(), range.end()))
+    }
+}
+
+/// Simulates and records.
+pub fn run(arguments: Arguments) -> Result<(), Failure> {
+    let scene = load(&arguments)?;
+    let settings = settings(&arguments, &scene);
+    if let Some(threads) = arguments.threads {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build_global();
+        pool.map_err(|error| Failure::Run(format!("cannot start {threads} threads: {error}")))?;
+    }
+    let destinations = destinations(&arguments, &scene);
+    // First what can refuse the scene, then what can refuse the destinations, and only then any work.
+    let world = World::new(scene).map_err(Failure::input)?;
+    let sinks = Sinks::open(&destinations).map_err(sink_failure)?;
+
+    let mut console = Console::new(&arguments, settings.steps);
+    let stop = interrupted()?;
+    let (world, finished, events, seconds) = record(world, settings.clone(), sinks, &arguments, &stop, &mut console)?;
+    console.clear();
+
+    summarize(&mut console, &world, &settings, &finished, &events, seconds);
+    if let Some(serving) = &finished.serving
+        && !stop.load(Ordering::Relaxed)
+    {
+        let _ = serving;
+        console.say("Serving until Ctrl-C.");
+        while !stop.load(Ordering::Relaxed) {
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    }
+    Ok(())
+}
+
+/// The loop: step, observe, send.
+fn record(
+    mut world: World,
+    settings: Settings,
+    mut sinks: Sinks,
+    arguments: &Arguments,
+    stop: &AtomicBool,
+    console: &mut Console,
+) -> Result<(World, Finished, Vec<Event>, f64), Failure> {
+    let interval = if destined_live(arguments) { LIVE_INTERVAL } else { FILE_INTERVAL };
+    let mut recorder = Recorder::new(&world, settings.clone());
+    let mut sent_frames = 0;
+    let mut sent_at = Instant::now();
+    let mut events = vec![];
+    let mut failure = None;
+
+    let blueprint = recorder.blueprint(&world);
+    for message in blueprint.into_iter().chain(recorder.take()) {
+        if let Err(error) = sinks.send(message) {
+            failure = Some(error);
+            break;
+        }
+    }
+    let start = Instant::now();
+    while failure.is_none()
+        && !stop.load(Ordering::Relaxed)
+        && settings.steps.is_none_or(|steps| world.steps_taken() < steps)
+    {
+        events.extend_from_slice(&world.step().events);
+        recorder.observe(&world);
+
+        if recorder.frames() - sent_frames >= FRAMES_PER_CHUNK || sent_at.elapsed() >= interval {
+            let sending = Instant::now();
+            failure = recorder.take().into_iter().find_map(|message| sinks.send(message).err());
+            recorder.add_log_time(sending.elapsed());
+            (sent_frames, sent_at) = (recorder.frames(), Instant::now());
+            console.progress(world.steps_taken(), sinks.notes());
+        }
+        if arguments.realtime {
+            wait_until(start + Duration::from_secs_f64(world.time().min(1e9)), stop);
+        }
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    recorder.finish(&world);
+    if failure.is_none() {
+        failure = recorder.take().into_iter().find_map(|message| sinks.send(message).err());
+    }
+    console.progress(world.steps_taken(), sinks.notes());
+    let finished = sinks.finish();
+    match (failure, finished) {
+        (Some(error), _) | (None, Err(error)) => {
+            console.clear();
+            let steps = thousands(world.steps_taken());
+            Err(Failure::Run(format!("{error} (stopped after {steps} steps)")))
+        }
+        (None, Ok(finished)) => Ok((world, finished, events, seconds)),
+    }
+}
+
+/// Sleeps until `due`, or until the run is to stop.
+fn wait_until(due: Instant, stop: &AtomicBool) {
+    while !stop.load(Ordering::Relaxed) {
+        let left = due.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return;
+        }
+        std::thread::sleep(left.min(Duration::from_millis(50)));
+    }
+}
+
+/// The scene, with what the command line says instead.
+fn load(arguments: &Arguments) -> Result<Scene, Failure> {
+    let name = arguments.scene.as_str();
+    let mut scene = match Scene::builtin(name) {
+        Some(scene) => scene,
+        None if !Path::new(name).exists() && !name.contains(['/', '\\', '.']) => {
+            let names = builtin::ALL.map(|builtin| builtin.name);
+            let near = names.into_iter().max_by(|a, b| similarity(name, a).total_cmp(&similarity(name, b)));
+            let hint = near.filter(|near| similarity(name, near) > 0.7);
+            let hint = hint.map(|near| format!("did you mean \"{near}\"? ")).unwrap_or_default();
+            return Err(Failure::Input(format!(
+                "no scene \"{name}\": there is no such file, and the built-in scenes are {}; {hint}See `meldscope scenes`",
+                names.join(", ")
+            )));
+        }
+        None => Scene::load(Path::new(name)).map_err(Failure::input)?,
+    };
+    if let Some(integrator) = arguments.integrator {
+        scene.integrator = integrator;
+    }
+    if let Some(dt) = arguments.dt {
+        scene.dt = dt;
+    }
+    Ok(scene)
+}
+
+fn similarity(a: &str, b: &str) -> f64 {
+    strsim::jaro_winkler(a, b)
+}
+
+fn settings(arguments: &Arguments, scene: &Scene) -> Settings {
+    let own = Settings::of(scene);
+    Settings {
+        steps: match arguments.steps {
+            None => own.steps,
+            Some(0) => None,
+            some => some,
+        },
+        every: arguments.every,
+        detail: match arguments.detail {
+            DetailName::Surface => Detail::Surface,
+            DetailName::Forces => Detail::Forces,
+        },
+        entities: match arguments.entities {
+            None => own.entities,
+            Some(EntitiesName::Body) => Entities::Body,
+            Some(EntitiesName::Batch) => Entities::Batch,
+        },
+        ..own
+    }
+}
+
+fn destined_live(arguments: &Arguments) -> bool {
+    arguments.spawn || arguments.connect.is_some() || arguments.serve || arguments.stdout
+}
+
+fn destinations(arguments: &Arguments, scene: &Scene) -> Destinations {
+    let fallback = || (!destined_live(arguments)).then(|| PathBuf::from(format!("{}.rrd", file_stem(&scene.name))));
+    Destinations {
+        save: arguments.save.clone().or_else(fallback),
+        stdout: arguments.stdout,
+        spawn: arguments.spawn.then(Spawn::default),
+        connect: arguments.connect.clone(),
+        serve: arguments.serve.then(|| Serve {
+            bind: arguments.bind,
+            web_port: arguments.web_port,
+            grpc_port: arguments.grpc_port,
+            ..Serve::default()
+        }),
+        ..Destinations::default()
+    }
+}
+
+fn sink_failure(error: SinkError) -> Failure {
+    if error.is_usage() { Failure::input(error) } else { Failure::Run(error.to_string()) }
+}
+
+/// A flag that Ctrl-C (or a request to terminate) raises; a second one ends the program at once.
+fn interrupted() -> Result<Arc<AtomicBool>, Failure> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let raise = Arc::clone(&stop);
+    ctrlc::set_handler(move || {
+        if raise.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+    })
+    .map_err(|error| Failure::Run(format!("cannot listen for Ctrl-C: {error}")))?;
+    Ok(stop)
+}
+
+/// What the run did, and how to open what it wrote.
+fn summarize(
+    console: &mut Console,
+    world: &World,
+    settings: &Settings,
+    finished: &Finished,
+    events: &[Event],
+    seconds: f64,
+) {
+    console.notes(&finished.notes);
+    let scene = world.scene();
+    let (bodies, steps) = (scene.bodies.len() as u64, world.steps_taken());
+    console.print(&format!(
+        "{}: {} {}, {} vertices; {} steps of {:.6} s with {}, {:.3} s simulated in {seconds:.3} s ({} steps/s)",
+        scene.name,
+        thousands(bodies),
+        if bodies == 1 { "body" } else { "bodies" },
+        thousands(scene.vertex_count()),
+        thousands(steps),
+        settings.dt,
+        settings.integrator,
+        world.time(),
+        thousands((steps as f64 / seconds.max(1e-9)) as u64),
+    ));
+    match events.len() {
+        0 => console.print("no events"),
+        1 => console.print("1 event:"),
+        n => console.print(&format!("{} events:", thousands(n as u64))),
+    }
+    for event in events.iter().take(LISTED_EVENTS) {
+        console.print(&format!("  {}", describe(scene, event)));
+    }
+    if events.len() > LISTED_EVENTS {
+        let more = thousands((events.len() - LISTED_EVENTS) as u64);
+        console.print(&format!("  … and {more} more, in the recording's event log"));
+    }
+    if let Some(saved) = &finished.save {
+        let path = saved.path.display();
+        let frames = thousands(steps / settings.every + 1);
+        console.print(&format!("saved {path}: {frames} frames, {}", memory::human(saved.bytes)));
+        console.print(&format!(
+            "open it with `rerun {path}` (pip install rerun-sdk==0.36.3), or install nothing: \
+             `meldscope run … --serve` shows a run in the browser"
+        ));
+    }
+}
+
+/// Where a run tells what it does: a progress bar on a terminal, lines everywhere.
+struct Console {
+    bar: ProgressBar,
+    quiet: bool,
+    /// Standard output is the recording: results go to standard error.
+    piped: bool,
+}
+
+impl Console {
+    fn new(arguments: &Arguments, steps: Option<u64>) -> Console {
+        // Draws on standard error, and nothing where that is no terminal.
+        let bar = match (arguments.quiet, steps) {
+            (true, _) => ProgressBar::hidden(),
+            (false, Some(steps)) => ProgressBar::new(steps),
+            (false, None) => ProgressBar::new_spinner(),
+        };
+        let template = match steps {
+            Some(_) => "{bar:40} step {human_pos} of {human_len}, {per_sec}, {eta} left",
+            None => "{spinner} step {human_pos}, {per_sec}; Ctrl-C ends the run",
+        };
+        if let Ok(style) = ProgressStyle::with_template(template) {
+            bar.set_style(style);
+        }
+        Console { bar, quiet: arguments.quiet, piped: arguments.stdout }
+    }
+
+    fn progress(&mut self, step: u64, notes: Vec<String>) {
+        self.bar.set_position(step);
+        self.notes(&notes);
+    }
+
+    /// What happened to a destination is no chatter: said even when quiet.
+    fn notes(&mut self, notes: &[String]) {
+        for note in notes {
+            self.bar.suspend(|| say(note));
+        }
+    }
+
+    fn clear(&mut self) {
+        self.bar.finish_and_clear();
+    }
+
+    fn say(&self, line: &str) {
+        if !self.quiet {
+            say(line);
+        }
+    }
+
+    fn print(&self, line: &str) {
+        match (self.quiet, self.piped) {
+            (true, _) => {}
+            (false, true) => say(line),
+            (false, false) => print(line),
+        }
+    }
+}

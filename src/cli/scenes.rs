@@ -1,0 +1,18 @@
+//! `meldscope scenes`: what comes with the program.
+
+use super::{print, thousands};
+use crate::scene::{Scene, builtin};
+
+/// Lists the built-in scenes: name, bodies, vertices, what to look at.
+pub fn list() {
+    for builtin in builtin::ALL {
+        let Some(scene) = Scene::builtin(builtin.name) else { continue };
+        let (bodies, vertices) = (scene.bodies.len() as u64, scene.vertex_count());
+        let plural = if bodies == 1 { "body" } else { "bodies" };
+        print(&format!("{}: {} {plural}, {} vertices", builtin.name, thousands(bodies), thousands(vertices)));
+        for sentence in builtin.what_to_look_at() {
+            print(&format!("    {sentence}"));
+        }
+    }
+    print("\nRun one with `meldscope run NAME`, or any scene file with `meldscope run SCENE.toml`.");
+}

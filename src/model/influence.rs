@@ -1,0 +1,101 @@
+//! What an influence sphere does to a vertex: (3.3), (3.4), (3.5).
+
+use glam::DVec3;
+
+use super::phase::Phase;
+
+/// The weight W of a vertex at distance z·r_e from the centre of an influence sphere, by its shape inside the sphere.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Weight {
+    /// (3.3): `1 − z`. Has a kink at the rim, z = 1.
+    #[default]
+    Linear,
+    /// Wendland C2: `(1 − z)⁴(4z + 1)`. Same support, smooth at the rim (Wendland 1995).
+    Wendland,
+}
+
+/// How the strength of a source depends on the sizes of the two bodies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scaling {
+    /// The strength times `min(1, R_i / R_j)`, R_i being the radius of the body acted on. Equal sizes: no difference.
+    Relative,
+    /// The strength as it stands, as in the thesis.
+    Absolute,
+}
+
+/// The influence law of a scene: everything about (3.3)–(3.5) but who and where.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Influence {
+    /// Strength α of attraction (3.4) [1/s²].
+    pub alpha: f64,
+    /// Strength β of repulsion (3.5) [1/s²].
+    pub beta: f64,
+    /// Radius of an influence sphere over the radius of its body, r_e / R [–].
+    pub reach: f64,
+    /// The shape of the weight (3.3).
+    pub weight: Weight,
+    /// Dependence of the strength on the sizes.
+    pub scaling: Scaling,
+    /// Whether pairs that are apart repel (β) or do nothing.
+    pub apart_repels: bool,
+}
+
+impl Influence {
+    /// The signed strength s of a source on a body [1/s²]: positive attracts (3.4), negative repels (3.5).
+    ///
+    /// `radius` is the radius of the body acted on and `source_radius` that of the source [scene unit].
+    pub fn strength(&self, phase: Phase, radius: f64, source_radius: f64) -> f64 {
+        let s = match phase {
+            Phase::Merged => self.alpha,
+            Phase::Core => -self.beta,
+            Phase::Apart if self.apart_repels => -self.beta,
+            Phase::Apart => 0.0,
+        };
+        match self.scaling {
+            Scaling::Absolute => s,
+            Scaling::Relative => s * f64::min(1.0, radius / source_radius),
+        }
+    }
+
+    /// The radius r_e of the influence sphere of a body [scene unit].
+    pub fn sphere_radius(&self, radius: f64) -> f64 {
+        self.reach * radius
+    }
+}
+
+impl Weight {
+    /// W(z) for z = r / r_e ≥ 0 [–]; (3.3) for [`Weight::Linear`].
+    #[inline]
+    pub fn at(self, z: f64) -> f64 {
+        if z >= 1.0 {
+            return 0.0;
+        }
+        let y = 1.0 - z;
+        match self {
+            Weight::Linear => y,
+            Weight::Wendland => (y * y) * (y * y) * (4.0 * z + 1.0),
+        }
+    }
+
+    /// The largest value of `z·W(z)` [–]: bounds the acceleration of one source by `s·r_e` times this.
+    pub fn max_pull(self) -> f64 {
+        match self {
+            Weight::Linear => 0.25, // at z = 1/2
+            // d/dz z(1−z)⁴(4z+1) = (1−z)³(1 + 3z − 24z²) = 0 at z = (3 + √105)/48
+            Weight::Wendland => {
+                let z = (3.0 + 105f64.sqrt()) / 48.0;
+                z * self.at(z)
+            }
+        }
+    }
+}
+
+/// (3.4) and (3.5): the acceleration of a vertex by one influence sphere [scene unit/s²].
+///
+/// `to_centre` is c_j − r_i, from the vertex to the centre of the sphere; `sphere_radius` its r_e; `strength` is
+/// signed, see [`Influence::strength`]. Zero outside the sphere and at its very centre.
+#[inline]
+pub fn acceleration(weight: Weight, strength: f64, sphere_radius: f64, to_centre: DVec3) -> DVec3 {
+    let z = to_centre.length() / sphere_radius;
+    to_centre * (strength * weight.at(z))
+}

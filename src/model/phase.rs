@@ -1,0 +1,92 @@
+//! Pair phases: which of (3.4) and (3.5) acts between two bodies, as a state machine on their distance.
+//!
+//! The thesis switches "according to the distance between the objects" without giving the distance. Here the
+//! switch is on `q`, the centre distance over the sum of the radii, with hysteresis:
+//!
+//! ```text
+//! apart  → merged   when q falls to merge_at        merged → apart   when q rises to split_at
+//! merged → core     when q falls below core_at      core   → merged  when q rises to core_at
+//! ```
+
+use std::fmt;
+
+/// What a pair of bodies does to each other, from the distance of their centres.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Phase {
+    /// Repels by (3.5), or does nothing.
+    Apart,
+    /// Attracts by (3.4).
+    Merged,
+    /// Overlaps deeply: repels by (3.5), so that the bodies swell instead of shrinking.
+    Core,
+}
+
+impl Phase {
+    /// The name used in recordings and messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Phase::Apart => "apart",
+            Phase::Merged => "merged",
+            Phase::Core => "core",
+        }
+    }
+}
+
+impl fmt::Display for Phase {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// The distances at which a pair changes phase, each as `q`: centre distance over the sum of the radii [–].
+///
+/// Invariant, established by the scene parser: `core_at < merge_at ≤ split_at`, all finite, `core_at ≥ 0`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Thresholds {
+    /// Falling to this, an apart pair merges.
+    pub merge_at: f64,
+    /// Rising to this, a merged pair splits.
+    pub split_at: f64,
+    /// Falling below this, a merged pair enters its core; 0 for none.
+    pub core_at: f64,
+}
+
+/// One way out of a phase: the level of `q`, the direction in which it is crossed, and where it leads.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Transition {
+    /// The threshold, in q [–].
+    pub level: f64,
+    /// Crossed while q falls (true) or rises (false).
+    pub falling: bool,
+    /// The phase on the other side.
+    pub to: Phase,
+}
+
+impl Thresholds {
+    /// The phase of a pair that starts at distance `q`.
+    pub fn initial(&self, q: f64) -> Phase {
+        if q < self.core_at {
+            Phase::Core
+        } else if q <= self.merge_at {
+            Phase::Merged
+        } else {
+            Phase::Apart
+        }
+    }
+
+    /// The ways out of `phase`. Without a core (`core_at` = 0) the second way out of `Merged` is absent.
+    pub fn transitions(&self, phase: Phase) -> impl Iterator<Item = Transition> + use<> {
+        let fall = |level, to| Some(Transition { level, falling: true, to });
+        let rise = |level, to| Some(Transition { level, falling: false, to });
+        let core = self.core_at > 0.0;
+        match phase {
+            Phase::Apart => [fall(self.merge_at, Phase::Merged), None],
+            Phase::Merged => {
+                [rise(self.split_at, Phase::Apart), if core { fall(self.core_at, Phase::Core) } else { None }]
+            }
+            Phase::Core => [rise(self.core_at, Phase::Merged), None],
+        }
+        .into_iter()
+        .flatten()
+    }
+}

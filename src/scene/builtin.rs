@@ -1,0 +1,37 @@
+//! The scenes that come with the program: files in `recordings/`, compiled in.
+
+use super::Scene;
+
+/// A scene file that is compiled into the program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Builtin {
+    /// What it is called on the command line.
+    pub name: &'static str,
+    /// The scene file.
+    pub text: &'static str,
+}
+
+/// All of them, in the order in which they are listed to users.
+pub const ALL: [Builtin; 5] = [
+    Builtin { name: "push", text: include_str!("../../recordings/push.toml") },
+    Builtin { name: "two", text: include_str!("../../recordings/two.toml") },
+    Builtin { name: "three", text: include_str!("../../recordings/three.toml") },
+    Builtin { name: "size_ratio", text: include_str!("../../recordings/size_ratio.toml") },
+    Builtin { name: "crowd", text: include_str!("../../recordings/crowd.toml") },
+];
+
+impl Builtin {
+    /// What to look at: the lines of the comment at the head of the file.
+    pub fn what_to_look_at(&self) -> impl Iterator<Item = &'static str> {
+        self.text.lines().map_while(|line| line.strip_prefix('#')).map(str::trim)
+    }
+}
+
+impl Scene {
+    /// A scene that comes with the program: `push`, `two`, `three`, `size_ratio` or `crowd`; `None` for other names.
+    pub fn builtin(name: &str) -> Option<Scene> {
+        let builtin = ALL.iter().find(|builtin| builtin.name == name)?;
+        // They are compiled in, and a test parses each of them.
+        Some(Scene::parse(builtin.text, builtin.name).expect("built-in scenes are valid"))
+    }
+}

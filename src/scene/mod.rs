@@ -1,0 +1,165 @@
+//! The scene: what is simulated, as typed values that are valid by construction.
+//!
+//! A scene is made by [`Scene::load`] (a file), [`Scene::parse`] (its text) or [`Scene::builtin`] (compiled in). All
+//! checking happens there, in [`mod@parse`]; nothing downstream checks again.
+
+pub mod builtin;
+pub mod parse;
+pub mod path;
+pub mod shape;
+
+use std::fmt;
+
+use glam::DVec3;
+
+use crate::model::{influence::Influence, phase::Thresholds};
+
+pub use parse::SceneError;
+pub use path::Path;
+pub use shape::Sphere;
+
+/// A scene as its file describes it: bodies on prescribed paths, the law between them, pushes.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// Name of the scene, of its recording and of its default output file.
+    pub name: String,
+    /// Step Δt [s], > 0.
+    pub dt: f64,
+    /// Simulated time [s], > 0. See [`Scene::steps`].
+    pub duration: f64,
+    /// How a step is taken.
+    pub integrator: Integrator,
+    /// (3.3)–(3.5) and their constants.
+    pub influence: Influence,
+    /// When pairs merge, split and enter their core.
+    pub thresholds: Thresholds,
+    /// At least one; names are unique.
+    pub bodies: Vec<Body>,
+    /// In the order of the file.
+    pub pushes: Vec<Push>,
+    /// The text that this scene was parsed from: a recording carries it, so that it can be made again.
+    pub source: String,
+}
+
+/// A soft body: a shape whose vertices are damped oscillators about their rest positions, on a prescribed path.
+#[derive(Clone, Debug)]
+pub struct Body {
+    /// Unique in the scene; letters, digits, `-` and `_`.
+    pub name: String,
+    /// Radius R [scene unit], > 0.
+    pub radius: f64,
+    /// The oscillators' constants.
+    pub material: Material,
+    /// The rest shape, of unit radius.
+    pub shape: Sphere,
+    /// Where the centre is at each time.
+    pub path: Path,
+}
+
+/// Constants of the damped oscillator (3.2), and how a body feels its own motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Material {
+    /// Natural angular frequency ω of the restoring force [rad/s], ≥ 0 (thesis: w).
+    pub omega: f64,
+    /// Damping rate κ [1/s], ≥ 0 (thesis: k).
+    pub damping: f64,
+    /// What the body's own motion does to its vertices.
+    pub response: Response,
+}
+
+/// How a body feels its own motion: the `carry` that is subtracted from the acceleration in body coordinates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Response {
+    /// 0: the rest shape moves along, no inertia.
+    Rigid,
+    /// c″: the body wobbles when its centre accelerates.
+    Inertial,
+    /// c″ + 2κ c′: damping acts on world velocity, as (3.8) reads in world coordinates.
+    World,
+}
+
+/// A push (Fig. 4.1): vertices that face it accelerate along `direction` by `strength · max(0, −l̂·direction)`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Push {
+    /// Index into [`Scene::bodies`].
+    pub body: usize,
+    /// Unit vector.
+    pub direction: DVec3,
+    /// [scene unit/s²]
+    pub strength: f64,
+    /// [s], ≥ 0.
+    pub start: f64,
+    /// [s], ≥ 0; the push acts during [start, start + duration).
+    pub duration: f64,
+}
+
+impl Push {
+    /// The end of the push, exclusive [s].
+    pub fn end(&self) -> f64 {
+        self.start + self.duration
+    }
+}
+
+/// How a step is taken; see [`crate::sim::integrator`] for what each does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Integrator {
+    /// (3.6)–(3.10) exactly as printed: advances the position twice a step, converges to the wrong equation.
+    Thesis,
+    /// The prediction–correction that the thesis builds on: consistent, first order.
+    Mps,
+    /// Semi-implicit (symplectic) Euler, first order.
+    Euler,
+    /// Velocity Verlet with symmetric damping, second order.
+    Verlet,
+    /// Classical Runge–Kutta, fourth order between phase switches.
+    Rk4,
+    /// Exact oscillator flow with φ-functions for the force, sub-steps at events.
+    Exponential,
+}
+
+impl Integrator {
+    /// All of them, in the order in which they are listed to users.
+    pub const ALL: [Integrator; 6] = [
+        Integrator::Thesis,
+        Integrator::Mps,
+        Integrator::Euler,
+        Integrator::Verlet,
+        Integrator::Rk4,
+        Integrator::Exponential,
+    ];
+
+    /// The name in scene files and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Integrator::Thesis => "thesis",
+            Integrator::Mps => "mps",
+            Integrator::Euler => "euler",
+            Integrator::Verlet => "verlet",
+            Integrator::Rk4 => "rk4",
+            Integrator::Exponential => "exponential",
+        }
+    }
+}
+
+impl fmt::Display for Integrator {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl Scene {
+    /// Number of steps: `round(duration / dt)`.
+    pub fn steps(&self) -> u64 {
+        (self.duration / self.dt).round() as u64 // saturates
+    }
+
+    /// Number of vertices of all bodies.
+    pub fn vertex_count(&self) -> u64 {
+        self.bodies.iter().map(|body| body.shape.vertex_count()).sum()
+    }
+
+    /// Instants at which the acceleration of `body` by its own path or by a push jumps or has a kink [s].
+    pub fn push_edges(&self, body: usize) -> impl Iterator<Item = f64> + '_ {
+        self.pushes.iter().filter(move |push| push.body == body).flat_map(|push| [push.start, push.end()])
+    }
+}

@@ -1,0 +1,365 @@
+//! The scene file: from text to a [`Scene`] that is valid by construction, or to one [`SceneError`] that says where the
+//! text is wrong and what was expected there.
+//!
+//! # Limits
+//! Numbers are at most 10¹⁵ in magnitude, and those that must be positive (radius, dt, reach …) at least 10⁻¹², as must
+//! be the time between keys. Within these no product, quotient or square that the simulation forms comes near the range
+//! of a double, so nothing downstream has to look for overflow. They leave 27 orders of magnitude, more than double
+//! precision can relate to each other. `duration / dt` is at most 10¹², so that a step's number is exact and its time
+//! good to a microstep; a ring has at most 65,535 vertices, so that a vertex index fits 32 bits. A file has at most
+//! 64 MiB.
+
+mod error;
+mod reader;
+
+use std::ops::RangeInclusive;
+use std::{collections::HashMap, fs::File, io, io::Read as _};
+
+use glam::DVec3;
+
+use super::{Body, Integrator, Material, Path, Push, Response, Scene, Sphere, path::Spline};
+use crate::model::{
+    influence::{Influence, Scaling, Weight},
+    phase::Thresholds,
+};
+use error::one_line;
+pub use error::{Place, SceneError};
+use reader::{Choice, Integer, Keys, Kind, Number, Source, Table, Text, Value, Vector, did_you_mean, is_body_name};
+
+/// See the [limits](self#limits).
+const LARGEST: f64 = 1e15;
+const SMALLEST: f64 = 1e-12;
+const MOST_STEPS: f64 = 1e12;
+const LARGEST_FILE: u64 = 32 << 20;
+
+const POSITIVE: Number = Number { min: SMALLEST, max: LARGEST };
+const NON_NEGATIVE: Number = Number { min: 0.0, max: LARGEST };
+const ANY: Number = Number { min: -LARGEST, max: LARGEST };
+/// Of a direction only the direction matters.
+const FINITE: Number = Number { min: f64::MIN, max: f64::MAX };
+
+static SCENE: Keys = Keys {
+    home: "at the top of the file",
+    form: "a table",
+    names: &["name", "dt", "duration", "integrator", "material", "influence", "body", "push"],
+};
+static MATERIAL: Keys =
+    Keys { home: "in [material]", form: "a table, written [material]", names: &["omega", "damping", "response"] };
+static INFLUENCE: Keys = Keys {
+    home: "in [influence]",
+    form: "a table, written [influence]",
+    names: &["alpha", "beta", "reach", "weight", "scaling", "merge_at", "split_at", "core_at", "apart"],
+};
+static BODY: Keys = Keys {
+    home: "in a [[body]]",
+    form: "a table, written [[body]]",
+    names: &["name", "radius", "shape", "motion", "omega", "damping", "response"],
+};
+static PUSH: Keys = Keys {
+    home: "in a [[push]]",
+    form: "a table, written [[push]]",
+    names: &["body", "direction", "strength", "start", "duration"],
+};
+static SHAPE: Keys = Keys {
+    home: "in the shape of a body",
+    form: "a table such as { sphere = { stacks = 12, slices = 24 } }",
+    names: &["sphere"],
+};
+static SPHERE: Keys = Keys {
+    home: "in shape = { sphere = { … } }",
+    form: "a table such as { stacks = 12, slices = 24 }",
+    names: &["stacks", "slices"],
+};
+static MOTION: Keys = Keys {
+    home: "in the motion of a body",
+    form: "a table such as { fixed = [0, 0, 0] }",
+    names: &["fixed", "line", "sine", "keyframes"],
+};
+static LINE: Keys = Keys {
+    home: "in motion = { line = { … } }",
+    form: "a table such as { from = [0, 0, 0], velocity = [1, 0, 0] }",
+    names: &["from", "velocity"],
+};
+static SINE: Keys = Keys {
+    home: "in motion = { sine = { … } }",
+    form: "a table such as { center = [0, 0, 0], amplitude = [1, 0, 0], frequency = 0.25 }",
+    names: &["center", "amplitude", "frequency", "phase"],
+};
+/// Every table, to find where a misplaced key belongs.
+static KEYS: [&Keys; 10] = [&SCENE, &MATERIAL, &INFLUENCE, &BODY, &PUSH, &SHAPE, &SPHERE, &MOTION, &LINE, &SINE];
+
+const RESPONSE: Choice<Response, 3> =
+    Choice([("rigid", Response::Rigid), ("inertial", Response::Inertial), ("world", Response::World)]);
+const WEIGHT: Choice<Weight, 2> = Choice([("linear", Weight::Linear), ("wendland", Weight::Wendland)]);
+const SCALING: Choice<Scaling, 2> = Choice([("relative", Scaling::Relative), ("absolute", Scaling::Absolute)]);
+const APART_REPELS: Choice<bool, 2> = Choice([("repel", true), ("none", false)]);
+
+const SCENE_NAME: Text = Text { form: "a name of 1 to 200 characters on one line", accepts: is_scene_name };
+const BODY_NAME: Text = Text { form: "a name of 1 to 64 letters, digits, - and _", accepts: is_body_name };
+
+impl Scene {
+    /// The steps Δt that a scene can have [s].
+    pub const STEP_RANGE: RangeInclusive<f64> = SMALLEST..=LARGEST;
+
+    /// The scene in the file at `path`.
+    ///
+    /// # Errors
+    /// The file cannot be read, is larger than 64 MiB or not UTF-8, or what [`Scene::parse`] refuses.
+    pub fn load(path: &std::path::Path) -> Result<Scene, SceneError> {
+        let file = path.display().to_string();
+        let refuse = |message| SceneError { file: file.clone(), place: None, key: String::new(), message, help: None };
+        let shown = one_line(&file);
+
+        let bytes = read(path).map_err(|error| {
+            refuse(format!("cannot read \"{shown}\": {error}")).with_help(
+                "give the path of a scene file or the name of a built-in scene (`meldscope scenes` lists them)",
+            )
+        })?;
+        if bytes.len() as u64 > LARGEST_FILE {
+            let limit = LARGEST_FILE >> 20;
+            return Err(refuse(format!("\"{shown}\" is larger than {limit} MiB, the most that a scene file may have")));
+        }
+        let text = std::str::from_utf8(&bytes).map_err(|error| {
+            let offset = error.valid_up_to();
+            let valid = String::from_utf8_lossy(&bytes[..offset]);
+            let message = format!("not UTF-8: found the byte 0x{:02x} at offset {offset}", bytes[offset]);
+            SceneError { place: Some(Place::of(&valid, offset)), ..refuse(message) }.with_help("save the file as UTF-8")
+        })?;
+        Scene::parse(text, &file)
+    }
+
+    /// The scene that `text` describes; `file` is its name in errors, and without its folder and extension the scene's
+    /// own if the text gives none.
+    ///
+    /// # Errors
+    /// The first thing that is wrong: not TOML, an unknown, missing or repeated key, a value of the wrong type or out
+    /// of range (see the [limits](self#limits)), values that do not fit together.
+    pub fn parse(text: &str, file: &str) -> Result<Scene, SceneError> {
+        on_deep_stack(|| read_scene(&Source { text, file }))
+    }
+}
+
+/// The content of the file at `path`, but of a too large (or endless) one no more than shows that it is.
+fn read(path: &std::path::Path) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(LARGEST_FILE + 1).read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
+/// Calls `work` where there is room for the deepest tree that the TOML parser makes: inline tables may nest 80 deep and
+/// a key have 80 parts, so 6,400 tables, and to drop them takes a stack frame each, several MB without optimisation.
+fn on_deep_stack<T: Send>(work: impl Fn() -> T + Sync) -> T {
+    std::thread::scope(|scope| {
+        let thread = std::thread::Builder::new().stack_size(64 << 20).spawn_scoped(scope, &work);
+        match thread.map(|thread| thread.join()) {
+            Ok(Ok(result)) => result,
+            Ok(Err(panic)) => std::panic::resume_unwind(panic),
+            Err(_) => work(), // no thread to be had: any sensible file does without
+        }
+    })
+}
+
+fn read_scene(source: &Source<'_>) -> Result<Scene, SceneError> {
+    let document = source.document()?;
+    let root = Table::root(source, &document, &SCENE)?;
+
+    // The tables first: a key below the wrong header is then reported as that, not as missing where it belongs.
+    let material = root.table("material", &MATERIAL)?;
+    let influence = root.table("influence", &INFLUENCE)?;
+    let body_array = root.present("body", "at least one [[body]]")?;
+    let body_tables = body_array.tables(&BODY)?;
+    let push_array = root.get("push");
+    let push_tables = push_array.as_ref().map_or(Ok(Vec::new()), |pushes| pushes.tables(&PUSH))?;
+
+    let name = root.optional("name", SCENE_NAME)?.unwrap_or_else(|| name_from(source.file));
+    let dt = root.optional("dt", POSITIVE)?.unwrap_or(1.0 / 60.0);
+    let duration = root.required("duration", POSITIVE)?;
+    if let Some(value) = root.get("duration").filter(|_| duration / dt > MOST_STEPS) {
+        return Err(value
+            .unexpected(format_args!("at most {MOST_STEPS:e} steps of dt ({dt:?} s)"))
+            .with_help("shorten duration or raise dt"));
+    }
+    let integrator = Choice(Integrator::ALL.map(|integrator| (integrator.name(), integrator)));
+    let integrator = root.optional("integrator", integrator)?.unwrap_or(Integrator::Exponential);
+
+    let thesis = Material { omega: 12.0, damping: 1.5, response: Response::Inertial };
+    let material = read_material(&material, thesis)?;
+    let thresholds = read_thresholds(&influence)?;
+    let influence = read_influence(&influence)?;
+    let bodies = read_bodies(&body_array, &body_tables, material)?;
+    let indices = bodies.iter().enumerate().map(|(index, body)| (body.name.as_str(), index)).collect();
+    let pushes = push_tables.iter().map(|push| read_push(push, &bodies, &indices)).collect::<Result<_, _>>()?;
+    let source = source.text.to_owned();
+    Ok(Scene { name, dt, duration, integrator, influence, thresholds, bodies, pushes, source })
+}
+
+/// The `[material]` table, or a body: what it does not give is as in `default`.
+fn read_material(table: &Table<'_>, default: Material) -> Result<Material, SceneError> {
+    Ok(Material {
+        omega: table.optional("omega", NON_NEGATIVE)?.unwrap_or(default.omega),
+        damping: table.optional("damping", NON_NEGATIVE)?.unwrap_or(default.damping),
+        response: table.optional("response", RESPONSE)?.unwrap_or(default.response),
+    })
+}
+
+fn read_influence(table: &Table<'_>) -> Result<Influence, SceneError> {
+    Ok(Influence {
+        alpha: table.optional("alpha", NON_NEGATIVE)?.unwrap_or(100.0),
+        beta: table.optional("beta", NON_NEGATIVE)?.unwrap_or(60.0),
+        reach: table.optional("reach", POSITIVE)?.unwrap_or(std::f64::consts::SQRT_2),
+        weight: table.optional("weight", WEIGHT)?.unwrap_or(Weight::Linear),
+        scaling: table.optional("scaling", SCALING)?.unwrap_or(Scaling::Relative),
+        apart_repels: table.optional("apart", APART_REPELS)?.unwrap_or(true),
+    })
+}
+
+fn read_thresholds(table: &Table<'_>) -> Result<Thresholds, SceneError> {
+    const MERGE_AT: f64 = 1.05;
+    const SPLIT_AT: f64 = 1.15;
+    let merge_at = table.optional("merge_at", POSITIVE)?.unwrap_or(MERGE_AT);
+    let split_at = table.optional("split_at", POSITIVE)?.unwrap_or(SPLIT_AT);
+    let core_at = table.optional("core_at", NON_NEGATIVE)?.unwrap_or(0.0);
+
+    let by_default = |name| if table.get(name).is_some() { "" } else { " by default" };
+    let merge_at_is = format!("merge_at ({merge_at:?}{})", by_default("merge_at"));
+    if split_at < merge_at {
+        if let Some(value) = table.get("split_at") {
+            return Err(value.unexpected(format_args!("a number of at least {merge_at_is}")));
+        }
+        if let Some(value) = table.get("merge_at") {
+            let expected = format_args!("a number of at most split_at ({split_at:?} by default)").to_string();
+            return Err(value.unexpected(expected).with_help("give split_at, too"));
+        }
+    }
+    match table.get("core_at") {
+        Some(value) if core_at >= merge_at => Err(value.unexpected(format_args!("a number below {merge_at_is}"))),
+        _ => Ok(Thresholds { merge_at, split_at, core_at }),
+    }
+}
+
+fn read_bodies(array: &Value<'_>, tables: &[Table<'_>], material: Material) -> Result<Vec<Body>, SceneError> {
+    if tables.is_empty() {
+        return Err(array.unexpected("at least one [[body]]"));
+    }
+    let mut named: HashMap<String, &Table<'_>> = HashMap::with_capacity(tables.len());
+    let mut bodies = Vec::with_capacity(tables.len());
+    for table in tables {
+        let name = table.required("name", BODY_NAME)?;
+        if let Some(first) = named.insert(name.clone(), table)
+            && let (Some(first), Some(again)) = (first.get("name"), table.get("name"))
+        {
+            let expected = format!("a name that no other body has (the body at line {} has this one)", first.line());
+            return Err(again.unexpected(expected));
+        }
+        bodies.push(Body {
+            name,
+            radius: table.required("radius", POSITIVE)?,
+            material: read_material(table, material)?,
+            shape: read_shape(table)?,
+            path: read_path(table)?,
+        });
+    }
+    Ok(bodies)
+}
+
+fn read_shape(body: &Table<'_>) -> Result<Sphere, SceneError> {
+    let default = Sphere::default();
+    let Some(shape) = body.get("shape") else { return Ok(default) };
+    let shape = shape.into_table(&SHAPE)?;
+    let sphere = shape.present("sphere", SPHERE.form)?.into_table(&SPHERE)?;
+    Ok(Sphere {
+        stacks: sphere.optional("stacks", Integer { min: 2, max: 65_535 })?.unwrap_or(default.stacks),
+        slices: sphere.optional("slices", Integer { min: 3, max: 65_535 })?.unwrap_or(default.slices),
+    })
+}
+
+fn read_path(body: &Table<'_>) -> Result<Path, SceneError> {
+    let motion = body.present("motion", MOTION.form)?;
+    let table = motion.clone().into_table(&MOTION)?;
+    match (table.get("fixed"), table.get("line"), table.get("sine"), table.get("keyframes")) {
+        (Some(fixed), None, None, None) => Ok(Path::Fixed(Vector(ANY).read(&fixed)?)),
+        (None, Some(line), None, None) => {
+            let line = line.into_table(&LINE)?;
+            Ok(Path::Line {
+                from: line.required("from", Vector(ANY))?,
+                velocity: line.required("velocity", Vector(ANY))?,
+            })
+        }
+        (None, None, Some(sine), None) => {
+            let sine = sine.into_table(&SINE)?;
+            Ok(Path::Sine {
+                center: sine.required("center", Vector(ANY))?,
+                amplitude: sine.required("amplitude", Vector(ANY))?,
+                frequency: sine.required("frequency", NON_NEGATIVE)?,
+                phase: sine.optional("phase", ANY)?.unwrap_or(0.0),
+            })
+        }
+        (None, None, None, Some(keyframes)) => Ok(Path::Keyframes(read_spline(&keyframes)?)),
+        _ => {
+            let given: Vec<_> = MOTION.names.iter().copied().filter(|name| table.get(name).is_some()).collect();
+            let found = if given.is_empty() { "none".to_owned() } else { given.join(" and ") };
+            Err(motion.error(format!("expected exactly one of {}, found {found}", MOTION.names.join(", "))))
+        }
+    }
+}
+
+fn read_spline(value: &Value<'_>) -> Result<Spline, SceneError> {
+    let items = value.items().filter(|items| items.len() >= 2);
+    let items = items.ok_or_else(|| value.unexpected("an array of two or more keys [t, x, y, z]"))?;
+    let mut keys: Vec<(f64, DVec3)> = Vec::with_capacity(items.len());
+    for item in items {
+        let [t, x, y, z] = item.numbers(ANY, "a key [t, x, y, z]")?;
+        if let Some(&(previous, _)) = keys.last()
+            && t - previous < SMALLEST
+        {
+            let expected = format!("a time at least {SMALLEST:e} after that of the key before ({previous:?})");
+            return Err(item
+                .error(format!("expected {expected}, found {t:?}"))
+                .with_help("the times of keys must increase"));
+        }
+        keys.push((t, DVec3::new(x, y, z)));
+    }
+    Ok(Spline::new(&keys))
+}
+
+fn read_push(table: &Table<'_>, bodies: &[Body], indices: &HashMap<&str, usize>) -> Result<Push, SceneError> {
+    let body = table.present("body", "the name of a body")?;
+    let index = body.text().and_then(|name| indices.get(name)).ok_or_else(|| {
+        let names = || bodies.iter().map(|body| body.name.as_str());
+        let hint = body.text().map_or(String::new(), |name| did_you_mean(name, names()));
+        let listed: Vec<&str> = names().take(8).collect();
+        let more = if bodies.len() > listed.len() { ", …" } else { "" };
+        let found = body.found();
+        body.error(format!("expected the name of a body, found {found}{hint} (bodies: {}{more})", listed.join(", ")))
+    })?;
+    let direction = table.required("direction", Vector(FINITE))?;
+    if let Some(value) = table.get("direction").filter(|_| direction == DVec3::ZERO) {
+        return Err(value.error("expected a direction, found the zero vector".to_owned()));
+    }
+    Ok(Push {
+        body: *index,
+        direction: unit(direction),
+        strength: table.required("strength", ANY)?,
+        start: table.required("start", NON_NEGATIVE)?,
+        duration: table.required("duration", NON_NEGATIVE)?,
+    })
+}
+
+/// `vector` / |`vector`| for any finite `vector` but 0: brought near 1 by a power of two, which is exact, before its
+/// length is taken, which could overflow or vanish.
+fn unit(vector: DVec3) -> DVec3 {
+    let (_, exponent) = libm::frexp(vector.abs().max_element());
+    let scaled = DVec3::from_array(vector.to_array().map(|x| libm::ldexp(x, -exponent)));
+    scaled / scaled.length()
+}
+
+fn is_scene_name(name: &str) -> bool {
+    (1..=200).contains(&name.chars().count()) && !name.chars().any(char::is_control)
+}
+
+/// The name of a scene that gives none: the stem of its file, as far as that can be one.
+fn name_from(file: &str) -> String {
+    let stem = std::path::Path::new(file).file_stem().unwrap_or_default().to_string_lossy();
+    let name: String = stem.chars().filter(|c| !c.is_control()).take(200).collect();
+    if name.is_empty() { "scene".to_owned() } else { name }
+}

@@ -1,0 +1,96 @@
+//! What is wrong with a scene file, where, and what to do about it.
+
+use std::fmt;
+
+/// A scene file that was refused: where, which key, what was expected and what was found.
+///
+/// Displays on one line: `two.toml:12:12: influence.split_at: expected …, found 0.9`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SceneError {
+    /// The file's name as it was given.
+    pub file: String,
+    /// Where in the file; `None` if the whole of it is meant (it cannot be read, it is too large).
+    pub place: Option<Place>,
+    /// The key as a dotted path (`influence.split_at`, `body["b"].radius`, `push[0].start`); empty if no key is meant.
+    pub key: String,
+    /// What was expected and what was found.
+    pub message: String,
+    /// What to do about it, where there is something to say.
+    pub help: Option<String>,
+}
+
+/// A place in a text, both counted from 1.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Place {
+    /// The line.
+    pub line: u32,
+    /// The character in the line; a byte order mark is none.
+    pub column: u32,
+}
+
+impl SceneError {
+    /// The line of the error, from 1.
+    pub fn line(&self) -> Option<u32> {
+        self.place.map(|place| place.line)
+    }
+
+    /// The character in that line, from 1.
+    pub fn column(&self) -> Option<u32> {
+        self.place.map(|place| place.column)
+    }
+
+    /// The same with a remedy.
+    pub(super) fn with_help(self, help: impl Into<String>) -> SceneError {
+        SceneError { help: Some(help.into()), ..self }
+    }
+}
+
+impl std::error::Error for SceneError {}
+
+impl fmt::Display for SceneError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(Place { line, column }) = self.place {
+            write!(f, "{}:{line}:{column}: ", one_line(&self.file))?;
+        }
+        if !self.key.is_empty() {
+            write!(f, "{}: ", self.key)?;
+        }
+        f.write_str(&self.message)?;
+        match &self.help {
+            Some(help) => write!(f, "; {help}"),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Place {
+    /// The place of the byte `offset` of `text`.
+    pub(super) fn of(text: &str, offset: usize) -> Place {
+        let before = &text[..text.floor_char_boundary(offset)];
+        let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);
+        let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+        Place {
+            line: count(before.matches('\n').count()).saturating_add(1),
+            column: count(before[line_start..].trim_start_matches('\u{feff}').chars().count()).saturating_add(1),
+        }
+    }
+}
+
+/// Characters of the file that a message quotes at most.
+const QUOTED: usize = 40;
+
+/// The beginning of `text`, without anything that could break a line or a terminal.
+pub(super) fn clip(text: &str) -> String {
+    // escape_debug also knows what is invisible or turns the direction of writing; an apostrophe does no harm
+    let escape = |c: char| if c == '\'' { c.to_string() } else { c.escape_debug().to_string() };
+    let mut clipped: String = text.chars().take(QUOTED).map(escape).collect();
+    if text.chars().nth(QUOTED).is_some() {
+        clipped.push('…');
+    }
+    clipped
+}
+
+/// `text` with its control characters escaped.
+pub(super) fn one_line(text: &str) -> String {
+    text.chars().map(|c| if c.is_control() { c.escape_debug().to_string() } else { c.to_string() }).collect()
+}

@@ -1,0 +1,441 @@
+//! A typed view of a TOML document that knows where everything stands and what it is called.
+//!
+//! serde could fill the structs, but its messages name a type where a user needs the key's range, and it loses the
+//! place of a value as soon as two of them have to agree.
+
+use std::{fmt, ops::Range};
+
+use glam::DVec3;
+use toml::de::{DeTable, DeValue};
+
+use super::error::{Place, SceneError, clip, one_line};
+
+/// The text of a scene file and its name.
+pub(super) struct Source<'a> {
+    pub text: &'a str,
+    pub file: &'a str,
+}
+
+impl<'a> Source<'a> {
+    /// The text as a tree of tables.
+    ///
+    /// # Errors
+    /// The text is not TOML.
+    pub fn document(&self) -> Result<DeTable<'a>, SceneError> {
+        DeTable::parse(self.text).map(|document| document.into_inner()).map_err(|error| self.syntax_error(&error))
+    }
+
+    fn syntax_error(&self, error: &toml::de::Error) -> SceneError {
+        // some of the parser's messages end in this where it means that something should go
+        let message = one_line(error.message().trim_end_matches(", expected nothing"));
+        let Some(span) = error.span() else {
+            let message = format!("\"{}\" is not valid TOML: {message}", one_line(self.file));
+            return SceneError { file: self.file.to_owned(), place: None, key: String::new(), message, help: None };
+        };
+        let mut message = format!("not valid TOML: {message}");
+        match self.text.get(span.clone()) {
+            Some("") if span.start == self.text.len() => message.push_str(", found the end of the file"),
+            None | Some("" | "\n" | "\r\n") => {}
+            Some(found) => message.push_str(&format!(", found \"{}\"", clip(found))),
+        }
+        // there is no tree to say which key it is, but most often its name begins the line
+        let line = self.text[..self.text.floor_char_boundary(span.start)].rfind('\n').map_or(0, |newline| newline + 1);
+        let key =
+            self.text[line..].lines().next().and_then(|line| line.split_once('=')).map_or("", |(key, _)| key.trim());
+        let is_key = key.bytes().all(|byte| is_bare(byte) || byte == b'.');
+        let place = Some(Place::of(self.text, span.start));
+        let key = if is_key { clip(key) } else { String::new() };
+        SceneError { file: self.file.to_owned(), place, key, message, help: None }
+    }
+
+    fn error(&self, offset: usize, key: &Key<'_>, message: String) -> SceneError {
+        let place = Some(Place::of(self.text, offset));
+        SceneError { file: self.file.to_owned(), place, key: key.to_string(), message, help: None }
+    }
+}
+
+/// The dotted path of a value, as a list from the value outwards: it is only spelled out in an error.
+#[derive(Clone, Copy)]
+enum Key<'a> {
+    File,
+    Field(&'a Key<'a>, &'a str),
+    Item(&'a Key<'a>, usize),
+    /// An item of an array of tables that has a name.
+    Named(&'a Key<'a>, &'a str),
+}
+
+impl fmt::Display for Key<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Key::File => Ok(()),
+            Key::Field(parent, field) => {
+                write!(f, "{parent}{}", if matches!(parent, Key::File) { "" } else { "." })?;
+                let bare = !field.is_empty() && field.bytes().all(is_bare);
+                if bare { f.write_str(&clip(field)) } else { write!(f, "\"{}\"", clip(field)) }
+            }
+            Key::Item(parent, index) => write!(f, "{parent}[{index}]"),
+            Key::Named(parent, name) => write!(f, "{parent}[\"{name}\"]"),
+        }
+    }
+}
+
+/// Whether `byte` may stand in a TOML key without quotes, and in the name of a body.
+fn is_bare(byte: u8) -> bool {
+    byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_')
+}
+
+/// Whether `name` may be that of a body: 1 to 64 letters, digits, `-` and `_`.
+pub(super) fn is_body_name(name: &str) -> bool {
+    (1..=64).contains(&name.len()) && name.bytes().all(is_bare)
+}
+
+/// The keys that a table may have.
+pub(super) struct Keys {
+    /// Where these keys belong, to follow "belongs".
+    pub home: &'static str,
+    /// The table itself, to follow "expected".
+    pub form: &'static str,
+    /// In the order in which they are listed to users.
+    pub names: &'static [&'static str],
+}
+
+/// A table whose keys are all known. One that is missing reads like an empty one.
+pub(super) struct Table<'a> {
+    source: &'a Source<'a>,
+    key: Key<'a>,
+    /// Of its header, or of the whole if it is written inline.
+    span: Range<usize>,
+    entries: Option<&'a DeTable<'a>>,
+}
+
+impl<'a> Table<'a> {
+    /// The whole of a file.
+    ///
+    /// # Errors
+    /// An unknown key.
+    pub fn root(source: &'a Source<'a>, document: &'a DeTable<'a>, known: &Keys) -> Result<Table<'a>, SceneError> {
+        Table { source, key: Key::File, span: 0..0, entries: Some(document) }.known(known)
+    }
+
+    /// Unknown keys are reported before anything else: one is most often another key misspelled or misplaced, and
+    /// says more than that the other key is missing.
+    fn known(self, known: &Keys) -> Result<Table<'a>, SceneError> {
+        let unknown = self.entries.iter().flat_map(|entries| entries.keys());
+        let unknown = unknown.filter(|key| !known.names.contains(&key.get_ref().as_ref()));
+        // the tree is sorted by name
+        let Some(key) = unknown.min_by_key(|key| key.span().start) else { return Ok(self) };
+        let name = key.get_ref().as_ref();
+        let homes: Vec<&str> =
+            super::KEYS.iter().filter(|keys| keys.names.contains(&name)).map(|keys| keys.home).collect();
+        let hint = if !homes.is_empty() {
+            format!("; \"{name}\" belongs {}", homes.join(" or "))
+        } else {
+            did_you_mean(name, known.names.iter().copied())
+        };
+        let message = format!("unknown key{hint} (known keys: {})", known.names.join(", "));
+        Err(self.source.error(key.span().start, &Key::Field(&self.key, name), message))
+    }
+
+    /// The value of `name`, if it is given.
+    pub fn get(&self, name: &'static str) -> Option<Value<'_>> {
+        let value = self.entries?.get(name)?;
+        Some(Value {
+            source: self.source,
+            key: Key::Field(&self.key, name),
+            span: value.span(),
+            value: value.get_ref(),
+        })
+    }
+
+    /// The value of `name` as a `kind`, if it is given.
+    ///
+    /// # Errors
+    /// It is not a `kind`.
+    pub fn optional<K: Kind>(&self, name: &'static str, kind: K) -> Result<Option<K::Read>, SceneError> {
+        self.get(name).map(|value| kind.read(&value)).transpose()
+    }
+
+    /// The value of `name` as a `kind`.
+    ///
+    /// # Errors
+    /// It is not given, or not a `kind`.
+    pub fn required<K: Kind>(&self, name: &'static str, kind: K) -> Result<K::Read, SceneError> {
+        kind.read(&self.present(name, &kind.expected())?)
+    }
+
+    /// The value of `name`.
+    ///
+    /// # Errors
+    /// It is not given; `expected` says what should have been.
+    pub fn present(&self, name: &'static str, expected: &str) -> Result<Value<'_>, SceneError> {
+        self.get(name).ok_or_else(|| {
+            let message = format!("missing, expected {expected}");
+            self.source.error(self.span.start, &Key::Field(&self.key, name), message)
+        })
+    }
+
+    /// The table `name`; empty if it is missing.
+    ///
+    /// # Errors
+    /// It is no table, or has an unknown key.
+    pub fn table(&self, name: &'static str, known: &Keys) -> Result<Table<'_>, SceneError> {
+        match self.get(name) {
+            Some(value) => value.into_table(known),
+            None => Ok(Table {
+                source: self.source,
+                key: Key::Field(&self.key, name),
+                span: self.span.clone(),
+                entries: None,
+            }),
+        }
+    }
+}
+
+/// A value, what it is called and where it stands.
+#[derive(Clone)]
+pub(super) struct Value<'a> {
+    source: &'a Source<'a>,
+    key: Key<'a>,
+    span: Range<usize>,
+    value: &'a DeValue<'a>,
+}
+
+impl<'a> Value<'a> {
+    /// An error at this value.
+    pub fn error(&self, message: String) -> SceneError {
+        self.source.error(self.span.start, &self.key, message)
+    }
+
+    /// The error that this value is not what was `expected`.
+    pub fn unexpected(&self, expected: impl fmt::Display) -> SceneError {
+        self.error(format!("expected {expected}, found {}", self.found()))
+    }
+
+    /// This value as a message quotes it.
+    pub fn found(&self) -> String {
+        let as_written = || clip(self.source.text.get(self.span.clone()).unwrap_or_default());
+        match self.value {
+            DeValue::String(text) => format!("the string \"{}\"", clip(text)),
+            DeValue::Integer(_) | DeValue::Float(_) | DeValue::Boolean(_) => as_written(),
+            DeValue::Datetime(_) => format!("the date-time {}", as_written()),
+            DeValue::Array(items) => match items.len() {
+                0 => "an empty array".to_owned(),
+                1 => "an array of 1 value".to_owned(),
+                n => format!("an array of {n} values"),
+            },
+            DeValue::Table(_) => "a table".to_owned(),
+        }
+    }
+
+    /// The text of this value, if it is a string.
+    pub fn text(&self) -> Option<&'a str> {
+        self.value.as_str()
+    }
+
+    /// The line of this value, from 1.
+    pub fn line(&self) -> u32 {
+        Place::of(self.source.text, self.span.start).line
+    }
+
+    /// The items of this value, if it is an array.
+    pub fn items(&self) -> Option<impl ExactSizeIterator<Item = Value<'_>>> {
+        let items = self.value.as_array()?;
+        Some(items.iter().enumerate().map(|(index, item)| Value {
+            source: self.source,
+            key: Key::Item(&self.key, index),
+            span: item.span(),
+            value: item.get_ref(),
+        }))
+    }
+
+    /// This value as a table.
+    ///
+    /// # Errors
+    /// It is none, or has an unknown key.
+    pub fn into_table(self, known: &Keys) -> Result<Table<'a>, SceneError> {
+        let entries = self.value.as_table().ok_or_else(|| self.unexpected(known.form))?;
+        Table { source: self.source, key: self.key, span: self.span, entries: Some(entries) }.known(known)
+    }
+
+    /// This value as an array of tables, each called by its name if it has a proper one and by its number otherwise.
+    ///
+    /// # Errors
+    /// It is none, or one of them has an unknown key.
+    pub fn tables(&self, known: &Keys) -> Result<Vec<Table<'_>>, SceneError> {
+        let items = self
+            .items()
+            .ok_or_else(|| self.unexpected(format_args!("an array of tables, each written [[{}]]", self.key)))?;
+        items
+            .map(|item| {
+                let name = item.value.get("name").and_then(|name| name.get_ref().as_str());
+                match name.filter(|name| is_body_name(name)) {
+                    Some(name) => Value { key: Key::Named(&self.key, name), ..item }.into_table(known),
+                    None => item.into_table(known),
+                }
+            })
+            .collect()
+    }
+
+    /// This value as an array of exactly `N` numbers; `expected` describes it.
+    ///
+    /// # Errors
+    /// It is none.
+    pub fn numbers<const N: usize>(&self, number: Number, expected: &str) -> Result<[f64; N], SceneError> {
+        let items = self.items().filter(|items| items.len() == N).ok_or_else(|| self.unexpected(expected))?;
+        let mut numbers = [0.0; N];
+        for (slot, item) in numbers.iter_mut().zip(items) {
+            *slot = number.read(&item)?;
+        }
+        Ok(numbers)
+    }
+}
+
+/// What a value may be.
+pub(super) trait Kind {
+    /// What it is read as.
+    type Read;
+
+    /// What was expected, to follow "expected".
+    fn expected(&self) -> String;
+
+    /// # Errors
+    /// The value is not of this kind.
+    fn read(&self, value: &Value<'_>) -> Result<Self::Read, SceneError>;
+}
+
+/// A finite number, both ends included. TOML's integers are numbers, too.
+#[derive(Clone, Copy)]
+pub(super) struct Number {
+    pub min: f64,
+    pub max: f64,
+}
+
+impl Kind for Number {
+    type Read = f64;
+
+    fn expected(&self) -> String {
+        match self {
+            Number { max: f64::MAX, .. } => "a finite number".to_owned(),
+            // a power of ten where there is one: 1e15, not 1000000000000000
+            Number { min, max } => {
+                let short = |x: f64| if x == 0.0 { "0".to_owned() } else { format!("{x:e}") };
+                format!("a number between {} and {}", short(*min), short(*max))
+            }
+        }
+    }
+
+    fn read(&self, value: &Value<'_>) -> Result<f64, SceneError> {
+        let number = match value.value {
+            DeValue::Float(float) => float.as_str().parse().ok(),
+            // as a float: an integer may be longer than any integer type
+            DeValue::Integer(integer) if integer.radix() == 10 => integer.as_str().parse().ok(),
+            DeValue::Integer(integer) => u128::from_str_radix(integer.as_str(), integer.radix()).ok().map(|n| n as f64),
+            _ => None,
+        };
+        match number {
+            Some(number) if (self.min..=self.max).contains(&number) => Ok(number + 0.0), // −0 is 0
+            _ => Err(unquoted(value, value.unexpected(self.expected()))),
+        }
+    }
+}
+
+/// An integer, both ends included.
+#[derive(Clone, Copy)]
+pub(super) struct Integer {
+    pub min: u32,
+    pub max: u32,
+}
+
+impl Kind for Integer {
+    type Read = u32;
+
+    fn expected(&self) -> String {
+        format!("an integer from {} to {}", self.min, self.max)
+    }
+
+    fn read(&self, value: &Value<'_>) -> Result<u32, SceneError> {
+        let integer = value.value.as_integer();
+        let integer = integer.and_then(|integer| u32::from_str_radix(integer.as_str(), integer.radix()).ok());
+        integer
+            .filter(|integer| (self.min..=self.max).contains(integer))
+            .ok_or_else(|| unquoted(value, value.unexpected(self.expected())))
+    }
+}
+
+/// Three numbers.
+#[derive(Clone, Copy)]
+pub(super) struct Vector(pub Number);
+
+impl Kind for Vector {
+    type Read = DVec3;
+
+    fn expected(&self) -> String {
+        "an array of 3 numbers [x, y, z]".to_owned()
+    }
+
+    fn read(&self, value: &Value<'_>) -> Result<DVec3, SceneError> {
+        value.numbers(self.0, &self.expected()).map(DVec3::from_array)
+    }
+}
+
+/// A string that is accepted.
+pub(super) struct Text {
+    pub form: &'static str,
+    pub accepts: fn(&str) -> bool,
+}
+
+impl Kind for Text {
+    type Read = String;
+
+    fn expected(&self) -> String {
+        self.form.to_owned()
+    }
+
+    fn read(&self, value: &Value<'_>) -> Result<String, SceneError> {
+        let text = value.text().filter(|text| (self.accepts)(text));
+        text.map(str::to_owned).ok_or_else(|| value.unexpected(self.form))
+    }
+}
+
+/// One of several words, and what it stands for.
+pub(super) struct Choice<T, const N: usize>(pub [(&'static str, T); N]);
+
+impl<T: Copy, const N: usize> Kind for Choice<T, N> {
+    type Read = T;
+
+    fn expected(&self) -> String {
+        let words = self.0.each_ref().map(|(word, _)| format!("\"{word}\""));
+        format!("one of {}", words.join(", "))
+    }
+
+    fn read(&self, value: &Value<'_>) -> Result<T, SceneError> {
+        let text = value.text();
+        if let Some((_, chosen)) = self.0.iter().find(|(word, _)| Some(*word) == text) {
+            return Ok(*chosen);
+        }
+        let hint = text.map_or(String::new(), |text| did_you_mean(text, self.0.iter().map(|(word, _)| *word)));
+        Err(value.error(format!("expected {}, found {}{hint}", self.expected(), value.found())))
+    }
+}
+
+fn unquoted(value: &Value<'_>, error: SceneError) -> SceneError {
+    match value.text() {
+        Some(text) if text.trim().parse::<f64>().is_ok() => error.with_help("write the number without quotes"),
+        _ => error,
+    }
+}
+
+/// `; did you mean "…"?` with the nearest of the `known` words, or nothing if none is near.
+pub(super) fn did_you_mean<'k>(word: &str, known: impl Iterator<Item = &'k str>) -> String {
+    let plain = |text: &str| text.to_lowercase().replace(['-', ' '], "_");
+    let word: String = plain(&word.chars().take(64).collect::<String>()); // the distance takes time ∝ length²
+    let near = known.filter_map(|candidate| {
+        let plain = plain(candidate);
+        let abbreviated = word.len() >= 3 && plain.starts_with(&word);
+        let distance = usize::min(strsim::osa_distance(&word, &plain), if abbreviated { 1 } else { usize::MAX });
+        // a third of the letters, but never all of a short word
+        let most = usize::min((word.chars().count().max(candidate.chars().count()) + 1) / 3, 3);
+        (distance <= most).then_some((distance, candidate))
+    });
+    near.min_by_key(|(distance, _)| *distance).map_or(String::new(), |(_, word)| format!("; did you mean \"{word}\"?"))
+}

@@ -1,0 +1,219 @@
+//! Centre paths: where the centre of a body is, prescribed for all t ≥ 0.
+
+use std::f64::consts::TAU;
+
+use glam::DVec3;
+
+/// A prescribed path of a centre c(t), defined for every t.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Path {
+    /// Stays where it is [scene unit].
+    Fixed(DVec3),
+    /// `from + velocity · t` [scene unit, scene unit/s].
+    Line {
+        /// At t = 0.
+        from: DVec3,
+        /// c′.
+        velocity: DVec3,
+    },
+    /// `center + amplitude · sin(2π · frequency · t + phase)`.
+    Sine {
+        /// [scene unit]
+        center: DVec3,
+        /// [scene unit]
+        amplitude: DVec3,
+        /// [1/s]
+        frequency: f64,
+        /// [rad]
+        phase: f64,
+    },
+    /// A clamped cubic spline through keys.
+    Keyframes(Spline),
+}
+
+/// Where a centre is and how it moves at an instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Kinematics {
+    /// c [scene unit]
+    pub position: DVec3,
+    /// c′ [scene unit/s]
+    pub velocity: DVec3,
+    /// c″ [scene unit/s²]
+    pub acceleration: DVec3,
+}
+
+/// Upper bounds of a path over an interval, for root finding that can't miss a crossing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bounds {
+    /// |c′| is nowhere above this [scene unit/s].
+    pub speed: f64,
+    /// |c″| is nowhere above this [scene unit/s²].
+    pub acceleration: f64,
+}
+
+impl Path {
+    /// c, c′ and c″ at time `t` [s]. At a key of a spline, the acceleration is that after it.
+    pub fn at(&self, t: f64) -> Kinematics {
+        match self {
+            Path::Fixed(position) => {
+                Kinematics { position: *position, velocity: DVec3::ZERO, acceleration: DVec3::ZERO }
+            }
+            Path::Line { from, velocity } => {
+                Kinematics { position: *from + *velocity * t, velocity: *velocity, acceleration: DVec3::ZERO }
+            }
+            Path::Sine { center, amplitude, frequency, phase } => {
+                let rate = TAU * frequency;
+                let (sin, cos) = libm::sincos(rate * t + phase);
+                Kinematics {
+                    position: *center + *amplitude * sin,
+                    velocity: *amplitude * (rate * cos),
+                    acceleration: *amplitude * (-rate * rate * sin),
+                }
+            }
+            Path::Keyframes(spline) => spline.at(t),
+        }
+    }
+
+    /// c, c′ and c″ just before time `t` [s]: differs from [`Path::at`] only where a derivative jumps.
+    pub fn before(&self, t: f64) -> Kinematics {
+        match self {
+            Path::Keyframes(spline) => spline.on(spline.times.partition_point(|&key| key < t), t),
+            _ => self.at(t),
+        }
+    }
+
+    /// c at time `t` [s].
+    pub fn position(&self, t: f64) -> DVec3 {
+        self.at(t).position
+    }
+
+    /// Bounds of speed and acceleration over `[start, end]` [s].
+    pub fn bounds(&self, start: f64, end: f64) -> Bounds {
+        match self {
+            Path::Fixed(_) => Bounds { speed: 0.0, acceleration: 0.0 },
+            Path::Line { velocity, .. } => Bounds { speed: velocity.length(), acceleration: 0.0 },
+            Path::Sine { amplitude, frequency, .. } => {
+                let rate = (TAU * frequency).abs();
+                let speed = amplitude.length() * rate;
+                Bounds { speed, acceleration: speed * rate }
+            }
+            Path::Keyframes(spline) => spline.bounds(start, end),
+        }
+    }
+
+    /// Instants at which a derivative of the path jumps [s], ascending.
+    pub fn knots(&self) -> &[f64] {
+        match self {
+            Path::Keyframes(spline) => &spline.times,
+            _ => &[],
+        }
+    }
+
+    /// Whether the centre never moves.
+    pub fn is_fixed(&self) -> bool {
+        matches!(self, Path::Fixed(_))
+    }
+}
+
+/// C² cubic spline per coordinate, zero velocity at the first and last key, held still outside them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Spline {
+    times: Vec<f64>,
+    /// `[keys − 1]`
+    segments: Vec<Segment>,
+    first: DVec3,
+    last: DVec3,
+}
+
+/// `p + s (v + s (a/2 + s j/6))`, s = t − start of the segment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Segment {
+    position: DVec3,
+    velocity: DVec3,
+    acceleration: DVec3,
+    jerk: DVec3,
+}
+
+impl Spline {
+    /// The spline through `keys` (time [s], position [scene unit]), two or more, times strictly increasing.
+    ///
+    /// The accelerations M_k at the keys solve the tridiagonal system of the clamped spline,
+    /// `h₋ M₋ + 2 (h₋ + h₊) M + h₊ M₊ = 6 (Δ₊ − Δ₋)`, with Δ the slope of a segment and 0 that beyond the ends
+    /// (de Boor, A Practical Guide to Splines, chapter IV).
+    pub fn new(keys: &[(f64, DVec3)]) -> Spline {
+        let n = keys.len();
+        let width = |k: usize| keys[k + 1].0 - keys[k].0;
+        let slope = |k: usize| (keys[k + 1].1 - keys[k].1) / width(k);
+
+        // forward sweep of the Thomas algorithm: M_k = rhs_k − upper_k M_{k+1}
+        let mut upper = vec![0.0; n];
+        let mut m = vec![DVec3::ZERO; n];
+        for k in 0..n {
+            let (h_before, slope_before) = if k == 0 { (0.0, DVec3::ZERO) } else { (width(k - 1), slope(k - 1)) };
+            let (h_after, slope_after) = if k == n - 1 { (0.0, DVec3::ZERO) } else { (width(k), slope(k)) };
+            let rhs = 6.0 * (slope_after - slope_before);
+            let (eliminated, carried) =
+                if k == 0 { (0.0, DVec3::ZERO) } else { (h_before * upper[k - 1], h_before * m[k - 1]) };
+            let pivot = 2.0 * (h_before + h_after) - eliminated;
+            upper[k] = h_after / pivot;
+            m[k] = (rhs - carried) / pivot;
+        }
+        for k in (0..n - 1).rev() {
+            m[k] = m[k] - upper[k] * m[k + 1];
+        }
+
+        let segments = (0..n - 1)
+            .map(|k| Segment {
+                position: keys[k].1,
+                velocity: slope(k) - (2.0 * m[k] + m[k + 1]) * (width(k) / 6.0),
+                acceleration: m[k],
+                jerk: (m[k + 1] - m[k]) / width(k),
+            })
+            .collect();
+        Spline { times: keys.iter().map(|key| key.0).collect(), segments, first: keys[0].1, last: keys[n - 1].1 }
+    }
+
+    fn at(&self, t: f64) -> Kinematics {
+        self.on(self.times.partition_point(|&key| key <= t), t)
+    }
+
+    /// At `t`, `keys_passed` of the keys being behind: held still before the first and after the last.
+    fn on(&self, keys_passed: usize, t: f64) -> Kinematics {
+        let still = |position| Kinematics { position, velocity: DVec3::ZERO, acceleration: DVec3::ZERO };
+        match keys_passed {
+            0 => still(self.first),
+            n if n == self.times.len() => still(self.last),
+            n => {
+                let Segment { position, velocity, acceleration, jerk } = self.segments[n - 1];
+                let s = t - self.times[n - 1];
+                Kinematics {
+                    position: position + s * (velocity + s * (acceleration / 2.0 + s * jerk / 6.0)),
+                    velocity: velocity + s * (acceleration + s * jerk / 2.0),
+                    acceleration: acceleration + s * jerk,
+                }
+            }
+        }
+    }
+
+    fn bounds(&self, start: f64, end: f64) -> Bounds {
+        let mut bounds = Bounds { speed: 0.0, acceleration: 0.0 };
+        let first = self.times.partition_point(|&key| key <= start).saturating_sub(1);
+        for (k, segment) in self.segments.iter().enumerate().skip(first) {
+            let from = f64::max(start, self.times[k]) - self.times[k];
+            let to = f64::min(end, self.times[k + 1]) - self.times[k];
+            if self.times[k] > end {
+                break;
+            }
+            if from > to {
+                continue;
+            }
+            // acceleration is linear in t, so largest at an end; speed changes by at most that times the time
+            let ends = [from, to].map(|s| (segment.acceleration + s * segment.jerk).length());
+            let acceleration = f64::max(ends[0], ends[1]);
+            let velocity = segment.velocity + from * (segment.acceleration + from * segment.jerk / 2.0);
+            bounds.acceleration = bounds.acceleration.max(acceleration);
+            bounds.speed = bounds.speed.max(velocity.length() + acceleration * (to - from));
+        }
+        bounds
+    }
+}

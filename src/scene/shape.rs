@@ -1,0 +1,104 @@
+//! Rest shapes: unit spheres of rings, as the thesis draws them.
+
+use glam::DVec3;
+
+/// A unit sphere of rings: a pole, `stacks − 1` rings of `slices` vertices, a pole.
+///
+/// Vertex 0 is the north pole (+z); then rings from north to south, ring i = 1 … stacks − 1 at polar angle
+/// πi/stacks, each with vertex j = 0 … slices − 1 at azimuth 2πj/slices from +x towards +y; the south pole last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Sphere {
+    /// Bands from pole to pole, ≥ 2.
+    pub stacks: u32,
+    /// Vertices of a ring, ≥ 3.
+    pub slices: u32,
+}
+
+impl Default for Sphere {
+    /// The thesis's 266 vertices.
+    fn default() -> Self {
+        Sphere { stacks: 12, slices: 24 }
+    }
+}
+
+impl Sphere {
+    /// `2 + (stacks − 1) · slices`.
+    pub fn vertex_count(&self) -> u64 {
+        2 + (u64::from(self.stacks) - 1) * u64::from(self.slices)
+    }
+
+    /// `2 (stacks − 1) · slices`.
+    pub fn triangle_count(&self) -> u64 {
+        2 * (u64::from(self.stacks) - 1) * u64::from(self.slices)
+    }
+
+    /// Unit vertices [–], `[vertex_count]`. These are also the outward normals.
+    pub fn unit_vertices(&self) -> Vec<DVec3> {
+        use std::f64::consts::PI;
+        let mut vertices = Vec::with_capacity(self.vertex_count() as usize);
+        vertices.push(DVec3::Z);
+        for i in 1..self.stacks {
+            let polar = PI * f64::from(i) / f64::from(self.stacks);
+            let (sin_polar, cos_polar) = libm::sincos(polar);
+            for j in 0..self.slices {
+                let azimuth = 2.0 * PI * f64::from(j) / f64::from(self.slices);
+                let (sin, cos) = libm::sincos(azimuth);
+                vertices.push(DVec3::new(sin_polar * cos, sin_polar * sin, cos_polar));
+            }
+        }
+        vertices.push(DVec3::NEG_Z);
+        vertices
+    }
+
+    /// Vertex indices of each triangle, counter-clockwise seen from outside, `[triangle_count]`.
+    pub fn triangles(&self) -> Vec<[u32; 3]> {
+        let (stacks, slices) = (self.stacks, self.slices);
+        let ring = |i: u32, j: u32| 1 + (i - 1) * slices + j % slices;
+        let south = self.vertex_count() as u32 - 1;
+        let mut triangles = Vec::with_capacity(self.triangle_count() as usize);
+        for j in 0..slices {
+            triangles.push([0, ring(1, j), ring(1, j + 1)]);
+        }
+        for i in 1..stacks - 1 {
+            for j in 0..slices {
+                let [nw, ne] = [ring(i, j), ring(i, j + 1)];
+                let [sw, se] = [ring(i + 1, j), ring(i + 1, j + 1)];
+                triangles.push([nw, sw, se]);
+                triangles.push([nw, se, ne]);
+            }
+        }
+        for j in 0..slices {
+            triangles.push([ring(stacks - 1, j), south, ring(stacks - 1, j + 1)]);
+        }
+        triangles
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_default_is_the_thesis_sphere() {
+        let sphere = Sphere::default();
+        assert_eq!(sphere.vertex_count(), 266);
+        assert_eq!(sphere.unit_vertices().len(), 266);
+        assert_eq!(sphere.triangles().len() as u64, sphere.triangle_count());
+    }
+
+    #[test]
+    fn triangles_wind_outwards_and_close_the_surface() {
+        for sphere in [Sphere::default(), Sphere { stacks: 2, slices: 3 }, Sphere { stacks: 3, slices: 5 }] {
+            let vertices = sphere.unit_vertices();
+            let mut edges = std::collections::HashSet::new();
+            for [a, b, c] in sphere.triangles() {
+                let [p, q, r] = [a, b, c].map(|i| vertices[i as usize]);
+                assert!((q - p).cross(r - p).dot(p + q + r) > 0.0, "{sphere:?}: {a} {b} {c} faces inwards");
+                for edge in [(a, b), (b, c), (c, a)] {
+                    assert!(edges.insert(edge), "{sphere:?}: edge {edge:?} runs twice the same way");
+                }
+            }
+            assert!(edges.iter().all(|&(a, b)| edges.contains(&(b, a))), "{sphere:?}: a hole");
+        }
+    }
+}

@@ -1,0 +1,106 @@
+//! The state of one body.
+
+use std::sync::Arc;
+
+use super::{arrays::Vectors, integrator::Interval};
+use crate::{
+    model::oscillator::Oscillator,
+    scene::{Push, Scene},
+};
+
+/// A body's state. While it is at rest, as it is until something acts on it, it has no vertices of its own.
+pub(super) struct Body {
+    /// Unit rest positions, shared by all bodies of the same shape.
+    pub unit: Arc<Vectors>,
+    /// ω and κ of its vertices.
+    pub oscillator: Oscillator,
+    /// The scene's pushes on this body.
+    pub pushes: Vec<Push>,
+    /// Displacements x [scene unit]; empty at rest.
+    pub displacement: Vectors,
+    /// Velocities x′ [scene unit/s]; empty at rest.
+    pub velocity: Vectors,
+    /// How far the vertices are and can get.
+    pub extent: Extent,
+    /// Pairs in which the body takes part in the current step.
+    pub neighbours: Vec<Neighbour>,
+    pub scratch: Scratch,
+}
+
+/// Another body that can touch this one in the current step.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Neighbour {
+    /// Index of the other body.
+    pub other: u32,
+    /// Index of the pair.
+    pub pair: u32,
+}
+
+/// Reused from step to step.
+#[derive(Default)]
+pub(super) struct Scratch {
+    pub interval: Interval,
+    pub breaks: Vec<f64>,
+}
+
+impl Body {
+    /// Body `index` of the scene, at rest.
+    pub fn new(scene: &Scene, index: usize, unit: Arc<Vectors>) -> Body {
+        let material = scene.bodies[index].material;
+        Body {
+            unit,
+            oscillator: Oscillator { omega: material.omega, damping: material.damping },
+            pushes: scene.pushes.iter().filter(|push| push.body == index).copied().collect(),
+            displacement: Vectors::default(),
+            velocity: Vectors::default(),
+            extent: Extent::default(),
+            neighbours: Vec::new(),
+            scratch: Scratch::default(),
+        }
+    }
+
+    /// Whether nothing has acted on the body yet: every displacement and velocity is exactly zero.
+    pub fn is_at_rest(&self) -> bool {
+        self.displacement.is_empty()
+    }
+
+    /// From here on the body has vertices of its own.
+    pub fn wake(&mut self) {
+        if self.is_at_rest() {
+            self.displacement.reset(self.unit.len());
+            self.velocity.reset(self.unit.len());
+        }
+    }
+}
+
+/// Bounds over the vertices of a body, from which it is told how far they can get in a step.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Extent {
+    /// Largest |x| [scene unit].
+    pub displacement: f64,
+    /// Largest √(|u|² + ω²|x|²) [scene unit/s].
+    pub momentum: f64,
+}
+
+impl Extent {
+    /// The bounds of a state.
+    pub fn of(displacement: &Vectors, velocity: &Vectors, oscillator: Oscillator) -> Extent {
+        let omega_squared = oscillator.omega * oscillator.omega;
+        let (mut x2, mut m2) = (0.0, 0.0);
+        for (x, u) in displacement.iter().zip(velocity.iter()) {
+            x2 = f64::max(x2, x.length_squared());
+            m2 = f64::max(m2, u.length_squared() + omega_squared * x.length_squared());
+        }
+        Extent { displacement: x2.sqrt(), momentum: m2.sqrt() }
+    }
+
+    /// How far from its rest position a vertex can get within `h` [s] under no more than `force` [scene unit/s²].
+    ///
+    /// Without force √(|u|² + ω²|x|²) never grows, and under one at no more than its size: so |x| grows by no more
+    /// than that times h, nor beyond that over ω.
+    pub fn after(&self, oscillator: Oscillator, force: f64, h: f64) -> f64 {
+        let momentum = self.momentum + force * h;
+        let travelled = self.displacement + momentum * h;
+        if oscillator.omega > 0.0 { travelled.min(momentum / oscillator.omega) } else { travelled }
+    }
+}

@@ -1,0 +1,87 @@
+//! What a scene needs before it is built: a slip of the finger must not take the machine down.
+
+use std::collections::HashSet;
+
+use crate::scene::Scene;
+
+/// State of a vertex: displacement and velocity, three doubles each [bytes].
+const STATE_BYTES: u64 = 48;
+/// A rest shape, shared by all bodies of it, per vertex: a unit vector [bytes].
+const SHAPE_BYTES: u64 = 24;
+/// What looking at a vertex takes, at most: six forces by cause and their sum, positions, normals, arrows [bytes].
+const OBSERVE_BYTES: u64 = 400;
+/// A body without its vertices: names, path, surroundings [bytes].
+const BODY_BYTES: u64 = 2048;
+
+/// The scene needs more memory than the machine has.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "scene \"{scene}\" is too large for this machine: {bodies} bodies with {vertices} vertices need about {}, \
+     and {} are available; lower `stacks` and `slices` of the shapes, or use fewer bodies",
+    human(*needed), human(*available)
+)]
+pub struct TooLarge {
+    /// Name of the scene.
+    pub scene: String,
+    /// Number of bodies.
+    pub bodies: u64,
+    /// Number of vertices of all bodies.
+    pub vertices: u64,
+    /// [bytes]
+    pub needed: u64,
+    /// [bytes]
+    pub available: u64,
+}
+
+/// An upper estimate of the memory that simulating and observing the scene takes [bytes]: every vertex awake.
+pub fn needed(scene: &Scene) -> u64 {
+    let mut seen = HashSet::new();
+    let shapes: u64 = scene
+        .bodies
+        .iter()
+        .filter(|body| seen.insert(body.shape))
+        .map(|body| body.shape.vertex_count().saturating_mul(SHAPE_BYTES))
+        .fold(0, u64::saturating_add);
+    let largest = scene.bodies.iter().map(|body| body.shape.vertex_count()).max().unwrap_or(0);
+    scene
+        .vertex_count()
+        .saturating_mul(STATE_BYTES)
+        .saturating_add(largest.saturating_mul(OBSERVE_BYTES))
+        .saturating_add((scene.bodies.len() as u64).saturating_mul(BODY_BYTES))
+        .saturating_add(shapes)
+}
+
+/// Memory that this process may still take, by the machine and by its control group [bytes].
+pub fn available() -> u64 {
+    let mut system = sysinfo::System::new();
+    system.refresh_memory();
+    let limit = system.cgroup_limits().map_or(u64::MAX, |limits| limits.free_memory);
+    system.available_memory().min(limit)
+}
+
+/// Refuses a scene that needs more than nine tenths of what is available.
+pub fn check(scene: &Scene) -> Result<(), TooLarge> {
+    let (needed, available) = (needed(scene), available());
+    if needed / 9 * 10 <= available {
+        return Ok(());
+    }
+    Err(TooLarge {
+        scene: scene.name.clone(),
+        bodies: scene.bodies.len() as u64,
+        vertices: scene.vertex_count(),
+        needed,
+        available,
+    })
+}
+
+/// Bytes as people read them.
+pub fn human(bytes: u64) -> String {
+    let units = ["B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB"];
+    let mut value = bytes as f64;
+    let mut unit = 0;
+    while value >= 1024.0 && unit < units.len() - 1 {
+        value /= 1024.0;
+        unit += 1;
+    }
+    if unit == 0 { format!("{bytes} B") } else { format!("{value:.1} {}", units[unit]) }
+}

@@ -1,0 +1,47 @@
+//! The simulation: a [`World`] made from a scene, stepped, and looked at.
+//!
+//! | what | where |
+//! | --- | --- |
+//! | the world and its step | [`world`] |
+//! | the state of one body, and its turn in a step | `body`, `advance` |
+//! | who can touch whom | `pairs`, by a sweep in [`reach`] |
+//! | when pairs merge, split, enter and leave their core | [`events`] |
+//! | how a vertex is advanced | [`integrator`] |
+//! | forces by cause, energy: looking at a state | [`observe`] |
+//! | what a step reports | [`report`] |
+//! | what a scene needs before it is built | [`memory`] |
+//!
+//! Nothing here knows Rerun, files or clocks beyond the step's own timers.
+
+mod advance;
+pub mod arrays;
+mod body;
+pub mod events;
+pub mod integrator;
+pub mod memory;
+pub mod observe;
+mod pairs;
+pub mod reach;
+pub mod report;
+pub mod surroundings;
+pub mod world;
+
+pub use arrays::Vectors;
+pub use events::Event;
+pub use memory::TooLarge;
+pub use observe::{BodyForces, Cause, Energy};
+pub use report::{Stage, StepReport};
+pub use world::{BodyView, PairView, World};
+
+/// A stretch of time [s].
+#[derive(Clone, Copy, Debug)]
+struct Span {
+    start: f64,
+    end: f64,
+}
+
+impl Span {
+    fn length(&self) -> f64 {
+        self.end - self.start
+    }
+}

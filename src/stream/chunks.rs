@@ -1,0 +1,117 @@
+//! Rows gathered into chunks, chunks into messages.
+//!
+//! The SDK's own recording stream would add wall-clock timelines and random row ids, and flush by a timer. Here a
+//! recording is a function of what is logged: times are the simulation's, ids count up.
+
+use std::collections::HashMap;
+
+use rerun::{
+    AsComponents, EntityPath, StoreId, TimePoint, Timeline,
+    external::{
+        re_chunk_store::external::re_chunk::{Chunk, ChunkBuilder, ChunkId, ChunkResult, RowId},
+        re_log_types::{LogMsg, SetStoreInfo, StoreInfo, StoreSource},
+        re_tuid::Tuid,
+    },
+};
+
+/// When something was: what the two timelines of a recording say.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Instant {
+    /// Timeline `step`.
+    pub step: u64,
+    /// Timeline `sim_time` [s].
+    pub time: f64,
+}
+
+impl Instant {
+    fn time_point(self) -> TimePoint {
+        // Times that an i64 of nanoseconds can't hold (292 years) stay at its end.
+        let nanos = (self.time * 1e9).round().clamp(0.0, i64::MAX as f64) as i64;
+        TimePoint::from_iter([
+            (*Timeline::new_sequence("step").name(), rerun::TimeCell::from_sequence(self.step as i64)),
+            (*Timeline::new_duration("sim_time").name(), rerun::TimeCell::from_duration_nanos(nanos)),
+        ])
+    }
+}
+
+/// Gathers rows by entity until they are taken.
+pub struct Chunks {
+    store: StoreId,
+    open: HashMap<EntityPath, ChunkBuilder>,
+    /// Entities in `open` in the order of their first row, so that messages do not depend on hashing.
+    order: Vec<EntityPath>,
+    done: Vec<LogMsg>,
+    next_id: u64,
+}
+
+impl Chunks {
+    /// For the recording or blueprint `store`; the first message says what it is.
+    pub fn new(store: StoreId) -> Chunks {
+        let source = StoreSource::Other("meldscope".to_owned());
+        let info = SetStoreInfo { row_id: Tuid::from_nanos_and_inc(1, 0), info: StoreInfo::new(store.clone(), source) };
+        Chunks { store, open: HashMap::new(), order: Vec::new(), done: vec![LogMsg::SetStoreInfo(info)], next_id: 1 }
+    }
+
+    /// The recording or blueprint that the rows belong to.
+    pub fn store(&self) -> &StoreId {
+        &self.store
+    }
+
+    fn id(&mut self) -> Tuid {
+        self.next_id += 1;
+        Tuid::from_nanos_and_inc(1, self.next_id)
+    }
+
+    /// Logs components of an entity at an instant of the simulation.
+    pub fn log(&mut self, entity: &str, at: Instant, components: &dyn AsComponents) {
+        self.row(entity, at.time_point(), components);
+    }
+
+    /// Logs components of an entity at a time of any timeline.
+    pub fn row(&mut self, entity: &str, at: TimePoint, components: &dyn AsComponents) {
+        let row = RowId::from_tuid(self.id());
+        let path = EntityPath::from(entity);
+        if !self.open.contains_key(&path) {
+            let id = ChunkId::from_tuid(self.id());
+            self.order.push(path.clone());
+            self.open.insert(path.clone(), Chunk::builder_with_id(id, path.clone()));
+        }
+        if let Some(builder) = self.open.remove(&path) {
+            let builder = builder.with_serialized_batches(row, at, components.as_serialized_batches());
+            self.open.insert(path, builder);
+        }
+    }
+
+    /// Logs components of an entity for all times, in a message of its own.
+    pub fn log_static(&mut self, entity: &str, components: &dyn AsComponents) {
+        let (id, row) = (ChunkId::from_tuid(self.id()), RowId::from_tuid(self.id()));
+        let builder = Chunk::builder_with_id(id, EntityPath::from(entity));
+        let builder = builder.with_serialized_batches(row, TimePoint::STATIC, components.as_serialized_batches());
+        self.finish(builder);
+    }
+
+    /// The messages since the last call.
+    pub fn take(&mut self) -> Vec<LogMsg> {
+        for path in std::mem::take(&mut self.order) {
+            if let Some(builder) = self.open.remove(&path) {
+                self.finish(builder);
+            }
+        }
+        std::mem::take(&mut self.done)
+    }
+
+    fn finish(&mut self, builder: ChunkBuilder) {
+        let message =
+            |chunk: Chunk| -> ChunkResult<LogMsg> { Ok(LogMsg::ArrowMsg(self.store.clone(), chunk.to_arrow_msg()?)) };
+        match builder.build().and_then(message) {
+            Ok(message) => self.done.push(message),
+            // Only malformed columns can fail, and none comes from outside.
+            Err(error) => unreachable!("a chunk of our own columns: {error}"),
+        }
+    }
+}
+
+/// The time of everything in a blueprint.
+pub(super) fn blueprint_time() -> TimePoint {
+    TimePoint::from_iter([(Timeline::new_sequence("blueprint"), 0)])
+}

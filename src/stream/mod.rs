@@ -1,0 +1,21 @@
+//! The world as Rerun data: a recording that the viewer opens, or that it follows live.
+//!
+//! | what | where |
+//! | --- | --- |
+//! | which entities there are, and when each is logged | [`recorder`] |
+//! | the state as meshes and arrows, in the viewer's precision | [`extract`] |
+//! | rows gathered into chunks, chunks into messages | [`chunks`] |
+//! | the layout that the viewer opens with | [`blueprint`] |
+//! | colours and what they mean | [`palette`] |
+//! | where the messages go: files, viewers, servers | [`sinks`] |
+//!
+//! Observers receive the world by shared reference: looking never changes anything.
+
+pub mod blueprint;
+pub mod chunks;
+pub mod extract;
+pub mod palette;
+pub mod recorder;
+pub mod sinks;
+
+pub use recorder::{Recorder, Settings};

@@ -1,0 +1,71 @@
+//! Colours and what they mean. Those that tell causes and phases apart are Okabe and Ito's, which readers with any
+//! colour vision distinguish, on the viewer's dark background and on the bodies.
+
+use crate::{model::phase::Phase, sim::Cause};
+
+/// Red, green, blue.
+pub type Rgb = [u8; 3];
+
+const ORANGE: Rgb = [0xE6, 0x9F, 0x00];
+const SKY_BLUE: Rgb = [0x56, 0xB4, 0xE9];
+const GREEN: Rgb = [0x00, 0x9E, 0x73];
+const YELLOW: Rgb = [0xF0, 0xE4, 0x42];
+const VERMILION: Rgb = [0xD5, 0x5E, 0x00];
+const PURPLE: Rgb = [0xCC, 0x79, 0xA7];
+const WHITE: Rgb = [0xF4, 0xF4, 0xF4];
+const GREY: Rgb = [0x6A, 0x72, 0x7C];
+
+/// Colour of the arrows of a cause.
+pub fn cause(cause: Cause) -> Rgb {
+    match cause {
+        Cause::Attraction => ORANGE,
+        Cause::Repulsion => SKY_BLUE,
+        Cause::Restoring => GREEN,
+        Cause::Damping => YELLOW,
+        Cause::Push => VERMILION,
+        Cause::Carry => PURPLE,
+        Cause::Net => WHITE,
+    }
+}
+
+/// Colour of a phase, in lanes, events and spheres: that of the force it brings, if any.
+pub fn phase(phase: Phase) -> Rgb {
+    match phase {
+        Phase::Apart => SKY_BLUE,
+        Phase::Merged => ORANGE,
+        Phase::Core => PURPLE,
+    }
+}
+
+/// Colour of an influence sphere that reaches nobody.
+pub const IDLE_SPHERE: Rgb = GREY;
+
+/// Colour of the line of q, and of plain quantities in plots.
+pub const PLAIN: Rgb = WHITE;
+
+/// Colours of the thresholds.
+pub const MERGE_AT: Rgb = ORANGE;
+/// See [`MERGE_AT`].
+pub const SPLIT_AT: Rgb = SKY_BLUE;
+/// See [`MERGE_AT`].
+pub const CORE_AT: Rgb = PURPLE;
+
+/// Muted colours of bodies, so that arrows and spheres stand out against them.
+pub fn body(index: usize) -> Rgb {
+    const BODIES: [Rgb; 8] = [
+        [0x5B, 0x84, 0xB1],
+        [0xB5, 0x8A, 0x5A],
+        [0x6F, 0x9E, 0x7B],
+        [0x9C, 0x77, 0xA6],
+        [0xA8, 0x9F, 0x5F],
+        [0x5F, 0x9D, 0xA3],
+        [0xB0, 0x74, 0x70],
+        [0x8A, 0x8F, 0x98],
+    ];
+    BODIES[index % BODIES.len()]
+}
+
+/// Colours of the lines of a plot without other meaning, in order.
+pub fn line(index: usize) -> Rgb {
+    [SKY_BLUE, ORANGE, GREEN, YELLOW, PURPLE, VERMILION, WHITE][index % 7]
+}

@@ -1,0 +1,384 @@
+//! Recordings as bytes: a file, or standard output.
+//!
+//! A file is written beside its place, as `F.rrd.partial`, and renamed when it is whole: whatever happens to the run,
+//! the file that was there before stays as it was, and what was simulated can be read up to the last flush.
+
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{self, BufWriter, IsTerminal as _, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use rerun::external::re_build_info::CrateVersion;
+use rerun::external::re_log_encoding::{EncodeError, Encoder, EncodingOptions};
+
+use super::SinkError;
+use super::error::file_help;
+use super::queue::{Parcel, Queue, WhenFull};
+
+/// What may wait to be written [bytes]; then the run waits for the disk.
+const LIMIT: u64 = 64 << 20;
+/// What is handed to the operating system at once [bytes].
+const BUFFER: usize = 256 << 10;
+/// A killed run loses at most what came after this [time since the last flush].
+const FLUSH_EVERY: Duration = Duration::from_millis(500);
+/// Messages encoded between two looks at the clock.
+const BATCH: usize = 64;
+
+/// The right to write a file: checked and locked, nothing in it touched yet.
+pub(super) struct Claim {
+    /// Where the recording is wanted, symbolic links followed.
+    path: PathBuf,
+    /// Open for writing.
+    file: File,
+    /// Where it is written; `None`: into `path` itself, which is a device or a pipe and cannot be renamed over.
+    partial: Option<Partial>,
+}
+
+/// The file beside, under its preliminary name; removed when dropped if there is nothing in it to keep.
+struct Partial {
+    path: PathBuf,
+    is_kept: bool,
+}
+
+impl Drop for Partial {
+    fn drop(&mut self) {
+        if !self.is_kept {
+            std::fs::remove_file(&self.path).ok();
+        }
+    }
+}
+
+impl Claim {
+    /// Finds out all that can be found out before a run: whether `path` can be written, and whether another run does.
+    pub fn new(path: &Path) -> Result<Claim, SinkError> {
+        let path = &std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        let refuse = |doing, source: io::Error| {
+            let help = match (source.kind(), path.parent().filter(|parent| !parent.as_os_str().is_empty())) {
+                (io::ErrorKind::NotFound, Some(parent)) if !parent.is_dir() => {
+                    format!("there is no directory {}: create it first", parent.display())
+                }
+                _ => file_help(&source, None),
+            };
+            SinkError::File { doing, path: path.clone(), source: Arc::new(source), help }
+        };
+
+        match std::fs::metadata(path) {
+            Ok(there) if there.is_dir() => return Err(refuse("write", io::ErrorKind::IsADirectory.into())),
+            Ok(there) => {
+                // the rename would replace even a file that is write-protected, so that must be asked for here
+                let file = OpenOptions::new().write(true).open(path).map_err(|err| refuse("write", err))?;
+                if !there.is_file() {
+                    return Ok(Claim { path: path.clone(), file, partial: None });
+                }
+            }
+            Err(err) if err.kind() == io::ErrorKind::NotFound => {}
+            Err(err) => return Err(refuse("write", err)),
+        }
+
+        let Some(name) = path.file_name() else {
+            return Err(refuse("write", io::ErrorKind::IsADirectory.into()));
+        };
+        let mut partial_name = name.to_owned();
+        partial_name.push(".partial");
+        let partial = path.with_file_name(partial_name);
+        loop {
+            let (file, is_fresh) = match OpenOptions::new().write(true).create_new(true).open(&partial) {
+                Ok(file) => (file, true),
+                Err(err) if err.kind() == io::ErrorKind::AlreadyExists => {
+                    match OpenOptions::new().write(true).open(&partial) {
+                        Ok(file) => (file, false),
+                        // renamed or removed between the two lines above
+                        Err(err) if err.kind() == io::ErrorKind::NotFound => continue,
+                        Err(err) => return Err(refuse("create the .partial file of", err)),
+                    }
+                }
+                Err(err) => return Err(refuse("create", err)),
+            };
+            match file.try_lock() {
+                Ok(()) => {}
+                Err(TryLockError::WouldBlock) => return Err(SinkError::Busy { path: path.clone() }),
+                // a file system without locks: two runs into one file are then the user's affair
+                Err(TryLockError::Error(_)) => {}
+            }
+            // The run that held the lock may have renamed this very file to `path` in the meantime:
+            // writing into it now would destroy a finished recording.
+            if is_same_file(&file, &partial) {
+                // what a killed run left stays until this one has begun
+                let partial = Partial { path: partial, is_kept: !is_fresh };
+                return Ok(Claim { path: path.clone(), file, partial: Some(partial) });
+            }
+        }
+    }
+
+    /// Empties the file and begins to write; the note is about what was lost by that.
+    pub fn start(self) -> Result<(Writer, Option<String>), SinkError> {
+        let Claim { path, file, mut partial } = self;
+        let mut note = None;
+        let target = Target::File { path, partial: partial.as_ref().map(|partial| partial.path.clone()) };
+        if let Some(partial) = &mut partial {
+            if file.metadata().is_ok_and(|there| there.len() > 0) {
+                note = Some(format!("overwriting {}, which an earlier run left unfinished", partial.path.display()));
+            }
+            file.set_len(0).map_err(|err| target.error("empty the .partial file of", err))?;
+            partial.is_kept = true;
+        }
+        let out = file.try_clone().map_err(|err| target.error("write", err))?;
+        let mut writer = Writer::start(target, out)?;
+        writer.held = Some(Held { partial, file });
+        Ok((writer, note))
+    }
+}
+
+/// Whether `path` is what `file` has open.
+#[cfg(unix)]
+fn is_same_file(file: &File, path: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt as _;
+    match (file.metadata(), std::fs::metadata(path)) {
+        (Ok(open), Ok(named)) => (open.dev(), open.ino()) == (named.dev(), named.ino()),
+        _ => false,
+    }
+}
+
+/// Elsewhere there is no portable way to tell.
+#[cfg(not(unix))]
+fn is_same_file(_file: &File, _path: &Path) -> bool {
+    true
+}
+
+/// Where the bytes go, to name it when something goes wrong.
+#[derive(Clone)]
+enum Target {
+    File { path: PathBuf, partial: Option<PathBuf> },
+    Stdout,
+}
+
+impl Target {
+    fn error(&self, doing: &'static str, source: io::Error) -> SinkError {
+        match self {
+            Target::File { path, partial } => {
+                let help = file_help(&source, partial.as_deref());
+                SinkError::File { doing, path: path.clone(), source: Arc::new(source), help }
+            }
+            Target::Stdout => {
+                let help = match source.kind() {
+                    io::ErrorKind::BrokenPipe => "the program that was reading it has gone".to_owned(),
+                    _ => file_help(&source, None),
+                };
+                SinkError::Stdout { source: Arc::new(source), help }
+            }
+        }
+    }
+
+    fn encode_error(&self, error: EncodeError) -> SinkError {
+        match error {
+            EncodeError::Write(source) => self.error("write", source),
+            other => SinkError::Encode { target: self.name(), reason: other.to_string() },
+        }
+    }
+
+    fn name(&self) -> String {
+        match self {
+            Target::File { path, .. } => path.display().to_string(),
+            Target::Stdout => "standard output".to_owned(),
+        }
+    }
+}
+
+/// A thread that encodes messages and writes them.
+pub(super) struct Writer {
+    target: Target,
+    queue: Arc<Queue>,
+    thread: Option<JoinHandle<Option<Written>>>,
+    /// Messages sent.
+    sent: u64,
+    held: Option<Held>,
+}
+
+/// What keeps a file ours until it has its name.
+struct Held {
+    partial: Option<Partial>,
+    /// The lock ends with its last handle.
+    file: File,
+}
+
+/// What a writer has written.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Written {
+    /// The recording, footer included [bytes].
+    pub bytes: u64,
+    pub messages: u64,
+}
+
+impl Writer {
+    /// Begins to write to standard output, which must not be a terminal.
+    ///
+    /// Whoever else prints there while this lives spoils the recording.
+    pub fn stdout() -> Result<Writer, SinkError> {
+        if is_terminal() {
+            return Err(SinkError::Terminal);
+        }
+        // locked for each write and not for the whole run: a print from elsewhere would then wait for ever
+        Writer::start(Target::Stdout, io::stdout())
+    }
+
+    fn start(target: Target, out: impl Write + Send + 'static) -> Result<Writer, SinkError> {
+        let queue = Arc::new(Queue::new(target.name(), LIMIT, WhenFull::Wait));
+        let thread = std::thread::Builder::new().name("recording".to_owned()).spawn({
+            let (target, queue) = (target.clone(), Arc::clone(&queue));
+            move || {
+                let _attendance = queue.attend();
+                write(&target, &queue, out).map_err(|err| queue.fail(err)).ok()
+            }
+        });
+        match thread {
+            Ok(thread) => Ok(Writer { target, queue, thread: Some(thread), sent: 0, held: None }),
+            Err(err) => Err(SinkError::Thread { target: target.name(), reason: err.to_string() }),
+        }
+    }
+
+    /// Queues a message, and waits while the queue is full; `Err` is why nothing more can be written.
+    pub fn send(&mut self, parcel: Parcel) -> Result<(), SinkError> {
+        self.sent += 1;
+        self.queue.send(parcel)
+    }
+
+    /// Waits until all that was sent is with the operating system.
+    pub fn flush(&self) -> Result<(), SinkError> {
+        self.queue.flush()
+    }
+
+    /// Nothing more will be sent: the thread may finish meanwhile.
+    pub fn close(&self) {
+        self.queue.close();
+    }
+
+    /// The path of the file, or `None` for standard output.
+    pub fn path(&self) -> Option<&Path> {
+        match &self.target {
+            Target::File { path, .. } => Some(path),
+            Target::Stdout => None,
+        }
+    }
+
+    /// Waits for the last byte, and gives a file its name.
+    pub fn finish(mut self) -> Result<Written, SinkError> {
+        let written = self.join()?;
+        if let (Target::File { path, .. }, Some(Held { partial: Some(partial), file })) =
+            (&self.target, self.held.take())
+        {
+            file.sync_all().map_err(|err| self.target.error("sync", err))?;
+            std::fs::rename(&partial.path, path)
+                .map_err(|err| self.target.error("rename the .partial file to", err))?;
+            // the name is in the directory, which is synced by itself; where that cannot be done there is no remedy
+            if let Some(Ok(directory)) = path.parent().map(File::open) {
+                directory.sync_all().ok();
+            }
+            drop(file);
+        }
+        Ok(written)
+    }
+
+    fn join(&mut self) -> Result<Written, SinkError> {
+        self.queue.close();
+        let gone = || SinkError::Thread {
+            target: self.target.name(),
+            reason: "its thread is gone; this is a bug, please report it".to_owned(),
+        };
+        let result = self.thread.take().map(JoinHandle::join);
+        match (result, self.queue.failure()) {
+            (Some(Ok(Some(written))), _) => Ok(written),
+            (_, Some(failure)) => Err(failure),
+            _ => Err(gone()),
+        }
+    }
+}
+
+/// A run that ended badly: what there is gets its footer and stays under its preliminary name.
+impl Drop for Writer {
+    fn drop(&mut self) {
+        if self.thread.is_none() {
+            return;
+        }
+        self.queue.close();
+        // a pipe whose reader sleeps would keep the program from ending; a disk gets on
+        let patience = if self.held.as_ref().is_some_and(|held| held.partial.is_some()) { 60 } else { 2 };
+        if self.queue.wait_ended(Duration::from_secs(patience)) {
+            self.join().ok();
+        }
+        if let Some(Held { partial: Some(partial), .. }) = &mut self.held {
+            partial.is_kept = self.sent > 0;
+        }
+    }
+}
+
+/// Whether standard output is a terminal.
+pub(super) fn is_terminal() -> bool {
+    io::stdout().is_terminal()
+}
+
+/// Counts what passes.
+struct Counted<W> {
+    out: W,
+    bytes: u64,
+}
+
+impl<W: Write> Write for Counted<W> {
+    fn write(&mut self, buf: &[u8]) -> io::Result<usize> {
+        let n = self.out.write(buf)?;
+        self.bytes += n as u64;
+        Ok(n)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.out.flush()
+    }
+}
+
+/// Writes what comes through the queue, up to its end, then the footer.
+fn write<W: Write>(target: &Target, queue: &Queue, out: W) -> Result<Written, SinkError> {
+    let out = BufWriter::with_capacity(BUFFER, Counted { out, bytes: 0 });
+    let mut encoder = Encoder::new_eager(CrateVersion::LOCAL, EncodingOptions::PROTOBUF_COMPRESSED, out)
+        .map_err(|err| target.encode_error(err))?;
+    let result = encode(target, queue, &mut encoder);
+    let messages = match result {
+        Ok(messages) => messages,
+        Err(err) => {
+            // a footer after half a message would be one more thing that is wrong: drop what is still in the buffer
+            encoder.into_inner().map(BufWriter::into_parts).ok();
+            return Err(err);
+        }
+    };
+    let out = encoder.into_inner().map_err(|err| target.encode_error(err))?;
+    let out = out.into_inner().map_err(|err| target.error("write", err.into_error()))?;
+    Ok(Written { bytes: out.bytes, messages })
+}
+
+fn encode<W: Write>(target: &Target, queue: &Queue, encoder: &mut Encoder<W>) -> Result<u64, SinkError> {
+    let mut messages = 0;
+    // the stream's header is not flushed either
+    let mut is_flushed = false;
+    let mut flushed_at = Instant::now();
+    loop {
+        let idle = (!is_flushed).then(|| FLUSH_EVERY.saturating_sub(flushed_at.elapsed()));
+        let batch = queue.take(BATCH, idle);
+        for msg in &batch.messages {
+            encoder.append(msg).map_err(|err| target.encode_error(err))?;
+            messages += 1;
+            is_flushed = false;
+        }
+        if batch.last {
+            encoder.finish().map_err(|err| target.encode_error(err))?;
+        }
+        if batch.last || batch.flush || (!is_flushed && flushed_at.elapsed() >= FLUSH_EVERY) {
+            encoder.flush_blocking().map_err(|err| target.encode_error(err))?;
+            is_flushed = true;
+            flushed_at = Instant::now();
+        }
+        queue.done(&batch, batch.messages.len(), is_flushed);
+        if batch.last {
+            return Ok(messages);
+        }
+    }
+}

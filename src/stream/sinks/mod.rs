@@ -1,0 +1,394 @@
+//! Where a recording goes: a file, standard output, viewers, a server for viewers, memory; any of them together.
+//!
+//! Every destination has a thread of its own behind a queue that is bounded in bytes, and gets the messages in the order
+//! in which they were sent. Files and pipes get every message: when they are slow the run waits for them. Viewers get
+//! what they can take and never hold up a run. Memory: 64 MiB for a file or pipe, 128 MiB for a viewer, 256 MiB for the
+//! server (twice as much where it is all newest values), whose history takes another 1 GiB; a message in several queues
+//! is there once.
+//!
+//! The SDK's own sinks are not used as they are because of what they do when something goes wrong: `FileSink` overwrites
+//! the file at once and only logs that the disk is full, `GrpcSink` waits for ever for a viewer that does not read, and
+//! `GrpcServerSink` only logs that its port is taken.
+
+use std::ffi::OsString;
+use std::net::{IpAddr, Ipv4Addr};
+use std::path::PathBuf;
+use std::time::Duration;
+
+use rerun::external::re_uri::{Origin, ProxyUri, Scheme};
+use rerun::log::LogMsg;
+
+mod error;
+mod file;
+mod live;
+mod note;
+mod queue;
+mod serve;
+mod spawn;
+
+pub use error::SinkError;
+pub use serve::Serving;
+
+use file::{Claim, Writer};
+use live::Live;
+use note::{counted, listed, seconds};
+use queue::Parcel;
+use serve::Server;
+
+/// What was asked for.
+#[derive(Clone, Debug)]
+pub struct Destinations {
+    /// The file to write.
+    pub save: Option<PathBuf>,
+    /// Whether to write to standard output.
+    pub stdout: bool,
+    /// The viewer to start.
+    pub spawn: Option<Spawn>,
+    /// The address of a running viewer, such as [`rerun::DEFAULT_CONNECT_URL`].
+    pub connect: Option<String>,
+    /// The web viewer to serve.
+    pub serve: Option<Serve>,
+    /// How long a viewer may take none of what is left for it after the run, before it is given up [5 s].
+    pub patience: Duration,
+}
+
+/// Nowhere.
+impl Default for Destinations {
+    fn default() -> Self {
+        let patience = Duration::from_secs(5);
+        Destinations { save: None, stdout: false, spawn: None, connect: None, serve: None, patience }
+    }
+}
+
+/// A viewer to start. One that listens on the port already is used instead.
+#[derive(Clone, Debug)]
+pub struct Spawn {
+    /// A path, or a name to be found on the PATH [`rerun`].
+    pub program: OsString,
+    /// Where it is to listen, on this machine only [9876].
+    pub port: u16,
+    /// What it may keep, like `2GB` or `25%`; then it forgets the oldest [25%].
+    pub memory_limit: String,
+}
+
+impl Default for Spawn {
+    fn default() -> Self {
+        Spawn { program: "rerun".into(), port: rerun::DEFAULT_SERVER_PORT, memory_limit: "25%".to_owned() }
+    }
+}
+
+/// A web viewer to serve.
+#[derive(Clone, Copy, Debug)]
+pub struct Serve {
+    /// The address to listen on [127.0.0.1].
+    pub bind: IpAddr,
+    /// Where the web viewer is [9090]; 0 is any that is free.
+    pub web_port: u16,
+    /// Where it gets its data [9876]; 0 is any that is free.
+    pub grpc_port: u16,
+    /// Whether to open it in the browser [no].
+    pub open_browser: bool,
+}
+
+impl Default for Serve {
+    fn default() -> Self {
+        let bind = Ipv4Addr::LOCALHOST.into();
+        Serve { bind, web_port: 9090, grpc_port: rerun::DEFAULT_SERVER_PORT, open_browser: false }
+    }
+}
+
+/// All destinations of a run, open.
+///
+/// Dropping it without [`Sinks::finish`] leaves a file under its preliminary name, with all that was sent.
+pub struct Sinks {
+    writers: Vec<Writer>,
+    viewers: Vec<Live>,
+    server: Option<Server>,
+    memory: Option<Vec<LogMsg>>,
+    notes: Vec<String>,
+    /// A file or a pipe has what a viewer misses.
+    is_recorded: bool,
+    patience: Duration,
+}
+
+/// How it went.
+pub struct Finished {
+    /// The file.
+    pub save: Option<Saved>,
+    /// What went to standard output [bytes].
+    pub stdout: Option<u64>,
+    /// What became of each viewer that was connected.
+    pub viewers: Vec<Watched>,
+    /// What there is to tell since the last [`Sinks::notes`].
+    pub notes: Vec<String>,
+    /// What [`Sinks::memory`] has kept.
+    pub memory: Vec<LogMsg>,
+    /// The servers: they stay up as long as this is kept.
+    pub serving: Option<Serving>,
+}
+
+/// A file that is complete.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Saved {
+    /// The file.
+    pub path: PathBuf,
+    /// Its size [bytes].
+    pub bytes: u64,
+    /// Messages in it.
+    pub messages: u64,
+}
+
+/// What became of a viewer.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Watched {
+    /// Which one.
+    pub name: String,
+    /// Messages that it took.
+    pub messages: u64,
+    /// Messages left out for it because it could not keep up.
+    pub left_out: u64,
+    /// Whether it has everything else.
+    pub is_complete: bool,
+}
+
+impl Sinks {
+    /// Opens every destination. A viewer that is not there is an error only if there is no other destination;
+    /// everything else is one always. No file is touched and no viewer started if there is one.
+    pub fn open(destinations: &Destinations) -> Result<Sinks, SinkError> {
+        let Destinations { save, stdout, spawn, connect, serve, patience } = destinations;
+        // first what needs nothing but to be looked at
+        let connect = connect.as_deref().map(parse_url).transpose()?;
+        if *stdout && file::is_terminal() {
+            return Err(SinkError::Terminal);
+        }
+        let claim = save.as_deref().map(Claim::new).transpose()?;
+
+        let mut sinks = Sinks { patience: *patience, ..Sinks::closed() };
+        let mut missing = Vec::new();
+        if let Some(uri) = &connect {
+            match live::probe(uri) {
+                Ok(()) => sinks.viewers.push(Live::connect(uri.clone())?),
+                Err(err) => missing.push(err),
+            }
+        }
+        let is_connected = !sinks.viewers.is_empty();
+        if let Some(serve) = serve {
+            let mut server = Server::start(serve)?;
+            sinks.notes.append(&mut server.notes);
+            sinks.server = Some(server);
+        }
+        // last, because it opens a window
+        if let Some(options) = spawn {
+            let is_there = |uri: &ProxyUri| uri.origin.port == options.port && uri.origin.is_localhost();
+            if is_connected && connect.as_ref().is_some_and(is_there) {
+                sinks.notes.push("the viewer to start is the one already connected".to_owned());
+            } else {
+                let is_ours = sinks.server.as_ref().is_some_and(|server| server.data_port == options.port);
+                match spawn::spawn(options, is_ours) {
+                    Ok(spawned) => {
+                        sinks.notes.extend(spawned.notes);
+                        let origin = Origin::from_scheme_and_socket_addr(Scheme::RerunHttp, spawned.address);
+                        sinks.viewers.push(Live::connect(ProxyUri::new(origin))?);
+                    }
+                    Err(err) => missing.push(err),
+                }
+            }
+        }
+
+        let is_alone = claim.is_none() && !stdout && sinks.viewers.is_empty() && sinks.server.is_none();
+        if is_alone {
+            return Err(missing.into_iter().next().unwrap_or(SinkError::Nowhere));
+        }
+        sinks.notes.extend(missing.iter().map(|err| format!("going on without a viewer: {err}")));
+        if let Some(claim) = claim {
+            let (writer, note) = claim.start()?;
+            sinks.notes.extend(note);
+            sinks.writers.push(writer);
+        }
+        if *stdout {
+            sinks.writers.push(Writer::stdout()?);
+        }
+        sinks.is_recorded = !sinks.writers.is_empty();
+        Ok(sinks)
+    }
+
+    /// Keeps every message, for [`Finished::memory`]. Unbounded.
+    pub fn memory() -> Sinks {
+        Sinks { memory: Some(Vec::new()), ..Sinks::closed() }
+    }
+
+    fn closed() -> Sinks {
+        let patience = Destinations::default().patience;
+        let (writers, viewers, notes) = (Vec::new(), Vec::new(), Vec::new());
+        Sinks { writers, viewers, server: None, memory: None, notes, is_recorded: false, patience }
+    }
+
+    /// Whether there is a server, which should stay up after the run until its user has seen enough.
+    pub fn serving(&self) -> bool {
+        self.server.is_some()
+    }
+
+    /// What there is to tell the user since the last call: whole sentences, each said once.
+    pub fn notes(&mut self) -> Vec<String> {
+        self.look();
+        std::mem::take(&mut self.notes)
+    }
+
+    /// Sends a message everywhere. Waits while the queue of a file or pipe is full.
+    ///
+    /// `Err` if a file or pipe cannot be written, or if nothing is left to send to. A run should then end with
+    /// [`Sinks::finish`], which gives the same error once more.
+    pub fn send(&mut self, msg: LogMsg) -> Result<(), SinkError> {
+        if let Some(memory) = &mut self.memory {
+            memory.push(msg.clone());
+        }
+        let parcel = Parcel::new(msg);
+        for writer in &mut self.writers {
+            writer.send(parcel.clone())?;
+        }
+        let mut gone = None;
+        for viewer in &self.viewers {
+            gone = viewer.send(parcel.clone()).err().or(gone);
+        }
+        if let Some(server) = &mut self.server {
+            gone = server.send(parcel).err().or(gone);
+        }
+        match gone {
+            Some(err) if !self.is_anyone_left() => Err(err),
+            _ => Ok(()),
+        }
+    }
+
+    /// Waits until everything sent so far can be read from the file or pipe.
+    pub fn flush(&self) -> Result<(), SinkError> {
+        self.writers.iter().try_for_each(Writer::flush)
+    }
+
+    /// Ends the recording everywhere: footers written, files synced and under their names, viewers up to date as far as
+    /// they take it. Every destination is brought to its end even if one fails; the first failure is returned.
+    pub fn finish(mut self) -> Result<Finished, SinkError> {
+        // all at once, so that they end while the first is waited for
+        self.writers.iter().for_each(Writer::close);
+        self.viewers.iter().for_each(|viewer| viewer.queue().close());
+        if let Some(server) = &self.server {
+            server.live.queue().close();
+        }
+
+        let mut failure = None;
+        let (mut save, mut stdout) = (None, None);
+        for writer in std::mem::take(&mut self.writers) {
+            let path = writer.path().map(PathBuf::from);
+            match (writer.finish(), path) {
+                (Ok(written), Some(path)) => {
+                    save = Some(Saved { path, bytes: written.bytes, messages: written.messages });
+                }
+                (Ok(written), None) => stdout = Some(written.bytes),
+                (Err(err), _) => failure = failure.or(Some(err)),
+            }
+        }
+        let mut watched = Vec::new();
+        for i in 0..self.viewers.len() {
+            let queue = self.viewers[i].queue();
+            let has_ended = queue.wait_ended(self.patience);
+            let gone = queue.failure();
+            if !has_ended && gone.is_none() {
+                let rest = queue.waiting();
+                let left =
+                    if rest > 0 { format!(", {} before the end", counted(rest, "message")) } else { String::new() };
+                self.notes.push(format!(
+                    "{} has taken nothing for {} and is given up{left}",
+                    queue.name(),
+                    seconds(self.patience)
+                ));
+            }
+            watched.push(Watched {
+                name: queue.name().to_owned(),
+                messages: queue.delivered(),
+                left_out: queue.left_out(),
+                is_complete: has_ended && gone.is_none() && queue.left_out() == 0,
+            });
+        }
+        if let Some(server) = &self.server
+            && !server.live.queue().wait_drained(self.patience)
+        {
+            self.notes.push("a connected viewer holds up the data server; it goes on meanwhile".to_owned());
+        }
+        self.look();
+        let is_saved = save.is_some() || stdout.is_some();
+        if failure.is_none() && !is_saved && !self.is_anyone_left() {
+            failure = self.viewers.iter().map(Live::failure).chain([self.server_failure()]).flatten().next();
+        }
+        if let Some(failure) = failure {
+            return Err(failure);
+        }
+        Ok(Finished {
+            save,
+            stdout,
+            viewers: watched,
+            notes: std::mem::take(&mut self.notes),
+            memory: self.memory.take().unwrap_or_default(),
+            serving: self.server.take().map(|server| Serving { server }),
+        })
+    }
+
+    fn server_failure(&self) -> Option<SinkError> {
+        self.server.as_ref().and_then(|server| server.live.failure())
+    }
+
+    /// Whether anything takes messages.
+    fn is_anyone_left(&self) -> bool {
+        !self.writers.is_empty()
+            || self.memory.is_some()
+            || self.viewers.iter().any(|viewer| viewer.failure().is_none())
+            || self.server.as_ref().is_some_and(|server| server.live.failure().is_none())
+    }
+
+    /// Notes what has become of viewers and server.
+    fn look(&mut self) {
+        let rest = self.rest();
+        let lives = self.viewers.iter_mut().chain(self.server.as_mut().map(|server| &mut server.live));
+        for live in lives {
+            if let Some(failure) = live.failure()
+                && !std::mem::replace(&mut live.said_gone, true)
+            {
+                let why = match &failure {
+                    SinkError::Gone { messages, reason, .. } => {
+                        format!("went away after {} ({reason})", counted(*messages, "message"))
+                    }
+                    other => format!("is gone ({other})"),
+                };
+                self.notes.push(format!("{} {why}{rest}", live.queue().name()));
+            }
+            if live.queue().left_out() > 0 && !std::mem::replace(&mut live.said_thinned, true) {
+                self.notes.push(format!(
+                    "{} cannot keep up: older values are left out for it, where newer ones follow{}",
+                    live.queue().name(),
+                    if self.is_recorded { " (the recording has them all)" } else { "" }
+                ));
+            }
+        }
+        self.notes.extend(self.server.as_mut().and_then(Server::forgetting));
+    }
+
+    /// What is left of the destinations, to complete a sentence about one that is gone.
+    fn rest(&self) -> String {
+        let mut rest: Vec<String> = Vec::new();
+        for writer in &self.writers {
+            rest.push(match writer.path() {
+                Some(path) => format!("{} is still being written", path.display()),
+                None => "standard output goes on".to_owned(),
+            });
+        }
+        let lives = self.viewers.iter().chain(self.server.as_ref().map(|server| &server.live));
+        for live in lives.filter(|live| live.failure().is_none()) {
+            rest.push(format!("{} goes on", live.queue().name()));
+        }
+        if rest.is_empty() { String::new() } else { format!("; {}", listed(&rest)) }
+    }
+}
+
+/// The address of a viewer. `http://` and `https://` are taken for what they mean here.
+fn parse_url(url: &str) -> Result<ProxyUri, SinkError> {
+    url.parse()
+        .map_err(|err: rerun::external::re_uri::Error| SinkError::Url { url: url.to_owned(), reason: err.to_string() })
+}

@@ -1,0 +1,173 @@
+//! Starting a viewer.
+//!
+//! Not with `rerun::spawn`: it lets the viewer listen on every interface and inherit standard output, where it would
+//! spoil `--stdout` and keep the pipe of whoever reads this program's results open until its window is closed.
+
+use std::ffi::OsString;
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read as _, Seek as _, SeekFrom};
+use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, Instant};
+
+use rerun::external::re_build_info::CrateVersion;
+
+use super::live::within;
+use super::note::{install_help, seconds};
+use super::{SinkError, Spawn};
+
+/// How long a viewer may take until it listens; a first start on a slow machine takes some seconds.
+const START: Duration = Duration::from_secs(30);
+/// How long it may take to say its version.
+const VERSION: Duration = Duration::from_secs(10);
+/// What a started viewer's own gRPC server keeps for others that connect to it; the viewer has it already.
+const SERVER_MEMORY: &str = "1GiB";
+
+/// A viewer that listens on this machine.
+pub(super) struct Spawned {
+    pub address: SocketAddr,
+    pub notes: Vec<String>,
+}
+
+/// Starts a viewer, or finds the one that listens on the port already, as `rerun` itself does. With `avoid`, the port is
+/// known not to be a viewer's, and a free one is used instead.
+pub(super) fn spawn(spawn: &Spawn, avoid: bool) -> Result<Spawned, SinkError> {
+    let program = spawn.program.to_string_lossy().into_owned();
+    let refuse = |reason: String, help: String| SinkError::Spawn { program: program.clone(), reason, help };
+    let mut address = SocketAddr::from((Ipv4Addr::LOCALHOST, spawn.port));
+    if avoid {
+        let free = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).and_then(|listener| listener.local_addr());
+        address = free.map_err(|err| refuse(format!("no free port ({err})"), install_help()))?;
+    } else if TcpStream::connect_timeout(&address, Duration::from_secs(1)).is_ok() {
+        let note = format!("something listens on {address} already: taking it for a viewer and not starting another");
+        return Ok(Spawned { address, notes: vec![note] });
+    }
+
+    let mut log = Log::create();
+    let mut command = Command::new(&spawn.program);
+    command
+        .arg(format!("--port={}", address.port()))
+        .arg(format!("--bind={}", address.ip()))
+        .arg(format!("--memory-limit={}", spawn.memory_limit))
+        .arg(format!("--server-memory-limit={SERVER_MEMORY}"))
+        .arg("--expect-data-soon")
+        .stdin(Stdio::null())
+        .stdout(log.stdio())
+        .stderr(log.stdio());
+    // a Ctrl-C that ends the run must not close the window that shows it
+    #[cfg(unix)]
+    std::os::unix::process::CommandExt::process_group(&mut command, 0);
+    let mut child = command.spawn().map_err(|err| match err.kind() {
+        io::ErrorKind::NotFound => refuse("it is not on the PATH".to_owned(), install_help()),
+        _ => refuse(err.to_string(), install_help()),
+    })?;
+
+    let started = Instant::now();
+    while TcpStream::connect_timeout(&address, Duration::from_secs(1)).is_err() {
+        match child.try_wait() {
+            Ok(Some(status)) => {
+                let help = "see whether it starts by itself; without a screen, use --serve or --save".to_owned();
+                return Err(refuse(format!("it ended at once ({status}){}", log.tail()), help));
+            }
+            Ok(None) if started.elapsed() < START => std::thread::sleep(Duration::from_millis(50)),
+            _ => {
+                end(&mut child);
+                let help = "see whether it starts by itself".to_owned();
+                let reason = format!("it does not listen on {address} after {}{}", seconds(START), log.tail());
+                return Err(refuse(reason, help));
+            }
+        }
+    }
+    // the viewer outlives the run: it is neither ended nor waited for
+    drop(child);
+    let mut notes = vec![format!("started the viewer `{program}`, listening on {address}")];
+    notes.extend(other_version(&spawn.program));
+    Ok(Spawned { address, notes })
+}
+
+/// What to say if the program is a viewer of another version.
+fn other_version(program: &OsString) -> Option<String> {
+    let mut command = Command::new(program);
+    command.arg("--version").stdin(Stdio::null()).stderr(Stdio::null());
+    let output = within(VERSION, move || command.output())?.ok()?;
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    let theirs = CrateVersion::try_parse_from_build_info_string(text).ok()?;
+    let ours = rerun::build_info().version;
+    (!theirs.is_compatible_with(ours)).then(|| {
+        format!("the viewer is of version {theirs} and may not understand this program's {ours}: {}", install_help())
+    })
+}
+
+/// Ends a viewer that was started and does not answer. What is called `rerun` may be a script that has started the real
+/// program, so the whole process group is asked to end.
+fn end(child: &mut Child) {
+    #[cfg(unix)]
+    Command::new("kill").args(["-TERM", "--", &format!("-{}", child.id())]).status().ok();
+    child.kill().ok();
+    child.wait().ok();
+}
+
+/// What a viewer says while it starts, to be quoted if it fails. A file and not a pipe: with a pipe it would be in
+/// trouble once this program has ended. Its name is gone at once, its space when the viewer ends.
+struct Log(Option<File>);
+
+impl Log {
+    fn create() -> Log {
+        static NUMBER: AtomicU32 = AtomicU32::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let path = std::env::temp_dir().join(format!("meldscope-viewer-{}-{number}.log", std::process::id()));
+        let file = OpenOptions::new().read(true).append(true).create_new(true).open(&path).ok();
+        if file.is_some() {
+            std::fs::remove_file(&path).ok();
+        }
+        Log(file)
+    }
+
+    fn stdio(&self) -> Stdio {
+        self.0.as_ref().and_then(|file| file.try_clone().ok()).map_or_else(Stdio::null, Stdio::from)
+    }
+
+    /// The last lines, ready to be appended to a reason.
+    fn tail(&mut self) -> String {
+        let mut text = Vec::new();
+        if let Some(file) = &mut self.0 {
+            let length = file.metadata().map_or(0, |metadata| metadata.len());
+            // seeking does not move where the viewer writes: it appends
+            file.seek(SeekFrom::Start(length.saturating_sub(4096))).ok();
+            file.take(4096).read_to_end(&mut text).ok();
+        }
+        let text = without_escapes(&String::from_utf8_lossy(&text));
+        let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+        let last = &lines[lines.len().saturating_sub(3)..];
+        if last.is_empty() { String::new() } else { format!(": {}", last.join(" / ")) }
+    }
+}
+
+/// `text` without colours and other control characters, except line breaks.
+fn without_escapes(text: &str) -> String {
+    let mut plain = String::new();
+    let mut chars = text.chars();
+    while let Some(c) = chars.next() {
+        match c {
+            // a control sequence ends with a letter
+            '\u{1b}' => {
+                chars.find(|c| c.is_ascii_alphabetic());
+            }
+            '\n' => plain.push('\n'),
+            c if c.is_control() => {}
+            c => plain.push(c),
+        }
+    }
+    plain
+}
+
+#[cfg(test)]
+mod tests {
+    use super::without_escapes;
+
+    #[test]
+    fn colours_are_removed_and_lines_kept() {
+        assert_eq!(without_escapes("\u{1b}[31mred\u{1b}[0m\r\nplain\u{7}"), "red\nplain");
+    }
+}

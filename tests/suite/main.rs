@@ -1,0 +1,3 @@
+mod bad_scenes;
+mod reference;
+mod scene_format;
