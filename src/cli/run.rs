@@ -183,7 +183,7 @@ fn record(
         if recorder.frames() - sent_frames >= FRAMES_PER_CHUNK || sent_at.elapsed() >= interval {
             let sending = Instant::now();
             failure = recorder.take().into_iter().find_map(|message| sinks.send(message).err());
-            recorder.add_log_time(sending.elapsed());
+            recorder.messages_sent(sending.elapsed());
             (sent_frames, sent_at) = (recorder.frames(), Instant::now());
             console.progress(world.steps_taken(), sinks.notes());
         }

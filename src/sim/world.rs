@@ -192,7 +192,8 @@ impl World {
         (0..self.bodies.len()).map(|index| self.body(index))
     }
 
-    /// Pairs within reach of each other, or not apart, in ascending order of their bodies. All others are apart.
+    /// Pairs of which one's influence sphere can reach the other's vertices as they are now, or that are near enough to
+    /// merge, or not apart; in ascending order of their bodies. All others are apart and do nothing to each other.
     pub fn pairs(&self) -> impl Iterator<Item = PairView> + '_ {
         let time = self.time();
         self.pairs
@@ -209,11 +210,13 @@ impl World {
         self.pairs.iter().map(|pair| (pair.a as usize, pair.b as usize, pair.phase))
     }
 
-    /// The q up to which one of two bodies has its rest shape inside the other's influence sphere, or can merge [–].
+    /// The q up to which one of two bodies can have vertices inside the other's influence sphere, or can merge [–].
     fn reach_of(&self, a: usize, b: usize) -> f64 {
-        let [a, b] = [a, b].map(|i| self.scene.bodies[i].radius);
-        let sphere = |radius| self.scene.influence.sphere_radius(radius);
-        (f64::max(sphere(a) + b, sphere(b) + a) / (a + b)).max(self.scene.thresholds.merge_at)
+        let vertices = |i: usize| self.scene.bodies[i].radius + self.bodies[i].extent.displacement;
+        let sphere = |i: usize| self.scene.influence.sphere_radius(self.scene.bodies[i].radius);
+        let touching = f64::max(sphere(a) + vertices(b), sphere(b) + vertices(a));
+        let radii = self.scene.bodies[a].radius + self.scene.bodies[b].radius;
+        (touching / radii).max(self.scene.thresholds.merge_at)
     }
 
     /// The phase of the pair of bodies `a` and `b`.

@@ -11,10 +11,11 @@ use rerun::{
         re_sdk_types::{
             blueprint::{
                 archetypes::{
-                    ContainerBlueprint, EntityBehavior, EyeControls3D, LineGrid3D, PanelBlueprint, PlotLegend,
-                    ScalarAxis, TextLogColumns, TimePanelBlueprint, ViewBlueprint, ViewContents, ViewportBlueprint,
+                    Background, ContainerBlueprint, EntityBehavior, EyeControls3D, LineGrid3D, PanelBlueprint,
+                    PlotLegend, ScalarAxis, TextLogColumns, TimePanelBlueprint, ViewBlueprint, ViewContents,
+                    ViewportBlueprint,
                 },
-                components::{ContainerKind, Corner2D, Eye3DKind, PanelState, PlayState, TimelineColumn},
+                components::{BackgroundKind, ContainerKind, Corner2D, Eye3DKind, PanelState, TimelineColumn},
                 datatypes::{TextLogColumn, TextLogColumnKind},
             },
             components::{Position3D, Range1D, Vector3D},
@@ -47,11 +48,7 @@ pub fn messages(world: &World, settings: &Settings, recording: &StoreId) -> Vec<
     for panel in ["blueprint_panel", "selection_panel"] {
         layout.log(panel, &PanelBlueprint::new().with_state(PanelState::Collapsed));
     }
-    let time = TimePanelBlueprint::new()
-        .with_state(PanelState::Collapsed)
-        .with_timeline("sim_time")
-        .with_play_state(PlayState::Paused);
-    layout.log("time_panel", &time);
+    layout.log("time_panel", &TimePanelBlueprint::new().with_state(PanelState::Collapsed).with_timeline("sim_time"));
 
     let mut messages = layout.chunks.take();
     let activate = BlueprintActivationCommand { blueprint_id: store, make_active: true, make_default: true };
@@ -90,7 +87,7 @@ impl Layout {
         let column = |kind| TextLogColumn { kind, visible: true.into() };
         let columns = TextLogColumns::new()
             .with_timeline_columns(Vec::<TimelineColumn>::new())
-            .with_text_log_columns([column(TextLogColumnKind::LogLevel), column(TextLogColumnKind::Body)]);
+            .with_text_log_columns([column(TextLogColumnKind::Body)]);
         let events = self.view("TextLog", "Events", "/events", &["/events"], &[("TextLogColumns", &columns)]);
         let legend = PlotLegend::new().with_corner(Corner2D::LeftTop);
         let timings =
@@ -109,12 +106,13 @@ impl Layout {
     fn scene_view(&mut self, world: &World, settings: &Settings) -> Part {
         let camera = camera(world);
         let grid = LineGrid3D::new().with_visible(false);
+        let background = Background::new(BackgroundKind::SolidColor).with_color(palette::color(palette::BACKGROUND));
         let view = self.view(
             "3D",
             "Bodies, influence spheres, forces",
             "/world",
             &["/world/**"],
-            &[("EyeControls3D", &camera), ("LineGrid3D", &grid)],
+            &[("EyeControls3D", &camera), ("LineGrid3D", &grid), ("Background", &background)],
         );
         if settings.detail == Detail::Forces {
             // At first only what merges and splits; the others are one click away in the view's entity list.
@@ -122,7 +120,7 @@ impl Layout {
                 if cause == Cause::Push && !world.scene().pushes.is_empty() {
                     continue;
                 }
-                let path = format!("{}/ViewContents/overrides/world/forces/{}", view.path, cause.name());
+                let path = format!("{}/ViewContents/overrides/world/forces/{}/visualizers", view.path, cause.name());
                 self.log(&path, &EntityBehavior::new().with_visible(false));
             }
         }
@@ -208,7 +206,7 @@ fn camera(world: &World) -> EyeControls3D {
     let middle = 0.5 * (low + high);
     let size = (high - low).length();
     let direction = DVec3::new(-0.25, -1.0, 0.45).normalize();
-    let eye = middle + direction * size * 0.85;
+    let eye = middle + direction * size * 0.62;
     EyeControls3D::new()
         .with_kind(Eye3DKind::Orbital)
         .with_position(Position3D::from(eye.as_vec3()))
@@ -225,8 +223,6 @@ fn q_range(scene: &Scene) -> [f64; 2] {
 
 /// What the colours mean, and which scene, integrator, step and settings these are.
 pub fn about(scene: &Scene, settings: &Settings, arrow_scale: f64) -> String {
-    let swatch = |[r, g, b]: palette::Rgb, text: &str| format!("{text} #{r:02X}{g:02X}{b:02X}");
-    let _ = swatch;
     let (influence, thresholds) = (&scene.influence, &scene.thresholds);
     let steps = settings.steps.map_or("until stopped".to_owned(), |steps| format!("{steps} steps"));
     let head = format!(

@@ -4,6 +4,7 @@
 //! | --- | --- |
 //! | which entities there are, and when each is logged | [`recorder`] |
 //! | the state as meshes and arrows, in the viewer's precision | [`extract`] |
+//! | lines of plots | [`series`] |
 //! | rows gathered into chunks, chunks into messages | [`chunks`] |
 //! | the layout that the viewer opens with | [`blueprint`] |
 //! | colours and what they mean | [`palette`] |
@@ -16,6 +17,7 @@ pub mod chunks;
 pub mod extract;
 pub mod palette;
 pub mod recorder;
+pub mod series;
 pub mod sinks;
 
 pub use recorder::{Recorder, Settings};

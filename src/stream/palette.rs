@@ -1,6 +1,8 @@
 //! Colours and what they mean. Those that tell causes and phases apart are Okabe and Ito's, which readers with any
 //! colour vision distinguish, on the viewer's dark background and on the bodies.
 
+use rerun::Color;
+
 use crate::{model::phase::Phase, sim::Cause};
 
 /// Red, green, blue.
@@ -37,18 +39,25 @@ pub fn phase(phase: Phase) -> Rgb {
     }
 }
 
+/// Behind the bodies.
+pub const BACKGROUND: Rgb = [0x10, 0x13, 0x18];
+
 /// Colour of an influence sphere that reaches nobody.
 pub const IDLE_SPHERE: Rgb = GREY;
 
-/// Colour of the line of q, and of plain quantities in plots.
-pub const PLAIN: Rgb = WHITE;
+/// Colour of a threshold, by the entity that it is logged to: that of the phase it leads to.
+pub fn threshold(part: &str) -> Rgb {
+    match part {
+        "merge_at" => phase(Phase::Merged),
+        "split_at" => phase(Phase::Apart),
+        _ => phase(Phase::Core),
+    }
+}
 
-/// Colours of the thresholds.
-pub const MERGE_AT: Rgb = ORANGE;
-/// See [`MERGE_AT`].
-pub const SPLIT_AT: Rgb = SKY_BLUE;
-/// See [`MERGE_AT`].
-pub const CORE_AT: Rgb = PURPLE;
+/// Colours of the lines of q, in order: none is that of a threshold.
+pub fn distance(index: usize) -> Rgb {
+    [WHITE, YELLOW, GREEN, VERMILION][index % 4]
+}
 
 /// Muted colours of bodies, so that arrows and spheres stand out against them.
 pub fn body(index: usize) -> Rgb {
@@ -68,4 +77,9 @@ pub fn body(index: usize) -> Rgb {
 /// Colours of the lines of a plot without other meaning, in order.
 pub fn line(index: usize) -> Rgb {
     [SKY_BLUE, ORANGE, GREEN, YELLOW, PURPLE, VERMILION, WHITE][index % 7]
+}
+
+/// For the viewer.
+pub fn color([r, g, b]: Rgb) -> Color {
+    Color::from_rgb(r, g, b)
 }

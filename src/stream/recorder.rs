@@ -8,9 +8,9 @@ use std::time::{Duration, Instant as Clock};
 
 use glam::{DVec3, Vec3};
 use rerun::{
-    AnyValues, Arrows3D, Color, Ellipsoids3D, InstancePoses3D, Mesh3D, Scalars, SeriesLines, StateChange,
-    StateConfiguration, StoreId, StoreKind, TextDocument, TextLog, Transform3D, ViewCoordinates,
-    components::{FillMode, InterpolationMode, MediaType, Text},
+    AnyValues, Arrows3D, Ellipsoids3D, InstancePoses3D, Mesh3D, Scalars, StateChange, StateConfiguration, StoreId,
+    StoreKind, TextDocument, TextLog, Transform3D, ViewCoordinates,
+    components::{FillMode, MediaType, Text},
     external::re_log_types::{ApplicationId, LogMsg},
 };
 
@@ -18,10 +18,11 @@ use super::{
     blueprint,
     chunks::{Chunks, Instant},
     extract::{Arrows, Surface},
-    palette::{self, Rgb},
+    palette::{self, Rgb, color},
+    series::{Series, Shape},
 };
 use crate::{
-    model::phase::Phase,
+    model::phase::{Phase, Thresholds},
     scene::{Integrator, Scene, Sphere},
     sim::{BodyForces, Cause, Event, Stage, World},
 };
@@ -115,13 +116,18 @@ pub struct Recorder {
     spheres: (Vec<Vec3>, Vec<Rgb>),
     arrows: [Arrows; Cause::ALL.len()],
     forces: BodyForces,
-    pairs: BTreeMap<(usize, usize), PairTrack>,
-    distant_pairs: HashSet<(usize, usize)>,
-    series: BTreeMap<String, Series>,
+    /// Names of the pairs that have entities of their own.
+    pairs: BTreeMap<(usize, usize), String>,
+    pairs_in_reach: HashSet<(usize, usize)>,
+    series: Series,
     frames: u64,
     stage_time: [Duration; Stage::ALL.len()],
-    log_time: Duration,
     steps_since_frame: u32,
+    /// Since messages were last sent.
+    log_time: Duration,
+    steps_since_sent: u32,
+    /// As it was when they were.
+    log_time_per_step: Duration,
 }
 
 /// What was last logged of a body.
@@ -141,21 +147,6 @@ struct BatchTrack {
     resting: Option<Vec<(usize, Vec3)>>,
 }
 
-/// A pair that has entities of its own.
-struct PairTrack {
-    name: String,
-    in_reach: bool,
-    thresholds_at: u64,
-}
-
-/// A line of a plot.
-struct Series {
-    value: f64,
-    /// When the value was last logged, and when it was last seen to be still the same.
-    logged: Instant,
-    seen: Instant,
-}
-
 impl Recorder {
     /// Begins a recording: its properties, everything static, the blueprint, and the world as it is.
     pub fn new(world: &World, settings: Settings) -> Recorder {
@@ -173,12 +164,14 @@ impl Recorder {
             arrows: Default::default(),
             forces: BodyForces::default(),
             pairs: BTreeMap::new(),
-            distant_pairs: HashSet::new(),
-            series: BTreeMap::new(),
+            pairs_in_reach: HashSet::new(),
+            series: Series::default(),
             frames: 0,
             stage_time: Default::default(),
-            log_time: Duration::ZERO,
             steps_since_frame: 0,
+            log_time: Duration::ZERO,
+            steps_since_sent: 0,
+            log_time_per_step: Duration::ZERO,
             settings,
         };
         recorder.log_properties(scene, recorder.settings.steps);
@@ -205,15 +198,18 @@ impl Recorder {
         self.frames
     }
 
-    /// Adds time that the caller spent on bringing messages to their sinks, for `/timings/log`.
-    pub fn add_log_time(&mut self, time: Duration) {
-        self.log_time += time;
+    /// Adds time that the caller spent on bringing the messages last taken to their sinks. With what building them
+    /// took it is `/timings/log`, spread over the steps that they came from.
+    pub fn messages_sent(&mut self, time: Duration) {
+        let steps = std::mem::take(&mut self.steps_since_sent).max(1);
+        self.log_time_per_step = (std::mem::take(&mut self.log_time) + time) / steps;
     }
 
     /// Looks at the world after a step: its events always, a frame if it is the turn of one.
     pub fn observe(&mut self, world: &World) {
         let report = world.report();
         self.steps_since_frame += 1;
+        self.steps_since_sent += 1;
         for (sum, spent) in self.stage_time.iter_mut().zip(report.timings) {
             *sum += spent;
         }
@@ -227,15 +223,7 @@ impl Recorder {
 
     /// Ends the recording: lines reach its end, properties say how many steps there are.
     pub fn finish(&mut self, world: &World) {
-        let now = now(world);
-        for track in self.pairs.values_mut().filter(|track| track.in_reach) {
-            log_thresholds(&mut self.chunks, &mut self.series, world.scene(), track, now);
-        }
-        for (entity, series) in &mut self.series {
-            if series.logged.step < series.seen.step {
-                self.chunks.log(entity, series.seen, &Scalars::single(series.value));
-            }
-        }
+        self.series.extend_all(&mut self.chunks);
         self.log_properties(world.scene(), Some(world.steps_taken()));
     }
 
@@ -295,14 +283,12 @@ impl Recorder {
             }
         }
 
-        let mut line = |entity: String, name: &str, color: Rgb| {
-            log_line_style(&mut self.chunks, &entity, name, color, 1.5);
-        };
         for (i, stage) in TIMINGS.into_iter().enumerate() {
-            line(format!("/timings/{stage}"), &format!("{stage} [ms]"), palette::line(i));
+            let (entity, name) = (format!("/timings/{stage}"), format!("{stage} [ms]"));
+            Series::style(&mut self.chunks, &entity, &name, palette::line(i), 1.5, Shape::Step);
         }
-        for (i, (name, label)) in DIAGNOSTICS.into_iter().enumerate() {
-            line(format!("/diagnostics/{name}"), label, palette::line(i));
+        for (i, (name, label, shape)) in DIAGNOSTICS.into_iter().enumerate() {
+            Series::style(&mut self.chunks, &format!("/diagnostics/{name}"), label, palette::line(i), 1.5, shape);
         }
     }
 
@@ -458,64 +444,67 @@ impl Recorder {
     // ---- pairs and events ------------------------------------------------------------------------------------------
 
     fn log_pairs(&mut self, world: &World, now: Instant) {
-        for track in self.pairs.values_mut() {
-            track.in_reach = false;
-        }
+        let mut in_reach = HashSet::new();
         for pair in world.pairs() {
-            let Some(track) = self.track_pair(world, pair.a, pair.b, pair.phase, now) else { continue };
-            track.in_reach = true;
-            let name = track.name.clone();
-            self.scalar(&format!("/pairs/{name}/distance"), pair.q, now);
+            let Some(name) = self.track_pair(world, pair.a, pair.b, pair.phase, now) else { continue };
+            let entity = |part: &str| format!("/pairs/{name}/{part}");
+            self.series.log(&mut self.chunks, &entity("distance"), Shape::Linear, pair.q, now);
+            for (part, _, level) in thresholds(world.scene()) {
+                self.series.log(&mut self.chunks, &entity(part), Shape::Step, level, now);
+                // A level line has nothing new to say, but should keep up with a plot that is looked at live.
+                if self.frames % THRESHOLD_FRAMES == 0 {
+                    self.series.extend(&mut self.chunks, &entity(part));
+                }
+            }
+            in_reach.insert((pair.a, pair.b));
         }
-        for track in self.pairs.values_mut().filter(|track| track.in_reach) {
-            if self.frames >= track.thresholds_at {
-                log_thresholds(&mut self.chunks, &mut self.series, world.scene(), track, now);
-                track.thresholds_at = self.frames + THRESHOLD_FRAMES;
+        let left: Vec<String> = self
+            .pairs
+            .iter()
+            .filter(|(pair, _)| self.pairs_in_reach.contains(pair) && !in_reach.contains(pair))
+            .map(|(_, name)| name.clone())
+            .collect();
+        for name in left {
+            for (part, _, _) in thresholds(world.scene()) {
+                self.series.extend(&mut self.chunks, &format!("/pairs/{name}/{part}"));
             }
         }
+        self.pairs_in_reach = in_reach;
     }
 
-    /// The entities of a pair, made when it first comes within reach; `None` beyond [`MOST_PAIRS`].
-    fn track_pair(&mut self, world: &World, a: usize, b: usize, phase: Phase, now: Instant) -> Option<&mut PairTrack> {
-        let scene = world.scene();
-        if !self.pairs.contains_key(&(a, b)) {
-            if self.pairs.len() >= MOST_PAIRS {
-                self.distant_pairs.insert((a, b));
-                return None;
-            }
-            let name = pair_name(scene, a, b);
-            let (first, second) = (&scene.bodies[a].name, &scene.bodies[b].name);
-            let entity = |part: &str| format!("/pairs/{name}/{part}");
-            let chunks = &mut self.chunks;
-            let q_color = palette::line(6 - self.pairs.len() % 3);
-            log_line_style(chunks, &entity("distance"), &format!("q {first}~{second}"), q_color, 2.0);
-            let thresholds = &scene.thresholds;
-            let mut threshold = |part: &str, label: &str, level: f64, color| {
-                log_line_style(chunks, &entity(part), &format!("{label} {level}"), color, 1.0);
-            };
-            threshold("merge_at", "merge at", thresholds.merge_at, palette::MERGE_AT);
-            threshold("split_at", "split at", thresholds.split_at, palette::SPLIT_AT);
-            if thresholds.core_at > 0.0 {
-                threshold("core_at", "core at", thresholds.core_at, palette::CORE_AT);
-            }
-            let phases = [Phase::Apart, Phase::Merged, Phase::Core];
-            let lanes = StateConfiguration::new()
-                .with_values(phases.map(Phase::name))
-                .with_labels(phases.map(Phase::name))
-                .with_colors(phases.map(|phase| color(palette::phase(phase))));
-            self.chunks.log_static(&entity("phase"), &lanes);
-            self.chunks.log(&entity("phase"), now, &StateChange::single(phase.name()));
-            self.pairs.insert((a, b), PairTrack { name, in_reach: false, thresholds_at: 0 });
+    /// The name of a pair, its entities made when it first comes within reach; `None` beyond [`MOST_PAIRS`].
+    fn track_pair(&mut self, world: &World, a: usize, b: usize, phase: Phase, now: Instant) -> Option<String> {
+        if let Some(name) = self.pairs.get(&(a, b)) {
+            return Some(name.clone());
         }
-        self.pairs.get_mut(&(a, b))
+        if self.pairs.len() >= MOST_PAIRS {
+            return None;
+        }
+        let name = pair_name(world.scene(), a, b);
+        let entity = |part: &str| format!("/pairs/{name}/{part}");
+        let chunks = &mut self.chunks;
+        let rgb = palette::distance(self.pairs.len());
+        Series::style(chunks, &entity("distance"), &format!("q {name}"), rgb, 2.0, Shape::Linear);
+        for (part, label, level) in thresholds(world.scene()) {
+            let rgb = palette::threshold(part);
+            Series::style(chunks, &entity(part), &format!("{label} {level}"), rgb, 1.0, Shape::Step);
+        }
+        let phases = [Phase::Apart, Phase::Merged, Phase::Core];
+        let lane = StateConfiguration::new()
+            .with_values(phases.map(Phase::name))
+            .with_labels(phases.map(Phase::name))
+            .with_colors(phases.map(|phase| color(palette::phase(phase))));
+        chunks.log_static(&entity("phase"), &lane);
+        chunks.log(&entity("phase"), now, &StateChange::single(phase.name()));
+        self.pairs.insert((a, b), name.clone());
+        Some(name)
     }
 
     /// A log line and a change of lane, at the exact time of the event.
     fn log_event(&mut self, world: &World, event: &Event) {
         let (a, b) = (event.a as usize, event.b as usize);
         let at = Instant { step: event.step, time: event.time };
-        let tracked = self.track_pair(world, a, b, event.from, at).map(|track| track.name.clone());
-        if let Some(name) = tracked {
+        if let Some(name) = self.track_pair(world, a, b, event.from, at) {
             self.chunks.log(&format!("/pairs/{name}/phase"), at, &StateChange::single(event.to.name()));
         }
         let line = TextLog::new(describe(world.scene(), event))
@@ -537,91 +526,51 @@ impl Recorder {
             report.substeps as f64,
             world.bodies().filter(|body| body.is_at_rest()).count() as f64,
         ];
-        for ((name, _), value) in DIAGNOSTICS.into_iter().zip(values) {
-            self.scalar(&format!("/diagnostics/{name}"), value, now);
+        for ((name, _, shape), value) in DIAGNOSTICS.into_iter().zip(values) {
+            self.series.log(&mut self.chunks, &format!("/diagnostics/{name}"), shape, value, now);
         }
     }
 
     /// Milliseconds per step since the last frame: the simulation's stages, and what looking at it cost.
     fn log_timings(&mut self, now: Instant, extracting: Duration) {
-        if now.step > 0 {
-            let steps = f64::from(self.steps_since_frame.max(1));
-            let spent = self.stage_time.into_iter().chain([extracting, self.log_time]);
-            for (stage, time) in TIMINGS.into_iter().zip(spent) {
-                let per_step = time.as_secs_f64() * 1e3 / steps;
-                self.chunks.log(&format!("/timings/{stage}"), now, &Scalars::single(per_step));
-            }
+        let steps = std::mem::take(&mut self.steps_since_frame).max(1);
+        let stages = std::mem::take(&mut self.stage_time);
+        if now.step == 0 {
+            return;
         }
-        (self.stage_time, self.log_time, self.steps_since_frame) = (Default::default(), Duration::ZERO, 0);
-    }
-
-    /// A point of a line, if the value changed.
-    fn scalar(&mut self, entity: &str, value: f64, now: Instant) {
-        log_scalar(&mut self.chunks, &mut self.series, entity, value, now, false);
+        let per_step = stages.into_iter().chain([extracting]).map(|time| time / steps);
+        for (stage, time) in TIMINGS.into_iter().zip(per_step.chain([self.log_time_per_step])) {
+            let milliseconds = time.as_secs_f64() * 1e3;
+            self.chunks.log(&format!("/timings/{stage}"), now, &Scalars::single(milliseconds));
+        }
     }
 }
 
 /// The stages in `/timings`: those of [`Stage`], then what recording costs.
 const TIMINGS: [&str; 5] = [Stage::ALL[0].name(), Stage::ALL[1].name(), Stage::ALL[2].name(), "extract", "log"];
 
-/// The entities in `/diagnostics`, and what their lines are called.
-const DIAGNOSTICS: [(&str, &str); 5] = [
-    ("energy", "energy [unit²/s²]"),
-    ("max_displacement", "largest displacement [radii]"),
-    ("reached_vertices", "vertices inside a sphere"),
-    ("substeps", "sub-steps, all bodies"),
-    ("sleeping_bodies", "bodies at rest"),
+/// The entities in `/diagnostics`, what their lines are called, and how they are drawn.
+const DIAGNOSTICS: [(&str, &str, Shape); 5] = [
+    ("energy", "energy [unit²/s²]", Shape::Linear),
+    ("max_displacement", "largest displacement [radii]", Shape::Linear),
+    ("reached_vertices", "vertices inside a sphere", Shape::Step),
+    ("substeps", "sub-steps, all bodies", Shape::Step),
+    ("sleeping_bodies", "bodies at rest", Shape::Step),
 ];
 
 fn now(world: &World) -> Instant {
     Instant { step: world.steps_taken(), time: world.time() }
 }
 
-fn log_scalar(
-    chunks: &mut Chunks,
-    series: &mut BTreeMap<String, Series>,
-    entity: &str,
-    value: f64,
-    now: Instant,
-    again: bool,
-) {
-    match series.get_mut(entity) {
-        Some(series) if series.value == value && !again => series.seen = now,
-        known => {
-            chunks.log(entity, now, &Scalars::single(value));
-            let next = Series { value, logged: now, seen: now };
-            match known {
-                Some(series) => *series = next,
-                None => {
-                    series.insert(entity.to_owned(), next);
-                }
-            }
-        }
-    }
-}
-
-/// A point of each threshold line of a pair.
-fn log_thresholds(
-    chunks: &mut Chunks,
-    series: &mut BTreeMap<String, Series>,
-    scene: &Scene,
-    track: &PairTrack,
-    now: Instant,
-) {
-    let thresholds = &scene.thresholds;
-    let all = [("merge_at", thresholds.merge_at), ("split_at", thresholds.split_at), ("core_at", thresholds.core_at)];
-    for (part, level) in all.into_iter().filter(|&(part, level)| part != "core_at" || level > 0.0) {
-        log_scalar(chunks, series, &format!("/pairs/{}/{part}", track.name), level, now, true);
-    }
-}
-
-fn log_line_style(chunks: &mut Chunks, entity: &str, name: &str, rgb: Rgb, width: f32) {
-    let style = SeriesLines::new()
-        .with_names([name])
-        .with_colors([color(rgb)])
-        .with_widths([width])
-        .with_interpolation_mode(InterpolationMode::StepAfter);
-    chunks.log_static(entity, &style);
+/// The thresholds that a scene has: entity, label, level of q.
+fn thresholds(scene: &Scene) -> impl Iterator<Item = (&'static str, &'static str, f64)> + use<> {
+    let Thresholds { merge_at, split_at, core_at } = scene.thresholds;
+    let all = [
+        ("merge_at", "merge at", merge_at),
+        ("split_at", "split at", split_at), //
+        ("core_at", "core at", core_at),
+    ];
+    all.into_iter().filter(move |&(part, _, _)| part != "core_at" || core_at > 0.0)
 }
 
 /// Positions and normals of a surface that moved.
@@ -661,12 +610,8 @@ pub fn describe(scene: &Scene, event: &Event) -> String {
     format!("{} {pair} at t = {:.9} s, q = {:.6}, step {}", event.name(), event.time, event.q, event.step)
 }
 
-fn color([r, g, b]: Rgb) -> Color {
-    Color::from_rgb(r, g, b)
-}
-
 fn rgba([r, g, b]: Rgb) -> rerun::Rgba32 {
-    rerun::Rgba32::from_rgb(r, g, b)
+    rerun::Rgba32::from_unmultiplied_rgba(r, g, b, 150)
 }
 
 /// Length of an arrow per acceleration [scene unit per scene unit/s²]: 1, 2 or 5 times a power of ten, such that the

@@ -34,7 +34,7 @@ impl Live {
     /// Streams to the viewer at `uri`, which must have answered a [`probe`].
     pub fn connect(uri: ProxyUri) -> Result<Live, SinkError> {
         let name = format!("the viewer at {uri}");
-        Live::start(name, VIEWER_LIMIT, false, move || Ok(Box::new(GrpcSink::new(uri))))
+        Live::start(name, VIEWER_LIMIT, WhenFull::Thin, false, move || Ok(Box::new(GrpcSink::new(uri))))
     }
 
     /// Starts the thread; `open` is run on it. With `stays`, the sink is taken down on [`Live::release`] only, and not
@@ -42,10 +42,11 @@ impl Live {
     pub fn start(
         name: String,
         limit: u64,
+        when_full: WhenFull,
         stays: bool,
         open: impl FnOnce() -> Result<Box<dyn LogSink>, String> + Send + 'static,
     ) -> Result<Live, SinkError> {
-        let queue = Arc::new(Queue::new(name.clone(), limit, WhenFull::Thin));
+        let queue = Arc::new(Queue::new(name.clone(), limit, when_full));
         // Detached: it cannot be made to end while it waits for a viewer that does not read.
         let thread = std::thread::Builder::new().name("viewer".to_owned()).spawn({
             let queue = Arc::clone(&queue);
@@ -114,10 +115,18 @@ fn attend(queue: &Queue, sink: Box<dyn LogSink>, stays: bool) {
     drop(sink);
 }
 
-/// The SDK's words without the address, which the message has already, and without its prefix.
-fn plain(reason: &str) -> String {
-    let reason = reason.split(", uri: ").next().unwrap_or(reason);
-    reason.trim_start_matches("gRPC ").to_owned()
+/// What the SDK's error means to a user; its own words are about its insides.
+fn plain(error: &str) -> String {
+    const CODE: &str = "Failed to send messages: ";
+    let code = error.split_once(CODE).and_then(|(_, rest)| rest.split(", uri: ").next());
+    match code {
+        // what a viewer of another kind or version answers is worth knowing
+        Some(code) if code != "Unknown error" => format!("the connection broke: {code}"),
+        _ if error.contains("unable to connect") => "it does not speak gRPC, or not on this port".to_owned(),
+        _ if error.contains("gracefully") => "it closed the connection".to_owned(),
+        _ if error.contains("server thread shut down") => "it could not listen on its port, or it crashed".to_owned(),
+        _ => "the connection broke".to_owned(),
+    }
 }
 
 /// Whether something listens at the address, before the SDK retries to connect to nothing for ever.

@@ -1,10 +1,14 @@
 //! Where a recording goes: a file, standard output, viewers, a server for viewers, memory; any of them together.
 //!
 //! Every destination has a thread of its own behind a queue that is bounded in bytes, and gets the messages in the order
-//! in which they were sent. Files and pipes get every message: when they are slow the run waits for them. Viewers get
-//! what they can take and never hold up a run. Memory: 64 MiB for a file or pipe, 128 MiB for a viewer, 256 MiB for the
-//! server (twice as much where it is all newest values), whose history takes another 1 GiB; a message in several queues
-//! is there once.
+//! in which they were sent. Files and pipes get every message: when they are slow the run waits for them. A viewer gets
+//! what it can take and never holds up a run. The server for viewers gets everything, for those that come later too, but
+//! cannot hold up a run for longer than a second.
+//!
+//! Memory: 64 MiB for a file or pipe; 128 MiB for each viewer and for the server, twice as much where it is all values
+//! that nothing newer follows; and what the SDK holds, which for the server is 256 MiB under way and 1 GiB of history.
+//! A message in several queues is there once. The footer of a file takes about 1 kB for each message, kept until the
+//! end.
 //!
 //! The SDK's own sinks are not used as they are because of what they do when something goes wrong: `FileSink` overwrites
 //! the file at once and only logs that the disk is full, `GrpcSink` waits for ever for a viewer that does not read, and
@@ -234,15 +238,15 @@ impl Sinks {
         std::mem::take(&mut self.notes)
     }
 
-    /// Sends a message everywhere. Waits while the queue of a file or pipe is full.
+    /// Sends a message everywhere. Waits while the queue of a file or pipe is full, and for a server as long as it gets on.
     ///
     /// `Err` if a file or pipe cannot be written, or if nothing is left to send to. A run should then end with
     /// [`Sinks::finish`], which gives the same error once more.
     pub fn send(&mut self, msg: LogMsg) -> Result<(), SinkError> {
-        if let Some(memory) = &mut self.memory {
-            memory.push(msg.clone());
-        }
         let parcel = Parcel::new(msg);
+        if let Some(memory) = &mut self.memory {
+            memory.push(parcel.msg.clone());
+        }
         for writer in &mut self.writers {
             writer.send(parcel.clone())?;
         }

@@ -138,12 +138,14 @@ pub(super) enum WhenFull {
     Wait,
     /// Superseded messages are left out; if that is not enough the destination is given up. The run never waits.
     Thin,
+    /// The run waits as long as something is delivered within this time, then messages are left out until it is again.
+    WaitThenThin(Duration),
 }
 
 /// A queue for one sender and one thread that serves a destination.
 ///
-/// Bound: `limit` bytes wait or are in hand, or one larger message; with [`WhenFull::Thin`] twice that, where what may
-/// not be left out takes so much.
+/// Bound: `limit` bytes wait or are in hand, or one larger message; if messages may be left out twice that, where those
+/// that may not take so much.
 pub(super) struct Queue {
     /// The destination, as messages call it.
     name: String,
@@ -161,6 +163,8 @@ struct State {
     delivered: u64,
     /// When something was last delivered.
     progress: Instant,
+    /// What was delivered when it was last waited for in vain.
+    stalled_at: Option<u64>,
     /// A flush is wanted up to this number (not including it), and was done up to that one.
     flush_to: u64,
     flushed: u64,
@@ -194,6 +198,7 @@ impl Queue {
             in_hand: 0,
             delivered: 0,
             progress: Instant::now(),
+            stalled_at: None,
             flush_to: 0,
             flushed: 0,
             closed: false,
@@ -222,23 +227,31 @@ impl Queue {
 
     /// Adds a message; `Err` is why the destination takes no more.
     pub fn send(&self, mut parcel: Parcel) -> Result<(), SinkError> {
-        let mut state = self.lock();
         if self.when_full == WhenFull::Wait {
             // nothing is left out, so nobody needs to know what replaces what
             parcel.stream = None;
-            let is_full = |state: &State| {
-                let held = state.backlog.bytes + state.in_hand;
-                held > 0 && held + parcel.bytes > self.limit
-            };
-            while is_full(&state) && state.failure.is_none() {
-                state = self.wait(state);
+        }
+        let patience = match self.when_full {
+            WhenFull::Wait => Duration::MAX,
+            WhenFull::WaitThenThin(patience) => patience,
+            WhenFull::Thin => Duration::ZERO,
+        };
+        let mut state = self.lock();
+        let started = Instant::now();
+        while state.is_full(self.limit, parcel.bytes) && state.failure.is_none() && !state.is_stalled() {
+            let idle = state.progress.max(started).elapsed();
+            if idle >= patience {
+                state.stalled_at = Some(state.delivered);
+                break;
             }
+            // no longer at once than every system can count
+            state = self.wait_for(state, (patience - idle).min(Duration::from_secs(3600)));
         }
         if let Some(failure) = &state.failure {
             return Err(failure.clone());
         }
         state.backlog.push(parcel);
-        if self.when_full == WhenFull::Thin {
+        if self.when_full != WhenFull::Wait {
             let left = self.limit.saturating_sub(state.in_hand);
             state.backlog.thin(left);
             if state.backlog.bytes > 2 * self.limit {
@@ -408,6 +421,17 @@ impl Queue {
 }
 
 impl State {
+    /// Whether `bytes` more are too much. One message always has room, whatever its size.
+    fn is_full(&self, limit: u64, bytes: u64) -> bool {
+        let held = self.backlog.bytes + self.in_hand;
+        held > 0 && held + bytes > limit
+    }
+
+    /// Whether nothing was delivered since it was waited for in vain.
+    fn is_stalled(&self) -> bool {
+        self.stalled_at == Some(self.delivered)
+    }
+
     fn fail(&mut self, failure: SinkError) {
         // the first failure is the cause of the others
         self.failure.get_or_insert(failure);

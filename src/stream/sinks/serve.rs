@@ -12,12 +12,15 @@ use rerun::{MemoryLimit, PlaybackBehavior, ServerOptions};
 
 use super::live::{Live, within};
 use super::note::seconds;
-use super::queue::Parcel;
+use super::queue::{Parcel, WhenFull};
 use super::{Serve, SinkError};
 
-/// What may wait for the server [bytes]. It waits for the slowest of its viewers once 1,024 messages or 128 MiB are
-/// under way, and what is left out here is left out for every viewer to come: hence more than for a single viewer.
-const LIMIT: u64 = 256 << 20;
+/// What may wait for the server [bytes].
+const LIMIT: u64 = 128 << 20;
+/// What is left out for the server is left out for every viewer to come. So the run waits when the queue is full, as
+/// long as the server gets on; it does not when one of its viewers does not read and 1,024 messages or 128 MiB for that
+/// one are under way.
+const WHEN_FULL: WhenFull = WhenFull::WaitThenThin(Duration::from_secs(1));
 /// What the server keeps for viewers that connect late, compressed [bytes].
 const HISTORY: u64 = 1 << 30;
 /// How long the servers may take to start, and to stop.
@@ -63,12 +66,13 @@ impl Server {
             IpAddr::V4(ip) => ip.to_string(),
             IpAddr::V6(ip) => format!("[{ip}]"),
         };
-        let live = Live::start("the data server".to_owned(), LIMIT, true, move || {
-            match GrpcServerSink::new(&grpc_ip, grpc_address.port(), options) {
-                Ok(sink) => Ok(Box::new(sink)),
-                Err(err) => Err(err.to_string()),
-            }
-        })?;
+        let live =
+            Live::start("the data server".to_owned(), LIMIT, WHEN_FULL, true, move || {
+                match GrpcServerSink::new(&grpc_ip, grpc_address.port(), options) {
+                    Ok(sink) => Ok(Box::new(sink)),
+                    Err(err) => Err(err.to_string()),
+                }
+            })?;
         wait_for(&live, SocketAddr::new(reachable, grpc_address.port()))?;
 
         let config = WebViewerConfig {
@@ -104,7 +108,7 @@ impl Server {
         })
     }
 
-    /// Queues a message, never waits; `Err` is why the server takes no more.
+    /// Queues a message, and waits a little if the queue is full; `Err` is why the server takes no more.
     pub fn send(&mut self, parcel: Parcel) -> Result<(), SinkError> {
         self.sent += parcel.bytes();
         self.live.send(parcel)

@@ -139,8 +139,13 @@ impl Log {
         }
         let text = without_escapes(&String::from_utf8_lossy(&text));
         let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
-        let last = &lines[lines.len().saturating_sub(3)..];
-        if last.is_empty() { String::new() } else { format!(": {}", last.join(" / ")) }
+        // one line says why, if the program knows; else the last ones may
+        let is_error = |line: &&&str| line.to_ascii_lowercase().starts_with("error");
+        let said = match lines.iter().rfind(is_error) {
+            Some(error) => (*error).to_owned(),
+            None => lines[lines.len().saturating_sub(3)..].join(" / "),
+        };
+        if said.is_empty() { said } else { format!(": {said}") }
     }
 }
 
