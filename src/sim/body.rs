@@ -64,6 +64,13 @@ impl Body {
         self.displacement.is_empty()
     }
 
+    /// How far from rest its vertices swing if nothing else acts [scene unit]: no less than any |x|, and unlike those
+    /// it does not swing itself.
+    pub fn amplitude(&self) -> f64 {
+        let Extent { displacement, momentum } = self.extent;
+        if self.oscillator.omega > 0.0 { momentum / self.oscillator.omega } else { displacement }
+    }
+
     /// From here on the body has vertices of its own.
     pub fn wake(&mut self) {
         if self.is_at_rest() {

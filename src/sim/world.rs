@@ -192,8 +192,9 @@ impl World {
         (0..self.bodies.len()).map(|index| self.body(index))
     }
 
-    /// Pairs of which one's influence sphere can reach the other's vertices as they are now, or that are near enough to
-    /// merge, or not apart; in ascending order of their bodies. All others are apart and do nothing to each other.
+    /// Pairs of which one's influence sphere can reach the other's vertices, as far as those swing now, or that are near
+    /// enough to merge, or not apart; in ascending order of their bodies. All others are apart, and do nothing to each
+    /// other.
     pub fn pairs(&self) -> impl Iterator<Item = PairView> + '_ {
         let time = self.time();
         self.pairs
@@ -212,7 +213,7 @@ impl World {
 
     /// The q up to which one of two bodies can have vertices inside the other's influence sphere, or can merge [–].
     fn reach_of(&self, a: usize, b: usize) -> f64 {
-        let vertices = |i: usize| self.scene.bodies[i].radius + self.bodies[i].extent.displacement;
+        let vertices = |i: usize| self.scene.bodies[i].radius + self.bodies[i].amplitude();
         let sphere = |i: usize| self.scene.influence.sphere_radius(self.scene.bodies[i].radius);
         let touching = f64::max(sphere(a) + vertices(b), sphere(b) + vertices(a));
         let radii = self.scene.bodies[a].radius + self.scene.bodies[b].radius;

@@ -70,48 +70,58 @@ struct Layout {
 impl Layout {
     fn root(&mut self, world: &World, settings: &Settings) -> Part {
         let scene_view = self.scene_view(world, settings);
-        let about = self.view("TextDocument", "What is what", "/about", &["/about"], &[]);
+        let about = self.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
         let left = self.container(ContainerKind::Vertical, "Scene", vec![scene_view, about], &[3.4, 1.0]);
 
+        let right = if world.body_count() > 1 { self.pairs(world.scene()) } else { self.alone() };
+        self.container(ContainerKind::Horizontal, "meldscope", vec![left, right], &[1.6, 1.0])
+    }
+
+    /// Beside the scene: what happens between bodies, and what it cost.
+    fn pairs(&mut self, scene: &Scene) -> Part {
         let legend = PlotLegend::new().with_corner(Corner2D::RightTop);
-        let range = q_range(world.scene());
-        let axis = ScalarAxis::new().with_range(Range1D::new(range[0], range[1]));
+        let [low, high] = q_range(scene);
+        let axis = ScalarAxis::new().with_range(Range1D::new(low, high));
         let distances = self.view(
             "TimeSeries",
             "Pair distances q and their thresholds",
             "/pairs",
-            &["/pairs/**", "- /pairs/*/phase"],
+            &["+ /pairs/**", "- /pairs/*/phase"],
             &[("PlotLegend", &legend), ("ScalarAxis", &axis)],
         );
-        let phases = self.view("StateTimeline", "Pair phases", "/pairs", &["/pairs/**"], &[]);
-        let column = |kind| TextLogColumn { kind, visible: true.into() };
+        let phases = self.view("StateTimeline", "Pair phases", "/pairs", &["+ /pairs/**"], &[]);
         let columns = TextLogColumns::new()
             .with_timeline_columns(Vec::<TimelineColumn>::new())
-            .with_text_log_columns([column(TextLogColumnKind::Body)]);
-        let events = self.view("TextLog", "Events", "/events", &["/events"], &[("TextLogColumns", &columns)]);
+            .with_text_log_columns([TextLogColumn { kind: TextLogColumnKind::Body, visible: true.into() }]);
+        let events = self.view("TextLog", "Events", "/events", &["+ /events"], &[("TextLogColumns", &columns)]);
+        let timings = self.timings();
+        let diagnostics = self.diagnostics(ContainerKind::Horizontal);
+        let numbers = self.container(ContainerKind::Tabs, "Numbers", vec![timings, diagnostics], &[]);
+        let parts = vec![distances, phases, events, numbers];
+        self.container(ContainerKind::Vertical, "Pairs", parts, &[1.4, 0.75, 0.75, 1.2])
+    }
+
+    /// Beside a body that is alone: how it moves, and what it cost.
+    fn alone(&mut self) -> Part {
+        let diagnostics = self.diagnostics(ContainerKind::Vertical);
+        let timings = self.timings();
+        self.container(ContainerKind::Vertical, "Numbers", vec![diagnostics, timings], &[3.0, 1.2])
+    }
+
+    fn timings(&mut self) -> Part {
         let legend = PlotLegend::new().with_corner(Corner2D::LeftTop);
-        let timings =
-            self.view("TimeSeries", "Timings, ms per step", "/timings", &["/timings/**"], &[("PlotLegend", &legend)]);
-        let diagnostics = self.diagnostics();
-        let tabs = self.container(ContainerKind::Tabs, "Numbers", vec![timings, diagnostics], &[]);
-        let right = self.container(
-            ContainerKind::Vertical,
-            "Pairs",
-            vec![distances, phases, events, tabs],
-            &[1.5, 0.8, 0.8, 1.1],
-        );
-        self.container(ContainerKind::Horizontal, "meldscope", vec![left, right], &[1.7, 1.0])
+        self.view("TimeSeries", "Timings, ms per step", "/timings", &["+ /timings/**"], &[("PlotLegend", &legend)])
     }
 
     fn scene_view(&mut self, world: &World, settings: &Settings) -> Part {
-        let camera = camera(world);
+        let camera = camera(world.scene());
         let grid = LineGrid3D::new().with_visible(false);
         let background = Background::new(BackgroundKind::SolidColor).with_color(palette::color(palette::BACKGROUND));
         let view = self.view(
             "3D",
             "Bodies, influence spheres, forces",
             "/world",
-            &["/world/**"],
+            &["+ /world/**"],
             &[("EyeControls3D", &camera), ("LineGrid3D", &grid), ("Background", &background)],
         );
         if settings.detail == Detail::Forces {
@@ -127,17 +137,20 @@ impl Layout {
         view
     }
 
-    fn diagnostics(&mut self) -> Part {
-        let legend = PlotLegend::new().with_corner(Corner2D::LeftTop);
+    fn diagnostics(&mut self, kind: ContainerKind) -> Part {
+        let legend = PlotLegend::new().with_corner(Corner2D::RightTop);
         let mut plot = |name: &str, entities: &[&str]| {
             self.view("TimeSeries", name, "/diagnostics", entities, &[("PlotLegend", &legend)])
         };
         let parts = vec![
-            plot("Energy", &["/diagnostics/energy"]),
-            plot("Displacement", &["/diagnostics/max_displacement"]),
-            plot("Counts", &["/diagnostics/reached_vertices", "/diagnostics/substeps", "/diagnostics/sleeping_bodies"]),
+            plot("Energy", &["+ /diagnostics/energy"]),
+            plot("Displacement", &["+ /diagnostics/max_displacement"]),
+            plot(
+                "Counts",
+                &["+ /diagnostics/reached_vertices", "+ /diagnostics/substeps", "+ /diagnostics/sleeping_bodies"],
+            ),
         ];
-        self.container(ContainerKind::Horizontal, "Diagnostics", parts, &[])
+        self.container(kind, "Diagnostics", parts, &[1.0, 1.0, 1.0])
     }
 
     fn id(&mut self) -> (Uuid, String) {
@@ -165,7 +178,7 @@ impl Layout {
     ) -> Part {
         let (id, text) = self.id();
         let path = format!("view/{text}");
-        let contents = ViewContents::new(contents.iter().map(|query| format!("+ {query}").replace("+ - ", "- ")));
+        let contents = ViewContents::new(contents.iter().copied());
         self.log(&format!("{path}/ViewContents"), &contents);
         self.log(&path, &ViewBlueprint::new(class).with_display_name(name).with_space_origin(origin));
         for (property, components) in properties {
@@ -190,23 +203,34 @@ impl Layout {
     }
 }
 
-/// A view of the whole scene over its first seconds, from the front, somewhat from the side and from above.
-fn camera(world: &World) -> EyeControls3D {
-    let scene = world.scene();
+/// A camera from the front, somewhat from the side and from above, that has every influence sphere in view wherever
+/// its path takes it in the first minute.
+fn camera(scene: &Scene) -> EyeControls3D {
+    /// Half the viewer's vertical field of view, 55°.
+    const HALF_HEIGHT: f64 = 0.5205;
+    /// The first view is about 1.5 times as wide as it is high.
+    const HALF_WIDTH: f64 = 1.5 * HALF_HEIGHT;
+
+    let back = DVec3::new(-0.2, -1.0, 0.4).normalize(); // towards the eye
+    let right = DVec3::Z.cross(back).normalize();
+    let up = back.cross(right);
     let duration = scene.duration.min(60.0);
-    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for body in &scene.bodies {
-        for k in 0..=32 {
-            let centre = body.path.position(duration * f64::from(k) / 32.0);
-            let sphere = scene.influence.sphere_radius(body.radius).min(2.0 * body.radius);
-            low = low.min(centre - sphere);
-            high = high.max(centre + sphere);
-        }
-    }
+    let spheres = || {
+        scene.bodies.iter().flat_map(move |body| {
+            let radius = scene.influence.sphere_radius(body.radius).min(2.0 * body.radius);
+            (0..=32).map(move |k| (body.path.position(duration * f64::from(k) / 32.0), radius))
+        })
+    };
+    let low = spheres().fold(DVec3::INFINITY, |low, (centre, radius)| low.min(centre - radius));
+    let high = spheres().fold(DVec3::NEG_INFINITY, |high, (centre, radius)| high.max(centre + radius));
     let middle = 0.5 * (low + high);
-    let size = (high - low).length();
-    let direction = DVec3::new(-0.25, -1.0, 0.45).normalize();
-    let eye = middle + direction * size * 0.62;
+    // The distance from which a sphere at `centre` just fits between the planes that bound the view.
+    let distance = |centre: DVec3, radius: f64| {
+        let offset = centre - middle;
+        let fits = |sideways: f64, half: f64| (sideways.abs() + radius * half.hypot(1.0)) / half;
+        offset.dot(back) + f64::max(fits(offset.dot(right), HALF_WIDTH), fits(offset.dot(up), HALF_HEIGHT))
+    };
+    let eye = middle + back * spheres().map(|(centre, radius)| distance(centre, radius)).fold(0.0, f64::max);
     EyeControls3D::new()
         .with_kind(Eye3DKind::Orbital)
         .with_position(Position3D::from(eye.as_vec3()))
@@ -226,16 +250,17 @@ pub fn about(scene: &Scene, settings: &Settings, arrow_scale: f64) -> String {
     let (influence, thresholds) = (&scene.influence, &scene.thresholds);
     let steps = settings.steps.map_or("until stopped".to_owned(), |steps| format!("{steps} steps"));
     let head = format!(
-        "**{}**: {} bodies, {} vertices. `{}`, Δt = {:.6} s, {steps}, a frame every {}.\n\n",
+        "**{}**: {} {}, {} vertices. `{}`, Δt = {:.6} s, {steps}, a frame every {}.  \n",
         scene.name,
         scene.bodies.len(),
+        if scene.bodies.len() == 1 { "body" } else { "bodies" },
         scene.vertex_count(),
         settings.integrator,
         settings.dt,
         if settings.every == 1 { "step".to_owned() } else { format!("{} steps", settings.every) },
     );
     let law = format!(
-        "α = {}/s², β = {}/s², spheres {:.3} R. Merge at q = {}, split at {}{}; q is the centre distance over the sum of the radii.\n\n",
+        "α = {}/s², β = {}/s², spheres {:.3} R. Merge at q = {}, split at {}{}; q: centre distance over the sum of the radii.  \n",
         influence.alpha,
         influence.beta,
         influence.reach,
@@ -244,16 +269,16 @@ pub fn about(scene: &Scene, settings: &Settings, arrow_scale: f64) -> String {
         if thresholds.core_at > 0.0 { format!(", core below {}", thresholds.core_at) } else { String::new() },
     );
     let spheres = format!(
-        "Influence spheres and lanes: blue **{}**, orange **{}**, purple **{}**, grey: reaches nobody.\n\n",
+        "Influence spheres and lanes: blue **{}**, orange **{}**, purple **{}**, grey: reaches nobody.  \n",
         Phase::Apart,
         Phase::Merged,
         Phase::Core
     );
     let arrows = match settings.detail {
-        Detail::Surface => "Force arrows were not recorded (`--detail forces`).\n\n".to_owned(),
+        Detail::Surface => "Force arrows were not recorded (`--detail forces`).  \n".to_owned(),
         Detail::Forces => format!(
             "Force arrows ({} unit long per unit/s²): orange **attraction**, blue **repulsion**, red **push**; hidden at \
-             first: green **restoring**, yellow **damping**, purple **carry** (own motion), white **net**.\n\n",
+             first: green **restoring**, yellow **damping**, purple **carry** (own motion), white **net**.  \n",
             arrow_scale
         ),
     };

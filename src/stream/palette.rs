@@ -45,6 +45,12 @@ pub const BACKGROUND: Rgb = [0x10, 0x13, 0x18];
 /// Colour of an influence sphere that reaches nobody.
 pub const IDLE_SPHERE: Rgb = GREY;
 
+/// The same where there are so many that they would hide what happens.
+pub const IDLE_SPHERE_OF_MANY: Rgb = [0x26, 0x2B, 0x33];
+
+/// Colour of bodies that rest in a batch.
+pub const RESTING: Rgb = GREY;
+
 /// Colour of a threshold, by the entity that it is logged to: that of the phase it leads to.
 pub fn threshold(part: &str) -> Rgb {
     match part {

@@ -269,7 +269,7 @@ impl Recorder {
                     let mesh = Mesh3D::new(unit.iter().copied())
                         .with_vertex_normals(unit)
                         .with_triangle_indices(triangles.iter().copied())
-                        .with_albedo_factor(rgba(palette::IDLE_SPHERE));
+                        .with_albedo_factor(rgba(palette::RESTING));
                     self.chunks.log_static(&resting_entity(shape), &mesh);
                 }
             }
@@ -400,7 +400,11 @@ impl Recorder {
                 }
             }
         }
-        let colors: Vec<Rgb> = phases.iter().map(|p| p.map_or(palette::IDLE_SPHERE, palette::phase)).collect();
+        let idle = match self.settings.entities {
+            Entities::Body => palette::IDLE_SPHERE,
+            Entities::Batch => palette::IDLE_SPHERE_OF_MANY,
+        };
+        let colors: Vec<Rgb> = phases.iter().map(|p| p.map_or(idle, palette::phase)).collect();
         let mut spheres = Ellipsoids3D::update_fields();
         let first = self.frames == 0;
         if first || centres != self.spheres.0 {
@@ -465,8 +469,9 @@ impl Recorder {
             .map(|(_, name)| name.clone())
             .collect();
         for name in left {
+            self.series.interrupt(&mut self.chunks, &format!("/pairs/{name}/distance"), now);
             for (part, _, _) in thresholds(world.scene()) {
-                self.series.extend(&mut self.chunks, &format!("/pairs/{name}/{part}"));
+                self.series.interrupt(&mut self.chunks, &format!("/pairs/{name}/{part}"), now);
             }
         }
         self.pairs_in_reach = in_reach;

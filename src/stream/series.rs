@@ -73,6 +73,14 @@ impl Series {
         }
     }
 
+    /// Ends a line until its next point: draws it on, and logs that there is no value any more.
+    pub fn interrupt(&mut self, chunks: &mut Chunks, entity: &str, now: Instant) {
+        self.extend(chunks, entity);
+        if self.lines.remove(entity).is_some() {
+            chunks.log(entity, now, &Scalars::new([0.0; 0]));
+        }
+    }
+
     /// Draws all lines on to where their values were last seen.
     pub fn extend_all(&mut self, chunks: &mut Chunks) {
         for (entity, line) in &mut self.lines {

@@ -1,3 +1,4 @@
 mod bad_scenes;
 mod reference;
 mod scene_format;
+mod recording;

@@ -716,9 +716,9 @@ fn a_port_in_use_is_refused_with_the_option_that_changes_it() {
     let err = refused(Sinks::open(&serving(port, port)));
     assert!(matches!(err, SinkError::SamePort { .. }) && err.is_usage(), "{err}");
 
-    let serve = Serve { bind: Ipv4Addr::new(192, 0, 2, 1).into(), ..Serve::default() };
+    let serve = Serve { bind: Ipv4Addr::new(203, 0, 113, 77).into(), ..Serve::default() };
     let said = refused(Sinks::open(&Destinations { serve: Some(serve), ..Destinations::default() })).to_string();
-    assert!(said.contains("192.0.2.1 is not an address of this machine"), "{said}");
+    assert!(said.contains("203.0.113.77 is not an address of this machine"), "{said}");
 }
 
 #[test]
@@ -735,6 +735,57 @@ fn a_browser_that_does_not_read_does_not_keep_the_servers_up() {
     serving.close();
     assert!(started.elapsed() < Duration::from_secs(5));
     drop(page);
+}
+
+/// Asks for the run as a browser does, and reads nothing of it.
+fn stuck_browser(port: u16) -> TcpStream {
+    let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, port)).expect("the server listens");
+    let head = "POST /rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages HTTP/1.1\r\nhost: 127.0.0.1\r\n\
+                content-type: application/grpc-web+proto\r\ncontent-length: 5\r\n\r\n\0\0\0\0\0";
+    stream.write_all(head.as_bytes()).expect("the request is taken");
+    stream
+}
+
+#[test]
+fn a_run_that_a_browser_holds_up_goes_on_and_the_servers_end() {
+    let dir = Dir::new();
+    let (web_port, grpc_port) = (free_port(), free_port());
+    let path = dir.file("run.rrd");
+    let serve = serving(web_port, grpc_port).serve;
+    let mut sinks = Sinks::open(&Destinations { serve, ..to_file(&path) }).expect("free ports");
+    let browser = stuck_browser(grpc_port);
+    // enough to fill the connection, then what the server keeps under way for it, then the queue
+    let bulk = [step(0, 10_000), step(1, 10_000)];
+    let sent: Vec<LogMsg> = opening().into_iter().chain((0..4_000).map(|i| bulk[i % 2].clone())).collect();
+    let started = Instant::now();
+    send_all(&mut sinks, &sent);
+    let notes = sinks.notes();
+    assert!(notes.iter().any(|note| note.starts_with("the data server cannot keep up")), "{notes:?}");
+    let finished = sinks.finish().expect("a disk with room");
+    assert!(started.elapsed() < Duration::from_secs(30));
+    assert_eq!(finished.notes, ["a connected viewer holds up the data server; it goes on meanwhile"]);
+    assert_eq!(read(&path).len(), sent.len());
+    let started = Instant::now();
+    drop(finished.serving);
+    assert!(started.elapsed() < Duration::from_secs(5));
+    drop(browser);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_viewer_is_not_started_on_the_port_that_is_served() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let dir = Dir::new();
+    let viewer = dir.file("viewer");
+    fs::write(&viewer, "#!/bin/sh\necho $1\n").expect("a file");
+    fs::set_permissions(&viewer, fs::Permissions::from_mode(0o755)).expect("it can be run");
+    let port = free_port();
+    let destinations = Destinations { serve: serving(0, port).serve, ..spawning(&viewer, port) };
+    let mut sinks = Sinks::open(&destinations).expect("a server at least");
+    let notes = sinks.notes();
+    let note = notes.iter().find(|note| note.contains("it ended at once")).expect("the viewer was started");
+    assert!(note.contains("--port=") && !note.contains(&format!("--port={port}")), "{note}");
+    sinks.finish().expect("the server takes everything");
 }
 
 // ---- memory ----

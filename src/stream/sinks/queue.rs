@@ -11,8 +11,10 @@ use rerun::log::LogMsg;
 use super::SinkError;
 
 /// Messages from this size on are left out first when a viewer cannot keep up [bytes]. Below it are events, phases and
-/// scalars, which cost little and are what a viewer's user looks for: a row of them takes some 3 kB, mostly its schema.
+/// scalars, which cost little and are what a viewer's user looks for: one of them takes some 2 kB.
 const BULKY: u64 = 8 * 1024;
+/// What a column takes beside its values: its description and the vectors' own sizes [bytes].
+const COLUMN: u64 = 512;
 
 /// A message on its way, with what the queues need to know about it.
 #[derive(Clone)]
@@ -40,8 +42,7 @@ impl Parcel {
 fn size_of(msg: &LogMsg) -> u64 {
     match msg {
         LogMsg::ArrowMsg(_, arrow) => {
-            let columns = arrow.batch.columns().iter().map(|column| column.as_ref().heap_size_bytes());
-            arrow.batch.schema_ref().heap_size_bytes() + columns.sum::<u64>()
+            arrow.batch.columns().iter().map(|column| COLUMN + column.as_ref().heap_size_bytes()).sum()
         }
         other => other.total_size_bytes(),
     }
@@ -452,5 +453,198 @@ impl Drop for Attendance<'_> {
         state.ended = true;
         drop(state);
         self.0.changed.notify_all();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use rerun::external::re_log_types::{SetStoreInfo, StoreInfo, StoreSource};
+    use rerun::log::{Chunk, RowId};
+    use rerun::{StoreId, StoreKind, TimePoint, Timeline};
+
+    use super::*;
+
+    const SMALL: u64 = 100;
+
+    fn store(kind: StoreKind) -> StoreId {
+        StoreId::new(kind, "queue_test", "one")
+    }
+
+    /// A message that is known by `name`, of a size and stream of choice.
+    fn parcel(name: &str, bytes: u64, stream: Option<u64>) -> Parcel {
+        let id = StoreId::new(StoreKind::Recording, "queue_test", name);
+        let info = StoreInfo::new_unversioned(id, StoreSource::Other(String::new()));
+        Parcel { msg: LogMsg::SetStoreInfo(SetStoreInfo { row_id: *RowId::new(), info }), bytes, stream }
+    }
+
+    fn names(messages: &[LogMsg]) -> Vec<&str> {
+        messages.iter().map(|msg| msg.store_id().recording_id().as_str()).collect()
+    }
+
+    fn queue(limit: u64, when_full: WhenFull) -> Queue {
+        Queue::new("the test".to_owned(), limit, when_full)
+    }
+
+    fn drain(queue: &Queue) -> Vec<LogMsg> {
+        queue.close();
+        let mut all = Vec::new();
+        loop {
+            let mut batch = queue.take(usize::MAX, None);
+            queue.done(&batch, batch.messages.len(), true);
+            all.append(&mut batch.messages);
+            if batch.last {
+                return all;
+            }
+        }
+    }
+
+    #[test]
+    fn what_a_newer_message_replaces_is_left_out_oldest_and_largest_first() {
+        let queue = queue(10 * BULKY, WhenFull::Thin);
+        let send = |name: &str, bytes, stream| queue.send(parcel(name, bytes, stream)).expect("room");
+        send("info", 2 * BULKY, None);
+        send("event 1", SMALL, Some(1));
+        for i in 0..8 {
+            send(&format!("mesh {i}"), 2 * BULKY, Some(2));
+        }
+        send("event 2", SMALL, Some(1));
+        send("pose", 2 * BULKY, Some(3));
+        assert_eq!(queue.left_out(), 6);
+        assert_eq!(names(&drain(&queue)), ["info", "event 1", "mesh 6", "mesh 7", "event 2", "pose"]);
+    }
+
+    #[test]
+    fn small_messages_go_if_large_ones_do_not_suffice() {
+        let queue = queue(1_000, WhenFull::Thin);
+        for i in 0..50 {
+            queue.send(parcel(&i.to_string(), SMALL, Some(1))).expect("room");
+        }
+        assert_eq!(names(&drain(&queue)), ["40", "41", "42", "43", "44", "45", "46", "47", "48", "49"]);
+        assert_eq!(queue.left_out(), 40);
+    }
+
+    #[test]
+    fn a_destination_is_given_up_when_even_the_newest_values_are_too_many() {
+        let queue = queue(1_000, WhenFull::Thin);
+        let refused = (0..50).find_map(|i| queue.send(parcel("value", SMALL, Some(i))).err().map(|err| (i, err)));
+        let (at, err) = refused.expect("twice the limit is the end");
+        assert_eq!(at, 20);
+        assert!(matches!(err, SinkError::Gone { messages: 0, .. }), "{err}");
+        // and stays so, holding nothing
+        assert!(queue.send(parcel("value", SMALL, None)).is_err());
+        assert_eq!(queue.waiting(), 0);
+    }
+
+    #[test]
+    fn a_full_queue_waits_for_its_thread_and_loses_nothing() {
+        let queue = Arc::new(queue(1_000, WhenFull::Wait));
+        let thread = std::thread::spawn({
+            let queue = Arc::clone(&queue);
+            move || {
+                let _attendance = queue.attend();
+                let (mut received, mut most) = (Vec::new(), 0);
+                loop {
+                    let mut batch = queue.take(3, None);
+                    let state = queue.lock();
+                    most = most.max(state.backlog.bytes + state.in_hand);
+                    drop(state);
+                    queue.done(&batch, batch.messages.len(), batch.flush);
+                    received.append(&mut batch.messages);
+                    if batch.last {
+                        return (received, most);
+                    }
+                }
+            }
+        });
+        for i in 0..1_000 {
+            // the same stream: here that is no reason to leave anything out
+            queue.send(parcel(&i.to_string(), SMALL, Some(1))).expect("a thread that works");
+        }
+        queue.flush().expect("a thread that works");
+        assert_eq!(queue.waiting(), 0);
+        // larger than the limit: goes through alone
+        queue.send(parcel("large", 5_000, None)).expect("a thread that works");
+        queue.close();
+        assert!(queue.wait_ended(Duration::from_secs(10)));
+        let (received, most) = thread.join().expect("the thread does not panic");
+        assert_eq!(received.len(), 1_001);
+        assert_eq!(names(&received[..3]), ["0", "1", "2"]);
+        assert_eq!(names(&received[999..]), ["999", "large"]);
+        assert!(most <= 5_000, "{most} bytes were held");
+    }
+
+    #[test]
+    fn a_server_that_stands_still_is_waited_for_once() {
+        let queue = queue(1_000, WhenFull::WaitThenThin(Duration::from_millis(200)));
+        let started = Instant::now();
+        for i in 0..100 {
+            queue.send(parcel(&i.to_string(), SMALL, Some(1))).expect("room");
+        }
+        let elapsed = started.elapsed();
+        assert!((200..2_000).contains(&elapsed.as_millis()), "{elapsed:?}");
+        assert_eq!(queue.left_out(), 90);
+    }
+
+    #[test]
+    fn a_thread_that_panics_is_a_failure_and_not_a_hang() {
+        let queue = Arc::new(queue(1_000, WhenFull::Wait));
+        let thread = std::thread::spawn({
+            let queue = Arc::clone(&queue);
+            move || {
+                let _attendance = queue.attend();
+                panic!("on purpose");
+            }
+        });
+        let refused = (0..100).find_map(|_| queue.send(parcel("value", SMALL, None)).err());
+        assert!(refused.expect("nothing is taken").to_string().contains("panicked"));
+        assert!(queue.flush().is_err());
+        assert!(thread.join().is_err());
+    }
+
+    #[test]
+    fn patience_ends_where_progress_does() {
+        let queue = queue(1_000, WhenFull::Thin);
+        queue.send(parcel("value", SMALL, None)).expect("room");
+        let started = Instant::now();
+        assert!(!queue.wait_drained(Duration::from_millis(100)));
+        assert!(started.elapsed() >= Duration::from_millis(100));
+        drain(&queue);
+        assert!(queue.wait_drained(Duration::ZERO));
+        drop(queue.attend());
+        assert!(queue.wait_ended(Duration::ZERO));
+    }
+
+    /// A message with points at `entity`, in `kind` of store.
+    fn points(kind: StoreKind, entity: &str, time: impl Into<TimePoint>, points: rerun::Points3D) -> Parcel {
+        let chunk = Chunk::builder(entity).with_archetype_auto_row(time, &points).build().expect("a valid chunk");
+        Parcel::new(LogMsg::ArrowMsg(store(kind), chunk.to_arrow_msg().expect("a chunk encodes")))
+    }
+
+    #[test]
+    fn a_message_replaces_those_of_the_same_entity_and_columns() {
+        use StoreKind::{Blueprint, Recording};
+        let at = |step: i64| [(Timeline::new_sequence("step"), step)];
+        let some = || rerun::Points3D::new([[1.0, 2.0, 3.0]]);
+        let stream = |parcel: Parcel| parcel.stream;
+
+        let first = stream(points(Recording, "a", at(0), some()));
+        assert!(first.is_some());
+        assert_eq!(first, stream(points(Recording, "a", at(1), some())));
+        assert_ne!(first, stream(points(Recording, "b", at(1), some())));
+        assert_ne!(first, stream(points(Recording, "a", at(1), some().with_radii([1.0]))));
+        assert_eq!(None, stream(points(Recording, "a", TimePoint::STATIC, some())));
+        assert_eq!(None, stream(points(Blueprint, "a", at(0), some())));
+        assert_eq!(None, stream(parcel("info", 0, None)));
+    }
+
+    #[test]
+    fn a_message_counts_in_full_however_many_hold_it() {
+        let many = vec![[1.0, 2.0, 3.0]; 1_000];
+        let one = points(StoreKind::Recording, "a", TimePoint::STATIC, rerun::Points3D::new(many));
+        let others = vec![one.msg.clone(); 10];
+        assert!((13_000..15_000).contains(&one.bytes()), "{}", one.bytes());
+        assert_eq!(Parcel::new(others[0].clone()).bytes(), one.bytes());
     }
 }

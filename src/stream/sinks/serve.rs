@@ -95,8 +95,12 @@ impl Server {
                  `rerun --connect {data_url}`)"
             ),
         ];
-        if !bind.is_loopback() {
-            notes.push(format!("anyone who can reach {bind} of this machine can watch this run"));
+        if bind.is_unspecified() {
+            notes.push(format!(
+                "anyone who can reach this machine can watch: there, its name or address goes in both places of {reachable}"
+            ));
+        } else if !bind.is_loopback() {
+            notes.push("anyone who can reach that address can watch".to_owned());
         }
         Ok(Server {
             live,
