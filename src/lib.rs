@@ -1,6 +1,6 @@
 //! A visual debugger for soft bodies that merge and split.
 //!
-//! A 2006 thesis (K. Unagami, Tokyo University of Technology) shows soft bodies that merge and split in real time: every
+//! A 2006 thesis (海上 一徳, 「リアルタイム 3DCG における融合・分裂を考慮したソフトボディ表現」) shows soft bodies that merge and split in real time: every
 //! vertex is a damped oscillator about its remembered rest position; each body carries an *influence sphere*, which
 //! attracts or repels the vertices of other bodies, switched by distance. This crate steps that simulation and streams
 //! it to the [Rerun](https://rerun.io) viewer, so that the merge and split thresholds can be inspected frame by frame.
@@ -59,6 +59,8 @@
 //! # Ok(())
 //! # }
 //! ```
+
+#![warn(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // no input may bring the program down
 
 pub mod cli;
 pub mod model;

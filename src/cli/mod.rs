@@ -73,16 +73,3 @@ fn print(line: &str) {
 fn say(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
-
-/// 1234567 as 1,234,567.
-fn thousands(n: u64) -> String {
-    let digits = n.to_string();
-    let mut text = String::new();
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i) % 3 == 0 {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
-}

@@ -12,14 +12,15 @@ use std::{
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::{Failure, print, say, thousands};
+use super::{Failure, print, say};
 use crate::{
     scene::{Integrator, Scene, builtin},
     sim::{Event, World, memory},
     stream::{
-        Recorder, Settings,
-        recorder::{Detail, Entities, describe, file_stem},
-        sinks::{Destinations, Finished, Serve, SinkError, Sinks, Spawn},
+        Recorder,
+        recorder::describe,
+        settings::{Detail, Entities, Settings, file_stem},
+        sinks::{Destinations, Finished, Serve, SinkError, Sinks, Spawn, thousands},
     },
 };
 
@@ -137,12 +138,12 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     console.clear();
 
     summarize(&mut console, &world, &settings, &finished, &events, seconds);
-    if let Some(serving) = &finished.serving
-        && !stop.load(Ordering::Relaxed)
-    {
-        let _ = serving;
+    if let Some(serving) = &finished.serving {
         console.say("Serving until Ctrl-C.");
         while !stop.load(Ordering::Relaxed) {
+            if let Some(error) = serving.failure() {
+                return Err(sink_failure(error));
+            }
             std::thread::sleep(Duration::from_millis(100));
         }
     }

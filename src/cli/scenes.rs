@@ -1,7 +1,10 @@
 //! `meldscope scenes`: what comes with the program.
 
-use super::{print, thousands};
-use crate::scene::{Scene, builtin};
+use super::print;
+use crate::{
+    scene::{Scene, builtin},
+    stream::sinks::thousands,
+};
 
 /// Lists the built-in scenes: name, bodies, vertices, what to look at.
 pub fn list() {

@@ -6,8 +6,8 @@ use crate::scene::Scene;
 
 /// State of a vertex: displacement and velocity, three doubles each [bytes].
 const STATE_BYTES: u64 = 48;
-/// A rest shape, shared by all bodies of it, per vertex: a unit vector [bytes].
-const SHAPE_BYTES: u64 = 24;
+/// A rest shape, shared by all bodies of it, per vertex: a unit vector and two triangles [bytes].
+const SHAPE_BYTES: u64 = 48;
 /// What looking at a vertex takes, at most: six forces by cause and their sum, positions, normals, arrows [bytes].
 const OBSERVE_BYTES: u64 = 400;
 /// A body without its vertices: names, path, surroundings [bytes].

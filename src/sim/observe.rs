@@ -66,8 +66,21 @@ impl BodyForces {
     }
 }
 
+impl World {
+    /// The forces by cause on every vertex of body `index` in the current state, into `forces` (reused).
+    pub fn forces(&self, index: usize, forces: &mut BodyForces) {
+        self::forces(&self.body(index), &self.surroundings(index), self.scene().influence.weight, forces);
+    }
+
+    /// The energy of the current state.
+    pub fn energy(&self) -> Energy {
+        let distant = *self.energy_of_distant_pairs.get_or_init(|| energy_of_distant_pairs(self.scene()));
+        self::energy(self, distant)
+    }
+}
+
 /// The forces on every vertex of a body, given what acts on it.
-pub(super) fn forces(body: &BodyView<'_>, surroundings: &Surroundings, weight: Weight, forces: &mut BodyForces) {
+fn forces(body: &BodyView<'_>, surroundings: &Surroundings, weight: Weight, forces: &mut BodyForces) {
     let material = body.scene().material;
     for vectors in &mut forces.by_cause {
         vectors.reset(body.vertex_count());
@@ -115,7 +128,7 @@ impl Energy {
 }
 
 /// The energy of the current state; `distant` is that of the influence as if every pair were apart and out of reach.
-pub(super) fn energy(world: &World, distant: f64) -> Energy {
+fn energy(world: &World, distant: f64) -> Energy {
     let scene = world.scene();
     let mut sum = Energy { influence: distant, ..Energy::default() };
     for (a, b, phase) in world.phases() {
@@ -159,7 +172,7 @@ fn outside_per_vertex(influence: &Influence, radius: f64, source: f64, phase: Ph
 
 /// Σ [`energy_outside`] over all ordered pairs of bodies as if all were apart: a constant of the scene, in
 /// O(bodies · distinct radii).
-pub(super) fn energy_of_distant_pairs(scene: &Scene) -> f64 {
+fn energy_of_distant_pairs(scene: &Scene) -> f64 {
     let mut radii: Vec<f64> = scene.bodies.iter().map(|body| body.radius).collect();
     radii.sort_by(f64::total_cmp);
     let sources = radii.chunk_by(|a, b| a == b);

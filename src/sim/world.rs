@@ -1,6 +1,10 @@
 //! The world: the state of every body and pair, and the step.
 
-use std::{collections::HashMap, sync::Arc, time::Instant};
+use std::{
+    collections::HashMap,
+    sync::{Arc, OnceLock},
+    time::Instant,
+};
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -12,7 +16,6 @@ use super::{
     body::{Body, Neighbour},
     events::Event,
     memory::{self, TooLarge},
-    observe::{self, BodyForces, Energy},
     pairs::{self, Pair, PairFinder},
     report::{Stage, StepReport},
     surroundings::Surroundings,
@@ -36,7 +39,8 @@ pub struct World {
     /// Phase changes of the current step, grouped by pair.
     changes: Vec<(f64, Phase)>,
     report: StepReport,
-    energy_of_distant_pairs: f64,
+    /// Computed when the energy is first asked for.
+    pub(super) energy_of_distant_pairs: OnceLock<f64>,
 }
 
 impl World {
@@ -55,7 +59,7 @@ impl World {
             })
             .collect();
         let mut world = World {
-            energy_of_distant_pairs: observe::energy_of_distant_pairs(&scene),
+            energy_of_distant_pairs: OnceLock::new(),
             step: 0,
             bodies,
             pairs: Vec::new(),
@@ -235,16 +239,6 @@ impl World {
         let now = Moment { time, side: Side::After, phases_at: time, pushes_at: time };
         context.surroundings(index, &self.bodies[index], now, &mut surroundings);
         surroundings
-    }
-
-    /// The forces by cause on every vertex of body `index` in the current state, into `forces` (reused).
-    pub fn forces(&self, index: usize, forces: &mut BodyForces) {
-        observe::forces(&self.body(index), &self.surroundings(index), self.scene.influence.weight, forces);
-    }
-
-    /// The energy of the current state.
-    pub fn energy(&self) -> Energy {
-        observe::energy(self, self.energy_of_distant_pairs)
     }
 }
 

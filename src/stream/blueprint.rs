@@ -27,7 +27,7 @@ use rerun::{
 use super::{
     chunks::{Chunks, blueprint_time},
     palette,
-    recorder::{Detail, MOST_PAIRS, Settings},
+    settings::{Detail, MOST_PAIRS, Settings},
 };
 use crate::{
     model::phase::Phase,

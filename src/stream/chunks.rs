@@ -41,7 +41,8 @@ pub struct Chunks {
     /// Entities in `open` in the order of their first row, so that messages do not depend on hashing.
     order: Vec<EntityPath>,
     done: Vec<LogMsg>,
-    next_id: u64,
+    rows: u64,
+    chunks: u64,
 }
 
 impl Chunks {
@@ -49,7 +50,14 @@ impl Chunks {
     pub fn new(store: StoreId) -> Chunks {
         let source = StoreSource::Other("meldscope".to_owned());
         let info = SetStoreInfo { row_id: Tuid::from_nanos_and_inc(1, 0), info: StoreInfo::new(store.clone(), source) };
-        Chunks { store, open: HashMap::new(), order: Vec::new(), done: vec![LogMsg::SetStoreInfo(info)], next_id: 1 }
+        Chunks {
+            store,
+            open: HashMap::new(),
+            order: Vec::new(),
+            done: vec![LogMsg::SetStoreInfo(info)],
+            rows: 0,
+            chunks: 0,
+        }
     }
 
     /// The recording or blueprint that the rows belong to.
@@ -57,9 +65,15 @@ impl Chunks {
         &self.store
     }
 
-    fn id(&mut self) -> Tuid {
-        self.next_id += 1;
-        Tuid::from_nanos_and_inc(1, self.next_id)
+    // Counted apart: how many chunks the rows come in depends on the machine, which rows there are does not.
+    fn row_id(&mut self) -> RowId {
+        self.rows += 1;
+        RowId::from_tuid(Tuid::from_nanos_and_inc(1, self.rows))
+    }
+
+    fn chunk_id(&mut self) -> ChunkId {
+        self.chunks += 1;
+        ChunkId::from_tuid(Tuid::from_nanos_and_inc(2, self.chunks))
     }
 
     /// Logs components of an entity at an instant of the simulation.
@@ -69,10 +83,10 @@ impl Chunks {
 
     /// Logs components of an entity at a time of any timeline.
     pub fn row(&mut self, entity: &str, at: TimePoint, components: &dyn AsComponents) {
-        let row = RowId::from_tuid(self.id());
+        let row = self.row_id();
         let path = EntityPath::from(entity);
         if !self.open.contains_key(&path) {
-            let id = ChunkId::from_tuid(self.id());
+            let id = self.chunk_id();
             self.order.push(path.clone());
             self.open.insert(path.clone(), Chunk::builder_with_id(id, path.clone()));
         }
@@ -84,7 +98,7 @@ impl Chunks {
 
     /// Logs components of an entity for all times, in a message of its own.
     pub fn log_static(&mut self, entity: &str, components: &dyn AsComponents) {
-        let (id, row) = (ChunkId::from_tuid(self.id()), RowId::from_tuid(self.id()));
+        let (id, row) = (self.chunk_id(), self.row_id());
         let builder = Chunk::builder_with_id(id, EntityPath::from(entity));
         let builder = builder.with_serialized_batches(row, TimePoint::STATIC, components.as_serialized_batches());
         self.finish(builder);

@@ -4,6 +4,7 @@
 //! | --- | --- |
 //! | which entities there are, and when each is logged | [`recorder`] |
 //! | the state as meshes and arrows, in the viewer's precision | [`extract`] |
+//! | what a recording is a function of | [`settings`] |
 //! | lines of plots | [`series`] |
 //! | rows gathered into chunks, chunks into messages | [`chunks`] |
 //! | the layout that the viewer opens with | [`blueprint`] |
@@ -18,6 +19,8 @@ pub mod extract;
 pub mod palette;
 pub mod recorder;
 pub mod series;
+pub mod settings;
 pub mod sinks;
 
-pub use recorder::{Recorder, Settings};
+pub use recorder::Recorder;
+pub use settings::Settings;

@@ -14,6 +14,8 @@ const GREEN: Rgb = [0x00, 0x9E, 0x73];
 const YELLOW: Rgb = [0xF0, 0xE4, 0x42];
 const VERMILION: Rgb = [0xD5, 0x5E, 0x00];
 const PURPLE: Rgb = [0xCC, 0x79, 0xA7];
+const BLUE: Rgb = [0x3D, 0x8B, 0xD9];
+const SILVER: Rgb = [0x9A, 0xA4, 0xB0];
 const WHITE: Rgb = [0xF4, 0xF4, 0xF4];
 const GREY: Rgb = [0x6A, 0x72, 0x7C];
 
@@ -60,9 +62,9 @@ pub fn threshold(part: &str) -> Rgb {
     }
 }
 
-/// Colours of the lines of q, in order: none is that of a threshold.
+/// Colours of the lines of q, in order: none is that of a threshold, all can be read on a dark and on a light page.
 pub fn distance(index: usize) -> Rgb {
-    [WHITE, YELLOW, GREEN, VERMILION][index % 4]
+    [SILVER, GREEN, VERMILION, BLUE][index % 4]
 }
 
 /// Muted colours of bodies, so that arrows and spheres stand out against them.
@@ -82,7 +84,7 @@ pub fn body(index: usize) -> Rgb {
 
 /// Colours of the lines of a plot without other meaning, in order.
 pub fn line(index: usize) -> Rgb {
-    [SKY_BLUE, ORANGE, GREEN, YELLOW, PURPLE, VERMILION, WHITE][index % 7]
+    [SKY_BLUE, ORANGE, GREEN, VERMILION, PURPLE, SILVER, BLUE][index % 7]
 }
 
 /// For the viewer.

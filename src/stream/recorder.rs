@@ -14,6 +14,8 @@ use rerun::{
     external::re_log_types::{ApplicationId, LogMsg},
 };
 
+use super::settings::recording_id;
+pub use super::settings::{Detail, Entities, MOST_PAIRS, Settings, arrow_scale, file_stem};
 use super::{
     blueprint,
     chunks::{Chunks, Instant},
@@ -23,86 +25,14 @@ use super::{
 };
 use crate::{
     model::phase::{Phase, Thresholds},
-    scene::{Integrator, Scene, Sphere},
+    scene::{Scene, Sphere},
     sim::{BodyForces, Cause, Event, Stage, World},
 };
 
-/// More bodies than this are batched: the viewer slows down at several hundred entities.
-const MOST_BODY_ENTITIES: usize = 64;
-/// More pairs than this get no plots of their own; their events are logged all the same.
-pub const MOST_PAIRS: usize = 16;
 /// A body displaced by less than this much of its radius is drawn with the resting ones.
 const DEFORMED: f64 = 1e-6;
 /// Threshold lines get a point at least every so many frames, so that they keep up with a live plot.
 const THRESHOLD_FRAMES: u64 = 64;
-
-/// How much is recorded of a frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Detail {
-    /// Surfaces, spheres, pairs, events, timings, diagnostics.
-    Surface,
-    /// Those, and force arrows by cause.
-    Forces,
-}
-
-/// One entity a body, or all bodies in few.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Entities {
-    /// `/world/bodies/NAME` each.
-    Body,
-    /// `/world/resting/SHAPE` and `/world/deforming`.
-    Batch,
-}
-
-/// The settings of a run, resolved: with the scene's text, what it takes to make a recording again.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Settings {
-    /// How steps are taken.
-    pub integrator: Integrator,
-    /// Step Δt [s].
-    pub dt: f64,
-    /// Number of steps to take; `None`: until stopped.
-    pub steps: Option<u64>,
-    /// A frame is recorded every so many steps, ≥ 1.
-    pub every: u64,
-    /// How much is recorded of a frame.
-    pub detail: Detail,
-    /// One entity a body, or all bodies in few.
-    pub entities: Entities,
-}
-
-impl Settings {
-    /// The settings that the scene itself asks for, everything recorded.
-    pub fn of(scene: &Scene) -> Settings {
-        Settings {
-            integrator: scene.integrator,
-            dt: scene.dt,
-            steps: Some(scene.steps()),
-            every: 1,
-            detail: Detail::Forces,
-            entities: if scene.bodies.len() > MOST_BODY_ENTITIES { Entities::Batch } else { Entities::Body },
-        }
-    }
-
-    /// As TOML, for the recording's properties.
-    pub fn to_toml(&self) -> String {
-        let detail = match self.detail {
-            Detail::Surface => "surface",
-            Detail::Forces => "forces",
-        };
-        let entities = match self.entities {
-            Entities::Body => "body",
-            Entities::Batch => "batch",
-        };
-        format!(
-            "integrator = \"{}\"\ndt = {:?}\nsteps = {}\nevery = {}\ndetail = \"{detail}\"\nentities = \"{entities}\"\n",
-            self.integrator,
-            self.dt,
-            self.steps.unwrap_or(0),
-            self.every,
-        )
-    }
-}
 
 /// Turns a world, step by step, into the messages of a recording.
 pub struct Recorder {
@@ -157,7 +87,7 @@ impl Recorder {
         let mut recorder = Recorder {
             arrow_scale: arrow_scale(scene),
             chunks: Chunks::new(StoreId::new(StoreKind::Recording, application, id)),
-            triangles: scene.bodies.iter().map(|body| (body.shape, body.shape.triangles())).collect(),
+            triangles: shapes(scene).into_iter().map(|shape| (shape, shape.triangles())).collect(),
             bodies: scene.bodies.iter().map(|_| BodyTrack::default()).collect(),
             batch: BatchTrack::default(),
             spheres: Default::default(),
@@ -216,7 +146,7 @@ impl Recorder {
         for event in &report.events {
             self.log_event(world, event);
         }
-        if world.steps_taken() % self.settings.every == 0 {
+        if world.steps_taken().is_multiple_of(self.settings.every) {
             self.frame(world);
         }
     }
@@ -456,7 +386,7 @@ impl Recorder {
             for (part, _, level) in thresholds(world.scene()) {
                 self.series.log(&mut self.chunks, &entity(part), Shape::Step, level, now);
                 // A level line has nothing new to say, but should keep up with a plot that is looked at live.
-                if self.frames % THRESHOLD_FRAMES == 0 {
+                if self.frames.is_multiple_of(THRESHOLD_FRAMES) {
                     self.series.extend(&mut self.chunks, &entity(part));
                 }
             }
@@ -590,6 +520,11 @@ fn body_names(names: &[&str]) -> AnyValues {
     AnyValues::default().with_component::<Text>("body", names.iter().copied())
 }
 
+/// The shapes of a scene, each once.
+fn shapes(scene: &Scene) -> HashSet<Sphere> {
+    scene.bodies.iter().map(|body| body.shape).collect()
+}
+
 fn by_shape(triangles: &HashMap<Sphere, Vec<[u32; 3]>>) -> Vec<(&Sphere, &Vec<[u32; 3]>)> {
     let mut shapes: Vec<_> = triangles.iter().collect();
     shapes.sort_by_key(|(shape, _)| (shape.stacks, shape.slices));
@@ -617,37 +552,4 @@ pub fn describe(scene: &Scene, event: &Event) -> String {
 
 fn rgba([r, g, b]: Rgb) -> rerun::Rgba32 {
     rerun::Rgba32::from_unmultiplied_rgba(r, g, b, 150)
-}
-
-/// Length of an arrow per acceleration [scene unit per scene unit/s²]: 1, 2 or 5 times a power of ten, such that the
-/// strongest influence or push on the largest body is drawn about 0.4 of its radius long.
-pub fn arrow_scale(scene: &Scene) -> f64 {
-    let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
-    let strength = scene.influence.alpha.max(scene.influence.beta);
-    let pull = strength * scene.influence.sphere_radius(radius) * scene.influence.weight.max_pull();
-    let strongest = scene.pushes.iter().map(|push| push.strength.abs()).fold(pull, f64::max);
-    let wanted = 0.4 * radius / strongest;
-    if !(wanted.is_finite() && wanted > 0.0) {
-        return 0.01;
-    }
-    let decade = 10f64.powf(wanted.log10().floor());
-    let step = [5.0, 2.0, 1.0].into_iter().find(|step| step * decade <= wanted * 1.0001).unwrap_or(1.0);
-    step * decade
-}
-
-/// The same scene and options give the same id: FNV-1a of both.
-fn recording_id(scene: &Scene, settings: &Settings) -> String {
-    let text = format!("{}\0{}\0{}", scene.source, settings.to_toml(), env!("CARGO_PKG_VERSION"));
-    let hash = text
-        .bytes()
-        .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3));
-    format!("{}-{hash:016x}", file_stem(&scene.name))
-}
-
-/// The name of a scene as a file can have it: anything but letters, digits, `-`, `_` and `.` inside becomes `_`.
-pub fn file_stem(name: &str) -> String {
-    let plain = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' };
-    let stem: String = name.chars().map(plain).take(100).collect();
-    let stem = stem.trim_start_matches('.');
-    if stem.is_empty() { "scene".to_owned() } else { stem.to_owned() }
 }

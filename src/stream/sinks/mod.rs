@@ -31,6 +31,7 @@ mod serve;
 mod spawn;
 
 pub use error::SinkError;
+pub use note::thousands;
 pub use serve::Serving;
 
 use file::{Claim, Writer};
@@ -349,7 +350,9 @@ impl Sinks {
 
     /// Notes what has become of viewers and server.
     fn look(&mut self) {
-        let rest = self.rest();
+        let is_news = |live: &Live| !live.said_gone && live.failure().is_some();
+        let has_news = self.viewers.iter().chain(self.server.as_ref().map(|server| &server.live)).any(is_news);
+        let rest = if has_news { self.rest() } else { String::new() };
         let lives = self.viewers.iter_mut().chain(self.server.as_mut().map(|server| &mut server.live));
         for live in lives {
             if let Some(failure) = live.failure()
@@ -391,7 +394,7 @@ impl Sinks {
     }
 }
 
-/// The address of a viewer. `http://` and `https://` are taken for what they mean here.
+/// The address of a viewer: `rerun+http://HOST:PORT/proxy`, or `rerun+https://` and `rerun://` for an encrypted one.
 fn parse_url(url: &str) -> Result<ProxyUri, SinkError> {
     url.parse()
         .map_err(|err: rerun::external::re_uri::Error| SinkError::Url { url: url.to_owned(), reason: err.to_string() })

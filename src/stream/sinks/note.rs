@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-/// `1` as "1 message", `1234` as "1,234 messages".
-pub(super) fn counted(n: u64, noun: &str) -> String {
+/// `1234567` as "1,234,567".
+pub fn thousands(n: u64) -> String {
     let digits = n.to_string();
     let mut text = String::new();
     for (i, digit) in digits.chars().enumerate() {
@@ -12,7 +12,12 @@ pub(super) fn counted(n: u64, noun: &str) -> String {
         }
         text.push(digit);
     }
-    format!("{text} {noun}{}", if n == 1 { "" } else { "s" })
+    text
+}
+
+/// `1` as "1 message", `1234` as "1,234 messages".
+pub(super) fn counted(n: u64, noun: &str) -> String {
+    format!("{} {noun}{}", thousands(n), if n == 1 { "" } else { "s" })
 }
 
 /// A duration as "5 s" or "0.5 s".

@@ -259,7 +259,7 @@ impl Queue {
                 let failure = SinkError::Gone {
                     name: self.name.clone(),
                     messages: state.delivered,
-                    reason: format!("it fell more than {} MiB behind", 2 * self.limit >> 20),
+                    reason: format!("it fell more than {} MiB behind", (2 * self.limit) >> 20),
                 };
                 state.fail(failure.clone());
                 drop(state);

@@ -59,7 +59,7 @@ pub(super) fn spawn(spawn: &Spawn, avoid: bool) -> Result<Spawned, SinkError> {
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
     let mut child = command.spawn().map_err(|err| match err.kind() {
-        io::ErrorKind::NotFound => refuse("it is not on the PATH".to_owned(), install_help()),
+        io::ErrorKind::NotFound => refuse("it is not installed, or not on the PATH".to_owned(), install_help()),
         _ => refuse(err.to_string(), install_help()),
     })?;
 
