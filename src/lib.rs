@@ -13,6 +13,7 @@
 //! | [`scene`] | the scene file: parse, validate, shapes, centre paths | `model` |
 //! | [`sim`] | the world, the step, integrators, events, reach | `scene` |
 //! | [`stream`] | the world as Rerun data: entities, blueprint, sinks | `sim` |
+//! | [`bench`] | benchmarks: error against run time; the independent reference solution | `sim` |
 //! | [`cli`] | one file a subcommand | all |
 //!
 //! Imports point one way, upwards in this table. Nothing in `model`, `scene` or `sim` knows Rerun, and a program that
@@ -62,6 +63,7 @@
 
 #![warn(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // no input may bring the program down
 
+pub mod bench;
 pub mod cli;
 pub mod model;
 pub mod scene;

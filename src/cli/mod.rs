@@ -3,6 +3,7 @@
 //! Results go to standard output, everything else to standard error. Exit status: 0 done; 1 the run failed or what
 //! was checked differs; 2 bad input or usage.
 
+mod bench;
 mod run;
 mod scenes;
 
@@ -27,6 +28,8 @@ enum Command {
     Run(Box<run::Arguments>),
     /// List the scenes that come with the program, and what to look at in each.
     Scenes,
+    /// Measure: error against run time.
+    Bench(bench::Arguments),
 }
 
 /// How a command ended badly.
@@ -54,6 +57,7 @@ pub fn main() -> ExitCode {
             scenes::list();
             Ok(())
         }
+        Command::Bench(arguments) => bench::bench(arguments),
     };
     let (status, message) = match result {
         Ok(()) => return ExitCode::SUCCESS,

@@ -11,10 +11,11 @@ use std::{
 };
 
 use indicatif::{ProgressBar, ProgressStyle};
+use rerun::log::LogMsg;
 
 use super::{Failure, print, say};
 use crate::{
-    scene::{Integrator, Scene, builtin},
+    scene::{Integrator, Scene, builtin, parse::did_you_mean},
     sim::{Event, World, memory},
     stream::{
         Recorder,
@@ -30,6 +31,8 @@ const FRAMES_PER_CHUNK: u64 = 64;
 const FILE_INTERVAL: Duration = Duration::from_millis(250);
 /// What is recorded reaches a viewer at least this often.
 const LIVE_INTERVAL: Duration = Duration::from_millis(30);
+/// Interrupts within this are one: `timeout`, `cargo run` and others signal a program and its process group.
+const SAME_INTERRUPT: Duration = Duration::from_secs(1);
 /// More events than this are counted, not listed.
 const LISTED_EVENTS: usize = 20;
 
@@ -69,6 +72,9 @@ pub struct Arguments {
     /// The step, s, instead of the scene's.
     #[arg(long, value_name = "S", value_parser = parse_step)]
     dt: Option<f64>,
+    /// The error that the exponential integrator may make, radii per unit of scene time, instead of the scene's.
+    #[arg(long, value_name = "R", value_parser = parse_tolerance)]
+    tolerance: Option<f64>,
     /// The number of steps, instead of the scene's duration; 0: until Ctrl-C.
     #[arg(long, value_name = "N")]
     steps: Option<u64>,
@@ -110,12 +116,19 @@ fn parse_integrator(text: &str) -> Result<Integrator, String> {
 }
 
 fn parse_step(text: &str) -> Result<f64, String> {
-    let dt: f64 = text.parse().map_err(|_| "expected a number of seconds".to_owned())?;
-    let range = Scene::STEP_RANGE;
-    if range.contains(&dt) {
-        Ok(dt)
-    } else {
-        Err(format!("expected between {:e} and {:e} s", range.start(), range.end()))
+    parse_positive(text, "seconds")
+}
+
+fn parse_tolerance(text: &str) -> Result<f64, String> {
+    parse_positive(text, "radii per unit of scene time")
+}
+
+/// A number in the range that scene files have for positive ones.
+fn parse_positive(text: &str, unit: &str) -> Result<f64, String> {
+    let range = Scene::POSITIVE;
+    match text.parse::<f64>() {
+        Ok(number) if range.contains(&number) => Ok(number),
+        _ => Err(format!("expected a number of {unit}, between {:e} and {:e}", range.start(), range.end())),
     }
 }
 
@@ -134,11 +147,9 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
 
     let mut console = Console::new(&arguments, settings.steps);
     let stop = interrupted()?;
-    let (world, finished, events, seconds) = record(world, settings.clone(), sinks, &arguments, &stop, &mut console)?;
-    console.clear();
-
-    summarize(&mut console, &world, &settings, &finished, &events, seconds);
-    if let Some(serving) = &finished.serving {
+    let outcome = record(world, &settings, sinks, &arguments, &stop, &mut console)?;
+    summarize(&console, &settings, &outcome);
+    if let Some(serving) = &outcome.finished.serving {
         console.say("Serving until Ctrl-C.");
         while !stop.load(Ordering::Relaxed) {
             if let Some(error) = serving.failure() {
@@ -150,40 +161,48 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
+/// What a run came to.
+struct Outcome {
+    world: World,
+    finished: Finished,
+    /// The first [`LISTED_EVENTS`] of them …
+    events: Vec<Event>,
+    /// … of this many.
+    event_count: u64,
+    /// What simulating and recording took [s].
+    seconds: f64,
+}
+
 /// The loop: step, observe, send.
 fn record(
     mut world: World,
-    settings: Settings,
+    settings: &Settings,
     mut sinks: Sinks,
     arguments: &Arguments,
     stop: &AtomicBool,
     console: &mut Console,
-) -> Result<(World, Finished, Vec<Event>, f64), Failure> {
+) -> Result<Outcome, Failure> {
     let interval = if destined_live(arguments) { LIVE_INTERVAL } else { FILE_INTERVAL };
     let mut recorder = Recorder::new(&world, settings.clone());
-    let mut sent_frames = 0;
-    let mut sent_at = Instant::now();
-    let mut events = vec![];
-    let mut failure = None;
+    let (mut events, mut event_count) = (vec![], 0);
+    let (mut sent_frames, mut sent_at) = (0, Instant::now());
 
-    let blueprint = recorder.blueprint(&world);
-    for message in blueprint.into_iter().chain(recorder.take()) {
-        if let Err(error) = sinks.send(message) {
-            failure = Some(error);
-            break;
-        }
-    }
+    let first = recorder.blueprint(&world).into_iter().chain(recorder.take());
+    let mut failure = send(&mut sinks, first);
     let start = Instant::now();
     while failure.is_none()
         && !stop.load(Ordering::Relaxed)
         && settings.steps.is_none_or(|steps| world.steps_taken() < steps)
     {
-        events.extend_from_slice(&world.step().events);
+        let report = world.step();
+        event_count += report.events.len() as u64;
+        events.extend(report.events.iter().take(LISTED_EVENTS - events.len()));
+        failure = report.diverged.as_ref().map(ToString::to_string);
         recorder.observe(&world);
 
         if recorder.frames() - sent_frames >= FRAMES_PER_CHUNK || sent_at.elapsed() >= interval {
             let sending = Instant::now();
-            failure = recorder.take().into_iter().find_map(|message| sinks.send(message).err());
+            failure = failure.or(send(&mut sinks, recorder.take()));
             recorder.messages_sent(sending.elapsed());
             (sent_frames, sent_at) = (recorder.frames(), Instant::now());
             console.progress(world.steps_taken(), sinks.notes());
@@ -193,20 +212,27 @@ fn record(
         }
     }
     let seconds = start.elapsed().as_secs_f64();
+
+    // However it ended: what was simulated is saved.
     recorder.finish(&world);
-    if failure.is_none() {
-        failure = recorder.take().into_iter().find_map(|message| sinks.send(message).err());
-    }
+    let failure = failure.or(send(&mut sinks, recorder.take()));
     console.progress(world.steps_taken(), sinks.notes());
     let finished = sinks.finish();
+    console.clear();
     match (failure, finished) {
-        (Some(error), _) | (None, Err(error)) => {
-            console.clear();
-            let steps = thousands(world.steps_taken());
-            Err(Failure::Run(format!("{error} (stopped after {steps} steps)")))
+        (None, Ok(finished)) => Ok(Outcome { world, finished, events, event_count, seconds }),
+        (Some(failure), finished) => {
+            let saved = finished.ok().and_then(|finished| finished.save);
+            let saved = saved.map(|saved| format!("; {} has the steps up to here", saved.path.display()));
+            Err(Failure::Run(format!("{failure}{}", saved.unwrap_or_default())))
         }
-        (None, Ok(finished)) => Ok((world, finished, events, seconds)),
+        (None, Err(error)) => Err(Failure::Run(error.to_string())),
     }
+}
+
+/// Sends messages; what went wrong, if a destination failed that the run cannot do without.
+fn send(sinks: &mut Sinks, messages: impl IntoIterator<Item = LogMsg>) -> Option<String> {
+    messages.into_iter().find_map(|message| sinks.send(message).err()).map(|error| error.to_string())
 }
 
 /// Sleeps until `due`, or until the run is to stop.
@@ -222,32 +248,33 @@ fn wait_until(due: Instant, stop: &AtomicBool) {
 
 /// The scene, with what the command line says instead.
 fn load(arguments: &Arguments) -> Result<Scene, Failure> {
-    let name = arguments.scene.as_str();
-    let mut scene = match Scene::builtin(name) {
-        Some(scene) => scene,
-        None if !Path::new(name).exists() && !name.contains(['/', '\\', '.']) => {
-            let names = builtin::ALL.map(|builtin| builtin.name);
-            let near = names.into_iter().max_by(|a, b| similarity(name, a).total_cmp(&similarity(name, b)));
-            let hint = near.filter(|near| similarity(name, near) > 0.7);
-            let hint = hint.map(|near| format!("did you mean \"{near}\"? ")).unwrap_or_default();
-            return Err(Failure::Input(format!(
-                "no scene \"{name}\": there is no such file, and the built-in scenes are {}; {hint}See `meldscope scenes`",
-                names.join(", ")
-            )));
-        }
-        None => Scene::load(Path::new(name)).map_err(Failure::input)?,
-    };
+    let mut scene = scene(&arguments.scene)?;
     if let Some(integrator) = arguments.integrator {
         scene.integrator = integrator;
     }
     if let Some(dt) = arguments.dt {
         scene.dt = dt;
     }
+    if let Some(tolerance) = arguments.tolerance {
+        scene.tolerance = tolerance;
+    }
     Ok(scene)
 }
 
-fn similarity(a: &str, b: &str) -> f64 {
-    strsim::jaro_winkler(a, b)
+/// The built-in scene of that name, or the scene in that file.
+pub(super) fn scene(name: &str) -> Result<Scene, Failure> {
+    match Scene::builtin(name) {
+        Some(scene) => Ok(scene),
+        None if !Path::new(name).exists() && !name.contains(['/', '\\', '.']) => {
+            let names = builtin::ALL.map(|builtin| builtin.name);
+            let hint = did_you_mean(name, names.into_iter());
+            Err(Failure::Input(format!(
+                "no scene {name:?}{hint} (there is no such file, and the built-in scenes are {}; see `meldscope scenes`)",
+                names.join(", ")
+            )))
+        }
+        None => Scene::load(Path::new(name)).map_err(Failure::input),
+    }
 }
 
 fn settings(arguments: &Arguments, scene: &Scene) -> Settings {
@@ -301,24 +328,22 @@ fn sink_failure(error: SinkError) -> Failure {
 fn interrupted() -> Result<Arc<AtomicBool>, Failure> {
     let stop = Arc::new(AtomicBool::new(false));
     let raise = Arc::clone(&stop);
-    ctrlc::set_handler(move || {
-        if raise.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
+    let mut first: Option<Instant> = None;
+    ctrlc::set_handler(move || match first {
+        None => {
+            first = Some(Instant::now());
+            raise.store(true, Ordering::Relaxed);
         }
+        Some(first) if first.elapsed() < SAME_INTERRUPT => {}
+        Some(_) => std::process::exit(130),
     })
     .map_err(|error| Failure::Run(format!("cannot listen for Ctrl-C: {error}")))?;
     Ok(stop)
 }
 
 /// What the run did, and how to open what it wrote.
-fn summarize(
-    console: &mut Console,
-    world: &World,
-    settings: &Settings,
-    finished: &Finished,
-    events: &[Event],
-    seconds: f64,
-) {
+fn summarize(console: &Console, settings: &Settings, outcome: &Outcome) {
+    let Outcome { world, finished, events, event_count, seconds } = outcome;
     console.notes(&finished.notes);
     let scene = world.scene();
     let (bodies, steps) = (scene.bodies.len() as u64, world.steps_taken());
@@ -334,26 +359,37 @@ fn summarize(
         world.time(),
         thousands((steps as f64 / seconds.max(1e-9)) as u64),
     ));
-    match events.len() {
+    match event_count {
         0 => console.print("no events"),
         1 => console.print("1 event:"),
-        n => console.print(&format!("{} events:", thousands(n as u64))),
+        n => console.print(&format!("{} events:", thousands(*n))),
     }
-    for event in events.iter().take(LISTED_EVENTS) {
+    for event in events {
         console.print(&format!("  {}", describe(scene, event)));
     }
-    if events.len() > LISTED_EVENTS {
-        let more = thousands((events.len() - LISTED_EVENTS) as u64);
+    if *event_count > events.len() as u64 {
+        let more = thousands(event_count - events.len() as u64);
         console.print(&format!("  … and {more} more, in the recording's event log"));
     }
     if let Some(saved) = &finished.save {
         let path = saved.path.display();
         let frames = thousands(steps / settings.every + 1);
         console.print(&format!("saved {path}: {frames} frames, {}", memory::human(saved.bytes)));
+        let word = shell_word(&path.to_string());
         console.print(&format!(
-            "open it with `rerun {path}` (pip install rerun-sdk==0.36.3), or install nothing: \
+            "open it with `rerun {word}` (pip install rerun-sdk==0.36.3), or install nothing: \
              `meldscope run … --serve` shows a run in the browser"
         ));
+    }
+}
+
+/// A path as a shell takes it.
+fn shell_word(path: &str) -> String {
+    let is_plain = |c: char| c.is_alphanumeric() || "/._-+@%:,".contains(c);
+    match path.starts_with('-') {
+        true => shell_word(&format!("./{path}")),
+        false if path.chars().all(is_plain) => path.to_owned(),
+        false => format!("'{}'", path.replace('\'', r"'\''")),
     }
 }
 
@@ -389,7 +425,7 @@ impl Console {
     }
 
     /// What happened to a destination is no chatter: said even when quiet.
-    fn notes(&mut self, notes: &[String]) {
+    fn notes(&self, notes: &[String]) {
         for note in notes {
             self.bar.suspend(|| say(note));
         }

@@ -17,23 +17,21 @@ pub struct Oscillator {
     pub damping: f64,
 }
 
-/// The exact solution over a time h: `(x, u) ← flow · (x, u)` plus the response to a force linear in time.
+/// The exact solution over a time h: `(x, u) ← flow · (x, u)` plus the response to a force that is a polynomial in time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Propagator {
     /// ∂x(h)/∂x(0) [–]
     pub xx: f64,
-    /// ∂x(h)/∂u(0) = S(h) [s]; also what a constant unit force adds to u.
+    /// ∂x(h)/∂u(0) = S(h) [s]
     pub xu: f64,
     /// ∂u(h)/∂x(0) [1/s]
     pub ux: f64,
     /// ∂u(h)/∂u(0) [–]
     pub uu: f64,
-    /// What a constant unit force adds to x, ∫₀ʰ S(h − s) ds [s²].
-    pub constant: f64,
-    /// What a force rising linearly from 0 to 1 adds to x, ∫₀ʰ S(h − s) s/h ds [s²].
-    pub ramp: f64,
-    /// What that force adds to u, ∫₀ʰ S′(h − s) s/h ds = constant / h [s].
-    pub ramp_u: f64,
+    /// What the forces (s/h)ᵏ, k = 0 … 3, add to x: X_k = ∫₀ʰ S(h − s) (s/h)ᵏ ds [s²]; k! φ-functions of the flow's matrix.
+    pub x: [f64; 4],
+    /// What they add to u: U_k = ∫₀ʰ S′(h − s) (s/h)ᵏ ds = k X_{k−1}/h, U_0 = S(h) [s].
+    pub u: [f64; 4],
 }
 
 impl Oscillator {
@@ -41,15 +39,14 @@ impl Oscillator {
     pub fn propagator(&self, h: f64) -> Propagator {
         let Oscillator { omega, damping } = *self;
         let [xx, xu, uu] = self.flow(h);
-        let [constant, ramp] = self.responses(h, xx, xu);
+        let x = self.responses(h, xx, xu);
         Propagator {
             xx,
             xu,
             ux: -omega * omega * xu,
             uu: if damping == 0.0 { xx } else { uu },
-            constant,
-            ramp,
-            ramp_u: constant / h,
+            x,
+            u: [xu, x[0] / h, 2.0 * (x[1] / h), 3.0 * (x[2] / h)],
         }
     }
 
@@ -81,54 +78,63 @@ impl Oscillator {
         }
     }
 
-    /// `[constant, ramp]` of [`Propagator`].
-    fn responses(&self, h: f64, xx: f64, xu: f64) -> [f64; 2] {
+    /// The X_k of [`Propagator`].
+    fn responses(&self, h: f64, xx: f64, xu: f64) -> [f64; 4] {
         let Oscillator { omega, damping } = *self;
-        if (omega + damping) * h <= 1.0 {
-            // Taylor series of S: S″ = −ω²S − 2κS′, so (n+2)(n+1) a_{n+2} = −ω² a_n − 2κ (n+1) a_{n+1}. With
-            // b_n = a_n hⁿ the terms shrink like 1/n!; 24 of them leave nothing.
+        if (omega + 2.0 * damping) * h <= 3.0 {
+            // Taylor series S = Σ a_n tⁿ: S″ = −ω²S − 2κS′, so (n+2)(n+1) a_{n+2} = −ω² a_n − 2κ (n+1) a_{n+1}. With
+            // b_n = a_n hⁿ the terms shrink like zⁿ/n! for the z below, and ∫₀¹ (1 − θ)ⁿ θᵏ dθ = n! k!/(n + k + 1)!.
+            let terms = if (omega + 2.0 * damping) * h <= 0.5 { 16 } else { 40 };
             let (a, b) = (-(omega * h) * (omega * h), -2.0 * damping * h);
             let (mut before, mut current) = (0.0, h);
-            let (mut constant, mut ramp) = (0.0, 0.0);
-            for n in 1..24 {
+            let mut sums = [0.0; 4];
+            for n in 1..terms {
                 let n = f64::from(n);
-                constant += current / (n + 1.0);
-                ramp += current / ((n + 1.0) * (n + 2.0));
+                let mut integral = current / (n + 1.0);
+                for (sum, k) in sums.iter_mut().zip([1.0, 2.0, 3.0, 4.0]) {
+                    *sum += integral;
+                    integral *= k / (n + k + 1.0);
+                }
                 (before, current) = (current, (a * before / n + b * current) / (n + 1.0));
             }
-            [constant * h, ramp * h]
-        } else if damping >= 2.0 * omega {
-            // Two well separated real modes −slow, −fast: S is the difference of their exponentials over 2μ.
+            sums.map(|sum| sum * h)
+        } else if damping >= 1.1 * omega {
+            // Two separate real modes −slow, −fast: S is the difference of their exponentials over 2μ.
             let mu = ((damping - omega) * (damping + omega)).sqrt();
             let fast = damping + mu;
             let slow = omega * (omega / fast);
-            let scale = h / (2.0 * mu);
-            [scale * (phi1(-slow * h) - phi1(-fast * h)), scale * (phi2(-slow * h) - phi2(-fast * h))]
+            let (slow, fast) = (moments(-slow * h), moments(-fast * h));
+            std::array::from_fn(|k| h / (2.0 * mu) * (slow[k] - fast[k]))
         } else {
-            // The steady states of a constant and of a ramp, and the oscillation that brings them to 0 at t = 0.
+            // Put x = X_k into the equation of motion at the end of the ramp: ω²X_k = 1 − 2κU_k − U_k′.
             let per_omega2 = 1.0 / (omega * omega);
-            let constant = (1.0 - xx) * per_omega2;
-            [constant, per_omega2 * (1.0 - (2.0 * damping * constant + xu) / h)]
+            let x0 = (1.0 - xx) * per_omega2;
+            let x1 = (1.0 - (2.0 * damping * x0 + xu) / h) * per_omega2;
+            let x2 = (1.0 - (4.0 * damping * x1 + 2.0 * x0 / h) / h) * per_omega2;
+            let x3 = (1.0 - (6.0 * damping * x2 + 6.0 * x1 / h) / h) * per_omega2;
+            [x0, x1, x2, x3]
         }
     }
 }
 
-/// φ₁(z) = (eᶻ − 1)/z for real z ≤ 0.
-fn phi1(z: f64) -> f64 {
-    if z == 0.0 { 1.0 } else { libm::expm1(z) / z }
-}
-
-/// φ₂(z) = (φ₁(z) − 1)/z for real z ≤ 0.
-fn phi2(z: f64) -> f64 {
-    if z > -0.5 {
-        // Σ zᵏ/(k+2)!
-        let (mut term, mut sum) = (0.5, 0.0);
-        for k in 3..20 {
-            sum += term;
-            term *= z / f64::from(k);
-        }
-        sum
+/// ∫₀¹ e^((1−θ)z) θᵏ dθ = k! φ_{k+1}(z), k = 0 … 3, for real z ≤ 0.
+fn moments(z: f64) -> [f64; 4] {
+    if z > -3.0 {
+        // Σ zⁿ k!/(n + k + 1)!
+        std::array::from_fn(|k| {
+            let k = k as f64;
+            let (mut term, mut sum) = (1.0 / (k + 1.0), 0.0);
+            for n in 1..40 {
+                sum += term;
+                term *= z / (f64::from(n) + k + 1.0);
+            }
+            sum
+        })
     } else {
-        (phi1(z) - 1.0) / z
+        // by parts: z m_k = k m_{k−1} − 1
+        let m0 = libm::expm1(z) / z;
+        let m1 = (m0 - 1.0) / z;
+        let m2 = (2.0 * m1 - 1.0) / z;
+        [m0, m1, m2, (3.0 * m2 - 1.0) / z]
     }
 }

@@ -29,6 +29,8 @@ pub struct Scene {
     pub duration: f64,
     /// How a step is taken.
     pub integrator: Integrator,
+    /// The error that [`Integrator::Exponential`] may make, in radii of a vertex's body per unit of scene time [1/s], > 0.
+    pub tolerance: f64,
     /// (3.3)–(3.5) and their constants.
     pub influence: Influence,
     /// When pairs merge, split and enter their core.
@@ -148,6 +150,9 @@ impl fmt::Display for Integrator {
 }
 
 impl Scene {
+    /// The tolerance of scenes that give none [1/s].
+    pub const DEFAULT_TOLERANCE: f64 = 1e-6;
+
     /// Number of steps: `round(duration / dt)`.
     pub fn steps(&self) -> u64 {
         (self.duration / self.dt).round() as u64 // saturates

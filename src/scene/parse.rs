@@ -7,7 +7,7 @@
 //! of a double, so nothing downstream has to look for overflow. They leave 27 orders of magnitude, more than double
 //! precision can relate to each other. `duration / dt` is at most 10¹², so that a step's number is exact and its time
 //! good to a microstep; a ring has at most 65,535 vertices, so that a vertex index fits 32 bits. A file has at most
-//! 64 MiB.
+//! 32 MiB.
 
 mod error;
 mod reader;
@@ -24,7 +24,8 @@ use crate::model::{
 };
 use error::one_line;
 pub use error::{Place, SceneError};
-use reader::{Choice, Integer, Keys, Kind, Number, Source, Table, Text, Value, Vector, did_you_mean, is_body_name};
+pub(crate) use reader::did_you_mean;
+use reader::{Choice, Integer, Keys, Kind, Number, Source, Table, Text, Value, Vector, is_body_name};
 
 /// See the [limits](self#limits).
 const LARGEST: f64 = 1e15;
@@ -41,7 +42,7 @@ const FINITE: Number = Number { min: f64::MIN, max: f64::MAX };
 static SCENE: Keys = Keys {
     home: "at the top of the file",
     form: "a table",
-    names: &["name", "dt", "duration", "integrator", "material", "influence", "body", "push"],
+    names: &["name", "dt", "duration", "integrator", "tolerance", "material", "influence", "body", "push"],
 };
 static MATERIAL: Keys =
     Keys { home: "in [material]", form: "a table, written [material]", names: &["omega", "damping", "response"] };
@@ -98,13 +99,13 @@ const SCENE_NAME: Text = Text { form: "a name of 1 to 200 characters on one line
 const BODY_NAME: Text = Text { form: "a name of 1 to 64 letters, digits, - and _", accepts: is_body_name };
 
 impl Scene {
-    /// The steps Δt that a scene can have [s].
-    pub const STEP_RANGE: RangeInclusive<f64> = SMALLEST..=LARGEST;
+    /// The numbers that a scene can have where one must be positive: radii, steps, tolerances, and so on.
+    pub const POSITIVE: RangeInclusive<f64> = SMALLEST..=LARGEST;
 
     /// The scene in the file at `path`.
     ///
     /// # Errors
-    /// The file cannot be read, is larger than 64 MiB or not UTF-8, or what [`Scene::parse`] refuses.
+    /// The file cannot be read, is larger than 32 MiB or not UTF-8, or what [`Scene::parse`] refuses.
     pub fn load(path: &std::path::Path) -> Result<Scene, SceneError> {
         let file = path.display().to_string();
         let refuse = |message| SceneError { file: file.clone(), place: None, key: String::new(), message, help: None };
@@ -182,6 +183,8 @@ fn read_scene(source: &Source<'_>) -> Result<Scene, SceneError> {
     let integrator = Choice(Integrator::ALL.map(|integrator| (integrator.name(), integrator)));
     let integrator = root.optional("integrator", integrator)?.unwrap_or(Integrator::Exponential);
 
+    let tolerance = root.optional("tolerance", POSITIVE)?.unwrap_or(Scene::DEFAULT_TOLERANCE);
+
     let thesis = Material { omega: 12.0, damping: 1.5, response: Response::Inertial };
     let material = read_material(&material, thesis)?;
     let thresholds = read_thresholds(&influence)?;
@@ -190,7 +193,7 @@ fn read_scene(source: &Source<'_>) -> Result<Scene, SceneError> {
     let indices = bodies.iter().enumerate().map(|(index, body)| (body.name.as_str(), index)).collect();
     let pushes = push_tables.iter().map(|push| read_push(push, &bodies, &indices)).collect::<Result<_, _>>()?;
     let source = source.text.to_owned();
-    Ok(Scene { name, dt, duration, integrator, influence, thresholds, bodies, pushes, source })
+    Ok(Scene { name, dt, duration, integrator, tolerance, influence, thresholds, bodies, pushes, source })
 }
 
 /// The `[material]` table, or a body: what it does not give is as in `default`.

@@ -101,6 +101,29 @@ impl Path {
         }
     }
 
+    /// Bounds of the motion relative to another path over `[start, end]` [s]: the sum of the two, or less where both
+    /// move alike (bodies in formation would be a hard case for root finding otherwise).
+    pub fn relative_bounds(&self, other: &Path, start: f64, end: f64) -> Bounds {
+        let sum = || {
+            let (a, b) = (self.bounds(start, end), other.bounds(start, end));
+            Bounds { speed: a.speed + b.speed, acceleration: a.acceleration + b.acceleration }
+        };
+        match (self, other) {
+            (Path::Line { velocity: v, .. }, Path::Line { velocity: w, .. }) => {
+                Path::Line { from: DVec3::ZERO, velocity: *v - *w }.bounds(start, end)
+            }
+            (
+                Path::Sine { amplitude: v, frequency, phase, .. },
+                Path::Sine { amplitude: w, frequency: other_frequency, phase: other_phase, .. },
+            ) if frequency == other_frequency && phase == other_phase => {
+                let amplitude = *v - *w;
+                Path::Sine { center: DVec3::ZERO, amplitude, frequency: *frequency, phase: *phase }.bounds(start, end)
+            }
+            (Path::Keyframes(a), Path::Keyframes(b)) => a.relative_bounds(b, start, end).unwrap_or_else(sum),
+            _ => sum(),
+        }
+    }
+
     /// Instants at which a derivative of the path jumps [s], ascending.
     pub fn knots(&self) -> &[f64] {
         match self {
@@ -196,24 +219,44 @@ impl Spline {
     }
 
     fn bounds(&self, start: f64, end: f64) -> Bounds {
-        let mut bounds = Bounds { speed: 0.0, acceleration: 0.0 };
-        let first = self.times.partition_point(|&key| key <= start).saturating_sub(1);
-        for (k, segment) in self.segments.iter().enumerate().skip(first) {
-            let from = f64::max(start, self.times[k]) - self.times[k];
-            let to = f64::min(end, self.times[k + 1]) - self.times[k];
-            if self.times[k] > end {
-                break;
-            }
-            if from > to {
-                continue;
-            }
-            // acceleration is linear in t, so largest at an end; speed changes by at most that times the time
-            let ends = [from, to].map(|s| (segment.acceleration + s * segment.jerk).length());
-            let acceleration = f64::max(ends[0], ends[1]);
-            let velocity = segment.velocity + from * (segment.acceleration + from * segment.jerk / 2.0);
-            bounds.acceleration = bounds.acceleration.max(acceleration);
-            bounds.speed = bounds.speed.max(velocity.length() + acceleration * (to - from));
-        }
-        bounds
+        segment_bounds(&self.times, |k| self.segments[k], start, end)
     }
+
+    /// [`Path::relative_bounds`] for two splines; `None` if their keys are not at the same times.
+    fn relative_bounds(&self, other: &Spline, start: f64, end: f64) -> Option<Bounds> {
+        let between = |k: usize| {
+            let (a, b) = (self.segments[k], other.segments[k]);
+            Segment {
+                position: a.position - b.position,
+                velocity: a.velocity - b.velocity,
+                acceleration: a.acceleration - b.acceleration,
+                jerk: a.jerk - b.jerk,
+            }
+        };
+        (self.times == other.times).then(|| segment_bounds(&self.times, between, start, end))
+    }
+}
+
+/// [`Path::bounds`] of a spline with keys at `times`.
+fn segment_bounds(times: &[f64], segment: impl Fn(usize) -> Segment, start: f64, end: f64) -> Bounds {
+    let mut bounds = Bounds { speed: 0.0, acceleration: 0.0 };
+    let first = times.partition_point(|&key| key <= start).saturating_sub(1);
+    for k in first..times.len() - 1 {
+        let from = f64::max(start, times[k]) - times[k];
+        let to = f64::min(end, times[k + 1]) - times[k];
+        if times[k] > end {
+            break;
+        }
+        if from > to {
+            continue;
+        }
+        // acceleration is linear in t, so largest at an end; speed changes by at most that times the time
+        let Segment { velocity, acceleration, jerk, .. } = segment(k);
+        let ends = [from, to].map(|s| (acceleration + s * jerk).length());
+        let largest = f64::max(ends[0], ends[1]);
+        let velocity = velocity + from * (acceleration + from * jerk / 2.0);
+        bounds.acceleration = bounds.acceleration.max(largest);
+        bounds.speed = bounds.speed.max(velocity.length() + largest * (to - from));
+    }
+    bounds
 }

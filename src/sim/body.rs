@@ -2,7 +2,13 @@
 
 use std::sync::Arc;
 
-use super::{arrays::Vectors, integrator::Interval};
+use super::{
+    arrays::Vectors,
+    integrator::{
+        explicit::Interval,
+        exponential::{self, course::Sphere},
+    },
+};
 use crate::{
     model::oscillator::Oscillator,
     scene::{Push, Scene},
@@ -22,6 +28,9 @@ pub(super) struct Body {
     pub velocity: Vectors,
     /// How far the vertices are and can get.
     pub extent: Extent,
+    /// What √(|u|² + ω²|x|²) of no vertex can exceed, whatever happened so far: it grows by no more than the forces
+    /// that the body was under [scene unit/s].
+    pub bound: f64,
     /// Pairs in which the body takes part in the current step.
     pub neighbours: Vec<Neighbour>,
     pub scratch: Scratch,
@@ -41,6 +50,9 @@ pub(super) struct Neighbour {
 pub(super) struct Scratch {
     pub interval: Interval,
     pub breaks: Vec<f64>,
+    pub spheres: Vec<Sphere>,
+    pub pushes: Vec<Push>,
+    pub exponential: exponential::Scratch,
 }
 
 impl Body {
@@ -54,6 +66,7 @@ impl Body {
             displacement: Vectors::default(),
             velocity: Vectors::default(),
             extent: Extent::default(),
+            bound: 0.0,
             neighbours: Vec::new(),
             scratch: Scratch::default(),
         }
@@ -69,6 +82,14 @@ impl Body {
     pub fn amplitude(&self) -> f64 {
         let Extent { displacement, momentum } = self.extent;
         if self.oscillator.omega > 0.0 { momentum / self.oscillator.omega } else { displacement }
+    }
+
+    /// Whether its state is one that the equation of motion cannot lead to: not finite, or far beyond [`Body::bound`].
+    /// The margin leaves room for schemes that are merely inaccurate.
+    pub fn has_diverged(&self) -> bool {
+        const MARGIN: f64 = 100.0;
+        // written so that what is not a number has diverged
+        !(self.extent.momentum <= MARGIN * self.bound) || !self.extent.displacement.is_finite()
     }
 
     /// From here on the body has vertices of its own.
@@ -90,13 +111,14 @@ pub(super) struct Extent {
 }
 
 impl Extent {
-    /// The bounds of a state.
+    /// The bounds of a state; not a number if any of it isn't.
     pub fn of(displacement: &Vectors, velocity: &Vectors, oscillator: Oscillator) -> Extent {
         let omega_squared = oscillator.omega * oscillator.omega;
         let (mut x2, mut m2) = (0.0, 0.0);
         for (x, u) in displacement.iter().zip(velocity.iter()) {
-            x2 = f64::max(x2, x.length_squared());
-            m2 = f64::max(m2, u.length_squared() + omega_squared * x.length_squared());
+            let (x_squared, u_squared) = (x.length_squared(), u.length_squared());
+            x2 = larger(x2, x_squared);
+            m2 = larger(m2, u_squared + omega_squared * x_squared);
         }
         Extent { displacement: x2.sqrt(), momentum: m2.sqrt() }
     }
@@ -110,4 +132,9 @@ impl Extent {
         let travelled = self.displacement + momentum * h;
         if oscillator.omega > 0.0 { travelled.min(momentum / oscillator.omega) } else { travelled }
     }
+}
+
+/// The larger of two numbers, or what is not a number: `f64::max` would pass over that.
+fn larger(a: f64, b: f64) -> f64 {
+    if b > a || b.is_nan() { b } else { a }
 }

@@ -3,13 +3,14 @@
 //! The distance of two centres reaches a threshold L where `g(t) = |c_a(t) − c_b(t)|² − L²` crosses zero. The paths
 //! bound |g″| over any stretch of time, so stretches that can't hold a root are passed over whole, stretches on which
 //! g is monotone are searched by safeguarded Newton steps, and others are halved: no crossing is missed, however
-//! short the visit.
-
-use glam::DVec3;
+//! short the visit. A pair within a few roundings of a threshold is taken to stand on it until it has left.
 
 use crate::{
     model::phase::{Phase, Thresholds},
-    scene::{Path, path::Bounds},
+    scene::{
+        Path,
+        path::{Bounds, Kinematics},
+    },
 };
 
 /// A change of phase of a pair, at its exact time.
@@ -60,29 +61,10 @@ impl PairPaths<'_> {
         (self.a.position(t) - self.b.position(t)).length() / self.radii
     }
 
-    /// Bounds of the motion of one centre relative to the other over `[start, end]` [s]: the sum of the two, or less
-    /// where both move alike (bodies in formation would be a hard case otherwise).
-    fn relative_bounds(&self, start: f64, end: f64) -> Bounds {
-        let difference = match (self.a, self.b) {
-            (Path::Line { velocity: v, .. }, Path::Line { velocity: w, .. }) => {
-                Path::Line { from: DVec3::ZERO, velocity: *v - *w }
-            }
-            (
-                Path::Sine { amplitude: v, frequency, phase, .. },
-                Path::Sine { amplitude: w, frequency: other_frequency, phase: other_phase, .. },
-            ) if frequency == other_frequency && phase == other_phase => {
-                Path::Sine { center: DVec3::ZERO, amplitude: *v - *w, frequency: *frequency, phase: *phase }
-            }
-            (a, b) => {
-                let (a, b) = (a.bounds(start, end), b.bounds(start, end));
-                return Bounds { speed: a.speed + b.speed, acceleration: a.acceleration + b.acceleration };
-            }
-        };
-        difference.bounds(start, end)
-    }
-
     /// The phase changes in `(start, end]` of a pair that is in `phase` at `start`, in order: `(time, new phase)`.
     /// A pair that stands exactly on a threshold at `start` and moves across it changes at `start`.
+    ///
+    /// `phase` is taken at its word: a pair that is found beyond a way out of it changes as soon as that is seen.
     pub fn phase_changes(
         &self,
         thresholds: &Thresholds,
@@ -91,6 +73,9 @@ impl PairPaths<'_> {
         end: f64,
         mut found: impl FnMut(f64, Phase),
     ) {
+        if self.a.relative_bounds(self.b, start, end).speed == 0.0 {
+            return; // Still, or in formation: only rounding could change the distance.
+        }
         let mut t = start;
         loop {
             let next = thresholds
@@ -117,49 +102,55 @@ struct Gap<'a> {
 impl Gap<'_> {
     /// g and g′ at `t`.
     fn at(&self, t: f64) -> (f64, f64) {
-        let (a, b) = (self.pair.a.at(t), self.pair.b.at(t));
+        self.of(&self.pair.a.at(t), &self.pair.b.at(t))
+    }
+
+    /// g and g′ from the motion of the two centres.
+    fn of(&self, a: &Kinematics, b: &Kinematics) -> (f64, f64) {
         let (apart, relative) = (a.position - b.position, a.velocity - b.velocity);
         // (d − L)(d + L): no cancellation where it matters, at d ≈ L
         let d = apart.length();
         ((d - self.level) * (d + self.level), 2.0 * apart.dot(relative))
     }
 
-    /// An upper bound of |g″| = |2|Δv|² + 2Δc·Δa| within `half` of the middle `m`, where Δc = `apart`.
-    fn curvature(&self, m: f64, half: f64, apart: DVec3) -> f64 {
-        let Bounds { speed, acceleration } = self.pair.relative_bounds(m - half, m + half);
-        2.0 * speed * speed + 2.0 * (apart.length() + speed * half) * acceleration
-    }
-
-    /// The first time in `[start, end]` at which `sign · g` falls through zero.
+    /// The first time in `[start, end]` at which `sign · g` falls through zero, being above at `start` or on it.
     fn first_fall(&self, sign: f64, start: f64, end: f64) -> Option<f64> {
         if start >= end {
             return None;
         }
-        let m = start + 0.5 * (end - start);
         let half = 0.5 * (end - start);
-        let apart = self.pair.a.position(m) - self.pair.b.position(m);
-        let (g, slope) = self.at(m);
-        let curvature = self.curvature(m, half, apart);
+        let m = start + half;
+        let (a, b) = (self.pair.a.at(m), self.pair.b.at(m));
+        let (g, slope) = self.of(&a, &b);
+        let apart = (a.position - b.position).length();
 
-        // |g(t) − g(m) − g′(m)(t − m)| ≤ curvature · half²/2 everywhere on the stretch: no root, next
-        if g.abs() > slope.abs() * half + 0.5 * curvature * half * half {
-            return None;
+        // |g″| = |2|Δv|² + 2Δc·Δa| on the stretch, and by how much g can differ there from its value in the middle
+        let Bounds { speed, acceleration } = self.pair.a.relative_bounds(self.pair.b, start, end);
+        let curvature = 2.0 * speed * speed + 2.0 * (apart + speed * half) * acceleration;
+        let range = slope.abs() * half + 0.5 * curvature * half * half;
+        // What rounding of the centres can do to a g near zero.
+        let far = a.position.abs().max_element() + b.position.abs().max_element();
+        let rounding = 8.0 * f64::EPSILON * self.level * (self.level + far);
+        let close = 8.0 * rounding;
+
+        // No root: on the near side still, or on the far side since it passed `close` to the threshold just before.
+        if g.abs() > range + close {
+            return (sign * g < 0.0).then_some(start);
+        }
+        // All of it too close to the threshold to tell more, or too short: does it come to stand on it, from above?
+        if g.abs() + range <= close || m <= start || m >= end {
+            let (before, after) = (sign * self.at(start).0, sign * self.at(end).0);
+            return (before > rounding && after <= rounding).then_some(end);
         }
         // g′ keeps its sign: at most one root, and only if it falls
         if slope.abs() > curvature * half {
             return if sign * slope < 0.0 { self.root_of_fall(sign, start, end) } else { None };
         }
-        // Too short, or all of it too close to the threshold, to tell more: the signs at the ends decide.
-        let largest = g.abs() + slope.abs() * half + 0.5 * curvature * half * half;
-        if largest <= 1e-13 * self.level * self.level || m <= start || m >= end {
-            let (before, after) = (sign * self.at(start).0, sign * self.at(end).0);
-            return (before > 0.0 && after <= 0.0).then_some(end);
-        }
         self.first_fall(sign, start, m).or_else(|| self.first_fall(sign, m, end))
     }
 
     /// The root of `sign · g`, which falls throughout `[low, high]`: Newton's steps, bisection where they leave the
-    /// bracket. `low` itself if it has fallen already there (a pair that stands on its threshold).
+    /// bracket. `low` itself only if it has fallen already there (a pair that stands on its threshold).
     fn root_of_fall(&self, sign: f64, mut low: f64, mut high: f64) -> Option<f64> {
         if sign * self.at(high).0 > 0.0 {
             return None;
@@ -168,7 +159,7 @@ impl Gap<'_> {
             return Some(low);
         }
         let mut t = low + 0.5 * (high - low);
-        for _ in 0..200 {
+        while low < t && t < high {
             let (g, slope) = self.at(t);
             if g == 0.0 {
                 return Some(t);
@@ -179,12 +170,12 @@ impl Gap<'_> {
                 high = t;
             }
             let newton = t - g / slope;
-            let next = if newton > low && newton < high { newton } else { low + 0.5 * (high - low) };
-            if (next - t).abs() <= f64::EPSILON * t.abs() || next <= low || next >= high {
-                return Some(next.clamp(low, high));
+            if newton == t {
+                // as near as the time can be told: the first instant after the fall
+                return Some(if t == low { t.next_up() } else { t });
             }
-            t = next;
+            t = if newton > low && newton < high { newton } else { low + 0.5 * (high - low) };
         }
-        Some(t)
+        Some(high)
     }
 }

@@ -30,7 +30,7 @@ pub use arrays::Vectors;
 pub use events::Event;
 pub use memory::TooLarge;
 pub use observe::{BodyForces, Cause, Energy};
-pub use report::{Stage, StepReport};
+pub use report::{Diverged, Stage, StepReport};
 pub use world::{BodyView, PairView, World};
 
 /// A stretch of time [s].

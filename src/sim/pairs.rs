@@ -92,35 +92,47 @@ impl PairFinder {
 fn ball(scene: &Scene, body: &Body, index: usize, pull: f64, span: Span) -> Ball {
     let this = &scene.bodies[index];
     let motion = this.path.bounds(span.start, span.end);
+    let force = pull + own_force(scene, body, index, span);
+    let vertices = this.radius + body.extent.after(body.oscillator, force, span.length());
+    let sphere = scene.influence.sphere_radius(this.radius);
+    let merging = scene.thresholds.merge_at * this.radius;
+    let centre = this.path.position(span.start);
+    let radius = sphere.max(vertices).max(merging) + motion.speed * span.length();
+    // A pair that stands exactly on merge_at is not lost to rounding.
+    let rounding = 4.0 * f64::EPSILON * (centre.abs().max_element() + radius);
+    Ball { centre, radius: radius + rounding }
+}
+
+/// A bound of the acceleration of any vertex by pushes and by the body's own motion during `span` [scene unit/s²].
+pub(super) fn own_force(scene: &Scene, body: &Body, index: usize, span: Span) -> f64 {
+    let this = &scene.bodies[index];
+    let motion = this.path.bounds(span.start, span.end);
     let carry = match this.material.response {
         Response::Rigid => 0.0,
         Response::Inertial => motion.acceleration,
         Response::World => motion.acceleration + 2.0 * this.material.damping * motion.speed,
     };
-    let pushes: f64 = body.pushes.iter().map(|push| push.strength.abs()).sum();
-    let vertices = this.radius + body.extent.after(body.oscillator, pull + carry + pushes, span.length());
-    let sphere = scene.influence.sphere_radius(this.radius);
-    let merging = scene.thresholds.merge_at * this.radius;
-    Ball {
-        centre: this.path.position(span.start),
-        radius: sphere.max(vertices).max(merging) + motion.speed * span.length(),
-    }
+    let acting = body.pushes.iter().filter(|push| push.start < span.end && span.start < push.end());
+    carry + acting.map(|push| push.strength.abs()).sum::<f64>()
+}
+
+/// A bound of the acceleration of any vertex of body `this` by the sphere of body `source`, in any phase
+/// [scene unit/s²].
+pub(super) fn strongest_pull(scene: &Scene, this: u32, source: u32) -> f64 {
+    let (radius, source) = (scene.bodies[this as usize].radius, scene.bodies[source as usize].radius);
+    let strength = [Phase::Merged, Phase::Apart, Phase::Core]
+        .map(|phase| scene.influence.strength(phase, radius, source).abs())
+        .into_iter()
+        .fold(0.0, f64::max);
+    strength * scene.influence.sphere_radius(source) * scene.influence.weight.max_pull()
 }
 
 /// Bounds of the acceleration of any vertex of each body by the influence of the pairs given [scene unit/s²].
 fn add_up_pull(scene: &Scene, pairs: impl Iterator<Item = (u32, u32)>, bodies: usize, pull: &mut Vec<f64>) {
-    let strongest = |this: u32, source: u32| {
-        let (radius, source) = (scene.bodies[this as usize].radius, scene.bodies[source as usize].radius);
-        let strength = [Phase::Merged, Phase::Apart, Phase::Core]
-            .map(|phase| scene.influence.strength(phase, radius, source).abs())
-            .into_iter()
-            .fold(0.0, f64::max);
-        strength * scene.influence.sphere_radius(source) * scene.influence.weight.max_pull()
-    };
     pull.clear();
     pull.resize(bodies, 0.0);
     for (a, b) in pairs {
-        pull[a as usize] += strongest(a, b);
-        pull[b as usize] += strongest(b, a);
+        pull[a as usize] += strongest_pull(scene, a, b);
+        pull[b as usize] += strongest_pull(scene, b, a);
     }
 }

@@ -11,13 +11,13 @@ use rayon::prelude::*;
 
 use super::{
     Span,
-    advance::{Context, Moment, Side},
+    advance::{Context, Moment},
     arrays::Vectors,
     body::{Body, Neighbour},
     events::Event,
     memory::{self, TooLarge},
     pairs::{self, Pair, PairFinder},
-    report::{Stage, StepReport},
+    report::{Diverged, Stage, StepReport},
     surroundings::Surroundings,
 };
 use crate::{
@@ -83,6 +83,7 @@ impl World {
         self.timed(Stage::Events, |world| world.find_events(span));
         self.timed(Stage::Integrate, |world| world.integrate(span));
         self.enter_phases();
+        self.report.diverged = self.find_divergence();
         &self.report
     }
 
@@ -130,17 +131,40 @@ impl World {
         let World { scene, bodies, pairs, changes, report, .. } = self;
         let context = Context { scene, pairs, changes };
         let advance = |(index, body): (usize, &mut Body)| {
-            let substeps = context.advance(index, body, span);
-            (substeps, u64::from(substeps == 0))
+            let effort = context.advance(index, body, span);
+            let error = effort.error / scene.bodies[index].radius;
+            Total { substeps: effort.substeps, sleeping_bodies: u64::from(effort.substeps == 0), error }
         };
-        let sum = |a: (u64, u64), b: (u64, u64)| (a.0 + b.0, a.1 + b.1);
 
         let moving: usize = bodies.iter().map(|body| body.displacement.len()).sum();
-        (report.substeps, report.sleeping_bodies) = if moving < PARALLEL_VERTICES {
-            bodies.iter_mut().enumerate().map(advance).fold((0, 0), sum)
+        let total = if moving < PARALLEL_VERTICES {
+            bodies.iter_mut().enumerate().map(advance).fold(Total::default(), Total::add)
         } else {
-            bodies.par_iter_mut().enumerate().map(advance).reduce(|| (0, 0), sum)
+            bodies.par_iter_mut().enumerate().map(advance).reduce(Total::default, Total::add)
         };
+        report.substeps = total.substeps;
+        report.sleeping_bodies = total.sleeping_bodies;
+        report.error = total.error;
+    }
+
+    /// The first body whose state cannot be, and its worst vertex.
+    fn find_divergence(&self) -> Option<Diverged> {
+        let index = self.bodies.iter().position(Body::has_diverged)?;
+        let body = self.body(index);
+        let size = |i: usize| body.displacement(i).length_squared() + body.velocity(i).length_squared();
+        // what is not a number is the worst
+        let rank = |i: &usize| if size(*i).is_nan() { f64::INFINITY } else { size(*i) };
+        let vertex = (0..body.vertex_count()).max_by(|i, j| rank(i).total_cmp(&rank(j)))?;
+        Some(Diverged {
+            integrator: self.scene.integrator,
+            dt: self.scene.dt,
+            step: self.step,
+            time: self.time(),
+            body: body.name().to_owned(),
+            vertex,
+            displacement: body.displacement(vertex),
+            velocity: body.velocity(vertex),
+        })
     }
 
     /// The phases at the end of the step become those at the start of the next.
@@ -150,6 +174,25 @@ impl World {
                 pair.phase = last;
             }
             pair.changes = 0..0;
+        }
+    }
+}
+
+/// What the integration of bodies adds up to.
+#[derive(Clone, Copy, Default)]
+struct Total {
+    substeps: u64,
+    sleeping_bodies: u64,
+    error: f64,
+}
+
+impl Total {
+    /// Sums and the largest error: the same in any order.
+    fn add(self, other: Total) -> Total {
+        Total {
+            substeps: self.substeps + other.substeps,
+            sleeping_bodies: self.sleeping_bodies + other.sleeping_bodies,
+            error: self.error.max(other.error),
         }
     }
 }
@@ -236,8 +279,7 @@ impl World {
         let time = self.time();
         let mut surroundings = Surroundings::default();
         let context = Context { scene: &self.scene, pairs: &self.pairs, changes: &[] };
-        let now = Moment { time, side: Side::After, phases_at: time, pushes_at: time };
-        context.surroundings(index, &self.bodies[index], now, &mut surroundings);
+        context.surroundings(index, &self.bodies[index], Moment { time, phases_at: time }, &mut surroundings);
         surroundings
     }
 }

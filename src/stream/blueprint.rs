@@ -145,12 +145,13 @@ impl Layout {
         let parts = vec![
             plot("Energy", &["+ /diagnostics/energy"]),
             plot("Displacement", &["+ /diagnostics/max_displacement"]),
+            plot("Estimated error", &["+ /diagnostics/estimated_error"]),
             plot(
                 "Counts",
                 &["+ /diagnostics/reached_vertices", "+ /diagnostics/substeps", "+ /diagnostics/sleeping_bodies"],
             ),
         ];
-        self.container(kind, "Diagnostics", parts, &[1.0, 1.0, 1.0])
+        self.container(kind, "Diagnostics", parts, &[1.0, 1.0, 1.0, 1.0])
     }
 
     fn id(&mut self) -> (Uuid, String) {

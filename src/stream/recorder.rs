@@ -459,6 +459,7 @@ impl Recorder {
             displacement.fold(0.0, f64::max),
             energy.reached_vertices as f64,
             report.substeps as f64,
+            report.error,
             world.bodies().filter(|body| body.is_at_rest()).count() as f64,
         ];
         for ((name, _, shape), value) in DIAGNOSTICS.into_iter().zip(values) {
@@ -485,11 +486,12 @@ impl Recorder {
 const TIMINGS: [&str; 5] = [Stage::ALL[0].name(), Stage::ALL[1].name(), Stage::ALL[2].name(), "extract", "log"];
 
 /// The entities in `/diagnostics`, what their lines are called, and how they are drawn.
-const DIAGNOSTICS: [(&str, &str, Shape); 5] = [
+const DIAGNOSTICS: [(&str, &str, Shape); 6] = [
     ("energy", "energy [unit²/s²]", Shape::Linear),
     ("max_displacement", "largest displacement [radii]", Shape::Linear),
     ("reached_vertices", "vertices inside a sphere", Shape::Step),
-    ("substeps", "sub-steps, all bodies", Shape::Step),
+    ("substeps", "steps of the integrator", Shape::Step),
+    ("estimated_error", "estimated error of the step [radii]", Shape::Step),
     ("sleeping_bodies", "bodies at rest", Shape::Step),
 ];
 

@@ -32,6 +32,8 @@ pub struct Settings {
     pub integrator: Integrator,
     /// Step Δt [s].
     pub dt: f64,
+    /// The error that [`Integrator::Exponential`] may make [radii per unit of scene time].
+    pub tolerance: f64,
     /// Number of steps to take; `None`: until stopped.
     pub steps: Option<u64>,
     /// A frame is recorded every so many steps, ≥ 1.
@@ -48,6 +50,7 @@ impl Settings {
         Settings {
             integrator: scene.integrator,
             dt: scene.dt,
+            tolerance: scene.tolerance,
             steps: Some(scene.steps()),
             every: 1,
             detail: Detail::Forces,
@@ -66,9 +69,10 @@ impl Settings {
             Entities::Batch => "batch",
         };
         format!(
-            "integrator = \"{}\"\ndt = {:?}\nsteps = {}\nevery = {}\ndetail = \"{detail}\"\nentities = \"{entities}\"\n",
+            "integrator = \"{}\"\ndt = {:?}\ntolerance = {:?}\nsteps = {}\nevery = {}\ndetail = \"{detail}\"\nentities = \"{entities}\"\n",
             self.integrator,
             self.dt,
+            self.tolerance,
             self.steps.unwrap_or(0),
             self.every,
         )
@@ -100,10 +104,16 @@ pub(super) fn recording_id(scene: &Scene, settings: &Settings) -> String {
     format!("{}-{hash:016x}", file_stem(&scene.name))
 }
 
-/// The name of a scene as a file can have it: anything but letters, digits, `-`, `_` and `.` inside becomes `_`.
+/// The name of a scene as a file can have it: anything but letters, digits, `-`, `_` and `.` inside becomes `_`, and
+/// it is no longer than file systems allow, which count bytes.
 pub fn file_stem(name: &str) -> String {
     let plain = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' };
-    let stem: String = name.chars().map(plain).take(100).collect();
-    let stem = stem.trim_start_matches('.');
+    let mut bytes = 0;
+    let fits = |c: &char| {
+        bytes += c.len_utf8();
+        bytes <= 100
+    };
+    let stem: String = name.chars().map(plain).take_while(fits).collect();
+    let stem = stem.trim_start_matches(['.', '-']);
     if stem.is_empty() { "scene".to_owned() } else { stem.to_owned() }
 }

@@ -78,7 +78,7 @@ motion = { fixed = [0, 0, 0] }
 Whole: columns after characters of several bytes
 name = "größe"
 x = { "ä" = "ö" } # ü
-> bad.toml:2:1: x: unknown key (known keys: name, dt, duration, integrator, material, influence, body, push)
+> bad.toml:2:1: x: unknown key (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
 
 Whole: body is a single table
 duration = 4
@@ -196,39 +196,39 @@ Whole: the first of several unknown keys
 zeta = 1
 duration = 4
 again = 2
-> bad.toml:1:1: zeta: unknown key (known keys: name, dt, duration, integrator, material, influence, body, push)
+> bad.toml:1:1: zeta: unknown key (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
 
 Top: unknown key
 colour = 1
-> bad.toml:1:1: colour: unknown key (known keys: name, dt, duration, integrator, material, influence, body, push)
+> bad.toml:1:1: colour: unknown key (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
 
 Top: unknown key near another
 Integrator = "rk4"
-> bad.toml:1:1: Integrator: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, material, influence, body, push)
+> bad.toml:1:1: Integrator: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
 
 Top: unknown key abbreviated
 integ = "rk4"
-> bad.toml:1:1: integ: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, material, influence, body, push)
+> bad.toml:1:1: integ: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
 
 Top: unknown key without letters
 "" = 1
-> bad.toml:1:1: "": unknown key (known keys: name, dt, duration, integrator, material, influence, body, push)
+> bad.toml:1:1: "": unknown key (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
 
 Top: unknown key that is long
 aaaaaaaaaabbbbbbbbbbccccccccccddddddddddeeeeeeeeee = 1
-> bad.toml:1:1: aaaaaaaaaabbbbbbbbbbccccccccccdddddddddd…: unknown key (known keys: name, dt, duration, integrator, material, influence, body, push)
+> bad.toml:1:1: aaaaaaaaaabbbbbbbbbbccccccccccdddddddddd…: unknown key (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
 
 Top: key of another table
 alpha = 100
-> bad.toml:1:1: alpha: unknown key; "alpha" belongs in [influence] (known keys: name, dt, duration, integrator, material, influence, body, push)
+> bad.toml:1:1: alpha: unknown key; "alpha" belongs in [influence] (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
 
 Top: key of several tables
 response = "rigid"
-> bad.toml:1:1: response: unknown key; "response" belongs in [material] or in a [[body]] (known keys: name, dt, duration, integrator, material, influence, body, push)
+> bad.toml:1:1: response: unknown key; "response" belongs in [material] or in a [[body]] (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
 
 Top: unknown table
 matrial.omega = 1
-> bad.toml:1:1: matrial: unknown key; did you mean "material"? (known keys: name, dt, duration, integrator, material, influence, body, push)
+> bad.toml:1:1: matrial: unknown key; did you mean "material"? (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
 
 Top: name is a number
 name = 2
@@ -672,7 +672,7 @@ const BROKEN_ESCAPED: &[(&str, &str, &str)] = &[
     (
         "Whole",
         "\u{feff}\"größe\" = 1\n",
-        "bad.toml:1:1: \"größe\": unknown key (known keys: name, dt, duration, integrator, material, influence, body, \
+        "bad.toml:1:1: \"größe\": unknown key (known keys: name, dt, duration, integrator, tolerance, material, influence, body, \
          push)",
     ),
     (
@@ -684,7 +684,7 @@ const BROKEN_ESCAPED: &[(&str, &str, &str)] = &[
     (
         "Top",
         "\"name of \\\"it\\\"\\n\" = 1",
-        "bad.toml:1:1: \"name of \\\"it\\\"\\n\": unknown key (known keys: name, dt, duration, integrator, material, \
+        "bad.toml:1:1: \"name of \\\"it\\\"\\n\": unknown key (known keys: name, dt, duration, integrator, tolerance, material, \
          influence, body, push)",
     ),
     (
@@ -861,10 +861,10 @@ fn a_file_without_measure_is_refused() {
     let large = Temporary::new("large.toml");
     let file = std::fs::File::create(&large.0).expect("a file can be made");
     file.set_len((64 << 20) + 1).expect("a file can have a hole");
-    assert_eq!(large.refusal(), "\"FILE\" is larger than 64 MiB, the most that a scene file may have");
+    assert_eq!(large.refusal(), "\"FILE\" is larger than 32 MiB, the most that a scene file may have");
     if cfg!(target_os = "linux") {
         let endless = Scene::load(&PathBuf::from("/dev/zero")).expect_err("an endless file").to_string();
-        assert_eq!(endless, "\"/dev/zero\" is larger than 64 MiB, the most that a scene file may have");
+        assert_eq!(endless, "\"/dev/zero\" is larger than 32 MiB, the most that a scene file may have");
     }
 }
 
@@ -885,7 +885,8 @@ fn assert_sane(text: &str) {
 }
 
 /// What scene files are made of, and what breaks readers of tables.
-const WORDS: &str = "name dt duration integrator material influence body push omega damping response alpha merge_at
+const WORDS: &str =
+    "name dt duration integrator tolerance material influence body push omega damping response alpha merge_at
     split_at core_at radius shape sphere stacks slices motion fixed line sine keyframes from center direction strength
     start [ ] [[ ]] { } = . , \" \"\"\" ' \\ # [body] [[body]] [[push]] [0,0,0] {fixed=[0,0,0]} \"a\" \"rk4\" 1979-05-27
     true ä \u{feff} \u{0} \u{202e}";

@@ -1,4 +1,12 @@
+//! Tests of the library and the program from outside, in one binary.
+
 mod bad_scenes;
+mod bench;
+mod cli;
+mod events;
+mod integrators;
+mod physics;
+mod recording;
 mod reference;
 mod scene_format;
-mod recording;
+mod sinks;

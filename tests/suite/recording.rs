@@ -1,19 +1,39 @@
-//! Recordings read back through the SDK's dataframe API.
+//! Recordings read back through the SDK's dataframe API and compared with the state in memory, entity by entity: a
+//! second world that nobody records takes the same steps beside.
 
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::{BTreeMap, BTreeSet, HashSet},
     fs::File,
+    ops::Bound::{Excluded, Included},
     path::{Path, PathBuf},
+    sync::atomic::{AtomicU32, Ordering},
 };
 
+use glam::{DVec3, Vec3};
+use meldscope::{
+    Scene, World,
+    model::phase::Phase,
+    scene::Sphere,
+    sim::{BodyForces, BodyView, Cause, Event},
+    stream::{
+        Recorder, Settings, palette,
+        recorder::{Detail, Entities, MOST_PAIRS, arrow_scale},
+        sinks::{Destinations, Sinks},
+    },
+};
 use rerun::{
-    ChunkStore, ChunkStoreConfig, ChunkStoreHandle, Loggable, StoreId, TimelineName,
-    dataframe::{EntityPath, QueryEngine, QueryExpression, SparseFillStrategy, StorageEngine},
+    ChunkStore, ChunkStoreConfig, ChunkStoreHandle, EntityPath, Loggable, StoreId, TimelineName,
+    components::{AlbedoFactor, ViewCoordinates},
+    dataframe::{QueryEngine, QueryExpression, SparseFillStrategy, StorageEngine, TimeInt},
+    datatypes::{Float64, Rgba32, UVec3D, Utf8, Vec3D},
     external::{
         arrow::array::{Array as _, ArrayRef, AsArray as _},
         re_chunk_store::{ColumnDescriptor, StaticColumnSelection},
     },
+    log::RowId,
 };
+
+// ---- reading -------------------------------------------------------------------------------------------------------
 
 /// A recording, read back.
 pub struct Recording {
@@ -22,33 +42,1058 @@ pub struct Recording {
     engine: QueryEngine<StorageEngine>,
 }
 
-#[test]
-fn dump() {
-    use meldscope::{Scene, World, stream::{Recorder, Settings, sinks::{Sinks, Destinations}}};
-    let scene = Scene::builtin("two").unwrap();
-    let settings = Settings::of(&scene);
-    let mut world = World::new(scene).unwrap();
-    let path = std::env::temp_dir().join("dump.rrd");
-    let mut sinks = Sinks::open(&Destinations { save: Some(path.clone()), ..Destinations::default() }).unwrap();
-    let mut recorder = Recorder::new(&world, settings);
-    for m in recorder.blueprint(&world).into_iter().chain(recorder.take()) { sinks.send(m).unwrap(); }
-    for _ in 0..world.scene().steps() { world.step(); recorder.observe(&world); 
-        if recorder.frames() % 64 == 0 {
-    for m in recorder.take() { sinks.send(m).unwrap(); } }
+/// What an entity has at an instant.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Row {
+    /// On the timeline `step`.
+    pub step: i64,
+    /// On the timeline `sim_time` [ns].
+    pub time: i64,
+    /// By component.
+    cells: BTreeMap<String, ArrayRef>,
+}
+
+impl Recording {
+    /// The recording in a file, which must hold that one and its blueprint.
+    pub fn open(path: &Path) -> Recording {
+        let file = File::open(path).expect("a file");
+        Recording::read(file)
     }
-    recorder.finish(&world);
-    for m in recorder.take() { sinks.send(m).unwrap(); }
-    sinks.finish().unwrap();
-    let stores = ChunkStore::handle_from_rrd_reader(&ChunkStoreConfig::ALL_DISABLED, File::open(&path).unwrap()).unwrap();
-    for (id, store) in stores {
-        println!("{id:?}");
-        let engine = QueryEngine::from_store(store.clone());
-        for e in store.read().all_entities_sorted() {
-            let q = QueryExpression { view_contents: Some([(e.clone(), None)].into_iter().collect()), filtered_index: Some(TimelineName::from("step")), ..Default::default() };
-            let mut h = engine.query(q);
-            println!("{e} {:?}", h.num_rows());
-            for (_, d) in h.selected_contents() { match d { ColumnDescriptor::Component(c) => println!("   {} {} static {}", c.component, c.component_type.map(|c| c.to_string()).unwrap_or_default(), c.is_static), d => println!("   {d:?}") } }
-            if let Some(row) = h.next_row() { for a in row.iter().take(2) { println!("   - {a:?}"); } println!("{}", row.len()) }
+
+    /// The same from anything that can be read.
+    pub fn read(bytes: impl std::io::Read) -> Recording {
+        let stores = ChunkStore::handle_from_rrd_reader(&ChunkStoreConfig::ALL_DISABLED, bytes).expect("a recording");
+        let (mut recordings, blueprints): (Vec<_>, Vec<_>) = stores.into_iter().partition(|(id, _)| id.is_recording());
+        assert_eq!((recordings.len(), blueprints.len()), (1, 1), "recordings and blueprints");
+        let (id, store) = recordings.remove(0);
+        assert_eq!(blueprints[0].0.application_id(), id.application_id(), "the blueprint is for this recording");
+        Recording { id, engine: QueryEngine::from_store(store.clone()), store }
+    }
+
+    /// Every entity.
+    pub fn entities(&self) -> BTreeSet<EntityPath> {
+        self.store.read().all_entities_sorted()
+    }
+
+    /// Every timeline, and whether it is a sequence or a duration.
+    fn timelines(&self) -> BTreeSet<String> {
+        let timelines = self.store.read().schema().timelines();
+        timelines.values().map(|timeline| format!("{} {}", timeline.name(), timeline.typ())).collect()
+    }
+
+    fn query(&self, entity: &str, expression: QueryExpression) -> Vec<Row> {
+        let view_contents = Some([(EntityPath::from(entity), None)].into_iter().collect());
+        let mut handle = self.engine.query(QueryExpression {
+            view_contents,
+            include_semantically_empty_columns: true,
+            ..expression
+        });
+        let columns: Vec<ColumnDescriptor> =
+            handle.selected_contents().iter().map(|(_, column)| column.clone()).collect();
+        let mut rows = Vec::new();
+        while let Some(cells) = handle.next_row() {
+            let mut row = Row::default();
+            for (column, cell) in columns.iter().zip(cells) {
+                if cell.is_null(0) {
+                    continue;
+                }
+                match column {
+                    ColumnDescriptor::Component(column) => {
+                        row.cells.insert(column.component.to_string(), cell.as_list::<i32>().value(0));
+                    }
+                    ColumnDescriptor::Time(column) => {
+                        let ticks = TimeTicks::from(&cell);
+                        match column.timeline_name().as_str() {
+                            "step" => row.step = ticks.0,
+                            "sim_time" => row.time = ticks.0,
+                            other => panic!("a timeline {other}"),
+                        }
+                    }
+                    ColumnDescriptor::RowId(_) => {}
+                }
+            }
+            rows.push(row);
         }
+        rows
+    }
+
+    /// What an entity has for all times.
+    pub fn fixed(&self, entity: &str) -> Row {
+        let include_static_columns = StaticColumnSelection::StaticOnly;
+        let mut rows = self.query(entity, QueryExpression { include_static_columns, ..QueryExpression::default() });
+        assert!(rows.len() < 2);
+        rows.pop().unwrap_or_default()
+    }
+
+    /// What an entity was logged at the steps at which it was, nothing filled in.
+    pub fn changes(&self, entity: &str) -> Vec<Row> {
+        let expression = QueryExpression {
+            include_static_columns: StaticColumnSelection::NonStaticOnly,
+            filtered_index: Some(TimelineName::from("step")),
+            ..QueryExpression::default()
+        };
+        self.query(entity, expression)
+    }
+
+    /// What an entity has at each of the steps, as the viewer shows it: its latest values, static ones included.
+    fn held(&self, entity: &str, steps: impl IntoIterator<Item = u64>) -> Vec<Row> {
+        let expression = QueryExpression {
+            filtered_index: Some(TimelineName::from("step")),
+            using_index_values: Some(steps.into_iter().map(|step| TimeInt::new_temporal(step as i64)).collect()),
+            sparse_fill_strategy: SparseFillStrategy::LatestAtGlobal,
+            ..QueryExpression::default()
+        };
+        self.query(entity, expression)
+    }
+
+    /// Every row of an entity that is not static, by row id: what a dataframe has one row an instant of.
+    pub fn rows(&self, entity: &EntityPath) -> Vec<(RowId, Row)> {
+        let mut rows = Vec::new();
+        let store = self.store.read();
+        for chunk in store.iter_physical_chunks().filter(|chunk| chunk.entity_path() == entity && !chunk.is_static()) {
+            for (index, id) in chunk.row_ids().enumerate() {
+                let at = |timeline| chunk.timelines()[&timeline].times_raw()[index];
+                let (step, time) = (at(TimelineName::from("step")), at(TimelineName::from("sim_time")));
+                let mut row = Row { step, time, cells: BTreeMap::new() };
+                for column in chunk.components().values() {
+                    if !column.list_array.is_null(index) {
+                        row.cells.insert(column.descriptor.component.to_string(), column.list_array.value(index));
+                    }
+                }
+                rows.push((id, row));
+            }
+        }
+        rows.sort_by_key(|(id, _)| *id);
+        rows
+    }
+
+    /// The text of a property of the recording.
+    pub fn property(&self, name: &str) -> String {
+        self.fixed("/__properties/meldscope").text(name)
+    }
+
+    /// The number of steps in the recording's properties.
+    pub fn steps(&self) -> f64 {
+        self.fixed("/__properties/meldscope").get::<Float64>("steps")[0].0
+    }
+}
+
+/// A cell of a time column.
+struct TimeTicks(i64);
+
+impl From<&ArrayRef> for TimeTicks {
+    fn from(cell: &ArrayRef) -> TimeTicks {
+        use rerun::external::arrow::{array::Int64Array, compute::cast, datatypes::DataType};
+        let cell = cast(cell, &DataType::Int64).expect("a number of ticks");
+        TimeTicks(cell.as_any().downcast_ref::<Int64Array>().expect("cast to it").value(0))
+    }
+}
+
+impl Row {
+    /// A component as the SDK reads it; nothing if there is none, or none of it.
+    pub fn get<T: Loggable>(&self, component: &str) -> Vec<T> {
+        self.cells.get(component).map_or_else(Vec::new, |cell| T::from_arrow(cell).expect("what its archetype says"))
+    }
+
+    fn has(&self, component: &str) -> bool {
+        self.cells.contains_key(component)
+    }
+
+    fn vectors(&self, component: &str) -> Vec<Vec3> {
+        self.get::<Vec3D>(component).into_iter().map(|v| Vec3::from(v.0)).collect()
+    }
+
+    fn texts(&self, component: &str) -> Vec<String> {
+        self.get::<Utf8>(component).iter().map(|text| text.as_str().to_owned()).collect()
+    }
+
+    fn text(&self, component: &str) -> String {
+        let [text]: [String; 1] = self.texts(component).try_into().expect("one text");
+        text
+    }
+
+    fn colors(&self, component: &str) -> Vec<Rgba32> {
+        self.get(component)
+    }
+
+    fn scalar(&self) -> Option<f64> {
+        let values = self.get::<Float64>("Scalars:scalars");
+        assert!(values.len() < 2, "one number an instant: {values:?}");
+        values.first().map(|value| value.0)
+    }
+}
+
+// ---- making --------------------------------------------------------------------------------------------------------
+
+/// A directory that goes away again.
+pub struct Dir(PathBuf);
+
+impl Dir {
+    pub fn new() -> Dir {
+        static NUMBER: AtomicU32 = AtomicU32::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let path = std::env::temp_dir().join(format!("meldscope-recording-{}-{number}", std::process::id()));
+        std::fs::create_dir(&path).expect("a new directory");
+        Dir(path)
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.0
+    }
+
+    pub fn file(&self, name: &str) -> PathBuf {
+        self.0.join(name)
+    }
+
+    pub fn names(&self) -> Vec<String> {
+        let entries = std::fs::read_dir(&self.0).expect("a directory");
+        let mut names: Vec<String> =
+            entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned()).collect();
+        names.sort();
+        names
+    }
+}
+
+impl Drop for Dir {
+    fn drop(&mut self) {
+        std::fs::remove_dir_all(&self.0).ok();
+    }
+}
+
+/// A run and what was recorded of it.
+struct Run {
+    scene: Scene,
+    settings: Settings,
+    recording: Recording,
+}
+
+impl Run {
+    fn new(scene: &Scene) -> Run {
+        Run::with(scene, Settings::of(scene), 64)
+    }
+
+    /// Records into a file; messages are taken every so many steps.
+    fn with(scene: &Scene, settings: Settings, taken_every: u64) -> Run {
+        let dir = Dir::new();
+        let path = dir.file("run.rrd");
+        let destinations = Destinations { save: Some(path.clone()), ..Destinations::default() };
+        let mut sinks = Sinks::open(&destinations).expect("a file");
+        let mut world = World::new(scene.clone()).expect("it fits");
+        let mut recorder = Recorder::new(&world, settings.clone());
+        let mut send = |messages: Vec<_>| messages.into_iter().for_each(|message| sinks.send(message).expect("room"));
+        send(recorder.blueprint(&world));
+        for step in 1..=settings.steps.expect("an end") {
+            world.step();
+            recorder.observe(&world);
+            if step % taken_every == 0 {
+                send(recorder.take());
+            }
+        }
+        recorder.finish(&world);
+        send(recorder.take());
+        sinks.finish().expect("room");
+        Run { scene: scene.clone(), settings, recording: Recording::open(&path) }
+    }
+
+    fn steps(&self) -> u64 {
+        self.settings.steps.expect("an end")
+    }
+
+    /// The steps of which there are frames.
+    fn frames(&self) -> Vec<u64> {
+        (0..=self.steps()).filter(|step| step % self.settings.every == 0).collect()
+    }
+
+    /// A world of the same scene that nobody records, at every step.
+    fn walk(&self, mut look: impl FnMut(&World)) {
+        let mut world = World::new(self.scene.clone()).expect("it fits");
+        look(&world);
+        for _ in 0..self.steps() {
+            world.step();
+            look(&world);
+        }
+    }
+
+    /// The same at the frames only, with their number.
+    fn walk_frames(&self, mut look: impl FnMut(usize, &World)) {
+        let mut frame = 0;
+        self.walk(|world| {
+            if self.is_frame(world) {
+                look(frame, world);
+                frame += 1;
+            }
+        });
+        assert_eq!(frame, self.frames().len());
+    }
+
+    /// Every event, in order.
+    fn events(&self) -> Vec<Event> {
+        let mut events = Vec::new();
+        self.walk(|world| events.extend_from_slice(&world.report().events));
+        events
+    }
+
+    /// What an entity has at each frame, and the frames at which it was logged.
+    fn track(&self, entity: &str) -> Track {
+        let held = self.recording.held(entity, self.frames());
+        assert_eq!(held.len(), self.frames().len(), "{entity}");
+        let changes = self.recording.changes(entity).into_iter().map(|row| (row.step as u64, row)).collect();
+        Track { entity: entity.to_owned(), held, changes }
+    }
+
+    /// The pairs with entities of their own: the first that a frame sees within reach or that change phase.
+    fn pairs(&self) -> Vec<(usize, usize)> {
+        let mut pairs = Vec::new();
+        self.walk(|world| {
+            let changed = world.report().events.iter().map(|event| (event.a as usize, event.b as usize));
+            let seen = world.pairs().filter(|_| self.is_frame(world)).map(|pair| (pair.a, pair.b));
+            for pair in changed.chain(seen) {
+                if pairs.len() < MOST_PAIRS && !pairs.contains(&pair) {
+                    pairs.push(pair);
+                }
+            }
+        });
+        pairs
+    }
+
+    fn pair_name(&self, (a, b): (usize, usize)) -> String {
+        format!("{}~{}", self.scene.bodies[a].name, self.scene.bodies[b].name)
+    }
+
+    fn is_frame(&self, world: &World) -> bool {
+        world.steps_taken() % self.settings.every == 0
+    }
+}
+
+/// An entity at every frame.
+struct Track {
+    entity: String,
+    /// What the viewer shows, by frame.
+    held: Vec<Row>,
+    /// What was logged, by step.
+    changes: BTreeMap<u64, Row>,
+}
+
+impl Track {
+    /// Whether any of these components was logged at a step; all of them were, then.
+    fn logged(&self, step: u64, components: &[&str]) -> bool {
+        let has = |component: &&str| self.changes.get(&step).is_some_and(|row| row.has(component));
+        let any = components.iter().any(has);
+        assert_eq!(any, components.iter().all(has), "{} at step {step}: {components:?} belong together", self.entity);
+        any
+    }
+}
+
+/// A time as recordings have it.
+fn nanoseconds(time: f64) -> i64 {
+    (time * 1e9).round() as i64
+}
+
+fn builtin(name: &str) -> Scene {
+    Scene::builtin(name).expect("a built-in scene")
+}
+
+fn color([r, g, b]: palette::Rgb) -> Rgba32 {
+    Rgba32::from_rgb(r, g, b)
+}
+
+// ---- what is compared ----------------------------------------------------------------------------------------------
+
+impl Run {
+    /// All of it.
+    fn verify(&self) {
+        self.verify_entities();
+        self.verify_rows();
+        self.verify_properties();
+        match self.settings.entities {
+            Entities::Body => self.verify_bodies(),
+            Entities::Batch => self.verify_batches(),
+        }
+        self.verify_spheres();
+        if self.settings.detail == Detail::Forces {
+            self.verify_forces();
+        }
+        self.verify_pairs();
+        self.verify_events();
+        self.verify_diagnostics();
+        self.verify_timings();
+    }
+
+    /// The entities of the contract, and no others.
+    fn verify_entities(&self) {
+        let mut entities = vec!["/__properties".to_owned(), "/__properties/meldscope".to_owned()];
+        entities.extend(["/about", "/world", "/world/influence"].map(str::to_owned));
+        match self.settings.entities {
+            Entities::Body => {
+                for body in &self.scene.bodies {
+                    entities.push(format!("/world/bodies/{}", body.name));
+                    entities.push(format!("/world/bodies/{}/surface", body.name));
+                }
+            }
+            Entities::Batch => {
+                entities.push("/world/deforming/surface".to_owned());
+                entities.extend(self.shapes().iter().map(|&shape| resting(shape)));
+            }
+        }
+        if self.settings.detail == Detail::Forces {
+            entities.extend(Cause::ALL.map(|cause| format!("/world/forces/{}", cause.name())));
+        }
+        for pair in self.pairs() {
+            let parts = ["distance", "phase", "merge_at", "split_at", "core_at"];
+            let parts = parts.iter().filter(|&&part| part != "core_at" || self.scene.thresholds.core_at > 0.0);
+            entities.extend(parts.map(|part| format!("/pairs/{}/{part}", self.pair_name(pair))));
+        }
+        entities.extend((!self.events().is_empty()).then(|| "/events".to_owned()));
+        entities.extend(TIMINGS.map(|stage| format!("/timings/{stage}")));
+        entities.extend(DIAGNOSTICS.map(|number| format!("/diagnostics/{number}")));
+
+        let entities: BTreeSet<EntityPath> = entities.iter().map(|path| EntityPath::from(path.as_str())).collect();
+        assert_eq!(self.recording.entities(), entities);
+        assert_eq!(Cause::ALL.map(Cause::name), CAUSES);
+
+        let up = self.recording.fixed("/world").get::<ViewCoordinates>("ViewCoordinates:xyz");
+        assert_eq!(up, [ViewCoordinates::RIGHT_HAND_Z_UP]);
+        let about = self.recording.fixed("/about").text("TextDocument:text");
+        assert!(about.contains(&self.scene.name), "{about}");
+    }
+
+    /// Rows are at the frames, and at the exact times of events where events are told of; none hides another.
+    fn verify_rows(&self) {
+        let timelines = ["sim_time duration", "step sequence"].map(str::to_owned);
+        assert_eq!(self.recording.timelines(), timelines.into());
+        for entity in self.recording.entities() {
+            let path = entity.to_string();
+            let mut seen = HashSet::new();
+            for (_, row) in self.recording.rows(&entity) {
+                if path == "/events" || (path.starts_with("/pairs/") && path.ends_with("/phase")) {
+                    continue; // below
+                }
+                assert!(row.step as u64 % self.settings.every == 0 && row.step as u64 <= self.steps(), "{path}");
+                assert_eq!(row.time, nanoseconds(row.step as f64 * self.settings.dt), "{path} at step {}", row.step);
+                for component in row.cells.into_keys() {
+                    assert!(seen.insert((row.step, component.clone())), "{path} at step {}: {component}", row.step);
+                }
+            }
+        }
+    }
+
+    fn verify_properties(&self) {
+        let (recording, settings) = (&self.recording, &self.settings);
+        assert_eq!(recording.property("scene"), self.scene.source);
+        assert_eq!(recording.property("version"), env!("CARGO_PKG_VERSION"));
+        assert_eq!(recording.property("integrator"), self.scene.integrator.name());
+        assert_eq!(recording.steps(), self.steps() as f64);
+        let info = recording.fixed("/__properties");
+        assert_eq!(info.cells.keys().collect::<Vec<_>>(), ["RecordingInfo:name"], "no time of day");
+        assert_eq!(info.text("RecordingInfo:name"), self.scene.name);
+
+        let read: toml::Table = recording.property("settings").parse().expect("TOML");
+        let mut expected = toml::Table::new();
+        expected.insert("integrator".to_owned(), settings.integrator.name().into());
+        expected.insert("dt".to_owned(), settings.dt.into());
+        expected.insert("tolerance".to_owned(), settings.tolerance.into());
+        expected.insert("steps".to_owned(), (self.steps() as i64).into());
+        expected.insert("every".to_owned(), (settings.every as i64).into());
+        let detail = if settings.detail == Detail::Forces { "forces" } else { "surface" };
+        expected.insert("detail".to_owned(), detail.into());
+        let entities = if settings.entities == Entities::Body { "body" } else { "batch" };
+        expected.insert("entities".to_owned(), entities.into());
+        for (key, value) in expected {
+            assert_eq!(read.get(&key), Some(&value), "{key}");
+        }
+    }
+
+    /// One transform and one mesh a body.
+    fn verify_bodies(&self) {
+        for (index, scene) in self.scene.bodies.iter().enumerate() {
+            let transform = self.track(&format!("/world/bodies/{}", scene.name));
+            let surface = self.track(&format!("/world/bodies/{}/surface", scene.name));
+            let fixed = self.recording.fixed(&surface.entity);
+            assert_eq!(triangles(&fixed), scene.shape.triangles());
+            let albedo = fixed.get::<AlbedoFactor>("Mesh3D:albedo_factor");
+            assert_eq!(albedo.len(), 1, "{}", surface.entity);
+            assert!(!fixed.has("Mesh3D:vertex_positions") && !fixed.has("Mesh3D:vertex_normals"), "they would shadow");
+
+            let mut last = (None, Vec::new(), Vec::new());
+            self.walk_frames(|frame, world| {
+                let (body, step) = (world.body(index), world.steps_taken());
+                let centre = body.centre().as_vec3();
+                let held = transform.held[frame].vectors(TRANSLATION);
+                assert_eq!(held, [centre], "{} at step {step}", transform.entity);
+                let moved = last.0 != Some(centre);
+                assert_eq!(transform.logged(step, &[TRANSLATION]), moved, "{} at step {step}", transform.entity);
+
+                let at = format!("{} at step {step}", surface.entity);
+                let held = &surface.held[frame];
+                let (positions, normals) = (held.vectors(POSITIONS), held.vectors(NORMALS));
+                let expected: Vec<Vec3> = (0..body.vertex_count()).map(|i| body.local_position(i).as_vec3()).collect();
+                assert_same(&positions, &expected, &at);
+                verify_normals(&body, &normals, &at);
+                let changed = (&positions, &normals) != (&last.1, &last.2);
+                assert_eq!(surface.logged(step, &[POSITIONS, NORMALS]), changed, "{at}");
+                last = (Some(centre), positions, normals);
+            });
+            if matches!(scene.path, meldscope::scene::Path::Fixed(_)) {
+                assert_eq!(transform.changes.len(), 1, "{}", transform.entity);
+            }
+        }
+    }
+
+    /// Resting bodies as instances of their shapes, deformed ones in one mesh; each body is there once.
+    fn verify_batches(&self) {
+        let instances: Vec<_> = self.shapes().iter().map(|&shape| (shape, self.track(&resting(shape)))).collect();
+        for (shape, track) in &instances {
+            let unit: Vec<Vec3> = shape.unit_vertices().iter().map(|v| v.as_vec3()).collect();
+            let fixed = self.recording.fixed(&track.entity);
+            assert_eq!(fixed.vectors(POSITIONS), unit);
+            assert_eq!(fixed.vectors(NORMALS), unit);
+            assert_eq!(triangles(&fixed), shape.triangles());
+        }
+        let deforming = self.track("/world/deforming/surface");
+        let mut last_deformed = Vec::new();
+        let mut last_surface = (Vec::new(), Vec::new());
+        let mut last_instances: Vec<Option<Row>> = vec![None; instances.len()];
+        self.walk_frames(|frame, world| {
+            let step = world.steps_taken();
+            let mut drawn = BTreeMap::<String, u32>::new();
+            let displaced = |i: usize| {
+                let body = world.body(i);
+                let largest = (0..body.vertex_count()).map(|v| body.displacement(v).length()).fold(0.0, f64::max);
+                largest > 1e-6 * body.scene().radius
+            };
+            let (deformed, rest): (Vec<usize>, Vec<usize>) = (0..world.body_count()).partition(|&i| displaced(i));
+
+            for ((shape, track), last) in instances.iter().zip(&mut last_instances) {
+                let at = format!("{} at step {step}", track.entity);
+                let held = &track.held[frame];
+                let of_shape: Vec<_> =
+                    rest.iter().map(|&i| world.body(i)).filter(|body| body.scene().shape == *shape).collect();
+                let centres: Vec<Vec3> = of_shape.iter().map(|body| body.centre().as_vec3()).collect();
+                let scales: Vec<Vec3> = of_shape.iter().map(|body| Vec3::splat(body.scene().radius as f32)).collect();
+                assert_same(&held.vectors("InstancePoses3D:translations"), &centres, &at);
+                assert_same(&held.vectors("InstancePoses3D:scales"), &scales, &at);
+                let names = held.texts("body");
+                assert_eq!(names, of_shape.iter().map(|body| body.name()).collect::<Vec<_>>(), "{at}");
+                names.into_iter().for_each(|name| *drawn.entry(name).or_default() += 1);
+                let changed = last.replace(held.clone()).is_none_or(|last| last.cells != held.cells);
+                let components = ["InstancePoses3D:translations", "InstancePoses3D:scales", "body"];
+                assert_eq!(track.logged(step, &components), changed, "{at}");
+            }
+
+            let at = format!("{} at step {step}", deforming.entity);
+            let held = &deforming.held[frame];
+            let (positions, normals) = (held.vectors(POSITIONS), held.vectors(NORMALS));
+            let (names, corners, colors) = (held.texts("body"), triangles(held), held.colors("Mesh3D:vertex_colors"));
+            assert_eq!((names.len(), colors.len()), (positions.len(), positions.len()), "{at}");
+            let (mut first, mut first_triangle) = (0, 0);
+            for &index in &deformed {
+                let body = world.body(index);
+                let vertices = first..first + body.vertex_count();
+                let expected: Vec<Vec3> = body.positions().map(|position| position.as_vec3()).collect();
+                assert_same(&positions[vertices.clone()], &expected, &format!("{at}: {}", body.name()));
+                verify_normals(&body, &normals[vertices.clone()], &at);
+                assert!(names[vertices.clone()].iter().all(|name| name == body.name()), "{at}");
+                assert!(colors[vertices.clone()].iter().all(|c| *c == color(palette::body(index))), "{at}");
+                let count = body.scene().shape.triangle_count() as usize;
+                let local = corners[first_triangle..first_triangle + count].iter().map(|t| t.map(|v| v - first as u32));
+                assert_eq!(local.collect::<Vec<_>>(), body.scene().shape.triangles(), "{at}");
+                *drawn.entry(body.name().to_owned()).or_default() += 1;
+                (first, first_triangle) = (vertices.end, first_triangle + count);
+            }
+            assert_eq!((first, first_triangle), (positions.len(), corners.len()), "{at}: nothing else");
+            let layout = ["Mesh3D:triangle_indices", "Mesh3D:vertex_colors", "body"];
+            assert_eq!(deforming.logged(step, &layout), last_deformed != deformed, "{at}");
+            let surface = (positions, normals);
+            assert_eq!(deforming.logged(step, &[POSITIONS, NORMALS]), last_surface != surface, "{at}");
+            (last_deformed, last_surface) = (deformed, surface);
+
+            let bodies: BTreeMap<String, u32> = self.scene.bodies.iter().map(|body| (body.name.clone(), 1)).collect();
+            assert_eq!(drawn, bodies, "every body is drawn once at step {step}");
+        });
+    }
+
+    /// Influence spheres: each coloured by the deepest phase that it is in with a body within reach.
+    fn verify_spheres(&self) {
+        const CENTERS: &str = "Ellipsoids3D:centers";
+        const COLORS: &str = "Ellipsoids3D:colors";
+        let track = self.track("/world/influence");
+        let fixed = self.recording.fixed("/world/influence");
+        let radii = self.scene.bodies.iter().map(|body| self.scene.influence.reach * body.radius);
+        let half_sizes: Vec<Vec3> = radii.map(|radius| Vec3::splat(radius as f32)).collect();
+        assert_eq!(fixed.vectors("Ellipsoids3D:half_sizes"), half_sizes);
+        let names: Vec<&str> = self.scene.bodies.iter().map(|body| body.name.as_str()).collect();
+        assert_eq!(fixed.texts("Ellipsoids3D:labels"), names);
+
+        let idle = match self.settings.entities {
+            Entities::Body => palette::IDLE_SPHERE,
+            Entities::Batch => palette::IDLE_SPHERE_OF_MANY,
+        };
+        let mut last = (Vec::new(), Vec::new());
+        self.walk_frames(|frame, world| {
+            let step = world.steps_taken();
+            let centres: Vec<Vec3> = world.bodies().map(|body| body.centre().as_vec3()).collect();
+            let of_body = |i: usize| {
+                let phases: Vec<Phase> =
+                    world.pairs().filter(|pair| pair.a == i || pair.b == i).map(|pair| pair.phase).collect();
+                let deepest = [Phase::Core, Phase::Merged, Phase::Apart].into_iter().find(|p| phases.contains(p));
+                color(deepest.map_or(idle, palette::phase))
+            };
+            let colors: Vec<Rgba32> = (0..world.body_count()).map(of_body).collect();
+            let held = &track.held[frame];
+            assert_same(&held.vectors(CENTERS), &centres, &format!("centres at step {step}"));
+            assert_same(&held.colors(COLORS), &colors, &format!("colours at step {step}"));
+            assert_eq!(track.logged(step, &[CENTERS]), last.0 != centres, "centres at step {step}");
+            assert_eq!(track.logged(step, &[COLORS]), last.1 != colors, "colours at step {step}");
+            last = (centres, colors);
+        });
+    }
+
+    /// Arrows for exactly the vertices that feel a force.
+    fn verify_forces(&self) {
+        const ORIGINS: &str = "Arrows3D:origins";
+        const VECTORS: &str = "Arrows3D:vectors";
+        let scale = arrow_scale(&self.scene);
+        let tracks = CAUSES.map(|cause| self.track(&format!("/world/forces/{cause}")));
+        let mut last = CAUSES.map(|_| (Vec::new(), Vec::new()));
+        let mut forces = BodyForces::default();
+        self.walk_frames(|frame, world| {
+            let mut arrows = CAUSES.map(|_| (Vec::new(), Vec::new()));
+            for (index, body) in world.bodies().enumerate() {
+                world.forces(index, &mut forces);
+                for (cause, (origins, vectors)) in Cause::ALL.into_iter().zip(&mut arrows) {
+                    for (vertex, force) in forces.of(cause).iter().enumerate() {
+                        // a force that single precision cannot tell from none gives no arrow
+                        let vector = (scale * force).as_vec3();
+                        if vector != Vec3::ZERO {
+                            origins.push(body.position(vertex).as_vec3());
+                            vectors.push(vector);
+                        }
+                    }
+                }
+            }
+            for ((track, arrows), last) in tracks.iter().zip(arrows).zip(&mut last) {
+                let at = format!("{} at step {}", track.entity, world.steps_taken());
+                let held = &track.held[frame];
+                assert_same(&held.vectors(ORIGINS), &arrows.0, &at);
+                assert_same(&held.vectors(VECTORS), &arrows.1, &at);
+                assert_eq!(track.logged(world.steps_taken(), &[ORIGINS, VECTORS]), *last != arrows, "{at}");
+                *last = arrows;
+            }
+        });
+    }
+
+    /// Distances while within reach, their thresholds, and lanes that change at the exact times.
+    fn verify_pairs(&self) {
+        let pairs = self.pairs();
+        let mut distances = vec![BTreeMap::new(); pairs.len()];
+        let mut lanes = vec![Vec::new(); pairs.len()];
+        self.walk(|world| {
+            for event in &world.report().events {
+                let Some(i) = pairs.iter().position(|&pair| pair == (event.a as usize, event.b as usize)) else {
+                    continue;
+                };
+                let mut change = |phase: Phase| {
+                    lanes[i].push((event.step as i64, nanoseconds(event.time), phase.name().to_owned()));
+                };
+                if distances[i].is_empty() {
+                    change(event.from);
+                }
+                change(event.to);
+            }
+            let (step, now) = (world.steps_taken(), nanoseconds(world.time()));
+            for pair in world.pairs().filter(|_| self.is_frame(world)) {
+                let Some(i) = pairs.iter().position(|&known| known == (pair.a, pair.b)) else { continue };
+                distances[i].insert(step, pair.q);
+                if lanes[i].is_empty() {
+                    lanes[i].push((step as i64, now, pair.phase.name().to_owned()));
+                }
+            }
+        });
+
+        let thresholds = &self.scene.thresholds;
+        let levels =
+            [("merge_at", thresholds.merge_at), ("split_at", thresholds.split_at), ("core_at", thresholds.core_at)];
+        for ((pair, distances), lane) in pairs.into_iter().zip(distances).zip(lanes) {
+            let entity = |part: &str| format!("/pairs/{}/{part}", self.pair_name(pair));
+            for (part, level) in levels {
+                if level > 0.0 {
+                    let level = distances.keys().map(|&step| (step, level)).collect();
+                    self.verify_line(&entity(part), Line::Threshold, &level);
+                }
+            }
+            self.verify_line(&entity("distance"), Line::Straight, &distances);
+
+            let rows = self.recording.rows(&EntityPath::from(entity("phase")));
+            let rows: Vec<_> =
+                rows.into_iter().map(|(_, row)| (row.step, row.time, row.text("StateChange:state"))).collect();
+            assert_eq!(rows, lane, "{}", entity("phase"));
+            let fixed = self.recording.fixed(&entity("phase"));
+            assert_eq!(fixed.texts("StateConfiguration:values"), ["apart", "merged", "core"]);
+        }
+    }
+
+    /// Each event once, in order, at its exact time and at the step that felt it.
+    fn verify_events(&self) {
+        let events = self.events();
+        let rows = self.recording.rows(&EntityPath::from("/events"));
+        assert_eq!(rows.len(), events.len());
+        let thresholds = &self.scene.thresholds;
+        for (event, (_, row)) in events.iter().zip(rows) {
+            let text = row.text("TextLog:text");
+            assert_eq!((row.step, row.time), (event.step as i64, nanoseconds(event.time)), "{text}");
+            assert_eq!(row.text("TextLog:level"), event.name());
+            assert_eq!(row.colors("TextLog:color"), [color(palette::phase(event.to))], "{text}");
+            let pair = self.pair_name((event.a as usize, event.b as usize));
+            for part in [
+                format!("{} {pair} ", event.name()),
+                format!("t = {:.9} s", event.time),
+                format!("q = {:.6}", event.q),
+                format!("step {}", event.step),
+            ] {
+                assert!(text.contains(&part), "{text}: {part}");
+            }
+
+            // on the paths themselves: within the step, and on the threshold
+            let time = row.time as f64 * 1e-9;
+            let (end, dt) = (row.step as f64 * self.settings.dt, self.settings.dt);
+            assert!(time > end - dt - 1e-9 && time < end + 1e-9, "{text}");
+            let [a, b] = [event.a, event.b].map(|i| &self.scene.bodies[i as usize]);
+            let q = a.path.position(time).distance(b.path.position(time)) / (a.radius + b.radius);
+            let level = match (event.from, event.to) {
+                (Phase::Apart, Phase::Merged) => thresholds.merge_at,
+                (Phase::Merged, Phase::Apart) => thresholds.split_at,
+                _ => thresholds.core_at,
+            };
+            assert!((q - level).abs() < 1e-7, "{text}: {q} is not {level}");
+        }
+    }
+
+    fn verify_diagnostics(&self) {
+        let mut lines = DIAGNOSTICS.map(|_| BTreeMap::new());
+        self.walk_frames(|_, world| {
+            let energy = world.energy();
+            let displacement = |body: BodyView<'_>| {
+                let lengths = (0..body.vertex_count()).map(|i| body.displacement(i).length());
+                lengths.fold(0.0, f64::max) / body.scene().radius
+            };
+            let values = [
+                energy.total(),
+                world.bodies().map(displacement).fold(0.0, f64::max),
+                energy.reached_vertices as f64,
+                world.report().substeps as f64,
+                world.report().error,
+                world.bodies().filter(|body| body.is_at_rest()).count() as f64,
+            ];
+            for (line, value) in lines.iter_mut().zip(values) {
+                line.insert(world.steps_taken(), value);
+            }
+        });
+        for (name, values) in DIAGNOSTICS.into_iter().zip(lines) {
+            let line = if ["energy", "max_displacement"].contains(&name) { Line::Straight } else { Line::Level };
+            self.verify_line(&format!("/diagnostics/{name}"), line, &values);
+        }
+    }
+
+    /// A number for each stage at every frame after the first.
+    fn verify_timings(&self) {
+        for stage in TIMINGS {
+            let rows = self.recording.changes(&format!("/timings/{stage}"));
+            let steps: Vec<u64> = rows.iter().map(|row| row.step as u64).collect();
+            assert_eq!(steps, self.frames()[1..], "{stage}");
+            for row in rows {
+                let milliseconds = row.scalar().expect("a number");
+                assert!(
+                    milliseconds.is_finite() && milliseconds >= 0.0,
+                    "{stage} at step {}: {milliseconds}",
+                    row.step
+                );
+            }
+        }
+    }
+
+    /// A line of a plot that should have these values at these steps: it has them at every one of them, repeats a value
+    /// only where the line needs that, and breaks off at frames without a value.
+    fn verify_line(&self, entity: &str, line: Line, values: &BTreeMap<u64, f64>) {
+        let track = self.track(entity);
+        let (frames, mut rows) = (self.frames(), track.changes.len());
+        for (frame, step) in frames.iter().enumerate() {
+            assert_eq!(track.held[frame].scalar(), values.get(step).copied(), "{entity} at step {step}");
+        }
+        for spell in frames.chunk_by(|a, b| values.contains_key(a) == values.contains_key(b)) {
+            let (first, last) = (spell[0], spell[spell.len() - 1]);
+            let logged: Vec<(u64, Option<f64>)> =
+                track.changes.range(first..=last).map(|(&step, row)| (step, row.scalar())).collect();
+            rows -= logged.len();
+            if !values.contains_key(&first) {
+                let is_interruption = first > 0 && values.keys().any(|&step| step < first);
+                assert_eq!(
+                    logged,
+                    is_interruption.then_some((first, None)).into_iter().collect::<Vec<_>>(),
+                    "{entity}"
+                );
+                continue;
+            }
+            let ends = [logged[0].0, logged[logged.len() - 1].0];
+            assert_eq!(ends, [first, last], "{entity} reaches from end to end");
+            for &[(from, before), (to, after)] in logged.array_windows() {
+                let is_straight = before == after || values.range(from + 1..to).next().is_none();
+                assert!(line != Line::Straight || is_straight, "{entity}: from {from} to {to} it is not straight");
+                let next = values.range((Excluded(to), Included(last))).next().map(|(_, value)| *value);
+                let is_needed = match line {
+                    Line::Straight => next != after,
+                    Line::Level => next.is_none(),
+                    Line::Threshold => next.is_none() || (to / self.settings.every).is_multiple_of(64),
+                };
+                assert!(before != after || is_needed, "{entity}: {after:?} is repeated at step {to}");
+            }
+        }
+        assert_eq!(rows, 0, "{entity} is logged at frames only");
+    }
+
+    /// Every shape once.
+    fn shapes(&self) -> Vec<Sphere> {
+        let mut shapes: Vec<Sphere> = Vec::new();
+        for body in &self.scene.bodies {
+            if !shapes.contains(&body.shape) {
+                shapes.push(body.shape);
+            }
+        }
+        shapes
+    }
+}
+
+const CAUSES: [&str; 7] = ["attraction", "repulsion", "restoring", "damping", "push", "carry", "net"];
+const TIMINGS: [&str; 5] = ["reach", "events", "integrate", "extract", "log"];
+const DIAGNOSTICS: [&str; 6] =
+    ["energy", "max_displacement", "reached_vertices", "substeps", "estimated_error", "sleeping_bodies"];
+
+const TRANSLATION: &str = "Transform3D:translation";
+const POSITIONS: &str = "Mesh3D:vertex_positions";
+const NORMALS: &str = "Mesh3D:vertex_normals";
+
+/// How a line of a plot runs from one value to the next.
+#[derive(Clone, Copy, PartialEq)]
+enum Line {
+    /// Straight.
+    Straight,
+    /// Level until the next value.
+    Level,
+    /// Level, and never anything new: repeated now and then, so that it keeps up with a plot that is looked at live.
+    Threshold,
+}
+
+fn resting(shape: Sphere) -> String {
+    format!("/world/resting/sphere_{}x{}", shape.stacks, shape.slices)
+}
+
+fn triangles(mesh: &Row) -> Vec<[u32; 3]> {
+    mesh.get::<UVec3D>("Mesh3D:triangle_indices").into_iter().map(|triangle| triangle.0).collect()
+}
+
+/// The same values; says where they first differ, not all of them.
+fn assert_same<T: PartialEq + std::fmt::Debug>(found: &[T], expected: &[T], at: &str) {
+    assert_eq!(found.len(), expected.len(), "{at}");
+    let differs = found.iter().zip(expected).position(|(found, expected)| found != expected);
+    if let Some(i) = differs {
+        panic!("{at}: {:?} instead of {:?} at index {i}", found[i], expected[i]);
+    }
+}
+
+/// Normals are of unit length, those of the sphere at rest and else the sum of the areas of the triangles around.
+fn verify_normals(body: &BodyView<'_>, normals: &[Vec3], at: &str) {
+    let mut areas = vec![DVec3::ZERO; body.vertex_count()];
+    for corners in body.scene().shape.triangles() {
+        let [a, b, c] = corners.map(|corner| body.local_position(corner as usize));
+        let area = 0.5 * (b - a).cross(c - a);
+        corners.into_iter().for_each(|corner| areas[corner as usize] += area);
+    }
+    assert_eq!(normals.len(), areas.len(), "{at}");
+    for (vertex, (normal, area)) in normals.iter().zip(areas).enumerate() {
+        let expected = if body.is_at_rest() { body.unit(vertex) } else { area.normalize() };
+        assert!((normal.length() - 1.0).abs() < 1e-6, "{at}: vertex {vertex} {normal}");
+        assert!(normal.as_dvec3().distance(expected) < 1e-5, "{at}: vertex {vertex} {normal} {expected}");
+    }
+}
+
+// ---- scenes --------------------------------------------------------------------------------------------------------
+
+#[test]
+fn push_is_recorded_as_it_is() {
+    Run::new(&builtin("push")).verify();
+}
+
+#[test]
+fn two_is_recorded_as_it_is() {
+    Run::new(&builtin("two")).verify();
+}
+
+#[test]
+fn three_is_recorded_as_it_is() {
+    Run::new(&builtin("three")).verify();
+}
+
+#[test]
+fn size_ratio_is_recorded_as_it_is() {
+    Run::new(&builtin("size_ratio")).verify();
+}
+
+/// Two bodies that pass through each other, so through every phase, and one that is never touched; names of all kinds.
+fn crossing() -> Scene {
+    let text = r#"
+        name = "crossing/../[x]"
+        duration = 5.0
+        [influence]
+        core_at = 0.5
+        weight = "wendland"
+        [[body]]
+        name = "-"
+        radius = 1.0
+        shape = { sphere = { stacks = 6, slices = 8 } }
+        motion = { fixed = [0, 0, 0] }
+        [[body]]
+        name = "A-1_b"
+        radius = 0.7
+        shape = { sphere = { stacks = 5, slices = 7 } }
+        motion = { line = { from = [3, 0.1, 0], velocity = [-1.3, 0, 0.01] } }
+        [[body]]
+        name = "0"
+        radius = 0.25
+        motion = { sine = { center = [0, 9, 0], amplitude = [0, 0, 0.5], frequency = 0.5 } }
+        [[push]]
+        body = "0"
+        direction = [0, 1, 0]
+        strength = -3
+        start = 2
+        duration = 0.05
+    "#;
+    Scene::parse(text, "crossing.toml").expect("a valid scene")
+}
+
+#[test]
+fn every_phase_is_recorded_as_it_is() {
+    let run = Run::new(&crossing());
+    run.verify();
+    let names: Vec<&str> = run.events().iter().map(Event::name).collect();
+    assert_eq!(names, ["merge", "core", "core left", "split"]);
+    let rows = run.recording.rows(&EntityPath::from("/pairs/-~A-1_b/phase"));
+    assert_eq!(rows.len(), 5);
+}
+
+#[test]
+fn frames_are_left_out_and_events_are_not() {
+    for scene in [crossing(), builtin("three")] {
+        let settings = Settings { every: 7, ..Settings::of(&scene) };
+        let run = Run::with(&scene, settings, 64);
+        run.verify();
+        assert!(run.events().iter().any(|event| event.step % 7 != 0), "{:?}", run.events());
+    }
+}
+
+#[test]
+fn forces_are_left_out_when_not_wanted() {
+    let scene = crossing();
+    let run = Run::with(&scene, Settings { detail: Detail::Surface, ..Settings::of(&scene) }, 64);
+    run.verify();
+    assert!(run.recording.entities().iter().all(|entity| !entity.to_string().contains("forces")));
+}
+
+/// A body that passes through a lattice of others, which are back at rest soon after.
+fn lattice(spacing: f64) -> Scene {
+    let mut text = r#"
+        name = "lattice"
+        duration = 4.0
+        [material]
+        damping = 12.0
+        response = "rigid"
+        [[body]]
+        name = "passing"
+        radius = 0.8
+        shape = { sphere = { stacks = 8, slices = 12 } }
+        motion = { line = { from = [-3, 1.2, 0], velocity = [3, 0, 0] } }
+    "#
+    .to_owned();
+    for i in 0..70 {
+        let (x, y) = (f64::from(i % 10), f64::from(i / 10));
+        let (stacks, slices) = if i % 3 == 0 { (5, 6) } else { (6, 8) };
+        text += &format!(
+            "[[body]]\nname = \"b{i}\"\nradius = {}\nshape = {{ sphere = {{ stacks = {stacks}, slices = {slices} }} }}\n\
+             motion = {{ fixed = [{:?}, {:?}, 0] }}\n",
+            if i % 2 == 0 { 1.0 } else { 0.9 },
+            x * spacing,
+            y * spacing,
+        );
+    }
+    Scene::parse(&text, "lattice.toml").expect("a valid scene")
+}
+
+#[test]
+fn many_bodies_are_recorded_in_few_entities() {
+    let run = Run::new(&lattice(2.6));
+    assert_eq!(run.settings.entities, Entities::Batch);
+    run.verify();
+    let pair_entities = run.recording.entities().iter().filter(|e| e.to_string().starts_with("/pairs/")).count();
+    assert!(run.recording.entities().len() - pair_entities <= 60);
+
+    // bodies are touched, deform and come to rest again
+    let mut deformed = Vec::new();
+    for row in run.recording.changes("/world/deforming/surface").iter().filter(|row| row.has("body")) {
+        deformed.push(row.texts("body").iter().collect::<BTreeSet<_>>().len());
+    }
+    assert!(deformed.len() > 5 && deformed.iter().any(|&n| n >= 3), "{deformed:?}");
+    let fewer = deformed.array_windows().filter(|[before, after]| after < before).count();
+    assert!(fewer > 0, "some are back at rest: {deformed:?}");
+}
+
+#[test]
+fn a_crowd_is_recorded_as_it_is() {
+    let scene = Scene { duration: 0.5, ..builtin("crowd") };
+    let run = Run::new(&scene);
+    run.verify();
+    assert!(run.recording.entities().len() <= 60 + 5 * run.pairs().len());
+}
+
+#[test]
+fn many_bodies_can_be_recorded_by_frame_and_without_forces() {
+    let scene = lattice(2.6);
+    let settings = Settings { every: 7, detail: Detail::Surface, ..Settings::of(&scene) };
+    Run::with(&scene, settings, 64).verify();
+}
+
+#[test]
+fn few_bodies_can_be_batched_and_many_need_not() {
+    let scene = crossing();
+    Run::with(&scene, Settings { entities: Entities::Batch, ..Settings::of(&scene) }, 64).verify();
+    let scene = Scene { duration: 0.5, ..lattice(2.6) };
+    Run::with(&scene, Settings { entities: Entities::Body, ..Settings::of(&scene) }, 64).verify();
+}
+
+#[test]
+fn of_many_pairs_the_first_have_entities_and_all_have_events() {
+    let run = Run::new(&Scene { duration: 1.0, ..lattice(2.2) });
+    run.verify();
+    assert_eq!(run.pairs().len(), MOST_PAIRS);
+    let with_events: HashSet<_> = run.events().iter().map(|event| (event.a as usize, event.b as usize)).collect();
+    assert!(with_events.iter().any(|pair| !run.pairs().contains(pair)), "{:?}", run.events());
+}
+
+/// Everything in a recording but the timings, by entity: row ids, times, values.
+pub fn content(recording: &Recording) -> BTreeMap<EntityPath, (Row, Vec<(RowId, Row)>)> {
+    let entities = recording.entities().into_iter().filter(|entity| !entity.to_string().starts_with("/timings/"));
+    entities.map(|entity| (entity.clone(), (recording.fixed(&entity.to_string()), recording.rows(&entity)))).collect()
+}
+
+#[test]
+fn equal_runs_give_equal_data() {
+    for scene in [crossing(), Scene { duration: 1.0, ..lattice(2.6) }] {
+        // how often a run sends what it has depends on the machine
+        let [one, other] = [64, 5].map(|taken_every| Run::with(&scene, Settings::of(&scene), taken_every).recording);
+        assert_eq!(one.id, other.id);
+        let (one_content, other_content) = (content(&one), content(&other));
+        for (entity, rows) in &one_content {
+            assert!(other_content.get(entity) == Some(rows), "{entity} differs");
+        }
+        assert_eq!(one_content.len(), other_content.len());
+        let settings = Settings { every: 2, ..Settings::of(&scene) };
+        assert_ne!(Run::with(&scene, settings, 64).recording.id, one.id, "other options, another recording");
     }
 }

@@ -426,7 +426,7 @@ fn unquoted(value: &Value<'_>, error: SceneError) -> SceneError {
 }
 
 /// `; did you mean "…"?` with the nearest of the `known` words, or nothing if none is near.
-pub(super) fn did_you_mean<'k>(word: &str, known: impl Iterator<Item = &'k str>) -> String {
+pub(crate) fn did_you_mean<'k>(word: &str, known: impl Iterator<Item = &'k str>) -> String {
     let plain = |text: &str| text.to_lowercase().replace(['-', ' '], "_");
     let word: String = plain(&word.chars().take(64).collect::<String>()); // the distance takes time ∝ length²
     let near = known.filter_map(|candidate| {

@@ -1,6 +1,142 @@
 //! The explicit schemes: the thesis's own, what it builds on, and what a programmer would try next.
 
-use super::{State, Vertex};
+use glam::DVec3;
+
+use super::State;
+use crate::{
+    model::{influence::Weight, oscillator::Oscillator},
+    scene::Integrator,
+    sim::{arrays::Vectors, surroundings::Surroundings},
+};
+
+/// The explicit schemes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scheme {
+    /// [`thesis`]
+    Thesis,
+    /// [`mps`]
+    Mps,
+    /// [`euler`]
+    Euler,
+    /// [`verlet`]
+    Verlet,
+    /// [`rk4`]
+    Rk4,
+}
+
+impl Scheme {
+    /// The scheme of an integrator, if it is an explicit one.
+    pub fn of(integrator: Integrator) -> Option<Scheme> {
+        match integrator {
+            Integrator::Thesis => Some(Scheme::Thesis),
+            Integrator::Mps => Some(Scheme::Mps),
+            Integrator::Euler => Some(Scheme::Euler),
+            Integrator::Verlet => Some(Scheme::Verlet),
+            Integrator::Rk4 => Some(Scheme::Rk4),
+            Integrator::Exponential => None,
+        }
+    }
+
+    /// Whether it looks at the middle and at the end of the interval.
+    pub fn looks_at(self) -> (bool, bool) {
+        match self {
+            Scheme::Thesis | Scheme::Mps | Scheme::Euler => (false, false),
+            Scheme::Verlet => (false, true),
+            Scheme::Rk4 => (true, true),
+        }
+    }
+}
+
+/// A stretch of time and what acts on a body in it; the same for all vertices of the body.
+#[derive(Clone, Debug, Default)]
+pub struct Interval {
+    /// Its length Δt [s].
+    pub h: f64,
+    /// ω and κ.
+    pub oscillator: Oscillator,
+    /// The weight (3.3).
+    pub weight: Weight,
+    /// What acts at its start.
+    pub start: Surroundings,
+    /// What acts in its middle; only for [`Scheme::Rk4`].
+    pub middle: Surroundings,
+    /// What acts at its end; only for the schemes that look there.
+    pub end: Surroundings,
+}
+
+impl Interval {
+    /// Whether nothing acts at the instants at which `scheme` looks: a body at rest stays at rest.
+    pub fn is_idle(&self, scheme: Scheme) -> bool {
+        let (middle, end) = scheme.looks_at();
+        self.start.is_idle() && (!middle || self.middle.is_idle()) && (!end || self.end.is_idle())
+    }
+}
+
+/// A vertex in its interval: its rest position and what acts on it, as the schemes want to write it.
+#[derive(Clone, Copy, Debug)]
+pub struct Vertex<'a> {
+    interval: &'a Interval,
+    unit: DVec3,
+    rest: DVec3,
+}
+
+impl Vertex<'_> {
+    /// F: influence, push and carry, at one of the instants of the interval, for displacement `x` [scene unit/s²].
+    #[inline]
+    fn force(&self, surroundings: &Surroundings, x: DVec3) -> DVec3 {
+        surroundings.acceleration(self.interval.weight, self.unit, self.rest, x)
+    }
+
+    /// x″ of the equation of motion: F − ω²x − 2κu [scene unit/s²].
+    #[inline]
+    fn acceleration(&self, surroundings: &Surroundings, state: State) -> DVec3 {
+        self.force(surroundings, state.x) + self.restoring(state)
+    }
+
+    /// T of (3.8) in body coordinates, where l − r = −x: −ω²x − 2κu [scene unit/s²].
+    #[inline]
+    fn restoring(&self, State { x, u }: State) -> DVec3 {
+        let Oscillator { omega, damping } = self.interval.oscillator;
+        omega * omega * -x - 2.0 * damping * u
+    }
+}
+
+/// Advances all vertices of a body of radius `radius` [scene unit] over the interval, in place.
+///
+/// `unit` are the unit rest positions; all three arrays have `[vertex_count]` vectors.
+pub fn advance(
+    scheme: Scheme,
+    interval: &Interval,
+    radius: f64,
+    unit: &Vectors,
+    displacement: &mut Vectors,
+    velocity: &mut Vectors,
+) {
+    match scheme {
+        Scheme::Thesis => each(interval, radius, unit, displacement, velocity, thesis),
+        Scheme::Mps => each(interval, radius, unit, displacement, velocity, mps),
+        Scheme::Euler => each(interval, radius, unit, displacement, velocity, euler),
+        Scheme::Verlet => each(interval, radius, unit, displacement, velocity, verlet),
+        Scheme::Rk4 => each(interval, radius, unit, displacement, velocity, rk4),
+    }
+}
+
+/// The loop over vertices, compiled once per scheme.
+fn each(
+    interval: &Interval,
+    radius: f64,
+    unit: &Vectors,
+    displacement: &mut Vectors,
+    velocity: &mut Vectors,
+    scheme: impl Fn(&Vertex<'_>, State) -> State,
+) {
+    for i in 0..unit.len() {
+        let vertex = Vertex { interval, unit: unit.get(i), rest: radius * unit.get(i) };
+        let state = scheme(&vertex, State { x: displacement.get(i), u: velocity.get(i) });
+        displacement.set(i, state.x);
+        velocity.set(i, state.u);
+    }
+}
 
 /// (3.6)–(3.10) exactly as printed.
 ///
@@ -39,7 +175,7 @@ pub fn verlet(vertex: &Vertex<'_>, State { x, u }: State) -> State {
     let (dt, damping) = (vertex.interval.h, vertex.interval.oscillator.damping);
     let u_half = u + vertex.acceleration(&vertex.interval.start, State { x, u }) * (0.5 * dt);
     let x_next = x + u_half * dt;
-    let undamped = State { x: x_next, u: glam::DVec3::ZERO };
+    let undamped = State { x: x_next, u: DVec3::ZERO };
     let kick = vertex.acceleration(&vertex.interval.end, undamped) * (0.5 * dt);
     State { x: x_next, u: (u_half + kick) / (1.0 + damping * dt) }
 }

@@ -1,0 +1,345 @@
+//! Error against run time: every integrator, over a range of steps, on one scene.
+//!
+//! The error is the largest distance of any vertex from where it is in an independent [`Reference`], at every step of a
+//! run that is a step of the scene's, in radii of the vertex's body. The run time is that of the steps alone, on one
+//! thread; cases take turns, so that whatever else the machine does meanwhile falls on all of them alike.
+
+pub mod csv;
+pub mod diagram;
+pub mod table;
+pub mod verdict;
+
+use std::{
+    fmt,
+    time::{Duration, Instant},
+};
+
+use super::reference::{Accuracy, Reference, TooLong};
+use crate::{
+    scene::{Integrator, Scene},
+    sim::{TooLarge, World},
+};
+
+/// What is measured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// These, in this order.
+    pub integrators: Vec<Integrator>,
+    /// Steps Δt, in steps of the scene, descending; those that do not divide its duration are left out.
+    pub factors: Vec<f64>,
+    /// Tolerances of [`Integrator::Exponential`] with error control, at the scene's step, descending [1/s].
+    pub tolerances: Vec<f64>,
+    /// Run times are medians of at least so many runs …
+    pub runs: usize,
+    /// … that took at least this together.
+    pub shortest: Duration,
+}
+
+impl Settings {
+    /// What a scene is measured with: steps from 4 to 1/16 of its own, tolerances from 1e-3 to 1e-11 and its own.
+    pub fn of(scene: &Scene) -> Settings {
+        let mut tolerances: Vec<f64> = (3..=11).map(|digits| 10f64.powi(-digits)).collect();
+        if !tolerances.iter().any(|tolerance| (tolerance / scene.tolerance - 1.0).abs() < 1e-9) {
+            tolerances.push(scene.tolerance);
+            tolerances.sort_by(|x, y| y.total_cmp(x));
+        }
+        Settings {
+            integrators: Integrator::ALL.to_vec(),
+            factors: vec![4.0, 2.0, 1.0, 0.5, 0.25, 0.125, 0.0625],
+            tolerances,
+            runs: 5,
+            shortest: Duration::from_millis(20),
+        }
+    }
+}
+
+/// More rounds than one are for runs that take less than this altogether.
+const LONGEST: Duration = Duration::from_secs(10);
+/// A tolerance that lets every step pass.
+const NO_CONTROL: f64 = 1e15;
+/// A vertex so many radii off is nowhere.
+const DIVERGED: f64 = 1e3;
+/// More instants than this are not looked at.
+const MOST_INSTANTS: u64 = 4096;
+
+/// An integrator, and what decides how long its steps are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Scheme {
+    /// Steps as long as they are said to be, but for events.
+    Fixed(Integrator),
+    /// [`Integrator::Exponential`], which divides its steps to keep to a tolerance [1/s].
+    Controlled {
+        /// In radii per unit of scene time.
+        tolerance: f64,
+    },
+}
+
+impl Scheme {
+    /// The integrator.
+    pub fn integrator(self) -> Integrator {
+        match self {
+            Scheme::Fixed(integrator) => integrator,
+            Scheme::Controlled { .. } => Integrator::Exponential,
+        }
+    }
+
+    /// What cases that differ in nothing but step or tolerance are called together.
+    pub fn family(self) -> &'static str {
+        match self {
+            Scheme::Fixed(integrator) => integrator.name(),
+            Scheme::Controlled { .. } => "exponential, error control",
+        }
+    }
+}
+
+impl fmt::Display for Scheme {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Scheme::Fixed(integrator) => integrator.fmt(f),
+            Scheme::Controlled { tolerance } => write!(f, "exponential, tolerance {tolerance:.0e}"),
+        }
+    }
+}
+
+/// One integrator with one step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Measurement {
+    /// Which.
+    pub scheme: Scheme,
+    /// Δt [s].
+    pub dt: f64,
+    /// How many of them.
+    pub steps: u64,
+    /// The largest error over time and vertices [radii]; `None` if the run diverged.
+    pub error: Option<f64>,
+    /// The order that this error shows against that with the step before [–], where both can be told from none.
+    pub order: Option<f64>,
+    /// Run time [s], median.
+    pub seconds: f64,
+    /// Of so many runs.
+    pub runs: usize,
+}
+
+/// What was measured on one scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Report {
+    /// Name of the scene.
+    pub scene: String,
+    /// Its step [s].
+    pub dt: f64,
+    /// Its tolerance [1/s].
+    pub tolerance: f64,
+    /// Simulated time [s].
+    pub duration: f64,
+    /// Number of bodies.
+    pub bodies: usize,
+    /// Number of vertices.
+    pub vertices: u64,
+    /// How far the reference is from one of ten times its accuracy [radii].
+    pub agreement: f64,
+    /// By integrator, then by step or tolerance, descending.
+    pub measurements: Vec<Measurement>,
+}
+
+impl Report {
+    /// Errors below this cannot be told from those of the reference [radii].
+    pub fn resolution(&self) -> f64 {
+        f64::max(1e-13, 10.0 * self.agreement)
+    }
+
+    /// Vertices times steps by run time [1/s].
+    pub fn vertex_steps_per_second(&self, measurement: &Measurement) -> f64 {
+        (self.vertices * measurement.steps) as f64 / measurement.seconds
+    }
+
+    /// Whether a measurement was made with the scene's step.
+    pub fn is_at_own_step(&self, measurement: &Measurement) -> bool {
+        (measurement.dt / self.dt - 1.0).abs() < 1e-9
+    }
+}
+
+/// Why a scene cannot be measured.
+#[derive(Debug, thiserror::Error)]
+pub enum MeasureError {
+    /// There is no reference.
+    #[error(transparent)]
+    TooLong(#[from] TooLong),
+    /// There is no memory.
+    #[error(transparent)]
+    TooLarge(#[from] TooLarge),
+    /// There is no thread to measure on.
+    #[error("cannot start a thread: {0}")]
+    Thread(#[from] rayon::ThreadPoolBuildError),
+}
+
+/// A run that is measured.
+struct Case {
+    scene: Scene,
+    scheme: Scheme,
+    /// Δt in steps of the scene.
+    factor: f64,
+    steps: u64,
+    error: Option<f64>,
+    /// [s]
+    run_times: Vec<f64>,
+}
+
+/// Measures one scene; tells `progress` what share of the work is done.
+///
+/// # Errors
+/// [`MeasureError`], before anything has been measured.
+pub fn measure(scene: &Scene, settings: &Settings, progress: &mut dyn FnMut(f64)) -> Result<Report, MeasureError> {
+    let judge = Judge::new(scene)?;
+    let mut cases = cases(scene, settings);
+    let thread = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
+    let all = cases.iter().map(|case| case.steps).sum::<u64>() as f64 * (settings.runs + 1) as f64;
+    let mut done = 0.0;
+    let mut progress = |steps: u64| {
+        done += steps as f64;
+        progress(done / all);
+    };
+    for case in &mut cases {
+        case.error = thread.install(|| judge.error(case))?;
+        progress(case.steps);
+    }
+    for round in 0..settings.runs {
+        for case in &mut cases {
+            thread.install(|| case.take_times(round, settings))?;
+            progress(case.steps);
+        }
+    }
+
+    let mut report = Report {
+        scene: scene.name.clone(),
+        dt: scene.dt,
+        tolerance: scene.tolerance,
+        duration: scene.steps() as f64 * scene.dt,
+        bodies: scene.bodies.len(),
+        vertices: scene.vertex_count(),
+        agreement: judge.agreement,
+        measurements: cases.into_iter().map(Case::measurement).collect(),
+    };
+    fill_in_orders(&mut report);
+    Ok(report)
+}
+
+/// In the order of [`Report::measurements`].
+fn cases(scene: &Scene, settings: &Settings) -> Vec<Case> {
+    let steps = scene.steps() as f64;
+    let case = |scheme: Scheme, factor: f64| {
+        let count = (steps / factor).round();
+        let tolerance = match scheme {
+            Scheme::Controlled { tolerance } => tolerance,
+            Scheme::Fixed(_) => NO_CONTROL,
+        };
+        let scene = Scene { dt: scene.dt * factor, integrator: scheme.integrator(), tolerance, ..scene.clone() };
+        let is_whole = (count * factor - steps).abs() < 1e-9 * steps && count >= 1.0;
+        is_whole.then(|| Case { scene, scheme, factor, steps: count as u64, error: None, run_times: vec![] })
+    };
+    let of_integrator = |&integrator: &Integrator| {
+        let fixed = settings.factors.iter().filter_map(move |&factor| case(Scheme::Fixed(integrator), factor));
+        let tolerances: &[f64] = if integrator == Integrator::Exponential { &settings.tolerances } else { &[] };
+        let controlled = tolerances.iter().filter_map(move |&tolerance| case(Scheme::Controlled { tolerance }, 1.0));
+        fixed.chain(controlled)
+    };
+    settings.integrators.iter().flat_map(of_integrator).collect()
+}
+
+impl Case {
+    /// Some runs, as many as it takes to fill one round's share of the time that is asked for.
+    fn take_times(&mut self, round: usize, settings: &Settings) -> Result<(), TooLarge> {
+        if self.run_times.iter().sum::<f64>() > LONGEST.as_secs_f64() {
+            return Ok(());
+        }
+        let share = settings.shortest.as_secs_f64() / settings.runs as f64;
+        let known = self.run_times.first().copied();
+        let mut left = share * (round + 1) as f64 - self.run_times.iter().sum::<f64>();
+        loop {
+            let mut world = World::new(self.scene.clone())?;
+            let start = Instant::now();
+            for _ in 0..self.steps {
+                world.step();
+            }
+            let seconds = start.elapsed().as_secs_f64();
+            self.run_times.push(seconds);
+            left -= seconds;
+            if left <= 0.0 || known.is_some_and(|known| known >= share) {
+                return Ok(());
+            }
+        }
+    }
+
+    fn measurement(mut self) -> Measurement {
+        self.run_times.sort_by(f64::total_cmp);
+        Measurement {
+            scheme: self.scheme,
+            dt: self.scene.dt,
+            steps: self.steps,
+            error: self.error,
+            order: None,
+            seconds: self.run_times.get(self.run_times.len() / 2).copied().unwrap_or(f64::NAN),
+            runs: self.run_times.len(),
+        }
+    }
+}
+
+fn fill_in_orders(report: &mut Report) {
+    let resolution = report.resolution();
+    let measured = |measurement: &Measurement| measurement.error.filter(|&error| error > resolution);
+    for k in 1..report.measurements.len() {
+        let (before, this) = (&report.measurements[k - 1], &report.measurements[k]);
+        if before.scheme != this.scheme {
+            continue;
+        }
+        if let (Some(coarse), Some(fine)) = (measured(before), measured(this)) {
+            report.measurements[k].order = Some((coarse / fine).ln() / (before.dt / this.dt).ln());
+        }
+    }
+}
+
+/// The reference, and how well it is known.
+struct Judge {
+    reference: Reference,
+    agreement: f64,
+    /// Instants are so many of the scene's steps apart.
+    stride: u64,
+}
+
+impl Judge {
+    fn new(scene: &Scene) -> Result<Judge, MeasureError> {
+        let steps = scene.steps();
+        let stride = steps.div_ceil(MOST_INSTANTS).next_power_of_two();
+        let instants: Vec<f64> = (0..=steps / stride).map(|k| (k * stride) as f64 * scene.dt).collect();
+        let usual = Reference::solve(scene, &instants, Accuracy::DEFAULT)?;
+        let reference = Reference::solve(scene, &instants, Accuracy::TIGHTER)?;
+        Ok(Judge { agreement: usual.largest_difference(&reference, scene), reference, stride })
+    }
+
+    /// Which instant of the reference comes after `step` steps of a case.
+    fn instant(&self, case: &Case, step: u64) -> Option<usize> {
+        let instant = step as f64 * case.factor / self.stride as f64;
+        let whole = instant.round();
+        ((instant - whole).abs() < 1e-9 * f64::max(1.0, whole)).then_some(whole as usize)
+    }
+
+    /// The largest error over time and vertices [radii], `None` if it is beyond all bounds.
+    fn error(&self, case: &Case) -> Result<Option<f64>, TooLarge> {
+        let mut world = World::new(case.scene.clone())?;
+        let mut largest = 0.0;
+        for step in 1..=case.steps {
+            world.step();
+            let Some(instant) = self.instant(case, step) else { continue };
+            for (index, body) in world.bodies().enumerate() {
+                for vertex in 0..body.vertex_count() {
+                    let expected = self.reference.displacement(index, vertex, instant);
+                    let error = body.displacement(vertex).distance(expected) / body.scene().radius;
+                    if error.is_nan() || error > DIVERGED {
+                        return Ok(None);
+                    }
+                    largest = f64::max(largest, error);
+                }
+            }
+        }
+        Ok(Some(largest))
+    }
+}

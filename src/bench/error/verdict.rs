@@ -1,0 +1,149 @@
+//! What the measurements of a scene come to.
+
+use super::{Measurement, Report, Scheme, table::significant};
+use crate::scene::Integrator;
+
+/// How long a scheme takes for an error, and for no more than that error.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cost {
+    /// Which integrator.
+    pub integrator: Integrator,
+    /// See [`Scheme::family`].
+    pub family: &'static str,
+    /// Run time [s].
+    pub seconds: f64,
+}
+
+impl Report {
+    /// The integrators that reach an error of at most `target` [radii], the fastest first, each in its fastest way.
+    ///
+    /// Between the measurements of a family of which none is both faster and better, run times are interpolated, linear
+    /// in the logarithms; never beyond them.
+    pub fn cheapest(&self, target: f64) -> Vec<Cost> {
+        let families = self.measurements.chunk_by(|a, b| a.scheme.family() == b.scheme.family());
+        let cost = |measurements: &[Measurement]| {
+            let scheme = measurements.first()?.scheme;
+            let seconds = self.seconds_for(measurements, target)?;
+            Some(Cost { integrator: scheme.integrator(), family: scheme.family(), seconds })
+        };
+        let mut costs: Vec<Cost> = families.filter_map(cost).collect();
+        costs.sort_by(|x, y| x.seconds.total_cmp(&y.seconds));
+        let mut seen = vec![];
+        costs.retain(|cost| {
+            let is_first = !seen.contains(&cost.integrator);
+            seen.push(cost.integrator);
+            is_first
+        });
+        costs
+    }
+
+    fn seconds_for(&self, measurements: &[Measurement], target: f64) -> Option<f64> {
+        let front = self.front(measurements);
+        let reached = front.iter().position(|&(_, error)| error <= target)?;
+        let (seconds, error) = front[reached];
+        let Some(&(seconds_before, error_before)) = reached.checked_sub(1).and_then(|k| front.get(k)) else {
+            return Some(seconds);
+        };
+        let share = (error_before / target).ln() / (error_before / error).ln();
+        Some(seconds_before * (seconds / seconds_before).powf(share))
+    }
+
+    /// `(run time [s], error [radii])` of those measurements to which no other is superior, by time.
+    fn front(&self, measurements: &[Measurement]) -> Vec<(f64, f64)> {
+        let point = |it: &Measurement| it.error.map(|error| (it.seconds, error.max(self.resolution())));
+        let mut points: Vec<_> = measurements.iter().filter_map(point).collect();
+        points.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.total_cmp(&y.1)));
+        let mut best = f64::INFINITY;
+        points.retain(|&(_, error)| {
+            let is_better = error < best;
+            best = f64::min(best, error);
+            is_better
+        });
+        points
+    }
+
+    /// The measurement of a scheme at the scene's step.
+    fn at_own_step(&self, scheme: Scheme) -> Option<&Measurement> {
+        self.measurements.iter().find(|measurement| self.is_at_own_step(measurement) && measurement.scheme == scheme)
+    }
+
+    /// A few lines for people.
+    pub fn verdict(&self) -> Vec<String> {
+        let mut lines = vec!["fastest for an error of at most".to_owned()];
+        for digits in 2..=8 {
+            let ms = |seconds: f64| significant(1e3 * seconds);
+            let line = match self.cheapest(10f64.powi(-digits)).as_slice() {
+                [] => "none".to_owned(),
+                [only] => format!("{}, {} ms; no other integrator gets there", only.family, ms(only.seconds)),
+                [first, second, ..] => format!(
+                    "{}, {} ms; then {}, {} ms, {} times as long",
+                    first.family,
+                    ms(first.seconds),
+                    second.family,
+                    ms(second.seconds),
+                    significant(second.seconds / first.seconds)
+                ),
+            };
+            lines.push(format!("  1e-{digits}  {line}"));
+        }
+
+        let fixed = |integrator| self.at_own_step(Scheme::Fixed(integrator));
+        let own = self.measurements.iter().find(|it| match it.scheme {
+            Scheme::Controlled { tolerance } => (tolerance / self.tolerance - 1.0).abs() < 1e-9,
+            Scheme::Fixed(_) => false,
+        });
+        let exponential =
+            [(fixed(Integrator::Exponential), "exponential, fixed step"), (own, "exponential, the scene's tolerance")];
+        if exponential.iter().any(|(measurement, _)| measurement.is_some()) {
+            lines.push(format!("at the scene's step of {:.6} s", self.dt));
+        }
+        for (measurement, name) in exponential {
+            let Some(measurement) = measurement else { continue };
+            let against = [Integrator::Rk4, Integrator::Thesis].map(|other| {
+                let other = fixed(other)?;
+                Some(format!("{}: {}", other.scheme.family(), self.compared(measurement, other)))
+            });
+            let against: Vec<String> = against.into_iter().flatten().collect();
+            if !against.is_empty() {
+                lines.push(format!("  {name}, against {}", against.join("; against ")));
+            }
+        }
+        lines.extend(self.thesis_verdict());
+        lines
+    }
+
+    /// "error ÷ 350, time × 1.4"
+    fn compared(&self, this: &Measurement, other: &Measurement) -> String {
+        let ratio = |of: f64| match of {
+            ..1e-4 => format!("÷ {:.0e}", 1.0 / of),
+            ..1.0 => format!("÷ {}", significant(1.0 / of)),
+            ..1e4 => format!("× {}", significant(of)),
+            _ => format!("× {of:.0e}"),
+        };
+        let error = match (this.error, other.error) {
+            (Some(this), Some(other)) => ratio(this.max(self.resolution()) / other.max(self.resolution())),
+            (None, Some(_)) => "out of bounds".to_owned(),
+            (Some(_), None) => "within bounds, which that is not".to_owned(),
+            (None, None) => "out of bounds, as that".to_owned(),
+        };
+        format!("error {error}, time {}", ratio(this.seconds / other.seconds))
+    }
+
+    /// Whether the scheme as printed converges.
+    fn thesis_verdict(&self) -> Option<String> {
+        let (factor, share) = self.thesis_stands_still()?;
+        Some(format!(
+            "thesis, as printed, does not converge: a step {factor:.0} times smaller leaves {:.0} % of its error",
+            100.0 * share
+        ))
+    }
+
+    /// How many times the smallest step of the scheme as printed goes into the largest, and what share of the error is
+    /// left with it, if that is so much that it cannot be said to converge.
+    pub(super) fn thesis_stands_still(&self) -> Option<(f64, f64)> {
+        let of_thesis = || self.measurements.iter().filter(|it| it.scheme == Scheme::Fixed(Integrator::Thesis));
+        let (largest, smallest) = (of_thesis().next()?, of_thesis().next_back()?);
+        let share = smallest.error? / largest.error?;
+        (share >= 0.5).then_some((largest.dt / smallest.dt, share))
+    }
+}

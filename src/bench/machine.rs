@@ -1,0 +1,35 @@
+//! The machine that a run time belongs to.
+
+use std::fmt;
+
+use sysinfo::{CpuRefreshKind, RefreshKind, System};
+
+/// Which machine, and which program on it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Machine {
+    /// What the processor calls itself.
+    pub cpu: String,
+    /// How many cores the program may use.
+    pub cores: usize,
+    /// Version of this program.
+    pub version: &'static str,
+}
+
+impl Machine {
+    /// This one.
+    pub fn detect() -> Machine {
+        let system = System::new_with_specifics(RefreshKind::nothing().with_cpu(CpuRefreshKind::nothing()));
+        let brand = system.cpus().first().map(|cpu| cpu.brand().trim()).filter(|brand| !brand.is_empty());
+        Machine {
+            cpu: brand.map_or_else(|| format!("a {} processor", std::env::consts::ARCH), str::to_owned),
+            cores: std::thread::available_parallelism().map_or(1, |cores| cores.get()),
+            version: env!("CARGO_PKG_VERSION"),
+        }
+    }
+}
+
+impl fmt::Display for Machine {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}, 1 of {} cores used; meldscope {}", self.cpu, self.cores, self.version)
+    }
+}

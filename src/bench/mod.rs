@@ -1,0 +1,14 @@
+//! Benchmarks: each one measures, and says beside every speed which error, which machine.
+//!
+//! | what | where |
+//! | --- | --- |
+//! | error against run time, for every integrator and a range of steps | [`mod@error`] |
+//! | the independent solution that errors are measured against | [`reference`], by [`extrapolation`] |
+//! | the machine that a run time belongs to | [`machine`] |
+//! | files that are written when everything has been measured | [`output`] |
+
+pub mod error;
+pub mod extrapolation;
+pub mod machine;
+pub mod output;
+pub mod reference;

@@ -1,0 +1,763 @@
+//! The program as its users run it: what it prints and where, what it writes, with which status it ends.
+
+use std::{
+    ffi::OsStr,
+    fs,
+    io::{BufRead as _, BufReader, Read as _, Write as _},
+    net::{Ipv4Addr, TcpListener, TcpStream},
+    path::Path,
+    process::{Child, Command, Output, Stdio},
+    sync::mpsc,
+    time::{Duration, Instant},
+};
+
+use meldscope::{
+    Scene, World,
+    scene::builtin,
+    sim::{Event, memory},
+};
+use proptest::prelude::*;
+
+use crate::recording::{Dir, Recording, content};
+
+/// A program that has not ended by then never will.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+// ---- running -------------------------------------------------------------------------------------------------------
+
+/// What a run of the program came to.
+#[derive(Debug)]
+struct Ran {
+    status: i32,
+    out: String,
+    err: String,
+    bytes: Vec<u8>,
+}
+
+impl Ran {
+    fn new(output: Output) -> Ran {
+        let [out, err] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned());
+        assert!(!err.contains("panicked"), "{err}");
+        let status = output.status.code().unwrap_or_else(|| panic!("{}: {err}", output.status));
+        Ran { status, out, err, bytes: output.stdout }
+    }
+
+    /// Ended well and said nothing but results.
+    fn succeeded(self) -> Ran {
+        assert_eq!((self.status, self.err.as_str()), (0, ""), "{}", self.out);
+        self
+    }
+
+    /// Ended with this status, said why in one line and printed nothing.
+    fn failed(self, status: i32) -> String {
+        assert_eq!((self.status, self.out.as_str()), (status, ""), "{}", self.err);
+        let lines: Vec<&str> = self.err.lines().filter(|line| !line.is_empty()).collect();
+        assert!(lines.first().is_some_and(|line| line.starts_with("error: ")), "{}", self.err);
+        assert!(!self.err.contains(['\u{1b}', '\r']), "{:?}", self.err);
+        self.err
+    }
+}
+
+fn meldscope(dir: &Dir, arguments: impl IntoIterator<Item = impl AsRef<OsStr>>) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
+    command.args(arguments).current_dir(dir.path());
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+fn run(dir: &Dir, arguments: &[&str]) -> Ran {
+    Running::start(dir, arguments).end()
+}
+
+/// The program while it runs; it does not outlive its test.
+struct Running(Option<Child>);
+
+impl Running {
+    fn start(dir: &Dir, arguments: &[&str]) -> Running {
+        Running(Some(meldscope(dir, arguments).spawn().expect("the program starts")))
+    }
+
+    fn child(&mut self) -> &mut Child {
+        self.0.as_mut().expect("it has not ended")
+    }
+
+    /// Waits for its end.
+    fn end(mut self) -> Ran {
+        let child = self.0.take().expect("it has not ended");
+        let id = child.id();
+        let (sender, receiver) = mpsc::channel();
+        std::thread::spawn(move || sender.send(child.wait_with_output()));
+        let output = receiver.recv_timeout(PATIENCE).unwrap_or_else(|_| {
+            signal(id, "KILL");
+            panic!("it does not end");
+        });
+        Ran::new(output.expect("its output"))
+    }
+
+    fn signal(&mut self, name: &str) {
+        signal(self.child().id(), name);
+    }
+
+    /// Waits for what it does.
+    fn eventually(&mut self, mut is_so: impl FnMut() -> bool) {
+        let started = Instant::now();
+        while !is_so() {
+            if let Some(status) = self.child().try_wait().expect("a child") {
+                panic!("it ended before: {status}");
+            }
+            assert!(started.elapsed() < PATIENCE, "it does not happen");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Waits for a line on standard error that starts with `beginning`, and gives its rest.
+    #[cfg(unix)]
+    fn says(&mut self, beginning: &str) -> String {
+        let stderr = BufReader::new(self.child().stderr.take().expect("a pipe"));
+        let (sender, receiver) = mpsc::channel();
+        // reads on when nobody listens any more: what else it says must go somewhere
+        std::thread::spawn(move || stderr.lines().map_while(Result::ok).for_each(|line| drop(sender.send(line))));
+        loop {
+            let line = receiver.recv_timeout(PATIENCE).unwrap_or_else(|_| panic!("it does not say \"{beginning}\""));
+            if let Some(rest) = line.strip_prefix(beginning) {
+                return rest.to_owned();
+            }
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        if let Some(child) = &mut self.0 {
+            child.kill().and_then(|()| child.wait()).ok();
+        }
+    }
+}
+
+/// Sends a signal to a program, which may just have ended.
+fn signal(id: u32, name: &str) {
+    let mut kill = Command::new("kill");
+    kill.args([&format!("-{name}"), &id.to_string()]).stderr(Stdio::null()).status().expect("kill runs");
+}
+
+fn free_port() -> u16 {
+    TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).and_then(|listener| listener.local_addr()).expect("a free port").port()
+}
+
+fn nobody() -> String {
+    format!("rerun+http://127.0.0.1:{}/proxy", free_port())
+}
+
+fn size(path: &Path) -> u64 {
+    fs::metadata(path).map_or(0, |metadata| metadata.len())
+}
+
+/// A small scene with two events.
+const SCENE: &str = r#"
+name = "small"
+duration = 2.0
+
+[influence]
+alpha = 50
+merge_at = 1.05
+split_at = 1.1
+
+[[body]]
+name = "a"
+radius = 1.0
+shape = { sphere = { stacks = 6, slices = 8 } }
+motion = { fixed = [0, 0, 0] }
+
+[[body]]
+name = "b"
+radius = 0.5
+shape = { sphere = { stacks = 4, slices = 6 } }
+motion = { line = { from = [2.0, 1.0, 0], velocity = [-2, 0, 0] } }
+
+[[push]]
+body = "a"
+direction = [1, 0, 0]
+strength = 10
+start = 0.1
+duration = 0.2
+"#;
+
+fn scene_dir() -> Dir {
+    let dir = Dir::new();
+    fs::write(dir.file("small.toml"), SCENE).expect("room");
+    dir
+}
+
+fn settings(recording: &Recording) -> toml::Table {
+    recording.property("settings").parse().expect("TOML")
+}
+
+// ---- results -------------------------------------------------------------------------------------------------------
+
+#[test]
+fn a_run_says_what_it_did_and_how_to_look_at_it() {
+    let dir = Dir::new();
+    let ran = run(&dir, &["run", "two", "--save", "x.rrd"]).succeeded();
+    assert_eq!(dir.names(), ["x.rrd"]);
+
+    let scene = Scene::builtin("two").expect("it is built in");
+    let (vertices, steps) = (scene.vertex_count(), scene.steps());
+    let mut world = World::new(scene).expect("it fits");
+    let mut events: Vec<Event> = Vec::new();
+    (0..steps).for_each(|_| events.extend_from_slice(&world.step().events));
+    let mut expected = vec![
+        "two: 2 bodies".to_owned(),
+        format!("{vertices} vertices"),
+        format!("{steps} steps"),
+        "exponential".to_owned(),
+        format!("{:.3} s simulated in ", world.time()),
+        format!("{} events", events.len()),
+        format!("saved x.rrd: {} frames, {}", steps + 1, memory::human(size(&dir.file("x.rrd")))),
+        "`rerun x.rrd`".to_owned(),
+        "--serve".to_owned(),
+    ];
+    expected.extend(events.iter().map(|event| format!("{} a~b at t = {:.9} s", event.name(), event.time)));
+    for part in expected {
+        assert!(ran.out.contains(&part), "{part}: {}", ran.out);
+    }
+    // no progress bar in a pipe
+    assert!(!ran.out.contains(['\u{1b}', '\r']), "{:?}", ran.out);
+
+    let recording = Recording::open(&dir.file("x.rrd"));
+    assert_eq!(recording.steps(), steps as f64);
+    assert_eq!(recording.property("scene"), world.scene().source);
+}
+
+#[test]
+fn a_quiet_run_prints_nothing() {
+    let dir = scene_dir();
+    let ran = run(&dir, &["run", "small.toml", "--quiet"]).succeeded();
+    assert_eq!(ran.out, "");
+    assert_eq!(dir.names(), ["small.rrd", "small.toml"]);
+    // but errors
+    run(&dir, &["run", "smll.toml", "--quiet"]).failed(2);
+}
+
+#[test]
+fn without_a_destination_the_recording_is_named_after_the_scene_and_stays_here() {
+    let long = ["x".repeat(200), "漢".repeat(150)];
+    let hostile = ["../x", "/etc/passwd", "..", ".", ".hidden", "a b/c\\d", "~", "$(id)", "-rf"];
+    for name in hostile.into_iter().chain(long.iter().map(String::as_str)) {
+        let dir = Dir::new();
+        fs::create_dir(dir.file("here")).expect("room");
+        let scene = SCENE.replace("\"small\"", &format!("{name:?}"));
+        fs::write(dir.file("here/scene.toml"), scene).expect("room");
+        let mut command = meldscope(&dir, ["run", "scene.toml", "--steps", "3"]);
+        let output = command.current_dir(dir.file("here")).output().expect("the program runs");
+        let ran = Ran::new(output).succeeded();
+
+        assert_eq!(dir.names(), ["here"], "{name}");
+        let mut names: Vec<String> = fs::read_dir(dir.file("here"))
+            .expect("a directory")
+            .map(|entry| file_name(&entry.expect("an entry").path()))
+            .collect();
+        names.retain(|name| name != "scene.toml");
+        let [saved] = &names[..] else { panic!("{name}: {names:?}") };
+        assert!(saved.ends_with(".rrd") && !saved.starts_with(['.', '-']), "{name}: {saved}");
+        assert!(ran.out.contains(&format!("saved {saved}")), "{}", ran.out);
+        assert_eq!(Recording::open(&dir.file("here").join(saved)).steps(), 3.0);
+    }
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().expect("a name").to_string_lossy().into_owned()
+}
+
+#[test]
+fn the_command_that_opens_the_recording_can_be_pasted() {
+    let dir = scene_dir();
+    for (file, word) in [("my file.rrd", "'my file.rrd'"), ("it's.rrd", r"'it'\''s.rrd'"), ("-x.rrd", "./-x.rrd")] {
+        let save = format!("--save={file}");
+        let ran = run(&dir, &["run", "small.toml", "--steps", "1", &save]).succeeded();
+        assert!(ran.out.contains(&format!("`rerun {word}`")), "{}", ran.out);
+    }
+}
+
+#[test]
+fn the_built_in_scenes_are_listed_and_run() {
+    let dir = Dir::new();
+    let ran = run(&dir, &["scenes"]).succeeded();
+    for builtin in builtin::ALL {
+        let scene = Scene::builtin(builtin.name).expect("it is built in");
+        let bodies = scene.bodies.len();
+        let line = format!("{}: {bodies} {}", builtin.name, if bodies == 1 { "body" } else { "bodies" });
+        assert!(ran.out.lines().any(|found| found.starts_with(&line) && found.ends_with(" vertices")), "{}", ran.out);
+        assert!(builtin.what_to_look_at().count() > 0);
+        assert!(builtin.what_to_look_at().all(|sentence| ran.out.contains(sentence)), "{}", ran.out);
+    }
+    assert_eq!(dir.names(), [""; 0]);
+    for builtin in builtin::ALL {
+        run(&dir, &["run", builtin.name, "--steps", "2", "--quiet"]).succeeded();
+        assert_eq!(Recording::open(&dir.file(&format!("{}.rrd", builtin.name))).steps(), 2.0);
+    }
+    assert_eq!(dir.names().len(), builtin::ALL.len());
+}
+
+#[test]
+fn help_and_version_are_results() {
+    let dir = Dir::new();
+    let version = run(&dir, &["--version"]).succeeded();
+    assert_eq!(version.out, format!("meldscope {}\n", env!("CARGO_PKG_VERSION")));
+    let help = run(&dir, &["--help"]).succeeded();
+    assert!(help.out.contains("run") && help.out.contains("scenes"), "{}", help.out);
+    let help = run(&dir, &["run", "--help"]).succeeded();
+    let options = [
+        "--save",
+        "--spawn",
+        "--connect",
+        "--serve",
+        "--stdout",
+        "--integrator",
+        "--dt",
+        "--tolerance",
+        "--steps",
+        "--every",
+    ];
+    for option in options.into_iter().chain(["--detail", "--realtime", "--threads", "--quiet", "--bind"]) {
+        assert!(help.out.contains(option), "{option}: {}", help.out);
+    }
+    assert_eq!(dir.names(), [""; 0]);
+}
+
+// ---- what is refused -----------------------------------------------------------------------------------------------
+
+#[test]
+fn usage_errors_have_status_2_and_leave_nothing() {
+    let dir = Dir::new();
+    let said = run(&dir, &["run", "tow"]).failed(2);
+    assert!(said.contains("did you mean \"two\"?") && said.contains("size_ratio"), "{said}");
+    assert!(run(&dir, &["run", "Size-Ratio"]).failed(2).contains("did you mean \"size_ratio\"?"));
+    assert!(run(&dir, &["run", "quite-something-else"]).failed(2).contains("meldscope scenes"));
+    run(&dir, &["run", "two", "--sav", "x.rrd"]).failed(2);
+    run(&dir, &["run"]).failed(2);
+    run(&dir, &["run", "two", "three"]).failed(2);
+    run(&dir, &["rnu", "two"]).failed(2);
+    assert_eq!(run(&dir, &[]).status, 2);
+
+    for bad in [
+        "--dt 0",
+        "--dt=-0.01",
+        "--dt nan",
+        "--dt inf",
+        "--dt 1e999",
+        "--dt x",
+        "--dt",
+        "--tolerance 0",
+        "--tolerance nan",
+        "--tolerance=-1e-3",
+        "--every 0",
+        "--every=-1",
+        "--every 1.5",
+        "--integrator foo",
+        "--integrator RK5",
+        "--detail everything",
+        "--entities few",
+        "--steps=-1",
+        "--steps 1.5",
+        "--steps 1e3",
+        "--threads 0",
+        "--threads x",
+        "--save",
+        "--connect http://127.0.0.1:1/proxy",
+        "--connect nonsense",
+        "--serve --bind localhost",
+        "--serve --web-port 70000",
+        "--serve --web-port 81 --grpc-port 81",
+        "--bind 127.0.0.1",
+        "--web-port 8080",
+        "--grpc-port 8080",
+        "--quiet=yes",
+        "--realtime 2",
+    ] {
+        let arguments: Vec<&str> = ["run", "two"].into_iter().chain(bad.split(' ')).collect();
+        let said = run(&dir, &arguments).failed(2);
+        assert!(said.lines().count() < 12, "{said}");
+        assert_eq!(dir.names(), [""; 0], "{bad}");
+    }
+}
+
+#[test]
+fn a_broken_file_is_refused_with_the_place_and_nothing_is_written() {
+    let dir = Dir::new();
+    let broken = SCENE.replace("radius = 0.5", "radios = 0.5");
+    let line = broken.lines().position(|line| line.contains("radios")).expect("it is there") + 1;
+    fs::write(dir.file("bad.toml"), &broken).expect("room");
+    fs::write(dir.file("kept.rrd"), "precious").expect("room");
+    for destination in
+        [&[][..], &["--save", "kept.rrd"], &["--stdout"], &["--serve", "--web-port", "0", "--grpc-port", "0"]]
+    {
+        let arguments: Vec<&str> = ["run", "bad.toml"].into_iter().chain(destination.iter().copied()).collect();
+        let said = run(&dir, &arguments).failed(2);
+        for part in [format!("bad.toml:{line}:"), "radios".to_owned(), "\"radius\"".to_owned()] {
+            assert!(said.contains(&part), "{part}: {said}");
+        }
+        assert_eq!(said.lines().count(), 1, "{said}");
+    }
+    assert_eq!(dir.names(), ["bad.toml", "kept.rrd"]);
+    assert_eq!(fs::read_to_string(dir.file("kept.rrd")).expect("it is there"), "precious");
+
+    for missing in ["missing.toml", "missing/scene.toml", "."] {
+        let said = run(&dir, &["run", missing]).failed(2);
+        assert!(said.contains(missing), "{said}");
+    }
+    fs::write(dir.file("bad.toml"), b"name = \"\xff\"").expect("room");
+    assert!(run(&dir, &["run", "bad.toml"]).failed(2).contains("UTF-8"));
+    assert_eq!(dir.names(), ["bad.toml", "kept.rrd"]);
+}
+
+/// A scene with one thing changed that is likely to break it.
+fn broken_scene() -> impl Strategy<Value = String> {
+    let lines = SCENE.lines().count();
+    let values = [
+        "nan",
+        "-inf",
+        "1e300",
+        "-1",
+        "0",
+        "\"x\"",
+        "\"\"",
+        "[]",
+        "[1, 2]",
+        "{}",
+        "true",
+        "1979-05-27",
+        "",
+        "= 1",
+        "'''",
+    ];
+    let keys = ["radios", "name", "merge_at", "body", "motion", "ω", "\"\"", "a.b", "[x]", "[[body]]", "core_at"];
+    let line = (0..lines, prop::sample::select(values.to_vec()), prop::sample::select(keys.to_vec()), 0..6u8);
+    let edited = line.prop_map(|(at, value, key, how)| {
+        let edit = |(number, line): (usize, &str)| {
+            let (name, old) = line.split_once('=').unwrap_or((line, ""));
+            match how {
+                _ if number != at => line.to_owned(),
+                0 => String::new(),
+                1 => format!("{line}\n{line}"),
+                2 => format!("{key} = {old}"),
+                3 => format!("{line} {value}"),
+                _ => format!("{name} = {value}"),
+            }
+        };
+        SCENE.lines().enumerate().map(edit).collect::<Vec<_>>().join("\n")
+    });
+    let cut = (0..SCENE.len()).prop_map(|length| SCENE[..length].to_owned());
+    prop_oneof![4 => edited, 1 => cut, 1 => any::<String>()]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn no_broken_scene_is_run(text in broken_scene()) {
+        let refusal = Scene::parse(&text, "bad.toml");
+        prop_assume!(refusal.is_err());
+        let dir = Dir::new();
+        fs::write(dir.file("bad.toml"), &text).expect("room");
+        let said = run(&dir, &["run", "bad.toml", "--steps", "1"]).failed(2);
+        prop_assert_eq!(said, format!("error: {}\n", refusal.expect_err("as assumed")));
+        prop_assert_eq!(dir.names(), ["bad.toml"]);
+    }
+}
+
+#[test]
+fn what_cannot_be_written_is_known_before_the_run() {
+    let dir = scene_dir();
+    // these would never end if they began
+    let said = run(&dir, &["run", "small.toml", "--steps", "0", "--save", "no/such/x.rrd"]).failed(1);
+    assert!(said.contains("no/such"), "{said}");
+    run(&dir, &["run", "small.toml", "--steps", "0", "--save", "."]).failed(1);
+    assert_eq!(dir.names(), ["small.toml"]);
+
+    // a port that is taken: the file that was there stays
+    let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
+    let port = taken.local_addr().expect("an address").port().to_string();
+    fs::write(dir.file("kept.rrd"), "precious").expect("room");
+    let arguments = ["run", "small.toml", "--save", "kept.rrd", "--serve", "--web-port", "0", "--grpc-port", &port];
+    let said = run(&dir, &arguments).failed(1);
+    assert!(said.contains(&port), "{said}");
+    assert_eq!(dir.names(), ["kept.rrd", "small.toml"]);
+    assert_eq!(fs::read_to_string(dir.file("kept.rrd")).expect("it is there"), "precious");
+
+    // and a run that goes well replaces it
+    run(&dir, &["run", "small.toml", "--save", "kept.rrd"]).succeeded();
+    assert_eq!(Recording::open(&dir.file("kept.rrd")).steps(), 120.0);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_ends_the_run() {
+    let dir = scene_dir();
+    let said = run(&dir, &["run", "small.toml", "--steps", "0", "--save", "/dev/full"]).failed(1);
+    assert!(said.contains("/dev/full") && said.contains("disk is full"), "{said}");
+    assert_eq!(dir.names(), ["small.toml"]);
+}
+
+/// Runs with little memory to be had, so that a program that asks for the scene's would be ended by that.
+#[cfg(unix)]
+#[test]
+fn a_scene_that_is_too_large_is_refused_and_not_begun() {
+    let dir = Dir::new();
+    let mut text = "name = \"huge\"\nduration = 1\n".to_owned();
+    for i in 0..40 {
+        text += &format!(
+            "[[body]]\nname = \"b{i}\"\nradius = 1\nshape = {{ sphere = {{ stacks = 65535, slices = 65535 }} }}\n\
+             motion = {{ fixed = [{i}, 0, 0] }}\n"
+        );
+    }
+    fs::write(dir.file("huge.toml"), text).expect("room");
+    fs::write(dir.file("kept.rrd"), "precious").expect("room");
+    let mut limited = Command::new("sh");
+    limited.args(["-c", "ulimit -v 2000000 && exec \"$0\" run huge.toml --save kept.rrd"]);
+    limited.arg(env!("CARGO_BIN_EXE_meldscope")).current_dir(dir.path()).stdin(Stdio::null());
+    let said = Ran::new(limited.output().expect("sh runs")).failed(2);
+    for part in ["\"huge\"", "40 bodies", "TiB", "available", "stacks"] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    assert_eq!(dir.names(), ["huge.toml", "kept.rrd"]);
+    assert_eq!(fs::read_to_string(dir.file("kept.rrd")).expect("it is there"), "precious");
+}
+
+// ---- options -------------------------------------------------------------------------------------------------------
+
+#[test]
+fn options_do_what_they_say() {
+    let dir = scene_dir();
+    let recorded = |options: &str| {
+        let arguments: Vec<&str> =
+            ["run", "small.toml", "--save", "x.rrd"].into_iter().chain(options.split(' ')).collect();
+        let ran = run(&dir, &arguments).succeeded();
+        (Recording::open(&dir.file("x.rrd")), ran.out)
+    };
+    let forces = |recording: &Recording| {
+        recording.entities().iter().filter(|entity| entity.to_string().starts_with("/world/forces/")).count()
+    };
+    let frames =
+        |recording: &Recording| -> Vec<i64> { recording.changes("/timings/log").iter().map(|row| row.step).collect() };
+
+    let (recording, out) = recorded("--steps 10");
+    assert_eq!((recording.steps(), frames(&recording).last()), (10.0, Some(&10)));
+    assert!(out.contains("10 steps") && out.contains("11 frames") && forces(&recording) > 0, "{out}");
+
+    let (recording, out) = recorded("--dt 0.01");
+    assert_eq!(settings(&recording)["dt"], toml::Value::from(0.01));
+    assert_eq!(recording.steps(), 200.0);
+    assert!(recording.changes("/timings/log").iter().all(|row| row.time == row.step * 10_000_000), "{out}");
+
+    let (recording, _) = recorded("--tolerance 1e-4");
+    assert_eq!(settings(&recording)["tolerance"], toml::Value::from(1e-4));
+
+    let (recording, out) = recorded("--every 3 --steps 20");
+    assert_eq!(frames(&recording), [3, 6, 9, 12, 15, 18]);
+    assert!(out.contains("20 steps") && out.contains("7 frames"), "{out}");
+    assert_eq!((recording.steps(), &settings(&recording)["every"]), (20.0, &toml::Value::from(3)));
+
+    for integrator in ["thesis", "mps", "euler", "verlet", "rk4", "exponential"] {
+        let (recording, out) = recorded(&format!("--integrator {integrator} --steps 5"));
+        assert_eq!(recording.property("integrator"), integrator);
+        assert_eq!(settings(&recording)["integrator"], toml::Value::from(integrator));
+        assert!(out.contains(integrator), "{out}");
+    }
+
+    let (recording, _) = recorded("--detail surface");
+    assert_eq!(forces(&recording), 0);
+    let (recording, _) = recorded("--entities batch");
+    assert!(recording.entities().iter().any(|entity| entity.to_string() == "/world/resting/sphere_6x8"));
+
+    // what was recorded does not depend on the number of threads
+    let (one, _) = recorded("--threads 1");
+    let (two, _) = recorded("--threads 2");
+    assert!(content(&one) == content(&two));
+}
+
+#[test]
+fn the_recording_does_not_depend_on_how_fast_it_was_made() {
+    let dir = scene_dir();
+    run(&dir, &["run", "small.toml", "--steps", "60", "--save", "fast.rrd"]).succeeded();
+    let started = Instant::now();
+    run(&dir, &["run", "small.toml", "--steps", "60", "--save", "slow.rrd", "--realtime"]).succeeded();
+    assert!(started.elapsed() >= Duration::from_secs(1), "as long as what is simulated, or longer");
+    let [fast, slow] = ["fast.rrd", "slow.rrd"].map(|name| Recording::open(&dir.file(name)));
+    assert_eq!(fast.id, slow.id);
+    let [fast, slow] = [content(&fast), content(&slow)];
+    for (entity, rows) in &fast {
+        assert!(slow.get(entity) == Some(rows), "{entity} differs");
+    }
+    assert_eq!(fast.len(), slow.len());
+}
+
+// ---- pipes ---------------------------------------------------------------------------------------------------------
+
+#[test]
+fn standard_output_can_be_the_recording() {
+    let dir = scene_dir();
+    let ran = run(&dir, &["run", "small.toml", "--stdout"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    assert!(ran.err.contains("small: 2 bodies") && ran.err.contains("2 events"), "{}", ran.err);
+    assert!(!ran.err.contains(['\u{1b}', '\r']), "{:?}", ran.err);
+    assert_eq!(dir.names(), ["small.toml"]);
+    let piped = Recording::read(&ran.bytes[..]);
+    assert_eq!(piped.steps(), 120.0);
+
+    run(&dir, &["run", "small.toml", "--save", "x.rrd"]).succeeded();
+    let saved = Recording::open(&dir.file("x.rrd"));
+    assert_eq!(piped.id, saved.id);
+    assert!(content(&piped) == content(&saved));
+
+    let quiet = run(&dir, &["run", "small.toml", "--stdout", "--quiet"]);
+    assert_eq!((quiet.status, quiet.err.as_str()), (0, ""));
+    assert_eq!(Recording::read(&quiet.bytes[..]).steps(), 120.0);
+}
+
+#[test]
+fn a_reader_that_goes_away_ends_the_run_that_it_read() {
+    let dir = scene_dir();
+    let mut running = Running::start(&dir, &["run", "small.toml", "--stdout", "--steps", "0"]);
+    let mut beginning = [0; 1000];
+    running.child().stdout.take().expect("a pipe").read_exact(&mut beginning).expect("a recording");
+    let ran = running.end();
+    assert_eq!(ran.status, 1, "{}", ran.err);
+    assert!(ran.err.contains("error: ") && ran.err.contains("standard output"), "{}", ran.err);
+}
+
+#[test]
+fn a_run_that_diverges_says_so_and_is_saved_up_to_there() {
+    let dir = scene_dir();
+    let options = ["--integrator", "euler", "--dt", "1", "--steps", "1000"];
+    let arguments = [&["run", "small.toml", "--save", "x.rrd"], &options[..]].concat();
+    let said = run(&dir, &arguments).failed(1);
+    assert!(said.contains("diverged at step ") && said.contains("x.rrd"), "{said}");
+    let recording = Recording::open(&dir.file("x.rrd"));
+    assert!((1.0..1000.0).contains(&recording.steps()));
+    assert!(said.contains(&format!("diverged at step {}", recording.steps())), "{said}");
+    assert_eq!(recording.changes("/timings/log").last().map(|row| row.step as f64), Some(recording.steps()));
+}
+
+#[test]
+fn nobody_need_read_what_is_printed() {
+    let dir = scene_dir();
+    for arguments in [&["run", "small.toml"][..], &["scenes"], &["--help"], &["run", "--help"], &["--version"]] {
+        let mut running = Running::start(&dir, arguments);
+        drop(running.child().stdout.take());
+        assert_eq!(running.end().status, 0, "{arguments:?}");
+    }
+    assert_eq!(Recording::open(&dir.file("small.rrd")).steps(), 120.0);
+    let mut running = Running::start(&dir, &["run", "nothing.toml"]);
+    drop(running.child().stderr.take());
+    assert_eq!(running.end().status, 2);
+}
+
+// ---- Ctrl-C --------------------------------------------------------------------------------------------------------
+
+#[cfg(unix)]
+#[test]
+fn an_interrupted_run_is_saved() {
+    let vertices = Scene::parse(SCENE, "small.toml").expect("a valid scene").vertex_count();
+    let every_step = "--realtime";
+    let few_steps = "--every=1000";
+    for (name, pace, twice) in
+        [("INT", every_step, false), ("TERM", every_step, false), ("INT", few_steps, false), ("INT", every_step, true)]
+    {
+        let dir = scene_dir();
+        run(&dir, &["run", "small.toml", "--steps", "1", "--save", "x.rrd"]).succeeded();
+        // longer than what there is before the first steps
+        let length = size(&dir.file("x.rrd")) * 2;
+        let mut running = Running::start(&dir, &["run", "small.toml", "--steps", "0", "--save", "x.rrd", pace]);
+        running.eventually(|| size(&dir.file("x.rrd.partial")) > length);
+        running.signal(name);
+        if twice {
+            // at once, as `timeout` does, which signals a program and its process group
+            signal(running.child().id(), name);
+        }
+        let ran = running.end();
+        assert_eq!(ran.status, 0, "{name}: {}", ran.err);
+        assert_eq!(dir.names(), ["small.toml", "x.rrd"]);
+
+        let recording = Recording::open(&dir.file("x.rrd"));
+        let steps = recording.steps();
+        assert!(steps > 0.0);
+        let said: String = ran.out.chars().filter(|&c| c != ',').collect();
+        assert!(said.contains(&format!("small: 2 bodies {vertices} vertices; {steps} steps")), "{}", ran.out);
+        // all of it is there
+        let last = recording.changes("/timings/log").last().expect("frames").step;
+        assert_eq!(last, if pace == every_step { steps as i64 } else { steps as i64 / 1000 * 1000 });
+    }
+}
+
+// ---- viewers -------------------------------------------------------------------------------------------------------
+
+#[test]
+fn a_viewer_that_is_not_there_matters_only_if_there_is_nothing_else() {
+    let dir = scene_dir();
+    let url = nobody();
+    let said = run(&dir, &["run", "small.toml", "--steps", "0", "--connect", &url]).failed(1);
+    assert!(said.contains(&url) && said.contains("--spawn"), "{said}");
+    assert_eq!(dir.names(), ["small.toml"]);
+
+    for quiet in [&[][..], &["--quiet"]] {
+        let arguments = ["run", "small.toml", "--connect", &url, "--save", "x.rrd"];
+        let ran = run(&dir, &[&arguments[..], quiet].concat());
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        assert_eq!(ran.err.lines().count(), 1, "{}", ran.err);
+        assert!(ran.err.contains("without a viewer") && ran.err.contains(&url), "{}", ran.err);
+        assert_eq!(ran.out.is_empty(), !quiet.is_empty());
+        assert_eq!(Recording::open(&dir.file("x.rrd")).steps(), 120.0);
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_browser_can_look_until_the_run_is_ended() {
+    const PORTS: [&str; 5] = ["--serve", "--web-port", "0", "--grpc-port", "0"];
+    for steps in ["0", "30"] {
+        let dir = scene_dir();
+        let arguments = ["run", "small.toml", "--steps", steps, "--realtime", "--save", "x.rrd"];
+        let mut running = Running::start(&dir, &[&arguments[..], &PORTS].concat());
+        let address = running.says("serving at http://");
+        let (host, path) = address.split_once('/').expect("a path");
+        assert!(host.starts_with("127.0.0.1:"), "{address}");
+        let mut stream = TcpStream::connect(host).expect("it listens");
+        let request = format!("GET /{path} HTTP/1.1\r\nhost: {host}\r\nconnection: close\r\n\r\n");
+        stream.write_all(request.as_bytes()).expect("it reads");
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).expect("it answers");
+        assert!(answer.starts_with(b"HTTP/1.1 200 OK\r\n"), "{}", String::from_utf8_lossy(&answer));
+
+        // after the run the file is complete and the server still there
+        if steps != "0" {
+            running.eventually(|| dir.names().contains(&"x.rrd".to_owned()));
+            assert_eq!(Recording::open(&dir.file("x.rrd")).steps(), 30.0);
+            assert!(TcpStream::connect(host).is_ok());
+        }
+        running.signal("INT");
+        assert_eq!(running.end().status, 0);
+        assert_eq!(dir.names(), ["small.toml", "x.rrd"]);
+        assert!(Recording::open(&dir.file("x.rrd")).steps() > 0.0);
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn destinations_go_together() {
+    let dir = scene_dir();
+    let url = nobody();
+    let arguments = ["run", "small.toml", "--save", "x.rrd", "--stdout", "--connect", &url];
+    let serve = ["--serve", "--web-port", "0", "--grpc-port", "0"];
+    let mut running = Running::start(&dir, &[&arguments[..], &serve].concat());
+    let stdout = running.child().stdout.take().expect("a pipe");
+    let reader = std::thread::spawn(move || {
+        let (mut stdout, mut bytes) = (stdout, Vec::new());
+        stdout.read_to_end(&mut bytes).map(|_| bytes)
+    });
+    running.says("Serving until Ctrl-C");
+    let saved = Recording::open(&dir.file("x.rrd"));
+    running.signal("INT");
+    assert_eq!(running.end().status, 0);
+    let piped = reader.join().expect("no panic").expect("a recording");
+    assert!(content(&saved) == content(&Recording::read(&piped[..])));
+}
