@@ -60,7 +60,7 @@ const NO_CONTROL: f64 = 1e15;
 /// A vertex so many radii off is nowhere.
 const DIVERGED: f64 = 1e3;
 /// More instants than this are not looked at.
-const MOST_INSTANTS: u64 = 4096;
+const MOST_INSTANTS: u64 = 1024;
 
 /// An integrator, and what decides how long its steps are.
 #[derive(Clone, Copy, Debug, PartialEq)]

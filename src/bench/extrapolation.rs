@@ -59,11 +59,10 @@ pub fn step<const N: usize>(
     for k in 0..COLUMNS {
         let mut entry = midpoint(f, t, y, slope, h, divisions(k));
         let mut change = [0.0; N];
-        for j in 0..k {
+        for (j, former) in row.iter_mut().take(k).enumerate() {
             let ratio = f64::from(divisions(k)) / f64::from(divisions(k - 1 - j));
             let weight = 1.0 / (ratio * ratio - 1.0);
-            let before = row[j];
-            row[j] = entry;
+            let before = std::mem::replace(former, entry);
             for i in 0..N {
                 change[i] = (entry[i] - before[i]) * weight;
                 entry[i] += change[i];

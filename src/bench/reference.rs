@@ -42,8 +42,8 @@ impl Accuracy {
 /// A scene whose reference would take too long.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error(
-    "a reference solution would take {evaluations:.0e} evaluations of the equation of motion, more than {MOST_EVALUATIONS:.0e}: \
-     its explicit method follows the fastest motion (omega, damping, alpha, beta), for every vertex and the whole \
+    "a reference solution would take {evaluations:.0e} evaluations of the equation of motion, more than \
+     {MOST_EVALUATIONS:.0e}: its explicit method follows the fastest motion (omega, damping, alpha, beta), for every vertex and the whole \
      duration; make the scene softer, smaller or shorter"
 )]
 pub struct TooLong {
@@ -91,7 +91,7 @@ impl Reference {
         let end = times.last().copied().unwrap_or(0.0);
         let evaluations = EVALUATIONS_PER_STEP
             * scene.vertex_count() as f64
-            * f64::max(times.len() as f64, end * fastest_rate(scene));
+            * f64::max(times.len() as f64, end * fastest_rate(scene) / accuracy.longest_step);
         if evaluations > MOST_EVALUATIONS {
             return Err(TooLong { evaluations });
         }

@@ -354,7 +354,8 @@ fn summarize(console: &Console, settings: &Settings, outcome: &Outcome) {
         if bodies == 1 { "body" } else { "bodies" },
         thousands(scene.vertex_count()),
         thousands(steps),
-        settings.dt,
+        // six digits are enough to know a step by
+        if settings.dt >= 1e-4 { format!("{:.6}", settings.dt) } else { format!("{:e}", settings.dt) },
         settings.integrator,
         world.time(),
         thousands((steps as f64 / seconds.max(1e-9)) as u64),

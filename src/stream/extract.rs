@@ -15,36 +15,33 @@ pub struct Surface {
 
 impl Surface {
     /// Appends the surface of a body, its vertices moved by `offset` [scene unit] from body coordinates.
-    ///
-    /// Normals are the sums of those of the triangles around a vertex, weighted by area.
     pub fn append(&mut self, body: &BodyView<'_>, offset: DVec3, triangles: &[[u32; 3]]) {
-        let first = self.positions.len();
-        let count = body.vertex_count();
+        let (first, count) = (self.positions.len(), body.vertex_count());
         self.positions.extend((0..count).map(|i| (body.local_position(i) + offset).as_vec3()));
-        if body.is_at_rest() {
-            // the smooth normals of an undeformed sphere, exactly
-            self.normals.extend((0..count).map(|i| body.unit(i).as_vec3()));
-            return;
-        }
         self.normals.resize(first + count, Vec3::ZERO);
-        let normals = &mut self.normals[first..];
-        // Twice the area vector of each triangle, in body coordinates: an offset would cost precision.
-        for corners in triangles {
-            let [a, b, c] = corners.map(|i| body.local_position(i as usize));
-            let area = (b - a).cross(c - a).as_vec3();
-            for &i in corners {
-                normals[i as usize] += area;
-            }
-        }
-        for (i, normal) in normals.iter_mut().enumerate() {
-            *normal = normal.try_normalize().unwrap_or(body.unit(i).as_vec3());
-        }
+        // From body coordinates: an offset would cost precision.
+        smooth_normals(|i| body.local_position(i), triangles, &mut self.normals[first..]);
     }
 
     /// Keeps the storage, holds nothing.
     pub fn clear(&mut self) {
         self.positions.clear();
         self.normals.clear();
+    }
+}
+
+/// Smooth normals: the sums of those of the triangles around a vertex, weighted by area. `normals` are zero before.
+pub fn smooth_normals(position: impl Fn(usize) -> DVec3, triangles: &[[u32; 3]], normals: &mut [Vec3]) {
+    for corners in triangles {
+        let [a, b, c] = corners.map(|i| position(i as usize));
+        let twice_area = (b - a).cross(c - a).as_vec3();
+        for &i in corners {
+            normals[i as usize] += twice_area;
+        }
+    }
+    for (i, normal) in normals.iter_mut().enumerate() {
+        // Where triangles cancel out, the direction from the centre is as good as any.
+        *normal = normal.try_normalize().unwrap_or(position(i).normalize_or(DVec3::Z).as_vec3());
     }
 }
 

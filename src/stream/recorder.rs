@@ -19,7 +19,7 @@ pub use super::settings::{Detail, Entities, MOST_PAIRS, Settings, arrow_scale, f
 use super::{
     blueprint,
     chunks::{Chunks, Instant},
-    extract::{Arrows, Surface},
+    extract::{Arrows, Surface, smooth_normals},
     palette::{self, Rgb, color},
     series::{Series, Shape},
 };
@@ -53,6 +53,9 @@ pub struct Recorder {
     frames: u64,
     stage_time: [Duration; Stage::ALL.len()],
     steps_since_frame: u32,
+    /// Steps of the integrator, and the largest error of a step, since the last frame.
+    substeps: u64,
+    error: f64,
     /// Since messages were last sent.
     log_time: Duration,
     steps_since_sent: u32,
@@ -99,6 +102,8 @@ impl Recorder {
             frames: 0,
             stage_time: Default::default(),
             steps_since_frame: 0,
+            substeps: 0,
+            error: 0.0,
             log_time: Duration::ZERO,
             steps_since_sent: 0,
             log_time_per_step: Duration::ZERO,
@@ -143,6 +148,8 @@ impl Recorder {
         for (sum, spent) in self.stage_time.iter_mut().zip(report.timings) {
             *sum += spent;
         }
+        self.substeps += report.substeps;
+        self.error = self.error.max(report.error);
         for event in &report.events {
             self.log_event(world, event);
         }
@@ -195,9 +202,11 @@ impl Recorder {
             }
             Entities::Batch => {
                 for (shape, triangles) in by_shape(&self.triangles) {
-                    let unit: Vec<Vec3> = shape.unit_vertices().iter().map(|v| v.as_vec3()).collect();
-                    let mesh = Mesh3D::new(unit.iter().copied())
-                        .with_vertex_normals(unit)
+                    let unit = shape.unit_vertices();
+                    let mut normals = vec![Vec3::ZERO; unit.len()];
+                    smooth_normals(|i| unit[i], triangles, &mut normals);
+                    let mesh = Mesh3D::new(unit.iter().map(|v| v.as_vec3()))
+                        .with_vertex_normals(normals)
                         .with_triangle_indices(triangles.iter().copied())
                         .with_albedo_factor(rgba(palette::RESTING));
                     self.chunks.log_static(&resting_entity(shape), &mesh);
@@ -252,6 +261,9 @@ impl Recorder {
             if track.centre != Some(centre) {
                 self.chunks.log(&entity, now, &Transform3D::from_translation(centre));
                 track.centre = Some(centre);
+            }
+            if body.is_at_rest() && !track.surface.positions.is_empty() {
+                continue;
             }
             let start = Clock::now();
             track.next.clear();
@@ -452,14 +464,13 @@ impl Recorder {
 
     fn log_diagnostics(&mut self, world: &World, now: Instant) {
         let energy = world.energy();
-        let report = world.report();
         let displacement = world.bodies().map(|body| body.max_displacement() / body.scene().radius);
         let values = [
             energy.total(),
             displacement.fold(0.0, f64::max),
             energy.reached_vertices as f64,
-            report.substeps as f64,
-            report.error,
+            std::mem::take(&mut self.substeps) as f64,
+            std::mem::take(&mut self.error),
             world.bodies().filter(|body| body.is_at_rest()).count() as f64,
         ];
         for ((name, _, shape), value) in DIAGNOSTICS.into_iter().zip(values) {

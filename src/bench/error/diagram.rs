@@ -78,7 +78,7 @@ pub fn svg(reports: &[Report], machine: &Machine) -> Result<String, String> {
     let root = SVGBackend::with_string(&mut text, size).into_drawing_area();
     let drawn = draw(&root, reports, machine, (rows, columns)).and_then(|()| root.present());
     drop(root);
-    drawn.map(|()| ()).map_err(|error| error.to_string())?;
+    drawn.map_err(|error| error.to_string())?;
     Ok(text)
 }
 
@@ -100,11 +100,11 @@ fn draw<'a>(
     write(&header, &title, (20, 32), 30.0, INK, HPos::Left)?;
     for (line, y) in [
         (
-            "Down is more exact, left is faster. From point to point the step is halved; a ring marks the scene’s own step.",
+            "Down is more exact, left is faster. From point to point the step is halved, a ring marks the scene’s own.",
             64,
         ),
         (
-            "Stars: the scene’s own step, divided where a tolerance asks for it; from star to star the tolerance is tightened.",
+            "Stars: the scene’s own step, divided where a tolerance asks for it, which is tightened from star to star.",
             90,
         ),
     ] {
@@ -159,7 +159,7 @@ fn ticks(range: &Range<f64>, multiples: &[f64]) -> Vec<f64> {
 
 fn draw_panel<'a>(panel: &Area<'a>, report: &Report, errors: Range<f64>, is_titled: bool) -> Result<(), Failure<'a>> {
     let times = time_range(report);
-    let time_ticks = ticks(&times, if times.end / times.start < 100.0 { &[1.0, 2.0, 5.0] } else { &[1.0] });
+    let time_ticks = ticks(&times, if times.end / times.start < 1000.0 { &[1.0, 2.0, 5.0] } else { &[1.0] });
     let time_grid = ticks(&times, &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]);
     let error_ticks = ticks(&errors, &[1.0]);
     let mut chart = ChartBuilder::on(panel)

@@ -64,8 +64,8 @@ fn row(report: &Report, measurement: &Measurement) -> [String; 7] {
 /// What the numbers of all tables mean, and where they were measured.
 pub fn footer(machine: &Machine) -> String {
     format!(
-        "error: the largest over time and vertices, in radii; order: against the step before; run time: median of 5 runs or more, \
-         the steps alone\n{machine}"
+        "error: the largest over time and vertices, in radii; order: against the step before; \
+         run time: of the steps alone, median of 5 runs or more\n{machine}"
     )
 }
 
