@@ -43,8 +43,8 @@ impl Accuracy {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error(
     "a reference solution would take {evaluations:.0e} evaluations of the equation of motion, more than \
-     {MOST_EVALUATIONS:.0e}: its explicit method follows the fastest motion (omega, damping, alpha, beta), for every vertex and the whole \
-     duration; make the scene softer, smaller or shorter"
+     {MOST_EVALUATIONS:.0e}: its explicit method follows the fastest motion (omega, damping, alpha, beta), for every \
+     vertex and the whole duration; make the scene softer, smaller or shorter"
 )]
 pub struct TooLong {
     /// An estimate of them.

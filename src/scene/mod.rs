@@ -115,7 +115,7 @@ pub enum Integrator {
     Verlet,
     /// Classical Runge–Kutta, fourth order between phase switches.
     Rk4,
-    /// Exact oscillator flow with φ-functions for the force, sub-steps at events.
+    /// Exact oscillator flow with φ-functions for the force, fifth order, with error control and jumps located.
     Exponential,
 }
 

@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use glam::DVec3;
+
 use super::{
     Span,
     body::Body,
@@ -36,7 +38,9 @@ pub(super) fn paths(scene: &Scene, a: u32, b: u32) -> PairPaths<'_> {
 #[derive(Default)]
 pub(super) struct PairFinder {
     sweep: Sweep,
+    places: Vec<Place>,
     balls: Vec<Ball>,
+    /// Bounds of the acceleration of the vertices of each body by influence, in the step before [scene unit/s²].
     pull: Vec<f64>,
     found: Vec<(u32, u32)>,
     known: Vec<Pair>,
@@ -46,7 +50,7 @@ impl PairFinder {
     /// Makes `pairs` those that can touch, or change phase, during `span`, in ascending order; a pair that was known
     /// keeps its phase, one that is not apart stays known however far it is.
     pub fn find(&mut self, scene: &Scene, bodies: &[Body], pairs: &mut Vec<Pair>, span: Span) {
-        self.find_overlapping(scene, bodies, pairs, span);
+        self.find_overlapping(scene, bodies, span);
 
         std::mem::swap(pairs, &mut self.known);
         pairs.clear();
@@ -67,40 +71,123 @@ impl PairFinder {
     }
 
     /// Fills `found`. How far a body's vertices can get depends on who can pull them, which depends on how far they can
-    /// get: begin with the neighbours known, and look again as long as new ones can pull harder.
-    fn find_overlapping(&mut self, scene: &Scene, bodies: &[Body], known: &[Pair], span: Span) {
-        let PairFinder { sweep, balls, pull, found, .. } = self;
-        add_up_pull(scene, known.iter().map(|pair| (pair.a, pair.b)), bodies.len(), pull);
+    /// get. Who can at all is found among those near enough if the pull were that of the step before, starting from no
+    /// pull: a sphere that cannot reach where the others can pull a vertex cannot be the first to do so, so never does.
+    /// If that comes to more than before, those near enough are looked for again.
+    fn find_overlapping(&mut self, scene: &Scene, bodies: &[Body], span: Span) {
+        let PairFinder { sweep, places, balls, pull, found, .. } = self;
+        pull.resize(bodies.len(), 0.0);
         loop {
             let assumed = std::mem::take(pull);
+            places.clear();
+            places.extend((0..bodies.len()).map(|i| Place::of(scene, &bodies[i], i, assumed[i], span)));
             balls.clear();
-            balls.extend((0..bodies.len()).map(|i| ball(scene, &bodies[i], i, assumed[i], span)));
+            balls.extend(scene.bodies.iter().zip(&*places).map(|(body, place)| place.ball(scene, body.radius)));
             found.clear();
             sweep.overlapping(balls, found);
-            add_up_pull(scene, found.iter().copied(), bodies.len(), pull);
-            if span.length() == 0.0 || pull.iter().zip(&assumed).all(|(needed, assumed)| needed <= assumed) {
-                return;
+
+            *pull = least_pull(scene, bodies, found, places, span);
+            if pull.iter().zip(&assumed).all(|(needed, assumed)| needed <= assumed) {
+                break;
             }
             for (needed, assumed) in pull.iter_mut().zip(&assumed) {
                 *needed = needed.max(*assumed);
             }
         }
+        for place in places.iter_mut() {
+            place.vertices = place.vertices.max(place.swing);
+        }
+        found.retain(|&(a, b)| {
+            let [at, other] = [a, b].map(|i| &places[i as usize]);
+            let merging = scene.thresholds.merge_at * paths(scene, a, b).radii;
+            let can_merge = at.nearest(other) <= merging + at.rounding(other);
+            can_merge || reaches(scene, places, a, b) || reaches(scene, places, b, a)
+        });
     }
 }
 
-/// Everything that body `index` acts on or is acted on at during `span`, if influence pulls it by up to `pull`.
-fn ball(scene: &Scene, body: &Body, index: usize, pull: f64, span: Span) -> Ball {
-    let this = &scene.bodies[index];
-    let motion = this.path.bounds(span.start, span.end);
+/// The pull on each body by those among `found` that can reach it, if only those pull that can; `places` become those
+/// that this leaves.
+fn least_pull(scene: &Scene, bodies: &[Body], found: &[(u32, u32)], places: &mut [Place], span: Span) -> Vec<f64> {
+    let mut pull = vec![0.0; bodies.len()];
+    for (i, place) in places.iter_mut().enumerate() {
+        place.vertices = farthest_vertex(scene, &bodies[i], i, 0.0, span);
+    }
+    loop {
+        let mut next = vec![0.0; bodies.len()];
+        for &(a, b) in found {
+            for (this, source) in [(a, b), (b, a)] {
+                if reaches(scene, places, this, source) {
+                    next[this as usize] += strongest_pull(scene, this, source);
+                }
+            }
+        }
+        if next == pull {
+            return pull;
+        }
+        for (i, place) in places.iter_mut().enumerate().filter(|&(i, _)| next[i] != pull[i]) {
+            place.vertices = farthest_vertex(scene, &bodies[i], i, next[i], span);
+        }
+        pull = next;
+    }
+}
+
+/// Whether the sphere of body `source` can reach vertices of body `this`.
+fn reaches(scene: &Scene, places: &[Place], this: u32, source: u32) -> bool {
+    let sphere = scene.influence.sphere_radius(scene.bodies[source as usize].radius);
+    let [at, from] = [this, source].map(|i| &places[i as usize]);
+    at.nearest(from) <= sphere + at.vertices + at.rounding(from)
+}
+
+/// How far from the centre of body `index` it can have vertices during `span` if influence pulls it by up to `pull`.
+fn farthest_vertex(scene: &Scene, body: &Body, index: usize, pull: f64, span: Span) -> f64 {
     let force = pull + own_force(scene, body, index, span);
-    let vertices = this.radius + body.extent.after(body.oscillator, force, span.length());
-    let sphere = scene.influence.sphere_radius(this.radius);
-    let merging = scene.thresholds.merge_at * this.radius;
-    let centre = this.path.position(span.start);
-    let radius = sphere.max(vertices).max(merging) + motion.speed * span.length();
-    // A pair that stands exactly on merge_at is not lost to rounding.
-    let rounding = 4.0 * f64::EPSILON * (centre.abs().max_element() + radius);
-    Ball { centre, radius: radius + rounding }
+    scene.bodies[index].radius + body.extent.after(body.oscillator, force, span.length())
+}
+
+/// Where a body is during a step, and how far it gets.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    /// Its centre at the start [scene unit].
+    centre: DVec3,
+    /// How far the centre can get [scene unit].
+    travelled: f64,
+    /// How far from the centre it can have vertices [scene unit].
+    vertices: f64,
+    /// How far from the centre they would swing by themselves: pairs within that stay known between two swings.
+    swing: f64,
+}
+
+impl Place {
+    /// Of body `index` during `span`, if influence pulls it by up to `pull` [scene unit/s²].
+    fn of(scene: &Scene, body: &Body, index: usize, pull: f64, span: Span) -> Place {
+        let path = &scene.bodies[index].path;
+        Place {
+            centre: path.position(span.start),
+            travelled: path.bounds(span.start, span.end).speed * span.length(),
+            vertices: farthest_vertex(scene, body, index, pull, span),
+            swing: scene.bodies[index].radius + body.amplitude(),
+        }
+    }
+
+    /// The nearest that two centres can come.
+    fn nearest(&self, other: &Place) -> f64 {
+        self.centre.distance(other.centre) - (self.travelled + other.travelled)
+    }
+
+    /// What rounding of the centres can do to that: a pair that stands exactly on a threshold is not lost to it.
+    fn rounding(&self, other: &Place) -> f64 {
+        let far = |place: &Place| place.centre.abs().max_element() + place.vertices.max(place.swing) + place.travelled;
+        8.0 * f64::EPSILON * (far(self) + far(other))
+    }
+
+    /// Everything that the body acts on or is acted on at, or can merge in.
+    fn ball(&self, scene: &Scene, radius: f64) -> Ball {
+        let sphere = scene.influence.sphere_radius(radius);
+        let merging = scene.thresholds.merge_at * radius;
+        let reach = sphere.max(self.vertices).max(self.swing).max(merging) + self.travelled;
+        Ball { centre: self.centre, radius: reach + self.rounding(self) }
+    }
 }
 
 /// A bound of the acceleration of any vertex by pushes and by the body's own motion during `span` [scene unit/s²].
@@ -125,14 +212,4 @@ pub(super) fn strongest_pull(scene: &Scene, this: u32, source: u32) -> f64 {
         .into_iter()
         .fold(0.0, f64::max);
     strength * scene.influence.sphere_radius(source) * scene.influence.weight.max_pull()
-}
-
-/// Bounds of the acceleration of any vertex of each body by the influence of the pairs given [scene unit/s²].
-fn add_up_pull(scene: &Scene, pairs: impl Iterator<Item = (u32, u32)>, bodies: usize, pull: &mut Vec<f64>) {
-    pull.clear();
-    pull.resize(bodies, 0.0);
-    for (a, b) in pairs {
-        pull[a as usize] += strongest_pull(scene, a, b);
-        pull[b as usize] += strongest_pull(scene, b, a);
-    }
 }

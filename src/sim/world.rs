@@ -366,3 +366,31 @@ pub struct PairView {
     /// What the two do to each other.
     pub phase: Phase,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What single precision would cost: the state rounded to f32 after every step, against the state as it is.
+    #[test]
+    fn single_precision_is_not_enough() {
+        let scene = Scene::builtin("two").unwrap();
+        let (mut world, mut rounded) = (World::new(scene.clone()).unwrap(), World::new(scene).unwrap());
+        let mut error = 0.0;
+        for _ in 0..world.scene().steps() {
+            world.step();
+            rounded.step();
+            for body in &mut rounded.bodies {
+                for vectors in [&mut body.displacement, &mut body.velocity] {
+                    for axis in [&mut vectors.x, &mut vectors.y, &mut vectors.z] {
+                        axis.iter_mut().for_each(|v| *v = f64::from(*v as f32));
+                    }
+                }
+            }
+            for (a, b) in world.bodies().zip(rounded.bodies()) {
+                error = a.positions().zip(b.positions()).map(|(a, b)| a.distance(b)).fold(error, f64::max);
+            }
+        }
+        assert!((2e-8..5e-7).contains(&error), "{error:e}"); // of a radius; seen: 1.5e-7
+    }
+}

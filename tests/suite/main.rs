@@ -8,5 +8,6 @@ mod integrators;
 mod physics;
 mod recording;
 mod reference;
+mod rims;
 mod scene_format;
 mod sinks;

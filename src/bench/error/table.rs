@@ -55,7 +55,8 @@ fn row(report: &Report, measurement: &Measurement) -> [String; 7] {
             Some(error) if error < resolution => format!("< {resolution:.0e}"),
             Some(error) => format!("{error:.2e}"),
         },
-        measurement.order.map_or("–".to_owned(), |order| format!("{order:.2}")),
+        // rounded first, so that no zero is negative
+        measurement.order.map_or("–".to_owned(), |order| format!("{:.2}", (100.0 * order).round() / 100.0 + 0.0)),
         significant(1e3 * measurement.seconds),
         format!("{:.1}", 1e-6 * report.vertex_steps_per_second(measurement)),
     ]

@@ -9,7 +9,7 @@
 //! | [`Mps`](crate::scene::Integrator::Mps), [`Euler`](crate::scene::Integrator::Euler) | 1 | [`explicit`] |
 //! | [`Verlet`](crate::scene::Integrator::Verlet) | 2 | [`explicit`] |
 //! | [`Rk4`](crate::scene::Integrator::Rk4) | 4 where nothing jumps | [`explicit`] |
-//! | [`Exponential`](crate::scene::Integrator::Exponential) | 6, with error control | [`exponential`] |
+//! | [`Exponential`](crate::scene::Integrator::Exponential) | 5, with error control | [`exponential`] |
 //!
 //! Only `exponential` ends its steps where something jumps; the others take the phases of the start of the step as they
 //! are, as their authors would have.

@@ -110,11 +110,12 @@ fn first_fall(
     let (g, slope, distance) = gap(middle);
     let curvature = 2.0 * speed * speed + 2.0 * (distance + speed * half) * acceleration;
     let range = slope.abs() * half + 0.5 * curvature * half * half;
-    if g.abs() > range {
-        return None;
+    let close = 1e-13 * rim * rim; // nearer to zero, only rounding is seen
+    if g.abs() > range + close {
+        return (g < 0.0).then_some(start); // no root; but if it has fallen already, that is seen now
     }
     let ends = || (gap(start).0, gap(end).0);
-    if range <= 1e-13 * rim * rim || middle <= start || middle >= end {
+    if range <= close || middle <= start || middle >= end {
         let (before, after) = ends();
         return (before > 0.0 && after <= 0.0).then_some(end); // too short to tell more
     }

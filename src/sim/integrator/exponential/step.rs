@@ -116,9 +116,10 @@ impl Step {
     /// corrections can do that.
     ///
     /// The force is taken as the cubic through its values at the four Lobatto nodes; against the exact oscillator that
-    /// is exponential collocation, of order six (Hochbruck & Ostermann 2005). The forces depend on the displacements
-    /// at the nodes and these on the forces: predicted from the nodes before, then corrected (Picard). Each correction
-    /// leaves of the last change at most the part that the stiffness of the influence lets through.
+    /// is exponential collocation (Hochbruck & Ostermann 2005). The forces depend on the displacements at the nodes and
+    /// these on the forces: predicted from the nodes before, then corrected (Picard), once at least, which makes it of
+    /// order five; corrected to the end it is of order six. Each correction leaves of the last change at most the part
+    /// that the stiffness of the influence lets through.
     pub fn take<const N: usize>(
         &self,
         course: &Course<'_>,

@@ -1,0 +1,100 @@
+//! Vertices that cross the rim of an influence sphere within a step, where the linear weight has a kink.
+//!
+//! Each scene is run at a coarse step and compared with itself at a step 256 times smaller, at which every crossing has
+//! many steps on either side.
+
+use meldscope::{Scene, World};
+
+/// The largest distance of any vertex at any time of the coarse run between the two, in radii of body `a`.
+fn error(motion: &str, dt: f64, alpha: f64) -> (f64, u64) {
+    let text = format!(
+        r#"
+        dt = {dt}
+        duration = {}
+        [material]
+        omega = 12.0
+        damping = 0.5
+        response = "rigid"
+        [influence]
+        alpha = {alpha}
+        merge_at = 5.0
+        split_at = 50.0
+        reach = 1.0
+        [[body]]
+        name = "a"
+        radius = 1.0
+        shape = {{ sphere = {{ stacks = 6, slices = 8 }} }}
+        motion = {{ fixed = [0, 0, 0] }}
+        [[body]]
+        name = "b"
+        radius = 1.0
+        shape = {{ sphere = {{ stacks = 2, slices = 3 }} }}
+        motion = {{ {motion} }}
+        "#,
+        8.0 * dt
+    );
+    const FINER: u64 = 256;
+    let coarse = Scene::parse(&text, "rims.toml").expect("a valid scene");
+    let fine = Scene { dt: dt / FINER as f64, tolerance: 1e-11, ..coarse.clone() };
+    let steps = coarse.steps();
+    let (mut coarse, mut fine) = (World::new(coarse).expect("fits"), World::new(fine).expect("fits"));
+    let (mut worst, mut substeps) = (0.0, 0);
+    for _ in 0..steps {
+        substeps += coarse.step().substeps;
+        (0..FINER).for_each(|_| {
+            fine.step();
+        });
+        for (a, b) in coarse.body(0).positions().zip(fine.body(0).positions()) {
+            worst = f64::max(worst, a.distance(b));
+        }
+    }
+    (worst, substeps)
+}
+
+/// A sphere passes so fast that vertices enter and leave it within one step, between any two instants at which the
+/// step looks: 2 units in 1/50 of it.
+#[test]
+fn a_vertex_that_enters_and_leaves_within_a_step() {
+    let (error, substeps) = error("line = { from = [1.7, -40, 0], velocity = [0, 1000, 0] }", 0.1, 100.0);
+    assert!(substeps > 16, "{substeps}: no crossing was seen");
+    assert!(error < 1e-8, "{error:e}");
+}
+
+/// Slow enough that the crossings of a step are of different vertices.
+#[test]
+fn vertices_that_enter_one_by_one() {
+    for speed in [0.5, 3.0, 20.0] {
+        let motion = format!("line = {{ from = [1.9, {}, 0.1], velocity = [0, {speed}, 0] }}", -0.2 * speed);
+        let (error, _) = error(&motion, 0.05, 100.0);
+        assert!(error < 2e-7, "speed {speed}: {error:e}");
+    }
+}
+
+/// The rim comes as near to a vertex as `gap`, touches it, or takes it in by that much, and goes away again: vertex 0 of
+/// the sphere is at (0, 0, 1), the sphere's centre passes above it at a distance of 1 + gap.
+#[test]
+fn a_vertex_that_grazes_the_rim() {
+    for gap in [1e-3, 1e-6, 1e-9, 0.0, -1e-9, -1e-6, -1e-3] {
+        let motion = format!("line = {{ from = [-0.35, 0, {}], velocity = [1, 0, 0] }}", 2.0 + gap);
+        let (error, _) = error(&motion, 0.1, 100.0);
+        assert!(error < 1e-9, "gap {gap:e}: {error:e}");
+    }
+}
+
+/// A vertex that starts exactly on the rim of a sphere that moves towards it or away from it.
+#[test]
+fn a_vertex_that_starts_on_the_rim() {
+    for velocity in [-1.0, 1.0] {
+        let motion = format!("line = {{ from = [0, 0, 2], velocity = [0, 0, {velocity}] }}");
+        let (error, _) = error(&motion, 0.02, 100.0);
+        assert!(error < 1e-8, "velocity {velocity}: {error:e}");
+    }
+}
+
+/// The attraction itself is stiff: α Δt² = 100, at which the vertices swing within a step.
+#[test]
+fn a_stiff_attraction() {
+    let (error, substeps) = error("fixed = [1.6, 0, 0]", 0.1, 1e4);
+    assert!(substeps > 100, "{substeps}: the stiffness was not seen");
+    assert!(error < 1e-6, "{error:e}");
+}
