@@ -88,8 +88,8 @@ impl Body {
     /// The margin leaves room for schemes that are merely inaccurate.
     pub fn has_diverged(&self) -> bool {
         const MARGIN: f64 = 100.0;
-        // written so that what is not a number has diverged
-        !(self.extent.momentum <= MARGIN * self.bound) || !self.extent.displacement.is_finite()
+        let Extent { displacement, momentum } = self.extent;
+        !displacement.is_finite() || !momentum.is_finite() || momentum > MARGIN * self.bound
     }
 
     /// From here on the body has vertices of its own.

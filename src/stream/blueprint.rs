@@ -79,7 +79,7 @@ impl Layout {
 
     /// Beside the scene: what happens between bodies, and what it cost.
     fn pairs(&mut self, scene: &Scene) -> Part {
-        let legend = PlotLegend::new().with_corner(Corner2D::RightTop);
+        let legend = PlotLegend::new().with_corner(Corner2D::RightBottom);
         let [low, high] = q_range(scene);
         let axis = ScalarAxis::new().with_range(Range1D::new(low, high));
         let distances = self.view(

@@ -361,7 +361,7 @@ impl Run {
     }
 
     fn is_frame(&self, world: &World) -> bool {
-        world.steps_taken() % self.settings.every == 0
+        world.steps_taken().is_multiple_of(self.settings.every)
     }
 }
 
@@ -468,7 +468,10 @@ impl Run {
                 if path == "/events" || (path.starts_with("/pairs/") && path.ends_with("/phase")) {
                     continue; // below
                 }
-                assert!(row.step as u64 % self.settings.every == 0 && row.step as u64 <= self.steps(), "{path}");
+                assert!(
+                    (row.step as u64).is_multiple_of(self.settings.every) && row.step as u64 <= self.steps(),
+                    "{path}"
+                );
                 assert_eq!(row.time, nanoseconds(row.step as f64 * self.settings.dt), "{path} at step {}", row.step);
                 for component in row.cells.into_keys() {
                     assert!(seen.insert((row.step, component.clone())), "{path} at step {}: {component}", row.step);

@@ -211,9 +211,10 @@ impl<'a> Stretch<'a> {
                 margin[i] = if margin[i] < beyond { margin[i] } else { beyond };
             }
         }
-        // written so that what is not a number is in reach
-        for i in (0..margin.len()).filter(|&i| !(margin[i] > 0.0)) {
-            found(i);
+        for (i, margin) in margin.iter().enumerate() {
+            if *margin <= 0.0 || margin.is_nan() {
+                found(i);
+            }
         }
     }
 
