@@ -348,7 +348,7 @@ fn summarize(console: &Console, settings: &Settings, outcome: &Outcome) {
     let scene = world.scene();
     let (bodies, steps) = (scene.bodies.len() as u64, world.steps_taken());
     console.print(&format!(
-        "{}: {} {}, {} vertices; {} steps of {:.6} s with {}, {:.3} s simulated in {seconds:.3} s ({} steps/s)",
+        "{}: {} {}, {} vertices; {} steps of {} s with {}, {:.3} s simulated in {seconds:.3} s ({} steps/s)",
         scene.name,
         thousands(bodies),
         if bodies == 1 { "body" } else { "bodies" },
