@@ -5,7 +5,7 @@ use std::sync::LazyLock;
 use crate::model::oscillator::{Oscillator, Propagator};
 
 /// The nodes of Lobatto quadrature with four points, on [0, 1]: exact for polynomials of degree five.
-pub const NODES: [f64; 4] = [0.0, 0.276_393_202_250_021, 0.723_606_797_749_979, 1.0];
+pub const NODES: [f64; 4] = [0.0, 0.276_393_202_250_021, 0.723_606_797_749_978_9, 1.0];
 
 /// `LAGRANGE[n][i]` holds the coefficients of the polynomial that is 1 at node i and 0 at the other nodes before node n.
 static LAGRANGE: LazyLock<[[[f64; 4]; 4]; 5]> = LazyLock::new(|| {
