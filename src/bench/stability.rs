@@ -283,7 +283,7 @@ fn allowed(world: &World, index: usize) -> Option<f64> {
     let stiffness = stiffness(scene, index);
     let unstable = f64::max(0.0, stiffness - omega * omega).sqrt();
     let growth = (unstable * t).cosh() * f64::max(1.0, stiffness * (t * t).min(1.0 / (omega * omega)));
-    (growth <= LARGEST_GROWTH).then(|| growth * (10.0 * scene.tolerance * t + rounding) + 1e-9)
+    (growth <= LARGEST_GROWTH).then_some(growth * (10.0 * scene.tolerance * t + rounding) + 1e-9)
 }
 
 /// What rounding can do to a free oscillation by now, relative to its size [–].
