@@ -11,4 +11,3 @@ mod reference;
 mod rims;
 mod scene_format;
 mod sinks;
-mod stability;
