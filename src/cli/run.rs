@@ -16,7 +16,7 @@ use rerun::log::LogMsg;
 use super::{Failure, print, say};
 use crate::{
     scene::{Integrator, Scene, builtin, parse::did_you_mean},
-    sim::{Event, World, memory},
+    sim::{Event, Options, World, memory},
     stream::{
         Recorder,
         recorder::describe,
@@ -93,6 +93,9 @@ pub struct Arguments {
     /// Threads to use [default: as many as there are cores].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
+    /// Look at every pair and every vertex in every step, also where nothing happens: slower, and the same but for rounding.
+    #[arg(long)]
+    no_skip: bool,
     /// Print errors only.
     #[arg(long)]
     quiet: bool,
@@ -142,7 +145,8 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     }
     let destinations = destinations(&arguments, &scene);
     // First what can refuse the scene, then what can refuse the destinations, and only then any work.
-    let world = World::new(scene).map_err(Failure::input)?;
+    let options = Options { skip: !arguments.no_skip, ..Options::default() };
+    let world = World::with_options(scene, options).map_err(Failure::input)?;
     let sinks = Sinks::open(&destinations).map_err(sink_failure)?;
 
     let mut console = Console::new(&arguments, settings.steps);

@@ -8,6 +8,40 @@
 //! S(t) = e^(−κt) sinh(μt)/μ,   μ² = κ² − ω²      (sin for κ < ω, t e^(−κt) for κ = ω)
 //! ```
 
+/// Times (ω + 2κ) h up to which the series of [`SERIES`] is exact to rounding.
+const SHORT: f64 = 0.5;
+
+/// What a term of the series for S counts in each of the sums.
+struct Term {
+    /// n! k!/(n + k + 1)!, k = 0 … 3.
+    moments: [f64; 4],
+    /// 1 / (n (n + 1))
+    per_n_and_next: f64,
+    /// 1 / (n + 1)
+    per_next: f64,
+}
+
+/// The terms n = 1 … 14 of the series for S; the next would be below 0.5¹⁴/15! ≈ 5e-17 of the first.
+static SERIES: [Term; 14] = {
+    const NONE: Term = Term { moments: [0.0; 4], per_n_and_next: 0.0, per_next: 0.0 };
+    let mut terms = [NONE; 14];
+    let mut i = 0;
+    while i < terms.len() {
+        let n = (i + 1) as f64;
+        let mut moment = 1.0 / (n + 1.0);
+        let mut k = 0;
+        while k < 4 {
+            terms[i].moments[k] = moment;
+            moment *= (k + 1) as f64 / (n + k as f64 + 2.0);
+            k += 1;
+        }
+        terms[i].per_n_and_next = 1.0 / (n * (n + 1.0));
+        terms[i].per_next = 1.0 / (n + 1.0);
+        i += 1;
+    }
+    terms
+};
+
 /// ω and κ of (3.2).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Oscillator {
@@ -38,20 +72,55 @@ impl Oscillator {
     /// The exact propagator over `h` > 0 [s].
     pub fn propagator(&self, h: f64) -> Propagator {
         let Oscillator { omega, damping } = *self;
-        let [xx, xu, uu] = self.flow(h);
+        if (omega + 2.0 * damping) * h <= SHORT {
+            return self.short_propagator(h);
+        }
+        let [xx, xu, ux, uu] = self.flow(h);
         let x = self.responses(h, xx, xu);
+        Propagator { xx, xu, ux, uu, x, u: [xu, x[0] / h, 2.0 * (x[1] / h), 3.0 * (x[2] / h)] }
+    }
+
+    /// The propagator over a time in which little happens, by the Taylor series S = Σ a_n tⁿ: S″ = −ω²S − 2κS′, so
+    /// (n+2)(n+1) a_{n+2} = −ω² a_n − 2κ (n+1) a_{n+1}. With b_n = a_n hⁿ the terms shrink like zⁿ/n!, z = (ω + 2κ) h,
+    /// and ∫₀¹ (1 − θ)ⁿ θᵏ dθ = n! k!/(n + k + 1)!.
+    fn short_propagator(&self, h: f64) -> Propagator {
+        let Oscillator { omega, damping } = *self;
+        let (a, b) = (-(omega * h) * (omega * h), -2.0 * damping * h);
+        let (mut before, mut current) = (0.0, 1.0);
+        // over h; the first terms, which are the largest by far, last: so only that addition rounds
+        let (mut s, mut slope, mut sums) = (0.0, 0.0, [0.0; 4]);
+        for (n, row) in (1..).zip(&SERIES) {
+            if n > 1 {
+                s += current;
+                slope += f64::from(n) * current;
+                for (sum, weight) in sums.iter_mut().zip(&row.moments) {
+                    *sum += current * weight;
+                }
+            }
+            (before, current) = (current, a * before * row.per_n_and_next + b * current * row.per_next);
+        }
+        let first = &SERIES[0].moments;
+        let (s, uu) = (h * (1.0 + s), 1.0 + slope);
+        let xx = 1.0 + (slope + 2.0 * damping * s);
+        let m: [f64; 4] = std::array::from_fn(|k| h * (first[k] + sums[k]));
         Propagator {
             xx,
-            xu,
-            ux: -omega * omega * xu,
+            xu: s,
+            ux: -omega * omega * s,
             uu: if damping == 0.0 { xx } else { uu },
-            x,
-            u: [xu, x[0] / h, 2.0 * (x[1] / h), 3.0 * (x[2] / h)],
+            x: m.map(|m| m * h),
+            u: [s, m[0], 2.0 * m[1], 3.0 * m[2]],
         }
     }
 
+    /// The flow alone over `h` ≥ 0 [s]: ∂x/∂x₀ [–], ∂x/∂u₀ [s], ∂u/∂x₀ [1/s], ∂u/∂u₀ [–].
+    pub fn flow(&self, h: f64) -> [f64; 4] {
+        let [xx, xu, uu] = self.modes(h);
+        [xx, xu, -self.omega * self.omega * xu, if self.damping == 0.0 { xx } else { uu }]
+    }
+
     /// `[xx, xu, uu]`: x = e^(−κt) (C + κS̃) x₀ + e^(−κt) S̃ u₀ with C = cosh μt, S̃ = sinh(μt)/μ.
-    fn flow(&self, h: f64) -> [f64; 3] {
+    fn modes(&self, h: f64) -> [f64; 3] {
         let Oscillator { omega, damping } = *self;
         // κ² − ω² without cancellation, and without overflow where the factors don't
         let discriminant = (damping - omega) * (damping + omega);
@@ -82,13 +151,11 @@ impl Oscillator {
     fn responses(&self, h: f64, xx: f64, xu: f64) -> [f64; 4] {
         let Oscillator { omega, damping } = *self;
         if (omega + 2.0 * damping) * h <= 3.0 {
-            // Taylor series S = Σ a_n tⁿ: S″ = −ω²S − 2κS′, so (n+2)(n+1) a_{n+2} = −ω² a_n − 2κ (n+1) a_{n+1}. With
-            // b_n = a_n hⁿ the terms shrink like zⁿ/n! for the z below, and ∫₀¹ (1 − θ)ⁿ θᵏ dθ = n! k!/(n + k + 1)!.
-            let terms = if (omega + 2.0 * damping) * h <= 0.5 { 16 } else { 40 };
+            // The series of `short_propagator`, with more terms.
             let (a, b) = (-(omega * h) * (omega * h), -2.0 * damping * h);
             let (mut before, mut current) = (0.0, h);
             let mut sums = [0.0; 4];
-            for n in 1..terms {
+            for n in 1..40 {
                 let n = f64::from(n);
                 let mut integral = current / (n + 1.0);
                 for (sum, k) in sums.iter_mut().zip([1.0, 2.0, 3.0, 4.0]) {

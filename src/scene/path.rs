@@ -42,6 +42,10 @@ pub struct Kinematics {
     pub acceleration: DVec3,
 }
 
+/// By what angles a path turns between instants at fixed times from each other: sine and cosine of each.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Turns([(f64, f64); 5]);
+
 /// Upper bounds of a path over an interval, for root finding that can't miss a crossing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
@@ -79,6 +83,35 @@ impl Path {
         match self {
             Path::Keyframes(spline) => spline.on(spline.times.partition_point(|&key| key < t), t),
             _ => self.at(t),
+        }
+    }
+
+    /// What [`Path::kinematics`] needs to know of instants at the given times after any start [s].
+    pub fn turns(&self, after: &[f64; 5]) -> Turns {
+        match self {
+            Path::Sine { frequency, .. } => Turns(after.map(|t| libm::sincos(TAU * frequency * t))),
+            _ => Turns([(0.0, 1.0); 5]),
+        }
+    }
+
+    /// c, c′ and c″ at five instants `start + theta · (end − start)` at once, theta = 1 being just before `end`; a sine
+    /// is turned on from that at `start` by angles known in advance, which spares all sines but one.
+    pub fn kinematics(&self, start: f64, end: f64, thetas: &[f64; 5], turns: &Turns, found: &mut [Kinematics; 5]) {
+        if let Path::Sine { center, amplitude, frequency, phase } = self {
+            let rate = TAU * frequency;
+            let (sin, cos) = libm::sincos(rate * start + phase);
+            for (found, (turn_sin, turn_cos)) in found.iter_mut().zip(&turns.0) {
+                let (sin, cos) = (sin * turn_cos + cos * turn_sin, cos * turn_cos - sin * turn_sin);
+                *found = Kinematics {
+                    position: *center + *amplitude * sin,
+                    velocity: *amplitude * (rate * cos),
+                    acceleration: *amplitude * (-rate * rate * sin),
+                };
+            }
+            return;
+        }
+        for (found, &theta) in found.iter_mut().zip(thetas) {
+            *found = if theta == 1.0 { self.before(end) } else { self.at(start + theta * (end - start)) };
         }
     }
 

@@ -52,6 +52,45 @@ impl Vectors {
         (self.x[i], self.y[i], self.z[i]) = (v.x, v.y, v.z);
     }
 
+    /// Adds one at the end.
+    pub fn push(&mut self, v: DVec3) {
+        self.x.push(v.x);
+        self.y.push(v.y);
+        self.z.push(v.z);
+    }
+
+    /// Adds others at the end.
+    pub fn extend(&mut self, others: &Vectors) {
+        self.x.extend_from_slice(&others.x);
+        self.y.extend_from_slice(&others.y);
+        self.z.extend_from_slice(&others.z);
+    }
+
+    /// Becomes a copy of others.
+    pub fn copy_from(&mut self, others: &Vectors) {
+        self.clear();
+        self.extend(others);
+    }
+
+    /// Becomes `count` long, with zeros at the end if that is longer.
+    pub fn resize(&mut self, count: usize) {
+        for axis in [&mut self.x, &mut self.y, &mut self.z] {
+            axis.resize(count, 0.0);
+        }
+    }
+
+    /// Keeps the storage, holds none.
+    pub fn clear(&mut self) {
+        self.x.clear();
+        self.y.clear();
+        self.z.clear();
+    }
+
+    /// What was allocated for them [bytes].
+    pub fn memory(&self) -> usize {
+        (self.x.capacity() + self.y.capacity() + self.z.capacity()) * size_of::<f64>()
+    }
+
     /// All vectors, in order.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = DVec3> + '_ {
         (0..self.len()).map(|i| self.get(i))

@@ -2,102 +2,205 @@
 
 use std::sync::Arc;
 
+use glam::DVec3;
+use pulp::Arch;
+
 use super::{
     arrays::Vectors,
+    deformation::{self, Deformation, Now},
     integrator::{
+        State,
         explicit::Interval,
-        exponential::{self, course::Sphere},
+        exponential::{
+            self, Effort,
+            course::{Common, Pushed, Sphere},
+            together::Largest,
+        },
     },
+    pairs::{Neighbour, Zone},
 };
 use crate::{
     model::oscillator::Oscillator,
-    scene::{Push, Scene},
+    scene::{self, Scene},
 };
 
-/// A body's state. While it is at rest, as it is until something acts on it, it has no vertices of its own.
+/// A body, whatever it does.
 pub(super) struct Body {
     /// Unit rest positions, shared by all bodies of the same shape.
     pub unit: Arc<Vectors>,
-    /// ω and κ of its vertices.
-    pub oscillator: Oscillator,
     /// The scene's pushes on this body.
-    pub pushes: Vec<Push>,
-    /// Displacements x [scene unit]; empty at rest.
-    pub displacement: Vectors,
-    /// Velocities x′ [scene unit/s]; empty at rest.
-    pub velocity: Vectors,
-    /// How far the vertices are and can get.
-    pub extent: Extent,
-    /// What √(|u|² + ω²|x|²) of no vertex can exceed, whatever happened so far: it grows by no more than the forces
-    /// that the body was under [scene unit/s].
-    pub bound: f64,
-    /// Pairs in which the body takes part in the current step.
+    pub pushes: Box<[scene::Push]>,
+    /// Its place among the active bodies, if it isn't at rest.
+    pub active: Option<u32>,
+    /// Bodies near it, ascending.
     pub neighbours: Vec<Neighbour>,
-    pub scratch: Scratch,
-}
-
-/// Another body that can touch this one in the current step.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Neighbour {
-    /// Index of the other body.
-    pub other: u32,
-    /// Index of the pair.
-    pub pair: u32,
-}
-
-/// Reused from step to step.
-#[derive(Default)]
-pub(super) struct Scratch {
-    pub interval: Interval,
-    pub breaks: Vec<f64>,
-    pub spheres: Vec<Sphere>,
-    pub pushes: Vec<Push>,
-    pub exponential: exponential::Scratch,
+    /// What its neighbours were found for.
+    pub zone: Zone,
 }
 
 impl Body {
     /// Body `index` of the scene, at rest.
     pub fn new(scene: &Scene, index: usize, unit: Arc<Vectors>) -> Body {
-        let material = scene.bodies[index].material;
         Body {
             unit,
-            oscillator: Oscillator { omega: material.omega, damping: material.damping },
             pushes: scene.pushes.iter().filter(|push| push.body == index).copied().collect(),
-            displacement: Vectors::default(),
-            velocity: Vectors::default(),
+            active: None,
+            neighbours: Vec::new(),
+            zone: Zone::NONE,
+        }
+    }
+}
+
+impl Body {
+    /// What was allocated for it [bytes].
+    pub fn memory(&self) -> usize {
+        self.neighbours.capacity() * size_of::<Neighbour>() + size_of_val(&*self.pushes)
+    }
+}
+
+/// The state of a body that isn't at rest. It is that at the end of the last step as long as the body is awake; of one
+/// that isn't, as it was when it was last needed: nothing acts on it, so that the flow takes it to any later time.
+pub(super) struct Active {
+    /// Index of the body.
+    pub body: u32,
+    /// ω and κ of its vertices.
+    pub oscillator: Oscillator,
+    /// What all its vertices do alike …
+    pub common: Common,
+    /// … at the end of this step.
+    pub common_as_of: u64,
+    /// What single vertices do beyond that.
+    pub deformation: Deformation,
+    /// Bounds over these.
+    pub extent: Extent,
+    /// What √(|u|² + ω²|x|²) of no vertex can exceed, whatever happened so far: it grows by no more than the forces
+    /// that the body was under [scene unit/s].
+    pub bound: f64,
+    /// Where the spheres were for which the front was chosen.
+    pub seen: Vec<Seen>,
+    /// The responses to pushes then [scene unit].
+    pub seen_pushed: Vec<f64>,
+    /// How far the spheres may move before it is chosen anew [scene unit].
+    pub skin: f64,
+    /// Bodies whose spheres can reach it in this step.
+    pub reachable: Vec<Neighbour>,
+    /// How far from the centre it can have vertices in this step [scene unit].
+    pub farthest: f64,
+    /// What its last step took.
+    pub effort: Effort,
+}
+
+/// Where a sphere was when a front was chosen.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Seen {
+    /// Index of the body that it belongs to.
+    pub body: u32,
+    /// Its centre relative to the body's, shifted by what all vertices do alike [scene unit].
+    pub centre: DVec3,
+}
+
+/// Reused from body to body by each thread.
+#[derive(Default)]
+pub(super) struct Scratch {
+    pub interval: Interval,
+    pub breaks: Vec<f64>,
+    pub spheres: Vec<Sphere>,
+    pub pushes: Vec<exponential::course::Push>,
+    pub gaps: Vec<f64>,
+    pub centres: Vec<(DVec3, f64)>,
+    pub moved: Vec<DVec3>,
+    pub deformation: deformation::Scratch,
+    pub exponential: exponential::Scratch,
+}
+
+impl Active {
+    /// Body `index` of the scene, at rest; `pushes` act on it at some time.
+    pub fn new(scene: &Scene, index: usize, pushes: usize, step: u64) -> Active {
+        let material = scene.bodies[index].material;
+        Active {
+            body: index as u32,
+            oscillator: Oscillator { omega: material.omega, damping: material.damping },
+            common: Common { carried: State::default(), pushed: vec![Pushed::default(); pushes] },
+            common_as_of: step,
+            deformation: Deformation::default(),
             extent: Extent::default(),
             bound: 0.0,
-            neighbours: Vec::new(),
-            scratch: Scratch::default(),
+            seen: Vec::new(),
+            seen_pushed: Vec::new(),
+            skin: 0.0,
+            reachable: Vec::new(),
+            farthest: 0.0,
+            effort: Effort::default(),
         }
+    }
+
+    /// What was allocated for it [bytes].
+    pub fn memory(&self) -> usize {
+        self.deformation.memory()
+            + self.common.pushed.capacity() * size_of::<Pushed>()
+            + self.seen.capacity() * size_of::<Seen>()
+            + self.seen_pushed.capacity() * size_of::<f64>()
+            + self.reachable.capacity() * size_of::<Neighbour>()
     }
 
     /// Whether nothing has acted on the body yet: every displacement and velocity is exactly zero.
     pub fn is_at_rest(&self) -> bool {
-        self.displacement.is_empty()
+        self.deformation.is_empty() && self.common.is_zero()
+    }
+
+    /// Whether it may be left alone when nothing acts on it: where vertices swing, that has an end.
+    pub fn can_sleep(&self) -> bool {
+        self.oscillator.omega > 0.0 || self.is_at_rest()
+    }
+
+    /// What all its vertices do alike at the end of the last step.
+    pub fn common_at(&self, now: Now) -> Common {
+        let mut common = self.common.clone();
+        let steps = now.step - self.common_as_of;
+        if steps > 0 && !common.is_zero() {
+            let [xx, xu, ux, uu] = now.oscillator.flow(steps as f64 * now.dt);
+            let State { x, u } = common.carried;
+            common.carried = State { x: xx * x + xu * u, u: ux * x + uu * u };
+            for pushed in &mut common.pushed {
+                let Pushed { x, u } = *pushed;
+                *pushed = Pushed { x: xx * x + xu * u, u: ux * x + uu * u };
+            }
+        }
+        common
+    }
+
+    /// When it is looked at.
+    pub fn now(&self, step: u64, dt: f64) -> Now {
+        Now { step, dt, oscillator: self.oscillator }
     }
 
     /// How far from rest its vertices swing if nothing else acts [scene unit]: no less than any |x|, and unlike those
     /// it does not swing itself.
     pub fn amplitude(&self) -> f64 {
-        let Extent { displacement, momentum } = self.extent;
-        if self.oscillator.omega > 0.0 { momentum / self.oscillator.omega } else { displacement }
+        let omega = self.oscillator.omega;
+        let (x, momentum) = self.common.bounds(omega);
+        let Extent { displacement, momentum: own } = self.extent;
+        let swings = if omega > 0.0 { (momentum + own) / omega } else { x + displacement };
+        swings.max(self.deformation.swinging.largest)
     }
 
-    /// Whether its state is one that the equation of motion cannot lead to: not finite, or far beyond [`Body::bound`].
+    /// How far from rest it can have vertices within `h` [s] if no more than `common` and `single` [scene unit/s²] act on
+    /// all and on single ones.
+    pub fn farthest(&self, common: f64, single: f64, h: f64) -> f64 {
+        let omega = self.oscillator.omega;
+        let (displacement, momentum) = self.common.bounds(omega);
+        let alike = Extent { displacement, momentum }.after(self.oscillator, common, h);
+        alike + self.extent.after(self.oscillator, single, h)
+    }
+
+    /// Whether its state is one that the equation of motion cannot lead to: not finite, or far beyond [`Active::bound`].
     /// The margin leaves room for schemes that are merely inaccurate.
     pub fn has_diverged(&self) -> bool {
         const MARGIN: f64 = 100.0;
         let Extent { displacement, momentum } = self.extent;
-        !displacement.is_finite() || !momentum.is_finite() || momentum > MARGIN * self.bound
-    }
-
-    /// From here on the body has vertices of its own.
-    pub fn wake(&mut self) {
-        if self.is_at_rest() {
-            self.displacement.reset(self.unit.len());
-            self.velocity.reset(self.unit.len());
-        }
+        let (x, m) = self.common.bounds(self.oscillator.omega);
+        let (x, m) = (x + displacement, m + momentum);
+        !x.is_finite() || !m.is_finite() || m > MARGIN * self.bound
     }
 }
 
@@ -112,15 +215,12 @@ pub(super) struct Extent {
 
 impl Extent {
     /// The bounds of a state; not a number if any of it isn't.
-    pub fn of(displacement: &Vectors, velocity: &Vectors, oscillator: Oscillator) -> Extent {
+    pub fn of(deformation: &Deformation, oscillator: Oscillator, arch: Arch) -> Extent {
         let omega_squared = oscillator.omega * oscillator.omega;
-        let (mut x2, mut m2) = (0.0, 0.0);
-        for (x, u) in displacement.iter().zip(velocity.iter()) {
-            let (x_squared, u_squared) = (x.length_squared(), u.length_squared());
-            x2 = larger(x2, x_squared);
-            m2 = larger(m2, u_squared + omega_squared * x_squared);
-        }
-        Extent { displacement: x2.sqrt(), momentum: m2.sqrt() }
+        let [x2, m2] = arch.dispatch(Largest { front: &deformation.front, omega_squared });
+        let swinging = deformation.swinging.largest;
+        let swings = if swinging > 0.0 { oscillator.omega * swinging } else { 0.0 };
+        Extent { displacement: larger(x2.sqrt(), swinging), momentum: larger(m2.sqrt(), swings) }
     }
 
     /// How far from its rest position a vertex can get within `h` [s] under no more than `force` [scene unit/s²].

@@ -73,23 +73,26 @@ impl PairPaths<'_> {
         end: f64,
         mut found: impl FnMut(f64, Phase),
     ) {
-        if self.a.relative_bounds(self.b, start, end).speed == 0.0 {
-            return; // Still, or in formation: only rounding could change the distance.
-        }
         let mut t = start;
-        loop {
-            let next = thresholds
-                .transitions(phase)
-                .filter_map(|way| {
-                    let gap = Gap { pair: self, level: way.level * self.radii };
-                    let sign = if way.falling { 1.0 } else { -1.0 };
-                    gap.first_fall(sign, t, end).map(|time| (time, way.to))
-                })
-                .min_by(|x, y| x.0.total_cmp(&y.0));
-            let Some((time, to)) = next else { return };
+        while let Some((time, to)) = self.first_change(thresholds, phase, t, end) {
             found(time, to);
             (t, phase) = (time, to);
         }
+    }
+
+    /// The first of these.
+    pub fn first_change(&self, thresholds: &Thresholds, phase: Phase, start: f64, end: f64) -> Option<(f64, Phase)> {
+        if self.a.relative_bounds(self.b, start, end).speed == 0.0 {
+            return None; // Still, or in formation: only rounding could change the distance.
+        }
+        thresholds
+            .transitions(phase)
+            .filter_map(|way| {
+                let gap = Gap { pair: self, level: way.level * self.radii };
+                let sign = if way.falling { 1.0 } else { -1.0 };
+                gap.first_fall(sign, start, end).map(|time| (time, way.to))
+            })
+            .min_by(|x, y| x.0.total_cmp(&y.0))
     }
 }
 

@@ -4,7 +4,9 @@
 //! | --- | --- |
 //! | the world and its step | [`world`] |
 //! | the state of one body, and its turn in a step | `body`, `advance` |
-//! | who can touch whom | `pairs`, by a sweep in [`reach`] |
+//! | what single vertices do beyond what all of them do | `deformation` |
+//! | where moving bodies are in the course of a step | `tracks` |
+//! | who can touch whom | `pairs`, by a grid in [`reach`] |
 //! | when pairs merge, split, enter and leave their core | [`events`] |
 //! | how a vertex is advanced | [`integrator`] |
 //! | forces by cause, energy: looking at a state | [`observe`] |
@@ -16,6 +18,7 @@
 mod advance;
 pub mod arrays;
 mod body;
+mod deformation;
 pub mod events;
 pub mod integrator;
 pub mod memory;
@@ -24,6 +27,7 @@ mod pairs;
 pub mod reach;
 pub mod report;
 pub mod surroundings;
+mod tracks;
 pub mod world;
 
 pub use arrays::Vectors;
@@ -31,7 +35,7 @@ pub use events::Event;
 pub use memory::TooLarge;
 pub use observe::{BodyForces, Cause, Energy};
 pub use report::{Diverged, Stage, StepReport};
-pub use world::{BodyView, PairView, World};
+pub use world::{BodyView, Options, PairView, States, World};
 
 /// A stretch of time [s].
 #[derive(Clone, Copy, Debug)]

@@ -4,7 +4,7 @@ use super::{
     World,
     arrays::Vectors,
     surroundings::{Surroundings, push_acceleration},
-    world::BodyView,
+    world::{BodyView, States},
 };
 use crate::{
     model::{
@@ -82,11 +82,13 @@ impl World {
 /// The forces on every vertex of a body, given what acts on it.
 fn forces(body: &BodyView<'_>, surroundings: &Surroundings, weight: Weight, forces: &mut BodyForces) {
     let material = body.scene().material;
+    let states = body.states();
     for vectors in &mut forces.by_cause {
         vectors.reset(body.vertex_count());
     }
     for i in 0..body.vertex_count() {
-        let (unit, position) = (body.unit(i), body.local_position(i));
+        let (unit, x, u) = (body.unit(i), states.displacement.get(i), states.velocity.get(i));
+        let position = body.scene().radius * unit + x;
         let mut by_cause = [glam::DVec3::ZERO; Cause::ALL.len()];
         for source in &surroundings.sources {
             let cause = if source.strength > 0.0 { Cause::Attraction } else { Cause::Repulsion };
@@ -94,8 +96,8 @@ fn forces(body: &BodyView<'_>, surroundings: &Surroundings, weight: Weight, forc
             by_cause[cause as usize] +=
                 influence::acceleration(weight, source.strength, source.sphere_radius, to_centre);
         }
-        by_cause[Cause::Restoring as usize] = material.omega * material.omega * -body.displacement(i);
-        by_cause[Cause::Damping as usize] = -2.0 * material.damping * body.velocity(i);
+        by_cause[Cause::Restoring as usize] = material.omega * material.omega * -x;
+        by_cause[Cause::Damping as usize] = -2.0 * material.damping * u;
         for push in &surroundings.pushes {
             by_cause[Cause::Push as usize] += push_acceleration(push, unit);
         }
@@ -135,13 +137,16 @@ fn energy(world: &World, distant: f64) -> Energy {
         sum.influence += energy_outside(scene, a, b, phase) - energy_outside(scene, a, b, Phase::Apart);
         sum.influence += energy_outside(scene, b, a, phase) - energy_outside(scene, b, a, Phase::Apart);
     }
+    let mut states = States::default();
     for (index, body) in world.bodies().enumerate() {
         let surroundings = world.surroundings(index);
         if body.is_at_rest() && surroundings.sources.is_empty() {
             continue;
         }
+        body.states_into(&mut states);
         for i in 0..body.vertex_count() {
-            let position = body.local_position(i);
+            let (x, u) = (states.displacement.get(i), states.velocity.get(i));
+            let position = body.scene().radius * body.unit(i) + x;
             let mut reached = false;
             for source in &surroundings.sources {
                 let potential = |r| energy::influence_potential(scene.influence.weight, source.sphere_radius, r);
@@ -151,8 +156,8 @@ fn energy(world: &World, distant: f64) -> Energy {
                     reached = true;
                 }
             }
-            sum.kinetic += energy::kinetic(body.velocity(i).length_squared());
-            sum.elastic += energy::elastic(body.scene().material.omega, body.displacement(i).length_squared());
+            sum.kinetic += energy::kinetic(u.length_squared());
+            sum.elastic += energy::elastic(body.scene().material.omega, x.length_squared());
             sum.reached_vertices += u64::from(reached);
         }
     }

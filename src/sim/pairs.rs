@@ -1,21 +1,31 @@
-//! Pairs of bodies that can touch in a step, with the phases of those known.
+//! Pairs of bodies that are near each other, their phases, and when these change.
+//!
+//! A body's zone holds everything that it can touch or be touched at until it has moved, or its vertices have swung, by
+//! more than was allowed for. Pairs whose zones overlap are known, and so is every pair that is not apart. (Molecular
+//! dynamics knows such lists as Verlet's, with a skin.)
 
 use std::ops::Range;
-
-use glam::DVec3;
 
 use super::{
     Span,
     body::Body,
-    events::PairPaths,
-    reach::{Ball, Sweep},
+    events::{Event, PairPaths},
+    reach::{Ball, Grid},
+    tracks::Tracks,
 };
 use crate::{
     model::phase::Phase,
-    scene::{Response, Scene},
+    scene::{Path, Scene},
 };
 
-/// Two bodies that can touch in the current step.
+/// How far a body may move before its pairs are looked for anew [radii].
+const SKIN: f64 = 0.25;
+/// Steps for which the next phase change of a pair is looked for in advance.
+const AHEAD: f64 = 16.0;
+/// Steps for which it is told in advance how far a body moves.
+const LONGEST_STAY: f64 = 256.0;
+
+/// Two bodies that are near each other.
 #[derive(Clone, Debug)]
 pub(super) struct Pair {
     /// Index of one body …
@@ -24,7 +34,11 @@ pub(super) struct Pair {
     pub b: u32,
     /// At the start of the step, and at its end once it is done.
     pub phase: Phase,
-    /// The phase changes within the step, into the world's list of them.
+    /// The next change of phase, if there is one before `known_until`.
+    upcoming: Option<(f64, Phase)>,
+    /// No change is unknown up to this time [s].
+    known_until: f64,
+    /// The phase changes within the step, into the list of them.
     pub changes: Range<usize>,
 }
 
@@ -34,182 +48,276 @@ pub(super) fn paths(scene: &Scene, a: u32, b: u32) -> PairPaths<'_> {
     PairPaths { a: &a.path, b: &b.path, radii: a.radius + b.radius }
 }
 
-/// Finds the pairs; reused from step to step.
+/// Another body that is near this one.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Neighbour {
+    /// Index of the other body.
+    pub other: u32,
+    /// Index of the pair.
+    pub pair: u32,
+}
+
+/// What a body's zone allows for.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Zone {
+    /// How far from the centre it may have vertices [scene unit].
+    pub vertices: f64,
+    /// Until when its centre is within the bounds [s].
+    until: f64,
+}
+
+impl Zone {
+    pub const NONE: Zone = Zone { vertices: 0.0, until: f64::NEG_INFINITY };
+}
+
+/// All pairs of bodies that are near each other.
 #[derive(Default)]
-pub(super) struct PairFinder {
-    sweep: Sweep,
-    places: Vec<Place>,
-    balls: Vec<Ball>,
-    /// Bounds of the acceleration of the vertices of each body by influence, in the step before [scene unit/s²].
-    pull: Vec<f64>,
-    found: Vec<(u32, u32)>,
-    known: Vec<Pair>,
+pub(super) struct Pairs {
+    pairs: Vec<Pair>,
+    /// Places in `pairs` that are free.
+    free: Vec<u32>,
+    grid: Grid,
+    /// Phase changes of the current step, grouped by pair.
+    changes: Vec<(f64, Phase)>,
+    /// Pairs that have any.
+    changed: Vec<u32>,
+    /// Reused.
+    found: Vec<u32>,
+    kept: Vec<Neighbour>,
 }
 
-impl PairFinder {
-    /// Makes `pairs` those that can touch, or change phase, during `span`, in ascending order; a pair that was known
-    /// keeps its phase, one that is not apart stays known however far it is.
-    pub fn find(&mut self, scene: &Scene, bodies: &[Body], pairs: &mut Vec<Pair>, span: Span) {
-        self.find_overlapping(scene, bodies, span);
-
-        std::mem::swap(pairs, &mut self.known);
-        pairs.clear();
-        let mut known = self.known.iter().peekable();
-        let merged = |pair: &&Pair| pair.phase != Phase::Apart;
-        for &(a, b) in &self.found {
-            while let Some(pair) = known.next_if(|pair| (pair.a, pair.b) < (a, b)) {
-                pairs.extend(Some(pair).filter(merged).cloned());
-            }
-            let phase = match known.next_if(|pair| (pair.a, pair.b) == (a, b)) {
-                Some(pair) => pair.phase,
-                None if span.start == 0.0 => scene.thresholds.initial(paths(scene, a, b).q(0.0)),
-                None => Phase::Apart,
-            };
-            pairs.push(Pair { a, b, phase, changes: 0..0 });
+impl Pairs {
+    /// All pairs that are near each other at the start.
+    pub fn start(&mut self, scene: &Scene, bodies: &mut [Body]) {
+        for i in 0..bodies.len() {
+            let radius = scene.bodies[i].radius;
+            self.place(scene, bodies, i, radius, 0.0);
         }
-        pairs.extend(known.filter(merged).cloned());
+        for i in 0..bodies.len() {
+            self.find_neighbours(scene, bodies, i, 0.0);
+        }
     }
 
-    /// Fills `found`. How far a body's vertices can get depends on who can pull them, which depends on how far they can
-    /// get. Who can at all is found among those near enough if the pull were that of the step before, starting from no
-    /// pull: a sphere that cannot reach where the others can pull a vertex cannot be the first to do so, so never does.
-    /// If that comes to more than before, those near enough are looked for again.
-    fn find_overlapping(&mut self, scene: &Scene, bodies: &[Body], span: Span) {
-        let PairFinder { sweep, places, balls, pull, found, .. } = self;
-        pull.resize(bodies.len(), 0.0);
-        loop {
-            let assumed = std::mem::take(pull);
-            places.clear();
-            places.extend((0..bodies.len()).map(|i| Place::of(scene, &bodies[i], i, assumed[i], span)));
-            balls.clear();
-            balls.extend(scene.bodies.iter().zip(&*places).map(|(body, place)| place.ball(scene, body.radius)));
-            found.clear();
-            sweep.overlapping(balls, found);
+    /// The plain way: every pair.
+    pub fn start_with_all(&mut self, scene: &Scene, bodies: &mut [Body]) {
+        for body in bodies.iter_mut() {
+            body.zone = Zone { vertices: f64::INFINITY, until: f64::INFINITY };
+        }
+        for i in 0..bodies.len() {
+            self.found.clear();
+            self.found.extend((0..bodies.len() as u32).filter(|&j| j as usize != i));
+            self.meet(scene, bodies, i, 0.0);
+        }
+    }
 
-            *pull = least_pull(scene, bodies, found, places, span);
-            if pull.iter().zip(&assumed).all(|(needed, assumed)| needed <= assumed) {
-                break;
-            }
-            for (needed, assumed) in pull.iter_mut().zip(&assumed) {
-                *needed = needed.max(*assumed);
+    /// Looks for the neighbours of bodies that move out of their zones before the end of `span`.
+    pub fn follow(&mut self, scene: &Scene, bodies: &mut [Body], tracks: &Tracks, span: Span) {
+        for track in tracks.all() {
+            let i = track.body as usize;
+            if bodies[i].zone.until < span.end {
+                let vertices = bodies[i].zone.vertices;
+                self.anchor(scene, bodies, i, vertices, span.start);
             }
         }
-        for place in places.iter_mut() {
-            place.vertices = place.vertices.max(place.swing);
-        }
-        found.retain(|&(a, b)| {
-            let [at, other] = [a, b].map(|i| &places[i as usize]);
-            let merging = scene.thresholds.merge_at * paths(scene, a, b).radii;
-            let can_merge = at.nearest(other) <= merging + at.rounding(other);
-            can_merge || reaches(scene, places, a, b) || reaches(scene, places, b, a)
-        });
     }
-}
 
-/// The pull on each body by those among `found` that can reach it, if only those pull that can; `places` become those
-/// that this leaves.
-fn least_pull(scene: &Scene, bodies: &[Body], found: &[(u32, u32)], places: &mut [Place], span: Span) -> Vec<f64> {
-    let mut pull = vec![0.0; bodies.len()];
-    for (i, place) in places.iter_mut().enumerate() {
-        place.vertices = farthest_vertex(scene, &bodies[i], i, 0.0, span);
+    /// Gives a body a zone for vertices up to `vertices` from its centre, from time `t` on, and finds its neighbours.
+    pub fn anchor(&mut self, scene: &Scene, bodies: &mut [Body], i: usize, vertices: f64, t: f64) {
+        self.place(scene, bodies, i, vertices, t);
+        self.find_neighbours(scene, bodies, i, t);
     }
-    loop {
-        let mut next = vec![0.0; bodies.len()];
-        for &(a, b) in found {
-            for (this, source) in [(a, b), (b, a)] {
-                if reaches(scene, places, this, source) {
-                    next[this as usize] += strongest_pull(scene, this, source);
+
+    fn place(&mut self, scene: &Scene, bodies: &mut [Body], i: usize, vertices: f64, t: f64) {
+        let this = &scene.bodies[i];
+        let (skin, until) = stay(&this.path, SKIN * this.radius, t, scene.dt);
+        let merging = scene.thresholds.merge_at * this.radius;
+        let reach = scene.influence.sphere_radius(this.radius).max(vertices).max(merging) + skin;
+        let centre = this.path.position(t);
+        // a pair that stands exactly on a threshold is not lost to rounding of the centres
+        let rounding = 16.0 * f64::EPSILON * (centre.abs().max_element() + reach);
+        bodies[i].zone = Zone { vertices, until };
+        self.grid.place(i as u32, Ball { centre, radius: reach + rounding });
+    }
+
+    fn find_neighbours(&mut self, scene: &Scene, bodies: &mut [Body], i: usize, t: f64) {
+        self.found.clear();
+        self.grid.touching(i as u32, &mut self.found);
+        self.meet(scene, bodies, i, t);
+    }
+
+    /// Makes `found` the neighbours of body `i`; a pair that was known keeps its phase, one that is not apart stays known
+    /// however far it is.
+    fn meet(&mut self, scene: &Scene, bodies: &mut [Body], i: usize, t: f64) {
+        let found = std::mem::take(&mut self.found);
+        let mut kept = std::mem::take(&mut self.kept);
+        kept.clear();
+        kept.append(&mut bodies[i].neighbours);
+        let mut known = kept.drain(..).peekable();
+        let leave = |pairs: &mut Pairs, bodies: &mut [Body], neighbour: Neighbour| {
+            if pairs.pairs[neighbour.pair as usize].phase != Phase::Apart {
+                bodies[i].neighbours.push(neighbour);
+                return;
+            }
+            let others = &mut bodies[neighbour.other as usize].neighbours;
+            if let Ok(place) = others.binary_search_by_key(&(i as u32), |other| other.other) {
+                others.remove(place);
+            }
+            pairs.free.push(neighbour.pair);
+        };
+        for &other in &found {
+            while let Some(gone) = known.next_if(|neighbour| neighbour.other < other) {
+                leave(self, bodies, gone);
+            }
+            let neighbour = known.next_if(|neighbour| neighbour.other == other).unwrap_or_else(|| {
+                let pair = self.add(scene, i as u32, other, t);
+                let others = &mut bodies[other as usize].neighbours;
+                let place = others.partition_point(|neighbour| neighbour.other < i as u32);
+                others.insert(place, Neighbour { other: i as u32, pair });
+                Neighbour { other, pair }
+            });
+            bodies[i].neighbours.push(neighbour);
+        }
+        for gone in known {
+            leave(self, bodies, gone);
+        }
+        (self.found, self.kept) = (found, kept);
+    }
+
+    fn add(&mut self, scene: &Scene, i: u32, j: u32, t: f64) -> u32 {
+        let (a, b) = (i.min(j), i.max(j));
+        let phase = if t == 0.0 { scene.thresholds.initial(paths(scene, a, b).q(0.0)) } else { Phase::Apart };
+        let pair = Pair { a, b, phase, upcoming: None, known_until: t, changes: 0..0 };
+        if let Some(place) = self.free.pop() {
+            self.pairs[place as usize] = pair;
+            return place;
+        }
+        self.pairs.push(pair);
+        self.pairs.len() as u32 - 1
+    }
+
+    /// When pairs change phase during `span`, exactly; appended to `events` by time.
+    pub fn find_events(
+        &mut self,
+        scene: &Scene,
+        bodies: &[Body],
+        tracks: &Tracks,
+        span: Span,
+        step: u64,
+        skip: bool,
+        events: &mut Vec<Event>,
+    ) {
+        self.changes.clear();
+        self.changed.clear();
+        for track in tracks.all() {
+            for neighbour in &bodies[track.body as usize].neighbours {
+                let both_move = tracks.of(neighbour.other as usize).is_some();
+                let index = neighbour.pair as usize;
+                if (both_move && neighbour.other < track.body) || !self.pairs[index].may_change(span) {
+                    continue;
+                }
+                let first = self.changes.len();
+                let pair = &mut self.pairs[index];
+                let horizon = if skip { span.start + AHEAD * span.length() } else { span.end };
+                let paths = paths(scene, pair.a, pair.b);
+                let mut from = pair.phase;
+                let (a, b) = (pair.a, pair.b);
+                pair.advance(&paths, scene, span, horizon, |time, to| {
+                    self.changes.push((time, to));
+                    events.push(Event { time, step, a, b, q: paths.q(time), from, to });
+                    from = to;
+                });
+                if self.changes.len() > first {
+                    self.pairs[index].changes = first..self.changes.len();
+                    self.changed.push(neighbour.pair);
                 }
             }
         }
-        if next == pull {
-            return pull;
-        }
-        for (i, place) in places.iter_mut().enumerate().filter(|&(i, _)| next[i] != pull[i]) {
-            place.vertices = farthest_vertex(scene, &bodies[i], i, next[i], span);
-        }
-        pull = next;
+        events.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
     }
-}
 
-/// Whether the sphere of body `source` can reach vertices of body `this`.
-fn reaches(scene: &Scene, places: &[Place], this: u32, source: u32) -> bool {
-    let sphere = scene.influence.sphere_radius(scene.bodies[source as usize].radius);
-    let [at, from] = [this, source].map(|i| &places[i as usize]);
-    at.nearest(from) <= sphere + at.vertices + at.rounding(from)
-}
-
-/// How far from the centre of body `index` it can have vertices during `span` if influence pulls it by up to `pull`.
-fn farthest_vertex(scene: &Scene, body: &Body, index: usize, pull: f64, span: Span) -> f64 {
-    let force = pull + own_force(scene, body, index, span);
-    scene.bodies[index].radius + body.extent.after(body.oscillator, force, span.length())
-}
-
-/// Where a body is during a step, and how far it gets.
-#[derive(Clone, Copy, Debug)]
-struct Place {
-    /// Its centre at the start [scene unit].
-    centre: DVec3,
-    /// How far the centre can get [scene unit].
-    travelled: f64,
-    /// How far from the centre it can have vertices [scene unit].
-    vertices: f64,
-    /// How far from the centre they would swing by themselves: pairs within that stay known between two swings.
-    swing: f64,
-}
-
-impl Place {
-    /// Of body `index` during `span`, if influence pulls it by up to `pull` [scene unit/s²].
-    fn of(scene: &Scene, body: &Body, index: usize, pull: f64, span: Span) -> Place {
-        let path = &scene.bodies[index].path;
-        Place {
-            centre: path.position(span.start),
-            travelled: path.bounds(span.start, span.end).speed * span.length(),
-            vertices: farthest_vertex(scene, body, index, pull, span),
-            swing: scene.bodies[index].radius + body.amplitude(),
+    /// The phases at the end of the step become those at the start of the next.
+    pub fn enter_phases(&mut self) {
+        for &index in &self.changed {
+            let pair = &mut self.pairs[index as usize];
+            if let Some(&(_, last)) = self.changes[pair.changes.clone()].last() {
+                pair.phase = last;
+            }
+            pair.changes = 0..0;
         }
     }
 
-    /// The nearest that two centres can come.
-    fn nearest(&self, other: &Place) -> f64 {
-        self.centre.distance(other.centre) - (self.travelled + other.travelled)
+    /// What was allocated for them [bytes].
+    pub fn memory(&self) -> usize {
+        self.pairs.capacity() * size_of::<Pair>() + self.free.capacity() * size_of::<u32>() + self.grid.memory()
     }
 
-    /// What rounding of the centres can do to that: a pair that stands exactly on a threshold is not lost to it.
-    fn rounding(&self, other: &Place) -> f64 {
-        let far = |place: &Place| place.centre.abs().max_element() + place.vertices.max(place.swing) + place.travelled;
-        8.0 * f64::EPSILON * (far(self) + far(other))
+    /// A pair.
+    pub fn get(&self, index: u32) -> &Pair {
+        &self.pairs[index as usize]
     }
 
-    /// Everything that the body acts on or is acted on at, or can merge in.
-    fn ball(&self, scene: &Scene, radius: f64) -> Ball {
-        let sphere = scene.influence.sphere_radius(radius);
-        let merging = scene.thresholds.merge_at * radius;
-        let reach = sphere.max(self.vertices).max(self.swing).max(merging) + self.travelled;
-        Ball { centre: self.centre, radius: reach + self.rounding(self) }
+    /// The phase changes of a pair in the current step, in order: when, and to what.
+    pub fn changes(&self, index: u32) -> &[(f64, Phase)] {
+        &self.changes[self.get(index).changes.clone()]
+    }
+
+    /// The phase of a pair from `t` on, within the current step.
+    pub fn phase_at(&self, index: u32, t: f64) -> Phase {
+        let changes = self.changes(index);
+        changes.iter().rev().find(|&&(time, _)| time <= t).map_or(self.get(index).phase, |&(_, phase)| phase)
     }
 }
 
-/// A bound of the acceleration of any vertex by pushes and by the body's own motion during `span` [scene unit/s²].
-pub(super) fn own_force(scene: &Scene, body: &Body, index: usize, span: Span) -> f64 {
-    let this = &scene.bodies[index];
-    let motion = this.path.bounds(span.start, span.end);
-    let carry = match this.material.response {
-        Response::Rigid => 0.0,
-        Response::Inertial => motion.acceleration,
-        Response::World => motion.acceleration + 2.0 * this.material.damping * motion.speed,
-    };
-    let acting = body.pushes.iter().filter(|push| push.start < span.end && span.start < push.end());
-    carry + acting.map(|push| push.strength.abs()).sum::<f64>()
+impl Pair {
+    fn may_change(&self, span: Span) -> bool {
+        self.known_until < span.end || self.upcoming.is_some_and(|(time, _)| time <= span.end)
+    }
+
+    /// Tells of the changes up to the end of `span`, looking no farther than `horizon` for the next.
+    fn advance(
+        &mut self,
+        paths: &PairPaths<'_>,
+        scene: &Scene,
+        span: Span,
+        horizon: f64,
+        mut found: impl FnMut(f64, Phase),
+    ) {
+        let mut phase = self.phase;
+        let mut from = self.known_until.max(span.start);
+        loop {
+            if self.upcoming.is_none() {
+                if from >= span.end {
+                    self.known_until = from;
+                    return;
+                }
+                self.upcoming = paths.first_change(&scene.thresholds, phase, from, horizon);
+            }
+            match self.upcoming {
+                Some((time, to)) if time <= span.end => {
+                    found(time, to);
+                    (from, phase) = (time, to);
+                    self.upcoming = None;
+                }
+                Some((time, _)) => {
+                    self.known_until = time;
+                    return;
+                }
+                None => from = horizon,
+            }
+        }
+    }
 }
 
-/// A bound of the acceleration of any vertex of body `this` by the sphere of body `source`, in any phase
-/// [scene unit/s²].
-pub(super) fn strongest_pull(scene: &Scene, this: u32, source: u32) -> f64 {
-    let (radius, source) = (scene.bodies[this as usize].radius, scene.bodies[source as usize].radius);
-    let strength = [Phase::Merged, Phase::Apart, Phase::Core]
-        .map(|phase| scene.influence.strength(phase, radius, source).abs())
-        .into_iter()
-        .fold(0.0, f64::max);
-    strength * scene.influence.sphere_radius(source) * scene.influence.weight.max_pull()
+/// How far a body may move from where it is at `t`, no less than `skin` [scene unit], and until when it does not.
+fn stay(path: &Path, skin: f64, t: f64, dt: f64) -> (f64, f64) {
+    if path.is_fixed() {
+        return (0.0, f64::INFINITY);
+    }
+    let moved = |steps: f64| path.bounds(t, t + steps * dt).speed * steps * dt;
+    let skin = skin.max(moved(1.0));
+    let mut steps = LONGEST_STAY;
+    while steps > 1.0 && moved(steps) > skin {
+        steps /= 4.0;
+    }
+    (skin, t + steps * dt)
 }

@@ -1,8 +1,15 @@
-//! Who can touch whom: a sweep over balls that hold everything a body can touch or be touched at in a step.
+//! Who is near whom: a grid of balls that hold everything a body can touch or be touched at for a while.
+//!
+//! Balls of very different sizes share a space by having a grid for each power of two: a ball is in one cell of the grid
+//! whose cells are just larger than it (Ericson, Real-Time Collision Detection, 7.2.1). A ball that stays within
+//! its bounds costs nothing; one that leaves them is placed anew, in the time that its surroundings take.
+
+use std::{collections::HashMap, hash::BuildHasherDefault};
 
 use glam::DVec3;
+use rustc_hash::FxHasher;
 
-/// A ball that bounds where a body acts or can be acted on during a step.
+/// A ball that bounds where a body acts or can be acted on.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ball {
     /// [scene unit]
@@ -11,34 +18,136 @@ pub struct Ball {
     pub radius: f64,
 }
 
-/// Sort and sweep along x (Baraff 1992), the order kept from step to step: near-sorted input sorts in O(n).
-#[derive(Clone, Debug, Default)]
-pub struct Sweep {
-    order: Vec<u32>,
+impl Ball {
+    /// Whether two balls have a point in common.
+    pub fn touches(&self, other: &Ball) -> bool {
+        let touching = self.radius + other.radius;
+        self.centre.distance_squared(other.centre) <= touching * touching
+    }
 }
 
-impl Sweep {
-    /// Appends every pair `(a, b)`, a < b, of balls that overlap, in ascending order.
-    pub fn overlapping(&mut self, balls: &[Ball], found: &mut Vec<(u32, u32)>) {
-        if self.order.len() != balls.len() {
-            self.order.clear();
-            self.order.extend(0..balls.len() as u32);
-        }
-        let low = |i: u32| balls[i as usize].centre.x - balls[i as usize].radius;
-        self.order.sort_by(|&i, &j| low(i).total_cmp(&low(j)));
+/// Balls, findable by where they are.
+#[derive(Clone, Debug, Default)]
+pub struct Grid {
+    balls: Vec<Placed>,
+    /// One grid a size that occurs.
+    levels: Vec<Level>,
+}
 
+/// The end of a list.
+const NONE: u32 = u32::MAX;
+
+#[derive(Clone, Copy, Debug)]
+struct Placed {
+    ball: Ball,
+    /// Its grid, or [`NONE`] if it has none yet …
+    level: u32,
+    /// … and the balls in the same cell before and after it.
+    before: u32,
+    after: u32,
+}
+
+#[derive(Clone, Debug)]
+struct Level {
+    /// Edge length of a cell is 2 to the power of this.
+    exponent: i32,
+    size: f64,
+    /// The first ball in each cell that has any.
+    cells: HashMap<[i64; 3], u32, BuildHasherDefault<FxHasher>>,
+    count: usize,
+}
+
+impl Level {
+    /// The cell that a point is in; those beyond the range of numbers share the last.
+    fn cell(&self, point: DVec3) -> [i64; 3] {
+        (point / self.size).floor().to_array().map(|x| x as i64)
+    }
+}
+
+impl Grid {
+    /// What was allocated for them [bytes].
+    pub fn memory(&self) -> usize {
+        let cells: usize = self.levels.iter().map(|level| level.cells.capacity()).sum();
+        self.balls.capacity() * size_of::<Placed>() + cells * size_of::<([i64; 3], u32)>()
+    }
+
+    /// Places ball `i`, or places it anew.
+    pub fn place(&mut self, i: u32, ball: Ball) {
+        let index = i as usize;
+        if index >= self.balls.len() {
+            let none = Placed { ball: Ball::default(), level: NONE, before: NONE, after: NONE };
+            self.balls.resize(index + 1, none);
+        }
+        self.remove(index);
+        let level = self.level_for(ball.radius);
+        let cell = self.levels[level].cell(ball.centre);
+        self.levels[level].count += 1;
+        let head = self.levels[level].cells.entry(cell).or_insert(NONE);
+        let after = std::mem::replace(head, i);
+        if let Some(after) = self.balls.get_mut(after as usize) {
+            after.before = i;
+        }
+        self.balls[index] = Placed { ball, level: level as u32, before: NONE, after };
+    }
+
+    fn remove(&mut self, index: usize) {
+        let Placed { ball, level, before, after } = self.balls[index];
+        let Some(level) = self.levels.get_mut(level as usize) else { return };
+        level.count -= 1;
+        if before == NONE {
+            let cell = level.cell(ball.centre);
+            if after == NONE {
+                level.cells.remove(&cell);
+            } else {
+                level.cells.insert(cell, after);
+            }
+        } else {
+            self.balls[before as usize].after = after;
+        }
+        if let Some(after) = self.balls.get_mut(after as usize) {
+            after.before = before;
+        }
+    }
+
+    /// The grid whose cells are larger than a ball across, but not more than twice that.
+    fn level_for(&mut self, radius: f64) -> usize {
+        let exponent = exponent_above(2.0 * radius);
+        self.levels.iter().position(|level| level.exponent == exponent).unwrap_or_else(|| {
+            let size = 2f64.powi(exponent);
+            self.levels.push(Level { exponent, size, cells: HashMap::default(), count: 0 });
+            self.levels.len() - 1
+        })
+    }
+
+    /// Appends every ball that touches ball `i`, which has been placed; in ascending order.
+    pub fn touching(&self, i: u32, found: &mut Vec<u32>) {
+        let ball = self.balls[i as usize].ball;
         let first = found.len();
-        for (position, &i) in self.order.iter().enumerate() {
-            let ball = balls[i as usize];
-            let high = ball.centre.x + ball.radius;
-            for &j in &self.order[position + 1..] {
-                if low(j) > high {
-                    break;
+        for level in &self.levels {
+            let mut look = |mut head: u32| {
+                while let Some(placed) = self.balls.get(head as usize) {
+                    if head != i && placed.ball.touches(&ball) {
+                        found.push(head);
+                    }
+                    head = placed.after;
                 }
-                let other = balls[j as usize];
-                let touching = ball.radius + other.radius;
-                if ball.centre.distance_squared(other.centre) <= touching * touching {
-                    found.push((i.min(j), i.max(j)));
+            };
+            // A ball of this grid that touches is no farther than this from the cell that its centre is in.
+            let far = ball.radius + 0.5 * level.size;
+            let far = far + 1e-12 * (far + ball.centre.abs().max_element());
+            let (low, high) = (level.cell(ball.centre - far), level.cell(ball.centre + far));
+            let cells: f64 = (0..3).map(|axis| high[axis] as f64 - low[axis] as f64 + 1.0).product();
+            if cells > level.count as f64 {
+                level.cells.values().for_each(|&head| look(head));
+                continue;
+            }
+            for x in low[0]..=high[0] {
+                for y in low[1]..=high[1] {
+                    for z in low[2]..=high[2] {
+                        if let Some(&head) = level.cells.get(&[x, y, z]) {
+                            look(head);
+                        }
+                    }
                 }
             }
         }
@@ -46,32 +155,54 @@ impl Sweep {
     }
 }
 
+/// The smallest n for which 2ⁿ is above `x`; for any `x` that is a number.
+fn exponent_above(x: f64) -> i32 {
+    let biased = (x.to_bits() >> 52 & 0x7ff) as i32;
+    (biased - 1022).clamp(-1000, 1000)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    fn balls() -> impl Strategy<Value = Vec<Ball>> {
+        let ball = (prop::array::uniform3(-5.0..5.0), -8.0..2.0)
+            .prop_map(|(centre, size): ([f64; 3], f64)| Ball { centre: centre.into(), radius: size.exp2() });
+        prop::collection::vec(ball, 1..40)
+    }
+
     proptest! {
         #[test]
-        fn the_sweep_finds_what_all_pairs_find(
-            balls in prop::collection::vec((prop::array::uniform3(-5.0..5.0), 0.0..2.0), 0..40),
-            moved in prop::collection::vec((prop::array::uniform3(-5.0..5.0), 0.0..2.0), 0..40),
-        ) {
-            let mut sweep = Sweep::default();
-            for set in [&balls, &moved] {
-                let set: Vec<Ball> = set.iter().map(|&(c, radius)| Ball { centre: c.into(), radius }).collect();
-                let mut found = vec![];
-                sweep.overlapping(&set, &mut found);
-                let mut expected = vec![];
-                for a in 0..set.len() {
-                    for b in a + 1..set.len() {
-                        if set[a].centre.distance(set[b].centre) <= set[a].radius + set[b].radius {
-                            expected.push((a as u32, b as u32));
-                        }
-                    }
+        fn the_grid_finds_what_all_pairs_find(before in balls(), after in balls()) {
+            let mut grid = Grid::default();
+            let count = before.len().min(after.len());
+            for set in [&before, &after] {
+                for i in 0..count {
+                    grid.place(i as u32, set[i]);
                 }
-                prop_assert_eq!(found, expected);
+                for i in 0..count {
+                    let mut found = vec![];
+                    grid.touching(i as u32, &mut found);
+                    let touches = |&j: &u32| j != i as u32 && set[i].touches(&set[j as usize]);
+                    let expected: Vec<u32> = (0..count as u32).filter(touches).collect();
+                    prop_assert_eq!(found, expected);
+                }
             }
         }
+    }
+
+    /// Sizes and places at the ends of the range of numbers.
+    #[test]
+    fn extreme_balls_are_found() {
+        let mut grid = Grid::default();
+        let ball = |x: f64, radius| Ball { centre: DVec3::new(x, 0.0, 0.0), radius };
+        let all = [ball(0.0, 1e-300), ball(0.0, 1e300), ball(1e300, 1.0), ball(-1e9, 1e-3), ball(-1e9, 1e9)];
+        for (i, &ball) in (0..).zip(&all) {
+            grid.place(i, ball);
+        }
+        let mut found = vec![];
+        grid.touching(1, &mut found);
+        assert_eq!(found, [0, 2, 3, 4]);
     }
 }

@@ -81,3 +81,13 @@ pub struct StepReport {
     /// Time spent in each stage, by [`Stage::ALL`].
     pub timings: [Duration; Stage::ALL.len()],
 }
+
+impl StepReport {
+    /// Forgets the step before.
+    pub(super) fn begin(&mut self, step: u64, time: f64) {
+        let StepReport { events, .. } = self;
+        let mut events = std::mem::take(events);
+        events.clear();
+        *self = StepReport { step, time, events, ..StepReport::default() };
+    }
+}

@@ -7,37 +7,61 @@ use std::{
 };
 
 use glam::DVec3;
+use pulp::Arch;
 use rayon::prelude::*;
 
 use super::{
     Span,
     advance::{Context, Moment},
     arrays::Vectors,
-    body::{Body, Neighbour},
-    events::Event,
+    body::{Active, Body},
+    deformation::Now,
+    integrator::State,
     memory::{self, TooLarge},
-    pairs::{self, Pair, PairFinder},
+    pairs::{self, Pair, Pairs},
     report::{Diverged, Stage, StepReport},
     surroundings::Surroundings,
+    tracks::Tracks,
 };
 use crate::{
     model::phase::Phase,
     scene::{self, Scene},
 };
 
-/// Fewer vertices than this in motion are not worth a second thread.
-const PARALLEL_VERTICES: usize = 8192;
+/// Fewer vertices than this to step are not worth a second thread.
+const PARALLEL_VERTICES: usize = 2048;
+/// How much more room than it needs now a body gets when it outgrows its zone.
+const ROOM: f64 = 1.25;
+
+/// How the world is stepped; none of it changes the result, but for rounding.
+#[derive(Clone, Copy, Debug)]
+pub struct Options {
+    /// Whether what need not be computed is skipped. Without, every pair and every vertex is looked at in every step.
+    pub skip: bool,
+    /// The instruction set of the kernels; the result is the same to the bit.
+    pub arch: Arch,
+}
+
+impl Default for Options {
+    fn default() -> Options {
+        Options { skip: true, arch: Arch::new() }
+    }
+}
 
 /// The bodies of a scene at an instant, on their way through it.
 pub struct World {
     scene: Scene,
+    options: Options,
     step: u64,
     bodies: Vec<Body>,
-    /// Pairs that can touch in the current step, or are not apart; ascending.
-    pairs: Vec<Pair>,
-    finder: PairFinder,
-    /// Phase changes of the current step, grouped by pair.
-    changes: Vec<(f64, Phase)>,
+    /// Bodies that are not at rest: first those that are awake, then those that nothing acts on.
+    actives: Vec<Active>,
+    awake: usize,
+    tracks: Tracks,
+    pairs: Pairs,
+    /// When pushes start, and on which body, by time; and how many have started.
+    push_starts: Vec<(f64, u32)>,
+    pushes_started: usize,
     report: StepReport,
     /// Computed when the energy is first asked for.
     pub(super) energy_of_distant_pairs: OnceLock<f64>,
@@ -49,151 +73,271 @@ impl World {
     /// # Errors
     /// [`TooLarge`] if the scene needs more memory than is available; nothing has been allocated then.
     pub fn new(scene: Scene) -> Result<World, TooLarge> {
+        World::with_options(scene, Options::default())
+    }
+
+    /// [`World::new`], stepped as the options say.
+    ///
+    /// # Errors
+    /// As [`World::new`].
+    pub fn with_options(scene: Scene, options: Options) -> Result<World, TooLarge> {
         memory::check(&scene)?;
         let mut shapes: HashMap<scene::Sphere, Arc<Vectors>> = HashMap::new();
-        let bodies = (0..scene.bodies.len())
+        let bodies: Vec<Body> = (0..scene.bodies.len())
             .map(|index| {
                 let shape = scene.bodies[index].shape;
                 let unit = shapes.entry(shape).or_insert_with(|| Arc::new(shape.unit_vertices().into_iter().collect()));
                 Body::new(&scene, index, Arc::clone(unit))
             })
             .collect();
+        let mut push_starts: Vec<(f64, u32)> = scene.pushes.iter().map(|push| (push.start, push.body as u32)).collect();
+        push_starts.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut world = World {
             energy_of_distant_pairs: OnceLock::new(),
             step: 0,
             bodies,
-            pairs: Vec::new(),
-            finder: PairFinder::default(),
-            changes: Vec::new(),
+            actives: Vec::new(),
+            awake: 0,
+            tracks: Tracks::new(&scene),
+            pairs: Pairs::default(),
+            push_starts,
+            pushes_started: 0,
             report: StepReport::default(),
+            options,
             scene,
         };
-        world.find_pairs(Span { start: 0.0, end: 0.0 });
+        world.start();
         Ok(world)
+    }
+
+    fn start(&mut self) {
+        let World { scene, bodies, pairs, .. } = self;
+        if self.options.skip {
+            pairs.start(scene, bodies);
+        } else {
+            pairs.start_with_all(scene, bodies);
+        }
+        // Whoever has a neighbour may be reached from the start; those that aren't go back to sleep in the first step.
+        for index in 0..self.bodies.len() {
+            if !self.options.skip || !self.bodies[index].neighbours.is_empty() {
+                self.wake(index as u32);
+            }
+        }
     }
 
     /// Advances the world by one step of the scene's Δt and reports what happened.
     pub fn step(&mut self) -> &StepReport {
         let span = Span { start: self.time(), end: self.time_of(self.step + 1) };
-        self.step += 1;
-        self.report.step = self.step;
-        self.report.time = span.end;
+        self.report.begin(self.step + 1, span.end);
 
-        self.timed(Stage::Reach, |world| world.find_pairs(span));
-        self.timed(Stage::Events, |world| world.find_events(span));
-        self.timed(Stage::Integrate, |world| world.integrate(span));
-        self.enter_phases();
-        self.report.diverged = self.find_divergence();
+        let start = Instant::now();
+        self.follow(span);
+        let followed = Instant::now();
+        self.find_events(span);
+        let found = Instant::now();
+        self.find_reachable(span);
+        let ready = Instant::now();
+        self.integrate(span);
+        self.step += 1;
+        self.pairs.enter_phases();
+        self.finish(span);
+        let end = Instant::now();
+        self.report.timings[Stage::Reach as usize] = (followed - start) + (ready - found);
+        self.report.timings[Stage::Events as usize] = found - followed;
+        self.report.timings[Stage::Integrate as usize] = end - ready;
         &self.report
     }
 
-    fn timed(&mut self, stage: Stage, work: impl FnOnce(&mut World)) {
-        let start = Instant::now();
-        work(self);
-        self.report.timings[stage as usize] = start.elapsed();
-    }
-
-    /// Who can touch whom during `span`.
-    fn find_pairs(&mut self, span: Span) {
-        let World { scene, bodies, pairs, finder, .. } = self;
-        finder.find(scene, bodies, pairs, span);
-
-        for body in bodies.iter_mut() {
-            body.neighbours.clear();
-        }
-        for (index, pair) in (0..).zip(pairs.iter()) {
-            bodies[pair.a as usize].neighbours.push(Neighbour { other: pair.b, pair: index });
-            bodies[pair.b as usize].neighbours.push(Neighbour { other: pair.a, pair: index });
-        }
+    /// Where moving bodies go, and whom they come near.
+    fn follow(&mut self, span: Span) {
+        let World { scene, bodies, tracks, pairs, .. } = self;
+        tracks.follow(scene, span);
+        pairs.follow(scene, bodies, tracks, span);
     }
 
     /// When pairs change phase during `span`, exactly.
     fn find_events(&mut self, span: Span) {
-        let World { scene, pairs, changes, report, .. } = self;
-        changes.clear();
-        report.events.clear();
-        for pair in pairs.iter_mut() {
-            let paths = pairs::paths(scene, pair.a, pair.b);
-            let first = changes.len();
-            let mut from = pair.phase;
-            paths.phase_changes(&scene.thresholds, pair.phase, span.start, span.end, |time, to| {
-                changes.push((time, to));
-                report.events.push(Event { time, step: report.step, a: pair.a, b: pair.b, q: paths.q(time), from, to });
-                from = to;
-            });
-            pair.changes = first..changes.len();
+        let World { scene, bodies, tracks, pairs, report, step, options, .. } = self;
+        pairs.find_events(scene, bodies, tracks, span, *step + 1, options.skip, &mut report.events);
+    }
+
+    /// Wakes whom something acts on during `span`, and finds who can reach whom.
+    fn find_reachable(&mut self, span: Span) {
+        self.wake_pushed(span);
+        if self.options.skip {
+            self.wake_moved(span);
         }
-        report.events.sort_by(|x, y| x.time.total_cmp(&y.time));
+        let (context, actives) = self.context();
+        let awake = actives.len();
+        each(actives, |active| context.find_reachable(active, span));
+        for slot in 0..awake {
+            loop {
+                let Active { body, farthest, .. } = self.actives[slot];
+                // what is not a number needs no room: it is found to have diverged
+                if !(farthest > self.bodies[body as usize].zone.vertices) {
+                    break;
+                }
+                let World { scene, bodies, pairs, .. } = self;
+                pairs.anchor(scene, bodies, body as usize, ROOM * farthest, span.start);
+                let (context, actives) = self.context();
+                context.find_reachable(&mut actives[slot], span);
+            }
+        }
+    }
+
+    /// Wakes bodies on which a push starts before the end of `span`.
+    fn wake_pushed(&mut self, span: Span) {
+        while let Some(&(start, body)) = self.push_starts.get(self.pushes_started) {
+            if start >= span.end {
+                break;
+            }
+            self.wake(body);
+            self.pushes_started += 1;
+        }
+    }
+
+    /// Wakes bodies that feel their own motion during `span`, and those that a moving sphere can reach, or whose vertices
+    /// move to a sphere.
+    fn wake_moved(&mut self, span: Span) {
+        for t in 0..self.tracks.all().len() {
+            let mover = self.tracks.all()[t].body;
+            if !self.is_awake(mover) && self.reading().own_force(mover, span) > 0.0 {
+                self.wake(mover);
+            }
+            for n in 0..self.bodies[mover as usize].neighbours.len() {
+                let other = self.bodies[mover as usize].neighbours[n].other;
+                let sleeping = [(mover, other), (other, mover)].into_iter().filter(|&(this, _)| !self.is_awake(this));
+                let reached = sleeping.filter(|&(this, source)| {
+                    let radius = |i: u32| self.scene.bodies[i as usize].radius;
+                    let vertices = radius(this) + self.active(this as usize).map_or(0.0, Active::amplitude);
+                    let sphere = self.scene.influence.sphere_radius(radius(source));
+                    self.reading().nearest(this, source, span) <= sphere + vertices
+                });
+                let [first, second] = {
+                    let mut reached = reached.map(|(this, _)| this);
+                    [reached.next(), reached.next()]
+                };
+                first.into_iter().chain(second).for_each(|this| self.wake(this));
+            }
+        }
+    }
+
+    fn is_awake(&self, body: u32) -> bool {
+        self.bodies[body as usize].active.is_some_and(|slot| (slot as usize) < self.awake)
+    }
+
+    /// From here on a body is stepped.
+    fn wake(&mut self, body: u32) {
+        let index = body as usize;
+        let slot = self.bodies[index].active.map_or(self.actives.len(), |slot| slot as usize);
+        if slot == self.actives.len() {
+            self.actives.push(Active::new(&self.scene, index, self.bodies[index].pushes.len(), self.step));
+            self.bodies[index].active = Some(slot as u32);
+        }
+        if slot >= self.awake {
+            self.swap(slot, self.awake);
+            self.awake += 1;
+        }
+    }
+
+    /// From here on the body at `slot`, which is awake, isn't stepped; one at rest needs no state.
+    fn sleep(&mut self, slot: usize) {
+        self.awake -= 1;
+        self.swap(slot, self.awake);
+        if self.actives[self.awake].is_at_rest() {
+            self.swap(self.awake, self.actives.len() - 1);
+            if let Some(active) = self.actives.pop() {
+                self.bodies[active.body as usize].active = None;
+            }
+        }
+    }
+
+    fn swap(&mut self, a: usize, b: usize) {
+        self.actives.swap(a, b);
+        for slot in [a, b] {
+            self.bodies[self.actives[slot].body as usize].active = Some(slot as u32);
+        }
+    }
+
+    /// What the stepping of bodies reads.
+    fn reading(&self) -> Context<'_> {
+        let World { scene, bodies, tracks, pairs, options, step, .. } = self;
+        let Options { skip, arch } = *options;
+        Context { scene, bodies, pairs, tracks, arch, skip, step: *step }
+    }
+
+    /// The same, and the bodies that are awake.
+    fn context(&mut self) -> (Context<'_>, &mut [Active]) {
+        let World { scene, bodies, tracks, pairs, options, step, actives, awake, .. } = self;
+        let Options { skip, arch } = *options;
+        (Context { scene, bodies, pairs, tracks, arch, skip, step: *step }, &mut actives[..*awake])
     }
 
     /// The equation of motion of every body that something happens to.
     fn integrate(&mut self, span: Span) {
-        let World { scene, bodies, pairs, changes, report, .. } = self;
-        let context = Context { scene, pairs, changes };
-        let advance = |(index, body): (usize, &mut Body)| {
-            let effort = context.advance(index, body, span);
-            let error = effort.error / scene.bodies[index].radius;
-            Total { substeps: effort.substeps, sleeping_bodies: u64::from(effort.substeps == 0), error }
-        };
-
-        let moving: usize = bodies.iter().map(|body| body.displacement.len()).sum();
-        let total = if moving < PARALLEL_VERTICES {
-            bodies.iter_mut().enumerate().map(advance).fold(Total::default(), Total::add)
-        } else {
-            bodies.par_iter_mut().enumerate().map(advance).reduce(Total::default, Total::add)
-        };
-        report.substeps = total.substeps;
-        report.sleeping_bodies = total.sleeping_bodies;
-        report.error = total.error;
+        let (context, actives) = self.context();
+        each(actives, |active| context.advance(active, span));
     }
 
-    /// The first body whose state cannot be, and its worst vertex.
-    fn find_divergence(&self) -> Option<Diverged> {
-        let index = self.bodies.iter().position(Body::has_diverged)?;
+    /// Adds up what the step took, lets those sleep that nothing acted on, and looks for a state that cannot be.
+    fn finish(&mut self, span: Span) {
+        let mut stepped = 0;
+        let mut diverged: Option<u32> = None;
+        for active in &self.actives[..self.awake] {
+            let effort = active.effort;
+            stepped += u64::from(effort.substeps > 0);
+            self.report.substeps += effort.substeps;
+            let error = effort.error / self.scene.bodies[active.body as usize].radius;
+            self.report.error = self.report.error.max(error);
+            if active.has_diverged() {
+                diverged = Some(diverged.map_or(active.body, |first| first.min(active.body)));
+            }
+        }
+        self.report.sleeping_bodies = self.bodies.len() as u64 - stepped;
+        self.report.diverged = diverged.map(|index| self.divergence(index as usize));
+        if self.options.skip {
+            for slot in (0..self.awake).rev() {
+                let Active { body, effort, ref reachable, .. } = self.actives[slot];
+                if effort.substeps == 0 && reachable.is_empty() && self.reading().own_force(body, span) == 0.0 {
+                    self.sleep(slot);
+                }
+            }
+        }
+    }
+
+    /// A body whose state cannot be, and its worst vertex.
+    fn divergence(&self, index: usize) -> Diverged {
         let body = self.body(index);
-        let size = |i: usize| body.displacement(i).length_squared() + body.velocity(i).length_squared();
+        let states = body.states();
+        let size = |i: usize| states.displacement.get(i).length_squared() + states.velocity.get(i).length_squared();
         // what is not a number is the worst
         let rank = |i: &usize| if size(*i).is_nan() { f64::INFINITY } else { size(*i) };
-        let vertex = (0..body.vertex_count()).max_by(|i, j| rank(i).total_cmp(&rank(j)))?;
-        Some(Diverged {
+        let vertex = (0..body.vertex_count()).max_by(|i, j| rank(i).total_cmp(&rank(j))).unwrap_or_default();
+        Diverged {
             integrator: self.scene.integrator,
             dt: self.scene.dt,
             step: self.step,
             time: self.time(),
             body: body.name().to_owned(),
             vertex,
-            displacement: body.displacement(vertex),
-            velocity: body.velocity(vertex),
-        })
-    }
-
-    /// The phases at the end of the step become those at the start of the next.
-    fn enter_phases(&mut self) {
-        for pair in &mut self.pairs {
-            if let Some(&(_, last)) = self.changes[pair.changes.clone()].last() {
-                pair.phase = last;
-            }
-            pair.changes = 0..0;
+            displacement: states.displacement.get(vertex),
+            velocity: states.velocity.get(vertex),
         }
     }
 }
 
-/// What the integration of bodies adds up to.
-#[derive(Clone, Copy, Default)]
-struct Total {
-    substeps: u64,
-    sleeping_bodies: u64,
-    error: f64,
-}
-
-impl Total {
-    /// Sums and the largest error: the same in any order.
-    fn add(self, other: Total) -> Total {
-        Total {
-            substeps: self.substeps + other.substeps,
-            sleeping_bodies: self.sleeping_bodies + other.sleeping_bodies,
-            error: self.error.max(other.error),
-        }
+/// Does the same with every body that is awake, on several threads where that pays.
+fn each(actives: &mut [Active], work: impl Fn(&mut Active) + Sync + Send) {
+    let vertices = |active: &Active| active.deformation.front.vertices.len();
+    // a body that has no front yet takes about as long as one of a few vertices
+    let enough = |sum: &mut usize, active: &Active| {
+        *sum += 8 + vertices(active);
+        (*sum < PARALLEL_VERTICES).then_some(())
+    };
+    if actives.iter().scan(0, enough).count() == actives.len() {
+        actives.iter_mut().for_each(work);
+    } else {
+        actives.par_iter_mut().with_min_len(4).for_each(work);
     }
 }
 
@@ -231,7 +375,31 @@ impl World {
     /// Body `index`, in the order of the scene; panics beyond the last, like a slice.
     pub fn body(&self, index: usize) -> BodyView<'_> {
         let body = &self.scene.bodies[index];
-        BodyView { body, state: &self.bodies[index], centre: body.path.position(self.time()) }
+        let state = self.active(index);
+        let now = Now {
+            step: self.step,
+            dt: self.scene.dt,
+            oscillator: state.map(|state| state.oscillator).unwrap_or_default(),
+        };
+        BodyView { body, fixed: &self.bodies[index], state, now, centre: body.path.position(self.time()) }
+    }
+
+    fn active(&self, index: usize) -> Option<&Active> {
+        self.actives.get(self.bodies[index].active? as usize)
+    }
+
+    /// How this world is stepped.
+    pub fn options(&self) -> Options {
+        self.options
+    }
+
+    /// What its state takes of memory, by what was allocated for it [bytes].
+    pub fn memory(&self) -> usize {
+        self.bodies.iter().map(Body::memory).sum::<usize>()
+            + self.actives.iter().map(Active::memory).sum::<usize>()
+            + self.bodies.capacity() * size_of::<Body>()
+            + self.actives.capacity() * size_of::<Active>()
+            + self.pairs.memory()
     }
 
     /// All bodies, in the order of the scene.
@@ -244,8 +412,7 @@ impl World {
     /// other.
     pub fn pairs(&self) -> impl Iterator<Item = PairView> + '_ {
         let time = self.time();
-        self.pairs
-            .iter()
+        self.known_pairs()
             .map(move |pair| {
                 let paths = pairs::paths(&self.scene, pair.a, pair.b);
                 PairView { a: pair.a as usize, b: pair.b as usize, q: paths.q(time), phase: pair.phase }
@@ -253,14 +420,22 @@ impl World {
             .filter(|pair| pair.phase != Phase::Apart || pair.q <= self.reach_of(pair.a, pair.b))
     }
 
+    /// All pairs that are near each other or not apart, in ascending order of their bodies.
+    fn known_pairs(&self) -> impl Iterator<Item = &Pair> + '_ {
+        (0..).zip(&self.bodies).flat_map(|(index, body)| {
+            let later = body.neighbours.iter().filter(move |neighbour| neighbour.other > index);
+            later.map(|neighbour| self.pairs.get(neighbour.pair))
+        })
+    }
+
     /// Bodies and phase of every pair that may not be apart.
     pub(super) fn phases(&self) -> impl Iterator<Item = (usize, usize, Phase)> + '_ {
-        self.pairs.iter().map(|pair| (pair.a as usize, pair.b as usize, pair.phase))
+        self.known_pairs().map(|pair| (pair.a as usize, pair.b as usize, pair.phase))
     }
 
     /// The q up to which one of two bodies can have vertices inside the other's influence sphere, or can merge [–].
     fn reach_of(&self, a: usize, b: usize) -> f64 {
-        let vertices = |i: usize| self.scene.bodies[i].radius + self.bodies[i].amplitude();
+        let vertices = |i: usize| self.scene.bodies[i].radius + self.active(i).map_or(0.0, Active::amplitude);
         let sphere = |i: usize| self.scene.influence.sphere_radius(self.scene.bodies[i].radius);
         let touching = f64::max(sphere(a) + vertices(b), sphere(b) + vertices(a));
         let radii = self.scene.bodies[a].radius + self.scene.bodies[b].radius;
@@ -269,17 +444,17 @@ impl World {
 
     /// The phase of the pair of bodies `a` and `b`.
     pub fn phase(&self, a: usize, b: usize) -> Phase {
-        let key = (a.min(b) as u32, a.max(b) as u32);
-        let found = self.pairs.binary_search_by_key(&key, |pair| (pair.a, pair.b));
-        found.map_or(Phase::Apart, |index| self.pairs[index].phase)
+        let neighbours = &self.bodies[a].neighbours;
+        let found = neighbours.binary_search_by_key(&(b as u32), |neighbour| neighbour.other);
+        found.map_or(Phase::Apart, |place| self.pairs.get(neighbours[place].pair).phase)
     }
 
     /// What acts on body `index` in the current state, but for its own oscillators.
     pub fn surroundings(&self, index: usize) -> Surroundings {
         let time = self.time();
         let mut surroundings = Surroundings::default();
-        let context = Context { scene: &self.scene, pairs: &self.pairs, changes: &[] };
-        context.surroundings(index, &self.bodies[index], Moment { time, phases_at: time }, &mut surroundings);
+        let farthest = self.scene.bodies[index].radius + self.active(index).map_or(0.0, Active::amplitude);
+        self.reading().surroundings(index as u32, farthest, Moment { time, phases_at: time }, &mut surroundings);
         surroundings
     }
 }
@@ -288,8 +463,19 @@ impl World {
 #[derive(Clone, Copy)]
 pub struct BodyView<'a> {
     body: &'a scene::Body,
-    state: &'a Body,
+    fixed: &'a Body,
+    state: Option<&'a Active>,
+    now: Now,
     centre: DVec3,
+}
+
+/// The states of all vertices of a body.
+#[derive(Clone, Debug, Default)]
+pub struct States {
+    /// Displacements x from rest [scene unit], `[vertex_count]`.
+    pub displacement: Vectors,
+    /// Velocities x′ of these [scene unit/s], `[vertex_count]`.
+    pub velocity: Vectors,
 }
 
 impl<'a> BodyView<'a> {
@@ -310,27 +496,59 @@ impl<'a> BodyView<'a> {
 
     /// Whether nothing has acted on it yet: every displacement and velocity is exactly zero.
     pub fn is_at_rest(&self) -> bool {
-        self.state.is_at_rest()
+        self.state.is_none_or(Active::is_at_rest)
     }
 
     /// Number of vertices.
     pub fn vertex_count(&self) -> usize {
-        self.state.unit.len()
+        self.fixed.unit.len()
     }
 
     /// Unit rest direction l̂ of vertex `i` [–]; panics beyond the last, like a slice.
     pub fn unit(&self, i: usize) -> DVec3 {
-        self.state.unit.get(i)
+        self.fixed.unit.get(i)
+    }
+
+    /// The states of all vertices, in less time than one by one.
+    pub fn states(&self) -> States {
+        let mut states = States::default();
+        self.states_into(&mut states);
+        states
+    }
+
+    /// [`BodyView::states`], into an existing one (reused).
+    pub fn states_into(&self, states: &mut States) {
+        let States { displacement, velocity } = states;
+        displacement.reset(self.vertex_count());
+        velocity.reset(self.vertex_count());
+        let Some(active) = self.state.filter(|active| !active.is_at_rest()) else { return };
+        let common = active.common_at(self.now);
+        if !common.is_zero() {
+            for (i, unit) in self.fixed.unit.iter().enumerate() {
+                let State { x, u } = common.of(unit, &self.fixed.pushes);
+                displacement.set(i, x);
+                velocity.set(i, u);
+            }
+        }
+        active.deformation.add_to(displacement, velocity, self.now);
+    }
+
+    /// Displacement x and velocity x′ of vertex `i`.
+    fn state_of(&self, i: usize) -> State {
+        let Some(active) = self.state else { return State::default() };
+        let alike = active.common_at(self.now).of(self.unit(i), &self.fixed.pushes);
+        let own = active.deformation.state(i, self.now);
+        State { x: alike.x + own.x, u: alike.u + own.u }
     }
 
     /// Displacement x of vertex `i` from rest [scene unit].
     pub fn displacement(&self, i: usize) -> DVec3 {
-        if self.is_at_rest() { DVec3::ZERO } else { self.state.displacement.get(i) }
+        self.state_of(i).x
     }
 
     /// Velocity x′ of that displacement [scene unit/s].
     pub fn velocity(&self, i: usize) -> DVec3 {
-        if self.is_at_rest() { DVec3::ZERO } else { self.state.velocity.get(i) }
+        self.state_of(i).u
     }
 
     /// Position of vertex `i` relative to the centre, l + x [scene unit].
@@ -345,12 +563,17 @@ impl<'a> BodyView<'a> {
 
     /// World positions of all vertices [scene unit].
     pub fn positions(self) -> impl ExactSizeIterator<Item = DVec3> + 'a {
-        (0..self.vertex_count()).map(move |i| self.position(i))
+        let states = self.states();
+        (0..self.vertex_count())
+            .map(move |i| self.centre + (self.body.radius * self.unit(i) + states.displacement.get(i)))
     }
 
     /// The largest |x| of its vertices [scene unit].
     pub fn max_displacement(&self) -> f64 {
-        self.state.extent.displacement
+        if self.is_at_rest() {
+            return 0.0;
+        }
+        self.states().displacement.iter().map(DVec3::length_squared).fold(0.0, f64::max).sqrt()
     }
 }
 
@@ -370,6 +593,7 @@ pub struct PairView {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sim::deformation::Deformation;
 
     /// What single precision would cost: the state rounded to f32 after every step, against the state as it is.
     #[test]
@@ -380,8 +604,10 @@ mod tests {
         for _ in 0..world.scene().steps() {
             world.step();
             rounded.step();
-            for body in &mut rounded.bodies {
-                for vectors in [&mut body.displacement, &mut body.velocity] {
+            for active in &mut rounded.actives {
+                let Deformation { front, swinging, .. } = &mut active.deformation;
+                let positions = [&mut front.displacement, &mut swinging.displacement];
+                for vectors in positions.into_iter().chain([&mut front.velocity, &mut swinging.velocity]) {
                     for axis in [&mut vectors.x, &mut vectors.y, &mut vectors.z] {
                         axis.iter_mut().for_each(|v| *v = f64::from(*v as f32));
                     }

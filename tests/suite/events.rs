@@ -576,7 +576,12 @@ proptest! {
         }
         expected.sort_by(|x, y| x.0.total_cmp(&y.0));
         let found: Vec<_> = events(scene).iter().map(|e| (e.time, e.a as usize, e.b as usize, e.to)).collect();
-        prop_assert_eq!(found, expected);
+        // The world looks for events some steps ahead: times are the same to rounding.
+        let same = |found: &(f64, usize, usize, Phase), expected: &(f64, usize, usize, Phase)| {
+            (found.0 - expected.0).abs() <= 1e-13 && (found.1, found.2, found.3) == (expected.1, expected.2, expected.3)
+        };
+        prop_assert_eq!(found.len(), expected.len());
+        prop_assert!(found.iter().zip(&expected).all(|(f, e)| same(f, e)), "{:?} {:?}", found, expected);
     }
 }
 

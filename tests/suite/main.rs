@@ -11,3 +11,4 @@ mod reference;
 mod rims;
 mod scene_format;
 mod sinks;
+mod skipping;

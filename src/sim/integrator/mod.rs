@@ -20,7 +20,7 @@ pub mod exponential;
 use glam::DVec3;
 
 /// Displacement from rest and its velocity, in body coordinates.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct State {
     /// x [scene unit]
     pub x: DVec3,

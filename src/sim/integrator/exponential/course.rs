@@ -2,10 +2,11 @@
 
 use glam::DVec3;
 
+use super::super::State;
 use crate::{
     model::{influence::Weight, oscillator::Oscillator},
-    scene::{self, Path, Push, Scene, path::Bounds},
-    sim::surroundings::{self, carry},
+    scene::{self, Path, Scene, path::Bounds},
+    sim::{surroundings::carry, tracks::Tracks},
 };
 
 /// An influence sphere of another body that can reach the body in the stretch.
@@ -21,7 +22,77 @@ pub struct Sphere {
     pub strength: f64,
 }
 
+/// A push of the body's, as it is in the stretch.
+#[derive(Clone, Copy, Debug)]
+pub struct Push {
+    /// Unit direction d.
+    pub direction: DVec3,
+    /// Acceleration of a vertex that faces it squarely [scene unit/s²]; 0 while it does not act.
+    pub strength: f64,
+}
+
+impl Push {
+    /// How squarely a vertex faces the push [–]: max(0, −l̂·d) for rest position l (Fig. 4.1).
+    pub fn facing(&self, rest: DVec3, radius: f64) -> f64 {
+        f64::max(0.0, -(rest.dot(self.direction) / radius))
+    }
+}
+
+/// The response of a vertex that faces a push squarely, along the push.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Pushed {
+    /// [scene unit]
+    pub x: f64,
+    /// [scene unit/s]
+    pub u: f64,
+}
+
+/// What all vertices of a body do alike: the equation of motion is linear but for the influence, so that the response
+/// to the body's own motion is one vector for all of them, and that to a push one number, times how squarely each faces it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Common {
+    /// Response to the body's own motion.
+    pub carried: State,
+    /// Response to each of the body's pushes, in the order of the scene.
+    pub pushed: Vec<Pushed>,
+}
+
+impl Common {
+    /// Whether nothing has happened to all vertices alike.
+    pub fn is_zero(&self) -> bool {
+        self.carried == State::default() && self.pushed.iter().all(|pushed| *pushed == Pushed::default())
+    }
+
+    /// What it adds to the displacement and velocity of the vertex with unit rest position `unit`.
+    pub fn of(&self, unit: DVec3, pushes: &[scene::Push]) -> State {
+        let mut state = self.carried;
+        for (pushed, push) in self.pushed.iter().zip(pushes) {
+            let along = push.direction * f64::max(0.0, -unit.dot(push.direction));
+            state.x += along * pushed.x;
+            state.u += along * pushed.u;
+        }
+        state
+    }
+
+    /// What pushes add to the displacement of the vertex with unit rest position `unit` [scene unit].
+    pub fn moved(&self, unit: DVec3, pushes: &[scene::Push]) -> DVec3 {
+        self.of(unit, pushes).x - self.carried.x
+    }
+
+    /// No |x| that it gives any vertex exceeds the first [scene unit], no √(|u|² + ω²|x|²) the second [scene unit/s].
+    pub fn bounds(&self, omega: f64) -> (f64, f64) {
+        let momentum = |x2: f64, u2: f64| (u2 + omega * omega * x2).sqrt();
+        let State { x, u } = self.carried;
+        let mut sum = (x.length(), momentum(x.length_squared(), u.length_squared()));
+        for Pushed { x, u } in &self.pushed {
+            sum = (sum.0 + x.abs(), sum.1 + momentum(x * x, u * u));
+        }
+        sum
+    }
+}
+
 /// A body's course over a stretch of time in which nothing jumps: phases, pushes and paths are smooth inside it.
+#[derive(Clone, Copy)]
 pub struct Course<'a> {
     /// The scene …
     pub scene: &'a Scene,
@@ -31,19 +102,12 @@ pub struct Course<'a> {
     pub start: f64,
     /// How long it is [s].
     pub length: f64,
+    /// Where the bodies are in the course of a whole step, if the stretch is one.
+    pub tracks: Option<&'a Tracks>,
     /// Spheres that can reach the body.
     pub spheres: &'a [Sphere],
-    /// Pushes that act.
+    /// The body's pushes.
     pub pushes: &'a [Push],
-}
-
-/// Where the spheres are at an instant, and what the body feels of its own motion.
-#[derive(Clone, Debug, Default)]
-pub struct Moment {
-    /// Centres of the spheres relative to the centre of the body [scene unit].
-    pub centres: Vec<DVec3>,
-    /// Subtracted from the acceleration [scene unit/s²].
-    pub carry: DVec3,
 }
 
 impl Course<'_> {
@@ -73,46 +137,43 @@ impl Course<'_> {
         &self.scene.bodies[self.spheres[sphere].body as usize].path
     }
 
-    /// What acts at time `t`, into `moment` (reused). At the end of the stretch: just before it.
-    pub fn look(&self, t: f64, moment: &mut Moment) {
+    /// The centres of the spheres relative to that of the body at time `t` [scene unit], into `centres` (reused), and
+    /// what the body feels of its own motion [scene unit/s²]. At the end of the stretch: just before it.
+    pub fn look(&self, t: f64, centres: &mut Vec<DVec3>) -> DVec3 {
         let body = self.body();
         let own = if t >= self.end() { body.path.before(t) } else { body.path.at(t) };
-        moment.carry = carry(body.material.response, body.material.damping, &own);
-        moment.centres.clear();
-        moment.centres.extend((0..self.spheres.len()).map(|j| self.path(j).position(t) - own.position));
+        centres.clear();
+        centres.extend((0..self.spheres.len()).map(|j| self.path(j).position(t) - own.position));
+        carry(body.material.response, body.material.damping, &own)
     }
 
-    /// The sum of the pushes on a vertex with unit rest position `unit` [scene unit/s²].
-    pub fn push(&self, unit: DVec3) -> DVec3 {
-        self.pushes.iter().map(|push| surroundings::push_acceleration(push, unit)).sum()
+    /// [`Course::look`] at one of the five looks of a whole step, where the tracks have it.
+    pub fn look_whole(&self, tracks: &Tracks, look: usize, centres: &mut Vec<DVec3>) -> DVec3 {
+        let body = self.body();
+        let own = tracks.kinematics(self.scene, self.index, look);
+        let position = |sphere: &Sphere| tracks.kinematics(self.scene, sphere.body as usize, look).position;
+        centres.clear();
+        centres.extend(self.spheres.iter().map(|sphere| position(sphere) - own.position));
+        carry(body.material.response, body.material.damping, &own)
     }
 
     /// Bounds of the motion of a sphere's centre relative to the body's within `[start, end]` [s].
     pub fn relative_bounds(&self, sphere: usize, start: f64, end: f64) -> Bounds {
-        self.path(sphere).relative_bounds(&self.body().path, start, end)
-    }
-
-    /// Lipschitz constant of the influence: bounds |∂F/∂x| [1/s²]. Both weights have |d(r W)/dr| ≤ 1.
-    pub fn stiffness(&self) -> f64 {
-        self.spheres.iter().map(|sphere| sphere.strength.abs()).sum()
+        let other = self.spheres[sphere].body as usize;
+        let known = |tracks: &Tracks| {
+            let [own, its] = [tracks.bounds(self.index), tracks.bounds(other)];
+            own.is_none().then_some(its).or(its.is_none().then_some(own)) // one of the two stands still
+        };
+        let still = Bounds { speed: 0.0, acceleration: 0.0 };
+        match self.tracks.and_then(known) {
+            Some(bounds) => bounds.unwrap_or(still),
+            None => self.path(sphere).relative_bounds(&self.body().path, start, end),
+        }
     }
 
     /// The largest acceleration by influence [scene unit/s²].
     pub fn strongest_pull(&self) -> f64 {
         let max_pull = self.weight().max_pull();
         self.spheres.iter().map(|sphere| sphere.strength.abs() * sphere.radius * max_pull).sum()
-    }
-
-    /// Whether nothing acts on the body at all.
-    pub fn is_idle(&self) -> bool {
-        let pushed = self.pushes.iter().any(|push| push.strength != 0.0);
-        let body = self.body();
-        let moves = body.path.bounds(self.start, self.end());
-        let carried = match body.material.response {
-            scene::Response::Rigid => false,
-            scene::Response::Inertial => moves.acceleration > 0.0,
-            scene::Response::World => moves.acceleration > 0.0 || (moves.speed > 0.0 && body.material.damping > 0.0),
-        };
-        self.spheres.is_empty() && !pushed && !carried
     }
 }

@@ -1,98 +1,294 @@
-//! Vectors of several vertices side by side, so that one operation on a coordinate is one for all of them.
+//! Numbers and vectors of several vertices side by side: one operation is one instruction for all of them.
+//!
+//! Every operation is that of its lanes, each with the rounding of IEEE 754 and none fused with another: a vertex comes to
+//! the same bits on whatever instruction set, in whatever company.
 
-use std::ops::{Add, Sub};
+use std::ops::{Add, Mul, Sub};
 
 use glam::DVec3;
+use pulp::Simd;
 
-/// A vector for each of `N` vertices, stored by coordinate. Every operation is that of its coordinates, lane by lane:
-/// the same bits for any `N` and any instruction set.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Lanes<const N: usize>(pub [[f64; N]; 3]);
+use crate::sim::arrays::Vectors;
 
-impl<const N: usize> Lanes<N> {
-    /// The zero vector in all lanes.
-    pub const ZERO: Lanes<N> = Lanes([[0.0; N]; 3]);
+/// The most vertices that any instruction set takes side by side: arrays that are read in lanes are padded to this.
+pub const LANES: usize = 16;
 
-    /// One vector a lane.
-    pub fn from_fn(vector: impl Fn(usize) -> DVec3) -> Lanes<N> {
-        let mut lanes = Lanes::ZERO;
-        for lane in 0..N {
-            let DVec3 { x, y, z } = vector(lane);
-            (lanes.0[0][lane], lanes.0[1][lane], lanes.0[2][lane]) = (x, y, z);
-        }
-        lanes
+/// A number per lane: `W` registers of them, which don't wait for each other.
+#[derive(Clone, Copy)]
+pub struct Reals<S: Simd, const W: usize> {
+    simd: S,
+    v: [S::f64s; W],
+}
+
+impl<S: Simd, const W: usize> Reals<S, W> {
+    /// How many lanes there are.
+    pub const COUNT: usize = W * S::F64_LANES;
+
+    /// The same number in all lanes.
+    #[inline(always)]
+    pub fn splat(simd: S, value: f64) -> Reals<S, W> {
+        Reals { simd, v: [simd.splat_f64s(value); W] }
     }
 
+    /// The numbers of an array from `first` on, which has enough of them.
+    #[inline(always)]
+    pub fn load(simd: S, array: &[f64], first: usize) -> Reals<S, W> {
+        let mut v = [simd.splat_f64s(0.0); W];
+        let (full, _) = S::as_simd_f64s(&array[first..first + W * S::F64_LANES]);
+        v.copy_from_slice(&full[..W]);
+        Reals { simd, v }
+    }
+
+    /// Puts them into an array from `first` on.
+    #[inline(always)]
+    pub fn store(self, array: &mut [f64], first: usize) {
+        let (full, _) = S::as_mut_simd_f64s(&mut array[first..first + W * S::F64_LANES]);
+        full[..W].copy_from_slice(&self.v);
+    }
+
+    /// √
+    #[inline(always)]
+    pub fn sqrt(self) -> Reals<S, W> {
+        let mut v = self.v;
+        for v in &mut v {
+            *v = self.simd.sqrt_f64s(*v);
+        }
+        Reals { v, ..self }
+    }
+
+    /// | |
+    #[inline(always)]
+    pub fn abs(self) -> Reals<S, W> {
+        let mut v = self.v;
+        for v in &mut v {
+            *v = self.simd.abs_f64s(*v);
+        }
+        Reals { v, ..self }
+    }
+
+    /// Where it is below another; false where either is not a number.
+    #[inline(always)]
+    pub fn below(self, other: Reals<S, W>) -> Mask<S, W> {
+        let mut m = [self.simd.less_than_f64s(self.v[0], other.v[0]); W];
+        for w in 1..W {
+            m[w] = self.simd.less_than_f64s(self.v[w], other.v[w]);
+        }
+        Mask { simd: self.simd, m }
+    }
+
+    /// Where it is below another or equal to it; false where either is not a number.
+    #[inline(always)]
+    pub fn at_most(self, other: Reals<S, W>) -> Mask<S, W> {
+        let mut m = [self.simd.less_than_or_equal_f64s(self.v[0], other.v[0]); W];
+        for w in 1..W {
+            m[w] = self.simd.less_than_or_equal_f64s(self.v[w], other.v[w]);
+        }
+        Mask { simd: self.simd, m }
+    }
+
+    /// The larger of the two, or the first if either is not a number.
+    #[inline(always)]
+    pub fn larger(self, other: Reals<S, W>) -> Reals<S, W> {
+        self.below(other).select(other, self)
+    }
+
+    /// The larger of the two; not a number if either is not.
+    #[inline(always)]
+    pub fn larger_or_nan(self, other: Reals<S, W>) -> Reals<S, W> {
+        self.below(other).or(other.at_most(other).not()).select(other, self)
+    }
+
+    /// The smaller of the two, or the first if either is not a number.
+    #[inline(always)]
+    pub fn smaller(self, other: Reals<S, W>) -> Reals<S, W> {
+        other.below(self).select(other, self)
+    }
+}
+
+impl<S: Simd, const W: usize> Add for Reals<S, W> {
+    type Output = Reals<S, W>;
+
+    #[inline(always)]
+    fn add(self, other: Reals<S, W>) -> Reals<S, W> {
+        let mut v = self.v;
+        for w in 0..W {
+            v[w] = self.simd.add_f64s(v[w], other.v[w]);
+        }
+        Reals { v, ..self }
+    }
+}
+
+impl<S: Simd, const W: usize> Sub for Reals<S, W> {
+    type Output = Reals<S, W>;
+
+    #[inline(always)]
+    fn sub(self, other: Reals<S, W>) -> Reals<S, W> {
+        let mut v = self.v;
+        for w in 0..W {
+            v[w] = self.simd.sub_f64s(v[w], other.v[w]);
+        }
+        Reals { v, ..self }
+    }
+}
+
+impl<S: Simd, const W: usize> Mul for Reals<S, W> {
+    type Output = Reals<S, W>;
+
+    #[inline(always)]
+    fn mul(self, other: Reals<S, W>) -> Reals<S, W> {
+        let mut v = self.v;
+        for w in 0..W {
+            v[w] = self.simd.mul_f64s(v[w], other.v[w]);
+        }
+        Reals { v, ..self }
+    }
+}
+
+/// The same number in all lanes.
+impl<S: Simd, const W: usize> Mul<f64> for Reals<S, W> {
+    type Output = Reals<S, W>;
+
+    #[inline(always)]
+    fn mul(self, other: f64) -> Reals<S, W> {
+        self * Reals::splat(self.simd, other)
+    }
+}
+
+/// Yes or no per lane.
+#[derive(Clone, Copy)]
+pub struct Mask<S: Simd, const W: usize> {
+    simd: S,
+    m: [S::m64s; W],
+}
+
+impl<S: Simd, const W: usize> Mask<S, W> {
+    /// No in all lanes.
+    #[inline(always)]
+    pub fn none(simd: S) -> Mask<S, W> {
+        let zero = Reals::splat(simd, 0.0);
+        zero.below(zero)
+    }
+
+    /// The one where yes, the other where no.
+    #[inline(always)]
+    pub fn select(self, yes: Reals<S, W>, no: Reals<S, W>) -> Reals<S, W> {
+        let mut v = no.v;
+        for w in 0..W {
+            v[w] = self.simd.select_f64s(self.m[w], yes.v[w], v[w]);
+        }
+        Reals { simd: self.simd, v }
+    }
+
+    /// The one where yes, the other where no.
+    #[inline(always)]
+    pub fn select_vector(self, yes: Vector<S, W>, no: Vector<S, W>) -> Vector<S, W> {
+        Vector { x: self.select(yes.x, no.x), y: self.select(yes.y, no.y), z: self.select(yes.z, no.z) }
+    }
+
+    /// Where either is.
+    #[inline(always)]
+    pub fn or(self, other: Mask<S, W>) -> Mask<S, W> {
+        let mut m = self.m;
+        for w in 0..W {
+            m[w] = self.simd.or_m64s(m[w], other.m[w]);
+        }
+        Mask { m, ..self }
+    }
+
+    /// Where it is not.
+    #[inline(always)]
+    pub fn not(self) -> Mask<S, W> {
+        let mut m = self.m;
+        for m in &mut m {
+            *m = self.simd.not_m64s(*m);
+        }
+        Mask { m, ..self }
+    }
+
+    /// Whether it is anywhere.
+    #[inline(always)]
+    pub fn any(self) -> bool {
+        let mut any = false;
+        for m in self.m {
+            any |= self.simd.first_true_m64s(m) < S::F64_LANES;
+        }
+        any
+    }
+}
+
+/// A vector per lane.
+#[derive(Clone, Copy)]
+pub struct Vector<S: Simd, const W: usize> {
+    /// First coordinates.
+    pub x: Reals<S, W>,
+    /// Second coordinates.
+    pub y: Reals<S, W>,
+    /// Third coordinates.
+    pub z: Reals<S, W>,
+}
+
+impl<S: Simd, const W: usize> Vector<S, W> {
     /// The same vector in all lanes.
-    pub fn splat(DVec3 { x, y, z }: DVec3) -> Lanes<N> {
-        Lanes([[x; N], [y; N], [z; N]])
-    }
-
-    /// The vector of one lane.
-    pub fn lane(&self, lane: usize) -> DVec3 {
-        DVec3::new(self.0[0][lane], self.0[1][lane], self.0[2][lane])
-    }
-
-    /// |v|² of each.
     #[inline(always)]
-    pub fn length_squared(&self) -> [f64; N] {
-        let [x, y, z] = &self.0;
-        let mut squares = [0.0; N];
-        for i in 0..N {
-            squares[i] = x[i] * x[i] + y[i] * y[i] + z[i] * z[i];
-        }
-        squares
+    pub fn splat(simd: S, DVec3 { x, y, z }: DVec3) -> Vector<S, W> {
+        Vector { x: Reals::splat(simd, x), y: Reals::splat(simd, y), z: Reals::splat(simd, z) }
     }
 
-    /// Adds to each vector another one times a number of its own.
+    /// The vectors of an array from `first` on, which has enough of them.
     #[inline(always)]
-    pub fn add_scaled(&mut self, other: &Lanes<N>, by: &[f64; N]) {
-        for axis in 0..3 {
-            for i in 0..N {
-                self.0[axis][i] += other.0[axis][i] * by[i];
-            }
-        }
+    pub fn load(simd: S, array: &Vectors, first: usize) -> Vector<S, W> {
+        let load = |axis: &[f64]| Reals::load(simd, axis, first);
+        Vector { x: load(&array.x), y: load(&array.y), z: load(&array.z) }
     }
 
-    /// `a x + b u + Σ wᵢ fᵢ`, in that order.
+    /// Puts them into an array from `first` on.
     #[inline(always)]
-    pub fn combine(a: f64, x: &Lanes<N>, b: f64, u: &Lanes<N>, w: &[f64; 4], f: &[Lanes<N>; 4]) -> Lanes<N> {
-        let mut sum = Lanes::ZERO;
-        for axis in 0..3 {
-            for i in 0..N {
-                let flow = a * x.0[axis][i] + b * u.0[axis][i];
-                let forces = w[0] * f[0].0[axis][i] + w[1] * f[1].0[axis][i];
-                sum.0[axis][i] = flow + (forces + (w[2] * f[2].0[axis][i] + w[3] * f[3].0[axis][i]));
-            }
-        }
-        sum
+    pub fn store(self, array: &mut Vectors, first: usize) {
+        self.x.store(&mut array.x, first);
+        self.y.store(&mut array.y, first);
+        self.z.store(&mut array.z, first);
     }
 
+    /// |v|²
     #[inline(always)]
-    fn zip(mut self, other: &Lanes<N>, f: impl Fn(f64, f64) -> f64) -> Lanes<N> {
-        for axis in 0..3 {
-            for i in 0..N {
-                self.0[axis][i] = f(self.0[axis][i], other.0[axis][i]);
-            }
-        }
-        self
+    pub fn length_squared(self) -> Reals<S, W> {
+        self.x * self.x + self.y * self.y + self.z * self.z
     }
 }
 
-impl<const N: usize> Add for Lanes<N> {
-    type Output = Lanes<N>;
+impl<S: Simd, const W: usize> Add for Vector<S, W> {
+    type Output = Vector<S, W>;
 
     #[inline(always)]
-    fn add(self, other: Lanes<N>) -> Lanes<N> {
-        self.zip(&other, |a, b| a + b)
+    fn add(self, other: Vector<S, W>) -> Vector<S, W> {
+        Vector { x: self.x + other.x, y: self.y + other.y, z: self.z + other.z }
     }
 }
 
-impl<const N: usize> Sub for Lanes<N> {
-    type Output = Lanes<N>;
+impl<S: Simd, const W: usize> Sub for Vector<S, W> {
+    type Output = Vector<S, W>;
 
     #[inline(always)]
-    fn sub(self, other: Lanes<N>) -> Lanes<N> {
-        self.zip(&other, |a, b| a - b)
+    fn sub(self, other: Vector<S, W>) -> Vector<S, W> {
+        Vector { x: self.x - other.x, y: self.y - other.y, z: self.z - other.z }
+    }
+}
+
+impl<S: Simd, const W: usize> Mul<Reals<S, W>> for Vector<S, W> {
+    type Output = Vector<S, W>;
+
+    #[inline(always)]
+    fn mul(self, by: Reals<S, W>) -> Vector<S, W> {
+        Vector { x: self.x * by, y: self.y * by, z: self.z * by }
+    }
+}
+
+/// The same number in all lanes.
+impl<S: Simd, const W: usize> Mul<f64> for Vector<S, W> {
+    type Output = Vector<S, W>;
+
+    #[inline(always)]
+    fn mul(self, by: f64) -> Vector<S, W> {
+        self * Reals::splat(self.x.simd, by)
     }
 }

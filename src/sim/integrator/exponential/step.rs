@@ -1,17 +1,38 @@
-//! One step of one vertex: exponential collocation.
+//! One step: what acts at its nodes, and exponential collocation of a few vertices side by side.
 
 use glam::DVec3;
+use pulp::Simd;
 
 use super::{
     super::State,
-    course::{Course, Moment},
-    lanes::Lanes,
-    weights::Weights,
+    course::{Common, Course, Pushed},
+    lanes::{LANES, Mask, Reals, Vector},
+    single::Vertex,
+    weights::{Dense, LOOKS, Weights, quartic, quartic_through},
 };
 use crate::{model::influence::Weight, scene::path::Bounds};
 
 /// Corrections after which a step that has not settled is given up.
 const MOST_SWEEPS: usize = 6;
+/// Paths are taken as the quartic through a step's looks if the cubic through its nodes is as near as this in the middle
+/// [radii]: the quartic is nearer by far, and a force sees h² of what is left.
+const SMOOTH: f64 = 1e-7;
+/// Most spheres whose rims are located; those beyond are cut off where they are found.
+pub const RIMS: usize = 64;
+
+/// An instant of a step.
+#[derive(Clone, Debug, Default)]
+pub struct Moment {
+    /// Centres of the spheres relative to the centre of the body, shifted by what carries all vertices alike
+    /// [scene unit]: what is left of a vertex there is its own.
+    pub centres: Vec<DVec3>,
+    /// What the body feels of its own motion; subtracted from the acceleration [scene unit/s²].
+    pub carry: DVec3,
+    /// Response of all vertices to that.
+    pub carried: DVec3,
+    /// Response to each push [scene unit].
+    pub pushed: Vec<f64>,
+}
 
 /// A step: its weights, and what acts at its nodes and in its middle.
 #[derive(Clone, Debug, Default)]
@@ -22,165 +43,434 @@ pub struct Step {
     pub weights: Weights,
     /// At the four nodes, and in the middle.
     pub moments: [Moment; 5],
-    /// Bounds of the motion of the centre of each sphere relative to that of the body.
+    /// Bounds of the motion of the centre of each sphere relative to the vertices' common motion.
     pub relative: Vec<Bounds>,
+    /// Whether the quartic through the five moments is as good as the paths themselves.
+    pub smooth: bool,
 }
 
-/// A vertex, and what acts on it all through the step. Those that step together all know what they are inside of, or none.
+/// The influence of a sphere on vertices side by side.
 #[derive(Clone, Copy, Debug)]
-pub struct Vertex {
-    /// Rest position l [scene unit].
-    pub rest: DVec3,
-    /// Pushes [scene unit/s²].
-    pub push: DVec3,
-    /// Which spheres it is inside of, a bit each, if that is known and is to be taken as it is throughout the step;
-    /// otherwise the weight is cut off at the rim where the vertex is found.
-    pub inside: Option<u64>,
+pub struct Pull {
+    /// Index of the sphere in the course.
+    pub sphere: usize,
+    /// Its strength on each vertex [1/s²]; 0 where the vertex is outside of it.
+    pub strength: [f64; LANES],
+    /// Whether the weight ends at the rim wherever the vertex is found. Otherwise the vertex is inside throughout, and the
+    /// linear weight goes on smoothly beyond the rim: the step then has no kink in it.
+    pub cut: bool,
+}
+
+/// Vertices that take a step together, and what acts on them.
+pub struct Group<'a, S: Simd, const W: usize> {
+    /// The instruction set.
+    pub simd: S,
+    /// The body's course.
+    pub course: &'a Course<'a>,
+    /// The step.
+    pub step: &'a Step,
+    /// Rest positions at each look, moved by the response to pushes; all as the first if the body has none.
+    pub rest: [Vector<S, W>; 5],
+    /// The spheres that they are inside of.
+    pub pulls: &'a [Pull],
 }
 
 /// Where a step leads.
-#[derive(Clone, Copy, Debug)]
-pub struct Outcome {
-    /// State at the end.
-    pub end: State,
-    /// Acceleration by forces other than the oscillator's at the start and at the end [scene unit/s²].
-    pub forces: [DVec3; 2],
+#[derive(Clone, Copy)]
+pub struct Collocated<S: Simd, const W: usize> {
+    /// Displacement at the end.
+    pub x: Vector<S, W>,
+    /// Velocity at the end.
+    pub u: Vector<S, W>,
+    /// Forces at the four nodes [scene unit/s²].
+    pub forces: [Vector<S, W>; 4],
+    /// By how much the force in the middle differs from the cubic through those [scene unit/s²].
+    pub bend: Vector<S, W>,
     /// Estimate of the error of the displacement that the step makes [scene unit].
-    pub error: f64,
+    pub error: Reals<S, W>,
 }
 
-/// F: influence, push and carry, of each vertex for its displacement `x` at one of the step's moments
-/// [scene unit/s²].
+/// `flow + Σ wᵢ fᵢ`.
 #[inline(always)]
-fn force<const N: usize>(course: &Course<'_>, group: &Group<N>, moment: &Moment, x: Lanes<N>) -> Lanes<N> {
-    let position = group.rest + x;
-    let mut force = group.push - Lanes::splat(moment.carry);
-    let mut spheres = course.spheres.iter().zip(&moment.centres);
-    if let Some(mut inside) = group.inside {
-        // The linear weight goes on smoothly beyond the rim: the step then has no kink in it.
-        for (sphere, centre) in spheres.by_ref().take(64) {
-            if inside.iter().any(|bits| bits & 1 == 1) {
-                let to_centre = Lanes::splat(*centre) - position;
-                let mut pull = to_centre.length_squared();
-                for i in 0..N {
-                    let strength = if inside[i] & 1 == 1 { sphere.strength } else { 0.0 };
-                    pull[i] = strength * (1.0 - pull[i].sqrt() * sphere.inverse_radius);
+fn respond<S: Simd, const W: usize>(flow: Vector<S, W>, w: &[f64; 4], f: &[Vector<S, W>; 4]) -> Vector<S, W> {
+    flow + ((f[0] * w[0] + f[1] * w[1]) + (f[2] * w[2] + f[3] * w[3]))
+}
+
+impl<'a, S: Simd, const W: usize> Group<'a, S, W> {
+    /// With rest positions `rest`, moved by what pushes have done to each vertex by how squarely it faces them.
+    #[inline(always)]
+    pub fn new(
+        simd: S,
+        course: &'a Course<'a>,
+        step: &'a Step,
+        rest: Vector<S, W>,
+        pulls: &'a [Pull],
+    ) -> Group<'a, S, W> {
+        let mut group = Group { simd, course, step, rest: [rest; 5], pulls };
+        if !course.pushes.is_empty() {
+            let none = Reals::splat(simd, 0.0);
+            let per_radius = 1.0 / course.body().radius;
+            for (p, push) in course.pushes.iter().enumerate() {
+                let d = Vector::splat(simd, push.direction);
+                let facing = none - (rest.x * d.x + rest.y * d.y + rest.z * d.z) * per_radius;
+                let along = d * none.larger(facing);
+                for (look, rest) in group.rest.iter_mut().enumerate() {
+                    *rest = *rest + along * step.moments[look].pushed[p];
                 }
-                force.add_scaled(&to_centre, &pull);
-            }
-            for bits in &mut inside {
-                *bits >>= 1;
             }
         }
+        group
     }
-    for (sphere, centre) in spheres {
-        let to_centre = Lanes::splat(*centre) - position;
-        let mut pull = to_centre.length_squared();
-        for pull in &mut pull {
-            *pull = sphere.strength * course.weight().at(pull.sqrt() * sphere.inverse_radius);
+
+    /// F of each vertex for its displacement `x` at one of the step's moments [scene unit/s²].
+    #[inline(always)]
+    fn force(&self, look: usize, x: Vector<S, W>) -> Vector<S, W> {
+        let moment = &self.step.moments[look];
+        let (one, position) = (Reals::splat(self.simd, 1.0), self.rest[look] + x);
+        let mut force = Vector::splat(self.simd, DVec3::ZERO);
+        for pull in self.pulls {
+            let to_centre = Vector::splat(self.simd, moment.centres[pull.sphere]) - position;
+            let z = to_centre.length_squared().sqrt() * self.course.spheres[pull.sphere].inverse_radius;
+            let inside = one - z;
+            let mut weight = match self.course.weight() {
+                Weight::Linear => inside, // (3.3)
+                Weight::Wendland => {
+                    let square = inside * inside;
+                    square * square * (z * 4.0 + one)
+                }
+            };
+            if pull.cut {
+                weight = z.below(one).select(weight, Reals::splat(self.simd, 0.0));
+            }
+            force = force + to_centre * (Reals::load(self.simd, &pull.strength, 0) * weight);
         }
-        force.add_scaled(&to_centre, &pull);
-    }
-    force
-}
-
-/// Vertices that take a step together.
-struct Group<const N: usize> {
-    rest: Lanes<N>,
-    push: Lanes<N>,
-    inside: Option<[u64; N]>,
-}
-
-impl Step {
-    /// Sets the step up.
-    pub fn prepare(&mut self, course: &Course<'_>, start: f64, weights: Weights) {
-        let h = weights.h;
-        let end = start + h;
-        self.start = start;
-        self.weights = weights;
-        let [_, a, b, _] = super::weights::NODES;
-        let times = [start, start + a * h, start + b * h, end, start + 0.5 * h];
-        for (moment, t) in self.moments.iter_mut().zip(times) {
-            course.look(t, moment);
-        }
-        self.relative.clear();
-        self.relative.extend((0..course.spheres.len()).map(|j| course.relative_bounds(j, start, end)));
+        force
     }
 
-    /// Where the step ends [s].
-    pub fn end(&self) -> f64 {
-        self.start + self.weights.h
-    }
-
-    /// Takes the step with several vertices, so exactly that the errors it estimates are below `wanted` [scene unit] if
+    /// Takes the step with all of them, so exactly that the errors it estimates are below `wanted` [scene unit] if
     /// corrections can do that.
     ///
     /// The force is taken as the cubic through its values at the four Lobatto nodes; against the exact oscillator that
     /// is exponential collocation (Hochbruck & Ostermann 2005). The forces depend on the displacements at the nodes and
     /// these on the forces: predicted from the nodes before, then corrected (Picard), once at least, which makes it of
     /// order five; corrected to the end it is of order six. Each correction leaves of the last change at most the part
-    /// that the stiffness of the influence lets through.
-    pub fn take<const N: usize>(
-        &self,
-        course: &Course<'_>,
-        vertices: &[Vertex; N],
-        states: &[State; N],
-        stiffness: f64,
-        wanted: f64,
-    ) -> [Outcome; N] {
-        let weights = &self.weights;
-        let group = Group {
-            rest: Lanes::from_fn(|i| vertices[i].rest),
-            push: Lanes::from_fn(|i| vertices[i].push),
-            inside: vertices[0].inside.map(|_| vertices.map(|vertex| vertex.inside.unwrap_or_default())),
-        };
-        let (x, u) = (Lanes::from_fn(|i| states[i].x), Lanes::from_fn(|i| states[i].u));
-        let force_at = |node: usize, x: Lanes<N>| force(course, &group, &self.moments[node], x);
+    /// that the stiffness of the influence lets through. A vertex is corrected until it has settled, and no more,
+    /// whatever the others need: it does not depend on its company.
+    #[inline(always)]
+    pub fn collocate(&self, x: Vector<S, W>, u: Vector<S, W>, wanted: f64) -> Collocated<S, W> {
+        let (simd, weights) = (self.simd, &self.step.weights);
+        let zero = Vector::splat(simd, DVec3::ZERO);
+        // Loops, not closures: a closure is compiled for the least instruction set.
+        let mut flow = [zero; 4];
+        for look in 1..5 {
+            let stage = weights.stage(look);
+            flow[look - 1] = x * stage.xx + u * stage.xu;
+        }
 
-        let mut forces = [force_at(0, x), Lanes::ZERO, Lanes::ZERO, Lanes::ZERO];
+        let mut forces = [self.force(0, x), zero, zero, zero];
         for node in 1..4 {
-            let stage = &weights.nodes[node];
-            forces[node] = force_at(node, Lanes::combine(stage.xx, &x, stage.xu, &u, &stage.predict, &forces));
+            forces[node] = self.force(node, respond(flow[node - 1], &weights.nodes[node].predict, &forces));
+        }
+        let mut stiffness = Reals::splat(simd, 0.0);
+        for pull in self.pulls {
+            stiffness = stiffness + Reals::load(simd, &pull.strength, 0).abs();
         }
         // What an error of the force is in the displacement, now or after the oscillator has taken the velocity up.
         let gain = weights.constant.abs() + weights.h * weights.swing;
-        let mut unsettled = [f64::INFINITY; N];
+        let left = stiffness * (weights.constant.abs() * gain);
+        let enough = Reals::splat(simd, 0.25 * wanted);
+        let mut unsettled = Reals::splat(simd, f64::INFINITY);
+        let mut settled = Mask::none(simd);
         for _ in 0..MOST_SWEEPS {
-            let mut change = [0.0; N];
+            let mut change = Reals::splat(simd, 0.0);
             for node in 1..4 {
-                let stage = &weights.nodes[node];
-                let corrected = force_at(node, Lanes::combine(stage.xx, &x, stage.xu, &u, &stage.force, &forces));
+                let corrected = self.force(node, respond(flow[node - 1], &weights.nodes[node].force, &forces));
                 let by = (corrected - forces[node]).length_squared();
-                for i in 0..N {
-                    change[i] = f64::max(change[i], by[i]);
-                }
-                forces[node] = corrected;
+                change = change.larger_or_nan(by);
+                forces[node] = settled.select_vector(forces[node], corrected);
             }
-            for i in 0..N {
-                unsettled[i] = stiffness * weights.constant.abs() * change[i].sqrt() * gain;
-            }
-            if unsettled.iter().all(|&unsettled| unsettled <= 0.25 * wanted) {
+            unsettled = settled.select(unsettled, left * change.sqrt());
+            settled = settled.or(unsettled.at_most(enough));
+            if !settled.not().any() {
                 break;
             }
         }
 
         // How far the true force in the middle is from the cubic says how much a cubic leaves out.
-        let middle = &weights.middle;
-        let found = force_at(4, Lanes::combine(middle.xx, &x, middle.xu, &u, &middle.force, &forces));
-        let cubic = Lanes::combine(0.0, &x, 0.0, &u, &weights.polynomial, &forces);
-        let left_out = (found - cubic).length_squared();
-        let last = &weights.nodes[3];
-        let end_x = Lanes::combine(last.xx, &x, last.xu, &u, &last.force, &forces);
-        let end_u = Lanes::combine(weights.ux, &x, weights.uu, &u, &weights.velocity, &forces);
-        std::array::from_fn(|i| Outcome {
-            end: State { x: end_x.lane(i), u: end_u.lane(i) },
-            forces: [forces[0].lane(i), forces[3].lane(i)],
-            error: unsettled[i] + 0.1 * left_out[i].sqrt() * gain,
-        })
+        let found = self.force(4, respond(flow[3], &weights.middle.force, &forces));
+        let bend = found - respond(zero, &weights.polynomial, &forces);
+        Collocated {
+            x: respond(flow[2], &weights.nodes[3].force, &forces),
+            u: respond(x * weights.ux + u * weights.uu, &weights.velocity, &forces),
+            forces,
+            bend,
+            error: unsettled + bend.length_squared().sqrt() * (0.1 * gain),
+        }
     }
+}
+
+impl Step {
+    /// Sets the step up over a whole stretch, with `common` at its start.
+    pub fn prepare(&mut self, course: &Course<'_>, weights: Weights, common: &Common) {
+        let h = weights.h;
+        self.start = course.start;
+        self.weights = weights;
+        for (look, moment) in self.moments.iter_mut().enumerate() {
+            moment.carry = match course.tracks {
+                Some(tracks) => course.look_whole(tracks, look, &mut moment.centres),
+                None => course.look(time_of(look, course.start, h), &mut moment.centres),
+            };
+        }
+        let carries: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].carry);
+        let State { x, u } = common.carried;
+        for (look, moment) in self.moments.iter_mut().enumerate() {
+            moment.pushed.clear();
+            if look == 0 {
+                moment.carried = x;
+                moment.pushed.extend(common.pushed.iter().map(|pushed| pushed.x));
+            } else {
+                let stage = self.weights.stage(look);
+                moment.carried = stage.xx * x + stage.xu * u - combine(&stage.force, &carries);
+                let constant: f64 = stage.force.iter().sum();
+                let response = |p: &Pushed, strength| stage.xx * p.x + stage.xu * p.u + constant * strength;
+                let pushed = common.pushed.iter().zip(course.pushes);
+                moment.pushed.extend(pushed.map(|(pushed, push)| response(pushed, push.strength)));
+            }
+            for centre in &mut moment.centres {
+                *centre -= moment.carried;
+            }
+        }
+        let own = self.common_bounds(course, common);
+        self.relative.clear();
+        self.relative.extend((0..course.spheres.len()).map(|j| {
+            let Bounds { speed, acceleration } = course.relative_bounds(j, course.start, course.start + h);
+            Bounds { speed: speed + own.speed, acceleration: acceleration + own.acceleration }
+        }));
+        let radius = course.body().radius;
+        self.smooth = (0..course.spheres.len()).all(|j| {
+            let known: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].centres[j]);
+            let cubic = combine(&self.weights.polynomial, &known);
+            (self.moments[4].centres[j] - cubic).length_squared() <= (SMOOTH * radius).powi(2)
+        });
+    }
+
+    /// What all vertices do alike at the end of the step, from what they did at its start.
+    pub fn advance_common(&self, course: &Course<'_>, common: &mut Common) {
+        let Weights { ux, uu, velocity, nodes, .. } = &self.weights;
+        let carries: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].carry);
+        let State { x, u } = common.carried;
+        common.carried = State { x: self.moments[3].carried, u: *ux * x + *uu * u - combine(velocity, &carries) };
+        for (p, (pushed, push)) in common.pushed.iter_mut().zip(course.pushes).enumerate() {
+            // a constant unit force adds S(h) to the velocity, as a unit of velocity does to the displacement
+            let u = ux * pushed.x + uu * pushed.u + nodes[3].xu * push.strength;
+            *pushed = Pushed { x: self.moments[3].pushed[p], u };
+        }
+    }
+
+    /// Bounds of the speed and the acceleration that all vertices have alike within the step.
+    fn common_bounds(&self, course: &Course<'_>, common: &Common) -> Bounds {
+        let material = course.body().material;
+        let carry = self.moments.iter().map(|moment| moment.carry.length()).fold(0.0, f64::max);
+        let push: f64 = course.pushes.iter().map(|push| push.strength.abs()).sum();
+        let (_, momentum) = common.bounds(material.omega);
+        let speed = momentum + (carry + push) * self.weights.h;
+        Bounds { speed, acceleration: (material.omega + 2.0 * material.damping) * speed + carry + push }
+    }
+
+    /// The error that taking the carry as a cubic makes [scene unit]; see [`Group::collocate`].
+    pub fn carry_error(&self) -> f64 {
+        let weights = &self.weights;
+        let carries: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].carry);
+        let gain = weights.constant.abs() + weights.h * weights.swing;
+        0.1 * (self.moments[4].carry - combine(&weights.polynomial, &carries)).length() * gain
+    }
+
+    /// Sets the step up over a part of a stretch, of which `whole` is the step.
+    pub fn prepare_part(&mut self, course: &Course<'_>, whole: &Step, common: &Common, start: f64, weights: Weights) {
+        self.start = start;
+        self.weights = weights;
+        for look in 0..5 {
+            self.look_within(course, whole, common, look);
+        }
+        self.bound_within(course, whole);
+    }
+
+    /// The same for a vertex on which nothing acts: only where the spheres are at the start and at the end.
+    pub fn prepare_ends(&mut self, course: &Course<'_>, whole: &Step, common: &Common, start: f64, h: f64) {
+        self.start = start;
+        self.weights.h = h;
+        for look in [0, 3] {
+            self.look_within(course, whole, common, look);
+        }
+        self.bound_within(course, whole);
+    }
+
+    fn look_within(&mut self, course: &Course<'_>, whole: &Step, common: &Common, look: usize) {
+        let t = time_of(look, self.start, self.weights.h);
+        let moment = &mut self.moments[look];
+        if whole.smooth {
+            let weights = quartic((t - whole.start) / whole.weights.h);
+            whole.interpolate(&weights, moment);
+            return;
+        }
+        moment.carry = course.look(t, &mut moment.centres);
+        let common = LookUp { course, whole, common }.common_at(t);
+        moment.carried = common.carried.x;
+        moment.pushed.clear();
+        moment.pushed.extend(common.pushed.iter().map(|pushed| pushed.x));
+        for centre in &mut moment.centres {
+            *centre -= moment.carried;
+        }
+    }
+
+    /// An instant of this step from its five moments.
+    fn interpolate(&self, weights: &[f64; 5], moment: &mut Moment) {
+        let sum = |of: &dyn Fn(&Moment) -> DVec3| -> DVec3 {
+            self.moments.iter().zip(weights).map(|(known, weight)| *weight * of(known)).sum()
+        };
+        moment.carry = sum(&|known| known.carry);
+        moment.centres.clear();
+        moment.centres.extend((0..self.relative.len()).map(|j| self.centre(j, weights)));
+        moment.pushed.clear();
+        let count = self.moments[0].pushed.len();
+        let pushed = |p: usize| -> f64 {
+            self.moments.iter().zip(weights).map(|(known, weight)| weight * known.pushed[p]).sum()
+        };
+        moment.pushed.extend((0..count).map(pushed));
+    }
+
+    /// The centre of a sphere, by the quartic through the five moments with these weights.
+    fn centre(&self, sphere: usize, weights: &[f64; 5]) -> DVec3 {
+        let [a, b, c, d, e] = std::array::from_fn(|look| weights[look] * self.moments[look].centres[sphere]);
+        (a + b) + (c + d) + e
+    }
+
+    fn bound_within(&mut self, course: &Course<'_>, whole: &Step) {
+        self.relative.clear();
+        if whole.smooth {
+            self.relative.extend_from_slice(&whole.relative);
+            return;
+        }
+        let (start, end) = (self.start, self.start + self.weights.h);
+        let over_whole = |j| course.relative_bounds(j, whole.start, whole.end());
+        self.relative.extend((0..course.spheres.len()).map(|j| {
+            // what the whole step's bounds have beyond the paths' is the common motion's
+            let (paths, all, own) = (over_whole(j), whole.relative[j], course.relative_bounds(j, start, end));
+            Bounds {
+                speed: own.speed + (all.speed - paths.speed).max(0.0),
+                acceleration: own.acceleration + (all.acceleration - paths.acceleration).max(0.0),
+            }
+        }));
+    }
+
+    /// Where the step ends [s].
+    pub fn end(&self) -> f64 {
+        self.start + self.weights.h
+    }
+}
+
+/// When a step looks for the n-th time [s].
+fn time_of(look: usize, start: f64, h: f64) -> f64 {
+    if look == 3 { start + h } else { start + LOOKS[look] * h }
+}
+
+/// `Σ wᵢ vᵢ`
+fn combine(w: &[f64; 4], v: &[DVec3; 4]) -> DVec3 {
+    (w[0] * v[0] + w[1] * v[1]) + (w[2] * v[2] + w[3] * v[3])
 }
 
 /// Whether the weight has a kink at the rim that has to be stepped around.
 pub fn has_kink(weight: Weight) -> bool {
     weight == Weight::Linear
+}
+
+/// Where spheres are relative to vertices at any instant of a stretch, and what it takes to tell.
+#[derive(Clone, Copy)]
+pub struct LookUp<'a> {
+    /// The body's course.
+    pub course: &'a Course<'a>,
+    /// The step over all of the stretch.
+    pub whole: &'a Step,
+    /// What all vertices do alike at its start.
+    pub common: &'a Common,
+}
+
+/// Where a sphere is relative to a vertex without its own displacement, in the course of a step.
+pub enum Apart<'a> {
+    /// The coefficients of a polynomial in the time since the step's start over its length.
+    Quartic([DVec3; 5]),
+    /// By the paths.
+    Exact(ExactPath<'a>),
+}
+
+/// [`Apart`] where no polynomial will do.
+pub struct ExactPath<'a> {
+    look: LookUp<'a>,
+    vertex: &'a Vertex,
+    sphere: usize,
+}
+
+impl<'a> LookUp<'a> {
+    /// Of the course's sphere number `sphere` and a vertex, in the course of a part of the stretch.
+    pub fn apart(self, vertex: &'a Vertex, sphere: usize, start: f64, h: f64) -> Apart<'a> {
+        let whole = self.whole;
+        if !whole.smooth {
+            return Apart::Exact(ExactPath { look: self, vertex, sphere });
+        }
+        let known = std::array::from_fn(|look| {
+            let moment = &whole.moments[look];
+            moment.centres[sphere] - vertex.rest_at(self.course, &moment.pushed)
+        });
+        let mut c = quartic_through(&known);
+        if start != whole.start || h != whole.weights.h {
+            // the same polynomial in the part's time: from theta₀ on (Horner), and slower
+            let (from, slower) = ((start - whole.start) / whole.weights.h, h / whole.weights.h);
+            for low in 0..4 {
+                for k in (low..4).rev() {
+                    c[k] = c[k] + from * c[k + 1];
+                }
+            }
+            let mut power = 1.0;
+            for c in &mut c {
+                *c *= power;
+                power *= slower;
+            }
+        }
+        Apart::Quartic(c)
+    }
+
+    /// What all vertices do alike at `t` [s], and the velocities of the responses to pushes.
+    fn common_at(&self, t: f64) -> Common {
+        let LookUp { course, whole, common } = *self;
+        if t <= whole.start {
+            return common.clone();
+        }
+        let h = whole.weights.h;
+        let dense = Dense::new(course.oscillator(), h, (t - whole.start) / h);
+        let carries: [DVec3; 4] = std::array::from_fn(|node| -whole.moments[node].carry);
+        let constant: (f64, f64) = (dense.x.iter().sum(), dense.u.iter().sum());
+        let respond = |p: &Pushed, strength: f64| Pushed {
+            x: dense.xx * p.x + dense.xu * p.u + constant.0 * strength,
+            u: dense.ux * p.x + dense.uu * p.u + constant.1 * strength,
+        };
+        Common {
+            carried: dense.state(common.carried, &carries, DVec3::ZERO),
+            pushed: common.pushed.iter().zip(course.pushes).map(|(p, push)| respond(p, push.strength)).collect(),
+        }
+    }
+}
+
+impl ExactPath<'_> {
+    /// Position [scene unit] and velocity [scene unit/s] at `t` [s].
+    pub fn at(&self, t: f64) -> (DVec3, DVec3) {
+        let course = self.look.course;
+        let (own, other) = (course.body().path.at(t), course.path(self.sphere).at(t));
+        let common = self.look.common_at(t);
+        let (mut x, mut u) = (self.vertex.rest + common.carried.x, common.carried.u);
+        for (push, pushed) in course.pushes.iter().zip(&common.pushed) {
+            let along = push.direction * push.facing(self.vertex.rest, course.body().radius);
+            (x, u) = (x + along * pushed.x, u + along * pushed.u);
+        }
+        (other.position - own.position - x, other.velocity - own.velocity - u)
+    }
 }

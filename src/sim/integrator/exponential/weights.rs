@@ -2,6 +2,9 @@
 
 use std::sync::LazyLock;
 
+use glam::DVec3;
+
+use super::super::State;
 use crate::model::oscillator::{Oscillator, Propagator};
 
 /// The nodes of Lobatto quadrature with four points, on [0, 1]: exact for polynomials of degree five.
@@ -90,6 +93,88 @@ impl Weights {
             constant: whole.x[0],
             swing: 1.0 / oscillator.omega.max(2.0 * oscillator.damping).max(1.0),
         }
+    }
+}
+
+/// How the state at any instant of a step follows from that at its start and the forces at its nodes: the collocation
+/// polynomial's dense output.
+#[derive(Clone, Copy, Debug)]
+pub struct Dense {
+    /// The flow to that instant: ∂x/∂x₀ [–] …
+    pub xx: f64,
+    /// … ∂x/∂u₀ [s] …
+    pub xu: f64,
+    /// … ∂u/∂x₀ [1/s] …
+    pub ux: f64,
+    /// … ∂u/∂u₀ [–].
+    pub uu: f64,
+    /// Weight of each node's force in the displacement [s²] …
+    pub x: [f64; 4],
+    /// … and in the velocity [s] …
+    pub u: [f64; 4],
+    /// … where that of a bend of the force, which is 0 at the nodes and 1 in the middle, counts, too [s].
+    pub bend: f64,
+}
+
+impl Dense {
+    /// At `theta` h of a step of length `h` [s]; `theta` > 0.
+    pub fn new(oscillator: Oscillator, h: f64, theta: f64) -> Dense {
+        let p = oscillator.propagator(theta * h);
+        let basis = &LAGRANGE[4];
+        let (x, u) = (responses(basis, theta, &p.x), responses(basis, theta, &p.u));
+        // θ(θ − 1)(θ² − θ + 1/5) vanishes at the nodes and is 1/80 in the middle; U_4 = 4 X_3/h
+        let powers = [p.u[1], p.u[2], p.u[3], 4.0 * p.x[3] / (theta * h)];
+        let [a, b, c, d] = std::array::from_fn(|k| [-0.2, 1.2, -2.0, 1.0][k] * powers[k]);
+        let bend = 80.0 * theta * (a + theta * (b + theta * (c + theta * d)));
+        Dense { xx: p.xx, xu: p.xu, ux: p.ux, uu: p.uu, x, u, bend }
+    }
+
+    /// The state at that instant, given the forces at the nodes and their bend between them.
+    pub fn state(&self, State { x, u }: State, forces: &[DVec3; 4], bend: DVec3) -> State {
+        let response = |w: &[f64; 4]| (w[0] * forces[0] + w[1] * forces[1]) + (w[2] * forces[2] + w[3] * forces[3]);
+        State {
+            x: self.xx * x + self.xu * u + response(&self.x),
+            u: self.ux * x + self.uu * u + (response(&self.u) + self.bend * bend),
+        }
+    }
+}
+
+/// The instants of a step at which it looks: its nodes, and its middle.
+pub const LOOKS: [f64; 5] = [NODES[0], NODES[1], NODES[2], NODES[3], 0.5];
+
+/// `QUARTIC[i]` holds the coefficients of the polynomial that is 1 at look i and 0 at the other four.
+static QUARTIC: LazyLock<[[f64; 5]; 5]> = LazyLock::new(|| {
+    let mut all = [[0.0; 5]; 5];
+    for (i, coefficients) in all.iter_mut().enumerate() {
+        // Π (θ − θ_j)/(θ_i − θ_j), multiplied out
+        coefficients[0] = 1.0;
+        for (degree, j) in (0..5).filter(|&j| j != i).enumerate() {
+            let scale = 1.0 / (LOOKS[i] - LOOKS[j]);
+            for k in (0..=degree + 1).rev() {
+                let lower = if k > 0 { coefficients[k - 1] } else { 0.0 };
+                coefficients[k] = scale * (lower - LOOKS[j] * coefficients[k]);
+            }
+        }
+    }
+    all
+});
+
+/// Weight at `theta` of what is known at each of [`LOOKS`], in the quartic through them.
+pub fn quartic(theta: f64) -> [f64; 5] {
+    QUARTIC.map(|[a, b, c, d, e]| a + theta * (b + theta * (c + theta * (d + theta * e))))
+}
+
+/// The coefficients of the quartic through vectors at [`LOOKS`].
+pub fn quartic_through(known: &[DVec3; 5]) -> [DVec3; 5] {
+    let all = &*QUARTIC;
+    std::array::from_fn(|k| (0..5).map(|look| all[look][k] * known[look]).sum())
+}
+
+impl Weights {
+    /// How the displacement at a look of the step follows: 1 … 3 are its nodes, 4 is its middle.
+    #[inline(always)]
+    pub fn stage(&self, look: usize) -> &Stage {
+        if look == 4 { &self.middle } else { &self.nodes[look] }
     }
 }
 

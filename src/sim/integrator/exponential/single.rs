@@ -1,0 +1,270 @@
+//! A vertex that has to be looked at by itself: one that crosses a rim, or needs shorter steps than its body.
+
+use glam::DVec3;
+use pulp::Scalar;
+
+use super::{
+    super::State,
+    course::{Common, Course},
+    lanes::{LANES, Vector},
+    rim::Motion,
+    step::{Collocated, Group, LookUp, Pull, RIMS, Step},
+    weights::{Dense, Weights},
+};
+
+/// Steps that a vertex may take in one stretch; what is left then is taken in one, unchecked but stable.
+const MOST_STEPS: u32 = 1024;
+/// Lengths of step whose weights are kept.
+const MOST_WEIGHTS: usize = 24;
+
+/// A vertex, and what acts on it all through a step.
+#[derive(Clone, Copy, Debug)]
+pub struct Vertex {
+    /// Rest position l [scene unit].
+    pub rest: DVec3,
+    /// Which spheres it is inside of, a bit each, if that is known and is to be taken as it is throughout the step;
+    /// otherwise the weight is cut off at the rim where the vertex is found.
+    pub inside: Option<u64>,
+}
+
+impl Vertex {
+    /// Where it rests, moved by what pushes have done to it, given the responses to them [scene unit].
+    pub fn rest_at(&self, course: &Course<'_>, pushed: &[f64]) -> DVec3 {
+        let radius = course.body().radius;
+        let moved =
+            course.pushes.iter().zip(pushed).map(|(push, x)| push.direction * (push.facing(self.rest, radius) * x));
+        self.rest + moved.sum::<DVec3>()
+    }
+}
+
+/// Where a step leads a vertex.
+#[derive(Clone, Copy, Debug)]
+pub struct Outcome {
+    /// State at the end.
+    pub end: State,
+    /// Forces at the four nodes [scene unit/s²].
+    pub forces: [DVec3; 4],
+    /// By how much the force in the middle differs from the cubic through those [scene unit/s²].
+    pub bend: DVec3,
+    /// Estimate of the error of the displacement that the step makes [scene unit].
+    pub error: f64,
+}
+
+/// Reused from step to step.
+#[derive(Default)]
+pub struct Scratch {
+    part: Step,
+    /// Parts of the stretch that are still to be taken, the next one last: where each starts and how long it is [s].
+    left: Vec<(f64, f64)>,
+    pulls: Vec<Pull>,
+}
+
+/// Weights of steps of a few lengths, kept for the next who needs them.
+#[derive(Default)]
+pub struct KnownWeights(Vec<(u64, u64, Weights)>);
+
+impl KnownWeights {
+    /// Those of a step of length `h` for the oscillator of a course.
+    pub fn get(&mut self, course: &Course<'_>, h: f64) -> Weights {
+        let oscillator = course.oscillator();
+        let key = (oscillator.omega.to_bits(), oscillator.damping.to_bits());
+        let is = |known: &&(u64, u64, Weights)| known.2.h == h && (known.0, known.1) == key;
+        if let Some(known) = self.0.iter().find(is) {
+            return known.2;
+        }
+        let weights = Weights::new(oscillator, h);
+        if self.0.len() == MOST_WEIGHTS {
+            self.0.clear();
+        }
+        self.0.push((key.0, key.1, weights));
+        weights
+    }
+}
+
+/// One by one through a stretch.
+pub struct Single<'a> {
+    /// The body's course.
+    pub course: &'a Course<'a>,
+    /// The step over all of it.
+    pub whole: &'a Step,
+    /// What all vertices do alike, at its start.
+    pub common: &'a Common,
+    /// The largest error that will do, per time [scene unit/s].
+    pub tolerance: f64,
+    /// Bound of the acceleration of a vertex by anything but its oscillator [scene unit/s²].
+    pub force: f64,
+    /// Steps that were taken beyond the first of each vertex.
+    pub substeps: u64,
+    /// The largest sum of estimated errors of a vertex [scene unit].
+    pub error: f64,
+}
+
+impl Single<'_> {
+    /// Takes a vertex to the end of the stretch, in as many steps as it needs; `outcome` is that of the whole step.
+    pub fn take(
+        &mut self,
+        mut vertex: Vertex,
+        mut state: State,
+        mut outcome: Outcome,
+        known: &mut KnownWeights,
+        scratch: &mut Scratch,
+    ) -> State {
+        let course = self.course;
+        let Scratch { part, left, pulls } = scratch;
+        let (mut start, mut h) = (course.start, course.length);
+        let (mut is_whole, mut error, mut steps) = (true, 0.0, 1);
+        left.clear();
+        loop {
+            let step = if is_whole { self.whole } else { &*part };
+            let (middle, end) = (start + 0.5 * h, start + h);
+            let wanted = self.tolerance * h;
+            let can_halve = steps < MOST_STEPS && start < middle;
+            let resolved = vertex.inside.is_none() || self.resolves_rims(step, &vertex, state);
+            // written so that what is not a number is not small enough
+            let will_do = !can_halve || (outcome.error <= wanted && resolved);
+            let crossing = will_do.then(|| self.first_crossing(step, &vertex, state, &outcome)).flatten();
+            if !will_do {
+                left.extend([(middle, 0.5 * h), (start, 0.5 * h)]);
+            } else if let Some((t, sphere)) = crossing {
+                // Up to the rim as the step goes, and on from there on its other side.
+                error += outcome.error;
+                if t >= end {
+                    state = outcome.end;
+                } else if t > start {
+                    state =
+                        Dense::new(course.oscillator(), h, (t - start) / h).state(state, &outcome.forces, outcome.bend);
+                }
+                vertex.inside = vertex.inside.map(|inside| inside ^ 1 << sphere);
+                if t < end {
+                    left.push((t, end - t));
+                }
+            } else {
+                state = outcome.end;
+                error += outcome.error;
+            }
+
+            let Some(next) = left.pop() else { break };
+            (start, h) = next;
+            is_whole = false;
+            steps += 1;
+            if steps == MOST_STEPS {
+                vertex.inside = None; // no more looking for rims: the force is cut off, and so bounded
+            }
+            outcome = if vertex.inside == Some(0) {
+                part.prepare_ends(course, self.whole, self.common, start, h);
+                free(course, state, h)
+            } else {
+                // what is left beyond a rim is of no other length again
+                let halved = course.length / h == (course.length / h).round();
+                let weights = if halved { known.get(course, h) } else { Weights::new(course.oscillator(), h) };
+                part.prepare_part(course, self.whole, self.common, start, weights);
+                collocate(course, part, &vertex, state, self.tolerance * h, pulls)
+            };
+        }
+        self.substeps += u64::from(steps - 1);
+        self.error = self.error.max(error);
+        state
+    }
+
+    /// How far the vertex can get by itself in a step [scene unit].
+    fn travel(&self, h: f64, state: State) -> f64 {
+        let omega = self.course.body().material.omega;
+        let swing = (state.u.length_squared() + omega * omega * state.x.length_squared()).sqrt();
+        let speed = swing + self.force * h;
+        f64::min(speed * h, speed * (2.0 / omega))
+    }
+
+    /// Spheres whose rim the vertex can cross in a step.
+    fn near_rims(&self, step: &Step, vertex: &Vertex, state: State) -> impl Iterator<Item = usize> {
+        let moment = &step.moments[0];
+        let position = vertex.rest_at(self.course, &moment.pushed) + state.x;
+        let (h, course) = (step.weights.h, self.course);
+        let travel = self.travel(h, state);
+        (0..course.spheres.len().min(RIMS)).filter(move |&j| {
+            let from_rim = (moment.centres[j] - position).length() - course.spheres[j].radius;
+            from_rim.abs() <= travel + step.relative[j].speed * h
+        })
+    }
+
+    /// Whether the step is short enough to see the vertex swing, where it swings about a rim and that matters.
+    fn resolves_rims(&self, step: &Step, vertex: &Vertex, state: State) -> bool {
+        let h = step.weights.h;
+        if !is_stiff(self.course, h) {
+            return true;
+        }
+        let omega = self.course.body().material.omega;
+        let constant = f64::min(0.5 * h * h, 2.0 / (omega * omega)); // bounds what a unit force does in the step
+        let stiffness: f64 = self.course.spheres.iter().map(|sphere| sphere.strength.abs()).sum();
+        let kink = stiffness * self.travel(h, state) * constant;
+        kink <= self.tolerance * h || self.near_rims(step, vertex, state).next().is_none()
+    }
+
+    /// The first crossing of a rim in a step that was taken: when, and of which sphere.
+    fn first_crossing(&self, step: &Step, vertex: &Vertex, state: State, outcome: &Outcome) -> Option<(f64, usize)> {
+        let inside = vertex.inside?;
+        let mut near = self.near_rims(step, vertex, state).peekable();
+        near.peek()?;
+        let motion = Motion::new(self.course, step, vertex, state, outcome);
+        let look = LookUp { course: self.course, whole: self.whole, common: self.common };
+        near.filter_map(|j| Some((motion.crossing(look, step, j, inside >> j & 1 == 1)?, j)))
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+    }
+}
+
+/// Whether a step is too long to see the body's vertices swing.
+pub fn is_stiff(course: &Course<'_>, h: f64) -> bool {
+    let material = course.body().material;
+    (material.omega + 2.0 * material.damping) * h > 1.0
+}
+
+/// The exact flow of a vertex on which nothing acts.
+fn free(course: &Course<'_>, State { x, u }: State, h: f64) -> Outcome {
+    let [xx, xu, ux, uu] = course.oscillator().flow(h);
+    Outcome {
+        end: State { x: xx * x + xu * u, u: ux * x + uu * u },
+        forces: [DVec3::ZERO; 4],
+        bend: DVec3::ZERO,
+        error: 0.0,
+    }
+}
+
+/// One step of one vertex.
+fn collocate(
+    course: &Course<'_>,
+    step: &Step,
+    vertex: &Vertex,
+    state: State,
+    wanted: f64,
+    pulls: &mut Vec<Pull>,
+) -> Outcome {
+    pulls.clear();
+    for (j, sphere) in course.spheres.iter().enumerate() {
+        let known = vertex.inside.filter(|_| j < RIMS);
+        if known.is_none_or(|inside| inside >> j & 1 == 1) {
+            pulls.push(Pull { sphere: j, strength: [sphere.strength; LANES], cut: known.is_none() });
+        }
+    }
+    let simd = Scalar;
+    let group = Group::new(simd, course, step, Vector::splat(simd, vertex.rest), pulls);
+    let end = group.collocate(Vector::splat(simd, state.x), Vector::splat(simd, state.u), wanted);
+    let Collocated { x, u, forces, bend, error } = end;
+    Outcome {
+        end: State { x: first(x), u: first(u) },
+        forces: forces.map(first),
+        bend: first(bend),
+        error: {
+            let mut only = [0.0];
+            error.store(&mut only, 0);
+            only[0]
+        },
+    }
+}
+
+/// The vector of the only lane.
+fn first(vector: Vector<Scalar, 1>) -> DVec3 {
+    let mut only = [[0.0]; 3];
+    for (axis, value) in only.iter_mut().zip([vector.x, vector.y, vector.z]) {
+        value.store(axis, 0);
+    }
+    DVec3::new(only[0][0], only[1][0], only[2][0])
+}

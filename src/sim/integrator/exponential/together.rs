@@ -1,0 +1,266 @@
+//! The vertices of a front take a step side by side, and those are found that have to be looked at one by one.
+
+use std::ops::Range;
+
+use glam::DVec3;
+use pulp::{Simd, WithSimd};
+
+use super::{
+    course::Course,
+    lanes::{LANES, Mask, Reals, Vector},
+    step::{Group, Pull, RIMS, Step, has_kink},
+};
+use crate::sim::{arrays::Vectors, deformation::Front};
+
+/// Below this |x|² + |u|², in scene units and seconds, a vertex is at rest.
+const REST_SQUARED: f64 = 1e-300;
+
+/// What is left to know of a step that the vertices of a front have taken, for those that need attention; arrays padded
+/// like the front's.
+#[derive(Clone, Debug, Default)]
+pub struct Outcomes {
+    /// Displacements at the start [scene unit].
+    pub displacement: Vectors,
+    /// Velocities at the start [scene unit/s].
+    pub velocity: Vectors,
+    /// Forces at the four nodes [scene unit/s²].
+    pub forces: [Vectors; 4],
+    /// By how much the forces in the middle differ from the cubics through those [scene unit/s²].
+    pub bend: Vectors,
+    /// Estimated errors of the displacements [scene unit]; of all.
+    pub error: Vec<f64>,
+    /// Spheres that each is inside of at the start, a bit each; only for a weight with a kink.
+    pub inside: Vec<u64>,
+    /// 1 for those for which this step will not do, or that may cross a rim; otherwise 0. Of all.
+    pub attention: Vec<f64>,
+    /// The groups of which any needs it.
+    pub groups: Vec<Range<usize>>,
+}
+
+impl Outcomes {
+    fn resize(&mut self, count: usize) {
+        let Outcomes { displacement, velocity, forces, bend, error, inside, attention, groups } = self;
+        groups.clear();
+        for vectors in [displacement, velocity, bend].into_iter().chain(forces) {
+            vectors.resize(count);
+        }
+        error.resize(count, 0.0);
+        attention.resize(count, 0.0);
+        inside.clear();
+        inside.resize(count, 0);
+    }
+}
+
+/// One step of all vertices of a front.
+pub struct Together<'a> {
+    /// The body's course.
+    pub course: &'a Course<'a>,
+    /// The step, over all of it.
+    pub step: &'a Step,
+    /// The vertices; their states become those at the end.
+    pub front: &'a mut Front,
+    /// The largest error that will do [scene unit].
+    pub wanted: f64,
+    /// Bound of the acceleration of a vertex by anything but its oscillator [scene unit/s²].
+    pub force: f64,
+    /// Whether the step is too long to see a vertex swing.
+    pub stiff: bool,
+    /// Reused.
+    pub pulls: &'a mut Vec<Pull>,
+    /// What is left to know.
+    pub outcomes: &'a mut Outcomes,
+}
+
+impl WithSimd for Together<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        let count = self.front.vertices.len();
+        self.outcomes.resize(count.next_multiple_of(LANES));
+        for first in (0..count).step_by(Reals::<S, 2>::COUNT) {
+            self.take::<S, 2>(simd, first);
+        }
+    }
+}
+
+impl Together<'_> {
+    /// The step of the vertices from `first` on, as many as are taken side by side.
+    #[inline(always)]
+    fn take<S: Simd, const W: usize>(&mut self, simd: S, first: usize) {
+        let Together { course, step, ref front, .. } = *self;
+        let weights = &step.weights;
+        let h = weights.h;
+        let material = course.body().material;
+        let rest = Vector::<S, W>::load(simd, &front.rest, first);
+        let x = Vector::load(simd, &front.displacement, first);
+        let u = Vector::load(simd, &front.velocity, first);
+
+        // How far each can get by itself: √(|u|² + ω²|x|²) bounds its speed, and over ω how far from rest it gets.
+        let swing = (u.length_squared() + x.length_squared() * (material.omega * material.omega)).sqrt();
+        let speed = swing + Reals::splat(simd, self.force * h);
+        let travel = (speed * h).smaller(speed * (2.0 / material.omega));
+        let near = self.find_pulls(simd, first, Group::new(simd, course, step, rest, &[]).rest[0] + x, travel);
+
+        let outcomes = &mut *self.outcomes;
+        let idle = self.pulls.is_empty();
+        let (x1, u1, mut attention) = if idle {
+            let last = &weights.nodes[3];
+            Reals::<S, W>::splat(simd, 0.0).store(&mut outcomes.error, first);
+            if near.any() {
+                let zero = Vector::<S, W>::splat(simd, DVec3::ZERO);
+                for forces in outcomes.forces.iter_mut().chain([&mut outcomes.bend]) {
+                    zero.store(forces, first);
+                }
+            }
+            (x * last.xx + u * last.xu, x * weights.ux + u * weights.uu, Mask::none(simd))
+        } else {
+            let group = Group::new(simd, course, step, rest, &*self.pulls);
+            let end = group.collocate(x, u, self.wanted);
+            end.error.store(&mut outcomes.error, first);
+            end.bend.store(&mut outcomes.bend, first);
+            for (forces, force) in outcomes.forces.iter_mut().zip(end.forces) {
+                force.store(forces, first);
+            }
+            (end.x, end.u, end.error.at_most(Reals::splat(simd, self.wanted)).not())
+        };
+        // Nothing is felt of a vertex that swings by less, and smaller numbers still are slow to compute with.
+        // (What is not a number stays to be found.)
+        let rests = (u1.length_squared() + x1.length_squared()).below(Reals::splat(simd, REST_SQUARED));
+        let zero = Vector::splat(simd, DVec3::ZERO);
+        let (x1, u1) = (rests.select_vector(zero, x1), rests.select_vector(zero, u1));
+        if near.any() && has_kink(course.weight()) {
+            attention = attention.or(if self.stiff {
+                near
+            } else {
+                let group = Group::new(simd, course, step, rest, &[]);
+                let ends = [group.rest[0] + x, group.rest[3] + x1];
+                may_cross(simd, course, step, &*outcomes, first, ends, swing)
+            });
+        }
+        let outcomes = &mut *self.outcomes;
+        if attention.any() {
+            attention.select(Reals::splat(simd, 1.0), Reals::splat(simd, 0.0)).store(&mut outcomes.attention, first);
+            x.store(&mut outcomes.displacement, first);
+            u.store(&mut outcomes.velocity, first);
+            outcomes.groups.push(first..first + Reals::<S, W>::COUNT);
+        }
+        x1.store(&mut self.front.displacement, first);
+        u1.store(&mut self.front.velocity, first);
+    }
+
+    /// Finds the spheres that vertices at `position` are inside of, and which vertices may cross a rim in the step.
+    #[inline(always)]
+    fn find_pulls<S: Simd, const W: usize>(
+        &mut self,
+        simd: S,
+        first: usize,
+        position: Vector<S, W>,
+        travel: Reals<S, W>,
+    ) -> Mask<S, W> {
+        let Together { course, step, .. } = *self;
+        let zero = Reals::splat(simd, 0.0);
+        let mut near = Mask::none(simd);
+        self.pulls.clear();
+        for (j, sphere) in course.spheres.iter().enumerate() {
+            let rim = Reals::splat(simd, sphere.radius);
+            let centre = Vector::splat(simd, step.moments[0].centres[j]);
+            let distance = (centre - position).length_squared().sqrt();
+            let reach = travel + Reals::splat(simd, step.relative[j].speed * step.weights.h);
+            // written so that what is not a number is near
+            let close = reach.below((distance - rim).abs()).not();
+            let mut pull = Pull { sphere: j, strength: [0.0; LANES], cut: true };
+            if has_kink(course.weight()) && j < RIMS {
+                let inside = distance.below(rim);
+                near = near.or(close);
+                if !inside.any() {
+                    continue;
+                }
+                pull.cut = false;
+                inside.select(Reals::splat(simd, sphere.strength), zero).store(&mut pull.strength, 0);
+                for lane in 0..Reals::<S, W>::COUNT {
+                    self.outcomes.inside[first + lane] |= u64::from(pull.strength[lane] != 0.0) << j;
+                }
+            } else {
+                let reached = distance.below(rim).or(close);
+                if !reached.any() {
+                    continue;
+                }
+                reached.select(Reals::splat(simd, sphere.strength), zero).store(&mut pull.strength, 0);
+            }
+            self.pulls.push(pull);
+        }
+        near
+    }
+}
+
+/// Which vertices may cross a rim between two positions, at the ends of a step. The square of the distance to a centre
+/// less r_e² differs from the straight line between its values at the ends by no more than its curvature times h²/8: if
+/// those are on the same side of zero and farther from it, there is no crossing.
+#[inline(always)]
+fn may_cross<S: Simd, const W: usize>(
+    simd: S,
+    course: &Course<'_>,
+    step: &Step,
+    outcomes: &Outcomes,
+    first: usize,
+    [start, end]: [Vector<S, W>; 2],
+    swing: Reals<S, W>,
+) -> Mask<S, W> {
+    let h = step.weights.h;
+    let material = course.body().material;
+    let zero = Reals::splat(simd, 0.0);
+    let first_force = Vector::load(simd, &outcomes.forces[0], first).length_squared();
+    let last_force = Vector::load(simd, &outcomes.forces[3], first).length_squared();
+    let force = first_force.larger(last_force).sqrt();
+    let own_speed = swing + force * h;
+    let own_acceleration = own_speed * (material.omega + 2.0 * material.damping) + force;
+    let mut crossing = Mask::none(simd);
+    for j in 0..course.spheres.len().min(RIMS) {
+        let (rim, relative) = (Reals::splat(simd, course.spheres[j].radius), step.relative[j]);
+        let d0 = (Vector::splat(simd, step.moments[0].centres[j]) - start).length_squared().sqrt();
+        let d1 = (Vector::splat(simd, step.moments[3].centres[j]) - end).length_squared().sqrt();
+        let speed = own_speed + Reals::splat(simd, relative.speed);
+        let acceleration = own_acceleration + Reals::splat(simd, relative.acceleration);
+        let curvature = (speed * speed + (d0.larger(d1) + speed * h) * acceleration) * 2.0;
+        let (g0, g1) = ((d0 - rim) * (d0 + rim), (d1 - rim) * (d1 + rim));
+        let (outside, inside) = (g0.smaller(g1), (zero - g0).smaller(zero - g1));
+        let clear = (curvature * (h * h / 8.0)).below(outside.larger(inside));
+        crossing = crossing.or(clear.not());
+    }
+    crossing
+}
+
+/// The largest |x|² and |u|² + ω²|x|² of a front; not a number if any is not.
+pub struct Largest<'a> {
+    /// The vertices.
+    pub front: &'a Front,
+    /// ω² [1/s²].
+    pub omega_squared: f64,
+}
+
+impl WithSimd for Largest<'_> {
+    type Output = [f64; 2];
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> [f64; 2] {
+        let count = self.front.vertices.len();
+        let zero = Reals::<S, 2>::splat(simd, 0.0);
+        let (mut x2, mut m2) = (zero, zero);
+        for first in (0..count).step_by(Reals::<S, 2>::COUNT) {
+            let x = Vector::<S, 2>::load(simd, &self.front.displacement, first).length_squared();
+            let u = Vector::<S, 2>::load(simd, &self.front.velocity, first).length_squared();
+            let m = u + x * self.omega_squared;
+            (x2, m2) = (x2.larger_or_nan(x), m2.larger_or_nan(m));
+        }
+        let mut largest = [0.0; 2];
+        for (largest, lanes) in largest.iter_mut().zip([x2, m2]) {
+            let mut array = [0.0; LANES];
+            lanes.store(&mut array, 0);
+            for value in array {
+                *largest = if value > *largest || value.is_nan() { value } else { *largest };
+            }
+        }
+        largest
+    }
+}

@@ -1,0 +1,114 @@
+//! Where moving bodies are in the course of a step: looked up once a step, by whoever needs it.
+
+use rayon::prelude::*;
+
+use super::{Span, integrator::exponential::weights::LOOKS};
+use crate::scene::{
+    Scene,
+    path::{Bounds, Kinematics, Turns},
+};
+
+/// Fewer moving bodies than this are not worth a second thread.
+const PARALLEL_TRACKS: usize = 256;
+/// Index of a body that stands still.
+const STILL: u32 = u32::MAX;
+
+/// The tracks of all bodies that move.
+pub struct Tracks {
+    tracks: Vec<Track>,
+    /// Track of each body, or [`STILL`].
+    of_body: Vec<u32>,
+}
+
+/// A moving body's way through a step.
+pub struct Track {
+    /// Index of the body.
+    pub body: u32,
+    turns: Turns,
+    /// At each of the five looks of the step.
+    pub kinematics: [Kinematics; 5],
+    /// Over the step.
+    pub bounds: Bounds,
+}
+
+impl Tracks {
+    /// Of all bodies of a scene that move, before the first step.
+    pub fn new(scene: &Scene) -> Tracks {
+        let mut of_body = vec![STILL; scene.bodies.len()];
+        let mut tracks = Vec::new();
+        for (body, place) in (0..).zip(&mut of_body) {
+            let path = &scene.bodies[body as usize].path;
+            if !path.is_fixed() {
+                *place = tracks.len() as u32;
+                let turns = path.turns(&LOOKS.map(|theta| theta * scene.dt));
+                let bounds = Bounds { speed: 0.0, acceleration: 0.0 };
+                tracks.push(Track { body, turns, kinematics: [path.at(0.0); 5], bounds });
+            }
+        }
+        Tracks { tracks, of_body }
+    }
+
+    /// Follows all of them over a step.
+    pub(super) fn follow(&mut self, scene: &Scene, span: Span) {
+        let follow = |track: &mut Track| {
+            let path = &scene.bodies[track.body as usize].path;
+            path.kinematics(span.start, span.end, &LOOKS, &track.turns, &mut track.kinematics);
+            track.bounds = path.bounds(span.start, span.end);
+        };
+        if self.tracks.len() < PARALLEL_TRACKS {
+            self.tracks.iter_mut().for_each(follow);
+        } else {
+            self.tracks.par_iter_mut().with_min_len(PARALLEL_TRACKS / 4).for_each(follow);
+        }
+    }
+
+    /// The tracks, in the order of their bodies.
+    pub fn all(&self) -> &[Track] {
+        &self.tracks
+    }
+
+    /// The track of a body, if it moves.
+    pub fn of(&self, body: usize) -> Option<&Track> {
+        self.tracks.get(self.of_body[body] as usize)
+    }
+
+    /// A body's centre and its motion at one of the five looks of the step.
+    pub fn kinematics(&self, scene: &Scene, body: usize, look: usize) -> Kinematics {
+        match self.of(body) {
+            Some(track) => track.kinematics[look],
+            None => scene.bodies[body].path.at(0.0),
+        }
+    }
+
+    /// Bounds of a body's motion over the step, if it moves.
+    pub fn bounds(&self, body: usize) -> Option<Bounds> {
+        self.of(body).map(|track| track.bounds)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Looking five times at once is looking five times, to rounding.
+    #[test]
+    fn tracks_follow_their_paths() {
+        for name in ["two", "three", "crowd", "size_ratio"] {
+            let scene = Scene::builtin(name).unwrap();
+            let mut tracks = Tracks::new(&scene);
+            for step in 0..scene.steps() {
+                let span = Span { start: step as f64 * scene.dt, end: (step + 1) as f64 * scene.dt };
+                tracks.follow(&scene, span);
+                for track in tracks.all() {
+                    let path = &scene.bodies[track.body as usize].path;
+                    for (look, theta) in LOOKS.into_iter().enumerate() {
+                        let t = if theta == 1.0 { span.end } else { span.start + theta * scene.dt };
+                        let (seen, exact) = (track.kinematics[look], path.at(t));
+                        assert!(seen.position.distance(exact.position) < 1e-14 * exact.position.length().max(1.0));
+                        assert!(seen.velocity.distance(exact.velocity) < 1e-13 * exact.velocity.length().max(1.0));
+                    }
+                }
+            }
+        }
+    }
+}
