@@ -90,12 +90,7 @@ pub struct Now {
 impl Deformation {
     /// Whether nothing single has happened to any vertex.
     pub fn is_empty(&self) -> bool {
-        self.places.is_empty()
-    }
-
-    /// Vertices with a state.
-    pub fn len(&self) -> usize {
-        self.front.vertices.len() + self.swinging.vertices.len()
+        self.front.vertices.is_empty() && self.swinging.vertices.is_empty()
     }
 
     /// What was allocated for it [bytes].
@@ -232,7 +227,7 @@ impl Deformation {
         front.pad();
         self.front.copy_from(front);
         self.swinging.copy_from(swinging);
-        if self.len() == 0 {
+        if self.is_empty() {
             self.places.clear();
         }
     }
@@ -245,7 +240,7 @@ impl Deformation {
             self.places[v as usize] = self.swinging.push(v, now.step, state, amplitude);
         }
         self.front.clear();
-        if self.len() == 0 {
+        if self.is_empty() {
             self.places.clear();
         }
     }

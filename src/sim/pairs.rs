@@ -81,6 +81,8 @@ pub(super) struct Pairs {
     changes: Vec<(f64, Phase)>,
     /// Pairs that have any.
     changed: Vec<u32>,
+    /// Whether these are all pairs, each looked at in every step.
+    plain: bool,
     /// Reused.
     found: Vec<u32>,
     kept: Vec<Neighbour>,
@@ -100,6 +102,7 @@ impl Pairs {
 
     /// The plain way: every pair.
     pub fn start_with_all(&mut self, scene: &Scene, bodies: &mut [Body]) {
+        self.plain = true;
         for body in bodies.iter_mut() {
             body.zone = Zone { vertices: f64::INFINITY, until: f64::INFINITY };
         }
@@ -203,7 +206,6 @@ impl Pairs {
         tracks: &Tracks,
         span: Span,
         step: u64,
-        skip: bool,
         events: &mut Vec<Event>,
     ) {
         self.changes.clear();
@@ -217,7 +219,7 @@ impl Pairs {
                 }
                 let first = self.changes.len();
                 let pair = &mut self.pairs[index];
-                let horizon = if skip { span.start + AHEAD * span.length() } else { span.end };
+                let horizon = if self.plain { span.end } else { span.start + AHEAD * span.length() };
                 let paths = paths(scene, pair.a, pair.b);
                 let mut from = pair.phase;
                 let (a, b) = (pair.a, pair.b);

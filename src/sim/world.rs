@@ -157,8 +157,8 @@ impl World {
 
     /// When pairs change phase during `span`, exactly.
     fn find_events(&mut self, span: Span) {
-        let World { scene, bodies, tracks, pairs, report, step, options, .. } = self;
-        pairs.find_events(scene, bodies, tracks, span, *step + 1, options.skip, &mut report.events);
+        let World { scene, bodies, tracks, pairs, report, step, .. } = self;
+        pairs.find_events(scene, bodies, tracks, span, *step + 1, &mut report.events);
     }
 
     /// Wakes whom something acts on during `span`, and finds who can reach whom.

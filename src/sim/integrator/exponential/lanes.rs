@@ -95,7 +95,7 @@ impl<S: Simd, const W: usize> Reals<S, W> {
     /// The larger of the two; not a number if either is not.
     #[inline(always)]
     pub fn larger_or_nan(self, other: Reals<S, W>) -> Reals<S, W> {
-        self.below(other).or(other.at_most(other).not()).select(other, self)
+        self.below(other).or(other.at_most(other).negated()).select(other, self)
     }
 
     /// The smaller of the two, or the first if either is not a number.
@@ -197,7 +197,7 @@ impl<S: Simd, const W: usize> Mask<S, W> {
 
     /// Where it is not.
     #[inline(always)]
-    pub fn not(self) -> Mask<S, W> {
+    pub fn negated(self) -> Mask<S, W> {
         let mut m = self.m;
         for m in &mut m {
             *m = self.simd.not_m64s(*m);

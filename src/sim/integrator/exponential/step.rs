@@ -191,7 +191,7 @@ impl<'a, S: Simd, const W: usize> Group<'a, S, W> {
             }
             unsettled = settled.select(unsettled, left * change.sqrt());
             settled = settled.or(unsettled.at_most(enough));
-            if !settled.not().any() {
+            if !settled.negated().any() {
                 break;
             }
         }
@@ -325,10 +325,7 @@ impl Step {
 
     /// An instant of this step from its five moments.
     fn interpolate(&self, weights: &[f64; 5], moment: &mut Moment) {
-        let sum = |of: &dyn Fn(&Moment) -> DVec3| -> DVec3 {
-            self.moments.iter().zip(weights).map(|(known, weight)| *weight * of(known)).sum()
-        };
-        moment.carry = sum(&|known| known.carry);
+        moment.carry = self.moments.iter().zip(weights).map(|(known, weight)| *weight * known.carry).sum();
         moment.centres.clear();
         moment.centres.extend((0..self.relative.len()).map(|j| self.centre(j, weights)));
         moment.pushed.clear();
@@ -427,7 +424,7 @@ impl<'a> LookUp<'a> {
             let (from, slower) = ((start - whole.start) / whole.weights.h, h / whole.weights.h);
             for low in 0..4 {
                 for k in (low..4).rev() {
-                    c[k] = c[k] + from * c[k + 1];
+                    c[k] += from * c[k + 1];
                 }
             }
             let mut power = 1.0;

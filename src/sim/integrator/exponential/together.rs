@@ -122,7 +122,7 @@ impl Together<'_> {
             for (forces, force) in outcomes.forces.iter_mut().zip(end.forces) {
                 force.store(forces, first);
             }
-            (end.x, end.u, end.error.at_most(Reals::splat(simd, self.wanted)).not())
+            (end.x, end.u, end.error.at_most(Reals::splat(simd, self.wanted)).negated())
         };
         // Nothing is felt of a vertex that swings by less, and smaller numbers still are slow to compute with.
         // (What is not a number stays to be found.)
@@ -168,7 +168,7 @@ impl Together<'_> {
             let distance = (centre - position).length_squared().sqrt();
             let reach = travel + Reals::splat(simd, step.relative[j].speed * step.weights.h);
             // written so that what is not a number is near
-            let close = reach.below((distance - rim).abs()).not();
+            let close = reach.below((distance - rim).abs()).negated();
             let mut pull = Pull { sphere: j, strength: [0.0; LANES], cut: true };
             if has_kink(course.weight()) && j < RIMS {
                 let inside = distance.below(rim);
@@ -226,7 +226,7 @@ fn may_cross<S: Simd, const W: usize>(
         let (g0, g1) = ((d0 - rim) * (d0 + rim), (d1 - rim) * (d1 + rim));
         let (outside, inside) = (g0.smaller(g1), (zero - g0).smaller(zero - g1));
         let clear = (curvature * (h * h / 8.0)).below(outside.larger(inside));
-        crossing = crossing.or(clear.not());
+        crossing = crossing.or(clear.negated());
     }
     crossing
 }
