@@ -3,6 +3,7 @@
 //! | what | where |
 //! | --- | --- |
 //! | error against run time, for every integrator and a range of steps | [`mod@error`] |
+//! | cost against the number of bodies, and the goals for it | [`scale`] |
 //! | the independent solution that errors are measured against | [`reference`], by [`extrapolation`] |
 //! | the machine that a run time belongs to | [`machine`] |
 //! | files that are written when everything has been measured | [`output`] |
@@ -12,3 +13,4 @@ pub mod extrapolation;
 pub mod machine;
 pub mod output;
 pub mod reference;
+pub mod scale;

@@ -1,5 +1,7 @@
 //! `meldscope bench`: what it costs, and what it is worth.
 
+mod scale;
+
 use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -25,6 +27,8 @@ pub struct Arguments {
 enum What {
     /// Error against run time: every integrator, over a range of steps, against an independent solution.
     Error(ErrorArguments),
+    /// Cost against size: scenes of 2 to 100,000 bodies, of which all, one in a hundred or two touch.
+    Scale(scale::Arguments),
 }
 
 #[derive(clap::Args)]
@@ -44,6 +48,7 @@ struct ErrorArguments {
 pub fn bench(arguments: Arguments) -> Result<(), Failure> {
     match arguments.what {
         What::Error(arguments) => error(arguments),
+        What::Scale(arguments) => scale::scale(arguments),
     }
 }
 

@@ -54,7 +54,7 @@ pub fn csv(reports: &[Report], machine: &Machine) -> String {
 }
 
 /// A field, in quotes where it needs them (RFC 4180).
-fn quoted(field: &str) -> String {
+pub(in crate::bench) fn quoted(field: &str) -> String {
     if field.contains([',', '"', '\n', '\r']) {
         format!("\"{}\"", field.replace('"', "\"\""))
     } else {

@@ -71,7 +71,7 @@ pub fn footer(machine: &Machine) -> String {
 }
 
 /// Three significant digits.
-pub(super) fn significant(x: f64) -> String {
+pub(in crate::bench) fn significant(x: f64) -> String {
     let digits = 2 - x.abs().log10().floor().clamp(-9.0, 2.0) as i32;
     format!("{x:.*}", digits as usize)
 }

@@ -1,0 +1,486 @@
+//! Cost against size: steps of scenes of 2 to 100,000 bodies, of which all, a hundredth or two touch.
+//!
+//! Every scene is made of the same pairs ([`scenes`]), so that one reference of these pairs judges all of them. A world
+//! is stepped on one core and on all in turns, so that whatever else the machine does meanwhile falls on both alike, for
+//! whole periods of the pairs' motion where that doesn't take too long; beside it the plain way: the thesis's scheme, every
+//! vertex, all pairs, one number at a time.
+
+pub mod csv;
+pub mod diagram;
+pub mod goals;
+pub mod scenes;
+pub mod swinging;
+pub mod table;
+
+use std::time::{Duration, Instant};
+
+use pulp::Arch;
+use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
+
+use super::reference::{Accuracy, Reference, TooLong};
+use crate::{
+    Scene, World,
+    scene::Integrator,
+    sim::{Options, TooLarge, report::Stage},
+};
+use scenes::{Family, Layout, PERIOD, PHASES};
+use swinging::Swinging;
+
+/// What is measured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// Numbers of bodies, ascending.
+    pub bodies: Vec<usize>,
+    /// Steps are timed for about so long, for each number of bodies, family and number of threads.
+    pub time: Duration,
+}
+
+impl Default for Settings {
+    fn default() -> Settings {
+        Settings { bodies: vec![2, 10, 100, 1_000, 10_000, 100_000], time: Duration::from_millis(500) }
+    }
+}
+
+/// Steps before any is timed: what began at rest has met its neighbour by then.
+const WARM: u64 = 60;
+/// Run times are the best of so many blocks of steps: what else the machine does only ever adds to them.
+const BLOCKS: usize = 9;
+/// The plain way is followed up to scenes of which a step is expected to take longer.
+const LONGEST_PLAIN_STEP: Duration = Duration::from_secs(4);
+/// Errors are looked at when so many steps have been taken since the last time, up to a period.
+const JUDGED_EVERY: u64 = 20;
+/// In so many pairs at most, spread over the scene.
+const MOST_JUDGED: usize = 64;
+/// Vertices inside of a sphere are counted so often in a period.
+const COUNTS: u64 = 24;
+
+/// Steps that were timed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Run {
+    /// On so many threads.
+    pub threads: usize,
+    /// How many.
+    pub steps: u64,
+    /// Time a step [s], in the best of some blocks of them.
+    pub seconds: f64,
+    /// Share of each stage in it [–].
+    pub stages: [f64; Stage::ALL.len()],
+}
+
+impl Run {
+    /// [1/s]
+    pub fn steps_per_second(&self) -> f64 {
+        1.0 / self.seconds
+    }
+}
+
+/// How far off vertices were.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Judged {
+    /// The largest error of a vertex [radii] …
+    pub error: f64,
+    /// … at any time that was looked at, up to this step.
+    pub steps: u64,
+}
+
+/// The plain way.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plain {
+    /// On one thread.
+    pub run: Run,
+    /// If it got as far as that can be told.
+    pub judged: Option<Judged>,
+}
+
+/// What was measured on one scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Point {
+    /// Which of its bodies touch.
+    pub family: Family,
+    /// How many bodies.
+    pub bodies: usize,
+    /// How many of them touch another.
+    pub touching: usize,
+    /// How many vertices.
+    pub vertices: u64,
+    /// Vertices inside of a sphere, the mean of some steps.
+    pub reached: f64,
+    /// Bodies that take steps, or whose state is kept.
+    pub active: usize,
+    /// Memory that the world has allocated [bytes].
+    pub memory: usize,
+    /// On one core.
+    pub one: Run,
+    /// On all cores; `None` if there is but one.
+    pub all: Option<Run>,
+    /// How far off it was.
+    pub judged: Option<Judged>,
+    /// The plain way, if a step of it doesn't take too long.
+    pub plain: Option<Plain>,
+}
+
+impl Point {
+    /// On as many cores as there are.
+    pub fn best(&self) -> &Run {
+        self.all.as_ref().unwrap_or(&self.one)
+    }
+
+    /// Time of a step on one core by vertices inside of a sphere [s].
+    pub fn seconds_per_reached(&self) -> f64 {
+        self.one.seconds / self.reached
+    }
+
+    /// How many times faster it is on all cores than on one [–].
+    pub fn speed_up(&self) -> Option<f64> {
+        self.all.as_ref().map(|all| self.one.seconds / all.seconds)
+    }
+}
+
+/// What was measured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Report {
+    /// By family, then by number of bodies, ascending.
+    pub points: Vec<Point>,
+    /// The built-in scene `two`, on one core.
+    pub two: Run,
+    /// Bodies whose vertices all swing freely, every frame wanted.
+    pub swinging: Vec<Swinging>,
+    /// Scenes that need more memory than there is.
+    pub too_large: Vec<TooLarge>,
+    /// Threads that all cores take.
+    pub threads: usize,
+}
+
+impl Report {
+    /// The points of a family, by number of bodies.
+    pub fn of(&self, family: Family) -> impl Iterator<Item = &Point> + Clone {
+        self.points.iter().filter(move |point| point.family == family)
+    }
+
+    /// The point of a family with so many bodies.
+    pub fn at(&self, family: Family, bodies: usize) -> Option<&Point> {
+        self.of(family).find(|point| point.bodies == bodies)
+    }
+
+    /// The exponent with which the time of a step grows with the number of bodies from 100 on, by least squares of the
+    /// logarithms [–]; `None` with fewer than two such points.
+    pub fn slope(&self, family: Family, run: impl Fn(&Point) -> Option<&Run>) -> Option<f64> {
+        let points = self.of(family).filter(|point| point.bodies >= 100);
+        let logs: Vec<(f64, f64)> =
+            points.filter_map(|point| Some(((point.bodies as f64).ln(), run(point)?.seconds.ln()))).collect();
+        let n = logs.len() as f64;
+        let (x, y) = (logs.iter().map(|p| p.0).sum::<f64>() / n, logs.iter().map(|p| p.1).sum::<f64>() / n);
+        let spread: f64 = logs.iter().map(|p| (p.0 - x).powi(2)).sum();
+        let slope = logs.iter().map(|p| (p.0 - x) * (p.1 - y)).sum::<f64>() / spread;
+        slope.is_finite().then_some(slope)
+    }
+}
+
+/// Why nothing can be measured.
+#[derive(Debug, thiserror::Error)]
+pub enum MeasureError {
+    /// There is no scene to make others from.
+    #[error("the built-in scene \"two\" is missing")]
+    NoScene,
+    /// There is no reference.
+    #[error(transparent)]
+    TooLong(#[from] TooLong),
+    /// There is no memory.
+    #[error(transparent)]
+    TooLarge(#[from] TooLarge),
+    /// There are no threads to measure on.
+    #[error("cannot start threads: {0}")]
+    Threads(#[from] ThreadPoolBuildError),
+}
+
+/// The threads that worlds are stepped on.
+pub(super) struct Pools {
+    one: ThreadPool,
+    /// If there are more cores than one.
+    all: Option<ThreadPool>,
+}
+
+impl Pools {
+    fn new() -> Result<Pools, ThreadPoolBuildError> {
+        let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
+        let pool = |threads| ThreadPoolBuilder::new().num_threads(threads).build();
+        Ok(Pools { one: pool(1)?, all: if cores > 1 { Some(pool(cores)?) } else { None } })
+    }
+
+    fn each(&self) -> impl Iterator<Item = &ThreadPool> {
+        [Some(&self.one), self.all.as_ref()].into_iter().flatten()
+    }
+
+    fn best(&self) -> &ThreadPool {
+        self.all.as_ref().unwrap_or(&self.one)
+    }
+}
+
+/// Measures all families at all sizes; tells `progress` what share of the work is done.
+///
+/// # Errors
+/// [`MeasureError`]; a scene that needs too much memory is left out instead.
+pub fn measure(settings: &Settings, progress: &mut dyn FnMut(f64)) -> Result<Report, MeasureError> {
+    let pair = Scene::builtin("two").ok_or(MeasureError::NoScene)?;
+    let pools = Pools::new()?;
+    let largest = settings.bodies.iter().copied().max().unwrap_or(0);
+    let judge = pools.best().install(|| Judge::new(&pair, largest))?;
+    let two = take_two(&pair, &pools, settings.time)?;
+
+    let (mut points, mut too_large) = (vec![], vec![]);
+    let mut done = 0;
+    for family in Family::ALL {
+        let mut plain_step = 0.0;
+        let mut before = 0;
+        for &bodies in &settings.bodies {
+            let layout = Layout::new(family, bodies);
+            let scene = layout.scene(&pair);
+            match measure_point(&layout, scene.clone(), &judge, &pools, settings.time) {
+                Ok(mut point) => {
+                    // a step of all pairs and every vertex
+                    let expected = plain_step * (bodies as f64 / before as f64).powi(2);
+                    if before == 0 || expected <= LONGEST_PLAIN_STEP.as_secs_f64() {
+                        let plain = measure_plain(&layout, scene, &judge, &pools, settings.time)?;
+                        plain_step = plain.run.seconds;
+                        before = bodies;
+                        point.plain = Some(plain);
+                    }
+                    points.push(point);
+                }
+                Err(error) => too_large.push(error),
+            }
+            done += 1;
+            progress(done as f64 / (Family::ALL.len() * settings.bodies.len() + 1) as f64);
+        }
+    }
+    let swinging = swinging::measure(&pair, &pools, settings.time, largest)?;
+    let threads = pools.best().current_num_threads();
+    Ok(Report { points, two, swinging, too_large, threads })
+}
+
+/// The whole of `two`, again and again.
+fn take_two(two: &Scene, pools: &Pools, time: Duration) -> Result<Run, TooLarge> {
+    let steps = two.steps();
+    let mut clock = Clock::new(1);
+    while clock.seconds() < time.as_secs_f64() || clock.blocks.len() < BLOCKS {
+        let mut world = World::new(two.clone())?;
+        pools.one.install(|| clock.take(&mut world, steps));
+    }
+    Ok(clock.run())
+}
+
+fn measure_point(
+    layout: &Layout,
+    scene: Scene,
+    judge: &Judge,
+    pools: &Pools,
+    time: Duration,
+) -> Result<Point, TooLarge> {
+    let mut world = pools.best().install(|| World::new(scene))?;
+    let mut judging = Judging { judge, layout, judged: None };
+    let start = Instant::now();
+    pools.best().install(|| judging.advance(&mut world, WARM, &mut |world, steps| run(world, steps)));
+    let estimate = start.elapsed().as_secs_f64() / WARM as f64;
+
+    let steps = block(estimate, time.as_secs_f64() / BLOCKS as f64);
+    let mut clocks: Vec<Clock> = pools.each().map(|pool| Clock::new(pool.current_num_threads())).collect();
+    let mut reached = Mean::default();
+    for _ in 0..BLOCKS {
+        for (pool, clock) in pools.each().zip(&mut clocks) {
+            pool.install(|| judging.advance_timed(&mut world, steps, clock));
+        }
+        reached.add(world.energy().reached_vertices as f64);
+    }
+    if steps.is_multiple_of(PERIOD) {
+        // blocks end where they began: look at what happens in between
+        reached = Mean::default();
+        for _ in 0..COUNTS {
+            run(&mut world, PERIOD / COUNTS);
+            reached.add(world.energy().reached_vertices as f64);
+        }
+    }
+    let mut runs = clocks.into_iter().map(Clock::run);
+    let one = runs.next().unwrap_or_else(|| Clock::new(1).run());
+    Ok(Point {
+        family: layout.family,
+        bodies: layout.bodies,
+        touching: 2 * layout.pairs.len(),
+        vertices: world.scene().vertex_count(),
+        reached: reached.mean(),
+        active: world.bodies().filter(|body| !body.is_at_rest()).count(),
+        memory: world.memory(),
+        one,
+        all: runs.next(),
+        judged: judging.judged,
+        plain: None,
+    })
+}
+
+fn measure_plain(
+    layout: &Layout,
+    mut scene: Scene,
+    judge: &Judge,
+    pools: &Pools,
+    time: Duration,
+) -> Result<Plain, TooLarge> {
+    scene.integrator = Integrator::Thesis;
+    let mut world = World::with_options(scene, Options { skip: false, arch: Arch::Scalar })?;
+    let mut judging = Judging { judge, layout, judged: None };
+    let mut clock = Clock::new(1);
+    pools.one.install(|| {
+        judging.advance_timed(&mut world, 1, &mut clock);
+        let steps = block(clock.seconds(), time.as_secs_f64() / BLOCKS as f64);
+        clock = Clock::new(1);
+        while clock.blocks.len() < BLOCKS && clock.seconds() < time.as_secs_f64() {
+            judging.advance_timed(&mut world, steps, &mut clock);
+        }
+    });
+    Ok(Plain { run: clock.run(), judged: judging.judged })
+}
+
+/// So many steps that they take about `share` [s], a step taking about `estimate` [s]: whole periods, if one fits.
+fn block(estimate: f64, share: f64) -> u64 {
+    let steps = (share / estimate) as u64;
+    if steps >= PERIOD / 2 { steps.div_ceil(PERIOD) * PERIOD } else { steps.max(1) }
+}
+
+fn run(world: &mut World, steps: u64) {
+    for _ in 0..steps {
+        world.step();
+    }
+}
+
+/// Times steps.
+struct Clock {
+    threads: usize,
+    steps: u64,
+    /// Time a step of each block [s].
+    blocks: Vec<f64>,
+    stages: [Duration; Stage::ALL.len()],
+    all: Duration,
+}
+
+impl Clock {
+    fn new(threads: usize) -> Clock {
+        Clock { threads, steps: 0, blocks: vec![], stages: Default::default(), all: Duration::ZERO }
+    }
+
+    fn seconds(&self) -> f64 {
+        self.all.as_secs_f64()
+    }
+
+    /// Takes a block of steps.
+    fn take(&mut self, world: &mut World, steps: u64) {
+        let elapsed = self.part(world, steps);
+        self.blocks.push(elapsed.as_secs_f64() / steps as f64);
+    }
+
+    /// Takes steps that are part of a block, and returns how long they took.
+    fn part(&mut self, world: &mut World, steps: u64) -> Duration {
+        let start = Instant::now();
+        for _ in 0..steps {
+            let report = world.step();
+            for (sum, stage) in self.stages.iter_mut().zip(&report.timings) {
+                *sum += *stage;
+            }
+        }
+        let elapsed = start.elapsed();
+        self.all += elapsed;
+        self.steps += steps;
+        elapsed
+    }
+
+    fn run(self) -> Run {
+        Run {
+            threads: self.threads,
+            steps: self.steps,
+            seconds: self.blocks.iter().copied().fold(f64::INFINITY, f64::min),
+            stages: self.stages.map(|stage| stage.as_secs_f64() / self.all.as_secs_f64()),
+        }
+    }
+}
+
+#[derive(Default)]
+struct Mean {
+    sum: f64,
+    count: u64,
+}
+
+impl Mean {
+    fn add(&mut self, value: f64) {
+        self.sum += value;
+        self.count += 1;
+    }
+
+    fn mean(&self) -> f64 {
+        self.sum / self.count as f64
+    }
+}
+
+/// What the pairs of all scenes do, exactly.
+struct Judge {
+    reference: Reference,
+}
+
+impl Judge {
+    /// For scenes of up to so many bodies.
+    fn new(two: &Scene, bodies: usize) -> Result<Judge, TooLong> {
+        let scene = scenes::every_phase(two, (bodies / 2).clamp(1, PHASES));
+        let times: Vec<f64> =
+            (0..=PERIOD / JUDGED_EVERY).map(|k| (k * JUDGED_EVERY) as f64 * scene.dt).collect();
+        Ok(Judge { reference: Reference::solve(&scene, &times, Accuracy::DEFAULT)? })
+    }
+
+    /// The largest error of a vertex [radii], if it can be told now.
+    fn error(&self, world: &World, layout: &Layout) -> Option<f64> {
+        let step = world.steps_taken();
+        if !step.is_multiple_of(JUDGED_EVERY) || step > PERIOD {
+            return None;
+        }
+        let instant = (step / JUDGED_EVERY) as usize;
+        let stride = layout.pairs.len().div_ceil(MOST_JUDGED);
+        let mut largest = 0.0;
+        for pair in layout.pairs.iter().step_by(stride) {
+            for (side, index) in [pair.still, pair.moving].into_iter().enumerate() {
+                let body = world.body(index);
+                let states = body.states();
+                for vertex in 0..body.vertex_count() {
+                    let expected = self.reference.displacement(2 * pair.phase + side, vertex, instant);
+                    let error = states.displacement.get(vertex).distance(expected) / body.scene().radius;
+                    largest = if error > largest || error.is_nan() { error } else { largest };
+                }
+            }
+        }
+        Some(largest)
+    }
+}
+
+/// A world on its way, looked at now and then.
+struct Judging<'a> {
+    judge: &'a Judge,
+    layout: &'a Layout,
+    judged: Option<Judged>,
+}
+
+impl Judging<'_> {
+    /// So many steps, by `take`, which is interrupted when it is time to look.
+    fn advance(&mut self, world: &mut World, steps: u64, take: &mut dyn FnMut(&mut World, u64)) {
+        let end = world.steps_taken() + steps;
+        while world.steps_taken() < end {
+            let step = world.steps_taken();
+            let next = if step < PERIOD { (step / JUDGED_EVERY + 1) * JUDGED_EVERY } else { end };
+            take(world, next.min(end) - step);
+            if let Some(error) = self.judge.error(world, self.layout) {
+                let before = self.judged.map_or(0.0, |judged| judged.error);
+                self.judged = Some(Judged { error: f64::max(before, error), steps: world.steps_taken() });
+            }
+        }
+    }
+
+    /// A block of steps, of which the clock tells how long they take.
+    fn advance_timed(&mut self, world: &mut World, steps: u64, clock: &mut Clock) {
+        let mut block = Duration::ZERO;
+        self.advance(world, steps, &mut |world, steps| block += clock.part(world, steps));
+        clock.blocks.push(block.as_secs_f64() / steps as f64);
+    }
+}

@@ -1,0 +1,103 @@
+//! The goals, and what was measured beside each.
+
+use super::{
+    Point, Report, Run,
+    scenes::Family,
+    swinging::Cause,
+    table::{aligned, number},
+};
+
+/// A goal, and what became of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Goal {
+    /// Of what.
+    pub what: String,
+    /// In words.
+    pub goal: String,
+    /// In words.
+    pub measured: String,
+    /// Whether it was reached.
+    pub is_met: bool,
+}
+
+/// Vertex-steps a second that a plain loop over damped oscillators makes from memory on one core of the machine for which the
+/// goals were set: what free oscillation is compared with.
+const MEMORY_BOUND: f64 = 0.85e9;
+
+/// The goals for which there is a measurement.
+pub fn goals(report: &Report) -> Vec<Goal> {
+    let mut goals = vec![at_least("two, one core", 300_000.0, " steps/s", report.two.steps_per_second())];
+    let contact = report.at(Family::Contact, 10_000);
+    if let Some(point) = contact {
+        let what = format!("10,000 bodies in contact, {} cores", point.best().threads);
+        goals.push(at_least(&what, 60.0, " steps/s", point.best().steps_per_second()));
+    }
+    if let (Some(all), Some(few)) = (contact, report.at(Family::Hundredth, 10_000)) {
+        let ratio = |of: fn(&Point) -> &Run| of(all).seconds / of(few).seconds;
+        goals.push(at_least("1 % in contact against all, 10,000 bodies, one core", 50.0, " ×", ratio(|p| &p.one)));
+        if all.all.is_some() {
+            goals.push(at_least("the same, all cores", 50.0, " ×", ratio(Point::best)));
+        }
+    }
+    if let (Some(pair), Some(rest)) = (report.at(Family::Rest, 2), report.at(Family::Rest, 100_000)) {
+        let ratio = rest.one.seconds / pair.one.seconds;
+        goals.push(at_most("100,000 bodies at rest but one pair, against the pair alone", 2.0, " ×", ratio));
+    }
+    for family in Family::ALL {
+        let one = report.slope(family, |point| Some(&point.one));
+        let all = report.slope(family, |point| point.all.as_ref());
+        for (cores, slope) in [("one core", one), ("all cores", all)] {
+            if let Some(slope) = slope {
+                let what = format!("cost against bodies from 100 on, {}, {cores}: exponent", family.name());
+                goals.push(at_most(&what, 1.05, "", slope));
+            }
+        }
+    }
+    if let Some(each) = report.swinging.iter().find(|swinging| swinging.cause == Cause::Sphere) {
+        let share = 100.0 * each.one / MEMORY_BOUND;
+        goals.push(at_least("free oscillation, every frame wanted, of 0.85 G vertices/s, one core", 50.0, " %", share));
+    }
+    if let Some(point) = report.of(Family::Contact).last() {
+        let bytes = point.memory as f64 / point.vertices as f64;
+        goals.push(at_most("memory of a vertex of an active body", 40.0, " B", bytes));
+    }
+    if let Some(point) = report.of(Family::Rest).last().filter(|point| point.bodies >= 1000) {
+        goals.push(at_most("memory of a body at rest", 1024.0, " B", point.memory as f64 / point.bodies as f64));
+    }
+    for point in report.of(Family::Contact) {
+        let Some(speed_up) = point.speed_up() else { continue };
+        let bodies = point.bodies;
+        // with two cores; where there are more, two of them can do no less
+        let (what, goal) = if bodies >= 1000 { ("in contact", 1.8) } else { ("in contact: not slowed down", 0.95) };
+        goals.push(at_least(&format!("all cores against one, {bodies} bodies {what}"), goal, " ×", speed_up));
+    }
+    goals
+}
+
+fn at_least(what: &str, goal: f64, unit: &str, measured: f64) -> Goal {
+    goal_of(what, "≥", goal, unit, measured, measured >= goal)
+}
+
+fn at_most(what: &str, goal: f64, unit: &str, measured: f64) -> Goal {
+    goal_of(what, "≤", goal, unit, measured, measured <= goal)
+}
+
+fn goal_of(what: &str, relation: &str, goal: f64, unit: &str, measured: f64, is_met: bool) -> Goal {
+    let goal_number = if goal >= 100.0 { number(goal) } else { format!("{goal}") };
+    Goal {
+        what: what.to_owned(),
+        goal: format!("{relation} {goal_number}{unit}"),
+        measured: format!("{}{unit}", number(measured)),
+        is_met,
+    }
+}
+
+/// The goals as a table.
+pub fn table(report: &Report) -> String {
+    let mut rows = vec![["goals", "wanted", "measured", ""].map(str::to_owned)];
+    rows.extend(goals(report).into_iter().map(|goal| {
+        let verdict = if goal.is_met { "met" } else { "missed" };
+        [goal.what, goal.goal, goal.measured, verdict.to_owned()]
+    }));
+    aligned(&rows).join("\n")
+}

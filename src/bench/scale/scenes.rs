@@ -1,0 +1,128 @@
+//! The scenes: a grid of cells, each with two bodies that touch or with two at rest.
+//!
+//! The bodies of a pair are those of the built-in `two`, with the same material and the same law. One stands still, the other
+//! swings towards it and away: in a period the two approach, merge, hold, part and split, and are out of each other's reach
+//! for a moment only. The pairs of a scene are at different phases of that, so that all of them together do
+//! the same work in every step. Bodies at rest stand as close as they can without touching, as in the built-in `crowd`.
+
+use std::f64::consts::TAU;
+
+use glam::DVec3;
+
+use crate::scene::{Body, Path, Scene};
+
+/// Steps that the motion of a pair takes.
+pub const PERIOD: u64 = 240;
+/// Pairs begin at so many different phases of it.
+pub const PHASES: usize = 8;
+/// The distance of the bodies of a pair, and by how much it changes [radii]: q from 0.98 to 1.22, merging at 1.05, splitting at 1.2.
+const DISTANCE: f64 = 2.2;
+const SWING: f64 = 0.24;
+/// From cell to cell [radii]; across, and along the line of a pair.
+const PITCH: f64 = 2.6;
+const LONG_PITCH: f64 = 2.0 * PITCH;
+
+/// Which bodies touch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Family {
+    /// All of them, in pairs.
+    Contact,
+    /// One pair in a hundred; one pair at least.
+    Hundredth,
+    /// One pair.
+    Rest,
+}
+
+impl Family {
+    /// All, from the most expensive on.
+    pub const ALL: [Family; 3] = [Family::Contact, Family::Hundredth, Family::Rest];
+
+    /// What tables call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Family::Contact => "all in contact",
+            Family::Hundredth => "1 % in contact",
+            Family::Rest => "all at rest but one pair",
+        }
+    }
+}
+
+/// Where the bodies of a scene are.
+#[derive(Clone, Debug)]
+pub struct Layout {
+    /// Which of them touch.
+    pub family: Family,
+    /// How many.
+    pub bodies: usize,
+    /// Those that touch.
+    pub pairs: Vec<Pair>,
+}
+
+/// Two bodies that touch, by their indices in the scene.
+#[derive(Clone, Copy, Debug)]
+pub struct Pair {
+    /// The one that stands still.
+    pub still: usize,
+    /// The one that moves.
+    pub moving: usize,
+    /// Where in the period it begins.
+    pub phase: usize,
+}
+
+impl Layout {
+    /// So many bodies, two at least.
+    pub fn new(family: Family, bodies: usize) -> Layout {
+        let cells = bodies / 2;
+        let pairs = match family {
+            Family::Contact => cells,
+            Family::Hundredth => (cells / 100).max(1),
+            Family::Rest => 1,
+        };
+        let pair = |k: usize| {
+            let cell = k * cells / pairs;
+            Pair { still: 2 * cell, moving: 2 * cell + 1, phase: k % PHASES }
+        };
+        Layout { family, bodies, pairs: (0..pairs).map(pair).collect() }
+    }
+
+    /// The scene, made from `two`.
+    pub fn scene(&self, two: &Scene) -> Scene {
+        let cells = self.bodies.div_ceil(2);
+        let side = (1..).find(|side| side * side * side >= cells).unwrap_or(1);
+        let corner = |cell: usize| {
+            let [x, y, z] = [cell % side, cell / side % side, cell / side / side].map(|i| i as f64);
+            DVec3::new(LONG_PITCH * x, PITCH * y, PITCH * z)
+        };
+        let fixed = |index: usize| Path::Fixed(corner(index / 2) + DVec3::X * PITCH * (index % 2) as f64);
+        let mut scene = scene(two, (0..self.bodies).map(fixed).collect());
+        scene.name = format!("{} {}", self.bodies, self.family.name());
+        for pair in &self.pairs {
+            scene.bodies[pair.moving].path = swing(corner(pair.still / 2), pair.phase, scene.dt);
+        }
+        scene
+    }
+}
+
+/// The pairs of all phases up to `count`, too far from each other to matter, for a reference of them.
+pub fn every_phase(two: &Scene, count: usize) -> Scene {
+    let corner = |pair: usize| DVec3::Y * (100.0 * pair as f64);
+    let paths = (0..count).flat_map(|phase| [Path::Fixed(corner(phase)), swing(corner(phase), phase, two.dt)]);
+    scene(two, paths.collect())
+}
+
+/// The path of the body that moves, the other standing at `corner`.
+fn swing(corner: DVec3, phase: usize, dt: f64) -> Path {
+    Path::Sine {
+        center: corner + DVec3::X * DISTANCE,
+        amplitude: DVec3::X * SWING,
+        frequency: 1.0 / (PERIOD as f64 * dt),
+        phase: TAU * phase as f64 / PHASES as f64,
+    }
+}
+
+/// Bodies like those of `two` on these paths.
+pub(super) fn scene(two: &Scene, paths: Vec<Path>) -> Scene {
+    let body = |(index, path): (usize, Path)| Body { name: format!("b{index}"), path, ..two.bodies[0].clone() };
+    let bodies = paths.into_iter().enumerate().map(body).collect();
+    Scene { bodies, pushes: vec![], source: String::new(), ..two.clone() }
+}

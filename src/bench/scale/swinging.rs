@@ -1,0 +1,140 @@
+//! Bodies whose vertices all swing freely, when every frame of them is wanted.
+//!
+//! Nothing acts, so steps cost nothing; what is timed is a step and the states of all vertices after it, as a recording
+//! would ask for them. Vertices that a sphere has touched have a state of their own each, 48 bytes, which has to come from
+//! memory; those that a push has moved follow from one number a body.
+
+use std::time::{Duration, Instant};
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::{BLOCKS, MeasureError, Pools, scenes};
+use crate::{
+    Scene, World,
+    scene::{Path, Push, path::Spline},
+    sim::world::States,
+};
+
+/// Why they swing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Cause {
+    /// A sphere was there, all around each of them.
+    Sphere,
+    /// They were pushed.
+    Push,
+}
+
+impl Cause {
+    /// What tables call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Cause::Sphere => "each vertex by itself",
+            Cause::Push => "all alike, pushed",
+        }
+    }
+}
+
+/// What was measured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Swinging {
+    /// Why they swing.
+    pub cause: Cause,
+    /// How many vertices.
+    pub vertices: u64,
+    /// Memory that the world has allocated, by vertex [bytes].
+    pub memory: f64,
+    /// Vertices times frames by time, on one core [1/s] …
+    pub one: f64,
+    /// … and on all.
+    pub all: Option<f64>,
+}
+
+/// So many bodies swing, if the scenes have as many: their states fill no cache.
+const BODIES: usize = 4000;
+/// By then nothing acts any more [s].
+const LEFT_ALONE: f64 = 1.0;
+
+/// Measures both.
+pub(super) fn measure(
+    two: &Scene,
+    pools: &Pools,
+    time: Duration,
+    most: usize,
+) -> Result<Vec<Swinging>, MeasureError> {
+    [Cause::Sphere, Cause::Push].into_iter().map(|cause| measure_one(cause, two, pools, time, most)).collect()
+}
+
+fn measure_one(
+    cause: Cause,
+    two: &Scene,
+    pools: &Pools,
+    time: Duration,
+    most: usize,
+) -> Result<Swinging, MeasureError> {
+    let scene = scene(cause, two, BODIES.min(most) / 2);
+    let vertices = scene.vertex_count();
+    let mut world = pools.best().install(|| World::new(scene))?;
+    pools.best().install(|| {
+        while world.time() < LEFT_ALONE {
+            world.step();
+        }
+    });
+    let share = time.as_secs_f64() / BLOCKS as f64;
+    let mut times = [vec![], vec![]];
+    for _ in 0..BLOCKS {
+        for (pool, times) in pools.each().zip(&mut times) {
+            pool.install(|| times.push(block(&mut world, share)));
+        }
+    }
+    let mut rates =
+        times.into_iter().map(|times| Some(vertices as f64 / times.into_iter().min_by(f64::total_cmp)?));
+    let one = rates.next().flatten().unwrap_or(f64::NAN);
+    let memory = world.memory() as f64 / vertices as f64;
+    Ok(Swinging { cause, vertices, memory, one, all: rates.next().flatten() })
+}
+
+/// Takes frames for so long; how long one takes [s].
+fn block(world: &mut World, share: f64) -> f64 {
+    let start = Instant::now();
+    for frames in 1.. {
+        world.step();
+        let world = &*world;
+        let largest = |states: &mut States, index: usize| {
+            world.body(index).states_into(states);
+            states.displacement.x[0]
+        };
+        let sum: f64 = (0..world.body_count()).into_par_iter().map_init(States::default, largest).sum();
+        std::hint::black_box(sum);
+        let elapsed = start.elapsed().as_secs_f64();
+        if elapsed >= share {
+            return elapsed / f64::from(frames);
+        }
+    }
+    f64::NAN
+}
+
+/// Pairs of bodies that stand inside of each other and are torn apart, or that are pushed.
+fn scene(cause: Cause, two: &Scene, pairs: usize) -> Scene {
+    let side = (1..).find(|side| side * side * side >= pairs).unwrap_or(1);
+    let corner = |pair: usize| {
+        let [x, y, z] = [pair % side, pair / side % side, pair / side / side].map(|i| i as f64);
+        DVec3::new(8.0 * x, 4.0 * y, 4.0 * z)
+    };
+    let paths = |pair: usize| {
+        let (a, away) = (corner(pair), corner(pair) + 4.0 * DVec3::X);
+        let other = match cause {
+            Cause::Sphere => {
+                Path::Keyframes(Spline::new(&[(0.0, a + 0.3 * DVec3::X), (0.5, away)]))
+            }
+            Cause::Push => Path::Fixed(away),
+        };
+        [Path::Fixed(a), other]
+    };
+    let mut scene = scenes::scene(two, (0..pairs).flat_map(paths).collect());
+    if cause == Cause::Push {
+        let push = |body| Push { body, direction: DVec3::X, strength: 60.0, start: 0.1, duration: 0.1 };
+        scene.pushes = (0..scene.bodies.len()).map(push).collect();
+    }
+    scene
+}

@@ -1,0 +1,59 @@
+//! `meldscope bench scale`.
+
+use std::{path::PathBuf, time::Duration};
+
+use super::{Failure, claim, print, progress_bar, write};
+use crate::bench::{
+    machine::Machine,
+    scale::{self, MeasureError, Settings, csv::csv, diagram, goals, table},
+};
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Numbers of bodies, 2 to a million each.
+    #[arg(long, value_name = "N", num_args = 1.., default_values = ["2", "10", "100", "1000", "10000", "100000"],
+          value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
+    bodies: Vec<u32>,
+    /// How long to time steps, for each number of bodies, each family of scenes, one core and all.
+    #[arg(long, value_name = "S", default_value = "0.5", value_parser = parse_seconds)]
+    seconds: f64,
+    /// Write the measurements to a file.
+    #[arg(long, value_name = "F.csv")]
+    csv: Option<PathBuf>,
+    /// Draw cost against size.
+    #[arg(long, value_name = "F.svg")]
+    svg: Option<PathBuf>,
+}
+
+fn parse_seconds(text: &str) -> Result<f64, String> {
+    let seconds: f64 = text.parse().map_err(|_| "expected a number of seconds".to_owned())?;
+    if (0.001..=60.0).contains(&seconds) { Ok(seconds) } else { Err("expected 0.001 to 60 seconds".to_owned()) }
+}
+
+pub fn scale(arguments: Arguments) -> Result<(), Failure> {
+    let [csv_file, svg_file] = [claim(arguments.csv.as_deref())?, claim(arguments.svg.as_deref())?];
+    if csv_file.is_some() && csv_file == svg_file {
+        return Err(Failure::Input("--csv and --svg name the same file: give each its own".to_owned()));
+    }
+    let mut bodies: Vec<usize> = arguments.bodies.iter().map(|&n| n as usize).collect();
+    bodies.sort_unstable();
+    bodies.dedup();
+    let settings = Settings { bodies, time: Duration::from_secs_f64(arguments.seconds) };
+
+    let machine = Machine::detect();
+    let bar = progress_bar("scale");
+    let measured = scale::measure(&settings, &mut |share| bar.set_position((1000.0 * share) as u64));
+    bar.finish_and_clear();
+    let report = measured.map_err(|error| match error {
+        MeasureError::TooLarge(_) => Failure::input(error),
+        MeasureError::NoScene | MeasureError::TooLong(_) | MeasureError::Threads(_) => Failure::Run(error.to_string()),
+    })?;
+    print(&table::table(&report));
+    print("");
+    print(&goals::table(&report));
+    print("");
+    print(&table::footer(&report, &machine));
+
+    write(csv_file, || Ok(csv(&report, &machine)))?;
+    write(svg_file, || diagram::svg(&report, &machine))
+}
