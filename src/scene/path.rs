@@ -165,6 +165,12 @@ impl Path {
         }
     }
 
+    /// What was allocated for it [bytes].
+    pub fn memory(&self) -> usize {
+        let Path::Keyframes(spline) = self else { return 0 };
+        spline.times.capacity() * size_of::<f64>() + spline.segments.capacity() * size_of::<Segment>()
+    }
+
     /// Whether the centre never moves.
     pub fn is_fixed(&self) -> bool {
         matches!(self, Path::Fixed(_))

@@ -8,6 +8,7 @@ use pulp::Arch;
 use super::{
     Span,
     body::{Active, Body, Extent, Scratch, Seen},
+    deformation::Front,
     integrator::{
         explicit::{self, Interval, Scheme},
         exponential::{
@@ -50,6 +51,15 @@ pub(super) struct Context<'a> {
     pub step: u64,
 }
 
+/// How far a neighbour's sphere is from the centre of a body, at the least, and how much it can pull.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Margin {
+    /// [scene unit]
+    gap: f64,
+    /// [scene unit/s²]
+    pull: f64,
+}
+
 /// An instant at which surroundings are wanted.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Moment {
@@ -70,7 +80,7 @@ impl Context<'_> {
         });
         if active.effort.substeps > 0 {
             active.extent = Extent::of(&active.deformation, active.oscillator, self.arch);
-            active.bound += self.force_bound(active.body, span) * span.length();
+            active.bound += self.force_bound(active, span) * span.length();
             let is_plain = !self.skip || Scheme::of(self.scene.integrator).is_some();
             if is_plain && active.extent.momentum < REST && active.common.is_zero() {
                 active.deformation.clear();
@@ -84,10 +94,14 @@ impl Context<'_> {
     }
 
     /// A bound of the acceleration of any vertex by anything but its oscillator during `span` [scene unit/s²].
-    fn force_bound(&self, index: u32, span: Span) -> f64 {
-        let neighbours = &self.body(index).neighbours;
-        let pulls = neighbours.iter().map(|neighbour| strongest_pull(self.scene, index, neighbour.other));
-        self.own_force(index, span) + pulls.sum::<f64>()
+    fn force_bound(&self, active: &Active, span: Span) -> f64 {
+        let own = self.own_force(active.body, span);
+        if Scheme::of(self.scene.integrator).is_none() {
+            return own + active.pull;
+        }
+        // an inaccurate step may have taken vertices to any neighbour
+        let neighbours = &self.body(active.body).neighbours;
+        own + neighbours.iter().map(|neighbour| self.strongest_pull(active.body, neighbour.other)).sum::<f64>()
     }
 
     /// A bound of the acceleration of any vertex by pushes and by the body's own motion during `span` [scene unit/s²].
@@ -104,14 +118,22 @@ impl Context<'_> {
 
     /// How near the centres of two bodies can come within the step, less what rounding of them can do [scene unit].
     pub fn nearest(&self, a: u32, b: u32, span: Span) -> f64 {
-        let [a, b] = [a, b].map(|i| {
-            let centre = self.tracks.kinematics(self.scene, i as usize, 0).position;
-            let speed = self.tracks.bounds(i as usize).map_or(0.0, |bounds| bounds.speed);
-            (centre, speed * span.length())
-        });
-        let distance = a.0.distance(b.0);
-        let far = a.0.abs().max_element() + b.0.abs().max_element() + distance;
-        distance - (a.1 + b.1) - 8.0 * f64::EPSILON * far
+        let [a, b] = [self.tracks.whereabouts(a), self.tracks.whereabouts(b)];
+        let distance = a.centre.distance(b.centre);
+        let far = a.centre.abs().max_element() + b.centre.abs().max_element() + distance;
+        distance - (a.speed + b.speed) * span.length() - 8.0 * f64::EPSILON * far
+    }
+
+    /// A bound of the acceleration of any vertex of body `this` by the sphere of body `source`, in any phase
+    /// [scene unit/s²].
+    fn strongest_pull(&self, this: u32, source: u32) -> f64 {
+        let influence = &self.scene.influence;
+        let [this, source] = [self.tracks.whereabouts(this), self.tracks.whereabouts(source)];
+        let strength = [Phase::Merged, Phase::Apart, Phase::Core]
+            .map(|phase| influence.strength(phase, this.radius, source.radius).abs())
+            .into_iter()
+            .fold(0.0, f64::max);
+        strength * source.sphere * influence.weight.max_pull()
     }
 
     /// Finds the influence spheres that can reach a body's vertices within the step, and how far from the centre it can
@@ -120,29 +142,35 @@ impl Context<'_> {
     /// the first to do so, so never does.
     pub fn find_reachable(&self, active: &mut Active, span: Span) {
         let mut reachable = std::mem::take(&mut active.reachable);
-        active.farthest = self.farthest(active, span, &mut reachable);
+        SCRATCH.with_borrow_mut(|scratch| {
+            let margins = &mut scratch.margins;
+            (active.farthest, active.pull) = self.farthest(active, span, margins);
+            let neighbours = self.body(active.body).neighbours.iter().zip(&*margins);
+            reachable.clear();
+            reachable.extend(neighbours.filter(|(_, margin)| margin.gap <= active.farthest).map(|(source, _)| source));
+        });
         reachable.retain(|source| self.acts(source, active.body));
         active.reachable = reachable;
     }
 
-    fn farthest(&self, active: &Active, span: Span, reachable: &mut Vec<Neighbour>) -> f64 {
+    /// How far from the centre a body can have vertices in the step [scene unit], and a bound of the acceleration of any by
+    /// spheres [scene unit/s²].
+    fn farthest(&self, active: &Active, span: Span, margins: &mut Vec<Margin>) -> (f64, f64) {
         let index = active.body;
-        let radius = self.scene.bodies[index as usize].radius;
+        let radius = self.tracks.whereabouts(index).radius;
         let own_force = self.own_force(index, span);
-        let neighbours = &self.body(index).neighbours;
-        let h = span.length();
+        margins.clear();
+        margins.extend(self.body(index).neighbours.iter().map(|neighbour| Margin {
+            gap: self.nearest(index, neighbour.other, span) - self.tracks.whereabouts(neighbour.other).sphere,
+            pull: self.strongest_pull(index, neighbour.other),
+        }));
         let mut pull = 0.0;
         loop {
-            let farthest = radius + active.farthest(own_force, pull, h);
-            reachable.clear();
-            reachable.extend(neighbours.iter().filter(|neighbour| {
-                let sphere = self.scene.influence.sphere_radius(self.scene.bodies[neighbour.other as usize].radius);
-                self.nearest(index, neighbour.other, span) <= sphere + farthest
-            }));
-            let next = reachable.iter().map(|source| strongest_pull(self.scene, index, source.other)).sum();
+            let farthest = radius + active.farthest(own_force, pull, span.length());
+            let next = margins.iter().filter(|margin| margin.gap <= farthest).map(|margin| margin.pull).sum();
             // written so that what is not a number ends it
             if !(next > pull) {
-                return farthest;
+                return (farthest, pull);
             }
             pull = next;
         }
@@ -184,12 +212,12 @@ impl Context<'_> {
     fn advance_exponentially(&self, active: &mut Active, span: Span, scratch: &mut Scratch) -> Effort {
         let scene = self.scene;
         let index = active.body as usize;
-        let now = active.now(self.step, scene.dt);
+        let now = active.now(self.step, scene.dt, self.arch);
         if !self.skip {
             active.deformation.wake_all(&self.body(active.body).unit, scene.bodies[index].radius);
         } else if active.reachable.is_empty() {
             if active.can_sleep() {
-                active.deformation.let_go(now);
+                active.deformation.let_go(self.body(active.body).unit.len(), now, &mut scratch.deformation);
                 active.seen.clear();
             }
             let is_idle = self.own_force(active.body, span) == 0.0;
@@ -202,16 +230,23 @@ impl Context<'_> {
         }
         active.common_as_of = self.step + 1;
 
-        self.find_breaks(active.body, &active.reachable, span, &mut scratch.breaks);
+        scratch.felt.clear();
         if self.skip && !(active.reachable.is_empty() && active.can_sleep()) {
             self.choose_front(active, span, scratch);
+            let is_untouched = active.deformation.front.vertices.is_empty() && active.common.is_zero();
+            if is_untouched && self.own_force(active.body, span) == 0.0 {
+                return Effort::default();
+            }
+        } else {
+            scratch.felt.extend(&active.reachable);
         }
-        let Scratch { breaks, spheres, pushes, exponential, .. } = scratch;
+        let Scratch { breaks, felt, spheres, pushes, exponential, .. } = scratch;
+        self.find_breaks(active.body, felt, span, breaks);
         let manner = Manner { arch: self.arch, tolerance: scene.tolerance * scene.bodies[index].radius };
         let mut total = Effort::default();
         for ends in breaks.windows(2) {
             let part = Span { start: ends[0], end: ends[1] };
-            self.find_spheres(active.body, &active.reachable, part, spheres);
+            self.find_spheres(active.body, felt, part, spheres);
             self.find_pushes(active.body, part, pushes);
             let is_whole = breaks.len() == 2;
             let course = Course {
@@ -239,10 +274,8 @@ impl Context<'_> {
 
     /// Whether a sphere acts on a body in any phase that the pair has in the step.
     fn acts(&self, source: &Neighbour, index: u32) -> bool {
-        let strength = |phase| {
-            let (this, other) = (&self.scene.bodies[index as usize], &self.scene.bodies[source.other as usize]);
-            self.scene.influence.strength(phase, this.radius, other.radius)
-        };
+        let [this, other] = [self.tracks.whereabouts(index), self.tracks.whereabouts(source.other)];
+        let strength = |phase| self.scene.influence.strength(phase, this.radius, other.radius);
         let phases = self.pairs.changes(source.pair).iter().map(|&(_, phase)| phase);
         phases.chain([self.pairs.get(source.pair).phase]).any(|phase| strength(phase) != 0.0)
     }
@@ -274,14 +307,13 @@ impl Context<'_> {
 
     /// The influence spheres among `sources` that act on a body in a stretch of the step.
     fn find_spheres(&self, index: u32, sources: &[Neighbour], part: Span, spheres: &mut Vec<Sphere>) {
-        let scene = self.scene;
-        let this = &scene.bodies[index as usize];
+        let this = self.tracks.whereabouts(index);
         spheres.clear();
         for source in sources {
-            let other = &scene.bodies[source.other as usize];
+            let other = self.tracks.whereabouts(source.other);
             let phase = self.pairs.phase_at(source.pair, part.start);
-            let strength = scene.influence.strength(phase, this.radius, other.radius);
-            let radius = scene.influence.sphere_radius(other.radius);
+            let strength = self.scene.influence.strength(phase, this.radius, other.radius);
+            let radius = other.sphere;
             if strength != 0.0 {
                 spheres.push(Sphere { body: source.other, radius, inverse_radius: 1.0 / radius, strength });
             }
@@ -298,47 +330,53 @@ impl Context<'_> {
         }));
     }
 
-    /// Sees to it that the front has every vertex that a sphere can reach within the step.
+    /// Sees to it that the front has every vertex that a sphere can reach within the step, and finds the spheres that can
+    /// reach any of it.
     fn choose_front(&self, active: &mut Active, span: Span, scratch: &mut Scratch) {
-        let Scratch { gaps, centres, moved, deformation, .. } = scratch;
+        let Scratch { gaps, centres, moved, deformation, felt, .. } = scratch;
         let reachable = &active.reachable;
-        let (scene, index) = (self.scene, active.body as usize);
-        let radius = scene.bodies[index].radius;
+        let this = self.tracks.whereabouts(active.body);
+        let radius = this.radius;
         let exponential::course::Common { carried, pushed } = &active.common;
-        let own = self.tracks.kinematics(scene, index, 0).position + carried.x;
+        let own = this.centre + carried.x;
         centres.clear();
         centres.extend(reachable.iter().map(|source| {
-            let other = &scene.bodies[source.other as usize];
-            let centre = self.tracks.kinematics(scene, source.other as usize, 0).position;
-            (centre - own, scene.influence.sphere_radius(other.radius))
+            let other = self.tracks.whereabouts(source.other);
+            (other.centre - own, other.sphere)
         }));
 
         // How far spheres move relative to rest positions within the step.
         let own_force = self.own_force(active.body, span);
         let (_, momentum) = active.common.bounds(active.oscillator.omega);
         let common = (momentum + own_force * span.length()) * span.length();
-        let speed = |body: usize| self.tracks.bounds(body).map_or(0.0, |bounds| bounds.speed);
-        let fastest = reachable.iter().map(|source| speed(source.other as usize)).fold(0.0, f64::max);
-        let travel = (speed(index) + fastest) * span.length() + common;
+        let speed = |body: u32| self.tracks.whereabouts(body).speed;
+        let fastest = reachable.iter().map(|source| speed(source.other)).fold(0.0, f64::max);
+        let travel = (this.speed + fastest) * span.length() + common;
         let turned: f64 = pushed.iter().zip(&active.seen_pushed).map(|(now, then)| (now.x - then).abs()).sum();
 
+        // The front can get as far from rest as any vertex: a sphere that is farther from all of it is not felt.
+        let swings = active.farthest - radius;
+        let is_felt = |clear: f64, moved: f64| !(clear - moved > swings);
         let mut seen = active.seen.iter();
+        felt.clear();
         let is_good = !active.seen.is_empty()
             && reachable.iter().zip(&*centres).all(|(source, &(centre, _))| {
                 // both are in the order of the bodies
                 let found = seen.find(|seen| seen.body >= source.other);
                 let then = found.filter(|seen| seen.body == source.other);
-                then.is_some_and(|seen| (centre - seen.centre).length() + turned + travel <= active.skin)
+                then.is_some_and(|seen| {
+                    let moved = (centre - seen.centre).length() + turned + travel;
+                    if is_felt(seen.clear, moved) {
+                        felt.push(*source);
+                    }
+                    moved <= active.skin
+                })
             });
         if is_good {
             return;
         }
 
         active.skin = f64::max(SKIN * radius, SKIN_STEPS * travel);
-        active.seen.clear();
-        active
-            .seen
-            .extend(reachable.iter().zip(&*centres).map(|(source, &(centre, _))| Seen { body: source.other, centre }));
         active.seen_pushed.clear();
         active.seen_pushed.extend(pushed.iter().map(|pushed| pushed.x));
 
@@ -351,8 +389,20 @@ impl Context<'_> {
             moved.extend(unit.iter().map(|unit| active.common.moved(unit, pushes)));
         }
         self.arch.dispatch(|| find_gaps(unit, radius, moved, centres, gaps));
-        let now = active.now(self.step, scene.dt);
+        let now = active.now(self.step, self.scene.dt, self.arch);
+        active.deformation.gather(unit.len(), now, deformation);
         active.deformation.choose_front(unit, radius, gaps, active.skin, now, deformation);
+
+        active.seen.clear();
+        felt.clear();
+        for (source, &(centre, sphere)) in reachable.iter().zip(&*centres) {
+            let front = &active.deformation.front;
+            let clear = self.arch.dispatch(|| clearance(front, moved, centre)) - sphere;
+            active.seen.push(Seen { body: source.other, centre, clear });
+            if is_felt(clear, travel) {
+                felt.push(*source);
+            }
+        }
     }
 
     /// What acts on a body at a moment, with no vertices farther from its centre than `farthest` [scene unit].
@@ -408,13 +458,27 @@ fn find_gaps(unit: &super::Vectors, radius: f64, moved: &[DVec3], centres: &[(DV
     }
 }
 
-/// A bound of the acceleration of any vertex of body `this` by the sphere of body `source`, in any phase
-/// [scene unit/s²].
-pub(super) fn strongest_pull(scene: &Scene, this: u32, source: u32) -> f64 {
-    let (radius, source) = (scene.bodies[this as usize].radius, scene.bodies[source as usize].radius);
-    let strength = [Phase::Merged, Phase::Apart, Phase::Core]
-        .map(|phase| scene.influence.strength(phase, radius, source).abs())
-        .into_iter()
-        .fold(0.0, f64::max);
-    strength * scene.influence.sphere_radius(source) * scene.influence.weight.max_pull()
+/// How near a centre is to the nearest rest position of a front, moved if `moved` says so [scene unit].
+#[inline(always)]
+fn clearance(front: &Front, moved: &[DVec3], centre: DVec3) -> f64 {
+    let mut nearest = [f64::INFINITY; 8];
+    let n = front.rest.len();
+    let (lx, ly, lz) = (&front.rest.x[..n], &front.rest.y[..n], &front.rest.z[..n]);
+    if moved.is_empty() {
+        // padded to whole lanes
+        for first in (0..n).step_by(8) {
+            for lane in 0..8 {
+                let i = first + lane;
+                let (dx, dy, dz) = (centre.x - lx[i], centre.y - ly[i], centre.z - lz[i]);
+                let square = dx * dx + dy * dy + dz * dz;
+                nearest[lane] = if square < nearest[lane] { square } else { nearest[lane] };
+            }
+        }
+    } else {
+        for (i, &v) in front.vertices.iter().enumerate() {
+            let square = (centre - front.rest.get(i) - moved[v as usize]).length_squared();
+            nearest[0] = f64::min(nearest[0], square);
+        }
+    }
+    nearest.into_iter().fold(f64::INFINITY, f64::min).sqrt()
 }

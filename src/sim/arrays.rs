@@ -96,6 +96,13 @@ impl Vectors {
         (0..self.len()).map(|i| self.get(i))
     }
 
+    /// Makes all of them the same.
+    pub fn fill(&mut self, DVec3 { x, y, z }: DVec3) {
+        self.x.fill(x);
+        self.y.fill(y);
+        self.z.fill(z);
+    }
+
     /// Keeps the storage, holds `count` zero vectors.
     pub fn reset(&mut self, count: usize) {
         for axis in [&mut self.x, &mut self.y, &mut self.z] {

@@ -6,6 +6,7 @@ use glam::DVec3;
 use pulp::Arch;
 
 use super::{
+    advance::Margin,
     arrays::Vectors,
     deformation::{self, Deformation, Now},
     integrator::{
@@ -86,6 +87,8 @@ pub(super) struct Active {
     pub reachable: Vec<Neighbour>,
     /// How far from the centre it can have vertices in this step [scene unit].
     pub farthest: f64,
+    /// A bound of the acceleration of any vertex by spheres in this step [scene unit/s²].
+    pub pull: f64,
     /// What its last step took.
     pub effort: Effort,
 }
@@ -97,6 +100,8 @@ pub(super) struct Seen {
     pub body: u32,
     /// Its centre relative to the body's, shifted by what all vertices do alike [scene unit].
     pub centre: DVec3,
+    /// How far all rest positions of the front were outside of it [scene unit].
+    pub clear: f64,
 }
 
 /// Reused from body to body by each thread.
@@ -104,6 +109,8 @@ pub(super) struct Seen {
 pub(super) struct Scratch {
     pub interval: Interval,
     pub breaks: Vec<f64>,
+    pub margins: Vec<Margin>,
+    pub felt: Vec<Neighbour>,
     pub spheres: Vec<Sphere>,
     pub pushes: Vec<exponential::course::Push>,
     pub gaps: Vec<f64>,
@@ -130,6 +137,7 @@ impl Active {
             skin: 0.0,
             reachable: Vec::new(),
             farthest: 0.0,
+            pull: 0.0,
             effort: Effort::default(),
         }
     }
@@ -155,23 +163,52 @@ impl Active {
 
     /// What all its vertices do alike at the end of the last step.
     pub fn common_at(&self, now: Now) -> Common {
-        let mut common = self.common.clone();
-        let steps = now.step - self.common_as_of;
-        if steps > 0 && !common.is_zero() {
-            let [xx, xu, ux, uu] = now.oscillator.flow(steps as f64 * now.dt);
-            let State { x, u } = common.carried;
-            common.carried = State { x: xx * x + xu * u, u: ux * x + uu * u };
-            for pushed in &mut common.pushed {
-                let Pushed { x, u } = *pushed;
-                *pushed = Pushed { x: xx * x + xu * u, u: ux * x + uu * u };
-            }
+        let flow = self.common_flow(now);
+        Common { carried: flowed(self.common.carried, flow), pushed: self.pushed_at(flow).collect() }
+    }
+
+    /// Adds that to the states of all vertices, which are zero; `unit` are their unit rest positions.
+    pub fn add_common_to(
+        &self,
+        unit: &Vectors,
+        pushes: &[scene::Push],
+        displacement: &mut Vectors,
+        velocity: &mut Vectors,
+        now: Now,
+    ) {
+        if self.common.is_zero() {
+            return;
         }
-        common
+        let flow = self.common_flow(now);
+        let State { x, u } = flowed(self.common.carried, flow);
+        displacement.fill(x);
+        velocity.fill(u);
+        for (pushed, push) in self.pushed_at(flow).zip(pushes) {
+            now.arch.dispatch(|| add_push(unit, push.direction, pushed, displacement, velocity));
+        }
+    }
+
+    /// The flow that takes what all vertices do alike to the end of the last step.
+    fn common_flow(&self, now: Now) -> [f64; 4] {
+        let steps = now.step - self.common_as_of;
+        if steps == 0 || self.common.is_zero() {
+            return [1.0, 0.0, 0.0, 1.0];
+        }
+        let flow = now.oscillator.flow(steps as f64 * now.dt);
+        let [xx, xu, ux, uu] = flow;
+        let (x, momentum) = self.common.bounds(now.oscillator.omega);
+        let left = (xx.abs() + ux.abs()) * x + (xu.abs() + uu.abs()) * momentum;
+        // numbers that are much smaller still are slow to compute with
+        if left < REST { [0.0; 4] } else { flow }
+    }
+
+    fn pushed_at(&self, [xx, xu, ux, uu]: [f64; 4]) -> impl Iterator<Item = Pushed> + '_ {
+        self.common.pushed.iter().map(move |&Pushed { x, u }| Pushed { x: xx * x + xu * u, u: ux * x + uu * u })
     }
 
     /// When it is looked at.
-    pub fn now(&self, step: u64, dt: f64) -> Now {
-        Now { step, dt, oscillator: self.oscillator }
+    pub fn now(&self, step: u64, dt: f64, arch: Arch) -> Now {
+        Now { step, dt, oscillator: self.oscillator, arch }
     }
 
     /// How far from rest its vertices swing if nothing else acts [scene unit]: no less than any |x|, and unlike those
@@ -201,6 +238,35 @@ impl Active {
         let (x, m) = self.common.bounds(self.oscillator.omega);
         let (x, m) = (x + displacement, m + momentum);
         !x.is_finite() || !m.is_finite() || m > MARGIN * self.bound
+    }
+}
+
+/// What is smaller is nothing [scene unit, scene unit/s].
+const REST: f64 = 1e-150;
+
+/// What a flow makes of a state.
+fn flowed(State { x, u }: State, [xx, xu, ux, uu]: [f64; 4]) -> State {
+    State { x: xx * x + xu * u, u: ux * x + uu * u }
+}
+
+/// Adds the response to a push to the states of all vertices; see [`Common::of`].
+#[inline(always)]
+fn add_push(unit: &Vectors, d: DVec3, pushed: Pushed, displacement: &mut Vectors, velocity: &mut Vectors) {
+    // slices of one length, so that the loop has no bounds to check and is vectorised
+    let n = unit.len();
+    let (lx, ly, lz) = (&unit.x[..n], &unit.y[..n], &unit.z[..n]);
+    let [x, y, z] = [&mut displacement.x[..n], &mut displacement.y[..n], &mut displacement.z[..n]];
+    let [u, v, w] = [&mut velocity.x[..n], &mut velocity.y[..n], &mut velocity.z[..n]];
+    for i in 0..n {
+        let squarely = -(lx[i] * d.x + ly[i] * d.y + lz[i] * d.z);
+        let facing = if squarely > 0.0 { squarely } else { 0.0 };
+        let (ax, ay, az) = (d.x * facing, d.y * facing, d.z * facing);
+        x[i] += ax * pushed.x;
+        y[i] += ay * pushed.x;
+        z[i] += az * pushed.x;
+        u[i] += ax * pushed.u;
+        v[i] += ay * pushed.u;
+        w[i] += az * pushed.u;
     }
 }
 

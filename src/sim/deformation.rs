@@ -5,6 +5,7 @@
 //! exact flow takes it to any later time in one go, when somebody asks.
 
 use glam::DVec3;
+use pulp::Arch;
 
 use super::{
     arrays::Vectors,
@@ -25,8 +26,6 @@ pub struct Deformation {
     pub front: Front,
     /// Those that swing freely.
     pub swinging: Swinging,
-    /// Where each vertex is, `[vertex_count]`; empty if all are at rest.
-    places: Vec<Place>,
 }
 
 /// Vertices that take every step, as arrays that are read in lanes: padded with repetitions of the last.
@@ -45,26 +44,16 @@ pub struct Front {
 /// Vertices that swing freely.
 #[derive(Clone, Debug, Default)]
 pub struct Swinging {
-    /// Which they are.
+    /// Which they are, ascending.
     pub vertices: Vec<u32>,
-    /// The step at whose end they had the state below.
-    pub as_of: Vec<u64>,
+    /// The step at whose end they had the states below.
+    pub as_of: u64,
     /// Displacements then [scene unit].
     pub displacement: Vectors,
     /// Velocities then [scene unit/s].
     pub velocity: Vectors,
-    /// How far each swings at most [scene unit].
-    pub amplitude: Vec<f64>,
-    /// The largest of these.
+    /// How far any of them swings at most [scene unit].
     pub largest: f64,
-}
-
-/// Where the state of a vertex is kept.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Place {
-    Rest,
-    Front(u32),
-    Swinging(u32),
 }
 
 /// Reused from step to step.
@@ -72,7 +61,9 @@ enum Place {
 pub struct Scratch {
     front: Front,
     swinging: Swinging,
-    amplitude: Vec<f64>,
+    states: Vec<State>,
+    /// How far each vertex swings by itself [scene unit], `[vertex_count]`.
+    pub amplitudes: Vec<f64>,
     chosen: Vec<u32>,
 }
 
@@ -85,7 +76,12 @@ pub struct Now {
     pub dt: f64,
     /// Of the body.
     pub oscillator: Oscillator,
+    /// The instruction set of the kernels.
+    pub arch: Arch,
 }
+
+/// A vertex that swings by less is at rest [scene unit]: numbers that are much smaller still are slow to compute with.
+const REST: f64 = 1e-150;
 
 impl Deformation {
     /// Whether nothing single has happened to any vertex.
@@ -95,38 +91,48 @@ impl Deformation {
 
     /// What was allocated for it [bytes].
     pub fn memory(&self) -> usize {
-        let Deformation { front, swinging, places } = self;
+        let Deformation { front, swinging } = self;
         let vectors = [&front.rest, &front.displacement, &front.velocity, &swinging.displacement, &swinging.velocity];
         vectors.into_iter().map(Vectors::memory).sum::<usize>()
             + (front.vertices.capacity() + swinging.vertices.capacity()) * size_of::<u32>()
-            + swinging.as_of.capacity() * size_of::<u64>()
-            + swinging.amplitude.capacity() * size_of::<f64>()
-            + places.capacity() * size_of::<Place>()
     }
 
     /// The state of one vertex at the end of the last step.
     pub fn state(&self, vertex: usize, now: Now) -> State {
-        match self.places.get(vertex) {
-            None | Some(Place::Rest) => State::default(),
-            Some(&Place::Front(i)) => self.front.state(i as usize),
-            Some(&Place::Swinging(i)) => self.swinging.state(i as usize, now, &mut Flow::none()),
+        let v = vertex as u32;
+        if let Ok(i) = self.swinging.vertices.binary_search(&v) {
+            return self.swinging.flow(now).map_or(State::default(), |flow| self.swinging.state(i, flow));
         }
+        let front = &self.front.vertices;
+        let all = (front.get(vertex) == Some(&v)).then_some(vertex);
+        let place = all.or_else(|| front.iter().position(|&other| other == v));
+        place.map_or(State::default(), |i| self.front.state(i))
     }
 
     /// Adds the states of all vertices at the end of the last step to those in the arrays.
     pub fn add_to(&self, displacement: &mut Vectors, velocity: &mut Vectors, now: Now) {
-        let mut add = |vertex: u32, State { x, u }: State| {
-            let v = vertex as usize;
+        for (i, &vertex) in self.front.vertices.iter().enumerate() {
+            let (v, State { x, u }) = (vertex as usize, self.front.state(i));
             displacement.set(v, displacement.get(v) + x);
             velocity.set(v, velocity.get(v) + u);
-        };
-        for (i, &vertex) in self.front.vertices.iter().enumerate() {
-            add(vertex, self.front.state(i));
         }
-        let mut flow = Flow::none();
-        for (i, &vertex) in self.swinging.vertices.iter().enumerate() {
-            add(vertex, self.swinging.state(i, now, &mut flow));
-        }
+        let swinging = &self.swinging;
+        let Some(flow) = swinging.flow(now).filter(|_| !swinging.vertices.is_empty()) else { return };
+        now.arch.dispatch(|| {
+            if swinging.vertices.len() == displacement.len() {
+                // every vertex, in order
+                let (x, u) = (&swinging.displacement, &swinging.velocity);
+                add_swings(flow, &x.x, &u.x, &mut displacement.x, &mut velocity.x);
+                add_swings(flow, &x.y, &u.y, &mut displacement.y, &mut velocity.y);
+                add_swings(flow, &x.z, &u.z, &mut displacement.z, &mut velocity.z);
+                return;
+            }
+            for (i, &vertex) in swinging.vertices.iter().enumerate() {
+                let (v, State { x, u }) = (vertex as usize, swinging.state(i, flow));
+                displacement.set(v, displacement.get(v) + x);
+                velocity.set(v, velocity.get(v) + u);
+            }
+        });
     }
 
     /// Puts all vertices into the front, in their order, those that were at rest with a state of zero.
@@ -134,7 +140,6 @@ impl Deformation {
         if !self.is_empty() {
             return;
         }
-        self.places.extend((0..unit.len() as u32).map(Place::Front));
         self.front.clear();
         for (i, unit) in unit.iter().enumerate() {
             self.front.push(i as u32, radius * unit, State::default());
@@ -161,11 +166,30 @@ impl Deformation {
     pub fn clear(&mut self) {
         self.front.clear();
         self.swinging.clear();
-        self.places.clear();
+    }
+
+    /// The states of all vertices, and how far each swings by itself, for [`Deformation::choose_front`].
+    pub fn gather(&self, count: usize, now: Now, scratch: &mut Scratch) {
+        let Scratch { states, amplitudes, .. } = scratch;
+        states.clear();
+        states.resize(count, State::default());
+        amplitudes.clear();
+        amplitudes.resize(count, 0.0);
+        let omega = now.oscillator.omega;
+        for (i, &v) in self.front.vertices.iter().enumerate() {
+            states[v as usize] = self.front.state(i);
+            amplitudes[v as usize] = swing(states[v as usize], omega);
+        }
+        let Some(flow) = self.swinging.flow(now) else { return };
+        for (i, &v) in self.swinging.vertices.iter().enumerate() {
+            states[v as usize] = self.swinging.state(i, flow);
+            amplitudes[v as usize] = swing(states[v as usize], omega);
+        }
     }
 
     /// Chooses the front anew: the vertices whose `gap` [scene unit], by which their rest position is outside of every
-    /// sphere, is no more than `skin` and what they may swing. The others swing freely from now on.
+    /// sphere, is no more than `skin` and what they may swing. The others swing freely from now on. What all of them do now
+    /// has been [gathered](Deformation::gather).
     pub fn choose_front(
         &mut self,
         unit: &Vectors,
@@ -175,74 +199,53 @@ impl Deformation {
         now: Now,
         scratch: &mut Scratch,
     ) {
-        let omega = now.oscillator.omega;
-        if self.places.is_empty() {
-            self.places.resize(unit.len(), Place::Rest);
-        }
-        let Scratch { front, swinging, amplitude, chosen } = scratch;
-        amplitude.clear();
-        amplitude.resize(unit.len(), 0.0);
-        for (i, &vertex) in self.front.vertices.iter().enumerate() {
-            amplitude[vertex as usize] = swing(self.front.state(i), omega);
-        }
-        for (&vertex, &swing) in self.swinging.vertices.iter().zip(&self.swinging.amplitude) {
-            amplitude[vertex as usize] = swing;
-        }
+        let Scratch { front, swinging, states, amplitudes, chosen } = scratch;
         // Those inside a sphere first: vertices side by side then have the same to do. What is not a number is in.
+        let is_chosen = |v: usize| gap[v] < 0.0 || !(gap[v] - amplitudes[v] > skin);
         chosen.clear();
         chosen.extend((0..unit.len() as u32).filter(|&v| gap[v as usize] < 0.0));
-        chosen.extend((0..unit.len() as u32).filter(|&v| {
-            let v = v as usize;
-            !(gap[v] < 0.0 || gap[v] - amplitude[v] > skin)
-        }));
+        chosen.extend((0..unit.len() as u32).filter(|&v| !(gap[v as usize] < 0.0) && is_chosen(v as usize)));
 
         front.clear();
-        swinging.clear();
-        let mut flow = Flow::none();
         for &v in chosen.iter() {
-            let place = &mut self.places[v as usize];
-            let state = match *place {
-                Place::Rest => State::default(),
-                Place::Front(i) => self.front.state(i as usize),
-                Place::Swinging(i) => self.swinging.state(i as usize, now, &mut flow),
-            };
-            *place = Place::Front(u32::MAX); // chosen; its index comes below
-            front.push(v, radius * unit.get(v as usize), state);
-        }
-        for (i, &v) in self.front.vertices.iter().enumerate() {
-            if self.places[v as usize] == Place::Front(i as u32) {
-                let state = self.front.state(i);
-                self.places[v as usize] = swinging.push(v, now.step, state, amplitude[v as usize]);
-            }
-        }
-        for (i, &v) in self.swinging.vertices.iter().enumerate() {
-            if self.places[v as usize] == Place::Swinging(i as u32) {
-                let state = State { x: self.swinging.displacement.get(i), u: self.swinging.velocity.get(i) };
-                self.places[v as usize] = swinging.push(v, self.swinging.as_of[i], state, amplitude[v as usize]);
-            }
-        }
-        for (i, &v) in front.vertices.iter().enumerate() {
-            self.places[v as usize] = Place::Front(i as u32);
+            front.push(v, radius * unit.get(v as usize), states[v as usize]);
         }
         front.pad();
+        swinging.clear();
+        swinging.as_of = now.step;
+        for v in 0..unit.len() {
+            if amplitudes[v] != 0.0 && !is_chosen(v) {
+                swinging.push(v as u32, states[v], amplitudes[v]);
+            }
+        }
         self.front.copy_from(front);
         self.swinging.copy_from(swinging);
-        if self.is_empty() {
-            self.places.clear();
-        }
     }
 
     /// Lets all vertices swing freely from now on.
-    pub fn let_go(&mut self, now: Now) {
-        for i in 0..self.front.vertices.len() {
-            let (v, state) = (self.front.vertices[i], self.front.state(i));
-            let amplitude = swing(state, now.oscillator.omega);
-            self.places[v as usize] = self.swinging.push(v, now.step, state, amplitude);
+    pub fn let_go(&mut self, count: usize, now: Now, scratch: &mut Scratch) {
+        if self.front.vertices.is_empty() {
+            return;
         }
-        self.front.clear();
-        if self.is_empty() {
-            self.places.clear();
+        self.gather(count, now, scratch);
+        let Scratch { states, amplitudes, .. } = scratch;
+        self.clear();
+        self.swinging.as_of = now.step;
+        for v in 0..count {
+            self.swinging.push(v as u32, states[v], amplitudes[v]);
         }
+    }
+}
+
+/// Adds to displacements and velocities what a flow makes of those that were: one coordinate of all vertices.
+#[inline(always)]
+fn add_swings([xx, xu, ux, uu]: [f64; 4], x: &[f64], u: &[f64], displacement: &mut [f64], velocity: &mut [f64]) {
+    // slices of one length, so that the loop has no bounds to check and is vectorised
+    let n = displacement.len();
+    let (x, u, velocity) = (&x[..n], &u[..n], &mut velocity[..n]);
+    for i in 0..n {
+        displacement[i] += xx * x[i] + xu * u[i];
+        velocity[i] += ux * x[i] + uu * u[i];
     }
 }
 
@@ -255,18 +258,6 @@ fn swing(State { x, u }: State, omega: f64) -> f64 {
         return f64::INFINITY; // it may drift anywhere
     }
     (x.length_squared() + (u / omega).length_squared()).sqrt()
-}
-
-/// A flow over some steps, kept for the next who wants the same.
-struct Flow {
-    steps: u64,
-    matrix: [f64; 4],
-}
-
-impl Flow {
-    fn none() -> Flow {
-        Flow { steps: 0, matrix: [1.0, 0.0, 0.0, 1.0] }
-    }
 }
 
 impl Front {
@@ -317,47 +308,51 @@ impl Front {
 }
 
 impl Swinging {
-    /// The state of one of them at the end of the last step.
-    fn state(&self, i: usize, now: Now, flow: &mut Flow) -> State {
-        let steps = now.step - self.as_of[i];
-        if steps != flow.steps {
-            *flow = Flow { steps, matrix: now.oscillator.flow(steps as f64 * now.dt) };
+    /// The flow that takes them to the end of the last step; `None` if there is nothing left of them by then.
+    fn flow(&self, now: Now) -> Option<[f64; 4]> {
+        let steps = now.step - self.as_of;
+        if steps == 0 || self.vertices.is_empty() {
+            return Some([1.0, 0.0, 0.0, 1.0]);
         }
+        let flow = now.oscillator.flow(steps as f64 * now.dt);
+        let [xx, xu, ux, uu] = flow;
+        let omega = now.oscillator.omega;
+        // |x| and |u|/ω are no larger than `largest`
+        let left = self.largest * (xx.abs() + xu.abs() * omega).max(ux.abs() / omega + uu.abs());
+        (!(left < REST)).then_some(flow)
+    }
+
+    /// The state that a flow makes of one of them.
+    #[inline(always)]
+    fn state(&self, i: usize, [xx, xu, ux, uu]: [f64; 4]) -> State {
         let (x, u) = (self.displacement.get(i), self.velocity.get(i));
-        let [xx, xu, ux, uu] = flow.matrix;
         State { x: xx * x + xu * u, u: ux * x + uu * u }
     }
 
     fn clear(&mut self) {
         self.vertices.clear();
-        self.as_of.clear();
         self.displacement.clear();
         self.velocity.clear();
-        self.amplitude.clear();
         self.largest = 0.0;
     }
 
     /// Adds a vertex, unless it rests.
-    fn push(&mut self, vertex: u32, as_of: u64, state: State, amplitude: f64) -> Place {
-        if amplitude == 0.0 {
-            return Place::Rest;
+    fn push(&mut self, vertex: u32, state: State, amplitude: f64) {
+        if amplitude < REST {
+            return;
         }
         self.vertices.push(vertex);
-        self.as_of.push(as_of);
         self.displacement.push(state.x);
         self.velocity.push(state.u);
-        self.amplitude.push(amplitude);
-        self.largest = self.largest.max(amplitude);
-        Place::Swinging(self.vertices.len() as u32 - 1)
+        self.largest = if amplitude > self.largest || amplitude.is_nan() { amplitude } else { self.largest };
     }
 
     fn copy_from(&mut self, other: &Swinging) {
         self.clear();
+        self.as_of = other.as_of;
         self.vertices.extend_from_slice(&other.vertices);
-        self.as_of.extend_from_slice(&other.as_of);
         self.displacement.extend(&other.displacement);
         self.velocity.extend(&other.velocity);
-        self.amplitude.extend_from_slice(&other.amplitude);
         self.largest = other.largest;
     }
 }

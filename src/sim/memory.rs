@@ -51,6 +51,12 @@ pub fn needed(scene: &Scene) -> u64 {
         .saturating_add(shapes)
 }
 
+/// What the scene of a world holds of its bodies, by what was allocated for it [bytes].
+pub fn of_bodies(scene: &Scene) -> usize {
+    let names: usize = scene.bodies.iter().map(|body| body.name.capacity() + body.path.memory()).sum();
+    names + scene.bodies.capacity() * size_of::<crate::scene::Body>()
+}
+
 /// Memory that this process may still take, by the machine and by its control group [bytes].
 pub fn available() -> u64 {
     let mut system = sysinfo::System::new();

@@ -114,13 +114,11 @@ impl Pairs {
     }
 
     /// Looks for the neighbours of bodies that move out of their zones before the end of `span`.
-    pub fn follow(&mut self, scene: &Scene, bodies: &mut [Body], tracks: &Tracks, span: Span) {
-        for track in tracks.all() {
-            let i = track.body as usize;
-            if bodies[i].zone.until < span.end {
-                let vertices = bodies[i].zone.vertices;
-                self.anchor(scene, bodies, i, vertices, span.start);
-            }
+    pub fn follow(&mut self, scene: &Scene, bodies: &mut [Body], tracks: &mut Tracks, span: Span) {
+        tracks.watch(|body| bodies[body as usize].zone.until < span.end);
+        for body in tracks.watched() {
+            let vertices = bodies[body as usize].zone.vertices;
+            self.anchor(scene, bodies, body as usize, vertices, span.start);
         }
     }
 
@@ -203,18 +201,23 @@ impl Pairs {
         &mut self,
         scene: &Scene,
         bodies: &[Body],
-        tracks: &Tracks,
+        tracks: &mut Tracks,
         span: Span,
         step: u64,
         events: &mut Vec<Event>,
     ) {
         self.changes.clear();
         self.changed.clear();
-        for track in tracks.all() {
-            for neighbour in &bodies[track.body as usize].neighbours {
+        let pairs = &self.pairs;
+        tracks.watch(|body| {
+            let mut neighbours = bodies[body as usize].neighbours.iter();
+            neighbours.any(|neighbour| pairs[neighbour.pair as usize].may_change(span))
+        });
+        for body in tracks.watched() {
+            for neighbour in &bodies[body as usize].neighbours {
                 let both_move = tracks.of(neighbour.other as usize).is_some();
                 let index = neighbour.pair as usize;
-                if (both_move && neighbour.other < track.body) || !self.pairs[index].may_change(span) {
+                if (both_move && neighbour.other < body) || !self.pairs[index].may_change(span) {
                     continue;
                 }
                 let first = self.changes.len();
@@ -319,7 +322,7 @@ fn stay(path: &Path, skin: f64, t: f64, dt: f64) -> (f64, f64) {
     let skin = skin.max(moved(1.0));
     let mut steps = LONGEST_STAY;
     while steps > 1.0 && moved(steps) > skin {
-        steps /= 4.0;
+        steps /= 2.0;
     }
     (skin, t + steps * dt)
 }

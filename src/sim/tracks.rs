@@ -1,5 +1,6 @@
 //! Where moving bodies are in the course of a step: looked up once a step, by whoever needs it.
 
+use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{Span, integrator::exponential::weights::LOOKS};
@@ -16,14 +17,31 @@ const STILL: u32 = u32::MAX;
 /// The tracks of all bodies that move.
 pub struct Tracks {
     tracks: Vec<Track>,
+    /// Of every body, close together: neighbours look each other up in every step.
+    whereabouts: Vec<Whereabouts>,
     /// Track of each body, or [`STILL`].
     of_body: Vec<u32>,
+}
+
+/// Where a body is, and what of it reaches others.
+#[derive(Clone, Copy, Debug)]
+pub struct Whereabouts {
+    /// Its centre at the start of the step [scene unit].
+    pub centre: DVec3,
+    /// Bound of its speed in the step [scene unit/s].
+    pub speed: f64,
+    /// Its radius [scene unit].
+    pub radius: f64,
+    /// The radius of its influence sphere [scene unit].
+    pub sphere: f64,
 }
 
 /// A moving body's way through a step.
 pub struct Track {
     /// Index of the body.
     pub body: u32,
+    /// Whether something may happen between the body and its neighbours in the step, for [`Tracks::watch`].
+    pub is_watched: bool,
     turns: Turns,
     /// At each of the five looks of the step.
     pub kinematics: [Kinematics; 5],
@@ -36,16 +54,23 @@ impl Tracks {
     pub fn new(scene: &Scene) -> Tracks {
         let mut of_body = vec![STILL; scene.bodies.len()];
         let mut tracks = Vec::new();
+        let whereabouts = scene.bodies.iter().map(|body| Whereabouts {
+            centre: body.path.position(0.0),
+            speed: 0.0,
+            radius: body.radius,
+            sphere: scene.influence.sphere_radius(body.radius),
+        });
+        let whereabouts = whereabouts.collect();
         for (body, place) in (0..).zip(&mut of_body) {
             let path = &scene.bodies[body as usize].path;
             if !path.is_fixed() {
                 *place = tracks.len() as u32;
                 let turns = path.turns(&LOOKS.map(|theta| theta * scene.dt));
                 let bounds = Bounds { speed: 0.0, acceleration: 0.0 };
-                tracks.push(Track { body, turns, kinematics: [path.at(0.0); 5], bounds });
+                tracks.push(Track { body, is_watched: false, turns, kinematics: [path.at(0.0); 5], bounds });
             }
         }
-        Tracks { tracks, of_body }
+        Tracks { tracks, whereabouts, of_body }
     }
 
     /// Follows all of them over a step.
@@ -55,11 +80,35 @@ impl Tracks {
             path.kinematics(span.start, span.end, &LOOKS, &track.turns, &mut track.kinematics);
             track.bounds = path.bounds(span.start, span.end);
         };
-        if self.tracks.len() < PARALLEL_TRACKS {
-            self.tracks.iter_mut().for_each(follow);
-        } else {
-            self.tracks.par_iter_mut().with_min_len(PARALLEL_TRACKS / 4).for_each(follow);
+        each(&mut self.tracks, follow);
+        for track in &self.tracks {
+            let whereabouts = &mut self.whereabouts[track.body as usize];
+            whereabouts.centre = track.kinematics[0].position;
+            whereabouts.speed = track.bounds.speed;
         }
+    }
+
+    /// Watches those for which `may` holds: most have nothing to do with their neighbours but what they did before.
+    pub(super) fn watch(&mut self, may: impl Fn(u32) -> bool + Sync + Send) {
+        each(&mut self.tracks, |track| track.is_watched = may(track.body));
+    }
+
+    /// The bodies that are watched, ascending.
+    pub(super) fn watched(&self) -> impl Iterator<Item = u32> + '_ {
+        self.tracks.iter().filter(|track| track.is_watched).map(|track| track.body)
+    }
+
+    /// Where a body is at the start of the step.
+    #[inline]
+    pub fn whereabouts(&self, body: u32) -> &Whereabouts {
+        &self.whereabouts[body as usize]
+    }
+
+    /// What was allocated for them [bytes].
+    pub fn memory(&self) -> usize {
+        self.tracks.capacity() * size_of::<Track>()
+            + self.whereabouts.capacity() * size_of::<Whereabouts>()
+            + self.of_body.capacity() * size_of::<u32>()
     }
 
     /// The tracks, in the order of their bodies.
@@ -83,6 +132,15 @@ impl Tracks {
     /// Bounds of a body's motion over the step, if it moves.
     pub fn bounds(&self, body: usize) -> Option<Bounds> {
         self.of(body).map(|track| track.bounds)
+    }
+}
+
+/// Does the same with every track, on several threads where that pays.
+fn each(tracks: &mut [Track], work: impl Fn(&mut Track) + Sync + Send) {
+    if tracks.len() < PARALLEL_TRACKS {
+        tracks.iter_mut().for_each(work);
+    } else {
+        tracks.par_iter_mut().with_min_len(PARALLEL_TRACKS / 4).for_each(work);
     }
 }
 

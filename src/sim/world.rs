@@ -59,6 +59,8 @@ pub struct World {
     awake: usize,
     tracks: Tracks,
     pairs: Pairs,
+    /// Reused.
+    woken: Vec<u32>,
     /// When pushes start, and on which body, by time; and how many have started.
     push_starts: Vec<(f64, u32)>,
     pushes_started: usize,
@@ -100,6 +102,7 @@ impl World {
             awake: 0,
             tracks: Tracks::new(&scene),
             pairs: Pairs::default(),
+            woken: Vec::new(),
             push_starts,
             pushes_started: 0,
             report: StepReport::default(),
@@ -199,8 +202,16 @@ impl World {
     /// Wakes bodies that feel their own motion during `span`, and those that a moving sphere can reach, or whose vertices
     /// move to a sphere.
     fn wake_moved(&mut self, span: Span) {
-        for t in 0..self.tracks.all().len() {
-            let mover = self.tracks.all()[t].body;
+        let World { tracks, bodies, awake, woken, .. } = self;
+        let is_awake = |body: u32| bodies[body as usize].active.is_some_and(|slot| (slot as usize) < *awake);
+        tracks.watch(|mover| {
+            let mut neighbours = bodies[mover as usize].neighbours.iter();
+            !is_awake(mover) || neighbours.any(|neighbour| !is_awake(neighbour.other))
+        });
+        let mut watched = std::mem::take(woken);
+        watched.clear();
+        watched.extend(tracks.watched());
+        for &mover in &watched {
             if !self.is_awake(mover) && self.reading().own_force(mover, span) > 0.0 {
                 self.wake(mover);
             }
@@ -208,9 +219,9 @@ impl World {
                 let other = self.bodies[mover as usize].neighbours[n].other;
                 let sleeping = [(mover, other), (other, mover)].into_iter().filter(|&(this, _)| !self.is_awake(this));
                 let reached = sleeping.filter(|&(this, source)| {
-                    let radius = |i: u32| self.scene.bodies[i as usize].radius;
-                    let vertices = radius(this) + self.active(this as usize).map_or(0.0, Active::amplitude);
-                    let sphere = self.scene.influence.sphere_radius(radius(source));
+                    let [radius, sphere] =
+                        [self.tracks.whereabouts(this).radius, self.tracks.whereabouts(source).sphere];
+                    let vertices = radius + self.active(this as usize).map_or(0.0, Active::amplitude);
                     self.reading().nearest(this, source, span) <= sphere + vertices
                 });
                 let [first, second] = {
@@ -220,6 +231,7 @@ impl World {
                 first.into_iter().chain(second).for_each(|this| self.wake(this));
             }
         }
+        self.woken = watched;
     }
 
     fn is_awake(&self, body: u32) -> bool {
@@ -380,6 +392,7 @@ impl World {
             step: self.step,
             dt: self.scene.dt,
             oscillator: state.map(|state| state.oscillator).unwrap_or_default(),
+            arch: self.options.arch,
         };
         BodyView { body, fixed: &self.bodies[index], state, now, centre: body.path.position(self.time()) }
     }
@@ -400,6 +413,8 @@ impl World {
             + self.bodies.capacity() * size_of::<Body>()
             + self.actives.capacity() * size_of::<Active>()
             + self.pairs.memory()
+            + self.tracks.memory()
+            + memory::of_bodies(&self.scene)
     }
 
     /// All bodies, in the order of the scene.
@@ -522,14 +537,7 @@ impl<'a> BodyView<'a> {
         displacement.reset(self.vertex_count());
         velocity.reset(self.vertex_count());
         let Some(active) = self.state.filter(|active| !active.is_at_rest()) else { return };
-        let common = active.common_at(self.now);
-        if !common.is_zero() {
-            for (i, unit) in self.fixed.unit.iter().enumerate() {
-                let State { x, u } = common.of(unit, &self.fixed.pushes);
-                displacement.set(i, x);
-                velocity.set(i, u);
-            }
-        }
+        active.add_common_to(&self.fixed.unit, &self.fixed.pushes, displacement, velocity, self.now);
         active.deformation.add_to(displacement, velocity, self.now);
     }
 
