@@ -148,9 +148,17 @@ impl Context<'_> {
             let neighbours = self.body(active.body).neighbours.iter().zip(&*margins);
             reachable.clear();
             reachable.extend(neighbours.filter(|(_, margin)| margin.gap <= active.farthest).map(|(source, _)| source));
+            active.roams = active.farthest.max(self.tracks.whereabouts(active.body).radius + active.amplitude());
+            active.can_be_left = !margins.iter().any(|margin| margin.gap <= active.roams);
         });
         reachable.retain(|source| self.acts(source, active.body));
         active.reachable = reachable;
+    }
+
+    /// Whether a body can have vertices outside of its zone, in the step or when it is left alone after it. What is not a
+    /// number needs no room: it is found to have diverged.
+    pub fn outgrew(&self, active: &Active) -> bool {
+        active.roams > self.body(active.body).zone.vertices
     }
 
     /// How far from the centre a body can have vertices in the step [scene unit], and a bound of the acceleration of any by

@@ -89,6 +89,10 @@ pub(super) struct Active {
     pub farthest: f64,
     /// A bound of the acceleration of any vertex by spheres in this step [scene unit/s²].
     pub pull: f64,
+    /// How far from the centre it can have vertices in this step, or later if nothing else acts [scene unit].
+    pub roams: f64,
+    /// Whether no sphere is so near that it would be reached then.
+    pub can_be_left: bool,
     /// What its last step took.
     pub effort: Effort,
 }
@@ -138,6 +142,8 @@ impl Active {
             reachable: Vec::new(),
             farthest: 0.0,
             pull: 0.0,
+            roams: 0.0,
+            can_be_left: true,
             effort: Effort::default(),
         }
     }

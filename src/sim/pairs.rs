@@ -39,7 +39,7 @@ pub(super) struct Pair {
     /// No change is unknown up to this time [s].
     known_until: f64,
     /// The phase changes within the step, into the list of them.
-    pub changes: Range<usize>,
+    pub changes: Range<u32>,
 }
 
 /// The paths of two bodies of a scene.
@@ -62,12 +62,14 @@ pub(super) struct Neighbour {
 pub(super) struct Zone {
     /// How far from the centre it may have vertices [scene unit].
     pub vertices: f64,
+    /// How far from where it was its centre may be [scene unit].
+    skin: f64,
     /// Until when its centre is within the bounds [s].
     until: f64,
 }
 
 impl Zone {
-    pub const NONE: Zone = Zone { vertices: 0.0, until: f64::NEG_INFINITY };
+    pub const NONE: Zone = Zone { vertices: 0.0, skin: 0.0, until: f64::NEG_INFINITY };
 }
 
 /// All pairs of bodies that are near each other.
@@ -98,13 +100,15 @@ impl Pairs {
         for i in 0..bodies.len() {
             self.find_neighbours(scene, bodies, i, 0.0);
         }
+        self.pairs.shrink_to_fit();
+        bodies.iter_mut().for_each(|body| body.neighbours.shrink_to_fit());
     }
 
     /// The plain way: every pair.
     pub fn start_with_all(&mut self, scene: &Scene, bodies: &mut [Body]) {
         self.plain = true;
         for body in bodies.iter_mut() {
-            body.zone = Zone { vertices: f64::INFINITY, until: f64::INFINITY };
+            body.zone = Zone { vertices: f64::INFINITY, skin: 0.0, until: f64::INFINITY };
         }
         for i in 0..bodies.len() {
             self.found.clear();
@@ -136,13 +140,15 @@ impl Pairs {
         let centre = this.path.position(t);
         // a pair that stands exactly on a threshold is not lost to rounding of the centres
         let rounding = 16.0 * f64::EPSILON * (centre.abs().max_element() + reach);
-        bodies[i].zone = Zone { vertices, until };
+        bodies[i].zone = Zone { vertices, skin: skin + rounding, until };
         self.grid.place(i as u32, Ball { centre, radius: reach + rounding });
     }
 
     fn find_neighbours(&mut self, scene: &Scene, bodies: &mut [Body], i: usize, t: f64) {
         self.found.clear();
         self.grid.touching(i as u32, &mut self.found);
+        let grid = &self.grid;
+        self.found.retain(|&j| are_near(scene, bodies, grid, i as u32, j));
         self.meet(scene, bodies, i, t);
     }
 
@@ -232,7 +238,7 @@ impl Pairs {
                     from = to;
                 });
                 if self.changes.len() > first {
-                    self.pairs[index].changes = first..self.changes.len();
+                    self.pairs[index].changes = first as u32..self.changes.len() as u32;
                     self.changed.push(neighbour.pair);
                 }
             }
@@ -243,10 +249,9 @@ impl Pairs {
     /// The phases at the end of the step become those at the start of the next.
     pub fn enter_phases(&mut self) {
         for &index in &self.changed {
+            let last = self.changes(index).last().map(|&(_, last)| last);
             let pair = &mut self.pairs[index as usize];
-            if let Some(&(_, last)) = self.changes[pair.changes.clone()].last() {
-                pair.phase = last;
-            }
+            pair.phase = last.unwrap_or(pair.phase);
             pair.changes = 0..0;
         }
     }
@@ -263,7 +268,11 @@ impl Pairs {
 
     /// The phase changes of a pair in the current step, in order: when, and to what.
     pub fn changes(&self, index: u32) -> &[(f64, Phase)] {
-        &self.changes[self.get(index).changes.clone()]
+        self.changes_of(self.get(index))
+    }
+
+    fn changes_of(&self, pair: &Pair) -> &[(f64, Phase)] {
+        &self.changes[pair.changes.start as usize..pair.changes.end as usize]
     }
 
     /// The phase of a pair from `t` on, within the current step.
@@ -311,6 +320,16 @@ impl Pair {
             }
         }
     }
+}
+
+/// Whether one of two bodies can have vertices inside of the other's sphere, or they can merge, as far as their zones let
+/// them. (That their zones overlap says less: what has no vertices out there isn't touched there.)
+fn are_near(scene: &Scene, bodies: &[Body], grid: &Grid, i: u32, j: u32) -> bool {
+    let [a, b] = [i, j].map(|k| (&bodies[k as usize].zone, scene.bodies[k as usize].radius));
+    let sphere = |radius| scene.influence.sphere_radius(radius);
+    let touching = f64::max(sphere(a.1) + b.0.vertices, sphere(b.1) + a.0.vertices);
+    let near = touching.max(scene.thresholds.merge_at * (a.1 + b.1)) + a.0.skin + b.0.skin;
+    !(grid.ball(i).centre.distance(grid.ball(j).centre) > near)
 }
 
 /// How far a body may move from where it is at `t`, no less than `skin` [scene unit], and until when it does not.

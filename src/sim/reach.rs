@@ -71,6 +71,11 @@ impl Grid {
         self.balls.capacity() * size_of::<Placed>() + cells * size_of::<([i64; 3], u32)>()
     }
 
+    /// Ball `i`, as it was placed.
+    pub fn ball(&self, i: u32) -> &Ball {
+        &self.balls[i as usize].ball
+    }
+
     /// Places ball `i`, or places it anew.
     pub fn place(&mut self, i: u32, ball: Ball) {
         let index = i as usize;

@@ -2,7 +2,10 @@
 
 use std::{
     collections::HashMap,
-    sync::{Arc, OnceLock},
+    sync::{
+        Arc, OnceLock,
+        atomic::{AtomicBool, Ordering},
+    },
     time::Instant,
 };
 
@@ -30,8 +33,8 @@ use crate::{
 
 /// Fewer vertices than this to step are not worth a second thread.
 const PARALLEL_VERTICES: usize = 2048;
-/// How much more room than it needs now a body gets when it outgrows its zone.
-const ROOM: f64 = 1.25;
+/// How much farther than they do now vertices may get from rest when a body outgrows its zone.
+const ROOM: f64 = 1.5;
 
 /// How the world is stepped; none of it changes the result, but for rounding.
 #[derive(Clone, Copy, Debug)]
@@ -172,16 +175,25 @@ impl World {
         }
         let (context, actives) = self.context();
         let awake = actives.len();
-        each(actives, |active| context.find_reachable(active, span));
+        let any_outgrew = AtomicBool::new(false);
+        each(actives, |active| {
+            context.find_reachable(active, span);
+            if context.outgrew(active) {
+                any_outgrew.store(true, Ordering::Relaxed);
+            }
+        });
+        if !any_outgrew.into_inner() {
+            return;
+        }
         for slot in 0..awake {
             loop {
-                let Active { body, farthest, .. } = self.actives[slot];
-                // what is not a number needs no room: it is found to have diverged
-                if !(farthest > self.bodies[body as usize].zone.vertices) {
+                let Active { body, roams, .. } = self.actives[slot];
+                if !self.reading().outgrew(&self.actives[slot]) {
                     break;
                 }
                 let World { scene, bodies, pairs, .. } = self;
-                pairs.anchor(scene, bodies, body as usize, ROOM * farthest, span.start);
+                let radius = scene.bodies[body as usize].radius;
+                pairs.anchor(scene, bodies, body as usize, radius + ROOM * (roams - radius), span.start);
                 let (context, actives) = self.context();
                 context.find_reachable(&mut actives[slot], span);
             }
@@ -293,24 +305,23 @@ impl World {
 
     /// Adds up what the step took, lets those sleep that nothing acted on, and looks for a state that cannot be.
     fn finish(&mut self, span: Span) {
-        let mut stepped = 0;
-        let mut diverged: Option<u32> = None;
-        for active in &self.actives[..self.awake] {
-            let effort = active.effort;
-            stepped += u64::from(effort.substeps > 0);
-            self.report.substeps += effort.substeps;
-            let error = effort.error / self.scene.bodies[active.body as usize].radius;
-            self.report.error = self.report.error.max(error);
-            if active.has_diverged() {
-                diverged = Some(diverged.map_or(active.body, |first| first.min(active.body)));
-            }
-        }
-        self.report.sleeping_bodies = self.bodies.len() as u64 - stepped;
-        self.report.diverged = diverged.map(|index| self.divergence(index as usize));
-        if self.options.skip {
+        let actives = &self.actives[..self.awake];
+        let scene = &self.scene;
+        let add = |sum: Sum, active: &Active| sum.and(Sum::of(active, scene));
+        let sum = if is_worth_threads(actives) {
+            let chunks = actives.par_iter().with_min_len(256);
+            chunks.fold(Sum::default, add).reduce(Sum::default, Sum::and)
+        } else {
+            actives.iter().fold(Sum::default(), add)
+        };
+        self.report.substeps = sum.substeps;
+        self.report.error = sum.error;
+        self.report.sleeping_bodies = self.bodies.len() as u64 - sum.stepped;
+        self.report.diverged = sum.diverged.map(|index| self.divergence(index as usize));
+        if self.options.skip && sum.any_idle {
             for slot in (0..self.awake).rev() {
-                let Active { body, effort, ref reachable, .. } = self.actives[slot];
-                if effort.substeps == 0 && reachable.is_empty() && self.reading().own_force(body, span) == 0.0 {
+                let Active { body, effort, can_be_left, .. } = self.actives[slot];
+                if effort.substeps == 0 && can_be_left && self.reading().own_force(body, span) == 0.0 {
                     self.sleep(slot);
                 }
             }
@@ -338,18 +349,59 @@ impl World {
     }
 }
 
-/// Does the same with every body that is awake, on several threads where that pays.
-fn each(actives: &mut [Active], work: impl Fn(&mut Active) + Sync + Send) {
-    let vertices = |active: &Active| active.deformation.front.vertices.len();
+/// Whether bodies have so much to do that it pays to do it on several threads.
+fn is_worth_threads(actives: &[Active]) -> bool {
     // a body that has no front yet takes about as long as one of a few vertices
+    let cost = |active: &Active| 8 + active.deformation.front.vertices.len();
     let enough = |sum: &mut usize, active: &Active| {
-        *sum += 8 + vertices(active);
+        *sum += cost(active);
         (*sum < PARALLEL_VERTICES).then_some(())
     };
-    if actives.iter().scan(0, enough).count() == actives.len() {
-        actives.iter_mut().for_each(work);
-    } else {
+    actives.iter().scan(0, enough).count() < actives.len()
+}
+
+/// Does the same with every body that is awake, on several threads where that pays.
+fn each(actives: &mut [Active], work: impl Fn(&mut Active) + Sync + Send) {
+    if is_worth_threads(actives) {
         actives.par_iter_mut().with_min_len(4).for_each(work);
+    } else {
+        actives.iter_mut().for_each(work);
+    }
+}
+
+/// What the steps of some bodies came to; the order in which they are added up does not matter.
+#[derive(Clone, Copy, Default)]
+struct Sum {
+    stepped: u64,
+    substeps: u64,
+    error: f64,
+    /// The first of those whose state cannot be.
+    diverged: Option<u32>,
+    /// Whether nothing acted on some of them.
+    any_idle: bool,
+}
+
+impl Sum {
+    fn of(active: &Active, scene: &Scene) -> Sum {
+        let effort = active.effort;
+        let is_idle = effort.substeps == 0;
+        Sum {
+            stepped: u64::from(!is_idle),
+            substeps: effort.substeps,
+            error: f64::max(0.0, effort.error / scene.bodies[active.body as usize].radius),
+            diverged: active.has_diverged().then_some(active.body),
+            any_idle: is_idle,
+        }
+    }
+
+    fn and(self, other: Sum) -> Sum {
+        Sum {
+            stepped: self.stepped + other.stepped,
+            substeps: self.substeps + other.substeps,
+            error: self.error.max(other.error),
+            diverged: self.diverged.into_iter().chain(other.diverged).min(),
+            any_idle: self.any_idle || other.any_idle,
+        }
     }
 }
 
