@@ -5,9 +5,11 @@
 //! | error against run time, for every integrator and a range of steps | [`mod@error`] |
 //! | cost against the number of bodies, and the goals for it | [`scale`] |
 //! | the independent solution that errors are measured against | [`reference`], by [`extrapolation`] |
+//! | what the diagrams have in common | `drawing` |
 //! | the machine that a run time belongs to | [`machine`] |
 //! | files that are written when everything has been measured | [`output`] |
 
+mod drawing;
 pub mod error;
 pub mod extrapolation;
 pub mod machine;

@@ -2,14 +2,16 @@
 
 use std::ops::Range;
 
-use plotters::{
-    coord::Shift,
-    prelude::*,
-    style::text_anchor::{HPos, Pos, VPos},
-};
+use plotters::{prelude::*, style::text_anchor::HPos};
 
 use super::{Measurement, Report, Scheme};
-use crate::{bench::machine::Machine, scene::Integrator};
+use crate::{
+    bench::{
+        drawing::{Area, FONT, Failure, GREY, INK, Marker, Style, draw_labels, draw_marker, power_of_ten, ticks, write},
+        machine::Machine,
+    },
+    scene::Integrator,
+};
 
 /// A panel, labels included [px].
 const PANEL: (u32, u32) = (900, 620);
@@ -25,31 +27,6 @@ const MARGIN: u32 = 14;
 const FLOOR: f64 = 1e-12;
 const TOP: u32 = 46;
 const BOTTOM: u32 = 66;
-/// Between labels [px].
-const LABEL_HEIGHT: f64 = 20.0;
-const FONT: &str = "sans-serif";
-const INK: RGBColor = RGBColor(34, 34, 34);
-const GREY: RGBColor = RGBColor(110, 110, 110);
-
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type Failure<'a> = DrawingAreaErrorKind<<SVGBackend<'a> as DrawingBackend>::ErrorType>;
-
-/// How a family of schemes is drawn.
-#[derive(Clone, Copy)]
-struct Style {
-    color: RGBColor,
-    marker: Marker,
-    width: u32,
-}
-
-#[derive(Clone, Copy)]
-enum Marker {
-    Cross,
-    Disc,
-    /// Corners at these angles [eighths of a turn], from the top clockwise.
-    Polygon(&'static [f64]),
-}
-
 /// Colours that the colour-blind can tell too (Okabe & Ito 2008), and shapes.
 fn style(scheme: Scheme) -> Style {
     let (color, marker, width) = match scheme {
@@ -150,13 +127,6 @@ fn time_range(report: &Report) -> Range<f64> {
     if least <= most { least / 1.5..most * 1.5 } else { 0.1..10.0 }
 }
 
-/// 10⁰, 10¹ …, or what of 1, 2 and 5 times that lies in the range too if it is short.
-fn ticks(range: &Range<f64>, multiples: &[f64]) -> Vec<f64> {
-    let decades = range.start.log10().floor() as i32..=range.end.log10().ceil() as i32;
-    let all = decades.flat_map(|decade| multiples.iter().map(move |multiple| multiple * 10f64.powi(decade)));
-    all.filter(|&tick| tick >= 0.999 * range.start && tick <= 1.001 * range.end).collect()
-}
-
 fn draw_panel<'a>(panel: &Area<'a>, report: &Report, errors: Range<f64>, is_titled: bool) -> Result<(), Failure<'a>> {
     let times = time_range(report);
     let time_ticks = ticks(&times, if times.end / times.start < 1000.0 { &[1.0, 2.0, 5.0] } else { &[1.0] });
@@ -229,105 +199,5 @@ fn draw_panel<'a>(panel: &Area<'a>, report: &Report, errors: Range<f64>, is_titl
             ends.push((end, text, style));
         }
     }
-    draw_labels(panel, right, ends)
-}
-
-/// Labels in a column right of the axes, each as near to the height of the end of its line as the others let it.
-fn draw_labels<'a>(
-    panel: &Area<'a>,
-    right: i32,
-    mut ends: Vec<((i32, i32), String, Style)>,
-) -> Result<(), Failure<'a>> {
-    ends.sort_by_key(|(end, ..)| (end.1, end.0));
-    let wanted: Vec<f64> = ends.iter().map(|((_, y), ..)| f64::from(*y)).collect();
-    let limits = (f64::from(TOP), f64::from(PANEL.1 - BOTTOM));
-    for (((end, text, style), y), k) in ends.iter().zip(spread(&wanted, limits)).zip(0..) {
-        let y = y.round() as i32;
-        let elbow = right + 10 + 4 * (k % 3);
-        panel.draw(&PathElement::new([*end, (elbow, y), (right + 28, y)], style.color.mix(0.45)))?;
-        draw_marker(panel, *style, (right + 28, y))?;
-        write(panel, text, (right + 40, y), 19.0, style.color, HPos::Left)?;
-    }
-    Ok(())
-}
-
-/// Heights, at least a label's height from each other, close to those `wanted` (ascending), within `limits`.
-fn spread(wanted: &[f64], limits: (f64, f64)) -> Vec<f64> {
-    // clusters of labels that touch, each as (sum of what its first label would want, labels)
-    let mut clusters: Vec<(f64, usize)> = vec![];
-    let first = |&(sum, labels): &(f64, usize)| {
-        let height = LABEL_HEIGHT * (labels - 1) as f64;
-        (sum / labels as f64).min(limits.1 - height).max(limits.0)
-    };
-    for &y in wanted {
-        let mut cluster = (y, 1);
-        while let Some(above) = clusters.pop() {
-            if first(&above) + LABEL_HEIGHT * above.1 as f64 <= first(&cluster) {
-                clusters.push(above);
-                break;
-            }
-            let shift = LABEL_HEIGHT * above.1 as f64;
-            cluster = (above.0 + cluster.0 - shift * cluster.1 as f64, above.1 + cluster.1);
-        }
-        clusters.push(cluster);
-    }
-    let heights = |cluster: &(f64, usize)| {
-        let first = first(cluster);
-        (0..cluster.1).map(move |k| first + LABEL_HEIGHT * k as f64)
-    };
-    clusters.iter().flat_map(heights).collect()
-}
-
-fn draw_marker<'a>(panel: &Area<'a>, style: Style, (x, y): (i32, i32)) -> Result<(), Failure<'a>> {
-    const SIZE: f64 = 7.0;
-    match style.marker {
-        Marker::Disc => panel.draw(&Circle::new((x, y), 5, style.color.filled())),
-        Marker::Cross => {
-            for (dx, dy) in [(5, 5), (5, -5)] {
-                let stroke = [(x - dx, y - dy), (x + dx, y + dy)];
-                panel.draw(&PathElement::new(stroke, style.color.stroke_width(3)))?;
-            }
-            Ok(())
-        }
-        Marker::Polygon(angles) => {
-            let corner = |(k, &eighths): (usize, &f64)| {
-                let size = if angles.len() > 4 && k % 2 == 1 { 0.45 * SIZE } else { SIZE };
-                let (sin, cos) = (eighths * std::f64::consts::FRAC_PI_4).sin_cos();
-                (x + (size * sin).round() as i32, y - (size * cos).round() as i32)
-            };
-            let corners: Vec<_> = angles.iter().enumerate().map(corner).collect();
-            panel.draw(&Polygon::new(corners, style.color.filled()))
-        }
-    }
-}
-
-fn write<'a>(
-    area: &Area<'a>,
-    text: &str,
-    at: (i32, i32),
-    size: f64,
-    color: RGBColor,
-    anchor: HPos,
-) -> Result<(), Failure<'a>> {
-    // what XML has no place for
-    let text: String = text.chars().map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect();
-    let style = (FONT, size).into_font().color(&color).pos(Pos::new(anchor, VPos::Center));
-    area.draw(&Text::new(text, at, style))
-}
-
-/// "10⁻³", or the power above
-fn power_of_ten(x: f64) -> String {
-    let exponent = (x.log10() - 1e-6).ceil() as i32;
-    let raised = |c: char| match c {
-        '-' => '⁻',
-        '1' => '¹',
-        '2' => '²',
-        '3' => '³',
-        digit => char::from_u32('⁰' as u32 + digit as u32 - '0' as u32).unwrap_or(digit),
-    };
-    if exponent == 0 {
-        "1".to_owned()
-    } else {
-        format!("10{}", exponent.to_string().chars().map(raised).collect::<String>())
-    }
+    draw_labels(panel, right, (f64::from(TOP), f64::from(PANEL.1 - BOTTOM)), ends)
 }
