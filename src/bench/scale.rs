@@ -6,6 +6,7 @@
 //! vertex, all pairs, one number at a time.
 
 pub mod csv;
+pub mod decay;
 pub mod diagram;
 pub mod goals;
 pub mod scenes;
@@ -23,6 +24,7 @@ use crate::{
     scene::Integrator,
     sim::{Options, TooLarge, report::Stage},
 };
+use decay::Decay;
 use scenes::{Family, Layout, PERIOD, PHASES};
 use swinging::Swinging;
 
@@ -33,11 +35,13 @@ pub struct Settings {
     pub bodies: Vec<usize>,
     /// Steps are timed for about so long, for each number of bodies, family and number of threads.
     pub time: Duration,
+    /// Over so many steps a scene is followed that decays to nothing.
+    pub decay: u64,
 }
 
 impl Default for Settings {
     fn default() -> Settings {
-        Settings { bodies: vec![2, 10, 100, 1_000, 10_000, 100_000], time: Duration::from_millis(500) }
+        Settings { bodies: vec![2, 10, 100, 1_000, 10_000, 100_000], time: Duration::from_millis(500), decay: 1_000_000 }
     }
 }
 
@@ -145,6 +149,8 @@ pub struct Report {
     pub two: Run,
     /// Bodies whose vertices all swing freely, every frame wanted.
     pub swinging: Vec<Swinging>,
+    /// Bodies that come to rest.
+    pub decay: Vec<Decay>,
     /// Scenes that need more memory than there is.
     pub too_large: Vec<TooLarge>,
     /// Threads that all cores take.
@@ -255,7 +261,8 @@ pub fn measure(settings: &Settings, progress: &mut dyn FnMut(f64)) -> Result<Rep
     }
     let swinging = swinging::measure(&pair, &pools, settings.time, largest)?;
     let threads = pools.best().current_num_threads();
-    Ok(Report { points, two, swinging, too_large, threads })
+    let decay = pools.one.install(|| decay::measure(&pair, settings.decay))?;
+    Ok(Report { points, two, swinging, decay, too_large, threads })
 }
 
 /// The whole of `two`, again and again.

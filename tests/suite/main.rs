@@ -9,6 +9,7 @@ mod physics;
 mod recording;
 mod reference;
 mod rims;
+mod scale;
 mod scene_format;
 mod sinks;
 mod skipping;

@@ -53,7 +53,7 @@ pub struct Swinging {
 /// So many bodies swing, if the scenes have as many: their states fill no cache.
 const BODIES: usize = 4000;
 /// By then nothing acts any more [s].
-const LEFT_ALONE: f64 = 1.0;
+pub(super) const LEFT_ALONE: f64 = 1.0;
 
 /// Measures both.
 pub(super) fn measure(
@@ -114,8 +114,8 @@ fn block(world: &mut World, share: f64) -> f64 {
     f64::NAN
 }
 
-/// Pairs of bodies that stand inside of each other and are torn apart, or that are pushed.
-fn scene(cause: Cause, two: &Scene, pairs: usize) -> Scene {
+/// Pairs of bodies like those of `two` that stand inside of each other and are torn apart, or that are pushed.
+pub fn scene(cause: Cause, two: &Scene, pairs: usize) -> Scene {
     let side = (1..).find(|side| side * side * side >= pairs).unwrap_or(1);
     let corner = |pair: usize| {
         let [x, y, z] = [pair % side, pair / side % side, pair / side / side].map(|i| i as f64);

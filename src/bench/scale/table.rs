@@ -50,6 +50,17 @@ pub fn table(report: &Report) -> String {
         ]
     }));
     lines.extend(aligned(&rows));
+    lines.push(String::new());
+
+    lines.push("a scene of two bodies that decays to nothing: time of a step and of looking at all vertices".to_owned());
+    lines.push(String::new());
+    let mut rows = vec![["", "steps", "in the beginning", "slowest", "in the end"].map(str::to_owned)];
+    rows.extend(report.decay.iter().map(|decay| {
+        let name = if decay.skip { "default" } else { "nothing skipped" };
+        let time = |seconds: f64| format!("{} µs", significant(1e6 * seconds));
+        [name.to_owned(), thousands(decay.steps), time(decay.early), time(decay.slowest), time(decay.late)]
+    }));
+    lines.extend(aligned(&rows));
     for too_large in &report.too_large {
         lines.push(format!("left out: {too_large}"));
     }

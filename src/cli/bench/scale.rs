@@ -38,7 +38,9 @@ pub fn scale(arguments: Arguments) -> Result<(), Failure> {
     let mut bodies: Vec<usize> = arguments.bodies.iter().map(|&n| n as usize).collect();
     bodies.sort_unstable();
     bodies.dedup();
-    let settings = Settings { bodies, time: Duration::from_secs_f64(arguments.seconds) };
+    let time = Duration::from_secs_f64(arguments.seconds);
+    let decay = Settings::default().decay.min((2e6 * arguments.seconds) as u64);
+    let settings = Settings { bodies, time, decay };
 
     let machine = Machine::detect();
     let bar = progress_bar("scale");

@@ -10,6 +10,9 @@ use pulp::Simd;
 
 use crate::sim::arrays::Vectors;
 
+#[cfg(test)]
+mod tests;
+
 /// The most vertices that any instruction set takes side by side: arrays that are read in lanes are padded to this.
 pub const LANES: usize = 16;
 

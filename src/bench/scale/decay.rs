@@ -1,0 +1,72 @@
+//! A scene that decays to nothing: numbers too small for the usual format of a float would be slow to compute with, so none
+//! may come up on the way.
+//!
+//! Two bodies are torn apart and left alone. The time of steps is followed while their vertices swing, through all sizes
+//! that a number can have, and long after they have come to rest.
+
+use std::time::Instant;
+
+use super::{MeasureError, swinging};
+use crate::{
+    Scene, World,
+    sim::{Options, world::States},
+};
+
+/// What was measured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Decay {
+    /// Whether what need not be computed was skipped.
+    pub skip: bool,
+    /// How many steps were taken.
+    pub steps: u64,
+    /// Time of a step and of looking at all vertices [s], in the beginning …
+    pub early: f64,
+    /// … where it took longest …
+    pub slowest: f64,
+    /// … and in the end.
+    pub late: f64,
+}
+
+/// Steps are timed together by so many; the median of so many such blocks counts, or the machine's other work would.
+const STEPS: u64 = 200;
+const BLOCKS: usize = 10;
+
+/// Follows the decay both ways, skipping over `steps` steps, the plain way over a twentieth of that.
+pub(super) fn measure(two: &Scene, steps: u64) -> Result<Vec<Decay>, MeasureError> {
+    [(true, steps), (false, steps / 20)].into_iter().map(|(skip, steps)| follow(two, skip, steps)).collect()
+}
+
+fn follow(two: &Scene, skip: bool, steps: u64) -> Result<Decay, MeasureError> {
+    let scene = swinging::scene(swinging::Cause::Sphere, two, 1);
+    let mut world = World::with_options(scene, Options { skip, ..Options::default() })?;
+    while world.time() < swinging::LEFT_ALONE {
+        world.step();
+    }
+    let mut states = States::default();
+    let mut block = || {
+        let start = Instant::now();
+        for _ in 0..STEPS {
+            world.step();
+            for body in world.bodies() {
+                body.states_into(&mut states);
+                std::hint::black_box(&states);
+            }
+        }
+        start.elapsed().as_secs_f64() / STEPS as f64
+    };
+    let times: Vec<f64> = (0..steps / STEPS).map(|_| block()).collect();
+    let median = |times: &[f64]| {
+        let mut times = times.to_vec();
+        times.sort_by(f64::total_cmp);
+        times.get(times.len() / 2).copied().unwrap_or(f64::NAN)
+    };
+    let medians: Vec<f64> = times.chunks(BLOCKS).map(median).collect();
+    let of = |time: Option<&f64>| time.copied().unwrap_or(f64::NAN);
+    Ok(Decay {
+        skip,
+        steps,
+        early: of(medians.first()),
+        slowest: medians.iter().copied().fold(0.0, f64::max),
+        late: of(medians.last()),
+    })
+}
