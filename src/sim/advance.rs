@@ -241,8 +241,7 @@ impl Context<'_> {
         scratch.felt.clear();
         if self.skip && !(active.reachable.is_empty() && active.can_sleep()) {
             self.choose_front(active, span, scratch);
-            let is_untouched = active.deformation.front.vertices.is_empty() && active.common.is_zero();
-            if is_untouched && self.own_force(active.body, span) == 0.0 {
+            if active.is_at_rest() && self.own_force(active.body, span) == 0.0 {
                 return Effort::default();
             }
         } else {

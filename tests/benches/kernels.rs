@@ -2,6 +2,8 @@
 //!
 //! Kernels that the library does not show are measured through a world whose scene has little else to do.
 
+#![allow(missing_docs, reason = "criterion's macro makes a public function")]
+
 use std::{hint::black_box, time::Duration};
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
