@@ -5,6 +5,7 @@
 //! | error against run time, for every integrator and a range of steps | [`mod@error`] |
 //! | the independent solution that errors are measured against | [`reference`], by [`extrapolation`] |
 //! | the machine that a run time belongs to | [`machine`] |
+//! | a stress sweep of every integrator, and bodies of very different sizes | [`stability`] |
 //! | files that are written when everything has been measured | [`output`] |
 
 pub mod error;
@@ -12,3 +13,4 @@ pub mod extrapolation;
 pub mod machine;
 pub mod output;
 pub mod reference;
+pub mod stability;

@@ -10,7 +10,9 @@ use crate::{
         error::{self, MeasureError, Settings, csv::csv, diagram, table},
         machine::Machine,
         output::Output,
+        stability::{self, cases::Case, drift, sizes},
     },
+    scene::Integrator,
     sim::memory,
 };
 
@@ -25,6 +27,8 @@ pub struct Arguments {
 enum What {
     /// Error against run time: every integrator, over a range of steps, against an independent solution.
     Error(ErrorArguments),
+    /// A stress sweep: thousands of small scenes at the limits of every setting, by every integrator.
+    Stability(StabilityArguments),
 }
 
 #[derive(clap::Args)]
@@ -40,10 +44,30 @@ struct ErrorArguments {
     svg: Option<PathBuf>,
 }
 
+#[derive(clap::Args)]
+struct StabilityArguments {
+    /// How many cases.
+    #[arg(long, value_name = "N", default_value_t = stability::Settings::default().cases)]
+    cases: u64,
+    /// This integrator only.
+    #[arg(long, value_parser = super::run::parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential")]
+    integrator: Option<Integrator>,
+    /// One case only, in detail.
+    #[arg(long, value_name = "N", conflicts_with_all = ["cases", "csv"])]
+    case: Option<u64>,
+    /// Write the scene of that case to a file, for `meldscope run`.
+    #[arg(long, value_name = "F.toml", requires = "case")]
+    write: Option<PathBuf>,
+    /// Write the outcome of every case to a file.
+    #[arg(long, value_name = "F.csv")]
+    csv: Option<PathBuf>,
+}
+
 /// Runs a benchmark.
 pub fn bench(arguments: Arguments) -> Result<(), Failure> {
     match arguments.what {
         What::Error(arguments) => error(arguments),
+        What::Stability(arguments) => stability(arguments),
     }
 }
 
@@ -78,6 +102,51 @@ fn error(arguments: ErrorArguments) -> Result<(), Failure> {
 
     write(csv_file, || Ok(csv(&reports, &machine)))?;
     write(svg_file, || diagram::svg(&reports, &machine))
+}
+
+fn stability(arguments: StabilityArguments) -> Result<(), Failure> {
+    let integrators = arguments.integrator.map_or(Integrator::ALL.to_vec(), |integrator| vec![integrator]);
+    let settings = stability::Settings { cases: arguments.cases, integrators, ..stability::Settings::default() };
+    if let Some(index) = arguments.case {
+        return one_case(index, arguments.write.as_deref(), &settings);
+    }
+    let csv_file = claim(arguments.csv.as_deref())?;
+    let failed = |error: stability::SweepError| Failure::Run(error.to_string());
+    let clock = std::time::Instant::now();
+
+    let bar = progress_bar("stability");
+    let progress = |done: u64| bar.set_position(1000 * done / settings.cases.max(1));
+    let rows = stability::sweep(&settings, &progress);
+    bar.finish_and_clear();
+    let rows = rows.map_err(failed)?;
+    let sweep = [stability::table::by_integrator(&rows), stability::table::by_axis(&rows)];
+    print(&format!(
+        "{}\n\n{}\n\n{}",
+        sweep.join("\n\n"),
+        stability::table::extremes(&rows),
+        stability::table::footer()
+    ));
+
+    let drifts: Vec<_> =
+        settings.integrators.iter().map(|&integrator| drift::measure(integrator, drift::STEPS)).collect();
+    let drifts = drifts.into_iter().collect::<Result<Vec<_>, _>>().map_err(failed)?;
+    print(&format!("\n{}", stability::table::energy(&drifts)));
+    print(&format!("\n{}", stability::table::sizes(&sizes::measure().map_err(failed)?)));
+    print(&format!("\n{}; {:.0} s", Machine::detect(), clock.elapsed().as_secs_f64()));
+    write(csv_file, || Ok(stability::table::csv(&rows)))?;
+    Ok(())
+}
+
+fn one_case(index: u64, file: Option<&Path>, settings: &stability::Settings) -> Result<(), Failure> {
+    let file = claim(file)?;
+    let case = Case::new(index).map_err(|error| Failure::Run(error.to_string()))?;
+    print(&case.scene.source);
+    write(file, || Ok(case.scene.source.clone()))?;
+    let row = stability::run(case, settings).map_err(|error| Failure::Run(error.to_string()))?;
+    for outcome in &row.outcomes {
+        print(&format!("{outcome:?}"));
+    }
+    Ok(())
 }
 
 /// Shows on a terminal how far the measurements are, and nothing where standard error is no terminal.

@@ -44,6 +44,10 @@ impl Event {
     }
 }
 
+/// Far from the origin the distance of rounded positions has stairs, on which Newton's steps are too small: so many of
+/// them, then bisection.
+const MOST_NEWTON: u32 = 32;
+
 /// Two paths whose distance is watched.
 #[derive(Clone, Copy, Debug)]
 pub struct PairPaths<'a> {
@@ -162,7 +166,9 @@ impl Gap<'_> {
             return Some(low);
         }
         let mut t = low + 0.5 * (high - low);
+        let mut tries = 0;
         while low < t && t < high {
+            tries += 1;
             let (g, slope) = self.at(t);
             if g == 0.0 {
                 return Some(t);
@@ -177,7 +183,8 @@ impl Gap<'_> {
                 // as near as the time can be told: the first instant after the fall
                 return Some(if t == low { t.next_up() } else { t });
             }
-            t = if newton > low && newton < high { newton } else { low + 0.5 * (high - low) };
+            let is_newton = newton > low && newton < high && tries < MOST_NEWTON;
+            t = if is_newton { newton } else { low + 0.5 * (high - low) };
         }
         Some(high)
     }

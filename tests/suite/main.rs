@@ -12,3 +12,4 @@ mod rims;
 mod scene_format;
 mod sinks;
 mod skipping;
+mod stability;

@@ -160,8 +160,12 @@ impl Gap {
 fn root(gap: &impl Fn(f64) -> (f64, f64), mut low: f64, mut high: f64, guess: f64) -> f64 {
     // Newton's error after a step is about the square of the step: the last one is below rounding.
     const LAST_STEP: f64 = 1e-8;
+    // On the stairs of rounded positions, far from the origin, Newton's steps are too small: so many, then bisection.
+    const MOST_NEWTON: u32 = 32;
+    let mut tries = 0;
     let mut t = if guess > low && guess < high { guess } else { low + 0.5 * (high - low) };
     while low < t && t < high {
+        tries += 1;
         let (g, slope) = gap(t);
         if g > 0.0 {
             low = t;
@@ -169,7 +173,7 @@ fn root(gap: &impl Fn(f64) -> (f64, f64), mut low: f64, mut high: f64, guess: f6
             high = t;
         }
         let newton = t - g / slope;
-        let inside = newton > low && newton < high;
+        let inside = newton > low && newton < high && tries < MOST_NEWTON;
         let next = if inside { newton } else { low + 0.5 * (high - low) };
         if (newton - t).abs() <= LAST_STEP {
             return newton.clamp(low, high);
