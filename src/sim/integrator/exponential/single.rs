@@ -14,7 +14,9 @@ use super::{
 use crate::model::{energy, influence};
 
 /// Steps that a vertex may take in one stretch; what is left then is taken in one, unchecked but within bounds.
-const MOST_STEPS: u32 = 1024;
+const MOST_STEPS: u32 = 2048;
+/// After so many steps of a vertex in one stretch, and after as many again, twice the error will do.
+const PATIENCE: u32 = 64;
 /// Lengths of step whose weights are kept.
 const MOST_WEIGHTS: usize = 24;
 
@@ -118,7 +120,7 @@ impl Single<'_> {
         loop {
             let step = if is_whole { self.whole } else { &*part };
             let (middle, end) = (start + 0.5 * h, start + h);
-            let wanted = self.tolerance * h;
+            let wanted = self.wanted(h, steps);
             let resolved = self.resolves_spheres(step, &vertex, state);
             // written so that what is not a number is not small enough
             let will_do = start >= middle || (outcome.error <= wanted && resolved);
@@ -163,12 +165,17 @@ impl Single<'_> {
                 let halved = course.length / h == (course.length / h).round();
                 let weights = if halved { known.get(course, h) } else { Weights::new(course.oscillator(), h) };
                 part.prepare_part(course, self.whole, self.common, start, weights);
-                collocate(course, part, &vertex, state, self.tolerance * h, pulls)
+                collocate(course, part, &vertex, state, self.wanted(h, steps), pulls)
             };
         }
         self.substeps += u64::from(steps - 1);
         self.error = self.error.max(error);
         state
+    }
+
+    /// The error that will do for a step of length `h` after so many others [scene unit].
+    fn wanted(&self, h: f64, steps: u32) -> f64 {
+        self.tolerance * h * 2f64.powi((steps / PATIENCE) as i32)
     }
 
     /// How far the vertex can get by itself in a step [scene unit].

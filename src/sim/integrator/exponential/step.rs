@@ -255,11 +255,16 @@ impl Step {
             Bounds { speed: speed + own.speed, acceleration: acceleration + own.acceleration }
         }));
         let radius = course.body().radius;
-        self.smooth = (0..course.spheres.len()).all(|j| {
+        let spheres_are_smooth = (0..course.spheres.len()).all(|j| {
             let known: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].centres[j]);
             let cubic = combine(&self.weights.polynomial, &known);
             (self.moments[4].centres[j] - cubic).length_squared() <= (SMOOTH * radius).powi(2)
         });
+        self.smooth = spheres_are_smooth
+            && (0..course.pushes.len()).all(|p| {
+                let known = (0..4).map(|node| self.weights.polynomial[node] * self.moments[node].pushed[p]);
+                (self.moments[4].pushed[p] - known.sum::<f64>()).abs() <= SMOOTH * radius
+            });
         self.noise = self.rounding(course);
     }
 

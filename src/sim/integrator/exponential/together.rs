@@ -100,7 +100,8 @@ impl Together<'_> {
         let swing = (u.length_squared() + x.length_squared() * (material.omega * material.omega)).sqrt();
         let speed = swing + Reals::splat(simd, self.force * h);
         let travel = (speed * h).smaller(speed * (2.0 / material.omega));
-        let Near { rims: near, passing } = self.find_pulls(simd, first, Group::new(simd, course, step, rest, &[]).rest[0] + x, travel);
+        let Near { rims: near, passing } =
+            self.find_pulls(simd, first, Group::new(simd, course, step, rest, &[]).rest[0] + x, travel);
 
         let outcomes = &mut *self.outcomes;
         let idle = self.pulls.is_empty();
