@@ -20,8 +20,7 @@ fn aligned(rows: &[Vec<String>]) -> String {
         let mut line = String::new();
         for (column, text) in row.iter().enumerate() {
             let padding = " ".repeat(widths[column] - text.chars().count());
-            let is_left = column == 0 || column + 1 == row.len() && row.len() == columns && text.starts_with("case ");
-            let _ = if is_left { write!(line, "{text}{padding}  ") } else { write!(line, "{padding}{text}  ") };
+            let _ = if column == 0 { write!(line, "{text}{padding}  ") } else { write!(line, "{padding}{text}  ") };
         }
         line.trim_end().to_owned()
     };
@@ -43,8 +42,7 @@ fn integrators(rows: &[Row]) -> impl Iterator<Item = Integrator> {
 
 /// By integrator: how many passed, what became of the others, and the worst.
 pub fn by_integrator(rows: &[Row]) -> String {
-    let heading =
-        ["integrator", "cases", "passed", "not finite", "beyond bound", "error", "median error [R]", "worst case"];
+    let heading = ["integrator", "cases", "passed", "not finite", "beyond bound", "error", "median error [R]"];
     let mut table = vec![heading.map(str::to_owned).to_vec()];
     for integrator in integrators(rows) {
         let count = |failure| of(rows, integrator).filter(|(_, outcome)| outcome.failure == failure).count() as u64;
@@ -65,7 +63,42 @@ pub fn by_integrator(rows: &[Row]) -> String {
             thousands(count(Some(Failure::BeyondBound))),
             error(count(Some(Failure::Error))),
             errors.get(errors.len() / 2).map_or("–".to_owned(), |error| format!("{error:.0e}")),
-            worst(rows, integrator).map_or(String::new(), |(row, outcome)| format!("case {}", described(row, outcome))),
+        ]);
+    }
+    aligned(&table)
+}
+
+/// By integrator: the worst case, and the command that runs it again.
+pub fn worst_cases(rows: &[Row]) -> String {
+    let of_integrator = |integrator| {
+        let (row, outcome) = worst(rows, integrator)?;
+        let index = row.case.index;
+        Some(format!(
+            "{integrator}: {}: {}\n    meldscope bench stability --case {index} --integrator {integrator}",
+            row.case.what,
+            described(outcome)
+        ))
+    };
+    format!("worst case of each\n{}", integrators(rows).filter_map(of_integrator).collect::<Vec<_>>().join("\n"))
+}
+
+/// One case: what became of it.
+pub fn one_case(row: &Row) -> String {
+    let heading =
+        ["integrator", "steps", "outcome", "of bound", "error [R]", "allowed [R]", "sub-steps", "run time [s]"];
+    let mut table = vec![heading.map(str::to_owned).to_vec()];
+    let number = |x: Option<f64>| x.map_or("–".to_owned(), |x| format!("{x:.1e}"));
+    for outcome in &row.outcomes {
+        let end = if outcome.is_cut { "passed, cut short" } else { "passed" };
+        table.push(vec![
+            outcome.integrator.to_string(),
+            thousands(outcome.steps),
+            outcome.failure.map_or(end, Failure::name).to_owned(),
+            if outcome.used < 1e3 { format!("{:.3}", outcome.used) } else { format!("{:.1e}", outcome.used) },
+            number(outcome.error),
+            number(outcome.allowed.filter(|_| outcome.integrator == Integrator::Exponential)),
+            thousands(outcome.substeps),
+            format!("{:.4}", outcome.seconds),
         ]);
     }
     aligned(&table)
@@ -76,16 +109,16 @@ fn worst(rows: &[Row], integrator: Integrator) -> Option<(&Row, &Outcome)> {
     of(rows, integrator).min_by(|(_, a), (_, b)| b.badness().total_cmp(&a.badness()))
 }
 
-fn described(row: &Row, outcome: &Outcome) -> String {
-    let how = match (outcome.failure, outcome.error) {
+fn described(outcome: &Outcome) -> String {
+    match (outcome.failure, outcome.error) {
         (Some(Failure::NotFinite), _) => format!("not finite after {} steps", thousands(outcome.steps)),
         (Some(Failure::BeyondBound), _) => {
-            format!("{:.1e} times what energy allows after {} steps", outcome.used, thousands(outcome.steps))
+            let steps = if outcome.steps == 1 { "step" } else { "steps" };
+            format!("{:.1e} times what energy allows after {} {steps}", outcome.used, thousands(outcome.steps))
         }
         (Some(Failure::Error), error) => format!("error {:.1e} R", error.unwrap_or(f64::NAN)),
-        (None, _) => format!("{:.2} of what energy allows", outcome.used),
-    };
-    format!("{}: {}: {how}", row.case.index, row.case.what)
+        (None, _) => format!("passed with {:.2} of what energy allows", outcome.used),
+    }
 }
 
 impl Outcome {
@@ -153,8 +186,9 @@ pub fn extremes(rows: &[Row]) -> String {
 pub fn footer() -> String {
     format!(
         "passed: finite after every step, and within {MARGIN} times what energy allows; exponential: and as near the exact \
-         solution as its tolerance promises, where there is one\n\
-         seed {SEED}; one case again: meldscope bench stability --case N [--write F.toml]"
+         solution as its tolerance promises, where there is one (the others have none to keep); a run that takes too much \
+         work is cut short and judged by what it did\n\
+         seed {SEED}; --case N --write F.toml makes a scene file of a case"
     )
 }
 
