@@ -18,7 +18,28 @@ fn scenes() -> Vec<Scene> {
     let names = ["push", "two", "three", "size_ratio", "crowd"];
     let mut scenes: Vec<Scene> = names.map(|name| Scene::builtin(name).expect("a built-in scene")).into();
     scenes.extend(["push", "two", "three", "size_ratio"].map(reference));
+    scenes.push(arrival());
     scenes
+}
+
+/// A pair that comes to stand on both its thresholds, at a keyframe: far ahead it is the same as within the step.
+fn arrival() -> Scene {
+    let text = r#"
+        name = "arrival"
+        duration = 1.5
+        [influence]
+        merge_at = 0.6666666666666666
+        split_at = 0.6666666666666666
+        [[body]]
+        name = "still"
+        radius = 1.0
+        motion = { fixed = [0, 0, 0] }
+        [[body]]
+        name = "arrives"
+        radius = 0.5
+        motion = { keyframes = [[0.0, 2, 0, 0], [0.5, 1, 0, 0], [1.0, 1, 0, 0]] }
+    "#;
+    Scene::parse(text, "arrival.toml").expect("a valid scene")
 }
 
 /// A company of bodies that move in every way, some of them pushed while others touch them.

@@ -40,6 +40,8 @@ fn exponential_passes_the_cases_that_it_failed() {
         ("visits of a microsecond (the reference)", &[714]),
         ("roots that are steep (the reference)", &[1346]),
         ("times of rims that are rounding", &[3786]),
+        ("responses to pushes that swing within a step", &[2962]),
+        ("rims that a stiff vertex swings about", &[1596]),
     ];
     for (what, cases) in once {
         for &index in cases {
