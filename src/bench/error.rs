@@ -14,7 +14,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::reference::{Accuracy, Reference, TooLong};
+use super::reference::{Accuracy, NoReference, Reference};
 use crate::{
     scene::{Integrator, Scene},
     sim::{TooLarge, World},
@@ -163,7 +163,7 @@ impl Report {
 pub enum MeasureError {
     /// There is no reference.
     #[error(transparent)]
-    TooLong(#[from] TooLong),
+    NoReference(#[from] NoReference),
     /// There is no memory.
     #[error(transparent)]
     TooLarge(#[from] TooLarge),

@@ -30,6 +30,17 @@ impl Machine {
 
 impl fmt::Display for Machine {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}, 1 of {} cores used; meldscope {}", self.cpu, self.cores, self.version)
+        self.describe(f, 1)
+    }
+}
+
+impl Machine {
+    /// It, for what was run on all cores.
+    pub fn at_full_load(&self) -> impl fmt::Display + '_ {
+        std::fmt::from_fn(|f| self.describe(f, self.cores))
+    }
+
+    fn describe(&self, f: &mut fmt::Formatter<'_>, used: usize) -> fmt::Result {
+        write!(f, "{}, {used} of {} cores used; meldscope {}", self.cpu, self.cores, self.version)
     }
 }

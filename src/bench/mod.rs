@@ -7,6 +7,7 @@
 //! | the independent solution that errors are measured against | [`reference`], by [`extrapolation`] |
 //! | what the diagrams have in common | `drawing` |
 //! | the machine that a run time belongs to | [`machine`] |
+//! | a stress sweep of every integrator, and bodies of very different sizes | [`stability`] |
 //! | files that are written when everything has been measured | [`output`] |
 
 mod drawing;
@@ -16,3 +17,4 @@ pub mod machine;
 pub mod output;
 pub mod reference;
 pub mod scale;
+pub mod stability;

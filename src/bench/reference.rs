@@ -39,16 +39,55 @@ impl Accuracy {
     pub const TIGHTER: Accuracy = Accuracy { tolerance: 1e-14, longest_step: 0.125 };
 }
 
-/// A scene whose reference would take too long.
+/// Why there is no reference for a scene.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error(
-    "a reference solution would take {evaluations:.0e} evaluations of the equation of motion, more than \
-     {MOST_EVALUATIONS:.0e}: its explicit method follows the fastest motion (omega, damping, alpha, beta), for every \
-     vertex and the whole duration; make the scene softer, smaller or shorter"
-)]
-pub struct TooLong {
-    /// An estimate of them.
-    pub evaluations: f64,
+pub enum NoReference {
+    /// It would take too long.
+    #[error(
+        "a reference solution would take {evaluations:.0e} evaluations of the equation of motion, more than \
+         {MOST_EVALUATIONS:.0e}: its explicit method follows the fastest motion (omega, damping, alpha, beta), for every \
+         vertex and the whole duration; make the scene softer, smaller or shorter"
+    )]
+    TooLong {
+        /// An estimate of them.
+        evaluations: f64,
+    },
+    /// When a pair changes its phase cannot be told.
+    #[error(
+        "no reference solution can be had: bodies {a} and {b} (counted from 0) come so often, so fast or for so long close \
+         to merge_at, split_at or core_at that it cannot be told when they pass it, from {time:e} s on; move the thresholds \
+         or shorten the scene"
+    )]
+    Undecided {
+        /// One body of the pair …
+        a: usize,
+        /// … and the other.
+        b: usize,
+        /// From when on [s].
+        time: f64,
+    },
+    /// The solution for a vertex does not get on.
+    #[error(
+        "no reference solution can be had: a vertex of body {body} (counted from 0) takes too many steps to be followed \
+         beyond {time:e} s; make the scene softer or shorter"
+    )]
+    Stuck {
+        /// Its body.
+        body: usize,
+        /// Where [s].
+        time: f64,
+    },
+    /// The solution for a vertex has numbers in it that are too large to calculate with.
+    #[error(
+        "no reference solution can be had: the numbers of a vertex of body {body} (counted from 0) get too large at \
+         {time:e} s; make the scene softer or smaller"
+    )]
+    TooLarge {
+        /// Its body.
+        body: usize,
+        /// Where [s].
+        time: f64,
+    },
 }
 
 /// A few minutes.
@@ -86,23 +125,23 @@ impl Reference {
     /// Solves `scene` for the displacements at `times` [s], ascending, none negative.
     ///
     /// # Errors
-    /// [`TooLong`] if the scene is too stiff, too large or too long for that.
-    pub fn solve(scene: &Scene, times: &[f64], accuracy: Accuracy) -> Result<Reference, TooLong> {
+    /// [`NoReference`] if the scene is too stiff, too large or too long for that, or the solution cannot be told.
+    pub fn solve(scene: &Scene, times: &[f64], accuracy: Accuracy) -> Result<Reference, NoReference> {
         let end = times.last().copied().unwrap_or(0.0);
         let evaluations = EVALUATIONS_PER_STEP
             * scene.vertex_count() as f64
             * f64::max(times.len() as f64, end * fastest_rate(scene) / accuracy.longest_step);
         if evaluations > MOST_EVALUATIONS {
-            return Err(TooLong { evaluations });
+            return Err(NoReference::TooLong { evaluations });
         }
-        let histories = histories(scene, end);
+        let histories = histories(scene, end)?;
         let tracks = (0..scene.bodies.len())
             .into_par_iter()
             .map(|body| {
                 let problem = Problem::new(scene, &histories, times, accuracy, body);
                 scene.bodies[body].shape.unit_vertices().into_par_iter().map(|unit| problem.track(unit)).collect()
             })
-            .collect();
+            .collect::<Result<_, _>>()?;
         let mut events: Vec<_> = histories.iter().flat_map(|history| history.changes.iter().copied()).collect();
         events.sort_by(|x, y| x.time.total_cmp(&y.time));
         Ok(Reference { times: times.to_vec(), tracks, events })
@@ -169,31 +208,29 @@ impl History {
     }
 }
 
-/// A visit to another phase that is shorter than this can be missed [s].
+/// A visit to another phase that is shorter than this can be missed [s] …
 const SHORTEST_VISIT: f64 = 1e-6;
+/// … if q changes by less than this in it [–].
+const SHORTEST_WAY: f64 = 1e-4;
+/// A pair is looked at no more often than this: a second or so.
+const MOST_LOOKS: u64 = 10_000_000;
 
 /// Those of all pairs that are ever anything else than apart, ascending.
-fn histories(scene: &Scene, end: f64) -> Vec<History> {
+fn histories(scene: &Scene, end: f64) -> Result<Vec<History>, NoReference> {
     let pairs = |a| (a + 1..scene.bodies.len()).map(move |b| (a, b));
     let all = (0..scene.bodies.len()).into_par_iter().flat_map_iter(pairs);
     let found = all.map(|(a, b)| history(scene, a, b, end));
-    found.filter(|history| history.first != Phase::Apart || !history.changes.is_empty()).collect()
+    let is_worth_it = |history: &History| history.first != Phase::Apart || !history.changes.is_empty();
+    found.filter(|history| history.as_ref().map_or(true, is_worth_it)).collect()
 }
 
-fn history(scene: &Scene, a: usize, b: usize, end: f64) -> History {
+fn history(scene: &Scene, a: usize, b: usize, end: f64) -> Result<History, NoReference> {
     let (one, other) = (&scene.bodies[a], &scene.bodies[b]);
     let radii = one.radius + other.radius;
     let q = |t| (one.path.position(t) - other.path.position(t)).length() / radii;
     let crate::model::phase::Thresholds { merge_at, split_at, core_at } = scene.thresholds;
-    let next = |phase, q: f64| match phase {
-        Phase::Apart if q <= merge_at => Phase::Merged,
-        Phase::Merged if q >= split_at => Phase::Apart,
-        Phase::Merged if q < core_at => Phase::Core,
-        Phase::Core if q >= core_at => Phase::Merged,
-        same => same,
-    };
 
-    let (mut t, mut phase) = (0.0, Phase::Apart);
+    let mut phase = Phase::Apart;
     if q(0.0) <= merge_at {
         phase = Phase::Merged;
     }
@@ -201,29 +238,111 @@ fn history(scene: &Scene, a: usize, b: usize, end: f64) -> History {
         phase = Phase::Core;
     }
     let mut history = History { a, b, first: phase, changes: vec![] };
-    while t < end {
+    if one.path.relative_bounds(&other.path, 0.0, end).speed == 0.0 {
+        return Ok(history); // it neither falls nor rises to a threshold, even if it stands on one, or on two
+    }
+    let mut t = 0.0;
+    let mut watch = Watch::default();
+    for _ in 0..MOST_LOOKS {
+        if t >= end {
+            return Ok(history);
+        }
         // no threshold can be reached before the centres have moved that far
         let far = [merge_at, split_at, core_at].map(|level| (q(t) - level).abs()).into_iter().fold(f64::MAX, f64::min);
         let stretch = f64::min(end - t, 0.1);
-        let speed = [one, other].map(|body| body.path.bounds(t, t + stretch).speed).iter().sum::<f64>();
+        let speed = one.path.relative_bounds(&other.path, t, t + stretch).speed;
         let safe = if far * radii >= speed * stretch { stretch } else { far * radii / speed };
-        let mut later = f64::min(end, t + f64::max(safe, SHORTEST_VISIT));
-        let to = next(phase, q(later));
-        if to != phase {
+        let shortest = f64::min(SHORTEST_VISIT, SHORTEST_WAY * radii / speed);
+        let mut later = f64::min(end, t + f64::max(safe, shortest));
+        if later <= t {
+            break; // too fast for times to tell where it is
+        }
+        let places = [one, other].map(|body| body.path.position(0.0).length() + body.path.position(later).length());
+        let doubt = ROUNDING * (1.0 + places.iter().sum::<f64>() / radii);
+        if let Some(fall) = watch.look(&ways(phase, &scene.thresholds), q(t), q(later), doubt) {
             let mut earlier = t;
             loop {
                 let middle = 0.5 * (earlier + later);
                 if middle <= earlier || middle >= later {
                     break;
                 }
-                if next(phase, q(middle)) == phase { earlier = middle } else { later = middle }
+                if fall.has_happened(q(middle)) { later = middle } else { earlier = middle }
             }
-            history.changes.push(PhaseChange { time: later, a, b, to });
-            phase = to;
+            phase = fall.way.to;
+            history.changes.push(PhaseChange { time: later, a, b, to: phase });
+            watch = Watch::default();
         }
         t = later;
     }
-    history
+    Err(NoReference::Undecided { a, b, time: t })
+}
+
+/// A way out of a phase: beyond a level of q, by falling or by rising.
+#[derive(Clone, Copy)]
+struct Way {
+    level: f64,
+    falls: bool,
+    /// Whether standing on the level is enough.
+    on_level: bool,
+    to: Phase,
+}
+
+impl Way {
+    /// How far q is from having gone it [–]: zero on the level, negative beyond.
+    fn gap(self, q: f64) -> f64 {
+        if self.falls { q - self.level } else { self.level - q }
+    }
+}
+
+/// Those out of `phase`.
+fn ways(phase: Phase, thresholds: &crate::model::phase::Thresholds) -> Vec<Way> {
+    let crate::model::phase::Thresholds { merge_at, split_at, core_at } = *thresholds;
+    match phase {
+        Phase::Apart => vec![Way { level: merge_at, falls: true, on_level: true, to: Phase::Merged }],
+        Phase::Merged => vec![
+            Way { level: split_at, falls: false, on_level: true, to: Phase::Apart },
+            Way { level: core_at, falls: true, on_level: false, to: Phase::Core },
+        ],
+        Phase::Core => vec![Way { level: core_at, falls: false, on_level: true, to: Phase::Merged }],
+    }
+}
+
+/// A pair in a phase, watched for the end of it.
+///
+/// Two levels may be one: a pair on it is as well merged as apart, and rounding alone would have it change for ever. It
+/// changes if it comes to the level from a clear distance, or is clearly beyond.
+#[derive(Default)]
+struct Watch {
+    /// Whether the pair has been at a clear distance from each level since the phase began.
+    was_clear: [bool; 2],
+}
+
+/// A level has been passed, or come to within so much of it.
+struct Fall {
+    way: Way,
+    within: f64,
+}
+
+impl Fall {
+    fn has_happened(&self, q: f64) -> bool {
+        let gap = self.way.gap(q) - self.within;
+        gap < 0.0 || gap == 0.0 && self.way.on_level
+    }
+}
+
+impl Watch {
+    /// Looks at q at two times in turn, at which it is known up to `doubt`.
+    fn look(&mut self, ways: &[Way], before: f64, now: f64, doubt: f64) -> Option<Fall> {
+        for (&way, was_clear) in ways.iter().zip(&mut self.was_clear) {
+            *was_clear |= way.gap(before) > doubt;
+            let gap = way.gap(now);
+            if gap < -doubt || *was_clear && way.on_level && gap <= doubt {
+                // the level itself, unless the pair comes to stand just short of it
+                return Some(Fall { way, within: f64::max(0.0, gap) });
+            }
+        }
+        None
+    }
 }
 
 // --- what acts on a body ---------------------------------------------------------------------------------------------
@@ -350,31 +469,41 @@ impl<'a> Problem<'a> {
     }
 
     /// x of one vertex at every instant asked for; empty if it stays 0.
-    fn track(&self, unit: DVec3) -> Vec<DVec3> {
-        self.track_within(unit, &self.chunks, self.leash()).unwrap_or_else(|| {
-            let all = self.all_chunks.get_or_init(|| self.divide(f64::INFINITY));
-            self.track_within(unit, all, f64::INFINITY).unwrap_or_default()
-        })
+    fn track(&self, unit: DVec3) -> Result<Vec<DVec3>, NoReference> {
+        if let Some(track) = self.track_within(unit, &self.chunks, self.leash())? {
+            return Ok(track);
+        }
+        let all = self.all_chunks.get_or_init(|| self.divide(f64::INFINITY));
+        Ok(self.track_within(unit, all, f64::INFINITY)?.unwrap_or_default())
     }
 
     /// As [`Problem::track`]; `None` if the vertex gets farther from rest than `leash`.
-    fn track_within(&self, unit: DVec3, chunks: &[Chunk<'a>], leash: f64) -> Option<Vec<DVec3>> {
-        let mut vertex = Vertex { problem: self, unit, state: [0.0; 6], step: self.longest_step, sides: vec![] };
+    fn track_within(&self, unit: DVec3, chunks: &[Chunk<'a>], leash: f64) -> Result<Option<Vec<DVec3>>, NoReference> {
+        let end = chunks.last().map_or(0.0, |chunk| chunk.end);
+        let trials = TRIALS_PER_STEP * (chunks.len() as f64 + end / self.longest_step);
+        let mut vertex = Vertex {
+            problem: self,
+            unit,
+            state: [0.0; 6],
+            step: self.longest_step,
+            sides: vec![],
+            trials: trials as u64,
+        };
         let mut track = vec![DVec3::ZERO; self.times.partition_point(|&t| t <= 0.0)];
         let mut is_at_rest = true;
         for chunk in chunks {
-            vertex.advance(chunk);
+            vertex.advance(chunk)?;
             let [x, y, z, ..] = vertex.state;
             let x = DVec3::new(x, y, z);
             is_at_rest &= x == DVec3::ZERO;
             if x.length() > leash {
-                return None;
+                return Ok(None);
             }
             if chunk.sample.is_some() {
                 track.push(x);
             }
         }
-        Some(if is_at_rest { vec![] } else { track })
+        Ok(Some(if is_at_rest { vec![] } else { track }))
     }
 }
 
@@ -399,6 +528,11 @@ fn strength(scene: &Scene, phase: Phase, size: f64) -> f64 {
 
 /// A step that is as short as this, over t or 1 s, is taken as it is: rounding is all that is left to see.
 const SHORTEST_STEP: f64 = 1e-12;
+/// A vertex may try so many steps, of whatever length, for each of the longest: far more than crossings and halvings take.
+const TRIALS_PER_STEP: f64 = 200.0;
+
+/// A vertex whose [`Gap`] is this part of the square of the radius can be on either side of a rim [–].
+const AT_RIM: f64 = 1e-9;
 
 /// One vertex on its way.
 struct Vertex<'p, 'a> {
@@ -410,6 +544,8 @@ struct Vertex<'p, 'a> {
     step: f64,
     /// On which side of the rims of the sources of the current chunk the vertex is.
     sides: Vec<Side>,
+    /// Steps that it may still try.
+    trials: u64,
 }
 
 #[derive(Clone, Copy)]
@@ -430,12 +566,12 @@ struct Law<'a> {
 
 impl Vertex<'_, '_> {
     /// Through one chunk.
-    fn advance(&mut self, chunk: &Chunk<'_>) {
+    fn advance(&mut self, chunk: &Chunk<'_>) -> Result<(), NoReference> {
         let push = |push: &&Push| push.strength * f64::max(0.0, -self.unit.dot(push.direction)) * push.direction;
         let push: DVec3 = chunk.pushes.iter().map(push).sum();
         if self.state == [0.0; 6] && chunk.sources.is_empty() && chunk.is_carried && push == DVec3::ZERO {
             self.sides.clear();
-            return;
+            return Ok(());
         }
         let rest = self.problem.body.radius * self.unit;
         let mut sides = std::mem::take(&mut self.sides);
@@ -443,6 +579,8 @@ impl Vertex<'_, '_> {
         let mut t = chunk.start;
         let mut turns = 0;
         while t < chunk.end {
+            // The one bound that holds whatever happens: crossings a rounding apart, steps that never get longer.
+            self.trials = self.trials.checked_sub(1).ok_or(NoReference::Stuck { body: self.problem.index, time: t })?;
             let left = chunk.end - t;
             let h = if self.step < left { self.step } else { left };
             let law = Law {
@@ -466,15 +604,32 @@ impl Vertex<'_, '_> {
                     self.step = 0.5 * h;
                     continue;
                 } else if whole.error.is_nan() {
-                    self.state = [f64::NAN; 6]; // numbers too large to square: nothing can be said
-                    break;
+                    return Err(NoReference::TooLarge { body: self.problem.index, time: t });
                 }
             }
             if whole.is_easy() {
                 self.step = f64::min(f64::max(self.step, 2.0 * h), self.problem.longest_step);
             }
-            // Without end a vertex could go in and out only at a rim that moves along with it, where it feels nothing.
-            match if turns < 8 { trial.first_crossing(h, whole.end) } else { None } {
+            if turns > 2 * sides.len() {
+                // It has gone in and out without getting on: it touches a rim, or the rim moves along with it. Where it
+                // is a little later, it has been all the time, but for where the force is too weak to matter.
+                let little = h / 1024.0;
+                let end = trial.step(little).end;
+                let touches = |(source, side): (usize, &Side)| {
+                    let gap = |h, state| trial.margin(source, h, state).value;
+                    let is_at_rim = gap(0.0, &self.state).abs() <= AT_RIM * chunk.sources[source].radius.powi(2);
+                    Side { is_inside: side.is_inside ^ (is_at_rim && gap(little, &end) < 0.0), ..*side }
+                };
+                let sides_then = sides.iter().enumerate().map(touches).collect::<Vec<_>>();
+                let law = Law { sides: &sides_then, ..law };
+                let trial = Trial { law: &law, slope: law.slope(t, &self.state), ..trial };
+                self.state = trial.step(little).end;
+                t = if t + little < chunk.end { t + little } else { chunk.end };
+                sides = sides_then;
+                turns = 0;
+                continue;
+            }
+            match trial.first_crossing(h, whole.end) {
                 None => {
                     self.state = whole.end;
                     t = if h == left { chunk.end } else { t + h };
@@ -482,13 +637,14 @@ impl Vertex<'_, '_> {
                 }
                 Some(Crossing { after, end, source }) => {
                     self.state = end;
-                    turns = if t + after > t { 0 } else { turns + 1 };
+                    turns = if after > CROSSING { 0 } else { turns + 1 };
                     t += after;
                     sides[source].is_inside ^= true;
                 }
             }
         }
         self.sides = sides;
+        Ok(())
     }
 
     /// On which side of a rim the vertex is at the start of a chunk.
@@ -496,7 +652,7 @@ impl Vertex<'_, '_> {
         let gap = gap(self.problem.body, source, chunk, rest, chunk.start, &self.state);
         let known = known.iter().find(|side| side.body == source.body);
         // at the very rim, which it may just have crossed, or where it may be about to
-        let is_inside = if gap.value.abs() > 1e-9 * source.radius * source.radius {
+        let is_inside = if gap.value.abs() > AT_RIM * source.radius * source.radius {
             gap.value < 0.0
         } else {
             known.map_or(gap.rate < 0.0, |side| side.is_inside)
@@ -642,15 +798,37 @@ impl Trial<'_> {
         let ((mut low, mut f_low), (mut high, mut f_high)) = (low, high);
         let (mut low_stayed, mut high_stayed) = (false, false);
         let mut found = (low, *self.state);
-        for _ in 0..100 {
+        let mut bisect = false;
+        for _ in 0..200 {
             let guess = low + (high - low) * (f_low / (f_low - f_high));
-            let middle = if guess > low && guess < high { guess } else { low + 0.5 * (high - low) };
+            let middle = if guess > low && guess < high && !bisect { guess } else { low + 0.5 * (high - low) };
+            bisect = false;
             found = (middle, self.step(middle).end);
             let value = f(middle, &found.1);
             // the distance to the root, from the slope of the secant
             let off = (high - low) * (value / (f_low - f_high)).abs();
-            if off <= CROSSING || middle <= low || middle >= high {
+            if middle <= low || middle >= high {
                 break;
+            }
+            let is_low = |value: f64| (value > 0.0) == (f_low > 0.0);
+            if off <= CROSSING {
+                // if the secant is right; what lies far beyond the rim may be steep
+                let probe = if is_low(value) { middle + CROSSING } else { middle - CROSSING };
+                if probe <= low || probe >= high {
+                    break;
+                }
+                let probed = f(probe, &self.step(probe).end);
+                if is_low(probed) != is_low(value) {
+                    break;
+                }
+                if is_low(probed) {
+                    (low, f_low) = (probe, probed)
+                } else {
+                    (high, f_high) = (probe, probed)
+                }
+                (low_stayed, high_stayed) = (false, false);
+                bisect = true;
+                continue;
             }
             if (value > 0.0) == (f_low > 0.0) {
                 (low, f_low) = (middle, value);

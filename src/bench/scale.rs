@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 use pulp::Arch;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
-use super::reference::{Accuracy, Reference, TooLong};
+use super::reference::{Accuracy, NoReference, Reference};
 use crate::{
     Scene, World,
     scene::Integrator,
@@ -41,7 +41,11 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Settings {
-        Settings { bodies: vec![2, 10, 100, 1_000, 10_000, 100_000], time: Duration::from_millis(500), decay: 1_000_000 }
+        Settings {
+            bodies: vec![2, 10, 100, 1_000, 10_000, 100_000],
+            time: Duration::from_millis(500),
+            decay: 1_000_000,
+        }
     }
 }
 
@@ -190,7 +194,7 @@ pub enum MeasureError {
     NoScene,
     /// There is no reference.
     #[error(transparent)]
-    TooLong(#[from] TooLong),
+    NoReference(#[from] NoReference),
     /// There is no memory.
     #[error(transparent)]
     TooLarge(#[from] TooLarge),
@@ -431,10 +435,9 @@ struct Judge {
 
 impl Judge {
     /// For scenes of up to so many bodies.
-    fn new(two: &Scene, bodies: usize) -> Result<Judge, TooLong> {
+    fn new(two: &Scene, bodies: usize) -> Result<Judge, NoReference> {
         let scene = scenes::every_phase(two, (bodies / 2).clamp(1, PHASES));
-        let times: Vec<f64> =
-            (0..=PERIOD / JUDGED_EVERY).map(|k| (k * JUDGED_EVERY) as f64 * scene.dt).collect();
+        let times: Vec<f64> = (0..=PERIOD / JUDGED_EVERY).map(|k| (k * JUDGED_EVERY) as f64 * scene.dt).collect();
         Ok(Judge { reference: Reference::solve(&scene, &times, Accuracy::DEFAULT)? })
     }
 

@@ -5,6 +5,7 @@ mod scale;
 use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
+use rayon::prelude::*;
 
 use super::{Failure, print, run::scene};
 use crate::{
@@ -12,7 +13,9 @@ use crate::{
         error::{self, MeasureError, Settings, csv::csv, diagram, table},
         machine::Machine,
         output::Output,
+        stability::{self, cases::Case, drift, sizes, table as of_stability},
     },
+    scene::Integrator,
     sim::memory,
 };
 
@@ -29,6 +32,8 @@ enum What {
     Error(ErrorArguments),
     /// Cost against size: scenes of 2 to 100,000 bodies, of which all, one in a hundred or two touch.
     Scale(scale::Arguments),
+    /// A stress sweep: thousands of small scenes at the limits of every setting, by every integrator.
+    Stability(StabilityArguments),
 }
 
 #[derive(clap::Args)]
@@ -44,11 +49,33 @@ struct ErrorArguments {
     svg: Option<PathBuf>,
 }
 
+#[derive(clap::Args)]
+struct StabilityArguments {
+    /// How many cases.
+    #[arg(long, value_name = "N", default_value_t = stability::Settings::default().cases,
+          value_parser = clap::value_parser!(u64).range(1..=stability::MOST_CASES))]
+    cases: u64,
+    /// This integrator only.
+    #[arg(long, value_parser = super::run::parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential")]
+    integrator: Option<Integrator>,
+    /// One case only, in detail.
+    #[arg(long, value_name = "N", conflicts_with_all = ["cases", "csv"],
+          value_parser = clap::value_parser!(u64).range(0..stability::MOST_CASES))]
+    case: Option<u64>,
+    /// Write the scene of that case to a file, for `meldscope run`.
+    #[arg(long, value_name = "F.toml", requires = "case")]
+    write: Option<PathBuf>,
+    /// Write the outcome of every case to a file.
+    #[arg(long, value_name = "F.csv")]
+    csv: Option<PathBuf>,
+}
+
 /// Runs a benchmark.
 pub fn bench(arguments: Arguments) -> Result<(), Failure> {
     match arguments.what {
         What::Error(arguments) => error(arguments),
         What::Scale(arguments) => scale::scale(arguments),
+        What::Stability(arguments) => stability(arguments),
     }
 }
 
@@ -70,7 +97,7 @@ fn error(arguments: ErrorArguments) -> Result<(), Failure> {
         let measured = error::measure(scene, &Settings::of(scene), &mut progress);
         bar.finish_and_clear();
         let report = measured.map_err(|error| match error {
-            MeasureError::TooLong(_) | MeasureError::TooLarge(_) => {
+            MeasureError::NoReference(_) | MeasureError::TooLarge(_) => {
                 Failure::Input(format!("scene {}: {error}", scene.name))
             }
             MeasureError::Thread(_) => Failure::Run(error.to_string()),
@@ -83,6 +110,63 @@ fn error(arguments: ErrorArguments) -> Result<(), Failure> {
 
     write(csv_file, || Ok(csv(&reports, &machine)))?;
     write(svg_file, || diagram::svg(&reports, &machine))
+}
+
+fn stability(arguments: StabilityArguments) -> Result<(), Failure> {
+    let integrators = arguments.integrator.map_or(Integrator::ALL.to_vec(), |integrator| vec![integrator]);
+    let settings = stability::Settings { cases: arguments.cases, integrators, ..stability::Settings::default() };
+    if let Some(index) = arguments.case {
+        return one_case(index, arguments.write.as_deref(), &settings);
+    }
+    let csv_file = claim(arguments.csv.as_deref())?;
+    let failed = |error: stability::SweepError| Failure::Run(error.to_string());
+    let clock = std::time::Instant::now();
+
+    let bar = progress_bar("stability");
+    let progress = |done: u64| bar.set_position(1000 * done / settings.cases.max(1));
+    let rows = stability::sweep(&settings, &progress);
+    bar.finish_and_clear();
+    let rows = rows.map_err(failed)?;
+    let swept = clock.elapsed().as_secs_f64();
+    for part in [of_stability::by_integrator, of_stability::by_axis, of_stability::worst_cases, of_stability::extremes]
+    {
+        print(&format!("{}\n", part(&rows)));
+    }
+    print(&of_stability::footer());
+
+    let drift = |&integrator: &Integrator| drift::measure(integrator, drift::STEPS);
+    let drifts = settings.integrators.par_iter().map(drift).collect::<Result<Vec<_>, _>>().map_err(failed)?;
+    print(&format!("\n{}", of_stability::energy(&drifts)));
+    print(&format!("\n{}", of_stability::sizes(&sizes::measure().map_err(failed)?)));
+    let whole = clock.elapsed().as_secs_f64();
+    print(&format!("\n{}; {whole:.0} s, of which the cases took {swept:.0} s", Machine::detect().at_full_load()));
+    write(csv_file, || Ok(of_stability::csv(&rows)))?;
+
+    if drifts.iter().any(|drift| drift.integrator == Integrator::Exponential && !drift.is_small()) {
+        return Err(Failure::Run("exponential does not keep the energy over a million steps".to_owned()));
+    }
+    verdict(&rows)
+}
+
+/// The default integrator is to pass every case; what becomes of the others is shown.
+fn verdict(rows: &[stability::Row]) -> Result<(), Failure> {
+    let is_defective = |row: &&stability::Row| row.outcomes.iter().any(stability::Outcome::is_defect);
+    let failed: Vec<_> = rows.iter().filter(is_defective).map(|row| row.case.index.to_string()).collect();
+    match failed.len() {
+        0 => Ok(()),
+        1 => Err(Failure::Run(format!("exponential fails case {}", failed.concat()))),
+        n => Err(Failure::Run(format!("exponential fails {n} cases: {}", failed.join(", ")))),
+    }
+}
+
+fn one_case(index: u64, file: Option<&Path>, settings: &stability::Settings) -> Result<(), Failure> {
+    let file = claim(file)?;
+    let case = Case::new(index).map_err(|error| Failure::Run(error.to_string()))?;
+    print(&case.scene.source);
+    write(file, || Ok(case.scene.source.clone()))?;
+    let row = stability::run(case, settings).map_err(|error| Failure::Run(error.to_string()))?;
+    print(&of_stability::one_case(&row));
+    verdict(&[row])
 }
 
 /// Shows on a terminal how far the measurements are, and nothing where standard error is no terminal.

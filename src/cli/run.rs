@@ -113,7 +113,7 @@ enum EntitiesName {
     Batch,
 }
 
-fn parse_integrator(text: &str) -> Result<Integrator, String> {
+pub(super) fn parse_integrator(text: &str) -> Result<Integrator, String> {
     let known = Integrator::ALL.into_iter().find(|integrator| integrator.name() == text);
     known.ok_or_else(|| format!("expected one of {}", Integrator::ALL.map(Integrator::name).join(", ")))
 }

@@ -44,6 +44,10 @@ impl Event {
     }
 }
 
+/// Far from the origin the distance of rounded positions has stairs, on which Newton's steps are too small: so many of
+/// them, then bisection.
+const MOST_NEWTON: u32 = 32;
+
 /// Two paths whose distance is watched.
 #[derive(Clone, Copy, Debug)]
 pub struct PairPaths<'a> {
@@ -82,6 +86,34 @@ impl PairPaths<'_> {
 
     /// The first of these.
     pub fn first_change(&self, thresholds: &Thresholds, phase: Phase, start: f64, end: f64) -> Option<(f64, Phase)> {
+        // From knot to knot, so that a pair that comes to stand on a threshold is there at an end.
+        let mut from = start;
+        loop {
+            let to = self.knot_after(from).min(end);
+            let found = self.first_change_between_knots(thresholds, phase, from, to);
+            if found.is_some() || to >= end {
+                return found;
+            }
+            from = to;
+        }
+    }
+
+    /// The first instant after `t` at which a derivative of a path jumps [s].
+    fn knot_after(&self, t: f64) -> f64 {
+        let after = |path: &Path| {
+            let knots = path.knots();
+            knots.get(knots.partition_point(|&knot| knot <= t)).copied().unwrap_or(f64::INFINITY)
+        };
+        after(self.a).min(after(self.b))
+    }
+
+    fn first_change_between_knots(
+        &self,
+        thresholds: &Thresholds,
+        phase: Phase,
+        start: f64,
+        end: f64,
+    ) -> Option<(f64, Phase)> {
         if self.a.relative_bounds(self.b, start, end).speed == 0.0 {
             return None; // Still, or in formation: only rounding could change the distance.
         }
@@ -116,8 +148,22 @@ impl Gap<'_> {
         ((d - self.level) * (d + self.level), 2.0 * apart.dot(relative))
     }
 
+    /// What rounding of the centres can do to a g near zero.
+    fn rounding(&self, a: &Kinematics, b: &Kinematics) -> f64 {
+        let far = a.position.abs().max_element() + b.position.abs().max_element();
+        8.0 * f64::EPSILON * self.level * (self.level + far)
+    }
+
     /// The first time in `[start, end]` at which `sign · g` falls through zero, being above at `start` or on it.
     fn first_fall(&self, sign: f64, start: f64, end: f64) -> Option<f64> {
+        let (a, b) = (self.pair.a.at(start), self.pair.b.at(start));
+        let is_clear = sign * self.of(&a, &b).0 > self.rounding(&a, &b);
+        self.first_fall_within(sign, start, end, is_clear)
+    }
+
+    /// The same in a part of it, into which the pair comes without having fallen; it `is_clear` if it was above zero by
+    /// more than rounding before.
+    fn first_fall_within(&self, sign: f64, start: f64, end: f64, is_clear: bool) -> Option<f64> {
         if start >= end {
             return None;
         }
@@ -131,9 +177,7 @@ impl Gap<'_> {
         let Bounds { speed, acceleration } = self.pair.a.relative_bounds(self.pair.b, start, end);
         let curvature = 2.0 * speed * speed + 2.0 * (apart + speed * half) * acceleration;
         let range = slope.abs() * half + 0.5 * curvature * half * half;
-        // What rounding of the centres can do to a g near zero.
-        let far = a.position.abs().max_element() + b.position.abs().max_element();
-        let rounding = 8.0 * f64::EPSILON * self.level * (self.level + far);
+        let rounding = self.rounding(&a, &b);
         let close = 8.0 * rounding;
 
         // No root: on the near side still, or on the far side since it passed `close` to the threshold just before.
@@ -143,13 +187,13 @@ impl Gap<'_> {
         // All of it too close to the threshold to tell more, or too short: does it come to stand on it, from above?
         if g.abs() + range <= close || m <= start || m >= end {
             let (before, after) = (sign * self.at(start).0, sign * self.at(end).0);
-            return (before > rounding && after <= rounding).then_some(end);
+            return ((is_clear || before > rounding) && after <= rounding).then_some(end);
         }
         // g′ keeps its sign: at most one root, and only if it falls
         if slope.abs() > curvature * half {
             return if sign * slope < 0.0 { self.root_of_fall(sign, start, end) } else { None };
         }
-        self.first_fall(sign, start, m).or_else(|| self.first_fall(sign, m, end))
+        self.first_fall_within(sign, start, m, is_clear).or_else(|| self.first_fall_within(sign, m, end, is_clear))
     }
 
     /// The root of `sign · g`, which falls throughout `[low, high]`: Newton's steps, bisection where they leave the
@@ -162,7 +206,9 @@ impl Gap<'_> {
             return Some(low);
         }
         let mut t = low + 0.5 * (high - low);
+        let mut tries = 0;
         while low < t && t < high {
+            tries += 1;
             let (g, slope) = self.at(t);
             if g == 0.0 {
                 return Some(t);
@@ -177,7 +223,8 @@ impl Gap<'_> {
                 // as near as the time can be told: the first instant after the fall
                 return Some(if t == low { t.next_up() } else { t });
             }
-            t = if newton > low && newton < high { newton } else { low + 0.5 * (high - low) };
+            let is_newton = newton > low && newton < high && tries < MOST_NEWTON;
+            t = if is_newton { newton } else { low + 0.5 * (high - low) };
         }
         Some(high)
     }

@@ -13,3 +13,4 @@ mod scale;
 mod scene_format;
 mod sinks;
 mod skipping;
+mod stability;

@@ -19,7 +19,28 @@ fn scenes() -> Vec<Scene> {
     let names = ["push", "two", "three", "size_ratio", "crowd"];
     let mut scenes: Vec<Scene> = names.map(|name| Scene::builtin(name).expect("a built-in scene")).into();
     scenes.extend(["push", "two", "three", "size_ratio"].map(reference));
+    scenes.push(arrival());
     scenes
+}
+
+/// A pair that comes to stand on both its thresholds, at a keyframe: far ahead it is the same as within the step.
+fn arrival() -> Scene {
+    let text = r#"
+        name = "arrival"
+        duration = 1.5
+        [influence]
+        merge_at = 0.6666666666666666
+        split_at = 0.6666666666666666
+        [[body]]
+        name = "still"
+        radius = 1.0
+        motion = { fixed = [0, 0, 0] }
+        [[body]]
+        name = "arrives"
+        radius = 0.5
+        motion = { keyframes = [[0.0, 2, 0, 0], [0.5, 1, 0, 0], [1.0, 1, 0, 0]] }
+    "#;
+    Scene::parse(text, "arrival.toml").expect("a valid scene")
 }
 
 /// A company of bodies that move in every way, some of them pushed while others touch them.
@@ -322,7 +343,8 @@ fn assert_same_as_plain(scene: &Scene, tolerance: f64) {
         let [skipping, plain] = &mut worlds;
         let (events, expected) = (&skipping.step().events, &plain.step().events);
         let known = |events: &[Event]| {
-            let mut known: Vec<_> = events.iter().map(|it| (it.a, it.b, it.to.name(), (it.time * 1e9) as i64)).collect();
+            let mut known: Vec<_> =
+                events.iter().map(|it| (it.a, it.b, it.to.name(), (it.time * 1e9) as i64)).collect();
             known.sort_unstable();
             known
         };

@@ -7,7 +7,9 @@ use plotters::{prelude::*, style::text_anchor::HPos};
 use super::{Measurement, Report, Scheme};
 use crate::{
     bench::{
-        drawing::{Area, FONT, Failure, GREY, INK, Marker, Style, draw_labels, draw_marker, power_of_ten, ticks, write},
+        drawing::{
+            Area, FONT, Failure, GREY, INK, Marker, Style, draw_labels, draw_marker, power_of_ten, ticks, write,
+        },
         machine::Machine,
     },
     scene::Integrator,

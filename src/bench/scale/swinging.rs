@@ -56,12 +56,7 @@ const BODIES: usize = 4000;
 pub(super) const LEFT_ALONE: f64 = 1.0;
 
 /// Measures both.
-pub(super) fn measure(
-    two: &Scene,
-    pools: &Pools,
-    time: Duration,
-    most: usize,
-) -> Result<Vec<Swinging>, MeasureError> {
+pub(super) fn measure(two: &Scene, pools: &Pools, time: Duration, most: usize) -> Result<Vec<Swinging>, MeasureError> {
     [Cause::Sphere, Cause::Push].into_iter().map(|cause| measure_one(cause, two, pools, time, most)).collect()
 }
 
@@ -87,8 +82,7 @@ fn measure_one(
             pool.install(|| times.push(block(&mut world, share)));
         }
     }
-    let mut rates =
-        times.into_iter().map(|times| Some(vertices as f64 / times.into_iter().min_by(f64::total_cmp)?));
+    let mut rates = times.into_iter().map(|times| Some(vertices as f64 / times.into_iter().min_by(f64::total_cmp)?));
     let one = rates.next().flatten().unwrap_or(f64::NAN);
     let memory = world.memory() as f64 / vertices as f64;
     Ok(Swinging { cause, vertices, memory, one, all: rates.next().flatten() })
@@ -124,9 +118,7 @@ pub fn scene(cause: Cause, two: &Scene, pairs: usize) -> Scene {
     let paths = |pair: usize| {
         let (a, away) = (corner(pair), corner(pair) + 4.0 * DVec3::X);
         let other = match cause {
-            Cause::Sphere => {
-                Path::Keyframes(Spline::new(&[(0.0, a + 0.3 * DVec3::X), (0.5, away)]))
-            }
+            Cause::Sphere => Path::Keyframes(Spline::new(&[(0.0, a + 0.3 * DVec3::X), (0.5, away)])),
             Cause::Push => Path::Fixed(away),
         };
         [Path::Fixed(a), other]

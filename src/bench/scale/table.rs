@@ -15,8 +15,11 @@ pub fn table(report: &Report) -> String {
         lines.push(String::new());
         let all = format!("{} cores", report.threads);
         let mut rows = vec![
-            ["bodies", "one core", &all, "ratio", "one core", "reached", "by those", "memory", "error", "plain", "error"]
-                .map(str::to_owned),
+            [
+                "bodies", "one core", &all, "ratio", "one core", "reached", "by those", "memory", "error", "plain",
+                "error",
+            ]
+            .map(str::to_owned),
             ["", "steps/s", "steps/s", "", "M vertices/s", "vertices", "ns", "a body", "[R]", "steps/s", "[R]"]
                 .map(str::to_owned),
         ];
@@ -52,7 +55,8 @@ pub fn table(report: &Report) -> String {
     lines.extend(aligned(&rows));
     lines.push(String::new());
 
-    lines.push("a scene of two bodies that decays to nothing: time of a step and of looking at all vertices".to_owned());
+    lines
+        .push("a scene of two bodies that decays to nothing: time of a step and of looking at all vertices".to_owned());
     lines.push(String::new());
     let mut rows = vec![["", "steps", "in the beginning", "slowest", "in the end"].map(str::to_owned)];
     rows.extend(report.decay.iter().map(|decay| {

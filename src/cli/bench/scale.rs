@@ -48,7 +48,9 @@ pub fn scale(arguments: Arguments) -> Result<(), Failure> {
     bar.finish_and_clear();
     let report = measured.map_err(|error| match error {
         MeasureError::TooLarge(_) => Failure::input(error),
-        MeasureError::NoScene | MeasureError::TooLong(_) | MeasureError::Threads(_) => Failure::Run(error.to_string()),
+        MeasureError::NoScene | MeasureError::NoReference(_) | MeasureError::Threads(_) => {
+            Failure::Run(error.to_string())
+        }
     })?;
     print(&table::table(&report));
     print("");

@@ -198,6 +198,16 @@ impl<S: Simd, const W: usize> Mask<S, W> {
         Mask { m, ..self }
     }
 
+    /// Where both are.
+    #[inline(always)]
+    pub fn and(self, other: Mask<S, W>) -> Mask<S, W> {
+        let mut m = self.m;
+        for w in 0..W {
+            m[w] = self.simd.and_m64s(m[w], other.m[w]);
+        }
+        Mask { m, ..self }
+    }
+
     /// Where it is not.
     #[inline(always)]
     pub fn negated(self) -> Mask<S, W> {

@@ -1,5 +1,7 @@
 //! When a vertex crosses the rim of an influence sphere within a step.
 
+use std::cell::Cell;
+
 use glam::DVec3;
 
 use super::{
@@ -8,6 +10,10 @@ use super::{
     single::{Outcome, Vertex},
     step::{Apart, LookUp, Step},
 };
+
+/// Looks for the crossings of a rim in a step. More are only needed where a vertex swings many times in it, which is only
+/// let be where crossings do not matter (`Single::resolves_rims`): what is not found then is not missed.
+const MOST_LOOKS: u32 = 4096;
 
 /// The motion of a vertex over a step that has been taken, between its two ends: the quintic that has its displacement,
 /// velocity and acceleration at both.
@@ -68,7 +74,8 @@ impl<'a> Motion<'a> {
             let moment = &step.moments[node];
             (moment.centres[sphere] - self.vertex.rest_at(look.course, &moment.pushed) - displacement).length()
         });
-        let gap = Gap {
+        let mut gap = Gap {
+            looks: Cell::new(MOST_LOOKS),
             sign: if inside { -1.0 } else { 1.0 },
             rim,
             curvature: 2.0 * speed * speed + 2.0 * (d0.max(d1) + speed) * acceleration,
@@ -84,6 +91,12 @@ impl<'a> Motion<'a> {
             Apart::Quartic([p, q, r, s, t]) => {
                 // its centre relative to the vertex: one polynomial
                 let (a, b, c, d, e) = (p - a, q - b, r - c, s - d, t - e);
+                // whose own bounds are most often tighter
+                let [c2, d2, e2, f2] = [c, d, e, f].map(DVec3::length);
+                let speed = b.length() + 2.0 * c2 + 3.0 * d2 + 4.0 * e2 + 5.0 * f2;
+                let acceleration = 2.0 * c2 + 6.0 * d2 + 12.0 * e2 + 20.0 * f2;
+                let curvature = 2.0 * speed * speed + 2.0 * (d0 + speed) * acceleration;
+                gap.curvature = gap.curvature.min(curvature);
                 gap.first_fall(&|s| {
                     let position = a + s * (b + s * (c + s * (d + s * (e - s * f))));
                     let velocity = b + s * (2.0 * c + s * (3.0 * d + s * (4.0 * e - s * (5.0 * f))));
@@ -104,6 +117,8 @@ impl<'a> Motion<'a> {
 /// `distance² − r_e²` of a vertex and a sphere over a step, times a sign so that the crossing looked for is a fall through
 /// zero; the step lasts from 0 to 1.
 struct Gap {
+    /// How often it may still be looked at.
+    looks: Cell<u32>,
     sign: f64,
     rim: f64,
     /// Bound of its second derivative.
@@ -128,6 +143,8 @@ impl Gap {
     }
 
     fn first_fall_within(&self, gap: &impl Fn(f64) -> (f64, f64), start: f64, end: f64) -> Option<f64> {
+        let looks = self.looks.get().checked_sub(1)?;
+        self.looks.set(looks);
         let half = 0.5 * (end - start);
         let middle = start + half;
         let (g, slope) = gap(middle);
@@ -160,8 +177,12 @@ impl Gap {
 fn root(gap: &impl Fn(f64) -> (f64, f64), mut low: f64, mut high: f64, guess: f64) -> f64 {
     // Newton's error after a step is about the square of the step: the last one is below rounding.
     const LAST_STEP: f64 = 1e-8;
+    // On the stairs of rounded positions, far from the origin, Newton's steps are too small: so many, then bisection.
+    const MOST_NEWTON: u32 = 32;
+    let mut tries = 0;
     let mut t = if guess > low && guess < high { guess } else { low + 0.5 * (high - low) };
     while low < t && t < high {
+        tries += 1;
         let (g, slope) = gap(t);
         if g > 0.0 {
             low = t;
@@ -169,7 +190,7 @@ fn root(gap: &impl Fn(f64) -> (f64, f64), mut low: f64, mut high: f64, guess: f6
             high = t;
         }
         let newton = t - g / slope;
-        let inside = newton > low && newton < high;
+        let inside = newton > low && newton < high && tries < MOST_NEWTON;
         let next = if inside { newton } else { low + 0.5 * (high - low) };
         if (newton - t).abs() <= LAST_STEP {
             return newton.clamp(low, high);

@@ -5,15 +5,18 @@ use pulp::Scalar;
 
 use super::{
     super::State,
-    course::{Common, Course},
+    course::{Common, Course, Sphere},
     lanes::{LANES, Vector},
     rim::Motion,
     step::{Collocated, Group, LookUp, Pull, RIMS, Step},
-    weights::{Dense, Weights},
+    weights::{Dense, Stage, Weights},
 };
+use crate::model::{energy, influence};
 
-/// Steps that a vertex may take in one stretch; what is left then is taken in one, unchecked but stable.
-const MOST_STEPS: u32 = 1024;
+/// Steps that a vertex may take in one stretch; what is left then is taken in one, unchecked but within bounds.
+const MOST_STEPS: u32 = 2048;
+/// After so many steps of a vertex in one stretch, and after as many again, twice the error will do.
+const PATIENCE: u32 = 64;
 /// Lengths of step whose weights are kept.
 const MOST_WEIGHTS: usize = 24;
 
@@ -117,11 +120,10 @@ impl Single<'_> {
         loop {
             let step = if is_whole { self.whole } else { &*part };
             let (middle, end) = (start + 0.5 * h, start + h);
-            let wanted = self.tolerance * h;
-            let can_halve = steps < MOST_STEPS && start < middle;
-            let resolved = vertex.inside.is_none() || self.resolves_rims(step, &vertex, state);
+            let wanted = self.wanted(h, steps);
+            let resolved = self.resolves_spheres(step, &vertex, state);
             // written so that what is not a number is not small enough
-            let will_do = !can_halve || (outcome.error <= wanted && resolved);
+            let will_do = start >= middle || (outcome.error <= wanted && resolved);
             let crossing = will_do.then(|| self.first_crossing(step, &vertex, state, &outcome)).flatten();
             if !will_do {
                 left.extend([(middle, 0.5 * h), (start, 0.5 * h)]);
@@ -148,7 +150,12 @@ impl Single<'_> {
             is_whole = false;
             steps += 1;
             if steps == MOST_STEPS {
-                vertex.inside = None; // no more looking for rims: the force is cut off, and so bounded
+                let weights = Weights::new(course.oscillator(), course.end() - start);
+                part.prepare_part(course, self.whole, self.common, start, weights);
+                let held = hold(course, part, &vertex, state);
+                error += (held.x - state.x).length();
+                state = held;
+                break;
             }
             outcome = if vertex.inside == Some(0) {
                 part.prepare_ends(course, self.whole, self.common, start, h);
@@ -158,12 +165,17 @@ impl Single<'_> {
                 let halved = course.length / h == (course.length / h).round();
                 let weights = if halved { known.get(course, h) } else { Weights::new(course.oscillator(), h) };
                 part.prepare_part(course, self.whole, self.common, start, weights);
-                collocate(course, part, &vertex, state, self.tolerance * h, pulls)
+                collocate(course, part, &vertex, state, self.wanted(h, steps), pulls)
             };
         }
         self.substeps += u64::from(steps - 1);
         self.error = self.error.max(error);
         state
+    }
+
+    /// The error that will do for a step of length `h` after so many others [scene unit].
+    fn wanted(&self, h: f64, steps: u32) -> f64 {
+        self.tolerance * h * 2f64.powi((steps / PATIENCE) as i32)
     }
 
     /// How far the vertex can get by itself in a step [scene unit].
@@ -183,6 +195,26 @@ impl Single<'_> {
         (0..course.spheres.len().min(RIMS)).filter(move |&j| {
             let from_rim = (moment.centres[j] - position).length() - course.spheres[j].radius;
             from_rim.abs() <= travel + step.relative[j].speed * h
+        })
+    }
+
+    /// Whether the step is short enough not to miss a sphere.
+    fn resolves_spheres(&self, step: &Step, vertex: &Vertex, state: State) -> bool {
+        match vertex.inside {
+            Some(_) => self.resolves_rims(step, vertex, state),
+            None => self.passes_no_sphere(step, vertex, state),
+        }
+    }
+
+    /// Whether the vertex cannot be in a sphere between the nodes of the step and at none of them, unless it is so near
+    /// the rim that it feels next to nothing (with the Wendland weight: 4e-8 of the strength).
+    fn passes_no_sphere(&self, step: &Step, vertex: &Vertex, state: State) -> bool {
+        let moment = &step.moments[0];
+        let position = vertex.rest_at(self.course, &moment.pushed) + state.x;
+        let travel = self.travel(step.weights.h, state);
+        self.course.spheres.iter().zip(&moment.centres).zip(&step.relative).all(|((sphere, centre), bounds)| {
+            let way = travel + bounds.speed * step.weights.h;
+            way <= sphere.radius || (*centre - position).length() > sphere.radius + way
         })
     }
 
@@ -215,6 +247,39 @@ impl Single<'_> {
 pub fn is_stiff(course: &Course<'_>, h: f64) -> bool {
     let material = course.body().material;
     (material.omega + 2.0 * material.damping) * h > 1.0
+}
+
+/// The end of a step under the force of its start: where no more can be spent on it. What is felt is no more than what there
+/// is, so the end is within all bounds of a motion by such forces; if nothing about the vertex moves, its energy does not
+/// grow either, and if that cannot be had, it stays where it is.
+fn hold(course: &Course<'_>, step: &Step, vertex: &Vertex, state: State) -> State {
+    let (Weights { ux, uu, constant, .. }, Stage { xx, xu, .. }) = (step.weights, step.weights.nodes[3]);
+    let moment = &step.moments[0];
+    let rest = vertex.rest_at(course, &moment.pushed);
+    let to_centres = |x: DVec3| moment.centres.iter().map(move |centre| *centre - rest - x);
+    let pull = |(sphere, to_centre): (&Sphere, DVec3)| {
+        influence::acceleration(course.weight(), sphere.strength, sphere.radius, to_centre)
+    };
+    let force: DVec3 = course.spheres.iter().zip(to_centres(state.x)).map(pull).sum();
+    let end = State { x: xx * state.x + xu * state.u + constant * force, u: ux * state.x + uu * state.u + xu * force };
+
+    if step.relative.iter().any(|bounds| bounds.speed != 0.0) {
+        return end;
+    }
+    let potential = |x: DVec3| {
+        let of_sphere = |(sphere, to_centre): (&Sphere, DVec3)| {
+            sphere.strength * energy::influence_potential(course.weight(), sphere.radius, to_centre.length())
+        };
+        let of_spheres: f64 = course.spheres.iter().zip(to_centres(x)).map(of_sphere).sum();
+        energy::elastic(course.oscillator().omega, x.length_squared()) + of_spheres
+    };
+    let kinetic = energy::kinetic(state.u.length_squared()) + potential(state.x) - potential(end.x);
+    // written so that what is not a number is not enough
+    if !(kinetic >= 0.0) {
+        return state;
+    }
+    let slower = f64::min(1.0, (kinetic / energy::kinetic(end.u.length_squared())).sqrt());
+    State { x: end.x, u: if slower < 1.0 { slower * end.u } else { end.u } }
 }
 
 /// The exact flow of a vertex on which nothing acts.

@@ -5,7 +5,7 @@ use pulp::Simd;
 
 use super::{
     super::State,
-    course::{Common, Course, Pushed},
+    course::{Common, Course, Pushed, Sphere},
     lanes::{LANES, Mask, Reals, Vector},
     single::Vertex,
     weights::{Dense, LOOKS, Weights, quartic, quartic_through},
@@ -47,7 +47,13 @@ pub struct Step {
     pub relative: Vec<Bounds>,
     /// Whether the quartic through the five moments is as good as the paths themselves.
     pub smooth: bool,
+    /// What rounding of times and positions does to the force at any of the moments [scene unit/s²]: of a smaller
+    /// difference nothing can be told, and halving the step does not make it smaller.
+    pub noise: f64,
 }
+
+/// What is left of a number after a few roundings, of its size.
+const ROUNDING: f64 = 8.0 * f64::EPSILON;
 
 /// The influence of a sphere on vertices side by side.
 #[derive(Clone, Copy, Debug)]
@@ -199,12 +205,14 @@ impl<'a, S: Simd, const W: usize> Group<'a, S, W> {
         // How far the true force in the middle is from the cubic says how much a cubic leaves out.
         let found = self.force(4, respond(flow[3], &weights.middle.force, &forces));
         let bend = found - respond(zero, &weights.polynomial, &forces);
+        let noise = Reals::splat(simd, self.step.noise);
+        let left_out = Reals::splat(simd, 0.0).larger_or_nan(bend.length_squared().sqrt() - noise);
         Collocated {
             x: respond(flow[2], &weights.nodes[3].force, &forces),
             u: respond(x * weights.ux + u * weights.uu, &weights.velocity, &forces),
             forces,
             bend,
-            error: unsettled + bend.length_squared().sqrt() * (0.1 * gain),
+            error: unsettled + left_out * (0.1 * gain),
         }
     }
 }
@@ -247,11 +255,31 @@ impl Step {
             Bounds { speed: speed + own.speed, acceleration: acceleration + own.acceleration }
         }));
         let radius = course.body().radius;
-        self.smooth = (0..course.spheres.len()).all(|j| {
+        let spheres_are_smooth = (0..course.spheres.len()).all(|j| {
             let known: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].centres[j]);
             let cubic = combine(&self.weights.polynomial, &known);
             (self.moments[4].centres[j] - cubic).length_squared() <= (SMOOTH * radius).powi(2)
         });
+        self.smooth = spheres_are_smooth
+            && (0..course.pushes.len()).all(|p| {
+                let known = (0..4).map(|node| self.weights.polynomial[node] * self.moments[node].pushed[p]);
+                (self.moments[4].pushed[p] - known.sum::<f64>()).abs() <= SMOOTH * radius
+            });
+        self.noise = self.rounding(course);
+    }
+
+    /// See [`Step::noise`].
+    fn rounding(&self, course: &Course<'_>) -> f64 {
+        let carry = |look: usize| self.moments[look].carry;
+        let changes = (1..5).map(|look| (carry(look) - carry(0)).length()).fold(0.0, f64::max);
+        let of_times = carry(0).length() + changes * (1.0 + self.end() / self.weights.h);
+        let place = |body: usize| match course.tracks {
+            Some(tracks) => tracks.kinematics(course.scene, body, 0).position.length(),
+            None => course.scene.bodies[body].path.position(self.start).length(),
+        };
+        let own = place(course.index);
+        let of_sphere = |sphere: &Sphere| sphere.strength.abs() * (sphere.radius + own + place(sphere.body as usize));
+        ROUNDING * (of_times + course.spheres.iter().map(of_sphere).sum::<f64>())
     }
 
     /// What all vertices do alike at the end of the step, from what they did at its start.
@@ -282,7 +310,10 @@ impl Step {
         let weights = &self.weights;
         let carries: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].carry);
         let gain = weights.constant.abs() + weights.h * weights.swing;
-        0.1 * (self.moments[4].carry - combine(&weights.polynomial, &carries)).length() * gain
+        let left_out = (self.moments[4].carry - combine(&weights.polynomial, &carries)).length();
+        // not `f64::max`, which would lose what is not a number
+        let beyond = if left_out <= self.noise { 0.0 } else { left_out - self.noise };
+        0.1 * beyond * gain
     }
 
     /// Sets the step up over a part of a stretch, of which `whole` is the step.
@@ -293,6 +324,7 @@ impl Step {
             self.look_within(course, whole, common, look);
         }
         self.bound_within(course, whole);
+        self.noise = whole.noise;
     }
 
     /// The same for a vertex on which nothing acts: only where the spheres are at the start and at the end.

@@ -100,11 +100,12 @@ impl Together<'_> {
         let swing = (u.length_squared() + x.length_squared() * (material.omega * material.omega)).sqrt();
         let speed = swing + Reals::splat(simd, self.force * h);
         let travel = (speed * h).smaller(speed * (2.0 / material.omega));
-        let near = self.find_pulls(simd, first, Group::new(simd, course, step, rest, &[]).rest[0] + x, travel);
+        let Near { rims: near, passing } =
+            self.find_pulls(simd, first, Group::new(simd, course, step, rest, &[]).rest[0] + x, travel);
 
         let outcomes = &mut *self.outcomes;
         let idle = self.pulls.is_empty();
-        let (x1, u1, mut attention) = if idle {
+        let (x1, u1, short) = if idle {
             let last = &weights.nodes[3];
             Reals::<S, W>::splat(simd, 0.0).store(&mut outcomes.error, first);
             if near.any() {
@@ -124,6 +125,7 @@ impl Together<'_> {
             }
             (end.x, end.u, end.error.at_most(Reals::splat(simd, self.wanted)).negated())
         };
+        let mut attention = short.or(passing);
         // Nothing is felt of a vertex that swings by less, and smaller numbers still are slow to compute with.
         // (What is not a number stays to be found.)
         let rests = (u1.length_squared() + x1.length_squared()).below(Reals::splat(simd, REST_SQUARED));
@@ -149,7 +151,7 @@ impl Together<'_> {
         u1.store(&mut self.front.velocity, first);
     }
 
-    /// Finds the spheres that vertices at `position` are inside of, and which vertices may cross a rim in the step.
+    /// Finds the spheres that vertices at `position` are inside of, and which vertices may come to others in the step.
     #[inline(always)]
     fn find_pulls<S: Simd, const W: usize>(
         &mut self,
@@ -157,10 +159,10 @@ impl Together<'_> {
         first: usize,
         position: Vector<S, W>,
         travel: Reals<S, W>,
-    ) -> Mask<S, W> {
+    ) -> Near<S, W> {
         let Together { course, step, .. } = *self;
         let zero = Reals::splat(simd, 0.0);
-        let mut near = Mask::none(simd);
+        let (mut near, mut passing) = (Mask::none(simd), Mask::none(simd));
         self.pulls.clear();
         for (j, sphere) in course.spheres.iter().enumerate() {
             let rim = Reals::splat(simd, sphere.radius);
@@ -187,11 +189,20 @@ impl Together<'_> {
                     continue;
                 }
                 reached.select(Reals::splat(simd, sphere.strength), zero).store(&mut pull.strength, 0);
+                passing = passing.or(reach.at_most(rim).negated().and(reached));
             }
             self.pulls.push(pull);
         }
-        near
+        Near { rims: near, passing }
     }
+}
+
+/// Which vertices may come to spheres that they are not in.
+struct Near<S: Simd, const W: usize> {
+    /// May cross a rim at which the force has a kink.
+    rims: Mask<S, W>,
+    /// May be in a sphere between the nodes of the step and at none of them.
+    passing: Mask<S, W>,
 }
 
 /// Which vertices may cross a rim between two positions, at the ends of a step. The square of the distance to a centre

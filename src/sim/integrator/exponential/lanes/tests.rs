@@ -109,15 +109,39 @@ fn expected(a: &Lanes, b: &Lanes, c: &Lanes, name: &str, together: usize) -> Lan
             "* number" => x * b[0],
             "sqrt" => x.sqrt(),
             "abs" => x.abs(),
-            "larger" => if x < y { y } else { x },
-            "larger_or_nan" => if x < y || y.is_nan() { y } else { x },
-            "smaller" => if y < x { y } else { x },
+            "larger" => {
+                if x < y {
+                    y
+                } else {
+                    x
+                }
+            }
+            "larger_or_nan" => {
+                if x < y || y.is_nan() {
+                    y
+                } else {
+                    x
+                }
+            }
+            "smaller" => {
+                if y < x {
+                    y
+                } else {
+                    x
+                }
+            }
             "below" => flag(x < y),
             "at_most" => flag(x <= y),
             "negated" => flag(!(x < y)),
             "or" => flag(x < y || y < z),
             "none" | "any of none" => 0.0,
-            "select" => if x < y { y } else { z },
+            "select" => {
+                if x < y {
+                    y
+                } else {
+                    z
+                }
+            }
             "any" => flag(group.into_iter().any(|i| a[i] < b[i])),
             "v+.x" => x + z,
             "v+.y" => y + x,
@@ -127,9 +151,27 @@ fn expected(a: &Lanes, b: &Lanes, c: &Lanes, name: &str, together: usize) -> Lan
             "v-.z" => z - y,
             "v*.y" => y * y,
             "v*.z" => z * y,
-            "vs.x" => if x < y { x } else { z },
-            "vs.y" => if x < y { y } else { x },
-            "vs.z" => if x < y { z } else { y },
+            "vs.x" => {
+                if x < y {
+                    x
+                } else {
+                    z
+                }
+            }
+            "vs.y" => {
+                if x < y {
+                    y
+                } else {
+                    x
+                }
+            }
+            "vs.z" => {
+                if x < y {
+                    z
+                } else {
+                    y
+                }
+            }
             "|v|²" => x * x + y * y + z * z,
             _ => panic!("{name} is not expected"),
         }
@@ -163,7 +205,11 @@ fn check<const W: usize>(a: &Lanes, b: &Lanes, c: &Lanes) {
                 assert!(
                     same(lanes[i], expected[i]),
                     "{set}, {W} registers, lane {i}: {name} of {:e}, {:e}, {:e} is {:e}, not {:e}",
-                    a[i], b[i], c[i], lanes[i], expected[i]
+                    a[i],
+                    b[i],
+                    c[i],
+                    lanes[i],
+                    expected[i]
                 );
             }
         }

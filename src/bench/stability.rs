@@ -1,0 +1,344 @@
+//! A stress sweep: thousands of small scenes at the limits of every setting, by every integrator.
+//!
+//! | what | where |
+//! | --- | --- |
+//! | the cases, each made from its number | [`cases`] |
+//! | what energy allows | [`bound`] |
+//! | the closed form where there is no influence | [`exact`] |
+//! | a million steps without damping | [`drift`] |
+//! | bodies of very different sizes | [`sizes`] |
+//! | tables and CSV | [`table`] |
+//!
+//! A run passes if its state is finite after every step and within [`MARGIN`] of what energy allows; the exponential
+//! integrator, which has a tolerance to keep, also has to be as near the exact solution as that promises, where there is
+//! a closed form or a [`Reference`].
+
+pub mod bound;
+pub mod cases;
+pub mod drift;
+pub mod exact;
+pub mod sizes;
+pub mod table;
+
+use std::{
+    sync::atomic::{AtomicU64, Ordering},
+    time::Instant,
+};
+
+use rayon::prelude::*;
+
+use super::reference::{Accuracy, Reference};
+use crate::{
+    Scene, SceneError,
+    model::phase::Phase,
+    scene::{Integrator, Path},
+    sim::{Event, TooLarge, World},
+};
+use bound::Allowance;
+use cases::{Axis, Case};
+
+/// A state that takes up more than so many times what energy allows is no solution, not even an inaccurate one.
+pub const MARGIN: f64 = 2.0;
+/// A reference is made where it takes no more evaluations of the equation of motion than this.
+const MOST_EVALUATIONS: f64 = 3e6;
+/// What is left of a number after some roundings, of its size.
+const ROUNDING: f64 = 16.0 * f64::EPSILON;
+/// Instants at which a run is compared with the exact solution.
+const INSTANTS: u64 = 32;
+/// Where neighbouring solutions part faster than this, [`Outcome::allowed`] would allow anything.
+const LARGEST_GROWTH: f64 = 1e4;
+
+/// There are no more cases than this.
+pub const MOST_CASES: u64 = 1_000_000;
+
+/// What is swept.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// So many cases, from the first on.
+    pub cases: u64,
+    /// By these integrators.
+    pub integrators: Vec<Integrator>,
+    /// No more steps a case than this.
+    pub most_steps: u64,
+}
+
+impl Default for Settings {
+    fn default() -> Settings {
+        Settings { cases: 4000, integrators: Integrator::ALL.to_vec(), most_steps: u64::MAX }
+    }
+}
+
+/// What is wrong with a run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Failure {
+    /// It has a number in it that is none, or infinity.
+    NotFinite,
+    /// It takes up more than [`MARGIN`] of what energy allows.
+    BeyondBound,
+    /// It is farther from the exact solution than [`Outcome::allowed`].
+    Error,
+}
+
+impl Failure {
+    /// What it is called in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Failure::NotFinite => "not finite",
+            Failure::BeyondBound => "beyond bound",
+            Failure::Error => "error",
+        }
+    }
+}
+
+/// A case, run by an integrator.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// Which.
+    pub integrator: Integrator,
+    /// Steps taken; a run ends where it fails.
+    pub steps: u64,
+    /// Whether it was ended early because it took too many steps of the integrator.
+    pub is_cut: bool,
+    /// What is wrong, if anything.
+    pub failure: Option<Failure>,
+    /// The largest part of what energy allows that a vertex took up [–].
+    pub used: f64,
+    /// The largest distance from the exact solution [radii], if that is known.
+    pub error: Option<f64>,
+    /// How large that may be, if there is anything to say about it [radii].
+    pub allowed: Option<f64>,
+    /// Steps of the integrator, over all vertices …
+    pub substeps: u64,
+    /// … and the most in one step.
+    pub most_substeps: u64,
+    /// Run time of all steps [s] …
+    pub seconds: f64,
+    /// … and of the slowest [s].
+    pub slowest: f64,
+}
+
+impl Outcome {
+    /// Whether this is a failure of the one integrator that is to pass every case.
+    pub fn is_defect(&self) -> bool {
+        self.integrator == Integrator::Exponential && self.failure.is_some()
+    }
+}
+
+/// A case, run by all integrators.
+#[derive(Clone, Debug)]
+pub struct Row {
+    /// Which.
+    pub case: Case,
+    /// In the order of [`Settings::integrators`].
+    pub outcomes: Vec<Outcome>,
+}
+
+/// Why there is no sweep.
+#[derive(Debug, thiserror::Error)]
+pub enum SweepError {
+    /// A case is no scene.
+    #[error("a case is no scene: {0}")]
+    Scene(#[from] SceneError),
+    /// There is no memory.
+    #[error(transparent)]
+    TooLarge(#[from] TooLarge),
+}
+
+/// Runs the cases, on all cores; tells `progress` how many are done.
+///
+/// # Errors
+/// [`SweepError`]
+pub fn sweep(settings: &Settings, progress: &(dyn Fn(u64) + Sync)) -> Result<Vec<Row>, SweepError> {
+    let done = AtomicU64::new(0);
+    let row = |index: u64| {
+        let row = Case::new(index).map_err(SweepError::from).and_then(|case| run(case, settings));
+        progress(done.fetch_add(1, Ordering::Relaxed) + 1);
+        row
+    };
+    (0..settings.cases).into_par_iter().map(row).collect()
+}
+
+/// Runs one case.
+///
+/// # Errors
+/// [`SweepError::TooLarge`]
+pub fn run(case: Case, settings: &Settings) -> Result<Row, SweepError> {
+    let steps = case.scene.steps().min(settings.most_steps);
+    let judge = Judge::new(&case, steps);
+    let outcomes = settings.integrators.iter().map(|&integrator| judge.run(integrator)).collect::<Result<_, _>>()?;
+    Ok(Row { case, outcomes })
+}
+
+/// What the runs of a case are judged by.
+struct Judge<'a> {
+    case: &'a Case,
+    steps: u64,
+    /// Every so many steps a run is compared with the exact solution.
+    stride: u64,
+    reference: Option<Reference>,
+}
+
+impl Judge<'_> {
+    fn new(case: &Case, steps: u64) -> Judge<'_> {
+        let stride = steps.div_ceil(INSTANTS).max(1);
+        let instants: Vec<f64> = (0..=steps / stride).map(|k| (k * stride) as f64 * case.scene.dt).collect();
+        let is_quick = case.axis != Axis::Free && evaluations(&case.scene, &instants) <= MOST_EVALUATIONS;
+        let reference = is_quick.then(|| Reference::solve(&case.scene, &instants, Accuracy::DEFAULT).ok()).flatten();
+        Judge { case, steps, stride, reference }
+    }
+
+    fn run(&self, integrator: Integrator) -> Result<Outcome, TooLarge> {
+        let scene = Scene { integrator, ..self.case.scene.clone() };
+        let mut allowances: Vec<_> = (0..scene.bodies.len()).map(|index| Allowance::new(&scene, index)).collect();
+        let mut doubt = vec![0.0; scene.bodies.len()];
+        let mut world = World::new(scene)?;
+        let mut outcome = Outcome {
+            integrator,
+            steps: 0,
+            is_cut: false,
+            failure: None,
+            used: 0.0,
+            error: None,
+            allowed: None,
+            substeps: 0,
+            most_substeps: 0,
+            seconds: 0.0,
+            slowest: 0.0,
+        };
+        while outcome.steps < self.steps && outcome.failure.is_none() {
+            if outcome.substeps >= self.case.axis.most_substeps() {
+                outcome.is_cut = true;
+                break;
+            }
+            let clock = Instant::now();
+            let report = world.step();
+            let seconds = clock.elapsed().as_secs_f64();
+            let substeps = report.substeps;
+            for event in &report.events {
+                let sides = [(event.a as usize, event.b as usize), (event.b as usize, event.a as usize)];
+                for (index, other) in sides {
+                    doubt[index] += doubt_of(event, &self.case.scene, index, other);
+                }
+            }
+            outcome.steps += 1;
+            outcome.substeps += substeps;
+            outcome.most_substeps = outcome.most_substeps.max(substeps);
+            outcome.seconds += seconds;
+            outcome.slowest = outcome.slowest.max(seconds);
+            for (index, (body, allowance)) in world.bodies().zip(&mut allowances).enumerate() {
+                allowance.advance(world.scene(), index, world.time());
+                let used = allowance.used(&body);
+                // written so that what is not a number stays
+                if !(used <= outcome.used) {
+                    outcome.used = used;
+                }
+                if !(used < f64::INFINITY) {
+                    outcome.failure = Some(Failure::NotFinite);
+                } else if used > MARGIN && outcome.failure.is_none() {
+                    outcome.failure = Some(Failure::BeyondBound);
+                }
+            }
+            if outcome.failure.is_none() && outcome.steps.is_multiple_of(self.stride) {
+                self.compare(&world, &doubt, &mut outcome);
+            }
+        }
+        Ok(outcome)
+    }
+
+    /// Compares the state with the exact solution; `doubt` is [`doubt_of`] all events so far, by body.
+    fn compare(&self, world: &World, doubt: &[f64], outcome: &mut Outcome) {
+        let instant = (outcome.steps / self.stride) as usize;
+        for (index, body) in world.bodies().enumerate() {
+            for i in 0..body.vertex_count() {
+                let (exact, terms) = if self.case.axis == Axis::Free {
+                    let Some(exact) = exact::displacement(world.scene(), index, body.unit(i), world.time()) else {
+                        return;
+                    };
+                    (exact.x, exact.terms)
+                } else if let Some(reference) = &self.reference {
+                    (reference.displacement(index, i, instant), 0.0)
+                } else {
+                    return;
+                };
+                let radius = body.scene().radius;
+                let error = exact.distance(body.displacement(i)) / radius;
+                let allowed = allowed(world, index, doubt[index])
+                    .map(|allowed| allowed + rounding(world, index) * terms / radius);
+                outcome.error = Some(outcome.error.map_or(error, |largest| largest.max(error)));
+                outcome.allowed = allowed.map(|allowed| outcome.allowed.map_or(allowed, |most| most.max(allowed)));
+                let is_within = allowed.is_none_or(|allowed| error <= allowed);
+                if outcome.integrator == Integrator::Exponential && !is_within {
+                    outcome.failure = Some(Failure::Error);
+                }
+            }
+        }
+    }
+}
+
+/// Strengths of all that can act on a body [1/s²]: a bound of |∂F/∂x|.
+fn stiffness(scene: &Scene, index: usize) -> f64 {
+    let radius = scene.bodies[index].radius;
+    let strongest = |source: f64| {
+        let phases = [Phase::Merged, Phase::Apart, Phase::Core];
+        phases.map(|phase| scene.influence.strength(phase, radius, source).abs()).into_iter().fold(0.0, f64::max)
+    };
+    let others = scene.bodies.iter().enumerate().filter(|&(other, _)| other != index);
+    others.map(|(_, body)| strongest(body.radius)).sum()
+}
+
+/// What an event does to the velocities of a body that may be early or late by what rounding of the centres does to their
+/// distance [scene unit/s].
+fn doubt_of(event: &Event, scene: &Scene, index: usize, other: usize) -> f64 {
+    let (body, source) = (&scene.bodies[index], &scene.bodies[other]);
+    let (a, b) = (body.path.at(event.time), source.path.at(event.time));
+    let apart = a.position - b.position;
+    let speed = (apart.dot(a.velocity - b.velocity) / apart.length()).abs();
+    let far = a.position.length() + b.position.length() + body.path.position(0.0).length();
+    let strength = |phase| scene.influence.strength(phase, body.radius, source.radius);
+    let jump = (strength(event.from) - strength(event.to)).abs()
+        * scene.influence.sphere_radius(source.radius)
+        * scene.influence.weight.max_pull();
+    if jump == 0.0 { 0.0 } else { jump * (ROUNDING * far / speed) }
+}
+
+/// The error that a run with the scene's tolerance may have by now [radii]: ten times what the tolerance promises, for
+/// errors of speed, what the coordinates are rounded to, and what the events are in `doubt` by; as much as neighbouring
+/// solutions can part. `None` if they part too far.
+fn allowed(world: &World, index: usize, doubt: f64) -> Option<f64> {
+    let (scene, t) = (world.scene(), world.time());
+    let body = &scene.bodies[index];
+    let omega = body.material.omega;
+    let far = scene.bodies.iter().map(|body| body.path.position(t).length() + body.path.position(0.0).length());
+    let rounding = (ROUNDING * far.fold(0.0, f64::max) + doubt * t.min(1.0 / omega)) / body.radius;
+    let stiffness = stiffness(scene, index);
+    let unstable = f64::max(0.0, stiffness - omega * omega).sqrt();
+    let growth = (unstable * t).cosh() * f64::max(1.0, stiffness * (t * t).min(1.0 / (omega * omega)));
+    (growth <= LARGEST_GROWTH).then_some(growth * (10.0 * scene.tolerance * t + rounding) + 1e-9)
+}
+
+/// What rounding can do to a free oscillation by now, relative to its size [–].
+fn rounding(world: &World, index: usize) -> f64 {
+    let (scene, t) = (world.scene(), world.time());
+    let body = &scene.bodies[index];
+    let rate = match body.path {
+        Path::Sine { frequency, .. } => std::f64::consts::TAU * frequency,
+        _ => 0.0,
+    };
+    ROUNDING * (world.steps_taken() as f64 + (body.material.omega + rate) * t)
+}
+
+/// About how often a reference evaluates the equation of motion.
+fn evaluations(scene: &Scene, instants: &[f64]) -> f64 {
+    let end = instants.last().copied().unwrap_or(0.0);
+    let rate = |index: usize| {
+        let body = &scene.bodies[index];
+        let path = match body.path {
+            Path::Sine { frequency, .. } => std::f64::consts::TAU * frequency,
+            _ => 0.0,
+        };
+        body.material.omega.max(body.material.damping).max(path).max(stiffness(scene, index).sqrt())
+    };
+    let fastest = (0..scene.bodies.len()).map(rate).fold(0.0, f64::max);
+    let sources = scene.bodies.len() as f64;
+    80.0 * scene.vertex_count() as f64 * sources * f64::max(instants.len() as f64, end * fastest)
+}

@@ -1,0 +1,149 @@
+//! What energy allows: how far from rest and how fast a vertex can be, whatever happened so far.
+//!
+//! From rest, `x(t) = ∫ S(t − s) F(s) ds` with the impulse response S of the oscillator, so bounds of F and of S bound x
+//! and x′; and `√(|u|² + ω²|x|²)` grows by no more than |F|. If besides nothing about the body ever moves or changes,
+//! then E of [`energy`](crate::model::energy) never grows.
+
+use std::f64::consts::PI;
+
+use glam::DVec3;
+
+use crate::{
+    model::{energy::influence_potential, influence, phase::Phase},
+    scene::{Response, Scene},
+    sim::BodyView,
+};
+
+/// What is known of one body.
+pub struct Allowance {
+    omega: f64,
+    damping: f64,
+    /// ∫|F| dt so far [scene unit/s], and the largest |F| [scene unit/s²].
+    impulse: f64,
+    force: f64,
+    /// √(2 (E(0) − min V)) of each vertex [scene unit/s]; empty if energy can come in.
+    energy: Vec<f64>,
+    /// Strongest pull by all others, in whatever phase they are or will be [scene unit/s²].
+    pull: f64,
+    time: f64,
+}
+
+impl Allowance {
+    /// Of body `index` at t = 0.
+    pub fn new(scene: &Scene, index: usize) -> Allowance {
+        let body = &scene.bodies[index];
+        let others = || (0..scene.bodies.len()).filter(move |&other| other != index);
+        let phases = |other: usize| {
+            let other = &scene.bodies[other];
+            let q = (other.path.position(0.0) - body.path.position(0.0)).length() / (other.radius + body.radius);
+            let moves = body.path.relative_bounds(&other.path, 0.0, f64::MAX).speed != 0.0;
+            if moves { vec![Phase::Merged, Phase::Apart, Phase::Core] } else { vec![scene.thresholds.initial(q)] }
+        };
+        let strength = |phase, other: usize| scene.influence.strength(phase, body.radius, scene.bodies[other].radius);
+        let pull: f64 = others()
+            .map(|other| {
+                let strongest = phases(other).into_iter().map(|phase| strength(phase, other).abs()).fold(0.0, f64::max);
+                let sphere = scene.influence.sphere_radius(scene.bodies[other].radius);
+                strongest * sphere * scene.influence.weight.max_pull()
+            })
+            .sum();
+
+        let is_still =
+            scene.bodies.iter().all(|body| body.path.is_fixed()) && scene.pushes.iter().all(|push| push.body != index);
+        // Positions are rounded, and so is the energy.
+        let far = scene.bodies.iter().map(|body| body.path.position(0.0).length()).fold(0.0, f64::max);
+        let rounding = 8.0 * f64::EPSILON * (far + body.radius);
+        let omega = body.material.omega;
+        let ceiling = |unit: DVec3| {
+            let vertex = body.path.position(0.0) + body.radius * unit;
+            let (mut available, mut force, mut stiffness) = (pull * rounding, DVec3::ZERO, 0.0);
+            for other in others() {
+                let source = &scene.bodies[other];
+                let (weight, sphere) = (scene.influence.weight, scene.influence.sphere_radius(source.radius));
+                let strength: f64 = phases(other).into_iter().map(|phase| strength(phase, other)).sum();
+                let to_centre = source.path.position(0.0) - vertex;
+                let phi = |r: f64| influence_potential(weight, sphere, r);
+                let least = if strength > 0.0 { 0.0 } else { phi(sphere) };
+                available += strength * (phi(to_centre.length()) - least);
+                force += influence::acceleration(weight, strength, sphere, to_centre);
+                stiffness += strength.abs();
+            }
+            // With |x| ≤ M/ω and V(x) ≥ V(0) − |F||x|: M²/2 ≤ |F| M/ω. F is nowhere more than the pull, nor than
+            // |F(0)| + L|x|.
+            let force = force.length() + stiffness * rounding;
+            let softening = 1.0 - stiffness / (omega * omega);
+            let local = if softening > 0.0 { 2.0 * force / (omega * softening) } else { f64::INFINITY };
+            f64::sqrt(2.0 * available).min(2.0 * pull / omega).min(local)
+        };
+        Allowance {
+            omega: body.material.omega,
+            damping: body.material.damping,
+            impulse: 0.0,
+            force: 0.0,
+            energy: if is_still { body.shape.unit_vertices().into_iter().map(ceiling).collect() } else { vec![] },
+            pull,
+            time: 0.0,
+        }
+    }
+
+    /// By how much the energy of all vertices is above the least that it can be [scene unit²/s²].
+    pub fn energy(&self) -> f64 {
+        self.energy.iter().map(|momentum| 0.5 * momentum * momentum).sum()
+    }
+
+    /// Goes on to time `end` [s].
+    pub fn advance(&mut self, scene: &Scene, index: usize, end: f64) {
+        let start = self.time;
+        let body = &scene.bodies[index];
+        let motion = body.path.bounds(start, end);
+        let carry = match body.material.response {
+            Response::Rigid => 0.0,
+            Response::Inertial => motion.acceleration,
+            Response::World => motion.acceleration + 2.0 * body.material.damping * motion.speed,
+        };
+        let pushes = scene.pushes.iter().filter(|push| push.body == index);
+        let acting = pushes.filter(|push| push.start <= end && start < push.end()).map(|push| push.strength.abs());
+        let force = self.pull + carry + acting.sum::<f64>();
+        self.impulse += force * (end - start);
+        self.force = self.force.max(force);
+        self.time = end;
+    }
+
+    /// The largest part of what energy allows that a vertex takes up [–]: more than 1 cannot be. Not a number if the
+    /// state isn't.
+    pub fn used(&self, body: &BodyView<'_>) -> f64 {
+        let (furthest, fastest) = self.response();
+        let mut used = 0.0;
+        for i in 0..body.vertex_count() {
+            let (x, u) = (body.displacement(i).length(), body.velocity(i).length());
+            let momentum = u.hypot(self.omega * x);
+            let most = f64::min(self.impulse, self.energy.get(i).copied().unwrap_or(f64::INFINITY));
+            for part in [part(momentum, most), part(x, furthest), part(u, fastest)] {
+                // written so that what is not a number stays
+                if !(part <= used) {
+                    used = part;
+                }
+            }
+        }
+        used
+    }
+
+    /// How far and how fast a vertex can be by the forces so far [scene unit, scene unit/s].
+    fn response(&self) -> (f64, f64) {
+        let Allowance { omega, damping, impulse, force, time, .. } = *self;
+        // |S| ≤ t, 1/ω, 1/2κ; and ∫|S|, ∫|S′| over all time: lobes of an oscillation that decays by e^(−κπ/ν) each
+        let highest = time.min(1.0 / omega).min(0.5 / damping);
+        let (area, variation) = if damping >= omega {
+            (1.0 / (omega * omega), 2.0 * highest)
+        } else {
+            let per_lobe = damping * PI / ((omega - damping) * (omega + damping)).sqrt();
+            (1.0 / (omega * omega) / (0.5 * per_lobe).tanh(), -2.0 * highest / (-per_lobe).exp_m1())
+        };
+        ((impulse * highest).min(force * area), impulse.min(force * variation))
+    }
+}
+
+/// `value` over `most`, where nothing is no part of nothing.
+fn part(value: f64, most: f64) -> f64 {
+    if value == 0.0 { 0.0 } else { value / most }
+}

@@ -1,0 +1,86 @@
+//! The energy of two merged bodies at rest, without damping, over a million steps: it should not change.
+
+use std::time::Instant;
+
+use super::{SweepError, bound::Allowance};
+use crate::{Scene, World, scene::Integrator};
+
+/// So many steps.
+pub const STEPS: u64 = 1_000_000;
+/// The exponential integrator may change the energy by so much of what there is to move about [–].
+pub const MOST: f64 = 1e-3;
+/// Steps from one look at the energy to the next.
+const STRIDE: u64 = 10;
+/// A run whose energy has changed so much is over [–].
+const HOPELESS: f64 = 1e3;
+
+/// What became of the energy.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Drift {
+    /// How steps were taken.
+    pub integrator: Integrator,
+    /// How many.
+    pub steps: u64,
+    /// The largest |E(t) − E(0)|, over what E(0) is above the least that E can be [–].
+    pub largest: f64,
+    /// [s]
+    pub seconds: f64,
+}
+
+impl Drift {
+    /// Whether the energy was kept.
+    pub fn is_small(&self) -> bool {
+        self.largest <= MOST
+    }
+}
+
+/// Two bodies of a few vertices, as a scene file.
+pub const SCENE: &str = r#"# Energy is constant: nothing moves but the vertices, and nothing damps them.
+name = "million"
+duration = 16666.666666666668
+
+[material]
+damping = 0.0
+
+[[body]]
+name = "a"
+radius = 1.0
+shape = { sphere = { stacks = 4, slices = 4 } }
+motion = { fixed = [0, 0, 0] }
+
+[[body]]
+name = "b"
+radius = 0.8
+shape = { sphere = { stacks = 2, slices = 3 } }
+motion = { fixed = [1.3, 0.2, 0.4] }
+"#;
+
+/// Steps the scene and watches its energy.
+///
+/// # Errors
+/// [`SweepError`]
+pub fn measure(integrator: Integrator, steps: u64) -> Result<Drift, SweepError> {
+    let scene = Scene { integrator, ..Scene::parse(SCENE, "million.toml")? };
+    let available: f64 = (0..scene.bodies.len()).map(|index| Allowance::new(&scene, index).energy()).sum();
+    let mut world = World::new(scene)?;
+    let start = world.energy().total();
+    let mut drift = Drift { integrator, steps: 0, largest: 0.0, seconds: 0.0 };
+    let clock = Instant::now();
+    while drift.steps < steps {
+        world.step();
+        drift.steps += 1;
+        if !drift.steps.is_multiple_of(STRIDE) {
+            continue;
+        }
+        let change = (world.energy().total() - start).abs() / available;
+        // written so that what is not a number stays
+        if !(change <= drift.largest) {
+            drift.largest = change;
+        }
+        if !(change <= HOPELESS) {
+            break;
+        }
+    }
+    drift.seconds = clock.elapsed().as_secs_f64();
+    Ok(drift)
+}

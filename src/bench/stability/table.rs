@@ -1,0 +1,284 @@
+//! What the sweep found, for people and for programs.
+
+use std::fmt::Write as _;
+
+use super::{
+    Failure, MARGIN, Outcome, Row,
+    cases::{Axis, SEED},
+    drift::{self, Drift},
+    sizes::{self, Passage},
+};
+use crate::{model::influence::Scaling, scene::Integrator, stream::sinks::thousands};
+
+/// Rows of cells, aligned: the first column to the left, the others to the right.
+fn aligned(rows: &[Vec<String>]) -> String {
+    let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
+    let cell = |row: &'_ Vec<String>, column: usize| row.get(column).map_or(0, |cell| cell.chars().count());
+    let widths: Vec<usize> =
+        (0..columns).map(|column| rows.iter().map(|row| cell(row, column)).max().unwrap_or(0)).collect();
+    let line = |row: &Vec<String>| {
+        let mut line = String::new();
+        for (column, text) in row.iter().enumerate() {
+            let padding = " ".repeat(widths[column] - text.chars().count());
+            let _ = if column == 0 { write!(line, "{text}{padding}  ") } else { write!(line, "{padding}{text}  ") };
+        }
+        line.trim_end().to_owned()
+    };
+    rows.iter().map(line).collect::<Vec<_>>().join("\n")
+}
+
+/// The outcomes of one integrator.
+fn of(rows: &[Row], integrator: Integrator) -> impl Iterator<Item = (&Row, &Outcome)> {
+    rows.iter().flat_map(move |row| {
+        row.outcomes.iter().filter(move |outcome| outcome.integrator == integrator).map(move |outcome| (row, outcome))
+    })
+}
+
+/// The integrators that ran.
+fn integrators(rows: &[Row]) -> impl Iterator<Item = Integrator> {
+    let is_there = |integrator: &Integrator| of(rows, *integrator).next().is_some();
+    Integrator::ALL.into_iter().filter(is_there).collect::<Vec<_>>().into_iter()
+}
+
+/// By integrator: how many passed, what became of the others, and the worst.
+pub fn by_integrator(rows: &[Row]) -> String {
+    let heading = ["integrator", "cases", "passed", "not finite", "beyond bound", "error", "median error [R]"];
+    let mut table = vec![heading.map(str::to_owned).to_vec()];
+    for integrator in integrators(rows) {
+        let count = |failure| of(rows, integrator).filter(|(_, outcome)| outcome.failure == failure).count() as u64;
+        let mut errors: Vec<f64> = of(rows, integrator)
+            .filter(|(_, outcome)| outcome.failure.is_none())
+            .filter_map(|(_, outcome)| outcome.error)
+            .collect();
+        errors.sort_by(f64::total_cmp);
+        let error = |failed: u64| match integrator {
+            Integrator::Exponential => thousands(failed),
+            _ => "–".to_owned(),
+        };
+        table.push(vec![
+            integrator.to_string(),
+            thousands(of(rows, integrator).count() as u64),
+            thousands(count(None)),
+            thousands(count(Some(Failure::NotFinite))),
+            thousands(count(Some(Failure::BeyondBound))),
+            error(count(Some(Failure::Error))),
+            errors.get(errors.len() / 2).map_or("–".to_owned(), |error| format!("{error:.0e}")),
+        ]);
+    }
+    aligned(&table)
+}
+
+/// By integrator: the worst case, and the command that runs it again.
+pub fn worst_cases(rows: &[Row]) -> String {
+    let of_integrator = |integrator| {
+        let (row, outcome) = worst(rows, integrator)?;
+        let index = row.case.index;
+        Some(format!(
+            "{integrator}: {}: {}\n    meldscope bench stability --case {index} --integrator {integrator}",
+            row.case.what,
+            described(outcome)
+        ))
+    };
+    format!("worst case of each\n{}", integrators(rows).filter_map(of_integrator).collect::<Vec<_>>().join("\n"))
+}
+
+/// One case: what became of it.
+pub fn one_case(row: &Row) -> String {
+    let heading =
+        ["integrator", "steps", "outcome", "of bound", "error [R]", "allowed [R]", "sub-steps", "run time [s]"];
+    let mut table = vec![heading.map(str::to_owned).to_vec()];
+    let number = |x: Option<f64>| x.map_or("–".to_owned(), |x| format!("{x:.1e}"));
+    for outcome in &row.outcomes {
+        let end = if outcome.is_cut { "passed, cut short" } else { "passed" };
+        table.push(vec![
+            outcome.integrator.to_string(),
+            thousands(outcome.steps),
+            outcome.failure.map_or(end, Failure::name).to_owned(),
+            if outcome.used < 1e3 { format!("{:.3}", outcome.used) } else { format!("{:.1e}", outcome.used) },
+            number(outcome.error),
+            number(outcome.allowed.filter(|_| outcome.integrator == Integrator::Exponential)),
+            thousands(outcome.substeps),
+            format!("{:.4}", outcome.seconds),
+        ]);
+    }
+    aligned(&table)
+}
+
+/// The worst outcome of an integrator: the one that is farthest beyond what is allowed.
+fn worst(rows: &[Row], integrator: Integrator) -> Option<(&Row, &Outcome)> {
+    of(rows, integrator).min_by(|(_, a), (_, b)| b.badness().total_cmp(&a.badness()))
+}
+
+fn described(outcome: &Outcome) -> String {
+    match (outcome.failure, outcome.error) {
+        (Some(Failure::NotFinite), _) => format!("not finite after {} steps", thousands(outcome.steps)),
+        (Some(Failure::BeyondBound), _) => {
+            let steps = if outcome.steps == 1 { "step" } else { "steps" };
+            format!("{:.1e} times what energy allows after {} {steps}", outcome.used, thousands(outcome.steps))
+        }
+        (Some(Failure::Error), error) => format!("error {:.1e} R", error.unwrap_or(f64::NAN)),
+        (None, _) => format!("passed with {:.2} of what energy allows", outcome.used),
+    }
+}
+
+impl Outcome {
+    /// How bad it is: over 1 for what failed [–].
+    pub fn badness(&self) -> f64 {
+        let error = match (self.error, self.allowed) {
+            (Some(error), Some(allowed)) if self.integrator == Integrator::Exponential => error / allowed,
+            _ => 0.0,
+        };
+        match self.failure {
+            Some(Failure::NotFinite) => f64::INFINITY,
+            _ => (self.used / MARGIN).max(error),
+        }
+    }
+}
+
+/// By axis and integrator: how many passed.
+pub fn by_axis(rows: &[Row]) -> String {
+    let mut heading = vec!["axis".to_owned(), "cases".to_owned()];
+    heading.extend(integrators(rows).map(|integrator| integrator.to_string()));
+    let mut table = vec![heading];
+    for (axis, _) in Axis::SHARES {
+        let cases = rows.iter().filter(|row| row.case.axis == axis).count();
+        if cases == 0 {
+            continue;
+        }
+        let mut line = vec![axis.to_string(), thousands(cases as u64)];
+        for integrator in integrators(rows) {
+            let passed = |(row, outcome): &(&Row, &Outcome)| row.case.axis == axis && outcome.failure.is_none();
+            line.push(thousands(of(rows, integrator).filter(passed).count() as u64));
+        }
+        table.push(line);
+    }
+    aligned(&table)
+}
+
+/// What the exponential integrator's runs came nearest to failing at, and took.
+pub fn extremes(rows: &[Row]) -> String {
+    let mut lines = vec![];
+    let mut say = |what: &str, key: &dyn Fn(&Outcome) -> f64, show: &dyn Fn(&Outcome) -> String| {
+        let most = of(rows, Integrator::Exponential).max_by(|(_, a), (_, b)| key(a).total_cmp(&key(b)));
+        if let Some((row, outcome)) = most {
+            lines.push(format!("{what}: {} (case {}: {})", show(outcome), row.case.index, row.case.what));
+        }
+    };
+    say("most of what energy allows", &|o| o.used, &|o| format!("{:.3}", o.used));
+    say("largest share of the error allowed", &|o| o.error.unwrap_or(0.0) / o.allowed.unwrap_or(f64::INFINITY), &|o| {
+        format!("{:.0e} of {:.0e} R", o.error.unwrap_or(0.0), o.allowed.unwrap_or(0.0))
+    });
+    say("slowest step", &|o| o.slowest, &|o| format!("{:.1} ms", 1e3 * o.slowest));
+    say("most sub-steps in a step", &|o| o.most_substeps as f64, &|o| thousands(o.most_substeps));
+    say("slowest run", &|o| o.seconds, &|o| format!("{:.2} s for {} steps", o.seconds, thousands(o.steps)));
+    let count = |is: &dyn Fn(&Outcome) -> bool| of(rows, Integrator::Exponential).filter(|(_, o)| is(o)).count() as u64;
+    lines.push(format!(
+        "{} of {} runs were compared with an exact solution, {} with an error allowed; {} were cut short",
+        thousands(count(&|o| o.error.is_some())),
+        thousands(count(&|_| true)),
+        thousands(count(&|o| o.allowed.is_some())),
+        thousands(count(&|o| o.is_cut)),
+    ));
+    lines.join("\n")
+}
+
+/// What the numbers mean.
+pub fn footer() -> String {
+    format!(
+        "passed: finite after every step, and within {MARGIN} times what energy allows; exponential: and as near the exact \
+         solution as its tolerance promises, where there is one (the others have none to keep); a run that takes too much \
+         work is cut short and judged by what it did\n\
+         seed {SEED}; --case N --write F.toml makes a scene file of a case"
+    )
+}
+
+/// The energy over a million steps.
+pub fn energy(drifts: &[Drift]) -> String {
+    let heading = ["integrator", "steps", "energy changes by", "run time [s]"];
+    let mut table = vec![heading.map(str::to_owned).to_vec()];
+    for drift in drifts {
+        table.push(vec![
+            drift.integrator.to_string(),
+            thousands(drift.steps),
+            if drift.largest.is_finite() { format!("{:.1e}", drift.largest) } else { "not finite".to_owned() },
+            format!("{:.1}", drift.seconds),
+        ]);
+    }
+    format!(
+        "two merged bodies without damping, dt = 1/60 s; the change is relative to what energy there is above the least \
+         (exponential: at most {:.0e})\n\n{}",
+        drift::MOST,
+        aligned(&table)
+    )
+}
+
+/// The passages of a small body past a large one.
+pub fn sizes(passages: &[Passage]) -> String {
+    let heading = ["radii", "scaling", "large [R]", "inverted", "small [R]", "inverted"];
+    let mut table = vec![heading.map(str::to_owned).to_vec()];
+    for passage in passages {
+        table.push(vec![
+            format!("1:{}", passage.ratio),
+            match passage.scaling {
+                Scaling::Absolute => "absolute".to_owned(),
+                Scaling::Relative => "relative".to_owned(),
+            },
+            format!("{:.3}", passage.large.displacement),
+            passage.large.inverted.to_string(),
+            format!("{:.3}", passage.small.displacement),
+            passage.small.inverted.to_string(),
+        ]);
+    }
+    format!(
+        "a small body passes a large one, q from 1.37 to 0.96 and back: largest displacement in own radii (wanted: {} at most), \
+         and most triangles inside out at a time (wanted: none)\n\n{}",
+        sizes::MOST,
+        aligned(&table)
+    )
+}
+
+/// The names of the columns.
+pub const COLUMNS: [&str; 13] = [
+    "case",
+    "axis",
+    "what",
+    "integrator",
+    "steps",
+    "failure",
+    "of_bound",
+    "error_radii",
+    "allowed_radii",
+    "cut",
+    "substeps",
+    "most_substeps_in_a_step",
+    "seconds",
+];
+
+/// All outcomes; what does not apply is empty.
+pub fn csv(rows: &[Row]) -> String {
+    let mut text = COLUMNS.join(",");
+    text.push('\n');
+    let number = |x: Option<f64>| x.map_or(String::new(), |x| format!("{x:.4e}"));
+    for row in rows {
+        for outcome in &row.outcomes {
+            let fields = [
+                row.case.index.to_string(),
+                row.case.axis.to_string(),
+                format!("\"{}\"", row.case.what),
+                outcome.integrator.to_string(),
+                outcome.steps.to_string(),
+                outcome.failure.map_or(String::new(), |failure| failure.name().to_owned()),
+                format!("{:.4e}", outcome.used),
+                number(outcome.error),
+                number(outcome.allowed),
+                outcome.is_cut.to_string(),
+                outcome.substeps.to_string(),
+                outcome.most_substeps.to_string(),
+                format!("{:.6}", outcome.seconds),
+            ];
+            text.push_str(&fields.join(","));
+            text.push('\n');
+        }
+    }
+    text
+}

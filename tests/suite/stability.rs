@@ -1,0 +1,144 @@
+//! A short slice of the stress sweep of `bench stability`, and the cases of it that once failed.
+
+use meldscope::{
+    Scene, World,
+    bench::{
+        reference::{Accuracy, NoReference, Reference},
+        stability::{self, Settings, cases::Case},
+    },
+    model::phase::Phase,
+    scene::Integrator,
+};
+
+fn settings(cases: u64, integrator: Integrator) -> Settings {
+    Settings { cases, integrators: vec![integrator], most_steps: 100 }
+}
+
+fn sweep(cases: u64, integrator: Integrator) -> Vec<stability::Row> {
+    stability::sweep(&settings(cases, integrator), &|_| ()).expect("every case is a valid scene that fits")
+}
+
+/// The first 40 cases have every axis of the sweep among them.
+#[test]
+fn exponential_passes_every_case() {
+    for row in sweep(40, Integrator::Exponential) {
+        for outcome in &row.outcomes {
+            assert_eq!(outcome.failure, None, "case {}: {outcome:?}", row.case.index);
+        }
+    }
+}
+
+/// What failed, by what it was that failed.
+#[test]
+fn exponential_passes_the_cases_that_it_failed() {
+    let once = [
+        ("smooth spheres that a vertex passes between the nodes of a step", &[35][..]),
+        ("more steps in a step than can be taken", &[654, 1136, 1478, 1813, 2814]),
+        ("differences that are rounding", &[519, 3717]),
+        ("times of events that are rounding", &[667, 1467]),
+        ("rims that are touched (the reference)", &[983, 1541]),
+        ("visits of a microsecond (the reference)", &[714]),
+        ("roots that are steep (the reference)", &[1346]),
+        ("times of rims that are rounding", &[3786]),
+        ("responses to pushes that swing within a step", &[2962]),
+        ("rims that a stiff vertex swings about", &[1596]),
+    ];
+    for (what, cases) in once {
+        for &index in cases {
+            let case = Case::new(index).expect("a valid scene");
+            let row = stability::run(case, &settings(0, Integrator::Exponential)).expect("a case that fits");
+            for outcome in &row.outcomes {
+                assert_eq!(outcome.failure, None, "{what}, case {index}: {outcome:?}");
+                assert!(outcome.most_substeps <= 50_000, "{what}, case {index}: {outcome:?}");
+            }
+        }
+    }
+}
+
+/// Failures are found and shown: explicit schemes do not survive the stiff cases.
+#[test]
+fn explicit_schemes_fail_where_they_must() {
+    let integrators = vec![Integrator::Thesis, Integrator::Rk4];
+    let rows = stability::sweep(&Settings { integrators, most_steps: 20, ..settings(40, Integrator::Rk4) }, &|_| ());
+    let rows = rows.expect("every case is a valid scene that fits");
+    for k in 0..2 {
+        let failed = rows.iter().filter(|row| row.outcomes[k].failure.is_some()).count();
+        assert!(failed > 5, "{:?}: {failed}", rows[0].outcomes[k].integrator);
+    }
+}
+
+/// A case is a function of its number.
+#[test]
+fn cases_are_the_same_every_time() {
+    for index in 0..200 {
+        let [a, b] = [0, 1].map(|_| Case::new(index).expect("a valid scene").scene.source);
+        assert_eq!(a, b, "case {index}");
+    }
+}
+
+// --- the reference ends ------------------------------------------------------------------------------------------------
+
+fn pair(thresholds: &str, motion: &str) -> Scene {
+    let text = format!(
+        "duration = 1.0\n\n[influence]\n{thresholds}\n\n[[body]]\nname = \"a\"\nradius = 1.0\nshape = {{ sphere = {{ stacks = 3, slices = 6 }} }}\n\
+         motion = {{ fixed = [0, 0, 0] }}\n\n[[body]]\nname = \"b\"\nradius = 0.5\n\
+         shape = {{ sphere = {{ stacks = 2, slices = 5 }} }}\nmotion = {motion}\n"
+    );
+    Scene::parse(&text, "pair.toml").expect("a valid scene")
+}
+
+fn solve(scene: &Scene) -> Result<Reference, NoReference> {
+    let instants: Vec<f64> = (0..=60).map(|step| f64::from(step) / 60.0).collect();
+    Reference::solve(scene, &instants, Accuracy::DEFAULT)
+}
+
+/// Case 302: a pair that stands where it merges and splits does neither.
+#[test]
+fn the_reference_ends_where_a_pair_stands_on_two_thresholds() {
+    let case = Case::new(302).expect("a valid scene");
+    let row = stability::run(case, &settings(0, Integrator::Exponential)).expect("a case that fits");
+    let outcome = &row.outcomes[0];
+    assert_eq!(outcome.failure, None);
+    assert!(outcome.error.expect("a reference") < 1e-8, "{outcome:?}");
+
+    let on_both = "merge_at = 0.6666666666666666\nsplit_at = 0.6666666666666666";
+    for motion in [
+        "{ fixed = [1, 0, 0] }",
+        "{ keyframes = [[0.0, 1, 0, 0], [1.0, 1, 0, 0]] }",
+        "{ line = { from = [1, 0, 0], velocity = [0, 0, 0] } }",
+    ] {
+        let reference = solve(&pair(on_both, motion)).expect(motion);
+        assert_eq!(reference.events(), [], "{motion}");
+    }
+}
+
+/// From where it stands, or to where it comes to stand, a pair changes its phase once, as the world has it.
+#[test]
+fn the_reference_knows_thresholds_that_are_left_and_reached() {
+    let on_both = "merge_at = 0.6666666666666666\nsplit_at = 0.6666666666666666";
+    for (motion, phases) in [
+        ("{ line = { from = [1, 0, 0], velocity = [1, 0, 0] } }", &[Phase::Apart][..]),
+        ("{ line = { from = [1, 0, 0], velocity = [-0.5, 0, 0] } }", &[]),
+        ("{ keyframes = [[0.0, 2, 0, 0], [0.5, 1, 0, 0], [1.0, 1, 0, 0]] }", &[Phase::Merged]),
+        ("{ sine = { center = [1, 0, 0], amplitude = [0.5, 0, 0], frequency = 0.9 } }", &[Phase::Apart, Phase::Merged]),
+    ] {
+        let scene = pair(on_both, motion);
+        let reference = solve(&scene).expect(motion);
+        let found: Vec<_> = reference.events().iter().map(|event| event.to).collect();
+        assert_eq!(found[..phases.len().min(found.len())], *phases, "{motion}: {:?}", reference.events());
+        let mut world = World::new(scene).expect("it fits");
+        let mut events = vec![];
+        for _ in 0..60 {
+            events.extend(world.step().events.iter().map(|event| event.to));
+        }
+        assert_eq!(found, events, "{motion}");
+    }
+}
+
+/// Where it cannot tell, it says so.
+#[test]
+fn the_reference_gives_up_on_what_it_cannot_tell() {
+    let motion = "{ sine = { center = [1, 0, 0], amplitude = [1e12, 0, 0], frequency = 1.0 } }";
+    let refused = solve(&pair("merge_at = 1.05", motion)).err().expect("too fast to be seen");
+    assert!(matches!(refused, NoReference::Undecided { a: 0, b: 1, .. }), "{refused}");
+}
