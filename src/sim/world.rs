@@ -33,6 +33,8 @@ use crate::{
 
 /// Fewer vertices than this to step are not worth a second thread.
 const PARALLEL_VERTICES: usize = 2048;
+/// Nor are fewer bodies than this when it is only to be found out who can reach them, or what they came to.
+const PARALLEL_BODIES: usize = 512;
 /// How much farther than they do now vertices may get from rest when a body outgrows its zone.
 const ROOM: f64 = 1.5;
 
@@ -176,7 +178,7 @@ impl World {
         let (context, actives) = self.context();
         let awake = actives.len();
         let any_outgrew = AtomicBool::new(false);
-        each(actives, |active| {
+        each(actives, actives.len() >= PARALLEL_BODIES, |active| {
             context.find_reachable(active, span);
             if context.outgrew(active) {
                 any_outgrew.store(true, Ordering::Relaxed);
@@ -300,7 +302,8 @@ impl World {
     /// The equation of motion of every body that something happens to.
     fn integrate(&mut self, span: Span) {
         let (context, actives) = self.context();
-        each(actives, |active| context.advance(active, span));
+        let is_worth_threads = is_worth_threads(actives);
+        each(actives, is_worth_threads, |active| context.advance(active, span));
     }
 
     /// Adds up what the step took, lets those sleep that nothing acted on, and looks for a state that cannot be.
@@ -308,7 +311,7 @@ impl World {
         let actives = &self.actives[..self.awake];
         let scene = &self.scene;
         let add = |sum: Sum, active: &Active| sum.and(Sum::of(active, scene));
-        let sum = if is_worth_threads(actives) {
+        let sum = if actives.len() >= PARALLEL_BODIES {
             let chunks = actives.par_iter().with_min_len(256);
             chunks.fold(Sum::default, add).reduce(Sum::default, Sum::and)
         } else {
@@ -349,7 +352,7 @@ impl World {
     }
 }
 
-/// Whether bodies have so much to do that it pays to do it on several threads.
+/// Whether the steps of bodies take so long that it pays to take them on several threads.
 fn is_worth_threads(actives: &[Active]) -> bool {
     // a body that has no front yet takes about as long as one of a few vertices
     let cost = |active: &Active| 8 + active.deformation.front.vertices.len();
@@ -360,9 +363,9 @@ fn is_worth_threads(actives: &[Active]) -> bool {
     actives.iter().scan(0, enough).count() < actives.len()
 }
 
-/// Does the same with every body that is awake, on several threads where that pays.
-fn each(actives: &mut [Active], work: impl Fn(&mut Active) + Sync + Send) {
-    if is_worth_threads(actives) {
+/// Does the same with every body that is awake, on several threads if that is worth it.
+fn each(actives: &mut [Active], is_worth_threads: bool, work: impl Fn(&mut Active) + Sync + Send) {
+    if is_worth_threads {
         actives.par_iter_mut().with_min_len(4).for_each(work);
     } else {
         actives.iter_mut().for_each(work);
