@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use glam::DVec3;
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     advance::Margin,
@@ -190,7 +190,8 @@ impl Active {
         displacement.fill(x);
         velocity.fill(u);
         for (pushed, push) in self.pushed_at(flow).zip(pushes) {
-            now.arch.dispatch(|| add_push(unit, push.direction, pushed, displacement, velocity));
+            let direction = push.direction;
+            now.arch.dispatch(AddPush { unit, direction, pushed, displacement, velocity });
         }
     }
 
@@ -256,6 +257,23 @@ fn flowed(State { x, u }: State, [xx, xu, ux, uu]: [f64; 4]) -> State {
 }
 
 /// Adds the response to a push to the states of all vertices; see [`Common::of`].
+struct AddPush<'a> {
+    unit: &'a Vectors,
+    direction: DVec3,
+    pushed: Pushed,
+    displacement: &'a mut Vectors,
+    velocity: &'a mut Vectors,
+}
+
+impl WithSimd for AddPush<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        add_push(self.unit, self.direction, self.pushed, self.displacement, self.velocity);
+    }
+}
+
 #[inline(always)]
 fn add_push(unit: &Vectors, d: DVec3, pushed: Pushed, displacement: &mut Vectors, velocity: &mut Vectors) {
     // slices of one length, so that the loop has no bounds to check and is vectorised

@@ -5,7 +5,7 @@
 //! exact flow takes it to any later time in one go, when somebody asks.
 
 use glam::DVec3;
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     arrays::Vectors,
@@ -118,21 +118,15 @@ impl Deformation {
         }
         let swinging = &self.swinging;
         let Some(flow) = swinging.flow(now).filter(|_| !swinging.vertices.is_empty()) else { return };
-        now.arch.dispatch(|| {
-            if swinging.vertices.len() == displacement.len() {
-                // every vertex, in order
-                let (x, u) = (&swinging.displacement, &swinging.velocity);
-                add_swings(flow, &x.x, &u.x, &mut displacement.x, &mut velocity.x);
-                add_swings(flow, &x.y, &u.y, &mut displacement.y, &mut velocity.y);
-                add_swings(flow, &x.z, &u.z, &mut displacement.z, &mut velocity.z);
-                return;
-            }
-            for (i, &vertex) in swinging.vertices.iter().enumerate() {
-                let (v, State { x, u }) = (vertex as usize, swinging.state(i, flow));
-                displacement.set(v, displacement.get(v) + x);
-                velocity.set(v, velocity.get(v) + u);
-            }
-        });
+        if swinging.vertices.len() == displacement.len() {
+            now.arch.dispatch(Swing { flow, swinging, displacement, velocity }); // every vertex, in order
+            return;
+        }
+        for (i, &vertex) in swinging.vertices.iter().enumerate() {
+            let (v, State { x, u }) = (vertex as usize, swinging.state(i, flow));
+            displacement.set(v, displacement.get(v) + x);
+            velocity.set(v, velocity.get(v) + u);
+        }
     }
 
     /// Puts all vertices into the front, in their order, those that were at rest with a state of zero.
@@ -140,11 +134,16 @@ impl Deformation {
         if !self.is_empty() {
             return;
         }
-        self.front.clear();
-        for (i, unit) in unit.iter().enumerate() {
-            self.front.push(i as u32, radius * unit, State::default());
+        let Front { vertices, rest, displacement, velocity } = &mut self.front;
+        let padded = unit.len().next_multiple_of(LANES);
+        vertices.extend(0..unit.len() as u32);
+        rest.reset(padded);
+        for (rest, unit) in [(&mut rest.x, &unit.x), (&mut rest.y, &unit.y), (&mut rest.z, &unit.z)] {
+            rest.iter_mut().zip(unit).for_each(|(rest, unit)| *rest = radius * unit);
         }
-        self.front.pad();
+        displacement.reset(padded);
+        velocity.reset(padded);
+        self.front.pad_again();
     }
 
     /// Makes what all vertices do alike part of what each does, all of them being in the front.
@@ -237,7 +236,28 @@ impl Deformation {
     }
 }
 
-/// Adds to displacements and velocities what a flow makes of those that were: one coordinate of all vertices.
+/// Adds to displacements and velocities what a flow makes of those of all vertices.
+struct Swing<'a> {
+    flow: [f64; 4],
+    swinging: &'a Swinging,
+    displacement: &'a mut Vectors,
+    velocity: &'a mut Vectors,
+}
+
+impl WithSimd for Swing<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let (x, u) = (&self.swinging.displacement, &self.swinging.velocity);
+        let (displacement, velocity) = (self.displacement, self.velocity);
+        add_swings(self.flow, &x.x, &u.x, &mut displacement.x, &mut velocity.x);
+        add_swings(self.flow, &x.y, &u.y, &mut displacement.y, &mut velocity.y);
+        add_swings(self.flow, &x.z, &u.z, &mut displacement.z, &mut velocity.z);
+    }
+}
+
+/// One coordinate of that.
 #[inline(always)]
 fn add_swings([xx, xu, ux, uu]: [f64; 4], x: &[f64], u: &[f64], displacement: &mut [f64], velocity: &mut [f64]) {
     // slices of one length, so that the loop has no bounds to check and is vectorised
@@ -282,7 +302,7 @@ impl Front {
     /// Repeats the last again after all have been changed.
     pub fn pad_again(&mut self) {
         let count = self.vertices.len();
-        for vectors in [&mut self.displacement, &mut self.velocity] {
+        for vectors in [&mut self.rest, &mut self.displacement, &mut self.velocity] {
             for i in count..vectors.len() {
                 vectors.set(i, vectors.get(count - 1));
             }
