@@ -52,13 +52,13 @@ impl Default for Options {
 pub struct World {
     scene: Scene,
     options: Options,
-    step: u64,
+    pub(super) step: u64,
     bodies: Vec<Body>,
     /// Bodies that are not at rest: first those that are awake, then those that nothing acts on.
-    actives: Vec<Active>,
+    pub(super) actives: Vec<Active>,
     awake: usize,
     tracks: Tracks,
-    pairs: Pairs,
+    pub(super) pairs: Pairs,
     /// When pushes start, and on which body, by time; and how many have started.
     push_starts: Vec<(f64, u32)>,
     pushes_started: usize,

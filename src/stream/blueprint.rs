@@ -27,7 +27,7 @@ use rerun::{
 use super::{
     chunks::{Chunks, blueprint_time},
     palette,
-    settings::{Detail, MOST_PAIRS, Settings},
+    settings::{Detail, Frames, MOST_PAIRS, Settings},
 };
 use crate::{
     model::phase::Phase,
@@ -249,16 +249,27 @@ fn q_range(scene: &Scene) -> [f64; 2] {
 /// What the colours mean, and which scene, integrator, step and settings these are.
 pub fn about(scene: &Scene, settings: &Settings, arrow_scale: f64) -> String {
     let (influence, thresholds) = (&scene.influence, &scene.thresholds);
+    let frames = match (&settings.frames, settings.every) {
+        (Frames::Thin, _) => {
+            "no frames: only checksums (`meldscope replay F.rrd --save G.rrd` makes the rest)".to_owned()
+        }
+        (Frames::All, 1) => "a frame every step".to_owned(),
+        (Frames::All, every) => format!("a frame every {every} steps"),
+        (Frames::Last { most, on }, _) if on.is_empty() => format!("the last {most} frames"),
+        (Frames::Last { most, on }, _) => {
+            let on: Vec<&str> = on.iter().map(|trigger| trigger.name()).collect();
+            format!("the last {most} frames before each {}", on.join(", "))
+        }
+    };
     let steps = settings.steps.map_or("until stopped".to_owned(), |steps| format!("{steps} steps"));
     let head = format!(
-        "**{}**: {} {}, {} vertices. `{}`, Δt = {:.6} s, {steps}, a frame every {}.  \n",
+        "**{}**: {} {}, {} vertices. `{}`, Δt = {:.6} s, {steps}, {frames}.  \n",
         scene.name,
         scene.bodies.len(),
         if scene.bodies.len() == 1 { "body" } else { "bodies" },
         scene.vertex_count(),
         settings.integrator,
         settings.dt,
-        if settings.every == 1 { "step".to_owned() } else { format!("{} steps", settings.every) },
     );
     let law = format!(
         "α = {}/s², β = {}/s², spheres {:.3} R. Merge at q = {}, split at {}{}; q: centre distance over the sum of the radii.  \n",
@@ -288,5 +299,8 @@ pub fn about(scene: &Scene, settings: &Settings, arrow_scale: f64) -> String {
     } else {
         String::new()
     };
-    head + &law + &spheres + &arrows + &bound
+    match settings.frames {
+        Frames::Thin => head + &law,
+        _ => head + &law + &spheres + &arrows + &bound,
+    }
 }
