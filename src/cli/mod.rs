@@ -4,6 +4,7 @@
 //! was checked differs; 2 bad input or usage.
 
 mod bench;
+mod replay;
 mod run;
 mod scenes;
 
@@ -26,6 +27,8 @@ struct Arguments {
 enum Command {
     /// Simulate a scene and record it.
     Run(Box<run::Arguments>),
+    /// Run what a recording holds again, and verify it step by step.
+    Replay(replay::Arguments),
     /// List the scenes that come with the program, and what to look at in each.
     Scenes,
     /// Measure: error against run time.
@@ -57,6 +60,7 @@ pub fn main() -> ExitCode {
             scenes::list();
             Ok(())
         }
+        Command::Replay(arguments) => replay::replay(arguments),
         Command::Bench(arguments) => bench::bench(arguments),
     };
     let (status, message) = match result {

@@ -8,8 +8,8 @@ use std::time::{Duration, Instant as Clock};
 
 use glam::{DVec3, Vec3};
 use rerun::{
-    AnyValues, Arrows3D, Ellipsoids3D, InstancePoses3D, Mesh3D, Scalars, StateChange, StateConfiguration, StoreId,
-    StoreKind, TextDocument, TextLog, Transform3D, ViewCoordinates,
+    AnyValues, Arrows3D, AsComponents, Ellipsoids3D, InstancePoses3D, Mesh3D, Scalars, StateChange, StateConfiguration,
+    StoreId, StoreKind, TextDocument, TextLog, Transform3D, ViewCoordinates,
     components::{FillMode, MediaType, Text},
     external::re_log_types::{ApplicationId, LogMsg},
 };
@@ -33,7 +33,7 @@ use crate::{
 };
 
 /// A body displaced by less than this much of its radius is drawn with the resting ones.
-const DEFORMED: f64 = 1e-6;
+pub const DEFORMED: f64 = 1e-6;
 /// Threshold lines get a point at least every so many frames, so that they keep up with a live plot.
 const THRESHOLD_FRAMES: u64 = 64;
 
@@ -190,6 +190,24 @@ impl Recorder {
             self.frame(world);
         }
         self.keep(world);
+    }
+
+    /// Logs something of the caller's own at the world's instant.
+    pub fn log(&mut self, entity: &str, world: &World, components: &dyn AsComponents) {
+        self.chunks.log(entity, now(world), components);
+    }
+
+    /// Adds a text to the recording's properties.
+    pub fn log_property(&mut self, name: &'static str, text: &str) {
+        let property = AnyValues::default().with_component::<Text>(name, [text]);
+        self.chunks.log_static("/__properties/meldscope", &property);
+    }
+
+    /// Logs the events of the last step as [`Recorder::observe`] does, for recordings that have no frames.
+    pub fn log_events(&mut self, world: &World) {
+        for event in &world.report().events {
+            self.log_event_line(world, event);
+        }
     }
 
     fn checksum(&mut self, world: &World) {
@@ -547,6 +565,11 @@ impl Recorder {
         if let Some(name) = self.track_pair(world, a, b, event.from, at) {
             self.chunks.log(&format!("/pairs/{name}/phase"), at, &StateChange::single(event.to.name()));
         }
+        self.log_event_line(world, event);
+    }
+
+    fn log_event_line(&mut self, world: &World, event: &Event) {
+        let at = Instant { step: event.step, time: event.time };
         let line = TextLog::new(describe(world.scene(), event))
             .with_level(event.name())
             .with_color(color(palette::phase(event.to)));
@@ -637,7 +660,8 @@ fn by_shape(triangles: &HashMap<Sphere, Vec<[u32; 3]>>) -> Vec<(&Sphere, &Vec<[u
     shapes
 }
 
-fn resting_entity(shape: &Sphere) -> String {
+/// Where the undeformed bodies of a shape are if bodies are recorded together.
+pub fn resting_entity(shape: &Sphere) -> String {
     format!("/world/resting/sphere_{}x{}", shape.stacks, shape.slices)
 }
 

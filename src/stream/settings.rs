@@ -133,6 +133,44 @@ impl Settings {
         changed.into_iter().flatten().collect()
     }
 
+    /// From the properties of a recording. What only says how it was recorded may be unknown, as it may be to an older
+    /// program: it is then as in [`Settings::of`].
+    ///
+    /// # Errors
+    /// What is missing or wrong, in words.
+    pub fn from_toml(text: &str, scene: &Scene) -> Result<Settings, String> {
+        let table: toml::Table = text.parse().map_err(|_| "the settings are not TOML".to_owned())?;
+        let text = |key: &str| table.get(key).and_then(toml::Value::as_str);
+        let positive = |key: &str| {
+            let number =
+                table.get(key).and_then(toml::Value::as_float).filter(|number| Scene::POSITIVE.contains(number));
+            number.ok_or_else(|| format!("the settings have no usable {key}"))
+        };
+        let count = |key: &str| table.get(key).and_then(toml::Value::as_integer).and_then(|n| u64::try_from(n).ok());
+        let name = text("integrator").unwrap_or("none");
+        let integrator = Integrator::ALL.into_iter().find(|integrator| integrator.name() == name);
+        let own = Settings::of(scene);
+        let steps = count("steps").ok_or("the settings have no usable number of steps")?;
+        Ok(Settings {
+            integrator: integrator.ok_or_else(|| format!("this program has no integrator \"{name}\""))?,
+            dt: positive("dt")?,
+            tolerance: positive("tolerance")?,
+            steps: (steps > 0).then_some(steps),
+            every: count("every").filter(|&every| every > 0).unwrap_or(own.every),
+            detail: if text("detail") == Some("surface") { Detail::Surface } else { own.detail },
+            entities: match text("entities") {
+                Some("body") => Entities::Body,
+                Some("batch") => Entities::Batch,
+                _ => own.entities,
+            },
+            frames: match table.get("frames") {
+                Some(toml::Value::String(_)) => Frames::Thin,
+                Some(_) => Frames::Last { most: 1, on: Vec::new() },
+                None => Frames::All,
+            },
+        })
+    }
+
     /// As TOML, for the recording's properties.
     pub fn to_toml(&self) -> String {
         let detail = match self.detail {
