@@ -3,13 +3,15 @@
 use std::path::PathBuf;
 
 use super::{
-    Failure, print,
+    Failure,
+    diff::same_file,
+    print,
     run::{DetailName, parse_integrator, parse_step, parse_tolerance, send, sink_failure},
     say,
 };
 use crate::{
     recording::{
-        ReadError, Recorded,
+        Recorded,
         read::End,
         replay::{self, Verdict},
     },
@@ -312,25 +314,11 @@ impl Saver {
     }
 }
 
-/// Whether two paths lead to one file.
-fn same_file(a: &std::path::Path, b: &std::path::Path) -> bool {
-    match (std::fs::canonicalize(a), std::fs::canonicalize(b)) {
-        (Ok(a), Ok(b)) => a == b,
-        _ => false,
-    }
-}
-
-/// A position in full.
-fn vector(v: glam::DVec3) -> String {
-    format!("({}, {}, {})", v.x, v.y, v.z)
+/// A vector in full.
+pub(super) fn vector(v: glam::DVec3) -> String {
+    format!("({:?}, {:?}, {:?})", v.x, v.y, v.z)
 }
 
 fn vertices(count: usize) -> String {
     if count == 1 { "1 vertex".to_owned() } else { format!("{} vertices", thousands(count as u64)) }
-}
-
-impl From<ReadError> for Failure {
-    fn from(error: ReadError) -> Failure {
-        Failure::input(error)
-    }
 }
