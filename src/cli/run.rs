@@ -233,6 +233,10 @@ fn record(
 
     let first = recorder.blueprint(&world).into_iter().chain(recorder.take());
     let mut failure = send(&mut sinks, first);
+    if arguments.save.is_some() && !destined_live(arguments) {
+        // what the recording is of is in the file before anything can happen to the run
+        failure = failure.or(sinks.flush().err().map(|error| error.to_string()));
+    }
     let start = Instant::now();
     while failure.is_none()
         && !stop.load(Ordering::Relaxed)

@@ -17,6 +17,7 @@ use crate::{
     sim::World,
     stream::{
         chunks::Instant,
+        recorder::DEFORMED,
         settings::Frames as Recording,
         sinks::{Saved, SinkError},
     },
@@ -211,11 +212,12 @@ fn difference(recorded: [&Recorded; 2], frames: [&Frame; 2], index: usize) -> Op
     let shift = centre(1) - centre(0);
     let (first, second) = (local(0)?, local(1)?);
     let body: &crate::scene::Body = body(&recorded[0].scene, index)?;
+    let noise = (0..2).map(|side| frames[side].noise(&recorded[side].scene, index)).fold(0.0, f64::max);
     let mut worst: Option<Worst> = None;
     let mut vertices = 0;
     for (vertex, (&x, &y)) in first.iter().zip(&second).enumerate() {
         let (recorded, found) = (x, y + shift);
-        if recorded == found {
+        if recorded.distance(found) <= noise {
             continue;
         }
         vertices += 1;
@@ -256,8 +258,21 @@ impl Frame {
     fn centre(&self, scene: &Scene, index: usize) -> DVec3 {
         match (self.centres.get(index).copied().flatten(), body(scene, index)) {
             (Some(centre), _) => centre.as_dvec3(),
-            (None, Some(body)) => body.path.position(self.time),
+            (None, Some(body)) => body.path.position(self.time).as_vec3().as_dvec3(), // as others are recorded
             (None, None) => DVec3::ZERO,
+        }
+    }
+
+    /// What is lost of the surface of a body by how it was recorded, beside its own single precision [scene unit].
+    fn noise(&self, scene: &Scene, index: usize) -> f64 {
+        let (Some(Some(surface)), Some(body)) = (self.surfaces.get(index), body(scene, index)) else { return 0.0 };
+        match surface.kind {
+            Kind::Local => 0.0,
+            Kind::World => {
+                let far = self.centre(scene, index).abs().max_element() + 2.0 * body.radius;
+                2.0 * f64::from(f32::EPSILON) * far
+            }
+            Kind::Resting => DEFORMED * body.radius,
         }
     }
 

@@ -1,7 +1,7 @@
 //! What a scene should give, and whether it does.
 //!
 //! A golden recording is thin: the scene and a checksum of every step. So that a difference can be named, it also has
-//! the events, a byte of hash for every vertex that has moved and every step ([`VERTICES`]), which tells at which
+//! the events, two bytes of hash for every vertex that has moved and every step ([`VERTICES`]), which tells at which
 //! vertices two states part, and every so many steps the displacements themselves, in full ([`STATES`]).
 
 use std::{
@@ -15,8 +15,8 @@ use rapidhash::v3::rapidhash_v3;
 use rerun::{
     AnyValues,
     external::arrow::{
-        array::{ArrayRef, AsArray as _, Float64Array, UInt8Array, UInt32Array},
-        datatypes::{Float64Type, UInt8Type, UInt32Type},
+        array::{ArrayRef, AsArray as _, Float64Array, UInt16Array, UInt32Array},
+        datatypes::{Float64Type, UInt16Type, UInt32Type},
     },
 };
 
@@ -32,14 +32,14 @@ use crate::{
     scene::Scene,
     sim::World,
     stream::{
-        Recorder,
+        Recorder, checksums,
         chunks::Instant,
         settings::{Frames, Settings},
         sinks::{Destinations, SinkError, Sinks},
     },
 };
 
-/// A byte for every vertex of every body that is not at rest, every step: `bodies` and `hashes`.
+/// Two bytes for every vertex of every body that is not at rest, every step: `bodies` and `hashes`.
 pub const VERTICES: &str = "/golden/vertices";
 /// The displacements of every body that is not at rest, every [`STATE_EVERY`] steps: `bodies` and `displacements`, x, y
 /// and z of each vertex [scene unit].
@@ -94,8 +94,8 @@ pub fn bless(scene: &Scene, path: &Path, reason: &str) -> Result<Blessed, BlessE
                 .with_component_from_data(name, field)
         };
         if !awake.is_empty() {
-            let hashes: Vec<u8> = awake.iter().flat_map(|&index| vertex_hashes(&world, index)).collect();
-            recorder.log(VERTICES, &world, &bodies(Arc::new(UInt8Array::from(hashes)), "hashes"));
+            let hashes: Vec<u16> = awake.iter().flat_map(|&index| vertex_hashes(&world, index)).collect();
+            recorder.log(VERTICES, &world, &bodies(Arc::new(UInt16Array::from(hashes)), "hashes"));
         }
         if !awake.is_empty() && (step % STATE_EVERY == 0 || step == scene.steps()) {
             let displacements: Vec<f64> =
@@ -114,7 +114,7 @@ pub fn bless(scene: &Scene, path: &Path, reason: &str) -> Result<Blessed, BlessE
 
 /// One number for all checksums of a recording.
 pub fn digest(checksums: &[u64]) -> u64 {
-    rapidhash_v3(bytemuck::cast_slice(checksums))
+    checksums.iter().fold(0, |digest, &checksum| checksums::digest(digest, checksum))
 }
 
 fn counts(scene: &Scene) -> String {
@@ -122,12 +122,12 @@ fn counts(scene: &Scene) -> String {
     format!("{} vertices, {triangles} triangles", scene.vertex_count())
 }
 
-/// A byte of hash of the state of each vertex of a body.
-fn vertex_hashes(world: &World, index: usize) -> Vec<u8> {
+/// Two bytes of hash of the state of each vertex of a body.
+fn vertex_hashes(world: &World, index: usize) -> Vec<u16> {
     let body = world.body(index);
     let hash = |vertex| {
         let (x, u) = (body.displacement(vertex), body.velocity(vertex));
-        rapidhash_v3(bytemuck::cast_slice(&[x.x, x.y, x.z, u.x, u.y, u.z])) as u8
+        rapidhash_v3(bytemuck::cast_slice(&[x.x, x.y, x.z, u.x, u.y, u.z])) as u16
     };
     (0..body.vertex_count()).map(hash).collect()
 }
@@ -372,7 +372,7 @@ impl State {
 #[derive(Default)]
 struct Details {
     /// Hashes of the vertices of bodies that are not at rest, at that step.
-    hashes: BTreeMap<usize, Vec<u8>>,
+    hashes: BTreeMap<usize, Vec<u16>>,
     /// States from that step on.
     states: BTreeMap<u64, State>,
 }
@@ -418,10 +418,10 @@ impl Details {
                     }
                 } else if !is_states && at == step {
                     let values = raw(&chunk, "hashes", row);
-                    let values = values.as_ref().and_then(|values| values.as_primitive_opt::<UInt8Type>());
+                    let values = values.as_ref().and_then(|values| values.as_primitive_opt::<UInt16Type>());
                     let values = values.map(|values| values.values().as_ref()).unwrap_or_default();
                     for (index, count) in sizes {
-                        let own: &[u8] = values.get(first..first + count).unwrap_or_default();
+                        let own: &[u16] = values.get(first..first + count).unwrap_or_default();
                         details.hashes.insert(index, own.to_vec());
                         first += count;
                     }

@@ -18,7 +18,7 @@ use std::{
 };
 
 use rerun::external::{
-    arrow::{array::RecordBatch, ipc},
+    arrow::{array::RecordBatch, error::ArrowError, ipc},
     re_build_info::CrateVersion,
     re_chunk_store::external::re_chunk::Chunk,
     re_log_encoding::external::lz4_flex,
@@ -279,14 +279,14 @@ impl<'a> Envelope<'a> {
                 }
                 unpacked.resize(self.uncompressed as usize, 0);
                 let length = lz4_flex::block::decompress_into(self.payload, &mut unpacked)
-                    .map_err(|error| format!("a message cannot be unpacked ({error})"))?;
+                    .map_err(|error| format!("a message cannot be unpacked ({})", brief(&error)))?;
                 unpacked.truncate(length);
                 unpacked.as_slice()
             }
             other => return Err(format!("a message packed in an unknown way ({other})")),
         };
         check_lengths(data)?;
-        let arrow = |error| format!("a message is no Arrow data ({error})");
+        let arrow = |error: ArrowError| format!("a message is no Arrow data ({})", brief(&error));
         let mut stream = ipc::reader::StreamReader::try_new(data, None).map_err(arrow)?;
         if let Some(entity) = stream.schema().metadata().get("rerun:entity_path")
             && !wanted(entity)
@@ -295,9 +295,16 @@ impl<'a> Envelope<'a> {
         }
         let batch: RecordBatch = stream.next().ok_or("a message has no data")?.map_err(arrow)?;
         let message = ArrowMsg { chunk_id: Tuid::ZERO, batch, on_release: None };
-        let chunk = Chunk::from_arrow_msg(&message).map_err(|error| format!("a message is no chunk ({error})"))?;
+        let chunk =
+            Chunk::from_arrow_msg(&message).map_err(|error| format!("a message is no chunk ({})", brief(&error)))?;
         Ok(Some(chunk).filter(|chunk| wanted(&chunk.entity_path().to_string())))
     }
+}
+
+/// The first line of an error, which may have many.
+fn brief(error: &dyn std::fmt::Display) -> String {
+    let text = error.to_string();
+    text.lines().next().unwrap_or_default().chars().take(120).collect()
 }
 
 /// The frames of an Arrow stream say how long they are: no longer than the stream, or its reader would believe them.
@@ -320,8 +327,8 @@ fn check_lengths(mut data: &[u8]) -> Result<(), String> {
             break;
         }
         let metadata = usize::try_from(length).ok().and_then(|length| split(&mut data, length)).ok_or_else(short)?;
-        let message =
-            ipc::root_as_message(metadata).map_err(|error| format!("a message is no Arrow data ({error})"))?;
+        let message = ipc::root_as_message(metadata)
+            .map_err(|error| format!("a message is no Arrow data ({})", brief(&error)))?;
         let body = usize::try_from(message.bodyLength()).ok();
         body.and_then(|length| split(&mut data, length)).ok_or_else(short)?;
     }

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use rapidhash::v3::rapidhash_v3;
 use rerun::external::{
     arrow::{
         array::{ListArray, UInt64Array},
@@ -31,12 +32,19 @@ pub(super) struct Checksums {
     values: Vec<u64>,
     /// Rows sent: their ids are counted apart, as when they are sent depends on the machine.
     rows: u64,
+    /// Of all of them, sent or not.
+    digest: u64,
+}
+
+/// One number for a sequence of checksums that goes on with `next`; 0 for none.
+pub fn digest(digest: u64, next: u64) -> u64 {
+    rapidhash_v3(bytemuck::cast_slice(&[digest.to_le(), next.to_le()]))
 }
 
 impl Checksums {
     /// A row for every step.
     pub fn by_step() -> Checksums {
-        Checksums { in_row: 1, at: Vec::new(), values: Vec::new(), rows: 0 }
+        Checksums { in_row: 1, at: Vec::new(), values: Vec::new(), rows: 0, digest: 0 }
     }
 
     /// Several in a row, as many as take a fraction of a second to compute: that much is lost if the run is killed.
@@ -48,6 +56,12 @@ impl Checksums {
     pub fn push(&mut self, at: Instant, value: u64) {
         self.at.push(at);
         self.values.push(value);
+        self.digest = digest(self.digest, value);
+    }
+
+    /// One number for all of them, by which a recording knows whether it has them all, unharmed.
+    pub fn digest(&self) -> u64 {
+        self.digest
     }
 
     /// Logs what has come together; of a row that is not full only at the end of the run.

@@ -130,6 +130,7 @@ impl Recorder {
         recorder.log_steps(recorder.settings.steps);
         recorder.log_statics(scene);
         recorder.checksum(world);
+        recorder.checksums.log(&mut recorder.chunks, true); // by itself: a run that is killed has at least this one
         recorder.frame(world);
         recorder.keep(world);
         recorder
@@ -256,6 +257,7 @@ impl Recorder {
             Frames::Thin | Frames::Last { .. } => {}
         }
         self.checksums.log(&mut self.chunks, true);
+        self.log_property("digest", &format!("{:016x}", self.checksums.digest()));
         self.log_steps(Some(world.steps_taken()));
     }
 

@@ -140,7 +140,7 @@ impl Recording {
     }
 
     /// What an entity has at each of the steps, as the viewer shows it: its latest values, static ones included.
-    fn held(&self, entity: &str, steps: impl IntoIterator<Item = u64>) -> Vec<Row> {
+    pub fn held(&self, entity: &str, steps: impl IntoIterator<Item = u64>) -> Vec<Row> {
         let expression = QueryExpression {
             filtered_index: Some(TimelineName::from("step")),
             using_index_values: Some(steps.into_iter().map(|step| TimeInt::new_temporal(step as i64)).collect()),
