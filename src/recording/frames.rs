@@ -328,19 +328,17 @@ impl Frames {
                 }
             }
         } else if let Some(unit) = self.shapes.get(&entity) {
-            // two rows of the same step: where, and who
-            if is_naming {
-                if super::recorded::raw(chunk, "body", row).is_some() {
-                    let resting = bodies()?;
-                    let surface = |body: usize| {
-                        let radius = self.scene.bodies[body].radius;
-                        unit.iter().map(|&v| (radius * v).as_vec3()).collect::<Vec<_>>()
-                    };
-                    let surfaces: Vec<_> = resting.iter().map(|&body| (body, surface(body))).collect();
-                    for (body, positions) in surfaces {
-                        self.surfaces[body] = Some(Surface { positions, kind: Kind::Resting });
-                        self.centres[body] = None;
-                    }
+            // where they are is known from their paths; who they are is what counts
+            if is_naming && super::recorded::raw(chunk, "body", row).is_some() {
+                let resting = bodies()?;
+                let surface = |body: usize| {
+                    let radius = self.scene.bodies[body].radius;
+                    unit.iter().map(|&v| (radius * v).as_vec3()).collect::<Vec<_>>()
+                };
+                let surfaces: Vec<_> = resting.iter().map(|&body| (body, surface(body))).collect();
+                for (body, positions) in surfaces {
+                    self.surfaces[body] = Some(Surface { positions, kind: Kind::Resting });
+                    self.centres[body] = None;
                 }
             }
         }
