@@ -2,8 +2,7 @@
 
 use rapidhash::v3::{RapidSecrets, rapidhash_v3_inline};
 
-use super::World;
-use super::arrays::Vectors;
+use super::{World, arrays::Vectors};
 use crate::model::phase::Phase;
 
 impl World {
@@ -32,7 +31,7 @@ impl World {
                 }
             }
         }
-        for pair in self.pairs.all().filter(|pair| pair.phase != Phase::Apart) {
+        for pair in self.pairs.all(&self.bodies).filter(|pair| pair.phase != Phase::Apart) {
             let core = u64::from(pair.phase == Phase::Core);
             hash = combine(hash, u64::from(pair.a) << 32 | u64::from(pair.b));
             hash = combine(hash, core);

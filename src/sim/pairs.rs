@@ -253,6 +253,13 @@ impl Pairs {
         self.pairs.capacity() * size_of::<Pair>() + self.free.capacity() * size_of::<u32>() + self.grid.memory()
     }
 
+    /// All of them, by their bodies.
+    pub fn all<'a>(&'a self, bodies: &'a [Body]) -> impl Iterator<Item = &'a Pair> {
+        (0..).zip(bodies).flat_map(move |(body, of)| {
+            of.neighbours.iter().filter(move |near| body < near.other).map(|near| self.get(near.pair))
+        })
+    }
+
     /// A pair.
     pub fn get(&self, index: u32) -> &Pair {
         &self.pairs[index as usize]

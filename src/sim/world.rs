@@ -53,7 +53,7 @@ pub struct World {
     scene: Scene,
     options: Options,
     pub(super) step: u64,
-    bodies: Vec<Body>,
+    pub(super) bodies: Vec<Body>,
     /// Bodies that are not at rest: first those that are awake, then those that nothing acts on.
     pub(super) actives: Vec<Active>,
     awake: usize,
