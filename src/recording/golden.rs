@@ -11,7 +11,6 @@ use std::{
 };
 
 use glam::DVec3;
-use rapidhash::v3::rapidhash_v3;
 use rerun::{
     AnyValues,
     external::arrow::{
@@ -30,9 +29,9 @@ use super::{
 };
 use crate::{
     scene::Scene,
-    sim::World,
+    sim::{World, checksum, world::States},
     stream::{
-        Recorder, checksums,
+        Recorder,
         chunks::Instant,
         settings::{Frames, Settings},
         sinks::{Destinations, SinkError, Sinks},
@@ -114,7 +113,7 @@ pub fn bless(scene: &Scene, path: &Path, reason: &str) -> Result<Blessed, BlessE
 
 /// One number for all checksums of a recording.
 pub fn digest(checksums: &[u64]) -> u64 {
-    checksums.iter().fold(0, |digest, &checksum| checksums::digest(digest, checksum))
+    checksum::sequence(checksums.iter().copied())
 }
 
 fn counts(scene: &Scene) -> String {
@@ -124,17 +123,14 @@ fn counts(scene: &Scene) -> String {
 
 /// Two bytes of hash of the state of each vertex of a body.
 fn vertex_hashes(world: &World, index: usize) -> Vec<u16> {
-    let body = world.body(index);
-    let hash = |vertex| {
-        let (x, u) = (body.displacement(vertex), body.velocity(vertex));
-        rapidhash_v3(bytemuck::cast_slice(&[x.x, x.y, x.z, u.x, u.y, u.z])) as u16
-    };
-    (0..body.vertex_count()).map(hash).collect()
+    let States { displacement, velocity } = world.body(index).states();
+    let hash =
+        |(x, u): (DVec3, DVec3)| checksum::sequence([x, u].into_iter().flat_map(|v| v.to_array()).map(checksum::bits));
+    displacement.iter().zip(velocity.iter()).map(|state| hash(state) as u16).collect()
 }
 
 fn displacements(world: &World, index: usize) -> Vec<DVec3> {
-    let body = world.body(index);
-    (0..body.vertex_count()).map(|vertex| body.displacement(vertex)).collect()
+    world.body(index).states().displacement.iter().collect()
 }
 
 /// How a scene does beside its golden recording.

@@ -18,6 +18,7 @@ use super::{
 };
 use crate::{
     scene::Scene,
+    sim::checksum,
     stream::{
         checksums,
         settings::{FORMAT, Settings, recording_id},
@@ -203,7 +204,7 @@ impl Properties {
                 return Err(damaged(format!("its checksums begin with step {}", sums.first)));
             }
             (_, Some(digest)) => {
-                let found = sums.values.iter().fold(0, |digest, &sum| checksums::digest(digest, sum));
+                let found = checksum::sequence(sums.values.iter().copied());
                 if *digest != format!("{found:016x}") {
                     return Err(damaged("its checksums are not those that were written".to_owned()));
                 }

@@ -4,6 +4,8 @@
 //! at the end of the last step. One that a sphere has left alone swings freely: its state is kept as it was then, and the
 //! exact flow takes it to any later time in one go, when somebody asks.
 
+use std::sync::OnceLock;
+
 use glam::DVec3;
 
 use super::{
@@ -27,6 +29,8 @@ pub struct Deformation {
     pub swinging: Swinging,
     /// Where each vertex is, `[vertex_count]`; empty if all are at rest.
     places: Vec<Place>,
+    /// Of all but the states of the front, when it was asked for since that last changed.
+    pub hash_of_kept: OnceLock<u64>,
 }
 
 /// Vertices that take every step, as arrays that are read in lanes: padded with repetitions of the last.
@@ -95,7 +99,7 @@ impl Deformation {
 
     /// What was allocated for it [bytes].
     pub fn memory(&self) -> usize {
-        let Deformation { front, swinging, places } = self;
+        let Deformation { front, swinging, places, .. } = self;
         let vectors = [&front.rest, &front.displacement, &front.velocity, &swinging.displacement, &swinging.velocity];
         vectors.into_iter().map(Vectors::memory).sum::<usize>()
             + (front.vertices.capacity() + swinging.vertices.capacity()) * size_of::<u32>()
@@ -134,6 +138,7 @@ impl Deformation {
         if !self.is_empty() {
             return;
         }
+        self.hash_of_kept.take();
         self.places.extend((0..unit.len() as u32).map(Place::Front));
         self.front.clear();
         for (i, unit) in unit.iter().enumerate() {
@@ -159,6 +164,7 @@ impl Deformation {
 
     /// Puts all vertices at rest.
     pub fn clear(&mut self) {
+        self.hash_of_kept.take();
         self.front.clear();
         self.swinging.clear();
         self.places.clear();
@@ -175,6 +181,7 @@ impl Deformation {
         now: Now,
         scratch: &mut Scratch,
     ) {
+        self.hash_of_kept.take();
         let omega = now.oscillator.omega;
         if self.places.is_empty() {
             self.places.resize(unit.len(), Place::Rest);
@@ -234,6 +241,7 @@ impl Deformation {
 
     /// Lets all vertices swing freely from now on.
     pub fn let_go(&mut self, now: Now) {
+        self.hash_of_kept.take();
         for i in 0..self.front.vertices.len() {
             let (v, state) = (self.front.vertices[i], self.front.state(i));
             let amplitude = swing(state, now.oscillator.omega);

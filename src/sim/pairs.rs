@@ -4,7 +4,7 @@
 //! more than was allowed for. Pairs whose zones overlap are known, and so is every pair that is not apart. (Molecular
 //! dynamics knows such lists as Verlet's, with a skin.)
 
-use std::ops::Range;
+use std::{ops::Range, sync::OnceLock};
 
 use super::{
     Span,
@@ -81,6 +81,8 @@ pub(super) struct Pairs {
     changes: Vec<(f64, Phase)>,
     /// Pairs that have any.
     changed: Vec<u32>,
+    /// Sum of their hashes, once it was asked for.
+    hash: OnceLock<u64>,
     /// Whether these are all pairs, each looked at in every step.
     plain: bool,
     /// Reused.
@@ -241,8 +243,12 @@ impl Pairs {
     pub fn enter_phases(&mut self) {
         for &index in &self.changed {
             let pair = &mut self.pairs[index as usize];
+            let before = pair.hash();
             if let Some(&(_, last)) = self.changes[pair.changes.clone()].last() {
                 pair.phase = last;
+            }
+            if let Some(sum) = self.hash.get_mut() {
+                *sum = sum.wrapping_sub(before).wrapping_add(pair.hash());
             }
             pair.changes = 0..0;
         }
@@ -253,11 +259,9 @@ impl Pairs {
         self.pairs.capacity() * size_of::<Pair>() + self.free.capacity() * size_of::<u32>() + self.grid.memory()
     }
 
-    /// All of them, by their bodies.
-    pub fn all<'a>(&'a self, bodies: &'a [Body]) -> impl Iterator<Item = &'a Pair> {
-        (0..).zip(bodies).flat_map(move |(body, of)| {
-            of.neighbours.iter().filter(move |near| body < near.other).map(|near| self.get(near.pair))
-        })
+    /// The sum of the hashes of all pairs that are not apart.
+    pub fn hash(&self) -> u64 {
+        *self.hash.get_or_init(|| self.pairs.iter().map(Pair::hash).fold(0, u64::wrapping_add))
     }
 
     /// A pair.

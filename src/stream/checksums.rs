@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use rapidhash::v3::rapidhash_v3;
 use rerun::external::{
     arrow::{
         array::{ListArray, UInt64Array},
@@ -15,6 +14,7 @@ use rerun::external::{
 };
 
 use super::chunks::{Chunks, Instant};
+use crate::sim::checksum::followed_by;
 
 /// The entity, and its one component: unsigned 64-bit numbers.
 pub const ENTITY: &str = "/checksum";
@@ -36,11 +36,6 @@ pub(super) struct Checksums {
     digest: u64,
 }
 
-/// One number for a sequence of checksums that goes on with `next`; 0 for none.
-pub fn digest(digest: u64, next: u64) -> u64 {
-    rapidhash_v3(bytemuck::cast_slice(&[digest.to_le(), next.to_le()]))
-}
-
 impl Checksums {
     /// A row for every step.
     pub fn by_step() -> Checksums {
@@ -56,7 +51,7 @@ impl Checksums {
     pub fn push(&mut self, at: Instant, value: u64) {
         self.at.push(at);
         self.values.push(value);
-        self.digest = digest(self.digest, value);
+        self.digest = followed_by(self.digest, value);
     }
 
     /// One number for all of them, by which a recording knows whether it has them all, unharmed.

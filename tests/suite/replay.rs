@@ -73,69 +73,6 @@ fn fails(dir: &Dir, status: i32, arguments: &[&str]) -> String {
     out + &err
 }
 
-// ---- checksums -----------------------------------------------------------------------------------------------------
-
-#[test]
-fn a_checksum_is_that_of_the_state_alone() {
-    let checksums = |look: &dyn Fn(&World)| -> Vec<u64> {
-        let mut world = World::new(two()).expect("it fits");
-        let mut checksums = vec![world.checksum()];
-        for _ in 0..200 {
-            world.step();
-            look(&world);
-            checksums.push(world.checksum());
-        }
-        checksums
-    };
-    let plain = checksums(&|_| {});
-    assert_eq!(
-        plain,
-        checksums(&|world| {
-            world.energy();
-            world.bodies().for_each(|body| drop(body.positions().collect::<Vec<_>>()));
-        })
-    );
-    let mut distinct = plain.clone();
-    distinct.sort_unstable();
-    distinct.dedup();
-    assert_eq!(distinct.len(), plain.len(), "no two steps have the same");
-
-    let mut scene = two();
-    scene.influence.alpha = scene.influence.alpha.next_up();
-    let mut world = World::new(scene).expect("it fits");
-    for expected in &plain[1..80] {
-        world.step();
-        assert_eq!(world.checksum(), *expected, "nothing attracts before the merge");
-    }
-    for _ in 80..=200 {
-        world.step();
-    }
-    assert_ne!(world.checksum(), plain[200], "one bit of the law is enough");
-}
-
-/// Every scene under 1, 2, 3 and 8 threads, with the kernels that this machine has.
-#[test]
-fn checksums_do_not_depend_on_threads() {
-    for builtin in builtin::ALL {
-        let run = |threads| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-            pool.install(|| {
-                let mut world = World::new(Scene::builtin(builtin.name).expect("built in")).expect("it fits");
-                let steps = world.scene().steps();
-                let checksums = (0..steps).map(|_| {
-                    world.step();
-                    world.checksum()
-                });
-                checksums.collect::<Vec<_>>()
-            })
-        };
-        let one = run(1);
-        for threads in [2, 3, 8] {
-            assert!(run(threads) == one, "{} on {threads} threads", builtin.name);
-        }
-    }
-}
-
 // ---- replay --------------------------------------------------------------------------------------------------------
 
 #[test]
