@@ -152,7 +152,7 @@ fn report(name: &str, difference: &Difference, is_accepted: bool) {
             first.step, first.time, first.golden, first.found
         ));
         match first.bodies.first() {
-            None => print("    no vertex differs there: it is the phase of a pair"),
+            None => print("    no vertex differs there: it is the phase of a pair, or since when a state is kept"),
             Some((body, vertices)) => {
                 let listed: Vec<String> = vertices.iter().take(LISTED).map(usize::to_string).collect();
                 let more = if vertices.len() > LISTED { ", …" } else { "" };

@@ -79,7 +79,8 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
     let path = recorded.path.display();
     let steps = recorded.last();
     let differences = recorded.foreign_to(&machine::describe());
-    let overrides = recorded.overrides.lines().collect::<Vec<_>>().join(", ");
+    let no_skip = (!recorded.settings.skip).then_some("--no-skip");
+    let overrides = recorded.overrides.lines().chain(no_skip).collect::<Vec<_>>().join(", ");
     let settings = if overrides.is_empty() { String::new() } else { format!(" (run with {overrides})") };
     match verdict {
         Verdict::Identical => {
@@ -172,7 +173,7 @@ fn ask(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
     let (from, to) = range(arguments, steps)?;
     let mut saver = Saver::open(arguments, &scene, &settings, from..=to)?;
 
-    let mut world = World::new(scene.clone()).map_err(Failure::input)?;
+    let mut world = replay::world(recorded, scene.clone()).map_err(Failure::input)?;
     let mut events = Vec::new();
     let (mut largest, mut diverged) = ((0.0, 0.0, String::new()), None);
     loop {
@@ -255,6 +256,7 @@ impl Saver {
         let settings = Settings {
             steps: Some(*steps.end()),
             every: 1,
+            skip: settings.skip,
             detail: arguments.detail.into(),
             frames: Frames::All,
             entities: settings.entities,

@@ -335,6 +335,7 @@ fn settings(arguments: &Arguments, scene: &Scene) -> Settings {
             Some(0) => None,
             some => some,
         },
+        skip: !arguments.no_skip,
         every: arguments.every,
         detail: arguments.detail.into(),
         entities: match arguments.entities {

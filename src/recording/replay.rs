@@ -1,7 +1,10 @@
 //! The same steps again, compared checksum by checksum.
 
 use super::{ReadError, Recorded, frames};
-use crate::{scene::Scene, sim::World};
+use crate::{
+    scene::Scene,
+    sim::{Options, World},
+};
 
 /// What a replay came to.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,7 +36,7 @@ impl Divergence {
     /// The recording cannot be read.
     pub fn worst(&self, recorded: &Recorded) -> Result<Option<frames::Worst>, ReadError> {
         let mut stream = frames::Frames::open(recorded)?;
-        let Ok(mut world) = World::new(recorded.scene.clone()) else { return Ok(None) };
+        let Ok(mut world) = world(recorded, recorded.scene.clone()) else { return Ok(None) };
         while let Some(frame) = stream.next()? {
             if frame.step < self.step || frame.step > recorded.last() {
                 continue;
@@ -87,6 +90,11 @@ pub fn verify(recorded: &Recorded, mut observe: impl FnMut(&World) -> bool) -> R
 }
 
 /// A world of a recording's scene, with or without other settings.
-pub(super) fn world(recorded: &Recorded, scene: Scene) -> Result<World, ReadError> {
-    World::new(scene).map_err(|error| ReadError::Scene { path: recorded.path.clone(), what: error.to_string() })
+///
+/// # Errors
+/// The scene is too large for this machine.
+pub fn world(recorded: &Recorded, scene: Scene) -> Result<World, ReadError> {
+    let options = Options { skip: recorded.settings.skip, ..Options::default() };
+    World::with_options(scene, options)
+        .map_err(|error| ReadError::Scene { path: recorded.path.clone(), what: error.to_string() })
 }

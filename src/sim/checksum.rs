@@ -25,7 +25,7 @@ impl World {
     ///
     /// Equal runs have equal checksums: on every machine, for any number of threads and instruction set, whatever is
     /// looked at or recorded and however often this is asked for. Two states that differ in one number never have the
-    /// same, others but for a chance in 2⁶⁴ or so. Without skipping ([`super::Options::skip`]) more is kept of the same
+    /// same, others by a coincidence only. Without skipping ([`super::Options::skip`]) more is kept of the same
     /// motion, so that its checksums are others.
     pub fn checksum(&self) -> u64 {
         let (awake, asleep) = self.actives.split_at(self.awake);
@@ -141,7 +141,7 @@ const SEED: u64 = 0x9e37_79b9_7f4a_7c15;
 /// Makes every bit of the result depend on every bit, and no two numbers the same (the finalizer of `SplitMix64`, Steele
 /// et al. 2014, in Stafford's variant 13).
 #[inline(always)]
-fn mix(hash: u64) -> u64 {
+const fn mix(hash: u64) -> u64 {
     let hash = (hash ^ hash >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let hash = (hash ^ hash >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
     hash ^ hash >> 31
@@ -158,6 +158,16 @@ struct Lanes<S: Simd> {
 /// By so many bits the two halves of a number are rotated: of all odd numbers this is one of those that take longest to
 /// lead a bit back to near where it was.
 const ROTATION: u32 = 15;
+/// One for each lane, odd, so that they cannot change places, nor changes of several make up for each other.
+const FACTORS: [u64; LANES] = {
+    let mut factors = [0; LANES];
+    let mut lane = 0;
+    while lane < LANES {
+        factors[lane] = mix(SEED.wrapping_add(lane as u64)) | 1;
+        lane += 1;
+    }
+    factors
+};
 /// All of a block, and what is beside it: none.
 const MASKS: [f64; 2 * LANES] = {
     let mut masks = [0.0; 2 * LANES];
@@ -231,18 +241,13 @@ impl<S: Simd> Lanes<S> {
 
     #[inline(always)]
     fn hash(self) -> u64 {
-        let half = Self::REGISTERS / 2;
-        let mut words = [0u64; LANES / 2];
+        let mut words = [0u64; LANES];
         let (registers, _) = S::as_mut_simd_u64s(&mut words);
-        for register in 0..half {
-            let (first, second) = (self.state[register], self.state[register + half]);
-            registers[register] = self.simd.add_u64s(self.rotate(first), second);
-        }
+        registers.copy_from_slice(&self.state[..Self::REGISTERS]);
         let mut hash = 0u64;
         for (lane, word) in words.into_iter().enumerate() {
-            // a factor of its own, so that lanes can't change places
-            let factor = (lane as u64 + 1).wrapping_mul(SEED) | 1;
-            hash = hash.wrapping_add((word ^ word >> 32).wrapping_mul(factor));
+            let word = (word ^ word >> 32).wrapping_mul(FACTORS[lane]);
+            hash = hash.wrapping_add(word ^ word >> 29);
         }
         mix(hash)
     }
@@ -314,21 +319,22 @@ mod tests {
         let count = world.actives[0].deformation.front.vertices.len();
         let mut seen = std::collections::HashSet::from([before]);
         for i in 0..count {
-            for j in 0..i {
-                let changes: [fn(f64, f64) -> (f64, f64); 4] = [
-                    |a, b| (-a, -b),
-                    |a, b| (a.next_up(), b.next_down()),
-                    |a, b| (a.next_up(), b.next_up()),
-                    |a, b| (b, a),
+            for j in (0..i).filter(|&j| numbers[i] != 0.0 && numbers[j] != 0.0) {
+                let (a, b) = (numbers[i], numbers[j]);
+                let mut changes = vec![
+                    (-a, -b),
+                    (b, a),
+                    (a.next_up(), b.next_down()),
+                    (a.next_up(), b.next_up()),
+                    (2.0 * a, 2.0 * b),
                 ];
-                for change in changes {
-                    let changed = change(numbers[i], numbers[j]);
-                    if changed != (numbers[i], numbers[j]) {
-                        let axis = &mut world.actives[0].deformation.front.displacement.x;
-                        (axis[i], axis[j]) = changed;
-                        assert!(seen.insert(world.checksum()), "vertices {i} and {j}");
-                        world.actives[0].deformation.front.displacement.x.copy_from_slice(&numbers);
-                    }
+                changes.retain(|change| *change != (a, b));
+                changes.dedup(); // where one is the negative of the other
+                for changed in changes {
+                    let axis = &mut world.actives[0].deformation.front.displacement.x;
+                    (axis[i], axis[j]) = changed;
+                    assert!(seen.insert(world.checksum()), "vertices {i} and {j}: {changed:?} for {:?}", (a, b));
+                    world.actives[0].deformation.front.displacement.x.copy_from_slice(&numbers);
                 }
             }
         }

@@ -95,6 +95,8 @@ pub struct Settings {
     pub tolerance: f64,
     /// Number of steps to take; `None`: until stopped.
     pub steps: Option<u64>,
+    /// Whether what need not be computed is skipped: without, the same but for rounding ([`crate::sim::Options::skip`]).
+    pub skip: bool,
     /// A frame is recorded every so many steps, ≥ 1.
     pub every: u64,
     /// How much is recorded of a frame.
@@ -113,6 +115,7 @@ impl Settings {
             dt: scene.dt,
             tolerance: scene.tolerance,
             steps: Some(scene.steps()),
+            skip: true,
             every: 1,
             detail: Detail::Forces,
             entities: if scene.bodies.len() > MOST_BODY_ENTITIES { Entities::Batch } else { Entities::Body },
@@ -156,6 +159,7 @@ impl Settings {
             dt: positive("dt")?,
             tolerance: positive("tolerance")?,
             steps: (steps > 0).then_some(steps),
+            skip: table.get("skip").and_then(toml::Value::as_bool).unwrap_or(true),
             every: count("every").filter(|&every| every > 0).unwrap_or(own.every),
             detail: if text("detail") == Some("surface") { Detail::Surface } else { own.detail },
             entities: match text("entities") {
@@ -190,11 +194,12 @@ impl Settings {
             }
         };
         format!(
-            "integrator = \"{}\"\ndt = {:?}\ntolerance = {:?}\nsteps = {}\nevery = {}\ndetail = \"{detail}\"\nentities = \"{entities}\"\n{frames}",
+            "integrator = \"{}\"\ndt = {:?}\ntolerance = {:?}\nsteps = {}\n{}every = {}\ndetail = \"{detail}\"\nentities = \"{entities}\"\n{frames}",
             self.integrator,
             self.dt,
             self.tolerance,
             self.steps.unwrap_or(0),
+            if self.skip { "" } else { "skip = false\n" },
             self.every,
         )
     }

@@ -15,6 +15,7 @@ use meldscope::{
         replay::{self, Verdict},
     },
     scene::builtin,
+    sim::Options,
     stream::{
         Recorder, Settings,
         settings::{Frames, Trigger},
@@ -28,7 +29,8 @@ use crate::recording::{Dir, Recording};
 fn record(path: &Path, played: &Scene, settings: Settings) {
     let mut sinks =
         Sinks::open(&Destinations { save: Some(path.to_owned()), ..Destinations::default() }).expect("a file");
-    let mut world = World::new(played.clone()).expect("it fits");
+    let options = Options { skip: settings.skip, ..Options::default() };
+    let mut world = World::with_options(played.clone(), options).expect("it fits");
     let mut recorder = Recorder::new(&world, settings.clone());
     let mut messages = recorder.blueprint(&world);
     for step in 1..=settings.steps.expect("an end") {
@@ -84,6 +86,7 @@ fn every_kind_of_recording_is_replayed() {
     let kinds = [
         own.clone(),
         Settings { every: 7, steps: Some(100), ..own.clone() },
+        Settings { skip: false, ..own.clone() },
         Settings { frames: Frames::Thin, ..own.clone() },
         Settings { frames: Frames::Last { most: 5, on: vec![] }, ..own.clone() },
         Settings { frames: Frames::Last { most: 5, on: vec![Trigger::Core] }, ..own },
@@ -167,6 +170,9 @@ fn a_bug_report_goes_from_a_thin_recording_to_the_odd_step() {
     assert_eq!(steps, (80..=90).collect::<Vec<_>>());
     let said = succeeds(&dir, &["replay", "odd.rrd"]);
     assert!(said.starts_with("odd.rrd: identical, 11 steps (80 to 90)"), "{said}");
+    succeeds(&dir, &["run", "two", "--thin", "--no-skip", "--integrator", "verlet", "--save", "plain.rrd"]);
+    let said = succeeds(&dir, &["replay", "plain.rrd"]);
+    assert_eq!(said, "plain.rrd: identical, 300 steps (run with integrator = \"verlet\", --no-skip)\n");
     let said = succeeds(&dir, &["replay", "bug.rrd", "--integrator", "rk4"]);
     assert!(said.contains("with rk4") && said.contains("merge a~b") && said.contains("not verified"), "{said}");
 }
