@@ -163,6 +163,7 @@ fn report(name: &str, difference: &Difference, is_accepted: bool) {
                     thousands(vertices.len() as u64),
                     match first.bodies.len() {
                         1 => String::new(),
+                        2 => ", and some of another body".to_owned(),
                         bodies => format!(", and some of {} more bodies", bodies - 1),
                     }
                 ));

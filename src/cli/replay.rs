@@ -205,7 +205,10 @@ fn ask(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
         "  largest displacement: {:.6} radii, of body \"{}\" at t = {:.6} s",
         largest.0, largest.2, largest.1
     ));
-    print(&format!("  {} events, {} recorded:", events.len(), recorded.events.len()));
+    print(&match recorded.settings.frames {
+        Frames::Thin => format!("  {} events (a thin recording has none to compare them with):", events.len()),
+        _ => format!("  {} events, {} recorded:", events.len(), recorded.events.len()),
+    });
     for event in events.iter().take(20) {
         print(&format!("    {event}"));
     }
