@@ -36,7 +36,7 @@ fn record(path: &Path, played: &Scene, settings: Settings) {
     for step in 1..=settings.steps.expect("an end") {
         world.step();
         recorder.observe(&world);
-        if step % 50 == 0 {
+        if step % 1000 == 0 {
             messages.extend(recorder.take());
         }
     }
