@@ -13,6 +13,7 @@
 //! | [`scene`] | the scene file: parse, validate, shapes, centre paths | `model` |
 //! | [`sim`] | the world, the step, integrators, events, reach | `scene` |
 //! | [`stream`] | the world as Rerun data: entities, blueprint, sinks | `sim` |
+//! | [`recording`] | recordings read back: replay, check, diff | `stream` |
 //! | [`bench`] | benchmarks: error against run time; the independent reference solution | `sim` |
 //! | [`cli`] | one file a subcommand | all |
 //!
@@ -67,6 +68,7 @@
 pub mod bench;
 pub mod cli;
 pub mod model;
+pub mod recording;
 pub mod scene;
 pub mod sim;
 pub mod stream;

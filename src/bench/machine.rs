@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use sysinfo::{CpuRefreshKind, RefreshKind, System};
+use crate::stream::machine;
 
 /// Which machine, and which program on it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -18,10 +18,8 @@ pub struct Machine {
 impl Machine {
     /// This one.
     pub fn detect() -> Machine {
-        let system = System::new_with_specifics(RefreshKind::nothing().with_cpu(CpuRefreshKind::nothing()));
-        let brand = system.cpus().first().map(|cpu| cpu.brand().trim()).filter(|brand| !brand.is_empty());
         Machine {
-            cpu: brand.map_or_else(|| format!("a {} processor", std::env::consts::ARCH), str::to_owned),
+            cpu: machine::processor(),
             cores: std::thread::available_parallelism().map_or(1, |cores| cores.get()),
             version: env!("CARGO_PKG_VERSION"),
         }

@@ -4,6 +4,9 @@
 //! was checked differs; 2 bad input or usage.
 
 mod bench;
+mod check;
+mod diff;
+mod replay;
 mod run;
 mod scenes;
 
@@ -26,6 +29,12 @@ struct Arguments {
 enum Command {
     /// Simulate a scene and record it.
     Run(Box<run::Arguments>),
+    /// Run what a recording holds again, and verify it step by step.
+    Replay(replay::Arguments),
+    /// Run scripted scenes and compare them with their golden recordings.
+    Check(check::Arguments),
+    /// Compare two recordings of a scene, run in two ways.
+    Diff(diff::Arguments),
     /// List the scenes that come with the program, and what to look at in each.
     Scenes,
     /// Measure: error against run time.
@@ -57,6 +66,9 @@ pub fn main() -> ExitCode {
             scenes::list();
             Ok(())
         }
+        Command::Replay(arguments) => replay::replay(arguments),
+        Command::Check(arguments) => check::check(arguments),
+        Command::Diff(arguments) => diff::diff(arguments),
         Command::Bench(arguments) => bench::bench(arguments),
     };
     let (status, message) = match result {

@@ -20,7 +20,7 @@ use crate::{
     stream::{
         Recorder,
         recorder::describe,
-        settings::{Detail, Entities, Settings, file_stem},
+        settings::{Detail, Entities, Frames, Settings, Trigger, file_stem},
         sinks::{Destinations, Finished, Serve, SinkError, Sinks, Spawn, thousands},
     },
 };
@@ -87,6 +87,15 @@ pub struct Arguments {
     /// One entity a body, or all bodies in a few [default: batch beyond 64 bodies].
     #[arg(long)]
     entities: Option<EntitiesName>,
+    /// Record the scene and checksums only: some ten bytes a step, from which `replay --save` makes the rest.
+    #[arg(long, conflicts_with_all = ["every", "detail", "entities", "keep"])]
+    thin: bool,
+    /// A flight recorder: hold the last N frames in memory, and write them at the end or when --on says so.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    keep: Option<u64>,
+    /// Write what --keep holds whenever one of these happens, instead of at the end.
+    #[arg(long, requires = "keep", value_delimiter = ',', value_name = "merge,split,core,diverge")]
+    on: Vec<TriggerName>,
     /// Do not simulate faster than real time.
     #[arg(long)]
     realtime: bool,
@@ -102,9 +111,38 @@ pub struct Arguments {
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
-enum DetailName {
+enum TriggerName {
+    Merge,
+    Split,
+    Core,
+    Diverge,
+}
+
+impl From<TriggerName> for Trigger {
+    fn from(name: TriggerName) -> Trigger {
+        match name {
+            TriggerName::Merge => Trigger::Merge,
+            TriggerName::Split => Trigger::Split,
+            TriggerName::Core => Trigger::Core,
+            TriggerName::Diverge => Trigger::Diverge,
+        }
+    }
+}
+
+/// As `--detail` has it.
+#[derive(Clone, Copy, clap::ValueEnum)]
+pub(super) enum DetailName {
     Surface,
     Forces,
+}
+
+impl From<DetailName> for Detail {
+    fn from(name: DetailName) -> Detail {
+        match name {
+            DetailName::Surface => Detail::Surface,
+            DetailName::Forces => Detail::Forces,
+        }
+    }
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -118,11 +156,11 @@ pub(super) fn parse_integrator(text: &str) -> Result<Integrator, String> {
     known.ok_or_else(|| format!("expected one of {}", Integrator::ALL.map(Integrator::name).join(", ")))
 }
 
-fn parse_step(text: &str) -> Result<f64, String> {
+pub(super) fn parse_step(text: &str) -> Result<f64, String> {
     parse_positive(text, "seconds")
 }
 
-fn parse_tolerance(text: &str) -> Result<f64, String> {
+pub(super) fn parse_tolerance(text: &str) -> Result<f64, String> {
     parse_positive(text, "radii per unit of scene time")
 }
 
@@ -169,6 +207,8 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
 struct Outcome {
     world: World,
     finished: Finished,
+    /// Frames in the recording.
+    frames: u64,
     /// The first [`LISTED_EVENTS`] of them …
     events: Vec<Event>,
     /// … of this many.
@@ -193,6 +233,10 @@ fn record(
 
     let first = recorder.blueprint(&world).into_iter().chain(recorder.take());
     let mut failure = send(&mut sinks, first);
+    if arguments.save.is_some() && !destined_live(arguments) {
+        // what the recording is of is in the file before anything can happen to the run
+        failure = failure.or(sinks.flush().err().map(|error| error.to_string()));
+    }
     let start = Instant::now();
     while failure.is_none()
         && !stop.load(Ordering::Relaxed)
@@ -224,7 +268,9 @@ fn record(
     let finished = sinks.finish();
     console.clear();
     match (failure, finished) {
-        (None, Ok(finished)) => Ok(Outcome { world, finished, events, event_count, seconds }),
+        (None, Ok(finished)) => {
+            Ok(Outcome { frames: recorder.written(), world, finished, events, event_count, seconds })
+        }
         (Some(failure), finished) => {
             let saved = finished.ok().and_then(|finished| finished.save);
             let saved = saved.map(|saved| format!("; {} has the steps up to here", saved.path.display()));
@@ -235,7 +281,7 @@ fn record(
 }
 
 /// Sends messages; what went wrong, if a destination failed that the run cannot do without.
-fn send(sinks: &mut Sinks, messages: impl IntoIterator<Item = LogMsg>) -> Option<String> {
+pub(super) fn send(sinks: &mut Sinks, messages: impl IntoIterator<Item = LogMsg>) -> Option<String> {
     messages.into_iter().find_map(|message| sinks.send(message).err()).map(|error| error.to_string())
 }
 
@@ -289,15 +335,18 @@ fn settings(arguments: &Arguments, scene: &Scene) -> Settings {
             Some(0) => None,
             some => some,
         },
+        skip: !arguments.no_skip,
         every: arguments.every,
-        detail: match arguments.detail {
-            DetailName::Surface => Detail::Surface,
-            DetailName::Forces => Detail::Forces,
-        },
+        detail: arguments.detail.into(),
         entities: match arguments.entities {
             None => own.entities,
             Some(EntitiesName::Body) => Entities::Body,
             Some(EntitiesName::Batch) => Entities::Batch,
+        },
+        frames: match (arguments.thin, arguments.keep) {
+            (true, _) => Frames::Thin,
+            (false, Some(most)) => Frames::Last { most, on: arguments.on.iter().map(|&name| name.into()).collect() },
+            (false, None) => own.frames,
         },
         ..own
     }
@@ -324,7 +373,7 @@ fn destinations(arguments: &Arguments, scene: &Scene) -> Destinations {
     }
 }
 
-fn sink_failure(error: SinkError) -> Failure {
+pub(super) fn sink_failure(error: SinkError) -> Failure {
     if error.is_usage() { Failure::input(error) } else { Failure::Run(error.to_string()) }
 }
 
@@ -347,7 +396,7 @@ fn interrupted() -> Result<Arc<AtomicBool>, Failure> {
 
 /// What the run did, and how to open what it wrote.
 fn summarize(console: &Console, settings: &Settings, outcome: &Outcome) {
-    let Outcome { world, finished, events, event_count, seconds } = outcome;
+    let Outcome { world, finished, frames, events, event_count, seconds } = outcome;
     console.notes(&finished.notes);
     let scene = world.scene();
     let (bodies, steps) = (scene.bodies.len() as u64, world.steps_taken());
@@ -378,9 +427,23 @@ fn summarize(console: &Console, settings: &Settings, outcome: &Outcome) {
     }
     if let Some(saved) = &finished.save {
         let path = saved.path.display();
-        let frames = thousands(steps / settings.every + 1);
-        console.print(&format!("saved {path}: {frames} frames, {}", memory::human(saved.bytes)));
         let word = shell_word(&path.to_string());
+        let size = memory::human(saved.bytes);
+        if settings.frames == Frames::Thin {
+            console.print(&format!("saved {path}: the scene and {} checksums, {size}", thousands(steps + 1)));
+            console.print(&format!(
+                "verify it with `meldscope replay {word}`; `meldscope replay {word} --save full.rrd` makes the frames"
+            ));
+            return;
+        }
+        console.print(&format!(
+            "saved {path}: {} {}, {size}",
+            thousands(*frames),
+            if *frames == 1 { "frame" } else { "frames" }
+        ));
+        if *frames == 0 {
+            console.print("nothing happened that --on waits for, so no frame was written");
+        }
         console.print(&format!(
             "open it with `rerun {word}` (pip install rerun-sdk==0.36.3), or install nothing: \
              `meldscope run … --serve` shows a run in the browser"

@@ -57,11 +57,19 @@ pub struct Bounds {
 
 impl Path {
     /// c, c′ and c″ at time `t` [s]. At a key of a spline, the acceleration is that after it.
+    #[inline]
     pub fn at(&self, t: f64) -> Kinematics {
         match self {
             Path::Fixed(position) => {
                 Kinematics { position: *position, velocity: DVec3::ZERO, acceleration: DVec3::ZERO }
             }
+            _ => self.at_on_its_way(t),
+        }
+    }
+
+    fn at_on_its_way(&self, t: f64) -> Kinematics {
+        match self {
+            Path::Fixed(_) => self.at(t),
             Path::Line { from, velocity } => {
                 Kinematics { position: *from + *velocity * t, velocity: *velocity, acceleration: DVec3::ZERO }
             }

@@ -4,6 +4,8 @@
 //! at the end of the last step. One that a sphere has left alone swings freely: its state is kept as it was then, and the
 //! exact flow takes it to any later time in one go, when somebody asks.
 
+use std::sync::OnceLock;
+
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
@@ -26,6 +28,8 @@ pub struct Deformation {
     pub front: Front,
     /// Those that swing freely.
     pub swinging: Swinging,
+    /// Of all but the states of the front, when it was asked for since that last changed.
+    pub hash_of_kept: OnceLock<u64>,
 }
 
 /// Vertices that take every step, as arrays that are read in lanes: padded with repetitions of the last.
@@ -91,7 +95,7 @@ impl Deformation {
 
     /// What was allocated for it [bytes].
     pub fn memory(&self) -> usize {
-        let Deformation { front, swinging } = self;
+        let Deformation { front, swinging, .. } = self;
         let vectors = [&front.rest, &front.displacement, &front.velocity, &swinging.displacement, &swinging.velocity];
         vectors.into_iter().map(Vectors::memory).sum::<usize>()
             + (front.vertices.capacity() + swinging.vertices.capacity()) * size_of::<u32>()
@@ -134,6 +138,7 @@ impl Deformation {
         if !self.is_empty() {
             return;
         }
+        self.hash_of_kept.take();
         let Front { vertices, rest, displacement, velocity } = &mut self.front;
         let padded = unit.len().next_multiple_of(LANES);
         vertices.extend(0..unit.len() as u32);
@@ -163,6 +168,7 @@ impl Deformation {
 
     /// Puts all vertices at rest.
     pub fn clear(&mut self) {
+        self.hash_of_kept.take();
         self.front.clear();
         self.swinging.clear();
     }
@@ -198,6 +204,7 @@ impl Deformation {
         now: Now,
         scratch: &mut Scratch,
     ) {
+        self.hash_of_kept.take();
         let Scratch { front, swinging, states, amplitudes, chosen } = scratch;
         // Those inside a sphere first: vertices side by side then have the same to do. What is not a number is in.
         let is_chosen = |v: usize| gap[v] < 0.0 || !(gap[v] - amplitudes[v] > skin);

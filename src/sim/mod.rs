@@ -11,6 +11,7 @@
 //! | how a vertex is advanced | [`integrator`] |
 //! | forces by cause, energy: looking at a state | [`observe`] |
 //! | what a step reports | [`report`] |
+//! | one number for the exact state | [`checksum`] |
 //! | what a scene needs before it is built | [`memory`] |
 //!
 //! Nothing here knows Rerun, files or clocks beyond the step's own timers.
@@ -18,6 +19,7 @@
 mod advance;
 pub mod arrays;
 mod body;
+pub mod checksum;
 mod deformation;
 pub mod events;
 pub mod integrator;

@@ -4,7 +4,7 @@
 //! more than was allowed for. Pairs whose zones overlap are known, and so is every pair that is not apart. (Molecular
 //! dynamics knows such lists as Verlet's, with a skin.)
 
-use std::ops::Range;
+use std::{ops::Range, sync::OnceLock};
 
 use super::{
     Span,
@@ -83,6 +83,8 @@ pub(super) struct Pairs {
     changes: Vec<(f64, Phase)>,
     /// Pairs that have any.
     changed: Vec<u32>,
+    /// Sum of their hashes, once it was asked for.
+    hash: OnceLock<u64>,
     /// Whether these are all pairs, each looked at in every step.
     plain: bool,
     /// Reused.
@@ -251,7 +253,11 @@ impl Pairs {
         for &index in &self.changed {
             let last = self.changes(index).last().map(|&(_, last)| last);
             let pair = &mut self.pairs[index as usize];
+            let before = pair.hash();
             pair.phase = last.unwrap_or(pair.phase);
+            if let Some(sum) = self.hash.get_mut() {
+                *sum = sum.wrapping_sub(before).wrapping_add(pair.hash());
+            }
             pair.changes = 0..0;
         }
     }
@@ -259,6 +265,11 @@ impl Pairs {
     /// What was allocated for them [bytes].
     pub fn memory(&self) -> usize {
         self.pairs.capacity() * size_of::<Pair>() + self.free.capacity() * size_of::<u32>() + self.grid.memory()
+    }
+
+    /// The sum of the hashes of all pairs that are not apart.
+    pub fn hash(&self) -> u64 {
+        *self.hash.get_or_init(|| self.pairs.iter().map(Pair::hash).fold(0, u64::wrapping_add))
     }
 
     /// A pair.

@@ -56,14 +56,14 @@ impl Default for Options {
 /// The bodies of a scene at an instant, on their way through it.
 pub struct World {
     scene: Scene,
-    options: Options,
-    step: u64,
-    bodies: Vec<Body>,
+    pub(super) options: Options,
+    pub(super) step: u64,
+    pub(super) bodies: Vec<Body>,
     /// Bodies that are not at rest: first those that are awake, then those that nothing acts on.
-    actives: Vec<Active>,
-    awake: usize,
+    pub(super) actives: Vec<Active>,
+    pub(super) awake: usize,
     tracks: Tracks,
-    pairs: Pairs,
+    pub(super) pairs: Pairs,
     /// Reused.
     woken: Vec<u32>,
     /// When pushes start, and on which body, by time; and how many have started.
@@ -72,6 +72,8 @@ pub struct World {
     report: StepReport,
     /// Computed when the energy is first asked for.
     pub(super) energy_of_distant_pairs: OnceLock<f64>,
+    /// Sum of the hashes of the bodies that nothing acts on, once it was asked for.
+    pub(super) hash_of_sleeping: OnceLock<u64>,
 }
 
 impl World {
@@ -101,6 +103,7 @@ impl World {
         push_starts.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut world = World {
             energy_of_distant_pairs: OnceLock::new(),
+            hash_of_sleeping: OnceLock::new(),
             step: 0,
             bodies,
             actives: Vec::new(),
@@ -261,6 +264,9 @@ impl World {
             self.bodies[index].active = Some(slot as u32);
         }
         if slot >= self.awake {
+            if let Some(&sum) = self.hash_of_sleeping.get() {
+                self.hash_of_sleeping = OnceLock::from(sum.wrapping_sub(self.hash_of(slot)));
+            }
             self.swap(slot, self.awake);
             self.awake += 1;
         }
@@ -270,6 +276,9 @@ impl World {
     fn sleep(&mut self, slot: usize) {
         self.awake -= 1;
         self.swap(slot, self.awake);
+        if let Some(&sum) = self.hash_of_sleeping.get() {
+            self.hash_of_sleeping = OnceLock::from(sum.wrapping_add(self.hash_of(self.awake)));
+        }
         if self.actives[self.awake].is_at_rest() {
             self.swap(self.awake, self.actives.len() - 1);
             if let Some(active) = self.actives.pop() {

@@ -27,7 +27,7 @@ use rerun::{
 use super::{
     chunks::{Chunks, blueprint_time},
     palette,
-    settings::{Detail, MOST_PAIRS, Settings},
+    settings::{Detail, Frames, MOST_PAIRS, Settings},
 };
 use crate::{
     model::phase::Phase,
@@ -41,19 +41,32 @@ pub fn messages(world: &World, settings: &Settings, recording: &StoreId) -> Vec<
     let store = StoreId::new(StoreKind::Blueprint, recording.application_id().clone(), id);
     let mut layout = Layout { chunks: Chunks::new(store.clone()), next_id: 0 };
     let root = layout.root(world, settings);
-    layout.log(
-        "viewport",
-        &ViewportBlueprint::new().with_root_container(root.id).with_auto_layout(false).with_auto_views(false),
-    );
-    for panel in ["blueprint_panel", "selection_panel"] {
-        layout.log(panel, &PanelBlueprint::new().with_state(PanelState::Collapsed));
-    }
-    layout.log("time_panel", &TimePanelBlueprint::new().with_state(PanelState::Collapsed).with_timeline("sim_time"));
+    layout.finish(root, store)
+}
 
-    let mut messages = layout.chunks.take();
-    let activate = BlueprintActivationCommand { blueprint_id: store, make_active: true, make_default: true };
-    messages.push(LogMsg::BlueprintActivationCommand(activate));
-    messages
+/// The same for a recording of two runs side by side: surfaces and error arrows, differences over time, what happened.
+pub fn of_comparison(scene: &Scene, recording: &StoreId) -> Vec<LogMsg> {
+    let id = format!("blueprint-{}", recording.recording_id().as_str());
+    let store = StoreId::new(StoreKind::Blueprint, recording.application_id().clone(), id);
+    let mut layout = Layout { chunks: Chunks::new(store.clone()), next_id: 0 };
+    let (camera, grid) = (camera(scene), LineGrid3D::new().with_visible(false));
+    let background = Background::new(BackgroundKind::SolidColor).with_color(palette::color(palette::BACKGROUND));
+    let properties: [(&str, &dyn AsComponents); 3] =
+        [("EyeControls3D", &camera), ("LineGrid3D", &grid), ("Background", &background)];
+    let surfaces = layout.view("3D", "Both surfaces, and arrows between them", "/world", &["+ /world/**"], &properties);
+    let about = layout.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
+    let left = layout.container(ContainerKind::Vertical, "Surfaces", vec![surfaces, about], &[3.4, 1.0]);
+    let legend = PlotLegend::new().with_corner(Corner2D::LeftTop);
+    let contents = ["+ /difference/**"];
+    let plot =
+        layout.view("TimeSeries", "Largest difference [radii]", "/difference", &contents, &[("PlotLegend", &legend)]);
+    let columns = TextLogColumns::new()
+        .with_timeline_columns(Vec::<TimelineColumn>::new())
+        .with_text_log_columns([TextLogColumn { kind: TextLogColumnKind::Body, visible: true.into() }]);
+    let events = layout.view("TextLog", "Events", "/events", &["+ /events"], &[("TextLogColumns", &columns)]);
+    let right = layout.container(ContainerKind::Vertical, "Differences", vec![plot, events], &[1.5, 1.0]);
+    let root = layout.container(ContainerKind::Horizontal, "meldscope", vec![left, right], &[1.6, 1.0]);
+    layout.finish(root, store)
 }
 
 /// A container or a view that has been logged.
@@ -68,6 +81,23 @@ struct Layout {
 }
 
 impl Layout {
+    /// Makes `root` the whole window.
+    fn finish(mut self, root: Part, store: StoreId) -> Vec<LogMsg> {
+        self.log(
+            "viewport",
+            &ViewportBlueprint::new().with_root_container(root.id).with_auto_layout(false).with_auto_views(false),
+        );
+        for panel in ["blueprint_panel", "selection_panel"] {
+            self.log(panel, &PanelBlueprint::new().with_state(PanelState::Collapsed));
+        }
+        self.log("time_panel", &TimePanelBlueprint::new().with_state(PanelState::Collapsed).with_timeline("sim_time"));
+
+        let mut messages = self.chunks.take();
+        let activate = BlueprintActivationCommand { blueprint_id: store, make_active: true, make_default: true };
+        messages.push(LogMsg::BlueprintActivationCommand(activate));
+        messages
+    }
+
     fn root(&mut self, world: &World, settings: &Settings) -> Part {
         let scene_view = self.scene_view(world, settings);
         let about = self.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
@@ -249,16 +279,27 @@ fn q_range(scene: &Scene) -> [f64; 2] {
 /// What the colours mean, and which scene, integrator, step and settings these are.
 pub fn about(scene: &Scene, settings: &Settings, arrow_scale: f64) -> String {
     let (influence, thresholds) = (&scene.influence, &scene.thresholds);
+    let frames = match (&settings.frames, settings.every) {
+        (Frames::Thin, _) => {
+            "no frames: only checksums (`meldscope replay F.rrd --save G.rrd` makes the rest)".to_owned()
+        }
+        (Frames::All, 1) => "a frame every step".to_owned(),
+        (Frames::All, every) => format!("a frame every {every} steps"),
+        (Frames::Last { most, on }, _) if on.is_empty() => format!("the last {most} frames"),
+        (Frames::Last { most, on }, _) => {
+            let on: Vec<&str> = on.iter().map(|trigger| trigger.name()).collect();
+            format!("the last {most} frames before each {}", on.join(", "))
+        }
+    };
     let steps = settings.steps.map_or("until stopped".to_owned(), |steps| format!("{steps} steps"));
     let head = format!(
-        "**{}**: {} {}, {} vertices. `{}`, Δt = {:.6} s, {steps}, a frame every {}.  \n",
+        "**{}**: {} {}, {} vertices. `{}`, Δt = {:.6} s, {steps}, {frames}.  \n",
         scene.name,
         scene.bodies.len(),
         if scene.bodies.len() == 1 { "body" } else { "bodies" },
         scene.vertex_count(),
         settings.integrator,
         settings.dt,
-        if settings.every == 1 { "step".to_owned() } else { format!("{} steps", settings.every) },
     );
     let law = format!(
         "α = {}/s², β = {}/s², spheres {:.3} R. Merge at q = {}, split at {}{}; q: centre distance over the sum of the radii.  \n",
@@ -288,5 +329,8 @@ pub fn about(scene: &Scene, settings: &Settings, arrow_scale: f64) -> String {
     } else {
         String::new()
     };
-    head + &law + &spheres + &arrows + &bound
+    match settings.frames {
+        Frames::Thin => head + &law,
+        _ => head + &law + &spheres + &arrows + &bound,
+    }
 }

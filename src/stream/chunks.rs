@@ -8,7 +8,9 @@ use std::collections::HashMap;
 use rerun::{
     AsComponents, EntityPath, StoreId, TimePoint, Timeline,
     external::{
-        re_chunk_store::external::re_chunk::{Chunk, ChunkBuilder, ChunkId, ChunkResult, RowId},
+        re_chunk_store::external::re_chunk::{
+            Chunk, ChunkBuilder, ChunkComponents, ChunkId, ChunkResult, RowId, TimeColumn,
+        },
         re_log_types::{LogMsg, SetStoreInfo, StoreInfo, StoreSource},
         re_tuid::Tuid,
     },
@@ -25,12 +27,15 @@ pub struct Instant {
 
 impl Instant {
     fn time_point(self) -> TimePoint {
-        // Times that an i64 of nanoseconds can't hold (292 years) stay at its end.
-        let nanos = (self.time * 1e9).round().clamp(0.0, i64::MAX as f64) as i64;
         TimePoint::from_iter([
             (*Timeline::new_sequence("step").name(), rerun::TimeCell::from_sequence(self.step as i64)),
-            (*Timeline::new_duration("sim_time").name(), rerun::TimeCell::from_duration_nanos(nanos)),
+            (*Timeline::new_duration("sim_time").name(), rerun::TimeCell::from_duration_nanos(self.nanoseconds())),
         ])
+    }
+
+    /// What `sim_time` says [ns]. Times that it can't hold (292 years) stay at its end.
+    pub fn nanoseconds(self) -> i64 {
+        (self.time * 1e9).round().clamp(0.0, i64::MAX as f64) as i64
     }
 }
 
@@ -104,24 +109,49 @@ impl Chunks {
         self.finish(builder);
     }
 
+    /// Logs many rows of an entity at once, in a message of its own.
+    pub fn columns(
+        &mut self,
+        entity: &str,
+        ids: &[RowId],
+        timelines: impl IntoIterator<Item = TimeColumn>,
+        components: ChunkComponents,
+    ) {
+        let timelines = timelines.into_iter().map(|column| (*column.timeline().name(), column)).collect();
+        let id = self.chunk_id();
+        let chunk = Chunk::from_native_row_ids(id, EntityPath::from(entity), Some(true), ids, timelines, components);
+        self.send(ours(chunk));
+    }
+
     /// The messages since the last call.
     pub fn take(&mut self) -> Vec<LogMsg> {
-        for path in std::mem::take(&mut self.order) {
-            if let Some(builder) = self.open.remove(&path) {
-                self.finish(builder);
-            }
+        for chunk in self.drain() {
+            self.send(chunk);
         }
         std::mem::take(&mut self.done)
     }
 
+    /// What was logged at instants since the last call, not yet as messages.
+    pub fn drain(&mut self) -> Vec<Chunk> {
+        let order = std::mem::take(&mut self.order);
+        order.into_iter().filter_map(|path| self.open.remove(&path)).map(|builder| ours(builder.build())).collect()
+    }
+
     fn finish(&mut self, builder: ChunkBuilder) {
-        let message =
-            |chunk: Chunk| -> ChunkResult<LogMsg> { Ok(LogMsg::ArrowMsg(self.store.clone(), chunk.to_arrow_msg()?)) };
-        match builder.build().and_then(message) {
-            Ok(message) => self.done.push(message),
-            // Only malformed columns can fail, and none comes from outside.
-            Err(error) => unreachable!("a chunk of our own columns: {error}"),
-        }
+        self.send(ours(builder.build()));
+    }
+
+    /// Makes a message of a chunk.
+    pub fn send(&mut self, chunk: Chunk) {
+        self.done.push(LogMsg::ArrowMsg(self.store.clone(), ours(chunk.to_arrow_msg())));
+    }
+}
+
+/// Only malformed columns can fail, and none comes from outside.
+fn ours<T>(result: ChunkResult<T>) -> T {
+    match result {
+        Ok(result) => result,
+        Err(error) => unreachable!("a chunk of our own columns: {error}"),
     }
 }
 

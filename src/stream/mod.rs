@@ -6,6 +6,9 @@
 //! | the state as meshes and arrows, in the viewer's precision | [`extract`] |
 //! | what a recording is a function of | [`settings`] |
 //! | lines of plots | [`series`] |
+//! | a hash of the state for every step | [`checksums`] |
+//! | the last frames, kept until something happens | `flight` |
+//! | where a recording was made | [`machine`] |
 //! | rows gathered into chunks, chunks into messages | [`chunks`] |
 //! | the layout that the viewer opens with | [`blueprint`] |
 //! | colours and what they mean | [`palette`] |
@@ -14,8 +17,11 @@
 //! Observers receive the world by shared reference: looking never changes anything.
 
 pub mod blueprint;
+pub mod checksums;
 pub mod chunks;
 pub mod extract;
+mod flight;
+pub mod machine;
 pub mod palette;
 pub mod recorder;
 pub mod series;

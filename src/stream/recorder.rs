@@ -8,18 +8,21 @@ use std::time::{Duration, Instant as Clock};
 
 use glam::{DVec3, Vec3};
 use rerun::{
-    AnyValues, Arrows3D, Ellipsoids3D, InstancePoses3D, Mesh3D, Scalars, StateChange, StateConfiguration, StoreId,
-    StoreKind, TextDocument, TextLog, Transform3D, ViewCoordinates,
+    AnyValues, Arrows3D, AsComponents, Ellipsoids3D, InstancePoses3D, Mesh3D, Scalars, StateChange, StateConfiguration,
+    StoreId, StoreKind, TextDocument, TextLog, Transform3D, ViewCoordinates,
     components::{FillMode, MediaType, Text},
     external::re_log_types::{ApplicationId, LogMsg},
 };
 
-use super::settings::recording_id;
 pub use super::settings::{Detail, Entities, MOST_PAIRS, Settings, arrow_scale, file_stem};
+use super::settings::{FORMAT, Frames, recording_id};
 use super::{
     blueprint,
+    checksums::Checksums,
     chunks::{Chunks, Instant},
     extract::{Arrows, Surface, smooth_normals},
+    flight::FlightRecorder,
+    machine,
     palette::{self, Rgb, color},
     series::{Series, Shape},
 };
@@ -30,7 +33,7 @@ use crate::{
 };
 
 /// A body displaced by less than this much of its radius is drawn with the resting ones.
-const DEFORMED: f64 = 1e-6;
+pub const DEFORMED: f64 = 1e-6;
 /// Threshold lines get a point at least every so many frames, so that they keep up with a live plot.
 const THRESHOLD_FRAMES: u64 = 64;
 
@@ -40,6 +43,8 @@ pub struct Recorder {
     /// [scene unit per scene unit/s²]
     arrow_scale: f64,
     chunks: Chunks,
+    checksums: Checksums,
+    flight: Option<FlightRecorder>,
     triangles: HashMap<Sphere, Vec<[u32; 3]>>,
     bodies: Vec<BodyTrack>,
     batch: BatchTrack,
@@ -50,7 +55,9 @@ pub struct Recorder {
     pairs: BTreeMap<(usize, usize), String>,
     pairs_in_reach: HashSet<(usize, usize)>,
     series: Series,
+    /// Made, and of them those that are in the recording.
     frames: u64,
+    written: u64,
     stage_time: [Duration; Stage::ALL.len()],
     steps_since_frame: u32,
     /// Steps of the integrator, and the largest error of a step, since the last frame.
@@ -86,10 +93,19 @@ impl Recorder {
         let scene = world.scene();
         // A viewer keeps one layout an application: each scene is one, so that layouts do not replace each other's.
         let application = ApplicationId::new_or_unknown(format!("meldscope_{}", file_stem(&scene.name)));
-        let id = recording_id(scene, &settings);
+        let id = recording_id(&scene.name, &scene.source, &settings.to_toml(), env!("CARGO_PKG_VERSION"));
+        let flight = match settings.frames {
+            Frames::Last { most, .. } => Some(FlightRecorder::new(most)),
+            Frames::All | Frames::Thin => None,
+        };
         let mut recorder = Recorder {
             arrow_scale: arrow_scale(scene),
             chunks: Chunks::new(StoreId::new(StoreKind::Recording, application, id)),
+            checksums: match settings.frames {
+                Frames::Thin => Checksums::packed(scene.vertex_count()),
+                Frames::All | Frames::Last { .. } => Checksums::by_step(),
+            },
+            flight,
             triangles: shapes(scene).into_iter().map(|shape| (shape, shape.triangles())).collect(),
             bodies: scene.bodies.iter().map(|_| BodyTrack::default()).collect(),
             batch: BatchTrack::default(),
@@ -100,6 +116,7 @@ impl Recorder {
             pairs_in_reach: HashSet::new(),
             series: Series::default(),
             frames: 0,
+            written: 0,
             stage_time: Default::default(),
             steps_since_frame: 0,
             substeps: 0,
@@ -109,15 +126,20 @@ impl Recorder {
             log_time_per_step: Duration::ZERO,
             settings,
         };
-        recorder.log_properties(scene, recorder.settings.steps);
+        recorder.log_properties(scene);
+        recorder.log_steps(recorder.settings.steps);
         recorder.log_statics(scene);
+        recorder.checksum(world);
+        recorder.checksums.log(&mut recorder.chunks, true); // by itself: a run that is killed has at least this one
         recorder.frame(world);
+        recorder.keep(world);
         recorder
     }
 
     /// The messages since the last call, for the sinks. The first ones are those of the blueprint.
     pub fn take(&mut self) -> Vec<LogMsg> {
         let start = Clock::now();
+        self.checksums.log(&mut self.chunks, false);
         let messages = self.chunks.take();
         self.log_time += start.elapsed();
         messages
@@ -125,12 +147,20 @@ impl Recorder {
 
     /// The layout that the viewer opens with, to be sent before anything else.
     pub fn blueprint(&self, world: &World) -> Vec<LogMsg> {
-        blueprint::messages(world, &self.settings, self.chunks.store())
+        match self.settings.frames {
+            Frames::Thin => Vec::new(), // nothing to lay out
+            _ => blueprint::messages(world, &self.settings, self.chunks.store()),
+        }
     }
 
-    /// Number of frames recorded so far.
+    /// Number of frames made so far.
     pub fn frames(&self) -> u64 {
         self.frames
+    }
+
+    /// Number of frames in the recording so far: a flight recorder makes more than it writes.
+    pub fn written(&self) -> u64 {
+        self.written
     }
 
     /// Adds time that the caller spent on bringing the messages last taken to their sinks. With what building them
@@ -150,37 +180,116 @@ impl Recorder {
         }
         self.substeps += report.substeps;
         self.error = self.error.max(report.error);
+        self.checksum(world);
+        if self.settings.frames == Frames::Thin {
+            return;
+        }
         for event in &report.events {
             self.log_event(world, event);
         }
         if world.steps_taken().is_multiple_of(self.settings.every) {
             self.frame(world);
         }
+        self.keep(world);
+    }
+
+    /// Logs something of the caller's own at the world's instant.
+    pub fn log(&mut self, entity: &str, world: &World, components: &dyn AsComponents) {
+        self.chunks.log(entity, now(world), components);
+    }
+
+    /// Adds a text to the recording's properties.
+    pub fn log_property(&mut self, name: &'static str, text: &str) {
+        let property = AnyValues::default().with_component::<Text>(name, [text]);
+        self.chunks.log_static("/__properties/meldscope", &property);
+    }
+
+    /// Logs the events of the last step as [`Recorder::observe`] does, for recordings that have no frames.
+    pub fn log_events(&mut self, world: &World) {
+        for event in &world.report().events {
+            self.log_event_line(world, event);
+        }
+    }
+
+    fn checksum(&mut self, world: &World) {
+        let start = Clock::now();
+        self.checksums.push(now(world), world.checksum());
+        self.log_time += start.elapsed();
+    }
+
+    /// Takes what was logged of this step into the flight recorder, if there is one, and writes what that holds if this
+    /// is a step that it waited for. Events and phases are always written.
+    fn keep(&mut self, world: &World) {
+        let (Some(flight), Frames::Last { on, .. }) = (&mut self.flight, &self.settings.frames) else { return };
+        for chunk in self.chunks.drain() {
+            let entity = chunk.entity_path().to_string();
+            if entity == "/events" || (entity.starts_with("/pairs/") && entity.ends_with("/phase")) {
+                self.chunks.send(chunk);
+            } else {
+                flight.push(chunk);
+            }
+        }
+        if world.steps_taken().is_multiple_of(self.settings.every) {
+            flight.end_frame();
+        }
+        if on.iter().any(|trigger| trigger.is_in(world.report())) {
+            self.write_kept();
+        }
+    }
+
+    /// Writes what the flight recorder holds.
+    fn write_kept(&mut self) {
+        if let Some(flight) = &mut self.flight {
+            let (chunks, frames) = flight.take();
+            chunks.into_iter().for_each(|chunk| self.chunks.send(chunk));
+            self.written += frames;
+        }
     }
 
     /// Ends the recording: lines reach its end, properties say how many steps there are.
     pub fn finish(&mut self, world: &World) {
-        self.series.extend_all(&mut self.chunks);
-        self.log_properties(world.scene(), Some(world.steps_taken()));
+        match &self.settings.frames {
+            Frames::All => self.series.extend_all(&mut self.chunks),
+            Frames::Last { on, .. } if on.is_empty() => {
+                self.write_kept();
+                self.series.extend_all(&mut self.chunks);
+            }
+            Frames::Thin | Frames::Last { .. } => {}
+        }
+        self.checksums.log(&mut self.chunks, true);
+        self.log_property("digest", &format!("{:016x}", self.checksums.digest()));
+        self.log_steps(Some(world.steps_taken()));
     }
 
     // ---- static ------------------------------------------------------------------------------------------------
 
-    fn log_properties(&mut self, scene: &Scene, steps: Option<u64>) {
+    fn log_properties(&mut self, scene: &Scene) {
         let properties = AnyValues::default()
             .with_component::<Text>("scene", [scene.source.as_str()])
             .with_component::<Text>("settings", [self.settings.to_toml()])
+            .with_component::<Text>("overrides", [self.settings.overrides(scene)])
             .with_component::<Text>("version", [env!("CARGO_PKG_VERSION")])
-            .with_component::<Text>("integrator", [self.settings.integrator.name()])
-            .with_component::<rerun::components::Scalar>("steps", [steps.unwrap_or(0) as f64]);
+            .with_component::<rerun::components::Scalar>("format", [f64::from(FORMAT)])
+            .with_component::<Text>("machine", [machine::describe()])
+            .with_component::<Text>("integrator", [self.settings.integrator.name()]);
         self.chunks.log_static("/__properties/meldscope", &properties);
         self.chunks.log_static("/__properties", &rerun::RecordingInfo::new().with_name(scene.name.as_str()));
+    }
+
+    /// How many there are to be, and in the end how many there were.
+    fn log_steps(&mut self, steps: Option<u64>) {
+        let steps =
+            AnyValues::default().with_component::<rerun::components::Scalar>("steps", [steps.unwrap_or(0) as f64]);
+        self.chunks.log_static("/__properties/meldscope", &steps);
     }
 
     fn log_statics(&mut self, scene: &Scene) {
         self.chunks.log_static("/world", &ViewCoordinates::RIGHT_HAND_Z_UP());
         let about = TextDocument::new(blueprint::about(scene, &self.settings, self.arrow_scale));
         self.chunks.log_static("/about", &about.with_media_type(MediaType::MARKDOWN));
+        if self.settings.frames == Frames::Thin {
+            return;
+        }
 
         let radii = scene.bodies.iter().map(|body| scene.influence.sphere_radius(body.radius) as f32);
         let spheres = Ellipsoids3D::update_fields()
@@ -234,6 +343,9 @@ impl Recorder {
     // ---- frames ------------------------------------------------------------------------------------------------
 
     fn frame(&mut self, world: &World) {
+        if self.settings.frames == Frames::Thin {
+            return;
+        }
         let start = Clock::now();
         let now = now(world);
         self.log_pairs(world, now);
@@ -249,6 +361,7 @@ impl Recorder {
         self.log_diagnostics(world, now);
         self.log_timings(now, extracting);
         self.frames += 1;
+        self.written += u64::from(self.flight.is_none());
         self.log_time += start.elapsed() - extracting;
     }
 
@@ -454,6 +567,11 @@ impl Recorder {
         if let Some(name) = self.track_pair(world, a, b, event.from, at) {
             self.chunks.log(&format!("/pairs/{name}/phase"), at, &StateChange::single(event.to.name()));
         }
+        self.log_event_line(world, event);
+    }
+
+    fn log_event_line(&mut self, world: &World, event: &Event) {
+        let at = Instant { step: event.step, time: event.time };
         let line = TextLog::new(describe(world.scene(), event))
             .with_level(event.name())
             .with_color(color(palette::phase(event.to)));
@@ -544,7 +662,8 @@ fn by_shape(triangles: &HashMap<Sphere, Vec<[u32; 3]>>) -> Vec<(&Sphere, &Vec<[u
     shapes
 }
 
-fn resting_entity(shape: &Sphere) -> String {
+/// Where the undeformed bodies of a shape are if bodies are recorded together.
+pub fn resting_entity(shape: &Sphere) -> String {
     format!("/world/resting/sphere_{}x{}", shape.stacks, shape.slices)
 }
 

@@ -1,6 +1,9 @@
 //! What a recording is a function of: the scene, and the settings of the run.
 
-use crate::scene::{Integrator, Scene};
+use crate::{
+    scene::{Integrator, Scene},
+    sim::StepReport,
+};
 
 /// More bodies than this are batched: the viewer slows down at several hundred entities.
 pub(super) const MOST_BODY_ENTITIES: usize = 64;
@@ -25,6 +28,62 @@ pub enum Entities {
     Batch,
 }
 
+/// Which frames are recorded. Properties, checksums and events of all steps are, whichever frames (but a thin recording
+/// has no events).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Frames {
+    /// All of them.
+    All,
+    /// None: the scene and checksums, from which the rest can be made again.
+    Thin,
+    /// A flight recorder: the last `most` until something of `on` happens, or at the end if `on` is empty.
+    Last {
+        /// How many, ≥ 1.
+        most: u64,
+        /// What they are written for.
+        on: Vec<Trigger>,
+    },
+}
+
+/// Something that a flight recorder waits for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Trigger {
+    /// A pair merges.
+    Merge,
+    /// A pair splits.
+    Split,
+    /// A pair enters its core, or leaves it.
+    Core,
+    /// The state becomes one that no forces can have led to.
+    Diverge,
+}
+
+impl Trigger {
+    /// All of them, in the order in which they are listed to users.
+    pub const ALL: [Trigger; 4] = [Trigger::Merge, Trigger::Split, Trigger::Core, Trigger::Diverge];
+
+    /// The name on the command line and in recordings.
+    pub fn name(self) -> &'static str {
+        match self {
+            Trigger::Merge => "merge",
+            Trigger::Split => "split",
+            Trigger::Core => "core",
+            Trigger::Diverge => "diverge",
+        }
+    }
+
+    /// Whether a step was one of these.
+    pub fn is_in(self, report: &StepReport) -> bool {
+        match self {
+            Trigger::Diverge => report.diverged.is_some(),
+            _ => report.events.iter().any(|event| event.name().starts_with(self.name())),
+        }
+    }
+}
+
+/// The version of what is in a recording, beside that of the program: a program reads this one and older ones.
+pub const FORMAT: u32 = 1;
+
 /// The settings of a run, resolved: with the scene's text, what it takes to make a recording again.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
@@ -36,12 +95,16 @@ pub struct Settings {
     pub tolerance: f64,
     /// Number of steps to take; `None`: until stopped.
     pub steps: Option<u64>,
+    /// Whether what need not be computed is skipped: without, the same but for rounding ([`crate::sim::Options::skip`]).
+    pub skip: bool,
     /// A frame is recorded every so many steps, ≥ 1.
     pub every: u64,
     /// How much is recorded of a frame.
     pub detail: Detail,
     /// One entity a body, or all bodies in few.
     pub entities: Entities,
+    /// Which frames are recorded.
+    pub frames: Frames,
 }
 
 impl Settings {
@@ -52,10 +115,64 @@ impl Settings {
             dt: scene.dt,
             tolerance: scene.tolerance,
             steps: Some(scene.steps()),
+            skip: true,
             every: 1,
             detail: Detail::Forces,
             entities: if scene.bodies.len() > MOST_BODY_ENTITIES { Entities::Batch } else { Entities::Body },
+            frames: Frames::All,
         }
+    }
+
+    /// What the run changed of the scene, as lines of its file; empty if nothing. `scene` is as it was run: what its text
+    /// says is read again.
+    pub fn overrides(&self, scene: &Scene) -> String {
+        let Ok(own) = Scene::parse(&scene.source, &scene.name) else { return String::new() };
+        let changed = [
+            (own.integrator != self.integrator).then(|| format!("integrator = \"{}\"\n", self.integrator)),
+            (own.dt != self.dt).then(|| format!("dt = {:?}\n", self.dt)),
+            (own.tolerance != self.tolerance).then(|| format!("tolerance = {:?}\n", self.tolerance)),
+            (Some(own.steps()) != self.steps).then(|| format!("steps = {}\n", self.steps.unwrap_or(0))),
+        ];
+        changed.into_iter().flatten().collect()
+    }
+
+    /// From the properties of a recording. What only says how it was recorded may be unknown, as it may be to an older
+    /// program: it is then as in [`Settings::of`].
+    ///
+    /// # Errors
+    /// What is missing or wrong, in words.
+    pub fn from_toml(text: &str, scene: &Scene) -> Result<Settings, String> {
+        let table: toml::Table = text.parse().map_err(|_| "the settings are not TOML".to_owned())?;
+        let text = |key: &str| table.get(key).and_then(toml::Value::as_str);
+        let positive = |key: &str| {
+            let number =
+                table.get(key).and_then(toml::Value::as_float).filter(|number| Scene::POSITIVE.contains(number));
+            number.ok_or_else(|| format!("the settings have no usable {key}"))
+        };
+        let count = |key: &str| table.get(key).and_then(toml::Value::as_integer).and_then(|n| u64::try_from(n).ok());
+        let name = text("integrator").unwrap_or("none");
+        let integrator = Integrator::ALL.into_iter().find(|integrator| integrator.name() == name);
+        let own = Settings::of(scene);
+        let steps = count("steps").ok_or("the settings have no usable number of steps")?;
+        Ok(Settings {
+            integrator: integrator.ok_or_else(|| format!("this program has no integrator \"{name}\""))?,
+            dt: positive("dt")?,
+            tolerance: positive("tolerance")?,
+            steps: (steps > 0).then_some(steps),
+            skip: table.get("skip").and_then(toml::Value::as_bool).unwrap_or(true),
+            every: count("every").filter(|&every| every > 0).unwrap_or(own.every),
+            detail: if text("detail") == Some("surface") { Detail::Surface } else { own.detail },
+            entities: match text("entities") {
+                Some("body") => Entities::Body,
+                Some("batch") => Entities::Batch,
+                _ => own.entities,
+            },
+            frames: match table.get("frames") {
+                Some(toml::Value::String(_)) => Frames::Thin,
+                Some(_) => Frames::Last { most: 1, on: Vec::new() },
+                None => Frames::All,
+            },
+        })
     }
 
     /// As TOML, for the recording's properties.
@@ -68,12 +185,21 @@ impl Settings {
             Entities::Body => "body",
             Entities::Batch => "batch",
         };
+        let frames = match &self.frames {
+            Frames::All => String::new(),
+            Frames::Thin => "frames = \"thin\"\n".to_owned(),
+            Frames::Last { most, on } => {
+                let on: Vec<String> = on.iter().map(|trigger| format!("\"{}\"", trigger.name())).collect();
+                format!("frames = {{ last = {most}, on = [{}] }}\n", on.join(", "))
+            }
+        };
         format!(
-            "integrator = \"{}\"\ndt = {:?}\ntolerance = {:?}\nsteps = {}\nevery = {}\ndetail = \"{detail}\"\nentities = \"{entities}\"\n",
+            "integrator = \"{}\"\ndt = {:?}\ntolerance = {:?}\nsteps = {}\n{}every = {}\ndetail = \"{detail}\"\nentities = \"{entities}\"\n{frames}",
             self.integrator,
             self.dt,
             self.tolerance,
             self.steps.unwrap_or(0),
+            if self.skip { "" } else { "skip = false\n" },
             self.every,
         )
     }
@@ -95,13 +221,15 @@ pub fn arrow_scale(scene: &Scene) -> f64 {
     step * decade
 }
 
-/// The same scene and options give the same id: FNV-1a of both.
-pub(super) fn recording_id(scene: &Scene, settings: &Settings) -> String {
-    let text = format!("{}\0{}\0{}", scene.source, settings.to_toml(), env!("CARGO_PKG_VERSION"));
-    let hash = text
-        .bytes()
-        .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3));
-    format!("{}-{hash:016x}", file_stem(&scene.name))
+/// The same scene and options give the same id; a recording whose texts do not give its id was damaged or edited.
+pub(crate) fn recording_id(name: &str, scene: &str, settings: &str, version: &str) -> String {
+    format!("{}-{:016x}", file_stem(name), fnv(&format!("{scene}\0{settings}\0{version}")))
+}
+
+/// FNV-1a.
+fn fnv(text: &str) -> u64 {
+    text.bytes()
+        .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3))
 }
 
 /// The name of a scene as a file can have it: anything but letters, digits, `-`, `_` and `.` inside becomes `_`, and

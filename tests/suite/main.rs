@@ -1,13 +1,17 @@
 //! Tests of the library and the program from outside, in one binary.
 
+mod bad_recordings;
 mod bad_scenes;
 mod bench;
+mod checksums;
 mod cli;
 mod events;
+mod faults;
 mod integrators;
 mod physics;
 mod recording;
 mod reference;
+mod replay;
 mod rims;
 mod scale;
 mod scene_format;

@@ -18,6 +18,7 @@ use meldscope::{
     stream::{
         Recorder, Settings, palette,
         recorder::{Detail, Entities, MOST_PAIRS, arrow_scale},
+        settings::FORMAT,
         sinks::{Destinations, Sinks},
     },
 };
@@ -27,7 +28,10 @@ use rerun::{
     dataframe::{QueryEngine, QueryExpression, SparseFillStrategy, StorageEngine, TimeInt},
     datatypes::{Float64, Rgba32, UVec3D, Utf8, Vec3D},
     external::{
-        arrow::array::{Array as _, ArrayRef, AsArray as _},
+        arrow::{
+            array::{Array as _, ArrayRef, AsArray as _},
+            datatypes::UInt64Type,
+        },
         re_chunk_store::{ColumnDescriptor, StaticColumnSelection},
     },
     log::RowId,
@@ -136,7 +140,7 @@ impl Recording {
     }
 
     /// What an entity has at each of the steps, as the viewer shows it: its latest values, static ones included.
-    fn held(&self, entity: &str, steps: impl IntoIterator<Item = u64>) -> Vec<Row> {
+    pub fn held(&self, entity: &str, steps: impl IntoIterator<Item = u64>) -> Vec<Row> {
         let expression = QueryExpression {
             filtered_index: Some(TimelineName::from("step")),
             using_index_values: Some(steps.into_iter().map(|step| TimeInt::new_temporal(step as i64)).collect()),
@@ -405,6 +409,7 @@ impl Run {
         self.verify_entities();
         self.verify_rows();
         self.verify_properties();
+        self.verify_checksums();
         match self.settings.entities {
             Entities::Body => self.verify_bodies(),
             Entities::Batch => self.verify_batches(),
@@ -422,7 +427,7 @@ impl Run {
     /// The entities of the contract, and no others.
     fn verify_entities(&self) {
         let mut entities = vec!["/__properties".to_owned(), "/__properties/meldscope".to_owned()];
-        entities.extend(["/about", "/world", "/world/influence"].map(str::to_owned));
+        entities.extend(["/about", "/checksum", "/world", "/world/influence"].map(str::to_owned));
         match self.settings.entities {
             Entities::Body => {
                 for body in &self.scene.bodies {
@@ -465,7 +470,8 @@ impl Run {
             let path = entity.to_string();
             let mut seen = HashSet::new();
             for (_, row) in self.recording.rows(&entity) {
-                if path == "/events" || (path.starts_with("/pairs/") && path.ends_with("/phase")) {
+                if path == "/checksum" || path == "/events" || (path.starts_with("/pairs/") && path.ends_with("/phase"))
+                {
                     continue; // below
                 }
                 assert!(
@@ -486,6 +492,11 @@ impl Run {
         assert_eq!(recording.property("version"), env!("CARGO_PKG_VERSION"));
         assert_eq!(recording.property("integrator"), self.scene.integrator.name());
         assert_eq!(recording.steps(), self.steps() as f64);
+        let own = Scene::parse(&self.scene.source, "own").expect("a scene");
+        let changed = (own.steps() != self.steps()).then(|| format!("steps = {}\n", self.steps()));
+        assert_eq!(recording.property("overrides"), changed.unwrap_or_default());
+        assert_eq!(recording.fixed("/__properties/meldscope").get::<Float64>("format")[0].0, f64::from(FORMAT));
+        assert!(recording.property("machine").contains(std::env::consts::ARCH));
         let info = recording.fixed("/__properties");
         assert_eq!(info.cells.keys().collect::<Vec<_>>(), ["RecordingInfo:name"], "no time of day");
         assert_eq!(info.text("RecordingInfo:name"), self.scene.name);
@@ -504,6 +515,18 @@ impl Run {
         for (key, value) in expected {
             assert_eq!(read.get(&key), Some(&value), "{key}");
         }
+    }
+
+    /// One for every step, recorded or not.
+    fn verify_checksums(&self) {
+        let mut found = self.recording.rows(&EntityPath::from("/checksum")).into_iter();
+        self.walk(|world| {
+            let (_, row) = found.next().expect("one for every step");
+            assert_eq!((row.step, row.time), (world.steps_taken() as i64, nanoseconds(world.time())));
+            let values = row.cells["checksum"].as_primitive::<UInt64Type>().values().to_vec();
+            assert_eq!(values, [world.checksum()], "step {}", row.step);
+        });
+        assert!(found.next().is_none());
     }
 
     /// One transform and one mesh a body.

@@ -107,13 +107,14 @@ fn companies() -> Vec<Scene> {
 #[derive(Debug, PartialEq)]
 struct Outcome {
     bits: Vec<u64>,
+    checksum: u64,
     events: Vec<Event>,
     substeps: Vec<u64>,
 }
 
 fn run(scene: &Scene, options: Options, mut look: impl FnMut(&World)) -> Outcome {
     let mut world = World::with_options(scene.clone(), options).expect("fits");
-    let mut outcome = Outcome { bits: vec![], events: vec![], substeps: vec![] };
+    let mut outcome = Outcome { bits: vec![], checksum: 0, events: vec![], substeps: vec![] };
     for _ in 0..scene.steps() {
         let report = world.step();
         outcome.events.extend(&report.events);
@@ -127,6 +128,7 @@ fn run(scene: &Scene, options: Options, mut look: impl FnMut(&World)) -> Outcome
             outcome.bits.extend(numbers.map(|x| x.to_bits()));
         }
     }
+    outcome.checksum = world.checksum();
     outcome
 }
 
@@ -178,8 +180,12 @@ fn instruction_sets_agree_to_the_bit() {
     for scene in scenes().into_iter().chain(companies()) {
         for skip in [true, false] {
             let scene = Scene { duration: scene.duration.min(if skip { 10.0 } else { 0.5 }), ..scene.clone() };
-            let outcomes = instruction_sets().into_iter().map(|arch| run(&scene, Options { skip, arch }, |_| {}));
-            let outcomes: Vec<Outcome> = outcomes.collect();
+            let outcomes = instruction_sets().into_iter().map(|arch| {
+                let mut checksums = vec![];
+                let outcome = run(&scene, Options { skip, arch }, |world| checksums.push(world.checksum()));
+                (outcome, checksums)
+            });
+            let outcomes: Vec<(Outcome, Vec<u64>)> = outcomes.collect();
             assert!(outcomes.windows(2).all(|two| two[0] == two[1]), "{}, skip {skip}", scene.name);
         }
     }
@@ -193,6 +199,7 @@ fn looking_changes_nothing() {
         let seen = run(&scene, Options::default(), |world| {
             let sum: f64 = world.bodies().flat_map(|body| body.positions()).map(|position| position.x).sum();
             assert!(sum.is_finite() && world.energy().total().is_finite());
+            world.checksum(); // also of bodies that have gone to sleep since
         });
         assert!(unseen == seen, "{}", scene.name);
     }

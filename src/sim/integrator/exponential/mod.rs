@@ -27,9 +27,10 @@ use pulp::Arch;
 use super::State;
 use crate::sim::deformation::Front;
 use course::{Common, Course};
-use single::{KnownWeights, Outcome, Single, Vertex};
+use single::{Outcome, Single, Vertex};
 use step::{Pull, Step};
 use together::{Outcomes, Together};
+use weights::KnownWeights;
 
 /// Halvings of a body's stretch for the sake of its own motion.
 const MOST_HALVINGS: u32 = 10;
@@ -86,7 +87,7 @@ fn halve(
     effort: &mut Effort,
 ) {
     let h = course.length;
-    let weights = scratch.known.get(course, h);
+    let weights = scratch.known.get(course.oscillator(), h);
     scratch.whole.prepare(course, weights, common);
     let wanted = manner.tolerance * h;
     let carry_error = scratch.whole.carry_error();

@@ -30,7 +30,7 @@ pub struct Motion<'a> {
 impl<'a> Motion<'a> {
     /// Of a vertex from `state` to the step's outcome.
     pub fn new(course: &Course<'_>, step: &Step, vertex: &'a Vertex, state: State, outcome: &Outcome) -> Motion<'a> {
-        let h = step.weights.h;
+        let h = step.h;
         let (omega, damping) = (course.body().material.omega, course.body().material.damping);
         let acceleration = |state: State, force: DVec3| force - omega * omega * state.x - 2.0 * damping * state.u;
         let (from, to) = (state, outcome.end);

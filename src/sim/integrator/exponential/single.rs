@@ -9,7 +9,7 @@ use super::{
     lanes::{LANES, Vector},
     rim::Motion,
     step::{Collocated, Group, LookUp, Pull, RIMS, Step},
-    weights::{Dense, Stage, Weights},
+    weights::{Dense, KnownWeights, Stage, Weights},
 };
 use crate::model::{energy, influence};
 
@@ -17,8 +17,6 @@ use crate::model::{energy, influence};
 const MOST_STEPS: u32 = 2048;
 /// After so many steps of a vertex in one stretch, and after as many again, twice the error will do.
 const PATIENCE: u32 = 64;
-/// Lengths of step whose weights are kept.
-const MOST_WEIGHTS: usize = 24;
 
 /// A vertex, and what acts on it all through a step.
 #[derive(Clone, Copy, Debug)]
@@ -60,28 +58,6 @@ pub struct Scratch {
     /// Parts of the stretch that are still to be taken, the next one last: where each starts and how long it is [s].
     left: Vec<(f64, f64)>,
     pulls: Vec<Pull>,
-}
-
-/// Weights of steps of a few lengths, kept for the next who needs them.
-#[derive(Default)]
-pub struct KnownWeights(Vec<(u64, u64, Weights)>);
-
-impl KnownWeights {
-    /// Those of a step of length `h` for the oscillator of a course.
-    pub fn get(&mut self, course: &Course<'_>, h: f64) -> Weights {
-        let oscillator = course.oscillator();
-        let key = (oscillator.omega.to_bits(), oscillator.damping.to_bits());
-        let is = |known: &&(u64, u64, Weights)| known.2.h == h && (known.0, known.1) == key;
-        if let Some(known) = self.0.iter().find(is) {
-            return known.2;
-        }
-        let weights = Weights::new(oscillator, h);
-        if self.0.len() == MOST_WEIGHTS {
-            self.0.clear();
-        }
-        self.0.push((key.0, key.1, weights));
-        weights
-    }
 }
 
 /// One by one through a stretch.
@@ -151,7 +127,7 @@ impl Single<'_> {
             steps += 1;
             if steps == MOST_STEPS {
                 let weights = Weights::new(course.oscillator(), course.end() - start);
-                part.prepare_part(course, self.whole, self.common, start, weights);
+                part.prepare_part(course, self.whole, self.common, start, &weights);
                 let held = hold(course, part, &vertex, state);
                 error += (held.x - state.x).length();
                 state = held;
@@ -163,7 +139,13 @@ impl Single<'_> {
             } else {
                 // what is left beyond a rim is of no other length again
                 let halved = course.length / h == (course.length / h).round();
-                let weights = if halved { known.get(course, h) } else { Weights::new(course.oscillator(), h) };
+                let once;
+                let weights = if halved {
+                    known.get(course.oscillator(), h)
+                } else {
+                    once = Weights::new(course.oscillator(), h);
+                    &once
+                };
                 part.prepare_part(course, self.whole, self.common, start, weights);
                 collocate(course, part, &vertex, state, self.wanted(h, steps), pulls)
             };
@@ -190,7 +172,7 @@ impl Single<'_> {
     fn near_rims(&self, step: &Step, vertex: &Vertex, state: State) -> impl Iterator<Item = usize> {
         let moment = &step.moments[0];
         let position = vertex.rest_at(self.course, &moment.pushed) + state.x;
-        let (h, course) = (step.weights.h, self.course);
+        let (h, course) = (step.h, self.course);
         let travel = self.travel(h, state);
         (0..course.spheres.len().min(RIMS)).filter(move |&j| {
             let from_rim = (moment.centres[j] - position).length() - course.spheres[j].radius;
@@ -211,16 +193,16 @@ impl Single<'_> {
     fn passes_no_sphere(&self, step: &Step, vertex: &Vertex, state: State) -> bool {
         let moment = &step.moments[0];
         let position = vertex.rest_at(self.course, &moment.pushed) + state.x;
-        let travel = self.travel(step.weights.h, state);
+        let travel = self.travel(step.h, state);
         self.course.spheres.iter().zip(&moment.centres).zip(&step.relative).all(|((sphere, centre), bounds)| {
-            let way = travel + bounds.speed * step.weights.h;
+            let way = travel + bounds.speed * step.h;
             way <= sphere.radius || (*centre - position).length() > sphere.radius + way
         })
     }
 
     /// Whether the step is short enough to see the vertex swing, where it swings about a rim and that matters.
     fn resolves_rims(&self, step: &Step, vertex: &Vertex, state: State) -> bool {
-        let h = step.weights.h;
+        let h = step.h;
         if !is_stiff(self.course, h) {
             return true;
         }

@@ -39,7 +39,9 @@ pub struct Moment {
 pub struct Step {
     /// Where it starts [s].
     pub start: f64,
-    /// Of the step's length.
+    /// How long it is [s].
+    pub h: f64,
+    /// Of that length.
     pub weights: Weights,
     /// At the four nodes, and in the middle.
     pub moments: [Moment; 5],
@@ -52,6 +54,8 @@ pub struct Step {
     pub noise: f64,
 }
 
+/// How much of its time passes in a step in which a force may change by itself, see [`Group::roughness`].
+const SMOOTHNESS: f64 = 0.5;
 /// What is left of a number after a few roundings, of its size.
 const ROUNDING: f64 = 8.0 * f64::EPSILON;
 
@@ -153,6 +157,31 @@ impl<'a, S: Simd, const W: usize> Group<'a, S, W> {
         force
     }
 
+    /// How much of what a cubic leaves out of the force on each vertex counts [–], which goes from `start` to `end` in the step.
+    ///
+    /// What a quartic has beyond the cubic, Lobatto quadrature sees: to a slow oscillator it makes no difference. What is
+    /// left is of the next order in what passes in the step: of the oscillator, of the influence's own oscillation,
+    /// of a sphere that the vertex passes through. So only what a force that is not smooth has beyond it counts in full.
+    #[inline(always)]
+    fn roughness(&self, start: Vector<S, W>, end: Vector<S, W>) -> Reals<S, W> {
+        let (simd, step) = (self.simd, self.step);
+        let material = self.course.body().material;
+        let travelled = (self.rest[3] + end) - (self.rest[0] + start);
+        let zero = Reals::splat(simd, 0.0);
+        let (mut stiffness, mut passed) = (zero, zero);
+        for pull in self.pulls {
+            let sphere = &self.course.spheres[pull.sphere];
+            let moved = step.moments[3].centres[pull.sphere] - step.moments[0].centres[pull.sphere];
+            let way = Vector::splat(simd, moved) - travelled;
+            let way = (way.x.abs() + way.y.abs() + way.z.abs()) * sphere.inverse_radius;
+            let strength = Reals::load(simd, &pull.strength, 0).abs();
+            passed = passed.larger(zero.below(strength).select(way, zero)); // of the vertex' own spheres only
+            stiffness = stiffness + strength;
+        }
+        let rate = stiffness.sqrt() + Reals::splat(simd, material.omega + 2.0 * material.damping);
+        ((passed + rate * step.h) * SMOOTHNESS).smaller(Reals::splat(simd, 1.0))
+    }
+
     /// Takes the step with all of them, so exactly that the errors it estimates are below `wanted` [scene unit] if
     /// corrections can do that.
     ///
@@ -207,22 +236,24 @@ impl<'a, S: Simd, const W: usize> Group<'a, S, W> {
         let bend = found - respond(zero, &weights.polynomial, &forces);
         let noise = Reals::splat(simd, self.step.noise);
         let left_out = Reals::splat(simd, 0.0).larger_or_nan(bend.length_squared().sqrt() - noise);
+        let end = respond(flow[2], &weights.nodes[3].force, &forces);
+        let roughness = self.roughness(x, end);
         Collocated {
-            x: respond(flow[2], &weights.nodes[3].force, &forces),
+            x: end,
             u: respond(x * weights.ux + u * weights.uu, &weights.velocity, &forces),
             forces,
             bend,
-            error: unsettled + left_out * (0.1 * gain),
+            error: unsettled + left_out * roughness * (0.1 * gain),
         }
     }
 }
 
 impl Step {
     /// Sets the step up over a whole stretch, with `common` at its start.
-    pub fn prepare(&mut self, course: &Course<'_>, weights: Weights, common: &Common) {
+    pub fn prepare(&mut self, course: &Course<'_>, weights: &Weights, common: &Common) {
         let h = weights.h;
         self.start = course.start;
-        self.weights = weights;
+        self.set_weights(weights);
         for (look, moment) in self.moments.iter_mut().enumerate() {
             moment.carry = match course.tracks {
                 Some(tracks) => course.look_whole(tracks, look, &mut moment.centres),
@@ -271,12 +302,16 @@ impl Step {
     /// See [`Step::noise`].
     fn rounding(&self, course: &Course<'_>) -> f64 {
         let carry = |look: usize| self.moments[look].carry;
-        let changes = (1..5).map(|look| (carry(look) - carry(0)).length()).fold(0.0, f64::max);
-        let of_times = carry(0).length() + changes * (1.0 + self.end() / self.weights.h);
+        let mut changes = DVec3::ZERO;
+        for look in 1..5 {
+            changes = changes.max((carry(look) - carry(0)).abs());
+        }
+        let of_times = carry(0).length() + changes.length() * (1.0 + self.end() / self.h);
         let place = |body: usize| match course.tracks {
-            Some(tracks) => tracks.kinematics(course.scene, body, 0).position.length(),
-            None => course.scene.bodies[body].path.position(self.start).length(),
+            Some(tracks) => tracks.kinematics(course.scene, body, 0).position,
+            None => course.scene.bodies[body].path.position(self.start),
         };
+        let place = |body: usize| place(body).abs().element_sum();
         let own = place(course.index);
         let of_sphere = |sphere: &Sphere| sphere.strength.abs() * (sphere.radius + own + place(sphere.body as usize));
         ROUNDING * (of_times + course.spheres.iter().map(of_sphere).sum::<f64>())
@@ -301,7 +336,7 @@ impl Step {
         let carry = self.moments.iter().map(|moment| moment.carry.length()).fold(0.0, f64::max);
         let push: f64 = course.pushes.iter().map(|push| push.strength.abs()).sum();
         let (_, momentum) = common.bounds(material.omega);
-        let speed = momentum + (carry + push) * self.weights.h;
+        let speed = momentum + (carry + push) * self.h;
         Bounds { speed, acceleration: (material.omega + 2.0 * material.damping) * speed + carry + push }
     }
 
@@ -317,9 +352,9 @@ impl Step {
     }
 
     /// Sets the step up over a part of a stretch, of which `whole` is the step.
-    pub fn prepare_part(&mut self, course: &Course<'_>, whole: &Step, common: &Common, start: f64, weights: Weights) {
+    pub fn prepare_part(&mut self, course: &Course<'_>, whole: &Step, common: &Common, start: f64, weights: &Weights) {
         self.start = start;
-        self.weights = weights;
+        self.set_weights(weights);
         for look in 0..5 {
             self.look_within(course, whole, common, look);
         }
@@ -327,10 +362,18 @@ impl Step {
         self.noise = whole.noise;
     }
 
+    /// Most often it has them from before, and they are many.
+    fn set_weights(&mut self, weights: &Weights) {
+        self.h = weights.h;
+        if self.weights.h != weights.h || self.weights.oscillator != weights.oscillator {
+            self.weights = *weights;
+        }
+    }
+
     /// The same for a vertex on which nothing acts: only where the spheres are at the start and at the end.
     pub fn prepare_ends(&mut self, course: &Course<'_>, whole: &Step, common: &Common, start: f64, h: f64) {
         self.start = start;
-        self.weights.h = h;
+        self.h = h;
         for look in [0, 3] {
             self.look_within(course, whole, common, look);
         }
@@ -338,14 +381,13 @@ impl Step {
     }
 
     fn look_within(&mut self, course: &Course<'_>, whole: &Step, common: &Common, look: usize) {
-        let t = time_of(look, self.start, self.weights.h);
+        let t = time_of(look, self.start, self.h);
         let moment = &mut self.moments[look];
         if whole.smooth {
-            let weights = quartic((t - whole.start) / whole.weights.h);
-            whole.interpolate(&weights, moment);
+            whole.interpolate((t - whole.start) / whole.h, moment);
             return;
         }
-        moment.carry = course.look(t, &mut moment.centres);
+        course.look(t, &mut moment.centres);
         let common = LookUp { course, whole, common }.common_at(t);
         moment.carried = common.carried.x;
         moment.pushed.clear();
@@ -355,23 +397,20 @@ impl Step {
         }
     }
 
-    /// An instant of this step from its five moments.
-    fn interpolate(&self, weights: &[f64; 5], moment: &mut Moment) {
-        moment.carry = self.moments.iter().zip(weights).map(|(known, weight)| *weight * known.carry).sum();
+    /// Where spheres are and what pushes have done at `theta` of this step, by the quartics through its five moments.
+    fn interpolate(&self, theta: f64, moment: &mut Moment) {
+        let [w0, w1, w2, w3, w4] = quartic(theta);
+        let [m0, m1, m2, m3, m4] = &self.moments;
         moment.centres.clear();
-        moment.centres.extend((0..self.relative.len()).map(|j| self.centre(j, weights)));
+        for j in 0..self.relative.len() {
+            let (a, b, c) = (w0 * m0.centres[j], w1 * m1.centres[j], w2 * m2.centres[j]);
+            moment.centres.push((a + b) + (c + w3 * m3.centres[j]) + w4 * m4.centres[j]);
+        }
         moment.pushed.clear();
-        let count = self.moments[0].pushed.len();
-        let pushed = |p: usize| -> f64 {
-            self.moments.iter().zip(weights).map(|(known, weight)| weight * known.pushed[p]).sum()
-        };
-        moment.pushed.extend((0..count).map(pushed));
-    }
-
-    /// The centre of a sphere, by the quartic through the five moments with these weights.
-    fn centre(&self, sphere: usize, weights: &[f64; 5]) -> DVec3 {
-        let [a, b, c, d, e] = std::array::from_fn(|look| weights[look] * self.moments[look].centres[sphere]);
-        (a + b) + (c + d) + e
+        for p in 0..m0.pushed.len() {
+            let (a, b, c) = (w0 * m0.pushed[p], w1 * m1.pushed[p], w2 * m2.pushed[p]);
+            moment.pushed.push((a + b) + (c + w3 * m3.pushed[p]) + w4 * m4.pushed[p]);
+        }
     }
 
     fn bound_within(&mut self, course: &Course<'_>, whole: &Step) {
@@ -380,7 +419,7 @@ impl Step {
             self.relative.extend_from_slice(&whole.relative);
             return;
         }
-        let (start, end) = (self.start, self.start + self.weights.h);
+        let (start, end) = (self.start, self.start + self.h);
         let over_whole = |j| course.relative_bounds(j, whole.start, whole.end());
         self.relative.extend((0..course.spheres.len()).map(|j| {
             // what the whole step's bounds have beyond the paths' is the common motion's
@@ -394,7 +433,7 @@ impl Step {
 
     /// Where the step ends [s].
     pub fn end(&self) -> f64 {
-        self.start + self.weights.h
+        self.start + self.h
     }
 }
 
@@ -451,9 +490,9 @@ impl<'a> LookUp<'a> {
             moment.centres[sphere] - vertex.rest_at(self.course, &moment.pushed)
         });
         let mut c = quartic_through(&known);
-        if start != whole.start || h != whole.weights.h {
+        if start != whole.start || h != whole.h {
             // the same polynomial in the part's time: from theta₀ on (Horner), and slower
-            let (from, slower) = ((start - whole.start) / whole.weights.h, h / whole.weights.h);
+            let (from, slower) = ((start - whole.start) / whole.h, h / whole.h);
             for low in 0..4 {
                 for k in (low..4).rev() {
                     c[k] += from * c[k + 1];
@@ -474,7 +513,7 @@ impl<'a> LookUp<'a> {
         if t <= whole.start {
             return common.clone();
         }
-        let h = whole.weights.h;
+        let h = whole.h;
         let dense = Dense::new(course.oscillator(), h, (t - whole.start) / h);
         let carries: [DVec3; 4] = std::array::from_fn(|node| -whole.moments[node].carry);
         let constant: (f64, f64) = (dense.x.iter().sum(), dense.u.iter().sum());

@@ -90,7 +90,7 @@ impl Together<'_> {
     fn take<S: Simd, const W: usize>(&mut self, simd: S, first: usize) {
         let Together { course, step, ref front, .. } = *self;
         let weights = &step.weights;
-        let h = weights.h;
+        let h = step.h;
         let material = course.body().material;
         let rest = Vector::<S, W>::load(simd, &front.rest, first);
         let x = Vector::load(simd, &front.displacement, first);
@@ -168,7 +168,7 @@ impl Together<'_> {
             let rim = Reals::splat(simd, sphere.radius);
             let centre = Vector::splat(simd, step.moments[0].centres[j]);
             let distance = (centre - position).length_squared().sqrt();
-            let reach = travel + Reals::splat(simd, step.relative[j].speed * step.weights.h);
+            let reach = travel + Reals::splat(simd, step.relative[j].speed * step.h);
             // written so that what is not a number is near
             let close = reach.below((distance - rim).abs()).negated();
             let mut pull = Pull { sphere: j, strength: [0.0; LANES], cut: true };
@@ -218,7 +218,7 @@ fn may_cross<S: Simd, const W: usize>(
     [start, end]: [Vector<S, W>; 2],
     swing: Reals<S, W>,
 ) -> Mask<S, W> {
-    let h = step.weights.h;
+    let h = step.h;
     let material = course.body().material;
     let zero = Reals::splat(simd, 0.0);
     let first_force = Vector::load(simd, &outcomes.forces[0], first).length_squared();

@@ -45,6 +45,8 @@ pub struct Stage {
 /// All weights of a step of a given length.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Weights {
+    /// ω and κ.
+    pub oscillator: Oscillator,
     /// The length h of the step [s].
     pub h: f64,
     /// Displacement at each node; the first is the start and is not used.
@@ -78,6 +80,7 @@ impl Weights {
         let at = |theta: f64| oscillator.propagator(theta * h);
         let lagrange = &LAGRANGE[4];
         Weights {
+            oscillator,
             h,
             nodes: [
                 Stage::default(),
@@ -93,6 +96,28 @@ impl Weights {
             constant: whole.x[0],
             swing: 1.0 / oscillator.omega.max(2.0 * oscillator.damping).max(1.0),
         }
+    }
+}
+
+/// Lengths of step whose weights are kept.
+const MOST_WEIGHTS: usize = 24;
+
+/// Weights of steps of a few lengths, kept for the next who needs them.
+#[derive(Default)]
+pub struct KnownWeights(Vec<Weights>);
+
+impl KnownWeights {
+    /// Those of a step of length `h` [s].
+    pub fn get(&mut self, oscillator: Oscillator, h: f64) -> &Weights {
+        let known = self.0.iter().position(|known| known.h == h && known.oscillator == oscillator);
+        let place = known.unwrap_or_else(|| {
+            if self.0.len() == MOST_WEIGHTS {
+                self.0.clear();
+            }
+            self.0.push(Weights::new(oscillator, h));
+            self.0.len() - 1
+        });
+        &self.0[place]
     }
 }
 

@@ -1,0 +1,320 @@
+//! `meldscope check`: scripted scenes against their golden recordings.
+
+use std::{
+    fs,
+    io::Write as _,
+    path::{Path, PathBuf},
+    time::{Duration, SystemTime, UNIX_EPOCH},
+};
+
+use rayon::prelude::*;
+
+use super::{Failure, print, replay::vector};
+use crate::{
+    recording::{
+        Recorded,
+        golden::{self, Difference, Outcome},
+    },
+    scene::Scene,
+    sim::memory,
+    stream::sinks::thousands,
+};
+
+/// What is checked if nothing is named.
+const DEFAULT: &str = "recordings";
+/// Where the reasons are kept, beside the golden recordings.
+const REASONS: &str = "BLESSED.md";
+/// More vertices or events than this are counted, not listed.
+const LISTED: usize = 8;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Scene files, or folders of them [default: recordings]. The golden recording of SCENE.toml is SCENE.rrd.
+    #[arg(value_name = "PATH")]
+    paths: Vec<PathBuf>,
+    /// Make the golden recordings of scenes that differ, or have none, anew; the reason is kept in them and in BLESSED.md.
+    #[arg(long, value_name = "REASON", value_parser = parse_reason)]
+    bless: Option<String>,
+    /// Accept other bits where values are within the scene's tolerance and events are the same.
+    #[arg(long, conflicts_with = "bless")]
+    tolerant: bool,
+    /// The folder for recordings of what differs, SCENE.check.rrd [default: the current one].
+    #[arg(long, value_name = "DIR", conflicts_with = "bless")]
+    save: Option<PathBuf>,
+    /// Threads to use [default: as many as there are cores].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+}
+
+fn parse_reason(text: &str) -> Result<String, String> {
+    let reason = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    if reason.is_empty() { Err("expected the reason why they may differ".to_owned()) } else { Ok(reason) }
+}
+
+/// A scene and where its golden recording is.
+struct Script {
+    scene: Scene,
+    golden: PathBuf,
+    /// As it is called here.
+    name: String,
+}
+
+/// Checks, or blesses.
+pub fn check(arguments: Arguments) -> Result<(), Failure> {
+    if let Some(threads) = arguments.threads {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build_global();
+        pool.map_err(|error| Failure::Run(format!("cannot start {threads} threads: {error}")))?;
+    }
+    let scripts = scripts(&arguments.paths)?;
+    match &arguments.bless {
+        Some(reason) => bless(&scripts, reason),
+        None => compare(&scripts, &arguments),
+    }
+}
+
+fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
+    let folder = arguments.save.clone().unwrap_or_default();
+    if !folder.as_os_str().is_empty() && !folder.is_dir() {
+        return Err(Failure::Input(format!("there is no folder {}: create it first", folder.display())));
+    }
+    let results: Vec<_> = scripts
+        .par_iter()
+        .map(|script| match script.golden.exists() {
+            true => {
+                let comparison = folder.join(format!("{}.check.rrd", script.name));
+                golden::check(&script.scene, &script.golden, Some(&comparison)).map(Some)
+            }
+            false => Ok(None),
+        })
+        .collect();
+    let (mut failed, mut refused) = (Vec::new(), None);
+    for (script, result) in scripts.iter().zip(results) {
+        let name = &script.name;
+        match result {
+            Err(error) => {
+                print(&format!("{name}: {error}"));
+                refused = refused.or(Some(error.to_string()));
+            }
+            Ok(None) => {
+                print(&format!(
+                    "{name}: no golden recording; `meldscope check --bless REASON` makes {}",
+                    script.golden.display()
+                ));
+                failed.push(name.as_str());
+            }
+            Ok(Some(Outcome::Identical { steps, events, digest, is_rewritten })) => {
+                let rewritten = if is_rewritten { " (its text has changed, to no effect)" } else { "" };
+                print(&format!(
+                    "{name}: identical, {} steps, {events} events, {digest:016x}{rewritten}",
+                    thousands(steps)
+                ));
+            }
+            Ok(Some(Outcome::Different(difference))) => {
+                let is_accepted = arguments.tolerant && difference.is_tolerable();
+                report(name, &difference, is_accepted);
+                if !is_accepted {
+                    failed.push(name);
+                }
+            }
+        }
+    }
+    match (refused, failed.len()) {
+        (Some(error), _) => Err(Failure::Input(error)),
+        (None, 0) => Ok(()),
+        (None, count) => Err(Failure::Run(format!(
+            "{count} of {} scenes differ from their golden recordings: {}",
+            scripts.len(),
+            failed.join(", ")
+        ))),
+    }
+}
+
+/// One line for what it comes to, and below it where and by how much.
+fn report(name: &str, difference: &Difference, is_accepted: bool) {
+    let verdict = match (is_accepted, difference.is_tolerable()) {
+        (true, _) => "other bits, accepted: values within tolerance, events the same",
+        (false, true) => "DIFFERENT bits, though values are within tolerance and events the same",
+        (false, false) => "DIFFERENT",
+    };
+    print(&format!("{name}: {verdict}"));
+    if difference.is_rewritten {
+        print("  the scene's text is not that of its golden recording");
+    }
+    if let Some([then, now]) = difference.steps {
+        print(&format!("  {} steps, {} in the golden recording", thousands(now), thousands(then)));
+    }
+    if let Some([then, now]) = &difference.counts {
+        print(&format!("  {now}, {then} in the golden recording"));
+    }
+    if let Some(first) = &difference.first {
+        print(&format!(
+            "  first at step {} (t = {:.6} s): checksum {:016x}, now {:016x}",
+            first.step, first.time, first.golden, first.found
+        ));
+        match first.bodies.first() {
+            None => print("    no vertex differs there: it is the phase of a pair, or since when a state is kept"),
+            Some((body, vertices)) => {
+                let listed: Vec<String> = vertices.iter().take(LISTED).map(usize::to_string).collect();
+                let more = if vertices.len() > LISTED { ", …" } else { "" };
+                print(&format!(
+                    "    body \"{body}\", {} {}{more}: {} of its vertices differ{}",
+                    if vertices.len() == 1 { "vertex" } else { "vertices" },
+                    listed.join(", "),
+                    thousands(vertices.len() as u64),
+                    match first.bodies.len() {
+                        1 => String::new(),
+                        2 => ", and some of another body".to_owned(),
+                        bodies => format!(", and some of {} more bodies", bodies - 1),
+                    }
+                ));
+                let vertex = vertices.first().copied().unwrap_or_default();
+                print(&format!("    displacement of vertex {vertex} there now: {}", vector(first.displacement)));
+            }
+        }
+    }
+    match &difference.worst {
+        Some(worst) => print(&format!(
+            "  worst at step {} (t = {:.6} s): body \"{}\", vertex {}: displacement {}, now {}: {:.3e} radii apart, {} \
+             tolerance; {} vertices differ",
+            worst.step,
+            worst.time,
+            worst.body,
+            worst.vertex,
+            vector(worst.recorded),
+            vector(worst.found),
+            worst.difference,
+            if difference.is_within_tolerance { "within" } else { "BEYOND" },
+            thousands(worst.vertices as u64),
+        )),
+        None if difference.first.is_some() => print("  no state of the golden recording shows it any more"),
+        None => {}
+    }
+    for change in difference.events.iter().take(LISTED) {
+        print(&format!("  event {change}"));
+    }
+    if difference.events.len() > LISTED {
+        print(&format!("  … and {} more events", difference.events.len() - LISTED));
+    }
+    match &difference.comparison {
+        Some(Ok(path)) => print(&format!("  look at both: rerun {}", path.display())),
+        Some(Err(error)) => print(&format!("  the recording of both could not be written: {error}")),
+        None => {}
+    }
+}
+
+fn bless(scripts: &[Script], reason: &str) -> Result<(), Failure> {
+    let results: Vec<_> = scripts
+        .par_iter()
+        .map(|script| {
+            let is_same = script.golden.exists()
+                && Recorded::open(&script.golden).is_ok_and(|golden| golden.scene.source == script.scene.source)
+                && matches!(golden::check(&script.scene, &script.golden, None), Ok(Outcome::Identical { .. }));
+            if is_same { Ok(None) } else { golden::bless(&script.scene, &script.golden, reason).map(Some) }
+        })
+        .collect();
+    let mut made: Vec<(PathBuf, Vec<String>)> = Vec::new();
+    let mut failure = None;
+    for (script, result) in scripts.iter().zip(results) {
+        match result {
+            Ok(None) => print(&format!("{}: identical, kept", script.name)),
+            Ok(Some(blessed)) => {
+                let size = memory::human(blessed.bytes);
+                print(&format!("{}: {:016x}, {} ({size})", script.name, blessed.digest, script.golden.display()));
+                let folder = script.golden.parent().unwrap_or(Path::new("")).to_owned();
+                let entry = format!("{} {:016x}", script.name, blessed.digest);
+                match made.iter_mut().find(|(known, _)| *known == folder) {
+                    Some((_, entries)) => entries.push(entry),
+                    None => made.push((folder, vec![entry])),
+                }
+            }
+            Err(error) => failure = failure.or(Some(format!("{}: {error}", script.name))),
+        }
+    }
+    for (folder, entries) in made {
+        let line =
+            format!("- {}, meldscope {}: {}: {reason}\n", today(), env!("CARGO_PKG_VERSION"), entries.join(", "));
+        let path = folder.join(REASONS);
+        let is_new = !path.exists();
+        let head = "# Why golden recordings were made\n\nWritten by `meldscope check --bless REASON`: scenes, and the hash of \
+                    all their checksums.\n\n";
+        let file = fs::OpenOptions::new().create(true).append(true).open(&path);
+        let written = file.and_then(|mut file| {
+            file.write_all(if is_new { head } else { "" }.as_bytes()).and_then(|()| file.write_all(line.as_bytes()))
+        });
+        if let Err(error) = written {
+            failure = failure.or(Some(format!("cannot write the reason to {}: {error}", path.display())));
+        }
+    }
+    failure.map_or(Ok(()), |failure| Err(Failure::Run(failure)))
+}
+
+/// The scenes that paths lead to, by name.
+fn scripts(paths: &[PathBuf]) -> Result<Vec<Script>, Failure> {
+    let default = [PathBuf::from(DEFAULT)];
+    let paths = if paths.is_empty() { &default } else { paths };
+    let mut files = Vec::new();
+    for path in paths {
+        let refuse = |error: std::io::Error| Failure::Input(format!("cannot read {}: {error}", path.display()));
+        if path.is_dir() {
+            let mut found = Vec::new();
+            for entry in fs::read_dir(path).map_err(refuse)? {
+                let file = entry.map_err(refuse)?.path();
+                if file.extension().is_some_and(|extension| extension == "toml") {
+                    found.push(file);
+                }
+            }
+            if found.is_empty() {
+                return Err(Failure::Input(format!("there are no scenes (*.toml) in {}", path.display())));
+            }
+            found.sort();
+            files.extend(found);
+        } else if path.extension().is_some_and(|extension| extension == "rrd") {
+            // the golden recording is named, its scene is meant
+            files.push(path.with_extension("toml"));
+        } else {
+            files.push(path.clone());
+        }
+    }
+    files.dedup();
+    files
+        .into_iter()
+        .map(|file| {
+            let scene = Scene::load(&file).map_err(Failure::input)?;
+            let name = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            Ok(Script { scene, golden: file.with_extension("rrd"), name })
+        })
+        .collect()
+}
+
+/// The date, as YYYY-MM-DD.
+fn today() -> String {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO);
+    let (year, month, day) = civil(since.as_secs() / 86_400);
+    format!("{year:04}-{month:02}-{day:02}")
+}
+
+/// Year, month and day, so many days after 1970-01-01.
+fn civil(days: u64) -> (u64, u64, u64) {
+    // in years that begin in March, 400 of which have 146,097 days
+    let days = days + 719_468;
+    let (era, day) = (days / 146_097, days % 146_097);
+    let year = (day - day / 1_460 + day / 36_524 - day / 146_096) / 365;
+    let day = day - (365 * year + year / 4 - year / 100);
+    let month = (5 * day + 2) / 153;
+    let date = day - (153 * month + 2) / 5 + 1;
+    let (month, carry) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
+    (400 * era + year + carry, month, date)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::civil;
+
+    #[test]
+    fn days_have_dates() {
+        let cases = [(0, (1970, 1, 1)), (59, (1970, 3, 1)), (11_016, (2000, 2, 29)), (20_513, (2026, 3, 1))];
+        for (days, date) in cases {
+            assert_eq!(civil(days), date);
+        }
+    }
+}

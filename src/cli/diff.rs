@@ -1,0 +1,125 @@
+//! `meldscope diff`: two recordings of a scene, side by side.
+
+use std::path::PathBuf;
+
+use super::{
+    Failure, print,
+    replay::vector,
+    run::{parse_tolerance, sink_failure},
+};
+use crate::{
+    recording::{Recorded, diff},
+    sim::memory,
+    stream::sinks::thousands,
+};
+
+/// More bodies or events than this are counted, not listed.
+const LISTED: usize = 8;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// A recording of the scene …
+    #[arg(value_name = "A.rrd")]
+    first: PathBuf,
+    /// … and another one: with another integrator, step, or version of the program.
+    #[arg(value_name = "B.rrd")]
+    second: PathBuf,
+    /// Record both side by side, with arrows between them and their distances.
+    #[arg(long, value_name = "D.rrd")]
+    save: Option<PathBuf>,
+    /// What does not matter, radii [default: the larger tolerance of the two scenes].
+    #[arg(long, value_name = "R", value_parser = parse_tolerance)]
+    tolerance: Option<f64>,
+}
+
+/// Compares: exit status 0 if nothing differs by more than the tolerance, 1 if something does.
+pub fn diff(arguments: Arguments) -> Result<(), Failure> {
+    let [a, b] = [Recorded::open(&arguments.first), Recorded::open(&arguments.second)];
+    let (a, b) = (a.map_err(Failure::input)?, b.map_err(Failure::input)?);
+    let tolerance = arguments.tolerance.unwrap_or_else(|| a.scene.tolerance.max(b.scene.tolerance));
+    if let Some(save) = &arguments.save
+        && [&arguments.first, &arguments.second].into_iter().any(|path| same_file(save, path))
+    {
+        return Err(Failure::Input(format!("{} is one of the recordings to be compared", save.display())));
+    }
+    let difference = diff::diff([&a, &b], tolerance).map_err(Failure::input)?;
+    let (first, second) = (a.path.display(), b.path.display());
+    for (recorded, again) in [&a, &b].into_iter().zip(difference.run_again) {
+        let again = if again { "; without surfaces, so it was run again" } else { "" };
+        print(&format!(
+            "{}: {}, {} steps of {} s with {}, by meldscope {}{again}",
+            recorded.path.display(),
+            recorded.scene.name,
+            thousands(recorded.last()),
+            recorded.scene.dt,
+            recorded.scene.integrator,
+            recorded.version,
+        ));
+    }
+    if a.scene.source != b.scene.source {
+        print("the texts of the two scenes differ");
+    }
+    match difference.first_bits {
+        Some(step) => print(&format!("bits: other ones from step {step} (t = {:.6} s) on", step as f64 * a.scene.dt)),
+        None if difference.has_bits => print("bits: the same at every step that both have"),
+        None => {}
+    }
+    if difference.instants < 2 {
+        return Err(Failure::Input(format!(
+            "{first} and {second} have {} in common: record them with steps of which one is a multiple of the other",
+            if difference.instants == 0 { "no instant" } else { "one instant" }
+        )));
+    }
+    print(&format!("{} instants in common, tolerance {tolerance:e} radii", thousands(difference.instants)));
+    for worst in difference.bodies.iter().take(LISTED) {
+        print(&format!(
+            "  body \"{}\": up to {:.3e} radii, vertex {} at t = {:.6} s (step {})",
+            worst.body, worst.difference, worst.vertex, worst.time, worst.step
+        ));
+    }
+    match difference.bodies.len() {
+        0 => print("  no body differs"),
+        n if n > LISTED => print(&format!("  … and {} more bodies that differ less", n - LISTED)),
+        _ => {}
+    }
+    if let Some(worst) = &difference.first_beyond {
+        print(&format!(
+            "first beyond tolerance: step {} (t = {:.6} s), body \"{}\", vertex {}: {} and {}, from the centre: {:.3e} radii \
+             apart",
+            worst.step,
+            worst.time,
+            worst.body,
+            worst.vertex,
+            vector(worst.recorded),
+            vector(worst.found),
+            worst.difference
+        ));
+    }
+    if difference.events.is_empty() {
+        print("events: the same");
+    }
+    for change in difference.events.iter().take(LISTED) {
+        print(&format!("event {change}"));
+    }
+    if difference.events.len() > LISTED {
+        print(&format!("… and {} more events", difference.events.len() - LISTED));
+    }
+    if let Some(save) = &arguments.save {
+        let saved = diff::save([&a, &b], &difference, tolerance, save).map_err(Failure::input)?;
+        if let Some(saved) = saved.map_err(sink_failure)? {
+            print(&format!("saved {}: {}", saved.path.display(), memory::human(saved.bytes)));
+        }
+    }
+    match (&difference.first_beyond, difference.events.is_empty()) {
+        (None, true) => Ok(()),
+        _ => Err(Failure::Run(format!("{first} and {second} differ"))),
+    }
+}
+
+/// Whether two paths lead to one file.
+pub(super) fn same_file(a: &std::path::Path, b: &std::path::Path) -> bool {
+    match (std::fs::canonicalize(a), std::fs::canonicalize(b)) {
+        (Ok(a), Ok(b)) => a == b,
+        _ => false,
+    }
+}

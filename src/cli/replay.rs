@@ -1,0 +1,329 @@
+//! `meldscope replay`: what a recording holds is run again, and verified step by step.
+
+use std::path::PathBuf;
+
+use super::{
+    Failure,
+    diff::same_file,
+    print,
+    run::{DetailName, parse_integrator, parse_step, parse_tolerance, send, sink_failure},
+    say,
+};
+use crate::{
+    recording::{
+        Recorded,
+        read::End,
+        replay::{self, Verdict},
+    },
+    scene::{Integrator, Scene},
+    sim::{World, memory},
+    stream::{
+        Recorder, machine,
+        recorder::describe,
+        settings::{Frames, Settings},
+        sinks::{Destinations, Sinks, thousands},
+    },
+};
+
+/// Messages are taken from the recorder every so many frames.
+const FRAMES_PER_CHUNK: u64 = 64;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// The recording: of `run`, `run --thin`, `replay --save`, or what a killed run left (F.rrd.partial).
+    recording: PathBuf,
+    /// Record the replay: every frame, whatever the recording has.
+    #[arg(long, value_name = "G.rrd")]
+    save: Option<PathBuf>,
+    /// The first step to record [default: 0].
+    #[arg(long, value_name = "STEP", requires = "save")]
+    from: Option<u64>,
+    /// The last step to record [default: the last].
+    #[arg(long, value_name = "STEP", requires = "save")]
+    to: Option<u64>,
+    /// How much to record of a frame.
+    #[arg(long, default_value = "forces", requires = "save")]
+    detail: DetailName,
+    /// Accept a recording that is cut short, as that of a killed run is [default for F.rrd.partial].
+    #[arg(long)]
+    partial: bool,
+    /// Ask what another integrator makes of it; then nothing is verified.
+    #[arg(long, value_parser = parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential")]
+    integrator: Option<Integrator>,
+    /// The same for another step, s.
+    #[arg(long, value_name = "S", value_parser = parse_step)]
+    dt: Option<f64>,
+    /// The same for another error that the exponential integrator may make, radii per unit of scene time.
+    #[arg(long, value_name = "R", value_parser = parse_tolerance)]
+    tolerance: Option<f64>,
+}
+
+impl Arguments {
+    fn has_overrides(&self) -> bool {
+        self.integrator.is_some() || self.dt.is_some() || self.tolerance.is_some()
+    }
+}
+
+/// Runs it again.
+pub fn replay(arguments: Arguments) -> Result<(), Failure> {
+    let recorded = Recorded::open(&arguments.recording).map_err(Failure::input)?;
+    if arguments.has_overrides() {
+        return ask(&arguments, &recorded);
+    }
+    let (from, to) = range(&arguments, recorded.last())?;
+    let mut saver = Saver::open(&arguments, &recorded.scene, &recorded.settings, from..=to)?;
+    let verdict = replay::verify(&recorded, |world| saver.observe(world)).map_err(Failure::input)?;
+    if let Some(failure) = saver.failure.take() {
+        return Err(Failure::Run(failure));
+    }
+    let path = recorded.path.display();
+    let steps = recorded.last();
+    let differences = recorded.foreign_to(&machine::describe());
+    let no_skip = (!recorded.settings.skip).then_some("--no-skip");
+    let overrides = recorded.overrides.lines().chain(no_skip).collect::<Vec<_>>().join(", ");
+    let settings = if overrides.is_empty() { String::new() } else { format!(" (run with {overrides})") };
+    match verdict {
+        Verdict::Identical => {
+            print(&format!(
+                "{path}: identical, {}{settings}",
+                if recorded.first == 0 {
+                    format!("{} steps", thousands(steps))
+                } else {
+                    format!("{} steps ({} to {steps})", thousands(steps - recorded.first + 1), recorded.first)
+                }
+            ));
+            for difference in &differences {
+                print(&format!("  though {difference}"));
+            }
+            saver.finish()?;
+            cut_short(&arguments, &recorded)
+        }
+        Verdict::Divergent(divergence) => {
+            print(&format!(
+                "{path}: divergent at step {} of {} (t = {:.6} s){settings}: checksum {:016x} recorded, {:016x} now",
+                divergence.step, steps, divergence.time, divergence.recorded, divergence.replayed
+            ));
+            print(&match divergence.step.checked_sub(1) {
+                Some(before) if before >= recorded.first => format!("  up to step {before} the states are identical"),
+                _ => "  no step is the same".to_owned(),
+            });
+            match divergence.worst(&recorded).map_err(Failure::input)? {
+                Some(worst) => {
+                    let at = if worst.step == divergence.step {
+                        "there".to_owned()
+                    } else {
+                        format!("at step {} (t = {:.6} s), the first frame that shows it", worst.step, worst.time)
+                    };
+                    print(&format!(
+                        "  worst {at}: body \"{}\", vertex {}: {} recorded, {} now, from the centre: {:.3e} radii apart; {} differ",
+                        worst.body,
+                        worst.vertex,
+                        vector(worst.recorded),
+                        vector(worst.found),
+                        worst.difference,
+                        vertices(worst.vertices)
+                    ));
+                }
+                None if recorded.settings.frames == Frames::Thin => {
+                    print("  it is a thin recording: which vertex it is, and by how much, cannot be told from it");
+                }
+                None => print("  no recorded frame shows it: the difference stays below single precision"),
+            }
+            if differences.is_empty() {
+                print("  version and machine are the same: the program must have changed without its version");
+            }
+            for difference in &differences {
+                print(&format!("  {difference}"));
+            }
+            saver.finish()?;
+            Err(Failure::Run(format!("{path} is not reproduced from step {} on", divergence.step)))
+        }
+    }
+}
+
+/// A recording that ends before its end is only taken as it is where that is expected.
+fn cut_short(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
+    if recorded.end == End::Whole {
+        return Ok(());
+    }
+    let planned = recorded.settings.steps.map_or(String::new(), |steps| format!(" of {}", thousands(steps)));
+    let what = format!(
+        "{} is cut short after step {}{planned}: the run was killed, or the file did not arrive whole",
+        recorded.path.display(),
+        thousands(recorded.last())
+    );
+    let is_expected = arguments.partial || recorded.path.extension().is_some_and(|extension| extension == "partial");
+    if is_expected {
+        say(&format!("note: {what}"));
+        return Ok(());
+    }
+    Err(Failure::Input(format!("{what}; --partial takes what is there")))
+}
+
+/// "Does it go away?": the scene with something else, beside the events and surfaces that were recorded.
+fn ask(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
+    let mut scene = recorded.scene.clone();
+    scene.integrator = arguments.integrator.unwrap_or(scene.integrator);
+    scene.dt = arguments.dt.unwrap_or(scene.dt);
+    scene.tolerance = arguments.tolerance.unwrap_or(scene.tolerance);
+    let end = recorded.last() as f64 * recorded.scene.dt;
+    let steps = (end / scene.dt).round() as u64;
+    let mut settings = recorded.settings.clone();
+    (settings.integrator, settings.dt, settings.tolerance) = (scene.integrator, scene.dt, scene.tolerance);
+    let (from, to) = range(arguments, steps)?;
+    let mut saver = Saver::open(arguments, &scene, &settings, from..=to)?;
+
+    let mut world = replay::world(recorded, scene.clone()).map_err(Failure::input)?;
+    let mut events = Vec::new();
+    let (mut largest, mut diverged) = ((0.0, 0.0, String::new()), None);
+    loop {
+        for body in world.bodies() {
+            let displacement = body.max_displacement() / body.scene().radius;
+            if displacement > largest.0 {
+                largest = (displacement, world.time(), body.name().to_owned());
+            }
+        }
+        diverged = diverged.or(world.report().diverged.as_ref().map(ToString::to_string));
+        if !saver.observe(&world) || world.steps_taken() >= steps || diverged.is_some() {
+            break;
+        }
+        events.extend(world.step().events.iter().map(|event| describe(&scene, event)));
+    }
+    print(&format!(
+        "{}: {} steps of {} s with {}, tolerance {:e}, instead of {} of {} s with {}, tolerance {:e}; not verified",
+        recorded.path.display(),
+        thousands(world.steps_taken()),
+        scene.dt,
+        scene.integrator,
+        scene.tolerance,
+        thousands(recorded.last()),
+        recorded.scene.dt,
+        recorded.scene.integrator,
+        recorded.scene.tolerance,
+    ));
+    print(&format!(
+        "  largest displacement: {:.6} radii, of body \"{}\" at t = {:.6} s",
+        largest.0, largest.2, largest.1
+    ));
+    print(&match recorded.settings.frames {
+        Frames::Thin => format!("  {} events (a thin recording has none to compare them with):", events.len()),
+        _ => format!("  {} events, {} recorded:", events.len(), recorded.events.len()),
+    });
+    for event in events.iter().take(20) {
+        print(&format!("    {event}"));
+    }
+    saver.finish()?;
+    match saver.failure.or(diverged) {
+        Some(failure) => Err(Failure::Run(failure)),
+        None => Ok(()),
+    }
+}
+
+/// The steps to record.
+fn range(arguments: &Arguments, last: u64) -> Result<(u64, u64), Failure> {
+    let (from, to) = (arguments.from.unwrap_or(0), arguments.to.unwrap_or(last));
+    if from > last || to > last {
+        return Err(Failure::Input(format!("step {} is beyond the last, {last}", from.max(to))));
+    }
+    if from > to {
+        return Err(Failure::Input(format!("--from {from} is after --to {to}")));
+    }
+    Ok((from, to))
+}
+
+/// Records a stretch of a replay, if that is wanted.
+struct Saver {
+    sinks: Option<Sinks>,
+    recorder: Option<Recorder>,
+    settings: Settings,
+    steps: std::ops::RangeInclusive<u64>,
+    sent: u64,
+    failure: Option<String>,
+}
+
+impl Saver {
+    fn open(
+        arguments: &Arguments,
+        scene: &Scene,
+        settings: &Settings,
+        steps: std::ops::RangeInclusive<u64>,
+    ) -> Result<Saver, Failure> {
+        if let Some(save) = &arguments.save
+            && same_file(save, &arguments.recording)
+        {
+            return Err(Failure::Input(format!("{} is the recording to be replayed", save.display())));
+        }
+        let destinations = Destinations { save: arguments.save.clone(), ..Destinations::default() };
+        let sinks = arguments.save.as_ref().map(|_| Sinks::open(&destinations)).transpose().map_err(sink_failure)?;
+        let own = Settings::of(scene);
+        let settings = Settings {
+            steps: Some(*steps.end()),
+            every: 1,
+            skip: settings.skip,
+            detail: arguments.detail.into(),
+            frames: Frames::All,
+            entities: settings.entities,
+            ..own
+        };
+        Ok(Saver { sinks, recorder: None, settings, steps, sent: 0, failure: None })
+    }
+
+    /// Looks at a step; `false` if there is no point in going on.
+    fn observe(&mut self, world: &World) -> bool {
+        let Some(sinks) = &mut self.sinks else { return true };
+        if !self.steps.contains(&world.steps_taken()) {
+            return true;
+        }
+        match &mut self.recorder {
+            Some(recorder) => {
+                recorder.observe(world);
+                if recorder.frames() - self.sent >= FRAMES_PER_CHUNK {
+                    self.sent = recorder.frames();
+                    self.failure = send(sinks, recorder.take());
+                }
+            }
+            None => {
+                let mut recorder = Recorder::new(world, self.settings.clone());
+                self.failure = send(sinks, recorder.blueprint(world).into_iter().chain(recorder.take()));
+                self.recorder = Some(recorder);
+            }
+        }
+        if world.steps_taken() == *self.steps.end()
+            && let Some(recorder) = &mut self.recorder
+        {
+            recorder.finish(world);
+            self.failure = self.failure.take().or(send(sinks, recorder.take()));
+        }
+        self.failure.is_none()
+    }
+
+    fn finish(&mut self) -> Result<(), Failure> {
+        let (Some(mut sinks), recorder) = (self.sinks.take(), self.recorder.take()) else { return Ok(()) };
+        let frames = recorder.as_ref().map_or(0, Recorder::written);
+        if let Some(mut recorder) = recorder {
+            // ended before its last step
+            self.failure = self.failure.take().or(send(&mut sinks, recorder.take()));
+        }
+        let finished = sinks.finish().map_err(sink_failure)?;
+        if let Some(saved) = finished.save {
+            let range = format!("steps {} to {}", self.steps.start(), self.steps.end());
+            print(&format!(
+                "saved {}: {}, {} frames, {}",
+                saved.path.display(),
+                range,
+                thousands(frames),
+                memory::human(saved.bytes)
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// A vector in full.
+pub(super) fn vector(v: glam::DVec3) -> String {
+    format!("({:?}, {:?}, {:?})", v.x, v.y, v.z)
+}
+
+fn vertices(count: usize) -> String {
+    if count == 1 { "1 vertex".to_owned() } else { format!("{} vertices", thousands(count as u64)) }
+}

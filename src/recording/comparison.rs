@@ -1,0 +1,177 @@
+//! Differences to look at: a recording with both surfaces of two runs, arrows between them, and how far they are apart.
+
+use std::path::Path;
+
+use glam::{DVec3, Vec3};
+use rerun::{
+    Arrows3D, Mesh3D, Scalars, StoreId, StoreKind, TextDocument, TextLog, ViewCoordinates,
+    components::MediaType,
+    external::re_log_types::{ApplicationId, LogMsg},
+};
+
+use crate::{
+    scene::Scene,
+    stream::{
+        blueprint,
+        chunks::{Chunks, Instant},
+        extract::smooth_normals,
+        palette::{Rgb, color},
+        series::{Series, Shape},
+        settings::file_stem,
+        sinks::{Destinations, Saved, SinkError, Sinks},
+    },
+};
+
+/// More bodies than this are too many to look at.
+const MOST_BODIES: usize = 64;
+const COLORS: [Rgb; 2] = [[90, 150, 235], [240, 150, 50]];
+const ERROR: Rgb = [235, 60, 60];
+const LIMIT: Rgb = [150, 150, 150];
+
+/// What to show, and how large it will be.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// What the two runs are called.
+    pub labels: [String; 2],
+    /// The bodies to show, the ones that differ most first.
+    pub bodies: Vec<usize>,
+    /// The largest distance between two vertices [scene unit].
+    pub largest: f64,
+    /// What is not worth mentioning [radii].
+    pub tolerance: f64,
+}
+
+/// Writes the recording as the two runs are gone through.
+pub struct Comparison {
+    chunks: Chunks,
+    sinks: Sinks,
+    shown: Vec<(usize, String, Vec<[u32; 3]>)>,
+    /// Arrows are so many times as long as the distance that they stand for.
+    magnification: f64,
+    frames: u64,
+}
+
+impl Comparison {
+    /// Begins it.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn new(scene: &Scene, plan: &Plan, path: &Path) -> Result<Comparison, SinkError> {
+        let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };
+        let mut sinks = Sinks::open(&destinations)?;
+        let application = ApplicationId::new_or_unknown("meldscope_difference".to_owned());
+        let store = StoreId::new(StoreKind::Recording, application, format!("{}-difference", file_stem(&scene.name)));
+        for message in blueprint::of_comparison(scene, &store) {
+            sinks.send(message)?;
+        }
+        let mut chunks = Chunks::new(store);
+        let bodies = plan.bodies.iter().take(MOST_BODIES);
+        let shown: Vec<_> = bodies
+            .filter_map(|&index| {
+                let body = scene.bodies.get(index)?;
+                Some((index, body.name.clone(), body.shape.triangles()))
+            })
+            .collect();
+        let radius =
+            shown.iter().filter_map(|&(i, ..)| scene.bodies.get(i)).map(|body| body.radius).fold(0.0, f64::max);
+        let wanted = 0.3 * radius / plan.largest;
+        let magnification = if wanted.is_finite() { wanted.max(1.0) } else { 1.0 };
+
+        chunks.log_static("/world", &ViewCoordinates::RIGHT_HAND_Z_UP());
+        let name = format!("{}: {} and {}", scene.name, plan.labels[0], plan.labels[1]);
+        chunks.log_static("/__properties", &rerun::RecordingInfo::new().with_name(name));
+        let about = format!(
+            "**{}**: blue is {}, orange is {}. Red arrows lead from the one to the other, {} times as long as the vertices \
+             are apart. {}  \nThe plot has the largest distance of each body, in radii; grey: the tolerance, {:e}.",
+            scene.name,
+            plan.labels[0],
+            plan.labels[1],
+            if magnification > 1.5 { format!("{magnification:.2e}") } else { "1".to_owned() },
+            match plan.bodies.len() {
+                0 => "No body differs.".to_owned(),
+                n if n > MOST_BODIES => format!("The {MOST_BODIES} bodies that differ most are shown, of {n}."),
+                _ => "Bodies that do not differ are not shown.".to_owned(),
+            },
+            plan.tolerance,
+        );
+        chunks.log_static("/about", &TextDocument::new(about).with_media_type(MediaType::MARKDOWN));
+        for (_, name, triangles) in &shown {
+            for (side, rgb) in ["a", "b"].into_iter().zip(COLORS) {
+                let mesh = Mesh3D::update_fields()
+                    .with_triangle_indices(triangles.iter().copied())
+                    .with_albedo_factor(rerun::Rgba32::from_unmultiplied_rgba(rgb[0], rgb[1], rgb[2], 120));
+                chunks.log_static(&format!("/world/{side}/{name}"), &mesh);
+            }
+        }
+        let style =
+            Arrows3D::update_fields().with_colors([color(ERROR)]).with_radii([rerun::Radius::new_ui_points(1.2)]);
+        chunks.log_static("/world/error", &style);
+        for (number, (_, name, _)) in shown.iter().enumerate() {
+            let rgb = crate::stream::palette::line(number);
+            Series::style(&mut chunks, &format!("/difference/{name}"), name, rgb, 1.5, Shape::Linear);
+        }
+        Series::style(&mut chunks, "/difference/tolerance", "tolerance", LIMIT, 1.0, Shape::Linear);
+        let mut comparison = Comparison { chunks, sinks, shown, magnification, frames: 0 };
+        comparison.send()?;
+        Ok(comparison)
+    }
+
+    /// Adds an instant: where the vertices of each body are in both runs [scene unit], `None` where that is not known.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn frame(
+        &mut self,
+        scene: &Scene,
+        at: Instant,
+        tolerance: f64,
+        positions: impl Fn(usize) -> [Option<Vec<DVec3>>; 2],
+    ) -> Result<(), SinkError> {
+        let (mut origins, mut vectors) = (Vec::new(), Vec::new());
+        for (index, name, triangles) in &self.shown {
+            let both = positions(*index);
+            for (side, positions) in ["a", "b"].into_iter().zip(&both) {
+                let Some(positions) = positions else { continue };
+                let mut normals = vec![Vec3::ZERO; positions.len()];
+                smooth_normals(|i| positions[i], triangles, &mut normals);
+                let mesh = Mesh3D::update_fields()
+                    .with_vertex_positions(positions.iter().map(|p| p.as_vec3()))
+                    .with_vertex_normals(normals);
+                self.chunks.log(&format!("/world/{side}/{name}"), at, &mesh);
+            }
+            if let [Some(a), Some(b)] = &both {
+                let mut largest = 0.0;
+                for (&a, &b) in a.iter().zip(b).filter(|(a, b)| a != b) {
+                    largest = f64::max(largest, a.distance(b));
+                    origins.push(a.as_vec3());
+                    vectors.push(((b - a) * self.magnification).as_vec3());
+                }
+                let radii = largest / scene.bodies.get(*index).map_or(1.0, |body| body.radius);
+                self.chunks.log(&format!("/difference/{name}"), at, &Scalars::single(radii));
+            }
+        }
+        self.chunks.log("/world/error", at, &Arrows3D::update_fields().with_origins(origins).with_vectors(vectors));
+        self.chunks.log("/difference/tolerance", at, &Scalars::single(tolerance));
+        self.frames += 1;
+        if self.frames.is_multiple_of(64) { self.send() } else { Ok(()) }
+    }
+
+    /// Adds a line about an event.
+    pub fn event(&mut self, at: Instant, line: &str) {
+        self.chunks.log("/events", at, &TextLog::new(line));
+    }
+
+    fn send(&mut self) -> Result<(), SinkError> {
+        let messages: Vec<LogMsg> = self.chunks.take();
+        messages.into_iter().try_for_each(|message| self.sinks.send(message))
+    }
+
+    /// Ends it.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn finish(mut self) -> Result<Option<Saved>, SinkError> {
+        self.send()?;
+        Ok(self.sinks.finish()?.save)
+    }
+}

@@ -1,0 +1,472 @@
+//! The chunks of a recording, one after the other, from a file that may hold anything.
+//!
+//! The SDK's own decoder takes every length in a file at its word (it allocates what a header claims, and panics where
+//! Arrow's reader does), so the frames are read here: no message is larger than the file, nothing is unpacked to more
+//! than LZ4 can, and no buffer is larger than the message that it is in. What is left to the SDK and to Arrow is to
+//! decode one message whose sizes fit; if they should panic over it, it is damaged, too.
+//!
+//! Frames of an .rrd file: `RRF2`, version (4 bytes), options (4 bytes); messages, each with a kind and a length (8 bytes
+//! each, little-endian); an end message and a footer, for random access, which this does not need.
+
+use std::{
+    cell::Cell,
+    fs::File,
+    io::{self, BufReader, Read},
+    panic::{AssertUnwindSafe, catch_unwind},
+    path::{Path, PathBuf},
+    sync::Once,
+};
+
+use rerun::external::{
+    arrow::{array::RecordBatch, error::ArrowError, ipc},
+    re_build_info::CrateVersion,
+    re_chunk_store::external::re_chunk::Chunk,
+    re_log_encoding::external::lz4_flex,
+    re_log_types::ArrowMsg,
+    re_tuid::Tuid,
+};
+
+use super::ReadError;
+
+/// No message of ours is larger, packed or not [bytes].
+const LARGEST_MESSAGE: u64 = 1 << 30;
+/// What LZ4 can pack into a byte [bytes].
+const LZ4_RATIO: u64 = 255;
+
+/// How a file ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum End {
+    /// With the end that a finished recording has.
+    Whole,
+    /// Before it: the run was killed, or the file cut.
+    Cut,
+}
+
+/// Reads a recording from start to end, one message in memory.
+pub struct Reader {
+    path: PathBuf,
+    input: Input,
+    /// Bytes read.
+    at: u64,
+    /// Size of the file [bytes].
+    size: u64,
+    /// Of the recording: that of its first message.
+    id: Option<String>,
+    end: Option<End>,
+}
+
+type Input = BufReader<File>;
+
+impl Reader {
+    /// Opens a file.
+    ///
+    /// # Errors
+    /// It cannot be read, or does not begin as a recording does that this program can read.
+    pub fn open(path: &Path) -> Result<Reader, ReadError> {
+        let refuse = |source| ReadError::File { path: path.to_owned(), source };
+        let file = File::open(path).map_err(refuse)?;
+        let metadata = file.metadata().map_err(refuse)?;
+        if metadata.is_dir() {
+            return Err(refuse(io::ErrorKind::IsADirectory.into()));
+        }
+        // a pipe or a device says nothing of its size: then it is what a recording can be at most
+        let size = if metadata.is_file() { metadata.len() } else { u64::MAX };
+        let input = BufReader::with_capacity(256 << 10, file);
+        let mut reader = Reader { path: path.to_owned(), input, at: 0, size, id: None, end: None };
+        reader.header()?;
+        Ok(reader)
+    }
+
+    fn header(&mut self) -> Result<(), ReadError> {
+        let mut header = [0; 12];
+        let length = self.fill(&mut header)?;
+        let (magic, rest) = header.split_at(4);
+        let [major, minor, patch, _, compression, serializer, zeros @ ..] = rest else { return Ok(()) };
+        let local = CrateVersion::LOCAL;
+        let what = match magic {
+            _ if length == 0 => "it is empty".to_owned(),
+            b"RRF2" if length < header.len() => return Err(self.damaged("it ends within its header")),
+            b"RRF2" if (*major, *minor) > (local.major, local.minor) => {
+                let what = format!(
+                    "was written by Rerun {major}.{minor}.{patch}, and this program reads up to {}.{}: use a newer meldscope",
+                    local.major, local.minor
+                );
+                return Err(ReadError::Unsupported { path: self.path.clone(), what });
+            }
+            b"RRF2" if (*major, *minor) < (0, 23) => {
+                let what = format!("was written by Rerun {major}.{minor}.{patch}, which is too old to be read");
+                return Err(ReadError::Unsupported { path: self.path.clone(), what });
+            }
+            b"RRF2" if *compression > 1 || *serializer != 2 || zeros != [0, 0] => {
+                return Err(self.damaged("its header has options that nobody writes"));
+            }
+            b"RRF2" => return Ok(()),
+            b"RRF0" | b"RRF1" | b"RRIO" => "it is an .rrd file of an early version of Rerun".to_owned(),
+            _ => "it is no .rrd file at all".to_owned(),
+        };
+        Err(ReadError::Foreign { path: self.path.clone(), what })
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The id of the recording, once there was a message of it.
+    pub fn id(&self) -> Option<&str> {
+        self.id.as_deref()
+    }
+
+    /// How the file ended, once it has.
+    pub fn end(&self) -> Option<End> {
+        self.end
+    }
+
+    /// The next chunk of the recording whose entity is `wanted`; blueprints are passed over.
+    ///
+    /// # Errors
+    /// It cannot be read, or what is there is no message. A message that is not all there is the end, not an error.
+    pub fn next(&mut self, wanted: impl Fn(&str) -> bool) -> Result<Option<Chunk>, ReadError> {
+        while self.end.is_none() {
+            let mut header = [0; 16];
+            if self.fill(&mut header)? < header.len() {
+                self.end = Some(End::Cut);
+                break;
+            }
+            let (kind, length) = header.split_at(8);
+            let [kind, length] = [kind, length].map(|bytes| bytes.iter().rev().fold(0, |n, &b| n << 8 | u64::from(b)));
+            if kind > 3 {
+                return Err(self.damaged(&format!("there is no message of kind {kind}")));
+            }
+            if length > self.size.saturating_sub(self.at) {
+                // a message cut short, unless it claims what none can have
+                if length > LARGEST_MESSAGE {
+                    return Err(self.damaged(&format!("a message of {length} bytes")));
+                }
+                self.end = Some(End::Cut);
+                break;
+            }
+            if length > LARGEST_MESSAGE {
+                return Err(self.damaged(&format!("a message of {length} bytes, more than any has")));
+            }
+            let start = self.at;
+            let mut message = Vec::new();
+            let read = Read::by_ref(&mut self.input).take(length).read_to_end(&mut message);
+            read.map_err(|source| ReadError::File { path: self.path.clone(), source })?;
+            self.at += message.len() as u64;
+            if (message.len() as u64) < length {
+                self.end = Some(End::Cut);
+                break;
+            }
+            match kind {
+                0 => self.footer(length)?,
+                2 => {
+                    let damaged = |what: String| ReadError::Damaged { path: self.path.clone(), at: Some(start), what };
+                    let envelope = Envelope::read(&message).map_err(damaged)?;
+                    if !envelope.is_recording {
+                        continue;
+                    }
+                    match &self.id {
+                        None => self.id = Some(envelope.recording_id.clone()),
+                        Some(id) if *id != envelope.recording_id => {
+                            let what = "it holds more than one recording".to_owned();
+                            return Err(ReadError::Foreign { path: self.path.clone(), what });
+                        }
+                        Some(_) => {}
+                    }
+                    if let Some(chunk) = quietly(|| envelope.chunk(&wanted)).map_err(damaged)? {
+                        return Ok(Some(chunk));
+                    }
+                }
+                _ => {}
+            }
+        }
+        Ok(None)
+    }
+
+    /// After the end message there is a footer of 32 bytes, and nothing after that.
+    fn footer(&mut self, length: u64) -> Result<(), ReadError> {
+        let mut footer = [0; 32];
+        let read = self.fill(&mut footer)?;
+        if length > 0 && read == footer.len() && footer.get(20..28) != Some(b"RRF2FOOT") {
+            return Err(self.damaged("its footer is none"));
+        }
+        let is_whole = read == footer.len() || (length == 0 && read == 0);
+        self.end = Some(if is_whole { End::Whole } else { End::Cut });
+        let mut more = [0];
+        if self.fill(&mut more)? > 0 {
+            return Err(self.damaged("there is something after its end"));
+        }
+        Ok(())
+    }
+
+    /// Reads until `buffer` is full or the file ends; how much.
+    fn fill(&mut self, buffer: &mut [u8]) -> Result<usize, ReadError> {
+        let mut filled = 0;
+        while let Some(rest) = buffer.get_mut(filled..).filter(|rest| !rest.is_empty()) {
+            match self.input.read(rest) {
+                Ok(0) => break,
+                Ok(n) => filled += n,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(source) => return Err(ReadError::File { path: self.path.clone(), source }),
+            }
+        }
+        self.at += filled as u64;
+        Ok(filled)
+    }
+
+    fn damaged(&self, what: &str) -> ReadError {
+        ReadError::Damaged { path: self.path.clone(), at: Some(self.at), what: what.to_owned() }
+    }
+}
+
+/// An Arrow message as it is in the file: `rerun.log_msg.v1alpha1.ArrowMsg`, of which this is what is needed.
+struct Envelope<'a> {
+    is_recording: bool,
+    recording_id: String,
+    compression: u64,
+    uncompressed: u64,
+    payload: &'a [u8],
+}
+
+impl<'a> Envelope<'a> {
+    fn read(message: &'a [u8]) -> Result<Envelope<'a>, String> {
+        let mut envelope = Envelope {
+            is_recording: false,
+            recording_id: String::new(),
+            compression: 0,
+            uncompressed: 0,
+            payload: &[],
+        };
+        let mut encoding = 0;
+        for field in Fields(message) {
+            match field? {
+                (1, Value::Bytes(store)) => {
+                    for field in Fields(store) {
+                        match field? {
+                            (1, Value::Number(kind)) => envelope.is_recording = kind == 1,
+                            (2, Value::Bytes(id)) => envelope.recording_id = String::from_utf8_lossy(id).into_owned(),
+                            _ => {}
+                        }
+                    }
+                }
+                (2, Value::Number(compression)) => envelope.compression = compression,
+                (3, Value::Number(bytes)) => envelope.uncompressed = bytes,
+                (4, Value::Number(number)) => encoding = number,
+                (5, Value::Bytes(payload)) => envelope.payload = payload,
+                _ => {}
+            }
+        }
+        if encoding != 1 {
+            return Err("a message that is not in Arrow's format".to_owned());
+        }
+        Ok(envelope)
+    }
+
+    /// The entity, from as much of the packed data as has its name; `None` if that is not so easy.
+    fn entity(&self) -> Option<String> {
+        const LARGEST_SCHEMA: usize = 64 << 10;
+        let start = unpack_start(self.payload, 8)?;
+        let (marker, length) = start.get(..8)?.split_at(4);
+        let length = usize::try_from(i32::from_le_bytes(length.try_into().ok()?)).ok()?;
+        if marker != [0xff; 4] || length > LARGEST_SCHEMA {
+            return None;
+        }
+        let start = unpack_start(self.payload, 8 + length)?;
+        let schema = ipc::root_as_message(start.get(8..8 + length)?).ok()?.header_as_schema()?;
+        let mut metadata = schema.custom_metadata()?.iter();
+        metadata.find(|entry| entry.key() == Some("rerun:entity_path"))?.value().map(str::to_owned)
+    }
+
+    /// The chunk, if its entity is wanted.
+    fn chunk(&self, wanted: impl Fn(&str) -> bool) -> Result<Option<Chunk>, String> {
+        // most messages are of entities that nobody wants: their names are at the start
+        if self.compression == 2 && self.entity().is_some_and(|entity| !wanted(&entity)) {
+            return Ok(None);
+        }
+        let mut unpacked = Vec::new();
+        let data = match self.compression {
+            0 | 1 => self.payload,
+            2 => {
+                let most = LARGEST_MESSAGE.min(LZ4_RATIO.saturating_mul(self.payload.len() as u64) + 64);
+                if self.uncompressed > most {
+                    return Err(format!(
+                        "{} bytes are said to unpack to {} bytes",
+                        self.payload.len(),
+                        self.uncompressed
+                    ));
+                }
+                unpacked.resize(self.uncompressed as usize, 0);
+                let length = lz4_flex::block::decompress_into(self.payload, &mut unpacked)
+                    .map_err(|error| format!("a message cannot be unpacked ({})", brief(&error)))?;
+                unpacked.truncate(length);
+                unpacked.as_slice()
+            }
+            other => return Err(format!("a message packed in an unknown way ({other})")),
+        };
+        check_lengths(data)?;
+        let arrow = |error: ArrowError| format!("a message is no Arrow data ({})", brief(&error));
+        let mut stream = ipc::reader::StreamReader::try_new(data, None).map_err(arrow)?;
+        if let Some(entity) = stream.schema().metadata().get("rerun:entity_path")
+            && !wanted(entity)
+        {
+            return Ok(None);
+        }
+        let batch: RecordBatch = stream.next().ok_or("a message has no data")?.map_err(arrow)?;
+        let message = ArrowMsg { chunk_id: Tuid::ZERO, batch, on_release: None };
+        let chunk =
+            Chunk::from_arrow_msg(&message).map_err(|error| format!("a message is no chunk ({})", brief(&error)))?;
+        Ok(Some(chunk).filter(|chunk| wanted(&chunk.entity_path().to_string())))
+    }
+}
+
+/// The first `count` bytes of an LZ4 block, or a few more; `None` if there are not so many, or it is none.
+fn unpack_start(mut packed: &[u8], count: usize) -> Option<Vec<u8>> {
+    fn byte(packed: &mut &[u8]) -> Option<usize> {
+        let (&byte, rest) = packed.split_first()?;
+        *packed = rest;
+        Some(usize::from(byte))
+    }
+    fn length(packed: &mut &[u8], nibble: usize) -> Option<usize> {
+        let mut length = nibble;
+        let mut last = if nibble == 15 { 255 } else { 0 };
+        while last == 255 {
+            last = byte(packed)?;
+            length += last;
+        }
+        Some(length)
+    }
+    let mut out: Vec<u8> = Vec::with_capacity(count);
+    while out.len() < count {
+        let token = byte(&mut packed)?;
+        let literals = length(&mut packed, token >> 4)?;
+        let (own, rest) = packed.split_at_checked(literals)?;
+        packed = rest;
+        out.extend_from_slice(own.get(..literals.min(count - out.len()))?);
+        if out.len() >= count {
+            break;
+        }
+        let offset = byte(&mut packed)? | byte(&mut packed)? << 8;
+        let repeated = (length(&mut packed, token & 15)? + 4).min(count - out.len());
+        let from = out.len().checked_sub(offset).filter(|_| offset > 0)?;
+        for i in from..from + repeated {
+            out.push(*out.get(i)?);
+        }
+    }
+    Some(out)
+}
+
+/// The first line of an error, which may have many.
+fn brief(error: &dyn std::fmt::Display) -> String {
+    let text = error.to_string();
+    text.lines().next().unwrap_or_default().chars().take(120).collect()
+}
+
+/// The frames of an Arrow stream say how long they are: no longer than the stream, or its reader would believe them.
+fn check_lengths(mut data: &[u8]) -> Result<(), String> {
+    fn split<'a>(data: &mut &'a [u8], length: usize) -> Option<&'a [u8]> {
+        let (head, rest) = data.split_at_checked(length)?;
+        *data = rest;
+        Some(head)
+    }
+    let short = || "a message is longer than it is".to_owned();
+    let word = |data: &mut &[u8]| {
+        split(data, 4).and_then(|word| word.try_into().ok()).map(i32::from_le_bytes).ok_or_else(short)
+    };
+    while !data.is_empty() {
+        let mut length = word(&mut data)?;
+        if length == -1 {
+            length = word(&mut data)?;
+        }
+        if length == 0 {
+            break;
+        }
+        let metadata = usize::try_from(length).ok().and_then(|length| split(&mut data, length)).ok_or_else(short)?;
+        let message = ipc::root_as_message(metadata)
+            .map_err(|error| format!("a message is no Arrow data ({})", brief(&error)))?;
+        let body = usize::try_from(message.bodyLength()).ok();
+        body.and_then(|length| split(&mut data, length)).ok_or_else(short)?;
+    }
+    Ok(())
+}
+
+/// A field of a Protobuf message.
+enum Value<'a> {
+    Number(u64),
+    Bytes(&'a [u8]),
+}
+
+/// The fields of a Protobuf message: its tags and values.
+struct Fields<'a>(&'a [u8]);
+
+impl<'a> Fields<'a> {
+    fn varint(&mut self) -> Option<u64> {
+        let mut value = 0;
+        for shift in (0..64).step_by(7) {
+            let (&byte, rest) = self.0.split_first()?;
+            self.0 = rest;
+            value |= u64::from(byte & 0x7f) << shift;
+            if byte < 0x80 {
+                return Some(value);
+            }
+        }
+        None
+    }
+
+    fn bytes(&mut self, length: u64) -> Option<&'a [u8]> {
+        let (head, rest) = self.0.split_at_checked(usize::try_from(length).ok()?)?;
+        self.0 = rest;
+        Some(head)
+    }
+
+    fn field(&mut self) -> Option<(u64, Value<'a>)> {
+        let key = self.varint()?;
+        let value = match key & 7 {
+            0 => Value::Number(self.varint()?),
+            1 => Value::Bytes(self.bytes(8)?),
+            2 => {
+                let length = self.varint()?;
+                Value::Bytes(self.bytes(length)?)
+            }
+            5 => Value::Bytes(self.bytes(4)?),
+            _ => return None,
+        };
+        Some((key >> 3, value))
+    }
+}
+
+impl<'a> Iterator for Fields<'a> {
+    type Item = Result<(u64, Value<'a>), String>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.0.is_empty() {
+            return None;
+        }
+        let field = self.field();
+        if field.is_none() {
+            self.0 = &[];
+        }
+        Some(field.ok_or_else(|| "a message with a broken envelope".to_owned()))
+    }
+}
+
+thread_local! {
+    static IS_QUIET: Cell<bool> = const { Cell::new(false) };
+}
+
+/// What `work` gives; a panic in it, which is Arrow's way to say that data is malformed, is an error and not printed.
+pub(super) fn quietly<T>(work: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
+    static HOOK: Once = Once::new();
+    HOOK.call_once(|| {
+        let usual = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |panic| {
+            if !IS_QUIET.get() {
+                usual(panic);
+            }
+        }));
+    });
+    let before = IS_QUIET.replace(true);
+    let result = catch_unwind(AssertUnwindSafe(work));
+    IS_QUIET.set(before);
+    result.unwrap_or_else(|_| Err("a message is malformed".to_owned()))
+}

@@ -1,0 +1,307 @@
+//! What it takes to make a recording again, and what came of it.
+
+use std::path::{Path, PathBuf};
+
+use rerun::{
+    Loggable,
+    datatypes::{Float64, Utf8},
+    external::{
+        arrow::array::{Array as _, ArrayRef, AsArray as _},
+        arrow::datatypes::UInt64Type,
+        re_chunk_store::external::re_chunk::Chunk,
+    },
+};
+
+use super::{
+    ReadError,
+    read::{End, Reader},
+};
+use crate::{
+    scene::Scene,
+    sim::checksum,
+    stream::{
+        checksums,
+        settings::{FORMAT, Settings, recording_id},
+    },
+};
+
+/// Where the properties are.
+const PROPERTIES: &str = "/__properties/meldscope";
+/// Most steps that the checksums of a recording are kept of: 8 GiB would be more than a mistake.
+const MOST_STEPS: usize = 1 << 30;
+
+/// A recording without its frames.
+#[derive(Clone, Debug)]
+pub struct Recorded {
+    /// The file.
+    pub path: PathBuf,
+    /// The scene as it was run: overrides included.
+    pub scene: Scene,
+    /// How it was run and recorded.
+    pub settings: Settings,
+    /// What the run changed of the scene, as lines of its file.
+    pub overrides: String,
+    /// Version of the program that made it.
+    pub version: String,
+    /// The machine that it was made on.
+    pub machine: String,
+    /// Why it was made, if it is a golden one.
+    pub blessed: Option<String>,
+    /// The step of the first checksum.
+    pub first: u64,
+    /// Of every step from `first` on.
+    pub checksums: Vec<u64>,
+    /// Every event, in the order of the file.
+    pub events: Vec<Happened>,
+    /// Whether it is all there.
+    pub end: End,
+}
+
+/// An event as a recording tells of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Happened {
+    /// What: merge, split, core, core left.
+    pub name: String,
+    /// The pair, as `A~B`.
+    pub pair: String,
+    /// When, to the nanosecond [s].
+    pub time: f64,
+    /// The first step whose state has felt it.
+    pub step: u64,
+}
+
+/// The properties as they are in the file.
+#[derive(Default)]
+struct Properties {
+    scene: Option<String>,
+    settings: Option<String>,
+    overrides: Option<String>,
+    version: Option<String>,
+    machine: Option<String>,
+    blessed: Option<String>,
+    digest: Option<String>,
+    format: Option<f64>,
+}
+
+impl Recorded {
+    /// Reads a recording, whole or cut short.
+    ///
+    /// # Errors
+    /// It is not a recording of this program, of a format that this one does not know, or damaged.
+    pub fn open(path: &Path) -> Result<Recorded, ReadError> {
+        let mut reader = Reader::open(path)?;
+        let mut properties = Properties::default();
+        let (mut sums, mut events) = (Checksums::default(), Vec::new());
+        while let Some(chunk) = reader.next(|entity| [PROPERTIES, checksums::ENTITY, "/events"].contains(&entity))? {
+            let damaged = |what: String| ReadError::Damaged { path: path.to_owned(), at: None, what };
+            match chunk.entity_path().to_string().as_str() {
+                PROPERTIES => properties.take(&chunk),
+                checksums::ENTITY => sums.take(&chunk).map_err(damaged)?,
+                _ => events.extend(happened(&chunk).map_err(damaged)?),
+            }
+        }
+        let id = reader.id().unwrap_or_default().to_owned();
+        properties.understand(path, &id, sums, events, reader.end().unwrap_or(End::Cut))
+    }
+
+    /// The last step that there is a checksum of.
+    pub fn last(&self) -> u64 {
+        self.first + (self.checksums.len() as u64).saturating_sub(1)
+    }
+
+    /// The checksum of a step, if there is one.
+    pub fn checksum(&self, step: u64) -> Option<u64> {
+        let index = usize::try_from(step.checked_sub(self.first)?).ok()?;
+        self.checksums.get(index).copied()
+    }
+
+    /// What differs between where it was made and here, in words; empty if nothing does.
+    pub fn foreign_to(&self, machine: &str) -> Vec<String> {
+        let mut differences = Vec::new();
+        let here = env!("CARGO_PKG_VERSION");
+        if self.version != here {
+            differences.push(format!("it was made by meldscope {}, this is {here}", self.version));
+        }
+        if self.machine != machine {
+            differences.push(format!("it was made on {}, this is {machine}", self.machine));
+        }
+        differences
+    }
+}
+
+impl Properties {
+    fn take(&mut self, chunk: &Chunk) {
+        for (field, name) in [
+            (&mut self.scene, "scene"),
+            (&mut self.settings, "settings"),
+            (&mut self.overrides, "overrides"),
+            (&mut self.version, "version"),
+            (&mut self.machine, "machine"),
+            (&mut self.blessed, "blessed"),
+            (&mut self.digest, "digest"),
+        ] {
+            if let Some(text) = cell::<Utf8>(chunk, name, 0).into_iter().next() {
+                *field = Some(text.as_str().to_owned());
+            }
+        }
+        self.format = cell::<Float64>(chunk, "format", 0).first().map(|number| number.0).or(self.format);
+    }
+
+    fn understand(
+        self,
+        path: &Path,
+        id: &str,
+        sums: Checksums,
+        events: Vec<Happened>,
+        end: End,
+    ) -> Result<Recorded, ReadError> {
+        let foreign = |what: &str| ReadError::Foreign { path: path.to_owned(), what: what.to_owned() };
+        let unsupported = |what: String| ReadError::Unsupported { path: path.to_owned(), what };
+        let scene_error = |what: String| ReadError::Scene { path: path.to_owned(), what };
+        let Some(format) = self.format else {
+            return Err(match (self.scene, end) {
+                (Some(_), _) => unsupported(
+                    "was made before recordings carried checksums, so that there is nothing to verify: run its scene again"
+                        .to_owned(),
+                ),
+                (None, End::Cut) => foreign("it ends before it says what it is"),
+                (None, End::Whole) => foreign("it has no properties of one"),
+            });
+        };
+        if format != f64::from(FORMAT) {
+            let version = self.version.unwrap_or_default();
+            return Err(unsupported(format!(
+                "has format {format}, made by meldscope {version}, and this program reads format {FORMAT}: use that version"
+            )));
+        }
+        let (Some(text), Some(settings), Some(version)) = (self.scene, self.settings, self.version) else {
+            return Err(foreign("it has no scene, no settings or no version"));
+        };
+        let file = path.file_name().unwrap_or_default().to_string_lossy();
+        let mut scene = Scene::parse(&text, &file).map_err(|error| scene_error(error.to_string()))?;
+        // An id is made of these texts, so any change of them shows.
+        let ending = |id: &str| id.rsplit('-').next().unwrap_or_default().to_owned();
+        if ending(id) != ending(&recording_id(&scene.name, &text, &settings, &version)) {
+            let what = "its scene or its settings are not those that it was made of".to_owned();
+            return Err(ReadError::Damaged { path: path.to_owned(), at: None, what });
+        }
+        let settings = Settings::from_toml(&settings, &scene).map_err(unsupported_settings(path))?;
+        scene.integrator = settings.integrator;
+        scene.dt = settings.dt;
+        scene.tolerance = settings.tolerance;
+        // a run that was killed may not have come to the first step
+        if sums.values.is_empty() && end == End::Whole {
+            return Err(foreign("it has no checksums"));
+        }
+        let damaged = |what: String| ReadError::Damaged { path: path.to_owned(), at: None, what };
+        let last = sums.first + (sums.values.len() as u64).saturating_sub(1);
+        match (settings.steps, &self.digest) {
+            (Some(steps), _) if last > steps => {
+                return Err(damaged(format!("it has a checksum of step {last}, and {steps} steps")));
+            }
+            // only a replay begins late, and it knows its end
+            (None, _) if sums.first > 0 => {
+                return Err(damaged(format!("its checksums begin with step {}", sums.first)));
+            }
+            (_, Some(digest)) => {
+                let found = checksum::sequence(sums.values.iter().copied());
+                if *digest != format!("{found:016x}") {
+                    return Err(damaged("its checksums are not those that were written".to_owned()));
+                }
+            }
+            (_, None) if end == End::Whole => return Err(damaged("it has an end but no digest".to_owned())),
+            (_, None) => {}
+        }
+        Ok(Recorded {
+            path: path.to_owned(),
+            scene,
+            settings,
+            overrides: self.overrides.unwrap_or_default(),
+            version,
+            machine: self.machine.unwrap_or_else(|| "a machine that it does not name".to_owned()),
+            blessed: self.blessed,
+            first: sums.first,
+            checksums: sums.values,
+            events,
+            end,
+        })
+    }
+}
+
+fn unsupported_settings(path: &Path) -> impl Fn(String) -> ReadError + '_ {
+    move |what| ReadError::Unsupported { path: path.to_owned(), what: format!("cannot be run here: {what}") }
+}
+
+/// Checksums as they come in.
+#[derive(Default)]
+struct Checksums {
+    first: u64,
+    values: Vec<u64>,
+}
+
+impl Checksums {
+    fn take(&mut self, chunk: &Chunk) -> Result<(), String> {
+        for row in 0..chunk.num_rows() {
+            let step = u64::try_from(step_of(chunk, row)?).map_err(|_| "a checksum of a negative step".to_owned())?;
+            let cell = raw(chunk, checksums::COMPONENT, row).ok_or("a row of no checksum")?;
+            let values = cell.as_primitive_opt::<UInt64Type>().ok_or("checksums that are no numbers")?.values();
+            let first = (step + 1).checked_sub(values.len() as u64).ok_or("checksums of negative steps")?;
+            if self.values.is_empty() {
+                self.first = first;
+            }
+            let next = self.first + self.values.len() as u64;
+            if first != next {
+                return Err(format!("where the checksum of step {next} should be is that of step {first}"));
+            }
+            if self.values.len() + values.len() > MOST_STEPS {
+                return Err(format!("checksums of more than {MOST_STEPS} steps"));
+            }
+            self.values.extend_from_slice(values);
+        }
+        Ok(())
+    }
+}
+
+/// The events of a chunk of `/events`.
+fn happened(chunk: &Chunk) -> Result<Vec<Happened>, String> {
+    let mut events = Vec::new();
+    for row in 0..chunk.num_rows() {
+        let text = |name| cell::<Utf8>(chunk, name, row).into_iter().next().map(|text| text.as_str().to_owned());
+        let (Some(name), Some(line)) = (text("TextLog:level"), text("TextLog:text")) else { continue };
+        // as `describe` has it: "NAME A~B at t = …"
+        let pair = line.strip_prefix(&name).and_then(|rest| rest.split_whitespace().next());
+        let pair = pair.ok_or("an event of no pair")?.to_owned();
+        let time = time_of(chunk, row)? as f64 * 1e-9;
+        let step = u64::try_from(step_of(chunk, row)?).map_err(|_| "an event of a negative step".to_owned())?;
+        events.push(Happened { name, pair, time, step });
+    }
+    Ok(events)
+}
+
+/// What the timeline `step` says of a row.
+pub(super) fn step_of(chunk: &Chunk, row: usize) -> Result<i64, String> {
+    index(chunk, "step", row)
+}
+
+/// What the timeline `sim_time` says of a row [ns].
+pub(super) fn time_of(chunk: &Chunk, row: usize) -> Result<i64, String> {
+    index(chunk, "sim_time", row)
+}
+
+fn index(chunk: &Chunk, timeline: &str, row: usize) -> Result<i64, String> {
+    let column = chunk.timelines().values().find(|column| column.timeline().name().as_str() == timeline);
+    let time = column.and_then(|column| column.times_raw().get(row));
+    time.copied().ok_or_else(|| format!("{} has rows without {timeline}", chunk.entity_path()))
+}
+
+/// A component of a row as it is in the file.
+pub(super) fn raw(chunk: &Chunk, component: &str, row: usize) -> Option<ArrayRef> {
+    let column = chunk.components().values().find(|column| column.descriptor.component.as_str() == component)?;
+    let list = &column.list_array;
+    (row < list.len() && !list.is_null(row)).then(|| list.value(row))
+}
+
+/// A component of a row as the SDK reads it; nothing if there is none, or none of that kind.
+pub(super) fn cell<T: Loggable>(chunk: &Chunk, component: &str, row: usize) -> Vec<T> {
+    raw(chunk, component, row).and_then(|cell| T::from_arrow(&cell).ok()).unwrap_or_default()
+}

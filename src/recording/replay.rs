@@ -1,0 +1,100 @@
+//! The same steps again, compared checksum by checksum.
+
+use super::{ReadError, Recorded, frames};
+use crate::{
+    scene::Scene,
+    sim::{Options, World},
+};
+
+/// What a replay came to.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Verdict {
+    /// Every checksum is the same.
+    Identical,
+    /// One is not.
+    Divergent(Divergence),
+}
+
+/// Where a replay and its recording part.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Divergence {
+    /// The first step whose state differs; its predecessor's is the same.
+    pub step: u64,
+    /// Simulated time at its end [s].
+    pub time: f64,
+    /// Its checksum in the recording.
+    pub recorded: u64,
+    /// Its checksum now.
+    pub replayed: u64,
+}
+
+impl Divergence {
+    /// The first frame at or after the divergence in which the difference is large enough to be seen in what is recorded
+    /// there (single precision), and its worst vertex; `None` if there is none.
+    ///
+    /// # Errors
+    /// The recording cannot be read.
+    pub fn worst(&self, recorded: &Recorded) -> Result<Option<frames::Worst>, ReadError> {
+        let mut stream = frames::Frames::open(recorded)?;
+        let Ok(mut world) = world(recorded, recorded.scene.clone()) else { return Ok(None) };
+        while let Some(frame) = stream.next()? {
+            if frame.step < self.step || frame.step > recorded.last() {
+                continue;
+            }
+            while world.steps_taken() < frame.step {
+                world.step();
+            }
+            if let Some(worst) = frame.compare(&world)
+                && worst.difference > 0.0
+            {
+                return Ok(Some(worst));
+            }
+        }
+        Ok(None)
+    }
+}
+
+/// Runs what a recording holds again, and compares every step of which it has a checksum; `observe` sees the world at
+/// step 0 and after every step. Ends at the first that differs, or when `observe` says so by `false`.
+///
+/// # Errors
+/// The scene cannot be run here, or the recording is damaged: a checksum alone differs, and those after it do not, as no
+/// simulation does it.
+pub fn verify(recorded: &Recorded, mut observe: impl FnMut(&World) -> bool) -> Result<Verdict, ReadError> {
+    let mut world = world(recorded, recorded.scene.clone())?;
+    let mut last_step = recorded.last();
+    let mut divergence = None;
+    loop {
+        let step = world.steps_taken();
+        if let (Some(expected), None) = (recorded.checksum(step), &divergence) {
+            let found = world.checksum();
+            if found != expected {
+                divergence = Some(Divergence { step, time: world.time(), recorded: expected, replayed: found });
+                last_step = last_step.min(step + 1); // one more, to see whether the two meet again
+            }
+        } else if let (Some(expected), Some(found)) = (recorded.checksum(step), &divergence)
+            && world.checksum() == expected
+        {
+            let what = format!("the checksum of step {} is wrong, that of the next is right", found.step);
+            return Err(ReadError::Damaged { path: recorded.path.clone(), at: None, what });
+        }
+        if divergence.is_none() && !observe(&world) {
+            break;
+        }
+        if step >= last_step {
+            break;
+        }
+        world.step();
+    }
+    Ok(divergence.map_or(Verdict::Identical, Verdict::Divergent))
+}
+
+/// A world of a recording's scene, with or without other settings.
+///
+/// # Errors
+/// The scene is too large for this machine.
+pub fn world(recorded: &Recorded, scene: Scene) -> Result<World, ReadError> {
+    let options = Options { skip: recorded.settings.skip, ..Options::default() };
+    World::with_options(scene, options)
+        .map_err(|error| ReadError::Scene { path: recorded.path.clone(), what: error.to_string() })
+}

@@ -1,0 +1,361 @@
+//! One number for the exact state of a world, so that two runs can be compared step by step.
+//!
+//! What is hashed is what is kept, however old: so looking changes nothing, and the cost follows the bodies that are
+//! stepped. Bodies and pairs are hashed apart and their hashes added, so that those to which nothing happens need not be
+//! hashed again. Every instruction set comes to the same, as to the same state; but for the sign of a zero, which is
+//! therefore left out, and has no consequences.
+
+use std::slice;
+
+use pulp::{Simd, WithSimd, bytemuck};
+
+use super::{
+    World,
+    arrays::Vectors,
+    body::Active,
+    deformation::{Deformation, Front, Swinging},
+    integrator::{State, exponential::lanes::LANES},
+    pairs::Pair,
+};
+use crate::model::phase::Phase;
+
+impl World {
+    /// A hash of the exact state: the number of steps taken, the bits of all that is kept of every body that is not at
+    /// rest, and every pair that is not apart. (Events to come follow from these and from the scene.)
+    ///
+    /// Equal runs have equal checksums: on every machine, for any number of threads and instruction set, whatever is
+    /// looked at or recorded and however often this is asked for. Two states that differ in one number never have the
+    /// same, others by a coincidence only. Without skipping ([`super::Options::skip`]) more is kept of the same
+    /// motion, so that its checksums are others.
+    pub fn checksum(&self) -> u64 {
+        let (awake, asleep) = self.actives.split_at(self.awake);
+        let arch = self.options.arch;
+        let asleep = self.hash_of_sleeping.get_or_init(|| arch.dispatch(Bodies(asleep)));
+        let sum = arch.dispatch(Bodies(awake)).wrapping_add(*asleep).wrapping_add(self.pairs.hash());
+        mix(mix(self.step.wrapping_add(SEED)).wrapping_add(sum))
+    }
+
+    /// That of one body, whichever it is.
+    pub(super) fn hash_of(&self, slot: usize) -> u64 {
+        self.options.arch.dispatch(Bodies(slice::from_ref(&self.actives[slot])))
+    }
+}
+
+/// The sum of the hashes of bodies.
+struct Bodies<'a>(&'a [Active]);
+
+impl WithSimd for Bodies<'_> {
+    type Output = u64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> u64 {
+        // no closure: it would not know the instruction set
+        let mut sum = 0u64;
+        for active in self.0 {
+            sum = sum.wrapping_add(active.hash(simd));
+        }
+        sum
+    }
+}
+
+impl Active {
+    /// A hash of what is kept of a body; 0 for one at rest.
+    #[inline(always)]
+    fn hash<S: Simd>(&self, simd: S) -> u64 {
+        if self.is_at_rest() {
+            return 0;
+        }
+        let mut lanes = Lanes::new(simd);
+        let State { x, u } = self.common.carried;
+        let [a, b, c, d, e, f] = [x.x, x.y, x.z, u.x, u.y, u.z].map(bits);
+        lanes.add(&[self.common_as_of, self.deformation.hash_of_kept(simd), a, b, c, d, e, f], |word| word);
+        for pushed in &self.common.pushed {
+            lanes.add(&[pushed.x, pushed.u], bits);
+        }
+        let Front { vertices, displacement, velocity, .. } = &self.deformation.front;
+        if !vertices.is_empty() {
+            let last = (vertices.len() - 1) % LANES + 1;
+            for Vectors { x, y, z } in [displacement, velocity] {
+                for axis in [x, y, z] {
+                    lanes.add_padded(axis, last);
+                }
+            }
+        }
+        mix(lanes.hash().wrapping_add(mix(SEED.wrapping_add(u64::from(self.body)))))
+    }
+}
+
+impl Deformation {
+    /// A hash of all that doesn't change from step to step, kept until it does: what swings freely, and who is where.
+    #[inline(always)]
+    fn hash_of_kept<S: Simd>(&self, simd: S) -> u64 {
+        if let Some(hash) = self.hash_of_kept.get() {
+            return *hash;
+        }
+        let Swinging { vertices, as_of, displacement, velocity, .. } = &self.swinging;
+        let mut lanes = Lanes::new(simd);
+        lanes.add(&[self.front.vertices.len() as u64, vertices.len() as u64, *as_of], |word| word);
+        for list in [&self.front.vertices, vertices] {
+            lanes.add(list, u64::from);
+        }
+        for Vectors { x, y, z } in [displacement, velocity] {
+            for axis in [x, y, z] {
+                lanes.add(axis, bits);
+            }
+        }
+        *self.hash_of_kept.get_or_init(|| lanes.hash())
+    }
+}
+
+impl Pair {
+    /// A hash of the pair and its phase; 0 if it is apart, as those are that are not known.
+    pub fn hash(&self) -> u64 {
+        let phase = match self.phase {
+            Phase::Apart => return 0,
+            Phase::Merged => 1,
+            Phase::Core => 2,
+        };
+        mix(mix(u64::from(self.a) << 32 | u64::from(self.b)).wrapping_add(phase))
+    }
+}
+
+/// The hash of a sequence.
+pub fn sequence(words: impl IntoIterator<Item = u64>) -> u64 {
+    words.into_iter().fold(0, followed_by)
+}
+
+/// The hash of a sequence that goes on with `next`; 0 for none.
+pub fn followed_by(hash: u64, next: u64) -> u64 {
+    mix(hash ^ mix(next.wrapping_add(SEED)))
+}
+
+/// The bits of a number, without the sign of zero.
+pub fn bits(number: f64) -> u64 {
+    (number + 0.0).to_bits()
+}
+
+/// Any number but a simple one: 2⁶⁴ over the golden ratio.
+const SEED: u64 = 0x9e37_79b9_7f4a_7c15;
+
+/// Makes every bit of the result depend on every bit, and no two numbers the same (the finalizer of `SplitMix64`, Steele
+/// et al. 2014, in Stafford's variant 13).
+#[inline(always)]
+const fn mix(hash: u64) -> u64 {
+    let hash = (hash ^ hash >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let hash = (hash ^ hash >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+    hash ^ hash >> 31
+}
+
+/// A hash of a sequence of numbers, as many of it side by side as vertices are: a rotation and an addition for several at
+/// once are next to nothing beside what it took to compute them. Each is one-to-one in what was and in what comes.
+struct Lanes<S: Simd> {
+    simd: S,
+    /// The first `LANES / S::U64_LANES` are used.
+    state: [S::u64s; LANES],
+}
+
+/// By so many bits the two halves of a number are rotated: of all odd numbers this is one of those that take longest to
+/// lead a bit back to near where it was.
+const ROTATION: u32 = 15;
+/// One for each lane, odd, so that they cannot change places, nor changes of several make up for each other.
+const FACTORS: [u64; LANES] = {
+    let mut factors = [0; LANES];
+    let mut lane = 0;
+    while lane < LANES {
+        factors[lane] = mix(SEED.wrapping_add(lane as u64)) | 1;
+        lane += 1;
+    }
+    factors
+};
+/// All of a block, and what is beside it: none.
+const MASKS: [f64; 2 * LANES] = {
+    let mut masks = [0.0; 2 * LANES];
+    let mut lane = 0;
+    while lane < LANES {
+        masks[lane] = f64::from_bits(u64::MAX);
+        lane += 1;
+    }
+    masks
+};
+
+impl<S: Simd> Lanes<S> {
+    const REGISTERS: usize = LANES / S::U64_LANES;
+
+    #[inline(always)]
+    fn new(simd: S) -> Lanes<S> {
+        let mut lanes = Lanes { simd, state: [simd.splat_u64s(SEED); LANES] };
+        lanes.add_block(&std::array::from_fn(|lane| (lane as u64).wrapping_mul(SEED)));
+        lanes
+    }
+
+    #[inline(always)]
+    fn rotate(&self, words: S::u64s) -> S::u64s {
+        let simd = self.simd;
+        if S::U64_LANES == 1 {
+            let word: u64 = bytemuck::cast(words);
+            let [low, high] = [word as u32, (word >> 32) as u32].map(|half| u64::from(half.rotate_left(ROTATION)));
+            return bytemuck::cast(high << 32 | low);
+        }
+        let halves: S::u32s = bytemuck::cast(words);
+        let left = simd.wrapping_dyn_shl_u32s(halves, simd.splat_u32s(ROTATION));
+        let right = simd.wrapping_dyn_shr_u32s(halves, simd.splat_u32s(32 - ROTATION));
+        bytemuck::cast(simd.or_u32s(left, right))
+    }
+
+    #[inline(always)]
+    fn add_block(&mut self, block: &[u64; LANES]) {
+        let (words, _) = S::as_simd_u64s(block);
+        for register in 0..Self::REGISTERS {
+            self.state[register] = self.simd.add_u64s(self.rotate(self.state[register]), words[register]);
+        }
+    }
+
+    #[inline(always)]
+    fn add<T: Copy>(&mut self, values: &[T], word: impl Fn(T) -> u64) {
+        for block in values.chunks(LANES) {
+            self.add_block(&std::array::from_fn(|lane| block.get(lane).map_or(0, |&value| word(value))));
+        }
+    }
+
+    /// An array of blocks, of the last of which `last` numbers count; the rest is padding.
+    #[inline(always)]
+    fn add_padded(&mut self, numbers: &[f64], last: usize) {
+        let simd = self.simd;
+        let zero = simd.splat_f64s(0.0);
+        let Some((end, whole)) = numbers.as_chunks::<LANES>().0.split_last() else { return };
+        for block in whole {
+            let (numbers, _) = S::as_simd_f64s(block);
+            for register in 0..Self::REGISTERS {
+                let words = bytemuck::cast(simd.add_f64s(numbers[register], zero));
+                self.state[register] = simd.add_u64s(self.rotate(self.state[register]), words);
+            }
+        }
+        let ((numbers, _), (masks, _)) =
+            (S::as_simd_f64s(end), S::as_simd_f64s(&MASKS[LANES - last..2 * LANES - last]));
+        for register in 0..Self::REGISTERS {
+            let words = bytemuck::cast(simd.and_f64s(simd.add_f64s(numbers[register], zero), masks[register]));
+            self.state[register] = simd.add_u64s(self.rotate(self.state[register]), words);
+        }
+    }
+
+    #[inline(always)]
+    fn hash(self) -> u64 {
+        let mut words = [0u64; LANES];
+        let (registers, _) = S::as_mut_simd_u64s(&mut words);
+        registers.copy_from_slice(&self.state[..Self::REGISTERS]);
+        let mut hash = 0u64;
+        for (lane, word) in words.into_iter().enumerate() {
+            let word = (word ^ word >> 32).wrapping_mul(FACTORS[lane]);
+            hash = hash.wrapping_add(word ^ word >> 29);
+        }
+        mix(hash)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Scene;
+
+    /// Two bodies held together, one vertex of each near the other's sphere at least, others swinging.
+    fn merged() -> World {
+        let mut world = World::new(Scene::builtin("two").unwrap()).unwrap();
+        for _ in 0..120 {
+            world.step();
+        }
+        assert!(world.actives.iter().all(|active| !active.deformation.is_empty()));
+        world
+    }
+
+    /// The coordinates of displacements and velocities of a body, of the front and of those that swing.
+    fn axes(active: &mut Active) -> Vec<&mut Vec<f64>> {
+        let Deformation { front, swinging, hash_of_kept, .. } = &mut active.deformation;
+        hash_of_kept.take();
+        let of_front = [&mut front.displacement, &mut front.velocity];
+        let vectors = of_front.into_iter().chain([&mut swinging.displacement, &mut swinging.velocity]);
+        vectors.flat_map(|Vectors { x, y, z }| [x, y, z]).collect()
+    }
+
+    #[test]
+    fn every_bit_of_the_state_counts() {
+        let mut world = merged();
+        let before = world.checksum();
+        for slot in 0..world.actives.len() {
+            for axis in 0..12 {
+                let fronts = world.actives[slot].deformation.front.vertices.len();
+                let count = if axis < 6 { fronts } else { axes(&mut world.actives[slot])[axis].len() };
+                for i in 0..count {
+                    let is_zero = axes(&mut world.actives[slot])[axis][i] == 0.0;
+                    for bit in [0, 1, 31, 32, 51, 52, 62, 63].into_iter().filter(|&bit| !(is_zero && bit == 63)) {
+                        let flip = |world: &mut World| {
+                            let number = &mut axes(&mut world.actives[slot])[axis][i];
+                            *number = f64::from_bits(number.to_bits() ^ 1 << bit);
+                            world.checksum()
+                        };
+                        assert_ne!(flip(&mut world), before, "body {slot}, axis {axis}, number {i}, bit {bit}");
+                        assert_eq!(flip(&mut world), before);
+                    }
+                }
+            }
+            let flip = |world: &mut World| {
+                world.actives[slot].common.carried.u.y += 1.0;
+                world.checksum()
+            };
+            assert_ne!(flip(&mut world), before);
+            world = merged();
+        }
+        world.step += 1;
+        assert_ne!(world.checksum(), before);
+    }
+
+    /// Differences that come in pairs, as those of a symmetric motion do, don't cancel.
+    #[test]
+    fn pairs_of_changes_count() {
+        let mut world = merged();
+        let before = world.checksum();
+        let axis = |world: &mut World| axes(&mut world.actives[0])[0].clone();
+        let numbers = axis(&mut world);
+        let count = world.actives[0].deformation.front.vertices.len();
+        let mut seen = std::collections::HashSet::from([before]);
+        for i in 0..count {
+            for j in (0..i).filter(|&j| numbers[i] != 0.0 && numbers[j] != 0.0) {
+                let (a, b) = (numbers[i], numbers[j]);
+                let mut changes = vec![
+                    (-a, -b),
+                    (b, a),
+                    (a.next_up(), b.next_down()),
+                    (a.next_up(), b.next_up()),
+                    (2.0 * a, 2.0 * b),
+                ];
+                changes.retain(|change| *change != (a, b));
+                changes.dedup(); // where one is the negative of the other
+                for changed in changes {
+                    let axis = &mut world.actives[0].deformation.front.displacement.x;
+                    (axis[i], axis[j]) = changed;
+                    assert!(seen.insert(world.checksum()), "vertices {i} and {j}: {changed:?} for {:?}", (a, b));
+                    world.actives[0].deformation.front.displacement.x.copy_from_slice(&numbers);
+                }
+            }
+        }
+        assert_eq!(world.checksum(), before);
+    }
+
+    #[test]
+    fn padding_does_not_count() {
+        let mut world = merged();
+        let before = world.checksum();
+        let front = &mut world.actives[0].deformation.front;
+        let count = front.vertices.len();
+        assert!(count < front.velocity.len());
+        front.velocity.z[count..].fill(f64::NAN);
+        assert_eq!(world.checksum(), before);
+    }
+
+    #[test]
+    fn phases_count() {
+        let mut world = merged();
+        let before = world.checksum();
+        world.pairs = super::super::pairs::Pairs::default();
+        assert_ne!(world.checksum(), before);
+    }
+}

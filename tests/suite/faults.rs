@@ -1,0 +1,147 @@
+//! What is left when a run is killed, the disk is full, or two want the same file.
+#![cfg(unix)]
+
+use std::{
+    fs,
+    path::Path,
+    process::{Child, Command, Output, Stdio},
+    sync::atomic::{AtomicU32, Ordering},
+    time::{Duration, Instant},
+};
+
+use meldscope::recording::{Recorded, read::End};
+
+use crate::recording::Dir;
+
+fn program(dir: &Dir, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
+    command.args(arguments).current_dir(dir.path()).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    command
+}
+
+/// A program that does not outlive its test.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.0.kill().and_then(|()| self.0.wait()).ok();
+    }
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned() + &String::from_utf8_lossy(&output.stdout)
+}
+
+/// Waits until the run has begun to write.
+fn begun(path: &Path) {
+    let start = Instant::now();
+    while fs::metadata(path).map_or(0, |file| file.len()) == 0 {
+        assert!(start.elapsed() < Duration::from_secs(30), "it does not begin");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// A hundred runs of several kinds, killed at some moment; each leaves a recording that is replayed up to where it ends.
+#[test]
+fn what_a_killed_run_leaves_is_replayed() {
+    let number = AtomicU32::new(0);
+    let kinds: [&[&str]; 4] = [
+        &["two", "--steps", "0"],
+        &["two", "--steps", "0", "--thin"],
+        &["three", "--steps", "100000000", "--every", "9", "--detail", "surface"],
+        &["two", "--steps", "0", "--keep", "20", "--on", "merge,split"],
+    ];
+    let steps = AtomicU32::new(0);
+    std::thread::scope(|scope| {
+        for _ in 0..4 {
+            scope.spawn(|| {
+                let dir = Dir::new();
+                let partial = dir.file("k.rrd.partial");
+                loop {
+                    let number = number.fetch_add(1, Ordering::Relaxed);
+                    if number >= 100 {
+                        break;
+                    }
+                    fs::remove_file(&partial).ok();
+                    let kind = kinds[number as usize % kinds.len()];
+                    let arguments = [&["run"], kind, &["--quiet", "--save", "k.rrd"]].concat();
+                    let run = Running(program(&dir, &arguments).spawn().expect("it starts"));
+                    begun(&partial);
+                    // golden ratio: spread over the first quarter of a second
+                    let moment = (f64::from(number) * 0.618_033_988_75).fract();
+                    std::thread::sleep(Duration::from_secs_f64(0.25 * moment));
+                    drop(run);
+                    assert!(!dir.file("k.rrd").exists(), "an unfinished recording has no name");
+                    match Recorded::open(&partial) {
+                        Ok(recorded) => {
+                            assert_eq!(recorded.end, End::Cut);
+                            steps.fetch_add(recorded.last() as u32, Ordering::Relaxed);
+                            let replay = program(&dir, &["replay", "k.rrd.partial"]).stderr(Stdio::piped()).output();
+                            let replay = replay.expect("it runs");
+                            assert_eq!(replay.status.code(), Some(0), "{kind:?}: {}", said(&replay));
+                        }
+                        Err(error) => panic!("killed at {moment:.3} of 250 ms, {kind:?}: {error}"),
+                    }
+                }
+            });
+        }
+    });
+    assert!(steps.into_inner() > 100, "some got somewhere");
+}
+
+#[test]
+fn no_more_than_half_a_second_is_lost() {
+    let dir = Dir::new();
+    for kind in [&["--every", "1"] as &[&str], &["--thin"]] {
+        let arguments = [&["run", "two", "--steps", "0", "--realtime", "--quiet", "--save", "k.rrd"], kind].concat();
+        let run = Running(program(&dir, &arguments).spawn().expect("it starts"));
+        begun(&dir.file("k.rrd.partial"));
+        let start = Instant::now();
+        std::thread::sleep(Duration::from_millis(1700));
+        let simulated = start.elapsed().as_secs_f64();
+        drop(run);
+        let recorded = Recorded::open(&dir.file("k.rrd.partial")).expect("a recording");
+        let saved = recorded.last() as f64 * recorded.scene.dt;
+        // on a busy machine the run itself may lag
+        assert!(simulated - saved < 0.5 + 0.3, "{kind:?}: {saved} s of {simulated} s");
+        fs::remove_file(dir.file("k.rrd.partial")).expect("it is there");
+    }
+}
+
+/// `ulimit -f` is a disk that is full as soon as the file has some size; the shell's own limit is in blocks of 512 or
+/// 1024 bytes.
+#[test]
+fn a_disk_that_fills_up_ends_the_run_and_leaves_what_was_written() {
+    let dir = Dir::new();
+    fs::write(dir.file("full.rrd"), "what was there before").expect("room");
+    let script = format!(
+        "trap '' XFSZ; ulimit -f 600; exec '{}' run two --steps 3000 --save full.rrd",
+        env!("CARGO_BIN_EXE_meldscope")
+    );
+    let output = Command::new("sh").args(["-c", &script]).current_dir(dir.path()).output().expect("a shell");
+    assert_eq!(output.status.code(), Some(1), "{}", said(&output));
+    let said_of_it = said(&output);
+    assert!(said_of_it.contains("full.rrd.partial") && said_of_it.contains("allows no larger file"), "{said_of_it}");
+    assert_eq!(fs::read(dir.file("full.rrd")).expect("a file"), b"what was there before");
+    let recorded = Recorded::open(&dir.file("full.rrd.partial")).expect("what was written");
+    assert!(recorded.last() > 10, "{}", recorded.last());
+    let replay = program(&dir, &["replay", "full.rrd.partial"]).output().expect("it runs");
+    assert_eq!(replay.status.code(), Some(0));
+}
+
+#[test]
+fn of_two_runs_into_one_file_the_second_is_refused() {
+    let dir = Dir::new();
+    let first =
+        Running(program(&dir, &["run", "two", "--steps", "0", "--save", "one.rrd"]).spawn().expect("it starts"));
+    begun(&dir.file("one.rrd.partial"));
+    let second = program(&dir, &["run", "push", "--save", "one.rrd"]).stderr(Stdio::piped()).output().expect("it runs");
+    assert_eq!(second.status.code(), Some(1));
+    assert!(said(&second).contains("another run is writing"), "{}", said(&second));
+    drop(first);
+    let recorded = Recorded::open(&dir.file("one.rrd.partial")).expect("that of the first");
+    assert_eq!(recorded.scene.name, "two");
+    let third = program(&dir, &["run", "push", "--save", "one.rrd"]).output().expect("it runs");
+    assert_eq!(third.status.code(), Some(0));
+    assert_eq!(Recorded::open(&dir.file("one.rrd")).expect("whole").scene.name, "push");
+}

@@ -1,0 +1,452 @@
+//! Recordings that are run again, scenes that are checked, recordings that are compared: as a library and as a program.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+    time::Instant,
+};
+
+use meldscope::{
+    Scene, World,
+    recording::{
+        Recorded,
+        golden::{self, Outcome},
+        replay::{self, Verdict},
+    },
+    scene::builtin,
+    sim::Options,
+    stream::{
+        Recorder, Settings,
+        settings::{Frames, Trigger},
+        sinks::{Destinations, Sinks},
+    },
+};
+
+use crate::recording::{Dir, Recording};
+
+/// Records `played`, whatever its text says: as another version of the program would have.
+fn record(path: &Path, played: &Scene, settings: Settings) {
+    let mut sinks =
+        Sinks::open(&Destinations { save: Some(path.to_owned()), ..Destinations::default() }).expect("a file");
+    let options = Options { skip: settings.skip, ..Options::default() };
+    let mut world = World::with_options(played.clone(), options).expect("it fits");
+    let mut recorder = Recorder::new(&world, settings.clone());
+    let mut messages = recorder.blueprint(&world);
+    for step in 1..=settings.steps.expect("an end") {
+        world.step();
+        recorder.observe(&world);
+        if step % 1000 == 0 {
+            messages.extend(recorder.take());
+        }
+    }
+    recorder.finish(&world);
+    messages.extend(recorder.take());
+    messages.into_iter().for_each(|message| sinks.send(message).expect("room"));
+    sinks.finish().expect("room");
+}
+
+fn two() -> Scene {
+    Scene::builtin("two").expect("built in")
+}
+
+/// The program: its status, and what it printed on both.
+fn meldscope(dir: &Dir, arguments: &[&str]) -> (i32, String, String) {
+    let output = Command::new(env!("CARGO_BIN_EXE_meldscope"))
+        .args(arguments)
+        .current_dir(dir.path())
+        .output()
+        .expect("the program starts");
+    let [out, err] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned());
+    assert!(!err.contains("panicked"), "{err}");
+    (output.status.code().expect("a status"), out, err)
+}
+
+fn succeeds(dir: &Dir, arguments: &[&str]) -> String {
+    let (status, out, err) = meldscope(dir, arguments);
+    assert_eq!((status, err.as_str()), (0, ""), "{out}");
+    out
+}
+
+fn fails(dir: &Dir, status: i32, arguments: &[&str]) -> String {
+    let (found, out, err) = meldscope(dir, arguments);
+    assert_eq!(found, status, "{out}{err}");
+    assert!(err.starts_with("error: "), "{err}");
+    out + &err
+}
+
+// ---- replay --------------------------------------------------------------------------------------------------------
+
+#[test]
+fn every_kind_of_recording_is_replayed() {
+    let dir = Dir::new();
+    let path = dir.file("kind.rrd");
+    let scene = two();
+    let own = Settings::of(&scene);
+    let kinds = [
+        own.clone(),
+        Settings { every: 7, steps: Some(100), ..own.clone() },
+        Settings { skip: false, ..own.clone() },
+        Settings { frames: Frames::Thin, ..own.clone() },
+        Settings { frames: Frames::Last { most: 5, on: vec![] }, ..own.clone() },
+        Settings { frames: Frames::Last { most: 5, on: vec![Trigger::Core] }, ..own },
+    ];
+    for settings in kinds {
+        record(&path, &scene, settings.clone());
+        let recorded = Recorded::open(&path).expect("a recording");
+        assert_eq!((recorded.first, recorded.last()), (0, settings.steps.expect("an end")));
+        let mut steps = Vec::new();
+        let verdict = replay::verify(&recorded, |world| {
+            steps.push(world.steps_taken());
+            true
+        });
+        assert_eq!(verdict.expect("it runs"), Verdict::Identical, "{settings:?}");
+        assert_eq!(steps, (0..=recorded.last()).collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn a_divergence_is_named_with_step_body_vertex_and_both_values() {
+    let dir = Dir::new();
+    let path = dir.file("other.rrd");
+    for (name, entities) in
+        [("body", meldscope::stream::settings::Entities::Body), ("batch", meldscope::stream::settings::Entities::Batch)]
+    {
+        let mut played = two();
+        played.influence.alpha *= 1.01; // felt from the merge in step 84 on
+        let settings = Settings { entities, ..Settings::of(&played) };
+        record(&path, &played, settings);
+        let recorded = Recorded::open(&path).expect("a recording");
+        let Ok(Verdict::Divergent(divergence)) = replay::verify(&recorded, |_| true) else {
+            panic!("{name}: it differs")
+        };
+        assert_eq!(divergence.step, 84, "{name}");
+        let worst = divergence.worst(&recorded).expect("it can be read").expect("it shows");
+        assert_eq!(worst.step, 84, "{name}");
+
+        // by hand
+        let (mut was, mut is) = (World::new(played).expect("it fits"), World::new(two()).expect("it fits"));
+        for _ in 0..84 {
+            was.step();
+            is.step();
+        }
+        let (mut largest, mut place) = (0.0, (0, 0));
+        for (index, (a, b)) in was.bodies().zip(is.bodies()).enumerate() {
+            for vertex in 0..a.vertex_count() {
+                let distance = (a.local_position(vertex) - b.local_position(vertex)).length() / a.scene().radius;
+                if distance > largest {
+                    (largest, place) = (distance, (index, vertex));
+                }
+            }
+        }
+        assert_eq!((worst.body.as_str(), worst.vertex), (was.body(place.0).name(), place.1), "{name}");
+        assert!((worst.difference - largest).abs() < 1e-6, "{name}: {} {largest}", worst.difference);
+        let [then, now] = [&was, &is].map(|world| world.body(place.0).local_position(place.1));
+        assert!(worst.recorded.distance(then) < 1e-6 && worst.found.distance(now) < 1e-6, "{name}");
+    }
+    let said = fails(&dir, 1, &["replay", "other.rrd"]);
+    for part in
+        ["divergent at step 84 of 300", "up to step 83", "body \"", "vertex ", "radii apart", "is not reproduced"]
+    {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+}
+
+#[test]
+fn a_bug_report_goes_from_a_thin_recording_to_the_odd_step() {
+    let dir = Dir::new();
+    succeeds(&dir, &["run", "two", "--thin", "--save", "bug.rrd"]);
+    let size = fs::metadata(dir.file("bug.rrd")).expect("a file").len();
+    assert!(size < 32 << 10, "{size} bytes do for an e-mail");
+    succeeds(&dir, &["run", "two", "--thin", "--steps", "10300", "--save", "long.rrd"]);
+    let long = fs::metadata(dir.file("long.rrd")).expect("a file").len();
+    assert!((long - size) / 10_000 < 16, "{} bytes a step", (long - size) / 10_000);
+
+    assert_eq!(succeeds(&dir, &["replay", "bug.rrd"]), "bug.rrd: identical, 300 steps\n");
+    let said = succeeds(&dir, &["replay", "bug.rrd", "--save", "odd.rrd", "--from", "80", "--to", "90"]);
+    assert!(said.contains("saved odd.rrd: steps 80 to 90, 11 frames"), "{said}");
+    let odd = Recording::open(&dir.file("odd.rrd"));
+    let steps: Vec<i64> = odd.changes("/world/forces/net").iter().map(|row| row.step).collect();
+    assert_eq!(steps, (80..=90).collect::<Vec<_>>());
+    let said = succeeds(&dir, &["replay", "odd.rrd"]);
+    assert!(said.starts_with("odd.rrd: identical, 11 steps (80 to 90)"), "{said}");
+    succeeds(&dir, &["run", "two", "--thin", "--no-skip", "--integrator", "verlet", "--save", "plain.rrd"]);
+    let said = succeeds(&dir, &["replay", "plain.rrd"]);
+    assert_eq!(said, "plain.rrd: identical, 300 steps (run with integrator = \"verlet\", --no-skip)\n");
+    let said = succeeds(&dir, &["replay", "bug.rrd", "--integrator", "rk4"]);
+    assert!(said.contains("with rk4") && said.contains("merge a~b") && said.contains("not verified"), "{said}");
+}
+
+#[test]
+fn what_differs_of_program_and_machine_is_said() {
+    let dir = Dir::new();
+    let path = dir.file("own.rrd");
+    record(&path, &two(), Settings { frames: Frames::Thin, steps: Some(5), ..Settings::of(&two()) });
+    let recorded = Recorded::open(&path).expect("a recording");
+    assert!(recorded.foreign_to(&recorded.machine).is_empty());
+    let other = Recorded { version: "0.0.9".to_owned(), ..recorded };
+    let said = other.foreign_to("an abacus").join("\n");
+    assert!(said.contains("0.0.9") && said.contains("an abacus"), "{said}");
+}
+
+#[test]
+fn replay_usage_errors_have_status_2() {
+    let dir = Dir::new();
+    succeeds(&dir, &["run", "push", "--thin", "--quiet", "--save", "a.rrd"]);
+    for arguments in [
+        &["replay"] as &[&str],
+        &["replay", "missing.rrd"],
+        &["replay", "a.rrd", "--from", "3"],
+        &["replay", "a.rrd", "--save", "b.rrd", "--from", "9", "--to", "3"],
+        &["replay", "a.rrd", "--save", "b.rrd", "--to", "181"],
+        &["replay", "a.rrd", "--save", "a.rrd"],
+        &["diff", "a.rrd"],
+        &["diff", "a.rrd", "missing.rrd"],
+        &["diff", "a.rrd", "a.rrd", "--save", "a.rrd"],
+        &["diff", "a.rrd", "a.rrd", "--tolerance", "-1"],
+        &["check", "missing"],
+        &["check", "--bless"],
+        &["check", "--bless", " "],
+        &["run", "push", "--thin", "--every", "2"],
+        &["run", "push", "--thin", "--keep", "2"],
+        &["run", "push", "--keep", "0"],
+        &["run", "push", "--on", "merge"],
+        &["run", "push", "--keep", "2", "--on", "lunch"],
+    ] {
+        fails(&dir, 2, arguments);
+    }
+    assert_eq!(dir.names(), ["a.rrd"]);
+}
+
+/// A verification is the simulation, a checksum a step, and reading those of the recording.
+#[test]
+fn a_replay_costs_little_more_than_the_simulation() {
+    let dir = Dir::new();
+    let path = dir.file("cost.rrd");
+    // in this one two bodies meet and part every four seconds
+    let two = Scene::load(&project().join("tests/reference/two.toml")).expect("a scene");
+    let two = Scene { duration: 100.0, ..two };
+    for scene in [two, Scene::builtin("crowd").expect("built in")] {
+        let settings = Settings { frames: Frames::Thin, ..Settings::of(&scene) };
+        record(&path, &scene, settings);
+        let mut least = [f64::INFINITY; 3];
+        for _ in 0..10 {
+            let start = Instant::now();
+            let mut world = World::new(scene.clone()).expect("it fits");
+            for _ in 0..scene.steps() {
+                world.step();
+            }
+            let plain = start.elapsed().as_secs_f64();
+            let start = Instant::now();
+            let recorded = Recorded::open(&path).expect("a recording");
+            assert_eq!(replay::verify(&recorded, |_| true).expect("it runs"), Verdict::Identical);
+            let replay = start.elapsed().as_secs_f64();
+            for (least, time) in least.iter_mut().zip([plain, replay, replay / plain]) {
+                *least = least.min(time);
+            }
+        }
+        let [plain, replay, ratio] = least;
+        println!("{}: {:.1} ms, and {:.1} ms to verify it", scene.name, 1e3 * plain, 1e3 * replay);
+        assert!(ratio < 1.2, "{}: {replay} s, {plain} s, {ratio}", scene.name); // seen: below 1.1
+    }
+}
+
+// ---- flight recorder -----------------------------------------------------------------------------------------------
+
+#[test]
+fn a_flight_recorder_holds_the_frames_before_what_happens() {
+    let dir = Dir::new();
+    let said = succeeds(&dir, &["run", "two", "--keep", "10", "--on", "split", "--save", "split.rrd"]);
+    assert!(said.contains("saved split.rrd: 10 frames"), "{said}");
+    succeeds(&dir, &["run", "two", "--quiet", "--save", "all.rrd"]);
+    let (kept, all) = (Recording::open(&dir.file("split.rrd")), Recording::open(&dir.file("all.rrd")));
+    let frames: Vec<u64> = (190..=199).collect();
+    for entity in
+        ["/world/bodies/a/surface", "/world/bodies/a", "/world/bodies/b", "/world/influence", "/world/forces/net"]
+    {
+        assert_eq!(kept.held(entity, frames.clone()), all.held(entity, frames.clone()), "{entity}");
+    }
+    for entity in ["/checksum", "/events", "/pairs/a~b/phase"] {
+        assert_eq!(kept.changes(entity), all.changes(entity), "{entity}");
+    }
+    assert!(kept.changes("/world/forces/net").iter().all(|row| row.step <= 199));
+
+    let said = succeeds(&dir, &["run", "two", "--keep", "10", "--on", "core,diverge", "--save", "none.rrd"]);
+    assert!(said.contains("0 frames") && said.contains("nothing happened that --on waits for"), "{said}");
+    let said = succeeds(&dir, &["run", "two", "--keep", "4", "--save", "end.rrd"]);
+    assert!(said.contains("4 frames"), "{said}");
+    let end = Recording::open(&dir.file("end.rrd"));
+    assert_eq!(end.held("/world/bodies/a/surface", [297, 300]), all.held("/world/bodies/a/surface", [297, 300]));
+    let said = succeeds(&dir, &["run", "three", "--keep", "3", "--on", "merge,split", "--save", "three.rrd"]);
+    assert!(said.contains("saved three.rrd: 13 frames"), "each window once: steps 80, 81, 170, 178, 185: {said}");
+}
+
+// ---- check ---------------------------------------------------------------------------------------------------------
+
+fn project() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// The golden recordings of this repository, on every number of threads.
+#[test]
+fn the_scenes_of_this_repository_are_as_they_were() {
+    let dir = Dir::new();
+    let recordings = project().join("recordings");
+    for threads in ["1", "2", "3", "8"] {
+        let (status, out, err) = meldscope(&dir, &["check", &recordings.to_string_lossy(), "--threads", threads]);
+        assert_eq!(status, 0, "on {threads} threads: {out}{err}");
+        assert_eq!(out.lines().count(), builtin::ALL.len(), "{out}");
+    }
+    let reasons = fs::read_to_string(recordings.join("BLESSED.md")).expect("reasons");
+    let mut bytes = 0;
+    for builtin in builtin::ALL {
+        let path = recordings.join(format!("{}.rrd", builtin.name));
+        bytes += fs::metadata(&path).expect("a golden recording").len();
+        let recorded = Recorded::open(&path).expect("a recording");
+        assert!(
+            reasons.contains(&format!("{} {:016x}", builtin.name, golden::digest(&recorded.checksums))),
+            "{reasons}"
+        );
+        let reason = recorded.blessed.expect("a reason");
+        assert!(!reason.is_empty() && reasons.contains(&reason), "{reason}");
+    }
+    assert!(bytes < 8 << 20, "{bytes} bytes");
+}
+
+#[test]
+fn a_planted_bit_is_found_and_named() {
+    let dir = Dir::new();
+    let path = dir.file("two.rrd");
+    golden::bless(&two(), &path, "a test").expect("room");
+    let mut planted = two();
+    planted.influence.beta = planted.influence.beta.next_up();
+    let comparison = dir.file("two.check.rrd");
+    let Ok(Outcome::Different(difference)) = golden::check(&planted, &path, Some(&comparison)) else {
+        panic!("it differs")
+    };
+    assert!(difference.is_tolerable() && difference.is_within_tolerance && difference.events.is_empty());
+
+    // the first state that differs, by hand
+    let (mut was, mut is) = (World::new(two()).expect("it fits"), World::new(planted).expect("it fits"));
+    let state = |world: &World| {
+        let bodies = world.bodies();
+        let bits = |body: meldscope::sim::BodyView<'_>| {
+            (0..body.vertex_count()).map(|i| (body.displacement(i), body.velocity(i))).collect::<Vec<_>>()
+        };
+        bodies.map(bits).collect::<Vec<_>>()
+    };
+    while state(&was) == state(&is) {
+        was.step();
+        is.step();
+    }
+    let first = difference.first.expect("a step");
+    assert_eq!(first.step, was.steps_taken());
+    let differing: Vec<(String, Vec<usize>)> = was
+        .bodies()
+        .zip(state(&was).into_iter().zip(state(&is)))
+        .map(|(body, (was, is))| {
+            (body.name().to_owned(), (0..was.len()).filter(|&i| was[i] != is[i]).collect::<Vec<_>>())
+        })
+        .filter(|(_, vertices)| !vertices.is_empty())
+        .collect();
+    assert_eq!(first.bodies, differing, "every vertex, but for one chance in 65,536 each");
+    let worst = difference.worst.expect("a state that shows it");
+    assert!(worst.difference > 0.0 && worst.difference < 1e-12, "{}", worst.difference);
+    let both = Recording::open(&comparison);
+    for entity in ["/world/a/a", "/world/b/a", "/world/error", "/difference/a", "/difference/tolerance", "/about"] {
+        assert!(both.entities().contains(&entity.into()), "{entity}");
+    }
+}
+
+#[test]
+fn check_says_what_differs_and_bless_takes_a_reason() {
+    let dir = Dir::new();
+    let text = builtin::ALL[1].text;
+    fs::write(dir.file("two.toml"), text).expect("room");
+    let said = fails(&dir, 1, &["check", "."]);
+    assert!(said.contains("two: no golden recording"), "{said}");
+    succeeds(&dir, &["check", ".", "--bless", "first  of\nall"]);
+    assert!(succeeds(&dir, &["check", "two.toml"]).starts_with("two: identical, 300 steps, 2 events"));
+    assert!(succeeds(&dir, &["check", "two.rrd"]).starts_with("two: identical"));
+    assert_eq!(succeeds(&dir, &["check", ".", "--bless", "again"]), "two: identical, kept\n");
+    let reasons = fs::read_to_string(dir.file("BLESSED.md")).expect("reasons");
+    assert_eq!(reasons.lines().filter(|line| line.ends_with(": first of all")).count(), 1, "{reasons}");
+    assert!(!reasons.contains("again"), "nothing was made again: {reasons}");
+
+    fs::write(dir.file("two.toml"), format!("# a comment\n{text}")).expect("room");
+    assert!(succeeds(&dir, &["check", "."]).contains("its text has changed, to no effect"));
+
+    fs::write(dir.file("two.toml"), text.replace("merge_at = 1.05", "merge_at = 1.06")).expect("room");
+    let said = fails(&dir, 1, &["check", "."]);
+    for part in [
+        "two: DIFFERENT",
+        "first at step",
+        "body \"",
+        "BEYOND tolerance",
+        "event moved: merge a~b",
+        "rerun two.check.rrd",
+    ] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    assert!(dir.names().contains(&"two.check.rrd".to_owned()));
+    fails(&dir, 1, &["check", ".", "--tolerant"]);
+
+    fs::write(dir.file("two.toml"), text.replace("duration = 5.0", "duration = 4.0")).expect("room");
+    let said = fails(&dir, 1, &["check", "."]);
+    assert!(said.contains("240 steps, 300 in the golden recording"), "{said}");
+
+    let finer = text.replacen("radius = 1.0\n", "radius = 1.0\nshape = { sphere = { stacks = 6, slices = 8 } }\n", 1);
+    fs::write(dir.file("two.toml"), finer).expect("room");
+    let said = fails(&dir, 1, &["check", "."]);
+    assert!(said.contains("532 vertices") && said.contains("triangles"), "{said}");
+
+    fs::write(dir.file("two.toml"), "name = 3").expect("room");
+    fails(&dir, 2, &["check", "."]);
+    fs::write(dir.file("two.toml"), text).expect("room");
+    fs::write(dir.file("two.rrd"), b"RRF2 and nothing else").expect("room");
+    fails(&dir, 2, &["check", "."]);
+}
+
+// ---- diff ----------------------------------------------------------------------------------------------------------
+
+#[test]
+fn two_ways_to_run_a_scene_are_compared() {
+    let dir = Dir::new();
+    succeeds(&dir, &["run", "two", "--quiet", "--save", "a.rrd"]);
+    succeeds(&dir, &["run", "two", "--quiet", "--integrator", "rk4", "--every", "2", "--save", "b.rrd"]);
+    succeeds(&dir, &["run", "two", "--quiet", "--dt", "0.008333333333333333", "--save", "c.rrd"]);
+    succeeds(&dir, &["run", "two", "--quiet", "--thin", "--save", "thin.rrd"]);
+    succeeds(&dir, &["run", "push", "--quiet", "--save", "push.rrd"]);
+
+    let said = succeeds(&dir, &["diff", "a.rrd", "a.rrd"]);
+    assert!(
+        said.contains("bits: the same") && said.contains("no body differs") && said.contains("events: the same"),
+        "{said}"
+    );
+    let said = succeeds(&dir, &["diff", "a.rrd", "c.rrd"]);
+    assert!(said.contains("301 instants"), "aligned by time: {said}");
+    let said = succeeds(&dir, &["diff", "a.rrd", "thin.rrd"]);
+    assert!(said.contains("run again") && said.contains("no body differs"), "{said}");
+
+    let said = fails(&dir, 1, &["diff", "a.rrd", "b.rrd", "--save", "d.rrd"]);
+    for part in
+        ["151 instants", "body \"a\": up to 1.4", "first beyond tolerance: step 52", "events: the same", "saved d.rrd"]
+    {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    succeeds(&dir, &["diff", "a.rrd", "b.rrd", "--tolerance", "0.1"]);
+    let both = Recording::open(&dir.file("d.rrd"));
+    assert_eq!(both.changes("/world/a/a").len(), 151);
+    assert_eq!(both.changes("/difference/b").len(), 151);
+    fails(&dir, 2, &["diff", "a.rrd", "push.rrd"]);
+    fails(&dir, 2, &["diff", "a.rrd", "d.rrd"]);
+
+    let other =
+        builtin::ALL[1].text.replace("merge_at = 1.05", "merge_at = 1.06").replace("split_at = 1.2", "split_at = 1.4");
+    fs::write(dir.file("other.toml"), other).expect("room");
+    succeeds(&dir, &["run", "other.toml", "--quiet", "--save", "other.rrd"]);
+    let said = fails(&dir, 1, &["diff", "a.rrd", "other.rrd"]);
+    for part in ["the texts of the two scenes differ", "event moved: merge a~b", "event vanished: split a~b"] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+}
