@@ -233,8 +233,14 @@ impl Active {
     pub fn farthest(&self, common: f64, single: f64, h: f64) -> f64 {
         let omega = self.oscillator.omega;
         let (displacement, momentum) = self.common.bounds(omega);
-        let alike = Extent { displacement, momentum }.after(self.oscillator, common, h);
-        alike + self.extent.after(self.oscillator, single, h)
+        let (mut alike, mut own) = (Extent { displacement, momentum }, self.extent);
+        if self.effort.substeps == 0 && omega > 0.0 {
+            // left to the flow, it has swung on since these were found
+            for extent in [&mut alike, &mut own] {
+                extent.displacement = extent.momentum / omega;
+            }
+        }
+        alike.after(self.oscillator, common, h) + own.after(self.oscillator, single, h)
     }
 
     /// Whether its state is one that the equation of motion cannot lead to: not finite, or far beyond [`Active::bound`].

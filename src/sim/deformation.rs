@@ -122,15 +122,21 @@ impl Deformation {
         }
         let swinging = &self.swinging;
         let Some(flow) = swinging.flow(now).filter(|_| !swinging.vertices.is_empty()) else { return };
-        if swinging.vertices.len() == displacement.len() {
-            now.arch.dispatch(Swing { flow, swinging, displacement, velocity }); // every vertex, in order
-            return;
-        }
         for (i, &vertex) in swinging.vertices.iter().enumerate() {
             let (v, State { x, u }) = (vertex as usize, swinging.state(i, flow));
             displacement.set(v, displacement.get(v) + x);
             velocity.set(v, velocity.get(v) + u);
         }
+    }
+
+    /// Sets the arrays to the states of all vertices at the end of the last step, if all swing freely; whether they do.
+    pub fn all_swings_into(&self, displacement: &mut Vectors, velocity: &mut Vectors, now: Now) -> bool {
+        let swinging = &self.swinging;
+        let all = swinging.vertices.len() == displacement.len();
+        let flow = swinging.flow(now).filter(|_| all && self.front.vertices.is_empty());
+        let Some(flow) = flow else { return false };
+        now.arch.dispatch(Swing { flow, swinging, displacement, velocity }); // every vertex, in order
+        true
     }
 
     /// Puts all vertices into the front, in their order, those that were at rest with a state of zero.
@@ -258,21 +264,21 @@ impl WithSimd for Swing<'_> {
     fn with_simd<S: Simd>(self, _: S) {
         let (x, u) = (&self.swinging.displacement, &self.swinging.velocity);
         let (displacement, velocity) = (self.displacement, self.velocity);
-        add_swings(self.flow, &x.x, &u.x, &mut displacement.x, &mut velocity.x);
-        add_swings(self.flow, &x.y, &u.y, &mut displacement.y, &mut velocity.y);
-        add_swings(self.flow, &x.z, &u.z, &mut displacement.z, &mut velocity.z);
+        swings_into(self.flow, &x.x, &u.x, &mut displacement.x, &mut velocity.x);
+        swings_into(self.flow, &x.y, &u.y, &mut displacement.y, &mut velocity.y);
+        swings_into(self.flow, &x.z, &u.z, &mut displacement.z, &mut velocity.z);
     }
 }
 
 /// One coordinate of that.
 #[inline(always)]
-fn add_swings([xx, xu, ux, uu]: [f64; 4], x: &[f64], u: &[f64], displacement: &mut [f64], velocity: &mut [f64]) {
+fn swings_into([xx, xu, ux, uu]: [f64; 4], x: &[f64], u: &[f64], displacement: &mut [f64], velocity: &mut [f64]) {
     // slices of one length, so that the loop has no bounds to check and is vectorised
     let n = displacement.len();
     let (x, u, velocity) = (&x[..n], &u[..n], &mut velocity[..n]);
     for i in 0..n {
-        displacement[i] += xx * x[i] + xu * u[i];
-        velocity[i] += ux * x[i] + uu * u[i];
+        displacement[i] = xx * x[i] + xu * u[i];
+        velocity[i] = ux * x[i] + uu * u[i];
     }
 }
 

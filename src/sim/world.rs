@@ -598,6 +598,13 @@ impl<'a> BodyView<'a> {
     /// [`BodyView::states`], into an existing one (reused).
     pub fn states_into(&self, states: &mut States) {
         let States { displacement, velocity } = states;
+        if let Some(active) = self.state.filter(|active| active.common.is_zero() && !active.is_at_rest()) {
+            displacement.resize(self.vertex_count());
+            velocity.resize(self.vertex_count());
+            if active.deformation.all_swings_into(displacement, velocity, self.now) {
+                return;
+            }
+        }
         displacement.reset(self.vertex_count());
         velocity.reset(self.vertex_count());
         let Some(active) = self.state.filter(|active| !active.is_at_rest()) else { return };

@@ -19,7 +19,7 @@ fn scenes() -> Vec<Scene> {
     let names = ["push", "two", "three", "size_ratio", "crowd"];
     let mut scenes: Vec<Scene> = names.map(|name| Scene::builtin(name).expect("a built-in scene")).into();
     scenes.extend(["push", "two", "three", "size_ratio"].map(reference));
-    scenes.push(arrival());
+    scenes.extend([arrival(), pendulum()]);
     scenes
 }
 
@@ -41,6 +41,33 @@ fn arrival() -> Scene {
         motion = { keyframes = [[0.0, 2, 0, 0], [0.5, 1, 0, 0], [1.0, 1, 0, 0]] }
     "#;
     Scene::parse(text, "arrival.toml").expect("a valid scene")
+}
+
+/// A body that swings after a push into a sphere that never moves: as its vertices pass where they rest, none is within
+/// reach in that step.
+fn pendulum() -> Scene {
+    let text = r#"
+        name = "pendulum"
+        duration = 6.0
+        [material]
+        omega = 6.0
+        damping = 0.02
+        [[body]]
+        name = "swings"
+        radius = 1.0
+        motion = { fixed = [0, 0, 0] }
+        [[body]]
+        name = "still"
+        radius = 0.5
+        motion = { fixed = [2.0, 0, 0] }
+        [[push]]
+        body = "swings"
+        direction = [-1, 0, 0]
+        strength = 30.0
+        start = 0.05
+        duration = 0.2
+    "#;
+    Scene::parse(text, "pendulum.toml").expect("a valid scene")
 }
 
 /// A company of bodies that move in every way, some of them pushed while others touch them.
