@@ -88,8 +88,8 @@ fn halve(
 ) {
     let h = course.length;
     let weights = scratch.known.get(course.oscillator(), h);
-    scratch.whole.prepare(course, weights, common);
     let wanted = manner.tolerance * h;
+    scratch.whole.prepare(course, weights, common, wanted);
     let carry_error = scratch.whole.carry_error();
     let middle = course.start + 0.5 * h;
     if carry_error > wanted && halvings > 0 && course.start < middle {

@@ -11,9 +11,13 @@ use super::{
     step::{Apart, LookUp, Step},
 };
 
-/// Looks for the crossings of a rim in a step. More are only needed where a vertex swings many times in it, which is only
-/// let be where crossings do not matter (`Single::resolves_rims`): what is not found then is not missed.
+/// Looks for the crossing of a rim in a step: more are needed where a vertex swings many times in it, or its bounds are
+/// far too wide.
 const MOST_LOOKS: u32 = 4096;
+
+/// Not found out in so many looks.
+#[derive(Clone, Copy, Debug)]
+pub struct Unresolved;
 
 /// The motion of a vertex over a step that has been taken, between its two ends: the quintic that has its displacement,
 /// velocity and acceleration at both.
@@ -60,7 +64,16 @@ impl<'a> Motion<'a> {
 
     /// The first time in the step, which is the one that the motion is of, at which the vertex crosses the rim of
     /// `sphere`: outwards if it is `inside` now, inwards otherwise.
-    pub fn crossing(&self, look: LookUp<'_>, step: &Step, sphere: usize, inside: bool) -> Option<f64> {
+    ///
+    /// # Errors
+    /// If that takes too many looks.
+    pub fn crossing(
+        &self,
+        look: LookUp<'_>,
+        step: &Step,
+        sphere: usize,
+        inside: bool,
+    ) -> Result<Option<f64>, Unresolved> {
         let rim = look.course.spheres[sphere].radius;
         let bounds = step.relative[sphere];
         // in units of the step
@@ -82,7 +95,7 @@ impl<'a> Motion<'a> {
         };
         let [g0, g1] = [d0, d1].map(|d| gap.of(d));
         if g0.min(g1) > gap.curvature / 8.0 {
-            return None;
+            return Ok(None);
         }
 
         // a crossing is a fall of it, times the sign, through zero
@@ -110,7 +123,10 @@ impl<'a> Motion<'a> {
                 gap.at(position - displacement, self.h * motion - velocity)
             }),
         };
-        theta.map(|theta| if theta >= 1.0 { step.end() } else { self.start + theta * self.h })
+        if gap.looks.get() == 0 {
+            return Err(Unresolved);
+        }
+        Ok(theta.map(|theta| if theta >= 1.0 { step.end() } else { self.start + theta * self.h }))
     }
 }
 

@@ -7,7 +7,7 @@ use super::{
     super::State,
     course::{Common, Course, Sphere},
     lanes::{LANES, Vector},
-    rim::Motion,
+    rim::{Motion, Unresolved},
     step::{Collocated, Group, LookUp, Pull, RIMS, Step},
     weights::{Dense, KnownWeights, Stage, Weights},
 };
@@ -99,8 +99,15 @@ impl Single<'_> {
             let wanted = self.wanted(h, steps);
             let resolved = self.resolves_spheres(step, &vertex, state);
             // written so that what is not a number is not small enough
-            let will_do = start >= middle || (outcome.error <= wanted && resolved);
-            let crossing = will_do.then(|| self.first_crossing(step, &vertex, state, &outcome)).flatten();
+            let mut will_do = start >= middle || (outcome.error <= wanted && resolved);
+            let mut crossing = None;
+            if will_do {
+                match self.first_crossing(step, &vertex, state, &outcome) {
+                    Ok(found) => crossing = found,
+                    // a vertex that swings many times in the step is left to where crossings make no difference
+                    Err(Unresolved) => will_do = start >= middle || is_stiff(course, h),
+                }
+            }
             if !will_do {
                 left.extend([(middle, 0.5 * h), (start, 0.5 * h)]);
             } else if let Some((t, sphere)) = crossing {
@@ -214,14 +221,29 @@ impl Single<'_> {
     }
 
     /// The first crossing of a rim in a step that was taken: when, and of which sphere.
-    fn first_crossing(&self, step: &Step, vertex: &Vertex, state: State, outcome: &Outcome) -> Option<(f64, usize)> {
-        let inside = vertex.inside?;
+    fn first_crossing(
+        &self,
+        step: &Step,
+        vertex: &Vertex,
+        state: State,
+        outcome: &Outcome,
+    ) -> Result<Option<(f64, usize)>, Unresolved> {
+        let Some(inside) = vertex.inside else { return Ok(None) };
         let mut near = self.near_rims(step, vertex, state).peekable();
-        near.peek()?;
+        if near.peek().is_none() {
+            return Ok(None);
+        }
         let motion = Motion::new(self.course, step, vertex, state, outcome);
         let look = LookUp { course: self.course, whole: self.whole, common: self.common };
-        near.filter_map(|j| Some((motion.crossing(look, step, j, inside >> j & 1 == 1)?, j)))
-            .min_by(|a, b| a.0.total_cmp(&b.0))
+        let mut first: Option<(f64, usize)> = None;
+        for j in near {
+            if let Some(t) = motion.crossing(look, step, j, inside >> j & 1 == 1)?
+                && first.is_none_or(|(before, _)| t < before)
+            {
+                first = Some((t, j));
+            }
+        }
+        Ok(first)
     }
 }
 

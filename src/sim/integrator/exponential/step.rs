@@ -10,12 +10,15 @@ use super::{
     single::Vertex,
     weights::{Dense, LOOKS, Weights, quartic, quartic_through},
 };
-use crate::{model::influence::Weight, scene::path::Bounds};
+use crate::{
+    model::influence::Weight,
+    scene::{Material, path::Bounds},
+};
 
 /// Corrections after which a step that has not settled is given up.
 const MOST_SWEEPS: usize = 6;
-/// Paths are taken as the quartic through a step's looks if the cubic through its nodes is as near as this in the middle
-/// [radii]: the quartic is nearer by far, and a force sees h² of what is left.
+/// Paths are taken as the quartic through a step's looks only if the cubic through its nodes is as near as this in the
+/// middle [radii]; see [`Step::smooth`].
 const SMOOTH: f64 = 1e-7;
 /// Most spheres whose rims are located; those beyond are cut off where they are found.
 pub const RIMS: usize = 64;
@@ -47,7 +50,9 @@ pub struct Step {
     pub moments: [Moment; 5],
     /// Bounds of the motion of the centre of each sphere relative to the vertices' common motion.
     pub relative: Vec<Bounds>,
-    /// Whether the quartic through the five moments is as good as the paths themselves.
+    /// Whether the quartic through the five moments is as good as the paths themselves: what it leaves out makes a force
+    /// of which the displacement does not see what counts. It leaves out less than the cubic does, by as much as the
+    /// step is short for the oscillator.
     pub smooth: bool,
     /// What rounding of times and positions does to the force at any of the moments [scene unit/s²]: of a smaller
     /// difference nothing can be told, and halving the step does not make it smaller.
@@ -211,7 +216,7 @@ impl<'a, S: Simd, const W: usize> Group<'a, S, W> {
             stiffness = stiffness + Reals::load(simd, &pull.strength, 0).abs();
         }
         // What an error of the force is in the displacement, now or after the oscillator has taken the velocity up.
-        let gain = weights.constant.abs() + weights.h * weights.swing;
+        let gain = weights.gain();
         let left = stiffness * (weights.constant.abs() * gain);
         let enough = Reals::splat(simd, 0.25 * wanted);
         let mut unsettled = Reals::splat(simd, f64::INFINITY);
@@ -249,8 +254,8 @@ impl<'a, S: Simd, const W: usize> Group<'a, S, W> {
 }
 
 impl Step {
-    /// Sets the step up over a whole stretch, with `common` at its start.
-    pub fn prepare(&mut self, course: &Course<'_>, weights: &Weights, common: &Common) {
+    /// Sets the step up over a whole stretch, with `common` at its start; an error of `wanted` [scene unit] will do.
+    pub fn prepare(&mut self, course: &Course<'_>, weights: &Weights, common: &Common, wanted: f64) {
         let h = weights.h;
         self.start = course.start;
         self.set_weights(weights);
@@ -285,18 +290,26 @@ impl Step {
             let Bounds { speed, acceleration } = course.relative_bounds(j, course.start, course.start + h);
             Bounds { speed: speed + own.speed, acceleration: acceleration + own.acceleration }
         }));
-        let radius = course.body().radius;
+        let limit = self.largest_left_out(course, wanted);
         let spheres_are_smooth = (0..course.spheres.len()).all(|j| {
             let known: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].centres[j]);
             let cubic = combine(&self.weights.polynomial, &known);
-            (self.moments[4].centres[j] - cubic).length_squared() <= (SMOOTH * radius).powi(2)
+            (self.moments[4].centres[j] - cubic).length_squared() <= limit * limit
         });
         self.smooth = spheres_are_smooth
             && (0..course.pushes.len()).all(|p| {
                 let known = (0..4).map(|node| self.weights.polynomial[node] * self.moments[node].pushed[p]);
-                (self.moments[4].pushed[p] - known.sum::<f64>()).abs() <= SMOOTH * radius
+                (self.moments[4].pushed[p] - known.sum::<f64>()).abs() <= limit
             });
         self.noise = self.rounding(course);
+    }
+
+    /// How far the cubics may be off in the middle [scene unit], see [`Step::smooth`].
+    fn largest_left_out(&self, course: &Course<'_>, wanted: f64) -> f64 {
+        let Material { omega, damping, .. } = course.body().material;
+        let stiffness: f64 = course.spheres.iter().map(|sphere| sphere.strength.abs()).sum();
+        let seen = stiffness * self.weights.gain() * f64::min(1.0, (omega + 2.0 * damping) * self.h);
+        f64::min(SMOOTH * course.body().radius, 0.25 * wanted / seen)
     }
 
     /// See [`Step::noise`].
@@ -344,7 +357,7 @@ impl Step {
     pub fn carry_error(&self) -> f64 {
         let weights = &self.weights;
         let carries: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].carry);
-        let gain = weights.constant.abs() + weights.h * weights.swing;
+        let gain = weights.gain();
         let left_out = (self.moments[4].carry - combine(&weights.polynomial, &carries)).length();
         // not `f64::max`, which would lose what is not a number
         let beyond = if left_out <= self.noise { 0.0 } else { left_out - self.noise };

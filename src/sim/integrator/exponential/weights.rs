@@ -196,6 +196,12 @@ pub fn quartic_through(known: &[DVec3; 5]) -> [DVec3; 5] {
 }
 
 impl Weights {
+    /// What an error of the force is in the displacement, now or after the oscillator has taken the velocity up [s²].
+    #[inline(always)]
+    pub fn gain(&self) -> f64 {
+        self.constant.abs() + self.h * self.swing
+    }
+
     /// How the displacement at a look of the step follows: 1 … 3 are its nodes, 4 is its middle.
     #[inline(always)]
     pub fn stage(&self, look: usize) -> &Stage {
