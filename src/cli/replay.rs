@@ -6,7 +6,7 @@ use super::{
     Failure,
     diff::same_file,
     print,
-    run::{DetailName, parse_integrator, parse_step, parse_tolerance, send, sink_failure},
+    run::{DetailName, parse_integrator, parse_step, parse_tolerance, sink_failure},
     say,
 };
 use crate::{
@@ -19,6 +19,7 @@ use crate::{
     sim::{World, memory},
     stream::{
         Recorder, machine,
+        pipeline::send,
         recorder::describe,
         settings::{Frames, Settings},
         sinks::{Destinations, Sinks, thousands},

@@ -11,26 +11,22 @@ use std::{
 };
 
 use indicatif::{ProgressBar, ProgressStyle};
-use rerun::log::LogMsg;
-
 use super::{Failure, print, say};
 use crate::{
     scene::{Integrator, Scene, builtin, parse::did_you_mean},
     sim::{Event, Options, World, memory},
     stream::{
-        Recorder,
+        Pipeline, Recorder,
+        pipeline::send,
         recorder::describe,
         settings::{Detail, Entities, Frames, Settings, Trigger, file_stem},
         sinks::{Destinations, Finished, Serve, SinkError, Sinks, Spawn, thousands},
     },
 };
 
-/// Frames that go into a chunk of a file: large enough that its overhead vanishes, small enough to scrub.
-const FRAMES_PER_CHUNK: u64 = 64;
-/// What is recorded reaches a file at least this often.
-const FILE_INTERVAL: Duration = Duration::from_millis(250);
-/// What is recorded reaches a viewer at least this often.
-const LIVE_INTERVAL: Duration = Duration::from_millis(30);
+/// The progress bar moves this often, looked at every so many steps.
+const TELL_INTERVAL: Duration = Duration::from_millis(50);
+const STEPS_BETWEEN_LOOKS: u64 = 16;
 /// Interrupts within this are one: `timeout`, `cargo run` and others signal a program and its process group.
 const SAME_INTERRUPT: Duration = Duration::from_secs(1);
 /// More events than this are counted, not listed.
@@ -217,7 +213,7 @@ struct Outcome {
     seconds: f64,
 }
 
-/// The loop: step, observe, send.
+/// The loop: step, observe.
 fn record(
     mut world: World,
     settings: &Settings,
@@ -226,18 +222,18 @@ fn record(
     stop: &AtomicBool,
     console: &mut Console,
 ) -> Result<Outcome, Failure> {
-    let interval = if destined_live(arguments) { LIVE_INTERVAL } else { FILE_INTERVAL };
+    let is_live = destined_live(arguments);
     let mut recorder = Recorder::new(&world, settings.clone());
     let (mut events, mut event_count) = (vec![], 0);
-    let (mut sent_frames, mut sent_at) = (0, Instant::now());
-
     let first = recorder.blueprint(&world).into_iter().chain(recorder.take());
     let mut failure = send(&mut sinks, first);
-    if arguments.save.is_some() && !destined_live(arguments) {
+    if arguments.save.is_some() && !is_live {
         // what the recording is of is in the file before anything can happen to the run
         failure = failure.or(sinks.flush().err().map(|error| error.to_string()));
     }
+    let mut pipeline = Pipeline::start(recorder, sinks, is_live).map_err(sink_failure)?;
     let start = Instant::now();
+    let mut told_at = start;
     while failure.is_none()
         && !stop.load(Ordering::Relaxed)
         && settings.steps.is_none_or(|steps| world.steps_taken() < steps)
@@ -246,25 +242,28 @@ fn record(
         event_count += report.events.len() as u64;
         events.extend(report.events.iter().take(LISTED_EVENTS - events.len()));
         failure = report.diverged.as_ref().map(ToString::to_string);
-        recorder.observe(&world);
-
-        if recorder.frames() - sent_frames >= FRAMES_PER_CHUNK || sent_at.elapsed() >= interval {
-            let sending = Instant::now();
-            failure = failure.or(send(&mut sinks, recorder.take()));
-            recorder.messages_sent(sending.elapsed());
-            (sent_frames, sent_at) = (recorder.frames(), Instant::now());
-            console.progress(world.steps_taken(), sinks.notes());
+        let due = arguments.realtime.then(|| start + Duration::from_secs_f64(world.time().min(1e9)));
+        let lag = due.map(|due| Instant::now().saturating_duration_since(due));
+        failure = failure.or(pipeline.observe(&world, lag).err());
+        if let Some(due) = due {
+            failure = failure.or(pipeline.hand_over().err());
+            wait_until(due, stop);
         }
-        if arguments.realtime {
-            wait_until(start + Duration::from_secs_f64(world.time().min(1e9)), stop);
+        if world.steps_taken().is_multiple_of(STEPS_BETWEEN_LOOKS) && told_at.elapsed() >= TELL_INTERVAL
+            || arguments.realtime
+        {
+            told_at = Instant::now();
+            console.progress(world.steps_taken(), pipeline.notes());
         }
     }
-    let seconds = start.elapsed().as_secs_f64();
 
     // However it ended: what was simulated is saved.
+    let notes = pipeline.notes();
+    let (mut recorder, mut sinks, recording) = pipeline.finish().map_err(Failure::Run)?;
+    let seconds = start.elapsed().as_secs_f64();
     recorder.finish(&world);
-    let failure = failure.or(send(&mut sinks, recorder.take()));
-    console.progress(world.steps_taken(), sinks.notes());
+    let failure = failure.or(recording).or(send(&mut sinks, recorder.take()));
+    console.progress(world.steps_taken(), notes.into_iter().chain(sinks.notes()).collect());
     let finished = sinks.finish();
     console.clear();
     match (failure, finished) {
@@ -278,11 +277,6 @@ fn record(
         }
         (None, Err(error)) => Err(Failure::Run(error.to_string())),
     }
-}
-
-/// Sends messages; what went wrong, if a destination failed that the run cannot do without.
-pub(super) fn send(sinks: &mut Sinks, messages: impl IntoIterator<Item = LogMsg>) -> Option<String> {
-    messages.into_iter().find_map(|message| sinks.send(message).err()).map(|error| error.to_string())
 }
 
 /// Sleeps until `due`, or until the run is to stop.

@@ -27,7 +27,7 @@ use rerun::{
 use super::{
     chunks::{Chunks, blueprint_time},
     palette,
-    settings::{Detail, Frames, MOST_PAIRS, Settings},
+    settings::{Detail, Frames, Settings, arrow_scale},
 };
 use crate::{
     model::phase::Phase,
@@ -277,7 +277,7 @@ fn q_range(scene: &Scene) -> [f64; 2] {
 }
 
 /// What the colours mean, and which scene, integrator, step and settings these are.
-pub fn about(scene: &Scene, settings: &Settings, arrow_scale: f64) -> String {
+pub fn about(scene: &Scene, settings: &Settings) -> String {
     let (influence, thresholds) = (&scene.influence, &scene.thresholds);
     let frames = match (&settings.frames, settings.every) {
         (Frames::Thin, _) => {
@@ -321,11 +321,12 @@ pub fn about(scene: &Scene, settings: &Settings, arrow_scale: f64) -> String {
         Detail::Forces => format!(
             "Force arrows ({} unit long per unit/s²): orange **attraction**, blue **repulsion**, red **push**; hidden at \
              first: green **restoring**, yellow **damping**, purple **carry** (own motion), white **net**.  \n",
-            arrow_scale
+            arrow_scale(scene)
         ),
     };
-    let bound = if scene.bodies.len() * scene.bodies.len().saturating_sub(1) / 2 > MOST_PAIRS {
-        format!("The first {MOST_PAIRS} pairs that come within reach have plots and lanes; events list them all.\n")
+    let bound = if scene.bodies.len() * scene.bodies.len().saturating_sub(1) / 2 > settings.pairs {
+        let most = settings.pairs;
+        format!("The first {most} pairs that come within reach have plots and lanes (`--pairs`); events list them all.\n")
     } else {
         String::new()
     };

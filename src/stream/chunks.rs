@@ -6,15 +6,17 @@
 use std::collections::HashMap;
 
 use rerun::{
-    AsComponents, EntityPath, StoreId, TimePoint, Timeline,
+    AsComponents, ComponentDescriptor, EntityPath, StoreId, TimePoint, Timeline,
     external::{
         re_chunk_store::external::re_chunk::{
-            Chunk, ChunkBuilder, ChunkComponents, ChunkId, ChunkResult, RowId, TimeColumn,
+            Chunk, ChunkBuilder, ChunkComponents, ChunkId, RowId, TimeColumn,
         },
         re_log_types::{LogMsg, SetStoreInfo, StoreInfo, StoreSource},
         re_tuid::Tuid,
     },
 };
+
+use super::columns::{Cell, Columns};
 
 /// When something was: what the two timelines of a recording say.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,9 +41,14 @@ impl Instant {
     }
 }
 
+/// An entity that is logged in columns, see [`Chunks::track`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Track(usize);
+
 /// Gathers rows by entity until they are taken.
 pub struct Chunks {
     store: StoreId,
+    tracks: Vec<Columns>,
     open: HashMap<EntityPath, ChunkBuilder>,
     /// Entities in `open` in the order of their first row, so that messages do not depend on hashing.
     order: Vec<EntityPath>,
@@ -57,6 +64,7 @@ impl Chunks {
         let info = SetStoreInfo { row_id: Tuid::from_nanos_and_inc(1, 0), info: StoreInfo::new(store.clone(), source) };
         Chunks {
             store,
+            tracks: Vec::new(),
             open: HashMap::new(),
             order: Vec::new(),
             done: vec![LogMsg::SetStoreInfo(info)],
@@ -79,6 +87,18 @@ impl Chunks {
     fn chunk_id(&mut self) -> ChunkId {
         self.chunks += 1;
         ChunkId::from_tuid(Tuid::from_nanos_and_inc(2, self.chunks))
+    }
+
+    /// For what an entity is logged frame after frame: always these components.
+    pub fn track(&mut self, entity: &str, components: impl IntoIterator<Item = ComponentDescriptor>) -> Track {
+        self.tracks.push(Columns::new(entity, components.into_iter().collect()));
+        Track(self.tracks.len() - 1)
+    }
+
+    /// Logs a cell for each component of a track.
+    pub fn push(&mut self, Track(track): Track, at: Instant, cells: &[Cell<'_>]) {
+        let row = self.row_id();
+        self.tracks[track].push(row, at, cells);
     }
 
     /// Logs components of an entity at an instant of the simulation.
@@ -131,10 +151,37 @@ impl Chunks {
         std::mem::take(&mut self.done)
     }
 
+    /// The same, but for what comes in tracks only that of which there is enough for a chunk.
+    pub fn take_full(&mut self) -> Vec<LogMsg> {
+        let full: Vec<usize> = (0..self.tracks.len()).filter(|&track| self.tracks[track].is_full()).collect();
+        for track in full {
+            let chunk = self.close(track);
+            self.send(chunk);
+        }
+        std::mem::take(&mut self.done)
+    }
+
     /// What was logged at instants since the last call, not yet as messages.
     pub fn drain(&mut self) -> Vec<Chunk> {
         let order = std::mem::take(&mut self.order);
-        order.into_iter().filter_map(|path| self.open.remove(&path)).map(|builder| ours(builder.build())).collect()
+        let rows = order.into_iter().filter_map(|path| self.open.remove(&path));
+        let mut chunks: Vec<Chunk> = rows.map(|builder| ours(builder.build())).collect();
+        for track in 0..self.tracks.len() {
+            if !self.tracks[track].is_empty() {
+                chunks.push(self.close(track));
+            }
+        }
+        chunks
+    }
+
+    /// The rows of a track as a chunk.
+    fn close(&mut self, track: usize) -> Chunk {
+        let id = self.chunk_id();
+        let columns = &mut self.tracks[track];
+        let (ids, timelines, components) = ours(columns.take());
+        let timelines = timelines.into_iter().map(|column| (*column.timeline().name(), column)).collect();
+        let entity = columns.entity.clone();
+        ours(Chunk::from_native_row_ids(id, entity, Some(true), &ids, timelines, components))
     }
 
     fn finish(&mut self, builder: ChunkBuilder) {
@@ -148,7 +195,7 @@ impl Chunks {
 }
 
 /// Only malformed columns can fail, and none comes from outside.
-fn ours<T>(result: ChunkResult<T>) -> T {
+fn ours<T, E: std::fmt::Display>(result: Result<T, E>) -> T {
     match result {
         Ok(result) => result,
         Err(error) => unreachable!("a chunk of our own columns: {error}"),

@@ -1,7 +1,7 @@
 //! Colours and what they mean. Those that tell causes and phases apart are Okabe and Ito's, which readers with any
 //! colour vision distinguish, on the viewer's dark background and on the bodies.
 
-use rerun::Color;
+use rerun::{Color, Rgba32};
 
 use crate::{model::phase::Phase, sim::Cause};
 
@@ -24,6 +24,7 @@ pub fn cause(cause: Cause) -> Rgb {
     match cause {
         Cause::Attraction => ORANGE,
         Cause::Repulsion => SKY_BLUE,
+        Cause::Core => BLUE,
         Cause::Restoring => GREEN,
         Cause::Damping => YELLOW,
         Cause::Push => VERMILION,
@@ -90,4 +91,9 @@ pub fn line(index: usize) -> Rgb {
 /// For the viewer.
 pub fn color([r, g, b]: Rgb) -> Color {
     Color::from_rgb(r, g, b)
+}
+
+/// For surfaces, so that what is inside them shows.
+pub fn translucent([r, g, b]: Rgb) -> Rgba32 {
+    Rgba32::from_unmultiplied_rgba(r, g, b, 150)
 }

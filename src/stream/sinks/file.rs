@@ -22,7 +22,7 @@ const LIMIT: u64 = 64 << 20;
 /// What is handed to the operating system at once [bytes].
 const BUFFER: usize = 256 << 10;
 /// A killed run loses at most what came after this [time since the last flush].
-const FLUSH_EVERY: Duration = Duration::from_millis(500);
+const FLUSH_EVERY: Duration = Duration::from_millis(250);
 /// Messages encoded between two looks at the clock.
 const BATCH: usize = 64;
 
