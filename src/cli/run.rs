@@ -17,9 +17,9 @@ use crate::{
     sim::{Event, Options, World, memory},
     stream::{
         Pipeline, Recorder,
-        pipeline::send,
+        pipeline::{Recorded, send},
         recorder::describe,
-        settings::{Detail, Entities, Frames, Settings, Trigger, file_stem},
+        settings::{Detail, Entities, Frames, MOST_PAIRS, Settings, Trigger, file_stem},
         sinks::{Destinations, Finished, Serve, SinkError, Sinks, Spawn, thousands},
     },
 };
@@ -83,6 +83,9 @@ pub struct Arguments {
     /// One entity a body, or all bodies in a few [default: batch beyond 64 bodies].
     #[arg(long)]
     entities: Option<EntitiesName>,
+    /// So many pairs at most have plots, lanes and lines of their own: of those within reach the closest.
+    #[arg(long, value_name = "N", default_value_t = MOST_PAIRS as u64, value_parser = clap::value_parser!(u64).range(..=1000))]
+    pairs: u64,
     /// Record the scene and checksums only: some ten bytes a step, from which `replay --save` makes the rest.
     #[arg(long, conflicts_with_all = ["every", "detail", "entities", "keep"])]
     thin: bool,
@@ -258,12 +261,12 @@ fn record(
     }
 
     // However it ended: what was simulated is saved.
-    let notes = pipeline.notes();
-    let (mut recorder, mut sinks, recording) = pipeline.finish().map_err(Failure::Run)?;
+    let Recorded { mut recorder, mut sinks, mut notes, failure: recording } = pipeline.finish().map_err(Failure::Run)?;
     let seconds = start.elapsed().as_secs_f64();
     recorder.finish(&world);
     let failure = failure.or(recording).or(send(&mut sinks, recorder.take()));
-    console.progress(world.steps_taken(), notes.into_iter().chain(sinks.notes()).collect());
+    notes.append(&mut sinks.notes());
+    console.progress(world.steps_taken(), notes);
     let finished = sinks.finish();
     console.clear();
     match (failure, finished) {
@@ -342,6 +345,7 @@ fn settings(arguments: &Arguments, scene: &Scene) -> Settings {
             (false, Some(most)) => Frames::Last { most, on: arguments.on.iter().map(|&name| name.into()).collect() },
             (false, None) => own.frames,
         },
+        pairs: arguments.pairs as usize,
         ..own
     }
 }

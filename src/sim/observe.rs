@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::{
     World,
     arrays::Vectors,
-    surroundings::{Surroundings, push_acceleration},
+    surroundings::{Source, Surroundings, push_acceleration},
     world::States,
 };
 use crate::{
@@ -62,6 +62,17 @@ impl Cause {
             Cause::Push => "push",
             Cause::Carry => "carry",
             Cause::Net => "net",
+        }
+    }
+}
+
+impl Source {
+    /// As what its force counts.
+    pub fn cause(&self) -> Cause {
+        match (self.phase, self.strength > 0.0) {
+            (Phase::Core, _) => Cause::Core,
+            (_, true) => Cause::Attraction,
+            (_, false) => Cause::Repulsion,
         }
     }
 }
@@ -127,6 +138,28 @@ impl Seen<'_> {
         if displacement.is_empty() { (DVec3::ZERO, DVec3::ZERO) } else { (displacement.get(i), velocity.get(i)) }
     }
 
+    /// How far some vertices from `first` on are from `centre`, which is relative to the body's [scene unit].
+    fn distances(&self, centre: DVec3, first: usize, distances: &mut [f64]) {
+        let n = distances.len();
+        let radius = self.body.radius;
+        let [lx, ly, lz] = [&self.unit.x, &self.unit.y, &self.unit.z].map(|axis| &axis[first..first + n]);
+        let Vectors { x, y, z } = &self.states.displacement;
+        if x.is_empty() {
+            for i in 0..n {
+                let (dx, dy, dz) = (centre.x - radius * lx[i], centre.y - radius * ly[i], centre.z - radius * lz[i]);
+                distances[i] = (dx * dx + dy * dy + dz * dz).sqrt();
+            }
+        } else {
+            let [x, y, z] = [x, y, z].map(|axis| &axis[first..first + n]);
+            for i in 0..n {
+                let dx = centre.x - (radius * lx[i] + x[i]);
+                let dy = centre.y - (radius * ly[i] + y[i]);
+                let dz = centre.z - (radius * lz[i] + z[i]);
+                distances[i] = (dx * dx + dy * dy + dz * dz).sqrt();
+            }
+        }
+    }
+
     /// The forces by cause on every vertex.
     pub fn forces(&self, weight: Weight, forces: &mut BodyForces) {
         let material = self.body.material;
@@ -138,13 +171,8 @@ impl Seen<'_> {
             let position = self.body.radius * unit + x;
             let mut by_cause = [DVec3::ZERO; Cause::ALL.len()];
             for source in &self.surroundings.sources {
-                let cause = match (source.phase, source.strength > 0.0) {
-                    (Phase::Core, _) => Cause::Core,
-                    (_, true) => Cause::Attraction,
-                    (_, false) => Cause::Repulsion,
-                };
                 let to_centre = source.centre - position;
-                by_cause[cause as usize] +=
+                by_cause[source.cause() as usize] +=
                     influence::acceleration(weight, source.strength, source.sphere_radius, to_centre);
             }
             by_cause[Cause::Restoring as usize] = material.omega * material.omega * -x;
@@ -181,6 +209,9 @@ impl Energy {
     }
 }
 
+/// Vertices whose distances are computed together.
+const STRIP: usize = 64;
+
 /// An energy that is being added up, body by body.
 pub(super) struct EnergySum {
     weight: Weight,
@@ -201,24 +232,46 @@ impl EnergySum {
 
     /// Adds what the vertices of a body have, and have more than that by being inside of spheres.
     pub fn add(&mut self, seen: &Seen<'_>) {
-        let sum = &mut self.sum;
-        for i in 0..seen.unit.len() {
-            let (x, u) = seen.state(i);
-            let position = seen.body.radius * seen.unit.get(i) + x;
-            let mut reached = false;
+        let States { displacement, velocity } = seen.states;
+        self.sum.kinetic += energy::kinetic(sum_of_squares(velocity));
+        self.sum.elastic += energy::elastic(seen.body.material.omega, sum_of_squares(displacement));
+        if seen.surroundings.sources.is_empty() {
+            return;
+        }
+        for first in (0..seen.unit.len()).step_by(STRIP) {
+            let n = STRIP.min(seen.unit.len() - first);
+            let mut reached = [false; STRIP];
             for source in &seen.surroundings.sources {
+                let mut distances = [0.0; STRIP];
+                seen.distances(source.centre, first, &mut distances[..n]);
                 let potential = |r| energy::influence_potential(self.weight, source.sphere_radius, r);
-                let distance = (source.centre - position).length();
-                if distance < source.sphere_radius {
-                    sum.influence += source.strength * (potential(distance) - potential(source.sphere_radius));
-                    reached = true;
+                for (&distance, reached) in distances[..n].iter().zip(&mut reached) {
+                    if distance < source.sphere_radius {
+                        let inside = potential(distance) - potential(source.sphere_radius);
+                        self.sum.influence += source.strength * inside;
+                        *reached = true;
+                    }
                 }
             }
-            sum.kinetic += energy::kinetic(u.length_squared());
-            sum.elastic += energy::elastic(seen.body.material.omega, x.length_squared());
-            sum.reached_vertices += u64::from(reached);
+            self.sum.reached_vertices += reached.iter().filter(|&&reached| reached).count() as u64;
         }
     }
+}
+
+/// Σ |v|², in eight sums side by side, which are vectorised.
+fn sum_of_squares(vectors: &Vectors) -> f64 {
+    const LANES: usize = 8;
+    let n = vectors.len();
+    let (x, y, z) = (&vectors.x[..n], &vectors.y[..n], &vectors.z[..n]);
+    let mut sums = [0.0; LANES];
+    for first in (0..n / LANES * LANES).step_by(LANES) {
+        let [x, y, z] = [x, y, z].map(|axis| &axis[first..first + LANES]);
+        for lane in 0..LANES {
+            sums[lane] += x[lane] * x[lane] + y[lane] * y[lane] + z[lane] * z[lane];
+        }
+    }
+    let rest = (n / LANES * LANES..n).map(|i| x[i] * x[i] + y[i] * y[i] + z[i] * z[i]);
+    sums.iter().sum::<f64>() + rest.sum::<f64>()
 }
 
 /// Σ s Φ over the vertices of body `index`, all of them outside the sphere of body `source` [scene unit²/s²].

@@ -5,18 +5,24 @@
 
 use glam::DVec3;
 use rerun::{
-    AsComponents, StoreId, StoreKind, TimePoint,
+    AsComponents, Mesh3D, Points3D, StoreId, StoreKind, TimePoint,
     external::{
         re_log_types::{BlueprintActivationCommand, LogMsg},
         re_sdk_types::{
             blueprint::{
                 archetypes::{
-                    Background, ContainerBlueprint, EntityBehavior, EyeControls3D, LineGrid3D, PanelBlueprint,
+                    ActiveVisualizers, Background, ContainerBlueprint, EntityBehavior, EyeControls3D, LineGrid3D, PanelBlueprint,
                     PlotLegend, ScalarAxis, TextLogColumns, TimePanelBlueprint, ViewBlueprint, ViewContents,
                     ViewportBlueprint,
+                    VisualizerInstruction,
                 },
-                components::{BackgroundKind, ContainerKind, Corner2D, Eye3DKind, PanelState, TimelineColumn},
-                datatypes::{TextLogColumn, TextLogColumnKind},
+                components::{
+                    BackgroundKind, ContainerKind, Corner2D, Eye3DKind, PanelState, TimelineColumn,
+                    VisualizerInstructionId,
+                },
+                datatypes::{
+                    ComponentSourceKind, TextLogColumn, TextLogColumnKind, VisualizerComponentMapping,
+                },
             },
             components::{Position3D, Range1D, Vector3D},
             datatypes::Uuid,
@@ -27,7 +33,12 @@ use rerun::{
 use super::{
     chunks::{Chunks, blueprint_time},
     palette,
-    settings::{Detail, Frames, Settings, arrow_scale},
+    parts::{
+        forces,
+        numbers::{LAG, SPEED, TIMINGS},
+        vertices::HOTTEST,
+    },
+    settings::{Detail, Entities, Frames, Settings, arrow_scale},
 };
 use crate::{
     model::phase::Phase,
@@ -40,7 +51,7 @@ pub fn messages(world: &World, settings: &Settings, recording: &StoreId) -> Vec<
     let id = format!("blueprint-{}", recording.recording_id().as_str());
     let store = StoreId::new(StoreKind::Blueprint, recording.application_id().clone(), id);
     let mut layout = Layout { chunks: Chunks::new(store.clone()), next_id: 0 };
-    let root = layout.root(world, settings);
+    let root = layout.root(world.scene(), settings);
     layout.finish(root, store)
 }
 
@@ -75,6 +86,13 @@ struct Part {
     path: String,
 }
 
+/// What a visualizer takes for one of its components.
+#[derive(Clone, Copy)]
+struct Mapping {
+    target: &'static str,
+    source: &'static str,
+}
+
 struct Layout {
     chunks: Chunks,
     next_id: u64,
@@ -98,17 +116,84 @@ impl Layout {
         messages
     }
 
-    fn root(&mut self, world: &World, settings: &Settings) -> Part {
-        let scene_view = self.scene_view(world, settings);
-        let about = self.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
-        let left = self.container(ContainerKind::Vertical, "Scene", vec![scene_view, about], &[3.4, 1.0]);
-
-        let right = if world.body_count() > 1 { self.pairs(world.scene()) } else { self.alone() };
-        self.container(ContainerKind::Horizontal, "meldscope", vec![left, right], &[1.6, 1.0])
+    fn root(&mut self, scene: &Scene, settings: &Settings) -> Part {
+        let first = self.scene_tab(scene, settings);
+        let mut tabs = vec![];
+        if settings.detail != Detail::Surface {
+            tabs.push(self.forces_tab(scene));
+            tabs.push(self.displacement_tab(scene, settings));
+        }
+        if scene.bodies.len() > 1 {
+            let parts = self.pair_views(scene);
+            tabs.push(self.container(ContainerKind::Vertical, "Pairs", parts, &[2.0, 1.0, 0.8]));
+        }
+        let timings = self.timings();
+        let speed = self.speed();
+        tabs.push(self.container(ContainerKind::Vertical, "Timings", vec![timings, speed], &[2.0, 1.0]));
+        let plots = self.diagnostics();
+        tabs.push(self.container(ContainerKind::Vertical, "Energy", plots, &[1.0; 4]));
+        tabs.insert(0, first);
+        self.container(ContainerKind::Tabs, "meldscope", tabs, &[])
     }
 
-    /// Beside the scene: what happens between bodies, and what it cost.
-    fn pairs(&mut self, scene: &Scene) -> Part {
+    /// Everything at one glance.
+    fn scene_tab(&mut self, scene: &Scene, settings: &Settings) -> Part {
+        let scene_view = self.scene_view(scene, settings);
+        let about = self.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
+        let left = self.container(ContainerKind::Vertical, "Space", vec![scene_view, about], &[2.6, 1.0]);
+        let right = if scene.bodies.len() > 1 {
+            let mut parts = self.pair_views(scene);
+            parts.push(self.timings());
+            self.container(ContainerKind::Vertical, "Time", parts, &[1.4, 0.75, 0.75, 1.0])
+        } else {
+            // a body that is alone: how it moves, and what it cost
+            let mut parts = self.diagnostics();
+            parts.push(self.timings());
+            self.container(ContainerKind::Vertical, "Time", parts, &[1.0, 1.0, 1.0, 1.0, 1.2])
+        };
+        self.container(ContainerKind::Horizontal, "Scene", vec![left, right], &[1.6, 1.0])
+    }
+
+    /// A view a cause, of those that the scene can have, all from the same side.
+    fn forces_tab(&mut self, scene: &Scene) -> Part {
+        let has = |cause: Cause| match cause {
+            Cause::Attraction | Cause::Repulsion => scene.bodies.len() > 1,
+            Cause::Core => scene.bodies.len() > 1 && scene.thresholds.core_at > 0.0,
+            Cause::Push => !scene.pushes.is_empty(),
+            Cause::Restoring | Cause::Damping | Cause::Carry | Cause::Net => true,
+        };
+        let views: Vec<Part> = Cause::ALL
+            .into_iter()
+            .filter(|&cause| has(cause))
+            .map(|cause| {
+                let arrows = format!("+ {}", forces::entity(cause));
+                let contents = ["+ /world/bodies/**", "+ /world/deforming/**", arrows.as_str()];
+                self.space(scene, cause_title(cause), &contents)
+            })
+            .collect();
+        self.grid("Forces", views, 3)
+    }
+
+    /// Surfaces coloured by how far they are displaced, and vertices to select.
+    fn displacement_tab(&mut self, scene: &Scene, settings: &Settings) -> Part {
+        let title = format!("Displacement: purple 0, green {}, yellow {HOTTEST} radii and more", 0.6 * HOTTEST);
+        let view = self.space(scene, &title, &["+ /world/bodies/**", "+ /world/deforming/**"]);
+        let heat = Mapping { target: "Mesh3D:vertex_colors", source: "Points3D:colors" };
+        let positions = Mapping { target: "Points3D:positions", source: "Mesh3D:vertex_positions" };
+        let opaque = Mesh3D::update_fields().with_albedo_factor(rerun::Rgba32::WHITE);
+        let dots = Points3D::update_fields().with_radii([rerun::Radius::new_ui_points(2.5)]);
+        let surfaces: Vec<String> = match settings.entities {
+            Entities::Body => scene.bodies.iter().map(|body| format!("world/bodies/{}/surface", body.name)).collect(),
+            Entities::Batch => vec!["world/deforming/surface".to_owned()],
+        };
+        for surface in surfaces {
+            self.visualize(&view, &surface, &[("Mesh3D", heat, &opaque), ("Points3D", positions, &dots)]);
+        }
+        view
+    }
+
+    /// What happens between bodies.
+    fn pair_views(&mut self, scene: &Scene) -> Vec<Part> {
         let legend = PlotLegend::new().with_corner(Corner2D::RightBottom);
         let [low, high] = q_range(scene);
         let axis = ScalarAxis::new().with_range(Range1D::new(low, high));
@@ -124,40 +209,45 @@ impl Layout {
             .with_timeline_columns(Vec::<TimelineColumn>::new())
             .with_text_log_columns([TextLogColumn { kind: TextLogColumnKind::Body, visible: true.into() }]);
         let events = self.view("TextLog", "Events", "/events", &["+ /events"], &[("TextLogColumns", &columns)]);
-        let timings = self.timings();
-        let diagnostics = self.diagnostics(ContainerKind::Horizontal);
-        let numbers = self.container(ContainerKind::Tabs, "Numbers", vec![timings, diagnostics], &[]);
-        let parts = vec![distances, phases, events, numbers];
-        self.container(ContainerKind::Vertical, "Pairs", parts, &[1.4, 0.75, 0.75, 1.2])
-    }
-
-    /// Beside a body that is alone: how it moves, and what it cost.
-    fn alone(&mut self) -> Part {
-        let diagnostics = self.diagnostics(ContainerKind::Vertical);
-        let timings = self.timings();
-        self.container(ContainerKind::Vertical, "Numbers", vec![diagnostics, timings], &[3.0, 1.2])
+        vec![distances, phases, events]
     }
 
     fn timings(&mut self) -> Part {
-        let legend = PlotLegend::new().with_corner(Corner2D::LeftTop);
-        self.view("TimeSeries", "Timings, ms per step", "/timings", &["+ /timings/**"], &[("PlotLegend", &legend)])
+        let contents: Vec<String> = TIMINGS.iter().map(|stage| format!("+ /timings/{stage}")).collect();
+        let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
+        self.plot("Timings, ms per step", "/timings", &contents, Corner2D::LeftTop)
     }
 
-    fn scene_view(&mut self, world: &World, settings: &Settings) -> Part {
-        let camera = camera(world.scene());
-        let grid = LineGrid3D::new().with_visible(false);
-        let background = Background::new(BackgroundKind::SolidColor).with_color(palette::color(palette::BACKGROUND));
-        let view = self.view(
-            "3D",
-            "Bodies, influence spheres, forces",
-            "/world",
-            &["+ /world/**"],
-            &[("EyeControls3D", &camera), ("LineGrid3D", &grid), ("Background", &background)],
-        );
-        if settings.detail == Detail::Forces {
+    fn speed(&mut self) -> Part {
+        let contents = [format!("+ {SPEED}"), format!("+ {LAG}")];
+        let contents = [contents[0].as_str(), contents[1].as_str()];
+        self.plot("Steps per second, and milliseconds behind real time", "/timings", &contents, Corner2D::LeftTop)
+    }
+
+    fn diagnostics(&mut self) -> Vec<Part> {
+        let mut plot = |name: &str, contents: &[&str]| self.plot(name, "/diagnostics", contents, Corner2D::RightTop);
+        vec![
+            plot("Energy", &["+ /diagnostics/energy"]),
+            plot("Displacement", &["+ /diagnostics/max_displacement"]),
+            plot("Estimated error", &["+ /diagnostics/estimated_error"]),
+            plot(
+                "Counts",
+                &["+ /diagnostics/reached_vertices", "+ /diagnostics/substeps", "+ /diagnostics/sleeping_bodies"],
+            ),
+        ]
+    }
+
+    fn plot(&mut self, name: &str, origin: &str, contents: &[&str], corner: Corner2D) -> Part {
+        let legend = PlotLegend::new().with_corner(corner);
+        self.view("TimeSeries", name, origin, contents, &[("PlotLegend", &legend)])
+    }
+
+    fn scene_view(&mut self, scene: &Scene, settings: &Settings) -> Part {
+        let view = self.space(scene, "Bodies, influence spheres, forces", &["+ /world/**"]);
+        if settings.detail != Detail::Surface {
             // At first only what merges and splits; the others are one click away in the view's entity list.
             for cause in [Cause::Restoring, Cause::Damping, Cause::Push, Cause::Carry, Cause::Net] {
-                if cause == Cause::Push && !world.scene().pushes.is_empty() {
+                if cause == Cause::Push && !scene.pushes.is_empty() {
                     continue;
                 }
                 let path = format!("{}/ViewContents/overrides/world/forces/{}/visualizers", view.path, cause.name());
@@ -167,21 +257,33 @@ impl Layout {
         view
     }
 
-    fn diagnostics(&mut self, kind: ContainerKind) -> Part {
-        let legend = PlotLegend::new().with_corner(Corner2D::RightTop);
-        let mut plot = |name: &str, entities: &[&str]| {
-            self.view("TimeSeries", name, "/diagnostics", entities, &[("PlotLegend", &legend)])
-        };
-        let parts = vec![
-            plot("Energy", &["+ /diagnostics/energy"]),
-            plot("Displacement", &["+ /diagnostics/max_displacement"]),
-            plot("Estimated error", &["+ /diagnostics/estimated_error"]),
-            plot(
-                "Counts",
-                &["+ /diagnostics/reached_vertices", "+ /diagnostics/substeps", "+ /diagnostics/sleeping_bodies"],
-            ),
-        ];
-        self.container(kind, "Diagnostics", parts, &[1.0, 1.0, 1.0, 1.0])
+    /// A 3D view that has the whole scene in sight.
+    fn space(&mut self, scene: &Scene, name: &str, contents: &[&str]) -> Part {
+        let (camera, grid) = (camera(scene), LineGrid3D::new().with_visible(false));
+        let background = Background::new(BackgroundKind::SolidColor).with_color(palette::color(palette::BACKGROUND));
+        let properties: [(&str, &dyn AsComponents); 3] =
+            [("EyeControls3D", &camera), ("LineGrid3D", &grid), ("Background", &background)];
+        self.view("3D", name, "/world", contents, &properties)
+    }
+
+    /// Shows an entity of a view with these visualizers instead of those that the viewer would choose.
+    fn visualize(&mut self, view: &Part, entity: &str, visualizers: &[(&str, Mapping, &dyn AsComponents)]) {
+        let base = format!("{}/ViewContents/overrides/{entity}/visualizers", view.path);
+        let mut ids = Vec::new();
+        for (class, mapping, overrides) in visualizers {
+            let (id, text) = self.id();
+            let path = format!("{base}/{text}");
+            let mapping = VisualizerComponentMapping {
+                target: mapping.target.into(),
+                source_kind: ComponentSourceKind::SourceComponent,
+                source_component: Some(mapping.source.into()),
+                selector: None,
+            };
+            self.log(&path, &VisualizerInstruction::new(*class).with_component_map([mapping]));
+            self.log(&path, *overrides);
+            ids.push(VisualizerInstructionId(id));
+        }
+        self.log(&base, &ActiveVisualizers::new(ids));
     }
 
     fn id(&mut self) -> (Uuid, String) {
@@ -231,6 +333,26 @@ impl Layout {
         };
         self.log(&path, &container);
         Part { id, path }
+    }
+
+    fn grid(&mut self, name: &str, parts: Vec<Part>, columns: u32) -> Part {
+        let grid = self.container(ContainerKind::Grid, name, parts, &[]);
+        self.log(&grid.path, &ContainerBlueprint::update_fields().with_grid_columns(columns));
+        grid
+    }
+}
+
+/// What a view of a force is called.
+fn cause_title(cause: Cause) -> &'static str {
+    match cause {
+        Cause::Attraction => "Attraction (orange)",
+        Cause::Repulsion => "Repulsion of bodies apart (light blue)",
+        Cause::Core => "Repulsion in the core (blue)",
+        Cause::Restoring => "Restoring (green)",
+        Cause::Damping => "Damping (yellow)",
+        Cause::Push => "Push (red)",
+        Cause::Carry => "Carry: its own motion (pink)",
+        Cause::Net => "Net (white)",
     }
 }
 

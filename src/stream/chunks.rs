@@ -54,6 +54,8 @@ pub struct Chunks {
     order: Vec<EntityPath>,
     done: Vec<LogMsg>,
     rows: u64,
+    /// Of what depends on the machine.
+    rows_apart: u64,
     chunks: u64,
 }
 
@@ -69,6 +71,7 @@ impl Chunks {
             order: Vec::new(),
             done: vec![LogMsg::SetStoreInfo(info)],
             rows: 0,
+            rows_apart: 0,
             chunks: 0,
         }
     }
@@ -93,6 +96,14 @@ impl Chunks {
     pub fn track(&mut self, entity: &str, components: impl IntoIterator<Item = ComponentDescriptor>) -> Track {
         self.tracks.push(Columns::new(entity, components.into_iter().collect()));
         Track(self.tracks.len() - 1)
+    }
+
+    /// The same for what depends on the machine: its rows are counted apart, so that all others are known by the same
+    /// numbers in equal runs.
+    pub fn push_apart(&mut self, Track(track): Track, at: Instant, cells: &[Cell<'_>]) {
+        self.rows_apart += 1;
+        let row = RowId::from_tuid(Tuid::from_nanos_and_inc(4, self.rows_apart));
+        self.tracks[track].push(row, at, cells);
     }
 
     /// Logs a cell for each component of a track.
@@ -153,12 +164,21 @@ impl Chunks {
 
     /// The same, but for what comes in tracks only that of which there is enough for a chunk.
     pub fn take_full(&mut self) -> Vec<LogMsg> {
-        let full: Vec<usize> = (0..self.tracks.len()).filter(|&track| self.tracks[track].is_full()).collect();
-        for track in full {
-            let chunk = self.close(track);
-            self.send(chunk);
+        if self.tracks.iter().any(Columns::is_long) {
+            return self.take(); // lines of numbers never get ahead of what they are about
+        }
+        for track in 0..self.tracks.len() {
+            if self.tracks[track].is_full() {
+                let chunk = self.close(track);
+                self.send(chunk);
+            }
         }
         std::mem::take(&mut self.done)
+    }
+
+    /// Whether [`Chunks::take_full`] has something to give.
+    pub fn has_full(&self) -> bool {
+        !self.done.is_empty() || self.tracks.iter().any(|track| track.is_full() || track.is_long())
     }
 
     /// What was logged at instants since the last call, not yet as messages.

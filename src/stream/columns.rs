@@ -41,6 +41,8 @@ pub enum Cell<'a> {
     Segments(&'a [[Vector; 2]]),
     /// Labels.
     Texts(&'a [String]),
+    /// Words of a few.
+    Names(&'a [&'static str]),
 }
 
 /// The rows of an entity that have not been sent, all with the same components.
@@ -67,6 +69,7 @@ enum Values {
     Classes(Vec<u16>),
     Segments(Vec<[Vector; 2]>),
     Texts(Vec<String>),
+    Names(Vec<&'static str>),
 }
 
 impl Columns {
@@ -95,10 +98,14 @@ impl Columns {
         self.ids.is_empty()
     }
 
-    /// Whether there is enough for a chunk.
+    /// Whether there are enough bytes for a chunk.
     pub fn is_full(&self) -> bool {
-        let bytes: usize = self.columns.iter().map(|column| column.values.bytes()).sum();
-        self.ids.len() >= CHUNK_ROWS || bytes >= CHUNK_BYTES
+        self.columns.iter().map(|column| column.values.bytes()).sum::<usize>() >= CHUNK_BYTES
+    }
+
+    /// Whether there are as many rows as a chunk should have.
+    pub fn is_long(&self) -> bool {
+        self.ids.len() >= CHUNK_ROWS
     }
 
     /// The rows as a chunk has them; none are left.
@@ -129,6 +136,7 @@ impl Values {
             (Values::Classes(values), Cell::Classes(cell)) => append(values, cell),
             (Values::Segments(values), Cell::Segments(cell)) => append(values, cell),
             (Values::Texts(values), Cell::Texts(cell)) => append(values, cell),
+            (Values::Names(values), Cell::Names(cell)) => append(values, cell),
             (values, cell) => {
                 // the first row says what a column is of
                 *values = match cell {
@@ -139,6 +147,7 @@ impl Values {
                     Cell::Classes(cell) => Values::Classes(cell.to_vec()),
                     Cell::Segments(cell) => Values::Segments(cell.to_vec()),
                     Cell::Texts(cell) => Values::Texts(cell.to_vec()),
+                    Cell::Names(cell) => Values::Names(cell.to_vec()),
                 };
                 cell.len()
             }
@@ -155,6 +164,7 @@ impl Values {
             Values::Classes(values) => size_of_val(values.as_slice()),
             Values::Segments(values) => size_of_val(values.as_slice()),
             Values::Texts(values) => size_of_val(values.as_slice()),
+            Values::Names(values) => size_of_val(values.as_slice()),
         }
     }
 
@@ -169,6 +179,7 @@ impl Values {
             Values::Classes(values) => Values::Classes(Vec::with_capacity(values.len())),
             Values::Segments(values) => Values::Segments(Vec::with_capacity(values.len())),
             Values::Texts(values) => Values::Texts(Vec::with_capacity(values.len())),
+            Values::Names(values) => Values::Names(Vec::with_capacity(values.len())),
         }
     }
 
@@ -187,6 +198,7 @@ impl Values {
                 Arc::new(ListArray::try_new(item.into(), offsets, points, None)?)
             }
             Values::Texts(values) => Arc::new(StringArray::from(values)),
+            Values::Names(values) => Arc::new(StringArray::from(values)),
         })
     }
 }
@@ -212,6 +224,7 @@ impl Cell<'_> {
             Cell::Classes(cell) => cell.len(),
             Cell::Segments(cell) => cell.len(),
             Cell::Texts(cell) => cell.len(),
+            Cell::Names(cell) => cell.len(),
         }
     }
 }

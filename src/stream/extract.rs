@@ -76,12 +76,14 @@ pub struct Arrows {
     pub origins: Vec<Vector>,
     /// The force times the arrow scale [scene unit].
     pub vectors: Vec<Vector>,
+    /// Of the pair between whom it acts, if it acts between two.
+    pub classes: Vec<u16>,
 }
 
 impl Arrows {
     /// Appends an arrow for every vertex that feels `cause`, `scale` [scene unit per scene unit/s²] long; `origins` are
-    /// the vertices of the body, `[vertex_count]`.
-    pub fn append(&mut self, origins: &[Vector], forces: &BodyForces, cause: Cause, scale: f64) {
+    /// the vertices of the body, `[vertex_count]`, `classes` those of their arrows or none.
+    pub fn append(&mut self, origins: &[Vector], classes: &[u16], forces: &BodyForces, cause: Cause, scale: f64) {
         let forces = forces.of(cause);
         let (n, arrows) = (origins.len(), self);
         let (x, y, z) = (&forces.x[..n], &forces.y[..n], &forces.z[..n]);
@@ -90,6 +92,7 @@ impl Arrows {
             if vector != [0.0; 3] {
                 arrows.origins.push(origins[i]);
                 arrows.vectors.push(vector);
+                arrows.classes.extend(classes.get(i));
             }
         }
     }
@@ -98,5 +101,6 @@ impl Arrows {
     pub fn clear(&mut self) {
         self.origins.clear();
         self.vectors.clear();
+        self.classes.clear();
     }
 }

@@ -7,7 +7,7 @@
 use std::{
     mem::{replace, take},
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc, Mutex, MutexGuard, PoisonError,
         mpsc::{Receiver, RecvTimeoutError, Sender, channel},
     },
     thread::JoinHandle,
@@ -46,6 +46,18 @@ pub struct Pipeline {
     empty: Receiver<Packet>,
     shared: Arc<Mutex<Shared>>,
     thread: Option<JoinHandle<(Recorder, Sinks)>>,
+}
+
+/// What there is after the last step, for the recording's end.
+pub struct Recorded {
+    /// To be finished.
+    pub recorder: Recorder,
+    /// To be sent the rest, and finished.
+    pub sinks: Sinks,
+    /// What there is to tell the user since [`Pipeline::notes`].
+    pub notes: Vec<String>,
+    /// What went wrong, if something did.
+    pub failure: Option<String>,
 }
 
 /// What the thread has to say.
@@ -145,20 +157,23 @@ impl Pipeline {
         take(&mut self.lock().notes)
     }
 
-    /// Waits until all that was seen is recorded; what went wrong, if something did.
-    pub fn finish(mut self) -> Result<(Recorder, Sinks, Option<String>), String> {
+    /// Waits until all that was seen is recorded.
+    ///
+    /// # Errors
+    /// The thread is gone.
+    pub fn finish(mut self) -> Result<Recorded, String> {
         let handed_over = self.hand_over();
         self.full = None;
         match self.thread.take().map(JoinHandle::join) {
             Some(Ok((recorder, sinks))) => {
-                let failure = self.lock().failure.take();
-                Ok((recorder, sinks, failure.or(handed_over.err())))
+                let Shared { notes, failure } = take(&mut *self.lock());
+                Ok(Recorded { recorder, sinks, notes, failure: failure.or(handed_over.err()) })
             }
             _ => Err(broken()),
         }
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, Shared> {
+    fn lock(&self) -> MutexGuard<'_, Shared> {
         self.shared.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

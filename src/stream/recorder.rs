@@ -29,7 +29,8 @@ use super::{
     flight::FlightRecorder,
     machine,
     parts::{
-        Look, batch::Batch, bodies::Bodies, forces::Forces, numbers::Numbers, pairs, pairs::Pairs, spheres::Spheres,
+        Look, batch::Batch, bodies::Bodies, forces::Forces, lines::Lines, numbers::Numbers, pairs, pairs::Pairs,
+        spheres::Spheres,
     },
     series::Series,
     settings::{FORMAT, Frames, recording_id},
@@ -62,10 +63,12 @@ struct Frame {
     spheres: Spheres,
     forces: Option<Forces>,
     pairs: Pairs,
+    lines: Lines,
     numbers: Numbers,
     series: Series,
 }
 
+#[allow(clippy::large_enum_variant)] // there is one
 enum Surfaces {
     Bodies(Bodies),
     Batch(Batch),
@@ -139,6 +142,9 @@ impl Recorder {
     /// The same, but only of what there is enough to fill a chunk: a file of few large chunks is smaller, and quicker to
     /// write and to read.
     pub fn take_full(&mut self) -> Vec<LogMsg> {
+        if self.chunks.has_full() {
+            self.checksums.log(&mut self.chunks, false); // what cannot be verified is of little use
+        }
         self.chunks.take_full()
     }
 
@@ -280,25 +286,28 @@ impl Frame {
     fn new(scene: &Scene, settings: &Settings, chunks: &mut Chunks) -> Frame {
         let (mut extractor, mut series) = (Extractor::default(), Series::default());
         let spheres = Spheres::new(scene, settings.entities, chunks);
+        let detail = settings.detail;
         let surfaces = match settings.entities {
-            Entities::Body => Surfaces::Bodies(Bodies::new(scene, chunks)),
-            Entities::Batch => Surfaces::Batch(Batch::new(scene, &mut extractor, chunks)),
+            Entities::Body => Surfaces::Bodies(Bodies::new(scene, detail, chunks)),
+            Entities::Batch => Surfaces::Batch(Batch::new(scene, detail, &mut extractor, chunks)),
         };
-        let forces = (settings.detail == Detail::Forces).then(|| Forces::new(arrow_scale(scene), chunks));
+        let forces = (detail != Detail::Surface).then(|| Forces::new(scene, settings.entities, chunks));
         let numbers = Numbers::new(&mut series, chunks);
-        Frame { extractor, surfaces, spheres, forces, pairs: Pairs::new(settings.pairs), numbers, series }
+        let (pairs, lines) = (Pairs::new(settings.pairs), Lines::new(settings.pairs, chunks));
+        Frame { extractor, surfaces, spheres, forces, pairs, lines, numbers, series }
     }
 
     /// Logs what has changed; it is frame `number`.
     fn log(&mut self, look: Look<'_>, number: u64, chunks: &mut Chunks) {
         let start = Clock::now();
-        let Frame { extractor, surfaces, spheres, forces, pairs, numbers, series } = self;
-        match surfaces {
-            Surfaces::Bodies(bodies) => bodies.log(look, extractor, chunks),
-            Surfaces::Batch(batch) => batch.log(look, extractor, chunks),
-        }
+        let Frame { extractor, surfaces, spheres, forces, pairs, lines, numbers, series } = self;
         if let Some(forces) = forces {
             forces.extract(look, extractor);
+        }
+        let vertices = forces.as_ref().map_or(&[] as &[_], |forces| &forces.vertices);
+        match surfaces {
+            Surfaces::Bodies(bodies) => bodies.log(look, vertices, extractor, chunks),
+            Surfaces::Batch(batch) => batch.log(look, vertices, extractor, chunks),
         }
         let extracted = Clock::now();
         if let Some(forces) = forces {
@@ -306,6 +315,7 @@ impl Frame {
         }
         spheres.log(look, chunks);
         pairs.log(look, number, series, chunks);
+        lines.log(look, chunks);
         numbers.log_diagnostics(look, series, chunks);
         numbers.add_recording(extracted - start, extracted.elapsed());
         numbers.log_timings(look.at, chunks);

@@ -180,7 +180,7 @@ impl Settings {
                 Some(_) => Frames::Last { most: 1, on: Vec::new() },
                 None => Frames::All,
             },
-            pairs: count("pairs").map_or(own.pairs, |pairs| pairs as usize),
+            pairs: count("pairs").map_or(own.pairs, |pairs| pairs.min(1000) as usize),
         })
     }
 

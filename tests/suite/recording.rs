@@ -350,7 +350,9 @@ impl Run {
         let mut pairs = Vec::new();
         self.walk(|world| {
             let changed = world.report().events.iter().map(|event| (event.a as usize, event.b as usize));
-            let seen = world.pairs().filter(|_| self.is_frame(world)).map(|pair| (pair.a, pair.b));
+            let mut seen: Vec<_> = world.pairs().filter(|_| self.is_frame(world)).collect();
+            seen.sort_by(|x, y| x.q.total_cmp(&y.q)); // of those that come together the closest first
+            let seen = seen.into_iter().map(|pair| (pair.a, pair.b));
             for pair in changed.chain(seen) {
                 if pairs.len() < MOST_PAIRS && !pairs.contains(&pair) {
                     pairs.push(pair);
@@ -441,6 +443,7 @@ impl Run {
             }
         }
         if self.settings.detail == Detail::Forces {
+            entities.push("/world/forces".to_owned());
             entities.extend(Cause::ALL.map(|cause| format!("/world/forces/{}", cause.name())));
         }
         for pair in self.pairs() {
@@ -450,6 +453,7 @@ impl Run {
         }
         entities.extend((!self.events().is_empty()).then(|| "/events".to_owned()));
         entities.extend(TIMINGS.map(|stage| format!("/timings/{stage}")));
+        entities.extend(["/timings/speed", "/timings/lag", "/world/pairs"].map(str::to_owned));
         entities.extend(DIAGNOSTICS.map(|number| format!("/diagnostics/{number}")));
 
         let entities: BTreeSet<EntityPath> = entities.iter().map(|path| EntityPath::from(path.as_str())).collect();
@@ -845,6 +849,9 @@ impl Run {
                 );
             }
         }
+        let speed = self.recording.changes("/timings/speed");
+        assert_eq!(speed.len() + 2, self.frames().len(), "between two frames that were stepped to");
+        assert!(speed.iter().all(|row| row.scalar().is_some_and(|speed| speed > 0.0)));
     }
 
     /// A line of a plot that should have these values at these steps: it has them at every one of them, repeats a value
@@ -898,8 +905,8 @@ impl Run {
     }
 }
 
-const CAUSES: [&str; 7] = ["attraction", "repulsion", "restoring", "damping", "push", "carry", "net"];
-const TIMINGS: [&str; 5] = ["reach", "events", "integrate", "extract", "log"];
+const CAUSES: [&str; 8] = ["attraction", "repulsion", "core", "restoring", "damping", "push", "carry", "net"];
+const TIMINGS: [&str; 7] = ["reach", "events", "integrate", "observe", "wait", "extract", "log"];
 const DIAGNOSTICS: [&str; 6] =
     ["energy", "max_displacement", "reached_vertices", "substeps", "estimated_error", "sleeping_bodies"];
 

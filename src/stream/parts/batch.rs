@@ -1,10 +1,13 @@
 //! Many bodies in few entities: the deformed ones in one mesh, the others as instances of their shapes.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, sync::Arc};
 
-use rerun::{AnyValues, InstancePoses3D, Mesh3D, components::Text};
+use rerun::{AnyValues, InstancePoses3D, Mesh3D, components::Text, external::arrow::array::UInt32Array};
 
-use super::Look;
+use super::{
+    Look,
+    vertices::{self, Vertices},
+};
 use crate::{
     scene::{Scene, Sphere},
     sim::Vectors,
@@ -13,6 +16,7 @@ use crate::{
         columns::Cell,
         extract::{Extractor, Surface, Vector},
         palette::{self, color},
+        settings::Detail,
     },
 };
 
@@ -30,6 +34,9 @@ pub struct Batch {
     last: Surface,
     next: Surface,
     resting: Option<Vec<(usize, Vector)>>,
+    /// Only with forces.
+    vertices: Option<Vertices>,
+    numbers: vertices::Numbers,
 }
 
 struct Shape {
@@ -39,7 +46,7 @@ struct Shape {
 
 impl Batch {
     /// Logs what stays the same.
-    pub fn new(scene: &Scene, extractor: &mut Extractor, chunks: &mut Chunks) -> Batch {
+    pub fn new(scene: &Scene, detail: Detail, extractor: &mut Extractor, chunks: &mut Chunks) -> Batch {
         let mut shapes: BTreeMap<(u32, u32), Shape> = BTreeMap::new();
         for Sphere { stacks, slices } in scene.bodies.iter().map(|body| body.shape) {
             let shape = Sphere { stacks, slices };
@@ -55,18 +62,24 @@ impl Batch {
         }
         let track =
             chunks.track(DEFORMING, [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals()]);
-        let (last, next) = Default::default();
-        Batch { shapes, track, deforming: Vec::new(), last, next, resting: None }
+        let vertices = (detail != Detail::Surface).then(|| Vertices::new(DEFORMING, chunks));
+        let (last, next, numbers) = Default::default();
+        Batch { shapes, track, deforming: Vec::new(), last, next, resting: None, vertices, numbers }
     }
 
-    /// Logs what has changed.
-    pub fn log(&mut self, look: Look<'_>, extractor: &mut Extractor, chunks: &mut Chunks) {
+    /// Logs what has changed; `numbers` are those of the vertices of each body, if they are wanted.
+    pub fn log(&mut self, look: Look<'_>, numbers: &[vertices::Numbers], extractor: &mut Extractor, chunks: &mut Chunks) {
         let body = |i: usize| look.snapshot.body(look.scene, i);
         let (deforming, resting): (Vec<usize>, Vec<usize>) = (0..look.snapshot.body_count())
             .partition(|&i| body(i).max_displacement() > DEFORMED * body(i).scene().radius);
         self.next.clear();
         for &i in &deforming {
             self.next.append(body(i), body(i).centre(), extractor);
+        }
+        if let Some(vertices) = &mut self.vertices {
+            self.numbers.clear();
+            deforming.iter().filter_map(|&i| numbers.get(i)).for_each(|numbers| self.numbers.extend(numbers));
+            vertices.log(look.at, &self.numbers, chunks);
         }
         if deforming != self.deforming {
             self.log_layout(look, &deforming, chunks);
@@ -86,7 +99,7 @@ impl Batch {
 
     /// Which triangles there are, of which body each vertex is.
     fn log_layout(&self, look: Look<'_>, deforming: &[usize], chunks: &mut Chunks) {
-        let (mut first, mut triangles, mut colors, mut names) = (0, vec![], vec![], vec![]);
+        let (mut first, mut triangles, mut colors, mut names, mut indices) = (0, vec![], vec![], vec![], vec![]);
         for &i in deforming {
             let body = &look.scene.bodies[i];
             let of_shape = &self.shapes[&(body.shape.stacks, body.shape.slices)].triangles;
@@ -94,11 +107,13 @@ impl Batch {
             triangles.extend(of_shape.iter().map(|t| t.map(|v| v + first)));
             colors.extend(std::iter::repeat_n(color(palette::body(i)), count as usize));
             names.extend(std::iter::repeat_n(body.name.as_str(), count as usize));
+            indices.extend(0..count as u32);
             first += count as u32;
         }
         let mesh = Mesh3D::update_fields().with_triangle_indices(triangles).with_vertex_colors(colors);
         chunks.log(DEFORMING, look.at, &mesh);
-        chunks.log(DEFORMING, look.at, &body_names(&names));
+        let identity = body_names(&names).with_component_from_data("vertex", Arc::new(UInt32Array::from(indices)));
+        chunks.log(DEFORMING, look.at, &identity);
     }
 
     /// Instances of the shapes of which they have changed.

@@ -3,7 +3,10 @@
 use glam::DVec3;
 use rerun::{Mesh3D, Transform3D};
 
-use super::Look;
+use super::{
+    Look,
+    vertices::{self, Vertices, identity},
+};
 use crate::{
     scene::Scene,
     stream::{
@@ -11,6 +14,7 @@ use crate::{
         columns::Cell,
         extract::{Extractor, Surface, Vector},
         palette,
+        settings::Detail,
     },
 };
 
@@ -26,11 +30,13 @@ struct Body {
     surface: Track,
     centre: Option<Vector>,
     last: Surface,
+    /// Only with forces.
+    vertices: Option<Vertices>,
 }
 
 impl Bodies {
     /// Logs what stays the same.
-    pub fn new(scene: &Scene, chunks: &mut Chunks) -> Bodies {
+    pub fn new(scene: &Scene, detail: Detail, chunks: &mut Chunks) -> Bodies {
         let bodies = scene.bodies.iter().enumerate().map(|(index, body)| {
             let entity = format!("/world/bodies/{}", body.name);
             let surface = format!("{entity}/surface");
@@ -38,19 +44,29 @@ impl Bodies {
                 .with_triangle_indices(body.shape.triangles())
                 .with_albedo_factor(palette::translucent(palette::body(index)));
             chunks.log_static(&surface, &mesh);
+            let vertices = (detail != Detail::Surface).then(|| {
+                chunks.log_static(&surface, &identity(&body.name, body.shape.vertex_count()));
+                Vertices::new(&surface, chunks)
+            });
             Body {
                 transform: chunks.track(&entity, [Transform3D::descriptor_translation()]),
                 surface: chunks
                     .track(&surface, [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals()]),
                 centre: None,
                 last: Surface::default(),
+                vertices,
             }
         });
         Bodies { bodies: bodies.collect(), next: Surface::default() }
     }
 
-    /// Logs what has changed.
-    pub fn log(&mut self, look: Look<'_>, extractor: &mut Extractor, chunks: &mut Chunks) {
+    /// Logs what has changed; `numbers` are those of the vertices of each body, if they are wanted.
+    pub fn log(&mut self, look: Look<'_>, numbers: &[vertices::Numbers], extractor: &mut Extractor, chunks: &mut Chunks) {
+        for (vertices, numbers) in self.bodies.iter_mut().map(|body| &mut body.vertices).zip(numbers) {
+            if let Some(vertices) = vertices {
+                vertices.log(look.at, numbers, chunks);
+            }
+        }
         for (body, track) in look.snapshot.bodies(look.scene).zip(&mut self.bodies) {
             let centre = body.centre().as_vec3().to_array();
             if track.centre != Some(centre) {

@@ -6,15 +6,19 @@
 //! | `/world/resting/SHAPE`, `/world/deforming/surface` | [`batch`] |
 //! | `/world/influence` | [`spheres`] |
 //! | `/world/forces/CAUSE` | [`forces`] |
-//! | `/pairs/A~B/…`, `/world/pairs`, `/events` | [`pairs`] |
+//! | `/pairs/A~B/…`, `/events` | [`pairs`] |
+//! | `/world/pairs` | [`lines`] |
+//! | single vertices, on the entities of their surfaces | [`vertices`] |
 //! | `/diagnostics/…`, `/timings/…` | [`numbers`] |
 
 pub mod batch;
 pub mod bodies;
 pub mod forces;
+pub mod lines;
 pub mod numbers;
 pub mod pairs;
 pub mod spheres;
+pub mod vertices;
 
 use super::chunks::Instant;
 use crate::{scene::Scene, sim::Snapshot};

@@ -70,12 +70,7 @@ impl Numbers {
             i += 1;
             series.line(chunks, &entity, shape)
         });
-        let mut of_run = |entity: &str, name: &str, i: usize| {
-            Series::style(chunks, entity, name, palette::line(i), 1.5, Shape::Step);
-            chunks.track(entity, [Scalars::descriptor_scalars()])
-        };
-        let speed = of_run(SPEED, "steps per second", 0);
-        let lag_track = of_run(LAG, "behind real time [ms]", 1);
+        let speed = line_of_run(SPEED, "steps per second", 0, chunks);
         Numbers {
             diagnostics,
             timings,
@@ -87,7 +82,7 @@ impl Numbers {
             last_frame: None,
             speed,
             lag: None,
-            lag_track,
+            lag_track: line_of_run(LAG, "behind real time [ms]", 1, chunks),
         }
     }
 
@@ -138,15 +133,20 @@ impl Numbers {
         }
         for (&track, spent) in self.timings.iter().zip(spent) {
             let milliseconds = 1e3 * spent.as_secs_f64() / f64::from(steps);
-            chunks.push(track, at, &[Cell::Scalars(&[milliseconds])]);
+            chunks.push_apart(track, at, &[Cell::Scalars(&[milliseconds])]);
         }
         if let (Some(last), Some(end)) = (self.last_frame, self.end) {
             let speed = f64::from(steps) / (end - last).as_secs_f64().max(1e-9);
-            chunks.push(self.speed, at, &[Cell::Scalars(&[speed])]);
+            chunks.push_apart(self.speed, at, &[Cell::Scalars(&[speed])]);
         }
         self.last_frame = self.end;
         if let Some(lag) = self.lag {
-            chunks.push(self.lag_track, at, &[Cell::Scalars(&[1e3 * lag.as_secs_f64()])]);
+            chunks.push_apart(self.lag_track, at, &[Cell::Scalars(&[1e3 * lag.as_secs_f64()])]);
         }
     }
+}
+
+fn line_of_run(entity: &str, name: &str, color: usize, chunks: &mut Chunks) -> Track {
+    Series::style(chunks, entity, name, palette::line(color), 1.5, Shape::Step);
+    chunks.track(entity, [Scalars::descriptor_scalars()])
 }
