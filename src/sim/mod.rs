@@ -11,6 +11,7 @@
 //! | how a vertex is advanced | [`integrator`] |
 //! | forces by cause, energy: looking at a state | [`observe`] |
 //! | what another thread can look at meanwhile | [`snapshot`] |
+//! | what happens inside of a step, on request | [`stages`] |
 //! | what a step reports | [`report`] |
 //! | one number for the exact state | [`checksum`] |
 //! | what a scene needs before it is built | [`memory`] |
@@ -30,6 +31,7 @@ mod pairs;
 pub mod reach;
 pub mod report;
 pub mod snapshot;
+pub mod stages;
 pub mod surroundings;
 mod tracks;
 pub mod world;

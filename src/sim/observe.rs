@@ -88,6 +88,22 @@ impl BodyForces {
     pub fn of(&self, cause: Cause) -> &Vectors {
         &self.by_cause[cause as usize]
     }
+
+    /// Leaves out what does not come from influence spheres.
+    pub(super) fn keep_influence(&mut self) {
+        for cause in [Cause::Restoring, Cause::Damping, Cause::Push, Cause::Carry] {
+            let count = self.of(cause).len();
+            self.by_cause[cause as usize].reset(count);
+        }
+        let net = self.acting().collect();
+        self.by_cause[Cause::Net as usize] = net;
+    }
+
+    /// What acts on each vertex but for its own oscillator [scene unit/s²].
+    pub(super) fn acting(&self) -> impl Iterator<Item = DVec3> + '_ {
+        let causes = [Cause::Attraction, Cause::Repulsion, Cause::Core, Cause::Push, Cause::Carry];
+        (0..self.of(Cause::Net).len()).map(move |i| causes.iter().map(|&cause| self.of(cause).get(i)).sum())
+    }
 }
 
 impl World {
@@ -116,7 +132,7 @@ impl World {
         *self.energy_of_distant_pairs.get_or_init(|| energy_of_distant_pairs(self.scene()))
     }
 
-    fn seen<'a>(&'a self, index: usize, states: &'a States, surroundings: &'a Surroundings) -> Seen<'a> {
+    pub(super) fn seen<'a>(&'a self, index: usize, states: &'a States, surroundings: &'a Surroundings) -> Seen<'a> {
         Seen { body: &self.scene().bodies[index], unit: &self.bodies[index].unit, states, surroundings }
     }
 }

@@ -28,6 +28,8 @@ pub struct Snapshot {
     bodies: Vec<Body>,
     phases: Vec<(usize, usize, Phase)>,
     energy_of_distant_pairs: f64,
+    /// Forces but those of influence spheres are left out.
+    has_influence_only: bool,
 }
 
 #[derive(Clone, Debug)]
@@ -44,6 +46,7 @@ impl World {
     /// What there is to see now, into a snapshot of this world or a new one.
     pub fn look(&self, snapshot: &mut Snapshot) {
         snapshot.step = self.steps_taken();
+        snapshot.has_influence_only = false;
         snapshot.time = self.time();
         snapshot.pairs.clear();
         snapshot.pairs.extend(self.pairs());
@@ -73,6 +76,46 @@ impl World {
 }
 
 impl Snapshot {
+    /// The same with no forces but those of influence spheres.
+    pub(super) fn with_influence_only(mut self) -> Snapshot {
+        self.has_influence_only = true;
+        self
+    }
+
+    /// Another state of the same bodies at time `t`: centre, states, surroundings of each.
+    pub(super) fn at(
+        &self,
+        t: f64,
+        scene: &Scene,
+        phase: impl Fn(usize, usize) -> Phase,
+        bodies: impl Iterator<Item = (DVec3, States, Surroundings)>,
+    ) -> Snapshot {
+        let body = |(before, (centre, states, surroundings)): (&Body, (DVec3, States, Surroundings))| Body {
+            unit: Arc::clone(&before.unit),
+            centre,
+            at_rest: false,
+            states,
+            surroundings,
+        };
+        let bodies: Vec<Body> = self.bodies.iter().zip(bodies).map(body).collect();
+        let pair = |pair: &PairView| {
+            let (a, b) = (pair.a, pair.b);
+            let radii = scene.bodies[a].radius + scene.bodies[b].radius;
+            PairView { a, b, q: bodies[a].centre.distance(bodies[b].centre) / radii, phase: phase(a, b) }
+        };
+        Snapshot { time: t, pairs: self.pairs.iter().map(pair).collect(), bodies, ..Snapshot::default() }
+    }
+
+    /// Displacements and velocities of a body; none if it is at rest.
+    pub(super) fn states(&self, index: usize) -> &States {
+        &self.bodies[index].states
+    }
+
+    /// Bodies and phase of every pair that may not be apart.
+    pub(super) fn phases(&self) -> impl Iterator<Item = (usize, usize, Phase)> + '_ {
+        self.phases.iter().copied()
+    }
+
     /// Number of bodies.
     pub fn body_count(&self) -> usize {
         self.bodies.len()
@@ -80,12 +123,13 @@ impl Snapshot {
 
     /// Body `index` of `scene`, the world's own; panics beyond the last, like a slice.
     pub fn body<'a>(&'a self, scene: &'a Scene, index: usize) -> SeenBody<'a> {
-        SeenBody { scene: &scene.bodies[index], seen: &self.bodies[index] }
+        SeenBody { scene: &scene.bodies[index], seen: &self.bodies[index], influence_only: self.has_influence_only }
     }
 
     /// All bodies, in the order of the scene.
     pub fn bodies<'a>(&'a self, scene: &'a Scene) -> impl ExactSizeIterator<Item = SeenBody<'a>> {
-        self.bodies.iter().zip(&scene.bodies).map(|(seen, scene)| SeenBody { scene, seen })
+        let influence_only = self.has_influence_only;
+        self.bodies.iter().zip(&scene.bodies).map(move |(seen, scene)| SeenBody { scene, seen, influence_only })
     }
 
     /// [`World::energy`].
@@ -111,6 +155,7 @@ impl Snapshot {
 pub struct SeenBody<'a> {
     scene: &'a scene::Body,
     seen: &'a Body,
+    influence_only: bool,
 }
 
 impl<'a> SeenBody<'a> {
@@ -168,5 +213,8 @@ impl<'a> SeenBody<'a> {
     /// The forces by cause on its vertices, into `forces` (reused).
     pub fn forces(self, scene: &Scene, forces: &mut BodyForces) {
         self.seen().forces(scene.influence.weight, forces);
+        if self.influence_only {
+            forces.keep_influence();
+        }
     }
 }

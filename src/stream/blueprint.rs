@@ -47,11 +47,11 @@ use crate::{
 };
 
 /// The messages that bring the layout for `recording` and make it the active one.
-pub fn messages(world: &World, settings: &Settings, recording: &StoreId) -> Vec<LogMsg> {
+pub fn messages(world: &World, settings: &Settings, tab: Tab, recording: &StoreId) -> Vec<LogMsg> {
     let id = format!("blueprint-{}", recording.recording_id().as_str());
     let store = StoreId::new(StoreKind::Blueprint, recording.application_id().clone(), id);
     let mut layout = Layout { chunks: Chunks::new(store.clone()), next_id: 0 };
-    let root = layout.root(world.scene(), settings);
+    let root = layout.root(world.scene(), settings, tab);
     layout.finish(root, store)
 }
 
@@ -71,10 +71,7 @@ pub fn of_comparison(scene: &Scene, recording: &StoreId) -> Vec<LogMsg> {
     let contents = ["+ /difference/**"];
     let plot =
         layout.view("TimeSeries", "Largest difference [radii]", "/difference", &contents, &[("PlotLegend", &legend)]);
-    let columns = TextLogColumns::new()
-        .with_timeline_columns(Vec::<TimelineColumn>::new())
-        .with_text_log_columns([TextLogColumn { kind: TextLogColumnKind::Body, visible: true.into() }]);
-    let events = layout.view("TextLog", "Events", "/events", &["+ /events"], &[("TextLogColumns", &columns)]);
+    let events = layout.lines("Events", "/events");
     let right = layout.container(ContainerKind::Vertical, "Differences", vec![plot, events], &[1.5, 1.0]);
     let root = layout.container(ContainerKind::Horizontal, "meldscope", vec![left, right], &[1.6, 1.0]);
     layout.finish(root, store)
@@ -84,6 +81,25 @@ pub fn of_comparison(scene: &Scene, recording: &StoreId) -> Vec<LogMsg> {
 struct Part {
     id: Uuid,
     path: String,
+}
+
+/// A tab of the layout.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tab {
+    /// Everything at one glance.
+    Scene,
+    /// A view a cause.
+    Forces,
+    /// Surfaces by how far they are displaced, vertices to select.
+    Displacement,
+    /// Distances, phases, events.
+    Pairs,
+    /// What it costs.
+    Timings,
+    /// What the state is like.
+    Energy,
+    /// The inside of steps.
+    Stages,
 }
 
 /// What a visualizer takes for one of its components.
@@ -116,24 +132,43 @@ impl Layout {
         messages
     }
 
-    fn root(&mut self, scene: &Scene, settings: &Settings) -> Part {
-        let first = self.scene_tab(scene, settings);
-        let mut tabs = vec![];
+    fn root(&mut self, scene: &Scene, settings: &Settings, front: Tab) -> Part {
+        let mut tabs = vec![(Tab::Scene, self.scene_tab(scene, settings))];
         if settings.detail != Detail::Surface {
-            tabs.push(self.forces_tab(scene));
-            tabs.push(self.displacement_tab(scene, settings));
+            tabs.push((Tab::Forces, self.forces_tab(scene)));
+            tabs.push((Tab::Displacement, self.displacement_tab(scene, settings)));
         }
         if scene.bodies.len() > 1 {
             let parts = self.pair_views(scene);
-            tabs.push(self.container(ContainerKind::Vertical, "Pairs", parts, &[2.0, 1.0, 0.8]));
+            tabs.push((Tab::Pairs, self.container(ContainerKind::Vertical, "Pairs", parts, &[2.0, 1.0, 0.8])));
         }
-        let timings = self.timings();
-        let speed = self.speed();
-        tabs.push(self.container(ContainerKind::Vertical, "Timings", vec![timings, speed], &[2.0, 1.0]));
+        let timings = vec![self.timings(), self.speed()];
+        tabs.push((Tab::Timings, self.container(ContainerKind::Vertical, "Timings", timings, &[2.0, 1.0])));
         let plots = self.diagnostics();
-        tabs.push(self.container(ContainerKind::Vertical, "Energy", plots, &[1.0; 4]));
-        tabs.insert(0, first);
-        self.container(ContainerKind::Tabs, "meldscope", tabs, &[])
+        tabs.push((Tab::Energy, self.container(ContainerKind::Vertical, "Energy", plots, &[1.0; 4])));
+        if matches!(settings.detail, Detail::Stages { .. }) {
+            tabs.push((Tab::Stages, self.stages_tab(scene)));
+        }
+        let active = tabs.iter().find(|(tab, _)| *tab == front).map(|(_, part)| part.path.clone());
+        let root = self.container(ContainerKind::Tabs, "meldscope", tabs.into_iter().map(|(_, part)| part).collect(), &[]);
+        if let Some(active) = active {
+            self.log(&root.path, &ContainerBlueprint::update_fields().with_active_tab(active.as_str()));
+        }
+        root
+    }
+
+    /// The inside of steps: on the timeline `stage`.
+    fn stages_tab(&mut self, scene: &Scene) -> Part {
+        let view = self.space(scene, "Inside of a step (timeline: stage)", &["+ /world/**"]);
+        let lines = self.lines("Stages", "/stages");
+        self.container(ContainerKind::Horizontal, "Stages", vec![view, lines], &[2.0, 1.0])
+    }
+
+    fn lines(&mut self, name: &str, entity: &str) -> Part {
+        let columns = TextLogColumns::new()
+            .with_timeline_columns(Vec::<TimelineColumn>::new())
+            .with_text_log_columns([TextLogColumn { kind: TextLogColumnKind::Body, visible: true.into() }]);
+        self.view("TextLog", name, entity, &[&format!("+ {entity}")], &[("TextLogColumns", &columns)])
     }
 
     /// Everything at one glance.
@@ -176,7 +211,7 @@ impl Layout {
 
     /// Surfaces coloured by how far they are displaced, and vertices to select.
     fn displacement_tab(&mut self, scene: &Scene, settings: &Settings) -> Part {
-        let title = format!("Displacement: purple 0, green {}, yellow {HOTTEST} radii and more", 0.6 * HOTTEST);
+        let title = format!("Displacement: purple 0, green {}, yellow {HOTTEST} radii and more; select a vertex to see its numbers", 0.6 * HOTTEST);
         let view = self.space(scene, &title, &["+ /world/bodies/**", "+ /world/deforming/**"]);
         let heat = Mapping { target: "Mesh3D:vertex_colors", source: "Points3D:colors" };
         let positions = Mapping { target: "Points3D:positions", source: "Mesh3D:vertex_positions" };
@@ -189,7 +224,7 @@ impl Layout {
         for surface in surfaces {
             self.visualize(&view, &surface, &[("Mesh3D", heat, &opaque), ("Points3D", positions, &dots)]);
         }
-        view
+        self.container(ContainerKind::Vertical, "Displacement", vec![view], &[])
     }
 
     /// What happens between bodies.
@@ -205,10 +240,7 @@ impl Layout {
             &[("PlotLegend", &legend), ("ScalarAxis", &axis)],
         );
         let phases = self.view("StateTimeline", "Pair phases", "/pairs", &["+ /pairs/**"], &[]);
-        let columns = TextLogColumns::new()
-            .with_timeline_columns(Vec::<TimelineColumn>::new())
-            .with_text_log_columns([TextLogColumn { kind: TextLogColumnKind::Body, visible: true.into() }]);
-        let events = self.view("TextLog", "Events", "/events", &["+ /events"], &[("TextLogColumns", &columns)]);
+        let events = self.lines("Events", "/events");
         vec![distances, phases, events]
     }
 
@@ -346,12 +378,12 @@ impl Layout {
 fn cause_title(cause: Cause) -> &'static str {
     match cause {
         Cause::Attraction => "Attraction (orange)",
-        Cause::Repulsion => "Repulsion of bodies apart (light blue)",
-        Cause::Core => "Repulsion in the core (blue)",
+        Cause::Repulsion => "Repulsion of bodies apart (blue)",
+        Cause::Core => "Repulsion in the core (purple)",
         Cause::Restoring => "Restoring (green)",
         Cause::Damping => "Damping (yellow)",
         Cause::Push => "Push (red)",
-        Cause::Carry => "Carry: its own motion (pink)",
+        Cause::Carry => "Carry: its own motion (grey)",
         Cause::Net => "Net (white)",
     }
 }
@@ -433,22 +465,24 @@ pub fn about(scene: &Scene, settings: &Settings) -> String {
         if thresholds.core_at > 0.0 { format!(", core below {}", thresholds.core_at) } else { String::new() },
     );
     let spheres = format!(
-        "Influence spheres and lanes: blue **{}**, orange **{}**, purple **{}**, grey: reaches nobody.  \n",
+        "Influence spheres, lines, lanes: blue **{}**, orange **{}**, purple **{}**, grey: reaches nobody.  \n",
         Phase::Apart,
         Phase::Merged,
         Phase::Core
     );
     let arrows = match settings.detail {
         Detail::Surface => "Force arrows were not recorded (`--detail forces`).  \n".to_owned(),
-        Detail::Forces => format!(
-            "Force arrows ({} unit long per unit/s²): orange **attraction**, blue **repulsion**, red **push**; hidden at \
-             first: green **restoring**, yellow **damping**, purple **carry** (own motion), white **net**.  \n",
+        Detail::Forces | Detail::Stages { .. } => format!(
+            "Arrows: forces of the state on screen, {} unit long per unit/s²: orange **attraction**, blue **repulsion**, \
+             purple **core**, red **push**; hidden at first: green **restoring**, yellow **damping**, grey **carry** (own \
+             motion), white **net**.  \n",
             arrow_scale(scene)
         ),
     };
     let bound = if scene.bodies.len() * scene.bodies.len().saturating_sub(1) / 2 > settings.pairs {
         let most = settings.pairs;
-        format!("The first {most} pairs that come within reach have plots and lanes (`--pairs`); events list them all.\n")
+        format!("The first {most} pairs that come within reach have plots and lanes, the closest {most} have lines (`--pairs`); events \
+                 list them all.\n")
     } else {
         String::new()
     };

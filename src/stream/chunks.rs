@@ -41,6 +41,9 @@ impl Instant {
     }
 }
 
+/// The timeline that walks through the inside of steps.
+pub const STAGE: &str = "stage";
+
 /// An entity that is logged in columns, see [`Chunks::track`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Track(usize);
@@ -53,6 +56,8 @@ pub struct Chunks {
     /// Entities in `open` in the order of their first row, so that messages do not depend on hashing.
     order: Vec<EntityPath>,
     done: Vec<LogMsg>,
+    /// What follows is logged at this stage of a step, and not at an instant.
+    stage: Option<u64>,
     rows: u64,
     /// Of what depends on the machine.
     rows_apart: u64,
@@ -70,6 +75,7 @@ impl Chunks {
             open: HashMap::new(),
             order: Vec::new(),
             done: vec![LogMsg::SetStoreInfo(info)],
+            stage: None,
             rows: 0,
             rows_apart: 0,
             chunks: 0,
@@ -92,6 +98,11 @@ impl Chunks {
         ChunkId::from_tuid(Tuid::from_nanos_and_inc(2, self.chunks))
     }
 
+    /// From here on rows are at a stage, on a timeline of its own, or at instants again. A track keeps to either.
+    pub fn set_stage(&mut self, stage: Option<u64>) {
+        self.stage = stage;
+    }
+
     /// For what an entity is logged frame after frame: always these components.
     pub fn track(&mut self, entity: &str, components: impl IntoIterator<Item = ComponentDescriptor>) -> Track {
         self.tracks.push(Columns::new(entity, components.into_iter().collect()));
@@ -103,18 +114,19 @@ impl Chunks {
     pub fn push_apart(&mut self, Track(track): Track, at: Instant, cells: &[Cell<'_>]) {
         self.rows_apart += 1;
         let row = RowId::from_tuid(Tuid::from_nanos_and_inc(4, self.rows_apart));
-        self.tracks[track].push(row, at, cells);
+        self.tracks[track].push(row, at, None, cells);
     }
 
     /// Logs a cell for each component of a track.
     pub fn push(&mut self, Track(track): Track, at: Instant, cells: &[Cell<'_>]) {
         let row = self.row_id();
-        self.tracks[track].push(row, at, cells);
+        self.tracks[track].push(row, at, self.stage, cells);
     }
 
     /// Logs components of an entity at an instant of the simulation.
     pub fn log(&mut self, entity: &str, at: Instant, components: &dyn AsComponents) {
-        self.row(entity, at.time_point(), components);
+        let stage = |stage: u64| TimePoint::from_iter([(Timeline::new_sequence(STAGE), stage as i64)]);
+        self.row(entity, self.stage.map_or_else(|| at.time_point(), stage), components);
     }
 
     /// Logs components of an entity at a time of any timeline.

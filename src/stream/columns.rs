@@ -18,7 +18,10 @@ use rerun::{
     },
 };
 
-use super::{chunks::Instant, extract::Vector};
+use super::{
+    chunks::{Instant, STAGE},
+    extract::Vector,
+};
 
 /// A chunk is complete with this many bytes of values, or rows: the sizes to which the viewer's store compacts chunks.
 const CHUNK_BYTES: usize = 384 << 10;
@@ -49,6 +52,7 @@ pub enum Cell<'a> {
 pub(super) struct Columns {
     pub entity: EntityPath,
     ids: Vec<RowId>,
+    /// Or stages, if there are no times.
     steps: Vec<i64>,
     nanoseconds: Vec<i64>,
     columns: Vec<Column>,
@@ -85,10 +89,15 @@ impl Columns {
     }
 
     /// Adds a row with a cell for each component.
-    pub fn push(&mut self, id: RowId, at: Instant, cells: &[Cell<'_>]) {
+    pub fn push(&mut self, id: RowId, at: Instant, stage: Option<u64>, cells: &[Cell<'_>]) {
         self.ids.push(id);
-        self.steps.push(at.step as i64);
-        self.nanoseconds.push(at.nanoseconds());
+        match stage {
+            Some(stage) => self.steps.push(stage as i64),
+            None => {
+                self.steps.push(at.step as i64);
+                self.nanoseconds.push(at.nanoseconds());
+            }
+        }
         for (column, cell) in self.columns.iter_mut().zip(cells) {
             column.lengths.push(column.values.extend(*cell));
         }
@@ -109,7 +118,7 @@ impl Columns {
     }
 
     /// The rows as a chunk has them; none are left.
-    pub fn take(&mut self) -> Result<(Vec<RowId>, [TimeColumn; 2], ChunkComponents), ArrowError> {
+    pub fn take(&mut self) -> Result<(Vec<RowId>, Vec<TimeColumn>, ChunkComponents), ArrowError> {
         let mut components = Vec::with_capacity(self.columns.len());
         for Column { descriptor, values, lengths } in &mut self.columns {
             let values = std::mem::replace(values, values.with_capacity()).into_array()?;
@@ -117,10 +126,13 @@ impl Columns {
             let offsets = OffsetBuffer::from_lengths(lengths.drain(..));
             components.push((descriptor.clone(), ListArray::try_new(field.into(), offsets, values, None)?));
         }
-        let timelines = [
-            TimeColumn::new_sequence("step", self.steps.drain(..)),
-            TimeColumn::new_duration_nanos("sim_time", self.nanoseconds.drain(..)),
-        ];
+        let steps = self.steps.drain(..);
+        let timelines = if self.nanoseconds.is_empty() {
+            vec![TimeColumn::new_sequence(STAGE, steps)]
+        } else {
+            let times = self.nanoseconds.drain(..);
+            vec![TimeColumn::new_sequence("step", steps), TimeColumn::new_duration_nanos("sim_time", times)]
+        };
         Ok((std::mem::take(&mut self.ids), timelines, components.into_iter().collect()))
     }
 }

@@ -24,11 +24,11 @@ pub fn cause(cause: Cause) -> Rgb {
     match cause {
         Cause::Attraction => ORANGE,
         Cause::Repulsion => SKY_BLUE,
-        Cause::Core => BLUE,
+        Cause::Core => PURPLE,
         Cause::Restoring => GREEN,
         Cause::Damping => YELLOW,
         Cause::Push => VERMILION,
-        Cause::Carry => PURPLE,
+        Cause::Carry => SILVER,
         Cause::Net => WHITE,
     }
 }
@@ -102,7 +102,7 @@ pub fn translucent([r, g, b]: Rgb) -> Rgba32 {
 /// vision can read.
 pub fn heat(share: f64) -> u32 {
     const STOPS: [[f64; 3]; 6] = [
-        [68.0, 1.0, 84.0],
+        [72.0, 32.0, 112.0],
         [65.0, 68.0, 135.0],
         [42.0, 120.0, 142.0],
         [34.0, 168.0, 132.0],

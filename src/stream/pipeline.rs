@@ -18,10 +18,10 @@ use rerun::log::LogMsg;
 
 use super::{
     Recorder, Settings,
-    recorder::Step,
+    recorder::{StageWatch, Step},
     sinks::{SinkError, Sinks},
 };
-use crate::sim::{Snapshot, World};
+use crate::sim::{Snapshot, World, stages::Inside};
 
 /// Packets on their way, and being filled.
 const PACKETS: usize = 4;
@@ -38,6 +38,7 @@ const FILE_INTERVAL: Duration = Duration::from_millis(200);
 /// The simulation's end of it.
 pub struct Pipeline {
     settings: Settings,
+    watch: StageWatch,
     packet: Packet,
     handed_over: Clock,
     /// Since the last step.
@@ -78,11 +79,11 @@ struct Packet {
 }
 
 impl Pipeline {
-    /// Records what follows, and sends it to the sinks: often if `is_live`.
+    /// Records what follows on the world as it is, and sends it to the sinks: often if `is_live`.
     ///
     /// # Errors
     /// The thread cannot be started.
-    pub fn start(recorder: Recorder, sinks: Sinks, is_live: bool) -> Result<Pipeline, SinkError> {
+    pub fn start(world: &World, recorder: Recorder, sinks: Sinks, is_live: bool) -> Result<Pipeline, SinkError> {
         let (full, filled) = channel();
         let (emptied, empty) = channel();
         for _ in 1..PACKETS {
@@ -97,6 +98,7 @@ impl Pipeline {
         let thread = thread
             .map_err(|error| SinkError::Thread { target: "the recording".to_owned(), reason: error.to_string() })?;
         Ok(Pipeline {
+            watch: StageWatch::new(world, &settings),
             settings,
             packet: Packet::default(),
             handed_over: Clock::now(),
@@ -123,9 +125,12 @@ impl Pipeline {
             packet.bytes += snapshot.memory();
         }
         let (report, checksum) = (world.report().clone(), world.checksum());
+        let stages = self.watch.observe(world, &self.settings);
+        let memory = |stage: &Inside| stage.snapshot.memory();
+        packet.bytes += stages.iter().map(memory).sum::<usize>();
         let end = Clock::now();
         let (observing, waiting) = (end - start, take(&mut self.waiting));
-        packet.steps.push(Step { report, checksum, observing, waiting, lag, end });
+        packet.steps.push(Step { report, checksum, observing, waiting, lag, end, stages });
         if packet.used >= FRAMES
             || packet.steps.len() >= STEPS
             || packet.bytes >= BYTES

@@ -9,7 +9,7 @@ use std::{
 };
 
 use rerun::{
-    AnyValues, AsComponents, StoreId, StoreKind, TextDocument, ViewCoordinates,
+    AnyValues, AsComponents, StoreId, StoreKind, TextDocument, TextLog, ViewCoordinates,
     components::{MediaType, Scalar, Text},
     external::re_log_types::{ApplicationId, LogMsg},
 };
@@ -22,7 +22,7 @@ pub use super::{
     settings::{Detail, Entities, MOST_PAIRS, Settings, arrow_scale, file_stem},
 };
 use super::{
-    blueprint,
+    blueprint::{self, Tab},
     checksums::Checksums,
     chunks::{Chunks, Instant},
     extract::Extractor,
@@ -37,7 +37,10 @@ use super::{
 };
 use crate::{
     scene::Scene,
-    sim::{Snapshot, StepReport, World},
+    sim::{
+        Snapshot, StepReport, World,
+        stages::{self, Inside},
+    },
 };
 
 /// Turns a world, step by step, into the messages of a recording.
@@ -52,20 +55,29 @@ pub struct Recorder {
     /// Made, and of them those that are in the recording.
     frames: u64,
     written: u64,
+    /// What shows the inside of steps, and how many stages were shown.
+    stages: Option<State>,
+    stage_count: u64,
+    watch: StageWatch,
     /// Reused.
     snapshot: Snapshot,
 }
 
 /// The parts of a frame.
 struct Frame {
+    state: State,
+    pairs: Pairs,
+    numbers: Numbers,
+    series: Series,
+}
+
+/// Those that show the state.
+struct State {
     extractor: Extractor,
     surfaces: Surfaces,
     spheres: Spheres,
     forces: Option<Forces>,
-    pairs: Pairs,
     lines: Lines,
-    numbers: Numbers,
-    series: Series,
 }
 
 #[allow(clippy::large_enum_variant)] // there is one
@@ -89,6 +101,14 @@ pub struct Step {
     pub lag: Option<Duration>,
     /// When the step was complete.
     pub end: Clock,
+    /// What happened inside, if that is wanted.
+    pub stages: Vec<Inside>,
+}
+
+/// Looks into steps, for which it keeps the state before the next one.
+#[derive(Default)]
+pub struct StageWatch {
+    before: Option<Snapshot>,
 }
 
 impl Recorder {
@@ -115,6 +135,10 @@ impl Recorder {
             frame: (settings.frames != Frames::Thin).then(|| Frame::new(&scene, &settings, &mut chunks)),
             frames: 0,
             written: 0,
+            stages: matches!(settings.detail, Detail::Stages { .. })
+                .then(|| State::new(&scene, &settings, &mut chunks)),
+            stage_count: 0,
+            watch: StageWatch::new(world, &settings),
             snapshot: Snapshot::default(),
             scene,
             settings,
@@ -150,9 +174,14 @@ impl Recorder {
 
     /// The layout that the viewer opens with, to be sent before anything else.
     pub fn blueprint(&self, world: &World) -> Vec<LogMsg> {
+        self.blueprint_at(world, Tab::Scene)
+    }
+
+    /// The same with another tab in front.
+    pub fn blueprint_at(&self, world: &World, tab: Tab) -> Vec<LogMsg> {
         match self.settings.frames {
             Frames::Thin => Vec::new(), // nothing to lay out
-            _ => blueprint::messages(world, &self.settings, self.chunks.store()),
+            _ => blueprint::messages(world, &self.settings, tab, self.chunks.store()),
         }
     }
 
@@ -187,8 +216,9 @@ impl Recorder {
             world.look(&mut snapshot);
         }
         let (report, checksum) = (world.report().clone(), world.checksum());
+        let stages = self.watch.observe(world, &self.settings);
         let end = Clock::now();
-        let step = Step { report, checksum, observing: end - start, waiting: Duration::ZERO, lag: None, end };
+        let step = Step { report, checksum, observing: end - start, waiting: Duration::ZERO, lag: None, end, stages };
         self.record(&step, has_frame.then_some(&snapshot));
         self.snapshot = snapshot;
     }
@@ -204,10 +234,23 @@ impl Recorder {
             frame.pairs.log_event(&self.scene, event, &mut frame.series, &mut self.chunks);
         }
         frame.numbers.add_recording(Duration::ZERO, start.elapsed());
+        self.log_stages(&step.stages, at);
         if let Some(snapshot) = snapshot {
             self.log_frame(snapshot, at);
         }
         self.keep(&step.report);
+    }
+
+    fn log_stages(&mut self, stages: &[Inside], at: Instant) {
+        let Some(state) = &mut self.stages else { return };
+        for stage in stages {
+            self.chunks.set_stage(Some(self.stage_count));
+            self.stage_count += 1;
+            let line = format!("step {}: {}", at.step, stage.name);
+            self.chunks.log("/stages", at, &TextLog::new(line).with_level("stage"));
+            state.log(Look { scene: &self.scene, snapshot: &stage.snapshot, at }, &mut self.chunks);
+        }
+        self.chunks.set_stage(None);
     }
 
     fn log_frame(&mut self, snapshot: &Snapshot, at: Instant) {
@@ -284,23 +327,43 @@ impl Recorder {
 impl Frame {
     /// Logs what stays the same.
     fn new(scene: &Scene, settings: &Settings, chunks: &mut Chunks) -> Frame {
-        let (mut extractor, mut series) = (Extractor::default(), Series::default());
-        let spheres = Spheres::new(scene, settings.entities, chunks);
-        let detail = settings.detail;
-        let surfaces = match settings.entities {
-            Entities::Body => Surfaces::Bodies(Bodies::new(scene, detail, chunks)),
-            Entities::Batch => Surfaces::Batch(Batch::new(scene, detail, &mut extractor, chunks)),
-        };
-        let forces = (detail != Detail::Surface).then(|| Forces::new(scene, settings.entities, chunks));
+        let mut series = Series::default();
+        let state = State::new(scene, settings, chunks);
         let numbers = Numbers::new(&mut series, chunks);
-        let (pairs, lines) = (Pairs::new(settings.pairs), Lines::new(settings.pairs, chunks));
-        Frame { extractor, surfaces, spheres, forces, pairs, lines, numbers, series }
+        Frame { state, pairs: Pairs::new(settings.pairs), numbers, series }
     }
 
     /// Logs what has changed; it is frame `number`.
     fn log(&mut self, look: Look<'_>, number: u64, chunks: &mut Chunks) {
         let start = Clock::now();
-        let Frame { extractor, surfaces, spheres, forces, pairs, lines, numbers, series } = self;
+        let Frame { state, pairs, numbers, series } = self;
+        let extracting = state.log(look, chunks);
+        pairs.log(look, number, series, chunks);
+        numbers.log_diagnostics(look, series, chunks);
+        numbers.add_recording(extracting, start.elapsed().saturating_sub(extracting));
+        numbers.log_timings(look.at, chunks);
+    }
+}
+
+impl State {
+    /// Logs what stays the same.
+    fn new(scene: &Scene, settings: &Settings, chunks: &mut Chunks) -> State {
+        let mut extractor = Extractor::default();
+        let detail = settings.detail;
+        let spheres = Spheres::new(scene, settings.entities, chunks);
+        let surfaces = match settings.entities {
+            Entities::Body => Surfaces::Bodies(Bodies::new(scene, detail, chunks)),
+            Entities::Batch => Surfaces::Batch(Batch::new(scene, detail, &mut extractor, chunks)),
+        };
+        let forces = (detail != Detail::Surface).then(|| Forces::new(scene, settings.entities, chunks));
+        let lines = Lines::new(settings.pairs, chunks);
+        State { extractor, surfaces, spheres, forces, lines }
+    }
+
+    /// Logs what has changed; returns the time that extracting took.
+    fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) -> Duration {
+        let start = Clock::now();
+        let State { extractor, surfaces, spheres, forces, lines } = self;
         if let Some(forces) = forces {
             forces.extract(look, extractor);
         }
@@ -309,16 +372,37 @@ impl Frame {
             Surfaces::Bodies(bodies) => bodies.log(look, vertices, extractor, chunks),
             Surfaces::Batch(batch) => batch.log(look, vertices, extractor, chunks),
         }
-        let extracted = Clock::now();
+        let extracting = start.elapsed();
         if let Some(forces) = forces {
             forces.log(look, chunks);
         }
         spheres.log(look, chunks);
-        pairs.log(look, number, series, chunks);
         lines.log(look, chunks);
-        numbers.log_diagnostics(look, series, chunks);
-        numbers.add_recording(extracted - start, extracted.elapsed());
-        numbers.log_timings(look.at, chunks);
+        extracting
+    }
+}
+
+impl StageWatch {
+    /// From the world as it is on.
+    pub fn new(world: &World, settings: &Settings) -> StageWatch {
+        let mut watch = StageWatch::default();
+        watch.observe(world, settings);
+        watch
+    }
+
+    /// The stages of the step just taken, if they are wanted.
+    pub fn observe(&mut self, world: &World, settings: &Settings) -> Vec<Inside> {
+        let step = world.steps_taken();
+        let stages = match &self.before {
+            Some(before) if settings.has_stages(step) => stages::inside(before, world),
+            _ => Vec::new(),
+        };
+        if settings.has_stages(step + 1) {
+            world.look(self.before.get_or_insert_default());
+        } else {
+            self.before = None;
+        }
+        stages
     }
 }
 

@@ -15,8 +15,15 @@ pub const MOST_PAIRS: usize = 16;
 pub enum Detail {
     /// Surfaces, spheres, pairs, events, timings, diagnostics.
     Surface,
-    /// Those, and force arrows by cause.
+    /// Those, and force arrows by cause, pairs in space, numbers of vertices.
     Forces,
+    /// Those, and the inside of these steps.
+    Stages {
+        /// The first step that is looked into.
+        from: u64,
+        /// The last one.
+        to: u64,
+    },
 }
 
 /// One entity a body, or all bodies in few.
@@ -110,6 +117,11 @@ pub struct Settings {
 }
 
 impl Settings {
+    /// Whether a step is looked into.
+    pub fn has_stages(&self, step: u64) -> bool {
+        matches!(self.detail, Detail::Stages { from, to } if from <= step && step <= to) && self.frames == Frames::All
+    }
+
     /// Whether there is a frame of a step.
     pub fn has_frame(&self, step: u64) -> bool {
         self.frames != Frames::Thin && step.is_multiple_of(self.every)
@@ -189,6 +201,11 @@ impl Settings {
         let detail = match self.detail {
             Detail::Surface => "surface",
             Detail::Forces => "forces",
+            Detail::Stages { .. } => "stages",
+        };
+        let stages = match self.detail {
+            Detail::Stages { from, to } => format!("stages = [{from}, {to}]\n"),
+            Detail::Surface | Detail::Forces => String::new(),
         };
         let entities = match self.entities {
             Entities::Body => "body",
@@ -203,7 +220,7 @@ impl Settings {
             }
         };
         format!(
-            "integrator = \"{}\"\ndt = {:?}\ntolerance = {:?}\nsteps = {}\n{}every = {}\ndetail = \"{detail}\"\nentities = \"{entities}\"\npairs = {}\n{frames}",
+            "integrator = \"{}\"\ndt = {:?}\ntolerance = {:?}\nsteps = {}\n{}every = {}\ndetail = \"{detail}\"\nentities = \"{entities}\"\npairs = {}\n{stages}{frames}",
             self.integrator,
             self.dt,
             self.tolerance,

@@ -14,7 +14,7 @@ use crate::{
 };
 
 /// The colours of the heat map end at this displacement [radii].
-pub const HOTTEST: f64 = 0.25;
+pub const HOTTEST: f64 = 0.5;
 
 /// What there is to say of some vertices; reused.
 #[derive(Clone, Debug, Default, PartialEq)]

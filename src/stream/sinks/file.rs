@@ -249,6 +249,11 @@ impl Writer {
         self.queue.flush()
     }
 
+    /// Whether nothing more can be written.
+    pub fn failed(&self) -> bool {
+        self.queue.failure().is_some()
+    }
+
     /// Nothing more will be sent: the thread may finish meanwhile.
     pub fn close(&self) {
         self.queue.close();

@@ -233,6 +233,11 @@ impl Sinks {
         self.server.is_some()
     }
 
+    /// Whether a file or pipe cannot be written, or nothing is left to send to.
+    pub fn failed(&self) -> bool {
+        !self.is_anyone_left() || self.writers.iter().any(Writer::failed)
+    }
+
     /// What there is to tell the user since the last call: whole sentences, each said once.
     pub fn notes(&mut self) -> Vec<String> {
         self.look();
