@@ -389,7 +389,7 @@ fn watch(
             if run.sinks.failed() {
                 return run.conclude(console);
             }
-            console.say(failure);
+            console.notes(std::slice::from_ref(failure));
         }
         while run.next.is_none() && !stop.load(Ordering::Relaxed) {
             std::thread::sleep(LOOK_INTERVAL);
@@ -402,7 +402,7 @@ fn watch(
                 console.say(&format!("{} has changed: starting again", arguments.scene));
                 run = simulate(world, run.sinks, arguments, stop, Some(&mut changes), console)?;
             }
-            Err(error) => console.say(&format!("{error}; going on with the scene as it was")),
+            Err(error) => console.notes(&[format!("{error}; going on with the scene as it was")]),
         }
     }
 }
@@ -429,7 +429,7 @@ impl Changes {
         match load(arguments) {
             Ok(scene) => Some(scene),
             Err(failure) => {
-                console.say(&format!("{failure}; going on with the scene as it was"));
+                console.notes(&[format!("{failure}; going on with the scene as it was")]);
                 None
             }
         }

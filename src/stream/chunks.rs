@@ -48,13 +48,16 @@ pub const STAGE: &str = "stage";
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Track(usize);
 
+/// An entity, at stages or at instants: rows of a chunk have the same timelines.
+type Place = (EntityPath, bool);
+
 /// Gathers rows by entity until they are taken.
 pub struct Chunks {
     store: StoreId,
     tracks: Vec<Columns>,
-    open: HashMap<EntityPath, ChunkBuilder>,
+    open: HashMap<Place, ChunkBuilder>,
     /// Entities in `open` in the order of their first row, so that messages do not depend on hashing.
-    order: Vec<EntityPath>,
+    order: Vec<Place>,
     done: Vec<LogMsg>,
     /// What follows is logged at this stage of a step, and not at an instant.
     stage: Option<u64>,
@@ -133,15 +136,14 @@ impl Chunks {
     pub fn row(&mut self, entity: &str, at: TimePoint, components: &dyn AsComponents) {
         let row = self.row_id();
         let path = EntityPath::from(entity);
-        if !self.open.contains_key(&path) {
+        let place = (path.clone(), self.stage.is_some());
+        let builder = self.open.remove(&place).unwrap_or_else(|| {
+            self.order.push(place.clone());
             let id = self.chunk_id();
-            self.order.push(path.clone());
-            self.open.insert(path.clone(), Chunk::builder_with_id(id, path.clone()));
-        }
-        if let Some(builder) = self.open.remove(&path) {
-            let builder = builder.with_serialized_batches(row, at, components.as_serialized_batches());
-            self.open.insert(path, builder);
-        }
+            Chunk::builder_with_id(id, path)
+        });
+        let builder = builder.with_serialized_batches(row, at, components.as_serialized_batches());
+        self.open.insert(place, builder);
     }
 
     /// Logs components of an entity for all times, in a message of its own.
