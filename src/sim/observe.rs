@@ -180,7 +180,7 @@ impl Seen<'_> {
     pub fn forces(&self, weight: Weight, forces: &mut BodyForces) {
         let material = self.body.material;
         for vectors in &mut forces.by_cause {
-            vectors.reset(self.unit.len());
+            vectors.resize(self.unit.len()); // every one is set below
         }
         for i in 0..self.unit.len() {
             let (unit, (x, u)) = (self.unit.get(i), self.state(i));

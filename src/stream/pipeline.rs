@@ -26,7 +26,7 @@ use crate::sim::{Snapshot, World, stages::Inside};
 /// Packets on their way, and being filled.
 const PACKETS: usize = 4;
 /// A packet is full with this many frames, steps, or bytes …
-const FRAMES: usize = 32;
+const FRAMES: usize = 16;
 const STEPS: usize = 4096;
 const BYTES: usize = 8 << 20;
 /// … or after this time.

@@ -203,7 +203,7 @@ impl Recorder {
     /// Adds time that the caller spent on bringing messages to their sinks to that of logging.
     pub fn messages_sent(&mut self, time: Duration) {
         if let Some(frame) = &mut self.frame {
-            frame.numbers.add_recording(Duration::ZERO, time);
+            frame.numbers.add_sending(time);
         }
     }
 

@@ -817,6 +817,7 @@ fn memory_stays_bounded_over_a_hundred_thousand_frames() {
     let dir = Dir::new();
     let text = r#"
         name = "endless"
+        duration = 1.0
         [[body]]
         name = "a"
         shape = { sphere = { stacks = 4, slices = 6 } }

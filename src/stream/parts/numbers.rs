@@ -40,6 +40,9 @@ const DIAGNOSTICS: [(&str, &str, Shape); 6] = [
 pub struct Numbers {
     diagnostics: [LineId; DIAGNOSTICS.len()],
     timings: [Track; TIMINGS.len()],
+    /// Since messages were last sent, and what that took a step.
+    steps_since_sent: u32,
+    sending: Duration,
     /// Since the last frame.
     steps: u32,
     spent: [Duration; TIMINGS.len()],
@@ -74,6 +77,8 @@ impl Numbers {
         Numbers {
             diagnostics,
             timings,
+            steps_since_sent: 0,
+            sending: Duration::ZERO,
             steps: 0,
             spent: Default::default(),
             substeps: 0,
@@ -90,6 +95,7 @@ impl Numbers {
     pub fn add(&mut self, step: &Step) {
         let report = &step.report;
         self.steps += 1;
+        self.steps_since_sent += 1;
         self.end = Some(step.end);
         self.lag = step.lag;
         for (sum, spent) in self.spent.iter_mut().zip(report.timings.into_iter().chain([step.observing, step.waiting])) {
@@ -97,6 +103,11 @@ impl Numbers {
         }
         self.substeps += report.substeps;
         self.error = self.error.max(report.error);
+    }
+
+    /// Adds what bringing messages to their destinations took: spread over the steps from which they came.
+    pub fn add_sending(&mut self, time: Duration) {
+        self.sending = time / std::mem::take(&mut self.steps_since_sent).max(1);
     }
 
     /// Adds what recording took since the last frame.
@@ -127,10 +138,12 @@ impl Numbers {
     /// Milliseconds per step since the last frame.
     pub fn log_timings(&mut self, at: Instant, chunks: &mut Chunks) {
         let steps = std::mem::take(&mut self.steps);
-        let spent = std::mem::take(&mut self.spent);
+        let mut spent = std::mem::take(&mut self.spent);
         if steps == 0 {
             return;
         }
+        let [.., log] = &mut spent;
+        *log += self.sending * steps;
         for (&track, spent) in self.timings.iter().zip(spent) {
             let milliseconds = 1e3 * spent.as_secs_f64() / f64::from(steps);
             chunks.push_apart(track, at, &[Cell::Scalars(&[milliseconds])]);

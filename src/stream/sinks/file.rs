@@ -17,8 +17,9 @@ use super::SinkError;
 use super::error::file_help;
 use super::queue::{Parcel, Queue, WhenFull};
 
-/// What may wait to be written [bytes]; then the run waits for the disk.
-const LIMIT: u64 = 64 << 20;
+/// What may wait to be written [bytes]; then the run waits for the disk. More would not be quicker: what was recorded
+/// would have left the processor's caches when it is written.
+const LIMIT: u64 = 16 << 20;
 /// What is handed to the operating system at once [bytes].
 const BUFFER: usize = 256 << 10;
 /// A killed run loses at most what came after this [time since the last flush].

@@ -5,7 +5,7 @@
 //! what it can take and never holds up a run. The server for viewers gets everything, for those that come later too, but
 //! cannot hold up a run for longer than a second.
 //!
-//! Memory: 64 MiB for a file or pipe; 128 MiB for each viewer and for the server, twice as much where it is all values
+//! Memory: 16 MiB for a file or pipe; 128 MiB for each viewer and for the server, twice as much where it is all values
 //! that nothing newer follows; and what the SDK holds, which for the server is 256 MiB under way and 1 GiB of history.
 //! A message in several queues is there once. The footer of a file takes about 1 kB for each message, kept until the
 //! end.
