@@ -10,7 +10,6 @@ use std::{
     time::{Duration, Instant},
 };
 
-use indicatif::{ProgressBar, ProgressStyle};
 use super::{Failure, print, say};
 use crate::{
     scene::{Integrator, Scene, builtin, parse::did_you_mean},
@@ -24,6 +23,7 @@ use crate::{
         sinks::{Destinations, Finished, Serve, SinkError, Sinks, Spawn, thousands},
     },
 };
+use indicatif::{ProgressBar, ProgressStyle};
 
 /// The progress bar moves and a watched file is looked at this often, but only every so many steps.
 const LOOK_INTERVAL: Duration = Duration::from_millis(50);
@@ -365,7 +365,8 @@ fn simulate(
     }
 
     // However it ended: what was simulated is saved.
-    let Recorded { mut recorder, mut sinks, mut notes, failure: recording } = pipeline.finish().map_err(Failure::Run)?;
+    let Recorded { mut recorder, mut sinks, mut notes, failure: recording } =
+        pipeline.finish().map_err(Failure::Run)?;
     let seconds = start.elapsed().as_secs_f64();
     recorder.finish(&world);
     let failure = failure.or(recording).or(send(&mut sinks, recorder.take()));

@@ -264,7 +264,8 @@ mod tests {
                     for (index, body) in world.bodies().enumerate() {
                         let ended = &last.snapshot.states(index).displacement;
                         for i in 0..body.vertex_count() {
-                            largest = f64::max(largest, ended.get(i).distance(body.displacement(i)) / body.scene().radius);
+                            largest =
+                                f64::max(largest, ended.get(i).distance(body.displacement(i)) / body.scene().radius);
                         }
                     }
                 }

@@ -11,18 +11,15 @@ use rerun::{
         re_sdk_types::{
             blueprint::{
                 archetypes::{
-                    ActiveVisualizers, Background, ContainerBlueprint, EntityBehavior, EyeControls3D, LineGrid3D, PanelBlueprint,
-                    PlotLegend, ScalarAxis, TextLogColumns, TimePanelBlueprint, ViewBlueprint, ViewContents,
-                    ViewportBlueprint,
-                    VisualizerInstruction,
+                    ActiveVisualizers, Background, ContainerBlueprint, EntityBehavior, EyeControls3D, LineGrid3D,
+                    PanelBlueprint, PlotLegend, ScalarAxis, TextLogColumns, TimePanelBlueprint, ViewBlueprint,
+                    ViewContents, ViewportBlueprint, VisualizerInstruction,
                 },
                 components::{
                     BackgroundKind, ContainerKind, Corner2D, Eye3DKind, PanelState, TimelineColumn,
                     VisualizerInstructionId,
                 },
-                datatypes::{
-                    ComponentSourceKind, TextLogColumn, TextLogColumnKind, VisualizerComponentMapping,
-                },
+                datatypes::{ComponentSourceKind, TextLogColumn, TextLogColumnKind, VisualizerComponentMapping},
             },
             components::{Position3D, Range1D, Vector3D},
             datatypes::Uuid,
@@ -147,10 +144,11 @@ impl Layout {
         let plots = self.diagnostics();
         tabs.push((Tab::Energy, self.container(ContainerKind::Vertical, "Energy", plots, &[1.0; 4])));
         if matches!(settings.detail, Detail::Stages { .. }) {
-            tabs.push((Tab::Stages, self.stages_tab(scene)));
+            tabs.push((Tab::Stages, self.stages_tab(scene, settings)));
         }
         let active = tabs.iter().find(|(tab, _)| *tab == front).map(|(_, part)| part.path.clone());
-        let root = self.container(ContainerKind::Tabs, "meldscope", tabs.into_iter().map(|(_, part)| part).collect(), &[]);
+        let root =
+            self.container(ContainerKind::Tabs, "meldscope", tabs.into_iter().map(|(_, part)| part).collect(), &[]);
         if let Some(active) = active {
             self.log(&root.path, &ContainerBlueprint::update_fields().with_active_tab(active.as_str()));
         }
@@ -158,8 +156,8 @@ impl Layout {
     }
 
     /// The inside of steps: on the timeline `stage`.
-    fn stages_tab(&mut self, scene: &Scene) -> Part {
-        let view = self.space(scene, "Inside of a step (timeline: stage)", &["+ /world/**"]);
+    fn stages_tab(&mut self, scene: &Scene, settings: &Settings) -> Part {
+        let view = self.scene_view(scene, "Inside of a step (timeline: stage)", settings);
         let lines = self.lines("Stages", "/stages");
         self.container(ContainerKind::Horizontal, "Stages", vec![view, lines], &[2.0, 1.0])
     }
@@ -173,7 +171,7 @@ impl Layout {
 
     /// Everything at one glance.
     fn scene_tab(&mut self, scene: &Scene, settings: &Settings) -> Part {
-        let scene_view = self.scene_view(scene, settings);
+        let scene_view = self.scene_view(scene, "Bodies, influence spheres, forces", settings);
         let about = self.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
         let left = self.container(ContainerKind::Vertical, "Space", vec![scene_view, about], &[2.6, 1.0]);
         let right = if scene.bodies.len() > 1 {
@@ -211,7 +209,10 @@ impl Layout {
 
     /// Surfaces coloured by how far they are displaced, and vertices to select.
     fn displacement_tab(&mut self, scene: &Scene, settings: &Settings) -> Part {
-        let title = format!("Displacement: purple 0, green {}, yellow {HOTTEST} radii and more; select a vertex to see its numbers", 0.6 * HOTTEST);
+        let title = format!(
+            "Displacement: purple 0, green {}, yellow {HOTTEST} radii and more; select a vertex to see its numbers",
+            0.6 * HOTTEST
+        );
         let view = self.space(scene, &title, &["+ /world/bodies/**", "+ /world/deforming/**"]);
         let heat = Mapping { target: "Mesh3D:vertex_colors", source: "Points3D:colors" };
         let positions = Mapping { target: "Points3D:positions", source: "Mesh3D:vertex_positions" };
@@ -274,10 +275,11 @@ impl Layout {
         self.view("TimeSeries", name, origin, contents, &[("PlotLegend", &legend)])
     }
 
-    fn scene_view(&mut self, scene: &Scene, settings: &Settings) -> Part {
-        let view = self.space(scene, "Bodies, influence spheres, forces", &["+ /world/**"]);
+    /// Everything in space, with those forces that make bodies merge and split.
+    fn scene_view(&mut self, scene: &Scene, name: &str, settings: &Settings) -> Part {
+        let view = self.space(scene, name, &["+ /world/**"]);
         if settings.detail != Detail::Surface {
-            // At first only what merges and splits; the others are one click away in the view's entity list.
+            // the others are one click away in the view's entity list
             for cause in [Cause::Restoring, Cause::Damping, Cause::Push, Cause::Carry, Cause::Net] {
                 if cause == Cause::Push && !scene.pushes.is_empty() {
                     continue;
@@ -481,8 +483,10 @@ pub fn about(scene: &Scene, settings: &Settings) -> String {
     };
     let bound = if scene.bodies.len() * scene.bodies.len().saturating_sub(1) / 2 > settings.pairs {
         let most = settings.pairs;
-        format!("The first {most} pairs that come within reach have plots and lanes, the closest {most} have lines (`--pairs`); events \
-                 list them all.\n")
+        format!(
+            "The first {most} pairs that come within reach have plots and lanes, the closest {most} have lines (`--pairs`); events \
+                 list them all.\n"
+        )
     } else {
         String::new()
     };

@@ -8,9 +8,7 @@ use std::collections::HashMap;
 use rerun::{
     AsComponents, ComponentDescriptor, EntityPath, StoreId, TimePoint, Timeline,
     external::{
-        re_chunk_store::external::re_chunk::{
-            Chunk, ChunkBuilder, ChunkComponents, ChunkId, RowId, TimeColumn,
-        },
+        re_chunk_store::external::re_chunk::{Chunk, ChunkBuilder, ChunkComponents, ChunkId, RowId, TimeColumn},
         re_log_types::{LogMsg, SetStoreInfo, StoreInfo, StoreSource},
         re_tuid::Tuid,
     },

@@ -188,7 +188,9 @@ mod tests {
                 .unit_vertices()
                 .into_iter()
                 .enumerate()
-                .map(|(i, v)| 0.7 * v + 0.1 * DVec3::new((i as f64).sin(), (3.0 * i as f64).cos(), (7.0 * i as f64).sin()))
+                .map(|(i, v)| {
+                    0.7 * v + 0.1 * DVec3::new((i as f64).sin(), (3.0 * i as f64).cos(), (7.0 * i as f64).sin())
+                })
                 .collect();
             let mut expected = vec![DVec3::ZERO; positions.len()];
             for corners in shape.triangles() {

@@ -14,13 +14,6 @@ use rerun::{
     external::re_log_types::{ApplicationId, LogMsg},
 };
 
-pub use super::{
-    parts::{
-        batch::{DEFORMED, resting_entity},
-        pairs::{describe, pair_name},
-    },
-    settings::{Detail, Entities, MOST_PAIRS, Settings, arrow_scale, file_stem},
-};
 use super::{
     blueprint::{self, Tab},
     checksums::Checksums,
@@ -34,6 +27,13 @@ use super::{
     },
     series::Series,
     settings::{FORMAT, Frames, recording_id},
+};
+pub use super::{
+    parts::{
+        batch::{DEFORMED, resting_entity},
+        pairs::{describe, pair_name},
+    },
+    settings::{Detail, Entities, MOST_PAIRS, Settings, arrow_scale, file_stem},
 };
 use crate::{
     scene::Scene,
@@ -356,7 +356,7 @@ impl State {
             Entities::Batch => Surfaces::Batch(Batch::new(scene, detail, &mut extractor, chunks)),
         };
         let forces = (detail != Detail::Surface).then(|| Forces::new(scene, settings.entities, chunks));
-        let lines = Lines::new(settings.pairs, chunks);
+        let lines = Lines::new(scene, settings.pairs, chunks);
         State { extractor, surfaces, spheres, forces, lines }
     }
 

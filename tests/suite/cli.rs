@@ -790,7 +790,8 @@ fn a_scene_that_is_edited_starts_again_and_one_that_is_broken_does_not() {
     let scene = dir.file("small.toml");
     for steps in ["0", "30"] {
         fs::write(&scene, SCENE).expect("room");
-        let arguments = ["run", "small.toml", "--steps", steps, "--watch", "--serve", "--web-port", "0", "--grpc-port", "0"];
+        let arguments =
+            ["run", "small.toml", "--steps", steps, "--watch", "--serve", "--web-port", "0", "--grpc-port", "0"];
         let mut running = Running::start(&dir, &arguments);
         let lines = running.lines();
         said(&lines, "serving at");

@@ -68,7 +68,13 @@ impl Batch {
     }
 
     /// Logs what has changed; `numbers` are those of the vertices of each body, if they are wanted.
-    pub fn log(&mut self, look: Look<'_>, numbers: &[vertices::Numbers], extractor: &mut Extractor, chunks: &mut Chunks) {
+    pub fn log(
+        &mut self,
+        look: Look<'_>,
+        numbers: &[vertices::Numbers],
+        extractor: &mut Extractor,
+        chunks: &mut Chunks,
+    ) {
         let body = |i: usize| look.snapshot.body(look.scene, i);
         let (deforming, resting): (Vec<usize>, Vec<usize>) = (0..look.snapshot.body_count())
             .partition(|&i| body(i).max_displacement() > DEFORMED * body(i).scene().radius);

@@ -61,7 +61,13 @@ impl Bodies {
     }
 
     /// Logs what has changed; `numbers` are those of the vertices of each body, if they are wanted.
-    pub fn log(&mut self, look: Look<'_>, numbers: &[vertices::Numbers], extractor: &mut Extractor, chunks: &mut Chunks) {
+    pub fn log(
+        &mut self,
+        look: Look<'_>,
+        numbers: &[vertices::Numbers],
+        extractor: &mut Extractor,
+        chunks: &mut Chunks,
+    ) {
         for (vertices, numbers) in self.bodies.iter_mut().map(|body| &mut body.vertices).zip(numbers) {
             if let Some(vertices) = vertices {
                 vertices.log(look.at, numbers, chunks);

@@ -110,8 +110,7 @@ impl Forces {
         for (cause, OfCause { track, last, next }) in Cause::ALL.into_iter().zip(&mut self.causes) {
             if next != last {
                 std::mem::swap(next, last);
-                let cells =
-                    [Cell::Vectors(&last.origins), Cell::Vectors(&last.vectors), Cell::Classes(&last.classes)];
+                let cells = [Cell::Vectors(&last.origins), Cell::Vectors(&last.vectors), Cell::Classes(&last.classes)];
                 chunks.push(*track, look.at, if has_source(cause) { &cells } else { &cells[..2] });
             }
         }

@@ -2,8 +2,9 @@
 
 use rerun::LineStrips3D;
 
-use super::Look;
+use super::{Look, spheres::MOST_LABELS};
 use crate::{
+    scene::Scene,
     sim::PairView,
     stream::{
         chunks::{Chunks, Track},
@@ -35,14 +36,13 @@ struct Batch {
 
 impl Lines {
     /// Never more than `most`.
-    pub fn new(most: usize, chunks: &mut Chunks) -> Lines {
-        let style = LineStrips3D::update_fields().with_radii([rerun::Radius::new_ui_points(1.5)]).with_show_labels(true);
+    pub fn new(scene: &Scene, most: usize, chunks: &mut Chunks) -> Lines {
+        let style = LineStrips3D::update_fields()
+            .with_radii([rerun::Radius::new_ui_points(1.5)])
+            .with_show_labels(scene.bodies.len() <= MOST_LABELS);
         chunks.log_static(ENTITY, &style);
-        let components = [
-            LineStrips3D::descriptor_strips(),
-            LineStrips3D::descriptor_colors(),
-            LineStrips3D::descriptor_labels(),
-        ];
+        let components =
+            [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_colors(), LineStrips3D::descriptor_labels()];
         let track = chunks.track(ENTITY, components);
         Lines { track, most, last: None, next: Batch::default(), closest: Vec::new() }
     }

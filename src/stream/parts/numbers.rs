@@ -98,7 +98,8 @@ impl Numbers {
         self.steps_since_sent += 1;
         self.end = Some(step.end);
         self.lag = step.lag;
-        for (sum, spent) in self.spent.iter_mut().zip(report.timings.into_iter().chain([step.observing, step.waiting])) {
+        for (sum, spent) in self.spent.iter_mut().zip(report.timings.into_iter().chain([step.observing, step.waiting]))
+        {
             *sum += spent;
         }
         self.substeps += report.substeps;

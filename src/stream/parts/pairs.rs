@@ -143,9 +143,8 @@ impl Pair {
 /// The log line of an event.
 pub fn log_event_line(scene: &Scene, event: &Event, chunks: &mut Chunks) {
     let at = Instant { step: event.step, time: event.time };
-    let line = TextLog::new(describe(scene, event))
-        .with_level(event.name())
-        .with_color(color(palette::phase(event.to)));
+    let line =
+        TextLog::new(describe(scene, event)).with_level(event.name()).with_color(color(palette::phase(event.to)));
     chunks.log("/events", at, &line);
 }
 

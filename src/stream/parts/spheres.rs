@@ -17,7 +17,7 @@ use crate::{
 
 const ENTITY: &str = "/world/influence";
 /// More bodies than this go without their names in the picture.
-const MOST_LABELS: usize = 8;
+pub const MOST_LABELS: usize = 8;
 
 /// What was last logged of them.
 pub struct Spheres {
