@@ -203,16 +203,15 @@ impl Bench<'_> {
     /// As `run` does, until all of it is with the operating system.
     fn simulate(&self, world: &mut World, sinks: Sinks) -> Result<Sinks, String> {
         let recorder = Recorder::new(world, self.settings.clone());
-        let is_live = sinks.serving();
-        let mut pipeline = Pipeline::start(world, recorder, sinks, is_live).map_err(|error| error.to_string())?;
+        let mut pipeline = Pipeline::start(world, recorder, sinks).map_err(|error| error.to_string())?;
         for _ in 0..self.frames.len() {
             world.step();
             pipeline.observe(world, None)?;
         }
-        let recorded = pipeline.finish()?;
-        let (mut recorder, mut sinks) = (recorded.recorder, recorded.sinks);
-        self.end(&mut recorder, world, Some(&mut sinks))?;
-        Ok(sinks)
+        let mut recorded = pipeline.finish()?;
+        recorded.finish(world).map_or(Ok(()), Err)?;
+        recorded.sinks.flush().map_err(|error| error.to_string())?;
+        Ok(recorded.sinks)
     }
 
     /// The states that are there already.

@@ -336,7 +336,7 @@ fn simulate(
         // what the recording is of is in the file before anything can happen to the run
         failure = failure.or(sinks.flush().err().map(|error| error.to_string()));
     }
-    let mut pipeline = Pipeline::start(&world, recorder, sinks, is_live).map_err(sink_failure)?;
+    let mut pipeline = Pipeline::start(&world, recorder, sinks).map_err(sink_failure)?;
     let (mut events, mut next) = (Events::default(), None);
     let start = Instant::now();
     let mut looked = start;

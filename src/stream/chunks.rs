@@ -14,7 +14,7 @@ use rerun::{
     },
 };
 
-use super::columns::{Cell, Columns};
+use super::columns::{Cell, Columns, Parts};
 
 /// When something was: what the two timelines of a recording say.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,6 +37,17 @@ impl Instant {
     pub fn nanoseconds(self) -> i64 {
         (self.time * 1e9).round().clamp(0.0, i64::MAX as f64) as i64
     }
+}
+
+/// Whom a message is for: files get the same rows as viewers, but in larger chunks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Audience {
+    /// Everyone.
+    All,
+    /// Viewers and servers.
+    Viewers,
+    /// Files and pipes.
+    Files,
 }
 
 /// The timeline that walks through the inside of steps.
@@ -188,6 +199,24 @@ impl Chunks {
         std::mem::take(&mut self.done)
     }
 
+    /// What there is to see since the last call. Rows of tracks are for viewers only, and stay to be taken, for files, in
+    /// larger chunks.
+    pub fn show(&mut self) -> Vec<(Audience, LogMsg)> {
+        for chunk in self.drain_rows() {
+            self.send(chunk);
+        }
+        let mut shown: Vec<_> =
+            std::mem::take(&mut self.done).into_iter().map(|message| (Audience::All, message)).collect();
+        for track in 0..self.tracks.len() {
+            if let Some(parts) = self.tracks[track].show() {
+                let chunk = self.chunk(track, ours(parts));
+                self.send(chunk);
+            }
+        }
+        shown.extend(std::mem::take(&mut self.done).into_iter().map(|message| (Audience::Viewers, message)));
+        shown
+    }
+
     /// Whether [`Chunks::take_full`] has something to give.
     pub fn has_full(&self) -> bool {
         !self.done.is_empty() || self.tracks.iter().any(|track| track.is_full() || track.is_long())
@@ -195,9 +224,7 @@ impl Chunks {
 
     /// What was logged at instants since the last call, not yet as messages.
     pub fn drain(&mut self) -> Vec<Chunk> {
-        let order = std::mem::take(&mut self.order);
-        let rows = order.into_iter().filter_map(|path| self.open.remove(&path));
-        let mut chunks: Vec<Chunk> = rows.map(|builder| ours(builder.build())).collect();
+        let mut chunks = self.drain_rows();
         for track in 0..self.tracks.len() {
             if !self.tracks[track].is_empty() {
                 chunks.push(self.close(track));
@@ -206,13 +233,23 @@ impl Chunks {
         chunks
     }
 
+    /// The same of what does not come in tracks.
+    fn drain_rows(&mut self) -> Vec<Chunk> {
+        let order = std::mem::take(&mut self.order);
+        let rows = order.into_iter().filter_map(|path| self.open.remove(&path));
+        rows.map(|builder| ours(builder.build())).collect()
+    }
+
     /// The rows of a track as a chunk.
     fn close(&mut self, track: usize) -> Chunk {
+        let parts = ours(self.tracks[track].take());
+        self.chunk(track, parts)
+    }
+
+    fn chunk(&mut self, track: usize, (ids, timelines, components): Parts) -> Chunk {
         let id = self.chunk_id();
-        let columns = &mut self.tracks[track];
-        let (ids, timelines, components) = ours(columns.take());
         let timelines = timelines.into_iter().map(|column| (*column.timeline().name(), column)).collect();
-        let entity = columns.entity.clone();
+        let entity = self.tracks[track].entity.clone();
         ours(Chunk::from_native_row_ids(id, entity, Some(true), &ids, timelines, components))
     }
 

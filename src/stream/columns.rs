@@ -56,7 +56,12 @@ pub(super) struct Columns {
     steps: Vec<i64>,
     nanoseconds: Vec<i64>,
     columns: Vec<Column>,
+    /// So many rows have been shown already, see [`Columns::show`].
+    shown: usize,
 }
+
+/// What a chunk is made of.
+pub(super) type Parts = (Vec<RowId>, Vec<TimeColumn>, ChunkComponents);
 
 struct Column {
     descriptor: ComponentDescriptor,
@@ -85,6 +90,7 @@ impl Columns {
             steps: Vec::new(),
             nanoseconds: Vec::new(),
             columns: descriptors.into_iter().map(column).collect(),
+            shown: 0,
         }
     }
 
@@ -118,22 +124,64 @@ impl Columns {
     }
 
     /// The rows as a chunk has them; none are left.
-    pub fn take(&mut self) -> Result<(Vec<RowId>, Vec<TimeColumn>, ChunkComponents), ArrowError> {
-        let mut components = Vec::with_capacity(self.columns.len());
-        for Column { descriptor, values, lengths } in &mut self.columns {
-            let values = std::mem::replace(values, values.with_capacity()).into_array()?;
-            let field = Field::new_list_field(values.data_type().clone(), true);
-            let offsets = OffsetBuffer::from_lengths(lengths.drain(..));
-            components.push((descriptor.clone(), ListArray::try_new(field.into(), offsets, values, None)?));
-        }
-        let steps = self.steps.drain(..);
-        let timelines = if self.nanoseconds.is_empty() {
-            vec![TimeColumn::new_sequence(STAGE, steps)]
-        } else {
-            let times = self.nanoseconds.drain(..);
-            vec![TimeColumn::new_sequence("step", steps), TimeColumn::new_duration_nanos("sim_time", times)]
+    pub fn take(&mut self) -> Result<Parts, ArrowError> {
+        let fresh = Columns {
+            entity: self.entity.clone(),
+            ids: Vec::new(),
+            steps: Vec::new(),
+            nanoseconds: Vec::new(),
+            columns: self.columns.iter().map(Column::fresh).collect(),
+            shown: 0,
         };
-        Ok((std::mem::take(&mut self.ids), timelines, components.into_iter().collect()))
+        std::mem::replace(self, fresh).into_parts()
+    }
+
+    /// Those of the rows that have not been shown yet, if there are any; all stay to be taken.
+    pub fn show(&mut self) -> Option<Result<Parts, ArrowError>> {
+        let first = std::mem::replace(&mut self.shown, self.ids.len());
+        let rest = Columns {
+            entity: self.entity.clone(),
+            ids: self.ids[first..].to_vec(),
+            steps: self.steps[first..].to_vec(),
+            nanoseconds: self.nanoseconds.get(first..).unwrap_or_default().to_vec(),
+            columns: self.columns.iter().map(|column| column.rows_from(first)).collect(),
+            shown: 0,
+        };
+        (!rest.is_empty()).then(|| rest.into_parts())
+    }
+
+    fn into_parts(self) -> Result<Parts, ArrowError> {
+        let mut components = Vec::with_capacity(self.columns.len());
+        for Column { descriptor, values, lengths } in self.columns {
+            let values = values.into_array()?;
+            let field = Field::new_list_field(values.data_type().clone(), true);
+            let offsets = OffsetBuffer::from_lengths(lengths);
+            components.push((descriptor, ListArray::try_new(field.into(), offsets, values, None)?));
+        }
+        let timelines = if self.nanoseconds.is_empty() {
+            vec![TimeColumn::new_sequence(STAGE, self.steps)]
+        } else {
+            vec![
+                TimeColumn::new_sequence("step", self.steps),
+                TimeColumn::new_duration_nanos("sim_time", self.nanoseconds),
+            ]
+        };
+        Ok((self.ids, timelines, components.into_iter().collect()))
+    }
+}
+
+impl Column {
+    /// Without rows, with room for as many.
+    fn fresh(&self) -> Column {
+        let (values, lengths) = (self.values.with_capacity(), Vec::with_capacity(self.lengths.len()));
+        Column { descriptor: self.descriptor.clone(), values, lengths }
+    }
+
+    /// A copy of the rows from `first` on.
+    fn rows_from(&self, first: usize) -> Column {
+        let before = self.lengths[..first].iter().sum();
+        let (values, lengths) = (self.values.values_from(before), self.lengths[first..].to_vec());
+        Column { descriptor: self.descriptor.clone(), values, lengths }
     }
 }
 
@@ -192,6 +240,21 @@ impl Values {
             Values::Segments(values) => Values::Segments(Vec::with_capacity(values.len())),
             Values::Texts(values) => Values::Texts(Vec::with_capacity(values.len())),
             Values::Names(values) => Values::Names(Vec::with_capacity(values.len())),
+        }
+    }
+
+    /// A copy of the values from `first` on.
+    fn values_from(&self, first: usize) -> Values {
+        match self {
+            Values::Empty => Values::Empty,
+            Values::Vectors(values) => Values::Vectors(values[first..].to_vec()),
+            Values::Scalars(values) => Values::Scalars(values[first..].to_vec()),
+            Values::Floats(values) => Values::Floats(values[first..].to_vec()),
+            Values::Colors(values) => Values::Colors(values[first..].to_vec()),
+            Values::Classes(values) => Values::Classes(values[first..].to_vec()),
+            Values::Segments(values) => Values::Segments(values[first..].to_vec()),
+            Values::Texts(values) => Values::Texts(values[first..].to_vec()),
+            Values::Names(values) => Values::Names(values[first..].to_vec()),
         }
     }
 

@@ -18,6 +18,7 @@ use rerun::log::LogMsg;
 
 use super::{
     Recorder, Settings,
+    chunks::Audience,
     recorder::{StageWatch, Step},
     sinks::{SinkError, Sinks},
 };
@@ -61,6 +62,19 @@ pub struct Recorded {
     pub failure: Option<String>,
 }
 
+impl Recorded {
+    /// Ends the recording, and sends the rest; what went wrong, if something did.
+    pub fn finish(&mut self, world: &World) -> Option<String> {
+        self.recorder.finish(world);
+        let [is_live, is_recorded] = self.sinks.are_live_and_recorded();
+        if !(is_live && is_recorded) {
+            return send(&mut self.sinks, self.recorder.take());
+        }
+        let failure = show(&mut self.recorder, &mut self.sinks, true);
+        failure.or(send_to(Audience::Files, &mut self.sinks, self.recorder.take()))
+    }
+}
+
 /// What the thread has to say.
 #[derive(Default)]
 struct Shared {
@@ -79,11 +93,11 @@ struct Packet {
 }
 
 impl Pipeline {
-    /// Records what follows on the world as it is, and sends it to the sinks: often if `is_live`.
+    /// Records what follows on the world as it is, and sends it to the sinks.
     ///
     /// # Errors
     /// The thread cannot be started.
-    pub fn start(world: &World, recorder: Recorder, sinks: Sinks, is_live: bool) -> Result<Pipeline, SinkError> {
+    pub fn start(world: &World, recorder: Recorder, sinks: Sinks) -> Result<Pipeline, SinkError> {
         let (full, filled) = channel();
         let (emptied, empty) = channel();
         for _ in 1..PACKETS {
@@ -93,7 +107,7 @@ impl Pipeline {
         let settings = recorder.settings().clone();
         let thread = std::thread::Builder::new().name("recorder".to_owned()).spawn({
             let shared = Arc::clone(&shared);
-            move || Recording { recorder, sinks, is_live, shared, sent: Clock::now() }.run(&filled, &emptied)
+            move || Recording::new(recorder, sinks, shared).run(&filled, &emptied)
         });
         let thread = thread
             .map_err(|error| SinkError::Thread { target: "the recording".to_owned(), reason: error.to_string() })?;
@@ -192,31 +206,31 @@ struct Recording {
     recorder: Recorder,
     sinks: Sinks,
     is_live: bool,
+    is_recorded: bool,
     shared: Arc<Mutex<Shared>>,
-    /// When everything was last sent.
-    sent: Clock,
+    /// When everything was last sent to viewers, and to files.
+    shown: Clock,
+    saved: Clock,
 }
 
 impl Recording {
+    fn new(recorder: Recorder, sinks: Sinks, shared: Arc<Mutex<Shared>>) -> Recording {
+        let [is_live, is_recorded] = sinks.are_live_and_recorded();
+        let now = Clock::now();
+        Recording { recorder, sinks, is_live, is_recorded, shared, shown: now, saved: now }
+    }
+
     fn run(mut self, filled: &Receiver<Packet>, emptied: &Sender<Packet>) -> (Recorder, Sinks) {
         let interval = if self.is_live { LIVE_INTERVAL } else { FILE_INTERVAL };
         loop {
-            let packet = filled.recv_timeout(interval.saturating_sub(self.sent.elapsed()).max(AGE));
+            let packet = filled.recv_timeout(interval);
             let is_last = matches!(packet, Err(RecvTimeoutError::Disconnected));
             if let Ok(mut packet) = packet {
                 self.record(&mut packet);
                 emptied.send(packet).ok(); // nobody needs it after the last step
             }
             let start = Clock::now();
-            let messages = if self.sent.elapsed() >= interval {
-                self.sent = start;
-                self.recorder.take()
-            } else if self.is_live {
-                Vec::new()
-            } else {
-                self.recorder.take_full()
-            };
-            let failure = send(&mut self.sinks, messages);
+            let failure = self.send();
             self.recorder.messages_sent(start.elapsed());
             let has_failed = failure.is_some();
             let mut shared = self.shared.lock().unwrap_or_else(PoisonError::into_inner);
@@ -229,6 +243,29 @@ impl Recording {
         }
     }
 
+    /// Sends what is due: to viewers all of it, to files what fills a chunk.
+    fn send(&mut self) -> Option<String> {
+        let mut failure = None;
+        if self.is_live && self.shown.elapsed() >= LIVE_INTERVAL {
+            self.shown = Clock::now();
+            failure = show(&mut self.recorder, &mut self.sinks, self.is_recorded);
+        }
+        if self.is_recorded && failure.is_none() {
+            let is_due = self.saved.elapsed() >= FILE_INTERVAL;
+            if self.is_live && (is_due || self.recorder.has_full()) {
+                // what goes to the file is gone afterwards
+                failure = show(&mut self.recorder, &mut self.sinks, true);
+            }
+            let messages = if is_due { self.recorder.take() } else { self.recorder.take_full() };
+            if is_due {
+                self.saved = Clock::now();
+            }
+            let audience = if self.is_live { Audience::Files } else { Audience::All };
+            failure = failure.or(send_to(audience, &mut self.sinks, messages));
+        }
+        failure
+    }
+
     fn record(&mut self, packet: &mut Packet) {
         let mut frames = packet.frames[..packet.used].iter();
         for step in packet.steps.drain(..) {
@@ -239,7 +276,22 @@ impl Recording {
     }
 }
 
+/// Sends what viewers have not seen; to files as well what does not come in large chunks.
+fn show(recorder: &mut Recorder, sinks: &mut Sinks, is_recorded: bool) -> Option<String> {
+    if !is_recorded {
+        return send(sinks, recorder.take());
+    }
+    let messages = recorder.show();
+    let failed = messages.into_iter().find_map(|(audience, message)| sinks.send_to(audience, message).err());
+    failed.map(|error| error.to_string())
+}
+
 /// Sends messages; what went wrong, if a destination failed that the run cannot do without.
 pub fn send(sinks: &mut Sinks, messages: impl IntoIterator<Item = LogMsg>) -> Option<String> {
-    messages.into_iter().find_map(|message| sinks.send(message).err()).map(|error| error.to_string())
+    send_to(Audience::All, sinks, messages)
+}
+
+fn send_to(audience: Audience, sinks: &mut Sinks, messages: impl IntoIterator<Item = LogMsg>) -> Option<String> {
+    let failed = messages.into_iter().find_map(|message| sinks.send_to(audience, message).err());
+    failed.map(|error| error.to_string())
 }

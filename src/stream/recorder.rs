@@ -17,7 +17,7 @@ use rerun::{
 use super::{
     blueprint::{self, Tab},
     checksums::Checksums,
-    chunks::{Chunks, Instant},
+    chunks::{Audience, Chunks, Instant},
     extract::Extractor,
     flight::FlightRecorder,
     machine,
@@ -170,6 +170,16 @@ impl Recorder {
             self.checksums.log(&mut self.chunks, false); // what cannot be verified is of little use
         }
         self.chunks.take_full()
+    }
+
+    /// Whether [`Recorder::take_full`] has something to give.
+    pub fn has_full(&self) -> bool {
+        self.chunks.has_full()
+    }
+
+    /// What there is for viewers since the last call, if files get theirs apart, by the other two.
+    pub fn show(&mut self) -> Vec<(Audience, LogMsg)> {
+        self.chunks.show()
     }
 
     /// The layout that the viewer opens with, to be sent before anything else.
