@@ -330,8 +330,11 @@ fn simulate(
     let is_live = destined_live(arguments);
     let settings = settings(arguments, world.scene());
     let mut recorder = Recorder::new(&world, settings.clone());
-    let first = recorder.blueprint_at(&world, arguments.tab.into()).into_iter().chain(recorder.take());
-    let mut failure = send(&mut sinks, first);
+    // what it takes to run it again comes before everything else: a run may be killed at once
+    let mut first = recorder.take();
+    let rest = first.split_off(Recorder::HEAD.min(first.len()));
+    let layout = recorder.blueprint_at(&world, arguments.tab.into());
+    let mut failure = send(&mut sinks, first.into_iter().chain(layout).chain(rest));
     if arguments.save.is_some() && !is_live {
         // what the recording is of is in the file before anything can happen to the run
         failure = failure.or(sinks.flush().err().map(|error| error.to_string()));

@@ -112,6 +112,9 @@ pub struct StageWatch {
 }
 
 impl Recorder {
+    /// So many of the first messages say what the recording is of: the store, and its properties.
+    pub const HEAD: usize = 4;
+
     /// Begins a recording: its properties, everything static, the blueprint, and the world as it is.
     pub fn new(world: &World, settings: Settings) -> Recorder {
         let scene = world.scene().clone();

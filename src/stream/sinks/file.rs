@@ -369,6 +369,9 @@ fn encode<W: Write>(target: &Target, queue: &Queue, encoder: &mut Encoder<W>) ->
     loop {
         let idle = (!is_flushed).then(|| FLUSH_EVERY.saturating_sub(flushed_at.elapsed()));
         let batch = queue.take(BATCH, idle);
+        if messages == 0 {
+            flushed_at = Instant::now(); // there was nothing to lose before
+        }
         for msg in &batch.messages {
             encoder.append(msg).map_err(|err| target.encode_error(err))?;
             messages += 1;
