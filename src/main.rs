@@ -1,5 +1,8 @@
 //! The program: all of it is in [`meldscope::cli`].
 
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 fn main() -> std::process::ExitCode {
     meldscope::cli::main()
 }

@@ -8,6 +8,7 @@
 //! | what the diagrams have in common | `drawing` |
 //! | the machine that a run time belongs to | [`machine`] |
 //! | a stress sweep of every integrator, and bodies of very different sizes | [`stability`] |
+//! | what recording costs, by detail and destination | [`record`] |
 //! | files that are written when everything has been measured | [`output`] |
 
 mod drawing;
@@ -15,6 +16,7 @@ pub mod error;
 pub mod extrapolation;
 pub mod machine;
 pub mod output;
+pub mod record;
 pub mod reference;
 pub mod scale;
 pub mod stability;

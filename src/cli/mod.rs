@@ -50,6 +50,13 @@ enum Failure {
     Input(String),
 }
 
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (Failure::Run(message) | Failure::Input(message)) = self;
+        f.write_str(message)
+    }
+}
+
 impl Failure {
     fn input(error: impl fmt::Display) -> Failure {
         Failure::Input(error.to_string())

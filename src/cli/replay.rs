@@ -6,7 +6,7 @@ use super::{
     Failure,
     diff::same_file,
     print,
-    run::{DetailName, parse_integrator, parse_step, parse_tolerance, send, sink_failure},
+    run::{DetailName, parse_integrator, parse_step, parse_tolerance, sink_failure},
     say,
 };
 use crate::{
@@ -19,6 +19,7 @@ use crate::{
     sim::{World, memory},
     stream::{
         Recorder, machine,
+        pipeline::send,
         recorder::describe,
         settings::{Frames, Settings},
         sinks::{Destinations, Sinks, thousands},
@@ -256,6 +257,11 @@ impl Saver {
         let destinations = Destinations { save: arguments.save.clone(), ..Destinations::default() };
         let sinks = arguments.save.as_ref().map(|_| Sinks::open(&destinations)).transpose().map_err(sink_failure)?;
         let own = Settings::of(scene);
+        // a step is looked into from the one before it
+        let steps = match arguments.detail {
+            DetailName::Stages => steps.start().saturating_sub(1)..=*steps.end(),
+            DetailName::Surface | DetailName::Forces => steps,
+        };
         let settings = Settings {
             steps: Some(*steps.end()),
             every: 1,

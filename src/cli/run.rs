@@ -10,27 +10,24 @@ use std::{
     time::{Duration, Instant},
 };
 
-use indicatif::{ProgressBar, ProgressStyle};
-use rerun::log::LogMsg;
-
 use super::{Failure, print, say};
 use crate::{
     scene::{Integrator, Scene, builtin, parse::did_you_mean},
     sim::{Event, Options, World, memory},
     stream::{
-        Recorder,
+        Pipeline, Recorder,
+        blueprint::Tab,
+        pipeline::{Recorded, send},
         recorder::describe,
-        settings::{Detail, Entities, Frames, Settings, Trigger, file_stem},
+        settings::{Detail, Entities, Frames, MOST_PAIRS, Settings, Trigger, file_stem},
         sinks::{Destinations, Finished, Serve, SinkError, Sinks, Spawn, thousands},
     },
 };
+use indicatif::{ProgressBar, ProgressStyle};
 
-/// Frames that go into a chunk of a file: large enough that its overhead vanishes, small enough to scrub.
-const FRAMES_PER_CHUNK: u64 = 64;
-/// What is recorded reaches a file at least this often.
-const FILE_INTERVAL: Duration = Duration::from_millis(250);
-/// What is recorded reaches a viewer at least this often.
-const LIVE_INTERVAL: Duration = Duration::from_millis(30);
+/// The progress bar moves and a watched file is looked at this often, but only every so many steps.
+const LOOK_INTERVAL: Duration = Duration::from_millis(50);
+const STEPS_BETWEEN_LOOKS: u64 = 16;
 /// Interrupts within this are one: `timeout`, `cargo run` and others signal a program and its process group.
 const SAME_INTERRUPT: Duration = Duration::from_secs(1);
 /// More events than this are counted, not listed.
@@ -84,9 +81,18 @@ pub struct Arguments {
     /// How much to record of a frame.
     #[arg(long, default_value = "forces")]
     detail: DetailName,
+    /// The first step that --detail stages looks into [default: the first].
+    #[arg(long, value_name = "STEP")]
+    from: Option<u64>,
+    /// The last step that --detail stages looks into [default: the last].
+    #[arg(long, value_name = "STEP")]
+    to: Option<u64>,
     /// One entity a body, or all bodies in a few [default: batch beyond 64 bodies].
     #[arg(long)]
     entities: Option<EntitiesName>,
+    /// So many pairs at most have plots, lanes and lines of their own: of those within reach the closest.
+    #[arg(long, value_name = "N", default_value_t = MOST_PAIRS as u64, value_parser = clap::value_parser!(u64).range(..=1000))]
+    pairs: u64,
     /// Record the scene and checksums only: some ten bytes a step, from which `replay --save` makes the rest.
     #[arg(long, conflicts_with_all = ["every", "detail", "entities", "keep"])]
     thin: bool,
@@ -99,6 +105,12 @@ pub struct Arguments {
     /// Do not simulate faster than real time.
     #[arg(long)]
     realtime: bool,
+    /// Start again in the same viewer whenever the scene's file changes; needs --spawn, --connect or --serve.
+    #[arg(long, conflicts_with_all = ["save", "stdout"])]
+    watch: bool,
+    /// The tab with which the viewer opens.
+    #[arg(long, default_value = "scene", help_heading = "Destinations")]
+    tab: TabName,
     /// Threads to use [default: as many as there are cores].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
@@ -134,6 +146,7 @@ impl From<TriggerName> for Trigger {
 pub(super) enum DetailName {
     Surface,
     Forces,
+    Stages,
 }
 
 impl From<DetailName> for Detail {
@@ -141,6 +154,32 @@ impl From<DetailName> for Detail {
         match name {
             DetailName::Surface => Detail::Surface,
             DetailName::Forces => Detail::Forces,
+            DetailName::Stages => Detail::Stages { from: 0, to: u64::MAX },
+        }
+    }
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum TabName {
+    Scene,
+    Forces,
+    Displacement,
+    Pairs,
+    Timings,
+    Energy,
+    Stages,
+}
+
+impl From<TabName> for Tab {
+    fn from(name: TabName) -> Tab {
+        match name {
+            TabName::Scene => Tab::Scene,
+            TabName::Forces => Tab::Forces,
+            TabName::Displacement => Tab::Displacement,
+            TabName::Pairs => Tab::Pairs,
+            TabName::Timings => Tab::Timings,
+            TabName::Energy => Tab::Energy,
+            TabName::Stages => Tab::Stages,
         }
     }
 }
@@ -175,22 +214,25 @@ fn parse_positive(text: &str, unit: &str) -> Result<f64, String> {
 
 /// Simulates and records.
 pub fn run(arguments: Arguments) -> Result<(), Failure> {
+    check(&arguments)?;
     let scene = load(&arguments)?;
-    let settings = settings(&arguments, &scene);
     if let Some(threads) = arguments.threads {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build_global();
         pool.map_err(|error| Failure::Run(format!("cannot start {threads} threads: {error}")))?;
     }
     let destinations = destinations(&arguments, &scene);
     // First what can refuse the scene, then what can refuse the destinations, and only then any work.
-    let options = Options { skip: !arguments.no_skip, ..Options::default() };
-    let world = World::with_options(scene, options).map_err(Failure::input)?;
+    let world = world(&arguments, scene)?;
     let sinks = Sinks::open(&destinations).map_err(sink_failure)?;
 
-    let mut console = Console::new(&arguments, settings.steps);
+    let mut console = Console::new(&arguments, settings(&arguments, world.scene()).steps);
     let stop = interrupted()?;
-    let outcome = record(world, &settings, sinks, &arguments, &stop, &mut console)?;
-    summarize(&console, &settings, &outcome);
+    let outcome = if arguments.watch {
+        watch(world, sinks, &arguments, &stop, &mut console)?
+    } else {
+        simulate(world, sinks, &arguments, &stop, None, &mut console)?.conclude(&mut console)?
+    };
+    summarize(&console, &outcome);
     if let Some(serving) = &outcome.finished.serving {
         console.say("Serving until Ctrl-C.");
         while !stop.load(Ordering::Relaxed) {
@@ -203,86 +245,199 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
+/// Refuses what makes no sense together.
+fn check(arguments: &Arguments) -> Result<(), Failure> {
+    let is_viewed = arguments.spawn || arguments.connect.is_some() || arguments.serve;
+    let has_range = arguments.from.is_some() || arguments.to.is_some();
+    let refuse = |what: &str| Err(Failure::Input(what.to_owned()));
+    match arguments.detail {
+        _ if arguments.watch && !is_viewed => refuse("--watch is for a viewer: add --spawn, --connect or --serve"),
+        _ if arguments.watch && !Path::new(&arguments.scene).is_file() => {
+            refuse(&format!("--watch waits for a file to change, and there is none of the name {:?}", arguments.scene))
+        }
+        DetailName::Surface | DetailName::Forces if has_range => {
+            refuse("--from and --to say which steps --detail stages looks into: add that")
+        }
+        _ if arguments.from > arguments.to && arguments.to.is_some() => refuse("--from is after --to"),
+        _ => Ok(()),
+    }
+}
+
+fn world(arguments: &Arguments, scene: Scene) -> Result<World, Failure> {
+    let options = Options { skip: !arguments.no_skip, ..Options::default() };
+    World::with_options(scene, options).map_err(Failure::input)
+}
+
 /// What a run came to.
 struct Outcome {
     world: World,
+    settings: Settings,
     finished: Finished,
     /// Frames in the recording.
     frames: u64,
-    /// The first [`LISTED_EVENTS`] of them …
-    events: Vec<Event>,
-    /// … of this many.
-    event_count: u64,
+    events: Events,
     /// What simulating and recording took [s].
     seconds: f64,
 }
 
-/// The loop: step, observe, send.
-fn record(
+/// The events of a run: the first [`LISTED_EVENTS`] of them, and how many there were.
+#[derive(Default)]
+struct Events {
+    first: Vec<Event>,
+    count: u64,
+}
+
+/// A run whose recording is complete, and whose destinations are still open.
+struct Simulated {
+    world: World,
+    settings: Settings,
+    sinks: Sinks,
+    frames: u64,
+    events: Events,
+    seconds: f64,
+    failure: Option<String>,
+    /// What the scene has become meanwhile.
+    next: Option<Scene>,
+}
+
+impl Simulated {
+    /// Brings every destination to its end.
+    fn conclude(self, console: &mut Console) -> Result<Outcome, Failure> {
+        let Simulated { world, settings, sinks, frames, events, seconds, failure, .. } = self;
+        let finished = sinks.finish();
+        console.clear();
+        match (failure, finished) {
+            (None, Ok(finished)) => Ok(Outcome { world, settings, finished, frames, events, seconds }),
+            (Some(failure), finished) => {
+                let saved = finished.ok().and_then(|finished| finished.save);
+                let saved = saved.map(|saved| format!("; {} has the steps up to here", saved.path.display()));
+                Err(Failure::Run(format!("{failure}{}", saved.unwrap_or_default())))
+            }
+            (None, Err(error)) => Err(Failure::Run(error.to_string())),
+        }
+    }
+}
+
+/// The loop: step, observe. Ends early when `changes` come.
+fn simulate(
     mut world: World,
-    settings: &Settings,
     mut sinks: Sinks,
     arguments: &Arguments,
     stop: &AtomicBool,
+    mut changes: Option<&mut Changes>,
     console: &mut Console,
-) -> Result<Outcome, Failure> {
-    let interval = if destined_live(arguments) { LIVE_INTERVAL } else { FILE_INTERVAL };
+) -> Result<Simulated, Failure> {
+    let is_live = destined_live(arguments);
+    let settings = settings(arguments, world.scene());
     let mut recorder = Recorder::new(&world, settings.clone());
-    let (mut events, mut event_count) = (vec![], 0);
-    let (mut sent_frames, mut sent_at) = (0, Instant::now());
-
-    let first = recorder.blueprint(&world).into_iter().chain(recorder.take());
-    let mut failure = send(&mut sinks, first);
-    if arguments.save.is_some() && !destined_live(arguments) {
+    // what it takes to run it again comes before everything else: a run may be killed at once
+    let mut first = recorder.take();
+    let rest = first.split_off(Recorder::HEAD.min(first.len()));
+    let layout = recorder.blueprint_at(&world, arguments.tab.into());
+    let mut failure = send(&mut sinks, first.into_iter().chain(layout).chain(rest));
+    if arguments.save.is_some() && !is_live {
         // what the recording is of is in the file before anything can happen to the run
         failure = failure.or(sinks.flush().err().map(|error| error.to_string()));
     }
+    let mut pipeline = Pipeline::start(&world, recorder, sinks).map_err(sink_failure)?;
+    let (mut events, mut next) = (Events::default(), None);
     let start = Instant::now();
+    let mut looked = start;
     while failure.is_none()
+        && next.is_none()
         && !stop.load(Ordering::Relaxed)
         && settings.steps.is_none_or(|steps| world.steps_taken() < steps)
     {
         let report = world.step();
-        event_count += report.events.len() as u64;
-        events.extend(report.events.iter().take(LISTED_EVENTS - events.len()));
+        events.count += report.events.len() as u64;
+        events.first.extend(report.events.iter().take(LISTED_EVENTS - events.first.len()));
         failure = report.diverged.as_ref().map(ToString::to_string);
-        recorder.observe(&world);
-
-        if recorder.frames() - sent_frames >= FRAMES_PER_CHUNK || sent_at.elapsed() >= interval {
-            let sending = Instant::now();
-            failure = failure.or(send(&mut sinks, recorder.take()));
-            recorder.messages_sent(sending.elapsed());
-            (sent_frames, sent_at) = (recorder.frames(), Instant::now());
-            console.progress(world.steps_taken(), sinks.notes());
+        let due = arguments.realtime.then(|| start + Duration::from_secs_f64(world.time().min(1e9)));
+        let lag = due.map(|due| Instant::now().saturating_duration_since(due));
+        failure = failure.or(pipeline.observe(&world, lag).err());
+        if let Some(due) = due {
+            failure = failure.or(pipeline.hand_over().err());
+            wait_until(due, stop);
         }
-        if arguments.realtime {
-            wait_until(start + Duration::from_secs_f64(world.time().min(1e9)), stop);
+        let is_time = world.steps_taken().is_multiple_of(STEPS_BETWEEN_LOOKS) || arguments.realtime;
+        if is_time && looked.elapsed() >= LOOK_INTERVAL {
+            looked = Instant::now();
+            console.progress(world.steps_taken(), pipeline.notes());
+            next = changes.as_mut().and_then(|changes| changes.scene(arguments, console));
         }
     }
-    let seconds = start.elapsed().as_secs_f64();
 
     // However it ended: what was simulated is saved.
+    let Recorded { mut recorder, mut sinks, mut notes, failure: recording } =
+        pipeline.finish().map_err(Failure::Run)?;
+    let seconds = start.elapsed().as_secs_f64();
     recorder.finish(&world);
-    let failure = failure.or(send(&mut sinks, recorder.take()));
-    console.progress(world.steps_taken(), sinks.notes());
-    let finished = sinks.finish();
-    console.clear();
-    match (failure, finished) {
-        (None, Ok(finished)) => {
-            Ok(Outcome { frames: recorder.written(), world, finished, events, event_count, seconds })
+    let failure = failure.or(recording).or(send(&mut sinks, recorder.take()));
+    notes.append(&mut sinks.notes());
+    console.progress(world.steps_taken(), notes);
+    Ok(Simulated { frames: recorder.written(), world, settings, sinks, events, seconds, failure, next })
+}
+
+/// Runs the scene, and again whenever its file changes, until Ctrl-C.
+fn watch(
+    world: World,
+    sinks: Sinks,
+    arguments: &Arguments,
+    stop: &AtomicBool,
+    console: &mut Console,
+) -> Result<Outcome, Failure> {
+    let mut changes = Changes { text: world.scene().source.clone() };
+    let mut run = simulate(world, sinks, arguments, stop, Some(&mut changes), console)?;
+    loop {
+        if let Some(failure) = &run.failure {
+            if run.sinks.failed() {
+                return run.conclude(console);
+            }
+            console.notes(std::slice::from_ref(failure));
         }
-        (Some(failure), finished) => {
-            let saved = finished.ok().and_then(|finished| finished.save);
-            let saved = saved.map(|saved| format!("; {} has the steps up to here", saved.path.display()));
-            Err(Failure::Run(format!("{failure}{}", saved.unwrap_or_default())))
+        while run.next.is_none() && !stop.load(Ordering::Relaxed) {
+            std::thread::sleep(LOOK_INTERVAL);
+            console.notes(&run.sinks.notes());
+            run.next = changes.scene(arguments, console);
         }
-        (None, Err(error)) => Err(Failure::Run(error.to_string())),
+        let Some(scene) = run.next.take() else { return run.conclude(console) };
+        match world_of(arguments, scene) {
+            Ok(world) => {
+                console.say(&format!("{} has changed: starting again", arguments.scene));
+                run = simulate(world, run.sinks, arguments, stop, Some(&mut changes), console)?;
+            }
+            Err(error) => console.notes(&[format!("{error}; going on with the scene as it was")]),
+        }
     }
 }
 
-/// Sends messages; what went wrong, if a destination failed that the run cannot do without.
-pub(super) fn send(sinks: &mut Sinks, messages: impl IntoIterator<Item = LogMsg>) -> Option<String> {
-    messages.into_iter().find_map(|message| sinks.send(message).err()).map(|error| error.to_string())
+fn world_of(arguments: &Arguments, scene: Scene) -> Result<World, String> {
+    world(arguments, scene).map_err(|failure| failure.to_string())
+}
+
+/// A scene's file that is watched.
+struct Changes {
+    /// As it was last seen.
+    text: String,
+}
+
+impl Changes {
+    /// The scene, if its file has changed and is one; what is wrong with it is said once.
+    fn scene(&mut self, arguments: &Arguments, console: &Console) -> Option<Scene> {
+        let text = std::fs::read_to_string(&arguments.scene).ok()?;
+        // an editor may empty a file before it writes it
+        if text == self.text || text.is_empty() {
+            return None;
+        }
+        self.text = text;
+        match load(arguments) {
+            Ok(scene) => Some(scene),
+            Err(failure) => {
+                console.notes(&[format!("{failure}; going on with the scene as it was")]);
+                None
+            }
+        }
+    }
 }
 
 /// Sleeps until `due`, or until the run is to stop.
@@ -337,7 +492,12 @@ fn settings(arguments: &Arguments, scene: &Scene) -> Settings {
         },
         skip: !arguments.no_skip,
         every: arguments.every,
-        detail: arguments.detail.into(),
+        detail: match arguments.detail.into() {
+            Detail::Stages { from, to } => {
+                Detail::Stages { from: arguments.from.unwrap_or(from), to: arguments.to.unwrap_or(to) }
+            }
+            detail => detail,
+        },
         entities: match arguments.entities {
             None => own.entities,
             Some(EntitiesName::Body) => Entities::Body,
@@ -348,6 +508,7 @@ fn settings(arguments: &Arguments, scene: &Scene) -> Settings {
             (false, Some(most)) => Frames::Last { most, on: arguments.on.iter().map(|&name| name.into()).collect() },
             (false, None) => own.frames,
         },
+        pairs: arguments.pairs as usize,
         ..own
     }
 }
@@ -395,8 +556,9 @@ fn interrupted() -> Result<Arc<AtomicBool>, Failure> {
 }
 
 /// What the run did, and how to open what it wrote.
-fn summarize(console: &Console, settings: &Settings, outcome: &Outcome) {
-    let Outcome { world, finished, frames, events, event_count, seconds } = outcome;
+fn summarize(console: &Console, outcome: &Outcome) {
+    let Outcome { world, settings, finished, frames, events: Events { first: events, count: event_count }, seconds } =
+        outcome;
     console.notes(&finished.notes);
     let scene = world.scene();
     let (bodies, steps) = (scene.bodies.len() as u64, world.steps_taken());

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
+use pulp::Arch;
 use rerun::{
     Arrows3D, Mesh3D, Scalars, StoreId, StoreKind, TextDocument, TextLog, ViewCoordinates,
     components::MediaType,
@@ -14,7 +15,7 @@ use crate::{
     stream::{
         blueprint,
         chunks::{Chunks, Instant},
-        extract::smooth_normals,
+        normals,
         palette::{Rgb, color},
         series::{Series, Shape},
         settings::file_stem,
@@ -128,12 +129,14 @@ impl Comparison {
         positions: impl Fn(usize) -> [Option<Vec<DVec3>>; 2],
     ) -> Result<(), SinkError> {
         let (mut origins, mut vectors) = (Vec::new(), Vec::new());
-        for (index, name, triangles) in &self.shown {
+        for (index, name, _) in &self.shown {
             let both = positions(*index);
             for (side, positions) in ["a", "b"].into_iter().zip(&both) {
                 let Some(positions) = positions else { continue };
-                let mut normals = vec![Vec3::ZERO; positions.len()];
-                smooth_normals(|i| positions[i], triangles, &mut normals);
+                let vectors = positions.iter().copied().collect();
+                let (mut normals, mut scratch) = (Vec::new(), normals::Scratch::default());
+                let shape = scene.bodies.get(*index).map(|body| body.shape).unwrap_or_default();
+                normals::append(Arch::new(), shape, &vectors, &mut scratch, &mut normals);
                 let mesh = Mesh3D::update_fields()
                     .with_vertex_positions(positions.iter().map(|p| p.as_vec3()))
                     .with_vertex_normals(normals);

@@ -255,8 +255,10 @@ impl Frames {
             self.pending.push(chunk);
         }
         let first = i64::try_from(self.first).unwrap_or(i64::MAX);
-        if !std::mem::replace(&mut self.has_given, true) && self.rows.contains_key(&first) {
-            self.ready.push_back(first);
+        // the first frame has no line of its own: it is complete when another is
+        if !self.has_given && (self.is_over || !self.marked.is_empty()) {
+            self.has_given = true;
+            self.ready.extend(self.rows.contains_key(&first).then_some(first));
         }
         self.marked.sort_unstable();
         self.ready.extend(self.marked.drain(..).filter(|&step| step > first));

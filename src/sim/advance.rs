@@ -434,6 +434,7 @@ impl Context<'_> {
                 centre: other.path.position(moment.time) - own.position,
                 sphere_radius: scene.influence.sphere_radius(other.radius),
                 strength,
+                phase,
             };
             if source.centre.length() <= source.sphere_radius + farthest {
                 surroundings.sources.push(source);

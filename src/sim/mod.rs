@@ -10,6 +10,8 @@
 //! | when pairs merge, split, enter and leave their core | [`events`] |
 //! | how a vertex is advanced | [`integrator`] |
 //! | forces by cause, energy: looking at a state | [`observe`] |
+//! | what another thread can look at meanwhile | [`snapshot`] |
+//! | what happens inside of a step, on request | [`stages`] |
 //! | what a step reports | [`report`] |
 //! | one number for the exact state | [`checksum`] |
 //! | what a scene needs before it is built | [`memory`] |
@@ -28,6 +30,8 @@ pub mod observe;
 mod pairs;
 pub mod reach;
 pub mod report;
+pub mod snapshot;
+pub mod stages;
 pub mod surroundings;
 mod tracks;
 pub mod world;
@@ -37,6 +41,7 @@ pub use events::Event;
 pub use memory::TooLarge;
 pub use observe::{BodyForces, Cause, Energy};
 pub use report::{Diverged, Stage, StepReport};
+pub use snapshot::Snapshot;
 pub use world::{BodyView, Options, PairView, States, World};
 
 /// A stretch of time [s].

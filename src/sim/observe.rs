@@ -1,10 +1,12 @@
 //! Looking at a state: forces by cause, energy, how many vertices are reached.
 
+use glam::DVec3;
+
 use super::{
     World,
     arrays::Vectors,
-    surroundings::{Surroundings, push_acceleration},
-    world::{BodyView, States},
+    surroundings::{Source, Surroundings, push_acceleration},
+    world::States,
 };
 use crate::{
     model::{
@@ -20,8 +22,10 @@ use crate::{
 pub enum Cause {
     /// (3.4): influence spheres of merged bodies.
     Attraction,
-    /// (3.5): influence spheres of bodies apart or in their core.
+    /// (3.5): influence spheres of bodies apart.
     Repulsion,
+    /// The same of bodies in their core.
+    Core,
     /// −ω²x of (3.2).
     Restoring,
     /// −2κx′ of (3.2).
@@ -36,19 +40,39 @@ pub enum Cause {
 
 impl Cause {
     /// All causes, the sum last.
-    pub const ALL: [Cause; 7] =
-        [Cause::Attraction, Cause::Repulsion, Cause::Restoring, Cause::Damping, Cause::Push, Cause::Carry, Cause::Net];
+    pub const ALL: [Cause; 8] = [
+        Cause::Attraction,
+        Cause::Repulsion,
+        Cause::Core,
+        Cause::Restoring,
+        Cause::Damping,
+        Cause::Push,
+        Cause::Carry,
+        Cause::Net,
+    ];
 
     /// The name used in recordings.
     pub fn name(self) -> &'static str {
         match self {
             Cause::Attraction => "attraction",
             Cause::Repulsion => "repulsion",
+            Cause::Core => "core",
             Cause::Restoring => "restoring",
             Cause::Damping => "damping",
             Cause::Push => "push",
             Cause::Carry => "carry",
             Cause::Net => "net",
+        }
+    }
+}
+
+impl Source {
+    /// As what its force counts.
+    pub fn cause(&self) -> Cause {
+        match (self.phase, self.strength > 0.0) {
+            (Phase::Core, _) => Cause::Core,
+            (_, true) => Cause::Attraction,
+            (_, false) => Cause::Repulsion,
         }
     }
 }
@@ -64,47 +88,119 @@ impl BodyForces {
     pub fn of(&self, cause: Cause) -> &Vectors {
         &self.by_cause[cause as usize]
     }
+
+    /// Leaves out what does not come from influence spheres.
+    pub(super) fn keep_influence(&mut self) {
+        for cause in [Cause::Restoring, Cause::Damping, Cause::Push, Cause::Carry] {
+            let count = self.of(cause).len();
+            self.by_cause[cause as usize].reset(count);
+        }
+        let net = self.acting().collect();
+        self.by_cause[Cause::Net as usize] = net;
+    }
+
+    /// What acts on each vertex but for its own oscillator [scene unit/s²].
+    pub(super) fn acting(&self) -> impl Iterator<Item = DVec3> + '_ {
+        let causes = [Cause::Attraction, Cause::Repulsion, Cause::Core, Cause::Push, Cause::Carry];
+        (0..self.of(Cause::Net).len()).map(move |i| causes.iter().map(|&cause| self.of(cause).get(i)).sum())
+    }
 }
 
 impl World {
     /// The forces by cause on every vertex of body `index` in the current state, into `forces` (reused).
     pub fn forces(&self, index: usize, forces: &mut BodyForces) {
-        self::forces(&self.body(index), &self.surroundings(index), self.scene().influence.weight, forces);
+        let (states, surroundings) = (self.body(index).states(), self.surroundings(index));
+        self.seen(index, &states, &surroundings).forces(self.scene().influence.weight, forces);
     }
 
     /// The energy of the current state.
     pub fn energy(&self) -> Energy {
-        let distant = *self.energy_of_distant_pairs.get_or_init(|| energy_of_distant_pairs(self.scene()));
-        self::energy(self, distant)
+        let mut energy = EnergySum::new(self.scene(), self.energy_of_distant_pairs(), self.phases());
+        let mut states = States::default();
+        for (index, body) in self.bodies().enumerate() {
+            let surroundings = self.surroundings(index);
+            if !(body.is_at_rest() && surroundings.sources.is_empty()) {
+                body.states_into(&mut states);
+                energy.add(&self.seen(index, &states, &surroundings));
+            }
+        }
+        energy.sum
+    }
+
+    /// That of the influence as if every pair were apart and out of reach [scene unit²/s²].
+    pub(super) fn energy_of_distant_pairs(&self) -> f64 {
+        *self.energy_of_distant_pairs.get_or_init(|| energy_of_distant_pairs(self.scene()))
+    }
+
+    pub(super) fn seen<'a>(&'a self, index: usize, states: &'a States, surroundings: &'a Surroundings) -> Seen<'a> {
+        Seen { body: &self.scene().bodies[index], unit: &self.bodies[index].unit, states, surroundings }
     }
 }
 
-/// The forces on every vertex of a body, given what acts on it.
-fn forces(body: &BodyView<'_>, surroundings: &Surroundings, weight: Weight, forces: &mut BodyForces) {
-    let material = body.scene().material;
-    let states = body.states();
-    for vectors in &mut forces.by_cause {
-        vectors.reset(body.vertex_count());
+/// A body, and what acts on it: what its forces and its energy follow from.
+#[derive(Clone, Copy)]
+pub(super) struct Seen<'a> {
+    pub body: &'a Body,
+    pub unit: &'a Vectors,
+    /// Empty if every one is zero.
+    pub states: &'a States,
+    pub surroundings: &'a Surroundings,
+}
+
+impl Seen<'_> {
+    /// Displacement and velocity of vertex `i`.
+    fn state(&self, i: usize) -> (DVec3, DVec3) {
+        let States { displacement, velocity } = self.states;
+        if displacement.is_empty() { (DVec3::ZERO, DVec3::ZERO) } else { (displacement.get(i), velocity.get(i)) }
     }
-    for i in 0..body.vertex_count() {
-        let (unit, x, u) = (body.unit(i), states.displacement.get(i), states.velocity.get(i));
-        let position = body.scene().radius * unit + x;
-        let mut by_cause = [glam::DVec3::ZERO; Cause::ALL.len()];
-        for source in &surroundings.sources {
-            let cause = if source.strength > 0.0 { Cause::Attraction } else { Cause::Repulsion };
-            let to_centre = source.centre - position;
-            by_cause[cause as usize] +=
-                influence::acceleration(weight, source.strength, source.sphere_radius, to_centre);
+
+    /// How far some vertices from `first` on are from `centre`, which is relative to the body's [scene unit].
+    fn distances(&self, centre: DVec3, first: usize, distances: &mut [f64]) {
+        let n = distances.len();
+        let radius = self.body.radius;
+        let [lx, ly, lz] = [&self.unit.x, &self.unit.y, &self.unit.z].map(|axis| &axis[first..first + n]);
+        let Vectors { x, y, z } = &self.states.displacement;
+        if x.is_empty() {
+            for i in 0..n {
+                let (dx, dy, dz) = (centre.x - radius * lx[i], centre.y - radius * ly[i], centre.z - radius * lz[i]);
+                distances[i] = (dx * dx + dy * dy + dz * dz).sqrt();
+            }
+        } else {
+            let [x, y, z] = [x, y, z].map(|axis| &axis[first..first + n]);
+            for i in 0..n {
+                let dx = centre.x - (radius * lx[i] + x[i]);
+                let dy = centre.y - (radius * ly[i] + y[i]);
+                let dz = centre.z - (radius * lz[i] + z[i]);
+                distances[i] = (dx * dx + dy * dy + dz * dz).sqrt();
+            }
         }
-        by_cause[Cause::Restoring as usize] = material.omega * material.omega * -x;
-        by_cause[Cause::Damping as usize] = -2.0 * material.damping * u;
-        for push in &surroundings.pushes {
-            by_cause[Cause::Push as usize] += push_acceleration(push, unit);
+    }
+
+    /// The forces by cause on every vertex.
+    pub fn forces(&self, weight: Weight, forces: &mut BodyForces) {
+        let material = self.body.material;
+        for vectors in &mut forces.by_cause {
+            vectors.resize(self.unit.len()); // every one is set below
         }
-        by_cause[Cause::Carry as usize] = -surroundings.carry;
-        by_cause[Cause::Net as usize] = by_cause.iter().sum();
-        for (vectors, force) in forces.by_cause.iter_mut().zip(by_cause) {
-            vectors.set(i, force);
+        for i in 0..self.unit.len() {
+            let (unit, (x, u)) = (self.unit.get(i), self.state(i));
+            let position = self.body.radius * unit + x;
+            let mut by_cause = [DVec3::ZERO; Cause::ALL.len()];
+            for source in &self.surroundings.sources {
+                let to_centre = source.centre - position;
+                by_cause[source.cause() as usize] +=
+                    influence::acceleration(weight, source.strength, source.sphere_radius, to_centre);
+            }
+            by_cause[Cause::Restoring as usize] = material.omega * material.omega * -x;
+            by_cause[Cause::Damping as usize] = -2.0 * material.damping * u;
+            for push in &self.surroundings.pushes {
+                by_cause[Cause::Push as usize] += push_acceleration(push, unit);
+            }
+            by_cause[Cause::Carry as usize] = -self.surroundings.carry;
+            by_cause[Cause::Net as usize] = by_cause.iter().sum();
+            for (vectors, force) in forces.by_cause.iter_mut().zip(by_cause) {
+                vectors.set(i, force);
+            }
         }
     }
 }
@@ -129,39 +225,69 @@ impl Energy {
     }
 }
 
-/// The energy of the current state; `distant` is that of the influence as if every pair were apart and out of reach.
-fn energy(world: &World, distant: f64) -> Energy {
-    let scene = world.scene();
-    let mut sum = Energy { influence: distant, ..Energy::default() };
-    for (a, b, phase) in world.phases() {
-        sum.influence += energy_outside(scene, a, b, phase) - energy_outside(scene, a, b, Phase::Apart);
-        sum.influence += energy_outside(scene, b, a, phase) - energy_outside(scene, b, a, Phase::Apart);
-    }
-    let mut states = States::default();
-    for (index, body) in world.bodies().enumerate() {
-        let surroundings = world.surroundings(index);
-        if body.is_at_rest() && surroundings.sources.is_empty() {
-            continue;
+/// Vertices whose distances are computed together.
+const STRIP: usize = 64;
+
+/// An energy that is being added up, body by body.
+pub(super) struct EnergySum {
+    weight: Weight,
+    pub sum: Energy,
+}
+
+impl EnergySum {
+    /// As if every vertex were at rest outside of every sphere: `distant` is that with all pairs apart, `phases` are
+    /// those of the pairs that may not be.
+    pub fn new(scene: &Scene, distant: f64, phases: impl Iterator<Item = (usize, usize, Phase)>) -> EnergySum {
+        let mut sum = Energy { influence: distant, ..Energy::default() };
+        for (a, b, phase) in phases {
+            sum.influence += energy_outside(scene, a, b, phase) - energy_outside(scene, a, b, Phase::Apart);
+            sum.influence += energy_outside(scene, b, a, phase) - energy_outside(scene, b, a, Phase::Apart);
         }
-        body.states_into(&mut states);
-        for i in 0..body.vertex_count() {
-            let (x, u) = (states.displacement.get(i), states.velocity.get(i));
-            let position = body.scene().radius * body.unit(i) + x;
-            let mut reached = false;
-            for source in &surroundings.sources {
-                let potential = |r| energy::influence_potential(scene.influence.weight, source.sphere_radius, r);
-                let distance = (source.centre - position).length();
-                if distance < source.sphere_radius {
-                    sum.influence += source.strength * (potential(distance) - potential(source.sphere_radius));
-                    reached = true;
+        EnergySum { weight: scene.influence.weight, sum }
+    }
+
+    /// Adds what the vertices of a body have, and have more than that by being inside of spheres.
+    pub fn add(&mut self, seen: &Seen<'_>) {
+        let States { displacement, velocity } = seen.states;
+        self.sum.kinetic += energy::kinetic(sum_of_squares(velocity));
+        self.sum.elastic += energy::elastic(seen.body.material.omega, sum_of_squares(displacement));
+        if seen.surroundings.sources.is_empty() {
+            return;
+        }
+        for first in (0..seen.unit.len()).step_by(STRIP) {
+            let n = STRIP.min(seen.unit.len() - first);
+            let mut reached = [false; STRIP];
+            for source in &seen.surroundings.sources {
+                let mut distances = [0.0; STRIP];
+                seen.distances(source.centre, first, &mut distances[..n]);
+                let potential = |r| energy::influence_potential(self.weight, source.sphere_radius, r);
+                for (&distance, reached) in distances[..n].iter().zip(&mut reached) {
+                    if distance < source.sphere_radius {
+                        let inside = potential(distance) - potential(source.sphere_radius);
+                        self.sum.influence += source.strength * inside;
+                        *reached = true;
+                    }
                 }
             }
-            sum.kinetic += energy::kinetic(u.length_squared());
-            sum.elastic += energy::elastic(body.scene().material.omega, x.length_squared());
-            sum.reached_vertices += u64::from(reached);
+            self.sum.reached_vertices += reached.iter().filter(|&&reached| reached).count() as u64;
         }
     }
-    sum
+}
+
+/// Σ |v|², in eight sums side by side, which are vectorised.
+fn sum_of_squares(vectors: &Vectors) -> f64 {
+    const LANES: usize = 8;
+    let n = vectors.len();
+    let (x, y, z) = (&vectors.x[..n], &vectors.y[..n], &vectors.z[..n]);
+    let mut sums = [0.0; LANES];
+    for first in (0..n / LANES * LANES).step_by(LANES) {
+        let [x, y, z] = [x, y, z].map(|axis| &axis[first..first + LANES]);
+        for lane in 0..LANES {
+            sums[lane] += x[lane] * x[lane] + y[lane] * y[lane] + z[lane] * z[lane];
+        }
+    }
+    let rest = (n / LANES * LANES..n).map(|i| x[i] * x[i] + y[i] * y[i] + z[i] * z[i]);
+    sums.iter().sum::<f64>() + rest.sum::<f64>()
 }
 
 /// Σ s Φ over the vertices of body `index`, all of them outside the sphere of body `source` [scene unit²/s²].

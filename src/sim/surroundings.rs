@@ -4,7 +4,10 @@
 use glam::DVec3;
 
 use crate::{
-    model::influence::{self, Weight},
+    model::{
+        influence::{self, Weight},
+        phase::Phase,
+    },
     scene::{Push, Response, path::Kinematics},
 };
 
@@ -19,6 +22,8 @@ pub struct Source {
     pub sphere_radius: f64,
     /// Signed strength [1/s²]: positive attracts, negative repels.
     pub strength: f64,
+    /// The phase of the pair, from which that follows.
+    pub phase: Phase,
 }
 
 /// What acts on a body's vertices at one instant.

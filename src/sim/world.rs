@@ -530,11 +530,16 @@ impl World {
 
     /// What acts on body `index` in the current state, but for its own oscillators.
     pub fn surroundings(&self, index: usize) -> Surroundings {
-        let time = self.time();
         let mut surroundings = Surroundings::default();
-        let farthest = self.scene.bodies[index].radius + self.active(index).map_or(0.0, Active::amplitude);
-        self.reading().surroundings(index as u32, farthest, Moment { time, phases_at: time }, &mut surroundings);
+        self.surroundings_into(index, &mut surroundings);
         surroundings
+    }
+
+    /// The same, into existing ones (reused).
+    pub(super) fn surroundings_into(&self, index: usize, surroundings: &mut Surroundings) {
+        let time = self.time();
+        let farthest = self.scene.bodies[index].radius + self.active(index).map_or(0.0, Active::amplitude);
+        self.reading().surroundings(index as u32, farthest, Moment { time, phases_at: time }, surroundings);
     }
 }
 

@@ -5,18 +5,21 @@
 
 use glam::DVec3;
 use rerun::{
-    AsComponents, StoreId, StoreKind, TimePoint,
+    AsComponents, Mesh3D, Points3D, StoreId, StoreKind, TimePoint,
     external::{
         re_log_types::{BlueprintActivationCommand, LogMsg},
         re_sdk_types::{
             blueprint::{
                 archetypes::{
-                    Background, ContainerBlueprint, EntityBehavior, EyeControls3D, LineGrid3D, PanelBlueprint,
-                    PlotLegend, ScalarAxis, TextLogColumns, TimePanelBlueprint, ViewBlueprint, ViewContents,
-                    ViewportBlueprint,
+                    ActiveVisualizers, Background, ContainerBlueprint, EntityBehavior, EyeControls3D, LineGrid3D,
+                    PanelBlueprint, PlotLegend, ScalarAxis, TextLogColumns, TimePanelBlueprint, ViewBlueprint,
+                    ViewContents, ViewportBlueprint, VisualizerInstruction,
                 },
-                components::{BackgroundKind, ContainerKind, Corner2D, Eye3DKind, PanelState, TimelineColumn},
-                datatypes::{TextLogColumn, TextLogColumnKind},
+                components::{
+                    BackgroundKind, ContainerKind, Corner2D, Eye3DKind, PanelState, TimelineColumn,
+                    VisualizerInstructionId,
+                },
+                datatypes::{ComponentSourceKind, TextLogColumn, TextLogColumnKind, VisualizerComponentMapping},
             },
             components::{Position3D, Range1D, Vector3D},
             datatypes::Uuid,
@@ -27,7 +30,12 @@ use rerun::{
 use super::{
     chunks::{Chunks, blueprint_time},
     palette,
-    settings::{Detail, Frames, MOST_PAIRS, Settings},
+    parts::{
+        forces,
+        numbers::{LAG, SPEED, TIMINGS},
+        vertices::HOTTEST,
+    },
+    settings::{Detail, Entities, Frames, Settings, arrow_scale},
 };
 use crate::{
     model::phase::Phase,
@@ -36,11 +44,11 @@ use crate::{
 };
 
 /// The messages that bring the layout for `recording` and make it the active one.
-pub fn messages(world: &World, settings: &Settings, recording: &StoreId) -> Vec<LogMsg> {
+pub fn messages(world: &World, settings: &Settings, tab: Tab, recording: &StoreId) -> Vec<LogMsg> {
     let id = format!("blueprint-{}", recording.recording_id().as_str());
     let store = StoreId::new(StoreKind::Blueprint, recording.application_id().clone(), id);
     let mut layout = Layout { chunks: Chunks::new(store.clone()), next_id: 0 };
-    let root = layout.root(world, settings);
+    let root = layout.root(world.scene(), settings, tab);
     layout.finish(root, store)
 }
 
@@ -60,10 +68,7 @@ pub fn of_comparison(scene: &Scene, recording: &StoreId) -> Vec<LogMsg> {
     let contents = ["+ /difference/**"];
     let plot =
         layout.view("TimeSeries", "Largest difference [radii]", "/difference", &contents, &[("PlotLegend", &legend)]);
-    let columns = TextLogColumns::new()
-        .with_timeline_columns(Vec::<TimelineColumn>::new())
-        .with_text_log_columns([TextLogColumn { kind: TextLogColumnKind::Body, visible: true.into() }]);
-    let events = layout.view("TextLog", "Events", "/events", &["+ /events"], &[("TextLogColumns", &columns)]);
+    let events = layout.lines("Events", "/events");
     let right = layout.container(ContainerKind::Vertical, "Differences", vec![plot, events], &[1.5, 1.0]);
     let root = layout.container(ContainerKind::Horizontal, "meldscope", vec![left, right], &[1.6, 1.0]);
     layout.finish(root, store)
@@ -73,6 +78,32 @@ pub fn of_comparison(scene: &Scene, recording: &StoreId) -> Vec<LogMsg> {
 struct Part {
     id: Uuid,
     path: String,
+}
+
+/// A tab of the layout.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tab {
+    /// Everything at one glance.
+    Scene,
+    /// A view a cause.
+    Forces,
+    /// Surfaces by how far they are displaced, vertices to select.
+    Displacement,
+    /// Distances, phases, events.
+    Pairs,
+    /// What it costs.
+    Timings,
+    /// What the state is like.
+    Energy,
+    /// The inside of steps.
+    Stages,
+}
+
+/// What a visualizer takes for one of its components.
+#[derive(Clone, Copy)]
+struct Mapping {
+    target: &'static str,
+    source: &'static str,
 }
 
 struct Layout {
@@ -98,17 +129,107 @@ impl Layout {
         messages
     }
 
-    fn root(&mut self, world: &World, settings: &Settings) -> Part {
-        let scene_view = self.scene_view(world, settings);
-        let about = self.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
-        let left = self.container(ContainerKind::Vertical, "Scene", vec![scene_view, about], &[3.4, 1.0]);
-
-        let right = if world.body_count() > 1 { self.pairs(world.scene()) } else { self.alone() };
-        self.container(ContainerKind::Horizontal, "meldscope", vec![left, right], &[1.6, 1.0])
+    fn root(&mut self, scene: &Scene, settings: &Settings, front: Tab) -> Part {
+        let mut tabs = vec![(Tab::Scene, self.scene_tab(scene, settings))];
+        if settings.detail != Detail::Surface {
+            tabs.push((Tab::Forces, self.forces_tab(scene)));
+            tabs.push((Tab::Displacement, self.displacement_tab(scene, settings)));
+        }
+        if scene.bodies.len() > 1 {
+            let parts = self.pair_views(scene);
+            tabs.push((Tab::Pairs, self.container(ContainerKind::Vertical, "Pairs", parts, &[2.0, 1.0, 0.8])));
+        }
+        let timings = vec![self.timings(), self.speed()];
+        tabs.push((Tab::Timings, self.container(ContainerKind::Vertical, "Timings", timings, &[2.0, 1.0])));
+        let plots = self.diagnostics();
+        tabs.push((Tab::Energy, self.container(ContainerKind::Vertical, "Energy", plots, &[1.0; 4])));
+        if matches!(settings.detail, Detail::Stages { .. }) {
+            tabs.push((Tab::Stages, self.stages_tab(scene, settings)));
+        }
+        let active = tabs.iter().find(|(tab, _)| *tab == front).map(|(_, part)| part.path.clone());
+        let root =
+            self.container(ContainerKind::Tabs, "meldscope", tabs.into_iter().map(|(_, part)| part).collect(), &[]);
+        if let Some(active) = active {
+            self.log(&root.path, &ContainerBlueprint::update_fields().with_active_tab(active.as_str()));
+        }
+        root
     }
 
-    /// Beside the scene: what happens between bodies, and what it cost.
-    fn pairs(&mut self, scene: &Scene) -> Part {
+    /// The inside of steps: on the timeline `stage`.
+    fn stages_tab(&mut self, scene: &Scene, settings: &Settings) -> Part {
+        let view = self.scene_view(scene, "Inside of a step (timeline: stage)", settings);
+        let lines = self.lines("Stages", "/stages");
+        self.container(ContainerKind::Horizontal, "Stages", vec![view, lines], &[2.0, 1.0])
+    }
+
+    fn lines(&mut self, name: &str, entity: &str) -> Part {
+        let columns = TextLogColumns::new()
+            .with_timeline_columns(Vec::<TimelineColumn>::new())
+            .with_text_log_columns([TextLogColumn { kind: TextLogColumnKind::Body, visible: true.into() }]);
+        self.view("TextLog", name, entity, &[&format!("+ {entity}")], &[("TextLogColumns", &columns)])
+    }
+
+    /// Everything at one glance.
+    fn scene_tab(&mut self, scene: &Scene, settings: &Settings) -> Part {
+        let scene_view = self.scene_view(scene, "Bodies, influence spheres, forces", settings);
+        let about = self.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
+        let left = self.container(ContainerKind::Vertical, "Space", vec![scene_view, about], &[2.6, 1.0]);
+        let right = if scene.bodies.len() > 1 {
+            let mut parts = self.pair_views(scene);
+            parts.push(self.timings());
+            self.container(ContainerKind::Vertical, "Time", parts, &[1.4, 0.75, 0.75, 1.0])
+        } else {
+            // a body that is alone: how it moves, and what it cost
+            let mut parts = self.diagnostics();
+            parts.push(self.timings());
+            self.container(ContainerKind::Vertical, "Time", parts, &[1.0, 1.0, 1.0, 1.0, 1.2])
+        };
+        self.container(ContainerKind::Horizontal, "Scene", vec![left, right], &[1.6, 1.0])
+    }
+
+    /// A view a cause, of those that the scene can have, all from the same side.
+    fn forces_tab(&mut self, scene: &Scene) -> Part {
+        let has = |cause: Cause| match cause {
+            Cause::Attraction | Cause::Repulsion => scene.bodies.len() > 1,
+            Cause::Core => scene.bodies.len() > 1 && scene.thresholds.core_at > 0.0,
+            Cause::Push => !scene.pushes.is_empty(),
+            Cause::Restoring | Cause::Damping | Cause::Carry | Cause::Net => true,
+        };
+        let views: Vec<Part> = Cause::ALL
+            .into_iter()
+            .filter(|&cause| has(cause))
+            .map(|cause| {
+                let arrows = format!("+ {}", forces::entity(cause));
+                let contents = ["+ /world/bodies/**", "+ /world/deforming/**", arrows.as_str()];
+                self.space(scene, cause_title(cause), &contents)
+            })
+            .collect();
+        self.grid("Forces", views, 3)
+    }
+
+    /// Surfaces coloured by how far they are displaced, and vertices to select.
+    fn displacement_tab(&mut self, scene: &Scene, settings: &Settings) -> Part {
+        let title = format!(
+            "Displacement: purple 0, green {}, yellow {HOTTEST} radii and more; select a vertex to see its numbers",
+            0.6 * HOTTEST
+        );
+        let view = self.space(scene, &title, &["+ /world/bodies/**", "+ /world/deforming/**"]);
+        let heat = Mapping { target: "Mesh3D:vertex_colors", source: "Points3D:colors" };
+        let positions = Mapping { target: "Points3D:positions", source: "Mesh3D:vertex_positions" };
+        let opaque = Mesh3D::update_fields().with_albedo_factor(rerun::Rgba32::WHITE);
+        let dots = Points3D::update_fields().with_radii([rerun::Radius::new_ui_points(2.5)]);
+        let surfaces: Vec<String> = match settings.entities {
+            Entities::Body => scene.bodies.iter().map(|body| format!("world/bodies/{}/surface", body.name)).collect(),
+            Entities::Batch => vec!["world/deforming/surface".to_owned()],
+        };
+        for surface in surfaces {
+            self.visualize(&view, &surface, &[("Mesh3D", heat, &opaque), ("Points3D", positions, &dots)]);
+        }
+        self.container(ContainerKind::Vertical, "Displacement", vec![view], &[])
+    }
+
+    /// What happens between bodies.
+    fn pair_views(&mut self, scene: &Scene) -> Vec<Part> {
         let legend = PlotLegend::new().with_corner(Corner2D::RightBottom);
         let [low, high] = q_range(scene);
         let axis = ScalarAxis::new().with_range(Range1D::new(low, high));
@@ -120,44 +241,47 @@ impl Layout {
             &[("PlotLegend", &legend), ("ScalarAxis", &axis)],
         );
         let phases = self.view("StateTimeline", "Pair phases", "/pairs", &["+ /pairs/**"], &[]);
-        let columns = TextLogColumns::new()
-            .with_timeline_columns(Vec::<TimelineColumn>::new())
-            .with_text_log_columns([TextLogColumn { kind: TextLogColumnKind::Body, visible: true.into() }]);
-        let events = self.view("TextLog", "Events", "/events", &["+ /events"], &[("TextLogColumns", &columns)]);
-        let timings = self.timings();
-        let diagnostics = self.diagnostics(ContainerKind::Horizontal);
-        let numbers = self.container(ContainerKind::Tabs, "Numbers", vec![timings, diagnostics], &[]);
-        let parts = vec![distances, phases, events, numbers];
-        self.container(ContainerKind::Vertical, "Pairs", parts, &[1.4, 0.75, 0.75, 1.2])
-    }
-
-    /// Beside a body that is alone: how it moves, and what it cost.
-    fn alone(&mut self) -> Part {
-        let diagnostics = self.diagnostics(ContainerKind::Vertical);
-        let timings = self.timings();
-        self.container(ContainerKind::Vertical, "Numbers", vec![diagnostics, timings], &[3.0, 1.2])
+        let events = self.lines("Events", "/events");
+        vec![distances, phases, events]
     }
 
     fn timings(&mut self) -> Part {
-        let legend = PlotLegend::new().with_corner(Corner2D::LeftTop);
-        self.view("TimeSeries", "Timings, ms per step", "/timings", &["+ /timings/**"], &[("PlotLegend", &legend)])
+        let contents: Vec<String> = TIMINGS.iter().map(|stage| format!("+ /timings/{stage}")).collect();
+        let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
+        self.plot("Timings, ms per step", "/timings", &contents, Corner2D::LeftTop)
     }
 
-    fn scene_view(&mut self, world: &World, settings: &Settings) -> Part {
-        let camera = camera(world.scene());
-        let grid = LineGrid3D::new().with_visible(false);
-        let background = Background::new(BackgroundKind::SolidColor).with_color(palette::color(palette::BACKGROUND));
-        let view = self.view(
-            "3D",
-            "Bodies, influence spheres, forces",
-            "/world",
-            &["+ /world/**"],
-            &[("EyeControls3D", &camera), ("LineGrid3D", &grid), ("Background", &background)],
-        );
-        if settings.detail == Detail::Forces {
-            // At first only what merges and splits; the others are one click away in the view's entity list.
+    fn speed(&mut self) -> Part {
+        let contents = [format!("+ {SPEED}"), format!("+ {LAG}")];
+        let contents = [contents[0].as_str(), contents[1].as_str()];
+        self.plot("Steps per second, and milliseconds behind real time", "/timings", &contents, Corner2D::LeftTop)
+    }
+
+    fn diagnostics(&mut self) -> Vec<Part> {
+        let mut plot = |name: &str, contents: &[&str]| self.plot(name, "/diagnostics", contents, Corner2D::RightTop);
+        vec![
+            plot("Energy", &["+ /diagnostics/energy"]),
+            plot("Displacement", &["+ /diagnostics/max_displacement"]),
+            plot("Estimated error", &["+ /diagnostics/estimated_error"]),
+            plot(
+                "Counts",
+                &["+ /diagnostics/reached_vertices", "+ /diagnostics/substeps", "+ /diagnostics/sleeping_bodies"],
+            ),
+        ]
+    }
+
+    fn plot(&mut self, name: &str, origin: &str, contents: &[&str], corner: Corner2D) -> Part {
+        let legend = PlotLegend::new().with_corner(corner);
+        self.view("TimeSeries", name, origin, contents, &[("PlotLegend", &legend)])
+    }
+
+    /// Everything in space, with those forces that make bodies merge and split.
+    fn scene_view(&mut self, scene: &Scene, name: &str, settings: &Settings) -> Part {
+        let view = self.space(scene, name, &["+ /world/**"]);
+        if settings.detail != Detail::Surface {
+            // the others are one click away in the view's entity list
             for cause in [Cause::Restoring, Cause::Damping, Cause::Push, Cause::Carry, Cause::Net] {
-                if cause == Cause::Push && !world.scene().pushes.is_empty() {
+                if cause == Cause::Push && !scene.pushes.is_empty() {
                     continue;
                 }
                 let path = format!("{}/ViewContents/overrides/world/forces/{}/visualizers", view.path, cause.name());
@@ -167,21 +291,33 @@ impl Layout {
         view
     }
 
-    fn diagnostics(&mut self, kind: ContainerKind) -> Part {
-        let legend = PlotLegend::new().with_corner(Corner2D::RightTop);
-        let mut plot = |name: &str, entities: &[&str]| {
-            self.view("TimeSeries", name, "/diagnostics", entities, &[("PlotLegend", &legend)])
-        };
-        let parts = vec![
-            plot("Energy", &["+ /diagnostics/energy"]),
-            plot("Displacement", &["+ /diagnostics/max_displacement"]),
-            plot("Estimated error", &["+ /diagnostics/estimated_error"]),
-            plot(
-                "Counts",
-                &["+ /diagnostics/reached_vertices", "+ /diagnostics/substeps", "+ /diagnostics/sleeping_bodies"],
-            ),
-        ];
-        self.container(kind, "Diagnostics", parts, &[1.0, 1.0, 1.0, 1.0])
+    /// A 3D view that has the whole scene in sight.
+    fn space(&mut self, scene: &Scene, name: &str, contents: &[&str]) -> Part {
+        let (camera, grid) = (camera(scene), LineGrid3D::new().with_visible(false));
+        let background = Background::new(BackgroundKind::SolidColor).with_color(palette::color(palette::BACKGROUND));
+        let properties: [(&str, &dyn AsComponents); 3] =
+            [("EyeControls3D", &camera), ("LineGrid3D", &grid), ("Background", &background)];
+        self.view("3D", name, "/world", contents, &properties)
+    }
+
+    /// Shows an entity of a view with these visualizers instead of those that the viewer would choose.
+    fn visualize(&mut self, view: &Part, entity: &str, visualizers: &[(&str, Mapping, &dyn AsComponents)]) {
+        let base = format!("{}/ViewContents/overrides/{entity}/visualizers", view.path);
+        let mut ids = Vec::new();
+        for (class, mapping, overrides) in visualizers {
+            let (id, text) = self.id();
+            let path = format!("{base}/{text}");
+            let mapping = VisualizerComponentMapping {
+                target: mapping.target.into(),
+                source_kind: ComponentSourceKind::SourceComponent,
+                source_component: Some(mapping.source.into()),
+                selector: None,
+            };
+            self.log(&path, &VisualizerInstruction::new(*class).with_component_map([mapping]));
+            self.log(&path, *overrides);
+            ids.push(VisualizerInstructionId(id));
+        }
+        self.log(&base, &ActiveVisualizers::new(ids));
     }
 
     fn id(&mut self) -> (Uuid, String) {
@@ -232,6 +368,26 @@ impl Layout {
         self.log(&path, &container);
         Part { id, path }
     }
+
+    fn grid(&mut self, name: &str, parts: Vec<Part>, columns: u32) -> Part {
+        let grid = self.container(ContainerKind::Grid, name, parts, &[]);
+        self.log(&grid.path, &ContainerBlueprint::update_fields().with_grid_columns(columns));
+        grid
+    }
+}
+
+/// What a view of a force is called.
+fn cause_title(cause: Cause) -> &'static str {
+    match cause {
+        Cause::Attraction => "Attraction (orange)",
+        Cause::Repulsion => "Repulsion of bodies apart (blue)",
+        Cause::Core => "Repulsion in the core (purple)",
+        Cause::Restoring => "Restoring (green)",
+        Cause::Damping => "Damping (yellow)",
+        Cause::Push => "Push (red)",
+        Cause::Carry => "Carry: its own motion (grey)",
+        Cause::Net => "Net (white)",
+    }
 }
 
 /// A camera from the front, somewhat from the side and from above, that has every influence sphere in view wherever
@@ -277,7 +433,7 @@ fn q_range(scene: &Scene) -> [f64; 2] {
 }
 
 /// What the colours mean, and which scene, integrator, step and settings these are.
-pub fn about(scene: &Scene, settings: &Settings, arrow_scale: f64) -> String {
+pub fn about(scene: &Scene, settings: &Settings) -> String {
     let (influence, thresholds) = (&scene.influence, &scene.thresholds);
     let frames = match (&settings.frames, settings.every) {
         (Frames::Thin, _) => {
@@ -311,21 +467,26 @@ pub fn about(scene: &Scene, settings: &Settings, arrow_scale: f64) -> String {
         if thresholds.core_at > 0.0 { format!(", core below {}", thresholds.core_at) } else { String::new() },
     );
     let spheres = format!(
-        "Influence spheres and lanes: blue **{}**, orange **{}**, purple **{}**, grey: reaches nobody.  \n",
+        "Influence spheres, lines, lanes: blue **{}**, orange **{}**, purple **{}**, grey: reaches nobody.  \n",
         Phase::Apart,
         Phase::Merged,
         Phase::Core
     );
     let arrows = match settings.detail {
         Detail::Surface => "Force arrows were not recorded (`--detail forces`).  \n".to_owned(),
-        Detail::Forces => format!(
-            "Force arrows ({} unit long per unit/s²): orange **attraction**, blue **repulsion**, red **push**; hidden at \
-             first: green **restoring**, yellow **damping**, purple **carry** (own motion), white **net**.  \n",
-            arrow_scale
+        Detail::Forces | Detail::Stages { .. } => format!(
+            "Arrows: forces of the state on screen, {} unit long per unit/s²: orange **attraction**, blue **repulsion**, \
+             purple **core**, red **push**; hidden at first: green **restoring**, yellow **damping**, grey **carry** (own \
+             motion), white **net**.  \n",
+            arrow_scale(scene)
         ),
     };
-    let bound = if scene.bodies.len() * scene.bodies.len().saturating_sub(1) / 2 > MOST_PAIRS {
-        format!("The first {MOST_PAIRS} pairs that come within reach have plots and lanes; events list them all.\n")
+    let bound = if scene.bodies.len() * scene.bodies.len().saturating_sub(1) / 2 > settings.pairs {
+        let most = settings.pairs;
+        format!(
+            "The first {most} pairs that come within reach have plots and lanes, the closest {most} have lines (`--pairs`); events \
+                 list them all.\n"
+        )
     } else {
         String::new()
     };

@@ -6,15 +6,15 @@
 use std::collections::HashMap;
 
 use rerun::{
-    AsComponents, EntityPath, StoreId, TimePoint, Timeline,
+    AsComponents, ComponentDescriptor, EntityPath, StoreId, TimePoint, Timeline,
     external::{
-        re_chunk_store::external::re_chunk::{
-            Chunk, ChunkBuilder, ChunkComponents, ChunkId, ChunkResult, RowId, TimeColumn,
-        },
+        re_chunk_store::external::re_chunk::{Chunk, ChunkBuilder, ChunkComponents, ChunkId, RowId, TimeColumn},
         re_log_types::{LogMsg, SetStoreInfo, StoreInfo, StoreSource},
         re_tuid::Tuid,
     },
 };
+
+use super::columns::{Cell, Columns, Parts};
 
 /// When something was: what the two timelines of a recording say.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,14 +39,40 @@ impl Instant {
     }
 }
 
+/// Whom a message is for: files get the same rows as viewers, but in larger chunks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Audience {
+    /// Everyone.
+    All,
+    /// Viewers and servers.
+    Viewers,
+    /// Files and pipes.
+    Files,
+}
+
+/// The timeline that walks through the inside of steps.
+pub const STAGE: &str = "stage";
+
+/// An entity that is logged in columns, see [`Chunks::track`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Track(usize);
+
+/// An entity, at stages or at instants: rows of a chunk have the same timelines.
+type Place = (EntityPath, bool);
+
 /// Gathers rows by entity until they are taken.
 pub struct Chunks {
     store: StoreId,
-    open: HashMap<EntityPath, ChunkBuilder>,
+    tracks: Vec<Columns>,
+    open: HashMap<Place, ChunkBuilder>,
     /// Entities in `open` in the order of their first row, so that messages do not depend on hashing.
-    order: Vec<EntityPath>,
+    order: Vec<Place>,
     done: Vec<LogMsg>,
+    /// What follows is logged at this stage of a step, and not at an instant.
+    stage: Option<u64>,
     rows: u64,
+    /// Of what depends on the machine.
+    rows_apart: u64,
     chunks: u64,
 }
 
@@ -57,10 +83,13 @@ impl Chunks {
         let info = SetStoreInfo { row_id: Tuid::from_nanos_and_inc(1, 0), info: StoreInfo::new(store.clone(), source) };
         Chunks {
             store,
+            tracks: Vec::new(),
             open: HashMap::new(),
             order: Vec::new(),
             done: vec![LogMsg::SetStoreInfo(info)],
+            stage: None,
             rows: 0,
+            rows_apart: 0,
             chunks: 0,
         }
     }
@@ -81,24 +110,49 @@ impl Chunks {
         ChunkId::from_tuid(Tuid::from_nanos_and_inc(2, self.chunks))
     }
 
+    /// From here on rows are at a stage, on a timeline of its own, or at instants again. A track keeps to either.
+    pub fn set_stage(&mut self, stage: Option<u64>) {
+        self.stage = stage;
+    }
+
+    /// For what an entity is logged frame after frame: always these components.
+    pub fn track(&mut self, entity: &str, components: impl IntoIterator<Item = ComponentDescriptor>) -> Track {
+        self.tracks.push(Columns::new(entity, components.into_iter().collect()));
+        Track(self.tracks.len() - 1)
+    }
+
+    /// The same for what depends on the machine: its rows are counted apart, so that all others are known by the same
+    /// numbers in equal runs.
+    pub fn push_apart(&mut self, Track(track): Track, at: Instant, cells: &[Cell<'_>]) {
+        self.rows_apart += 1;
+        let row = RowId::from_tuid(Tuid::from_nanos_and_inc(4, self.rows_apart));
+        self.tracks[track].push(row, at, None, cells);
+    }
+
+    /// Logs a cell for each component of a track.
+    pub fn push(&mut self, Track(track): Track, at: Instant, cells: &[Cell<'_>]) {
+        let row = self.row_id();
+        self.tracks[track].push(row, at, self.stage, cells);
+    }
+
     /// Logs components of an entity at an instant of the simulation.
     pub fn log(&mut self, entity: &str, at: Instant, components: &dyn AsComponents) {
-        self.row(entity, at.time_point(), components);
+        let stage = |stage: u64| TimePoint::from_iter([(Timeline::new_sequence(STAGE), stage as i64)]);
+        self.row(entity, self.stage.map_or_else(|| at.time_point(), stage), components);
     }
 
     /// Logs components of an entity at a time of any timeline.
     pub fn row(&mut self, entity: &str, at: TimePoint, components: &dyn AsComponents) {
         let row = self.row_id();
         let path = EntityPath::from(entity);
-        if !self.open.contains_key(&path) {
+        let place = (path.clone(), self.stage.is_some());
+        let builder = self.open.remove(&place).unwrap_or_else(|| {
+            self.order.push(place.clone());
             let id = self.chunk_id();
-            self.order.push(path.clone());
-            self.open.insert(path.clone(), Chunk::builder_with_id(id, path.clone()));
-        }
-        if let Some(builder) = self.open.remove(&path) {
-            let builder = builder.with_serialized_batches(row, at, components.as_serialized_batches());
-            self.open.insert(path, builder);
-        }
+            Chunk::builder_with_id(id, path)
+        });
+        let builder = builder.with_serialized_batches(row, at, components.as_serialized_batches());
+        self.open.insert(place, builder);
     }
 
     /// Logs components of an entity for all times, in a message of its own.
@@ -131,10 +185,72 @@ impl Chunks {
         std::mem::take(&mut self.done)
     }
 
+    /// The same, but for what comes in tracks only that of which there is enough for a chunk.
+    pub fn take_full(&mut self) -> Vec<LogMsg> {
+        if self.tracks.iter().any(Columns::is_long) {
+            return self.take(); // lines of numbers never get ahead of what they are about
+        }
+        for track in 0..self.tracks.len() {
+            if self.tracks[track].is_full() {
+                let chunk = self.close(track);
+                self.send(chunk);
+            }
+        }
+        std::mem::take(&mut self.done)
+    }
+
+    /// What there is to see since the last call. Rows of tracks are for viewers only, and stay to be taken, for files, in
+    /// larger chunks.
+    pub fn show(&mut self) -> Vec<(Audience, LogMsg)> {
+        for chunk in self.drain_rows() {
+            self.send(chunk);
+        }
+        let mut shown: Vec<_> =
+            std::mem::take(&mut self.done).into_iter().map(|message| (Audience::All, message)).collect();
+        for track in 0..self.tracks.len() {
+            if let Some(parts) = self.tracks[track].show() {
+                let chunk = self.chunk(track, ours(parts));
+                self.send(chunk);
+            }
+        }
+        shown.extend(std::mem::take(&mut self.done).into_iter().map(|message| (Audience::Viewers, message)));
+        shown
+    }
+
+    /// Whether [`Chunks::take_full`] has something to give.
+    pub fn has_full(&self) -> bool {
+        !self.done.is_empty() || self.tracks.iter().any(|track| track.is_full() || track.is_long())
+    }
+
     /// What was logged at instants since the last call, not yet as messages.
     pub fn drain(&mut self) -> Vec<Chunk> {
+        let mut chunks = self.drain_rows();
+        for track in 0..self.tracks.len() {
+            if !self.tracks[track].is_empty() {
+                chunks.push(self.close(track));
+            }
+        }
+        chunks
+    }
+
+    /// The same of what does not come in tracks.
+    fn drain_rows(&mut self) -> Vec<Chunk> {
         let order = std::mem::take(&mut self.order);
-        order.into_iter().filter_map(|path| self.open.remove(&path)).map(|builder| ours(builder.build())).collect()
+        let rows = order.into_iter().filter_map(|path| self.open.remove(&path));
+        rows.map(|builder| ours(builder.build())).collect()
+    }
+
+    /// The rows of a track as a chunk.
+    fn close(&mut self, track: usize) -> Chunk {
+        let parts = ours(self.tracks[track].take());
+        self.chunk(track, parts)
+    }
+
+    fn chunk(&mut self, track: usize, (ids, timelines, components): Parts) -> Chunk {
+        let id = self.chunk_id();
+        let timelines = timelines.into_iter().map(|column| (*column.timeline().name(), column)).collect();
+        let entity = self.tracks[track].entity.clone();
+        ours(Chunk::from_native_row_ids(id, entity, Some(true), &ids, timelines, components))
     }
 
     fn finish(&mut self, builder: ChunkBuilder) {
@@ -148,7 +264,7 @@ impl Chunks {
 }
 
 /// Only malformed columns can fail, and none comes from outside.
-fn ours<T>(result: ChunkResult<T>) -> T {
+fn ours<T, E: std::fmt::Display>(result: Result<T, E>) -> T {
     match result {
         Ok(result) => result,
         Err(error) => unreachable!("a chunk of our own columns: {error}"),

@@ -1,26 +1,58 @@
 //! The state as meshes and arrows, in the viewer's single precision.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
+use pulp::Arch;
 
-use crate::sim::{BodyForces, BodyView, Cause};
+use super::normals;
+use crate::{
+    scene::Sphere,
+    sim::{BodyForces, Cause, Vectors, snapshot::SeenBody},
+};
+
+/// Coordinates as the viewer has them.
+pub type Vector = [f32; 3];
+
+/// Reused from body to body.
+#[derive(Debug, Default)]
+pub struct Extractor {
+    arch: Arch,
+    local: Vectors,
+    normals: normals::Scratch,
+}
+
+impl Extractor {
+    /// World positions of the vertices of a body [scene unit], into `positions` (reused).
+    pub fn world_positions(&mut self, body: SeenBody<'_>, positions: &mut Vec<Vector>) {
+        positions.clear();
+        body.local_positions(&mut self.local);
+        append_moved(&self.local, body.centre(), positions);
+    }
+
+    /// Smooth normals of a sphere whose vertices are at `positions` relative to its centre.
+    pub fn normals(&mut self, shape: Sphere, positions: &Vectors) -> Vec<Vector> {
+        let mut normals = Vec::new();
+        normals::append(self.arch, shape, positions, &mut self.normals, &mut normals);
+        normals
+    }
+}
 
 /// Vertex positions and smooth normals of a surface; reused.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surface {
     /// [scene unit], `[vertex_count]`
-    pub positions: Vec<Vec3>,
+    pub positions: Vec<Vector>,
     /// Unit vectors, `[vertex_count]`
-    pub normals: Vec<Vec3>,
+    pub normals: Vec<Vector>,
 }
 
 impl Surface {
     /// Appends the surface of a body, its vertices moved by `offset` [scene unit] from body coordinates.
-    pub fn append(&mut self, body: &BodyView<'_>, offset: DVec3, triangles: &[[u32; 3]]) {
-        let (first, count) = (self.positions.len(), body.vertex_count());
-        self.positions.extend((0..count).map(|i| (body.local_position(i) + offset).as_vec3()));
-        self.normals.resize(first + count, Vec3::ZERO);
+    pub fn append(&mut self, body: SeenBody<'_>, offset: DVec3, extractor: &mut Extractor) {
+        body.local_positions(&mut extractor.local);
+        append_moved(&extractor.local, offset, &mut self.positions);
         // From body coordinates: an offset would cost precision.
-        smooth_normals(|i| body.local_position(i), triangles, &mut self.normals[first..]);
+        let Extractor { arch, local, normals } = extractor;
+        normals::append(*arch, body.scene().shape, local, normals, &mut self.normals);
     }
 
     /// Keeps the storage, holds nothing.
@@ -30,38 +62,37 @@ impl Surface {
     }
 }
 
-/// Smooth normals: the sums of those of the triangles around a vertex, weighted by area. `normals` are zero before.
-pub fn smooth_normals(position: impl Fn(usize) -> DVec3, triangles: &[[u32; 3]], normals: &mut [Vec3]) {
-    for corners in triangles {
-        let [a, b, c] = corners.map(|i| position(i as usize));
-        let twice_area = (b - a).cross(c - a).as_vec3();
-        for &i in corners {
-            normals[i as usize] += twice_area;
-        }
-    }
-    for (i, normal) in normals.iter_mut().enumerate() {
-        // Where triangles cancel out, the direction from the centre is as good as any.
-        *normal = normal.try_normalize().unwrap_or(position(i).normalize_or(DVec3::Z).as_vec3());
-    }
+/// Appends vectors, each with `offset` added, in single precision.
+fn append_moved(vectors: &Vectors, offset: DVec3, moved: &mut Vec<Vector>) {
+    let n = vectors.len();
+    let (x, y, z) = (&vectors.x[..n], &vectors.y[..n], &vectors.z[..n]);
+    moved.extend((0..n).map(|i| [(x[i] + offset.x) as f32, (y[i] + offset.y) as f32, (z[i] + offset.z) as f32]));
 }
 
 /// Arrows in world coordinates; reused.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Arrows {
     /// The vertices that feel the force [scene unit].
-    pub origins: Vec<Vec3>,
+    pub origins: Vec<Vector>,
     /// The force times the arrow scale [scene unit].
-    pub vectors: Vec<Vec3>,
+    pub vectors: Vec<Vector>,
+    /// Of the pair between whom it acts, if it acts between two.
+    pub classes: Vec<u16>,
 }
 
 impl Arrows {
-    /// Appends an arrow for every vertex of the body that feels `cause`, `scale` [scene unit per scene unit/s²] long.
-    pub fn append(&mut self, body: &BodyView<'_>, forces: &BodyForces, cause: Cause, scale: f64) {
-        for (i, force) in forces.of(cause).iter().enumerate() {
-            let vector = (force * scale).as_vec3();
-            if vector != Vec3::ZERO {
-                self.origins.push(body.position(i).as_vec3());
-                self.vectors.push(vector);
+    /// Appends an arrow for every vertex that feels `cause`, `scale` [scene unit per scene unit/s²] long; `origins` are
+    /// the vertices of the body, `[vertex_count]`, `classes` those of their arrows or none.
+    pub fn append(&mut self, origins: &[Vector], classes: &[u16], forces: &BodyForces, cause: Cause, scale: f64) {
+        let forces = forces.of(cause);
+        let (n, arrows) = (origins.len(), self);
+        let (x, y, z) = (&forces.x[..n], &forces.y[..n], &forces.z[..n]);
+        for i in 0..n {
+            let vector = [(x[i] * scale) as f32, (y[i] * scale) as f32, (z[i] * scale) as f32];
+            if vector != [0.0; 3] {
+                arrows.origins.push(origins[i]);
+                arrows.vectors.push(vector);
+                arrows.classes.extend(classes.get(i));
             }
         }
     }
@@ -70,5 +101,6 @@ impl Arrows {
     pub fn clear(&mut self) {
         self.origins.clear();
         self.vectors.clear();
+        self.classes.clear();
     }
 }

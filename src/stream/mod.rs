@@ -2,14 +2,17 @@
 //!
 //! | what | where |
 //! | --- | --- |
-//! | which entities there are, and when each is logged | [`recorder`] |
+//! | a recording from its first message to its last | [`recorder`] |
+//! | recording on a thread of its own | [`pipeline`] |
+//! | which entities there are, and what is logged to each | [`parts`] |
 //! | the state as meshes and arrows, in the viewer's precision | [`extract`] |
+//! | smooth normals of deformed spheres | [`normals`] |
 //! | what a recording is a function of | [`settings`] |
 //! | lines of plots | [`series`] |
 //! | a hash of the state for every step | [`checksums`] |
 //! | the last frames, kept until something happens | `flight` |
 //! | where a recording was made | [`machine`] |
-//! | rows gathered into chunks, chunks into messages | [`chunks`] |
+//! | rows gathered into chunks, chunks into messages | [`chunks`], in [`columns`] what comes frame after frame |
 //! | the layout that the viewer opens with | [`blueprint`] |
 //! | colours and what they mean | [`palette`] |
 //! | where the messages go: files, viewers, servers | [`sinks`] |
@@ -19,14 +22,19 @@
 pub mod blueprint;
 pub mod checksums;
 pub mod chunks;
+pub mod columns;
 pub mod extract;
 mod flight;
 pub mod machine;
+pub mod normals;
 pub mod palette;
+pub mod parts;
+pub mod pipeline;
 pub mod recorder;
 pub mod series;
 pub mod settings;
 pub mod sinks;
 
+pub use pipeline::Pipeline;
 pub use recorder::Recorder;
 pub use settings::Settings;

@@ -1,7 +1,7 @@
 //! Colours and what they mean. Those that tell causes and phases apart are Okabe and Ito's, which readers with any
 //! colour vision distinguish, on the viewer's dark background and on the bodies.
 
-use rerun::Color;
+use rerun::{Color, Rgba32};
 
 use crate::{model::phase::Phase, sim::Cause};
 
@@ -24,10 +24,11 @@ pub fn cause(cause: Cause) -> Rgb {
     match cause {
         Cause::Attraction => ORANGE,
         Cause::Repulsion => SKY_BLUE,
+        Cause::Core => PURPLE,
         Cause::Restoring => GREEN,
         Cause::Damping => YELLOW,
         Cause::Push => VERMILION,
-        Cause::Carry => PURPLE,
+        Cause::Carry => SILVER,
         Cause::Net => WHITE,
     }
 }
@@ -90,4 +91,28 @@ pub fn line(index: usize) -> Rgb {
 /// For the viewer.
 pub fn color([r, g, b]: Rgb) -> Color {
     Color::from_rgb(r, g, b)
+}
+
+/// For surfaces, so that what is inside them shows.
+pub fn translucent([r, g, b]: Rgb) -> Rgba32 {
+    Rgba32::from_unmultiplied_rgba(r, g, b, 150)
+}
+
+/// The colour of a share from 0 to 1, packed: viridis, which gets lighter all the way and which readers with any colour
+/// vision can read.
+pub fn heat(share: f64) -> u32 {
+    const STOPS: [[f64; 3]; 6] = [
+        [72.0, 32.0, 112.0],
+        [65.0, 68.0, 135.0],
+        [42.0, 120.0, 142.0],
+        [34.0, 168.0, 132.0],
+        [122.0, 209.0, 81.0],
+        [253.0, 231.0, 37.0],
+    ];
+    let place = share.clamp(0.0, 1.0) * (STOPS.len() - 1) as f64;
+    // what is not a number is as far as it gets
+    let stop = if place.is_nan() { STOPS.len() - 2 } else { (place as usize).min(STOPS.len() - 2) };
+    let rest = if place.is_nan() { 1.0 } else { place - stop as f64 };
+    let [r, g, b] = std::array::from_fn(|i| (STOPS[stop][i] + rest * (STOPS[stop + 1][i] - STOPS[stop][i])) as u8);
+    color([r, g, b]).to_u32()
 }

@@ -1,11 +1,10 @@
 //! Lines of plots, from which values that did not change are left out without changing the line.
 
-use std::collections::BTreeMap;
-
 use rerun::{Scalars, SeriesLines, components::InterpolationMode};
 
 use super::{
-    chunks::{Chunks, Instant},
+    chunks::{Chunks, Instant, Track},
+    columns::Cell,
     palette::{Rgb, color},
 };
 
@@ -18,16 +17,26 @@ pub enum Shape {
     Step,
 }
 
-/// The lines of a recording, by entity.
+/// The lines of a recording.
 #[derive(Default)]
 pub struct Series {
-    lines: BTreeMap<String, Line>,
+    lines: Vec<Line>,
 }
 
+/// One of them.
+#[derive(Clone, Copy, Debug)]
+pub struct LineId(usize);
+
 struct Line {
+    track: Track,
     shape: Shape,
+    last: Option<Last>,
+}
+
+/// The last value, when it was logged, and when it was last seen to be the same.
+#[derive(Clone, Copy)]
+struct Last {
     value: f64,
-    /// When the value was last logged, and when it was last seen to be the same.
     logged: Instant,
     seen: Instant,
 }
@@ -47,53 +56,60 @@ impl Series {
         chunks.log_static(entity, &style);
     }
 
+    /// A new line, without a point so far.
+    pub fn line(&mut self, chunks: &mut Chunks, entity: &str, shape: Shape) -> LineId {
+        let track = chunks.track(entity, [Scalars::descriptor_scalars()]);
+        self.lines.push(Line { track, shape, last: None });
+        LineId(self.lines.len() - 1)
+    }
+
     /// A point of a line, if the value changed.
-    pub fn log(&mut self, chunks: &mut Chunks, entity: &str, shape: Shape, value: f64, now: Instant) {
-        match self.lines.get_mut(entity) {
-            Some(line) if line.value == value => line.seen = now,
-            Some(line) => {
+    pub fn log(&mut self, chunks: &mut Chunks, LineId(line): LineId, value: f64, now: Instant) {
+        let Line { track, shape, last } = &mut self.lines[line];
+        match last {
+            Some(last) if last.value == value => last.seen = now,
+            Some(Last { value: before, logged, seen }) => {
                 // A straight line was level until the value was last seen: it needs that corner.
-                if line.shape == Shape::Linear && line.logged.step < line.seen.step {
-                    chunks.log(entity, line.seen, &Scalars::single(line.value));
+                if *shape == Shape::Linear && logged.step < seen.step {
+                    chunks.push(*track, *seen, &[Cell::Scalars(&[*before])]);
                 }
-                chunks.log(entity, now, &Scalars::single(value));
-                *line = Line { shape, value, logged: now, seen: now };
+                chunks.push(*track, now, &[Cell::Scalars(&[value])]);
+                *last = Some(Last { value, logged: now, seen: now });
             }
             None => {
-                chunks.log(entity, now, &Scalars::single(value));
-                self.lines.insert(entity.to_owned(), Line { shape, value, logged: now, seen: now });
+                chunks.push(*track, now, &[Cell::Scalars(&[value])]);
+                *last = Some(Last { value, logged: now, seen: now });
             }
         }
     }
 
     /// Draws a line on to where its value was last seen.
-    pub fn extend(&mut self, chunks: &mut Chunks, entity: &str) {
-        if let Some(line) = self.lines.get_mut(entity) {
-            line.extend(chunks, entity);
-        }
+    pub fn extend(&mut self, chunks: &mut Chunks, LineId(line): LineId) {
+        self.lines[line].extend(chunks);
     }
 
     /// Ends a line until its next point: draws it on, and logs that there is no value any more.
-    pub fn interrupt(&mut self, chunks: &mut Chunks, entity: &str, now: Instant) {
-        self.extend(chunks, entity);
-        if self.lines.remove(entity).is_some() {
-            chunks.log(entity, now, &Scalars::new([0.0; 0]));
+    pub fn interrupt(&mut self, chunks: &mut Chunks, LineId(line): LineId, now: Instant) {
+        let line = &mut self.lines[line];
+        line.extend(chunks);
+        if line.last.take().is_some() {
+            chunks.push(line.track, now, &[Cell::Scalars(&[])]);
         }
     }
 
     /// Draws all lines on to where their values were last seen.
     pub fn extend_all(&mut self, chunks: &mut Chunks) {
-        for (entity, line) in &mut self.lines {
-            line.extend(chunks, entity);
-        }
+        self.lines.iter_mut().for_each(|line| line.extend(chunks));
     }
 }
 
 impl Line {
-    fn extend(&mut self, chunks: &mut Chunks, entity: &str) {
-        if self.logged.step < self.seen.step {
-            chunks.log(entity, self.seen, &Scalars::single(self.value));
-            self.logged = self.seen;
+    fn extend(&mut self, chunks: &mut Chunks) {
+        if let Some(last) = &mut self.last
+            && last.logged.step < last.seen.step
+        {
+            chunks.push(self.track, last.seen, &[Cell::Scalars(&[last.value])]);
+            last.logged = last.seen;
         }
     }
 }

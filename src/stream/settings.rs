@@ -7,7 +7,7 @@ use crate::{
 
 /// More bodies than this are batched: the viewer slows down at several hundred entities.
 pub(super) const MOST_BODY_ENTITIES: usize = 64;
-/// More pairs than this get no plots of their own; their events are logged all the same.
+/// More pairs than this get no plots of their own, unless asked for; their events are logged all the same.
 pub const MOST_PAIRS: usize = 16;
 
 /// How much is recorded of a frame.
@@ -15,8 +15,15 @@ pub const MOST_PAIRS: usize = 16;
 pub enum Detail {
     /// Surfaces, spheres, pairs, events, timings, diagnostics.
     Surface,
-    /// Those, and force arrows by cause.
+    /// Those, and force arrows by cause, pairs in space, numbers of vertices.
     Forces,
+    /// Those, and the inside of these steps.
+    Stages {
+        /// The first step that is looked into.
+        from: u64,
+        /// The last one.
+        to: u64,
+    },
 }
 
 /// One entity a body, or all bodies in few.
@@ -105,9 +112,21 @@ pub struct Settings {
     pub entities: Entities,
     /// Which frames are recorded.
     pub frames: Frames,
+    /// So many pairs at most have plots, lanes and lines of their own.
+    pub pairs: usize,
 }
 
 impl Settings {
+    /// Whether a step is looked into.
+    pub fn has_stages(&self, step: u64) -> bool {
+        matches!(self.detail, Detail::Stages { from, to } if from <= step && step <= to) && self.frames == Frames::All
+    }
+
+    /// Whether there is a frame of a step.
+    pub fn has_frame(&self, step: u64) -> bool {
+        self.frames != Frames::Thin && step.is_multiple_of(self.every)
+    }
+
     /// The settings that the scene itself asks for, everything recorded.
     pub fn of(scene: &Scene) -> Settings {
         Settings {
@@ -120,6 +139,7 @@ impl Settings {
             detail: Detail::Forces,
             entities: if scene.bodies.len() > MOST_BODY_ENTITIES { Entities::Batch } else { Entities::Body },
             frames: Frames::All,
+            pairs: MOST_PAIRS,
         }
     }
 
@@ -172,6 +192,7 @@ impl Settings {
                 Some(_) => Frames::Last { most: 1, on: Vec::new() },
                 None => Frames::All,
             },
+            pairs: count("pairs").map_or(own.pairs, |pairs| pairs.min(1000) as usize),
         })
     }
 
@@ -180,6 +201,11 @@ impl Settings {
         let detail = match self.detail {
             Detail::Surface => "surface",
             Detail::Forces => "forces",
+            Detail::Stages { .. } => "stages",
+        };
+        let stages = match self.detail {
+            Detail::Stages { from, to } => format!("stages = [{from}, {to}]\n"),
+            Detail::Surface | Detail::Forces => String::new(),
         };
         let entities = match self.entities {
             Entities::Body => "body",
@@ -194,13 +220,14 @@ impl Settings {
             }
         };
         format!(
-            "integrator = \"{}\"\ndt = {:?}\ntolerance = {:?}\nsteps = {}\n{}every = {}\ndetail = \"{detail}\"\nentities = \"{entities}\"\n{frames}",
+            "integrator = \"{}\"\ndt = {:?}\ntolerance = {:?}\nsteps = {}\n{}every = {}\ndetail = \"{detail}\"\nentities = \"{entities}\"\npairs = {}\n{stages}{frames}",
             self.integrator,
             self.dt,
             self.tolerance,
             self.steps.unwrap_or(0),
             if self.skip { "" } else { "skip = false\n" },
             self.every,
+            self.pairs,
         )
     }
 }

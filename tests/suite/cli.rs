@@ -113,15 +113,27 @@ impl Running {
     /// Waits for a line on standard error that starts with `beginning`, and gives its rest.
     #[cfg(unix)]
     fn says(&mut self, beginning: &str) -> String {
+        said(&self.lines(), beginning)
+    }
+
+    /// What it says on standard error.
+    #[cfg(unix)]
+    fn lines(&mut self) -> mpsc::Receiver<String> {
         let stderr = BufReader::new(self.child().stderr.take().expect("a pipe"));
         let (sender, receiver) = mpsc::channel();
         // reads on when nobody listens any more: what else it says must go somewhere
         std::thread::spawn(move || stderr.lines().map_while(Result::ok).for_each(|line| drop(sender.send(line))));
-        loop {
-            let line = receiver.recv_timeout(PATIENCE).unwrap_or_else(|_| panic!("it does not say \"{beginning}\""));
-            if let Some(rest) = line.strip_prefix(beginning) {
-                return rest.to_owned();
-            }
+        receiver
+    }
+}
+
+/// Waits for a line that starts with `beginning`, and gives its rest.
+#[cfg(unix)]
+fn said(lines: &mpsc::Receiver<String>, beginning: &str) -> String {
+    loop {
+        let line = lines.recv_timeout(PATIENCE).unwrap_or_else(|_| panic!("it does not say \"{beginning}\""));
+        if let Some(rest) = line.strip_prefix(beginning) {
+            return rest.to_owned();
         }
     }
 }
@@ -373,6 +385,13 @@ fn usage_errors_have_status_2_and_leave_nothing() {
         "--grpc-port 8080",
         "--quiet=yes",
         "--realtime 2",
+        "--watch",
+        "--watch --save x.rrd",
+        "--watch --serve",
+        "--from 3",
+        "--detail stages --from 5 --to 2",
+        "--tab other",
+        "--pairs 1001",
     ] {
         let arguments: Vec<&str> = ["run", "two"].into_iter().chain(bad.split(' ')).collect();
         let said = run(&dir, &arguments).failed(2);
@@ -760,4 +779,80 @@ fn destinations_go_together() {
     assert_eq!(running.end().status, 0);
     let piped = reader.join().expect("no panic").expect("a recording");
     assert!(content(&saved) == content(&Recording::read(&piped[..])));
+}
+
+// ---- a scene that is edited ----------------------------------------------------------------------------------------
+
+#[cfg(unix)]
+#[test]
+fn a_scene_that_is_edited_starts_again_and_one_that_is_broken_does_not() {
+    let dir = scene_dir();
+    let scene = dir.file("small.toml");
+    for steps in ["0", "30"] {
+        fs::write(&scene, SCENE).expect("room");
+        let arguments =
+            ["run", "small.toml", "--steps", steps, "--watch", "--serve", "--web-port", "0", "--grpc-port", "0"];
+        let mut running = Running::start(&dir, &arguments);
+        let lines = running.lines();
+        said(&lines, "serving at");
+        fs::write(&scene, format!("{SCENE}\nwrong = 1\n")).expect("room");
+        let why = lines.iter().find(|line| line.contains("wrong")).expect("it says why");
+        assert!(why.contains("small.toml") && why.contains("going on with the scene as it was"), "{why}");
+        for comment in ["one", "two"] {
+            fs::write(&scene, format!("# {comment}\n{SCENE}")).expect("room");
+            said(&lines, "small.toml has changed: starting again");
+        }
+        running.signal("INT");
+        said(&lines, "Serving until Ctrl-C");
+        std::thread::sleep(Duration::from_millis(1100)); // a second interrupt, not an echo of the first
+        running.signal("INT");
+        running.end();
+    }
+}
+
+// ---- endless runs --------------------------------------------------------------------------------------------------
+
+#[cfg(target_os = "linux")]
+#[test]
+fn memory_stays_bounded_over_a_hundred_thousand_frames() {
+    let dir = Dir::new();
+    let text = r#"
+        name = "endless"
+        duration = 1.0
+        [[body]]
+        name = "a"
+        shape = { sphere = { stacks = 4, slices = 6 } }
+        radius = 1.0
+        motion = { fixed = [0, 0, 0] }
+        [[body]]
+        name = "b"
+        shape = { sphere = { stacks = 4, slices = 6 } }
+        radius = 1.0
+        motion = { sine = { center = [2.1, 0, 0], amplitude = [0.4, 0, 0], frequency = 0.5 } }
+    "#;
+    fs::write(dir.file("endless.toml"), text).expect("room");
+    let arguments = ["run", "endless.toml", "--steps", "120000", "--save", "x.rrd", "--quiet"];
+    let mut running = Running::start(&dir, &arguments);
+    let status = format!("/proc/{}/status", running.child().id());
+    let resident = || {
+        let status = fs::read_to_string(&status).ok()?;
+        let line = status.lines().find(|line| line.starts_with("VmRSS:"))?.to_owned();
+        line.split_whitespace().nth(1)?.parse::<u64>().ok()
+    };
+    let size = || fs::metadata(dir.file("x.rrd.partial")).map_or(0, |file| file.len());
+    // in the first third all buffers come into use; from then on nothing grows
+    let (mut first, mut most) = (0, 0);
+    while running.child().try_wait().expect("a child").is_none() {
+        let now = resident().unwrap_or(0);
+        most = most.max(now);
+        if size() < 36 << 20 {
+            first = most;
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    running.end().succeeded();
+    let recording = Recording::open(&dir.file("x.rrd"));
+    assert_eq!(recording.steps(), 120_000.0);
+    // the file's footer takes some of it
+    assert!(first > 0 && most < first + (48 << 10), "{first} kB, then {most} kB");
 }

@@ -262,7 +262,7 @@ fn forces_by_cause_are_those_written_out_by_hand() {
                 for v in 0..body.vertex_count() {
                     let (unit, x, u) = (body.unit(v), body.displacement(v), body.velocity(v));
                     let r = centres[i] + this.radius * unit + x;
-                    let (mut attraction, mut repulsion, mut push) = (DVec3::ZERO, DVec3::ZERO, DVec3::ZERO);
+                    let [mut attraction, mut repulsion, mut core, mut push] = [DVec3::ZERO; 4];
                     for j in (0..5).filter(|&j| j != i) {
                         let z = (centres[j] - r).length() / (scene.influence.reach * scene.bodies[j].radius);
                         let w = match scene.influence.weight {
@@ -271,8 +271,11 @@ fn forces_by_cause_are_those_written_out_by_hand() {
                             Weight::Wendland => (1.0 - z).powi(4) * (4.0 * z + 1.0),
                         };
                         let force = strength(&scene, i, j) * (centres[j] - r) * w;
-                        *(if expected_phase(i, j) == Phase::Merged { &mut attraction } else { &mut repulsion }) +=
-                            force;
+                        *match expected_phase(i, j) {
+                            Phase::Merged => &mut attraction,
+                            Phase::Apart => &mut repulsion,
+                            Phase::Core => &mut core,
+                        } += force;
                     }
                     for each in scene.pushes.iter().filter(|push| push.body == i) {
                         if each.start <= t && t < each.start + each.duration {
@@ -287,10 +290,11 @@ fn forces_by_cause_are_those_written_out_by_hand() {
                     };
                     let restoring = -material.omega.powi(2) * x;
                     let damping = -2.0 * material.damping * u;
-                    let net = attraction + repulsion + restoring + damping + push + carry;
+                    let net = attraction + repulsion + core + restoring + damping + push + carry;
                     let expected = [
                         (Cause::Attraction, attraction),
                         (Cause::Repulsion, repulsion),
+                        (Cause::Core, core),
                         (Cause::Restoring, restoring),
                         (Cause::Damping, damping),
                         (Cause::Push, push),
@@ -302,7 +306,7 @@ fn forces_by_cause_are_those_written_out_by_hand() {
                         // Measured: 4.1e-14; the forces are up to 100.
                         assert!(error <= 6e-14, "{law}, step {step}, {}, {v}, {cause:?}: {error:e}", this.name);
                     }
-                    let sum: DVec3 = expected[..6].iter().map(|&(cause, _)| forces.of(cause).get(v)).sum();
+                    let sum: DVec3 = expected[..7].iter().map(|&(cause, _)| forces.of(cause).get(v)).sum();
                     assert!((sum - forces.of(Cause::Net).get(v)).length() <= 6e-14);
                 }
             }

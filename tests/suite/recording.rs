@@ -350,7 +350,9 @@ impl Run {
         let mut pairs = Vec::new();
         self.walk(|world| {
             let changed = world.report().events.iter().map(|event| (event.a as usize, event.b as usize));
-            let seen = world.pairs().filter(|_| self.is_frame(world)).map(|pair| (pair.a, pair.b));
+            let mut seen: Vec<_> = world.pairs().filter(|_| self.is_frame(world)).collect();
+            seen.sort_by(|x, y| x.q.total_cmp(&y.q)); // of those that come together the closest first
+            let seen = seen.into_iter().map(|pair| (pair.a, pair.b));
             for pair in changed.chain(seen) {
                 if pairs.len() < MOST_PAIRS && !pairs.contains(&pair) {
                     pairs.push(pair);
@@ -417,7 +419,9 @@ impl Run {
         self.verify_spheres();
         if self.settings.detail == Detail::Forces {
             self.verify_forces();
+            self.verify_vertices();
         }
+        self.verify_lines();
         self.verify_pairs();
         self.verify_events();
         self.verify_diagnostics();
@@ -441,6 +445,7 @@ impl Run {
             }
         }
         if self.settings.detail == Detail::Forces {
+            entities.push("/world/forces".to_owned());
             entities.extend(Cause::ALL.map(|cause| format!("/world/forces/{}", cause.name())));
         }
         for pair in self.pairs() {
@@ -450,6 +455,7 @@ impl Run {
         }
         entities.extend((!self.events().is_empty()).then(|| "/events".to_owned()));
         entities.extend(TIMINGS.map(|stage| format!("/timings/{stage}")));
+        entities.extend(["/timings/speed", "/timings/lag", "/world/pairs"].map(str::to_owned));
         entities.extend(DIAGNOSTICS.map(|number| format!("/diagnostics/{number}")));
 
         let entities: BTreeSet<EntityPath> = entities.iter().map(|path| EntityPath::from(path.as_str())).collect();
@@ -711,6 +717,65 @@ impl Run {
         });
     }
 
+    /// What each vertex says of itself: its displacement, the force on it, what reaches it.
+    fn verify_vertices(&self) {
+        if self.settings.entities == Entities::Batch {
+            return;
+        }
+        for (index, scene) in self.scene.bodies.iter().enumerate() {
+            let track = self.track(&format!("/world/bodies/{}/surface", scene.name));
+            let fixed = self.recording.fixed(&track.entity);
+            assert_eq!(fixed.texts("body"), [scene.name.as_str()]);
+            assert_eq!(fixed.cells["vertex"].len() as u64, scene.shape.vertex_count());
+            let mut forces = BodyForces::default();
+            self.walk_frames(|frame, world| {
+                let (body, held) = (world.body(index), &track.held[frame]);
+                world.forces(index, &mut forces);
+                let displacement = held.get::<rerun::datatypes::Float32>("displacement_in_radii");
+                let net = held.get::<rerun::datatypes::Float32>("net_force");
+                let reach = held.texts("reach");
+                assert_eq!((displacement.len(), net.len(), reach.len()), (body.vertex_count(), net.len(), net.len()));
+                for i in 0..body.vertex_count() {
+                    let at = format!("{}, vertex {i} at step {}", track.entity, world.steps_taken());
+                    let expected = (body.displacement(i).length() / scene.radius) as f32;
+                    assert!((displacement[i].0 - expected).abs() <= 1e-6 * expected.max(1e-30), "{at}");
+                    assert_eq!(net[i].0, forces.of(Cause::Net).get(i).length() as f32, "{at}");
+                    let felt = [Cause::Attraction, Cause::Repulsion, Cause::Core]
+                        .map(|cause| forces.of(cause).get(i) != DVec3::ZERO);
+                    let word = match felt {
+                        [_, _, true] => "in a core",
+                        [true, true, _] => "attracted and repelled",
+                        [true, ..] => "attracted",
+                        [_, true, _] => "repelled",
+                        _ => "out of reach",
+                    };
+                    assert_eq!(reach[i], word, "{at}");
+                }
+            });
+        }
+    }
+
+    /// Lines between the centres of pairs within reach, the closest, labelled and coloured.
+    fn verify_lines(&self) {
+        let track = self.track("/world/pairs");
+        self.walk_frames(|frame, world| {
+            let mut pairs: Vec<_> = world.pairs().collect();
+            pairs.sort_by(|x, y| x.q.total_cmp(&y.q));
+            pairs.truncate(self.settings.pairs);
+            let held = &track.held[frame];
+            let labels: Vec<String> = pairs.iter().map(|pair| format!("q = {:.3}", pair.q)).collect();
+            assert_eq!(held.texts("LineStrips3D:labels"), labels, "step {}", world.steps_taken());
+            let colors: Vec<Rgba32> = pairs.iter().map(|pair| color(palette::phase(pair.phase))).collect();
+            assert_eq!(held.colors("LineStrips3D:colors"), colors);
+            let strips = held.get::<rerun::components::LineStrip3D>("LineStrips3D:strips");
+            for (pair, strip) in pairs.iter().zip(&strips) {
+                let ends = [pair.a, pair.b].map(|i| Vec3D(world.body(i).centre().as_vec3().to_array()));
+                assert_eq!(strip.0, ends);
+            }
+            assert_eq!(strips.len(), pairs.len());
+        });
+    }
+
     /// Distances while within reach, their thresholds, and lanes that change at the exact times.
     fn verify_pairs(&self) {
         let pairs = self.pairs();
@@ -845,6 +910,9 @@ impl Run {
                 );
             }
         }
+        let speed = self.recording.changes("/timings/speed");
+        assert_eq!(speed.len() + 2, self.frames().len(), "between two frames that were stepped to");
+        assert!(speed.iter().all(|row| row.scalar().is_some_and(|speed| speed > 0.0)));
     }
 
     /// A line of a plot that should have these values at these steps: it has them at every one of them, repeats a value
@@ -898,8 +966,8 @@ impl Run {
     }
 }
 
-const CAUSES: [&str; 7] = ["attraction", "repulsion", "restoring", "damping", "push", "carry", "net"];
-const TIMINGS: [&str; 5] = ["reach", "events", "integrate", "extract", "log"];
+const CAUSES: [&str; 8] = ["attraction", "repulsion", "core", "restoring", "damping", "push", "carry", "net"];
+const TIMINGS: [&str; 7] = ["reach", "events", "integrate", "observe", "wait", "extract", "log"];
 const DIAGNOSTICS: [&str; 6] =
     ["energy", "max_displacement", "reached_vertices", "substeps", "estimated_error", "sleeping_bodies"];
 
@@ -1137,5 +1205,45 @@ fn equal_runs_give_equal_data() {
         assert_eq!(one_content.len(), other_content.len());
         let settings = Settings { every: 2, ..Settings::of(&scene) };
         assert_ne!(Run::with(&scene, settings, 64).recording.id, one.id, "other options, another recording");
+    }
+}
+
+/// The stages of steps are on a timeline of their own, from the state before to the state after.
+#[test]
+fn the_inside_of_steps_is_recorded_beside_them() {
+    let scene = builtin("two");
+    let steps = 80..=90;
+    let detail = Detail::Stages { from: *steps.start(), to: *steps.end() };
+    let run = Run::with(&scene, Settings { detail, steps: Some(100), ..Settings::of(&scene) }, 64);
+    let mut lines = Vec::new();
+    let mut positions: BTreeMap<i64, Vec<Vec3>> = BTreeMap::new();
+    let store = run.recording.store.read();
+    for chunk in store.iter_physical_chunks() {
+        let Some(times) = chunk.timelines().get(&TimelineName::from("stage")) else { continue };
+        assert_eq!(chunk.timelines().len(), 1, "stages are at no step");
+        let texts = chunk.iter_slices::<String>("TextLog:text".into());
+        lines.extend(times.times_raw().iter().zip(texts).map(|(&stage, text)| (stage, text[0].to_string())));
+        if chunk.entity_path() == &EntityPath::from("/world/bodies/b/surface") {
+            let vectors = chunk.iter_slices::<[f32; 3]>(POSITIONS.into());
+            let rows = times.times_raw().iter().zip(vectors);
+            positions.extend(rows.map(|(&stage, row)| (stage, row.iter().map(|&v| Vec3::from(v)).collect())));
+        }
+    }
+    lines.sort();
+    let numbers: Vec<i64> = lines.iter().map(|(stage, _)| *stage).collect();
+    assert_eq!(numbers, (0..lines.len() as i64).collect::<Vec<_>>());
+    for step in steps {
+        let of_step: Vec<&(i64, String)> =
+            lines.iter().filter(|(_, line)| line.starts_with(&format!("step {step}: "))).collect();
+        let names: Vec<&str> = of_step.iter().filter_map(|(_, line)| line.split(": ").nth(1)).collect();
+        assert_eq!(names[..3], ["start", "influence forces", "after the flow alone"]);
+        assert_eq!(names[names.len() - 1], "end");
+        assert_eq!(names.iter().any(|name| name.starts_with("merge a~b")), step == 84, "{names:?}");
+        // what is held at the first stage and at the last are the frames before and after
+        for (stage, frame) in [(of_step[0].0, step - 1), (of_step[of_step.len() - 1].0, step)] {
+            let held = positions.range(..=stage).next_back().expect("a surface").1;
+            let frame = run.recording.held("/world/bodies/b/surface", [frame]);
+            assert_eq!(held, &frame[0].vectors(POSITIONS), "step {step}, stage {stage}");
+        }
     }
 }

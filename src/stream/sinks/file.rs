@@ -17,12 +17,13 @@ use super::SinkError;
 use super::error::file_help;
 use super::queue::{Parcel, Queue, WhenFull};
 
-/// What may wait to be written [bytes]; then the run waits for the disk.
-const LIMIT: u64 = 64 << 20;
+/// What may wait to be written [bytes]; then the run waits for the disk. More would not be quicker: what was recorded
+/// would have left the processor's caches when it is written.
+const LIMIT: u64 = 16 << 20;
 /// What is handed to the operating system at once [bytes].
 const BUFFER: usize = 256 << 10;
 /// A killed run loses at most what came after this [time since the last flush].
-const FLUSH_EVERY: Duration = Duration::from_millis(500);
+const FLUSH_EVERY: Duration = Duration::from_millis(250);
 /// Messages encoded between two looks at the clock.
 const BATCH: usize = 64;
 
@@ -249,6 +250,11 @@ impl Writer {
         self.queue.flush()
     }
 
+    /// Whether nothing more can be written.
+    pub fn failed(&self) -> bool {
+        self.queue.failure().is_some()
+    }
+
     /// Nothing more will be sent: the thread may finish meanwhile.
     pub fn close(&self) {
         self.queue.close();
@@ -363,6 +369,9 @@ fn encode<W: Write>(target: &Target, queue: &Queue, encoder: &mut Encoder<W>) ->
     loop {
         let idle = (!is_flushed).then(|| FLUSH_EVERY.saturating_sub(flushed_at.elapsed()));
         let batch = queue.take(BATCH, idle);
+        if messages == 0 {
+            flushed_at = Instant::now(); // there was nothing to lose before
+        }
         for msg in &batch.messages {
             encoder.append(msg).map_err(|err| target.encode_error(err))?;
             messages += 1;

@@ -5,7 +5,7 @@
 //! what it can take and never holds up a run. The server for viewers gets everything, for those that come later too, but
 //! cannot hold up a run for longer than a second.
 //!
-//! Memory: 64 MiB for a file or pipe; 128 MiB for each viewer and for the server, twice as much where it is all values
+//! Memory: 16 MiB for a file or pipe; 128 MiB for each viewer and for the server, twice as much where it is all values
 //! that nothing newer follows; and what the SDK holds, which for the server is 256 MiB under way and 1 GiB of history.
 //! A message in several queues is there once. The footer of a file takes about 1 kB for each message, kept until the
 //! end.
@@ -34,6 +34,7 @@ pub use error::SinkError;
 pub use note::thousands;
 pub use serve::Serving;
 
+use super::chunks::Audience;
 use file::{Claim, Writer};
 use live::Live;
 use note::{counted, listed, seconds};
@@ -233,6 +234,16 @@ impl Sinks {
         self.server.is_some()
     }
 
+    /// Whether there are viewers or a server, and files or pipes.
+    pub fn are_live_and_recorded(&self) -> [bool; 2] {
+        [!self.viewers.is_empty() || self.server.is_some(), !self.writers.is_empty()]
+    }
+
+    /// Whether a file or pipe cannot be written, or nothing is left to send to.
+    pub fn failed(&self) -> bool {
+        !self.is_anyone_left() || self.writers.iter().any(Writer::failed)
+    }
+
     /// What there is to tell the user since the last call: whole sentences, each said once.
     pub fn notes(&mut self) -> Vec<String> {
         self.look();
@@ -244,12 +255,25 @@ impl Sinks {
     /// `Err` if a file or pipe cannot be written, or if nothing is left to send to. A run should then end with
     /// [`Sinks::finish`], which gives the same error once more.
     pub fn send(&mut self, msg: LogMsg) -> Result<(), SinkError> {
+        self.send_to(Audience::All, msg)
+    }
+
+    /// The same for some of them.
+    ///
+    /// # Errors
+    /// As those of [`Sinks::send`].
+    pub fn send_to(&mut self, audience: Audience, msg: LogMsg) -> Result<(), SinkError> {
         let parcel = Parcel::new(msg);
-        if let Some(memory) = &mut self.memory {
-            memory.push(parcel.msg.clone());
+        if audience != Audience::Viewers {
+            if let Some(memory) = &mut self.memory {
+                memory.push(parcel.msg.clone());
+            }
+            for writer in &mut self.writers {
+                writer.send(parcel.clone())?;
+            }
         }
-        for writer in &mut self.writers {
-            writer.send(parcel.clone())?;
+        if audience == Audience::Files {
+            return Ok(());
         }
         let mut gone = None;
         for viewer in &self.viewers {

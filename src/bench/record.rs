@@ -1,0 +1,335 @@
+//! What recording costs: frames per second and bytes per frame, by detail and destination, beside the payload itself and
+//! a plain `log()` of the same data an entity at a time.
+
+use std::{
+    fmt::Write as _,
+    path::PathBuf,
+    time::{Duration, Instant},
+};
+
+use rerun::{Arrows3D, Mesh3D, RecordingStreamBuilder, Scalars, Transform3D};
+
+use super::machine::Machine;
+use crate::{
+    scene::Scene,
+    sim::{BodyForces, Cause, Snapshot, World},
+    stream::{
+        Pipeline, Recorder, Settings,
+        extract::{Arrows, Extractor, Surface},
+        parts::forces,
+        pipeline::send,
+        recorder::Step,
+        settings::{Detail, arrow_scale},
+        sinks::{Destinations, Serve, Sinks},
+    },
+};
+
+/// A measurement goes on for at least this long, scene after scene …
+const LEAST: Duration = Duration::from_millis(600);
+/// … and frames that are recorded without simulating are kept up to this size [bytes].
+const KEPT: usize = 256 << 20;
+
+/// Where frames go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Destination {
+    /// Nowhere: simulated only, or made and dropped.
+    None,
+    /// A file.
+    File,
+    /// A gRPC server on this machine.
+    Server,
+    /// A file, by the SDK's `log()` for each entity.
+    PlainLog,
+}
+
+impl Destination {
+    /// All of them.
+    pub const ALL: [Destination; 4] =
+        [Destination::None, Destination::File, Destination::Server, Destination::PlainLog];
+
+    /// The name in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Destination::None => "none",
+            Destination::File => "file",
+            Destination::Server => "gRPC server",
+            Destination::PlainLog => "file, plain log()",
+        }
+    }
+}
+
+/// What one way of recording a scene costs.
+#[derive(Clone, Debug)]
+pub struct Measurement {
+    /// Name of the scene.
+    pub scene: String,
+    /// Whether forces were recorded.
+    pub detail: Detail,
+    /// Where to.
+    pub destination: Destination,
+    /// Whether the scene was simulated meanwhile, or its states were there already.
+    pub is_simulated: bool,
+    /// How many frames were made …
+    pub frames: u64,
+    /// … in how long [s].
+    pub seconds: f64,
+    /// Size of the file [bytes].
+    pub bytes: Option<u64>,
+    /// Positions, normals and arrows in it [bytes].
+    pub payload: u64,
+}
+
+impl Measurement {
+    /// Frames per second.
+    pub fn rate(&self) -> f64 {
+        self.frames as f64 / self.seconds
+    }
+}
+
+/// Measures a scene in every way; files are written to `folder` and removed again.
+///
+/// # Errors
+/// What went wrong, in words.
+pub fn measure(scene: &Scene, folder: &std::path::Path) -> Result<Vec<Measurement>, String> {
+    let mut all = Vec::new();
+    for detail in [Detail::Surface, Detail::Forces] {
+        let bench = Bench::new(scene, detail, folder)?;
+        for is_simulated in [true, false] {
+            for destination in Destination::ALL {
+                if destination == Destination::PlainLog && is_simulated {
+                    continue;
+                }
+                all.push(bench.measure(destination, is_simulated)?);
+            }
+        }
+    }
+    Ok(all)
+}
+
+/// A scene, and its states.
+struct Bench<'a> {
+    scene: &'a Scene,
+    settings: Settings,
+    frames: Vec<(Step, Snapshot)>,
+    /// Of those frames [bytes].
+    payload: u64,
+    file: PathBuf,
+}
+
+impl Bench<'_> {
+    fn new<'a>(scene: &'a Scene, detail: Detail, folder: &std::path::Path) -> Result<Bench<'a>, String> {
+        let settings = Settings { detail, ..Settings::of(scene) };
+        let file = folder.join(format!("meldscope-bench-{}.rrd", std::process::id()));
+        let mut bench = Bench { scene, settings, frames: Vec::new(), payload: 0, file };
+        let (mut world, mut kept) = (bench.world()?, 0);
+        for _ in 0..scene.steps() {
+            world.step();
+            let mut snapshot = Snapshot::default();
+            world.look(&mut snapshot);
+            kept += snapshot.memory();
+            bench.payload += bench.payload_of(&snapshot);
+            let (report, checksum) = (world.report().clone(), world.checksum());
+            let (observing, waiting) = (Duration::ZERO, Duration::ZERO);
+            let step =
+                Step { report, checksum, observing, waiting, lag: None, end: Instant::now(), stages: Vec::new() };
+            bench.frames.push((step, snapshot));
+            if kept > KEPT {
+                break;
+            }
+        }
+        Ok(bench)
+    }
+
+    fn world(&self) -> Result<World, String> {
+        World::new(self.scene.clone()).map_err(|error| error.to_string())
+    }
+
+    /// f32 positions and normals of what moves, arrows that are not zero [bytes].
+    fn payload_of(&self, snapshot: &Snapshot) -> u64 {
+        let (mut vectors, mut forces) = (0, BodyForces::default());
+        for body in snapshot.bodies(self.scene) {
+            if !body.is_at_rest() {
+                vectors += 2 * body.vertex_count();
+            }
+            if self.settings.detail == Detail::Forces && !(body.is_at_rest() && body.surroundings().is_idle()) {
+                body.forces(self.scene, &mut forces);
+                let arrows = |cause| forces.of(cause).iter().filter(|force| force.length_squared() > 0.0).count();
+                vectors += Cause::ALL.into_iter().map(|cause| 2 * arrows(cause)).sum::<usize>();
+            }
+        }
+        12 * vectors as u64
+    }
+
+    fn measure(&self, destination: Destination, is_simulated: bool) -> Result<Measurement, String> {
+        let destinations = match destination {
+            Destination::File => Destinations { save: Some(self.file.clone()), ..Destinations::default() },
+            Destination::Server => {
+                let serve = Serve { web_port: 0, grpc_port: 0, ..Serve::default() };
+                Destinations { serve: Some(serve), ..Destinations::default() }
+            }
+            Destination::None | Destination::PlainLog => Destinations::default(),
+        };
+        let mut sinks = match destination {
+            Destination::None | Destination::PlainLog => None,
+            _ => Some(Sinks::open(&destinations).map_err(|error| error.to_string())?),
+        };
+        let (mut frames, mut seconds, mut bytes) = (0, 0.0, None);
+        while seconds < LEAST.as_secs_f64() {
+            let mut world = self.world()?;
+            let start = Instant::now();
+            if destination == Destination::PlainLog {
+                bytes = Some(bytes.unwrap_or(0) + self.log_plainly()?);
+            } else if is_simulated {
+                match sinks.take() {
+                    Some(open) => sinks = Some(self.simulate(&mut world, open)?),
+                    None => (0..self.frames.len()).for_each(|_| _ = world.step()),
+                }
+            } else {
+                self.record(&world, sinks.as_mut())?;
+            }
+            seconds += start.elapsed().as_secs_f64();
+            frames += self.frames.len() as u64;
+        }
+        if let Some(sinks) = sinks {
+            let finished = sinks.finish().map_err(|error| error.to_string())?;
+            bytes = finished.save.map(|saved| saved.bytes);
+        }
+        std::fs::remove_file(&self.file).ok();
+        let (scene, detail) = (self.scene.name.clone(), self.settings.detail);
+        let payload = self.payload * frames / self.frames.len().max(1) as u64;
+        Ok(Measurement { scene, detail, destination, is_simulated, frames, seconds, bytes, payload })
+    }
+
+    /// As `run` does, until all of it is with the operating system.
+    fn simulate(&self, world: &mut World, sinks: Sinks) -> Result<Sinks, String> {
+        let recorder = Recorder::new(world, self.settings.clone());
+        let mut pipeline = Pipeline::start(world, recorder, sinks).map_err(|error| error.to_string())?;
+        for _ in 0..self.frames.len() {
+            world.step();
+            pipeline.observe(world, None)?;
+        }
+        let mut recorded = pipeline.finish()?;
+        recorded.finish(world).map_or(Ok(()), Err)?;
+        recorded.sinks.flush().map_err(|error| error.to_string())?;
+        Ok(recorded.sinks)
+    }
+
+    /// The states that are there already.
+    fn record(&self, world: &World, mut sinks: Option<&mut Sinks>) -> Result<(), String> {
+        let mut recorder = Recorder::new(world, self.settings.clone());
+        for (step, snapshot) in &self.frames {
+            recorder.record(step, Some(snapshot));
+            let messages = recorder.take_full();
+            if let Some(sinks) = &mut sinks {
+                send(sinks, messages).map_or(Ok(()), Err)?;
+            }
+        }
+        self.end(&mut recorder, world, sinks)
+    }
+
+    fn end(&self, recorder: &mut Recorder, world: &World, sinks: Option<&mut Sinks>) -> Result<(), String> {
+        recorder.finish(world);
+        let messages = recorder.take();
+        let Some(sinks) = sinks else { return Ok(()) };
+        send(sinks, messages).map_or(Ok(()), Err)?;
+        sinks.flush().map_err(|error| error.to_string())
+    }
+
+    /// The same by the SDK's own means; returns the size of the file [bytes].
+    fn log_plainly(&self) -> Result<u64, String> {
+        let scale = arrow_scale(self.scene);
+        let (mut extractor, mut forces) = (Extractor::default(), BodyForces::default());
+        let (mut surface, mut origins) = (Surface::default(), Vec::new());
+        let words = |error: rerun::RecordingStreamError| error.to_string();
+        let recording = RecordingStreamBuilder::new("meldscope_bench").save(&self.file).map_err(words)?;
+        for body in &self.scene.bodies {
+            let mesh = Mesh3D::update_fields().with_triangle_indices(body.shape.triangles());
+            recording.log_static(format!("world/bodies/{}/surface", body.name), &mesh).map_err(words)?;
+        }
+        for (step, snapshot) in &self.frames {
+            recording.set_time_sequence("step", step.report.step as i64);
+            recording.set_duration_secs("sim_time", step.report.time);
+            let mut arrows: [Arrows; Cause::ALL.len()] = Default::default();
+            for body in snapshot.bodies(self.scene) {
+                let entity = format!("world/bodies/{}", body.scene().name);
+                let transform = Transform3D::from_translation(body.centre().as_vec3());
+                recording.log(entity.as_str(), &transform).map_err(words)?;
+                if !body.is_at_rest() {
+                    surface.clear();
+                    surface.append(body, glam::DVec3::ZERO, &mut extractor);
+                    let mesh = Mesh3D::update_fields()
+                        .with_vertex_positions(surface.positions.iter().copied())
+                        .with_vertex_normals(surface.normals.iter().copied());
+                    recording.log(format!("{entity}/surface"), &mesh).map_err(words)?;
+                }
+                if self.settings.detail == Detail::Forces && !(body.is_at_rest() && body.surroundings().is_idle()) {
+                    body.forces(self.scene, &mut forces);
+                    extractor.world_positions(body, &mut origins);
+                    for (cause, arrows) in Cause::ALL.into_iter().zip(&mut arrows) {
+                        arrows.append(&origins, &[], &forces, cause, scale);
+                    }
+                }
+            }
+            if self.settings.detail == Detail::Forces {
+                for (cause, arrows) in Cause::ALL.into_iter().zip(&arrows) {
+                    let batch = Arrows3D::update_fields()
+                        .with_origins(arrows.origins.iter().copied())
+                        .with_vectors(arrows.vectors.iter().copied());
+                    recording.log(forces::entity(cause), &batch).map_err(words)?;
+                }
+            }
+            for (name, value) in [("energy", snapshot.energy(self.scene).total()), ("time", step.report.time)] {
+                recording.log(format!("diagnostics/{name}"), &Scalars::single(value)).map_err(words)?;
+            }
+        }
+        recording.flush_blocking().map_err(|error| error.to_string())?;
+        drop(recording);
+        std::fs::metadata(&self.file).map(|file| file.len()).map_err(|error| error.to_string())
+    }
+}
+
+/// For people.
+pub fn table(measurements: &[Measurement]) -> String {
+    let mut text = format!(
+        "{:<12} {:<8} {:<18} {:<10} {:>10} {:>12} {:>14} {:>8}\n",
+        "scene", "detail", "destination", "simulated", "frames/s", "bytes/frame", "payload/frame", "ratio"
+    );
+    for measurement in measurements {
+        let frames = measurement.frames as f64;
+        let (bytes, payload) = (measurement.bytes.map(|bytes| bytes as f64), measurement.payload as f64);
+        let _ = writeln!(
+            text,
+            "{:<12} {:<8} {:<18} {:<10} {:>10.0} {:>12} {:>14.0} {:>8}",
+            measurement.scene,
+            detail_name(measurement.detail),
+            measurement.destination.name(),
+            if measurement.is_simulated { "yes" } else { "no" },
+            measurement.rate(),
+            bytes.map_or_else(String::new, |bytes| format!("{:.0}", bytes / frames)),
+            payload / frames,
+            bytes.map_or_else(String::new, |bytes| format!("{:.2}", bytes / payload)),
+        );
+    }
+    text
+}
+
+/// For programs.
+pub fn csv(measurements: &[Measurement], machine: &Machine) -> String {
+    let mut text = "scene,detail,destination,simulated,frames,seconds,bytes,payload_bytes,machine\n".to_owned();
+    for measurement in measurements {
+        let Measurement { scene, detail, destination, is_simulated, frames, seconds, bytes, payload } = measurement;
+        let _ = writeln!(
+            text,
+            "\"{}\",{},\"{}\",{is_simulated},{frames},{seconds},{},{payload},\"{machine}\"",
+            scene.replace('"', "\"\""),
+            detail_name(*detail),
+            destination.name(),
+            bytes.map_or_else(String::new, |bytes| bytes.to_string()),
+        );
+    }
+    text
+}
+
+fn detail_name(detail: Detail) -> &'static str {
+    if detail == Detail::Surface { "surface" } else { "forces" }
+}

@@ -1,0 +1,278 @@
+//! The inside of a step, worked out once more beside the world: for whoever debugs an integrator.
+//!
+//! From the state before a step, and the events in it, every stretch between two jumps is taken again with the pieces
+//! that the step itself uses; the world is only looked at, and a step that nobody asks about costs nothing.
+
+use glam::DVec3;
+
+use super::{
+    Snapshot, World,
+    body::Body,
+    deformation::Deformation,
+    integrator::{
+        State,
+        explicit::Scheme,
+        exponential::{
+            self, Manner,
+            course::{Common, Course, Push, Pushed, Sphere},
+        },
+    },
+    observe::BodyForces,
+    surroundings::{Source, Surroundings, carry, push_acts},
+    world::States,
+};
+use crate::{
+    model::{oscillator::Oscillator, phase::Phase},
+    scene::Integrator,
+};
+
+/// An instant inside a step.
+#[derive(Clone, Debug)]
+pub struct Inside {
+    /// What has just been done.
+    pub name: String,
+    /// The state and the forces then.
+    pub snapshot: Snapshot,
+}
+
+/// The stages of the step that led from `before` to the world as it is, in order.
+pub fn inside(before: &Snapshot, world: &World) -> Vec<Inside> {
+    let again = Again { world, before };
+    let (start, end) = (before.time, world.time());
+    let mut stages = vec![
+        Inside { name: "start".to_owned(), snapshot: before.clone() },
+        Inside { name: "influence forces".to_owned(), snapshot: before.clone().with_influence_only() },
+    ];
+    let mut states: Vec<States> = (0..world.body_count()).map(|index| again.states_before(index)).collect();
+    let flown = (0..world.body_count()).map(|index| again.flow(index, &states[index])).collect();
+    stages.push(Inside { name: "after the flow alone".to_owned(), snapshot: again.snapshot(end, start, flown) });
+
+    match world.scene().integrator {
+        Integrator::Exponential => {
+            let breaks = again.breaks();
+            for (number, ends) in (1..).zip(breaks.windows(2)) {
+                let (from, to) = (ends[0], ends[1]);
+                for (index, states) in states.iter_mut().enumerate() {
+                    again.advance(index, from, to, states);
+                }
+                if breaks.len() > 2 {
+                    let name = format!("after sub-step {number}, at t = {to:.9} s");
+                    stages.push(Inside { name, snapshot: again.snapshot(to, from, states.clone()) });
+                }
+                for event in world.report().events.iter().filter(|event| event.time == to) {
+                    let name = |i: u32| &world.scene().bodies[i as usize].name;
+                    let name = format!("{} {}~{}, at t = {to:.9} s", event.name(), name(event.a), name(event.b));
+                    stages.push(Inside { name, snapshot: again.snapshot(to, to, states.clone()) });
+                }
+            }
+        }
+        Integrator::Thesis | Integrator::Mps => {
+            let predicted = (0..world.body_count()).map(|index| again.predict(index, &states[index])).collect();
+            let name = "prediction, (3.6) and (3.7)".to_owned();
+            stages.push(Inside { name, snapshot: again.snapshot(end, start, predicted) });
+        }
+        Integrator::Euler | Integrator::Verlet | Integrator::Rk4 => {}
+    }
+    let mut snapshot = Snapshot::default();
+    world.look(&mut snapshot);
+    stages.push(Inside { name: "end".to_owned(), snapshot });
+    stages
+}
+
+/// A step that is looked into.
+struct Again<'a> {
+    /// After it.
+    world: &'a World,
+    before: &'a Snapshot,
+}
+
+impl Again<'_> {
+    fn body(&self, index: usize) -> &Body {
+        &self.world.bodies[index]
+    }
+
+    fn oscillator(&self, index: usize) -> Oscillator {
+        let material = self.world.scene().bodies[index].material;
+        Oscillator { omega: material.omega, damping: material.damping }
+    }
+
+    fn states_before(&self, index: usize) -> States {
+        let mut states = self.before.states(index).clone();
+        if states.displacement.is_empty() {
+            states.displacement.reset(self.body(index).unit.len());
+            states.velocity.reset(self.body(index).unit.len());
+        }
+        states
+    }
+
+    /// The phase of a pair from `t` on.
+    fn phase(&self, a: usize, b: usize, t: f64) -> Phase {
+        let (a, b) = (a.min(b), a.max(b));
+        let is_it = |x: usize, y: usize| (x, y) == (a, b);
+        let mut events = self.world.report().events.iter();
+        let last = events.rfind(|event| event.time <= t && is_it(event.a as usize, event.b as usize));
+        let before = || self.before.phases().find(|&(x, y, _)| is_it(x, y)).map(|(.., phase)| phase);
+        last.map(|event| event.to).or_else(before).unwrap_or(Phase::Apart)
+    }
+
+    /// Where something jumps, and both ends of the step.
+    fn breaks(&self) -> Vec<f64> {
+        let scene = self.world.scene();
+        let (start, end) = (self.before.time, self.world.time());
+        let events = self.world.report().events.iter().map(|event| event.time);
+        let pushes = scene.pushes.iter().flat_map(|push| [push.start, push.end()]);
+        let knots = scene.bodies.iter().flat_map(|body| body.path.knots().iter().copied());
+        let mut breaks: Vec<f64> =
+            events.chain(pushes).chain(knots).filter(|&t| start < t && t < end).chain([start, end]).collect();
+        breaks.sort_by(f64::total_cmp);
+        breaks.dedup();
+        breaks
+    }
+
+    /// What acts on a body at `t`, with the phases from `phases_at` on.
+    fn surroundings(&self, index: usize, t: f64, phases_at: f64, states: &States) -> Surroundings {
+        let scene = self.world.scene();
+        let this = &scene.bodies[index];
+        let own = this.path.at(t);
+        let farthest = states.displacement.iter().map(DVec3::length).fold(0.0, f64::max) + this.radius;
+        let sources = self.body(index).neighbours.iter().filter_map(|neighbour| {
+            let other = &scene.bodies[neighbour.other as usize];
+            let phase = self.phase(index, neighbour.other as usize, phases_at);
+            let source = Source {
+                body: neighbour.other,
+                centre: other.path.position(t) - own.position,
+                sphere_radius: scene.influence.sphere_radius(other.radius),
+                strength: scene.influence.strength(phase, this.radius, other.radius),
+                phase,
+            };
+            let reaches = source.centre.length() <= source.sphere_radius + farthest;
+            (reaches && source.strength != 0.0).then_some(source)
+        });
+        Surroundings {
+            sources: sources.collect(),
+            pushes: self.body(index).pushes.iter().filter(|push| push_acts(push, t)).copied().collect(),
+            carry: carry(this.material.response, this.material.damping, &own),
+        }
+    }
+
+    fn snapshot(&self, t: f64, phases_at: f64, states: Vec<States>) -> Snapshot {
+        let bodies = states.into_iter().enumerate().map(|(index, states)| {
+            let surroundings = self.surroundings(index, t, phases_at, &states);
+            (self.world.scene().bodies[index].path.position(t), states, surroundings)
+        });
+        self.before.at(t, self.world.scene(), |a, b| self.phase(a, b, phases_at), bodies)
+    }
+
+    /// What the oscillators alone do in the step.
+    fn flow(&self, index: usize, states: &States) -> States {
+        let [xx, xu, ux, uu] = self.oscillator(index).flow(self.world.time() - self.before.time);
+        let both = || states.displacement.iter().zip(states.velocity.iter());
+        States {
+            displacement: both().map(|(x, u)| xx * x + xu * u).collect(),
+            velocity: both().map(|(x, u)| ux * x + uu * u).collect(),
+        }
+    }
+
+    /// Velocities after the forces, and the positions to which they lead.
+    fn predict(&self, index: usize, states: &States) -> States {
+        let h = self.world.time() - self.before.time;
+        let scene = self.world.scene();
+        debug_assert!(Scheme::of(scene.integrator).is_some());
+        let mut forces = BodyForces::default();
+        let surroundings = self.surroundings(index, self.before.time, self.before.time, states);
+        self.world.seen(index, states, &surroundings).forces(scene.influence.weight, &mut forces);
+        let acting = forces.acting();
+        let velocity = states.velocity.iter().zip(acting).map(|(u, force)| u + h * force).collect();
+        let moved = |(x, u): (DVec3, DVec3)| x + h * u;
+        let velocity: super::Vectors = velocity;
+        let displacement = states.displacement.iter().zip(velocity.iter()).map(moved).collect();
+        States { displacement, velocity }
+    }
+
+    /// Takes a body over a stretch without a jump, every vertex by itself.
+    fn advance(&self, index: usize, from: f64, to: f64, states: &mut States) {
+        let scene = self.world.scene();
+        let (this, body) = (&scene.bodies[index], self.body(index));
+        let surroundings = self.surroundings(index, from, from, states);
+        // a sphere may come within reach in the course of the stretch
+        let spheres: Vec<Sphere> = body
+            .neighbours
+            .iter()
+            .filter_map(|neighbour| {
+                let other = &scene.bodies[neighbour.other as usize];
+                let phase = self.phase(index, neighbour.other as usize, from);
+                let strength = scene.influence.strength(phase, this.radius, other.radius);
+                let radius = scene.influence.sphere_radius(other.radius);
+                let sphere = Sphere { body: neighbour.other, radius, inverse_radius: 1.0 / radius, strength };
+                (strength != 0.0).then_some(sphere)
+            })
+            .collect();
+        let middle = from + 0.5 * (to - from);
+        let strength = |push: &crate::scene::Push| if push_acts(push, middle) { push.strength } else { 0.0 };
+        let pushes: Vec<Push> =
+            body.pushes.iter().map(|push| Push { direction: push.direction, strength: strength(push) }).collect();
+        let is_still = states.displacement.iter().chain(states.velocity.iter()).all(|v| v == DVec3::ZERO);
+        if is_still && spheres.is_empty() && surroundings.is_idle() && this.path.is_fixed() {
+            return;
+        }
+        let course =
+            Course { scene, index, start: from, length: to - from, tracks: None, spheres: &spheres, pushes: &pushes };
+        let mut deformation = Deformation::default();
+        deformation.wake_all(&body.unit, this.radius);
+        let front = &mut deformation.front;
+        for i in 0..body.unit.len() {
+            front.displacement.set(i, states.displacement.get(i));
+            front.velocity.set(i, states.velocity.get(i));
+        }
+        front.pad_again();
+        let mut common = Common { carried: State::default(), pushed: vec![Pushed::default(); body.pushes.len()] };
+        let manner = Manner { arch: self.world.options().arch, tolerance: scene.tolerance * this.radius };
+        exponential::advance(&course, manner, &mut common, front, &mut exponential::Scratch::default());
+        for (i, unit) in body.unit.iter().enumerate() {
+            let alike = common.of(unit, &body.pushes);
+            states.displacement.set(i, alike.x + front.displacement.get(i));
+            states.velocity.set(i, alike.u + front.velocity.get(i));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Scene;
+
+    #[test]
+    fn the_stages_lead_from_one_state_to_the_next() {
+        for name in ["push", "two", "three", "size_ratio"] {
+            let scene = Scene::builtin(name).unwrap();
+            let mut world = World::new(scene.clone()).unwrap();
+            let (mut largest, mut sub_steps, mut events) = (0.0, 0, 0);
+            for _ in 0..scene.steps() {
+                let mut before = Snapshot::default();
+                world.look(&mut before);
+                let report = world.step();
+                let happened = report.events.len();
+                let stages = inside(&before, &world);
+                assert_eq!(stages[0].name, "start");
+                assert_eq!(stages[stages.len() - 1].name, "end");
+                let named = |word: &str| stages.iter().filter(|stage| stage.name.contains(word)).count();
+                sub_steps += named("sub-step");
+                events += named("~");
+                assert_eq!(named("~"), happened);
+                // the last stretch is the end
+                if let Some(last) = stages.iter().rfind(|stage| stage.name.contains("sub-step")) {
+                    for (index, body) in world.bodies().enumerate() {
+                        let ended = &last.snapshot.states(index).displacement;
+                        for i in 0..body.vertex_count() {
+                            largest =
+                                f64::max(largest, ended.get(i).distance(body.displacement(i)) / body.scene().radius);
+                        }
+                    }
+                }
+            }
+            assert!(sub_steps > 0, "{name}: {sub_steps}");
+            assert!(events > 0 || name == "push");
+            assert!(largest < 1e-6, "{name}: {largest:e}");
+        }
+    }
+}

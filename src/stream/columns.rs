@@ -1,0 +1,305 @@
+//! Rows of one entity as columns: what is logged frame after frame, without an array for each row.
+
+use std::sync::Arc;
+
+use rerun::{
+    ComponentDescriptor, EntityPath,
+    external::{
+        arrow::{
+            array::{
+                ArrayRef, FixedSizeListArray, Float32Array, Float64Array, ListArray, StringArray, UInt16Array,
+                UInt32Array,
+            },
+            buffer::OffsetBuffer,
+            datatypes::{DataType, Field},
+            error::ArrowError,
+        },
+        re_chunk_store::external::re_chunk::{ChunkComponents, RowId, TimeColumn},
+    },
+};
+
+use super::{
+    chunks::{Instant, STAGE},
+    extract::Vector,
+};
+
+/// A chunk is complete with this many bytes of values, or rows: the sizes to which the viewer's store compacts chunks.
+const CHUNK_BYTES: usize = 384 << 10;
+const CHUNK_ROWS: usize = 4096;
+
+/// What a row has of one component.
+#[derive(Clone, Copy, Debug)]
+pub enum Cell<'a> {
+    /// Positions, directions.
+    Vectors(&'a [Vector]),
+    /// Numbers of a plot.
+    Scalars(&'a [f64]),
+    /// Numbers of vertices.
+    Floats(&'a [f32]),
+    /// Packed colours.
+    Colors(&'a [u32]),
+    /// Classes of an annotation context.
+    Classes(&'a [u16]),
+    /// Lines from one point to another.
+    Segments(&'a [[Vector; 2]]),
+    /// Labels.
+    Texts(&'a [String]),
+    /// Words of a few.
+    Names(&'a [&'static str]),
+}
+
+/// The rows of an entity that have not been sent, all with the same components.
+pub(super) struct Columns {
+    pub entity: EntityPath,
+    ids: Vec<RowId>,
+    /// Or stages, if there are no times.
+    steps: Vec<i64>,
+    nanoseconds: Vec<i64>,
+    columns: Vec<Column>,
+    /// So many rows have been shown already, see [`Columns::show`].
+    shown: usize,
+}
+
+/// What a chunk is made of.
+pub(super) type Parts = (Vec<RowId>, Vec<TimeColumn>, ChunkComponents);
+
+struct Column {
+    descriptor: ComponentDescriptor,
+    values: Values,
+    lengths: Vec<usize>,
+}
+
+enum Values {
+    Empty,
+    Vectors(Vec<Vector>),
+    Scalars(Vec<f64>),
+    Floats(Vec<f32>),
+    Colors(Vec<u32>),
+    Classes(Vec<u16>),
+    Segments(Vec<[Vector; 2]>),
+    Texts(Vec<String>),
+    Names(Vec<&'static str>),
+}
+
+impl Columns {
+    pub fn new(entity: &str, descriptors: Vec<ComponentDescriptor>) -> Columns {
+        let column = |descriptor| Column { descriptor, values: Values::Empty, lengths: Vec::new() };
+        Columns {
+            entity: EntityPath::from(entity),
+            ids: Vec::new(),
+            steps: Vec::new(),
+            nanoseconds: Vec::new(),
+            columns: descriptors.into_iter().map(column).collect(),
+            shown: 0,
+        }
+    }
+
+    /// Adds a row with a cell for each component.
+    pub fn push(&mut self, id: RowId, at: Instant, stage: Option<u64>, cells: &[Cell<'_>]) {
+        self.ids.push(id);
+        match stage {
+            Some(stage) => self.steps.push(stage as i64),
+            None => {
+                self.steps.push(at.step as i64);
+                self.nanoseconds.push(at.nanoseconds());
+            }
+        }
+        for (column, cell) in self.columns.iter_mut().zip(cells) {
+            column.lengths.push(column.values.extend(*cell));
+        }
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.ids.is_empty()
+    }
+
+    /// Whether there are enough bytes for a chunk.
+    pub fn is_full(&self) -> bool {
+        self.columns.iter().map(|column| column.values.bytes()).sum::<usize>() >= CHUNK_BYTES
+    }
+
+    /// Whether there are as many rows as a chunk should have.
+    pub fn is_long(&self) -> bool {
+        self.ids.len() >= CHUNK_ROWS
+    }
+
+    /// The rows as a chunk has them; none are left.
+    pub fn take(&mut self) -> Result<Parts, ArrowError> {
+        let fresh = Columns {
+            entity: self.entity.clone(),
+            ids: Vec::new(),
+            steps: Vec::new(),
+            nanoseconds: Vec::new(),
+            columns: self.columns.iter().map(Column::fresh).collect(),
+            shown: 0,
+        };
+        std::mem::replace(self, fresh).into_parts()
+    }
+
+    /// Those of the rows that have not been shown yet, if there are any; all stay to be taken.
+    pub fn show(&mut self) -> Option<Result<Parts, ArrowError>> {
+        let first = std::mem::replace(&mut self.shown, self.ids.len());
+        let rest = Columns {
+            entity: self.entity.clone(),
+            ids: self.ids[first..].to_vec(),
+            steps: self.steps[first..].to_vec(),
+            nanoseconds: self.nanoseconds.get(first..).unwrap_or_default().to_vec(),
+            columns: self.columns.iter().map(|column| column.rows_from(first)).collect(),
+            shown: 0,
+        };
+        (!rest.is_empty()).then(|| rest.into_parts())
+    }
+
+    fn into_parts(self) -> Result<Parts, ArrowError> {
+        let mut components = Vec::with_capacity(self.columns.len());
+        for Column { descriptor, values, lengths } in self.columns {
+            let values = values.into_array()?;
+            let field = Field::new_list_field(values.data_type().clone(), true);
+            let offsets = OffsetBuffer::from_lengths(lengths);
+            components.push((descriptor, ListArray::try_new(field.into(), offsets, values, None)?));
+        }
+        let timelines = if self.nanoseconds.is_empty() {
+            vec![TimeColumn::new_sequence(STAGE, self.steps)]
+        } else {
+            vec![
+                TimeColumn::new_sequence("step", self.steps),
+                TimeColumn::new_duration_nanos("sim_time", self.nanoseconds),
+            ]
+        };
+        Ok((self.ids, timelines, components.into_iter().collect()))
+    }
+}
+
+impl Column {
+    /// Without rows, with room for as many.
+    fn fresh(&self) -> Column {
+        let (values, lengths) = (self.values.with_capacity(), Vec::with_capacity(self.lengths.len()));
+        Column { descriptor: self.descriptor.clone(), values, lengths }
+    }
+
+    /// A copy of the rows from `first` on.
+    fn rows_from(&self, first: usize) -> Column {
+        let before = self.lengths[..first].iter().sum();
+        let (values, lengths) = (self.values.values_from(before), self.lengths[first..].to_vec());
+        Column { descriptor: self.descriptor.clone(), values, lengths }
+    }
+}
+
+impl Values {
+    /// Adds a cell; returns its length.
+    fn extend(&mut self, cell: Cell<'_>) -> usize {
+        match (self, cell) {
+            (Values::Vectors(values), Cell::Vectors(cell)) => append(values, cell),
+            (Values::Scalars(values), Cell::Scalars(cell)) => append(values, cell),
+            (Values::Floats(values), Cell::Floats(cell)) => append(values, cell),
+            (Values::Colors(values), Cell::Colors(cell)) => append(values, cell),
+            (Values::Classes(values), Cell::Classes(cell)) => append(values, cell),
+            (Values::Segments(values), Cell::Segments(cell)) => append(values, cell),
+            (Values::Texts(values), Cell::Texts(cell)) => append(values, cell),
+            (Values::Names(values), Cell::Names(cell)) => append(values, cell),
+            (values, cell) => {
+                // the first row says what a column is of
+                *values = match cell {
+                    Cell::Vectors(cell) => Values::Vectors(cell.to_vec()),
+                    Cell::Scalars(cell) => Values::Scalars(cell.to_vec()),
+                    Cell::Floats(cell) => Values::Floats(cell.to_vec()),
+                    Cell::Colors(cell) => Values::Colors(cell.to_vec()),
+                    Cell::Classes(cell) => Values::Classes(cell.to_vec()),
+                    Cell::Segments(cell) => Values::Segments(cell.to_vec()),
+                    Cell::Texts(cell) => Values::Texts(cell.to_vec()),
+                    Cell::Names(cell) => Values::Names(cell.to_vec()),
+                };
+                cell.len()
+            }
+        }
+    }
+
+    fn bytes(&self) -> usize {
+        match self {
+            Values::Empty => 0,
+            Values::Vectors(values) => size_of_val(values.as_slice()),
+            Values::Scalars(values) => size_of_val(values.as_slice()),
+            Values::Floats(values) => size_of_val(values.as_slice()),
+            Values::Colors(values) => size_of_val(values.as_slice()),
+            Values::Classes(values) => size_of_val(values.as_slice()),
+            Values::Segments(values) => size_of_val(values.as_slice()),
+            Values::Texts(values) => size_of_val(values.as_slice()),
+            Values::Names(values) => size_of_val(values.as_slice()),
+        }
+    }
+
+    /// None, with room for as many.
+    fn with_capacity(&self) -> Values {
+        match self {
+            Values::Empty => Values::Empty,
+            Values::Vectors(values) => Values::Vectors(Vec::with_capacity(values.len())),
+            Values::Scalars(values) => Values::Scalars(Vec::with_capacity(values.len())),
+            Values::Floats(values) => Values::Floats(Vec::with_capacity(values.len())),
+            Values::Colors(values) => Values::Colors(Vec::with_capacity(values.len())),
+            Values::Classes(values) => Values::Classes(Vec::with_capacity(values.len())),
+            Values::Segments(values) => Values::Segments(Vec::with_capacity(values.len())),
+            Values::Texts(values) => Values::Texts(Vec::with_capacity(values.len())),
+            Values::Names(values) => Values::Names(Vec::with_capacity(values.len())),
+        }
+    }
+
+    /// A copy of the values from `first` on.
+    fn values_from(&self, first: usize) -> Values {
+        match self {
+            Values::Empty => Values::Empty,
+            Values::Vectors(values) => Values::Vectors(values[first..].to_vec()),
+            Values::Scalars(values) => Values::Scalars(values[first..].to_vec()),
+            Values::Floats(values) => Values::Floats(values[first..].to_vec()),
+            Values::Colors(values) => Values::Colors(values[first..].to_vec()),
+            Values::Classes(values) => Values::Classes(values[first..].to_vec()),
+            Values::Segments(values) => Values::Segments(values[first..].to_vec()),
+            Values::Texts(values) => Values::Texts(values[first..].to_vec()),
+            Values::Names(values) => Values::Names(values[first..].to_vec()),
+        }
+    }
+
+    fn into_array(self) -> Result<ArrayRef, ArrowError> {
+        Ok(match self {
+            Values::Empty => Arc::new(Float64Array::from(Vec::<f64>::new())),
+            Values::Vectors(values) => vectors(values)?,
+            Values::Scalars(values) => Arc::new(Float64Array::from(values)),
+            Values::Floats(values) => Arc::new(Float32Array::from(values)),
+            Values::Colors(values) => Arc::new(UInt32Array::from(values)),
+            Values::Classes(values) => Arc::new(UInt16Array::from(values)),
+            Values::Segments(values) => {
+                let offsets = OffsetBuffer::from_lengths(values.iter().map(|_| 2));
+                let points = vectors(values.into_flattened())?;
+                let item = Field::new("item", points.data_type().clone(), false);
+                Arc::new(ListArray::try_new(item.into(), offsets, points, None)?)
+            }
+            Values::Texts(values) => Arc::new(StringArray::from(values)),
+            Values::Names(values) => Arc::new(StringArray::from(values)),
+        })
+    }
+}
+
+fn vectors(values: Vec<Vector>) -> Result<ArrayRef, ArrowError> {
+    let coordinates = Arc::new(Float32Array::from(values.into_flattened()));
+    let item = Field::new("item", DataType::Float32, false);
+    Ok(Arc::new(FixedSizeListArray::try_new(item.into(), 3, coordinates, None)?))
+}
+
+fn append<T: Clone>(values: &mut Vec<T>, cell: &[T]) -> usize {
+    values.extend_from_slice(cell);
+    cell.len()
+}
+
+impl Cell<'_> {
+    fn len(&self) -> usize {
+        match self {
+            Cell::Vectors(cell) => cell.len(),
+            Cell::Scalars(cell) => cell.len(),
+            Cell::Floats(cell) => cell.len(),
+            Cell::Colors(cell) => cell.len(),
+            Cell::Classes(cell) => cell.len(),
+            Cell::Segments(cell) => cell.len(),
+            Cell::Texts(cell) => cell.len(),
+            Cell::Names(cell) => cell.len(),
+        }
+    }
+}

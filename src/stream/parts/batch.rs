@@ -1,0 +1,154 @@
+//! Many bodies in few entities: the deformed ones in one mesh, the others as instances of their shapes.
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use rerun::{AnyValues, InstancePoses3D, Mesh3D, components::Text, external::arrow::array::UInt32Array};
+
+use super::{
+    Look,
+    vertices::{self, Vertices},
+};
+use crate::{
+    scene::{Scene, Sphere},
+    sim::Vectors,
+    stream::{
+        chunks::{Chunks, Track},
+        columns::Cell,
+        extract::{Extractor, Surface, Vector},
+        palette::{self, color},
+        settings::Detail,
+    },
+};
+
+/// A body displaced by less than this much of its radius is drawn with the resting ones.
+pub const DEFORMED: f64 = 1e-6;
+
+const DEFORMING: &str = "/world/deforming/surface";
+
+/// What was last logged of the bodies together.
+pub struct Batch {
+    /// The shapes of the scene by stacks and slices, and their triangles.
+    shapes: BTreeMap<(u32, u32), Shape>,
+    track: Track,
+    deforming: Vec<usize>,
+    last: Surface,
+    next: Surface,
+    resting: Option<Vec<(usize, Vector)>>,
+    /// Only with forces.
+    vertices: Option<Vertices>,
+    numbers: vertices::Numbers,
+}
+
+struct Shape {
+    shape: Sphere,
+    triangles: Vec<[u32; 3]>,
+}
+
+impl Batch {
+    /// Logs what stays the same.
+    pub fn new(scene: &Scene, detail: Detail, extractor: &mut Extractor, chunks: &mut Chunks) -> Batch {
+        let mut shapes: BTreeMap<(u32, u32), Shape> = BTreeMap::new();
+        for Sphere { stacks, slices } in scene.bodies.iter().map(|body| body.shape) {
+            let shape = Sphere { stacks, slices };
+            shapes.entry((stacks, slices)).or_insert_with(|| Shape { shape, triangles: shape.triangles() });
+        }
+        for Shape { shape, triangles } in shapes.values() {
+            let unit: Vectors = shape.unit_vertices().into_iter().collect();
+            let mesh = Mesh3D::new(unit.iter().map(|v| v.as_vec3()))
+                .with_vertex_normals(extractor.normals(*shape, &unit))
+                .with_triangle_indices(triangles.iter().copied())
+                .with_albedo_factor(palette::translucent(palette::RESTING));
+            chunks.log_static(&resting_entity(shape), &mesh);
+        }
+        let track =
+            chunks.track(DEFORMING, [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals()]);
+        let vertices = (detail != Detail::Surface).then(|| Vertices::new(DEFORMING, chunks));
+        let (last, next, numbers) = Default::default();
+        Batch { shapes, track, deforming: Vec::new(), last, next, resting: None, vertices, numbers }
+    }
+
+    /// Logs what has changed; `numbers` are those of the vertices of each body, if they are wanted.
+    pub fn log(
+        &mut self,
+        look: Look<'_>,
+        numbers: &[vertices::Numbers],
+        extractor: &mut Extractor,
+        chunks: &mut Chunks,
+    ) {
+        let body = |i: usize| look.snapshot.body(look.scene, i);
+        let (deforming, resting): (Vec<usize>, Vec<usize>) = (0..look.snapshot.body_count())
+            .partition(|&i| body(i).max_displacement() > DEFORMED * body(i).scene().radius);
+        self.next.clear();
+        for &i in &deforming {
+            self.next.append(body(i), body(i).centre(), extractor);
+        }
+        if let Some(vertices) = &mut self.vertices {
+            self.numbers.clear();
+            deforming.iter().filter_map(|&i| numbers.get(i)).for_each(|numbers| self.numbers.extend(numbers));
+            vertices.log(look.at, &self.numbers, chunks);
+        }
+        if deforming != self.deforming {
+            self.log_layout(look, &deforming, chunks);
+            self.deforming = deforming;
+        }
+        if self.next != self.last {
+            std::mem::swap(&mut self.next, &mut self.last);
+            let Surface { positions, normals } = &self.last;
+            chunks.push(self.track, look.at, &[Cell::Vectors(positions), Cell::Vectors(normals)]);
+        }
+        let resting = resting.into_iter().map(|i| (i, body(i).centre().as_vec3().to_array())).collect();
+        if self.resting.as_ref() != Some(&resting) {
+            self.log_resting(look, &resting, chunks);
+            self.resting = Some(resting);
+        }
+    }
+
+    /// Which triangles there are, of which body each vertex is.
+    fn log_layout(&self, look: Look<'_>, deforming: &[usize], chunks: &mut Chunks) {
+        let (mut first, mut triangles, mut colors, mut names, mut indices) = (0, vec![], vec![], vec![], vec![]);
+        for &i in deforming {
+            let body = &look.scene.bodies[i];
+            let of_shape = &self.shapes[&(body.shape.stacks, body.shape.slices)].triangles;
+            let count = body.shape.vertex_count();
+            triangles.extend(of_shape.iter().map(|t| t.map(|v| v + first)));
+            colors.extend(std::iter::repeat_n(color(palette::body(i)), count as usize));
+            names.extend(std::iter::repeat_n(body.name.as_str(), count as usize));
+            indices.extend(0..count as u32);
+            first += count as u32;
+        }
+        let mesh = Mesh3D::update_fields().with_triangle_indices(triangles).with_vertex_colors(colors);
+        chunks.log(DEFORMING, look.at, &mesh);
+        let identity = body_names(&names).with_component_from_data("vertex", Arc::new(UInt32Array::from(indices)));
+        chunks.log(DEFORMING, look.at, &identity);
+    }
+
+    /// Instances of the shapes of which they have changed.
+    fn log_resting(&self, look: Look<'_>, resting: &[(usize, Vector)], chunks: &mut Chunks) {
+        for Shape { shape, .. } in self.shapes.values() {
+            let of_shape = |list: &[(usize, Vector)]| -> Vec<(usize, Vector)> {
+                list.iter().copied().filter(|&(i, _)| look.scene.bodies[i].shape == *shape).collect()
+            };
+            let instances = of_shape(resting);
+            if self.resting.as_ref().is_some_and(|last| of_shape(last) == instances) {
+                continue;
+            }
+            let bodies = || instances.iter().map(|&(i, _)| &look.scene.bodies[i]);
+            let poses = InstancePoses3D::update_fields()
+                .with_translations(instances.iter().map(|&(_, centre)| centre))
+                .with_scales(bodies().map(|body| [body.radius as f32; 3]));
+            let names: Vec<&str> = bodies().map(|body| body.name.as_str()).collect();
+            chunks.log(&resting_entity(shape), look.at, &poses);
+            chunks.log(&resting_entity(shape), look.at, &body_names(&names));
+        }
+    }
+}
+
+/// Says on selection which body a vertex or an instance is.
+fn body_names(names: &[&str]) -> AnyValues {
+    AnyValues::default().with_component::<Text>("body", names.iter().copied())
+}
+
+/// Where the undeformed bodies of a shape are if bodies are recorded together.
+pub fn resting_entity(shape: &Sphere) -> String {
+    format!("/world/resting/sphere_{}x{}", shape.stacks, shape.slices)
+}

@@ -1,0 +1,72 @@
+//! In 3D: a line between the centres of each pair within reach, coloured by phase and labelled with q.
+
+use rerun::LineStrips3D;
+
+use super::{Look, spheres::MOST_LABELS};
+use crate::{
+    scene::Scene,
+    sim::PairView,
+    stream::{
+        chunks::{Chunks, Track},
+        columns::Cell,
+        extract::Vector,
+        palette::{self, color},
+    },
+};
+
+const ENTITY: &str = "/world/pairs";
+
+/// What was last logged of them.
+pub struct Lines {
+    track: Track,
+    /// At most so many, the closest.
+    most: usize,
+    last: Option<Batch>,
+    next: Batch,
+    /// Reused.
+    closest: Vec<PairView>,
+}
+
+#[derive(Clone, Default, PartialEq)]
+struct Batch {
+    segments: Vec<[Vector; 2]>,
+    colors: Vec<u32>,
+    labels: Vec<String>,
+}
+
+impl Lines {
+    /// Never more than `most`.
+    pub fn new(scene: &Scene, most: usize, chunks: &mut Chunks) -> Lines {
+        let style = LineStrips3D::update_fields()
+            .with_radii([rerun::Radius::new_ui_points(1.5)])
+            .with_show_labels(scene.bodies.len() <= MOST_LABELS);
+        chunks.log_static(ENTITY, &style);
+        let components =
+            [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_colors(), LineStrips3D::descriptor_labels()];
+        let track = chunks.track(ENTITY, components);
+        Lines { track, most, last: None, next: Batch::default(), closest: Vec::new() }
+    }
+
+    /// Logs what has changed.
+    pub fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) {
+        let Batch { segments, colors, labels } = &mut self.next;
+        self.closest.clear();
+        self.closest.extend_from_slice(&look.snapshot.pairs);
+        self.closest.sort_by(|x, y| x.q.total_cmp(&y.q));
+        self.closest.truncate(self.most);
+        let centre = |i: usize| look.snapshot.body(look.scene, i).centre().as_vec3().to_array();
+        segments.clear();
+        segments.extend(self.closest.iter().map(|pair| [centre(pair.a), centre(pair.b)]));
+        colors.clear();
+        colors.extend(self.closest.iter().map(|pair| color(palette::phase(pair.phase)).to_u32()));
+        labels.clear();
+        labels.extend(self.closest.iter().map(|pair| format!("q = {:.3}", pair.q)));
+        if self.last.as_ref() != Some(&self.next) {
+            let Batch { segments, colors, labels } = &self.next;
+            let cells = [Cell::Segments(segments), Cell::Colors(colors), Cell::Texts(labels)];
+            chunks.push(self.track, look.at, &cells);
+            let last = self.last.get_or_insert_default();
+            std::mem::swap(last, &mut self.next);
+        }
+    }
+}

@@ -1,0 +1,86 @@
+//! Influence spheres, coloured by the deepest phase that each is in.
+
+use rerun::{Ellipsoids3D, components::FillMode};
+
+use super::Look;
+use crate::{
+    model::phase::Phase,
+    scene::Scene,
+    stream::{
+        chunks::{Chunks, Track},
+        columns::Cell,
+        extract::Vector,
+        palette::{self, Rgb, color},
+        settings::Entities,
+    },
+};
+
+const ENTITY: &str = "/world/influence";
+/// More bodies than this go without their names in the picture.
+pub const MOST_LABELS: usize = 8;
+
+/// What was last logged of them.
+pub struct Spheres {
+    track: Track,
+    /// Of those that reach nobody.
+    idle: Rgb,
+    centres: Vec<Vector>,
+    colors: Vec<Rgb>,
+    /// Reused: the deepest phase of each.
+    phases: Vec<Option<Phase>>,
+    next_centres: Vec<Vector>,
+    next_colors: Vec<Rgb>,
+}
+
+impl Spheres {
+    /// Logs what stays the same.
+    pub fn new(scene: &Scene, entities: Entities, chunks: &mut Chunks) -> Spheres {
+        let radii = scene.bodies.iter().map(|body| scene.influence.sphere_radius(body.radius) as f32);
+        let spheres = Ellipsoids3D::update_fields()
+            .with_half_sizes(radii.map(|r| [r, r, r]))
+            .with_fill_mode(FillMode::MajorWireframe)
+            .with_line_radii([rerun::Radius::new_ui_points(0.6)])
+            .with_labels(scene.bodies.iter().map(|body| body.name.as_str()))
+            .with_show_labels(scene.bodies.len() <= MOST_LABELS);
+        chunks.log_static(ENTITY, &spheres);
+        Spheres {
+            track: chunks.track(ENTITY, [Ellipsoids3D::descriptor_centers()]),
+            idle: match entities {
+                Entities::Body => palette::IDLE_SPHERE,
+                Entities::Batch => palette::IDLE_SPHERE_OF_MANY,
+            },
+            centres: Vec::new(),
+            colors: Vec::new(),
+            phases: Vec::new(),
+            next_centres: Vec::new(),
+            next_colors: Vec::new(),
+        }
+    }
+
+    /// Logs what has changed.
+    pub fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) {
+        let depth = |phase| [Phase::Apart, Phase::Merged, Phase::Core].iter().position(|&p| p == phase);
+        self.phases.clear();
+        self.phases.resize(look.snapshot.body_count(), None);
+        for pair in &look.snapshot.pairs {
+            for i in [pair.a, pair.b] {
+                if self.phases[i].is_none_or(|known| depth(pair.phase) > depth(known)) {
+                    self.phases[i] = Some(pair.phase);
+                }
+            }
+        }
+        self.next_centres.clear();
+        self.next_centres.extend(look.snapshot.bodies(look.scene).map(|body| body.centre().as_vec3().to_array()));
+        if self.next_centres != self.centres {
+            std::mem::swap(&mut self.next_centres, &mut self.centres);
+            chunks.push(self.track, look.at, &[Cell::Vectors(&self.centres)]);
+        }
+        self.next_colors.clear();
+        self.next_colors.extend(self.phases.iter().map(|phase| phase.map_or(self.idle, palette::phase)));
+        if self.next_colors != self.colors {
+            std::mem::swap(&mut self.next_colors, &mut self.colors);
+            let spheres = Ellipsoids3D::update_fields().with_colors(self.colors.iter().map(|&rgb| color(rgb)));
+            chunks.log(ENTITY, look.at, &spheres);
+        }
+    }
+}

@@ -1,0 +1,297 @@
+//! Recording on a thread of its own: the simulation only copies what there is to see, and goes on.
+//!
+//! What it copies goes in packets of some frames, of which there are a few: when all are full the simulation waits, so
+//! that a file misses nothing and memory is bounded. It waits for the recording, never for a viewer: behind that is
+//! the queue of each [sink](super::sinks).
+
+use std::{
+    mem::{replace, take},
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        mpsc::{Receiver, RecvTimeoutError, Sender, channel},
+    },
+    thread::JoinHandle,
+    time::{Duration, Instant as Clock},
+};
+
+use rerun::log::LogMsg;
+
+use super::{
+    Recorder, Settings,
+    chunks::Audience,
+    recorder::{StageWatch, Step},
+    sinks::{SinkError, Sinks},
+};
+use crate::sim::{Snapshot, World, stages::Inside};
+
+/// Packets on their way, and being filled.
+const PACKETS: usize = 4;
+/// A packet is full with this many frames, steps, or bytes …
+const FRAMES: usize = 16;
+const STEPS: usize = 4096;
+const BYTES: usize = 8 << 20;
+/// … or after this time.
+const AGE: Duration = Duration::from_millis(10);
+/// All that is recorded goes to a viewer at least this often, and to a file.
+const LIVE_INTERVAL: Duration = Duration::from_millis(30);
+const FILE_INTERVAL: Duration = Duration::from_millis(200);
+
+/// The simulation's end of it.
+pub struct Pipeline {
+    settings: Settings,
+    watch: StageWatch,
+    packet: Packet,
+    handed_over: Clock,
+    /// Since the last step.
+    waiting: Duration,
+    full: Option<Sender<Packet>>,
+    empty: Receiver<Packet>,
+    shared: Arc<Mutex<Shared>>,
+    thread: Option<JoinHandle<(Recorder, Sinks)>>,
+}
+
+/// What there is after the last step, for the recording's end.
+pub struct Recorded {
+    /// To be finished.
+    pub recorder: Recorder,
+    /// To be sent the rest, and finished.
+    pub sinks: Sinks,
+    /// What there is to tell the user since [`Pipeline::notes`].
+    pub notes: Vec<String>,
+    /// What went wrong, if something did.
+    pub failure: Option<String>,
+}
+
+impl Recorded {
+    /// Ends the recording, and sends the rest; what went wrong, if something did.
+    pub fn finish(&mut self, world: &World) -> Option<String> {
+        self.recorder.finish(world);
+        let [is_live, is_recorded] = self.sinks.are_live_and_recorded();
+        if !(is_live && is_recorded) {
+            return send(&mut self.sinks, self.recorder.take());
+        }
+        let failure = show(&mut self.recorder, &mut self.sinks, true);
+        failure.or(send_to(Audience::Files, &mut self.sinks, self.recorder.take()))
+    }
+}
+
+/// What the thread has to say.
+#[derive(Default)]
+struct Shared {
+    notes: Vec<String>,
+    failure: Option<String>,
+}
+
+/// Some steps, and those of their frames that are recorded.
+#[derive(Default)]
+struct Packet {
+    steps: Vec<Step>,
+    /// The first `used` are filled; the others are reused.
+    frames: Vec<Snapshot>,
+    used: usize,
+    bytes: usize,
+}
+
+impl Pipeline {
+    /// Records what follows on the world as it is, and sends it to the sinks.
+    ///
+    /// # Errors
+    /// The thread cannot be started.
+    pub fn start(world: &World, recorder: Recorder, sinks: Sinks) -> Result<Pipeline, SinkError> {
+        let (full, filled) = channel();
+        let (emptied, empty) = channel();
+        for _ in 1..PACKETS {
+            emptied.send(Packet::default()).ok();
+        }
+        let shared = Arc::new(Mutex::new(Shared::default()));
+        let settings = recorder.settings().clone();
+        let thread = std::thread::Builder::new().name("recorder".to_owned()).spawn({
+            let shared = Arc::clone(&shared);
+            move || Recording::new(recorder, sinks, shared).run(&filled, &emptied)
+        });
+        let thread = thread
+            .map_err(|error| SinkError::Thread { target: "the recording".to_owned(), reason: error.to_string() })?;
+        Ok(Pipeline {
+            watch: StageWatch::new(world, &settings),
+            settings,
+            packet: Packet::default(),
+            handed_over: Clock::now(),
+            waiting: Duration::ZERO,
+            full: Some(full),
+            empty,
+            shared,
+            thread: Some(thread),
+        })
+    }
+
+    /// Looks at the world after a step; `lag` is how far it is behind real time, if that matters. `Err` is why nothing
+    /// more can be recorded.
+    pub fn observe(&mut self, world: &World, lag: Option<Duration>) -> Result<(), String> {
+        let start = Clock::now();
+        let packet = &mut self.packet;
+        if self.settings.has_frame(world.steps_taken()) {
+            if packet.used == packet.frames.len() {
+                packet.frames.push(Snapshot::default());
+            }
+            let snapshot = &mut packet.frames[packet.used];
+            world.look(snapshot);
+            packet.used += 1;
+            packet.bytes += snapshot.memory();
+        }
+        let (report, checksum) = (world.report().clone(), world.checksum());
+        let stages = self.watch.observe(world, &self.settings);
+        let memory = |stage: &Inside| stage.snapshot.memory();
+        packet.bytes += stages.iter().map(memory).sum::<usize>();
+        let end = Clock::now();
+        let (observing, waiting) = (end - start, take(&mut self.waiting));
+        packet.steps.push(Step { report, checksum, observing, waiting, lag, end, stages });
+        if packet.used >= FRAMES
+            || packet.steps.len() >= STEPS
+            || packet.bytes >= BYTES
+            || end - self.handed_over >= AGE
+        {
+            return self.hand_over();
+        }
+        Ok(())
+    }
+
+    /// Hands over what was seen so far, and waits if too much is on its way.
+    pub fn hand_over(&mut self) -> Result<(), String> {
+        if self.packet.steps.is_empty() {
+            return Ok(());
+        }
+        let start = Clock::now();
+        let next = self.empty.recv();
+        self.handed_over = Clock::now();
+        self.waiting += self.handed_over - start;
+        let packet = replace(&mut self.packet, next.unwrap_or_default());
+        match self.full.as_ref().map(|full| full.send(packet)) {
+            Some(Ok(())) => Ok(()),
+            _ => Err(self.lock().failure.clone().unwrap_or_else(broken)),
+        }
+    }
+
+    /// What there is to tell the user since the last call.
+    pub fn notes(&self) -> Vec<String> {
+        take(&mut self.lock().notes)
+    }
+
+    /// Waits until all that was seen is recorded.
+    ///
+    /// # Errors
+    /// The thread is gone.
+    pub fn finish(mut self) -> Result<Recorded, String> {
+        let handed_over = self.hand_over();
+        self.full = None;
+        match self.thread.take().map(JoinHandle::join) {
+            Some(Ok((recorder, sinks))) => {
+                let Shared { notes, failure } = take(&mut *self.lock());
+                Ok(Recorded { recorder, sinks, notes, failure: failure.or(handed_over.err()) })
+            }
+            _ => Err(broken()),
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Shared> {
+        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn broken() -> String {
+    "the thread that records is gone; this is a bug, please report it".to_owned()
+}
+
+/// The thread's end of it.
+struct Recording {
+    recorder: Recorder,
+    sinks: Sinks,
+    is_live: bool,
+    is_recorded: bool,
+    shared: Arc<Mutex<Shared>>,
+    /// When everything was last sent to viewers, and to files.
+    shown: Clock,
+    saved: Clock,
+}
+
+impl Recording {
+    fn new(recorder: Recorder, sinks: Sinks, shared: Arc<Mutex<Shared>>) -> Recording {
+        let [is_live, is_recorded] = sinks.are_live_and_recorded();
+        let now = Clock::now();
+        Recording { recorder, sinks, is_live, is_recorded, shared, shown: now, saved: now }
+    }
+
+    fn run(mut self, filled: &Receiver<Packet>, emptied: &Sender<Packet>) -> (Recorder, Sinks) {
+        let interval = if self.is_live { LIVE_INTERVAL } else { FILE_INTERVAL };
+        loop {
+            let packet = filled.recv_timeout(interval);
+            let is_last = matches!(packet, Err(RecvTimeoutError::Disconnected));
+            if let Ok(mut packet) = packet {
+                self.record(&mut packet);
+                emptied.send(packet).ok(); // nobody needs it after the last step
+            }
+            let start = Clock::now();
+            let failure = self.send();
+            self.recorder.messages_sent(start.elapsed());
+            let has_failed = failure.is_some();
+            let mut shared = self.shared.lock().unwrap_or_else(PoisonError::into_inner);
+            shared.notes.append(&mut self.sinks.notes());
+            shared.failure = failure;
+            drop(shared);
+            if is_last || has_failed {
+                return (self.recorder, self.sinks);
+            }
+        }
+    }
+
+    /// Sends what is due: to viewers all of it, to files what fills a chunk.
+    fn send(&mut self) -> Option<String> {
+        let mut failure = None;
+        if self.is_live && self.shown.elapsed() >= LIVE_INTERVAL {
+            self.shown = Clock::now();
+            failure = show(&mut self.recorder, &mut self.sinks, self.is_recorded);
+        }
+        if self.is_recorded && failure.is_none() {
+            let is_due = self.saved.elapsed() >= FILE_INTERVAL;
+            if self.is_live && (is_due || self.recorder.has_full()) {
+                // what goes to the file is gone afterwards
+                failure = show(&mut self.recorder, &mut self.sinks, true);
+            }
+            let messages = if is_due { self.recorder.take() } else { self.recorder.take_full() };
+            if is_due {
+                self.saved = Clock::now();
+            }
+            let audience = if self.is_live { Audience::Files } else { Audience::All };
+            failure = failure.or(send_to(audience, &mut self.sinks, messages));
+        }
+        failure
+    }
+
+    fn record(&mut self, packet: &mut Packet) {
+        let mut frames = packet.frames[..packet.used].iter();
+        for step in packet.steps.drain(..) {
+            let has_frame = self.recorder.settings().has_frame(step.report.step);
+            self.recorder.record(&step, if has_frame { frames.next() } else { None });
+        }
+        (packet.used, packet.bytes) = (0, 0);
+    }
+}
+
+/// Sends what viewers have not seen; to files as well what does not come in large chunks.
+fn show(recorder: &mut Recorder, sinks: &mut Sinks, is_recorded: bool) -> Option<String> {
+    if !is_recorded {
+        return send(sinks, recorder.take());
+    }
+    let messages = recorder.show();
+    let failed = messages.into_iter().find_map(|(audience, message)| sinks.send_to(audience, message).err());
+    failed.map(|error| error.to_string())
+}
+
+/// Sends messages; what went wrong, if a destination failed that the run cannot do without.
+pub fn send(sinks: &mut Sinks, messages: impl IntoIterator<Item = LogMsg>) -> Option<String> {
+    send_to(Audience::All, sinks, messages)
+}
+
+fn send_to(audience: Audience, sinks: &mut Sinks, messages: impl IntoIterator<Item = LogMsg>) -> Option<String> {
+    let failed = messages.into_iter().find_map(|message| sinks.send_to(audience, message).err());
+    failed.map(|error| error.to_string())
+}
