@@ -53,6 +53,8 @@ impl Default for Settings {
 const WARM: u64 = 60;
 /// Run times are the best of so many blocks of steps: what else the machine does only ever adds to them.
 const BLOCKS: usize = 9;
+/// Of blocks that take longer than all of these should.
+const LONG_BLOCKS: usize = 3;
 /// The plain way is followed up to scenes of which a step is expected to take longer.
 const LONGEST_PLAIN_STEP: Duration = Duration::from_secs(4);
 /// Errors are looked at when so many steps have been taken since the last time, up to a period.
@@ -296,7 +298,8 @@ fn measure_point(
     let steps = block(estimate, time.as_secs_f64() / BLOCKS as f64);
     let mut clocks: Vec<Clock> = pools.each().map(|pool| Clock::new(pool.current_num_threads())).collect();
     let mut reached = Mean::default();
-    for _ in 0..BLOCKS {
+    let is_long = steps as f64 * estimate > time.as_secs_f64();
+    for _ in 0..if is_long { LONG_BLOCKS } else { BLOCKS } {
         for (pool, clock) in pools.each().zip(&mut clocks) {
             pool.install(|| judging.advance_timed(&mut world, steps, clock));
         }
@@ -340,7 +343,7 @@ fn measure_plain(
     let mut clock = Clock::new(1);
     pools.one.install(|| {
         judging.advance_timed(&mut world, 1, &mut clock);
-        let steps = block(clock.seconds(), time.as_secs_f64() / BLOCKS as f64);
+        let steps = ((time.as_secs_f64() / BLOCKS as f64 / clock.seconds()) as u64).max(1);
         clock = Clock::new(1);
         while clock.blocks.len() < BLOCKS && clock.seconds() < time.as_secs_f64() {
             judging.advance_timed(&mut world, steps, &mut clock);
@@ -349,10 +352,12 @@ fn measure_plain(
     Ok(Plain { run: clock.run(), judged: judging.judged })
 }
 
-/// So many steps that they take about `share` [s], a step taking about `estimate` [s]: whole periods, if one fits.
+/// So many steps that they take about `share` [s] or more, a step taking about `estimate` [s]: whole periods, or at least
+/// from phase to phase, so that every block has the same to do.
 fn block(estimate: f64, share: f64) -> u64 {
     let steps = (share / estimate) as u64;
-    if steps >= PERIOD / 2 { steps.div_ceil(PERIOD) * PERIOD } else { steps.max(1) }
+    let unit = if steps >= PERIOD / 2 { PERIOD } else { PERIOD / PHASES as u64 };
+    steps.div_ceil(unit).max(1) * unit
 }
 
 fn run(world: &mut World, steps: u64) {

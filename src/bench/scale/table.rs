@@ -122,7 +122,7 @@ pub fn footer(report: &Report, machine: &Machine) -> String {
     format!(
         "reached: vertices inside of a sphere; memory: what the world has allocated; error: the largest of a vertex, every 20 \
          steps\nof the first 240 or as many as were taken, in radii, against an independent solution; plain: the thesis’s \
-         scheme, every vertex, all pairs,\none number at a time, one core; run times: the best of 9 blocks of steps\n\
+         scheme, every vertex, all pairs,\none number at a time, one core; run times: the best of 9 blocks of steps, or of 3 that take long\n\
          {}, 1 and {threads} of {} cores used; meldscope {}",
         machine.cpu, machine.cores, machine.version
     )
