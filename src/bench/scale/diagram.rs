@@ -82,7 +82,8 @@ fn draw<'a>(root: &Area<'a>, report: &Report, machine: &Machine) -> Result<(), F
     }
     draw_panel(&panel, &lines(report))?;
     let machine = format!("{}, 1 of {} cores used; meldscope {}", machine.cpu, machine.cores, machine.version);
-    for (line, y) in [("Run times: the best of 9 blocks of steps, or of 3 that take long.", 18), (machine.as_str(), 42)] {
+    for (line, y) in [("Run times: the best of 9 blocks of steps, or of 3 that take long.", 18), (machine.as_str(), 42)]
+    {
         write(&footer, line, (20, y), 17.0, GREY, HPos::Left)?;
     }
     Ok(())
