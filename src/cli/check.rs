@@ -9,7 +9,7 @@ use std::{
 
 use rayon::prelude::*;
 
-use super::{Failure, print, replay::vector};
+use super::{Failure, print, vector};
 use crate::{
     recording::{
         Recorded,

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use super::{
     Failure, print,
-    replay::vector,
     run::{parse_tolerance, sink_failure},
+    same_file, vector,
 };
 use crate::{
     recording::{Recorded, diff},
@@ -113,13 +113,5 @@ pub fn diff(arguments: Arguments) -> Result<(), Failure> {
     match (&difference.first_beyond, difference.events.is_empty()) {
         (None, true) => Ok(()),
         _ => Err(Failure::Run(format!("{first} and {second} differ"))),
-    }
-}
-
-/// Whether two paths lead to one file.
-pub(super) fn same_file(a: &std::path::Path, b: &std::path::Path) -> bool {
-    match (std::fs::canonicalize(a), std::fs::canonicalize(b)) {
-        (Ok(a), Ok(b)) => a == b,
-        _ => false,
     }
 }

@@ -3,11 +3,9 @@
 use std::path::PathBuf;
 
 use super::{
-    Failure,
-    diff::same_file,
-    print,
+    Failure, print,
     run::{DetailName, parse_integrator, parse_step, parse_tolerance, sink_failure},
-    say,
+    same_file, say, vector,
 };
 use crate::{
     recording::{
@@ -323,11 +321,6 @@ impl Saver {
         }
         Ok(())
     }
-}
-
-/// A vector in full.
-pub(super) fn vector(v: glam::DVec3) -> String {
-    format!("({:?}, {:?}, {:?})", v.x, v.y, v.z)
 }
 
 fn vertices(count: usize) -> String {

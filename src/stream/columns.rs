@@ -20,7 +20,7 @@ use rerun::{
 
 use super::{
     chunks::{Instant, STAGE},
-    extract::Vector,
+    normals::Vector,
 };
 
 /// A chunk is complete with this many bytes of values, or rows: the sizes to which the viewer's store compacts chunks.

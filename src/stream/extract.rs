@@ -3,14 +3,11 @@
 use glam::DVec3;
 use pulp::Arch;
 
-use super::normals;
+use super::normals::{self, Vector};
 use crate::{
     scene::Sphere,
     sim::{BodyForces, Cause, Vectors, snapshot::SeenBody},
 };
-
-/// Coordinates as the viewer has them.
-pub type Vector = [f32; 3];
 
 /// Reused from body to body.
 #[derive(Debug, Default)]

@@ -6,8 +6,10 @@
 use glam::DVec3;
 use pulp::Arch;
 
-use super::extract::Vector;
 use crate::{scene::Sphere, sim::Vectors};
+
+/// Coordinates as the viewer has them.
+pub type Vector = [f32; 3];
 
 /// Reused from body to body.
 #[derive(Debug, Default)]

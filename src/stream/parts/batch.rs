@@ -14,7 +14,8 @@ use crate::{
     stream::{
         chunks::{Chunks, Track},
         columns::Cell,
-        extract::{Extractor, Surface, Vector},
+        extract::{Extractor, Surface},
+        normals::Vector,
         palette::{self, color},
         settings::Detail,
     },

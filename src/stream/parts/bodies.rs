@@ -12,7 +12,8 @@ use crate::{
     stream::{
         chunks::{Chunks, Track},
         columns::Cell,
-        extract::{Extractor, Surface, Vector},
+        extract::{Extractor, Surface},
+        normals::Vector,
         palette,
         settings::Detail,
     },

@@ -11,7 +11,8 @@ use crate::{
     stream::{
         chunks::{Chunks, Track},
         columns::Cell,
-        extract::{Arrows, Extractor, Vector},
+        extract::{Arrows, Extractor},
+        normals::Vector,
         palette::{self, color},
         settings::{Entities, arrow_scale},
     },

@@ -9,7 +9,7 @@ use crate::{
     stream::{
         chunks::{Chunks, Track},
         columns::Cell,
-        extract::Vector,
+        normals::Vector,
         palette::{self, color},
     },
 };

@@ -79,6 +79,14 @@ impl Common {
         self.of(unit, pushes).x - self.carried.x
     }
 
+    /// What √(|u|² + ω²|x|²) of a vertex cannot exceed that faces the pushes so squarely, from 0 to 1 each [scene unit/s].
+    pub fn momentum(&self, omega: f64, facing: impl Iterator<Item = f64>) -> f64 {
+        let momentum = |x2: f64, u2: f64| (u2 + omega * omega * x2).sqrt();
+        let State { x, u } = self.carried;
+        let pushed = self.pushed.iter().zip(facing).map(|(Pushed { x, u }, facing)| facing * momentum(x * x, u * u));
+        momentum(x.length_squared(), u.length_squared()) + pushed.sum::<f64>()
+    }
+
     /// No |x| that it gives any vertex exceeds the first [scene unit], no √(|u|² + ω²|x|²) the second [scene unit/s].
     pub fn bounds(&self, omega: f64) -> (f64, f64) {
         let momentum = |x2: f64, u2: f64| (u2 + omega * omega * x2).sqrt();

@@ -27,8 +27,8 @@ use pulp::Arch;
 use super::State;
 use crate::sim::deformation::Front;
 use course::{Common, Course};
-use single::{Outcome, Single, Vertex};
-use step::{Pull, Step};
+use single::Single;
+use step::{Outcome, Pull, Step, Vertex};
 use together::{Outcomes, Together};
 use weights::KnownWeights;
 

@@ -7,8 +7,7 @@ use glam::DVec3;
 use super::{
     super::State,
     course::Course,
-    single::{Outcome, Vertex},
-    step::{Apart, LookUp, Step},
+    step::{Apart, LookUp, Outcome, Step, Vertex},
 };
 
 /// Looks for the crossing of a rim in a step: more are needed where a vertex swings many times in it, or its bounds are
@@ -75,7 +74,10 @@ impl<'a> Motion<'a> {
         inside: bool,
     ) -> Result<Option<f64>, Unresolved> {
         let rim = look.course.spheres[sphere].radius;
-        let bounds = step.relative[sphere];
+        let mut bounds = step.relative[sphere];
+        if !look.whole.smooth {
+            bounds = look.bounds(self.vertex, bounds);
+        }
         // in units of the step
         let speed = (self.speed + bounds.speed) * self.h;
         let acceleration = (self.acceleration + bounds.acceleration) * self.h * self.h;

@@ -8,7 +8,7 @@ use super::{
     course::{Common, Course, Sphere},
     lanes::{LANES, Vector},
     rim::{Motion, Unresolved},
-    step::{Collocated, Group, LookUp, Pull, RIMS, Step},
+    step::{Collocated, Group, LookUp, Outcome, Pull, RIMS, Step, Vertex},
     weights::{Dense, KnownWeights, Stage, Weights},
 };
 use crate::model::{energy, influence};
@@ -17,39 +17,6 @@ use crate::model::{energy, influence};
 const MOST_STEPS: u32 = 2048;
 /// After so many steps of a vertex in one stretch, and after as many again, twice the error will do.
 const PATIENCE: u32 = 64;
-
-/// A vertex, and what acts on it all through a step.
-#[derive(Clone, Copy, Debug)]
-pub struct Vertex {
-    /// Rest position l [scene unit].
-    pub rest: DVec3,
-    /// Which spheres it is inside of, a bit each, if that is known and is to be taken as it is throughout the step;
-    /// otherwise the weight is cut off at the rim where the vertex is found.
-    pub inside: Option<u64>,
-}
-
-impl Vertex {
-    /// Where it rests, moved by what pushes have done to it, given the responses to them [scene unit].
-    pub fn rest_at(&self, course: &Course<'_>, pushed: &[f64]) -> DVec3 {
-        let radius = course.body().radius;
-        let moved =
-            course.pushes.iter().zip(pushed).map(|(push, x)| push.direction * (push.facing(self.rest, radius) * x));
-        self.rest + moved.sum::<DVec3>()
-    }
-}
-
-/// Where a step leads a vertex.
-#[derive(Clone, Copy, Debug)]
-pub struct Outcome {
-    /// State at the end.
-    pub end: State,
-    /// Forces at the four nodes [scene unit/s²].
-    pub forces: [DVec3; 4],
-    /// By how much the force in the middle differs from the cubic through those [scene unit/s²].
-    pub bend: DVec3,
-    /// Estimate of the error of the displacement that the step makes [scene unit].
-    pub error: f64,
-}
 
 /// Reused from step to step.
 #[derive(Default)]

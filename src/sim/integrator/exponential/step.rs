@@ -5,9 +5,8 @@ use pulp::Simd;
 
 use super::{
     super::State,
-    course::{Common, Course, Pushed, Sphere},
+    course::{Common, Course, Push, Pushed, Sphere},
     lanes::{LANES, Mask, Reals, Vector},
-    single::Vertex,
     weights::{Dense, LOOKS, Weights, quartic, quartic_through},
 };
 use crate::{
@@ -74,6 +73,39 @@ pub struct Pull {
     /// Whether the weight ends at the rim wherever the vertex is found. Otherwise the vertex is inside throughout, and the
     /// linear weight goes on smoothly beyond the rim: the step then has no kink in it.
     pub cut: bool,
+}
+
+/// A vertex, and what acts on it all through a step.
+#[derive(Clone, Copy, Debug)]
+pub struct Vertex {
+    /// Rest position l [scene unit].
+    pub rest: DVec3,
+    /// Which spheres it is inside of, a bit each, if that is known and is to be taken as it is throughout the step;
+    /// otherwise the weight is cut off at the rim where the vertex is found.
+    pub inside: Option<u64>,
+}
+
+impl Vertex {
+    /// Where it rests, moved by what pushes have done to it, given the responses to them [scene unit].
+    pub fn rest_at(&self, course: &Course<'_>, pushed: &[f64]) -> DVec3 {
+        let radius = course.body().radius;
+        let moved =
+            course.pushes.iter().zip(pushed).map(|(push, x)| push.direction * (push.facing(self.rest, radius) * x));
+        self.rest + moved.sum::<DVec3>()
+    }
+}
+
+/// Where a step leads a vertex.
+#[derive(Clone, Copy, Debug)]
+pub struct Outcome {
+    /// State at the end.
+    pub end: State,
+    /// Forces at the four nodes [scene unit/s²].
+    pub forces: [DVec3; 4],
+    /// By how much the force in the middle differs from the cubic through those [scene unit/s²].
+    pub bend: DVec3,
+    /// Estimate of the error of the displacement that the step makes [scene unit].
+    pub error: f64,
 }
 
 /// Vertices that take a step together, and what acts on them.
@@ -284,7 +316,7 @@ impl Step {
                 *centre -= moment.carried;
             }
         }
-        let own = self.common_bounds(course, common);
+        let own = self.common_bounds(course, common, |_| 1.0);
         self.relative.clear();
         self.relative.extend((0..course.spheres.len()).map(|j| {
             let Bounds { speed, acceleration } = course.relative_bounds(j, course.start, course.start + h);
@@ -343,12 +375,13 @@ impl Step {
         }
     }
 
-    /// Bounds of the speed and the acceleration that all vertices have alike within the step.
-    fn common_bounds(&self, course: &Course<'_>, common: &Common) -> Bounds {
+    /// Bounds of the speed and the acceleration that vertices have by what all do alike within the step, if they are
+    /// `facing` pushes so squarely.
+    fn common_bounds(&self, course: &Course<'_>, common: &Common, facing: impl Fn(&Push) -> f64) -> Bounds {
         let material = course.body().material;
         let carry = self.moments.iter().map(|moment| moment.carry.length()).fold(0.0, f64::max);
-        let push: f64 = course.pushes.iter().map(|push| push.strength.abs()).sum();
-        let (_, momentum) = common.bounds(material.omega);
+        let push: f64 = course.pushes.iter().map(|push| facing(push) * push.strength.abs()).sum();
+        let momentum = common.momentum(material.omega, course.pushes.iter().map(facing));
         let speed = momentum + (carry + push) * self.h;
         Bounds { speed, acceleration: (material.omega + 2.0 * material.damping) * speed + carry + push }
     }
@@ -518,6 +551,21 @@ impl<'a> LookUp<'a> {
             }
         }
         Apart::Quartic(c)
+    }
+
+    /// Bounds of the motion of a sphere's centre relative to a vertex, without its own displacement: tighter than those
+    /// for all vertices by what pushes do to those that face them more squarely.
+    pub fn bounds(&self, vertex: &Vertex, all: Bounds) -> Bounds {
+        let LookUp { course, whole, common } = *self;
+        let radius = course.body().radius;
+        let squarely = whole.common_bounds(course, common, |_| 1.0);
+        let own = whole.common_bounds(course, common, |push| push.facing(vertex.rest, radius));
+        // with room for the rounding of what is taken off
+        let less = |all: f64, squarely: f64, own: f64| all - (squarely - own) + 1e-9 * squarely;
+        Bounds {
+            speed: all.speed.min(less(all.speed, squarely.speed, own.speed)),
+            acceleration: all.acceleration.min(less(all.acceleration, squarely.acceleration, own.acceleration)),
+        }
     }
 
     /// What all vertices do alike at `t` [s], and the velocities of the responses to pushes.
