@@ -263,27 +263,8 @@ impl<'a> Envelope<'a> {
         Ok(envelope)
     }
 
-    /// The entity, from as much of the packed data as has its name; `None` if that is not so easy.
-    fn entity(&self) -> Option<String> {
-        const LARGEST_SCHEMA: usize = 64 << 10;
-        let start = unpack_start(self.payload, 8)?;
-        let (marker, length) = start.get(..8)?.split_at(4);
-        let length = usize::try_from(i32::from_le_bytes(length.try_into().ok()?)).ok()?;
-        if marker != [0xff; 4] || length > LARGEST_SCHEMA {
-            return None;
-        }
-        let start = unpack_start(self.payload, 8 + length)?;
-        let schema = ipc::root_as_message(start.get(8..8 + length)?).ok()?.header_as_schema()?;
-        let mut metadata = schema.custom_metadata()?.iter();
-        metadata.find(|entry| entry.key() == Some("rerun:entity_path"))?.value().map(str::to_owned)
-    }
-
     /// The chunk, if its entity is wanted.
     fn chunk(&self, wanted: impl Fn(&str) -> bool) -> Result<Option<Chunk>, String> {
-        // most messages are of entities that nobody wants: their names are at the start
-        if self.compression == 2 && self.entity().is_some_and(|entity| !wanted(&entity)) {
-            return Ok(None);
-        }
         let mut unpacked = Vec::new();
         let data = match self.compression {
             0 | 1 => self.payload,
@@ -318,42 +299,6 @@ impl<'a> Envelope<'a> {
             Chunk::from_arrow_msg(&message).map_err(|error| format!("a message is no chunk ({})", brief(&error)))?;
         Ok(Some(chunk).filter(|chunk| wanted(&chunk.entity_path().to_string())))
     }
-}
-
-/// The first `count` bytes of an LZ4 block, or a few more; `None` if there are not so many, or it is none.
-fn unpack_start(mut packed: &[u8], count: usize) -> Option<Vec<u8>> {
-    fn byte(packed: &mut &[u8]) -> Option<usize> {
-        let (&byte, rest) = packed.split_first()?;
-        *packed = rest;
-        Some(usize::from(byte))
-    }
-    fn length(packed: &mut &[u8], nibble: usize) -> Option<usize> {
-        let mut length = nibble;
-        let mut last = if nibble == 15 { 255 } else { 0 };
-        while last == 255 {
-            last = byte(packed)?;
-            length += last;
-        }
-        Some(length)
-    }
-    let mut out: Vec<u8> = Vec::with_capacity(count);
-    while out.len() < count {
-        let token = byte(&mut packed)?;
-        let literals = length(&mut packed, token >> 4)?;
-        let (own, rest) = packed.split_at_checked(literals)?;
-        packed = rest;
-        out.extend_from_slice(own.get(..literals.min(count - out.len()))?);
-        if out.len() >= count {
-            break;
-        }
-        let offset = byte(&mut packed)? | byte(&mut packed)? << 8;
-        let repeated = (length(&mut packed, token & 15)? + 4).min(count - out.len());
-        let from = out.len().checked_sub(offset).filter(|_| offset > 0)?;
-        for i in from..from + repeated {
-            out.push(*out.get(i)?);
-        }
-    }
-    Some(out)
 }
 
 /// The first line of an error, which may have many.

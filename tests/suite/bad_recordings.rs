@@ -261,16 +261,15 @@ fn broken_recordings_are_refused_with_what_is_wrong() {
     let store = StoreId::new(StoreKind::Recording, "other", "other");
     let mut other = chunks::Chunks::new(store);
     other.log_static("/text", &TextDocument::new("hello"));
+    refused(&encoded(other), "no properties of one");
+}
+
+/// A recording of these, as a file has it.
+fn encoded(mut chunks: chunks::Chunks) -> Vec<u8> {
     let mut bytes = Vec::new();
-    let messages = other.take();
-    Encoder::encode_into(
-        CrateVersion::LOCAL,
-        EncodingOptions::PROTOBUF_COMPRESSED,
-        messages.iter().map(Ok),
-        &mut bytes,
-    )
-    .expect("it encodes");
-    refused(&bytes, "no properties of one");
+    let (messages, options) = (chunks.take(), EncodingOptions::PROTOBUF_COMPRESSED);
+    Encoder::encode_into(CrateVersion::LOCAL, options, messages.iter().map(Ok), &mut bytes).expect("it encodes");
+    bytes
 }
 
 /// What a header claims is not believed: with 3 GiB of address space, the program says no, and does not die.
@@ -306,16 +305,7 @@ fn other_formats_are_named() {
         }
         let mut chunks = chunks::Chunks::new(StoreId::new(StoreKind::Recording, "meldscope_small", "small-0"));
         chunks.log_static("/__properties/meldscope", &properties);
-        let mut bytes = Vec::new();
-        let messages = chunks.take();
-        Encoder::encode_into(
-            CrateVersion::LOCAL,
-            EncodingOptions::PROTOBUF_COMPRESSED,
-            messages.iter().map(Ok),
-            &mut bytes,
-        )
-        .expect("it encodes");
-        fs::write(dir.file("format.rrd"), bytes).expect("room");
+        fs::write(dir.file("format.rrd"), encoded(chunks)).expect("room");
         let (status, said) = program(&dir, &["replay", "format.rrd"]);
         assert!(status == 2 && said.contains(what), "{said}");
     }
