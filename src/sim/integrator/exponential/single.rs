@@ -281,8 +281,12 @@ fn collocate(
         }
     }
     let simd = Scalar;
-    let group = Group::new(simd, course, step, Vector::splat(simd, vertex.rest), pulls);
-    let end = group.collocate(Vector::splat(simd, state.x), Vector::splat(simd, state.u), wanted);
+    let [rest, x, u] = [vertex.rest, state.x, state.u].map(|vector| Vector::splat(simd, vector));
+    let end = if course.pushes.is_empty() {
+        Group::<_, 1, 1>::new(simd, course, step, rest, pulls).collocate(x, u, wanted)
+    } else {
+        Group::<_, 1, 5>::new(simd, course, step, rest, pulls).collocate(x, u, wanted)
+    };
     let Collocated { x, u, forces, bend, error } = end;
     Outcome {
         end: State { x: first(x), u: first(u) },

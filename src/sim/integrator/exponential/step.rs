@@ -108,16 +108,17 @@ pub struct Outcome {
     pub error: f64,
 }
 
-/// Vertices that take a step together, and what acts on them.
-pub struct Group<'a, S: Simd, const W: usize> {
+/// Vertices that take a step together, and what acts on them. Their rest positions are `LOOKS`: one if they stay where they
+/// are, five, at each look, if pushes move them.
+pub struct Group<'a, S: Simd, const W: usize, const LOOKS: usize> {
     /// The instruction set.
     pub simd: S,
     /// The body's course.
     pub course: &'a Course<'a>,
     /// The step.
     pub step: &'a Step,
-    /// Rest positions at each look, moved by the response to pushes; all as the first if the body has none.
-    pub rest: [Vector<S, W>; 5],
+    /// Rest positions, moved by the response to pushes.
+    rest: [Vector<S, W>; LOOKS],
     /// The spheres that they are inside of.
     pub pulls: &'a [Pull],
 }
@@ -143,7 +144,7 @@ fn respond<S: Simd, const W: usize>(flow: Vector<S, W>, w: &[f64; 4], f: &[Vecto
     flow + ((f[0] * w[0] + f[1] * w[1]) + (f[2] * w[2] + f[3] * w[3]))
 }
 
-impl<'a, S: Simd, const W: usize> Group<'a, S, W> {
+impl<'a, S: Simd, const W: usize, const LOOKS: usize> Group<'a, S, W, LOOKS> {
     /// With rest positions `rest`, moved by what pushes have done to each vertex by how squarely it faces them.
     #[inline(always)]
     pub fn new(
@@ -152,9 +153,9 @@ impl<'a, S: Simd, const W: usize> Group<'a, S, W> {
         step: &'a Step,
         rest: Vector<S, W>,
         pulls: &'a [Pull],
-    ) -> Group<'a, S, W> {
-        let mut group = Group { simd, course, step, rest: [rest; 5], pulls };
-        if !course.pushes.is_empty() {
+    ) -> Group<'a, S, W, LOOKS> {
+        let mut group = Group { simd, course, step, rest: [rest; LOOKS], pulls };
+        if LOOKS > 1 {
             let none = Reals::splat(simd, 0.0);
             let per_radius = 1.0 / course.body().radius;
             for (p, push) in course.pushes.iter().enumerate() {
@@ -169,11 +170,17 @@ impl<'a, S: Simd, const W: usize> Group<'a, S, W> {
         group
     }
 
+    /// Rest positions at a look, moved by the response to pushes.
+    #[inline(always)]
+    pub fn rest_at(&self, look: usize) -> Vector<S, W> {
+        self.rest[look.min(LOOKS - 1)]
+    }
+
     /// F of each vertex for its displacement `x` at one of the step's moments [scene unit/s²].
     #[inline(always)]
     fn force(&self, look: usize, x: Vector<S, W>) -> Vector<S, W> {
         let moment = &self.step.moments[look];
-        let (one, position) = (Reals::splat(self.simd, 1.0), self.rest[look] + x);
+        let (one, position) = (Reals::splat(self.simd, 1.0), self.rest_at(look) + x);
         let mut force = Vector::splat(self.simd, DVec3::ZERO);
         for pull in self.pulls {
             let to_centre = Vector::splat(self.simd, moment.centres[pull.sphere]) - position;
@@ -203,7 +210,7 @@ impl<'a, S: Simd, const W: usize> Group<'a, S, W> {
     fn roughness(&self, start: Vector<S, W>, end: Vector<S, W>) -> Reals<S, W> {
         let (simd, step) = (self.simd, self.step);
         let material = self.course.body().material;
-        let travelled = (self.rest[3] + end) - (self.rest[0] + start);
+        let travelled = (self.rest_at(3) + end) - (self.rest_at(0) + start);
         let zero = Reals::splat(simd, 0.0);
         let (mut stiffness, mut passed) = (zero, zero);
         for pull in self.pulls {

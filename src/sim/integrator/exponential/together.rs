@@ -78,8 +78,13 @@ impl WithSimd for Together<'_> {
     fn with_simd<S: Simd>(mut self, simd: S) {
         let count = self.front.vertices.len();
         self.outcomes.resize(count.next_multiple_of(LANES));
+        let is_pushed = !self.course.pushes.is_empty();
         for first in (0..count).step_by(Reals::<S, 2>::COUNT) {
-            self.take::<S, 2>(simd, first);
+            if is_pushed {
+                self.take::<S, 2, 5>(simd, first);
+            } else {
+                self.take::<S, 2, 1>(simd, first);
+            }
         }
     }
 }
@@ -87,7 +92,7 @@ impl WithSimd for Together<'_> {
 impl Together<'_> {
     /// The step of the vertices from `first` on, as many as are taken side by side.
     #[inline(always)]
-    fn take<S: Simd, const W: usize>(&mut self, simd: S, first: usize) {
+    fn take<S: Simd, const W: usize, const LOOKS: usize>(&mut self, simd: S, first: usize) {
         let Together { course, step, ref front, .. } = *self;
         let weights = &step.weights;
         let h = step.h;
@@ -100,8 +105,9 @@ impl Together<'_> {
         let swing = (u.length_squared() + x.length_squared() * (material.omega * material.omega)).sqrt();
         let speed = swing + Reals::splat(simd, self.force * h);
         let travel = (speed * h).smaller(speed * (2.0 / material.omega));
-        let Near { rims: near, passing } =
-            self.find_pulls(simd, first, Group::new(simd, course, step, rest, &[]).rest[0] + x, travel);
+        let group = Group::<S, W, LOOKS>::new(simd, course, step, rest, &[]);
+        let ends_at_rest = [group.rest_at(0), group.rest_at(3)];
+        let Near { rims: near, passing } = self.find_pulls(simd, first, ends_at_rest[0] + x, travel);
 
         let outcomes = &mut *self.outcomes;
         let idle = self.pulls.is_empty();
@@ -116,7 +122,7 @@ impl Together<'_> {
             }
             (x * last.xx + u * last.xu, x * weights.ux + u * weights.uu, Mask::none(simd))
         } else {
-            let group = Group::new(simd, course, step, rest, &*self.pulls);
+            let group = Group::<S, W, LOOKS>::new(simd, course, step, rest, &*self.pulls);
             let end = group.collocate(x, u, self.wanted);
             end.error.store(&mut outcomes.error, first);
             end.bend.store(&mut outcomes.bend, first);
@@ -135,8 +141,7 @@ impl Together<'_> {
             attention = attention.or(if self.stiff {
                 near
             } else {
-                let group = Group::new(simd, course, step, rest, &[]);
-                let ends = [group.rest[0] + x, group.rest[3] + x1];
+                let ends = [ends_at_rest[0] + x, ends_at_rest[1] + x1];
                 may_cross(simd, course, step, &*outcomes, first, ends, swing)
             });
         }
