@@ -3,10 +3,11 @@
 use std::cell::RefCell;
 
 use glam::DVec3;
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     Span,
+    arrays::Vectors,
     body::{Active, Body, Extent, Scratch, Seen},
     deformation::Front,
     integrator::{
@@ -395,16 +396,15 @@ impl Context<'_> {
             let pushes = &self.body(active.body).pushes;
             moved.extend(unit.iter().map(|unit| active.common.moved(unit, pushes)));
         }
-        self.arch.dispatch(|| find_gaps(unit, radius, moved, centres, gaps));
+        self.arch.dispatch(FindGaps { unit, radius, moved, centres, gaps });
         let now = active.now(self.step, self.scene.dt, self.arch);
-        active.deformation.gather(unit.len(), now, deformation);
         active.deformation.choose_front(unit, radius, gaps, active.skin, now, deformation);
 
         active.seen.clear();
         felt.clear();
         for (source, &(centre, sphere)) in reachable.iter().zip(&*centres) {
             let front = &active.deformation.front;
-            let clear = self.arch.dispatch(|| clearance(front, moved, centre)) - sphere;
+            let clear = self.arch.dispatch(Clearance { front, moved, centre }) - sphere;
             active.seen.push(Seen { body: source.other, centre, clear });
             if is_felt(clear, travel) {
                 felt.push(*source);
@@ -443,10 +443,44 @@ impl Context<'_> {
     }
 }
 
+/// See [`find_gaps`]. (A closure would be compiled for the least instruction set.)
+struct FindGaps<'a> {
+    unit: &'a Vectors,
+    radius: f64,
+    moved: &'a [DVec3],
+    centres: &'a [(DVec3, f64)],
+    gaps: &'a mut [f64],
+}
+
+impl WithSimd for FindGaps<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        find_gaps(self.unit, self.radius, self.moved, self.centres, self.gaps);
+    }
+}
+
+/// See [`clearance`].
+struct Clearance<'a> {
+    front: &'a Front,
+    moved: &'a [DVec3],
+    centre: DVec3,
+}
+
+impl WithSimd for Clearance<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> f64 {
+        clearance(self.front, self.moved, self.centre)
+    }
+}
+
 /// By how much the rest position of each vertex, moved if `moved` says so, is outside of the nearest of the spheres around
 /// `centres` with these radii [scene unit].
 #[inline(always)]
-fn find_gaps(unit: &super::Vectors, radius: f64, moved: &[DVec3], centres: &[(DVec3, f64)], gaps: &mut [f64]) {
+fn find_gaps(unit: &Vectors, radius: f64, moved: &[DVec3], centres: &[(DVec3, f64)], gaps: &mut [f64]) {
     for &(centre, sphere) in centres {
         // slices of one length, so that the loop below has no bounds to check and is vectorised
         let n = gaps.len();

@@ -72,6 +72,14 @@ impl Vectors {
         self.extend(others);
     }
 
+    /// Becomes those of others that are listed, in the order of the list.
+    pub fn pick(&mut self, list: &[u32], others: &Vectors) {
+        for (axis, other) in [(&mut self.x, &others.x), (&mut self.y, &others.y), (&mut self.z, &others.z)] {
+            axis.clear();
+            axis.extend(list.iter().map(|&i| other[i as usize]));
+        }
+    }
+
     /// Becomes `count` long, with zeros at the end if that is longer.
     pub fn resize(&mut self, count: usize) {
         for axis in [&mut self.x, &mut self.y, &mut self.z] {

@@ -6,7 +6,6 @@
 
 use std::sync::OnceLock;
 
-use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{
@@ -60,15 +59,19 @@ pub struct Swinging {
     pub largest: f64,
 }
 
-/// Reused from step to step.
+/// What all vertices of a body do by themselves, for a front to be chosen; reused from step to step.
 #[derive(Clone, Debug, Default)]
 pub struct Scratch {
-    front: Front,
-    swinging: Swinging,
-    states: Vec<State>,
-    /// How far each vertex swings by itself [scene unit], `[vertex_count]`.
-    pub amplitudes: Vec<f64>,
-    chosen: Vec<u32>,
+    displacement: Vectors,
+    velocity: Vectors,
+    /// How far each swings [scene unit].
+    amplitudes: Vec<f64>,
+    /// Which are to be in the front …
+    front: Vec<u32>,
+    /// … of which these are inside of no sphere …
+    outside: Vec<u32>,
+    /// … and which are to swing freely.
+    swinging: Vec<u32>,
 }
 
 /// The time that a state is wanted at.
@@ -179,28 +182,27 @@ impl Deformation {
         self.swinging.clear();
     }
 
-    /// The states of all vertices, and how far each swings by itself, for [`Deformation::choose_front`].
-    pub fn gather(&self, count: usize, now: Now, scratch: &mut Scratch) {
-        let Scratch { states, amplitudes, .. } = scratch;
-        states.clear();
-        states.resize(count, State::default());
+    /// The states of all vertices, and how far each swings by itself.
+    fn gather(&self, count: usize, now: Now, scratch: &mut Scratch) {
+        let Scratch { displacement, velocity, amplitudes, .. } = scratch;
+        displacement.reset(count);
+        velocity.reset(count);
+        self.front.scatter(displacement, velocity);
+        let swinging = &self.swinging;
+        if let Some(flow) = swinging.flow(now) {
+            if swinging.vertices.len() == count {
+                now.arch.dispatch(Swing { flow, swinging, displacement, velocity }); // every vertex, in order
+            } else {
+                swinging.scatter(flow, displacement, velocity);
+            }
+        }
         amplitudes.clear();
         amplitudes.resize(count, 0.0);
-        let omega = now.oscillator.omega;
-        for (i, &v) in self.front.vertices.iter().enumerate() {
-            states[v as usize] = self.front.state(i);
-            amplitudes[v as usize] = swing(states[v as usize], omega);
-        }
-        let Some(flow) = self.swinging.flow(now) else { return };
-        for (i, &v) in self.swinging.vertices.iter().enumerate() {
-            states[v as usize] = self.swinging.state(i, flow);
-            amplitudes[v as usize] = swing(states[v as usize], omega);
-        }
+        now.arch.dispatch(Amplitudes { omega: now.oscillator.omega, displacement, velocity, amplitudes });
     }
 
     /// Chooses the front anew: the vertices whose `gap` [scene unit], by which their rest position is outside of every
-    /// sphere, is no more than `skin` and what they may swing. The others swing freely from now on. What all of them do now
-    /// has been [gathered](Deformation::gather).
+    /// sphere, is no more than `skin` and what they may swing. The others swing freely from now on.
     pub fn choose_front(
         &mut self,
         unit: &Vectors,
@@ -211,27 +213,25 @@ impl Deformation {
         scratch: &mut Scratch,
     ) {
         self.hash_of_kept.take();
-        let Scratch { front, swinging, states, amplitudes, chosen } = scratch;
-        // Those inside a sphere first: vertices side by side then have the same to do. What is not a number is in.
-        let is_chosen = |v: usize| gap[v] < 0.0 || !(gap[v] - amplitudes[v] > skin);
-        chosen.clear();
-        chosen.extend((0..unit.len() as u32).filter(|&v| gap[v as usize] < 0.0));
-        chosen.extend((0..unit.len() as u32).filter(|&v| !(gap[v as usize] < 0.0) && is_chosen(v as usize)));
-
-        front.clear();
-        for &v in chosen.iter() {
-            front.push(v, radius * unit.get(v as usize), states[v as usize]);
+        self.gather(unit.len(), now, scratch);
+        let Scratch { displacement, velocity, amplitudes, front, outside, swinging } = scratch;
+        for list in [&mut *front, &mut *outside, &mut *swinging] {
+            list.clear();
+            list.reserve(unit.len());
         }
-        front.pad();
-        swinging.clear();
-        swinging.as_of = now.step;
-        for v in 0..unit.len() {
-            if amplitudes[v] != 0.0 && !is_chosen(v) {
-                swinging.push(v as u32, states[v], amplitudes[v]);
+        // Those inside a sphere first: vertices side by side then have the same to do. What is not a number is in.
+        for (v, (&gap, &amplitude)) in (0..).zip(gap.iter().zip(&*amplitudes)) {
+            if gap < 0.0 {
+                front.push(v);
+            } else if !(gap - amplitude > skin) {
+                outside.push(v);
+            } else if !(amplitude < REST) {
+                swinging.push(v);
             }
         }
-        self.front.copy_from(front);
-        self.swinging.copy_from(swinging);
+        front.append(outside);
+        self.front.take(front, unit, radius, displacement, velocity);
+        self.swinging.take(swinging, displacement, velocity, amplitudes, now);
     }
 
     /// Lets all vertices swing freely from now on.
@@ -240,12 +240,11 @@ impl Deformation {
             return;
         }
         self.gather(count, now, scratch);
-        let Scratch { states, amplitudes, .. } = scratch;
+        let Scratch { displacement, velocity, amplitudes, swinging, .. } = scratch;
+        swinging.clear();
+        swinging.extend((0..count as u32).filter(|&v| !(amplitudes[v as usize] < REST)));
         self.clear();
-        self.swinging.as_of = now.step;
-        for v in 0..count {
-            self.swinging.push(v as u32, states[v], amplitudes[v]);
-        }
+        self.swinging.take(swinging, displacement, velocity, amplitudes, now);
     }
 }
 
@@ -282,15 +281,36 @@ fn swings_into([xx, xu, ux, uu]: [f64; 4], x: &[f64], u: &[f64], displacement: &
     }
 }
 
-/// How far from rest a vertex swings by itself [scene unit]: no less than |x| at any time to come.
-fn swing(State { x, u }: State, omega: f64) -> f64 {
-    if x == DVec3::ZERO && u == DVec3::ZERO {
-        return 0.0;
+/// How far from rest each vertex swings by itself [scene unit]: no less than |x| at any time to come.
+struct Amplitudes<'a> {
+    omega: f64,
+    displacement: &'a Vectors,
+    velocity: &'a Vectors,
+    amplitudes: &'a mut [f64],
+}
+
+impl WithSimd for Amplitudes<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Amplitudes { omega, displacement, velocity, amplitudes } = self;
+        // slices of one length, so that the loops have no bounds to check and are vectorised
+        let n = amplitudes.len();
+        let [x, y, z] = [&displacement.x[..n], &displacement.y[..n], &displacement.z[..n]];
+        let [u, v, w] = [&velocity.x[..n], &velocity.y[..n], &velocity.z[..n]];
+        if omega == 0.0 {
+            for i in 0..n {
+                let rests = [x[i], y[i], z[i], u[i], v[i], w[i]] == [0.0; 6];
+                amplitudes[i] = if rests { 0.0 } else { f64::INFINITY }; // it may drift anywhere
+            }
+            return;
+        }
+        for i in 0..n {
+            let (u, v, w) = (u[i] / omega, v[i] / omega, w[i] / omega);
+            amplitudes[i] = ((x[i] * x[i] + y[i] * y[i] + z[i] * z[i]) + (u * u + v * v + w * w)).sqrt();
+        }
     }
-    if omega == 0.0 {
-        return f64::INFINITY; // it may drift anywhere
-    }
-    (x.length_squared() + (u / omega).length_squared()).sqrt()
 }
 
 impl Front {
@@ -305,11 +325,25 @@ impl Front {
         }
     }
 
-    fn push(&mut self, vertex: u32, rest: DVec3, state: State) {
-        self.vertices.push(vertex);
-        self.rest.push(rest);
-        self.displacement.push(state.x);
-        self.velocity.push(state.u);
+    /// Becomes what is listed, of all vertices of a body.
+    fn take(&mut self, list: &[u32], unit: &Vectors, radius: f64, displacement: &Vectors, velocity: &Vectors) {
+        self.vertices.clear();
+        self.vertices.extend_from_slice(list);
+        self.rest.pick(list, unit);
+        for axis in [&mut self.rest.x, &mut self.rest.y, &mut self.rest.z] {
+            axis.iter_mut().for_each(|l| *l *= radius);
+        }
+        self.displacement.pick(list, displacement);
+        self.velocity.pick(list, velocity);
+        self.pad();
+    }
+
+    /// Puts the states where they belong among those of all vertices.
+    fn scatter(&self, displacement: &mut Vectors, velocity: &mut Vectors) {
+        for (i, &vertex) in self.vertices.iter().enumerate() {
+            displacement.set(vertex as usize, self.displacement.get(i));
+            velocity.set(vertex as usize, self.velocity.get(i));
+        }
     }
 
     /// Repeats the last again after all have been changed.
@@ -329,14 +363,6 @@ impl Front {
                 vectors.push(vectors.get(count - 1));
             }
         }
-    }
-
-    fn copy_from(&mut self, other: &Front) {
-        self.clear();
-        self.vertices.extend_from_slice(&other.vertices);
-        self.rest.extend(&other.rest);
-        self.displacement.extend(&other.displacement);
-        self.velocity.extend(&other.velocity);
     }
 }
 
@@ -369,23 +395,24 @@ impl Swinging {
         self.largest = 0.0;
     }
 
-    /// Adds a vertex, unless it rests.
-    fn push(&mut self, vertex: u32, state: State, amplitude: f64) {
-        if amplitude < REST {
-            return;
-        }
-        self.vertices.push(vertex);
-        self.displacement.push(state.x);
-        self.velocity.push(state.u);
-        self.largest = if amplitude > self.largest || amplitude.is_nan() { amplitude } else { self.largest };
+    /// Becomes what is listed, of all vertices of a body.
+    fn take(&mut self, list: &[u32], displacement: &Vectors, velocity: &Vectors, amplitudes: &[f64], now: Now) {
+        self.as_of = now.step;
+        self.vertices.clear();
+        self.vertices.extend_from_slice(list);
+        self.displacement.pick(list, displacement);
+        self.velocity.pick(list, velocity);
+        // what is not a number stays so
+        let larger = |a: f64, b: f64| if b > a || b.is_nan() { b } else { a };
+        self.largest = list.iter().map(|&v| amplitudes[v as usize]).fold(0.0, larger);
     }
 
-    fn copy_from(&mut self, other: &Swinging) {
-        self.clear();
-        self.as_of = other.as_of;
-        self.vertices.extend_from_slice(&other.vertices);
-        self.displacement.extend(&other.displacement);
-        self.velocity.extend(&other.velocity);
-        self.largest = other.largest;
+    /// Puts the states that a flow makes of them where they belong among those of all vertices.
+    fn scatter(&self, flow: [f64; 4], displacement: &mut Vectors, velocity: &mut Vectors) {
+        for (i, &vertex) in self.vertices.iter().enumerate() {
+            let State { x, u } = self.state(i, flow);
+            displacement.set(vertex as usize, x);
+            velocity.set(vertex as usize, u);
+        }
     }
 }
