@@ -22,7 +22,6 @@ use super::{
     tracks::Tracks,
 };
 use crate::{
-    model::phase::Phase,
     scene::{Response, Scene},
 };
 
@@ -102,7 +101,7 @@ impl Context<'_> {
         }
         // an inaccurate step may have taken vertices to any neighbour
         let neighbours = &self.body(active.body).neighbours;
-        own + neighbours.iter().map(|neighbour| self.strongest_pull(active.body, neighbour.other)).sum::<f64>()
+        own + neighbours.iter().map(|neighbour| neighbour.pull).sum::<f64>()
     }
 
     /// A bound of the acceleration of any vertex by pushes and by the body's own motion during `span` [scene unit/s²].
@@ -119,22 +118,7 @@ impl Context<'_> {
 
     /// How near the centres of two bodies can come within the step, less what rounding of them can do [scene unit].
     pub fn nearest(&self, a: u32, b: u32, span: Span) -> f64 {
-        let [a, b] = [self.tracks.whereabouts(a), self.tracks.whereabouts(b)];
-        let distance = a.centre.distance(b.centre);
-        let far = a.centre.abs().max_element() + b.centre.abs().max_element() + distance;
-        distance - (a.speed + b.speed) * span.length() - 8.0 * f64::EPSILON * far
-    }
-
-    /// A bound of the acceleration of any vertex of body `this` by the sphere of body `source`, in any phase
-    /// [scene unit/s²].
-    fn strongest_pull(&self, this: u32, source: u32) -> f64 {
-        let influence = &self.scene.influence;
-        let [this, source] = [self.tracks.whereabouts(this), self.tracks.whereabouts(source)];
-        let strength = [Phase::Merged, Phase::Apart, Phase::Core]
-            .map(|phase| influence.strength(phase, this.radius, source.radius).abs())
-            .into_iter()
-            .fold(0.0, f64::max);
-        strength * source.sphere * influence.weight.max_pull()
+        self.tracks.whereabouts(a).nearest(self.tracks.whereabouts(b), span.length())
     }
 
     /// Finds the influence spheres that can reach a body's vertices within the step, and how far from the centre it can
@@ -166,16 +150,16 @@ impl Context<'_> {
     /// spheres [scene unit/s²].
     fn farthest(&self, active: &Active, span: Span, margins: &mut Vec<Margin>) -> (f64, f64) {
         let index = active.body;
-        let radius = self.tracks.whereabouts(index).radius;
+        let own = *self.tracks.whereabouts(index);
         let own_force = self.own_force(index, span);
         margins.clear();
-        margins.extend(self.body(index).neighbours.iter().map(|neighbour| Margin {
-            gap: self.nearest(index, neighbour.other, span) - self.tracks.whereabouts(neighbour.other).sphere,
-            pull: self.strongest_pull(index, neighbour.other),
+        margins.extend(self.body(index).neighbours.iter().map(|neighbour| {
+            let other = self.tracks.whereabouts(neighbour.other);
+            Margin { gap: own.nearest(other, span.length()) - other.sphere, pull: neighbour.pull }
         }));
         let mut pull = 0.0;
         loop {
-            let farthest = radius + active.farthest(own_force, pull, span.length());
+            let farthest = own.radius + active.farthest(own_force, pull, span.length());
             let next = margins.iter().filter(|margin| margin.gap <= farthest).map(|margin| margin.pull).sum();
             // written so that what is not a number ends it
             if !(next > pull) {

@@ -55,6 +55,20 @@ pub(super) struct Neighbour {
     pub other: u32,
     /// Index of the pair.
     pub pair: u32,
+    /// A bound of the acceleration of any vertex of this body by the other's sphere, in any phase [scene unit/s²].
+    pub pull: f64,
+}
+
+impl Neighbour {
+    /// That body `other`, of pair `pair`, is near `this`.
+    fn new(scene: &Scene, this: u32, other: u32, pair: u32) -> Neighbour {
+        let influence = &scene.influence;
+        let [this, source] = [this, other].map(|index| scene.bodies[index as usize].radius);
+        let strength = |phase| influence.strength(phase, this, source).abs();
+        let strongest = [Phase::Merged, Phase::Apart, Phase::Core].map(strength).into_iter().fold(0.0, f64::max);
+        let pull = strongest * influence.sphere_radius(source) * influence.weight.max_pull();
+        Neighbour { other, pair, pull }
+    }
 }
 
 /// What a body's zone allows for.
@@ -181,8 +195,8 @@ impl Pairs {
                 let pair = self.add(scene, i as u32, other, t);
                 let others = &mut bodies[other as usize].neighbours;
                 let place = others.partition_point(|neighbour| neighbour.other < i as u32);
-                others.insert(place, Neighbour { other: i as u32, pair });
-                Neighbour { other, pair }
+                others.insert(place, Neighbour::new(scene, other, i as u32, pair));
+                Neighbour::new(scene, i as u32, other, pair)
             });
             bodies[i].neighbours.push(neighbour);
         }

@@ -36,6 +36,16 @@ pub struct Whereabouts {
     pub sphere: f64,
 }
 
+impl Whereabouts {
+    /// How near the centres of two bodies can come within `h` [s], less what rounding of them can do [scene unit].
+    #[inline]
+    pub fn nearest(&self, other: &Whereabouts, h: f64) -> f64 {
+        let distance = self.centre.distance(other.centre);
+        let far = self.centre.abs().max_element() + other.centre.abs().max_element() + distance;
+        distance - (self.speed + other.speed) * h - 8.0 * f64::EPSILON * far
+    }
+}
+
 /// A moving body's way through a step.
 pub struct Track {
     /// Index of the body.
