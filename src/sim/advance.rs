@@ -7,7 +7,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     Span,
-    arrays::Vectors,
+    arrays::{Block, LANES, Vectors},
     body::{Active, Body, Extent, Scratch, Seen},
     deformation::Front,
     integrator::{
@@ -21,9 +21,7 @@ use super::{
     surroundings::{Source, Surroundings, carry, push_acts},
     tracks::Tracks,
 };
-use crate::{
-    scene::{Response, Scene},
-};
+use crate::scene::{Response, Scene};
 
 /// How far spheres may move before a front is chosen anew: no less than this [radii] …
 const SKIN: f64 = 0.1;
@@ -196,7 +194,7 @@ impl Context<'_> {
         let (unit, radius) = (&self.body(active.body).unit, self.scene.bodies[active.body as usize].radius);
         active.deformation.wake_all(unit, radius);
         let front = &mut active.deformation.front;
-        explicit::advance(scheme, interval, radius, unit, &mut front.displacement, &mut front.velocity);
+        explicit::advance(scheme, interval, radius, unit, front);
         front.pad_again();
         Effort { substeps: 1, error: 0.0 }
     }
@@ -487,22 +485,19 @@ fn find_gaps(unit: &Vectors, radius: f64, moved: &[DVec3], centres: &[(DVec3, f6
 /// How near a centre is to the nearest rest position of a front, moved if `moved` says so [scene unit].
 #[inline(always)]
 fn clearance(front: &Front, moved: &[DVec3], centre: DVec3) -> f64 {
-    let mut nearest = [f64::INFINITY; 8];
-    let n = front.rest.len();
-    let (lx, ly, lz) = (&front.rest.x[..n], &front.rest.y[..n], &front.rest.z[..n]);
+    let mut nearest = [f64::INFINITY; LANES];
     if moved.is_empty() {
-        // padded to whole lanes
-        for first in (0..n).step_by(8) {
-            for lane in 0..8 {
-                let i = first + lane;
-                let (dx, dy, dz) = (centre.x - lx[i], centre.y - ly[i], centre.z - lz[i]);
+        // padded to whole blocks
+        for Block([[lx, ly, lz], ..]) in front.blocks.all() {
+            for lane in 0..LANES {
+                let (dx, dy, dz) = (centre.x - lx[lane], centre.y - ly[lane], centre.z - lz[lane]);
                 let square = dx * dx + dy * dy + dz * dz;
                 nearest[lane] = if square < nearest[lane] { square } else { nearest[lane] };
             }
         }
     } else {
         for (i, &v) in front.vertices.iter().enumerate() {
-            let square = (centre - front.rest.get(i) - moved[v as usize]).length_squared();
+            let square = (centre - front.rest(i) - moved[v as usize]).length_squared();
             nearest[0] = f64::min(nearest[0], square);
         }
     }

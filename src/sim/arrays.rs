@@ -13,6 +13,79 @@
 
 use glam::DVec3;
 
+/// The most vertices that any instruction set takes side by side: arrays that are read in lanes are padded to this.
+pub const LANES: usize = 16;
+
+/// A vector of each of some vertices side by side, by coordinate.
+pub type Lanes = [[f64; LANES]; 3];
+
+/// `V` vectors of each of some vertices side by side.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C, align(64))] // whole lines of a cache
+pub struct Block<const V: usize>(pub [Lanes; V]);
+
+/// `V` vectors of each of many vertices: what is known of those side by side is next to each other in memory, so that a
+/// step of a body reads and writes one stretch of it and not one an array.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Blocks<const V: usize>(Vec<Block<V>>);
+
+impl<const V: usize> Blocks<V> {
+    /// For how many vertices there is room.
+    pub fn room(&self) -> usize {
+        self.0.len() * LANES
+    }
+
+    /// Vector number `v` of vertex `i`; panics beyond the end, like a slice.
+    #[inline]
+    pub fn get(&self, v: usize, i: usize) -> DVec3 {
+        let [x, y, z] = &self.0[i / LANES].0[v];
+        DVec3::new(x[i % LANES], y[i % LANES], z[i % LANES])
+    }
+
+    /// Replaces vector number `v` of vertex `i`; panics beyond the end, like a slice.
+    #[inline]
+    pub fn set(&mut self, v: usize, i: usize, vector: DVec3) {
+        let [x, y, z] = &mut self.0[i / LANES].0[v];
+        (x[i % LANES], y[i % LANES], z[i % LANES]) = (vector.x, vector.y, vector.z);
+    }
+
+    /// The blocks, in order.
+    #[inline]
+    pub fn all(&self) -> &[Block<V>] {
+        &self.0
+    }
+
+    /// The blocks, in order.
+    #[inline]
+    pub fn all_mut(&mut self) -> &mut [Block<V>] {
+        &mut self.0
+    }
+
+    /// Has room for `count` vertices; what is new is zero.
+    pub fn resize(&mut self, count: usize) {
+        self.0.resize(count.div_ceil(LANES), Block([[[0.0; LANES]; 3]; V]));
+    }
+
+    /// Keeps the storage, holds none.
+    pub fn clear(&mut self) {
+        self.0.clear();
+    }
+
+    /// Repeats vertex `count - 1` to the end of its block.
+    pub fn pad(&mut self, count: usize) {
+        for i in count..self.room() {
+            for v in 0..V {
+                self.set(v, i, self.get(v, count - 1));
+            }
+        }
+    }
+
+    /// What was allocated for them [bytes].
+    pub fn memory(&self) -> usize {
+        self.0.capacity() * size_of::<Block<V>>()
+    }
+}
+
 /// A vector per vertex, stored by coordinate; all three arrays have the same length.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Vectors {
@@ -70,14 +143,6 @@ impl Vectors {
     pub fn copy_from(&mut self, others: &Vectors) {
         self.clear();
         self.extend(others);
-    }
-
-    /// Becomes those of others that are listed, in the order of the list.
-    pub fn pick(&mut self, list: &[u32], others: &Vectors) {
-        for (axis, other) in [(&mut self.x, &others.x), (&mut self.y, &others.y), (&mut self.z, &others.z)] {
-            axis.clear();
-            axis.extend(list.iter().map(|&i| other[i as usize]));
-        }
     }
 
     /// Becomes `count` long, with zeros at the end if that is longer.

@@ -11,10 +11,10 @@ use pulp::{Simd, WithSimd, bytemuck};
 
 use super::{
     World,
-    arrays::Vectors,
+    arrays::LANES,
     body::Active,
-    deformation::{Deformation, Front, Swinging},
-    integrator::{State, exponential::lanes::LANES},
+    deformation::{DISPLACEMENT, Deformation, Swinging, VELOCITY},
+    integrator::State,
     pairs::Pair,
 };
 use crate::model::phase::Phase;
@@ -72,12 +72,15 @@ impl Active {
         for pushed in &self.common.pushed {
             lanes.add(&[pushed.x, pushed.u], bits);
         }
-        let Front { vertices, displacement, velocity, .. } = &self.deformation.front;
-        if !vertices.is_empty() {
-            let last = (vertices.len() - 1) % LANES + 1;
-            for Vectors { x, y, z } in [displacement, velocity] {
-                for axis in [x, y, z] {
-                    lanes.add_padded(axis, last);
+        let front = &self.deformation.front;
+        if let Some((end, whole)) = front.blocks.all().split_last() {
+            let last = (front.vertices.len() - 1) % LANES + 1;
+            for v in [DISPLACEMENT, VELOCITY] {
+                for axis in 0..3 {
+                    for block in whole {
+                        lanes.add_numbers(&block.0[v][axis]);
+                    }
+                    lanes.add_first(&end.0[v][axis], last);
                 }
             }
         }
@@ -92,15 +95,17 @@ impl Deformation {
         if let Some(hash) = self.hash_of_kept.get() {
             return *hash;
         }
-        let Swinging { vertices, as_of, displacement, velocity, .. } = &self.swinging;
+        let Swinging { vertices, as_of, blocks, .. } = &self.swinging;
         let mut lanes = Lanes::new(simd);
         lanes.add(&[self.front.vertices.len() as u64, vertices.len() as u64, *as_of], |word| word);
         for list in [&self.front.vertices, vertices] {
             lanes.add(list, u64::from);
         }
-        for Vectors { x, y, z } in [displacement, velocity] {
-            for axis in [x, y, z] {
-                lanes.add(axis, bits);
+        for v in 0..2 {
+            for axis in 0..3 {
+                for (block, vertices) in blocks.all().iter().zip(vertices.chunks(LANES)) {
+                    lanes.add(&block.0[v][axis][..vertices.len()], bits);
+                }
             }
         }
         *self.hash_of_kept.get_or_init(|| lanes.hash())
@@ -217,21 +222,24 @@ impl<S: Simd> Lanes<S> {
         }
     }
 
-    /// An array of blocks, of the last of which `last` numbers count; the rest is padding.
     #[inline(always)]
-    fn add_padded(&mut self, numbers: &[f64], last: usize) {
+    fn add_numbers(&mut self, numbers: &[f64; LANES]) {
         let simd = self.simd;
         let zero = simd.splat_f64s(0.0);
-        let Some((end, whole)) = numbers.as_chunks::<LANES>().0.split_last() else { return };
-        for block in whole {
-            let (numbers, _) = S::as_simd_f64s(block);
-            for register in 0..Self::REGISTERS {
-                let words = bytemuck::cast(simd.add_f64s(numbers[register], zero));
-                self.state[register] = simd.add_u64s(self.rotate(self.state[register]), words);
-            }
+        let (numbers, _) = S::as_simd_f64s(numbers);
+        for register in 0..Self::REGISTERS {
+            let words = bytemuck::cast(simd.add_f64s(numbers[register], zero));
+            self.state[register] = simd.add_u64s(self.rotate(self.state[register]), words);
         }
+    }
+
+    /// Of the last block `count` numbers count; the rest is padding.
+    #[inline(always)]
+    fn add_first(&mut self, numbers: &[f64; LANES], count: usize) {
+        let simd = self.simd;
+        let zero = simd.splat_f64s(0.0);
         let ((numbers, _), (masks, _)) =
-            (S::as_simd_f64s(end), S::as_simd_f64s(&MASKS[LANES - last..2 * LANES - last]));
+            (S::as_simd_f64s(numbers), S::as_simd_f64s(&MASKS[LANES - count..2 * LANES - count]));
         for register in 0..Self::REGISTERS {
             let words = bytemuck::cast(simd.and_f64s(simd.add_f64s(numbers[register], zero), masks[register]));
             self.state[register] = simd.add_u64s(self.rotate(self.state[register]), words);
@@ -256,6 +264,7 @@ impl<S: Simd> Lanes<S> {
 mod tests {
     use super::*;
     use crate::scene::Scene;
+    use crate::sim::arrays::{Block, Blocks};
 
     /// Two bodies held together, one vertex of each near the other's sphere at least, others swinging.
     fn merged() -> World {
@@ -267,13 +276,18 @@ mod tests {
         world
     }
 
-    /// The coordinates of displacements and velocities of a body, of the front and of those that swing.
-    fn axes(active: &mut Active) -> Vec<&mut Vec<f64>> {
+    /// A coordinate of the displacements or velocities of a body: six of the front, six of those that swing.
+    fn axis(active: &mut Active, number: usize) -> Vec<&mut f64> {
+        fn of<const V: usize>(blocks: &mut Blocks<V>, v: usize, axis: usize, count: usize) -> Vec<&mut f64> {
+            blocks.all_mut().iter_mut().flat_map(|block| &mut block.0[v][axis]).take(count).collect()
+        }
         let Deformation { front, swinging, hash_of_kept, .. } = &mut active.deformation;
         hash_of_kept.take();
-        let of_front = [&mut front.displacement, &mut front.velocity];
-        let vectors = of_front.into_iter().chain([&mut swinging.displacement, &mut swinging.velocity]);
-        vectors.flat_map(|Vectors { x, y, z }| [x, y, z]).collect()
+        if number < 6 {
+            of(&mut front.blocks, 1 + number / 3, number % 3, front.vertices.len())
+        } else {
+            of(&mut swinging.blocks, (number - 6) / 3, number % 3, swinging.vertices.len())
+        }
     }
 
     #[test]
@@ -281,18 +295,16 @@ mod tests {
         let mut world = merged();
         let before = world.checksum();
         for slot in 0..world.actives.len() {
-            for axis in 0..12 {
-                let fronts = world.actives[slot].deformation.front.vertices.len();
-                let count = if axis < 6 { fronts } else { axes(&mut world.actives[slot])[axis].len() };
-                for i in 0..count {
-                    let is_zero = axes(&mut world.actives[slot])[axis][i] == 0.0;
+            for number in 0..12 {
+                for i in 0..axis(&mut world.actives[slot], number).len() {
+                    let is_zero = *axis(&mut world.actives[slot], number)[i] == 0.0;
                     for bit in [0, 1, 31, 32, 51, 52, 62, 63].into_iter().filter(|&bit| !(is_zero && bit == 63)) {
                         let flip = |world: &mut World| {
-                            let number = &mut axes(&mut world.actives[slot])[axis][i];
-                            *number = f64::from_bits(number.to_bits() ^ 1 << bit);
+                            let value = &mut *axis(&mut world.actives[slot], number)[i];
+                            *value = f64::from_bits(value.to_bits() ^ 1 << bit);
                             world.checksum()
                         };
-                        assert_ne!(flip(&mut world), before, "body {slot}, axis {axis}, number {i}, bit {bit}");
+                        assert_ne!(flip(&mut world), before, "body {slot}, axis {number}, number {i}, bit {bit}");
                         assert_eq!(flip(&mut world), before);
                     }
                 }
@@ -313,9 +325,8 @@ mod tests {
     fn pairs_of_changes_count() {
         let mut world = merged();
         let before = world.checksum();
-        let axis = |world: &mut World| axes(&mut world.actives[0])[0].clone();
-        let numbers = axis(&mut world);
-        let count = world.actives[0].deformation.front.vertices.len();
+        let numbers: Vec<f64> = axis(&mut world.actives[0], 0).into_iter().map(|number| *number).collect();
+        let count = numbers.len();
         let mut seen = std::collections::HashSet::from([before]);
         for i in 0..count {
             for j in (0..i).filter(|&j| numbers[i] != 0.0 && numbers[j] != 0.0) {
@@ -330,10 +341,13 @@ mod tests {
                 changes.retain(|change| *change != (a, b));
                 changes.dedup(); // where one is the negative of the other
                 for changed in changes {
-                    let axis = &mut world.actives[0].deformation.front.displacement.x;
-                    (axis[i], axis[j]) = changed;
+                    let set = |world: &mut World, (a, b)| {
+                        let mut axis = axis(&mut world.actives[0], 0);
+                        (*axis[i], *axis[j]) = (a, b);
+                    };
+                    set(&mut world, changed);
                     assert!(seen.insert(world.checksum()), "vertices {i} and {j}: {changed:?} for {:?}", (a, b));
-                    world.actives[0].deformation.front.displacement.x.copy_from_slice(&numbers);
+                    set(&mut world, (a, b));
                 }
             }
         }
@@ -346,8 +360,9 @@ mod tests {
         let before = world.checksum();
         let front = &mut world.actives[0].deformation.front;
         let count = front.vertices.len();
-        assert!(count < front.velocity.len());
-        front.velocity.z[count..].fill(f64::NAN);
+        let Block([.., velocity]) = front.blocks.all_mut().last_mut().unwrap();
+        assert!(!count.is_multiple_of(LANES));
+        velocity[2][count % LANES..].fill(f64::NAN);
         assert_eq!(world.checksum(), before);
     }
 

@@ -6,16 +6,14 @@
 
 use std::sync::OnceLock;
 
+use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{
-    arrays::Vectors,
+    arrays::{Blocks, LANES, Vectors},
     integrator::{
         State,
-        exponential::{
-            course::{Common, Pushed},
-            lanes::LANES,
-        },
+        exponential::course::{Common, Pushed},
     },
 };
 use crate::{model::oscillator::Oscillator, scene::Push};
@@ -31,17 +29,14 @@ pub struct Deformation {
     pub hash_of_kept: OnceLock<u64>,
 }
 
-/// Vertices that take every step, as arrays that are read in lanes: padded with repetitions of the last.
+/// Vertices that take every step.
 #[derive(Clone, Debug, Default)]
 pub struct Front {
-    /// Which they are, without padding.
+    /// Which they are.
     pub vertices: Vec<u32>,
-    /// Rest positions [scene unit].
-    pub rest: Vectors,
-    /// Displacements [scene unit] …
-    pub displacement: Vectors,
-    /// … and velocities [scene unit/s] at the end of the last step.
-    pub velocity: Vectors,
+    /// Rest positions [scene unit], and displacements [scene unit] and velocities [scene unit/s] at the end of the last step;
+    /// padded with repetitions of the last vertex.
+    pub blocks: Blocks<3>,
 }
 
 /// Vertices that swing freely.
@@ -51,10 +46,8 @@ pub struct Swinging {
     pub vertices: Vec<u32>,
     /// The step at whose end they had the states below.
     pub as_of: u64,
-    /// Displacements then [scene unit].
-    pub displacement: Vectors,
-    /// Velocities then [scene unit/s].
-    pub velocity: Vectors,
+    /// Displacements [scene unit] and velocities [scene unit/s] then.
+    pub blocks: Blocks<2>,
     /// How far any of them swings at most [scene unit].
     pub largest: f64,
 }
@@ -99,8 +92,8 @@ impl Deformation {
     /// What was allocated for it [bytes].
     pub fn memory(&self) -> usize {
         let Deformation { front, swinging, .. } = self;
-        let vectors = [&front.rest, &front.displacement, &front.velocity, &swinging.displacement, &swinging.velocity];
-        vectors.into_iter().map(Vectors::memory).sum::<usize>()
+        front.blocks.memory()
+            + swinging.blocks.memory()
             + (front.vertices.capacity() + swinging.vertices.capacity()) * size_of::<u32>()
     }
 
@@ -148,15 +141,12 @@ impl Deformation {
             return;
         }
         self.hash_of_kept.take();
-        let Front { vertices, rest, displacement, velocity } = &mut self.front;
-        let padded = unit.len().next_multiple_of(LANES);
+        let Front { vertices, blocks } = &mut self.front;
         vertices.extend(0..unit.len() as u32);
-        rest.reset(padded);
-        for (rest, unit) in [(&mut rest.x, &unit.x), (&mut rest.y, &unit.y), (&mut rest.z, &unit.z)] {
-            rest.iter_mut().zip(unit).for_each(|(rest, unit)| *rest = radius * unit);
+        blocks.resize(unit.len());
+        for (i, unit) in unit.iter().enumerate() {
+            blocks.set(REST_POSITION, i, radius * unit);
         }
-        displacement.reset(padded);
-        velocity.reset(padded);
         self.front.pad_again();
     }
 
@@ -165,10 +155,10 @@ impl Deformation {
         if common.is_zero() {
             return;
         }
-        for (i, &vertex) in self.front.vertices.iter().enumerate() {
-            let (alike, own) = (common.of(unit.get(vertex as usize), pushes), self.front.state(i));
-            self.front.displacement.set(i, alike.x + own.x);
-            self.front.velocity.set(i, alike.u + own.u);
+        for i in 0..self.front.vertices.len() {
+            let vertex = self.front.vertices[i] as usize;
+            let (alike, own) = (common.of(unit.get(vertex), pushes), self.front.state(i));
+            self.front.set_state(i, State { x: alike.x + own.x, u: alike.u + own.u });
         }
         self.front.pad_again();
         common.carried = State::default();
@@ -261,23 +251,38 @@ impl WithSimd for Swing<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let (x, u) = (&self.swinging.displacement, &self.swinging.velocity);
-        let (displacement, velocity) = (self.displacement, self.velocity);
-        swings_into(self.flow, &x.x, &u.x, &mut displacement.x, &mut velocity.x);
-        swings_into(self.flow, &x.y, &u.y, &mut displacement.y, &mut velocity.y);
-        swings_into(self.flow, &x.z, &u.z, &mut displacement.z, &mut velocity.z);
+        let n = self.displacement.len();
+        for (block, first) in self.swinging.blocks.all().iter().zip((0..n).step_by(LANES)) {
+            let range = first..n.min(first + LANES);
+            let [x, u] = &block.0;
+            let displacement = [&mut self.displacement.x, &mut self.displacement.y, &mut self.displacement.z];
+            let velocity = [&mut self.velocity.x, &mut self.velocity.y, &mut self.velocity.z];
+            for (axis, (displacement, velocity)) in displacement.into_iter().zip(velocity).enumerate() {
+                swings_into(
+                    self.flow,
+                    [&x[axis], &u[axis]],
+                    &mut displacement[range.clone()],
+                    &mut velocity[range.clone()],
+                );
+            }
+        }
     }
 }
 
-/// One coordinate of that.
+/// One coordinate of that, of a block or what there is of it.
 #[inline(always)]
-fn swings_into([xx, xu, ux, uu]: [f64; 4], x: &[f64], u: &[f64], displacement: &mut [f64], velocity: &mut [f64]) {
-    // slices of one length, so that the loop has no bounds to check and is vectorised
-    let n = displacement.len();
-    let (x, u, velocity) = (&x[..n], &u[..n], &mut velocity[..n]);
-    for i in 0..n {
-        displacement[i] = xx * x[i] + xu * u[i];
-        velocity[i] = ux * x[i] + uu * u[i];
+fn swings_into([xx, xu, ux, uu]: [f64; 4], [x, u]: [&[f64; LANES]; 2], displacement: &mut [f64], velocity: &mut [f64]) {
+    let flow = |i: usize| (xx * x[i] + xu * u[i], ux * x[i] + uu * u[i]);
+    if let (Ok(displacement), Ok(velocity)) =
+        (<&mut [f64; LANES]>::try_from(&mut *displacement), <&mut [f64; LANES]>::try_from(&mut *velocity))
+    {
+        for i in 0..LANES {
+            (displacement[i], velocity[i]) = flow(i);
+        }
+        return;
+    }
+    for (i, (displacement, velocity)) in displacement.iter_mut().zip(velocity).enumerate() {
+        (*displacement, *velocity) = flow(i);
     }
 }
 
@@ -313,56 +318,62 @@ impl WithSimd for Amplitudes<'_> {
     }
 }
 
+/// What is where in a block of the front: rest positions, …
+const REST_POSITION: usize = 0;
+/// …
+pub const DISPLACEMENT: usize = 1;
+/// …
+pub const VELOCITY: usize = 2;
+
 impl Front {
-    fn state(&self, i: usize) -> State {
-        State { x: self.displacement.get(i), u: self.velocity.get(i) }
+    /// Rest position of the `i`-th [scene unit].
+    pub fn rest(&self, i: usize) -> DVec3 {
+        self.blocks.get(REST_POSITION, i)
+    }
+
+    /// State of the `i`-th.
+    #[inline]
+    pub fn state(&self, i: usize) -> State {
+        State { x: self.blocks.get(DISPLACEMENT, i), u: self.blocks.get(VELOCITY, i) }
+    }
+
+    /// Replaces the state of the `i`-th.
+    #[inline]
+    pub fn set_state(&mut self, i: usize, State { x, u }: State) {
+        self.blocks.set(DISPLACEMENT, i, x);
+        self.blocks.set(VELOCITY, i, u);
     }
 
     fn clear(&mut self) {
         self.vertices.clear();
-        for vectors in [&mut self.rest, &mut self.displacement, &mut self.velocity] {
-            vectors.clear();
-        }
+        self.blocks.clear();
     }
 
     /// Becomes what is listed, of all vertices of a body.
     fn take(&mut self, list: &[u32], unit: &Vectors, radius: f64, displacement: &Vectors, velocity: &Vectors) {
         self.vertices.clear();
         self.vertices.extend_from_slice(list);
-        self.rest.pick(list, unit);
-        for axis in [&mut self.rest.x, &mut self.rest.y, &mut self.rest.z] {
-            axis.iter_mut().for_each(|l| *l *= radius);
+        self.blocks.resize(list.len());
+        for (i, &vertex) in list.iter().enumerate() {
+            let v = vertex as usize;
+            self.blocks.set(REST_POSITION, i, radius * unit.get(v));
+            self.set_state(i, State { x: displacement.get(v), u: velocity.get(v) });
         }
-        self.displacement.pick(list, displacement);
-        self.velocity.pick(list, velocity);
-        self.pad();
+        self.pad_again();
     }
 
     /// Puts the states where they belong among those of all vertices.
     fn scatter(&self, displacement: &mut Vectors, velocity: &mut Vectors) {
         for (i, &vertex) in self.vertices.iter().enumerate() {
-            displacement.set(vertex as usize, self.displacement.get(i));
-            velocity.set(vertex as usize, self.velocity.get(i));
+            let State { x, u } = self.state(i);
+            displacement.set(vertex as usize, x);
+            velocity.set(vertex as usize, u);
         }
     }
 
     /// Repeats the last again after all have been changed.
     pub fn pad_again(&mut self) {
-        let count = self.vertices.len();
-        for vectors in [&mut self.rest, &mut self.displacement, &mut self.velocity] {
-            for i in count..vectors.len() {
-                vectors.set(i, vectors.get(count - 1));
-            }
-        }
-    }
-
-    fn pad(&mut self) {
-        let count = self.vertices.len();
-        for vectors in [&mut self.rest, &mut self.displacement, &mut self.velocity] {
-            for _ in count..count.next_multiple_of(LANES) {
-                vectors.push(vectors.get(count - 1));
-            }
-        }
+        self.blocks.pad(self.vertices.len());
     }
 }
 
@@ -384,14 +395,13 @@ impl Swinging {
     /// The state that a flow makes of one of them.
     #[inline(always)]
     fn state(&self, i: usize, [xx, xu, ux, uu]: [f64; 4]) -> State {
-        let (x, u) = (self.displacement.get(i), self.velocity.get(i));
+        let (x, u) = (self.blocks.get(0, i), self.blocks.get(1, i));
         State { x: xx * x + xu * u, u: ux * x + uu * u }
     }
 
     fn clear(&mut self) {
         self.vertices.clear();
-        self.displacement.clear();
-        self.velocity.clear();
+        self.blocks.clear();
         self.largest = 0.0;
     }
 
@@ -400,8 +410,11 @@ impl Swinging {
         self.as_of = now.step;
         self.vertices.clear();
         self.vertices.extend_from_slice(list);
-        self.displacement.pick(list, displacement);
-        self.velocity.pick(list, velocity);
+        self.blocks.resize(list.len());
+        for (i, &vertex) in list.iter().enumerate() {
+            self.blocks.set(0, i, displacement.get(vertex as usize));
+            self.blocks.set(1, i, velocity.get(vertex as usize));
+        }
         // what is not a number stays so
         let larger = |a: f64, b: f64| if b > a || b.is_nan() { b } else { a };
         self.largest = list.iter().map(|&v| amplitudes[v as usize]).fold(0.0, larger);

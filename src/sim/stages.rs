@@ -221,17 +221,16 @@ impl Again<'_> {
         deformation.wake_all(&body.unit, this.radius);
         let front = &mut deformation.front;
         for i in 0..body.unit.len() {
-            front.displacement.set(i, states.displacement.get(i));
-            front.velocity.set(i, states.velocity.get(i));
+            front.set_state(i, State { x: states.displacement.get(i), u: states.velocity.get(i) });
         }
         front.pad_again();
         let mut common = Common { carried: State::default(), pushed: vec![Pushed::default(); body.pushes.len()] };
         let manner = Manner { arch: self.world.options().arch, tolerance: scene.tolerance * this.radius };
         exponential::advance(&course, manner, &mut common, front, &mut exponential::Scratch::default());
         for (i, unit) in body.unit.iter().enumerate() {
-            let alike = common.of(unit, &body.pushes);
-            states.displacement.set(i, alike.x + front.displacement.get(i));
-            states.velocity.set(i, alike.u + front.velocity.get(i));
+            let (alike, own) = (common.of(unit, &body.pushes), front.state(i));
+            states.displacement.set(i, alike.x + own.x);
+            states.velocity.set(i, alike.u + own.u);
         }
     }
 }

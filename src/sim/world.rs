@@ -690,11 +690,10 @@ mod tests {
             rounded.step();
             for active in &mut rounded.actives {
                 let Deformation { front, swinging, .. } = &mut active.deformation;
-                let positions = [&mut front.displacement, &mut swinging.displacement];
-                for vectors in positions.into_iter().chain([&mut front.velocity, &mut swinging.velocity]) {
-                    for axis in [&mut vectors.x, &mut vectors.y, &mut vectors.z] {
-                        axis.iter_mut().for_each(|v| *v = f64::from(*v as f32));
-                    }
+                let of_front = front.blocks.all_mut().iter_mut().flat_map(|block| &mut block.0[1..]);
+                let of_swinging = swinging.blocks.all_mut().iter_mut().flat_map(|block| &mut block.0);
+                for number in of_front.chain(of_swinging).flatten().flatten() {
+                    *number = f64::from(*number as f32);
                 }
             }
             for (a, b) in world.bodies().zip(rounded.bodies()) {

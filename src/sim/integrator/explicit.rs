@@ -6,7 +6,7 @@ use super::State;
 use crate::{
     model::{influence::Weight, oscillator::Oscillator},
     scene::Integrator,
-    sim::{arrays::Vectors, surroundings::Surroundings},
+    sim::{arrays::Vectors, deformation::Front, surroundings::Surroundings},
 };
 
 /// The explicit schemes.
@@ -104,20 +104,13 @@ impl Vertex<'_> {
 /// Advances all vertices of a body of radius `radius` [scene unit] over the interval, in place.
 ///
 /// `unit` are the unit rest positions; all three arrays have `[vertex_count]` vectors.
-pub fn advance(
-    scheme: Scheme,
-    interval: &Interval,
-    radius: f64,
-    unit: &Vectors,
-    displacement: &mut Vectors,
-    velocity: &mut Vectors,
-) {
+pub fn advance(scheme: Scheme, interval: &Interval, radius: f64, unit: &Vectors, front: &mut Front) {
     match scheme {
-        Scheme::Thesis => each(interval, radius, unit, displacement, velocity, thesis),
-        Scheme::Mps => each(interval, radius, unit, displacement, velocity, mps),
-        Scheme::Euler => each(interval, radius, unit, displacement, velocity, euler),
-        Scheme::Verlet => each(interval, radius, unit, displacement, velocity, verlet),
-        Scheme::Rk4 => each(interval, radius, unit, displacement, velocity, rk4),
+        Scheme::Thesis => each(interval, radius, unit, front, thesis),
+        Scheme::Mps => each(interval, radius, unit, front, mps),
+        Scheme::Euler => each(interval, radius, unit, front, euler),
+        Scheme::Verlet => each(interval, radius, unit, front, verlet),
+        Scheme::Rk4 => each(interval, radius, unit, front, rk4),
     }
 }
 
@@ -126,15 +119,12 @@ fn each(
     interval: &Interval,
     radius: f64,
     unit: &Vectors,
-    displacement: &mut Vectors,
-    velocity: &mut Vectors,
+    front: &mut Front,
     scheme: impl Fn(&Vertex<'_>, State) -> State,
 ) {
     for i in 0..unit.len() {
         let vertex = Vertex { interval, unit: unit.get(i), rest: radius * unit.get(i) };
-        let state = scheme(&vertex, State { x: displacement.get(i), u: velocity.get(i) });
-        displacement.set(i, state.x);
-        velocity.set(i, state.u);
+        front.set_state(i, scheme(&vertex, front.state(i)));
     }
 }
 

@@ -8,13 +8,11 @@ use std::ops::{Add, Mul, Sub};
 use glam::DVec3;
 use pulp::Simd;
 
-use crate::sim::arrays::Vectors;
+pub use crate::sim::arrays::LANES;
+use crate::sim::arrays::{self, Vectors};
 
 #[cfg(test)]
 mod tests;
-
-/// The most vertices that any instruction set takes side by side: arrays that are read in lanes are padded to this.
-pub const LANES: usize = 16;
 
 /// A number per lane: `W` registers of them, which don't wait for each other.
 #[derive(Clone, Copy)]
@@ -252,6 +250,21 @@ impl<S: Simd, const W: usize> Vector<S, W> {
     pub fn load(simd: S, array: &Vectors, first: usize) -> Vector<S, W> {
         let load = |axis: &[f64]| Reals::load(simd, axis, first);
         Vector { x: load(&array.x), y: load(&array.y), z: load(&array.z) }
+    }
+
+    /// The vectors of a block from `lane` on.
+    #[inline(always)]
+    pub fn of_block(simd: S, [x, y, z]: &arrays::Lanes, lane: usize) -> Vector<S, W> {
+        let load = |axis: &[f64]| Reals::load(simd, axis, lane);
+        Vector { x: load(x), y: load(y), z: load(z) }
+    }
+
+    /// Puts them into a block from `lane` on.
+    #[inline(always)]
+    pub fn into_block(self, [x, y, z]: &mut arrays::Lanes, lane: usize) {
+        self.x.store(x, lane);
+        self.y.store(y, lane);
+        self.z.store(z, lane);
     }
 
     /// Puts them into an array from `first` on.

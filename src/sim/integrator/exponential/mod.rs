@@ -132,15 +132,14 @@ fn take(
             if outcomes.attention[i] == 0.0 {
                 continue;
             }
-            let vertex = Vertex { rest: front.rest.get(i), inside: has_kink.then_some(outcomes.inside[i]) };
+            let vertex = Vertex { rest: front.rest(i), inside: has_kink.then_some(outcomes.inside[i]) };
             let forces: [DVec3; 4] = std::array::from_fn(|node| outcomes.forces[node].get(i));
-            let end = State { x: front.displacement.get(i), u: front.velocity.get(i) };
+            let end = front.state(i);
             let outcome = Outcome { end, forces, bend: outcomes.bend.get(i), error: outcomes.error[i] };
             let start = State { x: outcomes.displacement.get(i), u: outcomes.velocity.get(i) };
             outcomes.error[i] = 0.0; // what it makes of it counts instead
             let end = alone.take(vertex, start, outcome, known, single);
-            front.displacement.set(i, end.x);
-            front.velocity.set(i, end.u);
+            front.set_state(i, end);
         }
     }
     if !outcomes.groups.is_empty() {

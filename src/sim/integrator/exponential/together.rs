@@ -10,7 +10,10 @@ use super::{
     lanes::{LANES, Mask, Reals, Vector},
     step::{Group, Pull, RIMS, Step, has_kink},
 };
-use crate::sim::{arrays::Vectors, deformation::Front};
+use crate::sim::{
+    arrays::{Block, Vectors},
+    deformation::Front,
+};
 
 /// Below this |x|² + |u|², in scene units and seconds, a vertex is at rest.
 const REST_SQUARED: f64 = 1e-300;
@@ -94,12 +97,13 @@ impl Together<'_> {
     #[inline(always)]
     fn take<S: Simd, const W: usize, const LOOKS: usize>(&mut self, simd: S, first: usize) {
         let Together { course, step, ref front, .. } = *self;
+        let (block, lane) = (first / LANES, first % LANES);
+        let [rest, x, u] = &front.blocks.all()[block].0;
         let weights = &step.weights;
         let h = step.h;
         let material = course.body().material;
-        let rest = Vector::<S, W>::load(simd, &front.rest, first);
-        let x = Vector::load(simd, &front.displacement, first);
-        let u = Vector::load(simd, &front.velocity, first);
+        let rest = Vector::<S, W>::of_block(simd, rest, lane);
+        let [x, u] = [x, u].map(|vectors| Vector::of_block(simd, vectors, lane));
 
         // How far each can get by itself: √(|u|² + ω²|x|²) bounds its speed, and over ω how far from rest it gets.
         let swing = (u.length_squared() + x.length_squared() * (material.omega * material.omega)).sqrt();
@@ -152,8 +156,9 @@ impl Together<'_> {
             u.store(&mut outcomes.velocity, first);
             outcomes.groups.push(first..first + Reals::<S, W>::COUNT);
         }
-        x1.store(&mut self.front.displacement, first);
-        u1.store(&mut self.front.velocity, first);
+        let [_, x, u] = &mut self.front.blocks.all_mut()[block].0;
+        x1.into_block(x, lane);
+        u1.into_block(u, lane);
     }
 
     /// Finds the spheres that vertices at `position` are inside of, and which vertices may come to others in the step.
@@ -260,14 +265,17 @@ impl WithSimd for Largest<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> [f64; 2] {
-        let count = self.front.vertices.len();
         let zero = Reals::<S, 2>::splat(simd, 0.0);
         let (mut x2, mut m2) = (zero, zero);
-        for first in (0..count).step_by(Reals::<S, 2>::COUNT) {
-            let x = Vector::<S, 2>::load(simd, &self.front.displacement, first).length_squared();
-            let u = Vector::<S, 2>::load(simd, &self.front.velocity, first).length_squared();
-            let m = u + x * self.omega_squared;
-            (x2, m2) = (x2.larger_or_nan(x), m2.larger_or_nan(m));
+        let Front { vertices, blocks } = self.front;
+        for (Block([_, x, u]), vertices) in blocks.all().iter().zip(vertices.chunks(LANES)) {
+            // what is beyond them was not advanced
+            for lane in (0..vertices.len()).step_by(Reals::<S, 2>::COUNT) {
+                let x = Vector::<S, 2>::of_block(simd, x, lane).length_squared();
+                let u = Vector::<S, 2>::of_block(simd, u, lane).length_squared();
+                let m = u + x * self.omega_squared;
+                (x2, m2) = (x2.larger_or_nan(x), m2.larger_or_nan(m));
+            }
         }
         let mut largest = [0.0; 2];
         for (largest, lanes) in largest.iter_mut().zip([x2, m2]) {
