@@ -179,6 +179,18 @@ impl Path {
         spline.times.capacity() * size_of::<f64>() + spline.segments.capacity() * size_of::<Segment>()
     }
 
+    /// Whether the centre does not move within `[start, end]` [s], nor anything about its motion changes there.
+    pub fn is_still(&self, start: f64, end: f64) -> bool {
+        match self {
+            Path::Fixed(_) => true,
+            Path::Line { .. } | Path::Sine { .. } => false,
+            Path::Keyframes(spline) => match spline.times[..] {
+                [first, .., last] => end < first || last < start,
+                _ => true,
+            },
+        }
+    }
+
     /// Whether the centre never moves.
     pub fn is_fixed(&self) -> bool {
         matches!(self, Path::Fixed(_))

@@ -4,7 +4,7 @@
 //! at the end of the last step. One that a sphere has left alone swings freely: its state is kept as it was then, and the
 //! exact flow takes it to any later time in one go, when somebody asks.
 
-use std::sync::OnceLock;
+use std::{cell::Cell, sync::OnceLock};
 
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
@@ -272,18 +272,23 @@ impl WithSimd for Swing<'_> {
 /// One coordinate of that, of a block or what there is of it.
 #[inline(always)]
 fn swings_into([xx, xu, ux, uu]: [f64; 4], [x, u]: [&[f64; LANES]; 2], displacement: &mut [f64], velocity: &mut [f64]) {
-    let flow = |i: usize| (xx * x[i] + xu * u[i], ux * x[i] + uu * u[i]);
     if let (Ok(displacement), Ok(velocity)) =
         (<&mut [f64; LANES]>::try_from(&mut *displacement), <&mut [f64; LANES]>::try_from(&mut *velocity))
     {
         for i in 0..LANES {
-            (displacement[i], velocity[i]) = flow(i);
+            displacement[i] = xx * x[i] + xu * u[i];
+            velocity[i] = ux * x[i] + uu * u[i];
         }
         return;
     }
-    for (i, (displacement, velocity)) in displacement.iter_mut().zip(velocity).enumerate() {
-        (*displacement, *velocity) = flow(i);
+    let mut swung = [[0.0; LANES]; 2];
+    for i in 0..LANES {
+        swung[0][i] = xx * x[i] + xu * u[i];
+        swung[1][i] = ux * x[i] + uu * u[i];
     }
+    let n = displacement.len();
+    displacement.copy_from_slice(&swung[0][..n]);
+    velocity.copy_from_slice(&swung[1][..n]);
 }
 
 /// How far from rest each vertex swings by itself [scene unit]: no less than |x| at any time to come.
@@ -316,6 +321,23 @@ impl WithSimd for Amplitudes<'_> {
             amplitudes[i] = ((x[i] * x[i] + y[i] * y[i] + z[i] * z[i]) + (u * u + v * v + w * w)).sqrt();
         }
     }
+}
+
+thread_local! {
+    /// The flow that was asked for last: most bodies of a scene have the same oscillator.
+    static LAST_FLOW: Cell<(Oscillator, f64, [f64; 4])> =
+        const { Cell::new((Oscillator { omega: 0.0, damping: 0.0 }, 0.0, [1.0, 0.0, 0.0, 1.0])) };
+}
+
+/// The flow of an oscillator over `h` [s].
+fn flow(oscillator: Oscillator, h: f64) -> [f64; 4] {
+    let (of, over, flow) = LAST_FLOW.get();
+    if of == oscillator && over == h {
+        return flow;
+    }
+    let flow = oscillator.flow(h);
+    LAST_FLOW.set((oscillator, h, flow));
+    flow
 }
 
 /// What is where in a block of the front: rest positions, …
@@ -384,7 +406,7 @@ impl Swinging {
         if steps == 0 || self.vertices.is_empty() {
             return Some([1.0, 0.0, 0.0, 1.0]);
         }
-        let flow = now.oscillator.flow(steps as f64 * now.dt);
+        let flow = flow(now.oscillator, steps as f64 * now.dt);
         let [xx, xu, ux, uu] = flow;
         let omega = now.oscillator.omega;
         // |x| and |u|/ω are no larger than `largest`

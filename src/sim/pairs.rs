@@ -135,7 +135,7 @@ impl Pairs {
 
     /// Looks for the neighbours of bodies that move out of their zones before the end of `span`.
     pub fn follow(&mut self, scene: &Scene, bodies: &mut [Body], tracks: &mut Tracks, span: Span) {
-        tracks.watch(|body| bodies[body as usize].zone.until < span.end);
+        tracks.watch(|track| bodies[track.body as usize].zone.until < span.end);
         for body in tracks.watched() {
             let vertices = bodies[body as usize].zone.vertices;
             self.anchor(scene, bodies, body as usize, vertices, span.start);
@@ -231,8 +231,8 @@ impl Pairs {
         self.changes.clear();
         self.changed.clear();
         let pairs = &self.pairs;
-        tracks.watch(|body| {
-            let mut neighbours = bodies[body as usize].neighbours.iter();
+        tracks.watch(|track| {
+            let mut neighbours = bodies[track.body as usize].neighbours.iter();
             neighbours.any(|neighbour| pairs[neighbour.pair as usize].may_change(span))
         });
         for body in tracks.watched() {
@@ -327,6 +327,10 @@ impl Pair {
             if self.upcoming.is_none() {
                 if from >= span.end {
                     self.known_until = from;
+                    return;
+                }
+                if [paths.a, paths.b].into_iter().all(|path| path.is_still(from, f64::INFINITY)) {
+                    self.known_until = f64::INFINITY;
                     return;
                 }
                 self.upcoming = paths.first_change(&scene.thresholds, phase, from, horizon);

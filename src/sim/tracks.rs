@@ -53,6 +53,10 @@ pub struct Track {
     /// Whether something may happen between the body and its neighbours in the step, for [`Tracks::watch`].
     pub is_watched: bool,
     turns: Turns,
+    /// Whether the body stands still in the step …
+    stands_still: bool,
+    /// … and did so in the one before: to its neighbours it is what it was.
+    pub is_idle: bool,
     /// At each of the five looks of the step.
     pub kinematics: [Kinematics; 5],
     /// Over the step.
@@ -77,7 +81,16 @@ impl Tracks {
                 *place = tracks.len() as u32;
                 let turns = path.turns(&LOOKS.map(|theta| theta * scene.dt));
                 let bounds = Bounds { speed: 0.0, acceleration: 0.0 };
-                tracks.push(Track { body, is_watched: false, turns, kinematics: [path.at(0.0); 5], bounds });
+                let kinematics = [path.at(0.0); 5];
+                tracks.push(Track {
+                    body,
+                    is_watched: false,
+                    turns,
+                    stands_still: false,
+                    is_idle: false,
+                    kinematics,
+                    bounds,
+                });
             }
         }
         Tracks { tracks, whereabouts, of_body }
@@ -87,6 +100,12 @@ impl Tracks {
     pub(super) fn follow(&mut self, scene: &Scene, span: Span) {
         let follow = |track: &mut Track| {
             let path = &scene.bodies[track.body as usize].path;
+            let stands_still = path.is_still(span.start, span.end);
+            track.is_idle = stands_still && track.stands_still;
+            track.stands_still = stands_still;
+            if track.is_idle {
+                return;
+            }
             path.kinematics(span.start, span.end, &LOOKS, &track.turns, &mut track.kinematics);
             track.bounds = path.bounds(span.start, span.end);
         };
@@ -99,8 +118,8 @@ impl Tracks {
     }
 
     /// Watches those for which `may` holds: most have nothing to do with their neighbours but what they did before.
-    pub(super) fn watch(&mut self, may: impl Fn(u32) -> bool + Sync + Send) {
-        each(&mut self.tracks, |track| track.is_watched = may(track.body));
+    pub(super) fn watch(&mut self, may: impl Fn(&Track) -> bool + Sync + Send) {
+        each(&mut self.tracks, |track| track.is_watched = may(track));
     }
 
     /// The bodies that are watched, ascending.

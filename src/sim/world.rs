@@ -221,9 +221,9 @@ impl World {
     fn wake_moved(&mut self, span: Span) {
         let World { tracks, bodies, awake, woken, .. } = self;
         let is_awake = |body: u32| bodies[body as usize].active.is_some_and(|slot| (slot as usize) < *awake);
-        tracks.watch(|mover| {
-            let mut neighbours = bodies[mover as usize].neighbours.iter();
-            !is_awake(mover) || neighbours.any(|neighbour| !is_awake(neighbour.other))
+        tracks.watch(|track| {
+            let mut neighbours = bodies[track.body as usize].neighbours.iter();
+            !track.is_idle && (!is_awake(track.body) || neighbours.any(|neighbour| !is_awake(neighbour.other)))
         });
         let mut watched = std::mem::take(woken);
         watched.clear();
