@@ -4,7 +4,7 @@
 //! is a few loops over arrays, which are vectorised, and nothing is looked up.
 
 use glam::DVec3;
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 
 use crate::{scene::Sphere, sim::Vectors};
 
@@ -33,10 +33,24 @@ pub fn append(arch: Arch, shape: Sphere, positions: &Vectors, scratch: &mut Scra
         normals.extend(positions.iter().map(|position| unit(position, DVec3::Z)));
         return;
     }
-    arch.dispatch(
-        #[inline(always)]
-        || all(shape, positions, scratch, normals),
-    );
+    arch.dispatch(All { shape, positions, scratch, normals });
+}
+
+/// See [`all`]. (A closure would be compiled for the least instruction set.)
+struct All<'a> {
+    shape: Sphere,
+    positions: &'a Vectors,
+    scratch: &'a mut Scratch,
+    normals: &'a mut Vec<Vector>,
+}
+
+impl WithSimd for All<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        all(self.shape, self.positions, self.scratch, self.normals);
+    }
 }
 
 #[inline(always)]
