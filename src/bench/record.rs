@@ -1,16 +1,27 @@
 //! What recording costs: frames per second and bytes per frame, by detail and destination, beside the payload itself and
-//! a plain `log()` of the same data an entity at a time.
+//! a plain `log()` of the same data an entity at a time; what it costs steps, and what verifying does.
+
+pub mod csv;
+pub mod goals;
+pub mod saving;
+pub mod scenes;
+pub mod table;
+pub mod verifying;
 
 use std::{
-    fmt::Write as _,
-    path::PathBuf,
+    cell::RefCell,
+    collections::HashSet,
+    path::{Path, PathBuf},
     time::{Duration, Instant},
 };
 
 use rerun::{Arrows3D, Mesh3D, RecordingStreamBuilder, Scalars, Transform3D};
 
-use super::machine::Machine;
+use saving::{Saving, Way};
+use verifying::Verifying;
+
 use crate::{
+    recording::read::Reader,
     scene::Scene,
     sim::{BodyForces, Cause, Snapshot, World},
     stream::{
@@ -63,7 +74,9 @@ impl Destination {
 pub struct Measurement {
     /// Name of the scene.
     pub scene: String,
-    /// Whether forces were recorded.
+    /// How many bodies it has.
+    pub bodies: usize,
+    /// How much was recorded.
     pub detail: Detail,
     /// Where to.
     pub destination: Destination,
@@ -77,6 +90,8 @@ pub struct Measurement {
     pub bytes: Option<u64>,
     /// Positions, normals and arrows in it [bytes].
     pub payload: u64,
+    /// How many entities it has.
+    pub entities: Option<usize>,
 }
 
 impl Measurement {
@@ -86,11 +101,43 @@ impl Measurement {
     }
 }
 
+/// What there is besides frames and bytes.
+#[derive(Clone, Debug)]
+pub struct Costs {
+    /// What saving costs steps.
+    pub saving: Vec<Saving>,
+    /// What checksums and replays cost.
+    pub verifying: Verifying,
+}
+
+/// All that was measured.
+#[derive(Clone, Debug, Default)]
+pub struct Report {
+    /// By scene.
+    pub measurements: Vec<Measurement>,
+    /// If they were measured.
+    pub costs: Option<Costs>,
+}
+
+/// Measures what recording costs steps, and what verifying costs; files are written to `folder` and removed again.
+///
+/// # Errors
+/// What went wrong, in words.
+pub fn measure_costs(folder: &Path) -> Result<Costs, String> {
+    let file = file(folder);
+    let saving = Way::ALL.into_iter().map(|way| saving::measure(way, &file)).collect::<Result<_, _>>()?;
+    Ok(Costs { saving, verifying: verifying::measure(&file)? })
+}
+
+fn file(folder: &Path) -> PathBuf {
+    folder.join(format!("meldscope-bench-{}.rrd", std::process::id()))
+}
+
 /// Measures a scene in every way; files are written to `folder` and removed again.
 ///
 /// # Errors
 /// What went wrong, in words.
-pub fn measure(scene: &Scene, folder: &std::path::Path) -> Result<Vec<Measurement>, String> {
+pub fn measure(scene: &Scene, folder: &Path) -> Result<Vec<Measurement>, String> {
     let mut all = Vec::new();
     for detail in [Detail::Surface, Detail::Forces] {
         let bench = Bench::new(scene, detail, folder)?;
@@ -117,10 +164,9 @@ struct Bench<'a> {
 }
 
 impl Bench<'_> {
-    fn new<'a>(scene: &'a Scene, detail: Detail, folder: &std::path::Path) -> Result<Bench<'a>, String> {
+    fn new<'a>(scene: &'a Scene, detail: Detail, folder: &Path) -> Result<Bench<'a>, String> {
         let settings = Settings { detail, ..Settings::of(scene) };
-        let file = folder.join(format!("meldscope-bench-{}.rrd", std::process::id()));
-        let mut bench = Bench { scene, settings, frames: Vec::new(), payload: 0, file };
+        let mut bench = Bench { scene, settings, frames: Vec::new(), payload: 0, file: file(folder) };
         let (mut world, mut kept) = (bench.world()?, 0);
         for _ in 0..scene.steps() {
             world.step();
@@ -173,7 +219,7 @@ impl Bench<'_> {
             Destination::None | Destination::PlainLog => None,
             _ => Some(Sinks::open(&destinations).map_err(|error| error.to_string())?),
         };
-        let (mut frames, mut seconds, mut bytes) = (0, 0.0, None);
+        let (mut frames, mut seconds, mut bytes, mut entities) = (0, 0.0, None, None);
         while seconds < LEAST.as_secs_f64() {
             let mut world = self.world()?;
             let start = Instant::now();
@@ -193,11 +239,12 @@ impl Bench<'_> {
         if let Some(sinks) = sinks {
             let finished = sinks.finish().map_err(|error| error.to_string())?;
             bytes = finished.save.map(|saved| saved.bytes);
+            entities = bytes.map(|_| entities_in(&self.file)).transpose()?;
         }
         std::fs::remove_file(&self.file).ok();
-        let (scene, detail) = (self.scene.name.clone(), self.settings.detail);
+        let (scene, bodies, detail) = (self.scene.name.clone(), self.scene.bodies.len(), self.settings.detail);
         let payload = self.payload * frames / self.frames.len().max(1) as u64;
-        Ok(Measurement { scene, detail, destination, is_simulated, frames, seconds, bytes, payload })
+        Ok(Measurement { scene, bodies, detail, destination, is_simulated, frames, seconds, bytes, payload, entities })
     }
 
     /// As `run` does, until all of it is with the operating system.
@@ -288,48 +335,14 @@ impl Bench<'_> {
     }
 }
 
-/// For people.
-pub fn table(measurements: &[Measurement]) -> String {
-    let mut text = format!(
-        "{:<12} {:<8} {:<18} {:<10} {:>10} {:>12} {:>14} {:>8}\n",
-        "scene", "detail", "destination", "simulated", "frames/s", "bytes/frame", "payload/frame", "ratio"
-    );
-    for measurement in measurements {
-        let frames = measurement.frames as f64;
-        let (bytes, payload) = (measurement.bytes.map(|bytes| bytes as f64), measurement.payload as f64);
-        let _ = writeln!(
-            text,
-            "{:<12} {:<8} {:<18} {:<10} {:>10.0} {:>12} {:>14.0} {:>8}",
-            measurement.scene,
-            detail_name(measurement.detail),
-            measurement.destination.name(),
-            if measurement.is_simulated { "yes" } else { "no" },
-            measurement.rate(),
-            bytes.map_or_else(String::new, |bytes| format!("{:.0}", bytes / frames)),
-            payload / frames,
-            bytes.map_or_else(String::new, |bytes| format!("{:.2}", bytes / payload)),
-        );
-    }
-    text
-}
-
-/// For programs.
-pub fn csv(measurements: &[Measurement], machine: &Machine) -> String {
-    let mut text = "scene,detail,destination,simulated,frames,seconds,bytes,payload_bytes,machine\n".to_owned();
-    for measurement in measurements {
-        let Measurement { scene, detail, destination, is_simulated, frames, seconds, bytes, payload } = measurement;
-        let _ = writeln!(
-            text,
-            "\"{}\",{},\"{}\",{is_simulated},{frames},{seconds},{},{payload},\"{machine}\"",
-            scene.replace('"', "\"\""),
-            detail_name(*detail),
-            destination.name(),
-            bytes.map_or_else(String::new, |bytes| bytes.to_string()),
-        );
-    }
-    text
-}
-
-fn detail_name(detail: Detail) -> &'static str {
-    if detail == Detail::Surface { "surface" } else { "forces" }
+/// How many entities a recording has.
+fn entities_in(file: &Path) -> Result<usize, String> {
+    let entities = RefCell::new(HashSet::new());
+    let note = |entity: &str| {
+        entities.borrow_mut().insert(entity.to_owned());
+        false
+    };
+    let mut reader = Reader::open(file).map_err(|error| error.to_string())?;
+    while reader.next(note).map_err(|error| error.to_string())?.is_some() {}
+    Ok(entities.into_inner().len())
 }

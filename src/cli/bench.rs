@@ -1,5 +1,6 @@
 //! `meldscope bench`: what it costs, and what it is worth.
 
+mod record;
 mod scale;
 
 use std::path::{Path, PathBuf};
@@ -13,7 +14,6 @@ use crate::{
         error::{self, MeasureError, Settings, csv::csv, diagram, table},
         machine::Machine,
         output::Output,
-        record,
         stability::{self, cases::Case, drift, sizes, table as of_stability},
     },
     scene::Integrator,
@@ -33,8 +33,8 @@ enum What {
     Error(ErrorArguments),
     /// Cost against size: scenes of 2 to 100,000 bodies, of which all, one in a hundred or two touch.
     Scale(scale::Arguments),
-    /// What recording costs: frames per second and bytes per frame, by detail and destination.
-    Record(RecordArguments),
+    /// What recording costs: frames per second, bytes per frame, what it takes from steps, what verifying takes.
+    Record(record::Arguments),
     /// A stress sweep: thousands of small scenes at the limits of every setting, by every integrator.
     Stability(StabilityArguments),
 }
@@ -50,19 +50,6 @@ struct ErrorArguments {
     /// Draw the work-precision diagram.
     #[arg(long, value_name = "F.svg")]
     svg: Option<PathBuf>,
-}
-
-#[derive(clap::Args)]
-struct RecordArguments {
-    /// Scene files, or names of built-in scenes (see `meldscope scenes`).
-    #[arg(default_values = ["two", "crowd"])]
-    scene: Vec<String>,
-    /// Write the measurements to a file.
-    #[arg(long, value_name = "F.csv")]
-    csv: Option<PathBuf>,
-    /// Where recordings are written while they are measured [default: the system's place for temporary files].
-    #[arg(long, value_name = "DIR")]
-    folder: Option<PathBuf>,
 }
 
 #[derive(clap::Args)]
@@ -91,7 +78,7 @@ pub fn bench(arguments: Arguments) -> Result<(), Failure> {
     match arguments.what {
         What::Error(arguments) => error(arguments),
         What::Scale(arguments) => scale::scale(arguments),
-        What::Record(arguments) => record(arguments),
+        What::Record(arguments) => record::record(arguments),
         What::Stability(arguments) => stability(arguments),
     }
 }
@@ -127,24 +114,6 @@ fn error(arguments: ErrorArguments) -> Result<(), Failure> {
 
     write(csv_file, || Ok(csv(&reports, &machine)))?;
     write(svg_file, || diagram::svg(&reports, &machine))
-}
-
-fn record(arguments: RecordArguments) -> Result<(), Failure> {
-    let scenes = arguments.scene.iter().map(|name| scene(name)).collect::<Result<Vec<_>, _>>()?;
-    for scene in &scenes {
-        memory::check(scene).map_err(Failure::input)?;
-    }
-    let csv_file = claim(arguments.csv.as_deref())?;
-    let machine = Machine::detect();
-    let folder = arguments.folder.unwrap_or_else(std::env::temp_dir);
-    let mut all = vec![];
-    for scene in &scenes {
-        let measured = record::measure(scene, &folder).map_err(Failure::Run)?;
-        print(&record::table(&measured));
-        all.extend(measured);
-    }
-    print(&machine.at_full_load().to_string());
-    write(csv_file, || Ok(record::csv(&all, &machine)))
 }
 
 fn stability(arguments: StabilityArguments) -> Result<(), Failure> {

@@ -26,6 +26,20 @@ pub enum Detail {
     },
 }
 
+impl Detail {
+    /// All of them, from the least on; every step is looked into.
+    pub const ALL: [Detail; 3] = [Detail::Surface, Detail::Forces, Detail::Stages { from: 0, to: u64::MAX }];
+
+    /// The name on the command line and in recordings.
+    pub fn name(self) -> &'static str {
+        match self {
+            Detail::Surface => "surface",
+            Detail::Forces => "forces",
+            Detail::Stages { .. } => "stages",
+        }
+    }
+}
+
 /// One entity a body, or all bodies in few.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Entities {
@@ -33,6 +47,19 @@ pub enum Entities {
     Body,
     /// `/world/resting/SHAPE` and `/world/deforming`.
     Batch,
+}
+
+impl Entities {
+    /// Both.
+    pub const ALL: [Entities; 2] = [Entities::Body, Entities::Batch];
+
+    /// The name on the command line and in recordings.
+    pub fn name(self) -> &'static str {
+        match self {
+            Entities::Body => "body",
+            Entities::Batch => "batch",
+        }
+    }
 }
 
 /// Which frames are recorded. Properties, checksums and events of all steps are, whichever frames (but a thin recording
@@ -182,11 +209,9 @@ impl Settings {
             skip: table.get("skip").and_then(toml::Value::as_bool).unwrap_or(true),
             every: count("every").filter(|&every| every > 0).unwrap_or(own.every),
             detail: if text("detail") == Some("surface") { Detail::Surface } else { own.detail },
-            entities: match text("entities") {
-                Some("body") => Entities::Body,
-                Some("batch") => Entities::Batch,
-                _ => own.entities,
-            },
+            entities: text("entities")
+                .and_then(|name| Entities::ALL.into_iter().find(|entities| entities.name() == name))
+                .unwrap_or(own.entities),
             frames: match table.get("frames") {
                 Some(toml::Value::String(_)) => Frames::Thin,
                 Some(_) => Frames::Last { most: 1, on: Vec::new() },
@@ -198,18 +223,10 @@ impl Settings {
 
     /// As TOML, for the recording's properties.
     pub fn to_toml(&self) -> String {
-        let detail = match self.detail {
-            Detail::Surface => "surface",
-            Detail::Forces => "forces",
-            Detail::Stages { .. } => "stages",
-        };
+        let (detail, entities) = (self.detail.name(), self.entities.name());
         let stages = match self.detail {
             Detail::Stages { from, to } => format!("stages = [{from}, {to}]\n"),
             Detail::Surface | Detail::Forces => String::new(),
-        };
-        let entities = match self.entities {
-            Entities::Body => "body",
-            Entities::Batch => "batch",
         };
         let frames = match &self.frames {
             Frames::All => String::new(),

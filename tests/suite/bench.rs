@@ -15,9 +15,14 @@ use meldscope::{
         extrapolation,
         machine::Machine,
         output::Output,
+        record::{
+            self,
+            saving::{RATE, Way},
+            scenes,
+        },
         reference::{Accuracy, NoReference, Reference},
     },
-    scene::Integrator,
+    scene::{Integrator, Path as ScenePath},
 };
 
 const SCENES: [&str; 4] = ["push", "two", "three", "size_ratio"];
@@ -442,5 +447,69 @@ fn the_command_refuses_first_and_writes_last() {
     assert_eq!(csv.lines().count(), 1 + 6 * 7 + 9);
     texts_of_well_formed(&std::fs::read_to_string(directory.join("o.svg")).expect("written"));
     assert_eq!(std::fs::read_dir(&directory).expect("a directory").count(), 3);
+    std::fs::remove_dir_all(&directory).ok();
+}
+
+#[test]
+fn a_crowd_is_a_scene_of_so_many_bodies() {
+    for (bodies, expected) in [(1, 0), (2, 0), (47, 1), (1000, 20)] {
+        let scene = Scene::parse(&scenes::crowd(bodies), "crowd").expect("a scene");
+        assert_eq!(scene.bodies.len(), bodies);
+        let moving = scene.bodies.iter().filter(|body| !matches!(body.path, ScenePath::Fixed(_))).count();
+        assert_eq!(moving, expected, "{bodies}");
+    }
+}
+
+#[test]
+fn what_recording_costs_is_measured_and_compared_with_the_goals() {
+    let directory = directory("record");
+    let mut scene = Scene::builtin("two").expect("built in");
+    scene.duration = 2.0;
+    let mut report = record::Report { measurements: record::measure(&scene, &directory).expect("room"), costs: None };
+    assert_eq!(report.measurements.len(), 14);
+    for measured in &report.measurements {
+        assert!(measured.frames >= 120 && measured.rate().is_finite(), "{measured:?}");
+        assert_eq!(measured.entities.is_some(), measured.destination == record::Destination::File, "{measured:?}");
+        assert!(measured.entities.is_none_or(|entities| (20..=60).contains(&entities)), "{measured:?}");
+    }
+    let costs = record::measure_costs(&directory).expect("room");
+    for saving in &costs.saving {
+        assert!(saving.plain > 0.0 && saving.saving > 0.0 && saving.slow_down().is_finite(), "{saving:?}");
+    }
+    let frames = costs.saving[0];
+    assert!(frames.way == Way::Frames && (0.5..=1.1).contains(&(frames.frames / RATE)), "{frames:?}");
+    assert!(costs.verifying.hashing.iter().all(|hashing| hashing.step > 0.0 && hashing.checksum.is_finite()));
+    assert!(costs.verifying.among_many().is_finite() && costs.verifying.replaying.len() == 2, "{costs:?}");
+    report.costs = Some(costs);
+
+    let goals = record::goals::goals(&report);
+    for goal in ["50,000", "15,000", "1.05", "≤ 2 %", "≤ 5 %", "≤ 1.1 ×"] {
+        let stated = goals.iter().find(|stated| stated.goal.contains(goal)).unwrap_or_else(|| panic!("{goal}"));
+        assert!(!stated.measured.contains("NaN") && !stated.measured.contains("inf"), "{stated:?}");
+    }
+    let csv = record::csv::csv(&report.measurements, &Machine::detect());
+    assert_eq!(csv.lines().count(), 15);
+    let columns = fields(csv.lines().next().expect("a heading")).len();
+    assert!(csv.lines().all(|line| fields(line).len() == columns), "{csv}");
+    let text = format!("{}{}", record::table::table(&report.measurements), record::goals::table(&report));
+    assert!(text.contains("gRPC server") && text.contains("slow-down of stepping"), "{text}");
+    assert_eq!(std::fs::read_dir(&directory).expect("a directory").count(), 0, "files are removed again");
+    std::fs::remove_dir_all(&directory).ok();
+}
+
+#[test]
+fn the_crowd_that_is_measured_can_be_written() {
+    let directory = directory("crowd");
+    let run = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
+        let output = command.args(["bench", "record"]).args(arguments).current_dir(&directory).output();
+        output.expect("starts").status.code()
+    };
+    assert_eq!(run(&["--crowd", "70", "--write", "crowd.toml"]), Some(0));
+    assert_eq!(Scene::load(&directory.join("crowd.toml")).expect("a scene").bodies.len(), 70);
+    for wrong in [&["--write", "o.toml"] as &[&str], &["--crowd", "0"], &["--crowd", "9", "--write", "o", "two"]] {
+        assert_eq!(run(wrong), Some(2), "{wrong:?}");
+    }
+    assert_eq!(run(&["nowhere"]), Some(2));
     std::fs::remove_dir_all(&directory).ok();
 }

@@ -4,7 +4,6 @@ use std::{
     fs,
     path::{Path, PathBuf},
     process::Command,
-    time::Instant,
 };
 
 use meldscope::{
@@ -218,36 +217,20 @@ fn replay_usage_errors_have_status_2() {
     assert_eq!(dir.names(), ["a.rrd"]);
 }
 
-/// A verification is the simulation, a checksum a step, and reading those of the recording.
+/// Thousands of steps, whose checksums come in many rows, and hundreds of bodies. (What a replay costs,
+/// `meldscope bench record` measures.)
 #[test]
-fn a_replay_costs_little_more_than_the_simulation() {
+fn long_and_crowded_thin_recordings_are_replayed() {
     let dir = Dir::new();
-    let path = dir.file("cost.rrd");
+    let path = dir.file("thin.rrd");
     // in this one two bodies meet and part every four seconds
     let two = Scene::load(&project().join("tests/reference/two.toml")).expect("a scene");
     let two = Scene { duration: 100.0, ..two };
     for scene in [two, Scene::builtin("crowd").expect("built in")] {
-        let settings = Settings { frames: Frames::Thin, ..Settings::of(&scene) };
-        record(&path, &scene, settings);
-        let mut least = [f64::INFINITY; 3];
-        for _ in 0..10 {
-            let start = Instant::now();
-            let mut world = World::new(scene.clone()).expect("it fits");
-            for _ in 0..scene.steps() {
-                world.step();
-            }
-            let plain = start.elapsed().as_secs_f64();
-            let start = Instant::now();
-            let recorded = Recorded::open(&path).expect("a recording");
-            assert_eq!(replay::verify(&recorded, |_| true).expect("it runs"), Verdict::Identical);
-            let replay = start.elapsed().as_secs_f64();
-            for (least, time) in least.iter_mut().zip([plain, replay, replay / plain]) {
-                *least = least.min(time);
-            }
-        }
-        let [plain, replay, ratio] = least;
-        println!("{}: {:.1} ms, and {:.1} ms to verify it", scene.name, 1e3 * plain, 1e3 * replay);
-        assert!(ratio < 1.2, "{}: {replay} s, {plain} s, {ratio}", scene.name); // seen: below 1.1
+        record(&path, &scene, Settings { frames: Frames::Thin, ..Settings::of(&scene) });
+        let recorded = Recorded::open(&path).expect("a recording");
+        assert_eq!(recorded.last(), scene.steps());
+        assert_eq!(replay::verify(&recorded, |_| true).expect("it runs"), Verdict::Identical, "{}", scene.name);
     }
 }
 

@@ -1,24 +1,7 @@
 //! The goals, and what was measured beside each.
 
-use super::{
-    Point, Report, Run,
-    scenes::Family,
-    swinging::Cause,
-    table::{aligned, number},
-};
-
-/// A goal, and what became of it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Goal {
-    /// Of what.
-    pub what: String,
-    /// In words.
-    pub goal: String,
-    /// In words.
-    pub measured: String,
-    /// Whether it was reached.
-    pub is_met: bool,
-}
+use super::{Point, Report, Run, scenes::Family, swinging::Cause};
+use crate::bench::goals::{Goal, at_least, at_most};
 
 /// Vertex-steps a second that a plain loop over damped oscillators makes from memory on one core of the machine for which the
 /// goals were set: what free oscillation is compared with.
@@ -65,6 +48,12 @@ pub fn goals(report: &Report) -> Vec<Goal> {
     if let Some(point) = report.of(Family::Rest).last().filter(|point| point.bodies >= 1000) {
         goals.push(at_most("memory of a body at rest", 1024.0, " B", point.memory as f64 / point.bodies as f64));
     }
+    for decay in &report.decay {
+        // numbers that are slow to compute with take a hundred times as long: 2 is a choice made here
+        let how = if decay.skip { "" } else { ", nothing skipped" };
+        let what = format!("a scene that decays to nothing{how}: slowest steps against the first");
+        goals.push(at_most(&what, 2.0, " ×", decay.slowest / decay.early));
+    }
     for point in report.of(Family::Contact) {
         let Some(speed_up) = point.speed_up() else { continue };
         let bodies = point.bodies;
@@ -75,30 +64,7 @@ pub fn goals(report: &Report) -> Vec<Goal> {
     goals
 }
 
-fn at_least(what: &str, goal: f64, unit: &str, measured: f64) -> Goal {
-    goal_of(what, "≥", goal, unit, measured, measured >= goal)
-}
-
-fn at_most(what: &str, goal: f64, unit: &str, measured: f64) -> Goal {
-    goal_of(what, "≤", goal, unit, measured, measured <= goal)
-}
-
-fn goal_of(what: &str, relation: &str, goal: f64, unit: &str, measured: f64, is_met: bool) -> Goal {
-    let goal_number = if goal >= 100.0 { number(goal) } else { format!("{goal}") };
-    Goal {
-        what: what.to_owned(),
-        goal: format!("{relation} {goal_number}{unit}"),
-        measured: format!("{}{unit}", number(measured)),
-        is_met,
-    }
-}
-
 /// The goals as a table.
 pub fn table(report: &Report) -> String {
-    let mut rows = vec![["goals", "wanted", "measured", ""].map(str::to_owned)];
-    rows.extend(goals(report).into_iter().map(|goal| {
-        let verdict = if goal.is_met { "met" } else { "missed" };
-        [goal.what, goal.goal, goal.measured, verdict.to_owned()]
-    }));
-    aligned(&rows).join("\n")
+    crate::bench::goals::table(&goals(report))
 }

@@ -1,0 +1,163 @@
+//! What verifying costs: the checksum of a step beside the step, and a replay beside the run.
+
+use std::{hint::black_box, path::Path, time::Instant};
+
+use super::scenes;
+use crate::{
+    Scene, World,
+    recording::{
+        Recorded,
+        replay::{self, Verdict},
+    },
+    stream::{
+        Recorder, Settings,
+        pipeline::send,
+        settings::Frames,
+        sinks::{Destinations, Sinks},
+    },
+};
+
+/// Of so many runs the best counts, as what else the machine does only ever slows them down.
+const RUNS: usize = 20;
+/// So many bodies that have nothing to do with a pair stand beside it.
+const OTHERS: usize = 4000;
+/// What the pushes begin with is over by then; so many steps are measured after that.
+const WARM: u64 = 10;
+const STEPS: u64 = 50;
+
+/// The steps of a scene, and the checksum after each.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Hashing {
+    /// Name of the scene.
+    pub scene: String,
+    /// Time of a step [s].
+    pub step: f64,
+    /// What it takes longer with its checksum [s].
+    pub checksum: f64,
+}
+
+/// A run, and the verification of its thin recording.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Replaying {
+    /// Name of the scene.
+    pub scene: String,
+    /// How many steps.
+    pub steps: u64,
+    /// What simulating takes [s].
+    pub plain: f64,
+    /// What it takes to read the recording, simulate, and compare all checksums [s].
+    pub replay: f64,
+}
+
+impl Replaying {
+    /// Of the two [–].
+    pub fn ratio(&self) -> f64 {
+        self.replay / self.plain
+    }
+}
+
+/// What was measured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Verifying {
+    /// Of some scenes.
+    pub hashing: Vec<Hashing>,
+    /// Time of a checksum of a pair of bodies [s], and of the same among many that have nothing to do with it.
+    pub pair: [f64; 2],
+    /// Of some scenes.
+    pub replaying: Vec<Replaying>,
+}
+
+impl Verifying {
+    /// How many times longer a checksum takes among many bodies [–].
+    pub fn among_many(&self) -> f64 {
+        self.pair[1] / self.pair[0]
+    }
+}
+
+/// Measures all of it on built-in scenes; a recording goes to `file`, which is removed again.
+pub(super) fn measure(file: &Path) -> Result<Verifying, String> {
+    let builtin = |name: &str| Scene::builtin(name).ok_or_else(|| format!("the built-in scene \"{name}\" is missing"));
+    let pair = scenes::pair().map_err(|error| error.to_string())?;
+    let hashing = ["two", "three", "crowd"].map(|name| hash(&builtin(name)?)).into_iter().collect::<Result<_, _>>()?;
+    let replaying =
+        [Ok(pair), builtin("crowd")].map(|scene| replay(scene?, file)).into_iter().collect::<Result<_, _>>()?;
+    Ok(Verifying { hashing, pair: hash_among_many()?, replaying })
+}
+
+fn world(scene: &Scene) -> Result<World, String> {
+    World::new(scene.clone()).map_err(|error| error.to_string())
+}
+
+/// Whole runs, with checksums and without, in turns.
+fn hash(scene: &Scene) -> Result<Hashing, String> {
+    let mut best = [f64::INFINITY; 2];
+    for _ in 0..RUNS {
+        for (hashes, best) in [false, true].into_iter().zip(&mut best) {
+            let mut world = world(scene)?;
+            let start = Instant::now();
+            for _ in 0..scene.steps() {
+                world.step();
+                if hashes {
+                    black_box(world.checksum());
+                }
+            }
+            *best = best.min(start.elapsed().as_secs_f64() / scene.steps() as f64);
+        }
+    }
+    let [step, both] = best;
+    Ok(Hashing { scene: scene.name.clone(), step, checksum: both - step })
+}
+
+/// The checksum alone, step after step.
+fn hash_among_many() -> Result<[f64; 2], String> {
+    let scenes = [0, OTHERS].map(scenes::pair_among);
+    let mut best = [f64::INFINITY; 2];
+    for (scene, best) in scenes.into_iter().zip(&mut best) {
+        let mut world = world(&scene.map_err(|error| error.to_string())?)?;
+        (0..WARM).for_each(|_| _ = world.step());
+        for _ in 0..STEPS {
+            world.step();
+            let start = Instant::now();
+            black_box(world.checksum());
+            *best = best.min(start.elapsed().as_secs_f64());
+        }
+    }
+    Ok(best)
+}
+
+fn replay(scene: Scene, file: &Path) -> Result<Replaying, String> {
+    record_thinly(&scene, file)?;
+    let (mut plain, mut replay) = (f64::INFINITY, f64::INFINITY);
+    for _ in 0..RUNS / 2 {
+        let start = Instant::now();
+        let mut world = world(&scene)?;
+        (0..scene.steps()).for_each(|_| _ = world.step());
+        plain = plain.min(start.elapsed().as_secs_f64());
+        let start = Instant::now();
+        let recorded = Recorded::open(file).map_err(|error| error.to_string())?;
+        let verdict = replay::verify(&recorded, |_| true).map_err(|error| error.to_string())?;
+        replay = replay.min(start.elapsed().as_secs_f64());
+        if verdict != Verdict::Identical {
+            return Err(format!(
+                "a replay of {} is not what was recorded; this is a bug, please report it",
+                scene.name
+            ));
+        }
+    }
+    std::fs::remove_file(file).ok();
+    Ok(Replaying { steps: scene.steps(), scene: scene.name, plain, replay })
+}
+
+fn record_thinly(scene: &Scene, file: &Path) -> Result<(), String> {
+    let destinations = Destinations { save: Some(file.to_owned()), ..Destinations::default() };
+    let mut sinks = Sinks::open(&destinations).map_err(|error| error.to_string())?;
+    let mut world = world(scene)?;
+    let mut recorder = Recorder::new(&world, Settings { frames: Frames::Thin, ..Settings::of(scene) });
+    for _ in 0..scene.steps() {
+        world.step();
+        recorder.observe(&world);
+    }
+    recorder.finish(&world);
+    send(&mut sinks, recorder.take()).map_or(Ok(()), Err)?;
+    sinks.finish().map(drop).map_err(|error| error.to_string())
+}

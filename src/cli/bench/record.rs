@@ -1,0 +1,68 @@
+//! `meldscope bench record`.
+
+use std::path::PathBuf;
+
+use super::{super::run::scene, Failure, claim, print, write};
+use crate::{
+    Scene,
+    bench::{
+        machine::Machine,
+        record::{self, Report, csv::csv, goals, scenes::crowd, table},
+    },
+    sim::memory,
+};
+
+/// What is measured if nothing is named.
+const SCENES: [&str; 2] = ["two", "crowd"];
+const CROWD: u32 = 1000;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Scene files, or names of built-in scenes [default: two, crowd, a crowd of 1000, and what there is besides scenes:
+    /// what saving takes from steps, what checksums and replays take].
+    scene: Vec<String>,
+    /// A crowd of so many bodies as well.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    crowd: Option<u32>,
+    /// Write the scene of that crowd to a file, for `meldscope run`, and measure nothing.
+    #[arg(long, value_name = "F.toml", requires = "crowd", conflicts_with_all = ["scene", "csv", "folder"])]
+    write: Option<PathBuf>,
+    /// Write frames and bytes to a file.
+    #[arg(long, value_name = "F.csv")]
+    csv: Option<PathBuf>,
+    /// Where recordings are written while they are measured [default: the system's place for temporary files].
+    #[arg(long, value_name = "DIR")]
+    folder: Option<PathBuf>,
+}
+
+pub fn record(arguments: Arguments) -> Result<(), Failure> {
+    if let (Some(path), Some(bodies)) = (&arguments.write, arguments.crowd) {
+        return write(claim(Some(path))?, || Ok(crowd(bodies as usize)));
+    }
+    let has_all = arguments.scene.is_empty() && arguments.crowd.is_none();
+    let named = if has_all { SCENES.map(str::to_owned).to_vec() } else { arguments.scene };
+    let mut scenes = named.iter().map(|name| scene(name)).collect::<Result<Vec<_>, _>>()?;
+    if let Some(bodies) = arguments.crowd.or(has_all.then_some(CROWD)) {
+        scenes.push(Scene::parse(&crowd(bodies as usize), "crowd").map_err(Failure::input)?);
+    }
+    for scene in &scenes {
+        memory::check(scene).map_err(Failure::input)?;
+    }
+    let csv_file = claim(arguments.csv.as_deref())?;
+    let machine = Machine::detect();
+    let folder = arguments.folder.unwrap_or_else(std::env::temp_dir);
+    let mut report = Report::default();
+    for scene in &scenes {
+        let measured = record::measure(scene, &folder).map_err(Failure::Run)?;
+        print(&format!("{}\n", table::table(&measured)));
+        report.measurements.extend(measured);
+    }
+    if has_all {
+        let costs = record::measure_costs(&folder).map_err(Failure::Run)?;
+        print(&format!("{}\n", table::costs(&costs)));
+        report.costs = Some(costs);
+    }
+    print(&format!("{}\n", goals::table(&report)));
+    print(&machine.at_full_load().to_string());
+    write(csv_file, || Ok(csv(&report.measurements, &machine)))
+}
