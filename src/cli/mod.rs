@@ -12,7 +12,10 @@ mod scenes;
 
 use std::{fmt, io::Write, process::ExitCode};
 
-use clap::{Parser, Subcommand};
+use clap::{
+    Parser, Subcommand,
+    builder::{PossibleValuesParser, TypedValueParser},
+};
 
 /// A visual debugger for soft bodies that merge and split.
 ///
@@ -95,6 +98,15 @@ fn print(line: &str) {
 /// A line on standard error.
 fn say(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// An argument that is one of these by its name; the help lists them.
+fn one_of<T: Copy + Send + Sync + 'static>(
+    all: &'static [T],
+    name: fn(T) -> &'static str,
+) -> impl TypedValueParser<Value = T> {
+    let names = PossibleValuesParser::new(all.iter().map(|&one| name(one)));
+    names.try_map(move |text| all.iter().copied().find(|&one| name(one) == text).ok_or("there is none of that name"))
 }
 
 /// Whether two paths lead to one file.

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use super::{
-    Failure, print,
-    run::{DetailName, parse_integrator, parse_step, parse_tolerance, sink_failure},
+    Failure, one_of, print,
+    run::{parse_integrator, parse_step, parse_tolerance, sink_failure},
     same_file, say, vector,
 };
 use crate::{
@@ -19,7 +19,7 @@ use crate::{
         Recorder, machine,
         pipeline::send,
         recorder::describe,
-        settings::{Frames, Settings},
+        settings::{Detail, Frames, Settings},
         sinks::{Destinations, Sinks, thousands},
     },
 };
@@ -41,8 +41,8 @@ pub struct Arguments {
     #[arg(long, value_name = "STEP", requires = "save")]
     to: Option<u64>,
     /// How much to record of a frame.
-    #[arg(long, default_value = "forces", requires = "save")]
-    detail: DetailName,
+    #[arg(long, default_value = Detail::Forces.name(), value_parser = one_of(&Detail::ALL, Detail::name), requires = "save")]
+    detail: Detail,
     /// Accept a recording that is cut short, as that of a killed run is [default for F.rrd.partial].
     #[arg(long)]
     partial: bool,
@@ -257,14 +257,14 @@ impl Saver {
         let own = Settings::of(scene);
         // a step is looked into from the one before it
         let steps = match arguments.detail {
-            DetailName::Stages => steps.start().saturating_sub(1)..=*steps.end(),
-            DetailName::Surface | DetailName::Forces => steps,
+            Detail::Stages { .. } => steps.start().saturating_sub(1)..=*steps.end(),
+            Detail::Surface | Detail::Forces => steps,
         };
         let settings = Settings {
             steps: Some(*steps.end()),
             every: 1,
             skip: settings.skip,
-            detail: arguments.detail.into(),
+            detail: arguments.detail,
             frames: Frames::All,
             entities: settings.entities,
             ..own

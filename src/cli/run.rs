@@ -10,7 +10,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{Failure, print, say};
+use super::{Failure, one_of, print, say};
 use crate::{
     scene::{Integrator, Scene, builtin, parse::did_you_mean},
     sim::{Event, Options, World, memory},
@@ -79,8 +79,8 @@ pub struct Arguments {
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
     every: u64,
     /// How much to record of a frame.
-    #[arg(long, default_value = "forces")]
-    detail: DetailName,
+    #[arg(long, default_value = Detail::Forces.name(), value_parser = one_of(&Detail::ALL, Detail::name))]
+    detail: Detail,
     /// The first step that --detail stages looks into [default: the first].
     #[arg(long, value_name = "STEP")]
     from: Option<u64>,
@@ -88,8 +88,8 @@ pub struct Arguments {
     #[arg(long, value_name = "STEP")]
     to: Option<u64>,
     /// One entity a body, or all bodies in a few [default: batch beyond 64 bodies].
-    #[arg(long)]
-    entities: Option<EntitiesName>,
+    #[arg(long, value_parser = one_of(&Entities::ALL, Entities::name))]
+    entities: Option<Entities>,
     /// So many pairs at most have plots, lanes and lines of their own: of those within reach the closest.
     #[arg(long, value_name = "N", default_value_t = MOST_PAIRS as u64, value_parser = clap::value_parser!(u64).range(..=1000))]
     pairs: u64,
@@ -100,8 +100,9 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     keep: Option<u64>,
     /// Write what --keep holds whenever one of these happens, instead of at the end.
-    #[arg(long, requires = "keep", value_delimiter = ',', value_name = "merge,split,core,diverge")]
-    on: Vec<TriggerName>,
+    #[arg(long, requires = "keep", value_delimiter = ',', value_name = "merge,split,core,diverge",
+          value_parser = one_of(&Trigger::ALL, Trigger::name))]
+    on: Vec<Trigger>,
     /// Do not simulate faster than real time.
     #[arg(long)]
     realtime: bool,
@@ -109,8 +110,8 @@ pub struct Arguments {
     #[arg(long, conflicts_with_all = ["save", "stdout"])]
     watch: bool,
     /// The tab with which the viewer opens.
-    #[arg(long, default_value = "scene", help_heading = "Destinations")]
-    tab: TabName,
+    #[arg(long, default_value = Tab::Scene.name(), value_parser = one_of(&Tab::ALL, Tab::name), help_heading = "Destinations")]
+    tab: Tab,
     /// Threads to use [default: as many as there are cores].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
@@ -120,74 +121,6 @@ pub struct Arguments {
     /// Print errors only.
     #[arg(long)]
     quiet: bool,
-}
-
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum TriggerName {
-    Merge,
-    Split,
-    Core,
-    Diverge,
-}
-
-impl From<TriggerName> for Trigger {
-    fn from(name: TriggerName) -> Trigger {
-        match name {
-            TriggerName::Merge => Trigger::Merge,
-            TriggerName::Split => Trigger::Split,
-            TriggerName::Core => Trigger::Core,
-            TriggerName::Diverge => Trigger::Diverge,
-        }
-    }
-}
-
-/// As `--detail` has it.
-#[derive(Clone, Copy, clap::ValueEnum)]
-pub(super) enum DetailName {
-    Surface,
-    Forces,
-    Stages,
-}
-
-impl From<DetailName> for Detail {
-    fn from(name: DetailName) -> Detail {
-        match name {
-            DetailName::Surface => Detail::Surface,
-            DetailName::Forces => Detail::Forces,
-            DetailName::Stages => Detail::Stages { from: 0, to: u64::MAX },
-        }
-    }
-}
-
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum TabName {
-    Scene,
-    Forces,
-    Displacement,
-    Pairs,
-    Timings,
-    Energy,
-    Stages,
-}
-
-impl From<TabName> for Tab {
-    fn from(name: TabName) -> Tab {
-        match name {
-            TabName::Scene => Tab::Scene,
-            TabName::Forces => Tab::Forces,
-            TabName::Displacement => Tab::Displacement,
-            TabName::Pairs => Tab::Pairs,
-            TabName::Timings => Tab::Timings,
-            TabName::Energy => Tab::Energy,
-            TabName::Stages => Tab::Stages,
-        }
-    }
-}
-
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum EntitiesName {
-    Body,
-    Batch,
 }
 
 pub(super) fn parse_integrator(text: &str) -> Result<Integrator, String> {
@@ -255,7 +188,7 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
         _ if arguments.watch && !Path::new(&arguments.scene).is_file() => {
             refuse(&format!("--watch waits for a file to change, and there is none of the name {:?}", arguments.scene))
         }
-        DetailName::Surface | DetailName::Forces if has_range => {
+        Detail::Surface | Detail::Forces if has_range => {
             refuse("--from and --to say which steps --detail stages looks into: add that")
         }
         _ if arguments.from > arguments.to && arguments.to.is_some() => refuse("--from is after --to"),
@@ -333,7 +266,7 @@ fn simulate(
     // what it takes to run it again comes before everything else: a run may be killed at once
     let mut first = recorder.take();
     let rest = first.split_off(Recorder::HEAD.min(first.len()));
-    let layout = recorder.blueprint_at(&world, arguments.tab.into());
+    let layout = recorder.blueprint_at(&world, arguments.tab);
     let mut failure = send(&mut sinks, first.into_iter().chain(layout).chain(rest));
     if arguments.save.is_some() && !is_live {
         // what the recording is of is in the file before anything can happen to the run
@@ -492,20 +425,16 @@ fn settings(arguments: &Arguments, scene: &Scene) -> Settings {
         },
         skip: !arguments.no_skip,
         every: arguments.every,
-        detail: match arguments.detail.into() {
+        detail: match arguments.detail {
             Detail::Stages { from, to } => {
                 Detail::Stages { from: arguments.from.unwrap_or(from), to: arguments.to.unwrap_or(to) }
             }
             detail => detail,
         },
-        entities: match arguments.entities {
-            None => own.entities,
-            Some(EntitiesName::Body) => Entities::Body,
-            Some(EntitiesName::Batch) => Entities::Batch,
-        },
+        entities: arguments.entities.unwrap_or(own.entities),
         frames: match (arguments.thin, arguments.keep) {
             (true, _) => Frames::Thin,
-            (false, Some(most)) => Frames::Last { most, on: arguments.on.iter().map(|&name| name.into()).collect() },
+            (false, Some(most)) => Frames::Last { most, on: arguments.on.clone() },
             (false, None) => own.frames,
         },
         pairs: arguments.pairs as usize,

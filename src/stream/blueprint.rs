@@ -99,6 +99,25 @@ pub enum Tab {
     Stages,
 }
 
+impl Tab {
+    /// All of them, in the viewer's order.
+    pub const ALL: [Tab; 7] =
+        [Tab::Scene, Tab::Forces, Tab::Displacement, Tab::Pairs, Tab::Timings, Tab::Energy, Tab::Stages];
+
+    /// The name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Tab::Scene => "scene",
+            Tab::Forces => "forces",
+            Tab::Displacement => "displacement",
+            Tab::Pairs => "pairs",
+            Tab::Timings => "timings",
+            Tab::Energy => "energy",
+            Tab::Stages => "stages",
+        }
+    }
+}
+
 /// What a visualizer takes for one of its components.
 #[derive(Clone, Copy)]
 struct Mapping {

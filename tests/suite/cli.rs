@@ -856,3 +856,19 @@ fn memory_stays_bounded_over_a_hundred_thousand_frames() {
     // the file's footer takes some of it
     assert!(first > 0 && most < first + (48 << 10), "{first} kB, then {most} kB");
 }
+
+/// What the help offers is what the recorder knows.
+#[test]
+fn the_help_lists_the_names_that_are_taken() {
+    let help = |command: &str| {
+        let output = Command::new(env!("CARGO_BIN_EXE_meldscope")).args([command, "--help"]).output().expect("starts");
+        String::from_utf8(output.stdout).expect("text")
+    };
+    let details = "[possible values: surface, forces, stages]";
+    let run = help("run");
+    for values in [details, "body, batch]", "scene, forces, displacement, pairs, timings, energy, stages]"] {
+        assert!(run.contains(values), "{values}: {run}");
+    }
+    assert!(run.contains("[possible values: merge, split, core, diverge]"), "{run}");
+    assert!(help("replay").contains(details));
+}
