@@ -78,7 +78,7 @@ pub struct Arguments {
     /// Record every Nth step.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
     every: u64,
-    /// How much to record of a frame.
+    /// How much to record of a frame; stages, the inside of steps, goes neither with --thin nor with --keep.
     #[arg(long, default_value = Detail::Forces.name(), value_parser = one_of(&Detail::ALL, Detail::name))]
     detail: Detail,
     /// The first step that --detail stages looks into [default: the first].
@@ -192,6 +192,10 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
             refuse("--from and --to say which steps --detail stages looks into: add that")
         }
         _ if arguments.from > arguments.to && arguments.to.is_some() => refuse("--from is after --to"),
+        Detail::Stages { .. } if arguments.keep.is_some() => refuse(
+            "--detail stages looks into steps, and --keep holds frames only: leave one of them out, and look into the steps in \
+             question afterwards (`meldscope replay F.rrd --save G.rrd --from STEP --to STEP --detail stages`)",
+        ),
         _ => Ok(()),
     }
 }

@@ -211,6 +211,7 @@ fn replay_usage_errors_have_status_2() {
         &["run", "push", "--keep", "0"],
         &["run", "push", "--on", "merge"],
         &["run", "push", "--keep", "2", "--on", "lunch"],
+        &["run", "push", "--thin", "--detail", "stages"],
     ] {
         fails(&dir, 2, arguments);
     }
@@ -262,6 +263,20 @@ fn a_flight_recorder_holds_the_frames_before_what_happens() {
     assert_eq!(end.held("/world/bodies/a/surface", [297, 300]), all.held("/world/bodies/a/surface", [297, 300]));
     let said = succeeds(&dir, &["run", "three", "--keep", "3", "--on", "merge,split", "--save", "three.rrd"]);
     assert!(said.contains("saved three.rrd: 13 frames"), "each window once: steps 80, 81, 170, 178, 185: {said}");
+}
+
+/// Stages are of steps, and a flight recorder holds frames.
+#[test]
+fn a_flight_recorder_refuses_stages_and_says_how_to_get_them() {
+    let dir = Dir::new();
+    let said = fails(&dir, 2, &["run", "two", "--keep", "10", "--on", "split", "--detail", "stages"]);
+    assert!(said.contains("--keep") && said.contains("meldscope replay F.rrd --save G.rrd --from STEP"), "{said}");
+    assert!(dir.names().is_empty());
+    // as it says
+    succeeds(&dir, &["run", "two", "--keep", "10", "--on", "split", "--save", "split.rrd"]);
+    let range = ["--from", "198", "--to", "199", "--detail", "stages"];
+    succeeds(&dir, &[&["replay", "split.rrd", "--save", "inside.rrd"] as &[_], &range].concat());
+    assert!(Recording::open(&dir.file("inside.rrd")).entities().contains(&"/stages".into()));
 }
 
 // ---- check ---------------------------------------------------------------------------------------------------------
