@@ -16,7 +16,9 @@ use crate::{
     scene::{Integrator, Scene},
     sim::{World, memory},
     stream::{
-        Recorder, machine,
+        Recorder,
+        blueprint::Tab,
+        machine,
         pipeline::send,
         recorder::describe,
         settings::{Detail, Frames, Settings},
@@ -296,7 +298,8 @@ impl Saver {
             && let Some(recorder) = &mut self.recorder
         {
             recorder.finish(world);
-            self.failure = self.failure.take().or(send(sinks, recorder.take()));
+            let layout = recorder.measured_layout(world, Tab::Scene);
+            self.failure = self.failure.take().or(send(sinks, recorder.take().into_iter().chain(layout)));
         }
         self.failure.is_none()
     }

@@ -17,9 +17,10 @@ use crate::{
     stream::{
         Pipeline, Recorder,
         blueprint::Tab,
+        chunks::Audience,
         pipeline::{Recorded, send},
         recorder::describe,
-        settings::{Detail, Entities, Frames, MOST_PAIRS, Settings, Trigger, file_stem},
+        settings::{Detail, Entities, Frames, Settings, Trigger, file_stem},
         sinks::{Destinations, Finished, Serve, SinkError, Sinks, Spawn, thousands},
     },
 };
@@ -90,9 +91,10 @@ pub struct Arguments {
     /// One entity a body, or all bodies in a few [default: batch beyond 64 bodies].
     #[arg(long, value_parser = one_of(&Entities::ALL, Entities::name))]
     entities: Option<Entities>,
-    /// So many pairs at most have plots, lanes and lines of their own: of those within reach the closest.
-    #[arg(long, value_name = "N", default_value_t = MOST_PAIRS as u64, value_parser = clap::value_parser!(u64).range(..=1000))]
-    pairs: u64,
+    /// So many pairs at most have plots, lanes and lines of their own: of those within reach the closest [default: 16, or 5
+    /// of more than 64 bodies].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(..=1000))]
+    pairs: Option<u64>,
     /// Record the scene and checksums only: some ten bytes a step, from which `replay --save` makes the rest.
     #[arg(long, conflicts_with_all = ["every", "detail", "entities", "keep"])]
     thin: bool,
@@ -310,6 +312,9 @@ fn simulate(
     let seconds = start.elapsed().as_secs_f64();
     recorder.finish(&world);
     let failure = failure.or(recording).or(send(&mut sinks, recorder.take()));
+    let layout = recorder.measured_layout(&world, arguments.tab);
+    let unsent = layout.into_iter().find_map(|message| sinks.send_to(Audience::Files, message).err());
+    let failure = failure.or(unsent.map(|error| error.to_string()));
     notes.append(&mut sinks.notes());
     console.progress(world.steps_taken(), notes);
     Ok(Simulated { frames: recorder.written(), world, settings, sinks, events, seconds, failure, next })
@@ -441,7 +446,7 @@ fn settings(arguments: &Arguments, scene: &Scene) -> Settings {
             (false, Some(most)) => Frames::Last { most, on: arguments.on.clone() },
             (false, None) => own.frames,
         },
-        pairs: arguments.pairs as usize,
+        pairs: arguments.pairs.map_or(own.pairs, |pairs| pairs as usize),
         ..own
     }
 }

@@ -32,31 +32,47 @@ use super::{
     palette,
     parts::{
         forces,
-        numbers::{LAG, SPEED, TIMINGS},
+        numbers::{LAG, SPEED, TIMINGS, Typical},
         vertices::HOTTEST,
     },
     settings::{Detail, Entities, Frames, Settings, arrow_scale},
 };
 use crate::{
     model::phase::Phase,
-    scene::Scene,
+    scene::{Path, Scene},
     sim::{Cause, World},
 };
 
 /// The messages that bring the layout for `recording` and make it the active one.
 pub fn messages(world: &World, settings: &Settings, tab: Tab, recording: &StoreId) -> Vec<LogMsg> {
-    let id = format!("blueprint-{}", recording.recording_id().as_str());
-    let store = StoreId::new(StoreKind::Blueprint, recording.application_id().clone(), id);
-    let mut layout = Layout { chunks: Chunks::new(store.clone()), next_id: 0 };
+    let mut layout = Layout::of(recording);
     let root = layout.root(world.scene(), settings, tab);
-    layout.finish(root, store)
+    layout.finish(root)
+}
+
+/// What changes of those messages when it is known what stages usually take: plots of times leave out what is rare.
+pub fn ranges(world: &World, settings: &Settings, tab: Tab, recording: &StoreId, typical: &Typical) -> Vec<LogMsg> {
+    /// So much higher than what is typical is a plot.
+    const HEADROOM: f64 = 1.3;
+
+    let mut layout = Layout::of(recording);
+    let root = layout.root(world.scene(), settings, tab);
+    layout.finish(root); // sent before; what follows is numbered after it
+    for (plot, stages) in std::mem::take(&mut layout.timings) {
+        let shown = TIMINGS.iter().zip(typical).filter(|(stage, _)| stages.contains(*stage));
+        let highest = shown.filter_map(|(_, typical)| *typical).fold(0.0, f64::max);
+        if highest > 0.0 {
+            let axis = ScalarAxis::new().with_range(Range1D::new(-0.02 * highest, HEADROOM * highest));
+            layout.log(&format!("{plot}/ScalarAxis"), &axis);
+        }
+    }
+    let messages = layout.chunks.take();
+    if messages.is_empty() { messages } else { layout.activate(messages) }
 }
 
 /// The same for a recording of two runs side by side: surfaces and error arrows, differences over time, what happened.
 pub fn of_comparison(scene: &Scene, recording: &StoreId) -> Vec<LogMsg> {
-    let id = format!("blueprint-{}", recording.recording_id().as_str());
-    let store = StoreId::new(StoreKind::Blueprint, recording.application_id().clone(), id);
-    let mut layout = Layout { chunks: Chunks::new(store.clone()), next_id: 0 };
+    let mut layout = Layout::of(recording);
     let (camera, grid) = (camera(scene), LineGrid3D::new().with_visible(false));
     let background = Background::new(BackgroundKind::SolidColor).with_color(palette::color(palette::BACKGROUND));
     let properties: [(&str, &dyn AsComponents); 3] =
@@ -71,8 +87,11 @@ pub fn of_comparison(scene: &Scene, recording: &StoreId) -> Vec<LogMsg> {
     let events = layout.lines("Events", "/events");
     let right = layout.container(ContainerKind::Vertical, "Differences", vec![plot, events], &[1.5, 1.0]);
     let root = layout.container(ContainerKind::Horizontal, "meldscope", vec![left, right], &[1.6, 1.0]);
-    layout.finish(root, store)
+    layout.finish(root)
 }
+
+/// Surfaces of more bodies than this look in views of forces as they do elsewhere.
+const MOST_SHEER: usize = 16;
 
 /// A container or a view that has been logged.
 struct Part {
@@ -118,6 +137,12 @@ impl Tab {
     }
 }
 
+/// The stages of the plots in the tab of timings.
+const SIMULATING: &[&str] = TIMINGS.split_at(3).0;
+const STEPPING: &[&str] = TIMINGS.split_at(4).0;
+const OBSERVING: &[&str] = TIMINGS.split_at(3).1.split_at(2).0;
+const RECORDING: &[&str] = TIMINGS.split_at(5).1;
+
 /// What a visualizer takes for one of its components.
 #[derive(Clone, Copy)]
 struct Mapping {
@@ -128,11 +153,20 @@ struct Mapping {
 struct Layout {
     chunks: Chunks,
     next_id: u64,
+    /// The plots of times, and which.
+    timings: Vec<(String, &'static [&'static str])>,
 }
 
 impl Layout {
+    /// For a recording, with nothing in it.
+    fn of(recording: &StoreId) -> Layout {
+        let id = format!("blueprint-{}", recording.recording_id().as_str());
+        let store = StoreId::new(StoreKind::Blueprint, recording.application_id().clone(), id);
+        Layout { chunks: Chunks::new(store), next_id: 0, timings: Vec::new() }
+    }
+
     /// Makes `root` the whole window.
-    fn finish(mut self, root: Part, store: StoreId) -> Vec<LogMsg> {
+    fn finish(&mut self, root: Part) -> Vec<LogMsg> {
         self.log(
             "viewport",
             &ViewportBlueprint::new().with_root_container(root.id).with_auto_layout(false).with_auto_views(false),
@@ -142,8 +176,13 @@ impl Layout {
         }
         self.log("time_panel", &TimePanelBlueprint::new().with_state(PanelState::Collapsed).with_timeline("sim_time"));
 
-        let mut messages = self.chunks.take();
-        let activate = BlueprintActivationCommand { blueprint_id: store, make_active: true, make_default: true };
+        let messages = self.chunks.take();
+        self.activate(messages)
+    }
+
+    fn activate(&self, mut messages: Vec<LogMsg>) -> Vec<LogMsg> {
+        let blueprint_id = self.chunks.store().clone();
+        let activate = BlueprintActivationCommand { blueprint_id, make_active: true, make_default: true };
         messages.push(LogMsg::BlueprintActivationCommand(activate));
         messages
     }
@@ -151,15 +190,14 @@ impl Layout {
     fn root(&mut self, scene: &Scene, settings: &Settings, front: Tab) -> Part {
         let mut tabs = vec![(Tab::Scene, self.scene_tab(scene, settings))];
         if settings.detail != Detail::Surface {
-            tabs.push((Tab::Forces, self.forces_tab(scene)));
+            tabs.push((Tab::Forces, self.forces_tab(scene, settings)));
             tabs.push((Tab::Displacement, self.displacement_tab(scene, settings)));
         }
         if scene.bodies.len() > 1 {
             let parts = self.pair_views(scene);
             tabs.push((Tab::Pairs, self.container(ContainerKind::Vertical, "Pairs", parts, &[2.0, 1.0, 0.8])));
         }
-        let timings = vec![self.timings(), self.speed()];
-        tabs.push((Tab::Timings, self.container(ContainerKind::Vertical, "Timings", timings, &[2.0, 1.0])));
+        tabs.push((Tab::Timings, self.timings_tab()));
         let plots = self.diagnostics();
         tabs.push((Tab::Energy, self.container(ContainerKind::Vertical, "Energy", plots, &[1.0; 4])));
         if matches!(settings.detail, Detail::Stages { .. }) {
@@ -206,8 +244,11 @@ impl Layout {
         self.container(ContainerKind::Horizontal, "Scene", vec![left, right], &[1.6, 1.0])
     }
 
-    /// A view a cause, of those that the scene can have, all from the same side.
-    fn forces_tab(&mut self, scene: &Scene) -> Part {
+    /// A view a cause, of those that the scene can have, all from the same side: from there each is turned by itself, as
+    /// Rerun 0.36 has a camera for every view and nothing that ties two together.
+    fn forces_tab(&mut self, scene: &Scene, settings: &Settings) -> Part {
+        const WHITE: palette::Rgb = [0xFF; 3];
+        let camera = close_camera(scene);
         let has = |cause: Cause| match cause {
             Cause::Attraction | Cause::Repulsion => scene.bodies.len() > 1,
             Cause::Core => scene.bodies.len() > 1 && scene.thresholds.core_at > 0.0,
@@ -220,7 +261,16 @@ impl Layout {
             .map(|cause| {
                 let arrows = format!("+ {}", forces::entity(cause));
                 let contents = ["+ /world/bodies/**", "+ /world/deforming/**", arrows.as_str()];
-                self.space(scene, cause_title(cause), &contents)
+                let view = self.space(&camera, cause_title(cause), &contents);
+                if scene.bodies.len() <= MOST_SHEER || settings.entities == Entities::Batch {
+                    for (index, surface) in surfaces(scene, settings).into_iter().enumerate() {
+                        // a batch has a colour for each vertex
+                        let rgb = if settings.entities == Entities::Batch { WHITE } else { palette::body(index) };
+                        let sheer = Mesh3D::update_fields().with_albedo_factor(palette::sheer(rgb));
+                        self.visualize(&view, &surface, &[("Mesh3D", None, &sheer)]);
+                    }
+                }
+                view
             })
             .collect();
         self.grid("Forces", views, 3)
@@ -232,17 +282,13 @@ impl Layout {
             "Displacement: purple 0, green {}, yellow {HOTTEST} radii and more; select a vertex to see its numbers",
             0.6 * HOTTEST
         );
-        let view = self.space(scene, &title, &["+ /world/bodies/**", "+ /world/deforming/**"]);
+        let view = self.space(&close_camera(scene), &title, &["+ /world/bodies/**", "+ /world/deforming/**"]);
         let heat = Mapping { target: "Mesh3D:vertex_colors", source: "Points3D:colors" };
         let positions = Mapping { target: "Points3D:positions", source: "Mesh3D:vertex_positions" };
         let opaque = Mesh3D::update_fields().with_albedo_factor(rerun::Rgba32::WHITE);
         let dots = Points3D::update_fields().with_radii([rerun::Radius::new_ui_points(2.5)]);
-        let surfaces: Vec<String> = match settings.entities {
-            Entities::Body => scene.bodies.iter().map(|body| format!("world/bodies/{}/surface", body.name)).collect(),
-            Entities::Batch => vec!["world/deforming/surface".to_owned()],
-        };
-        for surface in surfaces {
-            self.visualize(&view, &surface, &[("Mesh3D", heat, &opaque), ("Points3D", positions, &dots)]);
+        for surface in surfaces(scene, settings) {
+            self.visualize(&view, &surface, &[("Mesh3D", Some(heat), &opaque), ("Points3D", Some(positions), &dots)]);
         }
         self.container(ContainerKind::Vertical, "Displacement", vec![view], &[])
     }
@@ -264,10 +310,30 @@ impl Layout {
         vec![distances, phases, events]
     }
 
+    /// What it costs, apart: each of these has an order of magnitude of its own.
+    fn timings_tab(&mut self) -> Part {
+        let left = vec![
+            self.times("Timings, ms per step: simulating", SIMULATING),
+            self.times("Timings, ms per step: observing, and waiting for the recording", OBSERVING),
+        ];
+        let right =
+            vec![self.times("Timings, ms per step: recording, on a thread of its own", RECORDING), self.speed()];
+        let left = self.container(ContainerKind::Vertical, "The simulation's time", left, &[1.0, 1.0]);
+        let right = self.container(ContainerKind::Vertical, "Beside it", right, &[1.0, 1.0]);
+        self.container(ContainerKind::Horizontal, "Timings", vec![left, right], &[1.0, 1.0])
+    }
+
+    /// What the thread that steps does.
     fn timings(&mut self) -> Part {
-        let contents: Vec<String> = TIMINGS.iter().map(|stage| format!("+ /timings/{stage}")).collect();
+        self.times("Timings, ms per step", STEPPING)
+    }
+
+    fn times(&mut self, name: &str, stages: &'static [&'static str]) -> Part {
+        let contents: Vec<String> = stages.iter().map(|stage| format!("+ /timings/{stage}")).collect();
         let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
-        self.plot("Timings, ms per step", "/timings", &contents, Corner2D::LeftTop)
+        let plot = self.plot(name, "/timings", &contents, Corner2D::LeftTop);
+        self.timings.push((plot.path.clone(), stages));
+        plot
     }
 
     fn speed(&mut self) -> Part {
@@ -296,43 +362,49 @@ impl Layout {
 
     /// Everything in space, with those forces that make bodies merge and split.
     fn scene_view(&mut self, scene: &Scene, name: &str, settings: &Settings) -> Part {
-        let view = self.space(scene, name, &["+ /world/**"]);
+        let view = self.space(&camera(scene), name, &["+ /world/**"]);
+        let mut hide = |entity: &str| {
+            let path = format!("{}/ViewContents/overrides{entity}/visualizers", view.path);
+            self.log(&path, &EntityBehavior::new().with_visible(false));
+        };
+        if settings.entities == Entities::Batch {
+            hide("/world/influence"); // those that reach somebody are with the pairs
+        }
         if settings.detail != Detail::Surface {
             // the others are one click away in the view's entity list
             for cause in [Cause::Restoring, Cause::Damping, Cause::Push, Cause::Carry, Cause::Net] {
                 if cause == Cause::Push && !scene.pushes.is_empty() {
                     continue;
                 }
-                let path = format!("{}/ViewContents/overrides/world/forces/{}/visualizers", view.path, cause.name());
-                self.log(&path, &EntityBehavior::new().with_visible(false));
+                hide(&forces::entity(cause));
             }
         }
         view
     }
 
-    /// A 3D view that has the whole scene in sight.
-    fn space(&mut self, scene: &Scene, name: &str, contents: &[&str]) -> Part {
-        let (camera, grid) = (camera(scene), LineGrid3D::new().with_visible(false));
+    /// A 3D view.
+    fn space(&mut self, camera: &EyeControls3D, name: &str, contents: &[&str]) -> Part {
+        let grid = LineGrid3D::new().with_visible(false);
         let background = Background::new(BackgroundKind::SolidColor).with_color(palette::color(palette::BACKGROUND));
         let properties: [(&str, &dyn AsComponents); 3] =
-            [("EyeControls3D", &camera), ("LineGrid3D", &grid), ("Background", &background)];
+            [("EyeControls3D", camera), ("LineGrid3D", &grid), ("Background", &background)];
         self.view("3D", name, "/world", contents, &properties)
     }
 
     /// Shows an entity of a view with these visualizers instead of those that the viewer would choose.
-    fn visualize(&mut self, view: &Part, entity: &str, visualizers: &[(&str, Mapping, &dyn AsComponents)]) {
+    fn visualize(&mut self, view: &Part, entity: &str, visualizers: &[(&str, Option<Mapping>, &dyn AsComponents)]) {
         let base = format!("{}/ViewContents/overrides/{entity}/visualizers", view.path);
         let mut ids = Vec::new();
         for (class, mapping, overrides) in visualizers {
             let (id, text) = self.id();
             let path = format!("{base}/{text}");
-            let mapping = VisualizerComponentMapping {
+            let mapping = mapping.map(|mapping| VisualizerComponentMapping {
                 target: mapping.target.into(),
                 source_kind: ComponentSourceKind::SourceComponent,
                 source_component: Some(mapping.source.into()),
                 selector: None,
-            };
-            self.log(&path, &VisualizerInstruction::new(*class).with_component_map([mapping]));
+            });
+            self.log(&path, &VisualizerInstruction::new(*class).with_component_map(mapping));
             self.log(&path, *overrides);
             ids.push(VisualizerInstructionId(id));
         }
@@ -409,34 +481,90 @@ fn cause_title(cause: Cause) -> &'static str {
     }
 }
 
-/// A camera from the front, somewhat from the side and from above, that has every influence sphere in view wherever
-/// its path takes it in the first minute.
+/// The surfaces that deform.
+fn surfaces(scene: &Scene, settings: &Settings) -> Vec<String> {
+    match settings.entities {
+        Entities::Body => scene.bodies.iter().map(|body| format!("world/bodies/{}/surface", body.name)).collect(),
+        Entities::Batch => vec!["world/deforming/surface".to_owned()],
+    }
+}
+
+/// Instants of the first minute at which cameras look where bodies are.
+fn instants(scene: &Scene) -> impl Iterator<Item = f64> {
+    let duration = scene.duration.min(60.0);
+    (0..=32).map(move |k| duration * f64::from(k) / 32.0)
+}
+
+/// A camera that has every influence sphere in view wherever its path takes it.
 fn camera(scene: &Scene) -> EyeControls3D {
+    let spheres = scene.bodies.iter().flat_map(|body| {
+        let radius = scene.influence.sphere_radius(body.radius).min(2.0 * body.radius);
+        instants(scene).map(move |time| (body.path.position(time), radius))
+    });
+    camera_on(&spheres.collect::<Vec<_>>())
+}
+
+/// A camera that has those bodies in view that something acts on, while it does.
+fn close_camera(scene: &Scene) -> EyeControls3D {
+    /// Pairs of more bodies are not gone through.
+    const MOST: usize = 1000;
+    /// Of a body, with what it is displaced by [radii].
+    const ROOM: f64 = 1.15;
+    /// How much is shown of a body that is larger than this [radii of the other].
+    const SIDE: f64 = 3.0;
+
+    let bodies = &scene.bodies;
+    let mut acted_on = Vec::new();
+    for push in &scene.pushes {
+        let body = &bodies[push.body];
+        acted_on.push((body.path.position(push.start), ROOM * body.radius));
+    }
+    let is_fixed: Vec<bool> = bodies.iter().map(|body| matches!(body.path, Path::Fixed(_))).collect();
+    let pairs_of = if bodies.len() > MOST { 0 } else { bodies.len() };
+    for (k, time) in instants(scene).enumerate() {
+        let centres: Vec<DVec3> = bodies[..pairs_of].iter().map(|body| body.path.position(time)).collect();
+        for b in 0..pairs_of {
+            // those that do not move are as they were at the first instant
+            for a in (0..b).filter(|&a| k == 0 || !(is_fixed[a] && is_fixed[b])) {
+                let reach =
+                    |from: usize, to: usize| scene.influence.sphere_radius(bodies[from].radius) + bodies[to].radius;
+                if centres[a].distance(centres[b]) < f64::max(reach(a, b), reach(b, a)) {
+                    // of a body that is much larger than the other only the side where that is
+                    let shown = |i: usize, other: usize| {
+                        let radius = f64::min(bodies[i].radius, SIDE * bodies[other].radius);
+                        let towards = (centres[other] - centres[i]).normalize_or_zero();
+                        (centres[i] + (bodies[i].radius - radius) * towards, ROOM * radius)
+                    };
+                    acted_on.extend([shown(a, b), shown(b, a)]);
+                }
+            }
+        }
+    }
+    if acted_on.is_empty() { camera(scene) } else { camera_on(&acted_on) }
+}
+
+/// A camera from the front, somewhat from the side and from above, that has these spheres in view: centres and radii. What is
+/// flat is seen from higher up.
+fn camera_on(spheres: &[(DVec3, f64)]) -> EyeControls3D {
     /// Half the viewer's vertical field of view, 55°.
     const HALF_HEIGHT: f64 = 0.5205;
-    /// The first view is about 1.5 times as wide as it is high.
-    const HALF_WIDTH: f64 = 1.5 * HALF_HEIGHT;
+    /// Views are 1.45 times as wide as they are high, or wider.
+    const HALF_WIDTH: f64 = 1.42 * HALF_HEIGHT;
 
-    let back = DVec3::new(-0.2, -1.0, 0.4).normalize(); // towards the eye
+    let low = spheres.iter().fold(DVec3::INFINITY, |low, &(centre, radius)| low.min(centre - radius));
+    let high = spheres.iter().fold(DVec3::NEG_INFINITY, |high, &(centre, radius)| high.max(centre + radius));
+    let (middle, extent) = (0.5 * (low + high), high - low);
+    let is_flat = extent.z < 0.2 * f64::min(extent.x, extent.y);
+    let back = DVec3::new(-0.2, -1.0, if is_flat { 1.0 } else { 0.4 }).normalize(); // towards the eye
     let right = DVec3::Z.cross(back).normalize();
     let up = back.cross(right);
-    let duration = scene.duration.min(60.0);
-    let spheres = || {
-        scene.bodies.iter().flat_map(move |body| {
-            let radius = scene.influence.sphere_radius(body.radius).min(2.0 * body.radius);
-            (0..=32).map(move |k| (body.path.position(duration * f64::from(k) / 32.0), radius))
-        })
-    };
-    let low = spheres().fold(DVec3::INFINITY, |low, (centre, radius)| low.min(centre - radius));
-    let high = spheres().fold(DVec3::NEG_INFINITY, |high, (centre, radius)| high.max(centre + radius));
-    let middle = 0.5 * (low + high);
     // The distance from which a sphere at `centre` just fits between the planes that bound the view.
     let distance = |centre: DVec3, radius: f64| {
         let offset = centre - middle;
         let fits = |sideways: f64, half: f64| (sideways.abs() + radius * half.hypot(1.0)) / half;
         offset.dot(back) + f64::max(fits(offset.dot(right), HALF_WIDTH), fits(offset.dot(up), HALF_HEIGHT))
     };
-    let eye = middle + back * spheres().map(|(centre, radius)| distance(centre, radius)).fold(0.0, f64::max);
+    let eye = middle + back * spheres.iter().map(|&(centre, radius)| distance(centre, radius)).fold(0.0, f64::max);
     EyeControls3D::new()
         .with_kind(Eye3DKind::Orbital)
         .with_position(Position3D::from(eye.as_vec3()))
@@ -486,10 +614,11 @@ pub fn about(scene: &Scene, settings: &Settings) -> String {
         if thresholds.core_at > 0.0 { format!(", core below {}", thresholds.core_at) } else { String::new() },
     );
     let spheres = format!(
-        "Influence spheres, lines, lanes: blue **{}**, orange **{}**, purple **{}**, grey: reaches nobody.  \n",
+        "Influence spheres, lines, lanes: blue **{}**, orange **{}**, purple **{}**, grey: reaches nobody{}.  \n",
         Phase::Apart,
         Phase::Merged,
-        Phase::Core
+        Phase::Core,
+        if settings.entities == Entities::Batch { " (hidden at first)" } else { "" },
     );
     let arrows = match settings.detail {
         Detail::Surface => "Force arrows were not recorded (`--detail forces`).  \n".to_owned(),

@@ -98,6 +98,16 @@ pub fn translucent([r, g, b]: Rgb) -> Rgba32 {
     Rgba32::from_unmultiplied_rgba(r, g, b, 150)
 }
 
+/// For surfaces in which there is nothing to see: thousands of them are drawn twice as fast as translucent ones.
+pub fn opaque([r, g, b]: Rgb) -> Rgba32 {
+    Rgba32::from_rgb(r, g, b)
+}
+
+/// For surfaces that only show where arrows are.
+pub fn sheer([r, g, b]: Rgb) -> Rgba32 {
+    Rgba32::from_unmultiplied_rgba(r, g, b, 70)
+}
+
 /// The colour of a share from 0 to 1, packed: viridis, which gets lighter all the way and which readers with any colour
 /// vision can read.
 pub fn heat(share: f64) -> u32 {

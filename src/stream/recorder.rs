@@ -198,6 +198,18 @@ impl Recorder {
         }
     }
 
+    /// What a file needs at its end so that plots of times show what is typical: the first frames and every wait for a
+    /// disk take so much longer that nothing else could be seen. A viewer that is open would lose what its user has
+    /// arranged.
+    pub fn measured_layout(&self, world: &World, tab: Tab) -> Vec<LogMsg> {
+        match &self.frame {
+            Some(frame) => {
+                blueprint::ranges(world, &self.settings, tab, self.chunks.store(), &frame.numbers.typical_timings())
+            }
+            None => Vec::new(),
+        }
+    }
+
     /// What is recorded, and how.
     pub fn settings(&self) -> &Settings {
         &self.settings

@@ -9,6 +9,8 @@ use crate::{
 pub(super) const MOST_BODY_ENTITIES: usize = 64;
 /// More pairs than this get no plots of their own, unless asked for; their events are logged all the same.
 pub const MOST_PAIRS: usize = 16;
+/// The same in a scene that is batched: with these it has 60 entities at most, if all its bodies are of one shape.
+pub const MOST_PAIRS_OF_MANY: usize = 5;
 
 /// How much is recorded of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -156,6 +158,7 @@ impl Settings {
 
     /// The settings that the scene itself asks for, everything recorded.
     pub fn of(scene: &Scene) -> Settings {
+        let is_crowd = scene.bodies.len() > MOST_BODY_ENTITIES;
         Settings {
             integrator: scene.integrator,
             dt: scene.dt,
@@ -164,9 +167,9 @@ impl Settings {
             skip: true,
             every: 1,
             detail: Detail::Forces,
-            entities: if scene.bodies.len() > MOST_BODY_ENTITIES { Entities::Batch } else { Entities::Body },
+            entities: if is_crowd { Entities::Batch } else { Entities::Body },
             frames: Frames::All,
-            pairs: MOST_PAIRS,
+            pairs: if is_crowd { MOST_PAIRS_OF_MANY } else { MOST_PAIRS },
         }
     }
 

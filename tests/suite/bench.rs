@@ -474,10 +474,10 @@ fn what_recording_costs_is_measured_and_compared_with_the_goals() {
     }
     let costs = record::measure_costs(&directory).expect("room");
     for saving in &costs.saving {
-        assert!(saving.plain > 0.0 && saving.saving > 0.0 && saving.slow_down().is_finite(), "{saving:?}");
+        assert!(saving.plain > 0.0 && saving.saving > 0.0 && saving.slow_down.is_sorted(), "{saving:?}");
     }
     let frames = costs.saving[0];
-    assert!(frames.way == Way::Frames && (0.5..=1.1).contains(&(frames.frames / RATE)), "{frames:?}");
+    assert!(frames.way == Way::Frames && (0.5..=1.01).contains(&(frames.frames / RATE)), "{frames:?}");
     assert!(costs.verifying.hashing.iter().all(|hashing| hashing.step > 0.0 && hashing.checksum.is_finite()));
     assert!(costs.verifying.among_many().is_finite() && costs.verifying.replaying.len() == 2, "{costs:?}");
     report.costs = Some(costs);

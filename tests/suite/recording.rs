@@ -16,9 +16,11 @@ use meldscope::{
     scene::Sphere,
     sim::{BodyForces, BodyView, Cause, Event},
     stream::{
-        Recorder, Settings, palette,
-        recorder::{Detail, Entities, MOST_PAIRS, arrow_scale},
-        settings::FORMAT,
+        Recorder, Settings,
+        blueprint::Tab,
+        palette,
+        recorder::{Detail, Entities, arrow_scale},
+        settings::{FORMAT, Frames, MOST_PAIRS_OF_MANY},
         sinks::{Destinations, Sinks},
     },
 };
@@ -34,7 +36,7 @@ use rerun::{
         },
         re_chunk_store::{ColumnDescriptor, StaticColumnSelection},
     },
-    log::RowId,
+    log::{Chunk, LogMsg, RowId},
 };
 
 // ---- reading -------------------------------------------------------------------------------------------------------
@@ -354,7 +356,7 @@ impl Run {
             seen.sort_by(|x, y| x.q.total_cmp(&y.q)); // of those that come together the closest first
             let seen = seen.into_iter().map(|pair| (pair.a, pair.b));
             for pair in changed.chain(seen) {
-                if pairs.len() < MOST_PAIRS && !pairs.contains(&pair) {
+                if pairs.len() < self.settings.pairs && !pairs.contains(&pair) {
                     pairs.push(pair);
                 }
             }
@@ -422,6 +424,7 @@ impl Run {
             self.verify_vertices();
         }
         self.verify_lines();
+        self.verify_reaching_spheres();
         self.verify_pairs();
         self.verify_events();
         self.verify_diagnostics();
@@ -680,6 +683,30 @@ impl Run {
             assert_eq!(track.logged(step, &[CENTERS]), last.0 != centres, "centres at step {step}");
             assert_eq!(track.logged(step, &[COLORS]), last.1 != colors, "colours at step {step}");
             last = (centres, colors);
+        });
+    }
+
+    /// In a batch, the influence spheres of bodies within reach of another, with the pairs.
+    fn verify_reaching_spheres(&self) {
+        let track = self.track("/world/pairs");
+        self.walk_frames(|frame, world| {
+            let mut spheres: BTreeMap<usize, Phase> = BTreeMap::new();
+            for pair in world.pairs().filter(|_| self.settings.entities == Entities::Batch) {
+                for body in [pair.a, pair.b] {
+                    let deepest = spheres.entry(body).or_insert(pair.phase);
+                    let depth = |phase| [Phase::Apart, Phase::Merged, Phase::Core].iter().position(|&p| p == phase);
+                    *deepest = if depth(pair.phase) > depth(*deepest) { pair.phase } else { *deepest };
+                }
+            }
+            let held = &track.held[frame];
+            let step = format!("step {}", world.steps_taken());
+            let centres: Vec<Vec3> = spheres.keys().map(|&i| world.body(i).centre().as_vec3()).collect();
+            assert_same(&held.vectors("Ellipsoids3D:centers"), &centres, &step);
+            let half_size = |i: usize| Vec3::splat((self.scene.influence.reach * self.scene.bodies[i].radius) as f32);
+            let half_sizes: Vec<Vec3> = spheres.keys().map(|&i| half_size(i)).collect();
+            assert_same(&held.vectors("Ellipsoids3D:half_sizes"), &half_sizes, &step);
+            let colors: Vec<Rgba32> = spheres.values().map(|&phase| color(palette::phase(phase))).collect();
+            assert_same(&held.colors("Ellipsoids3D:colors"), &colors, &step);
         });
     }
 
@@ -1159,7 +1186,7 @@ fn a_crowd_is_recorded_as_it_is() {
     let scene = Scene { duration: 0.5, ..builtin("crowd") };
     let run = Run::new(&scene);
     run.verify();
-    assert!(run.recording.entities().len() <= 60 + 5 * run.pairs().len());
+    assert!(run.recording.entities().len() <= 60 && run.pairs().len() == MOST_PAIRS_OF_MANY);
 }
 
 #[test]
@@ -1181,7 +1208,7 @@ fn few_bodies_can_be_batched_and_many_need_not() {
 fn of_many_pairs_the_first_have_entities_and_all_have_events() {
     let run = Run::new(&Scene { duration: 1.0, ..lattice(2.2) });
     run.verify();
-    assert_eq!(run.pairs().len(), MOST_PAIRS);
+    assert_eq!(run.pairs().len(), MOST_PAIRS_OF_MANY);
     let with_events: HashSet<_> = run.events().iter().map(|event| (event.a as usize, event.b as usize)).collect();
     assert!(with_events.iter().any(|pair| !run.pairs().contains(pair)), "{:?}", run.events());
 }
@@ -1246,4 +1273,35 @@ fn the_inside_of_steps_is_recorded_beside_them() {
             assert_eq!(held, &frame[0].vectors(POSITIONS), "step {step}, stage {stage}");
         }
     }
+}
+
+/// Plots of times get their ranges when it is known what is typical; the layout is then made active again.
+#[test]
+fn a_file_ends_with_the_ranges_of_its_plots_of_times() {
+    let scene = builtin("two");
+    let mut world = World::new(scene.clone()).expect("it fits");
+    let settings = Settings::of(&scene);
+    let mut recorder = Recorder::new(&world, settings.clone());
+    assert!(recorder.measured_layout(&world, Tab::Scene).is_empty(), "nothing was measured");
+    for _ in 0..100 {
+        world.step();
+        recorder.observe(&world);
+    }
+    let store_of = |messages: &[LogMsg]| messages.last().expect("messages").store_id().clone();
+    let layout = recorder.blueprint_at(&world, Tab::Timings);
+    let ranges = recorder.measured_layout(&world, Tab::Timings);
+    assert_eq!(store_of(&ranges), store_of(&layout), "it is the same layout");
+    assert!(matches!(ranges.last(), Some(LogMsg::BlueprintActivationCommand(_))));
+    let mut views = BTreeSet::new();
+    for message in &ranges[..ranges.len() - 1] {
+        let LogMsg::ArrowMsg(_, message) = message else { panic!("{message:?}") };
+        let chunk = Chunk::from_arrow_msg(message).expect("a chunk");
+        assert!(chunk.components().keys().any(|component| component.to_string() == "ScalarAxis:range"), "{chunk:?}");
+        assert!(views.insert(chunk.entity_path().to_string()));
+    }
+    // those of what the simulation does, of what it costs to look, of recording, and the one in the first tab
+    assert!((3..=4).contains(&views.len()), "{views:?}"); // nothing is waited for here
+
+    let thin = Settings { frames: Frames::Thin, ..settings };
+    assert!(Recorder::new(&world, thin).measured_layout(&world, Tab::Scene).is_empty());
 }

@@ -1,8 +1,9 @@
 //! How much slower steps are while frames are saved at the rate of a screen.
 //!
-//! A scene that goes on for ever is stepped as fast as it goes, for a while without and for a while with a recorder beside
-//! it, in turns, so that whatever else the machine does falls on both alike. Only the thread that steps is timed: what
-//! recording takes on its own thread costs the simulation as much as it takes from it, of caches, memory and cores.
+//! A scene that goes on for ever is stepped as fast as it goes, for a moment without and for a moment with a recorder beside
+//! it, in turns: what else the machine does, and how fast it runs, changes by more than what is looked for, so that each
+//! moment is compared with the one next to it, and of these ratios the middle one counts. Only the thread that steps is timed:
+//! what recording takes on its own thread costs the simulation as much as it takes from it, of caches, memory and cores.
 
 use std::{
     path::Path,
@@ -20,10 +21,10 @@ use crate::{
 
 /// Frames a second of wall time.
 pub const RATE: f64 = 60.0;
-/// Of so many blocks of each kind the best counts, as what else the machine does only ever slows them down.
-const BLOCKS: usize = 12;
-/// How long one takes: some hundred periods of the scene, and 15 frames.
-const BLOCK: Duration = Duration::from_millis(250);
+/// So many blocks of each kind.
+const BLOCKS: usize = 60;
+/// How long one takes: some hundred periods of the scene, and 6 frames.
+const BLOCK: Duration = Duration::from_millis(100);
 /// The clock is looked at after so many steps.
 const STEPS: u64 = 8;
 
@@ -48,17 +49,18 @@ pub struct Saving {
     pub way: Way,
     /// Steps per second without …
     pub plain: f64,
-    /// … and with it.
+    /// … and with it, in the middle one of the blocks.
     pub saving: f64,
+    /// By how much longer a step takes [–]: in the middle one of the comparisons, and in those a quarter from either end.
+    pub slow_down: [f64; 3],
     /// Frames per second that were saved.
     pub frames: f64,
 }
 
-impl Saving {
-    /// By how much longer a step takes [–].
-    pub fn slow_down(&self) -> f64 {
-        self.plain / self.saving - 1.0
-    }
+/// What is a quarter, a half and three quarters of the way from the least to the largest.
+fn quartiles(mut numbers: Vec<f64>) -> [f64; 3] {
+    numbers.sort_unstable_by(f64::total_cmp);
+    [1, 2, 3].map(|k| numbers.get(k * numbers.len() / 4).copied().unwrap_or(f64::NAN))
 }
 
 /// Measures one way; the recording goes to `file`, which is removed again.
@@ -77,30 +79,34 @@ pub(super) fn measure(way: Way, file: &Path) -> Result<Saving, String> {
     let recorder = Recorder::new(&world, settings);
     let mut pipeline = Pipeline::start(&world, recorder, sinks).map_err(|error| error.to_string())?;
 
-    let (mut plain, mut saving, mut frames) = (0.0, 0.0, 0);
+    let (mut plain, mut saving) = (vec![], vec![]);
     for _ in 0..BLOCKS {
-        plain = f64::max(plain, block(&mut world, &mut none)?);
-        let mut due = Duration::ZERO;
+        plain.push(block(&mut world, &mut none)?);
+        let mut frames = 0.0;
         let mut save = |world: &World, elapsed: Duration| match way {
             Way::EveryStep => pipeline.observe(world, None),
-            Way::Frames if elapsed < due => Ok(()),
+            Way::Frames if elapsed.as_secs_f64() * RATE < frames + 0.5 => Ok(()),
             Way::Frames => {
-                due += Duration::from_secs_f64(1.0 / RATE);
+                frames += 1.0;
                 pipeline.observe(world, None)
             }
         };
-        let rate = match way {
+        saving.push(match way {
             Way::Frames => block(&mut world, &mut save)?,
             Way::EveryStep => block_of_every_step(&mut world, &mut save)?,
-        };
-        saving = f64::max(saving, rate);
+        });
     }
     let mut recorded = pipeline.finish()?;
-    frames += recorded.recorder.written();
+    let frames = (recorded.recorder.written() - 1) as f64 / (BLOCKS as f64 * BLOCK.as_secs_f64());
     recorded.finish(&world).map_or(Ok(()), Err)?;
     recorded.sinks.finish().map_err(|error| error.to_string())?;
     std::fs::remove_file(file).ok();
-    Ok(Saving { way, plain, saving, frames: frames as f64 / (BLOCKS as f64 * BLOCK.as_secs_f64()) })
+
+    // each with the block before it and the one after it, so that what gets faster or slower all the time cancels out
+    let around = |i: usize| 0.5 * (plain[i] + plain.get(i + 1).unwrap_or(&plain[i]));
+    let slow_down = quartiles(saving.iter().enumerate().map(|(i, saving)| around(i) / saving - 1.0).collect());
+    let ([_, plain, _], [_, saving, _]) = (quartiles(plain.clone()), quartiles(saving.clone()));
+    Ok(Saving { way, plain, saving, slow_down, frames })
 }
 
 type Look<'a> = &'a mut dyn FnMut(&World, Duration) -> Result<(), String>;

@@ -57,7 +57,8 @@ pub fn costs(costs: &Costs) -> String {
             Way::Frames => "frames",
             Way::EveryStep => "frames, and a checksum of every step",
         };
-        let slow_down = format!("{:.1} %", 100.0 * saving.slow_down());
+        let [low, middle, high] = saving.slow_down.map(|share| format!("{:.1}", 100.0 * share));
+        let slow_down = format!("{middle} % ({low} to {high})");
         [what.to_owned(), number(saving.plain), number(saving.saving), slow_down, significant(saving.frames)]
     }));
     lines.extend(aligned(&rows));

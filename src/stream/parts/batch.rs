@@ -58,7 +58,7 @@ impl Batch {
             let mesh = Mesh3D::new(unit.iter().map(|v| v.as_vec3()))
                 .with_vertex_normals(extractor.normals(*shape, &unit))
                 .with_triangle_indices(triangles.iter().copied())
-                .with_albedo_factor(palette::translucent(palette::RESTING));
+                .with_albedo_factor(palette::opaque(palette::RESTING));
             chunks.log_static(&resting_entity(shape), &mesh);
         }
         let track =

@@ -14,7 +14,8 @@ use crate::{
     },
 };
 
-const ENTITY: &str = "/world/pairs";
+/// What there is between bodies.
+pub(super) const PAIRS: &str = "/world/pairs";
 
 /// What was last logged of them.
 pub struct Lines {
@@ -40,10 +41,10 @@ impl Lines {
         let style = LineStrips3D::update_fields()
             .with_radii([rerun::Radius::new_ui_points(1.5)])
             .with_show_labels(scene.bodies.len() <= MOST_LABELS);
-        chunks.log_static(ENTITY, &style);
+        chunks.log_static(PAIRS, &style);
         let components =
             [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_colors(), LineStrips3D::descriptor_labels()];
-        let track = chunks.track(ENTITY, components);
+        let track = chunks.track(PAIRS, components);
         Lines { track, most, last: None, next: Batch::default(), closest: Vec::new() }
     }
 

@@ -21,6 +21,9 @@ use crate::{
 pub const TIMINGS: [&str; 7] =
     [Stage::ALL[0].name(), Stage::ALL[1].name(), Stage::ALL[2].name(), "observe", "wait", "extract", "log"];
 
+/// What a stage took in most frames [ms], in the order of [`TIMINGS`]; `None` if there were no frames.
+pub type Typical = [Option<f64>; TIMINGS.len()];
+
 /// Steps per second since the last frame.
 pub const SPEED: &str = "/timings/speed";
 /// How far a run that keeps to real time is behind it.
@@ -40,6 +43,7 @@ const DIAGNOSTICS: [(&str, &str, Shape); 6] = [
 pub struct Numbers {
     diagnostics: [LineId; DIAGNOSTICS.len()],
     timings: [Track; TIMINGS.len()],
+    spread: [Spread; TIMINGS.len()],
     /// Since messages were last sent, and what that took a step.
     steps_since_sent: u32,
     sending: Duration,
@@ -77,6 +81,7 @@ impl Numbers {
         Numbers {
             diagnostics,
             timings,
+            spread: Default::default(),
             steps_since_sent: 0,
             sending: Duration::ZERO,
             steps: 0,
@@ -136,6 +141,11 @@ impl Numbers {
         }
     }
 
+    /// What stages took in all frames but the slowest tenth.
+    pub fn typical_timings(&self) -> Typical {
+        self.spread.each_ref().map(|spread| spread.quantile(0.9))
+    }
+
     /// Milliseconds per step since the last frame.
     pub fn log_timings(&mut self, at: Instant, chunks: &mut Chunks) {
         let steps = std::mem::take(&mut self.steps);
@@ -145,8 +155,9 @@ impl Numbers {
         }
         let [.., log] = &mut spent;
         *log += self.sending * steps;
-        for (&track, spent) in self.timings.iter().zip(spent) {
+        for ((&track, spread), spent) in self.timings.iter().zip(&mut self.spread).zip(spent) {
             let milliseconds = 1e3 * spent.as_secs_f64() / f64::from(steps);
+            spread.add(milliseconds);
             chunks.push_apart(track, at, &[Cell::Scalars(&[milliseconds])]);
         }
         if let (Some(last), Some(end)) = (self.last_frame, self.end) {
@@ -160,7 +171,59 @@ impl Numbers {
     }
 }
 
+/// How often a number of which size came: to an eighth of an octave, from 2^-24 to 2^16.
+#[derive(Default)]
+struct Spread {
+    counts: Vec<u64>,
+    all: u64,
+}
+
+impl Spread {
+    /// Buckets of an octave, by the first bits of a mantissa, and of them those that are smaller than any that is counted.
+    const BITS: u32 = 3;
+    const FIRST: usize = (1023 - 24) << Spread::BITS;
+    const BUCKETS: usize = 40 << Spread::BITS;
+
+    fn add(&mut self, number: f64) {
+        self.counts.resize(Spread::BUCKETS, 0);
+        let bucket = (number.max(0.0).to_bits() >> (52 - Spread::BITS)) as usize;
+        self.counts[bucket.saturating_sub(Spread::FIRST).min(Spread::BUCKETS - 1)] += 1;
+        self.all += 1;
+    }
+
+    /// What this share of the numbers does not exceed, rounded up to a bucket.
+    fn quantile(&self, share: f64) -> Option<f64> {
+        let wanted = (share * self.all as f64).ceil() as u64;
+        let mut seen = 0;
+        let bucket = self.counts.iter().position(|&count| {
+            seen += count;
+            seen >= wanted && seen > 0
+        })?;
+        Some(f64::from_bits(((bucket + Spread::FIRST + 1) as u64) << (52 - Spread::BITS)))
+    }
+}
+
 fn line_of_run(entity: &str, name: &str, color: usize, chunks: &mut Chunks) -> Track {
     Series::style(chunks, entity, name, palette::line(color), 1.5, Shape::Step);
     chunks.track(entity, [Scalars::descriptor_scalars()])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Spread;
+
+    #[test]
+    fn quantiles_leave_out_what_is_rare() {
+        let mut spread = Spread::default();
+        assert_eq!(spread.quantile(0.9), None);
+        (0..90).for_each(|i| spread.add(0.010 + 1e-5 * f64::from(i)));
+        (0..10).for_each(|_| spread.add(15.0));
+        let typical = spread.quantile(0.9).expect("numbers");
+        assert!((0.0108..0.0125).contains(&typical), "{typical}");
+        assert!((15.0..=16.0).contains(&spread.quantile(1.0).expect("numbers")));
+        for odd in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e300] {
+            spread.add(odd);
+        }
+        assert!(spread.quantile(0.0).expect("numbers") < 1e-6);
+    }
 }

@@ -2,7 +2,7 @@
 
 use rerun::{Ellipsoids3D, components::FillMode};
 
-use super::Look;
+use super::{Look, lines::PAIRS};
 use crate::{
     model::phase::Phase,
     scene::Scene,
@@ -18,10 +18,14 @@ use crate::{
 const ENTITY: &str = "/world/influence";
 /// More bodies than this go without their names in the picture.
 pub const MOST_LABELS: usize = 8;
+/// How thick wires are drawn [points on the screen].
+const LINE: f32 = 0.6;
 
 /// What was last logged of them.
 pub struct Spheres {
     track: Track,
+    /// In a batch those that reach somebody are apart as well: thousands of wire spheres are slow to draw, and hide them.
+    reaching: Option<Reaching>,
     /// Of those that reach nobody.
     idle: Rgb,
     centres: Vec<Vector>,
@@ -32,6 +36,20 @@ pub struct Spheres {
     next_colors: Vec<Rgb>,
 }
 
+/// The spheres of bodies that have another within reach, with the pairs.
+struct Reaching {
+    track: Track,
+    last: Option<Batch>,
+    next: Batch,
+}
+
+#[derive(Default, PartialEq)]
+struct Batch {
+    centres: Vec<Vector>,
+    half_sizes: Vec<Vector>,
+    colors: Vec<u32>,
+}
+
 impl Spheres {
     /// Logs what stays the same.
     pub fn new(scene: &Scene, entities: Entities, chunks: &mut Chunks) -> Spheres {
@@ -39,12 +57,13 @@ impl Spheres {
         let spheres = Ellipsoids3D::update_fields()
             .with_half_sizes(radii.map(|r| [r, r, r]))
             .with_fill_mode(FillMode::MajorWireframe)
-            .with_line_radii([rerun::Radius::new_ui_points(0.6)])
+            .with_line_radii([rerun::Radius::new_ui_points(LINE)])
             .with_labels(scene.bodies.iter().map(|body| body.name.as_str()))
             .with_show_labels(scene.bodies.len() <= MOST_LABELS);
         chunks.log_static(ENTITY, &spheres);
         Spheres {
             track: chunks.track(ENTITY, [Ellipsoids3D::descriptor_centers()]),
+            reaching: (entities == Entities::Batch).then(|| Reaching::new(chunks)),
             idle: match entities {
                 Entities::Body => palette::IDLE_SPHERE,
                 Entities::Batch => palette::IDLE_SPHERE_OF_MANY,
@@ -75,12 +94,53 @@ impl Spheres {
             std::mem::swap(&mut self.next_centres, &mut self.centres);
             chunks.push(self.track, look.at, &[Cell::Vectors(&self.centres)]);
         }
+        if let Some(reaching) = &mut self.reaching {
+            reaching.log(look, &self.phases, chunks);
+        }
         self.next_colors.clear();
         self.next_colors.extend(self.phases.iter().map(|phase| phase.map_or(self.idle, palette::phase)));
         if self.next_colors != self.colors {
             std::mem::swap(&mut self.next_colors, &mut self.colors);
             let spheres = Ellipsoids3D::update_fields().with_colors(self.colors.iter().map(|&rgb| color(rgb)));
             chunks.log(ENTITY, look.at, &spheres);
+        }
+    }
+}
+
+impl Reaching {
+    fn new(chunks: &mut Chunks) -> Reaching {
+        let style = Ellipsoids3D::update_fields()
+            .with_fill_mode(FillMode::MajorWireframe)
+            .with_line_radii([rerun::Radius::new_ui_points(LINE)]);
+        chunks.log_static(PAIRS, &style);
+        let components = [
+            Ellipsoids3D::descriptor_centers(),
+            Ellipsoids3D::descriptor_half_sizes(),
+            Ellipsoids3D::descriptor_colors(),
+        ];
+        Reaching { track: chunks.track(PAIRS, components), last: None, next: Batch::default() }
+    }
+
+    fn log(&mut self, look: Look<'_>, phases: &[Option<Phase>], chunks: &mut Chunks) {
+        let Batch { centres, half_sizes, colors } = &mut self.next;
+        centres.clear();
+        half_sizes.clear();
+        colors.clear();
+        for (i, phase) in phases.iter().enumerate() {
+            let Some(phase) = *phase else { continue };
+            let body = look.snapshot.body(look.scene, i);
+            centres.push(body.centre().as_vec3().to_array());
+            half_sizes.push([look.scene.influence.sphere_radius(body.scene().radius) as f32; 3]);
+            colors.push(color(palette::phase(phase)).to_u32());
+        }
+        if self.last.as_ref() != Some(&self.next) {
+            let Batch { centres, half_sizes, colors } = &self.next;
+            chunks.push(
+                self.track,
+                look.at,
+                &[Cell::Vectors(centres), Cell::Vectors(half_sizes), Cell::Colors(colors)],
+            );
+            std::mem::swap(self.last.get_or_insert_default(), &mut self.next);
         }
     }
 }
