@@ -1296,7 +1296,7 @@ fn a_file_ends_with_the_ranges_of_its_plots_of_times() {
     for message in &ranges[..ranges.len() - 1] {
         let LogMsg::ArrowMsg(_, message) = message else { panic!("{message:?}") };
         let chunk = Chunk::from_arrow_msg(message).expect("a chunk");
-        assert!(chunk.components().keys().any(|component| component.to_string() == "ScalarAxis:range"), "{chunk:?}");
+        assert!(chunk.components().keys().any(|component| component.as_str() == "ScalarAxis:range"), "{chunk:?}");
         assert!(views.insert(chunk.entity_path().to_string()));
     }
     // those of what the simulation does, of what it costs to look, of recording, and the one in the first tab
