@@ -40,7 +40,7 @@ enum Command {
     Diff(diff::Arguments),
     /// List the scenes that come with the program, and what to look at in each.
     Scenes,
-    /// Measure: error against run time.
+    /// Measure: error against run time, cost against size, what recording costs, what integrators endure.
     Bench(bench::Arguments),
 }
 

@@ -4,6 +4,8 @@
 //! it, in turns: what else the machine does, and how fast it runs, changes by more than what is looked for, so that each
 //! moment is compared with the one next to it, and of these ratios the middle one counts. Only the thread that steps is timed:
 //! what recording takes on its own thread costs the simulation as much as it takes from it, of caches, memory and cores.
+//! Where all cores are busy with something else, that thread takes the core of the other, which shows in the wall clock; the
+//! time that the stepping thread was on a core, where the system tells it, is compared as well.
 
 use std::{
     path::Path,
@@ -53,6 +55,8 @@ pub struct Saving {
     pub saving: f64,
     /// By how much longer a step takes [–]: in the middle one of the comparisons, and in those a quarter from either end.
     pub slow_down: [f64; 3],
+    /// The middle one of the same by the time that the thread was on a core, if the system tells it.
+    pub on_core: Option<f64>,
     /// Frames per second that were saved.
     pub frames: f64,
 }
@@ -68,7 +72,10 @@ pub(super) fn measure(way: Way, file: &Path) -> Result<Saving, String> {
     let scene = scenes::pair().map_err(|error| error.to_string())?;
     let mut world = World::new(scene).map_err(|error| error.to_string())?;
     let mut none = |_: &World, _: Duration| Ok(());
-    let rate = block(&mut world, &mut none)?.max(block(&mut world, &mut none)?).max(block(&mut world, &mut none)?);
+    let mut rate = 0.0;
+    for _ in 0..3 {
+        rate = f64::max(rate, block(&mut world, &mut none)?.per_second());
+    }
     let every = match way {
         Way::Frames => 1,
         Way::EveryStep => (rate / RATE).round().max(1.0) as u64,
@@ -102,42 +109,75 @@ pub(super) fn measure(way: Way, file: &Path) -> Result<Saving, String> {
     recorded.sinks.finish().map_err(|error| error.to_string())?;
     std::fs::remove_file(file).ok();
 
-    // each with the block before it and the one after it, so that what gets faster or slower all the time cancels out
-    let around = |i: usize| 0.5 * (plain[i] + plain.get(i + 1).unwrap_or(&plain[i]));
-    let slow_down = quartiles(saving.iter().enumerate().map(|(i, saving)| around(i) / saving - 1.0).collect());
-    let ([_, plain, _], [_, saving, _]) = (quartiles(plain.clone()), quartiles(saving.clone()));
-    Ok(Saving { way, plain, saving, slow_down, frames })
+    let slow_downs = |of: fn(&Block) -> f64| {
+        // each with the block before it and the one after it, so that what gets faster or slower all the time cancels out
+        let around = |i: usize| 0.5 * (of(&plain[i]) + of(plain.get(i + 1).unwrap_or(&plain[i])));
+        quartiles(saving.iter().enumerate().map(|(i, saving)| of(saving) / around(i) - 1.0).collect())
+    };
+    let rate = |blocks: &[Block]| quartiles(blocks.iter().map(Block::per_second).collect())[1];
+    let has_cores = plain.iter().chain(&saving).all(|block| block.on_core > 0.0);
+    Ok(Saving {
+        way,
+        plain: rate(&plain),
+        saving: rate(&saving),
+        slow_down: slow_downs(|block| block.seconds / block.steps as f64),
+        on_core: has_cores.then(|| slow_downs(|block| block.on_core / block.steps as f64)[1]),
+        frames,
+    })
+}
+
+/// Steps that were taken together.
+struct Block {
+    steps: u64,
+    /// [s]
+    seconds: f64,
+    /// Time that the thread was on a core [s]; 0 where the system does not tell.
+    on_core: f64,
+}
+
+impl Block {
+    fn per_second(&self) -> f64 {
+        self.steps as f64 / self.seconds
+    }
+}
+
+/// Time that this thread has been on a core [s], as Linux counts it: to a tick of some milliseconds.
+fn on_core() -> f64 {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
+    let nanoseconds = text.split(' ').next().and_then(|number| number.parse::<f64>().ok());
+    1e-9 * nanoseconds.unwrap_or(0.0)
 }
 
 type Look<'a> = &'a mut dyn FnMut(&World, Duration) -> Result<(), String>;
 
-/// Steps for the time of a block; steps per second.
-fn block(world: &mut World, look: Look<'_>) -> Result<f64, String> {
-    let start = Instant::now();
-    let mut steps = 0;
-    loop {
+/// Steps for the time of a block, and looks now and then.
+fn block(world: &mut World, look: Look<'_>) -> Result<Block, String> {
+    take(world, |world, elapsed| {
         (0..STEPS).for_each(|_| _ = world.step());
-        steps += STEPS;
-        let elapsed = start.elapsed();
-        look(world, elapsed)?;
-        if elapsed >= BLOCK {
-            return Ok(steps as f64 / start.elapsed().as_secs_f64());
-        }
-    }
+        look(world, elapsed)
+    })
 }
 
 /// The same, and every step is looked at.
-fn block_of_every_step(world: &mut World, look: Look<'_>) -> Result<f64, String> {
-    let start = Instant::now();
-    let mut steps = 0;
-    loop {
+fn block_of_every_step(world: &mut World, look: Look<'_>) -> Result<Block, String> {
+    take(world, |world, elapsed| {
         for _ in 0..STEPS {
             world.step();
-            look(world, Duration::ZERO)?;
+            look(world, elapsed)?;
         }
+        Ok(())
+    })
+}
+
+fn take(world: &mut World, mut some: impl FnMut(&mut World, Duration) -> Result<(), String>) -> Result<Block, String> {
+    let (start, on_core_before) = (Instant::now(), on_core());
+    let mut steps = 0;
+    loop {
+        some(world, start.elapsed())?;
         steps += STEPS;
-        if start.elapsed() >= BLOCK {
-            return Ok(steps as f64 / start.elapsed().as_secs_f64());
+        let elapsed = start.elapsed();
+        if elapsed >= BLOCK {
+            return Ok(Block { steps, seconds: elapsed.as_secs_f64(), on_core: on_core() - on_core_before });
         }
     }
 }

@@ -51,7 +51,7 @@ pub fn costs(costs: &Costs) -> String {
         format!("two bodies, stepped as fast as it goes while {RATE} frames a second of wall time are saved"),
         String::new(),
     ];
-    let mut rows = vec![["", "steps/s without", "with", "slow-down", "frames/s"].map(str::to_owned)];
+    let mut rows = vec![["", "steps/s without", "with", "slow-down", "on its core", "frames/s"].map(str::to_owned)];
     rows.extend(costs.saving.iter().map(|saving| {
         let what = match saving.way {
             Way::Frames => "frames",
@@ -59,7 +59,8 @@ pub fn costs(costs: &Costs) -> String {
         };
         let [low, middle, high] = saving.slow_down.map(|share| format!("{:.1}", 100.0 * share));
         let slow_down = format!("{middle} % ({low} to {high})");
-        [what.to_owned(), number(saving.plain), number(saving.saving), slow_down, significant(saving.frames)]
+        let on_core = saving.on_core.map_or("–".to_owned(), |share| format!("{:.1} %", 100.0 * share));
+        [what.to_owned(), number(saving.plain), number(saving.saving), slow_down, on_core, significant(saving.frames)]
     }));
     lines.extend(aligned(&rows));
     lines.extend([String::new(), "checksums".to_owned(), String::new()]);
