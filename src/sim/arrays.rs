@@ -63,7 +63,9 @@ impl<const V: usize> Blocks<V> {
 
     /// Has room for `count` vertices; what is new is zero.
     pub fn resize(&mut self, count: usize) {
-        self.0.resize(count.div_ceil(LANES), Block([[[0.0; LANES]; 3]; V]));
+        let blocks = count.div_ceil(LANES);
+        self.0.reserve_exact(blocks.saturating_sub(self.0.len())); // they are large, and come to an end soon
+        self.0.resize(blocks, Block([[[0.0; LANES]; 3]; V]));
     }
 
     /// Keeps the storage, holds none.
