@@ -29,9 +29,9 @@ use crate::{
         extract::{Arrows, Extractor, Surface},
         parts::forces,
         pipeline::send,
-        recorder::Step,
         settings::{Detail, arrow_scale},
         sinks::{Destinations, Serve, Sinks},
+        step::Step,
     },
 };
 

@@ -14,7 +14,8 @@ use crate::{
     scene::Scene,
     stream::{
         blueprint,
-        chunks::{Chunks, Instant},
+        chunks::Chunks,
+        instant::Instant,
         normals,
         palette::{Rgb, color},
         series::{Series, Shape},

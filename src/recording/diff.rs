@@ -16,7 +16,7 @@ use crate::{
     scene::Scene,
     sim::World,
     stream::{
-        chunks::Instant,
+        instant::Instant,
         recorder::DEFORMED,
         settings::Frames as Recording,
         sinks::{Saved, SinkError},

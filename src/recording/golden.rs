@@ -32,7 +32,7 @@ use crate::{
     sim::{World, checksum, world::States},
     stream::{
         Recorder,
-        chunks::Instant,
+        instant::Instant,
         settings::{Frames, Settings},
         sinks::{Destinations, SinkError, Sinks},
     },

@@ -8,8 +8,8 @@ use pulp::{Arch, Simd, WithSimd};
 use super::{
     Span,
     arrays::{Block, LANES, Vectors},
-    body::{Active, Body, Extent, Scratch, Seen},
-    deformation::Front,
+    body::{Active, Body, Extent, Seen},
+    deformation::{self, Front},
     integrator::{
         explicit::{self, Interval, Scheme},
         exponential::{
@@ -17,7 +17,8 @@ use super::{
             course::{Course, Push, Sphere},
         },
     },
-    pairs::{Neighbour, Pairs},
+    neighbours::Neighbour,
+    pairs::Pairs,
     surroundings::{Source, Surroundings, carry, push_acts},
     tracks::Tracks,
 };
@@ -33,6 +34,22 @@ const REST: f64 = 1e-150;
 
 thread_local! {
     static SCRATCH: RefCell<Scratch> = RefCell::default();
+}
+
+/// Reused from body to body by each thread.
+#[derive(Default)]
+struct Scratch {
+    interval: Interval,
+    breaks: Vec<f64>,
+    margins: Vec<Margin>,
+    felt: Vec<Neighbour>,
+    spheres: Vec<Sphere>,
+    pushes: Vec<Push>,
+    gaps: Vec<f64>,
+    centres: Vec<(DVec3, f64)>,
+    moved: Vec<DVec3>,
+    deformation: deformation::Scratch,
+    exponential: exponential::Scratch,
 }
 
 /// What the integration of a body reads and does not change.
@@ -488,7 +505,7 @@ fn clearance(front: &Front, moved: &[DVec3], centre: DVec3) -> f64 {
     let mut nearest = [f64::INFINITY; LANES];
     if moved.is_empty() {
         // padded to whole blocks
-        for Block([[lx, ly, lz], ..]) in front.blocks.all() {
+        for Block([.., [lx, ly, lz]]) in front.blocks.all() {
             for lane in 0..LANES {
                 let (dx, dy, dz) = (centre.x - lx[lane], centre.y - ly[lane], centre.z - lz[lane]);
                 let square = dx * dx + dy * dy + dz * dz;

@@ -1,4 +1,4 @@
-//! State as arrays: one vector quantity of many vertices, a contiguous array per coordinate.
+//! State as arrays, by coordinate: one vector quantity of many vertices, or several of a few that are stepped side by side.
 //!
 //! # Precision
 //! The error budget is 1e-6 of a radius over a scene, of which the integrator at 60 steps a second takes about 1e-9.

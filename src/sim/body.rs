@@ -6,19 +6,17 @@ use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{
-    advance::Margin,
     arrays::Vectors,
-    deformation::{self, Deformation, Now},
+    deformation::{Deformation, Now},
     integrator::{
         State,
-        explicit::Interval,
         exponential::{
-            self, Effort,
-            course::{Common, Pushed, Sphere},
+            Effort,
+            course::{Common, Pushed},
             together::Largest,
         },
     },
-    pairs::{Neighbour, Zone},
+    neighbours::{Neighbour, Zone},
 };
 use crate::{
     model::oscillator::Oscillator,
@@ -106,22 +104,6 @@ pub(super) struct Seen {
     pub centre: DVec3,
     /// How far all rest positions of the front were outside of it [scene unit].
     pub clear: f64,
-}
-
-/// Reused from body to body by each thread.
-#[derive(Default)]
-pub(super) struct Scratch {
-    pub interval: Interval,
-    pub breaks: Vec<f64>,
-    pub margins: Vec<Margin>,
-    pub felt: Vec<Neighbour>,
-    pub spheres: Vec<Sphere>,
-    pub pushes: Vec<exponential::course::Push>,
-    pub gaps: Vec<f64>,
-    pub centres: Vec<(DVec3, f64)>,
-    pub moved: Vec<DVec3>,
-    pub deformation: deformation::Scratch,
-    pub exponential: exponential::Scratch,
 }
 
 impl Active {

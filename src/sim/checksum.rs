@@ -101,7 +101,7 @@ impl Deformation {
         for list in [&self.front.vertices, vertices] {
             lanes.add(list, u64::from);
         }
-        for v in 0..2 {
+        for v in [DISPLACEMENT, VELOCITY] {
             for axis in 0..3 {
                 for (block, vertices) in blocks.all().iter().zip(vertices.chunks(LANES)) {
                     lanes.add(&block.0[v][axis][..vertices.len()], bits);
@@ -284,7 +284,7 @@ mod tests {
         let Deformation { front, swinging, hash_of_kept, .. } = &mut active.deformation;
         hash_of_kept.take();
         if number < 6 {
-            of(&mut front.blocks, 1 + number / 3, number % 3, front.vertices.len())
+            of(&mut front.blocks, number / 3, number % 3, front.vertices.len())
         } else {
             of(&mut swinging.blocks, (number - 6) / 3, number % 3, swinging.vertices.len())
         }
@@ -360,7 +360,7 @@ mod tests {
         let before = world.checksum();
         let front = &mut world.actives[0].deformation.front;
         let count = front.vertices.len();
-        let Block([.., velocity]) = front.blocks.all_mut().last_mut().unwrap();
+        let Block([_, velocity, _]) = front.blocks.all_mut().last_mut().unwrap();
         assert!(!count.is_multiple_of(LANES));
         velocity[2][count % LANES..].fill(f64::NAN);
         assert_eq!(world.checksum(), before);

@@ -29,13 +29,20 @@ pub struct Deformation {
     pub hash_of_kept: OnceLock<u64>,
 }
 
+/// Where a block has displacements [scene unit], …
+pub const DISPLACEMENT: usize = 0;
+/// … velocities [scene unit/s] …
+pub const VELOCITY: usize = 1;
+/// … and, of the front, rest positions [scene unit].
+pub const REST_POSITION: usize = 2;
+
 /// Vertices that take every step.
 #[derive(Clone, Debug, Default)]
 pub struct Front {
     /// Which they are.
     pub vertices: Vec<u32>,
-    /// Rest positions [scene unit], and displacements [scene unit] and velocities [scene unit/s] at the end of the last step;
-    /// padded with repetitions of the last vertex.
+    /// Displacements and velocities at the end of the last step, and rest positions; padded with repetitions of the last
+    /// vertex.
     pub blocks: Blocks<3>,
 }
 
@@ -46,7 +53,7 @@ pub struct Swinging {
     pub vertices: Vec<u32>,
     /// The step at whose end they had the states below.
     pub as_of: u64,
-    /// Displacements [scene unit] and velocities [scene unit/s] then.
+    /// Displacements and velocities then.
     pub blocks: Blocks<2>,
     /// How far any of them swings at most [scene unit].
     pub largest: f64,
@@ -340,13 +347,6 @@ fn flow(oscillator: Oscillator, h: f64) -> [f64; 4] {
     flow
 }
 
-/// What is where in a block of the front: rest positions, …
-const REST_POSITION: usize = 0;
-/// …
-pub const DISPLACEMENT: usize = 1;
-/// …
-pub const VELOCITY: usize = 2;
-
 impl Front {
     /// Rest position of the `i`-th [scene unit].
     pub fn rest(&self, i: usize) -> DVec3 {
@@ -417,7 +417,7 @@ impl Swinging {
     /// The state that a flow makes of one of them.
     #[inline(always)]
     fn state(&self, i: usize, [xx, xu, ux, uu]: [f64; 4]) -> State {
-        let (x, u) = (self.blocks.get(0, i), self.blocks.get(1, i));
+        let (x, u) = (self.blocks.get(DISPLACEMENT, i), self.blocks.get(VELOCITY, i));
         State { x: xx * x + xu * u, u: ux * x + uu * u }
     }
 
@@ -434,8 +434,8 @@ impl Swinging {
         self.vertices.extend_from_slice(list);
         self.blocks.resize(list.len());
         for (i, &vertex) in list.iter().enumerate() {
-            self.blocks.set(0, i, displacement.get(vertex as usize));
-            self.blocks.set(1, i, velocity.get(vertex as usize));
+            self.blocks.set(DISPLACEMENT, i, displacement.get(vertex as usize));
+            self.blocks.set(VELOCITY, i, velocity.get(vertex as usize));
         }
         // what is not a number stays so
         let larger = |a: f64, b: f64| if b > a || b.is_nan() { b } else { a };

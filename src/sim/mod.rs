@@ -6,7 +6,7 @@
 //! | the state of one body, and its turn in a step | `body`, `advance` |
 //! | what single vertices do beyond what all of them do | `deformation` |
 //! | where moving bodies are in the course of a step | `tracks` |
-//! | who can touch whom | `pairs`, by a grid in [`reach`] |
+//! | who can touch whom | `neighbours` of `pairs`, by a grid in [`reach`] |
 //! | when pairs merge, split, enter and leave their core | [`events`] |
 //! | how a vertex is advanced | [`integrator`] |
 //! | forces by cause, energy: looking at a state | [`observe`] |
@@ -26,6 +26,7 @@ mod deformation;
 pub mod events;
 pub mod integrator;
 pub mod memory;
+mod neighbours;
 pub mod observe;
 mod pairs;
 pub mod reach;

@@ -690,7 +690,7 @@ mod tests {
             rounded.step();
             for active in &mut rounded.actives {
                 let Deformation { front, swinging, .. } = &mut active.deformation;
-                let of_front = front.blocks.all_mut().iter_mut().flat_map(|block| &mut block.0[1..]);
+                let of_front = front.blocks.all_mut().iter_mut().flat_map(|block| &mut block.0[..2]);
                 let of_swinging = swinging.blocks.all_mut().iter_mut().flat_map(|block| &mut block.0);
                 for number in of_front.chain(of_swinging).flatten().flatten() {
                     *number = f64::from(*number as f32);

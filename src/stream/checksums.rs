@@ -13,7 +13,7 @@ use rerun::external::{
     re_types_core::ComponentDescriptor,
 };
 
-use super::chunks::{Chunks, Instant};
+use super::{chunks::Chunks, instant::Instant};
 use crate::sim::checksum::followed_by;
 
 /// The entity, and its one component: unsigned 64-bit numbers.

@@ -14,30 +14,10 @@ use rerun::{
     },
 };
 
-use super::columns::{Cell, Columns, Parts};
-
-/// When something was: what the two timelines of a recording say.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Instant {
-    /// Timeline `step`.
-    pub step: u64,
-    /// Timeline `sim_time` [s].
-    pub time: f64,
-}
-
-impl Instant {
-    fn time_point(self) -> TimePoint {
-        TimePoint::from_iter([
-            (*Timeline::new_sequence("step").name(), rerun::TimeCell::from_sequence(self.step as i64)),
-            (*Timeline::new_duration("sim_time").name(), rerun::TimeCell::from_duration_nanos(self.nanoseconds())),
-        ])
-    }
-
-    /// What `sim_time` says [ns]. Times that it can't hold (292 years) stay at its end.
-    pub fn nanoseconds(self) -> i64 {
-        (self.time * 1e9).round().clamp(0.0, i64::MAX as f64) as i64
-    }
-}
+use super::{
+    columns::{Cell, Columns, Parts},
+    instant::{Instant, STAGE},
+};
 
 /// Whom a message is for: files get the same rows as viewers, but in larger chunks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,9 +29,6 @@ pub enum Audience {
     /// Files and pipes.
     Files,
 }
-
-/// The timeline that walks through the inside of steps.
-pub const STAGE: &str = "stage";
 
 /// An entity that is logged in columns, see [`Chunks::track`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -19,7 +19,7 @@ use rerun::{
 };
 
 use super::{
-    chunks::{Instant, STAGE},
+    instant::{Instant, STAGE},
     normals::Vector,
 };
 

@@ -19,8 +19,8 @@ use rerun::log::LogMsg;
 use super::{
     Recorder, Settings,
     chunks::Audience,
-    recorder::{StageWatch, Step},
     sinks::{SinkError, Sinks},
+    step::{StageWatch, Step},
 };
 use crate::sim::{Snapshot, World, stages::Inside};
 

@@ -17,9 +17,10 @@ use rerun::{
 use super::{
     blueprint::{self, Tab},
     checksums::Checksums,
-    chunks::{Audience, Chunks, Instant},
+    chunks::{Audience, Chunks},
     extract::Extractor,
     flight::FlightRecorder,
+    instant::Instant,
     machine,
     parts::{
         Look, batch::Batch, bodies::Bodies, forces::Forces, lines::Lines, numbers::Numbers, pairs, pairs::Pairs,
@@ -27,6 +28,7 @@ use super::{
     },
     series::Series,
     settings::{FORMAT, Frames, recording_id},
+    step::{StageWatch, Step},
 };
 pub use super::{
     parts::{
@@ -37,10 +39,7 @@ pub use super::{
 };
 use crate::{
     scene::Scene,
-    sim::{
-        Snapshot, StepReport, World,
-        stages::{self, Inside},
-    },
+    sim::{Snapshot, StepReport, World, stages::Inside},
 };
 
 /// Turns a world, step by step, into the messages of a recording.
@@ -84,31 +83,6 @@ struct State {
 enum Surfaces {
     Bodies(Bodies),
     Batch(Batch),
-}
-
-/// What a step leaves to be recorded, apart from its frame.
-#[derive(Clone, Debug)]
-pub struct Step {
-    /// What happened.
-    pub report: StepReport,
-    /// The hash of the state after it.
-    pub checksum: u64,
-    /// What looking at the world took of the simulation's time …
-    pub observing: Duration,
-    /// … and what waiting for the recording took.
-    pub waiting: Duration,
-    /// How far the simulation is behind real time, if it runs no faster than that.
-    pub lag: Option<Duration>,
-    /// When the step was complete.
-    pub end: Clock,
-    /// What happened inside, if that is wanted.
-    pub stages: Vec<Inside>,
-}
-
-/// Looks into steps, for which it keeps the state before the next one.
-#[derive(Default)]
-pub struct StageWatch {
-    before: Option<Snapshot>,
 }
 
 impl Recorder {
@@ -404,30 +378,6 @@ impl State {
         spheres.log(look, chunks);
         lines.log(look, chunks);
         extracting
-    }
-}
-
-impl StageWatch {
-    /// From the world as it is on.
-    pub fn new(world: &World, settings: &Settings) -> StageWatch {
-        let mut watch = StageWatch::default();
-        watch.observe(world, settings);
-        watch
-    }
-
-    /// The stages of the step just taken, if they are wanted.
-    pub fn observe(&mut self, world: &World, settings: &Settings) -> Vec<Inside> {
-        let step = world.steps_taken();
-        let stages = match &self.before {
-            Some(before) if settings.has_stages(step) => stages::inside(before, world),
-            _ => Vec::new(),
-        };
-        if settings.has_stages(step + 1) {
-            world.look(self.before.get_or_insert_default());
-        } else {
-            self.before = None;
-        }
-        stages
     }
 }
 

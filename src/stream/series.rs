@@ -3,8 +3,9 @@
 use rerun::{Scalars, SeriesLines, components::InterpolationMode};
 
 use super::{
-    chunks::{Chunks, Instant, Track},
+    chunks::{Chunks, Track},
     columns::Cell,
+    instant::Instant,
     palette::{Rgb, color},
 };
 

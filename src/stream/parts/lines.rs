@@ -2,7 +2,7 @@
 
 use rerun::LineStrips3D;
 
-use super::{Look, spheres::MOST_LABELS};
+use super::{Look, MOST_LABELS};
 use crate::{
     scene::Scene,
     sim::PairView,

@@ -20,8 +20,11 @@ pub mod pairs;
 pub mod spheres;
 pub mod vertices;
 
-use super::chunks::Instant;
+use super::instant::Instant;
 use crate::{scene::Scene, sim::Snapshot};
+
+/// More bodies than this go without their names in the picture.
+const MOST_LABELS: usize = 8;
 
 /// What a frame is made from.
 #[derive(Clone, Copy)]

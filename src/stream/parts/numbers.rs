@@ -8,11 +8,12 @@ use super::Look;
 use crate::{
     sim::Stage,
     stream::{
-        chunks::{Chunks, Instant, Track},
+        chunks::{Chunks, Track},
         columns::Cell,
+        instant::Instant,
         palette,
-        recorder::Step,
         series::{LineId, Series, Shape},
+        step::Step,
     },
 };
 

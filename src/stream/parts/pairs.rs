@@ -10,7 +10,8 @@ use crate::{
     scene::Scene,
     sim::Event,
     stream::{
-        chunks::{Chunks, Instant},
+        chunks::Chunks,
+        instant::Instant,
         palette::{self, color},
         series::{LineId, Series, Shape},
     },

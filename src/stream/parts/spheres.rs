@@ -2,7 +2,7 @@
 
 use rerun::{Ellipsoids3D, components::FillMode};
 
-use super::{Look, lines::PAIRS};
+use super::{Look, MOST_LABELS, lines::PAIRS};
 use crate::{
     model::phase::Phase,
     scene::Scene,
@@ -16,8 +16,6 @@ use crate::{
 };
 
 const ENTITY: &str = "/world/influence";
-/// More bodies than this go without their names in the picture.
-pub const MOST_LABELS: usize = 8;
 /// How thick wires are drawn [points on the screen].
 const LINE: f32 = 0.6;
 

@@ -7,8 +7,9 @@ use rerun::{AnyValues, ComponentDescriptor, Points3D, components::Text, external
 use crate::{
     sim::{BodyForces, Cause, snapshot::SeenBody},
     stream::{
-        chunks::{Chunks, Instant, Track},
+        chunks::{Chunks, Track},
         columns::Cell,
+        instant::Instant,
         palette,
     },
 };

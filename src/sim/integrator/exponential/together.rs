@@ -98,7 +98,7 @@ impl Together<'_> {
     fn take<S: Simd, const W: usize, const LOOKS: usize>(&mut self, simd: S, first: usize) {
         let Together { course, step, ref front, .. } = *self;
         let (block, lane) = (first / LANES, first % LANES);
-        let [rest, x, u] = &front.blocks.all()[block].0;
+        let [x, u, rest] = &front.blocks.all()[block].0;
         let weights = &step.weights;
         let h = step.h;
         let material = course.body().material;
@@ -156,7 +156,7 @@ impl Together<'_> {
             u.store(&mut outcomes.velocity, first);
             outcomes.groups.push(first..first + Reals::<S, W>::COUNT);
         }
-        let [_, x, u] = &mut self.front.blocks.all_mut()[block].0;
+        let [x, u, _] = &mut self.front.blocks.all_mut()[block].0;
         x1.into_block(x, lane);
         u1.into_block(u, lane);
     }
@@ -268,7 +268,7 @@ impl WithSimd for Largest<'_> {
         let zero = Reals::<S, 2>::splat(simd, 0.0);
         let (mut x2, mut m2) = (zero, zero);
         let Front { vertices, blocks } = self.front;
-        for (Block([_, x, u]), vertices) in blocks.all().iter().zip(vertices.chunks(LANES)) {
+        for (Block([x, u, _]), vertices) in blocks.all().iter().zip(vertices.chunks(LANES)) {
             // what is beyond them was not advanced
             for lane in (0..vertices.len()).step_by(Reals::<S, 2>::COUNT) {
                 let x = Vector::<S, 2>::of_block(simd, x, lane).length_squared();

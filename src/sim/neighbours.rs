@@ -1,0 +1,41 @@
+//! Who is near a body, and for how long that is known.
+
+use crate::{model::phase::Phase, scene::Scene};
+
+/// Another body that is near this one.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Neighbour {
+    /// Index of the other body.
+    pub other: u32,
+    /// Index of the pair.
+    pub pair: u32,
+    /// A bound of the acceleration of any vertex of this body by the other's sphere, in any phase [scene unit/s²].
+    pub pull: f64,
+}
+
+impl Neighbour {
+    /// That body `other`, of pair `pair`, is near `this`.
+    pub fn new(scene: &Scene, this: u32, other: u32, pair: u32) -> Neighbour {
+        let influence = &scene.influence;
+        let [this, source] = [this, other].map(|index| scene.bodies[index as usize].radius);
+        let strength = |phase| influence.strength(phase, this, source).abs();
+        let strongest = [Phase::Merged, Phase::Apart, Phase::Core].map(strength).into_iter().fold(0.0, f64::max);
+        let pull = strongest * influence.sphere_radius(source) * influence.weight.max_pull();
+        Neighbour { other, pair, pull }
+    }
+}
+
+/// What a body's zone allows for.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Zone {
+    /// How far from the centre it may have vertices [scene unit].
+    pub vertices: f64,
+    /// How far from where it was its centre may be [scene unit].
+    pub skin: f64,
+    /// Until when its centre is within the bounds [s].
+    pub until: f64,
+}
+
+impl Zone {
+    pub const NONE: Zone = Zone { vertices: 0.0, skin: 0.0, until: f64::NEG_INFINITY };
+}
