@@ -28,8 +28,8 @@ use crate::scene::{Response, Scene};
 const SKIN: f64 = 0.1;
 /// … and this many times what they move in a step.
 const SKIN_STEPS: f64 = 3.0;
-/// A body whose vertices all move by less than this is put to rest [scene unit/s]; numbers that are much smaller still are
-/// slow to compute with.
+/// A body whose vertices all are and move by less than this is put to rest [scene unit, scene unit/s]; numbers that are
+/// much smaller still are slow to compute with.
 const REST: f64 = 1e-150;
 
 thread_local! {
@@ -97,7 +97,8 @@ impl Context<'_> {
             active.extent = Extent::of(&active.deformation, active.oscillator, self.arch);
             active.bound += self.force_bound(active, span) * span.length();
             let is_plain = !self.skip || Scheme::of(self.scene.integrator).is_some();
-            if is_plain && active.extent.momentum < REST && active.common.is_zero() {
+            let Extent { displacement, momentum } = active.extent; // without a spring one does not follow from the other
+            if is_plain && momentum < REST && displacement < REST && active.common.is_zero() {
                 active.deformation.clear();
                 active.extent = Extent::default();
             }

@@ -289,6 +289,33 @@ fn decay_ends_at_rest() {
     }
 }
 
+/// Without a spring a body comes to rest where it is, and not where it rests: however little it moves in the end.
+#[test]
+fn without_a_spring_what_was_pushed_stays_where_it_is() {
+    let mut scene = company("linear", "rigid");
+    scene.dt = 0.25;
+    scene.bodies.truncate(1);
+    scene.pushes.truncate(1);
+    scene.bodies[0].material.omega = 0.0;
+    scene.bodies[0].material.damping = 1.5;
+    for integrator in Integrator::ALL {
+        for skip in [true, false] {
+            let scene = Scene { integrator, ..scene.clone() };
+            let mut world = World::with_options(scene, Options { skip, ..Options::default() }).expect("fits");
+            let farthest = |world: &World| world.body(0).displacement(0).length().max(world.body(0).max_displacement());
+            for _ in 0..100 {
+                world.step();
+            }
+            let then = farthest(&world);
+            for _ in 0..900 {
+                world.step(); // by then it moves by less than any number can tell
+            }
+            assert!(then > 1e-3, "{integrator}, skip {skip}: {then:e}");
+            assert!((farthest(&world) - then).abs() < 1e-9 * then, "{integrator}, skip {skip}");
+        }
+    }
+}
+
 /// A body between still ones: pushed, it swings freely through its rest shape and far out again, into spheres that nothing
 /// moves. And one that swings where another comes by later.
 #[test]
