@@ -9,7 +9,7 @@ use super::{
     Span,
     arrays::{Block, LANES, Vectors},
     body::{Active, Body, Extent, Seen},
-    deformation::{self, Front},
+    deformation::{self, Front, REST},
     integrator::{
         explicit::{self, Interval, Scheme},
         exponential::{
@@ -28,9 +28,6 @@ use crate::scene::{Response, Scene};
 const SKIN: f64 = 0.1;
 /// … and this many times what they move in a step.
 const SKIN_STEPS: f64 = 3.0;
-/// A body whose vertices all are and move by less than this is put to rest [scene unit, scene unit/s]; numbers that are
-/// much smaller still are slow to compute with.
-const REST: f64 = 1e-150;
 
 thread_local! {
     static SCRATCH: RefCell<Scratch> = RefCell::default();

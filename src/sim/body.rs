@@ -7,7 +7,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     arrays::Vectors,
-    deformation::{Deformation, Now},
+    deformation::{Deformation, Now, REST, larger},
     integrator::{
         State,
         exponential::{
@@ -236,9 +236,6 @@ impl Active {
     }
 }
 
-/// What is smaller is nothing [scene unit, scene unit/s].
-const REST: f64 = 1e-150;
-
 /// What a flow makes of a state.
 fn flowed(State { x, u }: State, [xx, xu, ux, uu]: [f64; 4]) -> State {
     State { x: xx * x + xu * u, u: ux * x + uu * u }
@@ -310,9 +307,4 @@ impl Extent {
         let travelled = self.displacement + momentum * h;
         if oscillator.omega > 0.0 { travelled.min(momentum / oscillator.omega) } else { travelled }
     }
-}
-
-/// The larger of two numbers, or what is not a number: `f64::max` would pass over that.
-fn larger(a: f64, b: f64) -> f64 {
-    if b > a || b.is_nan() { b } else { a }
 }

@@ -34,7 +34,7 @@ pub const DISPLACEMENT: usize = 0;
 /// … velocities [scene unit/s] …
 pub const VELOCITY: usize = 1;
 /// … and, of the front, rest positions [scene unit].
-pub const REST_POSITION: usize = 2;
+const REST_POSITION: usize = 2;
 
 /// Vertices that take every step.
 #[derive(Clone, Debug, Default)]
@@ -87,8 +87,14 @@ pub struct Now {
     pub arch: Arch,
 }
 
-/// A vertex that swings by less is at rest [scene unit]: numbers that are much smaller still are slow to compute with.
-const REST: f64 = 1e-150;
+/// What is by less than this away from rest, or moves by less, is at rest [scene unit, scene unit/s]: numbers that are much
+/// smaller still are slow to compute with.
+pub const REST: f64 = 1e-150;
+
+/// The larger of two numbers, or what is not a number: `f64::max` would pass over that.
+pub fn larger(a: f64, b: f64) -> f64 {
+    if b > a || b.is_nan() { b } else { a }
+}
 
 impl Deformation {
     /// Whether nothing single has happened to any vertex.
@@ -437,8 +443,6 @@ impl Swinging {
             self.blocks.set(DISPLACEMENT, i, displacement.get(vertex as usize));
             self.blocks.set(VELOCITY, i, velocity.get(vertex as usize));
         }
-        // what is not a number stays so
-        let larger = |a: f64, b: f64| if b > a || b.is_nan() { b } else { a };
         self.largest = list.iter().map(|&v| amplitudes[v as usize]).fold(0.0, larger);
     }
 

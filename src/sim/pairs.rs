@@ -207,8 +207,13 @@ impl Pairs {
                 }
                 let first = self.changes.len();
                 let pair = &mut self.pairs[index];
-                let horizon = if self.plain { span.end } else { span.start + AHEAD * span.length() };
                 let paths = paths(scene, pair.a, pair.b);
+                let rests = || [paths.a, paths.b].into_iter().all(|path| path.is_still(span.start, f64::INFINITY));
+                let horizon = match self.plain {
+                    true => span.end,
+                    false if rests() => f64::INFINITY,
+                    false => span.start + AHEAD * span.length(),
+                };
                 let mut from = pair.phase;
                 let (a, b) = (pair.a, pair.b);
                 pair.advance(&paths, scene, span, horizon, |time, to| {
@@ -275,7 +280,8 @@ impl Pair {
         self.known_until < span.end || self.upcoming.is_some_and(|(time, _)| time <= span.end)
     }
 
-    /// Tells of the changes up to the end of `span`, looking no farther than `horizon` for the next.
+    /// Tells of the changes up to the end of `span`, looking no farther than `horizon` for the next; there is none if that
+    /// is infinite.
     fn advance(
         &mut self,
         paths: &PairPaths<'_>,
@@ -292,8 +298,8 @@ impl Pair {
                     self.known_until = from;
                     return;
                 }
-                if [paths.a, paths.b].into_iter().all(|path| path.is_still(from, f64::INFINITY)) {
-                    self.known_until = f64::INFINITY;
+                if horizon == f64::INFINITY {
+                    self.known_until = horizon;
                     return;
                 }
                 self.upcoming = paths.first_change(&scene.thresholds, phase, from, horizon);

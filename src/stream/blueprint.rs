@@ -39,7 +39,7 @@ use super::{
 };
 use crate::{
     model::phase::Phase,
-    scene::{Path, Scene},
+    scene::Scene,
     sim::{Cause, World},
 };
 
@@ -519,13 +519,14 @@ fn close_camera(scene: &Scene) -> EyeControls3D {
         let body = &bodies[push.body];
         acted_on.push((body.path.position(push.start), ROOM * body.radius));
     }
-    let is_fixed: Vec<bool> = bodies.iter().map(|body| matches!(body.path, Path::Fixed(_))).collect();
     let pairs_of = if bodies.len() > MOST { 0 } else { bodies.len() };
+    let movers: Vec<usize> = (0..pairs_of).filter(|&i| !bodies[i].path.is_fixed()).collect();
+    let all: Vec<usize> = (0..pairs_of).collect();
     for (k, time) in instants(scene).enumerate() {
         let centres: Vec<DVec3> = bodies[..pairs_of].iter().map(|body| body.path.position(time)).collect();
-        for b in 0..pairs_of {
-            // those that do not move are as they were at the first instant
-            for a in (0..b).filter(|&a| k == 0 || !(is_fixed[a] && is_fixed[b])) {
+        // those that do not move are as they were at the first instant
+        for &b in if k == 0 { &all } else { &movers } {
+            for a in (0..pairs_of).filter(|&a| a != b) {
                 let reach =
                     |from: usize, to: usize| scene.influence.sphere_radius(bodies[from].radius) + bodies[to].radius;
                 if centres[a].distance(centres[b]) < f64::max(reach(a, b), reach(b, a)) {

@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 
 use crate::scene::{Scene, SceneError};
 
-/// Two bodies that meet and part every four seconds, for ever: with the material, the thresholds and the shapes of the
-/// built-in `two`.
+/// Two bodies that meet and part every four seconds, for ever, as the pairs of `bench scale` do; as a text, which is what a
+/// recording is replayed from.
 const PAIR: &str = r#"name = "pair"
 duration = 100.0
 
