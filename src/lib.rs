@@ -17,8 +17,9 @@
 //! | [`bench`] | benchmarks: error against run time; the independent reference solution | `sim` |
 //! | [`cli`] | one file a subcommand | all |
 //!
-//! Imports point one way, upwards in this table. Nothing in `model`, `scene` or `sim` knows Rerun, and a program that
-//! wants the simulation alone needs no more than this:
+//! Imports point one way, upwards in this table. Nothing in `model`, `scene` or `sim` knows Rerun: they are what
+//! `default-features = false` leaves, a few dozen small crates. The feature `viewer` adds `stream` and `recording`,
+//! `cli` (the default) all of it. A program that wants the simulation alone needs no more than this:
 //!
 //! ```
 //! use meldscope::{Scene, World};
@@ -65,12 +66,16 @@
 // No input may bring the program down.
 #![cfg_attr(not(test), warn(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+#[cfg(feature = "cli")]
 pub mod bench;
+#[cfg(feature = "cli")]
 pub mod cli;
 pub mod model;
+#[cfg(feature = "viewer")]
 pub mod recording;
 pub mod scene;
 pub mod sim;
+#[cfg(feature = "viewer")]
 pub mod stream;
 
 pub use scene::{Scene, SceneError};
