@@ -10,15 +10,16 @@
 //! | module | what | knows |
 //! | --- | --- | --- |
 //! | [`model`] | the equations, scalar and readable, each with its number | nothing |
-//! | [`scene`] | the scene file: parse, validate, shapes, centre paths | `model` |
+//! | [`geometry`] | rest shapes: positions, normals, triangles, masses | nothing |
+//! | [`scene`] | the scene file: parse, validate, centre paths | `model`, `geometry` |
 //! | [`sim`] | the world, the step, integrators, events, reach | `scene` |
 //! | [`stream`] | the world as Rerun data: entities, blueprint, sinks | `sim` |
 //! | [`recording`] | recordings read back: replay, check, diff | `stream` |
 //! | [`bench`] | benchmarks: error against run time; the independent reference solution | `sim` |
 //! | [`cli`] | one file a subcommand | all |
 //!
-//! Imports point one way, upwards in this table. Nothing in `model`, `scene` or `sim` knows Rerun: they are what
-//! `default-features = false` leaves, a few dozen small crates. The feature `viewer` adds `stream` and `recording`,
+//! Imports point one way, upwards in this table. Nothing in `model`, `geometry`, `scene` or `sim` knows Rerun: they are
+//! what `default-features = false` leaves, a few dozen small crates. The feature `viewer` adds `stream` and `recording`,
 //! `cli` (the default) all of it. A program that wants the simulation alone needs no more than this:
 //!
 //! ```
@@ -70,6 +71,7 @@
 pub mod bench;
 #[cfg(feature = "cli")]
 pub mod cli;
+pub mod geometry;
 pub mod model;
 #[cfg(feature = "viewer")]
 pub mod recording;

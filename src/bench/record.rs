@@ -290,7 +290,7 @@ impl Bench<'_> {
         let words = |error: rerun::RecordingStreamError| error.to_string();
         let recording = RecordingStreamBuilder::new("meldscope_bench").save(&self.file).map_err(words)?;
         for body in &self.scene.bodies {
-            let mesh = Mesh3D::update_fields().with_triangle_indices(body.shape.triangles());
+            let mesh = Mesh3D::update_fields().with_triangle_indices(body.shape.mesh().triangles().iter().copied());
             recording.log_static(format!("world/bodies/{}/surface", body.name), &mesh).map_err(words)?;
         }
         for (step, snapshot) in &self.frames {

@@ -139,7 +139,12 @@ impl Reference {
             .into_par_iter()
             .map(|body| {
                 let problem = Problem::new(scene, &histories, times, accuracy, body);
-                scene.bodies[body].shape.unit_vertices().into_par_iter().map(|unit| problem.track(unit)).collect()
+                {
+                    let mesh = scene.bodies[body].shape.mesh();
+                    let rest = mesh.at(scene.bodies[body].radius);
+                    let track = |vertex| problem.track(rest.position(vertex), rest.direction(vertex));
+                    (0..rest.len()).into_par_iter().map(track).collect()
+                }
             })
             .collect::<Result<_, _>>()?;
         let mut events: Vec<_> = histories.iter().flat_map(|history| history.changes.iter().copied()).collect();
@@ -468,22 +473,28 @@ impl<'a> Problem<'a> {
         chunks
     }
 
-    /// x of one vertex at every instant asked for; empty if it stays 0.
-    fn track(&self, unit: DVec3) -> Result<Vec<DVec3>, NoReference> {
-        if let Some(track) = self.track_within(unit, &self.chunks, self.leash())? {
+    /// x of the vertex at `rest`, whose direction is `facing`, at every instant asked for; empty if it stays 0.
+    fn track(&self, rest: DVec3, facing: DVec3) -> Result<Vec<DVec3>, NoReference> {
+        if let Some(track) = self.track_within([rest, facing], &self.chunks, self.leash())? {
             return Ok(track);
         }
         let all = self.all_chunks.get_or_init(|| self.divide(f64::INFINITY));
-        Ok(self.track_within(unit, all, f64::INFINITY)?.unwrap_or_default())
+        Ok(self.track_within([rest, facing], all, f64::INFINITY)?.unwrap_or_default())
     }
 
     /// As [`Problem::track`]; `None` if the vertex gets farther from rest than `leash`.
-    fn track_within(&self, unit: DVec3, chunks: &[Chunk<'a>], leash: f64) -> Result<Option<Vec<DVec3>>, NoReference> {
+    fn track_within(
+        &self,
+        [rest, facing]: [DVec3; 2],
+        chunks: &[Chunk<'a>],
+        leash: f64,
+    ) -> Result<Option<Vec<DVec3>>, NoReference> {
         let end = chunks.last().map_or(0.0, |chunk| chunk.end);
         let trials = TRIALS_PER_STEP * (chunks.len() as f64 + end / self.longest_step);
         let mut vertex = Vertex {
             problem: self,
-            unit,
+            rest,
+            facing,
             state: [0.0; 6],
             step: self.longest_step,
             sides: vec![],
@@ -537,7 +548,10 @@ const AT_RIM: f64 = 1e-9;
 /// One vertex on its way.
 struct Vertex<'p, 'a> {
     problem: &'p Problem<'a>,
-    unit: DVec3,
+    /// Rest position l [scene unit] …
+    rest: DVec3,
+    /// … and its direction.
+    facing: DVec3,
     /// x, then u.
     state: [f64; 6],
     /// The next step, if nothing comes in between [s].
@@ -567,13 +581,13 @@ struct Law<'a> {
 impl Vertex<'_, '_> {
     /// Through one chunk.
     fn advance(&mut self, chunk: &Chunk<'_>) -> Result<(), NoReference> {
-        let push = |push: &&Push| push.strength * f64::max(0.0, -self.unit.dot(push.direction)) * push.direction;
+        let push = |push: &&Push| push.strength * f64::max(0.0, -self.facing.dot(push.direction)) * push.direction;
         let push: DVec3 = chunk.pushes.iter().map(push).sum();
         if self.state == [0.0; 6] && chunk.sources.is_empty() && chunk.is_carried && push == DVec3::ZERO {
             self.sides.clear();
             return Ok(());
         }
-        let rest = self.problem.body.radius * self.unit;
+        let rest = self.rest;
         let mut sides = std::mem::take(&mut self.sides);
         sides = chunk.sources.iter().map(|source| self.side(source, chunk, &sides, rest)).collect();
         let mut t = chunk.start;

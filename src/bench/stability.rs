@@ -251,7 +251,7 @@ impl Judge<'_> {
         for (index, body) in world.bodies().enumerate() {
             for i in 0..body.vertex_count() {
                 let (exact, terms) = if self.case.axis == Axis::Free {
-                    let Some(exact) = exact::displacement(world.scene(), index, body.unit(i), world.time()) else {
+                    let Some(exact) = exact::displacement(world.scene(), index, body.direction(i), world.time()) else {
                         return;
                     };
                     (exact.x, exact.terms)

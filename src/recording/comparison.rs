@@ -1,6 +1,6 @@
 //! Differences to look at: a recording with both surfaces of two runs, arrows between them, and how far they are apart.
 
-use std::path::Path;
+use std::{path::Path, sync::Arc};
 
 use glam::DVec3;
 use pulp::Arch;
@@ -11,6 +11,7 @@ use rerun::{
 };
 
 use crate::{
+    geometry::Mesh,
     scene::Scene,
     stream::{
         blueprint,
@@ -47,7 +48,7 @@ pub struct Plan {
 pub struct Comparison {
     chunks: Chunks,
     sinks: Sinks,
-    shown: Vec<(usize, String, Vec<[u32; 3]>)>,
+    shown: Vec<(usize, String, Arc<Mesh>)>,
     /// Arrows are so many times as long as the distance that they stand for.
     magnification: f64,
     frames: u64,
@@ -71,7 +72,7 @@ impl Comparison {
         let shown: Vec<_> = bodies
             .filter_map(|&index| {
                 let body = scene.bodies.get(index)?;
-                Some((index, body.name.clone(), body.shape.triangles()))
+                Some((index, body.name.clone(), body.shape.mesh()))
             })
             .collect();
         let radius =
@@ -97,10 +98,10 @@ impl Comparison {
             plan.tolerance,
         );
         chunks.log_static("/about", &TextDocument::new(about).with_media_type(MediaType::MARKDOWN));
-        for (_, name, triangles) in &shown {
+        for (_, name, mesh) in &shown {
             for (side, rgb) in ["a", "b"].into_iter().zip(COLORS) {
                 let mesh = Mesh3D::update_fields()
-                    .with_triangle_indices(triangles.iter().copied())
+                    .with_triangle_indices(mesh.triangles().iter().copied())
                     .with_albedo_factor(rerun::Rgba32::from_unmultiplied_rgba(rgb[0], rgb[1], rgb[2], 120));
                 chunks.log_static(&format!("/world/{side}/{name}"), &mesh);
             }
@@ -130,14 +131,13 @@ impl Comparison {
         positions: impl Fn(usize) -> [Option<Vec<DVec3>>; 2],
     ) -> Result<(), SinkError> {
         let (mut origins, mut vectors) = (Vec::new(), Vec::new());
-        for (index, name, _) in &self.shown {
+        for (index, name, mesh) in &self.shown {
             let both = positions(*index);
             for (side, positions) in ["a", "b"].into_iter().zip(&both) {
                 let Some(positions) = positions else { continue };
                 let vectors = positions.iter().copied().collect();
                 let (mut normals, mut scratch) = (Vec::new(), normals::Scratch::default());
-                let shape = scene.bodies.get(*index).map(|body| body.shape).unwrap_or_default();
-                normals::append(Arch::new(), shape, &vectors, &mut scratch, &mut normals);
+                normals::append(Arch::new(), mesh, &vectors, &mut scratch, &mut normals);
                 let mesh = Mesh3D::update_fields()
                     .with_vertex_positions(positions.iter().map(|p| p.as_vec3()))
                     .with_vertex_normals(normals);

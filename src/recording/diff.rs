@@ -236,15 +236,15 @@ fn body(scene: &Scene, index: usize) -> Option<&crate::scene::Body> {
 
 /// Two recordings can be compared if they have the same bodies with the same vertices.
 fn same_bodies(a: &Recorded, b: &Recorded) -> Result<(), ReadError> {
-    let [first, second] = [a, b]
-        .map(|recorded| recorded.scene.bodies.iter().map(|body| (body.name.clone(), body.shape)).collect::<Vec<_>>());
+    let [first, second] =
+        [a, b].map(|recorded| recorded.scene.bodies.iter().map(|body| (&body.name, &body.shape)).collect::<Vec<_>>());
     if first == second {
         return Ok(());
     }
     let what = if first.len() != second.len() {
         format!("{} bodies, and that in {} {}", second.len(), a.path.display(), first.len())
     } else {
-        let name = first.iter().zip(&second).find(|(a, b)| a != b).map_or("", |(_, (name, _))| name);
+        let name = first.iter().zip(&second).find(|(a, b)| a != b).map_or("", |(_, (name, _))| name.as_str());
         format!("a body \"{name}\" where that in {} has another one", a.path.display())
     };
     Err(ReadError::Unsupported {

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 use rerun::{
@@ -15,6 +16,7 @@ use super::{
     recorded::{cell, step_of},
 };
 use crate::{
+    geometry::Mesh,
     scene::Scene,
     sim::World,
     stream::recorder::{DEFORMED, resting_entity},
@@ -130,7 +132,7 @@ pub struct Frames {
     reader: Reader,
     path: PathBuf,
     names: HashMap<String, usize>,
-    shapes: HashMap<String, Vec<DVec3>>,
+    shapes: HashMap<String, Arc<Mesh>>,
     scene: Scene,
     first: u64,
     /// Chunks that are not in frames yet; an entity that comes a second time belongs to later frames.
@@ -158,8 +160,7 @@ impl Frames {
     pub fn open(recorded: &Recorded) -> Result<Frames, ReadError> {
         let scene = recorded.scene.clone();
         let names = scene.bodies.iter().enumerate().map(|(index, body)| (body.name.clone(), index)).collect();
-        let shapes =
-            scene.bodies.iter().map(|body| body.shape).map(|shape| (resting_entity(&shape), shape.unit_vertices()));
+        let shapes = scene.bodies.iter().map(|body| (resting_entity(&body.shape), body.shape.mesh()));
         Ok(Frames {
             reader: Reader::open(&recorded.path)?,
             path: recorded.path.clone(),
@@ -329,13 +330,13 @@ impl Frames {
                     self.centres[body] = None;
                 }
             }
-        } else if let Some(unit) = self.shapes.get(&entity) {
+        } else if let Some(mesh) = self.shapes.get(&entity) {
             // where they are is known from their paths; who they are is what counts
             if is_naming && super::recorded::raw(chunk, "body", row).is_some() {
                 let resting = bodies()?;
                 let surface = |body: usize| {
-                    let radius = self.scene.bodies[body].radius;
-                    unit.iter().map(|&v| (radius * v).as_vec3()).collect::<Vec<_>>()
+                    let rest = mesh.at(self.scene.bodies[body].radius);
+                    (0..rest.len()).map(|i| rest.position(i).as_vec3()).collect::<Vec<_>>()
                 };
                 let surfaces: Vec<_> = resting.iter().map(|&body| (body, surface(body))).collect();
                 for (body, positions) in surfaces {

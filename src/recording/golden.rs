@@ -117,7 +117,7 @@ pub fn digest(checksums: &[u64]) -> u64 {
 }
 
 fn counts(scene: &Scene) -> String {
-    let triangles: usize = scene.bodies.iter().map(|body| body.shape.triangles().len()).sum();
+    let triangles: u64 = scene.bodies.iter().map(|body| body.shape.triangle_count()).sum();
     format!("{} vertices, {triangles} triangles", scene.vertex_count())
 }
 
@@ -318,7 +318,7 @@ fn show(scene: &Scene, details: &Details, difference: &Difference, path: &Path) 
                     let now = world.body(index);
                     let then = |vertex: usize| {
                         let displacement = state.bodies.get(&index).and_then(|x| x.get(vertex).copied());
-                        now.centre() + now.scene().radius * now.unit(vertex) + displacement.unwrap_or_default()
+                        now.centre() + now.rest(vertex) + displacement.unwrap_or_default()
                     };
                     [Some((0..now.vertex_count()).map(then).collect()), Some(now.positions().collect())]
                 })?;

@@ -6,17 +6,18 @@
 pub mod builtin;
 pub mod parse;
 pub mod path;
-pub mod shape;
 
 use std::fmt;
 
 use glam::DVec3;
 
-use crate::model::{influence::Influence, phase::Thresholds};
+use crate::{
+    geometry::Shape,
+    model::{influence::Influence, phase::Thresholds},
+};
 
 pub use parse::SceneError;
 pub use path::Path;
-pub use shape::Sphere;
 
 /// A scene as its file describes it: bodies on prescribed paths, the law between them, pushes.
 #[derive(Clone, Debug)]
@@ -53,7 +54,7 @@ pub struct Body {
     /// The oscillators' constants.
     pub material: Material,
     /// The rest shape, of unit radius.
-    pub shape: Sphere,
+    pub shape: Shape,
     /// Where the centre is at each time.
     pub path: Path,
 }

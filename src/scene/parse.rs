@@ -17,10 +17,13 @@ use std::{collections::HashMap, fs::File, io, io::Read as _};
 
 use glam::DVec3;
 
-use super::{Body, Integrator, Material, Path, Push, Response, Scene, Sphere, path::Spline};
-use crate::model::{
-    influence::{Influence, Scaling, Weight},
-    phase::Thresholds,
+use super::{Body, Integrator, Material, Path, Push, Response, Scene, path::Spline};
+use crate::{
+    geometry::{Shape, shape::Parameter},
+    model::{
+        influence::{Influence, Scaling, Weight},
+        phase::Thresholds,
+    },
 };
 use error::one_line;
 pub use error::{Place, SceneError};
@@ -64,12 +67,18 @@ static PUSH: Keys = Keys {
 static SHAPE: Keys = Keys {
     home: "in the shape of a body",
     form: "a table such as { sphere = { stacks = 12, slices = 24 } }",
-    names: &["sphere"],
+    names: Shape::NAMES,
 };
-static SPHERE: Keys = Keys {
-    home: "in shape = { sphere = { … } }",
-    form: "a table such as { stacks = 12, slices = 24 }",
-    names: &["stacks", "slices"],
+/// Of each kind of shape.
+static SHAPES: [Keys; Shape::KINDS.len()] = {
+    let mut all = [const { Keys { home: "", form: "", names: &[] } }; Shape::KINDS.len()];
+    let mut i = 0;
+    while i < all.len() {
+        let kind = &Shape::KINDS[i];
+        all[i] = Keys { home: kind.home, form: kind.form, names: kind.keys };
+        i += 1;
+    }
+    all
 };
 static MOTION: Keys = Keys {
     home: "in the motion of a body",
@@ -86,8 +95,12 @@ static SINE: Keys = Keys {
     form: "a table such as { center = [0, 0, 0], amplitude = [1, 0, 0], frequency = 0.25 }",
     names: &["center", "amplitude", "frequency", "phase"],
 };
+
 /// Every table, to find where a misplaced key belongs.
-static KEYS: [&Keys; 10] = [&SCENE, &MATERIAL, &INFLUENCE, &BODY, &PUSH, &SHAPE, &SPHERE, &MOTION, &LINE, &SINE];
+fn all_keys() -> impl Iterator<Item = &'static Keys> {
+    let bodies = [&SCENE, &MATERIAL, &INFLUENCE, &BODY, &PUSH, &SHAPE];
+    bodies.into_iter().chain(&SHAPES).chain([&MOTION, &LINE, &SINE])
+}
 
 const RESPONSE: Choice<Response, 3> =
     Choice([("rigid", Response::Rigid), ("inertial", Response::Inertial), ("world", Response::World)]);
@@ -265,15 +278,21 @@ fn read_bodies(array: &Value<'_>, tables: &[Table<'_>], material: Material) -> R
     Ok(bodies)
 }
 
-fn read_shape(body: &Table<'_>) -> Result<Sphere, SceneError> {
-    let default = Sphere::default();
-    let Some(shape) = body.get("shape") else { return Ok(default) };
-    let shape = shape.into_table(&SHAPE)?;
-    let sphere = shape.present("sphere", SPHERE.form)?.into_table(&SPHERE)?;
-    Ok(Sphere {
-        stacks: sphere.optional("stacks", Integer { min: 2, max: 65_535 })?.unwrap_or(default.stacks),
-        slices: sphere.optional("slices", Integer { min: 3, max: 65_535 })?.unwrap_or(default.slices),
-    })
+fn read_shape(body: &Table<'_>) -> Result<Shape, SceneError> {
+    let Some(shape) = body.get("shape") else { return Ok(Shape::default()) };
+    let table = shape.clone().into_table(&SHAPE)?;
+    let mut given = Shape::KINDS.iter().zip(&SHAPES).filter(|(kind, _)| table.get(kind.name).is_some());
+    let (kind, keys) = given.next().unwrap_or((&Shape::KINDS[0], &SHAPES[0]));
+    if given.next().is_some() {
+        return Err(shape.unexpected(SHAPE.form));
+    }
+    let table = table.present(kind.name, keys.form)?;
+    let table = table.into_table(keys)?;
+    let parameters = kind.keys.iter().zip(kind.parameters).map(|(key, parameter)| {
+        let Parameter { least: min, most: max, default } = *parameter;
+        Ok(table.optional(key, Integer { min, max })?.unwrap_or(default))
+    });
+    Ok((kind.make)(&parameters.collect::<Result<Vec<_>, SceneError>>()?))
 }
 
 fn read_path(body: &Table<'_>) -> Result<Path, SceneError> {

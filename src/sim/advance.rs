@@ -7,7 +7,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     Span,
-    arrays::{Block, LANES, Vectors},
+    arrays::{Block, LANES},
     body::{Active, Body, Extent, Seen},
     deformation::{self, Front, REST},
     integrator::{
@@ -22,7 +22,10 @@ use super::{
     surroundings::{Source, Surroundings, carry, push_acts},
     tracks::Tracks,
 };
-use crate::scene::{Response, Scene};
+use crate::{
+    geometry::Rest,
+    scene::{Response, Scene},
+};
 
 /// How far spheres may move before a front is chosen anew: no less than this [radii] …
 const SKIN: f64 = 0.1;
@@ -206,10 +209,10 @@ impl Context<'_> {
         if active.is_at_rest() && interval.is_idle(scheme) {
             return Effort::default();
         }
-        let (unit, radius) = (&self.body(active.body).unit, self.scene.bodies[active.body as usize].radius);
-        active.deformation.wake_all(unit, radius);
+        let rest = self.body(active.body).rest();
+        active.deformation.wake_all(rest);
         let front = &mut active.deformation.front;
-        explicit::advance(scheme, interval, radius, unit, front);
+        explicit::advance(scheme, interval, rest, front);
         front.pad_again();
         Effort { substeps: 1, error: 0.0 }
     }
@@ -220,10 +223,10 @@ impl Context<'_> {
         let index = active.body as usize;
         let now = active.now(self.step, scene.dt, self.arch);
         if !self.skip {
-            active.deformation.wake_all(&self.body(active.body).unit, scene.bodies[index].radius);
+            active.deformation.wake_all(self.body(active.body).rest());
         } else if active.reachable.is_empty() {
             if active.can_sleep() {
-                active.deformation.let_go(self.body(active.body).unit.len(), now, &mut scratch.deformation);
+                active.deformation.let_go(self.body(active.body).rest().len(), now, &mut scratch.deformation);
                 active.seen.clear();
             }
             let is_idle = self.own_force(active.body, span) == 0.0;
@@ -257,6 +260,7 @@ impl Context<'_> {
             let course = Course {
                 scene,
                 index,
+                mesh: &self.body(active.body).mesh,
                 start: part.start,
                 // All whole steps have the same length to the bit, so that weights are computed once.
                 length: if is_whole { scene.dt } else { part.length() },
@@ -269,7 +273,7 @@ impl Context<'_> {
             if !self.skip {
                 // the plain way: every vertex has a state of its own, and nothing in common with others
                 let body = self.body(active.body);
-                active.deformation.absorb(&mut active.common, &body.unit, &body.pushes);
+                active.deformation.absorb(&mut active.common, body.rest(), &body.pushes);
             }
             total.substeps += effort.substeps;
             total.error += effort.error;
@@ -385,17 +389,17 @@ impl Context<'_> {
         active.seen_pushed.clear();
         active.seen_pushed.extend(pushed.iter().map(|pushed| pushed.x));
 
-        let unit = &self.body(active.body).unit;
+        let rest = self.body(active.body).rest();
         gaps.clear();
-        gaps.resize(unit.len(), f64::INFINITY);
+        gaps.resize(rest.len(), f64::INFINITY);
         moved.clear();
         if pushed.iter().any(|pushed| pushed.x != 0.0) {
             let pushes = &self.body(active.body).pushes;
-            moved.extend(unit.iter().map(|unit| active.common.moved(unit, pushes)));
+            moved.extend(rest.mesh.directions().iter().map(|facing| active.common.moved(facing, pushes)));
         }
-        self.arch.dispatch(FindGaps { unit, radius, moved, centres, gaps });
+        self.arch.dispatch(FindGaps { rest, moved, centres, gaps });
         let now = active.now(self.step, self.scene.dt, self.arch);
-        active.deformation.choose_front(unit, radius, gaps, active.skin, now, deformation);
+        active.deformation.choose_front(rest, gaps, active.skin, now, deformation);
 
         active.seen.clear();
         felt.clear();
@@ -442,8 +446,7 @@ impl Context<'_> {
 
 /// See [`find_gaps`]. (A closure would be compiled for the least instruction set.)
 struct FindGaps<'a> {
-    unit: &'a Vectors,
-    radius: f64,
+    rest: Rest<'a>,
     moved: &'a [DVec3],
     centres: &'a [(DVec3, f64)],
     gaps: &'a mut [f64],
@@ -454,7 +457,7 @@ impl WithSimd for FindGaps<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        find_gaps(self.unit, self.radius, self.moved, self.centres, self.gaps);
+        find_gaps(self.rest, self.moved, self.centres, self.gaps);
     }
 }
 
@@ -477,11 +480,12 @@ impl WithSimd for Clearance<'_> {
 /// By how much the rest position of each vertex, moved if `moved` says so, is outside of the nearest of the spheres around
 /// `centres` with these radii [scene unit].
 #[inline(always)]
-fn find_gaps(unit: &Vectors, radius: f64, moved: &[DVec3], centres: &[(DVec3, f64)], gaps: &mut [f64]) {
+fn find_gaps(rest: Rest<'_>, moved: &[DVec3], centres: &[(DVec3, f64)], gaps: &mut [f64]) {
+    let (l, radius) = (rest.mesh.positions(), rest.radius);
     for &(centre, sphere) in centres {
         // slices of one length, so that the loop below has no bounds to check and is vectorised
         let n = gaps.len();
-        let (lx, ly, lz) = (&unit.x[..n], &unit.y[..n], &unit.z[..n]);
+        let (lx, ly, lz) = (&l.x[..n], &l.y[..n], &l.z[..n]);
         if moved.is_empty() {
             for i in 0..n {
                 let (dx, dy, dz) = (centre.x - radius * lx[i], centre.y - radius * ly[i], centre.z - radius * lz[i]);

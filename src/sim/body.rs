@@ -19,14 +19,17 @@ use super::{
     neighbours::{Neighbour, Zone},
 };
 use crate::{
+    geometry::{Mesh, Rest},
     model::oscillator::Oscillator,
     scene::{self, Scene},
 };
 
 /// A body, whatever it does.
 pub(super) struct Body {
-    /// Unit rest positions, shared by all bodies of the same shape.
-    pub unit: Arc<Vectors>,
+    /// Its rest shape, shared by all bodies of the same shape.
+    pub mesh: Arc<Mesh>,
+    /// Its radius [scene unit].
+    pub radius: f64,
     /// The scene's pushes on this body.
     pub pushes: Box<[scene::Push]>,
     /// Its place among the active bodies, if it isn't at rest.
@@ -39,9 +42,10 @@ pub(super) struct Body {
 
 impl Body {
     /// Body `index` of the scene, at rest.
-    pub fn new(scene: &Scene, index: usize, unit: Arc<Vectors>) -> Body {
+    pub fn new(scene: &Scene, index: usize) -> Body {
         Body {
-            unit,
+            mesh: scene.bodies[index].shape.mesh(),
+            radius: scene.bodies[index].radius,
             pushes: scene.pushes.iter().filter(|push| push.body == index).copied().collect(),
             active: None,
             neighbours: Vec::new(),
@@ -51,6 +55,11 @@ impl Body {
 }
 
 impl Body {
+    /// Its rest shape at its own scale.
+    pub fn rest(&self) -> Rest<'_> {
+        self.mesh.at(self.radius)
+    }
+
     /// What was allocated for it [bytes].
     pub fn memory(&self) -> usize {
         self.neighbours.capacity() * size_of::<Neighbour>() + size_of_val(&*self.pushes)
@@ -155,10 +164,10 @@ impl Active {
         Common { carried: flowed(self.common.carried, flow), pushed: self.pushed_at(flow).collect() }
     }
 
-    /// Adds that to the states of all vertices, which are zero; `unit` are their unit rest positions.
+    /// Adds that to the states of all vertices of `mesh`, which are zero.
     pub fn add_common_to(
         &self,
-        unit: &Vectors,
+        mesh: &Mesh,
         pushes: &[scene::Push],
         displacement: &mut Vectors,
         velocity: &mut Vectors,
@@ -172,8 +181,8 @@ impl Active {
         displacement.fill(x);
         velocity.fill(u);
         for (pushed, push) in self.pushed_at(flow).zip(pushes) {
-            let direction = push.direction;
-            now.arch.dispatch(AddPush { unit, direction, pushed, displacement, velocity });
+            let (facing, direction) = (mesh.directions(), push.direction);
+            now.arch.dispatch(AddPush { facing, direction, pushed, displacement, velocity });
         }
     }
 
@@ -243,7 +252,8 @@ fn flowed(State { x, u }: State, [xx, xu, ux, uu]: [f64; 4]) -> State {
 
 /// Adds the response to a push to the states of all vertices; see [`Common::of`].
 struct AddPush<'a> {
-    unit: &'a Vectors,
+    /// Directions of the rest positions.
+    facing: &'a Vectors,
     direction: DVec3,
     pushed: Pushed,
     displacement: &'a mut Vectors,
@@ -255,15 +265,15 @@ impl WithSimd for AddPush<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        add_push(self.unit, self.direction, self.pushed, self.displacement, self.velocity);
+        add_push(self.facing, self.direction, self.pushed, self.displacement, self.velocity);
     }
 }
 
 #[inline(always)]
-fn add_push(unit: &Vectors, d: DVec3, pushed: Pushed, displacement: &mut Vectors, velocity: &mut Vectors) {
+fn add_push(facing: &Vectors, d: DVec3, pushed: Pushed, displacement: &mut Vectors, velocity: &mut Vectors) {
     // slices of one length, so that the loop has no bounds to check and is vectorised
-    let n = unit.len();
-    let (lx, ly, lz) = (&unit.x[..n], &unit.y[..n], &unit.z[..n]);
+    let n = facing.len();
+    let (lx, ly, lz) = (&facing.x[..n], &facing.y[..n], &facing.z[..n]);
     let [x, y, z] = [&mut displacement.x[..n], &mut displacement.y[..n], &mut displacement.z[..n]];
     let [u, v, w] = [&mut velocity.x[..n], &mut velocity.y[..n], &mut velocity.z[..n]];
     for i in 0..n {

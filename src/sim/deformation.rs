@@ -16,7 +16,7 @@ use super::{
         exponential::course::{Common, Pushed},
     },
 };
-use crate::{model::oscillator::Oscillator, scene::Push};
+use crate::{geometry::Rest, model::oscillator::Oscillator, scene::Push};
 
 /// The single vertices of a body that are not at rest.
 #[derive(Clone, Debug, Default)]
@@ -149,28 +149,28 @@ impl Deformation {
     }
 
     /// Puts all vertices into the front, in their order, those that were at rest with a state of zero.
-    pub fn wake_all(&mut self, unit: &Vectors, radius: f64) {
+    pub fn wake_all(&mut self, rest: Rest<'_>) {
         if !self.is_empty() {
             return;
         }
         self.hash_of_kept.take();
         let Front { vertices, blocks } = &mut self.front;
-        vertices.extend(0..unit.len() as u32);
-        blocks.resize(unit.len());
-        for (i, unit) in unit.iter().enumerate() {
-            blocks.set(REST_POSITION, i, radius * unit);
+        vertices.extend(0..rest.len() as u32);
+        blocks.resize(rest.len());
+        for i in 0..rest.len() {
+            blocks.set(REST_POSITION, i, rest.position(i));
         }
         self.front.pad_again();
     }
 
     /// Makes what all vertices do alike part of what each does, all of them being in the front.
-    pub fn absorb(&mut self, common: &mut Common, unit: &Vectors, pushes: &[Push]) {
+    pub fn absorb(&mut self, common: &mut Common, rest: Rest<'_>, pushes: &[Push]) {
         if common.is_zero() {
             return;
         }
         for i in 0..self.front.vertices.len() {
             let vertex = self.front.vertices[i] as usize;
-            let (alike, own) = (common.of(unit.get(vertex), pushes), self.front.state(i));
+            let (alike, own) = (common.of(rest.direction(vertex), pushes), self.front.state(i));
             self.front.set_state(i, State { x: alike.x + own.x, u: alike.u + own.u });
         }
         self.front.pad_again();
@@ -206,21 +206,13 @@ impl Deformation {
 
     /// Chooses the front anew: the vertices whose `gap` [scene unit], by which their rest position is outside of every
     /// sphere, is no more than `skin` and what they may swing. The others swing freely from now on.
-    pub fn choose_front(
-        &mut self,
-        unit: &Vectors,
-        radius: f64,
-        gap: &[f64],
-        skin: f64,
-        now: Now,
-        scratch: &mut Scratch,
-    ) {
+    pub fn choose_front(&mut self, rest: Rest<'_>, gap: &[f64], skin: f64, now: Now, scratch: &mut Scratch) {
         self.hash_of_kept.take();
-        self.gather(unit.len(), now, scratch);
+        self.gather(rest.len(), now, scratch);
         let Scratch { displacement, velocity, amplitudes, front, outside, swinging } = scratch;
         for list in [&mut *front, &mut *outside, &mut *swinging] {
             list.clear();
-            list.reserve(unit.len());
+            list.reserve(rest.len());
         }
         // Those inside a sphere first: vertices side by side then have the same to do. What is not a number is in.
         for (v, (&gap, &amplitude)) in (0..).zip(gap.iter().zip(&*amplitudes)) {
@@ -233,7 +225,7 @@ impl Deformation {
             }
         }
         front.append(outside);
-        self.front.take(front, unit, radius, displacement, velocity);
+        self.front.take(front, rest, displacement, velocity);
         self.swinging.take(swinging, displacement, velocity, amplitudes, now);
     }
 
@@ -378,13 +370,13 @@ impl Front {
     }
 
     /// Becomes what is listed, of all vertices of a body.
-    fn take(&mut self, list: &[u32], unit: &Vectors, radius: f64, displacement: &Vectors, velocity: &Vectors) {
+    fn take(&mut self, list: &[u32], rest: Rest<'_>, displacement: &Vectors, velocity: &Vectors) {
         self.vertices.clear();
         self.vertices.extend_from_slice(list);
         self.blocks.resize(list.len());
         for (i, &vertex) in list.iter().enumerate() {
             let v = vertex as usize;
-            self.blocks.set(REST_POSITION, i, radius * unit.get(v));
+            self.blocks.set(REST_POSITION, i, rest.position(v));
             self.set_state(i, State { x: displacement.get(v), u: velocity.get(v) });
         }
         self.pad_again();

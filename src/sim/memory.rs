@@ -6,8 +6,8 @@ use crate::scene::Scene;
 
 /// State of a vertex: displacement and velocity, three doubles each [bytes].
 const STATE_BYTES: u64 = 48;
-/// A rest shape, shared by all bodies of it, per vertex: a unit vector and two triangles [bytes].
-const SHAPE_BYTES: u64 = 48;
+/// A rest shape, shared by all bodies of it, per vertex: a position, two triangles and a share of the mass [bytes].
+const SHAPE_BYTES: u64 = 56;
 /// What looking at a vertex takes, at most: six forces by cause and their sum, positions, normals, arrows [bytes].
 const OBSERVE_BYTES: u64 = 400;
 /// A body without its vertices: names, path, surroundings [bytes].
@@ -39,7 +39,7 @@ pub fn needed(scene: &Scene) -> u64 {
     let shapes: u64 = scene
         .bodies
         .iter()
-        .filter(|body| seen.insert(body.shape))
+        .filter(|body| seen.insert(&body.shape))
         .map(|body| body.shape.vertex_count().saturating_mul(SHAPE_BYTES))
         .fold(0, u64::saturating_add);
     let largest = scene.bodies.iter().map(|body| body.shape.vertex_count()).max().unwrap_or(0);

@@ -9,6 +9,7 @@ use super::{
     world::States,
 };
 use crate::{
+    geometry::Rest,
     model::{
         energy,
         influence::{self, Influence, Weight},
@@ -133,7 +134,7 @@ impl World {
     }
 
     pub(super) fn seen<'a>(&'a self, index: usize, states: &'a States, surroundings: &'a Surroundings) -> Seen<'a> {
-        Seen { body: &self.scene().bodies[index], unit: &self.bodies[index].unit, states, surroundings }
+        Seen { body: &self.scene().bodies[index], rest: self.bodies[index].rest(), states, surroundings }
     }
 }
 
@@ -141,7 +142,7 @@ impl World {
 #[derive(Clone, Copy)]
 pub(super) struct Seen<'a> {
     pub body: &'a Body,
-    pub unit: &'a Vectors,
+    pub rest: Rest<'a>,
     /// Empty if every one is zero.
     pub states: &'a States,
     pub surroundings: &'a Surroundings,
@@ -157,8 +158,8 @@ impl Seen<'_> {
     /// How far some vertices from `first` on are from `centre`, which is relative to the body's [scene unit].
     fn distances(&self, centre: DVec3, first: usize, distances: &mut [f64]) {
         let n = distances.len();
-        let radius = self.body.radius;
-        let [lx, ly, lz] = [&self.unit.x, &self.unit.y, &self.unit.z].map(|axis| &axis[first..first + n]);
+        let (l, radius) = (self.rest.mesh.positions(), self.rest.radius);
+        let [lx, ly, lz] = [&l.x, &l.y, &l.z].map(|axis| &axis[first..first + n]);
         let Vectors { x, y, z } = &self.states.displacement;
         if x.is_empty() {
             for i in 0..n {
@@ -180,11 +181,11 @@ impl Seen<'_> {
     pub fn forces(&self, weight: Weight, forces: &mut BodyForces) {
         let material = self.body.material;
         for vectors in &mut forces.by_cause {
-            vectors.resize(self.unit.len()); // every one is set below
+            vectors.resize(self.rest.len()); // every one is set below
         }
-        for i in 0..self.unit.len() {
-            let (unit, (x, u)) = (self.unit.get(i), self.state(i));
-            let position = self.body.radius * unit + x;
+        for i in 0..self.rest.len() {
+            let (x, u) = self.state(i);
+            let position = self.rest.position(i) + x;
             let mut by_cause = [DVec3::ZERO; Cause::ALL.len()];
             for source in &self.surroundings.sources {
                 let to_centre = source.centre - position;
@@ -194,7 +195,7 @@ impl Seen<'_> {
             by_cause[Cause::Restoring as usize] = material.omega * material.omega * -x;
             by_cause[Cause::Damping as usize] = -2.0 * material.damping * u;
             for push in &self.surroundings.pushes {
-                by_cause[Cause::Push as usize] += push_acceleration(push, unit);
+                by_cause[Cause::Push as usize] += push_acceleration(push, self.rest.direction(i));
             }
             by_cause[Cause::Carry as usize] = -self.surroundings.carry;
             by_cause[Cause::Net as usize] = by_cause.iter().sum();
@@ -254,8 +255,8 @@ impl EnergySum {
         if seen.surroundings.sources.is_empty() {
             return;
         }
-        for first in (0..seen.unit.len()).step_by(STRIP) {
-            let n = STRIP.min(seen.unit.len() - first);
+        for first in (0..seen.rest.len()).step_by(STRIP) {
+            let n = STRIP.min(seen.rest.len() - first);
             let mut reached = [false; STRIP];
             for source in &seen.surroundings.sources {
                 let mut distances = [0.0; STRIP];

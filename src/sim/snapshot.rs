@@ -12,6 +12,7 @@ use super::{
     world::{PairView, States},
 };
 use crate::{
+    geometry::Mesh,
     model::phase::Phase,
     scene::{self, Scene},
 };
@@ -34,7 +35,7 @@ pub struct Snapshot {
 
 #[derive(Clone, Debug)]
 struct Body {
-    unit: Arc<Vectors>,
+    mesh: Arc<Mesh>,
     centre: DVec3,
     at_rest: bool,
     /// Empty if at rest.
@@ -55,7 +56,7 @@ impl World {
         snapshot.energy_of_distant_pairs = self.energy_of_distant_pairs();
         for body in &self.bodies[snapshot.bodies.len().min(self.bodies.len())..] {
             snapshot.bodies.push(Body {
-                unit: Arc::clone(&body.unit),
+                mesh: Arc::clone(&body.mesh),
                 centre: DVec3::ZERO,
                 at_rest: true,
                 states: States::default(),
@@ -91,7 +92,7 @@ impl Snapshot {
         bodies: impl Iterator<Item = (DVec3, States, Surroundings)>,
     ) -> Snapshot {
         let body = |(before, (centre, states, surroundings)): (&Body, (DVec3, States, Surroundings))| Body {
-            unit: Arc::clone(&before.unit),
+            mesh: Arc::clone(&before.mesh),
             centre,
             at_rest: false,
             states,
@@ -160,8 +161,8 @@ pub struct SeenBody<'a> {
 
 impl<'a> SeenBody<'a> {
     fn seen(self) -> Seen<'a> {
-        let Body { unit, states, surroundings, .. } = self.seen;
-        Seen { body: self.scene, unit, states, surroundings }
+        let Body { mesh, states, surroundings, .. } = self.seen;
+        Seen { body: self.scene, rest: mesh.at(self.scene.radius), states, surroundings }
     }
 
     /// What the scene says of it.
@@ -179,9 +180,14 @@ impl<'a> SeenBody<'a> {
         self.seen.at_rest
     }
 
+    /// Its rest shape.
+    pub fn mesh(self) -> &'a Mesh {
+        &self.seen.mesh
+    }
+
     /// Number of vertices.
     pub fn vertex_count(self) -> usize {
-        self.seen.unit.len()
+        self.seen.mesh.vertex_count()
     }
 
     /// Displacements of its vertices from rest [scene unit], `[vertex_count]`; none if it is at rest.
@@ -201,8 +207,8 @@ impl<'a> SeenBody<'a> {
 
     /// Positions l + x of its vertices relative to the centre [scene unit], into `positions` (reused).
     pub fn local_positions(self, positions: &mut Vectors) {
-        let (radius, unit, moved) = (self.scene.radius, &*self.seen.unit, self.displacements());
-        positions.copy_from(unit);
+        let (radius, moved) = (self.scene.radius, self.displacements());
+        positions.copy_from(self.seen.mesh.positions());
         for (axis, moved) in [(&mut positions.x, &moved.x), (&mut positions.y, &moved.y), (&mut positions.z, &moved.z)]
         {
             axis.iter_mut().for_each(|l| *l *= radius);

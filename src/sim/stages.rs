@@ -99,8 +99,8 @@ impl Again<'_> {
     fn states_before(&self, index: usize) -> States {
         let mut states = self.before.states(index).clone();
         if states.displacement.is_empty() {
-            states.displacement.reset(self.body(index).unit.len());
-            states.velocity.reset(self.body(index).unit.len());
+            states.displacement.reset(self.body(index).rest().len());
+            states.velocity.reset(self.body(index).rest().len());
         }
         states
     }
@@ -215,20 +215,28 @@ impl Again<'_> {
         if is_still && spheres.is_empty() && surroundings.is_idle() && this.path.is_fixed() {
             return;
         }
-        let course =
-            Course { scene, index, start: from, length: to - from, tracks: None, spheres: &spheres, pushes: &pushes };
+        let course = Course {
+            scene,
+            index,
+            mesh: &body.mesh,
+            start: from,
+            length: to - from,
+            tracks: None,
+            spheres: &spheres,
+            pushes: &pushes,
+        };
         let mut deformation = Deformation::default();
-        deformation.wake_all(&body.unit, this.radius);
+        deformation.wake_all(body.rest());
         let front = &mut deformation.front;
-        for i in 0..body.unit.len() {
+        for i in 0..body.rest().len() {
             front.set_state(i, State { x: states.displacement.get(i), u: states.velocity.get(i) });
         }
         front.pad_again();
         let mut common = Common { carried: State::default(), pushed: vec![Pushed::default(); body.pushes.len()] };
         let manner = Manner { arch: self.world.options().arch, tolerance: scene.tolerance * this.radius };
         exponential::advance(&course, manner, &mut common, front, &mut exponential::Scratch::default());
-        for (i, unit) in body.unit.iter().enumerate() {
-            let (alike, own) = (common.of(unit, &body.pushes), front.state(i));
+        for (i, facing) in body.mesh.directions().iter().enumerate() {
+            let (alike, own) = (common.of(facing, &body.pushes), front.state(i));
             states.displacement.set(i, alike.x + own.x);
             states.velocity.set(i, alike.u + own.u);
         }

@@ -38,10 +38,10 @@ pub struct Surroundings {
 }
 
 impl Surroundings {
-    /// Σ_j s_j (c_j − r_i) W + push − carry, for the vertex with unit rest position `unit`, rest position `rest` and
+    /// Σ_j s_j (c_j − r_i) W + push − carry, for the vertex with rest position `rest`, whose direction is `facing`, and
     /// displacement `x` [scene unit/s²].
     #[inline]
-    pub fn acceleration(&self, weight: Weight, unit: DVec3, rest: DVec3, x: DVec3) -> DVec3 {
+    pub fn acceleration(&self, weight: Weight, facing: DVec3, rest: DVec3, x: DVec3) -> DVec3 {
         let position = rest + x;
         let mut acceleration = DVec3::ZERO;
         for source in &self.sources {
@@ -49,7 +49,7 @@ impl Surroundings {
             acceleration += influence::acceleration(weight, source.strength, source.sphere_radius, to_centre);
         }
         for push in &self.pushes {
-            acceleration += push_acceleration(push, unit);
+            acceleration += push_acceleration(push, facing);
         }
         acceleration - self.carry
     }
@@ -62,10 +62,10 @@ impl Surroundings {
     }
 }
 
-/// Fig. 4.1: vertices that face the push accelerate along it by `strength · max(0, −l̂·d)` [scene unit/s²].
+/// Fig. 4.1: vertices that face the push accelerate along it by `strength · max(0, −l̂·d)` [scene unit/s²]; `facing` is l̂.
 #[inline]
-pub fn push_acceleration(push: &Push, unit: DVec3) -> DVec3 {
-    push.direction * (push.strength * f64::max(0.0, -unit.dot(push.direction)))
+pub fn push_acceleration(push: &Push, facing: DVec3) -> DVec3 {
+    push.direction * (push.strength * f64::max(0.0, -facing.dot(push.direction)))
 }
 
 /// Whether a push acts at time `t` [s].

@@ -1,9 +1,8 @@
 //! The world: the state of every body and pair, and the step.
 
 use std::{
-    collections::HashMap,
     sync::{
-        Arc, OnceLock,
+        OnceLock,
         atomic::{AtomicBool, Ordering},
     },
     time::Instant,
@@ -27,6 +26,7 @@ use super::{
     tracks::Tracks,
 };
 use crate::{
+    geometry::Mesh,
     model::phase::Phase,
     scene::{self, Scene},
 };
@@ -91,14 +91,7 @@ impl World {
     /// As [`World::new`].
     pub fn with_options(scene: Scene, options: Options) -> Result<World, TooLarge> {
         memory::check(&scene)?;
-        let mut shapes: HashMap<scene::Sphere, Arc<Vectors>> = HashMap::new();
-        let bodies: Vec<Body> = (0..scene.bodies.len())
-            .map(|index| {
-                let shape = scene.bodies[index].shape;
-                let unit = shapes.entry(shape).or_insert_with(|| Arc::new(shape.unit_vertices().into_iter().collect()));
-                Body::new(&scene, index, Arc::clone(unit))
-            })
-            .collect();
+        let bodies: Vec<Body> = (0..scene.bodies.len()).map(|index| Body::new(&scene, index)).collect();
         let mut push_starts: Vec<(f64, u32)> = scene.pushes.iter().map(|push| (push.start, push.body as u32)).collect();
         push_starts.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut world = World {
@@ -585,12 +578,22 @@ impl<'a> BodyView<'a> {
 
     /// Number of vertices.
     pub fn vertex_count(&self) -> usize {
-        self.fixed.unit.len()
+        self.fixed.rest().len()
     }
 
-    /// Unit rest direction l̂ of vertex `i` [–]; panics beyond the last, like a slice.
-    pub fn unit(&self, i: usize) -> DVec3 {
-        self.fixed.unit.get(i)
+    /// Its rest shape.
+    pub fn mesh(&self) -> &'a Mesh {
+        &self.fixed.mesh
+    }
+
+    /// Rest position l of vertex `i`, from the centre [scene unit]; panics beyond the last, like a slice.
+    pub fn rest(&self, i: usize) -> DVec3 {
+        self.fixed.rest().position(i)
+    }
+
+    /// Direction l̂ = l/|l| of that [–]; panics beyond the last, like a slice.
+    pub fn direction(&self, i: usize) -> DVec3 {
+        self.fixed.rest().direction(i)
     }
 
     /// The states of all vertices, in less time than one by one.
@@ -613,14 +616,14 @@ impl<'a> BodyView<'a> {
         displacement.reset(self.vertex_count());
         velocity.reset(self.vertex_count());
         let Some(active) = self.state.filter(|active| !active.is_at_rest()) else { return };
-        active.add_common_to(&self.fixed.unit, &self.fixed.pushes, displacement, velocity, self.now);
+        active.add_common_to(&self.fixed.mesh, &self.fixed.pushes, displacement, velocity, self.now);
         active.deformation.add_to(displacement, velocity, self.now);
     }
 
     /// Displacement x and velocity x′ of vertex `i`.
     fn state_of(&self, i: usize) -> State {
         let Some(active) = self.state else { return State::default() };
-        let alike = active.common_at(self.now).of(self.unit(i), &self.fixed.pushes);
+        let alike = active.common_at(self.now).of(self.fixed.rest().direction(i), &self.fixed.pushes);
         let own = active.deformation.state(i, self.now);
         State { x: alike.x + own.x, u: alike.u + own.u }
     }
@@ -637,7 +640,7 @@ impl<'a> BodyView<'a> {
 
     /// Position of vertex `i` relative to the centre, l + x [scene unit].
     pub fn local_position(&self, i: usize) -> DVec3 {
-        self.body.radius * self.unit(i) + self.displacement(i)
+        self.rest(i) + self.displacement(i)
     }
 
     /// World position r = c + l + x of vertex `i` [scene unit].
@@ -648,8 +651,7 @@ impl<'a> BodyView<'a> {
     /// World positions of all vertices [scene unit].
     pub fn positions(self) -> impl ExactSizeIterator<Item = DVec3> + 'a {
         let states = self.states();
-        (0..self.vertex_count())
-            .map(move |i| self.centre + (self.body.radius * self.unit(i) + states.displacement.get(i)))
+        (0..self.vertex_count()).map(move |i| self.centre + (self.rest(i) + states.displacement.get(i)))
     }
 
     /// The largest |x| of its vertices [scene unit].

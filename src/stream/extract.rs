@@ -5,8 +5,8 @@ use pulp::Arch;
 
 use super::normals::{self, Vector};
 use crate::{
-    scene::Sphere,
-    sim::{BodyForces, Cause, Vectors, snapshot::SeenBody},
+    geometry::{Mesh, Vectors},
+    sim::{BodyForces, Cause, snapshot::SeenBody},
 };
 
 /// Reused from body to body.
@@ -25,10 +25,10 @@ impl Extractor {
         append_moved(&self.local, body.centre(), positions);
     }
 
-    /// Smooth normals of a sphere whose vertices are at `positions` relative to its centre.
-    pub fn normals(&mut self, shape: Sphere, positions: &Vectors) -> Vec<Vector> {
+    /// Smooth normals of a mesh whose vertices are at `positions` relative to its centre.
+    pub fn normals(&mut self, mesh: &Mesh, positions: &Vectors) -> Vec<Vector> {
         let mut normals = Vec::new();
-        normals::append(self.arch, shape, positions, &mut self.normals, &mut normals);
+        normals::append(self.arch, mesh, positions, &mut self.normals, &mut normals);
         normals
     }
 }
@@ -49,7 +49,7 @@ impl Surface {
         append_moved(&extractor.local, offset, &mut self.positions);
         // From body coordinates: an offset would cost precision.
         let Extractor { arch, local, normals } = extractor;
-        normals::append(*arch, body.scene().shape, local, normals, &mut self.normals);
+        normals::append(*arch, body.mesh(), local, normals, &mut self.normals);
     }
 
     /// Keeps the storage, holds nothing.

@@ -1,12 +1,12 @@
 //! Smooth normals: the sums of those of the triangles around a vertex, weighted by area.
 //!
-//! A sphere of rings has its triangles in bands between two rings, each band the same two triangles all around. So a band
-//! is a few loops over arrays, which are vectorised, and nothing is looked up.
+//! A mesh of rings has its triangles in bands between two rings, each band the same two triangles all around. So a band
+//! is a few loops over arrays, which are vectorised, and nothing is looked up. Any other mesh is taken triangle by triangle.
 
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
-use crate::{scene::Sphere, sim::Vectors};
+use crate::geometry::{Mesh, Rings, Vectors};
 
 /// Coordinates as the viewer has them.
 pub type Vector = [f32; 3];
@@ -26,19 +26,28 @@ pub struct Scratch {
     sum: Vectors,
 }
 
-/// Appends the unit normals of a deformed sphere whose vertices are at `positions`, relative to its centre.
-pub fn append(arch: Arch, shape: Sphere, positions: &Vectors, scratch: &mut Scratch, normals: &mut Vec<Vector>) {
-    if positions.len() as u64 != shape.vertex_count() {
-        // not a sphere of this shape
+/// Appends the unit normals of a deformed mesh whose vertices are at `positions`, relative to its centre.
+pub fn append(arch: Arch, mesh: &Mesh, positions: &Vectors, scratch: &mut Scratch, normals: &mut Vec<Vector>) {
+    if positions.len() != mesh.vertex_count() {
+        // not this mesh
         normals.extend(positions.iter().map(|position| unit(position, DVec3::Z)));
-        return;
+    } else if let Some(rings) = mesh.rings() {
+        arch.dispatch(All { rings, positions, scratch, normals });
+    } else {
+        let Scratch { sum, .. } = scratch;
+        sum.reset(positions.len());
+        for corners in mesh.triangles() {
+            let [a, b, c] = corners.map(|i| positions.get(i as usize));
+            let area = (b - a).cross(c - a);
+            corners.iter().for_each(|&i| sum.set(i as usize, sum.get(i as usize) + area));
+        }
+        normals.extend(sum.iter().zip(positions.iter()).map(|(sum, position)| unit(sum, position)));
     }
-    arch.dispatch(All { shape, positions, scratch, normals });
 }
 
 /// See [`all`]. (A closure would be compiled for the least instruction set.)
 struct All<'a> {
-    shape: Sphere,
+    rings: Rings,
     positions: &'a Vectors,
     scratch: &'a mut Scratch,
     normals: &'a mut Vec<Vector>,
@@ -49,13 +58,13 @@ impl WithSimd for All<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        all(self.shape, self.positions, self.scratch, self.normals);
+        all(self.rings, self.positions, self.scratch, self.normals);
     }
 }
 
 #[inline(always)]
-fn all(shape: Sphere, positions: &Vectors, scratch: &mut Scratch, normals: &mut Vec<Vector>) {
-    let (stacks, n) = (shape.stacks as usize, shape.slices as usize);
+fn all(rings: Rings, positions: &Vectors, scratch: &mut Scratch, normals: &mut Vec<Vector>) {
+    let Rings { bands: stacks, vertices: n } = rings;
     let Scratch { upper, lower, single, double, above, sum } = scratch;
     for ring in [&mut *upper, lower, single, double] {
         ring.resize(n + 1);
@@ -195,41 +204,45 @@ fn unit(sum: DVec3, position: DVec3) -> Vector {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::{Sphere, shape::Solid as _};
 
     #[test]
     fn they_are_the_sums_over_triangles() {
         for (stacks, slices) in [(2, 3), (3, 3), (2, 5), (3, 7), (12, 24)] {
-            let shape = Sphere { stacks, slices };
-            let positions: Vectors = shape
-                .unit_vertices()
-                .into_iter()
+            let mesh = Sphere { stacks, slices }.mesh();
+            let any = Mesh::new(mesh.positions().clone(), mesh.triangles().to_vec());
+            let positions: Vectors = mesh
+                .positions()
+                .iter()
                 .enumerate()
                 .map(|(i, v)| {
                     0.7 * v + 0.1 * DVec3::new((i as f64).sin(), (3.0 * i as f64).cos(), (7.0 * i as f64).sin())
                 })
                 .collect();
             let mut expected = vec![DVec3::ZERO; positions.len()];
-            for corners in shape.triangles() {
+            for corners in mesh.triangles() {
                 let [a, b, c] = corners.map(|i| positions.get(i as usize));
                 corners.iter().for_each(|&i| expected[i as usize] += (b - a).cross(c - a));
             }
-            let mut normals = Vec::new();
-            append(Arch::new(), shape, &positions, &mut Scratch::default(), &mut normals);
-            assert_eq!(normals.len(), expected.len());
-            for (normal, expected) in normals.iter().zip(expected) {
-                let normal = DVec3::from_array(normal.map(f64::from));
-                assert!(normal.distance(expected.normalize()) < 1e-6, "{shape:?}: {normal} {expected}");
+            for mesh in [&mesh, &any] {
+                let mut normals = Vec::new();
+                append(Arch::new(), mesh, &positions, &mut Scratch::default(), &mut normals);
+                assert_eq!(normals.len(), expected.len());
+                for (normal, expected) in normals.iter().zip(&expected) {
+                    let normal = DVec3::from_array(normal.map(f64::from));
+                    assert!(normal.distance(expected.normalize()) < 1e-6, "{stacks}x{slices}: {normal} {expected}");
+                }
             }
         }
     }
 
     #[test]
     fn a_vertex_without_area_has_one_all_the_same() {
-        let shape = Sphere { stacks: 4, slices: 6 };
+        let mesh = Sphere { stacks: 4, slices: 6 }.mesh();
         for size in [0.0, 1e-200, 1e-30, 1e200] {
-            let positions: Vectors = shape.unit_vertices().into_iter().map(|v| v * size).collect();
+            let positions: Vectors = mesh.positions().iter().map(|v| v * size).collect();
             let mut normals = Vec::new();
-            append(Arch::new(), shape, &positions, &mut Scratch::default(), &mut normals);
+            append(Arch::new(), &mesh, &positions, &mut Scratch::default(), &mut normals);
             for normal in normals {
                 let length = DVec3::from_array(normal.map(f64::from)).length();
                 assert!((length - 1.0).abs() < 1e-6, "{size}: {normal:?}");

@@ -99,7 +99,7 @@ fn the_reference_agrees_with_the_files() {
         for (k, samples) in samples.values().enumerate() {
             for &(index, vertex, expected) in samples {
                 let body = &scene.bodies[index];
-                let rest = body.radius * body.shape.unit_vertices()[vertex];
+                let rest = body.shape.mesh().at(body.radius).position(vertex);
                 let position = body.path.position(times[k]) + rest + reference.displacement(index, vertex, k);
                 worst = f64::max(worst, position.distance(expected) / body.radius);
             }

@@ -80,7 +80,7 @@ fn thesis_is_what_is_printed_to_the_bit() {
     let r_e = 1.5 * 1.25;
     let mut world = World::new(scene.clone()).expect("fits");
     let count = world.body(0).vertex_count();
-    let l: Vec<V> = (0..count).map(|v| (0.75 * world.body(0).unit(v)).to_array()).collect();
+    let l: Vec<V> = (0..count).map(|v| (world.body(0).rest(v)).to_array()).collect();
     let (mut x, mut u) = (vec![[0.0; 3]; count], vec![[0.0; 3]; count]);
     let (mut merged, mut reached) = (0, 0);
     for step in 0..world.scene().steps() {
@@ -250,7 +250,7 @@ fn the_explicit_schemes_are_those_of_the_textbooks() {
         let scene = busy_pair(integrator);
         let busy = Busy { scene: scene.clone(), omega: 12.0, kappa: 1.5 };
         let mut world = World::new(scene).expect("fits");
-        let units: Vec<V> = (0..world.body(0).vertex_count()).map(|v| world.body(0).unit(v).to_array()).collect();
+        let units: Vec<V> = (0..world.body(0).vertex_count()).map(|v| world.body(0).direction(v).to_array()).collect();
         let mut states = vec![([0.0; 3], [0.0; 3]); units.len()];
         let (mut worst, mut largest) = (0.0, 0.0);
         for step in 0..world.scene().steps() {

@@ -260,7 +260,7 @@ fn forces_by_cause_are_those_written_out_by_hand() {
                 let (this, body) = (&scene.bodies[i], world.body(i));
                 let material = this.material;
                 for v in 0..body.vertex_count() {
-                    let (unit, x, u) = (body.unit(v), body.displacement(v), body.velocity(v));
+                    let (unit, x, u) = (body.direction(v), body.displacement(v), body.velocity(v));
                     let r = centres[i] + this.radius * unit + x;
                     let [mut attraction, mut repulsion, mut core, mut push] = [DVec3::ZERO; 4];
                     for j in (0..5).filter(|&j| j != i) {
@@ -656,7 +656,7 @@ fn pushes_have_their_closed_form_whatever_their_window() {
             let felt: Vec<f64> = pushes.iter().map(|push| since(push.start) - since(push.end())).collect();
             for v in 0..body.vertex_count() {
                 let each = pushes.iter().zip(&felt).map(|(push, felt)| {
-                    push.strength * f64::max(0.0, -body.unit(v).dot(push.direction)) * push.direction * *felt
+                    push.strength * f64::max(0.0, -body.direction(v).dot(push.direction)) * push.direction * *felt
                 });
                 let error = body.displacement(v).distance(each.sum());
                 // Measured: 4.8e-15.

@@ -12,8 +12,8 @@ use std::{
 use glam::{DVec3, Vec3};
 use meldscope::{
     Scene, World,
+    geometry::{Shape, Sphere},
     model::phase::Phase,
-    scene::Sphere,
     sim::{BodyForces, BodyView, Cause, Event},
     stream::{
         Recorder, Settings,
@@ -444,7 +444,7 @@ impl Run {
             }
             Entities::Batch => {
                 entities.push("/world/deforming/surface".to_owned());
-                entities.extend(self.shapes().iter().map(|&shape| resting(shape)));
+                entities.extend(self.shapes().iter().map(resting));
             }
         }
         if self.settings.detail == Detail::Forces {
@@ -544,7 +544,7 @@ impl Run {
             let transform = self.track(&format!("/world/bodies/{}", scene.name));
             let surface = self.track(&format!("/world/bodies/{}/surface", scene.name));
             let fixed = self.recording.fixed(&surface.entity);
-            assert_eq!(triangles(&fixed), scene.shape.triangles());
+            assert_eq!(triangles(&fixed), scene.shape.mesh().triangles());
             let albedo = fixed.get::<AlbedoFactor>("Mesh3D:albedo_factor");
             assert_eq!(albedo.len(), 1, "{}", surface.entity);
             assert!(!fixed.has("Mesh3D:vertex_positions") && !fixed.has("Mesh3D:vertex_normals"), "they would shadow");
@@ -576,16 +576,19 @@ impl Run {
 
     /// Resting bodies as instances of their shapes, deformed ones in one mesh; each body is there once.
     fn verify_batches(&self) {
-        let instances: Vec<_> = self.shapes().iter().map(|&shape| (shape, self.track(&resting(shape)))).collect();
+        let instances: Vec<_> =
+            self.shapes().iter().map(|shape| (shape.clone(), self.track(&resting(shape)))).collect();
         for (shape, track) in &instances {
-            let unit: Vec<Vec3> = shape.unit_vertices().iter().map(|v| v.as_vec3()).collect();
+            let mesh = shape.mesh();
+            let rest: Vec<DVec3> = mesh.positions().iter().collect();
+            let unit: Vec<Vec3> = rest.iter().map(|v| v.as_vec3()).collect();
             let fixed = self.recording.fixed(&track.entity);
             assert_eq!(fixed.vectors(POSITIONS), unit);
-            let expected = area_normals(&shape.unit_vertices(), &shape.triangles());
+            let expected = area_normals(&rest, mesh.triangles());
             for (normal, expected) in fixed.vectors(NORMALS).iter().zip(expected) {
                 assert!(normal.as_dvec3().distance(expected) < 1e-6, "{normal} {expected}");
             }
-            assert_eq!(triangles(&fixed), shape.triangles());
+            assert_eq!(triangles(&fixed), mesh.triangles());
         }
         let deforming = self.track("/world/deforming/surface");
         let mut last_deformed = Vec::new();
@@ -632,9 +635,9 @@ impl Run {
                 verify_normals(&body, &normals[vertices.clone()], &at);
                 assert!(names[vertices.clone()].iter().all(|name| name == body.name()), "{at}");
                 assert!(colors[vertices.clone()].iter().all(|c| *c == color(palette::body(index))), "{at}");
-                let count = body.scene().shape.triangle_count() as usize;
+                let count = body.mesh().triangles().len();
                 let local = corners[first_triangle..first_triangle + count].iter().map(|t| t.map(|v| v - first as u32));
-                assert_eq!(local.collect::<Vec<_>>(), body.scene().shape.triangles(), "{at}");
+                assert_eq!(local.collect::<Vec<_>>(), body.mesh().triangles(), "{at}");
                 *drawn.entry(body.name().to_owned()).or_default() += 1;
                 (first, first_triangle) = (vertices.end, first_triangle + count);
             }
@@ -982,11 +985,11 @@ impl Run {
     }
 
     /// Every shape once.
-    fn shapes(&self) -> Vec<Sphere> {
-        let mut shapes: Vec<Sphere> = Vec::new();
+    fn shapes(&self) -> Vec<Shape> {
+        let mut shapes: Vec<Shape> = Vec::new();
         for body in &self.scene.bodies {
             if !shapes.contains(&body.shape) {
-                shapes.push(body.shape);
+                shapes.push(body.shape.clone());
             }
         }
         shapes
@@ -1013,8 +1016,9 @@ enum Line {
     Threshold,
 }
 
-fn resting(shape: Sphere) -> String {
-    format!("/world/resting/sphere_{}x{}", shape.stacks, shape.slices)
+fn resting(shape: &Shape) -> String {
+    let Shape::Sphere(Sphere { stacks, slices }) = shape;
+    format!("/world/resting/sphere_{stacks}x{slices}")
 }
 
 fn triangles(mesh: &Row) -> Vec<[u32; 3]> {
@@ -1044,7 +1048,7 @@ fn area_normals(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<DVec3> {
 /// Normals are of unit length, and those of the area around each vertex.
 fn verify_normals(body: &BodyView<'_>, normals: &[Vec3], at: &str) {
     let positions: Vec<DVec3> = (0..body.vertex_count()).map(|i| body.local_position(i)).collect();
-    let expected = area_normals(&positions, &body.scene().shape.triangles());
+    let expected = area_normals(&positions, body.mesh().triangles());
     assert_eq!(normals.len(), expected.len(), "{at}");
     for (vertex, (normal, expected)) in normals.iter().zip(expected).enumerate() {
         assert!((normal.length() - 1.0).abs() < 1e-6, "{at}: vertex {vertex} {normal}");

@@ -4,9 +4,10 @@ use std::f64::consts::{FRAC_PI_2, PI, SQRT_2, TAU};
 
 use glam::{DVec3, dvec3};
 use meldscope::Scene;
+use meldscope::geometry::{Shape, Sphere};
 use meldscope::model::influence::{Scaling, Weight};
 use meldscope::scene::path::{Path, Spline};
-use meldscope::scene::{Body, Integrator, Material, Response, Sphere};
+use meldscope::scene::{Body, Integrator, Material, Response};
 use proptest::prelude::*;
 
 /// Scenes with known solutions: name, file.
@@ -108,7 +109,8 @@ pub fn assert_valid(scene: &Scene) {
         assert!((1..=64).contains(&body.name.len()) && body.name.chars().all(plain), "{:?}", body.name);
         assert!(scene.bodies[..i].iter().all(|other| other.name != body.name), "two bodies {:?}", body.name);
         assert!(positive(body.radius) && non_negative(body.material.omega) && non_negative(body.material.damping));
-        assert!((2..=65_535).contains(&body.shape.stacks) && (3..=65_535).contains(&body.shape.slices));
+        let Shape::Sphere(Sphere { stacks, slices }) = body.shape;
+        assert!((2..=65_535).contains(&stacks) && (3..=65_535).contains(&slices));
         assert!(body.shape.vertex_count() <= u64::from(u32::MAX));
         match &body.path {
             Path::Fixed(position) => assert!(vector(*position)),
@@ -154,7 +156,7 @@ fn what_is_not_said_has_a_default() {
     assert_eq!((thresholds.merge_at, thresholds.split_at, thresholds.core_at), (1.05, 1.15, 0.0));
     let material = Material { omega: 12.0, damping: 1.5, response: Response::Inertial };
     assert_eq!(little.bodies[0].material, material);
-    assert_eq!(little.bodies[0].shape, Sphere { stacks: 12, slices: 24 });
+    assert_eq!(little.bodies[0].shape, sphere_of(12, 24));
     assert_eq!(little.vertex_count(), 266);
     assert!(little.pushes.is_empty());
     assert_eq!(little.source, LITTLE);
@@ -219,12 +221,16 @@ fn a_body_overrides_the_material_key_by_key() {
     assert_eq!(with("response = \"world\""), Material { response: Response::World, ..material });
 }
 
+fn sphere_of(stacks: u32, slices: u32) -> Shape {
+    Shape::Sphere(Sphere { stacks, slices })
+}
+
 #[test]
 fn a_sphere_has_stacks_and_slices_of_its_own() {
     let sphere = |keys: &str| body(&format!("shape = {{ sphere = {{ {keys} }} }}")).shape;
-    assert_eq!(sphere(""), Sphere { stacks: 12, slices: 24 });
-    assert_eq!(sphere("stacks = 5"), Sphere { stacks: 5, slices: 24 });
-    assert_eq!(sphere("slices = 0x10"), Sphere { stacks: 12, slices: 16 });
+    assert_eq!(sphere(""), sphere_of(12, 24));
+    assert_eq!(sphere("stacks = 5"), sphere_of(5, 24));
+    assert_eq!(sphere("slices = 0x10"), sphere_of(12, 16));
     assert_eq!(sphere("stacks = 65535, slices = 65535").vertex_count(), 2 + 65_534 * 65_535);
 }
 

@@ -54,8 +54,8 @@ impl Allowance {
         let far = scene.bodies.iter().map(|body| body.path.position(0.0).length()).fold(0.0, f64::max);
         let rounding = 8.0 * f64::EPSILON * (far + body.radius);
         let omega = body.material.omega;
-        let ceiling = |unit: DVec3| {
-            let vertex = body.path.position(0.0) + body.radius * unit;
+        let ceiling = |rest: DVec3| {
+            let vertex = body.path.position(0.0) + rest;
             let (mut available, mut force, mut stiffness) = (pull * rounding, DVec3::ZERO, 0.0);
             for other in others() {
                 let source = &scene.bodies[other];
@@ -75,12 +75,14 @@ impl Allowance {
             let local = if softening > 0.0 { 2.0 * force / (omega * softening) } else { f64::INFINITY };
             f64::sqrt(2.0 * available).min(2.0 * pull / omega).min(local)
         };
+        let mesh = body.shape.mesh();
+        let rest = mesh.at(body.radius);
         Allowance {
             omega: body.material.omega,
             damping: body.material.damping,
             impulse: 0.0,
             force: 0.0,
-            energy: if is_still { body.shape.unit_vertices().into_iter().map(ceiling).collect() } else { vec![] },
+            energy: if is_still { (0..rest.len()).map(|i| ceiling(rest.position(i))).collect() } else { vec![] },
             pull,
             time: 0.0,
         }

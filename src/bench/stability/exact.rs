@@ -17,9 +17,9 @@ pub struct Exact {
     pub terms: f64,
 }
 
-/// The displacement at time `t` [s] of the vertex of `body` with unit rest position `unit`; `None` if there is no closed
+/// The displacement at time `t` [s] of the vertex of `body` whose rest position has the direction `facing`; `None` if there is no closed
 /// form.
-pub fn displacement(scene: &Scene, index: usize, unit: DVec3, t: f64) -> Option<Exact> {
+pub fn displacement(scene: &Scene, index: usize, facing: DVec3, t: f64) -> Option<Exact> {
     let body = &scene.bodies[index];
     let (omega, damping) = (body.material.omega, body.material.damping);
     let mut exact = Exact { x: DVec3::ZERO, terms: 0.0 };
@@ -28,7 +28,7 @@ pub fn displacement(scene: &Scene, index: usize, unit: DVec3, t: f64) -> Option<
         exact.terms += x.length();
     };
     for push in scene.pushes.iter().filter(|push| push.body == index) {
-        let force = push.direction * (push.strength * f64::max(0.0, -unit.dot(push.direction)));
+        let force = push.direction * (push.strength * f64::max(0.0, -facing.dot(push.direction)));
         add(force * step_response(omega, damping, t - push.start));
         add(-force * step_response(omega, damping, t - push.end()));
     }

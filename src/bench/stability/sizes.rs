@@ -86,13 +86,13 @@ pub fn measure() -> Result<Vec<Passage>, SweepError> {
 
 fn passage(ratio: f64, scaling: Scaling) -> Result<Passage, SweepError> {
     let mut world = World::new(Scene::parse(&scene(ratio, scaling), "sizes.toml")?)?;
-    let meshes: Vec<_> = world.bodies().map(|body| body.scene().shape.triangles()).collect();
+    let meshes: Vec<_> = world.bodies().map(|body| body.scene().shape.mesh()).collect();
     let mut harm = [Harm::default(); 2];
     for _ in 0..world.scene().steps() {
         world.step();
-        for ((body, triangles), harm) in world.bodies().zip(&meshes).zip(&mut harm) {
+        for ((body, mesh), harm) in world.bodies().zip(&meshes).zip(&mut harm) {
             harm.displacement = harm.displacement.max(body.max_displacement() / body.scene().radius);
-            harm.inverted = harm.inverted.max(inverted(&body, triangles));
+            harm.inverted = harm.inverted.max(inverted(&body, mesh.triangles()));
         }
     }
     let [large, small] = harm;
@@ -103,7 +103,7 @@ fn passage(ratio: f64, scaling: Scaling) -> Result<Passage, SweepError> {
 fn inverted(body: &BodyView<'_>, triangles: &[[u32; 3]]) -> usize {
     let normal = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a);
     let is_inverted = |triangle: &&[u32; 3]| {
-        let rest = normal(triangle.map(|i| body.unit(i as usize)));
+        let rest = normal(triangle.map(|i| body.rest(i as usize)));
         let now = normal(triangle.map(|i| body.local_position(i as usize)));
         now.dot(rest) < 0.0
     };

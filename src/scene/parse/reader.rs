@@ -126,7 +126,7 @@ impl<'a> Table<'a> {
         let Some(key) = unknown.min_by_key(|key| key.span().start) else { return Ok(self) };
         let name = key.get_ref().as_ref();
         let homes: Vec<&str> =
-            super::KEYS.iter().filter(|keys| keys.names.contains(&name)).map(|keys| keys.home).collect();
+            super::all_keys().filter(|keys| keys.names.contains(&name)).map(|keys| keys.home).collect();
         let hint = if !homes.is_empty() {
             format!("; \"{name}\" belongs {}", homes.join(" or "))
         } else {

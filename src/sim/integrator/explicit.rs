@@ -4,9 +4,10 @@ use glam::DVec3;
 
 use super::State;
 use crate::{
+    geometry::Rest,
     model::{influence::Weight, oscillator::Oscillator},
     scene::Integrator,
-    sim::{arrays::Vectors, deformation::Front, surroundings::Surroundings},
+    sim::{deformation::Front, surroundings::Surroundings},
 };
 
 /// The explicit schemes.
@@ -76,7 +77,7 @@ impl Interval {
 #[derive(Clone, Copy, Debug)]
 pub struct Vertex<'a> {
     interval: &'a Interval,
-    unit: DVec3,
+    facing: DVec3,
     rest: DVec3,
 }
 
@@ -84,7 +85,7 @@ impl Vertex<'_> {
     /// F: influence, push and carry, at one of the instants of the interval, for displacement `x` [scene unit/s²].
     #[inline]
     fn force(&self, surroundings: &Surroundings, x: DVec3) -> DVec3 {
-        surroundings.acceleration(self.interval.weight, self.unit, self.rest, x)
+        surroundings.acceleration(self.interval.weight, self.facing, self.rest, x)
     }
 
     /// x″ of the equation of motion: F − ω²x − 2κu [scene unit/s²].
@@ -101,29 +102,21 @@ impl Vertex<'_> {
     }
 }
 
-/// Advances all vertices of a body of radius `radius` [scene unit] over the interval, in place.
-///
-/// `unit` are the unit rest positions; all three arrays have `[vertex_count]` vectors.
-pub fn advance(scheme: Scheme, interval: &Interval, radius: f64, unit: &Vectors, front: &mut Front) {
+/// Advances all vertices of a body over the interval, in place; all of them are in the front.
+pub fn advance(scheme: Scheme, interval: &Interval, rest: Rest<'_>, front: &mut Front) {
     match scheme {
-        Scheme::Thesis => each(interval, radius, unit, front, thesis),
-        Scheme::Mps => each(interval, radius, unit, front, mps),
-        Scheme::Euler => each(interval, radius, unit, front, euler),
-        Scheme::Verlet => each(interval, radius, unit, front, verlet),
-        Scheme::Rk4 => each(interval, radius, unit, front, rk4),
+        Scheme::Thesis => each(interval, rest, front, thesis),
+        Scheme::Mps => each(interval, rest, front, mps),
+        Scheme::Euler => each(interval, rest, front, euler),
+        Scheme::Verlet => each(interval, rest, front, verlet),
+        Scheme::Rk4 => each(interval, rest, front, rk4),
     }
 }
 
 /// The loop over vertices, compiled once per scheme.
-fn each(
-    interval: &Interval,
-    radius: f64,
-    unit: &Vectors,
-    front: &mut Front,
-    scheme: impl Fn(&Vertex<'_>, State) -> State,
-) {
-    for i in 0..unit.len() {
-        let vertex = Vertex { interval, unit: unit.get(i), rest: radius * unit.get(i) };
+fn each(interval: &Interval, rest: Rest<'_>, front: &mut Front, scheme: impl Fn(&Vertex<'_>, State) -> State) {
+    for i in 0..rest.len() {
+        let vertex = Vertex { interval, facing: rest.direction(i), rest: rest.position(i) };
         front.set_state(i, scheme(&vertex, front.state(i)));
     }
 }

@@ -9,8 +9,8 @@ use super::{
     vertices::{self, Vertices},
 };
 use crate::{
-    scene::{Scene, Sphere},
-    sim::Vectors,
+    geometry::{Mesh, Shape},
+    scene::Scene,
     stream::{
         chunks::{Chunks, Track},
         columns::Cell,
@@ -28,8 +28,8 @@ const DEFORMING: &str = "/world/deforming/surface";
 
 /// What was last logged of the bodies together.
 pub struct Batch {
-    /// The shapes of the scene by stacks and slices, and their triangles.
-    shapes: BTreeMap<(u32, u32), Shape>,
+    /// The shapes of the scene.
+    shapes: BTreeMap<Shape, Arc<Mesh>>,
     track: Track,
     deforming: Vec<usize>,
     last: Surface,
@@ -40,24 +40,20 @@ pub struct Batch {
     numbers: vertices::Numbers,
 }
 
-struct Shape {
-    shape: Sphere,
-    triangles: Vec<[u32; 3]>,
-}
-
 impl Batch {
     /// Logs what stays the same.
     pub fn new(scene: &Scene, detail: Detail, extractor: &mut Extractor, chunks: &mut Chunks) -> Batch {
-        let mut shapes: BTreeMap<(u32, u32), Shape> = BTreeMap::new();
-        for Sphere { stacks, slices } in scene.bodies.iter().map(|body| body.shape) {
-            let shape = Sphere { stacks, slices };
-            shapes.entry((stacks, slices)).or_insert_with(|| Shape { shape, triangles: shape.triangles() });
+        let mut shapes: BTreeMap<Shape, Arc<Mesh>> = BTreeMap::new();
+        for shape in scene.bodies.iter().map(|body| &body.shape) {
+            if !shapes.contains_key(shape) {
+                shapes.insert(shape.clone(), shape.mesh());
+            }
         }
-        for Shape { shape, triangles } in shapes.values() {
-            let unit: Vectors = shape.unit_vertices().into_iter().collect();
-            let mesh = Mesh3D::new(unit.iter().map(|v| v.as_vec3()))
-                .with_vertex_normals(extractor.normals(*shape, &unit))
-                .with_triangle_indices(triangles.iter().copied())
+        for (shape, mesh) in &shapes {
+            let rest = mesh.positions();
+            let mesh = Mesh3D::new(rest.iter().map(|v| v.as_vec3()))
+                .with_vertex_normals(extractor.normals(mesh, rest))
+                .with_triangle_indices(mesh.triangles().iter().copied())
                 .with_albedo_factor(palette::opaque(palette::RESTING));
             chunks.log_static(&resting_entity(shape), &mesh);
         }
@@ -109,7 +105,7 @@ impl Batch {
         let (mut first, mut triangles, mut colors, mut names, mut indices) = (0, vec![], vec![], vec![], vec![]);
         for &i in deforming {
             let body = &look.scene.bodies[i];
-            let of_shape = &self.shapes[&(body.shape.stacks, body.shape.slices)].triangles;
+            let of_shape = self.shapes[&body.shape].triangles();
             let count = body.shape.vertex_count();
             triangles.extend(of_shape.iter().map(|t| t.map(|v| v + first)));
             colors.extend(std::iter::repeat_n(color(palette::body(i)), count as usize));
@@ -125,7 +121,7 @@ impl Batch {
 
     /// Instances of the shapes of which they have changed.
     fn log_resting(&self, look: Look<'_>, resting: &[(usize, Vector)], chunks: &mut Chunks) {
-        for Shape { shape, .. } in self.shapes.values() {
+        for shape in self.shapes.keys() {
             let of_shape = |list: &[(usize, Vector)]| -> Vec<(usize, Vector)> {
                 list.iter().copied().filter(|&(i, _)| look.scene.bodies[i].shape == *shape).collect()
             };
@@ -150,6 +146,6 @@ fn body_names(names: &[&str]) -> AnyValues {
 }
 
 /// Where the undeformed bodies of a shape are if bodies are recorded together.
-pub fn resting_entity(shape: &Sphere) -> String {
-    format!("/world/resting/sphere_{}x{}", shape.stacks, shape.slices)
+pub fn resting_entity(shape: &Shape) -> String {
+    format!("/world/resting/{}", shape.label())
 }

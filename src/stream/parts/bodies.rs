@@ -42,7 +42,7 @@ impl Bodies {
             let entity = format!("/world/bodies/{}", body.name);
             let surface = format!("{entity}/surface");
             let mesh = Mesh3D::update_fields()
-                .with_triangle_indices(body.shape.triangles())
+                .with_triangle_indices(body.shape.mesh().triangles().iter().copied())
                 .with_albedo_factor(palette::translucent(palette::body(index)));
             chunks.log_static(&surface, &mesh);
             let vertices = (detail != Detail::Surface).then(|| {

@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::super::State;
 use crate::{
+    geometry::Mesh,
     model::{influence::Weight, oscillator::Oscillator},
     scene::{self, Path, Scene, path::Bounds},
     sim::{surroundings::carry, tracks::Tracks},
@@ -31,13 +32,6 @@ pub struct Push {
     pub strength: f64,
 }
 
-impl Push {
-    /// How squarely a vertex faces the push [–]: max(0, −l̂·d) for rest position l (Fig. 4.1).
-    pub fn facing(&self, rest: DVec3, radius: f64) -> f64 {
-        f64::max(0.0, -(rest.dot(self.direction) / radius))
-    }
-}
-
 /// The response of a vertex that faces a push squarely, along the push.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pushed {
@@ -63,20 +57,20 @@ impl Common {
         self.carried == State::default() && self.pushed.iter().all(|pushed| *pushed == Pushed::default())
     }
 
-    /// What it adds to the displacement and velocity of the vertex with unit rest position `unit`.
-    pub fn of(&self, unit: DVec3, pushes: &[scene::Push]) -> State {
+    /// What it adds to the displacement and velocity of the vertex whose rest position has the direction `facing`.
+    pub fn of(&self, facing: DVec3, pushes: &[scene::Push]) -> State {
         let mut state = self.carried;
         for (pushed, push) in self.pushed.iter().zip(pushes) {
-            let along = push.direction * f64::max(0.0, -unit.dot(push.direction));
+            let along = push.direction * f64::max(0.0, -facing.dot(push.direction));
             state.x += along * pushed.x;
             state.u += along * pushed.u;
         }
         state
     }
 
-    /// What pushes add to the displacement of the vertex with unit rest position `unit` [scene unit].
-    pub fn moved(&self, unit: DVec3, pushes: &[scene::Push]) -> DVec3 {
-        self.of(unit, pushes).x - self.carried.x
+    /// What pushes add to the displacement of the vertex whose rest position has the direction `facing` [scene unit].
+    pub fn moved(&self, facing: DVec3, pushes: &[scene::Push]) -> DVec3 {
+        self.of(facing, pushes).x - self.carried.x
     }
 
     /// What √(|u|² + ω²|x|²) of a vertex cannot exceed that faces the pushes so squarely, from 0 to 1 each [scene unit/s].
@@ -106,6 +100,8 @@ pub struct Course<'a> {
     pub scene: &'a Scene,
     /// … and the body's index in it.
     pub index: usize,
+    /// Its rest shape.
+    pub mesh: &'a Mesh,
     /// Where the stretch starts [s].
     pub start: f64,
     /// How long it is [s].
@@ -133,6 +129,12 @@ impl Course<'_> {
     pub fn oscillator(&self) -> Oscillator {
         let material = self.body().material;
         Oscillator { omega: material.omega, damping: material.damping }
+    }
+
+    /// How squarely a vertex faces a push [–]: max(0, −l̂·d) for rest position l (Fig. 4.1).
+    pub fn facing(&self, push: &Push, rest: DVec3) -> f64 {
+        let length = if self.mesh.is_round() { self.body().radius } else { rest.length() };
+        f64::max(0.0, -(rest.dot(push.direction) / length)) // of a vertex at the centre: 0
     }
 
     /// The weight (3.3).

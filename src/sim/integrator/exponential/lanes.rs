@@ -3,7 +3,7 @@
 //! Every operation is that of its lanes, each with the rounding of IEEE 754 and none fused with another: a vertex comes to
 //! the same bits on whatever instruction set, in whatever company.
 
-use std::ops::{Add, Mul, Sub};
+use std::ops::{Add, Div, Mul, Sub};
 
 use glam::DVec3;
 use pulp::Simd;
@@ -152,6 +152,19 @@ impl<S: Simd, const W: usize> Mul<f64> for Reals<S, W> {
     #[inline(always)]
     fn mul(self, other: f64) -> Reals<S, W> {
         self * Reals::splat(self.simd, other)
+    }
+}
+
+impl<S: Simd, const W: usize> Div for Reals<S, W> {
+    type Output = Reals<S, W>;
+
+    #[inline(always)]
+    fn div(self, other: Reals<S, W>) -> Reals<S, W> {
+        let mut v = self.v;
+        for w in 0..W {
+            v[w] = self.simd.div_f64s(v[w], other.v[w]);
+        }
+        Reals { v, ..self }
     }
 }
 

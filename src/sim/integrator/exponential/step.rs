@@ -88,9 +88,8 @@ pub struct Vertex {
 impl Vertex {
     /// Where it rests, moved by what pushes have done to it, given the responses to them [scene unit].
     pub fn rest_at(&self, course: &Course<'_>, pushed: &[f64]) -> DVec3 {
-        let radius = course.body().radius;
         let moved =
-            course.pushes.iter().zip(pushed).map(|(push, x)| push.direction * (push.facing(self.rest, radius) * x));
+            course.pushes.iter().zip(pushed).map(|(push, x)| push.direction * (course.facing(push, self.rest) * x));
         self.rest + moved.sum::<DVec3>()
     }
 }
@@ -157,11 +156,16 @@ impl<'a, S: Simd, const W: usize, const LOOKS: usize> Group<'a, S, W, LOOKS> {
         let mut group = Group { simd, course, step, rest: [rest; LOOKS], pulls };
         if LOOKS > 1 {
             let none = Reals::splat(simd, 0.0);
-            let per_radius = 1.0 / course.body().radius;
+            // the length of a rest position is the radius of a round body; it is computed for others only
+            let per_length = if course.mesh.is_round() {
+                Reals::splat(simd, 1.0 / course.body().radius)
+            } else {
+                Reals::splat(simd, 1.0) / rest.length_squared().sqrt()
+            };
             for (p, push) in course.pushes.iter().enumerate() {
                 let d = Vector::splat(simd, push.direction);
-                let facing = none - (rest.x * d.x + rest.y * d.y + rest.z * d.z) * per_radius;
-                let along = d * none.larger(facing);
+                let facing = none - (rest.x * d.x + rest.y * d.y + rest.z * d.z) * per_length;
+                let along = d * none.larger(facing); // none of a vertex at the centre, where that is not a number
                 for (look, rest) in group.rest.iter_mut().enumerate() {
                     *rest = *rest + along * step.moments[look].pushed[p];
                 }
@@ -564,9 +568,8 @@ impl<'a> LookUp<'a> {
     /// for all vertices by what pushes do to those that face them more squarely.
     pub fn bounds(&self, vertex: &Vertex, all: Bounds) -> Bounds {
         let LookUp { course, whole, common } = *self;
-        let radius = course.body().radius;
         let squarely = whole.common_bounds(course, common, |_| 1.0);
-        let own = whole.common_bounds(course, common, |push| push.facing(vertex.rest, radius));
+        let own = whole.common_bounds(course, common, |push| course.facing(push, vertex.rest));
         // with room for the rounding of what is taken off
         let less = |all: f64, squarely: f64, own: f64| all - (squarely - own) + 1e-9 * squarely;
         Bounds {
@@ -604,7 +607,7 @@ impl ExactPath<'_> {
         let common = self.look.common_at(t);
         let (mut x, mut u) = (self.vertex.rest + common.carried.x, common.carried.u);
         for (push, pushed) in course.pushes.iter().zip(&common.pushed) {
-            let along = push.direction * push.facing(self.vertex.rest, course.body().radius);
+            let along = push.direction * course.facing(push, self.vertex.rest);
             (x, u) = (x + along * pushed.x, u + along * pushed.u);
         }
         (other.position - own.position - x, other.velocity - own.velocity - u)

@@ -1,12 +1,17 @@
-//! Rest shapes: unit spheres of rings, as the thesis draws them.
+//! Unit spheres of rings, as the thesis draws them.
 
 use glam::DVec3;
+
+use super::{
+    mesh::{Mesh, Rings},
+    shape::{Parameter, Solid},
+};
 
 /// A unit sphere of rings: a pole, `stacks − 1` rings of `slices` vertices, a pole.
 ///
 /// Vertex 0 is the north pole (+z); then rings from north to south, ring i = 1 … stacks − 1 at polar angle
 /// πi/stacks, each with vertex j = 0 … slices − 1 at azimuth 2πj/slices from +x towards +y; the south pole last.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Sphere {
     /// Bands from pole to pole, ≥ 2.
     pub stacks: u32,
@@ -21,19 +26,40 @@ impl Default for Sphere {
     }
 }
 
-impl Sphere {
+impl Solid for Sphere {
+    const NAME: &'static str = "sphere";
+    const KEYS: &'static [&'static str] = &["stacks", "slices"];
+    const PARAMETERS: &'static [Parameter] =
+        &[Parameter { least: 2, most: 65_535, default: 12 }, Parameter { least: 3, most: 65_535, default: 24 }];
+    const FORM: &'static str = "a table such as { stacks = 12, slices = 24 }";
+
+    fn new(parameters: &[u32]) -> Sphere {
+        Sphere { stacks: parameters[0], slices: parameters[1] }
+    }
+
+    fn parameters(&self) -> Vec<u32> {
+        vec![self.stacks, self.slices]
+    }
+
     /// `2 + (stacks − 1) · slices`.
-    pub fn vertex_count(&self) -> u64 {
+    fn vertex_count(&self) -> u64 {
         2 + (u64::from(self.stacks) - 1) * u64::from(self.slices)
     }
 
     /// `2 (stacks − 1) · slices`.
-    pub fn triangle_count(&self) -> u64 {
+    fn triangle_count(&self) -> u64 {
         2 * (u64::from(self.stacks) - 1) * u64::from(self.slices)
     }
 
+    fn mesh(&self) -> Mesh {
+        let rings = Rings { bands: self.stacks as usize, vertices: self.slices as usize };
+        Mesh::round(self.unit_vertices().into_iter().collect(), self.triangles(), Some(rings))
+    }
+}
+
+impl Sphere {
     /// Unit vertices [–], `[vertex_count]`. These are also the outward normals.
-    pub fn unit_vertices(&self) -> Vec<DVec3> {
+    fn unit_vertices(&self) -> Vec<DVec3> {
         use std::f64::consts::PI;
         let mut vertices = Vec::with_capacity(self.vertex_count() as usize);
         vertices.push(DVec3::Z);
@@ -51,7 +77,7 @@ impl Sphere {
     }
 
     /// Vertex indices of each triangle, counter-clockwise seen from outside, `[triangle_count]`.
-    pub fn triangles(&self) -> Vec<[u32; 3]> {
+    fn triangles(&self) -> Vec<[u32; 3]> {
         let (stacks, slices) = (self.stacks, self.slices);
         let ring = |i: u32, j: u32| 1 + (i - 1) * slices + j % slices;
         let south = self.vertex_count() as u32 - 1;
@@ -84,21 +110,5 @@ mod tests {
         assert_eq!(sphere.vertex_count(), 266);
         assert_eq!(sphere.unit_vertices().len(), 266);
         assert_eq!(sphere.triangles().len() as u64, sphere.triangle_count());
-    }
-
-    #[test]
-    fn triangles_wind_outwards_and_close_the_surface() {
-        for sphere in [Sphere::default(), Sphere { stacks: 2, slices: 3 }, Sphere { stacks: 3, slices: 5 }] {
-            let vertices = sphere.unit_vertices();
-            let mut edges = std::collections::HashSet::new();
-            for [a, b, c] in sphere.triangles() {
-                let [p, q, r] = [a, b, c].map(|i| vertices[i as usize]);
-                assert!((q - p).cross(r - p).dot(p + q + r) > 0.0, "{sphere:?}: {a} {b} {c} faces inwards");
-                for edge in [(a, b), (b, c), (c, a)] {
-                    assert!(edges.insert(edge), "{sphere:?}: edge {edge:?} runs twice the same way");
-                }
-            }
-            assert!(edges.iter().all(|&(a, b)| edges.contains(&(b, a))), "{sphere:?}: a hole");
-        }
     }
 }

@@ -1,0 +1,245 @@
+//! A rest shape: a closed surface of triangles about its centre of mass.
+
+use glam::DVec3;
+
+use super::vectors::Vectors;
+
+/// A closed surface of triangles. All bodies of a shape share one, whatever their radii: lengths are in radii, the farthest
+/// vertex being 1 away from the centre of mass, which is the origin. [`Rest`] is the same at the scale of a body.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mesh {
+    /// Rest positions [radii], `[vertex_count]`.
+    positions: Vectors,
+    /// Directions l/|l| of these [–], zero for a vertex at the centre; `None` if they are the positions.
+    directions: Option<Vectors>,
+    /// Outward unit normals [–]; `None` if they are the positions.
+    normals: Option<Vectors>,
+    /// Vertex indices, counter-clockwise seen from outside, `[triangle_count]`.
+    triangles: Vec<[u32; 3]>,
+    /// What each vertex has of the mass of its body [–], `[vertex_count]`; the sum is 1.
+    shares: Vec<f64>,
+    /// If vertices are in rings.
+    rings: Option<Rings>,
+}
+
+/// A mesh that consists of a pole, rings of vertices, and a pole: the triangles are those of [`super::Sphere`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Rings {
+    /// Bands from pole to pole; there is one ring less.
+    pub bands: usize,
+    /// Vertices of a ring.
+    pub vertices: usize,
+}
+
+impl Mesh {
+    /// A mesh of any form: moved to its centre of mass, and scaled so that its farthest vertex is 1 away from there.
+    ///
+    /// `triangles` are indices of `positions` [any unit], counter-clockwise seen from outside, a closed surface.
+    pub fn new(positions: Vectors, triangles: Vec<[u32; 3]>) -> Mesh {
+        let shares = shares(&positions, &triangles);
+        let centre: DVec3 = positions.iter().zip(&shares).map(|(position, share)| *share * position).sum();
+        let farthest = positions.iter().map(|position| position.distance(centre)).fold(0.0, f64::max);
+        let scale = if farthest > 0.0 { 1.0 / farthest } else { 1.0 };
+        let positions: Vectors = positions.iter().map(|position| (position - centre) * scale).collect();
+        let directions = positions.iter().map(DVec3::normalize_or_zero).collect();
+        let normals = Some(normals(&positions, &triangles));
+        Mesh { positions, directions: Some(directions), normals, triangles, shares, rings: None }
+    }
+
+    /// A mesh whose vertices are all 1 away from its centre of mass, each with its own direction as normal, to rounding.
+    pub fn round(directions: Vectors, triangles: Vec<[u32; 3]>, rings: Option<Rings>) -> Mesh {
+        let shares = shares(&directions, &triangles);
+        Mesh { positions: directions, directions: None, normals: None, triangles, shares, rings }
+    }
+
+    /// Number of vertices.
+    pub fn vertex_count(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Rest positions [radii], `[vertex_count]`.
+    pub fn positions(&self) -> &Vectors {
+        &self.positions
+    }
+
+    /// Directions l̂ = l/|l| of the rest positions [–], `[vertex_count]`; zero for a vertex at the centre.
+    pub fn directions(&self) -> &Vectors {
+        self.directions.as_ref().unwrap_or(&self.positions)
+    }
+
+    /// Outward unit normals at rest [–], `[vertex_count]`: sums of those of the triangles, weighted by area.
+    pub fn normals(&self) -> &Vectors {
+        self.normals.as_ref().unwrap_or(&self.positions)
+    }
+
+    /// Vertex indices of each triangle, counter-clockwise seen from outside, `[triangle_count]`.
+    pub fn triangles(&self) -> &[[u32; 3]] {
+        &self.triangles
+    }
+
+    /// What each vertex has of the mass of its body [–], `[vertex_count]`: a third of the area of its triangles, of all the
+    /// area. The sum is 1.
+    pub fn shares(&self) -> &[f64] {
+        &self.shares
+    }
+
+    /// Whether every rest position is 1 radius from the centre, to rounding: a direction is then a position over the
+    /// radius, for which no length has to be computed.
+    pub fn is_round(&self) -> bool {
+        self.directions.is_none()
+    }
+
+    /// The rings that its vertices are in, if they are: what is the same all around a ring can be computed as arrays.
+    pub fn rings(&self) -> Option<Rings> {
+        self.rings
+    }
+
+    /// The mesh of a body of a radius [scene unit].
+    pub fn at(&self, radius: f64) -> Rest<'_> {
+        Rest { mesh: self, radius }
+    }
+
+    /// What was allocated for it [bytes].
+    pub fn memory(&self) -> usize {
+        let vectors = [Some(&self.positions), self.directions.as_ref(), self.normals.as_ref()];
+        vectors.into_iter().flatten().map(Vectors::memory).sum::<usize>()
+            + self.triangles.capacity() * size_of::<[u32; 3]>()
+            + self.shares.capacity() * size_of::<f64>()
+    }
+}
+
+/// A mesh at the scale of a body.
+#[derive(Clone, Copy, Debug)]
+pub struct Rest<'a> {
+    /// The shape.
+    pub mesh: &'a Mesh,
+    /// How far its farthest vertex is from the centre [scene unit].
+    pub radius: f64,
+}
+
+impl Rest<'_> {
+    /// Number of vertices.
+    pub fn len(self) -> usize {
+        self.mesh.vertex_count()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(self) -> bool {
+        self.len() == 0
+    }
+
+    /// Rest position l of vertex `i`, from the centre [scene unit]; panics beyond the last, like a slice.
+    #[inline]
+    pub fn position(self, i: usize) -> DVec3 {
+        self.radius * self.mesh.positions.get(i)
+    }
+
+    /// Its direction l̂ [–]; panics beyond the last, like a slice.
+    #[inline]
+    pub fn direction(self, i: usize) -> DVec3 {
+        self.mesh.directions().get(i)
+    }
+}
+
+/// Twice the area of a triangle, along its normal.
+fn doubled_area([a, b, c]: [DVec3; 3]) -> DVec3 {
+    (b - a).cross(c - a)
+}
+
+/// A third of the area of its triangles for each vertex, of all the area; equal shares if there is no area.
+fn shares(positions: &Vectors, triangles: &[[u32; 3]]) -> Vec<f64> {
+    let mut shares = vec![0.0; positions.len()];
+    let mut total = 0.0;
+    for corners in triangles {
+        let area = doubled_area(corners.map(|i| positions.get(i as usize))).length();
+        corners.iter().for_each(|&i| shares[i as usize] += area);
+        total += 3.0 * area;
+    }
+    if total > 0.0 {
+        shares.iter_mut().for_each(|share| *share /= total);
+    } else {
+        let equal = 1.0 / shares.len().max(1) as f64;
+        shares.fill(equal);
+    }
+    shares
+}
+
+/// Unit sums of the normals of each vertex's triangles, weighted by area; where they cancel out, the direction from the
+/// centre is as good as any.
+fn normals(positions: &Vectors, triangles: &[[u32; 3]]) -> Vectors {
+    let mut sums = Vectors::zeros(positions.len());
+    for corners in triangles {
+        let area = doubled_area(corners.map(|i| positions.get(i as usize)));
+        corners.iter().for_each(|&i| sums.set(i as usize, sums.get(i as usize) + area));
+    }
+    let unit = |(sum, position): (DVec3, DVec3)| sum.try_normalize().unwrap_or_else(|| position.normalize_or(DVec3::Z));
+    sums.iter().zip(positions.iter()).map(unit).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::shape::{Shape, Solid as _};
+
+    #[test]
+    fn every_shape_is_closed_winds_outwards_and_rests_about_its_centre_of_mass() {
+        for kind in Shape::KINDS {
+            let defaults: Vec<u32> = kind.parameters.iter().map(|parameter| parameter.default).collect();
+            let least: Vec<u32> = kind.parameters.iter().map(|parameter| parameter.least).collect();
+            for shape in [defaults, least].map(|values| (kind.make)(&values)) {
+                let mesh = shape.mesh();
+                assert_eq!(mesh.vertex_count() as u64, shape.vertex_count());
+                assert_eq!(mesh.triangles().len() as u64, shape.triangle_count());
+                let mut edges = std::collections::HashSet::new();
+                let mut volume = 0.0;
+                for &[a, b, c] in mesh.triangles() {
+                    let [p, q, r] = [a, b, c].map(|i| mesh.positions().get(i as usize));
+                    volume += p.cross(q).dot(r) / 6.0;
+                    for edge in [(a, b), (b, c), (c, a)] {
+                        assert!(edges.insert(edge), "{shape:?}: edge {edge:?} runs twice the same way");
+                    }
+                }
+                assert!(edges.iter().all(|&(a, b)| edges.contains(&(b, a))), "{shape:?}: a hole");
+                assert!(volume > 0.0, "{shape:?} is inside out");
+                let farthest = mesh.positions().iter().map(DVec3::length).fold(0.0, f64::max);
+                assert!((farthest - 1.0).abs() < 1e-15, "{shape:?}: {farthest}");
+                let centre: DVec3 = mesh.positions().iter().zip(mesh.shares()).map(|(p, m)| p * *m).sum();
+                assert!(centre.length() < 1e-12, "{shape:?}: {centre}");
+                assert!((mesh.shares().iter().sum::<f64>() - 1.0).abs() < 1e-12);
+                for (i, direction) in mesh.directions().iter().enumerate() {
+                    let position = mesh.positions().get(i);
+                    assert!(position.length() == 0.0 || direction.distance(position.normalize()) < 1e-15);
+                    assert!((mesh.normals().get(i).length() - 1.0).abs() < 1e-15);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn any_mesh_is_moved_to_its_centre_and_scaled() {
+        let corners = [DVec3::new(4.0, 0.0, 0.0), DVec3::new(4.0, 3.0, 0.0), DVec3::new(4.0, 0.0, 5.0), DVec3::X];
+        let mesh = Mesh::new(corners.into_iter().collect(), vec![[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]);
+        let centre: DVec3 = mesh.positions().iter().zip(mesh.shares()).map(|(p, m)| p * *m).sum();
+        assert!(centre.length() < 1e-15);
+        assert!((mesh.positions().iter().map(DVec3::length).fold(0.0, f64::max) - 1.0).abs() < 1e-15);
+        assert!(!mesh.is_round());
+    }
+
+    #[test]
+    fn a_shape_is_built_once() {
+        let [a, b] = [Shape::default(), Shape::default()].map(|shape| shape.mesh());
+        assert!(std::sync::Arc::ptr_eq(&a, &b));
+    }
+
+    /// What is not built as round has the same normals and masses to the coarseness of its triangles.
+    #[test]
+    fn a_sphere_is_round() {
+        let round = crate::geometry::Sphere { stacks: 40, slices: 80 }.mesh();
+        let any = Mesh::new(round.positions().clone(), round.triangles().to_vec());
+        for i in 0..round.vertex_count() {
+            assert!(round.positions().get(i).distance(any.positions().get(i)) < 1e-12);
+            assert!(round.normals().get(i).distance(any.normals().get(i)) < 3e-2);
+            assert!((round.shares()[i] - any.shares()[i]).abs() < 1e-15);
+        }
+    }
+}
