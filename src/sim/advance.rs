@@ -12,20 +12,15 @@ use super::{
     deformation::{self, Front, REST},
     integrator::{
         explicit::{self, Interval, Scheme},
-        exponential::{
-            self, Effort, Manner,
-            course::{Course, Push, Sphere},
-        },
+        exponential::{self, Effort, Manner, course::Course},
     },
     neighbours::Neighbour,
     pairs::Pairs,
-    surroundings::{Source, Surroundings, carry, push_acts},
+    state::Common,
+    terms::{Acting, Moment, On, Phases, Surroundings},
     tracks::Tracks,
 };
-use crate::{
-    geometry::Rest,
-    scene::{Response, Scene},
-};
+use crate::{geometry::Rest, model::phase::Phase, scene::Scene};
 
 /// How far spheres may move before a front is chosen anew: no less than this [radii] …
 const SKIN: f64 = 0.1;
@@ -43,8 +38,7 @@ struct Scratch {
     breaks: Vec<f64>,
     margins: Vec<Margin>,
     felt: Vec<Neighbour>,
-    spheres: Vec<Sphere>,
-    pushes: Vec<Push>,
+    acting: Acting,
     gaps: Vec<f64>,
     centres: Vec<(DVec3, f64)>,
     moved: Vec<DVec3>,
@@ -75,16 +69,17 @@ pub(super) struct Margin {
     pull: f64,
 }
 
-/// An instant at which surroundings are wanted.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Moment {
-    /// When [s].
-    pub time: f64,
-    /// Pairs have the phases that they have from this time on [s].
-    pub phases_at: f64,
+impl Phases for &Pairs {
+    fn from(&self, _: u32, neighbour: &Neighbour, t: f64) -> Phase {
+        self.phase_at(neighbour.pair, t)
+    }
+
+    fn changes(&self, _: u32, neighbour: &Neighbour, times: &mut Vec<f64>) {
+        times.extend(Pairs::changes(self, neighbour.pair).iter().map(|&(time, _)| time));
+    }
 }
 
-impl Context<'_> {
+impl<'a> Context<'a> {
     /// Advances one body over `span`; its [`Active::effort`] says what that took: nothing if nothing acted on it.
     pub fn advance(&self, active: &mut Active, span: Span) {
         SCRATCH.with_borrow_mut(|scratch| {
@@ -105,7 +100,7 @@ impl Context<'_> {
         }
     }
 
-    fn body(&self, index: u32) -> &Body {
+    fn body(&self, index: u32) -> &'a Body {
         &self.bodies[index as usize]
     }
 
@@ -120,16 +115,15 @@ impl Context<'_> {
         own + neighbours.iter().map(|neighbour| neighbour.pull).sum::<f64>()
     }
 
-    /// A bound of the acceleration of any vertex by pushes and by the body's own motion during `span` [scene unit/s²].
+    /// A bound of the acceleration of any vertex during `span` by what acts wherever other bodies are [scene unit/s²].
     pub fn own_force(&self, index: u32, span: Span) -> f64 {
-        let this = &self.scene.bodies[index as usize];
-        let carry = self.tracks.bounds(index as usize).map_or(0.0, |motion| match this.material.response {
-            Response::Rigid => 0.0,
-            Response::Inertial => motion.acceleration,
-            Response::World => motion.acceleration + 2.0 * this.material.damping * motion.speed,
-        });
-        let acting = self.body(index).pushes.iter().filter(|push| push.start < span.end && span.start < push.end());
-        carry + acting.map(|push| push.strength.abs()).sum::<f64>()
+        self.on(index).own_bound(span)
+    }
+
+    /// What force terms may know about a body.
+    pub fn on(&self, index: u32) -> On<'a, &'a Pairs> {
+        let Body { neighbours, pushes, .. } = self.body(index);
+        On { scene: self.scene, index, neighbours, pushes, tracks: self.tracks, phases: self.pairs }
     }
 
     /// How near the centres of two bodies can come within the step, less what rounding of them can do [scene unit].
@@ -194,7 +188,7 @@ impl Context<'_> {
         let farthest = if at_rest { self.scene.bodies[active.body as usize].radius } else { f64::INFINITY };
         let look = |time, surroundings: &mut Surroundings| {
             let moment = Moment { time, phases_at: span.start };
-            self.surroundings(active.body, farthest, moment, surroundings);
+            self.on(active.body).surroundings_into(moment, farthest, surroundings);
         };
         interval.h = span.length();
         interval.oscillator = active.oscillator;
@@ -248,14 +242,13 @@ impl Context<'_> {
         } else {
             scratch.felt.extend(&active.reachable);
         }
-        let Scratch { breaks, felt, spheres, pushes, exponential, .. } = scratch;
+        let Scratch { breaks, felt, acting, exponential, .. } = scratch;
         self.find_breaks(active.body, felt, span, breaks);
         let manner = Manner { arch: self.arch, tolerance: scene.tolerance * scene.bodies[index].radius };
         let mut total = Effort::default();
         for ends in breaks.windows(2) {
             let part = Span { start: ends[0], end: ends[1] };
-            self.find_spheres(active.body, felt, part, spheres);
-            self.find_pushes(active.body, part, pushes);
+            self.on(active.body).over(felt, part, acting);
             let is_whole = breaks.len() == 2;
             let course = Course {
                 scene,
@@ -265,8 +258,8 @@ impl Context<'_> {
                 // All whole steps have the same length to the bit, so that weights are computed once.
                 length: if is_whole { scene.dt } else { part.length() },
                 tracks: is_whole.then_some(self.tracks),
-                spheres,
-                pushes,
+                spheres: &acting.spheres,
+                weighted: &acting.weighted,
             };
             let front = &mut active.deformation.front;
             let effort = exponential::advance(&course, manner, &mut active.common, front, exponential);
@@ -283,60 +276,28 @@ impl Context<'_> {
 
     /// Whether a sphere acts on a body in any phase that the pair has in the step.
     fn acts(&self, source: &Neighbour, index: u32) -> bool {
-        let [this, other] = [self.tracks.whereabouts(index), self.tracks.whereabouts(source.other)];
-        let strength = |phase| self.scene.influence.strength(phase, this.radius, other.radius);
+        let on = self.on(index);
         let phases = self.pairs.changes(source.pair).iter().map(|&(_, phase)| phase);
-        phases.chain([self.pairs.get(source.pair).phase]).any(|phase| strength(phase) != 0.0)
+        phases.chain([self.pairs.get(source.pair).phase]).any(|phase| on.strength(source, phase) != 0.0)
     }
 
     /// The ends of the stretches of a step in which nothing about a body jumps.
     fn find_breaks(&self, index: u32, reachable: &[Neighbour], span: Span, breaks: &mut Vec<f64>) {
         breaks.clear();
         breaks.push(span.start);
-        let within = |t: &f64| span.start < *t && *t < span.end;
-        for push in &self.body(index).pushes {
-            breaks.extend([push.start, push.end()].iter().filter(|t| within(t)));
-        }
         let mut knots = |body: u32| {
             let knots = self.scene.bodies[body as usize].path.knots();
             let first = knots.partition_point(|&knot| knot <= span.start);
-            breaks.extend(knots[first..].iter().take_while(|t| within(t)));
+            breaks.extend(knots[first..].iter().take_while(|&&t| span.holds(t)));
         };
         knots(index);
         reachable.iter().for_each(|source| knots(source.other));
-        for source in reachable {
-            breaks.extend(self.pairs.changes(source.pair).iter().map(|&(time, _)| time).filter(within));
-        }
+        self.on(index).jumps(reachable, span, breaks);
         if breaks.len() > 1 {
             breaks.sort_by(f64::total_cmp);
             breaks.dedup();
         }
         breaks.push(span.end);
-    }
-
-    /// The influence spheres among `sources` that act on a body in a stretch of the step.
-    fn find_spheres(&self, index: u32, sources: &[Neighbour], part: Span, spheres: &mut Vec<Sphere>) {
-        let this = self.tracks.whereabouts(index);
-        spheres.clear();
-        for source in sources {
-            let other = self.tracks.whereabouts(source.other);
-            let phase = self.pairs.phase_at(source.pair, part.start);
-            let strength = self.scene.influence.strength(phase, this.radius, other.radius);
-            let radius = other.sphere;
-            if strength != 0.0 {
-                spheres.push(Sphere { body: source.other, radius, inverse_radius: 1.0 / radius, strength });
-            }
-        }
-    }
-
-    /// A body's pushes, those that don't act in a stretch of the step with strength zero.
-    fn find_pushes(&self, index: u32, part: Span, pushes: &mut Vec<Push>) {
-        let inside = part.start + 0.5 * part.length();
-        pushes.clear();
-        pushes.extend(self.body(index).pushes.iter().map(|push| {
-            let strength = if push_acts(push, inside) { push.strength } else { 0.0 };
-            Push { direction: push.direction, strength }
-        }));
     }
 
     /// Sees to it that the front has every vertex that a sphere can reach within the step, and finds the spheres that can
@@ -346,7 +307,7 @@ impl Context<'_> {
         let reachable = &active.reachable;
         let this = self.tracks.whereabouts(active.body);
         let radius = this.radius;
-        let exponential::course::Common { carried, pushed } = &active.common;
+        let Common { carried, pushed } = &active.common;
         let own = this.centre + carried.x;
         centres.clear();
         centres.extend(reachable.iter().map(|source| {
@@ -409,36 +370,6 @@ impl Context<'_> {
             active.seen.push(Seen { body: source.other, centre, clear });
             if is_felt(clear, travel) {
                 felt.push(*source);
-            }
-        }
-    }
-
-    /// What acts on a body at a moment, with no vertices farther from its centre than `farthest` [scene unit].
-    pub fn surroundings(&self, index: u32, farthest: f64, moment: Moment, surroundings: &mut Surroundings) {
-        let scene = self.scene;
-        let this = &scene.bodies[index as usize];
-        let body = self.body(index);
-        let own = this.path.at(moment.time);
-        surroundings.carry = carry(this.material.response, this.material.damping, &own);
-        surroundings.pushes.clear();
-        surroundings.pushes.extend(body.pushes.iter().filter(|push| push_acts(push, moment.time)));
-        surroundings.sources.clear();
-        for neighbour in &body.neighbours {
-            let other = &scene.bodies[neighbour.other as usize];
-            let phase = self.pairs.phase_at(neighbour.pair, moment.phases_at);
-            let strength = scene.influence.strength(phase, this.radius, other.radius);
-            if strength == 0.0 {
-                continue;
-            }
-            let source = Source {
-                body: neighbour.other,
-                centre: other.path.position(moment.time) - own.position,
-                sphere_radius: scene.influence.sphere_radius(other.radius),
-                strength,
-                phase,
-            };
-            if source.centre.length() <= source.sphere_radius + farthest {
-                surroundings.sources.push(source);
             }
         }
     }

@@ -8,15 +8,9 @@ use pulp::{Arch, Simd, WithSimd};
 use super::{
     arrays::Vectors,
     deformation::{Deformation, Now, REST, larger},
-    integrator::{
-        State,
-        exponential::{
-            Effort,
-            course::{Common, Pushed},
-            together::Largest,
-        },
-    },
+    integrator::exponential::{Effort, together::Largest},
     neighbours::{Neighbour, Zone},
+    state::{Common, Pushed, State},
 };
 use crate::{
     geometry::{Mesh, Rest},

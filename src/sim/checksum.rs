@@ -14,8 +14,8 @@ use super::{
     arrays::LANES,
     body::Active,
     deformation::{DISPLACEMENT, Deformation, Swinging, VELOCITY},
-    integrator::State,
     pairs::Pair,
+    state::State,
 };
 use crate::model::phase::Phase;
 

@@ -11,10 +11,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     arrays::{Blocks, LANES, Vectors},
-    integrator::{
-        State,
-        exponential::course::{Common, Pushed},
-    },
+    state::{Common, Pushed, State},
 };
 use crate::{geometry::Rest, model::oscillator::Oscillator, scene::Push};
 

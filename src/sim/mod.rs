@@ -5,6 +5,7 @@
 //! | the world and its step | [`world`] |
 //! | the state of one body, and its turn in a step | `body`, `advance` |
 //! | what single vertices do beyond what all of them do | `deformation` |
+//! | what acts on vertices, one file a force term | [`terms`] |
 //! | where moving bodies are in the course of a step | `tracks` |
 //! | who can touch whom | `neighbours` of `pairs`, by a grid in [`reach`] |
 //! | when pairs merge, split, enter and leave their core | [`events`] |
@@ -33,16 +34,18 @@ pub mod reach;
 pub mod report;
 pub mod snapshot;
 pub mod stages;
-pub mod surroundings;
+mod state;
+pub mod terms;
 mod tracks;
 pub mod world;
 
 pub use arrays::Vectors;
 pub use events::Event;
 pub use memory::TooLarge;
-pub use observe::{BodyForces, Cause, Energy};
+pub use observe::{BodyForces, Energy};
 pub use report::{Diverged, Stage, StepReport};
 pub use snapshot::Snapshot;
+pub use terms::Cause;
 pub use world::{BodyView, Options, PairView, States, World};
 
 /// A stretch of time [s].
@@ -55,5 +58,10 @@ struct Span {
 impl Span {
     fn length(&self) -> f64 {
         self.end - self.start
+    }
+
+    /// Whether `t` [s] is inside of it.
+    fn holds(&self, t: f64) -> bool {
+        self.start < t && t < self.end
     }
 }

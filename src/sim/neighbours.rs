@@ -1,7 +1,5 @@
 //! Who is near a body, and for how long that is known.
 
-use crate::{model::phase::Phase, scene::Scene};
-
 /// Another body that is near this one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Neighbour {
@@ -11,18 +9,6 @@ pub(super) struct Neighbour {
     pub pair: u32,
     /// A bound of the acceleration of any vertex of this body by the other's sphere, in any phase [scene unit/s²].
     pub pull: f64,
-}
-
-impl Neighbour {
-    /// That body `other`, of pair `pair`, is near `this`.
-    pub fn new(scene: &Scene, this: u32, other: u32, pair: u32) -> Neighbour {
-        let influence = &scene.influence;
-        let [this, source] = [this, other].map(|index| scene.bodies[index as usize].radius);
-        let strength = |phase| influence.strength(phase, this, source).abs();
-        let strongest = [Phase::Merged, Phase::Apart, Phase::Core].map(strength).into_iter().fold(0.0, f64::max);
-        let pull = strongest * influence.sphere_radius(source) * influence.weight.max_pull();
-        Neighbour { other, pair, pull }
-    }
 }
 
 /// What a body's zone allows for.

@@ -12,6 +12,7 @@ use super::{
     events::{Event, PairPaths},
     neighbours::{Neighbour, Zone},
     reach::{Ball, Grid},
+    terms::spheres,
     tracks::Tracks,
 };
 use crate::{
@@ -158,8 +159,8 @@ impl Pairs {
                 let pair = self.add(scene, i as u32, other, t);
                 let others = &mut bodies[other as usize].neighbours;
                 let place = others.partition_point(|neighbour| neighbour.other < i as u32);
-                others.insert(place, Neighbour::new(scene, other, i as u32, pair));
-                Neighbour::new(scene, i as u32, other, pair)
+                others.insert(place, spheres::neighbour(scene, other, i as u32, pair));
+                spheres::neighbour(scene, i as u32, other, pair)
             });
             bodies[i].neighbours.push(neighbour);
         }

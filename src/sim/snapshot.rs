@@ -8,7 +8,7 @@ use super::{
     World,
     arrays::Vectors,
     observe::{BodyForces, Energy, EnergySum, Seen},
-    surroundings::Surroundings,
+    terms::Surroundings,
     world::{PairView, States},
 };
 use crate::{

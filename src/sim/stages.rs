@@ -6,19 +6,17 @@
 use glam::DVec3;
 
 use super::{
-    Snapshot, World,
+    Snapshot, Span, World,
     body::Body,
     deformation::Deformation,
     integrator::{
-        State,
         explicit::Scheme,
-        exponential::{
-            self, Manner,
-            course::{Common, Course, Push, Pushed, Sphere},
-        },
+        exponential::{self, Manner, course::Course},
     },
+    neighbours::Neighbour,
     observe::BodyForces,
-    surroundings::{Source, Surroundings, carry, push_acts},
+    state::{Common, Pushed, State},
+    terms::{Acting, Moment, On, Phases, Surroundings},
     world::States,
 };
 use crate::{
@@ -118,41 +116,29 @@ impl Again<'_> {
     /// Where something jumps, and both ends of the step.
     fn breaks(&self) -> Vec<f64> {
         let scene = self.world.scene();
-        let (start, end) = (self.before.time, self.world.time());
-        let events = self.world.report().events.iter().map(|event| event.time);
-        let pushes = scene.pushes.iter().flat_map(|push| [push.start, push.end()]);
+        let span = Span { start: self.before.time, end: self.world.time() };
         let knots = scene.bodies.iter().flat_map(|body| body.path.knots().iter().copied());
-        let mut breaks: Vec<f64> =
-            events.chain(pushes).chain(knots).filter(|&t| start < t && t < end).chain([start, end]).collect();
+        let mut breaks: Vec<f64> = knots.filter(|&t| span.holds(t)).chain([span.start, span.end]).collect();
+        for index in 0..self.world.body_count() {
+            self.on(index).jumps(&self.body(index).neighbours, span, &mut breaks);
+        }
         breaks.sort_by(f64::total_cmp);
         breaks.dedup();
         breaks
     }
 
+    /// What force terms may know about a body.
+    fn on(&self, index: usize) -> On<'_, &Self> {
+        self.world.reading().on(index as u32).with_phases(self)
+    }
+
     /// What acts on a body at `t`, with the phases from `phases_at` on.
     fn surroundings(&self, index: usize, t: f64, phases_at: f64, states: &States) -> Surroundings {
-        let scene = self.world.scene();
-        let this = &scene.bodies[index];
-        let own = this.path.at(t);
-        let farthest = states.displacement.iter().map(DVec3::length).fold(0.0, f64::max) + this.radius;
-        let sources = self.body(index).neighbours.iter().filter_map(|neighbour| {
-            let other = &scene.bodies[neighbour.other as usize];
-            let phase = self.phase(index, neighbour.other as usize, phases_at);
-            let source = Source {
-                body: neighbour.other,
-                centre: other.path.position(t) - own.position,
-                sphere_radius: scene.influence.sphere_radius(other.radius),
-                strength: scene.influence.strength(phase, this.radius, other.radius),
-                phase,
-            };
-            let reaches = source.centre.length() <= source.sphere_radius + farthest;
-            (reaches && source.strength != 0.0).then_some(source)
-        });
-        Surroundings {
-            sources: sources.collect(),
-            pushes: self.body(index).pushes.iter().filter(|push| push_acts(push, t)).copied().collect(),
-            carry: carry(this.material.response, this.material.damping, &own),
-        }
+        let radius = self.world.scene().bodies[index].radius;
+        let farthest = states.displacement.iter().map(DVec3::length).fold(0.0, f64::max) + radius;
+        let mut surroundings = Surroundings::default();
+        self.on(index).surroundings_into(Moment { time: t, phases_at }, farthest, &mut surroundings);
+        surroundings
     }
 
     fn snapshot(&self, t: f64, phases_at: f64, states: Vec<States>) -> Snapshot {
@@ -195,36 +181,15 @@ impl Again<'_> {
         let (this, body) = (&scene.bodies[index], self.body(index));
         let surroundings = self.surroundings(index, from, from, states);
         // a sphere may come within reach in the course of the stretch
-        let spheres: Vec<Sphere> = body
-            .neighbours
-            .iter()
-            .filter_map(|neighbour| {
-                let other = &scene.bodies[neighbour.other as usize];
-                let phase = self.phase(index, neighbour.other as usize, from);
-                let strength = scene.influence.strength(phase, this.radius, other.radius);
-                let radius = scene.influence.sphere_radius(other.radius);
-                let sphere = Sphere { body: neighbour.other, radius, inverse_radius: 1.0 / radius, strength };
-                (strength != 0.0).then_some(sphere)
-            })
-            .collect();
-        let middle = from + 0.5 * (to - from);
-        let strength = |push: &crate::scene::Push| if push_acts(push, middle) { push.strength } else { 0.0 };
-        let pushes: Vec<Push> =
-            body.pushes.iter().map(|push| Push { direction: push.direction, strength: strength(push) }).collect();
+        let mut acting = Acting::default();
+        self.on(index).over(&body.neighbours, Span { start: from, end: to }, &mut acting);
+        let Acting { weighted, spheres } = &acting;
         let is_still = states.displacement.iter().chain(states.velocity.iter()).all(|v| v == DVec3::ZERO);
         if is_still && spheres.is_empty() && surroundings.is_idle() && this.path.is_fixed() {
             return;
         }
-        let course = Course {
-            scene,
-            index,
-            mesh: &body.mesh,
-            start: from,
-            length: to - from,
-            tracks: None,
-            spheres: &spheres,
-            pushes: &pushes,
-        };
+        let course =
+            Course { scene, index, mesh: &body.mesh, start: from, length: to - from, tracks: None, spheres, weighted };
         let mut deformation = Deformation::default();
         deformation.wake_all(body.rest());
         let front = &mut deformation.front;
@@ -240,6 +205,18 @@ impl Again<'_> {
             states.displacement.set(i, alike.x + own.x);
             states.velocity.set(i, alike.u + own.u);
         }
+    }
+}
+
+impl Phases for &Again<'_> {
+    fn from(&self, index: u32, neighbour: &Neighbour, t: f64) -> Phase {
+        self.phase(index as usize, neighbour.other as usize, t)
+    }
+
+    fn changes(&self, index: u32, neighbour: &Neighbour, times: &mut Vec<f64>) {
+        let (a, b) = (index.min(neighbour.other), index.max(neighbour.other));
+        let events = self.world.report().events.iter().filter(|event| (event.a, event.b) == (a, b));
+        times.extend(events.map(|event| event.time));
     }
 }
 

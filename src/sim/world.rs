@@ -14,15 +14,15 @@ use rayon::prelude::*;
 
 use super::{
     Span,
-    advance::{Context, Moment},
+    advance::Context,
     arrays::Vectors,
     body::{Active, Body},
     deformation::Now,
-    integrator::State,
     memory::{self, TooLarge},
     pairs::{self, Pair, Pairs},
     report::{Diverged, Stage, StepReport},
-    surroundings::Surroundings,
+    state::State,
+    terms::{self, Moment, Surroundings},
     tracks::Tracks,
 };
 use crate::{
@@ -66,9 +66,9 @@ pub struct World {
     pub(super) pairs: Pairs,
     /// Reused.
     woken: Vec<u32>,
-    /// When pushes start, and on which body, by time; and how many have started.
-    push_starts: Vec<(f64, u32)>,
-    pushes_started: usize,
+    /// When terms begin to act on bodies by themselves, and on which, by time; and how many have.
+    starts: Vec<(f64, u32)>,
+    started: usize,
     report: StepReport,
     /// Computed when the energy is first asked for.
     pub(super) energy_of_distant_pairs: OnceLock<f64>,
@@ -92,8 +92,6 @@ impl World {
     pub fn with_options(scene: Scene, options: Options) -> Result<World, TooLarge> {
         memory::check(&scene)?;
         let bodies: Vec<Body> = (0..scene.bodies.len()).map(|index| Body::new(&scene, index)).collect();
-        let mut push_starts: Vec<(f64, u32)> = scene.pushes.iter().map(|push| (push.start, push.body as u32)).collect();
-        push_starts.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut world = World {
             energy_of_distant_pairs: OnceLock::new(),
             hash_of_sleeping: OnceLock::new(),
@@ -104,8 +102,8 @@ impl World {
             tracks: Tracks::new(&scene),
             pairs: Pairs::default(),
             woken: Vec::new(),
-            push_starts,
-            pushes_started: 0,
+            starts: terms::starts(&scene),
+            started: 0,
             report: StepReport::default(),
             options,
             scene,
@@ -167,7 +165,7 @@ impl World {
 
     /// Wakes whom something acts on during `span`, and finds who can reach whom.
     fn find_reachable(&mut self, span: Span) {
-        self.wake_pushed(span);
+        self.wake_acted_on(span);
         if self.options.skip {
             self.wake_moved(span);
         }
@@ -198,14 +196,14 @@ impl World {
         }
     }
 
-    /// Wakes bodies on which a push starts before the end of `span`.
-    fn wake_pushed(&mut self, span: Span) {
-        while let Some(&(start, body)) = self.push_starts.get(self.pushes_started) {
+    /// Wakes bodies on which something begins to act before the end of `span`.
+    fn wake_acted_on(&mut self, span: Span) {
+        while let Some(&(start, body)) = self.starts.get(self.started) {
             if start >= span.end {
                 break;
             }
             self.wake(body);
-            self.pushes_started += 1;
+            self.started += 1;
         }
     }
 
@@ -288,7 +286,7 @@ impl World {
     }
 
     /// What the stepping of bodies reads.
-    fn reading(&self) -> Context<'_> {
+    pub(super) fn reading(&self) -> Context<'_> {
         let World { scene, bodies, tracks, pairs, options, step, .. } = self;
         let Options { skip, arch } = *options;
         Context { scene, bodies, pairs, tracks, arch, skip, step: *step }
@@ -532,7 +530,7 @@ impl World {
     pub(super) fn surroundings_into(&self, index: usize, surroundings: &mut Surroundings) {
         let time = self.time();
         let farthest = self.scene.bodies[index].radius + self.active(index).map_or(0.0, Active::amplitude);
-        self.reading().surroundings(index as u32, farthest, Moment { time, phases_at: time }, surroundings);
+        self.reading().on(index as u32).surroundings_into(Moment { time, phases_at: time }, farthest, surroundings);
     }
 }
 

@@ -2,12 +2,11 @@
 
 use glam::DVec3;
 
-use super::State;
 use crate::{
     geometry::Rest,
     model::{influence::Weight, oscillator::Oscillator},
     scene::Integrator,
-    sim::{deformation::Front, surroundings::Surroundings},
+    sim::{deformation::Front, state::State, terms::Surroundings},
 };
 
 /// The explicit schemes.
@@ -73,19 +72,19 @@ impl Interval {
     }
 }
 
-/// A vertex in its interval: its rest position and what acts on it, as the schemes want to write it.
+/// A vertex in its interval, and what acts on it, as the schemes want to write it.
 #[derive(Clone, Copy, Debug)]
 pub struct Vertex<'a> {
     interval: &'a Interval,
-    facing: DVec3,
-    rest: DVec3,
+    rest: Rest<'a>,
+    i: usize,
 }
 
 impl Vertex<'_> {
-    /// F: influence, push and carry, at one of the instants of the interval, for displacement `x` [scene unit/s²].
+    /// F: all that acts but the vertex's own oscillator, at one of the instants of the interval, for displacement `x` [scene unit/s²].
     #[inline]
     fn force(&self, surroundings: &Surroundings, x: DVec3) -> DVec3 {
-        surroundings.acceleration(self.interval.weight, self.facing, self.rest, x)
+        surroundings.acceleration(self.interval.weight, self.rest, self.i, x)
     }
 
     /// x″ of the equation of motion: F − ω²x − 2κu [scene unit/s²].
@@ -116,7 +115,7 @@ pub fn advance(scheme: Scheme, interval: &Interval, rest: Rest<'_>, front: &mut 
 /// The loop over vertices, compiled once per scheme.
 fn each(interval: &Interval, rest: Rest<'_>, front: &mut Front, scheme: impl Fn(&Vertex<'_>, State) -> State) {
     for i in 0..rest.len() {
-        let vertex = Vertex { interval, facing: rest.direction(i), rest: rest.position(i) };
+        let vertex = Vertex { interval, rest, i };
         front.set_state(i, scheme(&vertex, front.state(i)));
     }
 }

@@ -16,14 +16,3 @@
 
 pub mod explicit;
 pub mod exponential;
-
-use glam::DVec3;
-
-/// Displacement from rest and its velocity, in body coordinates.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct State {
-    /// x [scene unit]
-    pub x: DVec3,
-    /// u = x′ [scene unit/s]
-    pub u: DVec3,
-}

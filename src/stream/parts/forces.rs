@@ -7,7 +7,7 @@ use rerun::{AnnotationContext, Arrows3D};
 use super::{Look, vertices};
 use crate::{
     scene::Scene,
-    sim::{BodyForces, Cause, snapshot::SeenBody, surroundings::Source},
+    sim::{BodyForces, Cause, snapshot::SeenBody, terms::Source},
     stream::{
         chunks::{Chunks, Track},
         columns::Cell,

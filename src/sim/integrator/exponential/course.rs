@@ -2,96 +2,15 @@
 
 use glam::DVec3;
 
-use super::super::State;
 use crate::{
     geometry::Mesh,
     model::{influence::Weight, oscillator::Oscillator},
     scene::{self, Path, Scene, path::Bounds},
-    sim::{surroundings::carry, tracks::Tracks},
+    sim::{
+        terms::{self, Sphere, Weighted},
+        tracks::Tracks,
+    },
 };
-
-/// An influence sphere of another body that can reach the body in the stretch.
-#[derive(Clone, Copy, Debug)]
-pub struct Sphere {
-    /// Index of the body that it belongs to.
-    pub body: u32,
-    /// Its radius r_e [scene unit].
-    pub radius: f64,
-    /// 1 / r_e.
-    pub inverse_radius: f64,
-    /// Signed strength [1/s²]: positive attracts, negative repels.
-    pub strength: f64,
-}
-
-/// A push of the body's, as it is in the stretch.
-#[derive(Clone, Copy, Debug)]
-pub struct Push {
-    /// Unit direction d.
-    pub direction: DVec3,
-    /// Acceleration of a vertex that faces it squarely [scene unit/s²]; 0 while it does not act.
-    pub strength: f64,
-}
-
-/// The response of a vertex that faces a push squarely, along the push.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Pushed {
-    /// [scene unit]
-    pub x: f64,
-    /// [scene unit/s]
-    pub u: f64,
-}
-
-/// What all vertices of a body do alike: the equation of motion is linear but for the influence, so that the response
-/// to the body's own motion is one vector for all of them, and that to a push one number, times how squarely each faces it.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Common {
-    /// Response to the body's own motion.
-    pub carried: State,
-    /// Response to each of the body's pushes, in the order of the scene.
-    pub pushed: Vec<Pushed>,
-}
-
-impl Common {
-    /// Whether nothing has happened to all vertices alike.
-    pub fn is_zero(&self) -> bool {
-        self.carried == State::default() && self.pushed.iter().all(|pushed| *pushed == Pushed::default())
-    }
-
-    /// What it adds to the displacement and velocity of the vertex whose rest position has the direction `facing`.
-    pub fn of(&self, facing: DVec3, pushes: &[scene::Push]) -> State {
-        let mut state = self.carried;
-        for (pushed, push) in self.pushed.iter().zip(pushes) {
-            let along = push.direction * f64::max(0.0, -facing.dot(push.direction));
-            state.x += along * pushed.x;
-            state.u += along * pushed.u;
-        }
-        state
-    }
-
-    /// What pushes add to the displacement of the vertex whose rest position has the direction `facing` [scene unit].
-    pub fn moved(&self, facing: DVec3, pushes: &[scene::Push]) -> DVec3 {
-        self.of(facing, pushes).x - self.carried.x
-    }
-
-    /// What √(|u|² + ω²|x|²) of a vertex cannot exceed that faces the pushes so squarely, from 0 to 1 each [scene unit/s].
-    pub fn momentum(&self, omega: f64, facing: impl Iterator<Item = f64>) -> f64 {
-        let momentum = |x2: f64, u2: f64| (u2 + omega * omega * x2).sqrt();
-        let State { x, u } = self.carried;
-        let pushed = self.pushed.iter().zip(facing).map(|(Pushed { x, u }, facing)| facing * momentum(x * x, u * u));
-        momentum(x.length_squared(), u.length_squared()) + pushed.sum::<f64>()
-    }
-
-    /// No |x| that it gives any vertex exceeds the first [scene unit], no √(|u|² + ω²|x|²) the second [scene unit/s].
-    pub fn bounds(&self, omega: f64) -> (f64, f64) {
-        let momentum = |x2: f64, u2: f64| (u2 + omega * omega * x2).sqrt();
-        let State { x, u } = self.carried;
-        let mut sum = (x.length(), momentum(x.length_squared(), u.length_squared()));
-        for Pushed { x, u } in &self.pushed {
-            sum = (sum.0 + x.abs(), sum.1 + momentum(x * x, u * u));
-        }
-        sum
-    }
-}
 
 /// A body's course over a stretch of time in which nothing jumps: phases, pushes and paths are smooth inside it.
 #[derive(Clone, Copy)]
@@ -110,8 +29,8 @@ pub struct Course<'a> {
     pub tracks: Option<&'a Tracks>,
     /// Spheres that can reach the body.
     pub spheres: &'a [Sphere],
-    /// The body's pushes.
-    pub pushes: &'a [Push],
+    /// The body's weighted terms.
+    pub weighted: &'a [Weighted],
 }
 
 impl Course<'_> {
@@ -131,10 +50,11 @@ impl Course<'_> {
         Oscillator { omega: material.omega, damping: material.damping }
     }
 
-    /// How squarely a vertex faces a push [–]: max(0, −l̂·d) for rest position l (Fig. 4.1).
-    pub fn facing(&self, push: &Push, rest: DVec3) -> f64 {
+    /// The weight of a vertex in a weighted term along `direction` d, how squarely it faces that [–]: max(0, −l̂·d) for rest
+    /// position l (Fig. 4.1).
+    pub fn facing(&self, direction: DVec3, rest: DVec3) -> f64 {
         let length = if self.mesh.is_round() { self.body().radius } else { rest.length() };
-        f64::max(0.0, -(rest.dot(push.direction) / length)) // of a vertex at the centre: 0
+        f64::max(0.0, -(rest.dot(direction) / length)) // of a vertex at the centre: 0
     }
 
     /// The weight (3.3).
@@ -148,23 +68,22 @@ impl Course<'_> {
     }
 
     /// The centres of the spheres relative to that of the body at time `t` [scene unit], into `centres` (reused), and
-    /// what the body feels of its own motion [scene unit/s²]. At the end of the stretch: just before it.
+    /// what is the same for all vertices [scene unit/s²]. At the end of the stretch: just before it.
     pub fn look(&self, t: f64, centres: &mut Vec<DVec3>) -> DVec3 {
-        let body = self.body();
-        let own = if t >= self.end() { body.path.before(t) } else { body.path.at(t) };
+        let path = &self.body().path;
+        let own = if t >= self.end() { path.before(t) } else { path.at(t) };
         centres.clear();
         centres.extend((0..self.spheres.len()).map(|j| self.path(j).position(t) - own.position));
-        carry(body.material.response, body.material.damping, &own)
+        terms::uniform(self.scene, self.index, &own)
     }
 
     /// [`Course::look`] at one of the five looks of a whole step, where the tracks have it.
     pub fn look_whole(&self, tracks: &Tracks, look: usize, centres: &mut Vec<DVec3>) -> DVec3 {
-        let body = self.body();
         let own = tracks.kinematics(self.scene, self.index, look);
         let position = |sphere: &Sphere| tracks.kinematics(self.scene, sphere.body as usize, look).position;
         centres.clear();
         centres.extend(self.spheres.iter().map(|sphere| position(sphere) - own.position));
-        carry(body.material.response, body.material.damping, &own)
+        terms::uniform(self.scene, self.index, &own)
     }
 
     /// Bounds of the motion of a sphere's centre relative to the body's within `[start, end]` [s].

@@ -24,9 +24,11 @@ pub mod weights;
 use glam::DVec3;
 use pulp::Arch;
 
-use super::State;
-use crate::sim::deformation::Front;
-use course::{Common, Course};
+use crate::sim::{
+    deformation::Front,
+    state::{Common, State},
+};
+use course::Course;
 use single::Single;
 use step::{Outcome, Pull, Step, Vertex};
 use together::{Outcomes, Together};
@@ -90,9 +92,9 @@ fn halve(
     let weights = scratch.known.get(course.oscillator(), h);
     let wanted = manner.tolerance * h;
     scratch.whole.prepare(course, weights, common, wanted);
-    let carry_error = scratch.whole.carry_error();
+    let uniform_error = scratch.whole.uniform_error();
     let middle = course.start + 0.5 * h;
-    if carry_error > wanted && halvings > 0 && course.start < middle {
+    if uniform_error > wanted && halvings > 0 && course.start < middle {
         for start in [course.start, middle] {
             let half = Course { start, length: 0.5 * h, tracks: None, ..*course };
             halve(&half, manner, common, front, scratch, halvings - 1, effort);
@@ -104,7 +106,7 @@ fn halve(
     if !front.vertices.is_empty() {
         error = take(course, manner, common, front, scratch, effort);
     }
-    effort.error += carry_error.max(error);
+    effort.error += uniform_error.max(error);
     scratch.whole.advance_common(course, common);
 }
 

@@ -5,10 +5,10 @@ use std::cell::Cell;
 use glam::DVec3;
 
 use super::{
-    super::State,
     course::Course,
     step::{Apart, LookUp, Outcome, Step, Vertex},
 };
+use crate::sim::state::State;
 
 /// Looks for the crossing of a rim in a step: more are needed where a vertex swings many times in it, or its bounds are
 /// far too wide.

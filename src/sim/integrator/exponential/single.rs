@@ -4,14 +4,19 @@ use glam::DVec3;
 use pulp::Scalar;
 
 use super::{
-    super::State,
-    course::{Common, Course, Sphere},
+    course::Course,
     lanes::{LANES, Vector},
     rim::{Motion, Unresolved},
     step::{Collocated, Group, LookUp, Outcome, Pull, RIMS, Step, Vertex},
     weights::{Dense, KnownWeights, Stage, Weights},
 };
-use crate::model::{energy, influence};
+use crate::{
+    model::{energy, influence},
+    sim::{
+        state::{Common, State},
+        terms::Sphere,
+    },
+};
 
 /// Steps that a vertex may take in one stretch; what is left then is taken in one, unchecked but within bounds.
 const MOST_STEPS: u32 = 2048;
@@ -282,7 +287,7 @@ fn collocate(
     }
     let simd = Scalar;
     let [rest, x, u] = [vertex.rest, state.x, state.u].map(|vector| Vector::splat(simd, vector));
-    let end = if course.pushes.is_empty() {
+    let end = if course.weighted.is_empty() {
         Group::<_, 1, 1>::new(simd, course, step, rest, pulls).collocate(x, u, wanted)
     } else {
         Group::<_, 1, 5>::new(simd, course, step, rest, pulls).collocate(x, u, wanted)

@@ -4,14 +4,17 @@ use glam::DVec3;
 use pulp::Simd;
 
 use super::{
-    super::State,
-    course::{Common, Course, Push, Pushed, Sphere},
+    course::Course,
     lanes::{LANES, Mask, Reals, Vector},
     weights::{Dense, LOOKS, Weights, quartic, quartic_through},
 };
 use crate::{
     model::influence::Weight,
     scene::{Material, path::Bounds},
+    sim::{
+        state::{Common, Pushed, State},
+        terms::{Sphere, Weighted},
+    },
 };
 
 /// Corrections after which a step that has not settled is given up.
@@ -28,8 +31,8 @@ pub struct Moment {
     /// Centres of the spheres relative to the centre of the body, shifted by what carries all vertices alike
     /// [scene unit]: what is left of a vertex there is its own.
     pub centres: Vec<DVec3>,
-    /// What the body feels of its own motion; subtracted from the acceleration [scene unit/s²].
-    pub carry: DVec3,
+    /// What is the same for all vertices [scene unit/s²].
+    pub uniform: DVec3,
     /// Response of all vertices to that.
     pub carried: DVec3,
     /// Response to each push [scene unit].
@@ -88,8 +91,11 @@ pub struct Vertex {
 impl Vertex {
     /// Where it rests, moved by what pushes have done to it, given the responses to them [scene unit].
     pub fn rest_at(&self, course: &Course<'_>, pushed: &[f64]) -> DVec3 {
-        let moved =
-            course.pushes.iter().zip(pushed).map(|(push, x)| push.direction * (course.facing(push, self.rest) * x));
+        let moved = course
+            .weighted
+            .iter()
+            .zip(pushed)
+            .map(|(push, x)| push.direction * (course.facing(push.direction, self.rest) * x));
         self.rest + moved.sum::<DVec3>()
     }
 }
@@ -162,7 +168,7 @@ impl<'a, S: Simd, const W: usize, const LOOKS: usize> Group<'a, S, W, LOOKS> {
             } else {
                 Reals::splat(simd, 1.0) / rest.length_squared().sqrt()
             };
-            for (p, push) in course.pushes.iter().enumerate() {
+            for (p, push) in course.weighted.iter().enumerate() {
                 let d = Vector::splat(simd, push.direction);
                 let facing = none - (rest.x * d.x + rest.y * d.y + rest.z * d.z) * per_length;
                 let along = d * none.larger(facing); // none of a vertex at the centre, where that is not a number
@@ -303,12 +309,12 @@ impl Step {
         self.start = course.start;
         self.set_weights(weights);
         for (look, moment) in self.moments.iter_mut().enumerate() {
-            moment.carry = match course.tracks {
+            moment.uniform = match course.tracks {
                 Some(tracks) => course.look_whole(tracks, look, &mut moment.centres),
                 None => course.look(time_of(look, course.start, h), &mut moment.centres),
             };
         }
-        let carries: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].carry);
+        let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
         let State { x, u } = common.carried;
         for (look, moment) in self.moments.iter_mut().enumerate() {
             moment.pushed.clear();
@@ -317,10 +323,10 @@ impl Step {
                 moment.pushed.extend(common.pushed.iter().map(|pushed| pushed.x));
             } else {
                 let stage = self.weights.stage(look);
-                moment.carried = stage.xx * x + stage.xu * u - combine(&stage.force, &carries);
+                moment.carried = stage.xx * x + stage.xu * u + combine(&stage.force, &forces);
                 let constant: f64 = stage.force.iter().sum();
                 let response = |p: &Pushed, strength| stage.xx * p.x + stage.xu * p.u + constant * strength;
-                let pushed = common.pushed.iter().zip(course.pushes);
+                let pushed = common.pushed.iter().zip(course.weighted);
                 moment.pushed.extend(pushed.map(|(pushed, push)| response(pushed, push.strength)));
             }
             for centre in &mut moment.centres {
@@ -340,7 +346,7 @@ impl Step {
             (self.moments[4].centres[j] - cubic).length_squared() <= limit * limit
         });
         self.smooth = spheres_are_smooth
-            && (0..course.pushes.len()).all(|p| {
+            && (0..course.weighted.len()).all(|p| {
                 let known = (0..4).map(|node| self.weights.polynomial[node] * self.moments[node].pushed[p]);
                 (self.moments[4].pushed[p] - known.sum::<f64>()).abs() <= limit
             });
@@ -357,12 +363,12 @@ impl Step {
 
     /// See [`Step::noise`].
     fn rounding(&self, course: &Course<'_>) -> f64 {
-        let carry = |look: usize| self.moments[look].carry;
+        let force = |look: usize| self.moments[look].uniform;
         let mut changes = DVec3::ZERO;
         for look in 1..5 {
-            changes = changes.max((carry(look) - carry(0)).abs());
+            changes = changes.max((force(look) - force(0)).abs());
         }
-        let of_times = carry(0).length() + changes.length() * (1.0 + self.end() / self.h);
+        let of_times = force(0).length() + changes.length() * (1.0 + self.end() / self.h);
         let place = |body: usize| match course.tracks {
             Some(tracks) => tracks.kinematics(course.scene, body, 0).position,
             None => course.scene.bodies[body].path.position(self.start),
@@ -376,10 +382,10 @@ impl Step {
     /// What all vertices do alike at the end of the step, from what they did at its start.
     pub fn advance_common(&self, course: &Course<'_>, common: &mut Common) {
         let Weights { ux, uu, velocity, nodes, .. } = &self.weights;
-        let carries: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].carry);
+        let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
         let State { x, u } = common.carried;
-        common.carried = State { x: self.moments[3].carried, u: *ux * x + *uu * u - combine(velocity, &carries) };
-        for (p, (pushed, push)) in common.pushed.iter_mut().zip(course.pushes).enumerate() {
+        common.carried = State { x: self.moments[3].carried, u: *ux * x + *uu * u + combine(velocity, &forces) };
+        for (p, (pushed, push)) in common.pushed.iter_mut().zip(course.weighted).enumerate() {
             // a constant unit force adds S(h) to the velocity, as a unit of velocity does to the displacement
             let u = ux * pushed.x + uu * pushed.u + nodes[3].xu * push.strength;
             *pushed = Pushed { x: self.moments[3].pushed[p], u };
@@ -388,21 +394,21 @@ impl Step {
 
     /// Bounds of the speed and the acceleration that vertices have by what all do alike within the step, if they are
     /// `facing` pushes so squarely.
-    fn common_bounds(&self, course: &Course<'_>, common: &Common, facing: impl Fn(&Push) -> f64) -> Bounds {
+    fn common_bounds(&self, course: &Course<'_>, common: &Common, facing: impl Fn(&Weighted) -> f64) -> Bounds {
         let material = course.body().material;
-        let carry = self.moments.iter().map(|moment| moment.carry.length()).fold(0.0, f64::max);
-        let push: f64 = course.pushes.iter().map(|push| facing(push) * push.strength.abs()).sum();
-        let momentum = common.momentum(material.omega, course.pushes.iter().map(facing));
-        let speed = momentum + (carry + push) * self.h;
-        Bounds { speed, acceleration: (material.omega + 2.0 * material.damping) * speed + carry + push }
+        let uniform = self.moments.iter().map(|moment| moment.uniform.length()).fold(0.0, f64::max);
+        let weighted: f64 = course.weighted.iter().map(|weighted| facing(weighted) * weighted.strength.abs()).sum();
+        let momentum = common.momentum(material.omega, course.weighted.iter().map(facing));
+        let speed = momentum + (uniform + weighted) * self.h;
+        Bounds { speed, acceleration: (material.omega + 2.0 * material.damping) * speed + uniform + weighted }
     }
 
-    /// The error that taking the carry as a cubic makes [scene unit]; see [`Group::collocate`].
-    pub fn carry_error(&self) -> f64 {
+    /// The error that taking what is the same for all vertices as a cubic makes [scene unit]; see [`Group::collocate`].
+    pub fn uniform_error(&self) -> f64 {
         let weights = &self.weights;
-        let carries: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].carry);
+        let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
         let gain = weights.gain();
-        let left_out = (self.moments[4].carry - combine(&weights.polynomial, &carries)).length();
+        let left_out = (self.moments[4].uniform - combine(&weights.polynomial, &forces)).length();
         // not `f64::max`, which would lose what is not a number
         let beyond = if left_out <= self.noise { 0.0 } else { left_out - self.noise };
         0.1 * beyond * gain
@@ -569,7 +575,7 @@ impl<'a> LookUp<'a> {
     pub fn bounds(&self, vertex: &Vertex, all: Bounds) -> Bounds {
         let LookUp { course, whole, common } = *self;
         let squarely = whole.common_bounds(course, common, |_| 1.0);
-        let own = whole.common_bounds(course, common, |push| course.facing(push, vertex.rest));
+        let own = whole.common_bounds(course, common, |push| course.facing(push.direction, vertex.rest));
         // with room for the rounding of what is taken off
         let less = |all: f64, squarely: f64, own: f64| all - (squarely - own) + 1e-9 * squarely;
         Bounds {
@@ -586,15 +592,15 @@ impl<'a> LookUp<'a> {
         }
         let h = whole.h;
         let dense = Dense::new(course.oscillator(), h, (t - whole.start) / h);
-        let carries: [DVec3; 4] = std::array::from_fn(|node| -whole.moments[node].carry);
+        let forces: [DVec3; 4] = std::array::from_fn(|node| whole.moments[node].uniform);
         let constant: (f64, f64) = (dense.x.iter().sum(), dense.u.iter().sum());
         let respond = |p: &Pushed, strength: f64| Pushed {
             x: dense.xx * p.x + dense.xu * p.u + constant.0 * strength,
             u: dense.ux * p.x + dense.uu * p.u + constant.1 * strength,
         };
         Common {
-            carried: dense.state(common.carried, &carries, DVec3::ZERO),
-            pushed: common.pushed.iter().zip(course.pushes).map(|(p, push)| respond(p, push.strength)).collect(),
+            carried: dense.state(common.carried, &forces, DVec3::ZERO),
+            pushed: common.pushed.iter().zip(course.weighted).map(|(p, push)| respond(p, push.strength)).collect(),
         }
     }
 }
@@ -606,8 +612,8 @@ impl ExactPath<'_> {
         let (own, other) = (course.body().path.at(t), course.path(self.sphere).at(t));
         let common = self.look.common_at(t);
         let (mut x, mut u) = (self.vertex.rest + common.carried.x, common.carried.u);
-        for (push, pushed) in course.pushes.iter().zip(&common.pushed) {
-            let along = push.direction * course.facing(push, self.vertex.rest);
+        for (push, pushed) in course.weighted.iter().zip(&common.pushed) {
+            let along = push.direction * course.facing(push.direction, self.vertex.rest);
             (x, u) = (x + along * pushed.x, u + along * pushed.u);
         }
         (other.position - own.position - x, other.velocity - own.velocity - u)

@@ -81,7 +81,7 @@ impl WithSimd for Together<'_> {
     fn with_simd<S: Simd>(mut self, simd: S) {
         let count = self.front.vertices.len();
         self.outcomes.resize(count.next_multiple_of(LANES));
-        let is_pushed = !self.course.pushes.is_empty();
+        let is_pushed = !self.course.weighted.is_empty();
         for first in (0..count).step_by(Reals::<S, 2>::COUNT) {
             if is_pushed {
                 self.take::<S, 2, 5>(simd, first);

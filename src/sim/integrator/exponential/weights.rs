@@ -4,8 +4,10 @@ use std::sync::LazyLock;
 
 use glam::DVec3;
 
-use super::super::State;
-use crate::model::oscillator::{Oscillator, Propagator};
+use crate::{
+    model::oscillator::{Oscillator, Propagator},
+    sim::state::State,
+};
 
 /// The nodes of Lobatto quadrature with four points, on [0, 1]: exact for polynomials of degree five.
 pub const NODES: [f64; 4] = [0.0, 0.276_393_202_250_021, 0.723_606_797_749_978_9, 1.0];

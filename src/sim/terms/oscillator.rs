@@ -1,0 +1,42 @@
+//! The vertices' own oscillators (3.2): integrators know them by their exact flow or write them out, so that they add nothing
+//! to what acts on a body; here is what they count as when one looks.
+
+use glam::DVec3;
+
+use super::{Cause, Term};
+use crate::{
+    model::energy,
+    scene::Material,
+    sim::{arrays::Vectors, state::State},
+};
+
+pub struct Springs;
+
+impl Term for Springs {}
+
+/// What they do to a vertex [scene unit/s²].
+pub fn accelerations(material: Material, State { x, u }: State) -> [(Cause, DVec3); 2] {
+    let Material { omega, damping, .. } = material;
+    [(Cause::Restoring, omega * omega * -x), (Cause::Damping, -2.0 * damping * u)]
+}
+
+/// Kinetic and elastic energy of the vertices of a body per unit of a vertex's mass [scene unit²/s²].
+pub fn energy(material: Material, displacement: &Vectors, velocity: &Vectors) -> [f64; 2] {
+    [energy::kinetic(sum_of_squares(velocity)), energy::elastic(material.omega, sum_of_squares(displacement))]
+}
+
+/// Σ |v|², in eight sums side by side, which are vectorised.
+fn sum_of_squares(vectors: &Vectors) -> f64 {
+    const LANES: usize = 8;
+    let n = vectors.len();
+    let (x, y, z) = (&vectors.x[..n], &vectors.y[..n], &vectors.z[..n]);
+    let mut sums = [0.0; LANES];
+    for first in (0..n / LANES * LANES).step_by(LANES) {
+        let [x, y, z] = [x, y, z].map(|axis| &axis[first..first + LANES]);
+        for lane in 0..LANES {
+            sums[lane] += x[lane] * x[lane] + y[lane] * y[lane] + z[lane] * z[lane];
+        }
+    }
+    let rest = (n / LANES * LANES..n).map(|i| x[i] * x[i] + y[i] * y[i] + z[i] * z[i]);
+    sums.iter().sum::<f64>() + rest.sum::<f64>()
+}

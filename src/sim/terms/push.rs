@@ -1,0 +1,65 @@
+//! Pushes (Fig. 4.1): vertices that face one accelerate along it.
+
+use glam::DVec3;
+
+use super::{Acting, Cause, Moment, On, Phases, Surroundings, Term};
+use crate::{
+    scene::{self, Scene, path::Kinematics},
+    sim::{Span, neighbours::Neighbour},
+};
+
+/// An acceleration that acts on each vertex by how squarely it faces it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Weighted {
+    /// As what it counts.
+    pub cause: Cause,
+    /// Unit direction d.
+    pub direction: DVec3,
+    /// Acceleration of a vertex that faces it squarely [scene unit/s²]; 0 while it does not act.
+    pub strength: f64,
+}
+
+impl Weighted {
+    /// What it does to a vertex whose rest position has the direction `facing` [scene unit/s²].
+    #[inline]
+    pub fn acceleration(&self, facing: DVec3) -> DVec3 {
+        self.direction * (self.strength * f64::max(0.0, -facing.dot(self.direction)))
+    }
+}
+
+pub struct Pushes;
+
+fn acts(push: &scene::Push, t: f64) -> bool {
+    push.start <= t && t < push.end()
+}
+
+fn weighted(push: &scene::Push, strength: f64) -> Weighted {
+    Weighted { cause: Cause::Push, direction: push.direction, strength }
+}
+
+impl Term for Pushes {
+    fn at<P: Phases>(on: &On<'_, P>, moment: Moment, _: &Kinematics, _: f64, surroundings: &mut Surroundings) {
+        let acting = on.pushes.iter().filter(|push| acts(push, moment.time));
+        surroundings.weighted.extend(acting.map(|push| weighted(push, push.strength)));
+    }
+
+    fn over<P: Phases>(on: &On<'_, P>, _: &[Neighbour], part: Span, acting: &mut Acting) {
+        let inside = part.start + 0.5 * part.length();
+        let strength = |push: &scene::Push| if acts(push, inside) { push.strength } else { 0.0 };
+        acting.weighted.extend(on.pushes.iter().map(|push| weighted(push, strength(push))));
+    }
+
+    fn own_bound<P>(on: &On<'_, P>, span: Span) -> f64 {
+        let acting = on.pushes.iter().filter(|push| push.start < span.end && span.start < push.end());
+        acting.map(|push| push.strength.abs()).sum()
+    }
+
+    fn jumps<P: Phases>(on: &On<'_, P>, _: &[Neighbour], span: Span, jumps: &mut Vec<f64>) {
+        let edges = on.pushes.iter().flat_map(|push| [push.start, push.end()]);
+        jumps.extend(edges.filter(|&t| span.holds(t)));
+    }
+
+    fn starts(scene: &Scene, starts: &mut Vec<(f64, u32)>) {
+        starts.extend(scene.pushes.iter().map(|push| (push.start, push.body as u32)));
+    }
+}

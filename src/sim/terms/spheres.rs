@@ -1,0 +1,206 @@
+//! Influence spheres of other bodies: attraction (3.4), repulsion (3.5), and that of the core.
+
+use glam::DVec3;
+
+use super::{Acting, Cause, Moment, On, Phases, Surroundings, Term};
+use crate::{
+    geometry::Rest,
+    model::{
+        energy,
+        influence::{Influence, Weight},
+        phase::Phase,
+    },
+    scene::{Body, Scene, path::Kinematics},
+    sim::{Span, arrays::Vectors, neighbours::Neighbour},
+};
+
+/// An influence sphere of another body that can reach a body in a part of a step.
+#[derive(Clone, Copy, Debug)]
+pub struct Sphere {
+    /// Index of the body that it belongs to.
+    pub body: u32,
+    /// Its radius r_e [scene unit].
+    pub radius: f64,
+    /// 1 / r_e.
+    pub inverse_radius: f64,
+    /// Signed strength [1/s²]: positive attracts, negative repels.
+    pub strength: f64,
+}
+
+/// An influence sphere of another body at an instant, seen from the body acted on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Source {
+    /// Index of the body that it belongs to.
+    pub body: u32,
+    /// Its centre relative to the centre of the body acted on, c_j − c_i [scene unit].
+    pub centre: DVec3,
+    /// Its radius r_e [scene unit].
+    pub sphere_radius: f64,
+    /// Signed strength [1/s²]: positive attracts, negative repels.
+    pub strength: f64,
+    /// The phase of the pair, from which that follows.
+    pub phase: Phase,
+}
+
+impl Source {
+    /// As what its force counts.
+    pub fn cause(&self) -> Cause {
+        match (self.phase, self.strength > 0.0) {
+            (Phase::Core, _) => Cause::Core,
+            (_, true) => Cause::Attraction,
+            (_, false) => Cause::Repulsion,
+        }
+    }
+}
+
+pub struct Spheres;
+
+impl Term for Spheres {
+    fn at<P: Phases>(
+        on: &On<'_, P>,
+        moment: Moment,
+        motion: &Kinematics,
+        farthest: f64,
+        surroundings: &mut Surroundings,
+    ) {
+        for neighbour in on.neighbours {
+            let phase = on.phases.from(on.index, neighbour, moment.phases_at);
+            let (strength, sphere_radius) =
+                (on.strength(neighbour, phase), on.tracks.whereabouts(neighbour.other).sphere);
+            if strength == 0.0 {
+                continue;
+            }
+            let other = &on.scene.bodies[neighbour.other as usize];
+            let centre = other.path.position(moment.time) - motion.position;
+            if centre.length() <= sphere_radius + farthest {
+                surroundings.sources.push(Source { body: neighbour.other, centre, sphere_radius, strength, phase });
+            }
+        }
+    }
+
+    fn over<P: Phases>(on: &On<'_, P>, near: &[Neighbour], part: Span, acting: &mut Acting) {
+        for neighbour in near {
+            let strength = on.strength(neighbour, on.phases.from(on.index, neighbour, part.start));
+            let radius = on.tracks.whereabouts(neighbour.other).sphere;
+            if strength != 0.0 {
+                let sphere = Sphere { body: neighbour.other, radius, inverse_radius: 1.0 / radius, strength };
+                acting.spheres.push(sphere);
+            }
+        }
+    }
+
+    fn jumps<P: Phases>(on: &On<'_, P>, near: &[Neighbour], span: Span, jumps: &mut Vec<f64>) {
+        let first = jumps.len();
+        for neighbour in near {
+            on.phases.changes(on.index, neighbour, jumps);
+        }
+        let mut place = first;
+        while place < jumps.len() {
+            if span.holds(jumps[place]) {
+                place += 1;
+            } else {
+                jumps.swap_remove(place);
+            }
+        }
+    }
+}
+
+impl<P> On<'_, P> {
+    /// The strength of a neighbour's sphere on the body in a phase of their pair [1/s²].
+    pub fn strength(&self, neighbour: &Neighbour, phase: Phase) -> f64 {
+        let [this, other] = [self.index, neighbour.other].map(|body| self.tracks.whereabouts(body).radius);
+        self.scene.influence.strength(phase, this, other)
+    }
+}
+
+/// Body `other`, of pair `pair`, as one that is near `this`.
+pub(in crate::sim) fn neighbour(scene: &Scene, this: u32, other: u32, pair: u32) -> Neighbour {
+    Neighbour { other, pair, pull: strongest_pull(scene, this, other) }
+}
+
+/// A bound of the acceleration of any vertex of body `this` by the sphere of body `source`, in any phase [scene unit/s²].
+fn strongest_pull(scene: &Scene, this: u32, source: u32) -> f64 {
+    let influence = &scene.influence;
+    let [this, source] = [this, source].map(|index| scene.bodies[index as usize].radius);
+    let strength = |phase| influence.strength(phase, this, source).abs();
+    let strongest = [Phase::Merged, Phase::Apart, Phase::Core].map(strength).into_iter().fold(0.0, f64::max);
+    strongest * influence.sphere_radius(source) * influence.weight.max_pull()
+}
+
+/// Vertices whose distances are computed together.
+const STRIP: usize = 64;
+
+/// What the vertices of a body have of Σ s Φ beyond what they have outside of all spheres [scene unit²/s²], and how many are
+/// inside of any. `displacement` is empty if every one is zero.
+pub fn energy_inside(rest: Rest<'_>, displacement: &Vectors, sources: &[Source], weight: Weight, sum: &mut f64) -> u64 {
+    let mut count = 0;
+    if sources.is_empty() {
+        return count;
+    }
+    for first in (0..rest.len()).step_by(STRIP) {
+        let n = STRIP.min(rest.len() - first);
+        let mut reached = [false; STRIP];
+        for source in sources {
+            let mut distances = [0.0; STRIP];
+            find_distances(rest, displacement, source.centre, first, &mut distances[..n]);
+            let potential = |r| energy::influence_potential(weight, source.sphere_radius, r);
+            for (&distance, reached) in distances[..n].iter().zip(&mut reached) {
+                if distance < source.sphere_radius {
+                    let inside = potential(distance) - potential(source.sphere_radius);
+                    *sum += source.strength * inside;
+                    *reached = true;
+                }
+            }
+        }
+        count += reached.iter().filter(|&&reached| reached).count() as u64;
+    }
+    count
+}
+
+/// How far some vertices from `first` on are from `centre`, which is relative to the body's [scene unit].
+fn find_distances(rest: Rest<'_>, displacement: &Vectors, centre: DVec3, first: usize, distances: &mut [f64]) {
+    let n = distances.len();
+    let (l, radius) = (rest.mesh.positions(), rest.radius);
+    let [lx, ly, lz] = [&l.x, &l.y, &l.z].map(|axis| &axis[first..first + n]);
+    let Vectors { x, y, z } = displacement;
+    if x.is_empty() {
+        for i in 0..n {
+            let (dx, dy, dz) = (centre.x - radius * lx[i], centre.y - radius * ly[i], centre.z - radius * lz[i]);
+            distances[i] = (dx * dx + dy * dy + dz * dz).sqrt();
+        }
+    } else {
+        let [x, y, z] = [x, y, z].map(|axis| &axis[first..first + n]);
+        for i in 0..n {
+            let dx = centre.x - (radius * lx[i] + x[i]);
+            let dy = centre.y - (radius * ly[i] + y[i]);
+            let dz = centre.z - (radius * lz[i] + z[i]);
+            distances[i] = (dx * dx + dy * dy + dz * dz).sqrt();
+        }
+    }
+}
+
+/// Σ s Φ over the vertices of body `index`, all of them outside the sphere of body `source` [scene unit²/s²].
+pub fn energy_outside(scene: &Scene, index: usize, source: usize, phase: Phase) -> f64 {
+    let (body, source) = (&scene.bodies[index], scene.bodies[source].radius);
+    outside_per_vertex(&scene.influence, body.radius, source, phase) * body.shape.vertex_count() as f64
+}
+
+fn outside_per_vertex(influence: &Influence, radius: f64, source: f64, phase: Phase) -> f64 {
+    let sphere = influence.sphere_radius(source);
+    influence.strength(phase, radius, source) * energy::influence_potential(influence.weight, sphere, sphere)
+}
+
+/// Σ [`energy_outside`] over all ordered pairs of bodies as if all were apart: a constant of the scene, in
+/// O(bodies · distinct radii).
+pub fn energy_of_distant_pairs(scene: &Scene) -> f64 {
+    let mut radii: Vec<f64> = scene.bodies.iter().map(|body| body.radius).collect();
+    radii.sort_by(f64::total_cmp);
+    let sources = radii.chunk_by(|a, b| a == b);
+    let per_vertex = |radius, source| outside_per_vertex(&scene.influence, radius, source, Phase::Apart);
+    let all_of = |radius| sources.clone().map(|same| same.len() as f64 * per_vertex(radius, same[0])).sum::<f64>();
+    let energy = |body: &Body| {
+        let others = all_of(body.radius) - per_vertex(body.radius, body.radius);
+        others * body.shape.vertex_count() as f64
+    };
+    scene.bodies.iter().map(energy).sum()
+}
