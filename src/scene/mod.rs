@@ -2,6 +2,54 @@
 //!
 //! A scene is made by [`Scene::load`] (a file), [`Scene::parse`] (its text) or [`Scene::builtin`] (compiled in). All
 //! checking happens there, in [`mod@parse`]; nothing downstream checks again.
+//!
+//! # The file
+//! TOML. Units are scene units, seconds and radians; defaults are in brackets; unknown keys are errors.
+//!
+//! ```toml
+//! name = "passing"              # [the file's name]
+//! dt = 0.0166666666             # step, s [1/60]
+//! duration = 4.0                # s
+//! integrator = "exponential"    # thesis | mps | euler | verlet | rk4 | exponential [exponential]
+//! tolerance = 1e-6              # of exponential: error in radii per unit of scene time [1e-6]
+//!
+//! [material]                    # for every body; a body may override each
+//! omega = 12.0                  # restoring force: natural angular frequency, rad/s [12.0]
+//! damping = 1.5                 # 1/s [1.5]
+//! response = "inertial"         # to its own motion: rigid | inertial | world [inertial]
+//!
+//! [influence]
+//! alpha = 100.0                 # attraction, 1/s² [100]
+//! beta = 60.0                   # repulsion, 1/s² [60]
+//! reach = 1.41421356            # radius of the influence sphere, in radii of the body [√2]
+//! weight = "linear"             # linear | wendland [linear]
+//! scaling = "relative"          # relative | absolute [relative]
+//! merge_at = 1.05               # centre distance over the sum of the radii [1.05]
+//! split_at = 1.15               # [1.15]
+//! core_at = 0.0                 # [0 = none]
+//! apart = "repel"               # repel | none [repel]
+//!
+//! [[body]]
+//! name = "still"
+//! radius = 1.0
+//! shape = { sphere = { stacks = 12, slices = 24 } }     # [that: 266 vertices]
+//! motion = { fixed = [0, 0, 0] }
+//!
+//! [[body]]
+//! name = "passing"
+//! radius = 0.8
+//! omega = 9.0
+//! motion = { keyframes = [[0, 2.6, 0, 0], [1.5, 1.7, 0, 0], [3.0, 2.6, 0.4, 0]] }
+//! # or:    { line = { from = [2.6, 0, 0], velocity = [-0.4, 0, 0] } }
+//! # or:    { sine = { center = [2, 0, 0], amplitude = [0.5, 0, 0], frequency = 0.25, phase = 0 } }
+//!
+//! [[push]]
+//! body = "still"
+//! direction = [1, 0, 0]
+//! strength = 60.0               # scene unit/s²
+//! start = 0.2                   # s
+//! duration = 0.1                # s
+//! ```
 
 pub mod builtin;
 pub mod parse;

@@ -20,6 +20,26 @@
 //! | where the messages go: files, viewers, servers | [`sinks`] |
 //!
 //! Observers receive the world by shared reference: looking never changes anything.
+//!
+//! # What a recording holds
+//! Two timelines, `step` and `sim_time`, and these entities. A value that did not change is not logged again. Equal runs give
+//! equal recordings but for `/timings` and the machine's name.
+//!
+//! | entity | what |
+//! | --- | --- |
+//! | `/world/bodies/NAME`, `…/surface` | transform to the centre; mesh in body coordinates |
+//! | `/world/resting/SHAPE`, `/world/deforming/surface` | instead, for more than 64 bodies: undeformed ones as instances, the others as one mesh in world coordinates |
+//! | `/world/influence` | every influence sphere |
+//! | `/world/pairs` | lines between the centres of pairs within reach, the closest 16, or 5 of a batched scene (`--pairs N`), labelled with q; in a batched scene also the influence spheres that reach somebody |
+//! | `/world/forces/CAUSE` | arrows of `attraction`, `repulsion` (of bodies apart), `core` (of bodies in their core), `restoring`, `damping`, `push`, `carry`, `net`: accelerations times the arrow scale that the panel states; classes, named at `/world/forces`, say between which two bodies one acts |
+//! | on a surface, with forces | of each vertex: `body`, `vertex`, `displacement_in_radii`, `net_force`, `reach`, and its colour in the heat map |
+//! | `/pairs/A~B/distance`, `…/merge_at`, `…/split_at`, `…/core_at`, `…/phase` | q, its thresholds, the phase, for the first 16 pairs within reach, or 5 in a batched scene (`--pairs N`), of those that come together the closest |
+//! | `/events` | each merge, split and core event |
+//! | `/timings/STAGE`, `/timings/speed`, `/timings/lag`, `/diagnostics/…` | numbers over time |
+//! | `/stages` | on the timeline `stage`: a line for each stage of the steps that are looked into; the entities under `/world` are there, too |
+//! | `/checksum` | `checksum`, a hash of the exact state, for every step; in a thin recording several steps a row, the last of which is the row's |
+//! | `/about` | the text of the panel |
+//! | properties `meldscope` | the scene's text, the resolved settings, what they change of the scene (`overrides`), program version, format, machine, integrator, number of steps, a digest of all checksums |
 
 pub mod blueprint;
 pub mod checksums;
