@@ -79,6 +79,8 @@ pub mod scene;
 pub mod sim;
 #[cfg(feature = "viewer")]
 pub mod stream;
+#[doc(hidden)]
+pub mod text;
 
 pub use scene::{Scene, SceneError};
 pub use sim::{StepReport, World};

@@ -4,7 +4,6 @@ use std::{
     fs,
     io::Write as _,
     path::{Path, PathBuf},
-    time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
 use rayon::prelude::*;
@@ -16,8 +15,7 @@ use crate::{
         golden::{self, Difference, Outcome},
     },
     scene::Scene,
-    sim::memory,
-    stream::sinks::thousands,
+    text::{bytes, counted, thousands},
 };
 
 /// What is checked if nothing is named.
@@ -105,8 +103,9 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
             Ok(Some(Outcome::Identical { steps, events, digest, is_rewritten })) => {
                 let rewritten = if is_rewritten { " (its text has changed, to no effect)" } else { "" };
                 print(&format!(
-                    "{name}: identical, {} steps, {events} events, {digest:016x}{rewritten}",
-                    thousands(steps)
+                    "{name}: identical, {}, {}, {digest:016x}{rewritten}",
+                    counted(steps, "step"),
+                    counted(events as u64, "event")
                 ));
             }
             Ok(Some(Outcome::Different(difference))) => {
@@ -141,7 +140,7 @@ fn report(name: &str, difference: &Difference, is_accepted: bool) {
         print("  the scene's text is not that of its golden recording");
     }
     if let Some([then, now]) = difference.steps {
-        print(&format!("  {} steps, {} in the golden recording", thousands(now), thousands(then)));
+        print(&format!("  {}, {} in the golden recording", counted(now, "step"), thousands(then)));
     }
     if let Some([then, now]) = &difference.counts {
         print(&format!("  {now}, {then} in the golden recording"));
@@ -218,7 +217,7 @@ fn bless(scripts: &[Script], reason: &str) -> Result<(), Failure> {
         match result {
             Ok(None) => print(&format!("{}: identical, kept", script.name)),
             Ok(Some(blessed)) => {
-                let size = memory::human(blessed.bytes);
+                let size = bytes(blessed.bytes);
                 print(&format!("{}: {:016x}, {} ({size})", script.name, blessed.digest, script.golden.display()));
                 let folder = script.golden.parent().unwrap_or(Path::new("")).to_owned();
                 let entry = format!("{} {:016x}", script.name, blessed.digest);
@@ -231,8 +230,12 @@ fn bless(scripts: &[Script], reason: &str) -> Result<(), Failure> {
         }
     }
     for (folder, entries) in made {
-        let line =
-            format!("- {}, meldscope {}: {}: {reason}\n", today(), env!("CARGO_PKG_VERSION"), entries.join(", "));
+        let line = format!(
+            "- {}, meldscope {}: {}: {reason}\n",
+            jiff::Timestamp::now().strftime("%F"),
+            env!("CARGO_PKG_VERSION"),
+            entries.join(", ")
+        );
         let path = folder.join(REASONS);
         let is_new = !path.exists();
         let head = "# Why golden recordings were made\n\nWritten by `meldscope check --bless REASON`: scenes, and the hash of \
@@ -284,37 +287,4 @@ fn scripts(paths: &[PathBuf]) -> Result<Vec<Script>, Failure> {
             Ok(Script { scene, golden: file.with_extension("rrd"), name })
         })
         .collect()
-}
-
-/// The date, as YYYY-MM-DD.
-fn today() -> String {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO);
-    let (year, month, day) = civil(since.as_secs() / 86_400);
-    format!("{year:04}-{month:02}-{day:02}")
-}
-
-/// Year, month and day, so many days after 1970-01-01.
-fn civil(days: u64) -> (u64, u64, u64) {
-    // in years that begin in March, 400 of which have 146,097 days
-    let days = days + 719_468;
-    let (era, day) = (days / 146_097, days % 146_097);
-    let year = (day - day / 1_460 + day / 36_524 - day / 146_096) / 365;
-    let day = day - (365 * year + year / 4 - year / 100);
-    let month = (5 * day + 2) / 153;
-    let date = day - (153 * month + 2) / 5 + 1;
-    let (month, carry) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
-    (400 * era + year + carry, month, date)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::civil;
-
-    #[test]
-    fn days_have_dates() {
-        let cases = [(0, (1970, 1, 1)), (59, (1970, 3, 1)), (11_016, (2000, 2, 29)), (20_513, (2026, 3, 1))];
-        for (days, date) in cases {
-            assert_eq!(civil(days), date);
-        }
-    }
 }

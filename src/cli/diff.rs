@@ -9,8 +9,7 @@ use super::{
 };
 use crate::{
     recording::{Recorded, diff},
-    sim::memory,
-    stream::sinks::thousands,
+    text::{bytes, counted, thousands},
 };
 
 /// More bodies or events than this are counted, not listed.
@@ -47,10 +46,10 @@ pub fn diff(arguments: Arguments) -> Result<(), Failure> {
     for (recorded, again) in [&a, &b].into_iter().zip(difference.run_again) {
         let again = if again { "; without surfaces, so it was run again" } else { "" };
         print(&format!(
-            "{}: {}, {} steps of {} s with {}, by meldscope {}{again}",
+            "{}: {}, {} of {} s with {}, by meldscope {}{again}",
             recorded.path.display(),
             recorded.scene.name,
-            thousands(recorded.last()),
+            counted(recorded.last(), "step"),
             recorded.scene.dt,
             recorded.scene.integrator,
             recorded.version,
@@ -107,7 +106,7 @@ pub fn diff(arguments: Arguments) -> Result<(), Failure> {
     if let Some(save) = &arguments.save {
         let saved = diff::save([&a, &b], &difference, tolerance, save).map_err(Failure::input)?;
         if let Some(saved) = saved.map_err(sink_failure)? {
-            print(&format!("saved {}: {}", saved.path.display(), memory::human(saved.bytes)));
+            print(&format!("saved {}: {}", saved.path.display(), bytes(saved.bytes)));
         }
     }
     match (&difference.first_beyond, difference.events.is_empty()) {

@@ -17,6 +17,8 @@ use clap::{
     builder::{PossibleValuesParser, TypedValueParser},
 };
 
+use crate::recording::read::expects_panics;
+
 /// A visual debugger for soft bodies that merge and split.
 ///
 /// Steps the simulation and streams meshes, influence spheres, force vectors, pair phases and frame timings to the
@@ -68,6 +70,13 @@ impl Failure {
 
 /// The program.
 pub fn main() -> ExitCode {
+    // A damaged recording is an error with a line of its own, even where the decoder panics over it.
+    let usual = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        if !expects_panics() {
+            usual(panic)
+        }
+    }));
     // Prints help and usage errors itself, and exits with 0 or 2.
     let arguments = Arguments::parse();
     let result = match arguments.command {

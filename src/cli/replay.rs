@@ -14,7 +14,7 @@ use crate::{
         replay::{self, Verdict},
     },
     scene::{Integrator, Scene},
-    sim::{World, memory},
+    sim::World,
     stream::{
         Recorder,
         blueprint::Tab,
@@ -22,8 +22,9 @@ use crate::{
         pipeline::send,
         recorder::describe,
         settings::{Detail, Frames, Settings},
-        sinks::{Destinations, Sinks, thousands},
+        sinks::{Destinations, Sinks},
     },
+    text::{bytes, counted, thousands},
 };
 
 /// Messages are taken from the recorder every so many frames.
@@ -88,9 +89,9 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
             print(&format!(
                 "{path}: identical, {}{settings}",
                 if recorded.first == 0 {
-                    format!("{} steps", thousands(steps))
+                    counted(steps, "step")
                 } else {
-                    format!("{} steps ({} to {steps})", thousands(steps - recorded.first + 1), recorded.first)
+                    format!("{} ({} to {steps})", counted(steps - recorded.first + 1, "step"), recorded.first)
                 }
             ));
             for difference in &differences {
@@ -122,7 +123,7 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
                         vector(worst.recorded),
                         vector(worst.found),
                         worst.difference,
-                        vertices(worst.vertices)
+                        counted(worst.vertices as u64, "vertex")
                     ));
                 }
                 None if recorded.settings.frames == Frames::Thin => {
@@ -191,9 +192,9 @@ fn ask(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
         events.extend(world.step().events.iter().map(|event| describe(&scene, event)));
     }
     print(&format!(
-        "{}: {} steps of {} s with {}, tolerance {:e}, instead of {} of {} s with {}, tolerance {:e}; not verified",
+        "{}: {} of {} s with {}, tolerance {:e}, instead of {} of {} s with {}, tolerance {:e}; not verified",
         recorded.path.display(),
-        thousands(world.steps_taken()),
+        counted(world.steps_taken(), "step"),
         scene.dt,
         scene.integrator,
         scene.tolerance,
@@ -315,17 +316,12 @@ impl Saver {
         if let Some(saved) = finished.save {
             let range = format!("steps {} to {}", self.steps.start(), self.steps.end());
             print(&format!(
-                "saved {}: {}, {} frames, {}",
+                "saved {}: {range}, {}, {}",
                 saved.path.display(),
-                range,
-                thousands(frames),
-                memory::human(saved.bytes)
+                counted(frames, "frame"),
+                bytes(saved.bytes)
             ));
         }
         Ok(())
     }
-}
-
-fn vertices(count: usize) -> String {
-    if count == 1 { "1 vertex".to_owned() } else { format!("{} vertices", thousands(count as u64)) }
 }

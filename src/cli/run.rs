@@ -12,8 +12,8 @@ use std::{
 
 use super::{Failure, one_of, print, say};
 use crate::{
-    scene::{Integrator, Scene, builtin, parse::did_you_mean},
-    sim::{Event, Options, World, memory},
+    scene::{Integrator, Scene, builtin},
+    sim::{Event, Options, World},
     stream::{
         Pipeline, Recorder,
         blueprint::Tab,
@@ -21,8 +21,9 @@ use crate::{
         pipeline::{Recorded, send},
         recorder::describe,
         settings::{Detail, Entities, Frames, Settings, Trigger, file_stem},
-        sinks::{Destinations, Finished, Serve, SinkError, Sinks, Spawn, thousands},
+        sinks::{Destinations, Finished, Serve, SinkError, Sinks, Spawn},
     },
+    text::{bytes, counted, did_you_mean, thousands},
 };
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -501,12 +502,11 @@ fn summarize(console: &Console, outcome: &Outcome) {
     let scene = world.scene();
     let (bodies, steps) = (scene.bodies.len() as u64, world.steps_taken());
     console.print(&format!(
-        "{}: {} {}, {} vertices; {} steps of {} s with {}, {:.3} s simulated in {seconds:.3} s ({} steps/s)",
+        "{}: {}, {}; {} of {} s with {}, {:.3} s simulated in {seconds:.3} s ({} steps/s)",
         scene.name,
-        thousands(bodies),
-        if bodies == 1 { "body" } else { "bodies" },
-        thousands(scene.vertex_count()),
-        thousands(steps),
+        counted(bodies, "body"),
+        counted(scene.vertex_count(), "vertex"),
+        counted(steps, "step"),
         // six digits are enough to know a step by
         if settings.dt >= 1e-4 { format!("{:.6}", settings.dt) } else { format!("{:e}", settings.dt) },
         settings.integrator,
@@ -515,8 +515,7 @@ fn summarize(console: &Console, outcome: &Outcome) {
     ));
     match event_count {
         0 => console.print("no events"),
-        1 => console.print("1 event:"),
-        n => console.print(&format!("{} events:", thousands(*n))),
+        n => console.print(&format!("{}:", counted(*n, "event"))),
     }
     for event in events {
         console.print(&format!("  {}", describe(scene, event)));
@@ -528,19 +527,15 @@ fn summarize(console: &Console, outcome: &Outcome) {
     if let Some(saved) = &finished.save {
         let path = saved.path.display();
         let word = shell_word(&path.to_string());
-        let size = memory::human(saved.bytes);
+        let size = bytes(saved.bytes);
         if settings.frames == Frames::Thin {
-            console.print(&format!("saved {path}: the scene and {} checksums, {size}", thousands(steps + 1)));
+            console.print(&format!("saved {path}: the scene and {}, {size}", counted(steps + 1, "checksum")));
             console.print(&format!(
                 "verify it with `meldscope replay {word}`; `meldscope replay {word} --save full.rrd` makes the frames"
             ));
             return;
         }
-        console.print(&format!(
-            "saved {path}: {} {}, {size}",
-            thousands(*frames),
-            if *frames == 1 { "frame" } else { "frames" }
-        ));
+        console.print(&format!("saved {path}: {}, {size}", counted(*frames, "frame")));
         if *frames == 0 {
             console.print("nothing happened that --on waits for, so no frame was written");
         }

@@ -3,7 +3,7 @@
 use super::print;
 use crate::{
     scene::{Scene, builtin},
-    stream::sinks::thousands,
+    text::counted,
 };
 
 /// Lists the built-in scenes: name, bodies, vertices, what to look at.
@@ -11,8 +11,7 @@ pub fn list() {
     for builtin in builtin::ALL {
         let Some(scene) = Scene::builtin(builtin.name) else { continue };
         let (bodies, vertices) = (scene.bodies.len() as u64, scene.vertex_count());
-        let plural = if bodies == 1 { "body" } else { "bodies" };
-        print(&format!("{}: {} {plural}, {} vertices", builtin.name, thousands(bodies), thousands(vertices)));
+        print(&format!("{}: {}, {}", builtin.name, counted(bodies, "body"), counted(vertices, "vertex")));
         for sentence in builtin.what_to_look_at() {
             print(&format!("    {sentence}"));
         }

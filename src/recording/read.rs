@@ -14,7 +14,6 @@ use std::{
     io::{self, BufReader, Read},
     panic::{AssertUnwindSafe, catch_unwind},
     path::{Path, PathBuf},
-    sync::Once,
 };
 
 use rerun::external::{
@@ -174,7 +173,7 @@ impl Reader {
                         }
                         Some(_) => {}
                     }
-                    if let Some(chunk) = quietly(|| envelope.chunk(&wanted)).map_err(damaged)? {
+                    if let Some(chunk) = catching(|| envelope.chunk(&wanted)).map_err(damaged)? {
                         return Ok(Some(chunk));
                     }
                 }
@@ -396,22 +395,19 @@ impl<'a> Iterator for Fields<'a> {
 }
 
 thread_local! {
-    static IS_QUIET: Cell<bool> = const { Cell::new(false) };
+    static EXPECTS_PANICS: Cell<bool> = const { Cell::new(false) };
 }
 
-/// What `work` gives; a panic in it, which is Arrow's way to say that data is malformed, is an error and not printed.
-pub(super) fn quietly<T>(work: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
-    static HOOK: Once = Once::new();
-    HOOK.call_once(|| {
-        let usual = std::panic::take_hook();
-        std::panic::set_hook(Box::new(move |panic| {
-            if !IS_QUIET.get() {
-                usual(panic);
-            }
-        }));
-    });
-    let before = IS_QUIET.replace(true);
+/// Whether a panic of this thread is no more than Arrow's way to say that data of a recording is malformed: it is caught, and
+/// becomes a [`ReadError`]. A program's panic hook may ask, so as not to print it.
+pub fn expects_panics() -> bool {
+    EXPECTS_PANICS.get()
+}
+
+/// What `work` gives; a panic in it is an error.
+fn catching<T>(work: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
+    let before = EXPECTS_PANICS.replace(true);
     let result = catch_unwind(AssertUnwindSafe(work));
-    IS_QUIET.set(before);
+    EXPECTS_PANICS.set(before);
     result.unwrap_or_else(|_| Err("a message is malformed".to_owned()))
 }

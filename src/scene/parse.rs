@@ -24,10 +24,10 @@ use crate::{
         influence::{Influence, Scaling, Weight},
         phase::Thresholds,
     },
+    text::did_you_mean,
 };
 use error::one_line;
 pub use error::{Place, SceneError};
-pub(crate) use reader::did_you_mean;
 use reader::{Choice, Integer, Keys, Kind, Number, Source, Table, Text, Value, Vector, is_body_name};
 
 /// See the [limits](self#limits).

@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use crate::scene::Scene;
+use crate::{scene::Scene, text::bytes};
 
 /// State of a vertex: displacement and velocity, three doubles each [bytes].
 const STATE_BYTES: u64 = 48;
@@ -18,7 +18,7 @@ const BODY_BYTES: u64 = 2048;
 #[error(
     "scene \"{scene}\" is too large for this machine: {bodies} bodies with {vertices} vertices need about {}, \
      and {} are available; lower `stacks` and `slices` of the shapes, or use fewer bodies",
-    human(*needed), human(*available)
+    bytes(*needed), bytes(*available)
 )]
 pub struct TooLarge {
     /// Name of the scene.
@@ -78,16 +78,4 @@ pub fn check(scene: &Scene) -> Result<(), TooLarge> {
         needed,
         available,
     })
-}
-
-/// Bytes as people read them.
-pub fn human(bytes: u64) -> String {
-    let units = ["B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB"];
-    let mut value = bytes as f64;
-    let mut unit = 0;
-    while value >= 1024.0 && unit < units.len() - 1 {
-        value /= 1024.0;
-        unit += 1;
-    }
-    if unit == 0 { format!("{bytes} B") } else { format!("{value:.1} {}", units[unit]) }
 }

@@ -11,11 +11,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use meldscope::{
-    Scene, World,
-    scene::builtin,
-    sim::{Event, memory},
-};
+use meldscope::{Scene, World, scene::builtin, sim::Event, text};
 use proptest::prelude::*;
 
 use crate::recording::{Dir, Recording, content};
@@ -224,7 +220,7 @@ fn a_run_says_what_it_did_and_how_to_look_at_it() {
         "exponential".to_owned(),
         format!("{:.3} s simulated in ", world.time()),
         format!("{} events", events.len()),
-        format!("saved x.rrd: {} frames, {}", steps + 1, memory::human(size(&dir.file("x.rrd")))),
+        format!("saved x.rrd: {} frames, {}", steps + 1, text::bytes(size(&dir.file("x.rrd")))),
         "`rerun x.rrd`".to_owned(),
         "--serve".to_owned(),
     ];

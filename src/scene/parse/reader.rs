@@ -9,6 +9,7 @@ use glam::DVec3;
 use toml::de::{DeTable, DeValue};
 
 use super::error::{Place, SceneError, clip, one_line};
+use crate::text::did_you_mean;
 
 /// The text of a scene file and its name.
 pub(super) struct Source<'a> {
@@ -423,19 +424,4 @@ fn unquoted(value: &Value<'_>, error: SceneError) -> SceneError {
         Some(text) if text.trim().parse::<f64>().is_ok() => error.with_help("write the number without quotes"),
         _ => error,
     }
-}
-
-/// `; did you mean "…"?` with the nearest of the `known` words, or nothing if none is near.
-pub(crate) fn did_you_mean<'k>(word: &str, known: impl Iterator<Item = &'k str>) -> String {
-    let plain = |text: &str| text.to_lowercase().replace(['-', ' '], "_");
-    let word: String = plain(&word.chars().take(64).collect::<String>()); // the distance takes time ∝ length²
-    let near = known.filter_map(|candidate| {
-        let plain = plain(candidate);
-        let abbreviated = word.len() >= 3 && plain.starts_with(&word);
-        let distance = usize::min(strsim::osa_distance(&word, &plain), if abbreviated { 1 } else { usize::MAX });
-        // a third of the letters, but never all of a short word
-        let most = usize::min((word.chars().count().max(candidate.chars().count()) + 1) / 3, 3);
-        (distance <= most).then_some((distance, candidate))
-    });
-    near.min_by_key(|(distance, _)| *distance).map_or(String::new(), |(_, word)| format!("; did you mean \"{word}\"?"))
 }

@@ -5,7 +5,8 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::note::{counted, viewer_help};
+use super::note::viewer_help;
+use crate::text::counted;
 
 /// A destination that cannot be opened, or one that a run cannot do without and that failed.
 ///

@@ -31,13 +31,13 @@ mod serve;
 mod spawn;
 
 pub use error::SinkError;
-pub use note::thousands;
 pub use serve::Serving;
 
 use super::chunks::Audience;
+use crate::text::{counted, listed};
 use file::{Claim, Writer};
 use live::Live;
-use note::{counted, listed, seconds};
+use note::seconds;
 use queue::Parcel;
 use serve::Server;
 

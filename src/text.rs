@@ -1,0 +1,99 @@
+//! Words and figures for people.
+
+use unit_prefix::NumberPrefix;
+
+/// Bytes as "512 B" or "1.5 GiB".
+pub fn bytes(n: u64) -> String {
+    match NumberPrefix::binary(n as f64) {
+        NumberPrefix::Standalone(n) => format!("{n} B"),
+        NumberPrefix::Prefixed(prefix, n) => format!("{n:.1} {prefix}B"),
+    }
+}
+
+/// `1234567` as "1,234,567".
+#[cfg(feature = "viewer")]
+pub fn thousands(n: u64) -> String {
+    indicatif::HumanCount(n).to_string()
+}
+
+/// `1` as "1 step", `1234` as "1,234 steps".
+#[cfg(feature = "viewer")]
+pub fn counted(n: u64, noun: &str) -> String {
+    let plural = match noun {
+        _ if n == 1 => noun.to_owned(),
+        "body" => "bodies".to_owned(),
+        "vertex" => "vertices".to_owned(),
+        _ => format!("{noun}s"),
+    };
+    format!("{} {plural}", thousands(n))
+}
+
+/// `list` as "a", "a and b", "a, b and c".
+#[cfg(feature = "viewer")]
+pub fn listed(list: &[String]) -> String {
+    match list {
+        [] => String::new(),
+        [only] => only.clone(),
+        [most @ .., last] => format!("{} and {last}", most.join(", ")),
+    }
+}
+
+/// Three significant digits.
+#[cfg(feature = "cli")]
+pub fn significant(x: f64) -> String {
+    let digits = 2 - x.abs().log10().floor().clamp(-9.0, 2.0) as i32;
+    format!("{x:.*}", digits as usize)
+}
+
+/// Three digits at least, and no fractions of large numbers.
+#[cfg(feature = "cli")]
+pub fn number(x: f64) -> String {
+    if x >= 100.0 { thousands(x.round() as u64) } else { significant(x) }
+}
+
+/// `; did you mean "…"?` with the nearest of the `known` words, or nothing if none is near.
+pub fn did_you_mean<'k>(word: &str, known: impl Iterator<Item = &'k str>) -> String {
+    let plain = |text: &str| text.to_lowercase().replace(['-', ' '], "_");
+    let word: String = plain(&word.chars().take(64).collect::<String>()); // the distance takes time ∝ length²
+    let near = known.filter_map(|candidate| {
+        let plain = plain(candidate);
+        let abbreviated = word.len() >= 3 && plain.starts_with(&word);
+        let distance = usize::min(strsim::osa_distance(&word, &plain), if abbreviated { 1 } else { usize::MAX });
+        // a third of the letters, but never all of a short word
+        let most = usize::min((word.chars().count().max(candidate.chars().count()) + 1) / 3, 3);
+        (distance <= most).then_some((distance, candidate))
+    });
+    near.min_by_key(|(distance, _)| *distance).map_or(String::new(), |(_, word)| format!("; did you mean \"{word}\"?"))
+}
+
+#[cfg(all(test, feature = "viewer"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_are_grouped_and_nouns_agree() {
+        let cases = [(0, "0 messages"), (1, "1 message"), (999, "999 messages"), (1_234, "1,234 messages")];
+        for (n, expected) in cases {
+            assert_eq!(counted(n, "message"), expected);
+        }
+        assert_eq!(counted(12_345_678, "byte"), "12,345,678 bytes");
+        assert_eq!(
+            [counted(1, "vertex"), counted(2, "vertex"), counted(2, "body")],
+            ["1 vertex", "2 vertices", "2 bodies"]
+        );
+    }
+
+    #[test]
+    fn lists_read_as_sentences() {
+        let of = |n: usize| listed(&["a", "b", "c"].map(str::to_owned)[..n]);
+        assert_eq!([of(0), of(1), of(2), of(3)], ["", "a", "a and b", "a, b and c"]);
+    }
+
+    #[test]
+    fn sizes_have_binary_prefixes() {
+        let cases = [(0, "0 B"), (1023, "1023 B"), (1024, "1.0 KiB"), (1536 << 20, "1.5 GiB"), (u64::MAX, "16.0 EiB")];
+        for (n, expected) in cases {
+            assert_eq!(bytes(n), expected);
+        }
+    }
+}
