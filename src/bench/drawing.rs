@@ -1,6 +1,6 @@
-//! What the diagrams have in common: text, markers, labels beside the ends of lines, logarithmic ticks.
+//! What the diagrams have in common: a sheet, logarithmic axes, lines with markers and labels beside their ends.
 
-use std::ops::Range;
+use std::{io, ops::Range};
 
 use plotters::{
     coord::Shift,
@@ -8,14 +8,116 @@ use plotters::{
     style::text_anchor::{HPos, Pos, VPos},
 };
 
+/// Above the axes without a title, and below them [px].
+pub const TOP: u32 = 16;
+const BOTTOM: u32 = 66;
+/// Left of the axes, and left of the title of the vertical one [px].
+pub const LEFT: u32 = 84;
+const MARGIN: u32 = 14;
+/// What is written above the panels, and a line of what is written below them [px].
+const HEADER: u32 = 108;
+const NOTE: u32 = 24;
 /// Between labels [px].
-pub const LABEL_HEIGHT: f64 = 20.0;
-pub const FONT: &str = "sans-serif";
+const LABEL_HEIGHT: f64 = 20.0;
+const FONT: &str = "sans-serif";
 pub const INK: RGBColor = RGBColor(34, 34, 34);
 pub const GREY: RGBColor = RGBColor(110, 110, 110);
 
 pub type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-pub type Failure<'a> = DrawingAreaErrorKind<<SVGBackend<'a> as DrawingBackend>::ErrorType>;
+pub type Failure = DrawingAreaErrorKind<io::Error>;
+
+/// A diagram with what is written around it.
+pub struct Sheet<'t> {
+    /// Of what is between heading and notes [px].
+    pub size: (u32, u32),
+    pub title: &'t str,
+    pub heading: [&'t str; 2],
+    pub notes: &'t [&'t str],
+}
+
+impl Sheet<'_> {
+    /// The diagram as an SVG file.
+    ///
+    /// # Errors
+    /// What the drawing library says; none is known.
+    pub fn svg(&self, draw: impl FnOnce(&Area<'_>) -> Result<(), Failure>) -> Result<String, String> {
+        let mut text = String::new();
+        let (width, height) = self.size;
+        let size = (width, HEADER + height + NOTE * self.notes.len() as u32 + TOP);
+        let root = SVGBackend::with_string(&mut text, size).into_drawing_area();
+        let drawn = self.draw(&root, draw).and_then(|()| root.present());
+        drop(root);
+        drawn.map_err(|error| error.to_string())?;
+        Ok(text)
+    }
+
+    fn draw(&self, root: &Area<'_>, draw: impl FnOnce(&Area<'_>) -> Result<(), Failure>) -> Result<(), Failure> {
+        root.fill(&WHITE)?;
+        let (header, below) = root.split_vertically(HEADER);
+        let (panels, footer) = below.split_vertically(self.size.1);
+        write(&header, self.title, (20, 32), 30.0, INK)?;
+        for (line, y) in self.heading.into_iter().zip([64, 90]) {
+            write(&header, line, (20, y), 18.0, GREY)?;
+        }
+        for (line, k) in self.notes.iter().zip(0..) {
+            write(&footer, line, (20, 18 + NOTE as i32 * k), 17.0, GREY)?;
+        }
+        draw(&panels)
+    }
+}
+
+/// One of the two axes of a panel, logarithmic.
+pub struct Axis<'t> {
+    pub name: &'t str,
+    pub range: Range<f64>,
+    /// Where there are numbers, and lines …
+    pub ticks: Vec<f64>,
+    /// … and where there are lines only.
+    pub grid: Vec<f64>,
+    pub number: fn(&f64) -> String,
+}
+
+/// Draws two axes, so far below the top and so far left of the right end of `panel` [px]; tells where on the panel a point is.
+pub fn draw_axes(
+    panel: &Area<'_>,
+    top: u32,
+    right: u32,
+    [x, y]: [Axis<'_>; 2],
+) -> Result<impl Fn(f64, f64) -> (i32, i32), Failure> {
+    let scale = |axis: Axis<'_>| axis.range.log_scale().with_key_points(axis.ticks).with_light_points(axis.grid);
+    let ((x_name, x_number), (y_name, y_number)) = ((x.name, x.number), (y.name, y.number));
+    let mut chart = ChartBuilder::on(panel)
+        .margin_top(top)
+        .margin_left(MARGIN)
+        .margin_right(right)
+        .x_label_area_size(BOTTOM)
+        .y_label_area_size(LEFT)
+        .build_cartesian_2d(scale(x), scale(y))?;
+    chart
+        .configure_mesh()
+        .x_desc(x_name)
+        .y_desc(y_name)
+        .axis_desc_style((FONT, 21).into_font().color(&INK))
+        .label_style((FONT, 19).into_font().color(&INK))
+        .x_label_formatter(&x_number)
+        .y_label_formatter(&y_number)
+        .bold_line_style(RGBColor(214, 214, 214))
+        .light_line_style(RGBColor(240, 240, 240))
+        .axis_style(GREY)
+        .draw()?;
+    let origin = panel.get_base_pixel();
+    Ok(move |x, y| {
+        let (x, y) = chart.backend_coord(&(x, y));
+        (x - origin.0, y - origin.1)
+    })
+}
+
+/// A line of a diagram, on its panel [px].
+pub struct Line {
+    pub name: String,
+    pub style: Style,
+    pub points: Vec<(i32, i32)>,
+}
 
 /// How a line is drawn.
 #[derive(Clone, Copy)]
@@ -43,21 +145,24 @@ pub fn ticks(range: &Range<f64>, multiples: &[f64]) -> Vec<f64> {
     all.filter(|&tick| tick >= 0.999 * range.start && tick <= 1.001 * range.end).collect()
 }
 
-/// Labels in a column right of the axes, each as near to the height of the end of its line as the others let it.
-pub fn draw_labels<'a>(
-    panel: &Area<'a>,
-    right: i32,
-    limits: (f64, f64),
-    mut ends: Vec<((i32, i32), String, Style)>,
-) -> Result<(), Failure<'a>> {
-    ends.sort_by_key(|(end, ..)| (end.1, end.0));
-    let wanted: Vec<f64> = ends.iter().map(|((_, y), ..)| f64::from(*y)).collect();
-    for (((end, text, style), y), k) in ends.iter().zip(spread(&wanted, limits)).zip(0..) {
+/// Draws lines with markers, and their names in a column right of the axes, which end at `right`; each name as near to the
+/// height of the end of its line as the others let it.
+pub fn draw_lines(panel: &Area<'_>, top: u32, right: i32, mut lines: Vec<Line>) -> Result<(), Failure> {
+    lines.retain(|line| !line.points.is_empty());
+    for Line { points, style, .. } in &lines {
+        panel.draw(&PathElement::new(points.clone(), style.color.stroke_width(style.width)))?;
+        points.iter().try_for_each(|&point| draw_marker(panel, *style, point))?;
+    }
+    let end = |line: &Line| line.points.last().copied().unwrap_or_default();
+    lines.sort_by_key(|line| (end(line).1, end(line).0));
+    let wanted: Vec<f64> = lines.iter().map(|line| f64::from(end(line).1)).collect();
+    let limits = (f64::from(top), f64::from(panel.dim_in_pixel().1 - BOTTOM));
+    for ((line, y), k) in lines.iter().zip(spread(&wanted, limits)).zip(0..) {
         let y = y.round() as i32;
         let elbow = right + 10 + 4 * (k % 3);
-        panel.draw(&PathElement::new([*end, (elbow, y), (right + 28, y)], style.color.mix(0.45)))?;
-        draw_marker(panel, *style, (right + 28, y))?;
-        write(panel, text, (right + 40, y), 19.0, style.color, HPos::Left)?;
+        panel.draw(&PathElement::new([end(line), (elbow, y), (right + 28, y)], line.style.color.mix(0.45)))?;
+        draw_marker(panel, line.style, (right + 28, y))?;
+        write(panel, &line.name, (right + 40, y), 19.0, line.style.color)?;
     }
     Ok(())
 }
@@ -89,7 +194,7 @@ fn spread(wanted: &[f64], limits: (f64, f64)) -> Vec<f64> {
     clusters.iter().flat_map(heights).collect()
 }
 
-pub fn draw_marker<'a>(panel: &Area<'a>, style: Style, (x, y): (i32, i32)) -> Result<(), Failure<'a>> {
+fn draw_marker(panel: &Area<'_>, style: Style, (x, y): (i32, i32)) -> Result<(), Failure> {
     const SIZE: f64 = 7.0;
     match style.marker {
         Marker::Disc => panel.draw(&Circle::new((x, y), 5, style.color.filled())),
@@ -112,17 +217,11 @@ pub fn draw_marker<'a>(panel: &Area<'a>, style: Style, (x, y): (i32, i32)) -> Re
     }
 }
 
-pub fn write<'a>(
-    area: &Area<'a>,
-    text: &str,
-    at: (i32, i32),
-    size: f64,
-    color: RGBColor,
-    anchor: HPos,
-) -> Result<(), Failure<'a>> {
+/// Writes a line that begins at a point, in its middle.
+pub fn write(area: &Area<'_>, text: &str, at: (i32, i32), size: f64, color: RGBColor) -> Result<(), Failure> {
     // what XML has no place for
     let text: String = text.chars().map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect();
-    let style = (FONT, size).into_font().color(&color).pos(Pos::new(anchor, VPos::Center));
+    let style = (FONT, size).into_font().color(&color).pos(Pos::new(HPos::Left, VPos::Center));
     area.draw(&Text::new(text, at, style))
 }
 

@@ -14,7 +14,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::reference::{Accuracy, NoReference, Reference};
+use super::{
+    MeasureError,
+    reference::{Accuracy, Reference},
+};
 use crate::{
     scene::{Integrator, Scene},
     sim::{TooLarge, World},
@@ -156,20 +159,6 @@ impl Report {
     pub fn is_at_own_step(&self, measurement: &Measurement) -> bool {
         (measurement.dt / self.dt - 1.0).abs() < 1e-9
     }
-}
-
-/// Why a scene cannot be measured.
-#[derive(Debug, thiserror::Error)]
-pub enum MeasureError {
-    /// There is no reference.
-    #[error(transparent)]
-    NoReference(#[from] NoReference),
-    /// There is no memory.
-    #[error(transparent)]
-    TooLarge(#[from] TooLarge),
-    /// There is no thread to measure on.
-    #[error("cannot start a thread: {0}")]
-    Thread(#[from] rayon::ThreadPoolBuildError),
 }
 
 /// A run that is measured.

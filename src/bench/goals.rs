@@ -1,6 +1,7 @@
 //! Goals, and what was measured beside each.
 
-use super::tables::{aligned, number};
+use super::tables;
+use crate::text::number;
 
 /// A goal, and what became of it.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,11 +37,12 @@ fn goal_of(what: &str, relation: &str, goal: f64, unit: &str, measured: f64, is_
 }
 
 /// Goals as a table.
-pub(super) fn table(goals: &[Goal]) -> String {
-    let mut rows = vec![["goals", "wanted", "measured", ""].map(str::to_owned)];
-    rows.extend(goals.iter().map(|goal| {
-        let verdict = if goal.is_met { "met" } else { "missed" };
-        [goal.what.clone(), goal.goal.clone(), goal.measured.clone(), verdict.to_owned()]
-    }));
-    aligned(&rows).join("\n")
+pub fn table(goals: &[Goal]) -> String {
+    tables::table(
+        ["goals", "wanted", "measured", ""],
+        goals.iter().map(|goal| {
+            let verdict = if goal.is_met { "met" } else { "missed" };
+            [&goal.what, &goal.goal, &goal.measured, verdict]
+        }),
+    )
 }

@@ -77,3 +77,26 @@ pub mod reference;
 pub mod scale;
 pub mod stability;
 mod tables;
+
+use crate::{SceneError, sim::TooLarge};
+use reference::NoReference;
+
+/// Why something cannot be measured.
+#[derive(Debug, thiserror::Error)]
+pub enum MeasureError {
+    /// There is no scene to make others from.
+    #[error("the built-in scene \"two\" is missing")]
+    NoScene,
+    /// A scene that was made from others is none.
+    #[error("a case is no scene: {0}")]
+    Scene(#[from] SceneError),
+    /// There is no reference.
+    #[error(transparent)]
+    NoReference(#[from] NoReference),
+    /// There is no memory.
+    #[error(transparent)]
+    TooLarge(#[from] TooLarge),
+    /// There are no threads to measure on.
+    #[error("cannot start threads: {0}")]
+    Threads(#[from] rayon::ThreadPoolBuildError),
+}

@@ -18,7 +18,10 @@ use std::time::{Duration, Instant};
 use pulp::Arch;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
-use super::reference::{Accuracy, NoReference, Reference};
+use super::{
+    MeasureError,
+    reference::{Accuracy, NoReference, Reference},
+};
 use crate::{
     Scene, World,
     scene::Integrator,
@@ -130,6 +133,11 @@ pub struct Point {
 }
 
 impl Point {
+    /// On one core, and on all if there are more.
+    pub fn runs(&self) -> impl Iterator<Item = &Run> {
+        std::iter::once(&self.one).chain(&self.all)
+    }
+
     /// On as many cores as there are.
     pub fn best(&self) -> &Run {
         self.all.as_ref().unwrap_or(&self.one)
@@ -186,23 +194,6 @@ impl Report {
         let slope = logs.iter().map(|p| (p.0 - x) * (p.1 - y)).sum::<f64>() / spread;
         slope.is_finite().then_some(slope)
     }
-}
-
-/// Why nothing can be measured.
-#[derive(Debug, thiserror::Error)]
-pub enum MeasureError {
-    /// There is no scene to make others from.
-    #[error("the built-in scene \"two\" is missing")]
-    NoScene,
-    /// There is no reference.
-    #[error(transparent)]
-    NoReference(#[from] NoReference),
-    /// There is no memory.
-    #[error(transparent)]
-    TooLarge(#[from] TooLarge),
-    /// There are no threads to measure on.
-    #[error("cannot start threads: {0}")]
-    Threads(#[from] ThreadPoolBuildError),
 }
 
 /// The threads that worlds are stepped on.

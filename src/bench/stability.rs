@@ -27,9 +27,12 @@ use std::{
 
 use rayon::prelude::*;
 
-use super::reference::{Accuracy, Reference};
+use super::{
+    MeasureError,
+    reference::{Accuracy, Reference},
+};
 use crate::{
-    Scene, SceneError,
+    Scene,
     model::phase::Phase,
     scene::{Integrator, Path},
     sim::{Event, TooLarge, World},
@@ -133,25 +136,14 @@ pub struct Row {
     pub outcomes: Vec<Outcome>,
 }
 
-/// Why there is no sweep.
-#[derive(Debug, thiserror::Error)]
-pub enum SweepError {
-    /// A case is no scene.
-    #[error("a case is no scene: {0}")]
-    Scene(#[from] SceneError),
-    /// There is no memory.
-    #[error(transparent)]
-    TooLarge(#[from] TooLarge),
-}
-
 /// Runs the cases, on all cores; tells `progress` how many are done.
 ///
 /// # Errors
-/// [`SweepError`]
-pub fn sweep(settings: &Settings, progress: &(dyn Fn(u64) + Sync)) -> Result<Vec<Row>, SweepError> {
+/// [`MeasureError`]
+pub fn sweep(settings: &Settings, progress: &(dyn Fn(u64) + Sync)) -> Result<Vec<Row>, MeasureError> {
     let done = AtomicU64::new(0);
     let row = |index: u64| {
-        let row = Case::new(index).map_err(SweepError::from).and_then(|case| run(case, settings));
+        let row = Case::new(index).map_err(MeasureError::from).and_then(|case| run(case, settings));
         progress(done.fetch_add(1, Ordering::Relaxed) + 1);
         row
     };
@@ -161,8 +153,8 @@ pub fn sweep(settings: &Settings, progress: &(dyn Fn(u64) + Sync)) -> Result<Vec
 /// Runs one case.
 ///
 /// # Errors
-/// [`SweepError::TooLarge`]
-pub fn run(case: Case, settings: &Settings) -> Result<Row, SweepError> {
+/// [`MeasureError::TooLarge`]
+pub fn run(case: Case, settings: &Settings) -> Result<Row, MeasureError> {
     let steps = case.scene.steps().min(settings.most_steps);
     let judge = Judge::new(&case, steps);
     let outcomes = settings.integrators.iter().map(|&integrator| judge.run(integrator)).collect::<Result<_, _>>()?;

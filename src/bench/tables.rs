@@ -1,23 +1,31 @@
-//! What the tables of several benchmarks have in common.
+//! Measurements as tables for people, and as comma-separated values for programs.
 
-use super::error::table::significant;
-use crate::stream::sinks::thousands;
+use comfy_table::{CellAlignment, Row, presets};
+use serde::Serialize;
 
 /// Columns side by side: the first flush left, the others flush right.
-pub(super) fn aligned<const N: usize>(rows: &[[String; N]]) -> Vec<String> {
-    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
-    let widths: [usize; N] = std::array::from_fn(width);
-    let line = |row: &[String; N]| {
-        let cell = |(column, text): (usize, &String)| {
-            let padding = " ".repeat(widths[column] - text.chars().count());
-            if column == 0 { format!("{text}{padding}") } else { format!("  {padding}{text}") }
-        };
-        row.iter().enumerate().map(cell).collect::<String>().trim_end().to_owned()
-    };
-    rows.iter().map(line).collect()
+pub(super) fn table(heading: impl Into<Row>, rows: impl IntoIterator<Item: Into<Row>>) -> String {
+    let mut table = comfy_table::Table::new();
+    table.load_preset(presets::NOTHING).add_row(heading).add_rows(rows);
+    for (k, column) in table.column_iter_mut().enumerate() {
+        let (gap, alignment) = if k == 0 { (0, CellAlignment::Left) } else { (2, CellAlignment::Right) };
+        column.set_padding((gap, 0)).set_cell_alignment(alignment);
+    }
+    table.trim_fmt()
 }
 
-/// Three digits at least, and no fractions of large numbers.
-pub(super) fn number(x: f64) -> String {
-    if x >= 100.0 { thousands(x.round() as u64) } else { significant(x) }
+/// What does not apply.
+pub(super) fn missing() -> String {
+    "–".to_owned()
+}
+
+/// A heading, and a line for each row, complete in itself; what does not apply is empty.
+///
+/// # Errors
+/// None is known.
+pub(super) fn csv(rows: impl IntoIterator<Item: Serialize>) -> Result<String, String> {
+    let mut writer = ::csv::Writer::from_writer(vec![]);
+    rows.into_iter().try_for_each(|row| writer.serialize(row)).map_err(|error| error.to_string())?;
+    let bytes = writer.into_inner().map_err(|error| error.to_string())?;
+    String::from_utf8(bytes).map_err(|error| error.to_string())
 }

@@ -11,7 +11,8 @@ use rayon::prelude::*;
 use super::{Failure, print, run::scene};
 use crate::{
     bench::{
-        error::{self, MeasureError, Settings, csv::csv, diagram, table},
+        MeasureError,
+        error::{self, Settings, csv::csv, diagram, table},
         machine::Machine,
         output::Output,
         stability::{self, cases::Case, drift, sizes, table as of_stability},
@@ -44,12 +45,30 @@ struct ErrorArguments {
     /// Scene files, or names of built-in scenes (see `meldscope scenes`).
     #[arg(default_values = ["push", "two", "three", "size_ratio"])]
     scene: Vec<String>,
+    #[command(flatten)]
+    files: Files,
+}
+
+/// Where measurements go besides standard output.
+#[derive(clap::Args)]
+struct Files {
     /// Write the measurements to a file.
     #[arg(long, value_name = "F.csv")]
     csv: Option<PathBuf>,
-    /// Draw the work-precision diagram.
+    /// Draw them as a diagram.
     #[arg(long, value_name = "F.svg")]
     svg: Option<PathBuf>,
+}
+
+impl Files {
+    /// Both, as far as they are wanted.
+    fn claim(&self) -> Result<[Option<Output>; 2], Failure> {
+        let [csv, svg] = [claim(self.csv.as_deref())?, claim(self.svg.as_deref())?];
+        if csv.is_some() && csv == svg {
+            return Err(Failure::Input("--csv and --svg name the same file: give each its own".to_owned()));
+        }
+        Ok([csv, svg])
+    }
 }
 
 #[derive(clap::Args)]
@@ -88,10 +107,7 @@ fn error(arguments: ErrorArguments) -> Result<(), Failure> {
     for scene in &scenes {
         memory::check(scene).map_err(Failure::input)?;
     }
-    let [csv_file, svg_file] = [claim(arguments.csv.as_deref())?, claim(arguments.svg.as_deref())?];
-    if csv_file.is_some() && csv_file == svg_file {
-        return Err(Failure::Input("--csv and --svg name the same file: give each its own".to_owned()));
-    }
+    let [csv_file, svg_file] = arguments.files.claim()?;
 
     let machine = Machine::detect();
     let mut reports = vec![];
@@ -101,10 +117,8 @@ fn error(arguments: ErrorArguments) -> Result<(), Failure> {
         let measured = error::measure(scene, &Settings::of(scene), &mut progress);
         bar.finish_and_clear();
         let report = measured.map_err(|error| match error {
-            MeasureError::NoReference(_) | MeasureError::TooLarge(_) => {
-                Failure::Input(format!("scene {}: {error}", scene.name))
-            }
-            MeasureError::Thread(_) => Failure::Run(error.to_string()),
+            MeasureError::Threads(_) => Failure::Run(error.to_string()),
+            error => Failure::Input(format!("scene {}: {error}", scene.name)),
         })?;
         print(&table::table(&report));
         print("");
@@ -112,7 +126,7 @@ fn error(arguments: ErrorArguments) -> Result<(), Failure> {
     }
     print(&table::footer(&machine));
 
-    write(csv_file, || Ok(csv(&reports, &machine)))?;
+    write(csv_file, || csv(&reports, &machine))?;
     write(svg_file, || diagram::svg(&reports, &machine))
 }
 
@@ -123,7 +137,7 @@ fn stability(arguments: StabilityArguments) -> Result<(), Failure> {
         return one_case(index, arguments.write.as_deref(), &settings);
     }
     let csv_file = claim(arguments.csv.as_deref())?;
-    let failed = |error: stability::SweepError| Failure::Run(error.to_string());
+    let failed = |error: MeasureError| Failure::Run(error.to_string());
     let clock = std::time::Instant::now();
 
     let bar = progress_bar("stability");
@@ -144,7 +158,7 @@ fn stability(arguments: StabilityArguments) -> Result<(), Failure> {
     print(&format!("\n{}", of_stability::sizes(&sizes::measure().map_err(failed)?)));
     let whole = clock.elapsed().as_secs_f64();
     print(&format!("\n{}; {whole:.0} s, of which the cases took {swept:.0} s", Machine::detect().at_full_load()));
-    write(csv_file, || Ok(of_stability::csv(&rows)))?;
+    write(csv_file, || of_stability::csv(&rows))?;
 
     if drifts.iter().any(|drift| drift.integrator == Integrator::Exponential && !drift.is_small()) {
         return Err(Failure::Run("exponential does not keep the energy over a million steps".to_owned()));

@@ -76,13 +76,18 @@ fn every_family_is_measured_at_every_size() {
     );
 
     let machine = Machine { cpu: "a, \"b\"".to_owned(), cores: 2, version: "0" };
-    let csv = csv::csv(&report, &machine);
+    let csv = csv::csv(&report, &machine).expect("made");
     let rows: Vec<&str> = csv.lines().collect();
     let threads = if report.threads > 1 { 2 } else { 1 };
     assert_eq!(rows.len(), 1 + 6 * (threads + 1));
     assert!(rows[1].starts_with("all in contact,2,2,2,532,default,1,"), "{}", rows[1]);
 
-    let text = format!("{}\n{}\n{}", table::table(&report), goals::table(&report), table::footer(&report, &machine));
+    let text = format!(
+        "{}\n{}\n{}",
+        table::table(&report),
+        meldscope::bench::goals::table(&goals::goals(&report)),
+        table::footer(&report, &machine)
+    );
     let svg = diagram::svg(&report, &machine).expect("drawn");
     assert!(svg.starts_with("<svg") && svg.trim_end().ends_with("</svg>"));
     for family in Family::ALL {

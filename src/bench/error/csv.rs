@@ -1,63 +1,49 @@
-//! Measurements as comma-separated values: one row each, complete in itself.
+//! Measurements for programs.
 
-use std::fmt::Write as _;
+use serde::Serialize;
 
 use super::{Report, Scheme};
-use crate::bench::machine::Machine;
+use crate::bench::{machine::Machine, tables};
 
-/// The names of the columns.
-pub const COLUMNS: [&str; 13] = [
-    "scene",
-    "vertices",
-    "integrator",
-    "tolerance_per_s",
-    "dt_s",
-    "steps",
-    "error_radii",
-    "order",
-    "run_time_ms",
-    "runs",
-    "vertex_steps_per_s",
-    "cpu",
-    "version",
-];
-
-/// All measurements. `error_radii` is `inf` for a run that diverged; what does not apply is empty.
-pub fn csv(reports: &[Report], machine: &Machine) -> String {
-    let mut text = COLUMNS.join(",");
-    text.push('\n');
-    for report in reports {
-        for measurement in &report.measurements {
-            let tolerance = match measurement.scheme {
-                Scheme::Fixed(_) => String::new(),
-                Scheme::Controlled { tolerance } => format!("{tolerance:e}"),
-            };
-            let row = [
-                quoted(&report.scene),
-                report.vertices.to_string(),
-                measurement.scheme.integrator().to_string(),
-                tolerance,
-                measurement.dt.to_string(),
-                measurement.steps.to_string(),
-                measurement.error.map_or("inf".to_owned(), |error| format!("{error:.4e}")),
-                measurement.order.map_or(String::new(), |order| format!("{order:.3}")),
-                format!("{:.6}", measurement.seconds * 1e3),
-                measurement.runs.to_string(),
-                format!("{:.0}", report.vertex_steps_per_second(measurement)),
-                quoted(&machine.cpu),
-                machine.version.to_owned(),
-            ];
-            let _ = writeln!(text, "{}", row.join(",")); // into a string: cannot fail
-        }
-    }
-    text
+#[derive(Serialize)]
+struct Row<'a> {
+    scene: &'a str,
+    vertices: u64,
+    integrator: &'a str,
+    tolerance_per_s: Option<f64>,
+    dt_s: f64,
+    steps: u64,
+    error_radii: f64,
+    order: Option<f64>,
+    run_time_ms: f64,
+    runs: usize,
+    vertex_steps_per_s: f64,
+    cpu: &'a str,
+    version: &'a str,
 }
 
-/// A field, in quotes where it needs them (RFC 4180).
-pub(in crate::bench) fn quoted(field: &str) -> String {
-    if field.contains([',', '"', '\n', '\r']) {
-        format!("\"{}\"", field.replace('"', "\"\""))
-    } else {
-        field.to_owned()
-    }
+/// All measurements. `error_radii` is `inf` for a run that diverged; what does not apply is empty.
+///
+/// # Errors
+/// None is known.
+pub fn csv(reports: &[Report], machine: &Machine) -> Result<String, String> {
+    let all = reports.iter().flat_map(|report| report.measurements.iter().map(move |measured| (report, measured)));
+    tables::csv(all.map(|(report, measured)| Row {
+        scene: &report.scene,
+        vertices: report.vertices,
+        integrator: measured.scheme.integrator().name(),
+        tolerance_per_s: match measured.scheme {
+            Scheme::Fixed(_) => None,
+            Scheme::Controlled { tolerance } => Some(tolerance),
+        },
+        dt_s: measured.dt,
+        steps: measured.steps,
+        error_radii: measured.error.unwrap_or(f64::INFINITY),
+        order: measured.order,
+        run_time_ms: 1e3 * measured.seconds,
+        runs: measured.runs,
+        vertex_steps_per_s: report.vertex_steps_per_second(measured).round(),
+        cpu: &machine.cpu,
+        version: machine.version,
+    }))
 }

@@ -2,13 +2,17 @@
 
 use std::ops::Range;
 
-use plotters::{prelude::*, style::text_anchor::HPos};
+use plotters::{
+    element::{Circle, PathElement},
+    style::{Color as _, RGBColor},
+};
 
 use super::{Measurement, Report, Scheme};
 use crate::{
     bench::{
         drawing::{
-            Area, FONT, Failure, GREY, INK, Marker, Style, draw_labels, draw_marker, power_of_ten, ticks, write,
+            Area, Axis, Failure, GREY, INK, LEFT, Line, Marker, Sheet, Style, draw_axes, draw_lines, power_of_ten,
+            ticks, write,
         },
         machine::Machine,
     },
@@ -17,18 +21,12 @@ use crate::{
 
 /// A panel, labels included [px].
 const PANEL: (u32, u32) = (900, 620);
-/// Above and below the panels [px].
-const HEADER: u32 = 108;
-const FOOTER: u32 = 88;
 /// Around the axes of a panel [px].
-const LEFT: u32 = 84;
+const TOP: u32 = 46;
 const RIGHT: u32 = 246;
-/// Left of the title of the vertical axis [px].
-const MARGIN: u32 = 14;
 /// Errors are drawn down to this, or to what the reference resolves [radii].
 const FLOOR: f64 = 1e-12;
-const TOP: u32 = 46;
-const BOTTOM: u32 = 66;
+
 /// Colours that the colour-blind can tell too (Okabe & Ito 2008), and shapes.
 fn style(scheme: Scheme) -> Style {
     let (color, marker, width) = match scheme {
@@ -50,59 +48,31 @@ fn style(scheme: Scheme) -> Style {
 /// # Errors
 /// What the drawing library says; none is known.
 pub fn svg(reports: &[Report], machine: &Machine) -> Result<String, String> {
-    let mut text = String::new();
     let columns = if reports.len() > 1 { 2 } else { 1 };
     let rows = reports.len().div_ceil(columns);
-    let size = (PANEL.0 * columns as u32, HEADER + PANEL.1 * rows as u32 + FOOTER);
-    let root = SVGBackend::with_string(&mut text, size).into_drawing_area();
-    let drawn = draw(&root, reports, machine, (rows, columns)).and_then(|()| root.present());
-    drop(root);
-    drawn.map_err(|error| error.to_string())?;
-    Ok(text)
-}
-
-fn draw<'a>(
-    root: &Area<'a>,
-    reports: &[Report],
-    machine: &Machine,
-    (rows, columns): (usize, usize),
-) -> Result<(), Failure<'a>> {
-    root.fill(&WHITE)?;
-    let (header, below) = root.split_vertically(HEADER);
-    let (panels, footer) = below.split_vertically(PANEL.1 * rows as u32);
-    let names: Vec<&str> = reports.iter().map(|report| report.scene.as_str()).collect();
-    let title = if let [only] = names.as_slice() {
-        format!("Work and precision: {only}")
-    } else {
-        "Work and precision".to_owned()
+    let title = match reports {
+        [only] => format!("Work and precision: {}", only.scene),
+        _ => "Work and precision".to_owned(),
     };
-    write(&header, &title, (20, 32), 30.0, INK, HPos::Left)?;
-    for (line, y) in [
-        (
+    let sheet = Sheet {
+        size: (PANEL.0 * columns as u32, PANEL.1 * rows as u32),
+        title: &title,
+        heading: [
             "Down is more exact, left is faster. From point to point the step is halved, a ring marks the scene’s own.",
-            64,
-        ),
-        (
             "Stars: the scene’s own step, divided where a tolerance asks for it, which is tightened from star to star.",
-            90,
-        ),
-    ] {
-        write(&header, line, (20, y), 18.0, GREY, HPos::Left)?;
-    }
-
+        ],
+        notes: &[
+            "Error: the largest over time and vertices, against an independent solution.",
+            "Run time: of the steps alone, on one thread; median of 5 runs or more.",
+            &machine.to_string(),
+        ],
+    };
     let errors = error_range(reports);
-    for (panel, report) in panels.split_evenly((rows, columns)).iter().zip(reports) {
-        draw_panel(panel, report, errors.clone(), reports.len() > 1)?;
-    }
-
-    for (line, y) in [
-        ("Error: the largest over time and vertices, against an independent solution.", 18),
-        ("Run time: of the steps alone, on one thread; median of 5 runs or more.", 42),
-        (machine.to_string().as_str(), 66),
-    ] {
-        write(&footer, line, (20, y), 17.0, GREY, HPos::Left)?;
-    }
-    Ok(())
+    sheet.svg(|panels| {
+        let panels = panels.split_evenly((rows, columns));
+        let mut each = panels.iter().zip(reports);
+        each.try_for_each(|(panel, report)| draw_panel(panel, report, errors.clone(), reports.len() > 1))
+    })
 }
 
 /// Errors that are smaller are drawn here [radii].
@@ -129,77 +99,56 @@ fn time_range(report: &Report) -> Range<f64> {
     if least <= most { least / 1.5..most * 1.5 } else { 0.1..10.0 }
 }
 
-fn draw_panel<'a>(panel: &Area<'a>, report: &Report, errors: Range<f64>, is_titled: bool) -> Result<(), Failure<'a>> {
+fn draw_panel(panel: &Area<'_>, report: &Report, errors: Range<f64>, is_titled: bool) -> Result<(), Failure> {
     let times = time_range(report);
-    let time_ticks = ticks(&times, if times.end / times.start < 1000.0 { &[1.0, 2.0, 5.0] } else { &[1.0] });
-    let time_grid = ticks(&times, &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]);
-    let error_ticks = ticks(&errors, &[1.0]);
-    let mut chart = ChartBuilder::on(panel)
-        .margin_top(TOP)
-        .margin_left(MARGIN)
-        .margin_right(RIGHT)
-        .x_label_area_size(BOTTOM)
-        .y_label_area_size(LEFT)
-        .build_cartesian_2d(
-            times.clone().log_scale().with_key_points(time_ticks).with_light_points(time_grid),
-            errors.clone().log_scale().with_key_points(error_ticks),
-        )?;
-    chart
-        .configure_mesh()
-        .x_desc("run time [ms]")
-        .y_desc("largest error [radii]")
-        .axis_desc_style((FONT, 21).into_font().color(&INK))
-        .label_style((FONT, 19).into_font().color(&INK))
-        .x_label_formatter(&|time| time.to_string())
-        .y_label_formatter(&|error| power_of_ten(*error))
-        .bold_line_style(RGBColor(214, 214, 214))
-        .light_line_style(RGBColor(240, 240, 240))
-        .axis_style(GREY)
-        .draw()?;
+    let multiples: &[f64] = if times.end / times.start < 1000.0 { &[1.0, 2.0, 5.0] } else { &[1.0] };
+    let time_axis = Axis {
+        name: "run time [ms]",
+        range: times.clone(),
+        ticks: ticks(&times, multiples),
+        grid: ticks(&times, &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]),
+        number: f64::to_string,
+    };
+    let error_axis = Axis {
+        name: "largest error [radii]",
+        range: errors.clone(),
+        ticks: ticks(&errors, &[1.0]),
+        grid: vec![],
+        number: |&error| power_of_ten(error),
+    };
+    let at = draw_axes(panel, TOP, RIGHT, [time_axis, error_axis])?;
     if is_titled {
         let title = format!("{} ({} vertices)", report.scene, report.vertices);
-        write(panel, &title, (LEFT as i32, TOP as i32 / 2), 24.0, INK, HPos::Left)?;
+        write(panel, &title, (LEFT as i32, TOP as i32 / 2), 24.0, INK)?;
     }
-
-    let origin = panel.get_base_pixel();
-    let at = |time: f64, error: f64| {
-        let (x, y) = chart.backend_coord(&(time, error));
-        (x - origin.0, y - origin.1)
-    };
     let right = at(times.end, errors.start).0;
     let floor = floor(report);
     if errors.start < floor {
         let (left, y) = at(times.start, floor);
         panel.draw(&PathElement::new([(left, y), (right, y)], GREY))?;
-        let text = format!("{} and smaller", power_of_ten(floor));
-        write(panel, &text, (left + 8, y + 12), 16.0, GREY, HPos::Left)?;
+        write(panel, &format!("{} and smaller", power_of_ten(floor)), (left + 8, y + 12), 16.0, GREY)?;
     }
 
-    let mut ends = vec![];
-    for line in report.measurements.chunk_by(|a, b| a.scheme.family() == b.scheme.family()) {
-        let Some(first) = line.first() else { continue };
-        let style = style(first.scheme);
-        let point = |it: &Measurement| {
-            let error = it.error.unwrap_or(errors.end).clamp(floor.max(errors.start), errors.end);
-            at(1e3 * it.seconds, error)
-        };
-        let points: Vec<(i32, i32)> = line.iter().map(point).collect();
-        panel.draw(&PathElement::new(points.clone(), style.color.stroke_width(style.width)))?;
-        for (measurement, &point) in line.iter().zip(&points) {
-            draw_marker(panel, style, point)?;
-            if report.is_at_own_step(measurement) && matches!(measurement.scheme, Scheme::Fixed(_)) {
-                panel.draw(&Circle::new(point, 11, style.color.stroke_width(2)))?;
-            }
-        }
-        let is_thesis = first.scheme == Scheme::Fixed(Integrator::Thesis);
-        let text = match first.scheme.family() {
-            name if line.iter().any(|it| it.error.is_none()) => format!("{name} (out of bounds)"),
+    let point = |it: &Measurement| {
+        let error = it.error.unwrap_or(errors.end).clamp(floor.max(errors.start), errors.end);
+        at(1e3 * it.seconds, error)
+    };
+    let line = |measurements: &[Measurement]| {
+        let scheme = measurements.first()?.scheme;
+        let is_thesis = scheme == Scheme::Fixed(Integrator::Thesis);
+        let name = match scheme.family() {
+            name if measurements.iter().any(|it| it.error.is_none()) => format!("{name} (out of bounds)"),
             name if is_thesis && report.thesis_stands_still().is_some() => format!("{name} (no convergence)"),
             name => name.to_owned(),
         };
-        if let Some(&end) = points.last() {
-            ends.push((end, text, style));
+        Some(Line { name, style: style(scheme), points: measurements.iter().map(point).collect() })
+    };
+    let families = report.measurements.chunk_by(|a, b| a.scheme.family() == b.scheme.family());
+    draw_lines(panel, TOP, right, families.filter_map(line).collect())?;
+    for it in report.measurements.iter().filter(|it| report.is_at_own_step(it)) {
+        if matches!(it.scheme, Scheme::Fixed(_)) {
+            panel.draw(&Circle::new(point(it), 11, style(it.scheme).color.stroke_width(2)))?;
         }
     }
-    draw_labels(panel, right, (f64::from(TOP), f64::from(PANEL.1 - BOTTOM)), ends)
+    Ok(())
 }

@@ -1,7 +1,7 @@
 //! What the measurements of a scene come to.
 
-use super::{Measurement, Report, Scheme, table::significant};
-use crate::scene::Integrator;
+use super::{Measurement, Report, Scheme};
+use crate::{scene::Integrator, text::significant};
 
 /// How long a scheme takes for an error, and for no more than that error.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,27 +1,42 @@
 //! Frames and bytes for programs.
 
-use std::fmt::Write as _;
+use serde::Serialize;
 
 use super::Measurement;
-use crate::bench::machine::Machine;
+use crate::bench::{machine::Machine, tables};
+
+#[derive(Serialize)]
+struct Row<'a> {
+    scene: &'a str,
+    bodies: usize,
+    detail: &'a str,
+    destination: &'a str,
+    simulated: bool,
+    frames: u64,
+    seconds: f64,
+    bytes: Option<u64>,
+    payload_bytes: u64,
+    entities: Option<usize>,
+    machine: &'a str,
+}
 
 /// A line for each measurement.
-pub fn csv(measurements: &[Measurement], machine: &Machine) -> String {
-    let mut text =
-        "scene,bodies,detail,destination,simulated,frames,seconds,bytes,payload_bytes,entities,machine\n".to_owned();
-    let quoted = |text: &str| text.replace('"', "\"\"");
-    for measured in measurements {
-        let Measurement { bodies, is_simulated, frames, seconds, payload, .. } = measured;
-        let _ = writeln!(
-            text,
-            "\"{}\",{bodies},{},\"{}\",{is_simulated},{frames},{seconds},{},{payload},{},\"{}\"",
-            quoted(&measured.scene),
-            measured.detail.name(),
-            measured.destination.name(),
-            measured.bytes.map_or_else(String::new, |bytes| bytes.to_string()),
-            measured.entities.map_or_else(String::new, |entities| entities.to_string()),
-            quoted(&machine.to_string()),
-        );
-    }
-    text
+///
+/// # Errors
+/// None is known.
+pub fn csv(measurements: &[Measurement], machine: &Machine) -> Result<String, String> {
+    let machine = machine.to_string();
+    tables::csv(measurements.iter().map(|measured| Row {
+        scene: &measured.scene,
+        bodies: measured.bodies,
+        detail: measured.detail.name(),
+        destination: measured.destination.name(),
+        simulated: measured.is_simulated,
+        frames: measured.frames,
+        seconds: measured.seconds,
+        bytes: measured.bytes,
+        payload_bytes: measured.payload,
+        entities: measured.entities,
+        machine: &machine,
+    }))
 }

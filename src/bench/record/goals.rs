@@ -57,8 +57,3 @@ pub fn goals(report: &Report) -> Vec<Goal> {
     }
     goals
 }
-
-/// The goals as a table.
-pub fn table(report: &Report) -> String {
-    crate::bench::goals::table(&goals(report))
-}

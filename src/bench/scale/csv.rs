@@ -1,71 +1,69 @@
-//! Measurements as comma-separated values: one row each, complete in itself.
+//! Measurements for programs.
 
-use std::fmt::Write as _;
+use serde::Serialize;
 
 use super::{Judged, Point, Report, Run};
 use crate::{
-    bench::{error::csv::quoted, machine::Machine},
+    bench::{machine::Machine, tables},
     sim::report::Stage,
 };
 
-/// The names of the columns.
-pub const COLUMNS: [&str; 20] = [
-    "family",
-    "bodies",
-    "touching_bodies",
-    "active_bodies",
-    "vertices",
-    "way",
-    "threads",
-    "steps",
-    "step_ms",
-    "steps_per_s",
-    "vertex_steps_per_s",
-    "reached_vertices",
-    "ns_per_reached_vertex",
-    "memory_bytes",
-    "reach_share",
-    "events_share",
-    "integrate_share",
-    "error_radii",
-    "cpu",
-    "version",
-];
+#[derive(Serialize)]
+struct Row<'a> {
+    family: &'a str,
+    bodies: usize,
+    touching_bodies: usize,
+    active_bodies: usize,
+    vertices: u64,
+    way: &'a str,
+    threads: usize,
+    steps: u64,
+    step_ms: f64,
+    steps_per_s: f64,
+    vertex_steps_per_s: f64,
+    reached_vertices: f64,
+    ns_per_reached_vertex: f64,
+    memory_bytes: Option<usize>,
+    reach_share: f64,
+    events_share: f64,
+    integrate_share: f64,
+    error_radii: Option<f64>,
+    cpu: &'a str,
+    version: &'a str,
+}
 
 /// A row for each scene, number of threads and way. What does not apply is empty.
-pub fn csv(report: &Report, machine: &Machine) -> String {
-    let mut text = COLUMNS.join(",");
-    text.push('\n');
-    let mut add = |point: &Point, way: &str, run: &Run, judged: Option<Judged>, memory: Option<usize>| {
-        let mut row = vec![
-            quoted(point.family.name()),
-            point.bodies.to_string(),
-            point.touching.to_string(),
-            point.active.to_string(),
-            point.vertices.to_string(),
-            way.to_owned(),
-            run.threads.to_string(),
-            run.steps.to_string(),
-            format!("{:.6}", 1e3 * run.seconds),
-            format!("{:.3}", run.steps_per_second()),
-            format!("{:.0}", point.vertices as f64 / run.seconds),
-            format!("{:.1}", point.reached),
-            format!("{:.3}", 1e9 * run.seconds / point.reached),
-            memory.map_or(String::new(), |bytes| bytes.to_string()),
-        ];
-        row.extend(Stage::ALL.map(|stage| format!("{:.4}", run.stages[stage as usize])));
-        row.push(judged.map_or(String::new(), |judged| format!("{:.4e}", judged.error)));
-        row.extend([quoted(&machine.cpu), machine.version.to_owned()]);
-        let _ = writeln!(text, "{}", row.join(",")); // into a string: cannot fail
+///
+/// # Errors
+/// None is known.
+pub fn csv(report: &Report, machine: &Machine) -> Result<String, String> {
+    let row = |point: &Point, way, run: &Run, judged: Option<Judged>, memory_bytes| {
+        let [reach_share, events_share, integrate_share] = Stage::ALL.map(|stage| run.stages[stage as usize]);
+        Row {
+            family: point.family.name(),
+            bodies: point.bodies,
+            touching_bodies: point.touching,
+            active_bodies: point.active,
+            vertices: point.vertices,
+            way,
+            threads: run.threads,
+            steps: run.steps,
+            step_ms: 1e3 * run.seconds,
+            steps_per_s: run.steps_per_second(),
+            vertex_steps_per_s: (point.vertices as f64 / run.seconds).round(),
+            reached_vertices: point.reached,
+            ns_per_reached_vertex: 1e9 * run.seconds / point.reached,
+            memory_bytes,
+            reach_share,
+            events_share,
+            integrate_share,
+            error_radii: judged.map(|judged| judged.error),
+            cpu: &machine.cpu,
+            version: machine.version,
+        }
     };
-    for point in &report.points {
-        add(point, "default", &point.one, point.judged, Some(point.memory));
-        if let Some(all) = &point.all {
-            add(point, "default", all, point.judged, Some(point.memory));
-        }
-        if let Some(plain) = &point.plain {
-            add(point, "plain", &plain.run, plain.judged, None);
-        }
-    }
-    text
+    tables::csv(report.points.iter().flat_map(|point| {
+        let plain = point.plain.as_ref().map(|plain| row(point, "plain", &plain.run, plain.judged, None));
+        point.runs().map(|run| row(point, "default", run, point.judged, Some(point.memory))).chain(plain)
+    }))
 }

@@ -6,9 +6,10 @@
 
 use std::time::Instant;
 
-use super::{MeasureError, swinging};
+use super::swinging;
 use crate::{
     Scene, World,
+    bench::MeasureError,
     sim::{Options, world::States},
 };
 

@@ -9,9 +9,10 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{BLOCKS, MeasureError, Pools, scenes};
+use super::{BLOCKS, Pools, scenes};
 use crate::{
     Scene, World,
+    bench::MeasureError,
     scene::{Path, Push, path::Spline},
     sim::world::States,
 };

@@ -3,93 +3,77 @@
 use super::{Judged, Point, Report, Run, scenes::Family};
 use crate::{
     bench::{
-        error::table::significant,
         machine::Machine,
-        tables::{aligned, number},
+        tables::{self, missing},
     },
-    sim::{memory::human, report::Stage},
-    stream::sinks::thousands,
+    sim::report::Stage,
+    text::{bytes, number, significant, thousands},
 };
 
 /// All measurements, a table a family.
 pub fn table(report: &Report) -> String {
-    let mut lines = vec![];
-    for family in Family::ALL {
-        lines.push(format!("{}: 266 vertices a body, exponential, tolerance 1e-6", family.name()));
-        lines.push(String::new());
-        let all = format!("{} cores", report.threads);
-        let mut rows = vec![
-            [
-                "bodies", "one core", &all, "ratio", "one core", "reached", "by those", "memory", "error", "plain",
-                "error",
-            ]
-            .map(str::to_owned),
-            ["", "steps/s", "steps/s", "", "M vertices/s", "vertices", "ns", "a body", "[R]", "steps/s", "[R]"]
-                .map(str::to_owned),
-        ];
-        rows.extend(report.of(family).map(row));
-        lines.extend(aligned(&rows));
-        lines.push(String::new());
-    }
-
-    lines.push("share of the stages in a step [%]".to_owned());
-    lines.push(String::new());
-    let mut rows = vec![["", "bodies", "threads", "reach", "events", "integrate"].map(str::to_owned)];
-    for point in &report.points {
-        rows.extend([Some(&point.one), point.all.as_ref()].into_iter().flatten().map(|run| shares(point, run)));
-    }
-    lines.extend(aligned(&rows));
-    lines.push(String::new());
-
-    lines.push("all vertices swing freely, every frame wanted".to_owned());
-    lines.push(String::new());
-    let mut rows = vec![
-        ["", "vertices", "one core", "all", "memory"].map(str::to_owned),
-        ["", "", "M vertices/s", "M vertices/s", "B a vertex"].map(str::to_owned),
+    let mut parts = vec![];
+    let mut add = |what: String, table: String| parts.push(format!("{what}\n\n{table}"));
+    let all = format!("{} cores\nsteps/s", report.threads);
+    let heading = [
+        "bodies",
+        "one core\nsteps/s",
+        &all,
+        "ratio",
+        "one core\nM vertices/s",
+        "reached\nvertices",
+        "by those\nns",
+        "memory\na body",
+        "error\n[R]",
+        "plain\nsteps/s",
+        "error\n[R]",
     ];
-    rows.extend(report.swinging.iter().map(|swinging| {
+    for family in Family::ALL {
+        let what = format!("{}: 266 vertices a body, exponential, tolerance 1e-6", family.name());
+        add(what, tables::table(heading, report.of(family).map(row)));
+    }
+    let rows = report.points.iter().flat_map(|point| point.runs().map(move |run| shares(point, run)));
+    let heading = ["", "bodies", "threads", "reach", "events", "integrate"];
+    add("share of the stages in a step [%]".to_owned(), tables::table(heading, rows));
+
+    let rows = report.swinging.iter().map(|swinging| {
         [
             swinging.cause.name().to_owned(),
             thousands(swinging.vertices),
             significant(1e-6 * swinging.one),
-            swinging.all.map_or("–".to_owned(), |all| significant(1e-6 * all)),
+            swinging.all.map_or_else(missing, |all| significant(1e-6 * all)),
             significant(swinging.memory),
         ]
-    }));
-    lines.extend(aligned(&rows));
-    lines.push(String::new());
+    });
+    let heading = ["", "vertices", "one core\nM vertices/s", "all\nM vertices/s", "memory\nB a vertex"];
+    add("all vertices swing freely, every frame wanted".to_owned(), tables::table(heading, rows));
 
-    lines
-        .push("a scene of two bodies that decays to nothing: time of a step and of looking at all vertices".to_owned());
-    lines.push(String::new());
-    let mut rows = vec![["", "steps", "in the beginning", "slowest", "in the end"].map(str::to_owned)];
-    rows.extend(report.decay.iter().map(|decay| {
+    let rows = report.decay.iter().map(|decay| {
         let name = if decay.skip { "default" } else { "nothing skipped" };
         let time = |seconds: f64| format!("{} µs", significant(1e6 * seconds));
         [name.to_owned(), thousands(decay.steps), time(decay.early), time(decay.slowest), time(decay.late)]
-    }));
-    lines.extend(aligned(&rows));
-    for too_large in &report.too_large {
-        lines.push(format!("left out: {too_large}"));
-    }
-    lines.join("\n")
+    });
+    let what = "a scene of two bodies that decays to nothing: time of a step and of looking at all vertices";
+    add(what.to_owned(), tables::table(["", "steps", "in the beginning", "slowest", "in the end"], rows));
+
+    parts.extend(report.too_large.iter().map(|too_large| format!("left out: {too_large}")));
+    parts.join("\n\n")
 }
 
 fn row(point: &Point) -> [String; 11] {
-    let missing = || "–".to_owned();
     let rate = |run: &Run| number(run.steps_per_second());
-    let error = |judged: Option<Judged>| judged.map_or(missing(), |it| format!("{:.0e}", it.error));
+    let error = |judged: Option<Judged>| judged.map_or_else(missing, |it| format!("{:.0e}", it.error));
     [
         thousands(point.bodies as u64),
         rate(&point.one),
-        point.all.as_ref().map_or(missing(), rate),
-        point.speed_up().map_or(missing(), |ratio| format!("{ratio:.2}")),
+        point.all.as_ref().map_or_else(missing, rate),
+        point.speed_up().map_or_else(missing, |ratio| format!("{ratio:.2}")),
         significant(1e-6 * point.vertices as f64 / point.one.seconds),
         number(point.reached),
         significant(1e9 * point.seconds_per_reached()),
-        human((point.memory / point.bodies) as u64),
+        bytes((point.memory / point.bodies) as u64),
         error(point.judged),
-        point.plain.as_ref().map_or(missing(), |plain| rate(&plain.run)),
+        point.plain.as_ref().map_or_else(missing, |plain| rate(&plain.run)),
         error(point.plain.as_ref().and_then(|plain| plain.judged)),
     ]
 }

@@ -2,8 +2,8 @@
 
 use std::time::Instant;
 
-use super::{SweepError, bound::Allowance};
-use crate::{Scene, World, scene::Integrator};
+use super::bound::Allowance;
+use crate::{Scene, World, bench::MeasureError, scene::Integrator};
 
 /// So many steps.
 pub const STEPS: u64 = 1_000_000;
@@ -58,8 +58,8 @@ motion = { fixed = [1.3, 0.2, 0.4] }
 /// Steps the scene and watches its energy.
 ///
 /// # Errors
-/// [`SweepError`]
-pub fn measure(integrator: Integrator, steps: u64) -> Result<Drift, SweepError> {
+/// [`MeasureError`]
+pub fn measure(integrator: Integrator, steps: u64) -> Result<Drift, MeasureError> {
     let scene = Scene { integrator, ..Scene::parse(SCENE, "million.toml")? };
     let available: f64 = (0..scene.bodies.len()).map(|index| Allowance::new(&scene, index).energy()).sum();
     let mut world = World::new(scene)?;

@@ -6,8 +6,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::SweepError;
-use crate::{Scene, World, model::influence::Scaling, sim::BodyView};
+use crate::{Scene, World, bench::MeasureError, model::influence::Scaling, sim::BodyView};
 
 /// How much smaller the small body is [–].
 pub const RATIOS: [f64; 8] = [1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 300.0, 1000.0];
@@ -77,14 +76,14 @@ motion = {{ keyframes = {keys:?} }}
 /// All ratios under both laws.
 ///
 /// # Errors
-/// [`SweepError`]
-pub fn measure() -> Result<Vec<Passage>, SweepError> {
+/// [`MeasureError`]
+pub fn measure() -> Result<Vec<Passage>, MeasureError> {
     let laws = [Scaling::Absolute, Scaling::Relative];
     let cases: Vec<_> = RATIOS.into_iter().flat_map(|ratio| laws.map(|scaling| (ratio, scaling))).collect();
     cases.into_par_iter().with_max_len(1).map(|(ratio, scaling)| passage(ratio, scaling)).collect()
 }
 
-fn passage(ratio: f64, scaling: Scaling) -> Result<Passage, SweepError> {
+fn passage(ratio: f64, scaling: Scaling) -> Result<Passage, MeasureError> {
     let mut world = World::new(Scene::parse(&scene(ratio, scaling), "sizes.toml")?)?;
     let meshes: Vec<_> = world.bodies().map(|body| body.scene().shape.mesh()).collect();
     let mut harm = [Harm::default(); 2];

@@ -1,6 +1,6 @@
 //! What the sweep found, for people and for programs.
 
-use std::fmt::Write as _;
+use serde::Serialize;
 
 use super::{
     Failure, MARGIN, Outcome, Row,
@@ -8,24 +8,12 @@ use super::{
     drift::{self, Drift},
     sizes::{self, Passage},
 };
-use crate::{model::influence::Scaling, scene::Integrator, stream::sinks::thousands};
-
-/// Rows of cells, aligned: the first column to the left, the others to the right.
-fn aligned(rows: &[Vec<String>]) -> String {
-    let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
-    let cell = |row: &'_ Vec<String>, column: usize| row.get(column).map_or(0, |cell| cell.chars().count());
-    let widths: Vec<usize> =
-        (0..columns).map(|column| rows.iter().map(|row| cell(row, column)).max().unwrap_or(0)).collect();
-    let line = |row: &Vec<String>| {
-        let mut line = String::new();
-        for (column, text) in row.iter().enumerate() {
-            let padding = " ".repeat(widths[column] - text.chars().count());
-            let _ = if column == 0 { write!(line, "{text}{padding}  ") } else { write!(line, "{padding}{text}  ") };
-        }
-        line.trim_end().to_owned()
-    };
-    rows.iter().map(line).collect::<Vec<_>>().join("\n")
-}
+use crate::{
+    bench::tables::{self, missing},
+    model::influence::Scaling,
+    scene::Integrator,
+    text::{counted, thousands},
+};
 
 /// The outcomes of one integrator.
 fn of(rows: &[Row], integrator: Integrator) -> impl Iterator<Item = (&Row, &Outcome)> {
@@ -43,8 +31,7 @@ fn integrators(rows: &[Row]) -> impl Iterator<Item = Integrator> {
 /// By integrator: how many passed, what became of the others, and the worst.
 pub fn by_integrator(rows: &[Row]) -> String {
     let heading = ["integrator", "cases", "passed", "not finite", "beyond bound", "error", "median error [R]"];
-    let mut table = vec![heading.map(str::to_owned).to_vec()];
-    for integrator in integrators(rows) {
+    let row = |integrator| {
         let count = |failure| of(rows, integrator).filter(|(_, outcome)| outcome.failure == failure).count() as u64;
         let mut errors: Vec<f64> = of(rows, integrator)
             .filter(|(_, outcome)| outcome.failure.is_none())
@@ -53,19 +40,19 @@ pub fn by_integrator(rows: &[Row]) -> String {
         errors.sort_by(f64::total_cmp);
         let error = |failed: u64| match integrator {
             Integrator::Exponential => thousands(failed),
-            _ => "–".to_owned(),
+            _ => missing(),
         };
-        table.push(vec![
+        [
             integrator.to_string(),
             thousands(of(rows, integrator).count() as u64),
             thousands(count(None)),
             thousands(count(Some(Failure::NotFinite))),
             thousands(count(Some(Failure::BeyondBound))),
             error(count(Some(Failure::Error))),
-            errors.get(errors.len() / 2).map_or("–".to_owned(), |error| format!("{error:.0e}")),
-        ]);
-    }
-    aligned(&table)
+            errors.get(errors.len() / 2).map_or_else(missing, |error| format!("{error:.0e}")),
+        ]
+    };
+    tables::table(heading, integrators(rows).map(row))
 }
 
 /// By integrator: the worst case, and the command that runs it again.
@@ -86,11 +73,10 @@ pub fn worst_cases(rows: &[Row]) -> String {
 pub fn one_case(row: &Row) -> String {
     let heading =
         ["integrator", "steps", "outcome", "of bound", "error [R]", "allowed [R]", "sub-steps", "run time [s]"];
-    let mut table = vec![heading.map(str::to_owned).to_vec()];
-    let number = |x: Option<f64>| x.map_or("–".to_owned(), |x| format!("{x:.1e}"));
-    for outcome in &row.outcomes {
+    let number = |x: Option<f64>| x.map_or_else(missing, |x| format!("{x:.1e}"));
+    let line = |outcome: &Outcome| {
         let end = if outcome.is_cut { "passed, cut short" } else { "passed" };
-        table.push(vec![
+        [
             outcome.integrator.to_string(),
             thousands(outcome.steps),
             outcome.failure.map_or(end, Failure::name).to_owned(),
@@ -99,9 +85,9 @@ pub fn one_case(row: &Row) -> String {
             number(outcome.allowed.filter(|_| outcome.integrator == Integrator::Exponential)),
             thousands(outcome.substeps),
             format!("{:.4}", outcome.seconds),
-        ]);
-    }
-    aligned(&table)
+        ]
+    };
+    tables::table(heading, row.outcomes.iter().map(line))
 }
 
 /// The worst outcome of an integrator: the one that is farthest beyond what is allowed.
@@ -111,10 +97,9 @@ fn worst(rows: &[Row], integrator: Integrator) -> Option<(&Row, &Outcome)> {
 
 fn described(outcome: &Outcome) -> String {
     match (outcome.failure, outcome.error) {
-        (Some(Failure::NotFinite), _) => format!("not finite after {} steps", thousands(outcome.steps)),
+        (Some(Failure::NotFinite), _) => format!("not finite after {}", counted(outcome.steps, "step")),
         (Some(Failure::BeyondBound), _) => {
-            let steps = if outcome.steps == 1 { "step" } else { "steps" };
-            format!("{:.1e} times what energy allows after {} {steps}", outcome.used, thousands(outcome.steps))
+            format!("{:.1e} times what energy allows after {}", outcome.used, counted(outcome.steps, "step"))
         }
         (Some(Failure::Error), error) => format!("error {:.1e} R", error.unwrap_or(f64::NAN)),
         (None, _) => format!("passed with {:.2} of what energy allows", outcome.used),
@@ -137,22 +122,18 @@ impl Outcome {
 
 /// By axis and integrator: how many passed.
 pub fn by_axis(rows: &[Row]) -> String {
-    let mut heading = vec!["axis".to_owned(), "cases".to_owned()];
-    heading.extend(integrators(rows).map(|integrator| integrator.to_string()));
-    let mut table = vec![heading];
-    for (axis, _) in Axis::SHARES {
-        let cases = rows.iter().filter(|row| row.case.axis == axis).count();
-        if cases == 0 {
-            continue;
-        }
-        let mut line = vec![axis.to_string(), thousands(cases as u64)];
-        for integrator in integrators(rows) {
-            let passed = |(row, outcome): &(&Row, &Outcome)| row.case.axis == axis && outcome.failure.is_none();
-            line.push(thousands(of(rows, integrator).filter(passed).count() as u64));
-        }
-        table.push(line);
-    }
-    aligned(&table)
+    let heading = ["axis", "cases"].into_iter().chain(integrators(rows).map(Integrator::name));
+    let line = |(axis, _): (Axis, u64)| {
+        let of_axis = |row: &Row| row.case.axis == axis;
+        let cases = rows.iter().filter(|row| of_axis(row)).count() as u64;
+        let passed = |integrator| {
+            let is_passed = |(row, outcome): &(&Row, &Outcome)| of_axis(row) && outcome.failure.is_none();
+            thousands(of(rows, integrator).filter(is_passed).count() as u64)
+        };
+        let cells = [axis.to_string(), thousands(cases)].into_iter().chain(integrators(rows).map(passed));
+        (cases > 0).then(|| cells.collect::<Vec<_>>())
+    };
+    tables::table(heading, Axis::SHARES.into_iter().filter_map(line))
 }
 
 /// What the exponential integrator's runs came nearest to failing at, and took.
@@ -170,7 +151,7 @@ pub fn extremes(rows: &[Row]) -> String {
     });
     say("slowest step", &|o| o.slowest, &|o| format!("{:.1} ms", 1e3 * o.slowest));
     say("most sub-steps in a step", &|o| o.most_substeps as f64, &|o| thousands(o.most_substeps));
-    say("slowest run", &|o| o.seconds, &|o| format!("{:.2} s for {} steps", o.seconds, thousands(o.steps)));
+    say("slowest run", &|o| o.seconds, &|o| format!("{:.2} s for {}", o.seconds, counted(o.steps, "step")));
     let count = |is: &dyn Fn(&Outcome) -> bool| of(rows, Integrator::Exponential).filter(|(_, o)| is(o)).count() as u64;
     lines.push(format!(
         "{} of {} runs were compared with an exact solution, {} with an error allowed; {} were cut short",
@@ -195,29 +176,27 @@ pub fn footer() -> String {
 /// The energy over a million steps.
 pub fn energy(drifts: &[Drift]) -> String {
     let heading = ["integrator", "steps", "energy changes by", "run time [s]"];
-    let mut table = vec![heading.map(str::to_owned).to_vec()];
-    for drift in drifts {
-        table.push(vec![
+    let rows = drifts.iter().map(|drift| {
+        [
             drift.integrator.to_string(),
             thousands(drift.steps),
             if drift.largest.is_finite() { format!("{:.1e}", drift.largest) } else { "not finite".to_owned() },
             format!("{:.1}", drift.seconds),
-        ]);
-    }
+        ]
+    });
     format!(
         "two merged bodies without damping, dt = 1/60 s; the change is relative to what energy there is above the least \
          (exponential: at most {:.0e})\n\n{}",
         drift::MOST,
-        aligned(&table)
+        tables::table(heading, rows)
     )
 }
 
 /// The passages of a small body past a large one.
 pub fn sizes(passages: &[Passage]) -> String {
     let heading = ["radii", "scaling", "large [R]", "inverted", "small [R]", "inverted"];
-    let mut table = vec![heading.map(str::to_owned).to_vec()];
-    for passage in passages {
-        table.push(vec![
+    let rows = passages.iter().map(|passage| {
+        [
             format!("1:{}", passage.ratio),
             match passage.scaling {
                 Scaling::Absolute => "absolute".to_owned(),
@@ -227,58 +206,52 @@ pub fn sizes(passages: &[Passage]) -> String {
             passage.large.inverted.to_string(),
             format!("{:.3}", passage.small.displacement),
             passage.small.inverted.to_string(),
-        ]);
-    }
+        ]
+    });
     format!(
         "a small body passes a large one, q from 1.37 to 0.96 and back: largest displacement in own radii (wanted: {} at most), \
          and most triangles inside out at a time (wanted: none)\n\n{}",
         sizes::MOST,
-        aligned(&table)
+        tables::table(heading, rows)
     )
 }
 
-/// The names of the columns.
-pub const COLUMNS: [&str; 13] = [
-    "case",
-    "axis",
-    "what",
-    "integrator",
-    "steps",
-    "failure",
-    "of_bound",
-    "error_radii",
-    "allowed_radii",
-    "cut",
-    "substeps",
-    "most_substeps_in_a_step",
-    "seconds",
-];
+#[derive(Serialize)]
+struct Line<'a> {
+    case: u64,
+    axis: &'a str,
+    what: &'a str,
+    integrator: &'a str,
+    steps: u64,
+    failure: Option<&'a str>,
+    of_bound: f64,
+    error_radii: Option<f64>,
+    allowed_radii: Option<f64>,
+    cut: bool,
+    substeps: u64,
+    most_substeps_in_a_step: u64,
+    seconds: f64,
+}
 
 /// All outcomes; what does not apply is empty.
-pub fn csv(rows: &[Row]) -> String {
-    let mut text = COLUMNS.join(",");
-    text.push('\n');
-    let number = |x: Option<f64>| x.map_or(String::new(), |x| format!("{x:.4e}"));
-    for row in rows {
-        for outcome in &row.outcomes {
-            let fields = [
-                row.case.index.to_string(),
-                row.case.axis.to_string(),
-                format!("\"{}\"", row.case.what),
-                outcome.integrator.to_string(),
-                outcome.steps.to_string(),
-                outcome.failure.map_or(String::new(), |failure| failure.name().to_owned()),
-                format!("{:.4e}", outcome.used),
-                number(outcome.error),
-                number(outcome.allowed),
-                outcome.is_cut.to_string(),
-                outcome.substeps.to_string(),
-                outcome.most_substeps.to_string(),
-                format!("{:.6}", outcome.seconds),
-            ];
-            text.push_str(&fields.join(","));
-            text.push('\n');
-        }
-    }
-    text
+///
+/// # Errors
+/// None is known.
+pub fn csv(rows: &[Row]) -> Result<String, String> {
+    let all = rows.iter().flat_map(|row| row.outcomes.iter().map(move |outcome| (&row.case, outcome)));
+    tables::csv(all.map(|(case, outcome)| Line {
+        case: case.index,
+        axis: case.axis.name(),
+        what: &case.what,
+        integrator: outcome.integrator.name(),
+        steps: outcome.steps,
+        failure: outcome.failure.map(Failure::name),
+        of_bound: outcome.used,
+        error_radii: outcome.error,
+        allowed_radii: outcome.allowed,
+        cut: outcome.is_cut,
+        substeps: outcome.substeps,
+        most_substeps_in_a_step: outcome.most_substeps,
+        seconds: outcome.seconds,
+    }))
 }

@@ -6,8 +6,9 @@ use super::{super::run::scene, Failure, claim, print, write};
 use crate::{
     Scene,
     bench::{
+        goals,
         machine::Machine,
-        record::{self, Report, csv::csv, goals, scenes::crowd, table},
+        record::{self, Report, csv::csv, scenes::crowd, table},
     },
     sim::memory,
 };
@@ -62,7 +63,7 @@ pub fn record(arguments: Arguments) -> Result<(), Failure> {
         print(&format!("{}\n", table::costs(&costs)));
         report.costs = Some(costs);
     }
-    print(&format!("{}\n", goals::table(&report)));
+    print(&format!("{}\n", goals::table(&record::goals::goals(&report))));
     print(&machine.at_full_load().to_string());
-    write(csv_file, || Ok(csv(&report.measurements, &machine)))
+    write(csv_file, || csv(&report.measurements, &machine))
 }

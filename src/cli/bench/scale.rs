@@ -1,11 +1,12 @@
 //! `meldscope bench scale`.
 
-use std::{path::PathBuf, time::Duration};
+use std::time::Duration;
 
-use super::{Failure, claim, print, progress_bar, write};
+use super::{Failure, Files, print, progress_bar, write};
 use crate::bench::{
+    MeasureError, goals,
     machine::Machine,
-    scale::{self, MeasureError, Settings, csv::csv, diagram, goals, table},
+    scale::{self, Settings, csv::csv, diagram, table},
 };
 
 #[derive(clap::Args)]
@@ -17,12 +18,8 @@ pub struct Arguments {
     /// How long to time steps, for each number of bodies, each family of scenes, one core and all.
     #[arg(long, value_name = "S", default_value = "0.5", value_parser = parse_seconds)]
     seconds: f64,
-    /// Write the measurements to a file.
-    #[arg(long, value_name = "F.csv")]
-    csv: Option<PathBuf>,
-    /// Draw cost against size.
-    #[arg(long, value_name = "F.svg")]
-    svg: Option<PathBuf>,
+    #[command(flatten)]
+    files: Files,
 }
 
 fn parse_seconds(text: &str) -> Result<f64, String> {
@@ -31,10 +28,7 @@ fn parse_seconds(text: &str) -> Result<f64, String> {
 }
 
 pub fn scale(arguments: Arguments) -> Result<(), Failure> {
-    let [csv_file, svg_file] = [claim(arguments.csv.as_deref())?, claim(arguments.svg.as_deref())?];
-    if csv_file.is_some() && csv_file == svg_file {
-        return Err(Failure::Input("--csv and --svg name the same file: give each its own".to_owned()));
-    }
+    let [csv_file, svg_file] = arguments.files.claim()?;
     let mut bodies: Vec<usize> = arguments.bodies.iter().map(|&n| n as usize).collect();
     bodies.sort_unstable();
     bodies.dedup();
@@ -48,16 +42,14 @@ pub fn scale(arguments: Arguments) -> Result<(), Failure> {
     bar.finish_and_clear();
     let report = measured.map_err(|error| match error {
         MeasureError::TooLarge(_) => Failure::input(error),
-        MeasureError::NoScene | MeasureError::NoReference(_) | MeasureError::Threads(_) => {
-            Failure::Run(error.to_string())
-        }
+        error => Failure::Run(error.to_string()),
     })?;
     print(&table::table(&report));
     print("");
-    print(&goals::table(&report));
+    print(&goals::table(&scale::goals::goals(&report)));
     print("");
     print(&table::footer(&report, &machine));
 
-    write(csv_file, || Ok(csv(&report, &machine)))?;
+    write(csv_file, || csv(&report, &machine))?;
     write(svg_file, || diagram::svg(&report, &machine))
 }
