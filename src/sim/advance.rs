@@ -257,7 +257,8 @@ impl<'a> Context<'a> {
                 start: part.start,
                 // All whole steps have the same length to the bit, so that weights are computed once.
                 length: if is_whole { scene.dt } else { part.length() },
-                tracks: is_whole.then_some(self.tracks),
+                tracks: self.tracks,
+                is_whole,
                 spheres: &acting.spheres,
                 weighted: &acting.weighted,
             };
@@ -286,7 +287,7 @@ impl<'a> Context<'a> {
         breaks.clear();
         breaks.push(span.start);
         let mut knots = |body: u32| {
-            let knots = self.scene.bodies[body as usize].path.knots();
+            let knots = self.tracks.track(self.scene, body as usize).breaks();
             let first = knots.partition_point(|&knot| knot <= span.start);
             breaks.extend(knots[first..].iter().take_while(|&&t| span.holds(t)));
         };

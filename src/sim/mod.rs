@@ -6,7 +6,7 @@
 //! | the state of one body, and its turn in a step | `body`, `advance` |
 //! | what single vertices do beyond what all of them do | `deformation` |
 //! | what acts on vertices, one file a force term | [`terms`] |
-//! | where moving bodies are in the course of a step | `tracks` |
+//! | the frame of a body in the course of a step, and those of all that move | [`track`], `tracks` |
 //! | who can touch whom | `neighbours` of `pairs`, by a grid in [`reach`] |
 //! | when pairs merge, split, enter and leave their core | [`events`] |
 //! | how a vertex is advanced | [`integrator`] |
@@ -42,6 +42,7 @@ pub mod events;
 pub mod integrator;
 pub mod memory;
 mod neighbours;
+mod nodes;
 pub mod observe;
 mod pairs;
 pub mod reach;
@@ -50,6 +51,7 @@ pub mod snapshot;
 pub mod stages;
 mod state;
 pub mod terms;
+pub mod track;
 mod tracks;
 pub mod world;
 

@@ -117,7 +117,8 @@ impl Again<'_> {
     fn breaks(&self) -> Vec<f64> {
         let scene = self.world.scene();
         let span = Span { start: self.before.time, end: self.world.time() };
-        let knots = scene.bodies.iter().flat_map(|body| body.path.knots().iter().copied());
+        let tracks = self.world.reading().tracks;
+        let knots = (0..scene.bodies.len()).flat_map(|body| tracks.track(scene, body).breaks().iter().copied());
         let mut breaks: Vec<f64> = knots.filter(|&t| span.holds(t)).chain([span.start, span.end]).collect();
         for index in 0..self.world.body_count() {
             self.on(index).jumps(&self.body(index).neighbours, span, &mut breaks);
@@ -144,7 +145,7 @@ impl Again<'_> {
     fn snapshot(&self, t: f64, phases_at: f64, states: Vec<States>) -> Snapshot {
         let bodies = states.into_iter().enumerate().map(|(index, states)| {
             let surroundings = self.surroundings(index, t, phases_at, &states);
-            (self.world.scene().bodies[index].path.position(t), states, surroundings)
+            (self.world.track(index).position(t), states, surroundings)
         });
         self.before.at(t, self.world.scene(), |a, b| self.phase(a, b, phases_at), bodies)
     }
@@ -185,11 +186,21 @@ impl Again<'_> {
         self.on(index).over(&body.neighbours, Span { start: from, end: to }, &mut acting);
         let Acting { weighted, spheres } = &acting;
         let is_still = states.displacement.iter().chain(states.velocity.iter()).all(|v| v == DVec3::ZERO);
-        if is_still && spheres.is_empty() && surroundings.is_idle() && this.path.is_fixed() {
+        if is_still && spheres.is_empty() && surroundings.is_idle() && self.world.track(index).is_fixed() {
             return;
         }
-        let course =
-            Course { scene, index, mesh: &body.mesh, start: from, length: to - from, tracks: None, spheres, weighted };
+        let tracks = self.world.reading().tracks;
+        let course = Course {
+            scene,
+            index,
+            mesh: &body.mesh,
+            start: from,
+            length: to - from,
+            tracks,
+            is_whole: false,
+            spheres,
+            weighted,
+        };
         let mut deformation = Deformation::default();
         deformation.wake_all(body.rest());
         let front = &mut deformation.front;

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{Span, integrator::exponential::weights::LOOKS};
+use super::{Span, nodes::LOOKS, track::Track};
 use crate::scene::{
     Scene,
     path::{Bounds, Kinematics, Turns},
@@ -16,7 +16,7 @@ const STILL: u32 = u32::MAX;
 
 /// The tracks of all bodies that move.
 pub struct Tracks {
-    tracks: Vec<Track>,
+    movers: Vec<Mover>,
     /// Of every body, close together: neighbours look each other up in every step.
     whereabouts: Vec<Whereabouts>,
     /// Track of each body, or [`STILL`].
@@ -47,7 +47,7 @@ impl Whereabouts {
 }
 
 /// A moving body's way through a step.
-pub struct Track {
+pub struct Mover {
     /// Index of the body.
     pub body: u32,
     /// Whether something may happen between the body and its neighbours in the step, for [`Tracks::watch`].
@@ -67,7 +67,7 @@ impl Tracks {
     /// Of all bodies of a scene that move, before the first step.
     pub fn new(scene: &Scene) -> Tracks {
         let mut of_body = vec![STILL; scene.bodies.len()];
-        let mut tracks = Vec::new();
+        let mut movers = Vec::new();
         let whereabouts = scene.bodies.iter().map(|body| Whereabouts {
             centre: body.path.position(0.0),
             speed: 0.0,
@@ -78,11 +78,11 @@ impl Tracks {
         for (body, place) in (0..).zip(&mut of_body) {
             let path = &scene.bodies[body as usize].path;
             if !path.is_fixed() {
-                *place = tracks.len() as u32;
+                *place = movers.len() as u32;
                 let turns = path.turns(&LOOKS.map(|theta| theta * scene.dt));
                 let bounds = Bounds { speed: 0.0, acceleration: 0.0 };
                 let kinematics = [path.at(0.0); 5];
-                tracks.push(Track {
+                movers.push(Mover {
                     body,
                     is_watched: false,
                     turns,
@@ -93,12 +93,12 @@ impl Tracks {
                 });
             }
         }
-        Tracks { tracks, whereabouts, of_body }
+        Tracks { movers, whereabouts, of_body }
     }
 
     /// Follows all of them over a step.
     pub(super) fn follow(&mut self, scene: &Scene, span: Span) {
-        let follow = |track: &mut Track| {
+        let follow = |track: &mut Mover| {
             let path = &scene.bodies[track.body as usize].path;
             let stands_still = path.is_still(span.start, span.end);
             track.is_idle = stands_still && track.stands_still;
@@ -109,8 +109,8 @@ impl Tracks {
             path.kinematics(span.start, span.end, &LOOKS, &track.turns, &mut track.kinematics);
             track.bounds = path.bounds(span.start, span.end);
         };
-        each(&mut self.tracks, follow);
-        for track in &self.tracks {
+        each(&mut self.movers, follow);
+        for track in &self.movers {
             let whereabouts = &mut self.whereabouts[track.body as usize];
             whereabouts.centre = track.kinematics[0].position;
             whereabouts.speed = track.bounds.speed;
@@ -118,13 +118,13 @@ impl Tracks {
     }
 
     /// Watches those for which `may` holds: most have nothing to do with their neighbours but what they did before.
-    pub(super) fn watch(&mut self, may: impl Fn(&Track) -> bool + Sync + Send) {
-        each(&mut self.tracks, |track| track.is_watched = may(track));
+    pub(super) fn watch(&mut self, may: impl Fn(&Mover) -> bool + Sync + Send) {
+        each(&mut self.movers, |track| track.is_watched = may(track));
     }
 
     /// The bodies that are watched, ascending.
     pub(super) fn watched(&self) -> impl Iterator<Item = u32> + '_ {
-        self.tracks.iter().filter(|track| track.is_watched).map(|track| track.body)
+        self.movers.iter().filter(|track| track.is_watched).map(|track| track.body)
     }
 
     /// Where a body is at the start of the step.
@@ -135,26 +135,31 @@ impl Tracks {
 
     /// What was allocated for them [bytes].
     pub fn memory(&self) -> usize {
-        self.tracks.capacity() * size_of::<Track>()
+        self.movers.capacity() * size_of::<Mover>()
             + self.whereabouts.capacity() * size_of::<Whereabouts>()
             + self.of_body.capacity() * size_of::<u32>()
     }
 
     /// The tracks, in the order of their bodies.
-    pub fn all(&self) -> &[Track] {
-        &self.tracks
+    pub fn all(&self) -> &[Mover] {
+        &self.movers
     }
 
     /// The track of a body, if it moves.
-    pub fn of(&self, body: usize) -> Option<&Track> {
-        self.tracks.get(self.of_body[body] as usize)
+    pub fn of(&self, body: usize) -> Option<&Mover> {
+        self.movers.get(self.of_body[body] as usize)
+    }
+
+    /// The frame of a body.
+    pub fn track<'a>(&'a self, scene: &'a Scene, body: usize) -> Track<'a> {
+        Track::Prescribed(&scene.bodies[body].path)
     }
 
     /// A body's centre and its motion at one of the five looks of the step.
     pub fn kinematics(&self, scene: &Scene, body: usize, look: usize) -> Kinematics {
         match self.of(body) {
             Some(track) => track.kinematics[look],
-            None => scene.bodies[body].path.at(0.0),
+            None => self.track(scene, body).at(0.0),
         }
     }
 
@@ -164,12 +169,12 @@ impl Tracks {
     }
 }
 
-/// Does the same with every track, on several threads where that pays.
-fn each(tracks: &mut [Track], work: impl Fn(&mut Track) + Sync + Send) {
-    if tracks.len() < PARALLEL_TRACKS {
-        tracks.iter_mut().for_each(work);
+/// Does the same with all of them, on several threads where that pays.
+fn each(movers: &mut [Mover], work: impl Fn(&mut Mover) + Sync + Send) {
+    if movers.len() < PARALLEL_TRACKS {
+        movers.iter_mut().for_each(work);
     } else {
-        tracks.par_iter_mut().with_min_len(PARALLEL_TRACKS / 4).for_each(work);
+        movers.par_iter_mut().with_min_len(PARALLEL_TRACKS / 4).for_each(work);
     }
 }
 

@@ -8,7 +8,7 @@ use std::{
     time::Instant,
 };
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use pulp::Arch;
 use rayon::prelude::*;
 
@@ -23,6 +23,7 @@ use super::{
     report::{Diverged, Stage, StepReport},
     state::State,
     terms::{self, Moment, Surroundings},
+    track::Track,
     tracks::Tracks,
 };
 use crate::{
@@ -449,7 +450,19 @@ impl World {
             oscillator: state.map(|state| state.oscillator).unwrap_or_default(),
             arch: self.options.arch,
         };
-        BodyView { body, fixed: &self.bodies[index], state, now, centre: body.path.position(self.time()) }
+        BodyView {
+            body,
+            fixed: &self.bodies[index],
+            state,
+            now,
+            track: self.track(index),
+            centre: self.track(index).position(self.time()),
+        }
+    }
+
+    /// The frame of body `index`.
+    pub(super) fn track(&self, index: usize) -> Track<'_> {
+        self.tracks.track(&self.scene, index)
     }
 
     fn active(&self, index: usize) -> Option<&Active> {
@@ -541,6 +554,7 @@ pub struct BodyView<'a> {
     fixed: &'a Body,
     state: Option<&'a Active>,
     now: Now,
+    track: Track<'a>,
     centre: DVec3,
 }
 
@@ -567,6 +581,11 @@ impl<'a> BodyView<'a> {
     /// Where its centre is [scene unit].
     pub fn centre(&self) -> DVec3 {
         self.centre
+    }
+
+    /// What turns its rest shape.
+    pub fn rotation(&self) -> DQuat {
+        self.track.rotation(self.now.step as f64 * self.now.dt)
     }
 
     /// Whether nothing has acted on it yet: every displacement and velocity is exactly zero.

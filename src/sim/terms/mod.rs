@@ -58,7 +58,7 @@ macro_rules! terms {
         impl<P: Phases> On<'_, P> {
             /// What acts on the body at an instant, with no vertices farther from its centre than `farthest` [scene unit].
             pub fn surroundings_into(&self, moment: Moment, farthest: f64, surroundings: &mut Surroundings) {
-                let motion = self.scene.bodies[self.index as usize].path.at(moment.time);
+                let motion = self.tracks.track(self.scene, self.index as usize).at(moment.time);
                 surroundings.clear();
                 $(surroundings.uniform.extend($module::$Term::uniform(self.scene, self.index as usize, &motion));)*
                 $($module::$Term::at(self, moment, &motion, farthest, surroundings);)*

@@ -5,9 +5,10 @@ use glam::DVec3;
 use crate::{
     geometry::Mesh,
     model::{influence::Weight, oscillator::Oscillator},
-    scene::{self, Path, Scene, path::Bounds},
+    scene::{self, Scene, path::Bounds},
     sim::{
         terms::{self, Sphere, Weighted},
+        track::Track,
         tracks::Tracks,
     },
 };
@@ -25,8 +26,10 @@ pub struct Course<'a> {
     pub start: f64,
     /// How long it is [s].
     pub length: f64,
-    /// Where the bodies are in the course of a whole step, if the stretch is one.
-    pub tracks: Option<&'a Tracks>,
+    /// Where the bodies are.
+    pub tracks: &'a Tracks,
+    /// Whether the stretch is a whole step, of which the tracks have the looks.
+    pub is_whole: bool,
     /// Spheres that can reach the body.
     pub spheres: &'a [Sphere],
     /// The body's weighted terms.
@@ -62,23 +65,29 @@ impl Course<'_> {
         self.scene.influence.weight
     }
 
-    /// The path of a sphere's centre.
-    pub fn path(&self, sphere: usize) -> &Path {
-        &self.scene.bodies[self.spheres[sphere].body as usize].path
+    /// The frame of a body.
+    pub fn track(&self, body: usize) -> Track<'_> {
+        self.tracks.track(self.scene, body)
+    }
+
+    /// The frame that a sphere's centre is of.
+    pub fn sphere_track(&self, sphere: usize) -> Track<'_> {
+        self.track(self.spheres[sphere].body as usize)
     }
 
     /// The centres of the spheres relative to that of the body at time `t` [scene unit], into `centres` (reused), and
     /// what is the same for all vertices [scene unit/s²]. At the end of the stretch: just before it.
     pub fn look(&self, t: f64, centres: &mut Vec<DVec3>) -> DVec3 {
-        let path = &self.body().path;
-        let own = if t >= self.end() { path.before(t) } else { path.at(t) };
+        let track = self.track(self.index);
+        let own = if t >= self.end() { track.before(t) } else { track.at(t) };
         centres.clear();
-        centres.extend((0..self.spheres.len()).map(|j| self.path(j).position(t) - own.position));
+        centres.extend((0..self.spheres.len()).map(|j| self.sphere_track(j).position(t) - own.position));
         terms::uniform(self.scene, self.index, &own)
     }
 
-    /// [`Course::look`] at one of the five looks of a whole step, where the tracks have it.
-    pub fn look_whole(&self, tracks: &Tracks, look: usize, centres: &mut Vec<DVec3>) -> DVec3 {
+    /// [`Course::look`] at one of the five looks of a whole step.
+    pub fn look_whole(&self, look: usize, centres: &mut Vec<DVec3>) -> DVec3 {
+        let tracks = self.tracks;
         let own = tracks.kinematics(self.scene, self.index, look);
         let position = |sphere: &Sphere| tracks.kinematics(self.scene, sphere.body as usize, look).position;
         centres.clear();
@@ -89,14 +98,12 @@ impl Course<'_> {
     /// Bounds of the motion of a sphere's centre relative to the body's within `[start, end]` [s].
     pub fn relative_bounds(&self, sphere: usize, start: f64, end: f64) -> Bounds {
         let other = self.spheres[sphere].body as usize;
-        let known = |tracks: &Tracks| {
-            let [own, its] = [tracks.bounds(self.index), tracks.bounds(other)];
-            own.is_none().then_some(its).or(its.is_none().then_some(own)) // one of the two stands still
-        };
+        let [own, its] = [self.tracks.bounds(self.index), self.tracks.bounds(other)];
         let still = Bounds { speed: 0.0, acceleration: 0.0 };
-        match self.tracks.and_then(known) {
-            Some(bounds) => bounds.unwrap_or(still),
-            None => self.path(sphere).relative_bounds(&self.body().path, start, end),
+        match (own, its) {
+            // one of the two stands still
+            (None, moves) | (moves, None) if self.is_whole => moves.unwrap_or(still),
+            _ => self.track(other).relative_bounds(self.track(self.index), start, end),
         }
     }
 

@@ -96,7 +96,7 @@ fn halve(
     let middle = course.start + 0.5 * h;
     if uniform_error > wanted && halvings > 0 && course.start < middle {
         for start in [course.start, middle] {
-            let half = Course { start, length: 0.5 * h, tracks: None, ..*course };
+            let half = Course { start, length: 0.5 * h, is_whole: false, ..*course };
             halve(&half, manner, common, front, scratch, halvings - 1, effort);
         }
         return;

@@ -6,12 +6,13 @@ use pulp::Simd;
 use super::{
     course::Course,
     lanes::{LANES, Mask, Reals, Vector},
-    weights::{Dense, LOOKS, Weights, quartic, quartic_through},
+    weights::{Dense, Weights, quartic, quartic_through},
 };
 use crate::{
     model::influence::Weight,
     scene::{Material, path::Bounds},
     sim::{
+        nodes,
         state::{Common, Pushed, State},
         terms::{Sphere, Weighted},
     },
@@ -309,9 +310,10 @@ impl Step {
         self.start = course.start;
         self.set_weights(weights);
         for (look, moment) in self.moments.iter_mut().enumerate() {
-            moment.uniform = match course.tracks {
-                Some(tracks) => course.look_whole(tracks, look, &mut moment.centres),
-                None => course.look(time_of(look, course.start, h), &mut moment.centres),
+            moment.uniform = if course.is_whole {
+                course.look_whole(look, &mut moment.centres)
+            } else {
+                course.look(time_of(look, course.start, h), &mut moment.centres)
             };
         }
         let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
@@ -369,9 +371,9 @@ impl Step {
             changes = changes.max((force(look) - force(0)).abs());
         }
         let of_times = force(0).length() + changes.length() * (1.0 + self.end() / self.h);
-        let place = |body: usize| match course.tracks {
-            Some(tracks) => tracks.kinematics(course.scene, body, 0).position,
-            None => course.scene.bodies[body].path.position(self.start),
+        let place = |body: usize| match course.is_whole {
+            true => course.tracks.kinematics(course.scene, body, 0).position,
+            false => course.track(body).position(self.start),
         };
         let place = |body: usize| place(body).abs().element_sum();
         let own = place(course.index);
@@ -502,7 +504,7 @@ impl Step {
 
 /// When a step looks for the n-th time [s].
 fn time_of(look: usize, start: f64, h: f64) -> f64 {
-    if look == 3 { start + h } else { start + LOOKS[look] * h }
+    if look == 3 { start + h } else { start + nodes::LOOKS[look] * h }
 }
 
 /// `Σ wᵢ vᵢ`
@@ -609,7 +611,7 @@ impl ExactPath<'_> {
     /// Position [scene unit] and velocity [scene unit/s] at `t` [s].
     pub fn at(&self, t: f64) -> (DVec3, DVec3) {
         let course = self.look.course;
-        let (own, other) = (course.body().path.at(t), course.path(self.sphere).at(t));
+        let (own, other) = (course.track(course.index).at(t), course.sphere_track(self.sphere).at(t));
         let common = self.look.common_at(t);
         let (mut x, mut u) = (self.vertex.rest + common.carried.x, common.carried.u);
         for (push, pushed) in course.weighted.iter().zip(&common.pushed) {

@@ -6,11 +6,11 @@ use glam::DVec3;
 
 use crate::{
     model::oscillator::{Oscillator, Propagator},
-    sim::state::State,
+    sim::{
+        nodes::{LOOKS, NODES},
+        state::State,
+    },
 };
-
-/// The nodes of Lobatto quadrature with four points, on [0, 1]: exact for polynomials of degree five.
-pub const NODES: [f64; 4] = [0.0, 0.276_393_202_250_021, 0.723_606_797_749_978_9, 1.0];
 
 /// `LAGRANGE[n][i]` holds the coefficients of the polynomial that is 1 at node i and 0 at the other nodes before node n.
 static LAGRANGE: LazyLock<[[[f64; 4]; 4]; 5]> = LazyLock::new(|| {
@@ -165,9 +165,6 @@ impl Dense {
         }
     }
 }
-
-/// The instants of a step at which it looks: its nodes, and its middle.
-pub const LOOKS: [f64; 5] = [NODES[0], NODES[1], NODES[2], NODES[3], 0.5];
 
 /// `QUARTIC[i]` holds the coefficients of the polynomial that is 1 at look i and 0 at the other four.
 static QUARTIC: LazyLock<[[f64; 5]; 5]> = LazyLock::new(|| {
