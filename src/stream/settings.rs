@@ -192,14 +192,14 @@ impl Settings {
     /// # Errors
     /// What is missing or wrong, in words.
     pub fn from_toml(text: &str, scene: &Scene) -> Result<Settings, String> {
-        let table: toml::Table = text.parse().map_err(|_| "the settings are not TOML".to_owned())?;
+        let table: toml::Table = within_toml(text).parse().map_err(|_| "the settings are not TOML".to_owned())?;
         let text = |key: &str| table.get(key).and_then(toml::Value::as_str);
         let positive = |key: &str| {
             let number =
                 table.get(key).and_then(toml::Value::as_float).filter(|number| Scene::POSITIVE.contains(number));
             number.ok_or_else(|| format!("the settings have no usable {key}"))
         };
-        let count = |key: &str| table.get(key).and_then(toml::Value::as_integer).and_then(|n| u64::try_from(n).ok());
+        let count = |key: &str| table.get(key).and_then(number);
         let name = text("integrator").unwrap_or("none");
         let integrator = Integrator::ALL.into_iter().find(|integrator| integrator.name() == name);
         let own = Settings::of(scene);
@@ -211,13 +211,27 @@ impl Settings {
             steps: (steps > 0).then_some(steps),
             skip: table.get("skip").and_then(toml::Value::as_bool).unwrap_or(true),
             every: count("every").filter(|&every| every > 0).unwrap_or(own.every),
-            detail: if text("detail") == Some("surface") { Detail::Surface } else { own.detail },
+            detail: match (text("detail"), table.get("stages").and_then(toml::Value::as_array).map(Vec::as_slice)) {
+                (Some("surface"), _) => Detail::Surface,
+                (Some("stages"), Some([from, to])) => {
+                    Detail::Stages { from: number(from).unwrap_or(0), to: number(to).unwrap_or(u64::MAX) }
+                }
+                _ => own.detail,
+            },
             entities: text("entities")
                 .and_then(|name| Entities::ALL.into_iter().find(|entities| entities.name() == name))
                 .unwrap_or(own.entities),
             frames: match table.get("frames") {
                 Some(toml::Value::String(_)) => Frames::Thin,
-                Some(_) => Frames::Last { most: 1, on: Vec::new() },
+                Some(last) => {
+                    let on = last.get("on").and_then(toml::Value::as_array).into_iter().flatten();
+                    let trigger =
+                        |name: &toml::Value| Trigger::ALL.into_iter().find(|on| name.as_str() == Some(on.name()));
+                    Frames::Last {
+                        most: last.get("last").and_then(number).unwrap_or(1),
+                        on: on.filter_map(trigger).collect(),
+                    }
+                }
                 None => Frames::All,
             },
             pairs: count("pairs").map_or(own.pairs, |pairs| pairs.min(1000) as usize),
@@ -228,7 +242,7 @@ impl Settings {
     pub fn to_toml(&self) -> String {
         let (detail, entities) = (self.detail.name(), self.entities.name());
         let stages = match self.detail {
-            Detail::Stages { from, to } => format!("stages = [{from}, {to}]\n"),
+            Detail::Stages { from, to } => format!("stages = [{}, {}]\n", written(from), written(to)),
             Detail::Surface | Detail::Forces => String::new(),
         };
         let frames = match &self.frames {
@@ -236,7 +250,7 @@ impl Settings {
             Frames::Thin => "frames = \"thin\"\n".to_owned(),
             Frames::Last { most, on } => {
                 let on: Vec<String> = on.iter().map(|trigger| format!("\"{}\"", trigger.name())).collect();
-                format!("frames = {{ last = {most}, on = [{}] }}\n", on.join(", "))
+                format!("frames = {{ last = {}, on = [{}] }}\n", written(*most), on.join(", "))
             }
         };
         format!(
@@ -244,12 +258,43 @@ impl Settings {
             self.integrator,
             self.dt,
             self.tolerance,
-            self.steps.unwrap_or(0),
+            written(self.steps.unwrap_or(0)),
             if self.skip { "" } else { "skip = false\n" },
-            self.every,
+            written(self.every),
             self.pairs,
         )
     }
+}
+
+/// A number as TOML has it, whose integers end at 2^63 − 1: as a text from there on.
+fn written(number: u64) -> String {
+    if i64::try_from(number).is_ok() { number.to_string() } else { format!("\"{number}\"") }
+}
+
+/// The number that was [`written`].
+fn number(value: &toml::Value) -> Option<u64> {
+    match value {
+        toml::Value::Integer(number) => u64::try_from(*number).ok(),
+        toml::Value::String(text) => text.parse().ok(),
+        _ => None,
+    }
+}
+
+/// Settings as they were written before 2^63 and more were texts, made TOML.
+fn within_toml(text: &str) -> String {
+    let mut fixed = String::with_capacity(text.len());
+    let mut rest = text;
+    while let Some(start) = rest.find(|c: char| c.is_ascii_digit()) {
+        let (before, from) = rest.split_at(start);
+        let (digits, after) = from.split_at(from.find(|c: char| !c.is_ascii_digit()).unwrap_or(from.len()));
+        fixed.push_str(before);
+        // of the number's own digits only, not of those behind a point or within a text
+        let is_alone = !before.ends_with(['.', '"']) && !after.starts_with(['.', '"']);
+        let is_large = digits.parse::<u64>().is_ok_and(|number| i64::try_from(number).is_err());
+        fixed.push_str(&if is_alone && is_large { format!("\"{digits}\"") } else { digits.to_owned() });
+        rest = after;
+    }
+    fixed + rest
 }
 
 /// Length of an arrow per acceleration [scene unit per scene unit/s²]: 1, 2 or 5 times a power of ten, such that the
@@ -271,6 +316,13 @@ pub fn arrow_scale(scene: &Scene) -> f64 {
 /// The same scene and options give the same id; a recording whose texts do not give its id was damaged or edited.
 pub(crate) fn recording_id(name: &str, scene: &str, settings: &str, version: &str) -> String {
     format!("{}-{:016x}", file_stem(name), fnv(&format!("{scene}\0{settings}\0{version}")))
+}
+
+/// The application id of recordings of a scene. A viewer keeps one layout an application: each scene is one, so that layouts
+/// do not replace each other's.
+pub(crate) fn application(name: &str) -> String {
+    let stem = if name.is_empty() { String::new() } else { file_stem(name) };
+    format!("meldscope_{stem}")
 }
 
 /// FNV-1a.
