@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 use rerun::{
-    datatypes::{Utf8, Vec3D},
+    datatypes::{Float64, Utf8, Vec3D},
     external::re_chunk_store::external::re_chunk::Chunk,
 };
 
@@ -248,7 +248,10 @@ impl Frames {
             for row in 0..chunk.num_rows() {
                 let step = step_of(&chunk, row).map_err(damaged)?;
                 if entity == MARKER {
-                    self.marked.push(step);
+                    // where a line has a gap there is no frame
+                    if !cell::<Float64>(&chunk, "Scalars:scalars", row).is_empty() {
+                        self.marked.push(step);
+                    }
                 } else {
                     self.rows.entry(step).or_default().push((self.pending.len(), row));
                 }

@@ -580,8 +580,9 @@ fn q_range(scene: &Scene) -> [f64; 2] {
     [low - 0.25, thresholds.split_at + 0.25]
 }
 
-/// What the colours mean, and which scene, integrator, step and settings these are.
-pub fn about(scene: &Scene, settings: &Settings) -> String {
+/// What the colours mean, and which scene, integrator, step and settings these are; of a recording that begins with step
+/// `first`.
+pub fn about(scene: &Scene, settings: &Settings, first: u64) -> String {
     let (influence, thresholds) = (&scene.influence, &scene.thresholds);
     let frames = match (&settings.frames, settings.every) {
         (Frames::Thin, _) => {
@@ -589,13 +590,20 @@ pub fn about(scene: &Scene, settings: &Settings) -> String {
         }
         (Frames::All, 1) => "a frame every step".to_owned(),
         (Frames::All, every) => format!("a frame every {every} steps"),
+        (Frames::Last { most: 1, on }, _) if on.is_empty() => "the last frame".to_owned(),
         (Frames::Last { most, on }, _) if on.is_empty() => format!("the last {most} frames"),
         (Frames::Last { most, on }, _) => {
             let on: Vec<&str> = on.iter().map(|trigger| trigger.name()).collect();
-            format!("the last {most} frames before each {}", on.join(", "))
+            let frames = if *most == 1 { "frame".to_owned() } else { format!("{most} frames") };
+            format!("the last {frames} before each {}", on.join(", "))
         }
     };
-    let steps = settings.steps.map_or("until stopped".to_owned(), |steps| format!("{steps} steps"));
+    let steps = match settings.steps {
+        None => "until stopped".to_owned(),
+        Some(last) if first > 0 => format!("steps {first} to {last}"),
+        Some(1) => "1 step".to_owned(),
+        Some(steps) => format!("{steps} steps"),
+    };
     let head = format!(
         "**{}**: {} {}, {} vertices. `{}`, Δt = {:.6} s, {steps}, {frames}.  \n",
         scene.name,

@@ -4,9 +4,14 @@
 //! that has left the memory its last value is kept, too, and written first. All rows keep their own times, so what is
 //! written is true, and the viewer's latest-at query shows every kept frame as it was.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use rerun::external::re_chunk_store::external::re_chunk::{Chunk, ChunkId};
+use rerun::{
+    Scalars,
+    external::re_chunk_store::external::re_chunk::{Chunk, ChunkId},
+};
+
+use super::instant::Instant;
 
 /// The last frames of a run.
 pub(super) struct FlightRecorder {
@@ -14,10 +19,12 @@ pub(super) struct FlightRecorder {
     most: usize,
     /// What was logged since the last frame ended.
     open: Vec<Chunk>,
-    frames: VecDeque<Vec<Chunk>>,
+    frames: VecDeque<(Instant, Vec<Chunk>)>,
     /// What has left `frames` and holds until something newer comes, by entity and component: the chunk it is in.
     held: BTreeMap<(String, String), ChunkId>,
     held_chunks: BTreeMap<ChunkId, (Chunk, usize)>,
+    /// The lines that were written up to the last frame.
+    lines: BTreeSet<String>,
 }
 
 impl FlightRecorder {
@@ -29,6 +36,7 @@ impl FlightRecorder {
             frames: VecDeque::new(),
             held: BTreeMap::new(),
             held_chunks: BTreeMap::new(),
+            lines: BTreeSet::new(),
         }
     }
 
@@ -37,17 +45,25 @@ impl FlightRecorder {
         self.open.push(chunk);
     }
 
-    /// The frame is complete; the oldest goes if there are too many.
-    pub fn end_frame(&mut self) {
-        self.frames.push_back(std::mem::take(&mut self.open));
+    /// The frame is complete; the oldest goes if there are too many. Lines that were written up to that one end there: which,
+    /// and when.
+    pub fn end_frame(&mut self, at: Instant) -> Option<(Instant, BTreeSet<String>)> {
+        self.frames.push_back((at, std::mem::take(&mut self.open)));
+        let mut ended = None;
         while self.frames.len() > self.most {
-            for chunk in self.frames.pop_front().into_iter().flatten() {
-                self.hold(chunk);
+            let Some((at, chunks)) = self.frames.pop_front() else { break };
+            chunks.into_iter().for_each(|chunk| self.hold(chunk));
+            if !self.lines.is_empty() {
+                ended = Some((at, std::mem::take(&mut self.lines)));
             }
         }
+        ended
     }
 
     fn hold(&mut self, chunk: Chunk) {
+        if is_line(&chunk) {
+            return;
+        }
         let id = chunk.id();
         let entity = chunk.entity_path().to_string();
         let mut users = 0;
@@ -72,7 +88,14 @@ impl FlightRecorder {
         self.held.clear();
         let held = std::mem::take(&mut self.held_chunks).into_values().map(|(chunk, _)| chunk);
         let count = self.frames.len() as u64;
-        let chunks = held.chain(self.frames.drain(..).flatten()).chain(self.open.drain(..)).collect();
+        let frames = self.frames.drain(..).flat_map(|(_, chunks)| chunks);
+        let chunks: Vec<Chunk> = held.chain(frames).chain(self.open.drain(..)).collect();
+        self.lines.extend(chunks.iter().filter(|chunk| is_line(chunk)).map(|chunk| chunk.entity_path().to_string()));
         (chunks, count)
     }
+}
+
+/// Whether a chunk has points of a line.
+fn is_line(chunk: &Chunk) -> bool {
+    chunk.components().contains_key(&Scalars::descriptor_scalars().component)
 }

@@ -23,7 +23,7 @@
 //!
 //! # What a recording holds
 //! Two timelines, `step` and `sim_time`, and these entities. A value that did not change is not logged again. Equal runs give
-//! equal recordings but for `/timings` and the machine's name.
+//! equal recordings but for `/timings`, the ranges that the layout has for their plots, and the machine's name.
 //!
 //! | entity | what |
 //! | --- | --- |

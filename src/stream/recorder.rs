@@ -9,7 +9,7 @@ use std::{
 };
 
 use rerun::{
-    AnyValues, AsComponents, StoreId, StoreKind, TextDocument, TextLog, ViewCoordinates,
+    AnyValues, AsComponents, Scalars, StoreId, StoreKind, TextDocument, TextLog, ViewCoordinates,
     components::{MediaType, Scalar, Text},
     external::re_log_types::{ApplicationId, LogMsg},
 };
@@ -27,7 +27,7 @@ use super::{
         spheres::Spheres,
     },
     series::Series,
-    settings::{FORMAT, Frames, recording_id},
+    settings::{FORMAT, Frames, application, recording_id},
     step::{StageWatch, Step},
 };
 pub use super::{
@@ -91,14 +91,21 @@ impl Recorder {
 
     /// Begins a recording: its properties, everything static, the blueprint, and the world as it is.
     pub fn new(world: &World, settings: Settings) -> Recorder {
+        Recorder::numbered(world, settings, 0)
+    }
+
+    /// The same of run `number`, from 0, of those that one viewer is to keep apart, whatever they are of.
+    pub fn numbered(world: &World, settings: Settings, number: u64) -> Recorder {
         let scene = world.scene().clone();
-        // A viewer keeps one layout an application: each scene is one, so that layouts do not replace each other's.
-        let application = ApplicationId::new_or_unknown(format!("meldscope_{}", file_stem(&scene.name)));
-        let id = recording_id(&scene.name, &scene.source, &settings.to_toml(), env!("CARGO_PKG_VERSION"));
+        let application = ApplicationId::new_or_unknown(application(&scene.name));
+        let mut id = recording_id(&scene.name, &scene.source, &settings.to_toml(), env!("CARGO_PKG_VERSION"));
+        if number > 0 {
+            id = format!("{number}-{id}");
+        }
         let mut chunks = Chunks::new(StoreId::new(StoreKind::Recording, application, id));
         log_properties(&scene, &settings, &mut chunks);
         chunks.log_static("/world", &ViewCoordinates::RIGHT_HAND_Z_UP());
-        let about = TextDocument::new(blueprint::about(&scene, &settings));
+        let about = TextDocument::new(blueprint::about(&scene, &settings, world.steps_taken()));
         chunks.log_static("/about", &about.with_media_type(MediaType::MARKDOWN));
         let mut recorder = Recorder {
             checksums: match settings.frames {
@@ -292,7 +299,15 @@ impl Recorder {
             }
         }
         if report.step.is_multiple_of(self.settings.every) {
-            flight.end_frame();
+            let at = Instant { step: report.step, time: report.time };
+            if let Some((at, lines)) = flight.end_frame(at) {
+                for line in lines {
+                    self.chunks.log(&line, at, &Scalars::new([0.0; 0]));
+                }
+                for gap in self.chunks.drain() {
+                    self.chunks.send(gap);
+                }
+            }
         }
         if on.iter().any(|trigger| trigger.is_in(report)) {
             self.write_kept();
@@ -326,7 +341,8 @@ impl Recorder {
 impl Frame {
     /// Logs what stays the same.
     fn new(scene: &Scene, settings: &Settings, chunks: &mut Chunks) -> Frame {
-        let mut series = Series::default();
+        let mut series =
+            if matches!(settings.frames, Frames::Last { .. }) { Series::whole() } else { Series::default() };
         let state = State::new(scene, settings, chunks);
         let numbers = Numbers::new(&mut series, chunks);
         Frame { state, pairs: Pairs::new(settings.pairs), numbers, series }

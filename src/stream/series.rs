@@ -22,6 +22,7 @@ pub enum Shape {
 #[derive(Default)]
 pub struct Series {
     lines: Vec<Line>,
+    is_whole: bool,
 }
 
 /// One of them.
@@ -43,6 +44,11 @@ struct Last {
 }
 
 impl Series {
+    /// Lines with a point in every frame, whether the value changed or not: of some frames of a run, the first has them all.
+    pub fn whole() -> Series {
+        Series { lines: Vec::new(), is_whole: true }
+    }
+
     /// Names and colours a line.
     pub fn style(chunks: &mut Chunks, entity: &str, name: &str, rgb: Rgb, width: f32, shape: Shape) {
         let mode = match shape {
@@ -68,7 +74,11 @@ impl Series {
     pub fn log(&mut self, chunks: &mut Chunks, LineId(line): LineId, value: f64, now: Instant) {
         let Line { track, shape, last } = &mut self.lines[line];
         match last {
-            Some(last) if last.value == value => last.seen = now,
+            Some(last) if last.value == value && !self.is_whole => last.seen = now,
+            Some(last) if self.is_whole => {
+                chunks.push(*track, now, &[Cell::Scalars(&[value])]);
+                *last = Last { value, logged: now, seen: now };
+            }
             Some(Last { value: before, logged, seen }) => {
                 // A straight line was level until the value was last seen: it needs that corner.
                 if *shape == Shape::Linear && logged.step < seen.step {
