@@ -1,9 +1,9 @@
 //! The chunks of a recording, one after the other, from a file that may hold anything.
 //!
 //! The SDK's own decoder takes every length in a file at its word (it allocates what a header claims, and panics where
-//! Arrow's reader does), so the frames are read here: no message is larger than the file, nothing is unpacked to more
-//! than LZ4 can, and no buffer is larger than the message that it is in. What is left to the SDK and to Arrow is to
-//! decode one message whose sizes fit; if they should panic over it, it is damaged, too.
+//! Arrow's reader does), so the frames are read here: no message is larger than the file, nothing is unpacked to much
+//! more than the file is large, and no buffer is larger than the message that it is in. What is left to the SDK and to
+//! Arrow is to decode one message whose sizes fit; if they should panic over it, it is damaged, too.
 //!
 //! Frames of an .rrd file: `RRF2`, version (4 bytes), options (4 bytes); messages, each with a kind and a length (8 bytes
 //! each, little-endian); an end message and a footer, for random access, which this does not need.
@@ -31,6 +31,12 @@ use super::ReadError;
 const LARGEST_MESSAGE: u64 = 1 << 30;
 /// What LZ4 can pack into a byte [bytes].
 const LZ4_RATIO: u64 = 255;
+/// What the messages of a recording may unpack to, all together: so much, and so many times what was read of the file
+/// until then. Recordings come to 2 or 3 times, long texts to 20: whatever is kept of a file, its memory and time follow
+/// from the file's size.
+const UNPACKED: (u64, u64) = (64 << 20, 16);
+/// Rows of a recording: so many, and one for so many bytes of the file. Ids, times and values come to 14 bytes or more.
+const ROWS: (u64, u64) = (4096, 8);
 
 /// How a file ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,8 +55,15 @@ pub struct Reader {
     at: u64,
     /// Size of the file [bytes].
     size: u64,
-    /// Of the recording: that of its first message.
+    /// What was unpacked so far [bytes].
+    unpacked: u64,
+    /// Rows of the chunks that were given.
+    rows: u64,
+    /// Nothing is read from here on [bytes from the start].
+    limit: u64,
+    /// Of the recording: those of its first message.
     id: Option<String>,
+    application: Option<String>,
     end: Option<End>,
 }
 
@@ -71,7 +84,18 @@ impl Reader {
         // a pipe or a device says nothing of its size: then it is what a recording can be at most
         let size = if metadata.is_file() { metadata.len() } else { u64::MAX };
         let input = BufReader::with_capacity(256 << 10, file);
-        let mut reader = Reader { path: path.to_owned(), input, at: 0, size, id: None, end: None };
+        let mut reader = Reader {
+            path: path.to_owned(),
+            input,
+            at: 0,
+            size,
+            unpacked: 0,
+            rows: 0,
+            limit: u64::MAX,
+            id: None,
+            application: None,
+            end: None,
+        };
         reader.header()?;
         Ok(reader)
     }
@@ -116,6 +140,21 @@ impl Reader {
         self.id.as_deref()
     }
 
+    /// The id of the application that made it, once there was a message of it.
+    pub fn application(&self) -> Option<&str> {
+        self.application.as_deref()
+    }
+
+    /// Bytes read so far.
+    pub fn at(&self) -> u64 {
+        self.at
+    }
+
+    /// Ends with the first message that begins beyond so many bytes.
+    pub fn stop_after(&mut self, bytes: u64) {
+        self.limit = bytes;
+    }
+
     /// How the file ended, once it has.
     pub fn end(&self) -> Option<End> {
         self.end
@@ -127,6 +166,10 @@ impl Reader {
     /// It cannot be read, or what is there is no message. A message that is not all there is the end, not an error.
     pub fn next(&mut self, wanted: impl Fn(&str) -> bool) -> Result<Option<Chunk>, ReadError> {
         while self.end.is_none() {
+            if self.at > self.limit {
+                self.end = Some(End::Cut);
+                break;
+            }
             let mut header = [0; 16];
             if self.fill(&mut header)? < header.len() {
                 self.end = Some(End::Cut);
@@ -166,14 +209,27 @@ impl Reader {
                         continue;
                     }
                     match &self.id {
-                        None => self.id = Some(envelope.recording_id.clone()),
+                        None => {
+                            self.id = Some(envelope.recording_id.clone());
+                            self.application = Some(envelope.application.clone());
+                        }
                         Some(id) if *id != envelope.recording_id => {
                             let what = "it holds more than one recording".to_owned();
                             return Err(ReadError::Foreign { path: self.path.clone(), what });
                         }
                         Some(_) => {}
                     }
+                    self.unpacked = self.unpacked.saturating_add(envelope.unpacked_size());
+                    let most = UNPACKED.0.saturating_add(UNPACKED.1.saturating_mul(self.at));
+                    if self.unpacked > most {
+                        let (read, unpacked) = (self.at, self.unpacked);
+                        return Err(damaged(format!("{read} bytes are said to unpack to {unpacked} bytes")));
+                    }
                     if let Some(chunk) = catching(|| envelope.chunk(&wanted)).map_err(damaged)? {
+                        self.rows = self.rows.saturating_add(chunk.num_rows() as u64);
+                        if self.rows > ROWS.0 + self.at / ROWS.1 {
+                            return Err(damaged(format!("{} rows within {} bytes", self.rows, self.at)));
+                        }
                         return Ok(Some(chunk));
                     }
                 }
@@ -223,6 +279,7 @@ impl Reader {
 struct Envelope<'a> {
     is_recording: bool,
     recording_id: String,
+    application: String,
     compression: u64,
     uncompressed: u64,
     payload: &'a [u8],
@@ -233,6 +290,7 @@ impl<'a> Envelope<'a> {
         let mut envelope = Envelope {
             is_recording: false,
             recording_id: String::new(),
+            application: String::new(),
             compression: 0,
             uncompressed: 0,
             payload: &[],
@@ -245,6 +303,13 @@ impl<'a> Envelope<'a> {
                         match field? {
                             (1, Value::Number(kind)) => envelope.is_recording = kind == 1,
                             (2, Value::Bytes(id)) => envelope.recording_id = String::from_utf8_lossy(id).into_owned(),
+                            (3, Value::Bytes(application)) => {
+                                for field in Fields(application) {
+                                    if let (1, Value::Bytes(id)) = field? {
+                                        envelope.application = String::from_utf8_lossy(id).into_owned();
+                                    }
+                                }
+                            }
                             _ => {}
                         }
                     }
@@ -260,6 +325,11 @@ impl<'a> Envelope<'a> {
             return Err("a message that is not in Arrow's format".to_owned());
         }
         Ok(envelope)
+    }
+
+    /// What the message says that it takes [bytes].
+    fn unpacked_size(&self) -> u64 {
+        if self.compression == 2 { self.uncompressed } else { self.payload.len() as u64 }
     }
 
     /// The chunk, if its entity is wanted.
@@ -328,6 +398,12 @@ fn check_lengths(mut data: &[u8]) -> Result<(), String> {
         let metadata = usize::try_from(length).ok().and_then(|length| split(&mut data, length)).ok_or_else(short)?;
         let message = ipc::root_as_message(metadata)
             .map_err(|error| format!("a message is no Arrow data ({})", brief(&error)))?;
+        // nobody packs a body once more, and what it would unpack to is for its reader to believe
+        let is_packed = |batch: Option<ipc::RecordBatch<'_>>| batch.is_some_and(|batch| batch.compression().is_some());
+        let dictionary = message.header_as_dictionary_batch().and_then(|dictionary| dictionary.data());
+        if is_packed(message.header_as_record_batch()) || is_packed(dictionary) {
+            return Err("a message that is packed twice".to_owned());
+        }
         let body = usize::try_from(message.bodyLength()).ok();
         body.and_then(|length| split(&mut data, length)).ok_or_else(short)?;
     }

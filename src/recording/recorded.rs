@@ -26,9 +26,15 @@ use crate::{
 };
 
 /// Where the properties are.
-const PROPERTIES: &str = "/__properties/meldscope";
-/// Most steps that the checksums of a recording are kept of: 8 GiB would be more than a mistake.
-const MOST_STEPS: usize = 1 << 30;
+pub(super) const PROPERTIES: &str = "/__properties/meldscope";
+/// Checksums do not pack: each takes so much of its file [bytes].
+const CHECKSUM_BYTES: u64 = 8;
+/// So many may be read before the file has room for them.
+const SPARE: u64 = 4096;
+/// No property but the scene is longer [bytes].
+const LONGEST_PROPERTY: usize = 64 << 10;
+/// A scene's text packs to no less than a part in so many, beyond this length [bytes].
+const TEXT: (u64, u64) = (1 << 20, 16);
 
 /// A recording without its frames.
 #[derive(Clone, Debug)]
@@ -95,8 +101,8 @@ impl Recorded {
         while let Some(chunk) = reader.next(|entity| [PROPERTIES, checksums::ENTITY, "/events"].contains(&entity))? {
             let damaged = |what: String| ReadError::Damaged { path: path.to_owned(), at: None, what };
             match chunk.entity_path().to_string().as_str() {
-                PROPERTIES => properties.take(&chunk),
-                checksums::ENTITY => sums.take(&chunk).map_err(damaged)?,
+                PROPERTIES => properties.take(&chunk, reader.at()).map_err(damaged)?,
+                checksums::ENTITY => sums.take(&chunk, reader.at()).map_err(damaged)?,
                 _ => events.extend(happened(&chunk).map_err(damaged)?),
             }
         }
@@ -130,7 +136,8 @@ impl Recorded {
 }
 
 impl Properties {
-    fn take(&mut self, chunk: &Chunk) {
+    /// Those of a chunk, with which `read` bytes of the file are read.
+    fn take(&mut self, chunk: &Chunk, read: u64) -> Result<(), String> {
         for (field, name) in [
             (&mut self.scene, "scene"),
             (&mut self.settings, "settings"),
@@ -141,10 +148,19 @@ impl Properties {
             (&mut self.digest, "digest"),
         ] {
             if let Some(text) = cell::<Utf8>(chunk, name, 0).into_iter().next() {
-                *field = Some(text.as_str().to_owned());
+                let text = text.as_str();
+                let most = match name {
+                    "scene" => Scene::LARGEST_TEXT.min(TEXT.0 + TEXT.1 * read) as usize,
+                    _ => LONGEST_PROPERTY,
+                };
+                if text.len() > most {
+                    return Err(format!("its {name} has {} bytes, more than the {most} that it may have", text.len()));
+                }
+                *field = Some(text.to_owned());
             }
         }
         self.format = cell::<Float64>(chunk, "format", 0).first().map(|number| number.0).or(self.format);
+        Ok(())
     }
 
     fn understand(
@@ -240,12 +256,13 @@ struct Checksums {
 }
 
 impl Checksums {
-    fn take(&mut self, chunk: &Chunk) -> Result<(), String> {
+    /// Those of a chunk, with which `read` bytes of the file are read.
+    fn take(&mut self, chunk: &Chunk, read: u64) -> Result<(), String> {
         for row in 0..chunk.num_rows() {
             let step = u64::try_from(step_of(chunk, row)?).map_err(|_| "a checksum of a negative step".to_owned())?;
             let cell = raw(chunk, checksums::COMPONENT, row).ok_or("a row of no checksum")?;
             let values = cell.as_primitive_opt::<UInt64Type>().ok_or("checksums that are no numbers")?.values();
-            let first = (step + 1).checked_sub(values.len() as u64).ok_or("checksums of negative steps")?;
+            let first = step.saturating_add(1).checked_sub(values.len() as u64).ok_or("checksums of negative steps")?;
             if self.values.is_empty() {
                 self.first = first;
             }
@@ -253,8 +270,9 @@ impl Checksums {
             if first != next {
                 return Err(format!("where the checksum of step {next} should be is that of step {first}"));
             }
-            if self.values.len() + values.len() > MOST_STEPS {
-                return Err(format!("checksums of more than {MOST_STEPS} steps"));
+            let count = (self.values.len() + values.len()) as u64;
+            if count > SPARE + read / CHECKSUM_BYTES {
+                return Err(format!("{count} checksums within {read} bytes"));
             }
             self.values.extend_from_slice(values);
         }

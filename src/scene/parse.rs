@@ -115,6 +115,9 @@ impl Scene {
     /// The numbers that a scene can have where one must be positive: radii, steps, tolerances, and so on.
     pub const POSITIVE: RangeInclusive<f64> = SMALLEST..=LARGEST;
 
+    /// The most that a scene's text may have [bytes].
+    pub const LARGEST_TEXT: u64 = LARGEST_FILE;
+
     /// The scene in the file at `path`.
     ///
     /// # Errors

@@ -7,29 +7,35 @@ use std::{
     fs,
     path::Path,
     process::Command,
-    time::{Duration, Instant},
+    sync::Arc,
+    time::{Duration, Instant as Clock},
 };
 
 use meldscope::{
     Scene,
-    recording::{ReadError, Recorded, frames::Frames, golden, replay},
+    recording::{ReadError, Recorded, frames::Frames, golden, read::Reader, replay},
     scene::builtin,
     stream::{
         chunks,
+        instant::Instant,
         settings::{Entities, Settings},
     },
 };
 use rerun::{
-    StoreId, StoreKind, TextDocument,
+    AnyValues, StoreId, StoreKind, TextDocument, TextLog,
     external::{
+        arrow::{
+            array::{ArrayRef, Float64Array, UInt32Array, UInt64Array},
+            ipc::root_as_message,
+        },
         re_build_info::CrateVersion,
-        re_log_encoding::{Encoder, EncodingOptions},
+        re_log_encoding::{Encoder, EncodingOptions, external::lz4_flex},
     },
 };
 
 use crate::recording::Dir;
 
-const SCENE: &str = r#"
+pub const SCENE: &str = r#"
 name = "small"
 duration = 0.5
 
@@ -150,7 +156,7 @@ fn no_broken_recording_brings_the_reader_down() {
     let corpus = corpus(&dir);
     let scene = Scene::parse(SCENE, "small").expect("a scene");
     let mut random = Random(0x9e37_79b9_7f4a_7c15);
-    let (start, limit) = (Instant::now(), Duration::from_secs_f64(seconds()));
+    let (start, limit) = (Clock::now(), Duration::from_secs_f64(seconds()));
     let (mut runs, mut refused) = (0u64, 0u64);
     let path = dir.file("broken.rrd");
     while start.elapsed() < limit {
@@ -182,7 +188,7 @@ fn no_broken_scene_brings_the_parser_down() {
     let mut random = Random(0x2545_f491_4f6c_dd1d);
     let texts: Vec<&str> =
         builtin::ALL.iter().map(|builtin| builtin.text).filter(|text| text.len() < 4096).chain([SCENE]).collect();
-    let (start, limit) = (Instant::now(), Duration::from_secs_f64(seconds()));
+    let (start, limit) = (Clock::now(), Duration::from_secs_f64(seconds()));
     let (mut runs, mut refused) = (0u64, 0u64);
     while start.elapsed() < limit {
         let mut bytes = texts[random.below(texts.len())].as_bytes().to_vec();
@@ -265,7 +271,7 @@ fn broken_recordings_are_refused_with_what_is_wrong() {
 }
 
 /// A recording of these, as a file has it.
-fn encoded(mut chunks: chunks::Chunks) -> Vec<u8> {
+pub fn encoded(mut chunks: chunks::Chunks) -> Vec<u8> {
     let mut bytes = Vec::new();
     let (messages, options) = (chunks.take(), EncodingOptions::PROTOBUF_COMPRESSED);
     Encoder::encode_into(CrateVersion::LOCAL, options, messages.iter().map(Ok), &mut bytes).expect("it encodes");
@@ -308,5 +314,434 @@ fn other_formats_are_named() {
         fs::write(dir.file("format.rrd"), encoded(chunks)).expect("room");
         let (status, said) = program(&dir, &["replay", "format.rrd"]);
         assert!(status == 2 && said.contains(what), "{said}");
+    }
+}
+
+// ---- chunks that lie ---------------------------------------------------------------------------------------------------
+
+/// A message as it is in a file: its kind, and what is in it.
+#[derive(Clone)]
+pub struct Message {
+    pub kind: u64,
+    pub body: Vec<u8>,
+}
+
+/// The messages of a whole recording, but for its end.
+fn messages(bytes: &[u8]) -> Vec<Message> {
+    let mut rest = &bytes[12..];
+    let mut messages = Vec::new();
+    while let Some((header, after)) = rest.split_at_checked(16) {
+        let [kind, length] = [&header[..8], &header[8..]].map(|word| u64::from_le_bytes(word.try_into().expect("8")));
+        if kind == 0 {
+            break;
+        }
+        let (body, after) = after.split_at(length as usize);
+        messages.push(Message { kind, body: body.to_vec() });
+        rest = after;
+    }
+    messages
+}
+
+/// The file that these are, without a footer.
+pub fn file(messages: &[Message]) -> Vec<u8> {
+    let mut bytes = b"RRF2\x00\x24\x03\x00\x01\x02\x00\x00".to_vec();
+    for Message { kind, body } in messages {
+        bytes.extend(kind.to_le_bytes());
+        bytes.extend((body.len() as u64).to_le_bytes());
+        bytes.extend(body);
+    }
+    bytes.extend([0; 16]);
+    bytes
+}
+
+/// A Protobuf message: numbers and bytes by field.
+pub type Fields = Vec<(u64, Result<u64, Vec<u8>>)>;
+
+pub fn fields(mut bytes: &[u8]) -> Fields {
+    fn varint(bytes: &mut &[u8]) -> u64 {
+        let mut value = 0;
+        for shift in (0..).step_by(7) {
+            let (&byte, rest) = bytes.split_first().expect("a byte");
+            *bytes = rest;
+            value |= u64::from(byte & 0x7f) << shift;
+            if byte < 0x80 {
+                break;
+            }
+        }
+        value
+    }
+    let mut fields = Fields::new();
+    while !bytes.is_empty() {
+        let key = varint(&mut bytes);
+        let value = varint(&mut bytes);
+        fields.push((
+            key >> 3,
+            if key & 7 == 0 {
+                Ok(value)
+            } else {
+                let (head, rest) = bytes.split_at(value as usize);
+                bytes = rest;
+                Err(head.to_vec())
+            },
+        ));
+    }
+    fields
+}
+
+fn unfields(fields: &Fields) -> Vec<u8> {
+    fn varint(bytes: &mut Vec<u8>, mut value: u64) {
+        while value >= 0x80 {
+            bytes.push(value as u8 | 0x80);
+            value >>= 7;
+        }
+        bytes.push(value as u8);
+    }
+    let mut bytes = Vec::new();
+    for (field, value) in fields {
+        match value {
+            Ok(number) => {
+                varint(&mut bytes, field << 3);
+                varint(&mut bytes, *number);
+            }
+            Err(data) => {
+                varint(&mut bytes, field << 3 | 2);
+                varint(&mut bytes, data.len() as u64);
+                bytes.extend(data);
+            }
+        }
+    }
+    bytes
+}
+
+/// `data` and then so many zeros, as LZ4 packs it.
+fn packed(data: &[u8], zeros: usize) -> Vec<u8> {
+    if zeros == 0 {
+        return lz4_flex::block::compress(data);
+    }
+    fn length(bytes: &mut Vec<u8>, mut rest: usize) {
+        while rest >= 255 {
+            bytes.push(255);
+            rest -= 255;
+        }
+        bytes.push(rest as u8);
+    }
+    // literals, one zero more than there is; then that zero over and over; then the literals that must be at the end
+    let mut bytes = vec![0xff];
+    length(&mut bytes, (data.len() + 1).max(15) - 15);
+    bytes.extend(data.iter().chain(std::iter::repeat_n(&0, 1 + 15usize.saturating_sub(data.len() + 1))));
+    bytes.extend(1u16.to_le_bytes());
+    length(&mut bytes, zeros.max(27) - 26);
+    bytes.push(12 << 4);
+    bytes.extend([0; 12]);
+    bytes
+}
+
+/// What is packed in a message, and its envelope.
+fn unpacked(message: &Message) -> (Fields, Vec<u8>) {
+    let envelope = fields(&message.body);
+    let number = |field: u64| envelope.iter().find_map(|(f, value)| value.as_ref().ok().filter(|_| *f == field));
+    let payload = envelope.iter().find_map(|(f, value)| value.as_ref().err().filter(|_| *f == 5)).expect("a payload");
+    let data = match number(2) {
+        Some(2) => {
+            let size = *number(3).expect("a size") as usize;
+            lz4_flex::block::decompress(payload, size).expect("a message of our own")
+        }
+        _ => payload.clone(),
+    };
+    (envelope, data)
+}
+
+/// The same with other data, and more zeros than that.
+fn repacked(message: &Message, data: &[u8], zeros: usize) -> Message {
+    let (mut envelope, _) = unpacked(message);
+    let payload = packed(data, zeros);
+    let size = if zeros == 0 { data.len() } else { (data.len() + 1).max(15) + zeros.max(27) - 26 + 19 + 12 };
+    envelope.retain(|(field, _)| ![2, 3, 5].contains(field));
+    envelope.extend([(2, Ok(2)), (3, Ok(size as u64)), (5, Err(payload))]);
+    Message { kind: message.kind, body: unfields(&envelope) }
+}
+
+/// The ranges of the metadata of an Arrow stream.
+fn metadata(data: &[u8]) -> Vec<std::ops::Range<usize>> {
+    let word = |at: usize| data.get(at..at + 4).map(|word| u32::from_le_bytes(word.try_into().expect("4")));
+    let (mut at, mut ranges) = (0, Vec::new());
+    while let (Some(u32::MAX), Some(length @ 1..)) = (word(at), word(at + 4)) {
+        let range = at + 8..at + 8 + length as usize;
+        let message = root_as_message(&data[range.clone()]).expect("a message of our own");
+        at = range.end + message.bodyLength() as usize;
+        ranges.push(range);
+    }
+    ranges
+}
+
+/// A number to lie with.
+fn lie(random: &mut Random, truth: u64) -> u64 {
+    let lies =
+        [0, 1, truth.wrapping_sub(1), truth + 1, 2 * truth, 255 * truth, 1 << 20, 1 << 28, 1 << 30, 1 << 31, 1 << 40];
+    let more = [1 << 62, i64::MAX as u64, 1 << 63, u64::MAX, u64::from(u32::MAX), i32::MAX as u64, random.next()];
+    let lies = [&lies[..], &more].concat();
+    lies[random.below(lies.len())]
+}
+
+/// Chunks of what a recording has, and of what it has not, of any size.
+fn strange(random: &mut Random, id: &str) -> Vec<Message> {
+    let mut chunks = chunks::Chunks::new(StoreId::new(StoreKind::Recording, "meldscope_small", id));
+    let many = [0, 1, 7, 1000, 100_000, 3_000_000][random.below(6)];
+    let few = [0, 1, 100, 5_000][random.below(4)];
+    let at = |step: u64| Instant { step, time: step as f64 / 60.0 };
+    let step = [0, 1, 31, 32, many as u64, i64::MAX as u64, u64::MAX][random.below(7)];
+    let values = |count: usize| Arc::new(UInt64Array::from(vec![0; count])) as ArrayRef;
+    let checksum = |count| AnyValues::default().with_component_from_data("checksum", values(count));
+    match random.below(9) {
+        0 => chunks.log("/checksum", at(step), &checksum(many)),
+        1 => (0..few).for_each(|row| chunks.log("/checksum", at(31 + row as u64), &checksum(row % 3))),
+        2 => {
+            let line = TextLog::new("merge a~b at t = 0.1").with_level("merge");
+            (0..few).for_each(|_| chunks.log("/events", at(step), &line));
+        }
+        3 => {
+            let text = ["x", "[[", "a.", "\u{1b}[2J", "é"][random.below(5)].repeat(many);
+            let name = ["scene", "settings", "version", "overrides", "blessed", "digest", "counts"][random.below(7)];
+            let property = AnyValues::default().with_component::<rerun::components::Text>(name, [text]);
+            chunks.log_static("/__properties/meldscope", &property);
+        }
+        4 => {
+            let points = vec![[0.0f32; 3]; many.min(1_000_000)];
+            let entity = ["/world/bodies/a/surface", "/world/bodies/none/surface", "/world/deforming/surface"];
+            chunks.log(
+                entity[random.below(3)],
+                at(step),
+                &rerun::Mesh3D::update_fields().with_vertex_positions(points),
+            );
+        }
+        5 => (0..few).for_each(|n| chunks.log(&format!("/world/bodies/{n}"), at(step), &rerun::Scalars::single(0.0))),
+        6 => (0..few).for_each(|row| chunks.log("/timings/integrate", at(row as u64), &rerun::Scalars::single(0.0))),
+        7 => {
+            let bodies = Arc::new(UInt32Array::from(vec![1; many])) as ArrayRef;
+            let floats = Arc::new(Float64Array::from(vec![0.0; many])) as ArrayRef;
+            let states = AnyValues::default()
+                .with_component_from_data("bodies", bodies)
+                .with_component_from_data("displacements", floats);
+            chunks.log(golden::STATES, at(step), &states);
+        }
+        _ => {
+            let format = [f64::NAN, 1.0, 2.0, -0.0, 1e300][random.below(5)];
+            let property = AnyValues::default().with_component::<rerun::components::Scalar>("format", [format]);
+            chunks.log_static("/__properties/meldscope", &property);
+        }
+    }
+    messages(&encoded(chunks))
+}
+
+/// Lies in one of many ways.
+fn distort(messages: &mut Vec<Message>, random: &mut Random) {
+    let of_chunks: Vec<usize> = (0..messages.len()).filter(|&i| messages[i].kind == 2).collect();
+    let Some(&chosen) = of_chunks.get(random.below(of_chunks.len())) else { return };
+    let (envelope, mut data) = unpacked_or_empty(&messages[chosen]);
+    match random.below(12) {
+        // what it unpacks to, how it is packed, whose it is
+        0 => {
+            let mut envelope = envelope;
+            let field = random.below(envelope.len());
+            if let Some((_, value)) = envelope.get_mut(field) {
+                match value {
+                    Ok(number) => *number = lie(random, *number),
+                    Err(bytes) => mutate(bytes, random),
+                }
+            }
+            messages[chosen].body = unfields(&envelope);
+        }
+        1 => {
+            let zeros = [1 << 10, 1 << 20, 1 << 24, 1 << 27, 3 << 28][random.below(5)];
+            messages[chosen] = repacked(&messages[chosen], &data, zeros);
+        }
+        // Arrow's own numbers, with all around them in order
+        2..=5 => {
+            let ranges = metadata(&data);
+            if let Some(range) = ranges.get(random.below(ranges.len())) {
+                for _ in 0..=random.below(2) {
+                    let wide = if random.below(2) == 0 { 8 } else { 4 };
+                    let at = range.start + random.below(range.len() / wide) * wide;
+                    let Some(word) = data.get_mut(at..at + wide) else { continue };
+                    let truth = word.iter().rev().fold(0, |n, &byte| n << 8 | u64::from(byte));
+                    word.copy_from_slice(&lie(random, truth & 0xffff_ffff).to_le_bytes()[..wide]);
+                }
+            }
+            messages[chosen] = repacked(&messages[chosen], &data, 0);
+        }
+        // what they are about: offsets, ids, times, values
+        6 | 7 => {
+            let from = metadata(&data).last().map_or(0, |range| range.end);
+            for _ in 0..=random.below(3) {
+                let at = from + random.below((data.len() - from.min(data.len())) / 4) * 4;
+                let Some(word) = data.get_mut(at..at + 4) else { continue };
+                let truth = word.iter().rev().fold(0, |n, &byte| n << 8 | u64::from(byte));
+                word.copy_from_slice(&(lie(random, truth) as u32).to_le_bytes());
+            }
+            messages[chosen] = repacked(&messages[chosen], &data, 0);
+        }
+        8 => {
+            mutate(&mut data, random);
+            messages[chosen] = repacked(&messages[chosen], &data, 0);
+        }
+        // the order, the number, and the kind of messages
+        9 => match random.below(4) {
+            0 => {
+                let other = random.below(messages.len());
+                messages.swap(chosen, other);
+            }
+            1 => drop(messages.remove(chosen)),
+            2 => {
+                let message = messages[chosen].clone();
+                let times = [1, 2, 500][random.below(3)];
+                messages.splice(chosen..chosen, std::iter::repeat_n(message, times));
+            }
+            _ => messages[chosen].kind = random.next() % 5,
+        },
+        // what another program could have put there
+        _ => {
+            let (envelope, _) = unpacked_or_empty(&messages[chosen]);
+            let store = envelope.iter().find_map(|(field, value)| value.as_ref().err().filter(|_| *field == 1));
+            let id = store.and_then(|store| {
+                fields_or_none(store)?.into_iter().find_map(|(field, value)| value.err().filter(|_| field == 2))
+            });
+            let id = String::from_utf8(id.unwrap_or_default()).unwrap_or_default();
+            let to = random.below(messages.len() + 1);
+            messages.splice(to..to, strange(random, &id));
+        }
+    }
+}
+
+/// A message may have been made unreadable before.
+fn unpacked_or_empty(message: &Message) -> (Fields, Vec<u8>) {
+    let message = message.clone();
+    quietly(move || unpacked(&message)).unwrap_or_default()
+}
+
+fn fields_or_none(bytes: &[u8]) -> Option<Fields> {
+    let bytes = bytes.to_vec();
+    quietly(move || fields(&bytes))
+}
+
+/// Nothing, if it panics.
+fn quietly<T>(work: impl FnOnce() -> T) -> Option<T> {
+    std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).ok()
+}
+
+/// The most memory that reading a recording may take, and the longest that it may last.
+const MOST_MEMORY: u64 = 1 << 30;
+const MOST_TIME: Duration = Duration::from_secs(10);
+
+#[test]
+fn no_broken_structure_brings_the_reader_down() {
+    let dir = Dir::new();
+    let corpus: Vec<Vec<Message>> = corpus(&dir).iter().map(|bytes| messages(bytes)).collect();
+    let scene = Scene::parse(SCENE, "small").expect("a scene");
+    let mut random = Random(0x0dd_c0ffee);
+    let (start, limit) = (Clock::now(), Duration::from_secs_f64(seconds()));
+    let (mut runs, mut refused, mut slowest, mut largest) = (0u64, 0u64, Duration::ZERO, 0);
+    let path = dir.file("broken.rrd");
+    while start.elapsed() < limit {
+        let mut messages = corpus[random.below(corpus.len())].clone();
+        for _ in 0..=random.below(3) {
+            distort(&mut messages, &mut random);
+        }
+        let mut bytes = file(&messages);
+        if random.below(10) == 0 {
+            mutate(&mut bytes, &mut random);
+        }
+        fs::write(&path, &bytes).expect("room");
+        let keep = |what: &str| {
+            let kept = std::env::temp_dir().join("meldscope-broken.rrd");
+            fs::write(&kept, &bytes).expect("room");
+            panic!("after {runs} recordings, {}: {what}", kept.display());
+        };
+        let began = Clock::now();
+        let mut outcome = None;
+        let memory = allocation_counter::measure(|| outcome = quietly(|| use_it(&path, &scene)));
+        match outcome {
+            Some(Ok(())) => {}
+            Some(Err(error)) => {
+                let text = error.to_string();
+                assert!(!text.contains('\n') && text.contains("broken.rrd"), "{text}");
+                refused += 1;
+            }
+            None => keep("it brought the reader down"),
+        }
+        (slowest, largest) = (slowest.max(began.elapsed()), largest.max(memory.bytes_max));
+        if began.elapsed() > MOST_TIME || memory.bytes_max > MOST_MEMORY {
+            keep(&format!("it took {:?} and {} bytes", began.elapsed(), memory.bytes_max));
+        }
+        runs += 1;
+    }
+    println!("{runs} recordings that lie, {refused} refused");
+    println!("at most {slowest:.1?} and {:.0} MiB", largest as f64 / f64::from(1 << 20));
+    assert!(runs > 20 && refused > runs / 4, "{runs} {refused}");
+}
+
+/// What packs well is no claim to memory: checksums that are all zeros, a scene of nothing, texts without end.
+#[test]
+fn what_a_recording_claims_is_measured_by_its_size() {
+    let dir = Dir::new();
+    let corpus = corpus(&dir);
+    let thin = messages(&corpus[3]);
+    let id = Recorded::open(&dir.file("thin.rrd")).map(|_| ()).and_then(|()| {
+        let mut reader = Reader::open(&dir.file("thin.rrd"))?;
+        while reader.next(|_| false)?.is_some() {}
+        Ok(reader.id().expect("an id").to_owned())
+    });
+    let id = id.expect("a recording");
+    let with = |chunks: chunks::Chunks| {
+        let mut all = thin.clone();
+        all.extend(messages(&encoded(chunks)));
+        fs::write(dir.file("claims.rrd"), file(&all)).expect("room");
+        let mut error = String::new();
+        let start = Clock::now();
+        let memory = allocation_counter::measure(|| {
+            error = Recorded::open(&dir.file("claims.rrd")).expect_err("it lies").to_string();
+        });
+        assert!(start.elapsed() < MOST_TIME && memory.bytes_max < 400 << 20, "{error}: {} bytes", memory.bytes_max);
+        error
+    };
+    let store = || chunks::Chunks::new(StoreId::new(StoreKind::Recording, "meldscope_small", id.as_str()));
+    let at = |step: u64| Instant { step, time: step as f64 / 60.0 };
+
+    // 80 and 8 MB of zeros
+    for (count, what) in [(10_000_000, "unpack to"), (1_000_000, "checksums within")] {
+        let mut chunks = store();
+        let zeros = Arc::new(UInt64Array::from(vec![0; count])) as ArrayRef;
+        let row = AnyValues::default().with_component_from_data("checksum", zeros);
+        chunks.log("/checksum", at(30 + count as u64), &row);
+        let error = with(chunks);
+        assert!(error.contains(what), "{error}");
+    }
+    let mut chunks = store();
+    let line = TextLog::new("merge a~b at t = 0.1").with_level("merge");
+    (0..100_000).for_each(|_| chunks.log("/events", at(3), &line));
+    let error = with(chunks);
+    assert!(error.contains("rows within"), "{error}");
+
+    // a scene that is longer than a file of one may be, and one that is longer than the recording has room for
+    for (length, what) in [(33 << 20, "more than the 33554432"), (25 << 20, "more than the")] {
+        let mut chunks = store();
+        let mut text = String::from(SCENE);
+        text.extend(std::iter::repeat_n('#', length));
+        if length > 32 << 20 {
+            // packs badly
+            let mut random = Random(3);
+            text.extend((0..1 << 21).map(|_| char::from(b'!' + (random.next() % 64) as u8)));
+        }
+        let property = AnyValues::default().with_component::<rerun::components::Text>("scene", [text]);
+        chunks.log_static("/__properties/meldscope", &property);
+        let error = with(chunks);
+        assert!(error.contains("its scene has") && error.contains(what), "{error}");
+    }
+    for name in ["settings", "version", "overrides", "machine", "blessed", "digest"] {
+        let mut chunks = store();
+        let text = "[".repeat(1 << 20);
+        let property = AnyValues::default().with_component::<rerun::components::Text>(name, [text]);
+        chunks.log_static("/__properties/meldscope", &property);
+        let error = with(chunks);
+        assert!(error.contains(&format!("its {name} has")), "{error}");
     }
 }
