@@ -1,5 +1,7 @@
 //! Words and figures for people.
 
+use std::borrow::Cow;
+
 use unit_prefix::NumberPrefix;
 
 /// Bytes as "512 B" or "1.5 GiB".
@@ -66,8 +68,42 @@ pub fn did_you_mean<'k>(word: &str, known: impl Iterator<Item = &'k str>) -> Str
     near.min_by_key(|(distance, _)| *distance).map_or(String::new(), |(_, word)| format!("; did you mean \"{word}\"?"))
 }
 
+/// `text` on one line, with everything escaped that could do more to a terminal than be shown: control characters (C0, C1
+/// and DEL: they move the cursor, set titles, erase), those that turn the direction of writing or end a line.
+///
+/// Texts of files go through here, names and paths too: whoever made the file chose them.
+pub fn printable(text: &str) -> Cow<'_, str> {
+    if !text.contains(is_unsafe) {
+        return Cow::Borrowed(text);
+    }
+    let mut escaped = String::with_capacity(text.len() + 16);
+    for c in text.chars() {
+        match c {
+            c if c.is_control() => escaped.extend(c.escape_debug()),
+            c if is_unsafe(c) => escaped.extend(c.escape_unicode()),
+            c => escaped.push(c),
+        }
+    }
+    Cow::Owned(escaped)
+}
+
+/// Whether a character does more than to be shown.
+fn is_unsafe(c: char) -> bool {
+    c.is_control()
+        || matches!(c,
+            '\u{61c}' | '\u{200e}' | '\u{200f}'         // marks of direction
+            | '\u{2028}' | '\u{2029}'                   // line and paragraph separators
+            | '\u{202a}'..='\u{202e}'                   // embeddings and overrides
+            | '\u{2066}'..='\u{2069}'                   // isolates
+            | '\u{fff9}'..='\u{fffb}'                   // annotations
+            | '\u{e0000}'..='\u{e007f}'                 // tags, which are not seen
+        )
+}
+
 #[cfg(all(test, feature = "viewer"))]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     #[test]
@@ -94,6 +130,40 @@ mod tests {
         let cases = [(0, "0 B"), (1023, "1023 B"), (1024, "1.0 KiB"), (1536 << 20, "1.5 GiB"), (u64::MAX, "16.0 EiB")];
         for (n, expected) in cases {
             assert_eq!(bytes(n), expected);
+        }
+    }
+
+    #[test]
+    fn what_a_terminal_obeys_is_escaped_and_the_rest_kept() {
+        let cases = [
+            ("größe 大きさ ~ q = 1.05 → b\\c", "größe 大きさ ~ q = 1.05 → b\\c"),
+            ("\u{1b}[2J\u{1b}]0;title\u{7}", r"\u{1b}[2J\u{1b}]0;title\u{7}"),
+            ("a\r\nb\tc\0\u{7f}", r"a\r\nb\tc\0\u{7f}"),
+            ("\u{9b}31m\u{85}", r"\u{9b}31m\u{85}"),
+            ("\u{202e}txt.exe\u{2066}\u{2028}", r"\u{202e}txt.exe\u{2066}\u{2028}"),
+        ];
+        for (text, expected) in cases {
+            assert_eq!(printable(text), expected);
+        }
+    }
+
+    /// Independent of the list above: what Unicode calls a control character, a separator of lines, or bidirectional.
+    fn is_obeyed(c: char) -> bool {
+        let code = u32::from(c);
+        code < 0x20
+            || (0x7f..0xa0).contains(&code)
+            || [0x61c, 0x200e, 0x200f, 0x2028, 0x2029].contains(&code)
+            || (0x202a..=0x202e).contains(&code)
+            || (0x2066..=0x2069).contains(&code)
+    }
+
+    proptest! {
+        #[test]
+        fn nothing_gets_through(text in any::<String>(), more in prop::collection::vec(0u32..0x2100, 0..40)) {
+            let text = text + &more.into_iter().filter_map(char::from_u32).collect::<String>();
+            let shown = printable(&text).into_owned();
+            prop_assert!(!shown.contains(is_obeyed), "{shown:?}");
+            prop_assert_eq!(printable(&shown), shown.as_str());
         }
     }
 }

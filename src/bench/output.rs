@@ -38,7 +38,7 @@ impl Output {
             return Err(io::ErrorKind::IsADirectory.into());
         }
         let output = Output { path, is_replaced: true };
-        File::create(output.partial())?;
+        File::create_new(output.partial())?; // through no link
         fs::remove_file(output.partial())?;
         Ok(output)
     }
@@ -64,10 +64,10 @@ impl Output {
             return OpenOptions::new().write(true).open(&self.path)?.write_all(text.as_bytes());
         }
         let partial = self.partial();
-        let written = File::create(&partial)
+        let written = File::create_new(&partial)
             .and_then(|mut file| file.write_all(text.as_bytes()).and_then(|()| file.sync_all()))
             .and_then(|()| fs::rename(&partial, &self.path));
-        if written.is_err() {
+        if written.as_ref().is_err_and(|error| error.kind() != io::ErrorKind::AlreadyExists) {
             fs::remove_file(&partial).ok();
         }
         written

@@ -3,12 +3,16 @@
 mod record;
 mod scale;
 
-use std::path::{Path, PathBuf};
+use std::{
+    fs::File,
+    io::Read as _,
+    path::{Path, PathBuf},
+};
 
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 
-use super::{Failure, print, run::scene};
+use super::{Failure, print_lines as print, run::scene};
 use crate::{
     bench::{
         MeasureError,
@@ -62,8 +66,8 @@ struct Files {
 
 impl Files {
     /// Both, as far as they are wanted.
-    fn claim(&self) -> Result<[Option<Output>; 2], Failure> {
-        let [csv, svg] = [claim(self.csv.as_deref())?, claim(self.svg.as_deref())?];
+    fn claim(&self, csv_mark: &str, svg_mark: &str) -> Result<[Option<Output>; 2], Failure> {
+        let [csv, svg] = [claim(self.csv.as_deref(), csv_mark)?, claim(self.svg.as_deref(), svg_mark)?];
         if csv.is_some() && csv == svg {
             return Err(Failure::Input("--csv and --svg name the same file: give each its own".to_owned()));
         }
@@ -107,7 +111,7 @@ fn error(arguments: ErrorArguments) -> Result<(), Failure> {
     for scene in &scenes {
         memory::check(scene).map_err(Failure::input)?;
     }
-    let [csv_file, svg_file] = arguments.files.claim()?;
+    let [csv_file, svg_file] = arguments.files.claim("scene,vertices,integrator,", "Work and precision")?;
 
     let machine = Machine::detect();
     let mut reports = vec![];
@@ -136,7 +140,7 @@ fn stability(arguments: StabilityArguments) -> Result<(), Failure> {
     if let Some(index) = arguments.case {
         return one_case(index, arguments.write.as_deref(), &settings);
     }
-    let csv_file = claim(arguments.csv.as_deref())?;
+    let csv_file = claim(arguments.csv.as_deref(), "case,axis,what,")?;
     let failed = |error: MeasureError| Failure::Run(error.to_string());
     let clock = std::time::Instant::now();
 
@@ -178,10 +182,10 @@ fn verdict(rows: &[stability::Row]) -> Result<(), Failure> {
 }
 
 fn one_case(index: u64, file: Option<&Path>, settings: &stability::Settings) -> Result<(), Failure> {
-    let file = claim(file)?;
+    let file = claim(file, WRITTEN)?;
     let case = Case::new(index).map_err(|error| Failure::Run(error.to_string()))?;
     print(&case.scene.source);
-    write(file, || Ok(case.scene.source.clone()))?;
+    write(file, || Ok(format!("{WRITTEN} stability`, case {index}.\n{}", case.scene.source)))?;
     let row = stability::run(case, settings).map_err(|error| Failure::Run(error.to_string()))?;
     print(&of_stability::one_case(&row));
     verdict(&[row])
@@ -197,9 +201,28 @@ fn progress_bar(scene: &str) -> ProgressBar {
     bar
 }
 
-/// Refuses what cannot be written before anything is measured.
-fn claim(path: Option<&Path>) -> Result<Option<Output>, Failure> {
-    path.map(|path| Output::claim(path).map_err(|error| unwritable(path, &error))).transpose()
+/// How a scene begins that a benchmark has written.
+const WRITTEN: &str = "# Written by `meldscope bench";
+/// Files of benchmarks can be told within so many bytes.
+const HEAD: u64 = 4096;
+
+/// Refuses what cannot be written before anything is measured, and to replace what no benchmark has written: what has not
+/// `mark` near its beginning.
+fn claim(path: Option<&Path>, mark: &str) -> Result<Option<Output>, Failure> {
+    let Some(path) = path else { return Ok(None) };
+    let output = Output::claim(path).map_err(|error| unwritable(path, &error))?;
+    if path.is_file() {
+        let mut head = Vec::new();
+        let read = File::open(path).and_then(|file| file.take(HEAD).read_to_end(&mut head));
+        read.map_err(|error| unwritable(path, &error))?;
+        if !head.is_empty() && !String::from_utf8_lossy(&head).contains(mark) {
+            let path = path.display();
+            return Err(Failure::Input(format!(
+                "{path} is no such file of `meldscope bench`, and nothing else is replaced; write elsewhere or remove it first"
+            )));
+        }
+    }
+    Ok(Some(output))
 }
 
 fn write(file: Option<Output>, text: impl FnOnce() -> Result<String, String>) -> Result<(), Failure> {

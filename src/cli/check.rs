@@ -8,20 +8,20 @@ use std::{
 
 use rayon::prelude::*;
 
-use super::{Failure, print, vector};
+use super::{Failure, print, say, vector};
 use crate::{
     recording::{
         Recorded,
+        existing::{Existing, Kind, REASONS, replace},
         golden::{self, Difference, Outcome},
     },
     scene::Scene,
+    stream::settings::application,
     text::{bytes, counted, thousands},
 };
 
 /// What is checked if nothing is named.
 const DEFAULT: &str = "recordings";
-/// Where the reasons are kept, beside the golden recordings.
-const REASONS: &str = "BLESSED.md";
 /// More vertices or events than this are counted, not listed.
 const LISTED: usize = 8;
 
@@ -208,7 +208,14 @@ fn bless(scripts: &[Script], reason: &str) -> Result<(), Failure> {
             let is_same = script.golden.exists()
                 && Recorded::open(&script.golden).is_ok_and(|golden| golden.scene.source == script.scene.source)
                 && matches!(golden::check(&script.scene, &script.golden, None), Ok(Outcome::Identical { .. }));
-            if is_same { Ok(None) } else { golden::bless(&script.scene, &script.golden, reason).map(Some) }
+            if is_same {
+                return Ok(None);
+            }
+            let new = Existing { application: application(&script.scene.name), kind: Some(Kind::Golden) };
+            if let Some(note) = replace(&script.golden, &new)? {
+                say(&format!("note: {note}"));
+            }
+            golden::bless(&script.scene, &script.golden, reason).map(Some)
         })
         .collect();
     let mut made: Vec<(PathBuf, Vec<String>)> = Vec::new();
@@ -279,6 +286,11 @@ fn scripts(paths: &[PathBuf]) -> Result<Vec<Script>, Failure> {
         }
     }
     files.dedup();
+    let missing = files.iter().find(|file| !file.exists());
+    if let Some(file) = missing {
+        let help = "give scene files, or folders of them";
+        return Err(Failure::Input(format!("there is no scene {}: {help}", file.display())));
+    }
     files
         .into_iter()
         .map(|file| {

@@ -2,13 +2,9 @@
 
 use std::path::PathBuf;
 
-use super::{
-    Failure, print,
-    run::{parse_tolerance, sink_failure},
-    same_file, vector,
-};
+use super::{Failure, announce, may_save, print, run::parse_tolerance, sink_failure, vector};
 use crate::{
-    recording::{Recorded, diff},
+    recording::{Recorded, diff, existing::Existing},
     text::{bytes, counted, thousands},
 };
 
@@ -36,10 +32,10 @@ pub fn diff(arguments: Arguments) -> Result<(), Failure> {
     let [a, b] = [Recorded::open(&arguments.first), Recorded::open(&arguments.second)];
     let (a, b) = (a.map_err(Failure::input)?, b.map_err(Failure::input)?);
     let tolerance = arguments.tolerance.unwrap_or_else(|| a.scene.tolerance.max(b.scene.tolerance));
-    if let Some(save) = &arguments.save
-        && [&arguments.first, &arguments.second].into_iter().any(|path| same_file(save, path))
-    {
-        return Err(Failure::Input(format!("{} is one of the recordings to be compared", save.display())));
+    if let Some(save) = &arguments.save {
+        let what = "one of the recordings to be compared";
+        may_save(save, &[(&arguments.first, what), (&arguments.second, what)], &Existing::comparison())?;
+        announce(save, &Existing::comparison())?;
     }
     let difference = diff::diff([&a, &b], tolerance).map_err(Failure::input)?;
     let (first, second) = (a.path.display(), b.path.display());

@@ -10,14 +10,27 @@ mod replay;
 mod run;
 mod scenes;
 
-use std::{fmt, io::Write, process::ExitCode};
+use std::{
+    fmt,
+    io::{self, Write},
+    path::Path,
+    process::ExitCode,
+    sync::Mutex,
+};
 
 use clap::{
     Parser, Subcommand,
     builder::{PossibleValuesParser, TypedValueParser},
 };
 
-use crate::recording::read::expects_panics;
+use crate::{
+    recording::{
+        existing::{self, Existing},
+        read::expects_panics,
+    },
+    stream::sinks::SinkError,
+    text::printable,
+};
 
 /// A visual debugger for soft bodies that merge and split.
 ///
@@ -77,9 +90,35 @@ pub fn main() -> ExitCode {
             usual(panic)
         }
     }));
-    // Prints help and usage errors itself, and exits with 0 or 2.
-    let arguments = Arguments::parse();
-    let result = match arguments.command {
+    let result = match Arguments::try_parse() {
+        Ok(arguments) => run(arguments.command),
+        // help and version are results, the rest is usage
+        Err(error) => {
+            let printed = error.print();
+            if error.use_stderr() {
+                return ExitCode::from(2);
+            }
+            note_unprinted(printed);
+            Ok(())
+        }
+    };
+    note_unprinted(io::stdout().flush());
+    let unprinted = UNPRINTED.lock().ok().and_then(|mut error| error.take());
+    let unprinted = unprinted.map(|error| format!("cannot write the results to standard output: {error}"));
+    let (status, message) = match (result, unprinted) {
+        (Ok(()), None) => return ExitCode::SUCCESS,
+        (Ok(()), Some(unprinted)) => (1, unprinted),
+        (Err(failure), unprinted) => {
+            let status = if matches!(failure, Failure::Run(_)) { 1 } else { 2 };
+            (status, failure.to_string() + &unprinted.map_or(String::new(), |unprinted| format!("; {unprinted}")))
+        }
+    };
+    say(&format!("error: {message}"));
+    ExitCode::from(status)
+}
+
+fn run(command: Command) -> Result<(), Failure> {
+    match command {
         Command::Run(arguments) => run::run(*arguments),
         Command::Scenes => {
             scenes::list();
@@ -89,24 +128,35 @@ pub fn main() -> ExitCode {
         Command::Check(arguments) => check::check(arguments),
         Command::Diff(arguments) => diff::diff(arguments),
         Command::Bench(arguments) => bench::bench(arguments),
-    };
-    let (status, message) = match result {
-        Ok(()) => return ExitCode::SUCCESS,
-        Err(Failure::Run(message)) => (1, message),
-        Err(Failure::Input(message)) => (2, message),
-    };
-    say(&format!("error: {message}"));
-    ExitCode::from(status)
+    }
 }
 
-/// A line on standard output. A reader that went away is no error: there is nobody left to tell.
+/// Why results are not where they should be.
+static UNPRINTED: Mutex<Option<io::Error>> = Mutex::new(None);
+
+/// A reader that went away is no error: there is nobody left to tell.
+fn note_unprinted(printed: io::Result<()>) {
+    if let Err(error) = printed
+        && error.kind() != io::ErrorKind::BrokenPipe
+        && let Ok(mut first) = UNPRINTED.lock()
+    {
+        first.get_or_insert(error);
+    }
+}
+
+/// A line on standard output, whatever is in it. If it cannot be written, the program ends with status 1.
 fn print(line: &str) {
-    let _ = writeln!(std::io::stdout(), "{line}");
+    note_unprinted(writeln!(io::stdout(), "{}", printable(line)));
 }
 
-/// A line on standard error.
+/// Lines on standard output: a table, a scene.
+fn print_lines(text: &str) {
+    text.split('\n').for_each(print);
+}
+
+/// A line on standard error, whatever is in it.
 fn say(line: &str) {
-    let _ = writeln!(std::io::stderr(), "{line}");
+    let _ = writeln!(io::stderr(), "{}", printable(line));
 }
 
 /// An argument that is one of these by its name; the help lists them.
@@ -118,12 +168,41 @@ fn one_of<T: Copy + Send + Sync + 'static>(
     names.try_map(move |text| all.iter().copied().find(|&one| name(one) == text).ok_or("there is none of that name"))
 }
 
-/// Whether two paths lead to one file.
-fn same_file(a: &std::path::Path, b: &std::path::Path) -> bool {
-    match (std::fs::canonicalize(a), std::fs::canonicalize(b)) {
-        (Ok(a), Ok(b)) => a == b,
-        _ => false,
+/// Refuses to save a recording over what it is made from, or over what is not its to replace.
+fn may_save(path: &Path, inputs: &[(&Path, &str)], new: &Existing) -> Result<(), Failure> {
+    let mut partial = path.as_os_str().to_owned();
+    partial.push(".partial");
+    for (input, what) in inputs {
+        if is_same_file(path, input) {
+            return Err(Failure::Input(format!("{} is {what}: save under another name", path.display())));
+        }
+        if is_same_file(Path::new(&partial), input) {
+            let (path, input) = (path.display(), input.display());
+            return Err(Failure::Input(format!(
+                "{input} is {what}, and where {path} would be written first: save under another name"
+            )));
+        }
     }
+    existing::replace(path, new).map(drop).map_err(sink_failure)
+}
+
+/// Says what is replaced, if it is something else than what comes; once the place is claimed, so that this is true.
+fn announce(path: &Path, new: &Existing) -> Result<(), Failure> {
+    if let Some(note) = existing::replace(path, new).map_err(sink_failure)? {
+        say(&format!("note: {note}"));
+    }
+    Ok(())
+}
+
+fn sink_failure(error: SinkError) -> Failure {
+    if error.is_usage() { Failure::input(error) } else { Failure::Run(error.to_string()) }
+}
+
+/// Whether two paths lead to one file.
+fn is_same_file(a: &Path, b: &Path) -> bool {
+    // to open a pipe could take for ever
+    let are_files = [a, b].into_iter().all(|path| path.is_file());
+    are_files && same_file::is_same_file(a, b).unwrap_or(false)
 }
 
 /// A vector in full.

@@ -3,13 +3,14 @@
 use std::path::PathBuf;
 
 use super::{
-    Failure, one_of, print,
-    run::{parse_integrator, parse_step, parse_tolerance, sink_failure},
-    same_file, say, vector,
+    Failure, announce, may_save, one_of, print,
+    run::{parse_integrator, parse_step, parse_tolerance},
+    say, sink_failure, vector,
 };
 use crate::{
     recording::{
         Recorded,
+        existing::{Existing, Kind},
         read::End,
         replay::{self, Verdict},
     },
@@ -21,7 +22,7 @@ use crate::{
         machine,
         pipeline::send,
         recorder::describe,
-        settings::{Detail, Frames, Settings},
+        settings::{Detail, Frames, Settings, application},
         sinks::{Destinations, Sinks},
     },
     text::{bytes, counted, thousands},
@@ -208,8 +209,10 @@ fn ask(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
         largest.0, largest.2, largest.1
     ));
     print(&match recorded.settings.frames {
-        Frames::Thin => format!("  {} events (a thin recording has none to compare them with):", events.len()),
-        _ => format!("  {} events, {} recorded:", events.len(), recorded.events.len()),
+        Frames::Thin => {
+            format!("  {} (a thin recording has none to compare them with):", counted(events.len() as u64, "event"))
+        }
+        _ => format!("  {}, {} recorded:", counted(events.len() as u64, "event"), recorded.events.len()),
     });
     for event in events.iter().take(20) {
         print(&format!("    {event}"));
@@ -250,13 +253,15 @@ impl Saver {
         settings: &Settings,
         steps: std::ops::RangeInclusive<u64>,
     ) -> Result<Saver, Failure> {
-        if let Some(save) = &arguments.save
-            && same_file(save, &arguments.recording)
-        {
-            return Err(Failure::Input(format!("{} is the recording to be replayed", save.display())));
+        let new = Existing { application: application(&scene.name), kind: Some(Kind::Run) };
+        if let Some(save) = &arguments.save {
+            may_save(save, &[(&arguments.recording, "the recording to be replayed")], &new)?;
         }
         let destinations = Destinations { save: arguments.save.clone(), ..Destinations::default() };
         let sinks = arguments.save.as_ref().map(|_| Sinks::open(&destinations)).transpose().map_err(sink_failure)?;
+        if let Some(save) = &arguments.save {
+            announce(save, &new)?;
+        }
         let own = Settings::of(scene);
         // a step is looked into from the one before it
         let steps = match arguments.detail {

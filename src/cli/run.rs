@@ -1,6 +1,8 @@
 //! `meldscope run`: a scene file becomes a recording.
 
 use std::{
+    fs::File,
+    io::Read as _,
     net::{IpAddr, Ipv4Addr},
     path::{Path, PathBuf},
     sync::{
@@ -10,8 +12,9 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{Failure, one_of, print, say};
+use super::{Failure, announce, may_save, one_of, print, say, sink_failure};
 use crate::{
+    recording::existing::{Existing, Kind},
     scene::{Integrator, Scene, builtin},
     sim::{Event, Options, World},
     stream::{
@@ -20,8 +23,8 @@ use crate::{
         chunks::Audience,
         pipeline::{Recorded, send},
         recorder::describe,
-        settings::{Detail, Entities, Frames, Settings, Trigger, file_stem},
-        sinks::{Destinations, Finished, Serve, SinkError, Sinks, Spawn},
+        settings::{Detail, Entities, Frames, Settings, Trigger, application, file_stem},
+        sinks::{Destinations, Finished, Serve, Sinks, Spawn},
     },
     text::{bytes, counted, did_you_mean, thousands},
 };
@@ -159,7 +162,20 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     let destinations = destinations(&arguments, &scene);
     // First what can refuse the scene, then what can refuse the destinations, and only then any work.
     let world = world(&arguments, scene)?;
+    if let (Some(from), Some(steps)) = (arguments.from, settings(&arguments, world.scene()).steps)
+        && from > steps
+    {
+        return Err(Failure::Input(format!("--from {from} is beyond the last step, {steps}")));
+    }
+    let kind = Kind::of(&settings(&arguments, world.scene()));
+    let new = Existing { application: application(&world.scene().name), kind: Some(kind) };
+    if let Some(save) = &destinations.save {
+        may_save(save, &[(Path::new(&arguments.scene), "the scene to be run")], &new)?;
+    }
     let sinks = Sinks::open(&destinations).map_err(sink_failure)?;
+    if let Some(save) = &destinations.save {
+        announce(save, &new)?;
+    }
 
     let mut console = Console::new(&arguments, settings(&arguments, world.scene()).steps);
     let stop = interrupted()?;
@@ -195,6 +211,12 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
             refuse("--from and --to say which steps --detail stages looks into: add that")
         }
         _ if arguments.from > arguments.to && arguments.to.is_some() => refuse("--from is after --to"),
+        Detail::Surface | Detail::Forces if arguments.tab == Tab::Stages => {
+            refuse("--tab stages shows the inside of steps, which --detail stages records: add that")
+        }
+        Detail::Surface if matches!(arguments.tab, Tab::Forces | Tab::Displacement) => {
+            refuse(&format!("--tab {} shows what --detail surface leaves out", arguments.tab.name()))
+        }
         Detail::Stages { .. } if arguments.keep.is_some() => refuse(
             "--detail stages looks into steps, and --keep holds frames only: leave one of them out, and look into the steps in \
              question afterwards (`meldscope replay F.rrd --save G.rrd --from STEP --to STEP --detail stages`)",
@@ -269,7 +291,9 @@ fn simulate(
 ) -> Result<Simulated, Failure> {
     let is_live = destined_live(arguments);
     let settings = settings(arguments, world.scene());
-    let mut recorder = Recorder::new(&world, settings.clone());
+    // a viewer takes what has the id of an earlier run for more of that
+    let number = changes.as_mut().map_or(0, |changes| changes.next_run());
+    let mut recorder = Recorder::numbered(&world, settings.clone(), number);
     // what it takes to run it again comes before everything else: a run may be killed at once
     let mut first = recorder.take();
     let rest = first.split_off(Recorder::HEAD.min(first.len()));
@@ -308,11 +332,11 @@ fn simulate(
     }
 
     // However it ended: what was simulated is saved.
-    let Recorded { mut recorder, mut sinks, mut notes, failure: recording } =
-        pipeline.finish().map_err(Failure::Run)?;
+    let mut recorded = pipeline.finish().map_err(Failure::Run)?;
     let seconds = start.elapsed().as_secs_f64();
-    recorder.finish(&world);
-    let failure = failure.or(recording).or(send(&mut sinks, recorder.take()));
+    let unsent = recorded.finish(&world);
+    let Recorded { recorder, mut sinks, mut notes, failure: recording } = recorded;
+    let failure = failure.or(recording).or(unsent);
     let layout = recorder.measured_layout(&world, arguments.tab);
     let unsent = layout.into_iter().find_map(|message| sinks.send_to(Audience::Files, message).err());
     let failure = failure.or(unsent.map(|error| error.to_string()));
@@ -329,7 +353,7 @@ fn watch(
     stop: &AtomicBool,
     console: &mut Console,
 ) -> Result<Outcome, Failure> {
-    let mut changes = Changes { text: world.scene().source.clone() };
+    let mut changes = Changes { text: world.scene().source.clone(), said: String::new(), runs: 0 };
     let mut run = simulate(world, sinks, arguments, stop, Some(&mut changes), console)?;
     loop {
         if let Some(failure) = &run.failure {
@@ -362,24 +386,53 @@ fn world_of(arguments: &Arguments, scene: Scene) -> Result<World, String> {
 struct Changes {
     /// As it was last seen.
     text: String,
+    /// What was last said of it.
+    said: String,
+    /// Runs begun.
+    runs: u64,
 }
 
 impl Changes {
     /// The scene, if its file has changed and is one; what is wrong with it is said once.
     fn scene(&mut self, arguments: &Arguments, console: &Console) -> Option<Scene> {
-        let text = std::fs::read_to_string(&arguments.scene).ok()?;
-        // an editor may empty a file before it writes it
-        if text == self.text || text.is_empty() {
-            return None;
-        }
-        self.text = text;
-        match load(arguments) {
-            Ok(scene) => Some(scene),
-            Err(failure) => {
-                console.notes(&[format!("{failure}; going on with the scene as it was")]);
+        let path = Path::new(&arguments.scene);
+        // a file that is not there may be being written; what is none may have no end, or keep one waiting for ever
+        let there = std::fs::metadata(path).ok()?;
+        let scene = if !there.is_file() {
+            Err(format!("{} is no file any more", path.display()))
+        } else if there.len() > Scene::LARGEST_TEXT {
+            Err(format!("{} has become larger than a scene may be", path.display()))
+        } else {
+            let mut bytes = Vec::new();
+            File::open(path).ok()?.take(Scene::LARGEST_TEXT).read_to_end(&mut bytes).ok()?;
+            let text = String::from_utf8(bytes).ok()?;
+            // an editor may empty a file before it writes it
+            if text == self.text || text.is_empty() {
+                return None;
+            }
+            self.text = text;
+            let scene = Scene::parse(&self.text, &arguments.scene).map_err(|error| error.to_string());
+            scene.map(|scene| with_overrides(arguments, scene))
+        };
+        match scene {
+            Ok(scene) => {
+                self.said.clear();
+                Some(scene)
+            }
+            Err(why) => {
+                if why != self.said {
+                    console.notes(&[format!("{why}; going on with the scene as it was")]);
+                    self.said = why;
+                }
                 None
             }
         }
+    }
+
+    /// The number of the run that begins, from 0.
+    fn next_run(&mut self) -> u64 {
+        self.runs += 1;
+        self.runs - 1
     }
 }
 
@@ -396,7 +449,10 @@ fn wait_until(due: Instant, stop: &AtomicBool) {
 
 /// The scene, with what the command line says instead.
 fn load(arguments: &Arguments) -> Result<Scene, Failure> {
-    let mut scene = scene(&arguments.scene)?;
+    Ok(with_overrides(arguments, scene(&arguments.scene)?))
+}
+
+fn with_overrides(arguments: &Arguments, mut scene: Scene) -> Scene {
     if let Some(integrator) = arguments.integrator {
         scene.integrator = integrator;
     }
@@ -406,7 +462,7 @@ fn load(arguments: &Arguments) -> Result<Scene, Failure> {
     if let Some(tolerance) = arguments.tolerance {
         scene.tolerance = tolerance;
     }
-    Ok(scene)
+    scene
 }
 
 /// The built-in scene of that name, or the scene in that file.
@@ -421,7 +477,16 @@ pub(super) fn scene(name: &str) -> Result<Scene, Failure> {
                 names.join(", ")
             )))
         }
-        None => Scene::load(Path::new(name)).map_err(Failure::input),
+        None => {
+            let path = Path::new(name);
+            if Existing::is_recording(path) {
+                let word = shell_word(name);
+                return Err(Failure::Input(format!(
+                    "{name} is a recording, not a scene: `meldscope replay {word}` runs what it holds again"
+                )));
+            }
+            Scene::load(path).map_err(Failure::input)
+        }
     }
 }
 
@@ -471,10 +536,6 @@ fn destinations(arguments: &Arguments, scene: &Scene) -> Destinations {
         }),
         ..Destinations::default()
     }
-}
-
-pub(super) fn sink_failure(error: SinkError) -> Failure {
-    if error.is_usage() { Failure::input(error) } else { Failure::Run(error.to_string()) }
 }
 
 /// A flag that Ctrl-C (or a request to terminate) raises; a second one ends the program at once.

@@ -16,5 +16,6 @@ pub fn list() {
             print(&format!("    {sentence}"));
         }
     }
-    print("\nRun one with `meldscope run NAME`, or any scene file with `meldscope run SCENE.toml`.");
+    print("");
+    print("Run one with `meldscope run NAME`, or any scene file with `meldscope run SCENE.toml`.");
 }

@@ -10,6 +10,7 @@ use rerun::{
     external::re_log_types::{ApplicationId, LogMsg},
 };
 
+use super::existing::{self, Existing};
 use crate::{
     geometry::Mesh,
     scene::Scene,
@@ -60,9 +61,10 @@ impl Comparison {
     /// # Errors
     /// The file cannot be written.
     pub fn new(scene: &Scene, plan: &Plan, path: &Path) -> Result<Comparison, SinkError> {
+        existing::replace(path, &Existing::comparison())?;
         let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };
         let mut sinks = Sinks::open(&destinations)?;
-        let application = ApplicationId::new_or_unknown("meldscope_difference".to_owned());
+        let application = ApplicationId::new_or_unknown(Existing::comparison().application);
         let store = StoreId::new(StoreKind::Recording, application, format!("{}-difference", file_stem(&scene.name)));
         for message in blueprint::of_comparison(scene, &store) {
             sinks.send(message)?;

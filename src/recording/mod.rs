@@ -5,6 +5,7 @@
 //! | the chunks of a file, whatever is in it | [`read`] |
 //! | what it takes to make a recording again, and what came of it: scene, settings, checksums, events | [`recorded`] |
 //! | the surfaces in it, frame by frame | [`frames`] |
+//! | what a new recording would replace | [`existing`] |
 //! | the same steps again, compared checksum by checksum | [`replay`] |
 //! | what a scene should give, and whether it does | [`golden`] |
 //! | the events of two runs beside each other | [`happenings`] |
@@ -14,6 +15,7 @@
 pub mod comparison;
 pub mod diff;
 pub mod error;
+pub mod existing;
 pub mod frames;
 pub mod golden;
 pub mod happenings;

@@ -11,10 +11,13 @@ use std::{
     time::{Duration, Instant},
 };
 
-use meldscope::{Scene, World, scene::builtin, sim::Event, text};
+use meldscope::{Scene, World, recording::read::Reader, scene::builtin, sim::Event, text};
 use proptest::prelude::*;
 
-use crate::recording::{Dir, Recording, content};
+use crate::{
+    bad_recordings::{Message, fields, file},
+    recording::{Dir, Recording, content},
+};
 
 /// A program that has not ended by then never will.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -402,7 +405,7 @@ fn a_broken_file_is_refused_with_the_place_and_nothing_is_written() {
     let broken = SCENE.replace("radius = 0.5", "radios = 0.5");
     let line = broken.lines().position(|line| line.contains("radios")).expect("it is there") + 1;
     fs::write(dir.file("bad.toml"), &broken).expect("room");
-    fs::write(dir.file("kept.rrd"), "precious").expect("room");
+    fs::write(dir.file("kept.rrd"), "RRF2: precious").expect("room");
     for destination in
         [&[][..], &["--save", "kept.rrd"], &["--stdout"], &["--serve", "--web-port", "0", "--grpc-port", "0"]]
     {
@@ -414,7 +417,7 @@ fn a_broken_file_is_refused_with_the_place_and_nothing_is_written() {
         assert_eq!(said.lines().count(), 1, "{said}");
     }
     assert_eq!(dir.names(), ["bad.toml", "kept.rrd"]);
-    assert_eq!(fs::read_to_string(dir.file("kept.rrd")).expect("it is there"), "precious");
+    assert_eq!(fs::read_to_string(dir.file("kept.rrd")).expect("it is there"), "RRF2: precious");
 
     for missing in ["missing.toml", "missing/scene.toml", "."] {
         let said = run(&dir, &["run", missing]).failed(2);
@@ -492,12 +495,12 @@ fn what_cannot_be_written_is_known_before_the_run() {
     // a port that is taken: the file that was there stays
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
     let port = taken.local_addr().expect("an address").port().to_string();
-    fs::write(dir.file("kept.rrd"), "precious").expect("room");
+    fs::write(dir.file("kept.rrd"), "RRF2: precious").expect("room");
     let arguments = ["run", "small.toml", "--save", "kept.rrd", "--serve", "--web-port", "0", "--grpc-port", &port];
     let said = run(&dir, &arguments).failed(1);
     assert!(said.contains(&port), "{said}");
     assert_eq!(dir.names(), ["kept.rrd", "small.toml"]);
-    assert_eq!(fs::read_to_string(dir.file("kept.rrd")).expect("it is there"), "precious");
+    assert_eq!(fs::read_to_string(dir.file("kept.rrd")).expect("it is there"), "RRF2: precious");
 
     // and a run that goes well replaces it
     run(&dir, &["run", "small.toml", "--save", "kept.rrd"]).succeeded();
@@ -526,7 +529,7 @@ fn a_scene_that_is_too_large_is_refused_and_not_begun() {
         );
     }
     fs::write(dir.file("huge.toml"), text).expect("room");
-    fs::write(dir.file("kept.rrd"), "precious").expect("room");
+    fs::write(dir.file("kept.rrd"), "RRF2: precious").expect("room");
     let mut limited = Command::new("sh");
     limited.args(["-c", "ulimit -v 2000000 && exec \"$0\" run huge.toml --save kept.rrd"]);
     limited.arg(env!("CARGO_BIN_EXE_meldscope")).current_dir(dir.path()).stdin(Stdio::null());
@@ -535,7 +538,7 @@ fn a_scene_that_is_too_large_is_refused_and_not_begun() {
         assert!(said.contains(part), "{part}: {said}");
     }
     assert_eq!(dir.names(), ["huge.toml", "kept.rrd"]);
-    assert_eq!(fs::read_to_string(dir.file("kept.rrd")).expect("it is there"), "precious");
+    assert_eq!(fs::read_to_string(dir.file("kept.rrd")).expect("it is there"), "RRF2: precious");
 }
 
 // ---- options -------------------------------------------------------------------------------------------------------
@@ -867,4 +870,122 @@ fn the_help_lists_the_names_that_are_taken() {
     }
     assert!(run.contains("[possible values: merge, split, core, diverge]"), "{run}");
     assert!(help("replay").contains(details));
+}
+
+/// What a viewer has been sent, as a file: a scene's recordings without their ends.
+fn seen(port: u16) -> Vec<Message> {
+    let arrow = |frame: Vec<u8>| {
+        let inner = fields(&frame).into_iter().find_map(|(_, value)| value.err())?;
+        let (_, body) = fields(&inner).into_iter().find(|(field, _)| *field == 2)?;
+        Some(Message { kind: 2, body: body.err()? })
+    };
+    crate::sinks::watch_all(port).into_iter().filter_map(arrow).collect()
+}
+
+/// The recording that a message belongs to; `None` for that of a layout.
+fn recording_of(message: &Message) -> Option<String> {
+    let store = fields(&message.body).into_iter().find(|(field, _)| *field == 1)?.1.err()?;
+    let store = fields(&store);
+    let is_recording = store.contains(&(1, Ok(1)));
+    let id = store.into_iter().find(|(field, _)| *field == 2)?.1.err()?;
+    is_recording.then(|| String::from_utf8(id).expect("a text"))
+}
+
+#[test]
+fn a_viewer_beside_a_file_gets_every_row_once() {
+    let dir = scene_dir();
+    let (_viewer, port) = crate::sinks::viewer();
+    let url = format!("rerun+http://127.0.0.1:{port}/proxy");
+    let arguments =
+        ["run", "small.toml", "--steps", "40", "--realtime", "--quiet", "--save", "x.rrd", "--connect", &url];
+    assert_eq!(run(&dir, &arguments).status, 0);
+    fs::write(dir.file("seen.rrd"), file(&seen(port))).expect("room");
+    let rows = |name: &str| {
+        let mut reader = Reader::open(&dir.file(name)).expect("a recording");
+        let mut ids = Vec::new();
+        while let Some(chunk) = reader.next(|_| true).expect("a recording") {
+            ids.extend(chunk.row_ids().map(|id| (chunk.entity_path().to_string(), id)));
+        }
+        ids.sort();
+        ids
+    };
+    let (seen, saved) = (rows("seen.rrd"), rows("x.rrd"));
+    let twice: Vec<_> = seen.windows(2).filter(|pair| pair[0] == pair[1]).map(|pair| &pair[0]).collect();
+    assert!(twice.is_empty(), "{} rows twice, such as {:?}", twice.len(), twice[0]);
+    assert_eq!(seen, saved);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_scene_that_is_edited_back_is_another_run() {
+    let dir = scene_dir();
+    let (_viewer, port) = crate::sinks::viewer();
+    let url = format!("rerun+http://127.0.0.1:{port}/proxy");
+    let arguments = ["run", "small.toml", "--steps", "3", "--watch", "--connect", &url];
+    let mut running = Running::start(&dir, &arguments);
+    let lines = running.lines();
+    for text in [format!("# other\n{SCENE}"), SCENE.to_owned()] {
+        std::thread::sleep(Duration::from_millis(500));
+        fs::write(dir.file("small.toml"), text).expect("room");
+        said(&lines, "small.toml has changed: starting again");
+    }
+    std::thread::sleep(Duration::from_millis(500));
+    running.signal("INT");
+    running.end();
+    let ids: std::collections::BTreeSet<String> = seen(port).iter().filter_map(recording_of).collect();
+    assert_eq!(ids.len(), 3, "{ids:?}");
+}
+
+#[cfg(unix)]
+#[test]
+fn only_a_file_is_watched() {
+    let dir = scene_dir();
+    let scene = dir.file("small.toml");
+    assert!(Command::new("mkfifo").arg(dir.file("pipe")).status().expect("mkfifo").success());
+    let serve = ["--watch", "--serve", "--web-port", "0", "--grpc-port", "0"];
+    for name in ["pipe", "/dev/zero"] {
+        let said = run(&dir, &[&["run", name], &serve[..]].concat()).failed(2);
+        assert!(said.contains("waits for a file to change"), "{said}");
+    }
+    let mut running = Running::start(&dir, &[&["run", "small.toml", "--steps", "3"], &serve[..]].concat());
+    let lines = running.lines();
+    said(&lines, "serving at");
+    let replace = |by: &dyn Fn()| {
+        fs::remove_file(&scene).expect("it is there");
+        by();
+    };
+    replace(&|| fs::rename(dir.file("pipe"), &scene).expect("room"));
+    let why = lines.iter().find(|line| line.contains("going on")).expect("it says why");
+    assert!(why.contains("is no file any more"), "{why}");
+    replace(&|| std::os::unix::fs::symlink("/dev/zero", &scene).expect("room"));
+    std::thread::sleep(Duration::from_millis(200));
+    replace(&|| fs::File::create(&scene).and_then(|file| file.set_len(64 << 30)).expect("a file can have a hole"));
+    let why = lines.iter().find(|line| line.contains("going on")).expect("it says why");
+    assert!(why.contains("larger than a scene may be"), "{why}");
+    // and back again
+    replace(&|| fs::write(&scene, format!("# back\n{SCENE}")).expect("room"));
+    said(&lines, "small.toml has changed: starting again");
+    running.signal("INT");
+    std::thread::sleep(Duration::from_millis(1100)); // a second interrupt, not an echo of the first
+    running.signal("INT");
+    running.end();
+}
+
+#[test]
+fn what_would_show_nothing_is_refused_with_what_is_missing() {
+    let dir = scene_dir();
+    let refused = |arguments: &[&str], what: &str| {
+        let said = run(&dir, arguments).failed(2);
+        assert!(said.contains(what), "{arguments:?}: {said}");
+    };
+    refused(&["run", "small.toml", "--detail", "stages", "--from", "121"], "beyond the last step, 120");
+    refused(&["run", "small.toml", "--detail", "stages", "--from", "4", "--steps", "3"], "beyond the last step, 3");
+    refused(&["run", "small.toml", "--tab", "stages"], "--detail stages");
+    refused(&["run", "small.toml", "--tab", "forces", "--detail", "surface"], "--detail surface");
+    run(&dir, &["run", "small.toml", "--detail", "stages", "--from", "120", "--tab", "stages", "--quiet"]).succeeded();
+    // a recording where a scene is expected
+    refused(&["run", "small.rrd"], "`meldscope replay small.rrd`");
+    refused(&["bench", "error", "small.rrd"], "`meldscope replay small.rrd`");
+    let said = run(&dir, &["run", "small.toml", "--steps", "1", "--save", "x.rrd"]).succeeded().out;
+    assert!(said.contains("; 1 step of "), "{said}");
 }

@@ -113,7 +113,7 @@ fn no_more_than_half_a_second_is_lost() {
 #[test]
 fn a_disk_that_fills_up_ends_the_run_and_leaves_what_was_written() {
     let dir = Dir::new();
-    fs::write(dir.file("full.rrd"), "what was there before").expect("room");
+    fs::write(dir.file("full.rrd"), "RRF2: what was there before").expect("room");
     let script = format!(
         "trap '' XFSZ; ulimit -f 600; exec '{}' run two --steps 3000 --save full.rrd",
         env!("CARGO_BIN_EXE_meldscope")
@@ -122,7 +122,7 @@ fn a_disk_that_fills_up_ends_the_run_and_leaves_what_was_written() {
     assert_eq!(output.status.code(), Some(1), "{}", said(&output));
     let said_of_it = said(&output);
     assert!(said_of_it.contains("full.rrd.partial") && said_of_it.contains("allows no larger file"), "{said_of_it}");
-    assert_eq!(fs::read(dir.file("full.rrd")).expect("a file"), b"what was there before");
+    assert_eq!(fs::read(dir.file("full.rrd")).expect("a file"), b"RRF2: what was there before");
     let recorded = Recorded::open(&dir.file("full.rrd.partial")).expect("what was written");
     assert!(recorded.last() > 10, "{}", recorded.last());
     let replay = program(&dir, &["replay", "full.rrd.partial"]).output().expect("it runs");

@@ -7,6 +7,7 @@ mod checksums;
 mod cli;
 mod events;
 mod faults;
+mod files;
 mod integrators;
 mod physics;
 mod recording;

@@ -448,3 +448,75 @@ fn two_ways_to_run_a_scene_are_compared() {
         assert!(said.contains(part), "{part}: {said}");
     }
 }
+
+/// Every line has a point in every frame that was kept, and none from one window to the next.
+#[test]
+fn a_flight_recorder_keeps_whole_lines() {
+    let dir = Dir::new();
+    succeeds(&dir, &["run", "three", "--keep", "3", "--on", "merge,split", "--quiet", "--save", "three.rrd"]);
+    let kept = Recording::open(&dir.file("three.rrd"));
+    let windows: Vec<i64> = [78..=81, 168..=170, 176..=178, 183..=185].into_iter().flatten().collect();
+    let gaps = [82, 171, 179, 186];
+    let entities = kept.entities();
+    let lines: Vec<String> = entities
+        .iter()
+        .map(ToString::to_string)
+        .filter(|entity| {
+            entity.starts_with("/timings/")
+                || entity.starts_with("/diagnostics/")
+                || (entity.starts_with("/pairs/") && !entity.ends_with("/phase"))
+        })
+        .collect();
+    assert!(lines.iter().any(|line| line.ends_with("/merge_at")), "{lines:?}");
+    for line in lines {
+        let rows = kept.changes(&line);
+        let (points, ends): (Vec<_>, Vec<_>) =
+            rows.iter().partition(|row| !row.get::<rerun::datatypes::Float64>("Scalars:scalars").is_empty());
+        let [points, ends] = [points, ends].map(|rows| rows.iter().map(|row| row.step).collect::<Vec<_>>());
+        if line.starts_with("/diagnostics/") || line == "/timings/integrate" {
+            assert_eq!((&points, &ends[..]), (&windows, &gaps[..]), "{line}");
+        }
+        assert!(points.iter().all(|step| windows.contains(step)), "{line}: {points:?}");
+        // a pair that is within reach at the end of a window is no more after it
+        for (last, gap) in [(81, 82), (170, 171), (178, 179), (185, 186)] {
+            assert!(!points.contains(&last) || ends.contains(&gap), "{line}: {points:?} {ends:?}");
+        }
+    }
+    // thresholds beside the distance, wherever there is one
+    let steps = |entity: &str| kept.changes(entity).iter().map(|row| row.step).collect::<Vec<_>>();
+    for pair in ["a~b", "b~c"] {
+        assert_eq!(steps(&format!("/pairs/{pair}/merge_at")), steps(&format!("/pairs/{pair}/distance")), "{pair}");
+    }
+    // and it is read as the frames that it has
+    let recorded = Recorded::open(&dir.file("three.rrd")).expect("a recording");
+    let mut frames = meldscope::recording::frames::Frames::open(&recorded).expect("a recording");
+    let mut seen = Vec::new();
+    while let Some(frame) = frames.next().expect("a recording") {
+        seen.push(frame.step as i64);
+    }
+    // what holds since the beginning has kept its time
+    assert_eq!((seen[0], &seen[1..]), (0, &windows[..]));
+}
+
+#[test]
+fn a_slice_says_which_steps_it_has() {
+    let dir = Dir::new();
+    succeeds(&dir, &["run", "two", "--thin", "--quiet", "--save", "a.rrd"]);
+    succeeds(&dir, &["replay", "a.rrd", "--from", "80", "--to", "90", "--save", "b.rrd"]);
+    let about = |name: &str| {
+        let row = Recording::open(&dir.file(name)).fixed("/about");
+        row.get::<rerun::datatypes::Utf8>("TextDocument:text")[0].as_str().to_owned()
+    };
+    assert!(about("b.rrd").contains("steps 80 to 90, a frame every step"), "{}", about("b.rrd"));
+    succeeds(&dir, &["run", "two", "--steps", "1", "--quiet", "--save", "c.rrd"]);
+    assert!(about("c.rrd").contains("1 step, a frame every step"), "{}", about("c.rrd"));
+    let said = succeeds(&dir, &["replay", "c.rrd"]);
+    assert!(said.contains("identical, 1 step (run with steps = 1)"), "{said}");
+}
+
+#[test]
+fn check_asks_for_files() {
+    let dir = Dir::new();
+    let said = fails(&dir, 2, &["check", "two"]);
+    assert!(said.contains("there is no scene two") && !said.contains("built-in"), "{said}");
+}

@@ -166,7 +166,7 @@ fn answers(port: u16) -> bool {
 }
 
 /// A server as a viewer has one inside.
-fn viewer() -> (GrpcServerSink, u16) {
+pub fn viewer() -> (GrpcServerSink, u16) {
     let port = free_port();
     let server = GrpcServerSink::new("127.0.0.1", port, rerun::ServerOptions::default()).expect("a valid address");
     eventually("the viewer listens", || answers(port));
@@ -176,27 +176,40 @@ fn viewer() -> (GrpcServerSink, u16) {
 /// The first `count` messages that the server at `port` has for a new viewer, asked for as a browser does: gRPC-web,
 /// that is frames of a byte, a length and a message, in HTTP chunks.
 fn watch(port: u16, count: usize) -> Vec<Vec<u8>> {
+    let frames = watch_all_of(port, count);
+    assert_eq!(frames.len(), count);
+    frames
+}
+
+/// All of them: until nothing comes for a second.
+pub fn watch_all(port: u16) -> Vec<Vec<u8>> {
+    watch_all_of(port, usize::MAX)
+}
+
+fn watch_all_of(port: u16, count: usize) -> Vec<Vec<u8>> {
     let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, port)).expect("the server listens");
-    stream.set_read_timeout(Some(Duration::from_secs(10))).expect("a time-out");
+    let patience = Duration::from_secs(if count == usize::MAX { 1 } else { 10 });
+    stream.set_read_timeout(Some(patience)).expect("a time-out");
     let head = "POST /rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages HTTP/1.1\r\nhost: 127.0.0.1\r\n\
                 content-type: application/grpc-web+proto\r\ncontent-length: 5\r\n\r\n";
     stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(&[0; 5])).expect("the request is taken");
     let mut reader = BufReader::new(stream);
     let line = |reader: &mut BufReader<TcpStream>| {
         let mut line = String::new();
-        reader.read_line(&mut line).expect("a line");
-        line.trim_end().to_owned()
+        reader.read_line(&mut line).ok()?;
+        Some(line.trim_end().to_owned())
     };
-    assert_eq!(line(&mut reader), "HTTP/1.1 200 OK");
-    while !line(&mut reader).is_empty() {}
+    assert_eq!(line(&mut reader).as_deref(), Some("HTTP/1.1 200 OK"));
+    while line(&mut reader).is_some_and(|line| !line.is_empty()) {}
 
     let (mut bytes, mut frames) = (Vec::new(), Vec::new());
     while frames.len() < count {
-        let length = usize::from_str_radix(&line(&mut reader), 16).expect("the length of a chunk");
+        let Some(length) = line(&mut reader) else { break };
+        let length = usize::from_str_radix(&length, 16).expect("the length of a chunk");
         let start = bytes.len();
         bytes.resize(start + length, 0);
         reader.read_exact(&mut bytes[start..]).expect("a chunk");
-        assert_eq!(line(&mut reader), "");
+        assert_eq!(line(&mut reader).as_deref(), Some(""));
         while let [_, a, b, c, d, rest @ ..] = &bytes[..]
             && let Some(frame) = rest.get(..u32::from_be_bytes([*a, *b, *c, *d]) as usize)
         {
@@ -213,7 +226,7 @@ fn watch(port: u16, count: usize) -> Vec<Vec<u8>> {
 fn a_file_holds_what_was_sent_in_order_with_a_footer() {
     let dir = Dir::new();
     let path = dir.file("run.rrd");
-    fs::write(&path, "what was there").expect("a file");
+    fs::write(&path, "RRF2: what was there").expect("a file");
     let mut sinks = Sinks::open(&to_file(&path)).expect("a file that can be written");
     let sent = recording(500);
     send_all(&mut sinks, &sent);
@@ -233,14 +246,14 @@ fn a_file_holds_what_was_sent_in_order_with_a_footer() {
 fn until_a_run_is_finished_the_file_is_as_it_was() {
     let dir = Dir::new();
     let path = dir.file("run.rrd");
-    fs::write(&path, "what was there").expect("a file");
+    fs::write(&path, "RRF2: what was there").expect("a file");
     let sent = recording(20);
 
     // dropped, as when the run panics
     let mut sinks = Sinks::open(&to_file(&path)).expect("a file that can be written");
     send_all(&mut sinks, &sent);
     drop(sinks);
-    assert_eq!(fs::read(&path).expect("a file"), b"what was there");
+    assert_eq!(fs::read(&path).expect("a file"), b"RRF2: what was there");
     let partial = dir.file("run.rrd.partial");
     assert_same(&read(&partial), &sent);
     assert!(has_footer(&partial));
@@ -250,7 +263,7 @@ fn until_a_run_is_finished_the_file_is_as_it_was() {
     let port = taken.local_addr().expect("an address").port();
     let serve = Serve { web_port: 0, grpc_port: port, ..Serve::default() };
     refused(Sinks::open(&Destinations { serve: Some(serve), ..to_file(&path) }));
-    assert_eq!(fs::read(&path).expect("a file"), b"what was there");
+    assert_eq!(fs::read(&path).expect("a file"), b"RRF2: what was there");
     assert_same(&read(&partial), &sent);
 
     // the next run says that it overwrites that
@@ -338,7 +351,7 @@ fn a_path_that_cannot_be_written_is_refused() {
 fn a_link_stays_a_link() {
     let dir = Dir::new();
     let (path, link) = (dir.file("run.rrd"), dir.file("link.rrd"));
-    fs::write(&path, "what was there").expect("a file");
+    fs::write(&path, "RRF2: what was there").expect("a file");
     std::os::unix::fs::symlink(&path, &link).expect("a link");
     let mut sinks = Sinks::open(&to_file(&link)).expect("a file that can be written");
     send_all(&mut sinks, &recording(1));

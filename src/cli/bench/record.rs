@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::{super::run::scene, Failure, claim, print, write};
+use super::{super::run::scene, Failure, WRITTEN, claim, print, write};
 use crate::{
     Scene,
     bench::{
@@ -38,7 +38,7 @@ pub struct Arguments {
 
 pub fn record(arguments: Arguments) -> Result<(), Failure> {
     if let (Some(path), Some(bodies)) = (&arguments.write, arguments.crowd) {
-        return write(claim(Some(path))?, || Ok(crowd(bodies as usize)));
+        return write(claim(Some(path), WRITTEN)?, || Ok(format!("{WRITTEN} record`.\n{}", crowd(bodies as usize))));
     }
     let has_all = arguments.scene.is_empty() && arguments.crowd.is_none();
     let named = if has_all { SCENES.map(str::to_owned).to_vec() } else { arguments.scene };
@@ -49,7 +49,7 @@ pub fn record(arguments: Arguments) -> Result<(), Failure> {
     for scene in &scenes {
         memory::check(scene).map_err(Failure::input)?;
     }
-    let csv_file = claim(arguments.csv.as_deref())?;
+    let csv_file = claim(arguments.csv.as_deref(), "scene,bodies,detail,")?;
     let machine = Machine::detect();
     let folder = arguments.folder.unwrap_or_else(std::env::temp_dir);
     let mut report = Report::default();

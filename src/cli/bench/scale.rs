@@ -28,7 +28,7 @@ fn parse_seconds(text: &str) -> Result<f64, String> {
 }
 
 pub fn scale(arguments: Arguments) -> Result<(), Failure> {
-    let [csv_file, svg_file] = arguments.files.claim()?;
+    let [csv_file, svg_file] = arguments.files.claim("family,bodies,touching_bodies,", "Cost and size")?;
     let mut bodies: Vec<usize> = arguments.bodies.iter().map(|&n| n as usize).collect();
     bodies.sort_unstable();
     bodies.dedup();

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use crate::text::printable;
+
 /// A scene file that was refused: where, which key, what was expected and what was found.
 ///
 /// Displays on one line: `two.toml:12:12: influence.split_at: expected …, found 0.9`.
@@ -92,5 +94,5 @@ pub(super) fn clip(text: &str) -> String {
 
 /// `text` with its control characters escaped.
 pub(super) fn one_line(text: &str) -> String {
-    text.chars().map(|c| if c.is_control() { c.escape_debug().to_string() } else { c.to_string() }).collect()
+    printable(text).into_owned()
 }

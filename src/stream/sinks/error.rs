@@ -57,6 +57,20 @@ pub enum SinkError {
         /// The file asked for.
         path: PathBuf,
     },
+    /// What is there, or in the way, is not this program's to replace.
+    #[error("cannot save to {}: {what}", path.display())]
+    Taken {
+        /// The file asked for.
+        path: PathBuf,
+        /// What it is, and what to do.
+        what: String,
+    },
+    /// Standard output is a file that a recording would spoil.
+    #[error("{what}")]
+    StdoutTaken {
+        /// Which, and what to do.
+        what: String,
+    },
     /// Standard output cannot be written.
     #[error("cannot write the recording to standard output: {source}; {help}")]
     Stdout {
@@ -138,7 +152,15 @@ pub enum SinkError {
 impl SinkError {
     /// Whether what was asked for is at fault (exit status 2), not what happened (exit status 1).
     pub fn is_usage(&self) -> bool {
-        matches!(self, Self::Nowhere | Self::Url { .. } | Self::Terminal | Self::SamePort { .. })
+        matches!(
+            self,
+            Self::Nowhere
+                | Self::Url { .. }
+                | Self::Terminal
+                | Self::SamePort { .. }
+                | Self::Taken { .. }
+                | Self::StdoutTaken { .. }
+        )
     }
 }
 

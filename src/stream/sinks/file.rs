@@ -3,8 +3,8 @@
 //! A file is written beside its place, as `F.rrd.partial`, and renamed when it is whole: whatever happens to the run,
 //! the file that was there before stays as it was, and what was simulated can be read up to the last flush.
 
-use std::fs::{File, OpenOptions, TryLockError};
-use std::io::{self, BufWriter, IsTerminal as _, Write};
+use std::fs::{File, Metadata, OpenOptions, TryLockError};
+use std::io::{self, BufWriter, IsTerminal as _, Read as _, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 
 use rerun::external::re_build_info::CrateVersion;
 use rerun::external::re_log_encoding::{EncodeError, Encoder, EncodingOptions};
+use same_file::Handle;
 
 use super::SinkError;
 use super::error::file_help;
@@ -27,14 +28,21 @@ const FLUSH_EVERY: Duration = Duration::from_millis(250);
 /// Messages encoded between two looks at the clock.
 const BATCH: usize = 64;
 
+/// What a recording begins with, in the versions of Rerun that there have been.
+const MAGICS: [&[u8; 4]; 4] = [b"RRF2", b"RRF1", b"RRF0", b"RRIO"];
+
 /// The right to write a file: checked and locked, nothing in it touched yet.
 pub(super) struct Claim {
     /// Where the recording is wanted, symbolic links followed.
     path: PathBuf,
-    /// Open for writing.
+    /// Open for writing, and locked.
     file: File,
     /// Where it is written; `None`: into `path` itself, which is a device or a pipe and cannot be renamed over.
     partial: Option<Partial>,
+    /// `file` is what a killed run left: it stays until this one begins.
+    is_stale: bool,
+    /// What is to be replaced.
+    there: Option<Handle>,
 }
 
 /// The file beside, under its preliminary name; removed when dropped if there is nothing in it to keep.
@@ -52,9 +60,12 @@ impl Drop for Partial {
 }
 
 impl Claim {
-    /// Finds out all that can be found out before a run: whether `path` can be written, and whether another run does.
+    /// Finds out all that can be found out before a run: whether `path` can be written, whether what is there may be
+    /// replaced, and whether another run writes it.
     pub fn new(path: &Path) -> Result<Claim, SinkError> {
-        let path = &std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        let resolved = std::fs::canonicalize(path);
+        let is_link = std::fs::symlink_metadata(path).is_ok_and(|there| there.is_symlink());
+        let path = &resolved.unwrap_or_else(|_| path.to_owned());
         let refuse = |doing, source: io::Error| {
             let help = match (source.kind(), path.parent().filter(|parent| !parent.as_os_str().is_empty())) {
                 (io::ErrorKind::NotFound, Some(parent)) if !parent.is_dir() => {
@@ -64,15 +75,30 @@ impl Claim {
             };
             SinkError::File { doing, path: path.clone(), source: Arc::new(source), help }
         };
+        let taken = |what: &str| SinkError::Taken { path: path.clone(), what: what.to_owned() };
 
+        let mut there = None;
         match std::fs::metadata(path) {
-            Ok(there) if there.is_dir() => return Err(refuse("write", io::ErrorKind::IsADirectory.into())),
-            Ok(there) => {
-                // the rename would replace even a file that is write-protected, so that must be asked for here
+            _ if is_null(path) => {
                 let file = OpenOptions::new().write(true).open(path).map_err(|err| refuse("write", err))?;
-                if !there.is_file() {
-                    return Ok(Claim { path: path.clone(), file, partial: None });
+                return Ok(Claim { path: path.clone(), file, partial: None, is_stale: false, there });
+            }
+            Ok(found) if found.is_dir() => return Err(refuse("write", io::ErrorKind::IsADirectory.into())),
+            Ok(found) if is_disk(&found) => return Err(taken("it is a disk; save to a file")),
+            Ok(found) if found.is_file() => {
+                // the rename would replace even a file that is write-protected, so that must be asked for here
+                let file = OpenOptions::new().read(true).write(true).open(path).map_err(|err| refuse("write", err))?;
+                if !may_be_replaced(&file).map_err(|err| refuse("read", err))? {
+                    return Err(taken(NO_RECORDING));
                 }
+                there = Some(Handle::from_file(file).map_err(|err| refuse("read", err))?);
+            }
+            Ok(_) => {
+                let file = OpenOptions::new().write(true).open(path).map_err(|err| refuse("write", err))?;
+                return Ok(Claim { path: path.clone(), file, partial: None, is_stale: false, there });
+            }
+            Err(err) if err.kind() == io::ErrorKind::NotFound && is_link => {
+                return Err(taken("it is a symbolic link to nothing; remove it or save under another name"));
             }
             Err(err) if err.kind() == io::ErrorKind::NotFound => {}
             Err(err) => return Err(refuse("write", err)),
@@ -81,71 +107,133 @@ impl Claim {
         let Some(name) = path.file_name() else {
             return Err(refuse("write", io::ErrorKind::IsADirectory.into()));
         };
+        // what another run is writing under that name would end up under its own
+        if path.extension().is_some_and(|extension| extension == "partial") {
+            return Err(taken("files of runs that are going on end in .partial; save under another name"));
+        }
         let mut partial_name = name.to_owned();
         partial_name.push(".partial");
         let partial = path.with_file_name(partial_name);
+        let in_the_way = |what: &str| taken(&format!("{}, where it is written first, {what}", partial.display()));
         loop {
-            let (file, is_fresh) = match OpenOptions::new().write(true).create_new(true).open(&partial) {
-                Ok(file) => (file, true),
-                Err(err) if err.kind() == io::ErrorKind::AlreadyExists => {
-                    match OpenOptions::new().write(true).open(&partial) {
-                        Ok(file) => (file, false),
-                        // renamed or removed between the two lines above
-                        Err(err) if err.kind() == io::ErrorKind::NotFound => continue,
-                        Err(err) => return Err(refuse("create the .partial file of", err)),
+            // never through a link, whoever left it there
+            match OpenOptions::new().write(true).create_new(true).open(&partial) {
+                Ok(file) => {
+                    if lock(&file, path)?.is_none() || leads_to(&partial, &file) {
+                        let partial = Some(Partial { path: partial, is_kept: false });
+                        return Ok(Claim { path: path.clone(), file, partial, is_stale: false, there });
                     }
+                    continue;
                 }
+                Err(err) if err.kind() == io::ErrorKind::AlreadyExists => {}
                 Err(err) => return Err(refuse("create", err)),
+            }
+            match std::fs::symlink_metadata(&partial) {
+                Ok(found) if found.is_file() => {}
+                Ok(there) => {
+                    let kind = if there.is_symlink() { "is a symbolic link" } else { "is no file" };
+                    return Err(in_the_way(&format!("{kind}; remove it or save under another name")));
+                }
+                // renamed or removed meanwhile
+                Err(err) if err.kind() == io::ErrorKind::NotFound => continue,
+                Err(err) => return Err(refuse("create the .partial file of", err)),
+            }
+            let file = match OpenOptions::new().read(true).write(true).open(&partial) {
+                Ok(file) => file,
+                Err(err) if err.kind() == io::ErrorKind::NotFound => continue,
+                Err(err) => return Err(refuse("create the .partial file of", err)),
             };
-            match file.try_lock() {
-                Ok(()) => {}
-                Err(TryLockError::WouldBlock) => return Err(SinkError::Busy { path: path.clone() }),
-                // a file system without locks: two runs into one file are then the user's affair
-                Err(TryLockError::Error(_)) => {}
+            if lock(&file, path)?.is_none() {
+                return Err(in_the_way(
+                    "cannot be locked on this file system and may be that of a run that is going on; remove it if there is \
+                     none",
+                ));
             }
-            // The run that held the lock may have renamed this very file to `path` in the meantime:
-            // writing into it now would destroy a finished recording.
-            if is_same_file(&file, &partial) {
-                // what a killed run left stays until this one has begun
-                let partial = Partial { path: partial, is_kept: !is_fresh };
-                return Ok(Claim { path: path.clone(), file, partial: Some(partial) });
+            // The run that held the lock may have renamed this very file to `path` in the meantime: it is a finished
+            // recording now.
+            if !leads_to(&partial, &file) {
+                continue;
             }
+            if !may_be_replaced(&file).map_err(|err| refuse("read the .partial file of", err))? {
+                return Err(in_the_way("is no recording; remove it or save under another name"));
+            }
+            let partial = Some(Partial { path: partial, is_kept: true });
+            return Ok(Claim { path: path.clone(), file, partial, is_stale: true, there });
         }
     }
 
-    /// Empties the file and begins to write; the note is about what was lost by that.
+    /// Begins to write; the note is about what was lost by that.
     pub fn start(self) -> Result<(Writer, Option<String>), SinkError> {
-        let Claim { path, file, mut partial } = self;
+        let Claim { path, mut file, mut partial, is_stale, there } = self;
         let mut note = None;
-        let target = Target::File { path, partial: partial.as_ref().map(|partial| partial.path.clone()) };
+        let target = Target::File { path: path.clone(), partial: partial.as_ref().map(|partial| partial.path.clone()) };
         if let Some(partial) = &mut partial {
-            if file.metadata().is_ok_and(|there| there.len() > 0) {
-                note = Some(format!("overwriting {}, which an earlier run left unfinished", partial.path.display()));
+            if is_stale {
+                let create = |err| target.error("create the .partial file of", err);
+                if file.metadata().is_ok_and(|there| there.len() > 0) {
+                    let left = partial.path.display();
+                    note = Some(format!("overwriting {left}, which an earlier run left unfinished"));
+                }
+                // not emptied: it may have another name, under which it is wanted
+                std::fs::remove_file(&partial.path).map_err(create)?;
+                drop(file);
+                file = match OpenOptions::new().write(true).create_new(true).open(&partial.path) {
+                    Err(err) if err.kind() == io::ErrorKind::AlreadyExists => return Err(SinkError::Busy { path }),
+                    other => other.map_err(create)?,
+                };
+                lock(&file, &path)?;
             }
-            file.set_len(0).map_err(|err| target.error("empty the .partial file of", err))?;
             partial.is_kept = true;
         }
         let out = file.try_clone().map_err(|err| target.error("write", err))?;
         let mut writer = Writer::start(target, out)?;
-        writer.held = Some(Held { partial, file });
+        writer.held = Some(Held { partial, file, there });
         Ok((writer, note))
     }
 }
 
-/// Whether `path` is what `file` has open.
-#[cfg(unix)]
-fn is_same_file(file: &File, path: &Path) -> bool {
-    use std::os::unix::fs::MetadataExt as _;
-    match (file.metadata(), std::fs::metadata(path)) {
-        (Ok(open), Ok(named)) => (open.dev(), open.ino()) == (named.dev(), named.ino()),
-        _ => false,
+/// Why a file is not replaced.
+const NO_RECORDING: &str =
+    "it is no recording, and nothing else is replaced; save under another name or remove it first";
+
+/// Whether a file is one to lose: empty, or a recording.
+fn may_be_replaced(file: &File) -> io::Result<bool> {
+    let mut magic = Vec::new();
+    file.take(4).read_to_end(&mut magic)?;
+    Ok(magic.is_empty() || MAGICS.iter().any(|known| magic == **known))
+}
+
+/// Locks a file that is to become `path`; `None` where the file system has no locks.
+fn lock(file: &File, path: &Path) -> Result<Option<()>, SinkError> {
+    match file.try_lock() {
+        Ok(()) => Ok(Some(())),
+        Err(TryLockError::WouldBlock) => Err(SinkError::Busy { path: path.to_owned() }),
+        Err(TryLockError::Error(_)) => Ok(None),
     }
 }
 
-/// Elsewhere there is no portable way to tell.
+/// Whether `path` is a name of what `file` has open, and no link to it.
+fn leads_to(path: &Path, file: &File) -> bool {
+    let is_file = std::fs::symlink_metadata(path).is_ok_and(|there| there.is_file());
+    let open = file.try_clone().and_then(Handle::from_file);
+    is_file && matches!((open, Handle::from_path(path)), (Ok(open), Ok(named)) if open == named)
+}
+
+#[cfg(unix)]
+fn is_disk(there: &Metadata) -> bool {
+    use std::os::unix::fs::FileTypeExt as _;
+    there.file_type().is_block_device()
+}
+
+/// Elsewhere a disk has no name that could be given by mistake.
 #[cfg(not(unix))]
-fn is_same_file(_file: &File, _path: &Path) -> bool {
-    true
+fn is_disk(_there: &Metadata) -> bool {
+    false
+}
+
+/// The null device of Windows is there under that name in every folder, and says nothing of itself.
+fn is_null(path: &Path) -> bool {
+    cfg!(windows) && path.file_name().is_some_and(|name| name.eq_ignore_ascii_case("nul"))
 }
 
 /// Where the bytes go, to name it when something goes wrong.
@@ -202,6 +290,8 @@ struct Held {
     partial: Option<Partial>,
     /// The lock ends with its last handle.
     file: File,
+    /// What is to be replaced.
+    there: Option<Handle>,
 }
 
 /// What a writer has written.
@@ -271,10 +361,28 @@ impl Writer {
     /// Waits for the last byte, and gives a file its name.
     pub fn finish(mut self) -> Result<Written, SinkError> {
         let written = self.join()?;
-        if let (Target::File { path, .. }, Some(Held { partial: Some(partial), file })) =
+        if let (Target::File { path, .. }, Some(Held { partial: Some(partial), file, there })) =
             (&self.target, self.held.take())
         {
             file.sync_all().map_err(|err| self.target.error("sync", err))?;
+            // a run takes its time: somebody may have put something else where it is to end
+            let in_the_way = |what: &str| SinkError::Taken {
+                path: path.clone(),
+                what: format!("{what}; what was recorded is in {}", partial.path.display()),
+            };
+            if !leads_to(&partial.path, &file) {
+                return Err(SinkError::Taken {
+                    path: path.clone(),
+                    what: format!("another program has replaced {}; record it again", partial.path.display()),
+                });
+            }
+            if let Ok(found) = std::fs::symlink_metadata(path) {
+                let is_same = found.is_file() && there.is_some() && Handle::from_path(path).ok() == there;
+                if !is_same || !File::open(path).is_ok_and(|file| may_be_replaced(&file).unwrap_or(false)) {
+                    return Err(in_the_way("something else has been put there meanwhile"));
+                }
+            }
+            drop(there);
             std::fs::rename(&partial.path, path)
                 .map_err(|err| self.target.error("rename the .partial file to", err))?;
             // the name is in the directory, which is synced by itself; where that cannot be done there is no remedy
@@ -316,6 +424,27 @@ impl Drop for Writer {
         if let Some(Held { partial: Some(partial), .. }) = &mut self.held {
             partial.is_kept = self.sent > 0;
         }
+    }
+}
+
+/// Refuses a standard output that a recording would spoil, or that would spoil one: a file with something in it, or the
+/// one to save to.
+pub(super) fn check_stdout(save: Option<&Path>) -> Result<(), SinkError> {
+    let refuse = |what: &str| Err(SinkError::StdoutTaken { what: what.to_owned() });
+    let Ok(stdout) = Handle::stdout() else { return Ok(()) };
+    match stdout.as_file().metadata() {
+        Ok(there) if there.is_file() && there.len() > 0 => {
+            return refuse("standard output is a file that holds something already; send the recording to a new one");
+        }
+        Ok(there) if !there.is_file() => return Ok(()),
+        _ => {}
+    }
+    let is_file = |path: &&Path| std::fs::metadata(path).is_ok_and(|there| there.is_file());
+    match save.filter(is_file).map(Handle::from_path) {
+        Some(Ok(save)) if save == stdout => {
+            refuse("standard output is the file to save to as well; leave one of them out")
+        }
+        _ => Ok(()),
     }
 }
 

@@ -167,6 +167,9 @@ impl Sinks {
         if *stdout && file::is_terminal() {
             return Err(SinkError::Terminal);
         }
+        if *stdout {
+            file::check_stdout(save.as_deref())?;
+        }
         let claim = save.as_deref().map(Claim::new).transpose()?;
 
         let mut sinks = Sinks { patience: *patience, ..Sinks::closed() };

@@ -1,0 +1,634 @@
+//! What is there stays there: which files the program replaces, which it refuses, and that what a file holds does nothing to
+//! the terminal on which it is shown.
+
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Stdio},
+    time::{Duration, Instant},
+};
+
+use meldscope::{
+    Scene, World,
+    recording::Recorded,
+    stream::{
+        Recorder, Settings,
+        chunks::Chunks,
+        settings::{Detail, Entities, Frames, Trigger},
+        sinks::{Destinations, SinkError, Sinks},
+    },
+};
+use proptest::prelude::*;
+use rerun::{AnyValues, StoreId, StoreKind, TextDocument, components::Text};
+
+use crate::{
+    bad_recordings::{SCENE, encoded},
+    recording::{Dir, Recording},
+};
+
+/// Status, standard output, standard error.
+fn meldscope(dir: &Dir, arguments: &[&str]) -> (i32, String, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
+    let output = command.args(arguments).current_dir(dir.path()).stdin(Stdio::null()).output().expect("it starts");
+    let [out, err] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned());
+    assert!(!err.contains("panicked"), "{err}");
+    (output.status.code().expect("a status"), out, err)
+}
+
+fn succeeds(dir: &Dir, arguments: &[&str]) -> (String, String) {
+    let (status, out, err) = meldscope(dir, arguments);
+    assert_eq!(status, 0, "{arguments:?}: {out}{err}");
+    (out, err)
+}
+
+/// Refused as bad input in one line, with every file as it was.
+#[track_caller]
+fn refused(dir: &Dir, arguments: &[&str]) -> String {
+    let before = content(dir);
+    let (status, out, err) = meldscope(dir, arguments);
+    assert_eq!((status, err.lines().count()), (2, 1), "{arguments:?}: {out}{err}");
+    assert!(err.starts_with("error: "), "{err}");
+    assert!(content(dir) == before, "{arguments:?} changed something");
+    err
+}
+
+/// Every file by its name.
+fn content(dir: &Dir) -> Vec<(String, Vec<u8>)> {
+    let read = |name: String| {
+        let path = dir.file(&name);
+        let bytes =
+            if fs::symlink_metadata(&path).is_ok_and(|there| there.is_file()) { fs::read(&path).ok() } else { None };
+        (name, bytes.unwrap_or_default())
+    };
+    dir.names().into_iter().map(read).collect()
+}
+
+fn scene_dir() -> Dir {
+    let dir = Dir::new();
+    fs::write(dir.file("s.toml"), SCENE).expect("room");
+    dir
+}
+
+// ---- what is replaced ------------------------------------------------------------------------------------------------
+
+#[test]
+fn a_scene_is_never_replaced_by_its_recording() {
+    let dir = scene_dir();
+    fs::create_dir(dir.file("sub")).expect("room");
+    fs::hard_link(dir.file("s.toml"), dir.file("hard.rrd")).expect("a link");
+    fs::write(dir.file("other.toml"), SCENE).expect("room");
+    succeeds(&dir, &["run", "s.toml", "--quiet", "--thin", "--save", "a.rrd"]);
+    let mut ways = vec!["s.toml", "./s.toml", "sub/../s.toml", "hard.rrd"];
+    if cfg!(unix) {
+        #[cfg(unix)]
+        std::os::unix::fs::symlink("s.toml", dir.file("link.rrd")).expect("a link");
+        ways.push("link.rrd");
+    }
+    let absolute = dir.file("s.toml").to_string_lossy().into_owned();
+    ways.push(&absolute);
+    for way in ways {
+        let said = refused(&dir, &["run", "s.toml", "--save", way]);
+        assert!(said.contains("is the scene to be run") && said.contains("another name"), "{said}");
+        for arguments in [
+            &["run", "other.toml", "--save", way] as &[_],
+            &["replay", "a.rrd", "--save", way],
+            &["diff", "a.rrd", "a.rrd", "--save", way],
+        ] {
+            let said = refused(&dir, arguments);
+            assert!(said.contains("it is no recording") && said.contains("another name"), "{said}");
+        }
+    }
+    #[cfg(target_os = "linux")]
+    for redirection in [">> s.toml", "1<> s.toml", ">> a.rrd"] {
+        let before = content(&dir);
+        let script = format!("'{}' run s.toml --stdout {redirection}", env!("CARGO_BIN_EXE_meldscope"));
+        let output = Command::new("sh").args(["-c", &script]).current_dir(dir.path()).output().expect("a shell");
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert!(said.contains("holds something already"), "{said}");
+        let script = format!("'{}' run s.toml --save /dev/stdout {redirection}", env!("CARGO_BIN_EXE_meldscope"));
+        if redirection != ">> a.rrd" {
+            let output = Command::new("sh").args(["-c", &script]).current_dir(dir.path()).output().expect("a shell");
+            assert_eq!(output.status.code(), Some(2));
+        }
+        assert!(content(&dir) == before, "{redirection}");
+    }
+}
+
+#[test]
+fn only_recordings_are_replaced() {
+    let dir = scene_dir();
+    for (name, text) in [("letter.txt", "Dear all,"), ("short.rrd", "RR"), ("code.rrd", "fn main() {}")] {
+        fs::write(dir.file(name), text).expect("room");
+        let said = refused(&dir, &["run", "s.toml", "--save", name]);
+        assert!(said.contains("it is no recording") && said.contains("remove it"), "{said}");
+    }
+    // what mktemp makes, and what an earlier run has made
+    fs::write(dir.file("empty.rrd"), "").expect("room");
+    for _ in 0..2 {
+        let (_, err) = succeeds(&dir, &["run", "s.toml", "--quiet", "--save", "empty.rrd"]);
+        assert_eq!(err, "");
+        let (_, err) = succeeds(&dir, &["run", "s.toml"]);
+        assert_eq!(err, "");
+    }
+    // a recording, but not this program's
+    let mut chunks = Chunks::new(StoreId::new(StoreKind::Recording, "flight_logs", "1"));
+    chunks.log_static("/text", &TextDocument::new("precious"));
+    fs::write(dir.file("foreign.rrd"), encoded(chunks)).expect("room");
+    let said = refused(&dir, &["run", "s.toml", "--save", "foreign.rrd"]);
+    assert!(said.contains("flight_logs") && said.contains("not of this program"), "{said}");
+}
+
+#[test]
+fn what_replaces_something_else_says_so_before_it_starts() {
+    let dir = scene_dir();
+    succeeds(&dir, &["run", "s.toml", "--quiet", "--save", "x.rrd"]);
+    let cases: [(&[&str], &str); 6] = [
+        (&["run", "push", "--quiet", "--save", "x.rrd"], "a recording of the scene \"small\""),
+        (&["run", "push", "--quiet", "--thin", "--save", "x.rrd"], "a recording of the scene \"push\""),
+        (&["run", "push", "--quiet", "--keep", "3", "--save", "x.rrd"], "a thin recording of the scene \"push\""),
+        (&["run", "s.toml", "--quiet", "--save", "x.rrd"], "a recording of the last frames of the scene \"push\""),
+        (&["diff", "a.rrd", "a.rrd", "--save", "x.rrd"], "a recording of the scene \"small\""),
+        (&["replay", "a.rrd", "--save", "x.rrd"], "a comparison of two recordings"),
+    ];
+    succeeds(&dir, &["run", "s.toml", "--quiet", "--save", "a.rrd"]);
+    for (arguments, what) in cases {
+        let (_, err) = succeeds(&dir, arguments);
+        assert_eq!(err, format!("note: {} is replaced, {what}\n", "x.rrd"), "{arguments:?}");
+        if arguments[0] != "diff" {
+            assert_eq!(succeeds(&dir, arguments).1, "", "{arguments:?} a second time");
+        }
+    }
+}
+
+#[test]
+fn golden_recordings_are_replaced_by_bless_alone() {
+    let dir = scene_dir();
+    succeeds(&dir, &["check", "s.toml", "--bless", "a test"]);
+    fs::write(dir.file("small.toml"), SCENE).expect("room");
+    succeeds(&dir, &["run", "push", "--quiet", "--save", "a.rrd"]);
+    fs::copy(dir.file("s.rrd"), dir.file("copy.rrd")).expect("room");
+    for golden in ["s.rrd", "copy.rrd", "./s.rrd"] {
+        for arguments in [
+            &["run", "s.toml", "--save", golden] as &[_],
+            &["run", "s.toml", "--thin", "--save", golden],
+            &["run", "push", "--save", golden],
+            &["replay", "a.rrd", "--save", golden],
+            &["diff", "a.rrd", "a.rrd", "--save", golden],
+        ] {
+            let said = refused(&dir, arguments);
+            assert!(said.contains("golden recording") && said.contains("check --bless"), "{said}");
+        }
+    }
+    // the default destination: a scene that is called as its file is
+    succeeds(&dir, &["check", "small.toml", "--bless", "a test"]);
+    let said = refused(&dir, &["run", "small.toml"]);
+    assert!(said.contains("small.rrd") && said.contains("golden recording"), "{said}");
+
+    // what `check` takes for golden is, even if it cannot be read
+    fs::write(dir.file("s.rrd"), "RRF2 and nothing else").expect("room");
+    let said = refused(&dir, &["run", "s.toml", "--save", "s.rrd"]);
+    assert!(said.contains("golden recording"), "{said}");
+    succeeds(&dir, &["check", "s.toml", "--bless", "it was damaged"]);
+    succeeds(&dir, &["check", "s.toml"]);
+
+    // nor does the comparison that `check` writes replace one
+    fs::write(dir.file("s.check.toml"), SCENE).expect("room");
+    succeeds(&dir, &["check", "s.check.toml", "--bless", "a trap"]);
+    let golden = fs::read(dir.file("s.check.rrd")).expect("a file");
+    fs::write(dir.file("s.toml"), SCENE.replace("[-2, 0, 0]", "[-2.5, 0, 0]")).expect("room");
+    let (status, out, err) = meldscope(&dir, &["check", "s.toml"]);
+    assert!(status == 1 && out.contains("could not be written") && out.contains("golden"), "{out}{err}");
+    assert!(fs::read(dir.file("s.check.rrd")).expect("a file") == golden);
+}
+
+#[test]
+fn benchmarks_replace_only_what_they_have_written() {
+    let dir = scene_dir();
+    let crowd = ["bench", "record", "--crowd", "3", "--write"];
+    let said = refused(&dir, &[&crowd[..], &["s.toml"]].concat());
+    assert!(said.contains("nothing else is replaced"), "{said}");
+    for _ in 0..2 {
+        succeeds(&dir, &[&crowd[..], &["crowd.toml"]].concat());
+    }
+    assert_eq!(Scene::load(&dir.file("crowd.toml")).expect("a scene").bodies.len(), 3);
+    fs::write(dir.file("data.csv"), "time,price\n1,2\n").expect("room");
+    for arguments in [
+        &["bench", "error", "s.toml", "--csv", "s.toml"] as &[_],
+        &["bench", "error", "s.toml", "--svg", "s.toml"],
+        &["bench", "error", "s.toml", "--csv", "data.csv"],
+        &["bench", "scale", "--csv", "data.csv"],
+        &["bench", "scale", "--svg", "s.toml"],
+        &["bench", "record", "s.toml", "--csv", "s.toml"],
+        &["bench", "stability", "--csv", "s.toml"],
+        &["bench", "stability", "--case", "3", "--write", "s.toml"],
+    ] {
+        refused(&dir, arguments);
+    }
+}
+
+// ---- where it is written first ---------------------------------------------------------------------------------------
+
+#[cfg(unix)]
+#[test]
+fn no_link_is_followed_to_where_a_recording_is_written_first() {
+    let dir = scene_dir();
+    let link = |to: &str, name: &str| {
+        fs::remove_file(dir.file(name)).ok();
+        std::os::unix::fs::symlink(to, dir.file(name)).expect("a link");
+    };
+    fs::write(dir.file("mine.txt"), "precious").expect("room");
+    succeeds(&dir, &["run", "s.toml", "--quiet", "--save", "mine.rrd"]);
+    for to in ["mine.txt", "mine.rrd", "not-there", "/etc/passwd"] {
+        link(to, "x.rrd.partial");
+        let said = refused(&dir, &["run", "s.toml", "--save", "x.rrd"]);
+        assert!(
+            said.contains("x.rrd.partial") && said.contains("symbolic link") && said.contains("remove it"),
+            "{said}"
+        );
+        assert!(!dir.file("not-there").exists());
+    }
+    fs::remove_file(dir.file("x.rrd.partial")).expect("it is there");
+    // nor anything else that is there
+    fs::create_dir(dir.file("x.rrd.partial")).expect("room");
+    refused(&dir, &["run", "s.toml", "--save", "x.rrd"]);
+    fs::remove_dir(dir.file("x.rrd.partial")).expect("it is there");
+    assert!(Command::new("mkfifo").arg(dir.file("x.rrd.partial")).status().expect("mkfifo").success());
+    let said = refused(&dir, &["run", "s.toml", "--save", "x.rrd"]);
+    assert!(said.contains("is no file"), "{said}");
+    fs::remove_file(dir.file("x.rrd.partial")).expect("it is there");
+    fs::write(dir.file("x.rrd.partial"), "a letter").expect("room");
+    let said = refused(&dir, &["run", "s.toml", "--save", "x.rrd"]);
+    assert!(said.contains("is no recording"), "{said}");
+    fs::remove_file(dir.file("x.rrd.partial")).expect("it is there");
+
+    // what a killed run left goes, its other names stay
+    let bytes = fs::read(dir.file("mine.rrd")).expect("a file");
+    fs::hard_link(dir.file("mine.rrd"), dir.file("x.rrd.partial")).expect("a link");
+    let (_, err) = succeeds(&dir, &["run", "s.toml", "--save", "x.rrd"]);
+    assert!(err.contains("left unfinished"), "{err}");
+    assert!(fs::read(dir.file("mine.rrd")).expect("a file") == bytes);
+    assert!(!dir.file("x.rrd.partial").exists());
+
+    // the place itself: a link to a recording stays one, a link to nothing is refused
+    link("mine.rrd", "l.rrd");
+    succeeds(&dir, &["run", "s.toml", "--steps", "3", "--save", "l.rrd"]);
+    assert!(fs::symlink_metadata(dir.file("l.rrd")).expect("a link").is_symlink());
+    assert_eq!(Recording::open(&dir.file("mine.rrd")).steps(), 3.0);
+    link("nowhere.rrd", "l.rrd");
+    let said = refused(&dir, &["run", "s.toml", "--save", "l.rrd"]);
+    assert!(said.contains("symbolic link to nothing"), "{said}");
+}
+
+fn to_file(path: &Path) -> Destinations {
+    Destinations { save: Some(path.to_owned()), ..Destinations::default() }
+}
+
+#[test]
+fn of_two_runs_that_save_to_one_file_the_second_is_refused() {
+    let dir = scene_dir();
+    let first = Sinks::open(&to_file(&dir.file("x.rrd"))).expect("a file");
+    let (status, _, err) = meldscope(&dir, &["run", "s.toml", "--save", "x.rrd"]);
+    assert!(status == 1 && err.contains("another run is writing"), "{err}");
+    // nor by the name under which the first is writing
+    let said = refused(&dir, &["run", "s.toml", "--save", "x.rrd.partial"]);
+    assert!(said.contains(".partial"), "{said}");
+    drop(first);
+    // what a killed run left, claimed twice
+    fs::write(dir.file("x.rrd.partial"), "RRF2").expect("room");
+    let first = Sinks::open(&to_file(&dir.file("x.rrd"))).expect("a file");
+    assert!(matches!(Sinks::open(&to_file(&dir.file("x.rrd"))), Err(SinkError::Busy { .. })));
+    drop(first);
+}
+
+/// Whoever takes the file away from under a run is told of, and loses nothing.
+#[cfg(unix)]
+#[test]
+fn what_comes_in_between_is_not_replaced() {
+    let dir = scene_dir();
+    let (path, partial) = (dir.file("x.rrd"), dir.file("x.rrd.partial"));
+    let sinks = Sinks::open(&to_file(&path)).expect("a file");
+    fs::write(&path, "a letter").expect("room");
+    let error = sinks.finish().err().expect("it is no recording").to_string();
+    assert!(error.contains("x.rrd.partial") && error.contains("something else has been put there"), "{error}");
+    assert_eq!(fs::read(&path).expect("a file"), b"a letter");
+    assert!(fs::read(&partial).expect("a file").starts_with(b"RRF2"));
+    fs::remove_file(&path).and_then(|()| fs::remove_file(&partial)).expect("they are there");
+
+    let sinks = Sinks::open(&to_file(&path)).expect("a file");
+    fs::remove_file(&partial).and_then(|()| fs::write(&partial, "another's")).expect("room");
+    let error = sinks.finish().err().expect("it is another").to_string();
+    assert!(error.contains("another program"), "{error}");
+    assert_eq!(fs::read(&partial).expect("a file"), b"another's");
+    assert!(!path.exists());
+}
+
+/// A killed run's recording is not written over while it is read.
+#[test]
+fn what_is_replayed_is_not_where_the_replay_is_written_first() {
+    let dir = scene_dir();
+    succeeds(&dir, &["run", "s.toml", "--quiet", "--save", "x.rrd"]);
+    fs::rename(dir.file("x.rrd"), dir.file("x.rrd.partial")).expect("room");
+    let said = refused(&dir, &["replay", "x.rrd.partial", "--save", "x.rrd"]);
+    assert!(said.contains("written first") && said.contains("another name"), "{said}");
+    refused(&dir, &["diff", "x.rrd.partial", "x.rrd.partial", "--save", "x.rrd"]);
+    succeeds(&dir, &["replay", "x.rrd.partial", "--save", "y.rrd"]);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn devices_and_pipes_are_written_as_they_are() {
+    let dir = scene_dir();
+    succeeds(&dir, &["run", "s.toml", "--save", "/dev/null"]);
+    let (status, _, err) = meldscope(&dir, &["run", "s.toml", "--save", "/dev/full"]);
+    assert!(status == 1 && err.contains("/dev/full"), "{err}");
+    let fifo = dir.file("pipe");
+    assert!(Command::new("mkfifo").arg(&fifo).status().expect("mkfifo").success());
+    let reader = std::thread::spawn(move || fs::read(fifo).expect("a recording"));
+    succeeds(&dir, &["run", "s.toml", "--save", "pipe"]);
+    assert_eq!(Recording::read(&reader.join().expect("no panic")[..]).steps(), 30.0);
+    assert_eq!(dir.names(), ["pipe", "s.toml"]);
+}
+
+// ---- settings ---------------------------------------------------------------------------------------------------------
+
+fn count() -> impl Strategy<Value = u64> {
+    let edges = [1, 2, 3, 7, (1 << 63) - 1, 1 << 63, (1 << 63) + 1, u64::MAX - 1, u64::MAX];
+    prop_oneof![3 => prop::sample::select(edges.to_vec()), 1 => 1u64..100, 1 => 1u64..]
+}
+
+fn settings() -> impl Strategy<Value = Settings> {
+    let scene = Scene::parse(SCENE, "small").expect("a scene");
+    let detail = prop_oneof![
+        Just(Detail::Surface),
+        Just(Detail::Forces),
+        (prop_oneof![Just(0), count()], count()).prop_map(|(from, to)| Detail::Stages { from, to }),
+    ];
+    let frames = prop_oneof![
+        2 => Just(Frames::All),
+        1 => Just(Frames::Thin),
+        2 => (count(), prop::sample::subsequence(Trigger::ALL.to_vec(), 0..=4))
+            .prop_map(|(most, on)| Frames::Last { most, on }),
+    ];
+    let numbers = (Scene::POSITIVE, Scene::POSITIVE, prop::option::of(count()), any::<bool>(), count());
+    (numbers, detail, frames, prop::sample::select(Entities::ALL.to_vec()), 0usize..=1000).prop_map(
+        move |((dt, tolerance, steps, skip, every), detail, frames, entities, pairs)| {
+            let own = Settings::of(&scene);
+            Settings { dt, tolerance, steps, skip, every, detail, frames, entities, pairs, ..own }
+        },
+    )
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// What is written of settings is what is read of them.
+    #[test]
+    fn settings_are_read_as_they_were_written(settings in settings()) {
+        let scene = Scene::parse(SCENE, "small").expect("a scene");
+        let text = settings.to_toml();
+        prop_assert!(text.parse::<toml::Table>().is_ok(), "{}", text);
+        prop_assert_eq!(Settings::from_toml(&text, &scene), Ok(settings));
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// A recording with any settings is read, and verified.
+    #[test]
+    fn every_setting_replays(settings in settings(), taken in 0u64..12) {
+        let dir = Dir::new();
+        let mut scene = Scene::parse(SCENE, "small").expect("a scene");
+        scene.tolerance = settings.tolerance.clamp(1e-9, 1e-3);
+        scene.dt = settings.dt.clamp(1e-4, 0.1);
+        let settings = Settings { dt: scene.dt, tolerance: scene.tolerance, ..settings };
+        let mut world = World::with_options(scene, meldscope::sim::Options { skip: settings.skip, ..Default::default() })
+            .expect("it fits");
+        let mut sinks = Sinks::open(&to_file(&dir.file("x.rrd"))).expect("a file");
+        let steps = settings.steps.unwrap_or(taken).min(taken);
+        let mut recorder = Recorder::new(&world, settings.clone());
+        for _ in 0..steps {
+            world.step();
+            recorder.observe(&world);
+        }
+        recorder.finish(&world);
+        recorder.take().into_iter().for_each(|message| sinks.send(message).expect("room"));
+        sinks.finish().expect("room");
+        let recorded = Recorded::open(&dir.file("x.rrd")).expect("a recording");
+        prop_assert_eq!(&recorded.settings, &settings);
+        prop_assert_eq!(recorded.last(), steps);
+        let verdict = meldscope::recording::replay::verify(&recorded, |_| true).expect("a recording");
+        prop_assert_eq!(verdict, meldscope::recording::replay::Verdict::Identical);
+    }
+}
+
+#[test]
+fn every_option_that_a_run_accepts_replays() {
+    let dir = scene_dir();
+    for options in [
+        &["--detail", "stages"] as &[&str],
+        &["--detail", "stages", "--from", "8"],
+        &["--detail", "stages", "--from", "8", "--to", "9"],
+        &["--every", "9223372036854775808"],
+        &["--every", "18446744073709551615"],
+        &["--keep", "9223372036854775808"],
+        &["--keep", "18446744073709551615", "--on", "merge,core"],
+        &["--detail", "surface", "--pairs", "0", "--every", "7"],
+        &["--entities", "batch", "--integrator", "rk4", "--no-skip"],
+        &["--dt", "1e-3", "--tolerance", "1e-12"],
+        &["--thin", "--steps", "17"],
+    ] {
+        succeeds(&dir, &[&["run", "s.toml", "--quiet", "--save", "x.rrd"], options].concat());
+        let (out, _) = succeeds(&dir, &["replay", "x.rrd"]);
+        assert!(out.contains("identical"), "{options:?}: {out}");
+        succeeds(&dir, &["replay", "x.rrd", "--from", "8", "--to", "9", "--detail", "stages", "--save", "slice.rrd"]);
+        let (out, _) = succeeds(&dir, &["replay", "slice.rrd"]);
+        assert!(out.contains("identical"), "{options:?}: {out}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_run_of_more_steps_than_can_be_is_replayed_as_far_as_it_came() {
+    let dir = scene_dir();
+    for steps in ["9223372036854775808", "18446744073709551615", "0"] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
+        command.args(["run", "s.toml", "--quiet", "--thin", "--steps", steps, "--save", "x.rrd"]);
+        let mut child = command.current_dir(dir.path()).spawn().expect("it starts");
+        let start = Instant::now();
+        let partial = dir.file("x.rrd.partial");
+        while fs::metadata(&partial).map_or(0, |there| there.len()) < 20_000
+            && start.elapsed() < Duration::from_secs(60)
+        {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        let id = child.id().to_string();
+        assert!(Command::new("kill").args(["-INT", &id]).status().expect("kill").success());
+        assert!(child.wait().expect("a child").success());
+        let (out, _) = succeeds(&dir, &["replay", "x.rrd"]);
+        assert!(out.contains("identical"), "{out}");
+        fs::remove_file(dir.file("x.rrd")).expect("it is there");
+    }
+}
+
+/// Recordings of the versions that wrote numbers that TOML does not have.
+#[test]
+fn settings_of_old_recordings_with_large_numbers_are_read() {
+    let scene = Scene::parse(SCENE, "small").expect("a scene");
+    let settings =
+        Settings { detail: Detail::Stages { from: 3, to: u64::MAX }, every: 1 << 63, ..Settings::of(&scene) };
+    let old = settings.to_toml().replace(['"'], "").replace("exponential", "\"exponential\"");
+    let old = old.replace("= stages", "= \"stages\"").replace("= body", "= \"body\"");
+    assert!(old.contains(", 18446744073709551615]") && old.contains("every = 9223372036854775808"), "{old}");
+    assert_eq!(Settings::from_toml(&old, &scene), Ok(settings));
+}
+
+// ---- terminals ---------------------------------------------------------------------------------------------------------
+
+/// What does more to a terminal than to be shown, but for the end of a line.
+fn is_obeyed(c: char) -> bool {
+    c != '\n' && (c.is_control() || "\u{202e}\u{2066}\u{2028}".contains(c))
+}
+
+const EVIL: &str = "\u{1b}[2J\u{1b}]0;owned\u{7}\u{9b}31m\u{202e}\u{2066}\u{2028}\r\nx.rrd: identical";
+
+#[test]
+fn no_control_character_of_a_recording_reaches_a_terminal() {
+    let dir = scene_dir();
+    let scene = Scene::parse(SCENE, "small").expect("a scene");
+    let settings = Settings { frames: Frames::Thin, ..Settings::of(&scene) };
+    let mut world = World::new(scene.clone()).expect("it fits");
+    let mut recorder = Recorder::new(&world, settings);
+    for name in ["overrides", "machine", "blessed", "integrator"] {
+        recorder.log_property(name, EVIL);
+    }
+    for _ in 0..30 {
+        world.step();
+        recorder.observe(&world);
+    }
+    recorder.finish(&world);
+    let write = |recorder: &mut Recorder, name: &str| {
+        let mut sinks = Sinks::open(&to_file(&dir.file(name))).expect("a file");
+        recorder.take().into_iter().for_each(|message| sinks.send(message).expect("room"));
+        sinks.finish().expect("room");
+    };
+    write(&mut recorder, "x.rrd");
+    succeeds(&dir, &["run", "s.toml", "--quiet", "--thin", "--save", "good.rrd"]);
+    let plain = |arguments: &[&str]| {
+        let (_, out, err) = meldscope(&dir, arguments);
+        assert!(!out.contains(is_obeyed) && !err.contains(is_obeyed), "{arguments:?}: {out:?} {err:?}");
+        // nor can it add a line of its own
+        assert!(!out.lines().skip(1).any(|line| line.starts_with("x.rrd: identical")), "{out}");
+        out + &err
+    };
+    let said = plain(&["replay", "x.rrd"]);
+    assert!(said.contains("identical") && said.contains(r"\u{1b}[2J"), "{said}");
+    plain(&["diff", "x.rrd", "good.rrd"]);
+    plain(&["run", "x.rrd"]);
+    fs::copy(dir.file("x.rrd"), dir.file("s.rrd")).expect("room");
+    plain(&["check", "s.toml"]);
+
+    // texts from which nothing can be made: they are named in the refusal
+    for (settings, version) in [
+        (Settings::of(&scene).to_toml().replace("exponential", "\\u001b[2Jevil\\u202e\\n"), "1"),
+        (Settings::of(&scene).to_toml(), EVIL),
+    ] {
+        let text = |value: &str| [Text::from(value)];
+        for format in [1.0, 99.0] {
+            let properties = AnyValues::default()
+                .with_component::<Text>("scene", text(SCENE))
+                .with_component::<Text>("settings", text(&settings))
+                .with_component::<Text>("version", text(version))
+                .with_component::<rerun::components::Scalar>("format", [format]);
+            let mut chunks = Chunks::new(StoreId::new(StoreKind::Recording, "meldscope_small", "small-0"));
+            chunks.log_static("/__properties/meldscope", &properties);
+            fs::write(dir.file("y.rrd"), encoded(chunks)).expect("room");
+            plain(&["replay", "y.rrd"]);
+        }
+    }
+    // another program's name
+    let mut chunks = Chunks::new(StoreId::new(StoreKind::Recording, EVIL, "1"));
+    chunks.log_static("/text", &TextDocument::new("precious"));
+    fs::write(dir.file("z.rrd"), encoded(chunks)).expect("room");
+    plain(&["run", "s.toml", "--save", "z.rrd"]);
+    plain(&["replay", "z.rrd"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn no_control_character_of_a_name_reaches_a_terminal() {
+    let dir = scene_dir();
+    let name = "\u{1b}]0;owned\u{7}\u{1b}[2J\u{202e}\nfake: identical";
+    let [toml, rrd] = ["toml", "rrd"].map(|extension| format!("{name}.{extension}"));
+    fs::write(dir.file(&toml), SCENE.replace("name = \"small\"\n", "")).expect("room");
+    fs::write(dir.file("bidi.toml"), SCENE.replace("small", "a\u{202e}b\u{2066}")).expect("room");
+    let plain = |arguments: &[&str]| {
+        let (status, out, err) = meldscope(&dir, arguments);
+        assert!(!out.contains(is_obeyed) && !err.contains(is_obeyed), "{arguments:?}: {out:?} {err:?}");
+        assert!(!out.lines().any(|line| line.starts_with("fake")), "{out}");
+        assert!(!err.lines().any(|line| line.starts_with("fake")), "{err}");
+        status
+    };
+    assert_eq!(plain(&["run", &toml]), 0);
+    assert_eq!(plain(&["run", &toml, "--thin", "--save", &rrd]), 0);
+    assert_eq!(plain(&["run", "bidi.toml", "--thin", "--save", "b.rrd"]), 0);
+    assert_eq!(plain(&["replay", &rrd]), 0);
+    assert_eq!(plain(&["replay", &rrd, "--save", &rrd]), 2);
+    assert_eq!(plain(&["diff", &rrd, "b.rrd"]), 0);
+    assert_eq!(plain(&["check", &toml]), 0);
+    assert_eq!(plain(&["check", &toml, "--bless", "a\u{1b}[2Jb"]), 0);
+    assert_eq!(plain(&["check", "."]), 1);
+    assert_eq!(plain(&["bench", "record", &toml, "--csv", &toml]), 2);
+    assert_eq!(plain(&["run", &format!("{name}.missing")]), 2);
+    assert_eq!(plain(&["replay", &format!("{name}.missing")]), 2);
+    assert_eq!(plain(&["run", "s.toml", "--save", &toml]), 2);
+    fs::write(dir.file(&toml), "duration = \"\u{1b}[2J\u{9b}\u{202e}\"").expect("room");
+    assert_eq!(plain(&["run", &toml]), 2);
+    assert_eq!(plain(&["check", &toml]), 2);
+}
+
+// ---- standard output ---------------------------------------------------------------------------------------------------
+
+#[cfg(target_os = "linux")]
+#[test]
+fn results_that_cannot_be_printed_are_an_error() {
+    let dir = scene_dir();
+    succeeds(&dir, &["run", "s.toml", "--quiet", "--save", "a.rrd"]);
+    succeeds(&dir, &["check", "s.toml", "--bless", "a test"]);
+    for arguments in [
+        &["run", "s.toml", "--save", "x.rrd"] as &[&str],
+        &["replay", "a.rrd"],
+        &["diff", "a.rrd", "a.rrd"],
+        &["check", "s.toml"],
+        &["check", "s.toml", "--bless", "again"],
+        &["scenes"],
+        &["bench", "stability", "--case", "3"],
+        &["--help"],
+        &["run", "--help"],
+        &["--version"],
+    ] {
+        let run = |out: Stdio| {
+            let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
+            command.args(arguments).current_dir(dir.path()).stdout(out).stderr(Stdio::piped());
+            let output = command.spawn().and_then(|child| child.wait_with_output()).expect("it starts");
+            (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+        };
+        let full = fs::OpenOptions::new().write(true).open("/dev/full").expect("a device");
+        let (status, said) = run(full.into());
+        assert_eq!(status, Some(1), "{arguments:?}: {said}");
+        assert!(said.contains("standard output") && said.contains("No space left"), "{arguments:?}: {said}");
+        // nobody listens: nothing to say
+        let (reader, writer) = std::io::pipe().expect("a pipe");
+        drop(reader);
+        assert_eq!(run(writer.into()), (Some(0), String::new()), "{arguments:?}");
+    }
+    // what was the matter otherwise is still said, with its status
+    let full = fs::OpenOptions::new().write(true).open("/dev/full").expect("a device");
+    fs::write(dir.file("s.toml"), SCENE.replace("[-2, 0, 0]", "[-2.5, 0, 0]")).expect("room");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
+    command.args(["check", "s.toml"]).current_dir(dir.path()).stdout(full).stderr(Stdio::piped());
+    let output = command.spawn().and_then(|child| child.wait_with_output()).expect("it starts");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(1) && said.contains("differ") && said.contains("standard output"), "{said}");
+}
