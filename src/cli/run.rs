@@ -24,7 +24,7 @@ use crate::{
         pipeline::{Recorded, send},
         recorder::describe,
         settings::{Detail, Entities, Frames, Settings, Trigger, application, file_stem},
-        sinks::{Destinations, Finished, Serve, Sinks, Spawn},
+        sinks::{Destinations, Finished, Host, Serve, Serving, Sinks, Spawn},
     },
     text::{bytes, counted, did_you_mean, thousands},
 };
@@ -67,6 +67,9 @@ pub struct Arguments {
     /// The port of the data of --serve; 0 for any that is free.
     #[arg(long, value_name = "PORT", default_value_t = rerun::DEFAULT_SERVER_PORT, requires = "serve", help_heading = "Destinations")]
     grpc_port: u16,
+    /// Let viewers ask --serve under this name or address too, not under this machine's own only; may be repeated.
+    #[arg(long, value_name = "HOST", requires = "serve", help_heading = "Destinations")]
+    allow_host: Vec<Host>,
 
     /// How steps are taken, instead of what the scene says.
     #[arg(long, value_parser = parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential")]
@@ -187,12 +190,14 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     summarize(&console, &outcome);
     if let Some(serving) = &outcome.finished.serving {
         console.say("Serving until Ctrl-C.");
-        while !stop.load(Ordering::Relaxed) {
-            if let Some(error) = serving.failure() {
-                return Err(sink_failure(error));
+        let failure = loop {
+            match serving.failure() {
+                None if !stop.load(Ordering::Relaxed) => std::thread::sleep(Duration::from_millis(100)),
+                failure => break failure,
             }
-            std::thread::sleep(Duration::from_millis(100));
-        }
+        };
+        console.notes(serving.refused().as_slice());
+        return failure.map_or(Ok(()), |error| Err(sink_failure(error)));
     }
     Ok(())
 }
@@ -271,7 +276,10 @@ impl Simulated {
         match (failure, finished) {
             (None, Ok(finished)) => Ok(Outcome { world, settings, finished, frames, events, seconds }),
             (Some(failure), finished) => {
-                let saved = finished.ok().and_then(|finished| finished.save);
+                let finished = finished.ok();
+                let serving = finished.as_ref().and_then(|finished| finished.serving.as_ref());
+                console.notes(serving.and_then(Serving::refused).as_slice());
+                let saved = finished.and_then(|finished| finished.save);
                 let saved = saved.map(|saved| format!("; {} has the steps up to here", saved.path.display()));
                 Err(Failure::Run(format!("{failure}{}", saved.unwrap_or_default())))
             }
@@ -532,7 +540,7 @@ fn destinations(arguments: &Arguments, scene: &Scene) -> Destinations {
             bind: arguments.bind,
             web_port: arguments.web_port,
             grpc_port: arguments.grpc_port,
-            ..Serve::default()
+            allow: arguments.allow_host.clone(),
         }),
         ..Destinations::default()
     }

@@ -16,6 +16,7 @@ mod replay;
 mod rims;
 mod scale;
 mod scene_format;
+mod serving;
 mod sinks;
 mod skipping;
 mod stability;

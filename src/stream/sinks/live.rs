@@ -124,7 +124,7 @@ fn plain(error: &str) -> String {
         Some(code) if code != "Unknown error" => format!("the connection broke: {code}"),
         _ if error.contains("unable to connect") => "it does not speak gRPC, or not on this port".to_owned(),
         _ if error.contains("gracefully") => "it closed the connection".to_owned(),
-        _ if error.contains("server thread shut down") => "it could not listen on its port, or it crashed".to_owned(),
+        _ if error.contains("server thread shut down") => "it crashed".to_owned(),
         _ => "the connection broke".to_owned(),
     }
 }

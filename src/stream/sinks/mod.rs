@@ -2,17 +2,18 @@
 //!
 //! Every destination has a thread of its own behind a queue that is bounded in bytes, and gets the messages in the order
 //! in which they were sent. Files and pipes get every message: when they are slow the run waits for them. A viewer gets
-//! what it can take and never holds up a run. The server for viewers gets everything, for those that come later too, but
-//! cannot hold up a run for longer than a second.
+//! what it can take and never holds up a run. The server for viewers gets everything, for those that come later too, and
+//! who reads it, how fast and whether at all holds up nobody.
 //!
 //! Memory: 16 MiB for a file or pipe; 128 MiB for each viewer and for the server, twice as much where it is all values
-//! that nothing newer follows; and what the SDK holds, which for the server is 256 MiB under way and 1 GiB of history.
+//! that nothing newer follows; and what the SDK holds; and 1 GiB of history for the server, however many read it.
 //! A message in several queues is there once. The footer of a file takes about 1 kB for each message, kept until the
 //! end.
 //!
 //! The SDK's own sinks are not used as they are because of what they do when something goes wrong: `FileSink` overwrites
 //! the file at once and only logs that the disk is full, `GrpcSink` waits for ever for a viewer that does not read, and
-//! `GrpcServerSink` only logs that its port is taken.
+//! `GrpcServerSink` lets everybody read and write, and waits for the slowest reader. The web viewer's server takes as much
+//! memory as a request asks for.
 
 use std::ffi::OsString;
 use std::net::{IpAddr, Ipv4Addr};
@@ -31,7 +32,7 @@ mod serve;
 mod spawn;
 
 pub use error::SinkError;
-pub use serve::Serving;
+pub use serve::{Host, Serving};
 
 use super::chunks::Audience;
 use crate::text::{counted, listed};
@@ -84,7 +85,7 @@ impl Default for Spawn {
 }
 
 /// A web viewer to serve.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Serve {
     /// The address to listen on [127.0.0.1].
     pub bind: IpAddr,
@@ -92,14 +93,14 @@ pub struct Serve {
     pub web_port: u16,
     /// Where it gets its data [9876]; 0 is any that is free.
     pub grpc_port: u16,
-    /// Whether to open it in the browser [no].
-    pub open_browser: bool,
+    /// Hosts under which viewers may ask, beside this machine's loopback names and addresses that `bind` stands for.
+    pub allow: Vec<Host>,
 }
 
 impl Default for Serve {
     fn default() -> Self {
         let bind = Ipv4Addr::LOCALHOST.into();
-        Serve { bind, web_port: 9090, grpc_port: rerun::DEFAULT_SERVER_PORT, open_browser: false }
+        Serve { bind, web_port: 9090, grpc_port: rerun::DEFAULT_SERVER_PORT, allow: Vec::new() }
     }
 }
 
@@ -282,7 +283,7 @@ impl Sinks {
         for viewer in &self.viewers {
             gone = viewer.send(parcel.clone()).err().or(gone);
         }
-        if let Some(server) = &mut self.server {
+        if let Some(server) = &self.server {
             gone = server.send(parcel).err().or(gone);
         }
         match gone {
@@ -343,7 +344,7 @@ impl Sinks {
         if let Some(server) = &self.server
             && !server.live.queue().wait_drained(self.patience)
         {
-            self.notes.push("a connected viewer holds up the data server; it goes on meanwhile".to_owned());
+            self.notes.push("the data server is behind; it goes on meanwhile".to_owned());
         }
         self.look();
         let is_saved = save.is_some() || stdout.is_some();

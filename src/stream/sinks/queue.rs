@@ -27,11 +27,6 @@ pub(super) struct Parcel {
 }
 
 impl Parcel {
-    /// Size in memory [bytes].
-    pub fn bytes(&self) -> u64 {
-        self.bytes
-    }
-
     pub fn new(msg: LogMsg) -> Parcel {
         Parcel { bytes: size_of(&msg), stream: stream_of(&msg), msg }
     }
@@ -644,7 +639,7 @@ mod tests {
         let many = vec![[1.0, 2.0, 3.0]; 1_000];
         let one = points(StoreKind::Recording, "a", TimePoint::STATIC, rerun::Points3D::new(many));
         let others = vec![one.msg.clone(); 10];
-        assert!((13_000..15_000).contains(&one.bytes()), "{}", one.bytes());
-        assert_eq!(Parcel::new(others[0].clone()).bytes(), one.bytes());
+        assert!((13_000..15_000).contains(&one.bytes), "{}", one.bytes);
+        assert_eq!(Parcel::new(others[0].clone()).bytes, one.bytes);
     }
 }

@@ -1,134 +1,130 @@
 //! The web viewer, which is part of this program, and the server that feeds it.
 
-use std::any::Any;
 use std::io;
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream};
-use std::sync::Arc;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::sync::{Arc, OnceLock};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
-use rerun::grpc_server::GrpcServerSink;
-use rerun::web_viewer::WebViewerConfig;
-use rerun::{MemoryLimit, PlaybackBehavior, ServerOptions};
+use re_web_viewer_server::WebViewerData;
+use socket2::{Domain, Protocol, Socket, Type};
+use tokio::net::TcpListener;
+use tokio::sync::oneshot;
+
+mod answer;
+mod guard;
+mod history;
+mod port;
+
+pub use guard::Host;
 
 use super::live::{Live, within};
-use super::note::seconds;
 use super::queue::{Parcel, WhenFull};
 use super::{Serve, SinkError};
+use answer::Site;
+use guard::Guard;
+use history::Log;
+use port::Port;
 
 /// What may wait for the server [bytes].
 const LIMIT: u64 = 128 << 20;
 /// What is left out for the server is left out for every viewer to come. So the run waits when the queue is full, as
-/// long as the server gets on; it does not when one of its viewers does not read and 1,024 messages or 128 MiB for that
-/// one are under way.
+/// long as the server gets on.
 const WHEN_FULL: WhenFull = WhenFull::WaitThenThin(Duration::from_secs(1));
 /// What the server keeps for viewers that connect late, compressed [bytes].
 const HISTORY: u64 = 1 << 30;
-/// How long the servers may take to start, and to stop.
-const START: Duration = Duration::from_secs(5);
+/// How long the server may take to stop, and of that how long it waits for viewers to take the end.
 const STOP: Duration = Duration::from_secs(1);
+const FAREWELL: Duration = Duration::from_millis(200);
+/// Connections that may wait to be accepted.
+const BACKLOG: i32 = 1024;
 
-/// Both servers, running.
+/// Both ports, served by one thread.
 pub(super) struct Server {
     pub live: Live,
-    /// The web viewer's server; it stops when dropped. Of a type that the SDK does not name.
-    web: Option<Box<dyn Any + Send>>,
     pub notes: Vec<String>,
     pub data_port: u16,
-    /// Handed over so far, uncompressed [bytes].
-    sent: u64,
+    log: Arc<Log>,
+    guard: Arc<Guard>,
+    /// The thread, and what makes it end when dropped.
+    thread: Option<(oneshot::Sender<()>, JoinHandle<()>)>,
     said_forgetting: bool,
 }
 
 impl Server {
     /// Starts both; they answer when this returns.
     pub fn start(serve: &Serve) -> Result<Server, SinkError> {
-        let Serve { bind, web_port, grpc_port, open_browser } = *serve;
+        let Serve { bind, web_port, grpc_port, ref allow } = *serve;
         if web_port == grpc_port && web_port != 0 {
             return Err(SinkError::SamePort { port: web_port });
         }
-        // Probed before anything starts: the data server's own attempt to listen happens on a thread of its own and an
-        // error there is only logged. Both listen at the same time, so that two free ports (0) are two.
-        let (web_probe, grpc_probe) = (listen(WEB, bind, web_port)?, listen(DATA, bind, grpc_port)?);
-        let (web_address, grpc_address) = (web_probe.1, grpc_probe.1);
-        drop((web_probe, grpc_probe));
+        let start = |err: io::Error| SinkError::Thread { target: NAME.to_owned(), reason: err.to_string() };
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(start)?;
+        let entered = runtime.enter();
+        let (web_listener, web_address) = listen(WEB, bind, web_port)?;
+        let (data_listener, data_address) = listen(DATA, bind, grpc_port)?;
+        drop(entered);
+
+        let guard = Arc::new(Guard::new(allow.clone()));
+        let (feed, history) = history::history(HISTORY);
+        let log = history.log();
+        let web = Port::new(Site::Viewer(files(web_address)?), Arc::clone(&guard));
+        let data = Port::new(Site::Data(history), Arc::clone(&guard));
+        let (stop, stopping) = oneshot::channel::<()>();
+        let serving = async move {
+            let tasks = [
+                tokio::spawn(Arc::clone(&web).listen(web_listener)),
+                tokio::spawn(Arc::clone(&data).listen(data_listener)),
+                tokio::spawn(Arc::clone(&web).sweep()),
+                tokio::spawn(Arc::clone(&data).sweep()),
+            ];
+            stopping.await.ok();
+            tasks.iter().for_each(tokio::task::JoinHandle::abort);
+            let started = Instant::now();
+            while data.is_busy() && started.elapsed() < FAREWELL {
+                tokio::time::sleep(FAREWELL / 20).await;
+            }
+        };
+        let thread = std::thread::Builder::new().name("server".to_owned()).spawn(move || {
+            runtime.block_on(serving);
+            runtime.shutdown_background();
+        });
+        let thread = Some((stop, thread.map_err(start)?));
+        let live = Live::start(NAME.to_owned(), LIMIT, WHEN_FULL, true, move || Ok(Box::new(feed)))?;
 
         let reachable = reachable(bind);
-        let data_url = format!("rerun+http://{}/proxy", SocketAddr::new(reachable, grpc_address.port()));
-        let web_root = format!("http://{}/", SocketAddr::new(reachable, web_address.port()));
-
-        let options = ServerOptions {
-            // everything from the start, in order: a viewer that comes late is there to see what has happened
-            playback_behavior: PlaybackBehavior::OldestFirst,
-            memory_limit: MemoryLimit::from_bytes(HISTORY),
-            cors_allowed_origins: vec![origin(bind, web_address.port())],
+        let addresses = |host: &str| {
+            let data_url = format!("rerun+http://{host}:{}/proxy", data_address.port());
+            let page = format!("http://{host}:{}/?url={}", web_address.port(), percent_encoded(&data_url));
+            (page, data_url)
         };
-        let grpc_ip = match bind {
-            IpAddr::V4(ip) => ip.to_string(),
-            IpAddr::V6(ip) => format!("[{ip}]"),
-        };
-        let live =
-            Live::start("the data server".to_owned(), LIMIT, WHEN_FULL, true, move || {
-                match GrpcServerSink::new(&grpc_ip, grpc_address.port(), options) {
-                    Ok(sink) => Ok(Box::new(sink)),
-                    Err(err) => Err(err.to_string()),
-                }
-            })?;
-        wait_for(&live, SocketAddr::new(reachable, grpc_address.port()))?;
-
-        let config = WebViewerConfig {
-            bind_ip: bind.to_string(),
-            web_port: web_address.port().into(),
-            connect_to: vec![data_url.clone()],
-            open_browser,
-            ..WebViewerConfig::default()
-        };
-        let web = rerun::serve_web_viewer(config).map_err(|err| SinkError::Serve {
-            what: WEB.what,
-            address: web_address,
-            reason: err.to_string(),
-        })?;
-
+        let (page, data_url) = addresses(&in_url(reachable));
         let mut notes = vec![
-            format!("serving at {web_root}?url={}", percent_encoded(&data_url)),
+            format!("serving at {page}"),
             format!(
-                "listening on {web_address} (web viewer) and {grpc_address} (data; a native viewer connects with \
+                "listening on {web_address} (web viewer) and {data_address} (data; a native viewer connects with \
                  `rerun --connect {data_url}`)"
             ),
         ];
-        if bind.is_unspecified() {
-            notes.push(format!(
-                "anyone who can reach this machine can watch: there, its name or address goes in both places of {reachable}"
-            ));
-        } else if !bind.is_loopback() {
-            notes.push("anyone who can reach that address can watch".to_owned());
-        }
-        Ok(Server {
-            live,
-            web: Some(Box::new(web)),
-            notes,
-            data_port: grpc_address.port(),
-            sent: 0,
-            said_forgetting: false,
-        })
+        notes.extend(exposure(bind, &addresses("HOST").0));
+        Ok(Server { live, notes, data_port: data_address.port(), log, guard, thread, said_forgetting: false })
     }
 
     /// Queues a message, and waits a little if the queue is full; `Err` is why the server takes no more.
-    pub fn send(&mut self, parcel: Parcel) -> Result<(), SinkError> {
-        self.sent += parcel.bytes();
+    pub fn send(&self, parcel: Parcel) -> Result<(), SinkError> {
         self.live.send(parcel)
     }
 
-    /// Said once, when the server may have begun to forget.
+    /// Said once, when the server has begun to forget.
     pub fn forgetting(&mut self) -> Option<String> {
-        // The server only logs that it forgets; what it holds is compressed, so this may come early, never late.
-        if self.said_forgetting || self.sent <= HISTORY {
+        if self.said_forgetting || !self.log.is_forgetting() {
             return None;
         }
         self.said_forgetting = true;
         Some(
             "the server keeps the last 1 GiB, and this run is getting longer: \
-             a viewer opened from now on may not see its beginning (--save keeps everything)"
+             a viewer opened from now on does not see its beginning (--save keeps everything)"
                 .to_owned(),
         )
     }
@@ -136,9 +132,11 @@ impl Server {
     /// Stops both, and waits for that only shortly: a viewer that does not read could hold them for ever.
     fn stop(&mut self) {
         self.live.queue().release();
-        let web = self.web.take();
-        within(STOP, move || drop(web));
         self.live.queue().wait_ended(STOP);
+        if let Some((stop, thread)) = self.thread.take() {
+            drop(stop);
+            within(STOP, move || thread.join());
+        }
     }
 }
 
@@ -163,9 +161,17 @@ impl Serving {
     pub fn failure(&self) -> Option<SinkError> {
         self.server.live.failure()
     }
+
+    /// What was turned away until now, as a sentence.
+    pub fn refused(&self) -> Option<String> {
+        self.server.guard.summary()
+    }
 }
 
-/// One of the two servers, for messages.
+/// The server, for messages.
+const NAME: &str = "the data server";
+
+/// One of the two ports, for messages.
 #[derive(Clone, Copy)]
 struct Kind {
     what: &'static str,
@@ -173,9 +179,9 @@ struct Kind {
 }
 
 const WEB: Kind = Kind { what: "the web viewer", option: "--web-port" };
-const DATA: Kind = Kind { what: "the data server", option: "--grpc-port" };
+const DATA: Kind = Kind { what: NAME, option: "--grpc-port" };
 
-/// Listens, to see whether that can be done and on which port if it was left open (0).
+/// Listens, on any port that is free if it is left open (0). Has to be called within a runtime.
 fn listen(kind: Kind, ip: IpAddr, port: u16) -> Result<(TcpListener, SocketAddr), SinkError> {
     let refuse = |source: io::Error| {
         let help = match source.kind() {
@@ -191,25 +197,49 @@ fn listen(kind: Kind, ip: IpAddr, port: u16) -> Result<(TcpListener, SocketAddr)
         };
         SinkError::Listen { what: kind.what, address: SocketAddr::new(ip, port), source: Arc::new(source), help }
     };
-    let listener = TcpListener::bind((ip, port)).map_err(refuse)?;
+    let listener = bound(SocketAddr::new(ip, port)).and_then(|socket| TcpListener::from_std(socket.into()));
+    let listener = listener.map_err(refuse)?;
     let address = listener.local_addr().map_err(refuse)?;
     Ok((listener, address))
 }
 
-/// Waits until the data server answers.
-fn wait_for(live: &Live, address: SocketAddr) -> Result<(), SinkError> {
-    let started = Instant::now();
-    loop {
-        let Err(err) = TcpStream::connect_timeout(&address, START) else { return Ok(()) };
-        if let Some(failure) = live.failure() {
-            return Err(failure);
-        }
-        if started.elapsed() > START {
-            let reason = format!("no answer after {} ({err})", seconds(START));
-            return Err(SinkError::Serve { what: DATA.what, address, reason });
-        }
-        std::thread::sleep(Duration::from_millis(10));
+fn bound(address: SocketAddr) -> io::Result<Socket> {
+    let socket = Socket::new(Domain::for_address(address), Type::STREAM, Some(Protocol::TCP))?;
+    // elsewhere this would let two programs have the same port
+    #[cfg(unix)]
+    socket.set_reuse_address(true)?;
+    if address.ip() == IpAddr::V6(Ipv6Addr::UNSPECIFIED) {
+        // all addresses are those of both kinds, also where that is not the default
+        socket.set_only_v6(false)?;
     }
+    socket.set_nonblocking(true)?;
+    socket.bind(&address.into())?;
+    socket.listen(BACKLOG)?;
+    Ok(socket)
+}
+
+/// The web viewer's files, which are in this program.
+fn files(address: SocketAddr) -> Result<&'static WebViewerData, SinkError> {
+    static FILES: OnceLock<WebViewerData> = OnceLock::new();
+    if let Some(files) = FILES.get() {
+        return Ok(files);
+    }
+    let refuse = |reason: String| SinkError::Serve { what: WEB.what, address, reason };
+    let files = WebViewerData::load(None).map_err(|err| refuse(err.to_string()))?;
+    Ok(FILES.get_or_init(|| files))
+}
+
+/// What others can do, if they can reach the server at all; they would open `page`.
+fn exposure(bind: IpAddr, page: &str) -> Option<String> {
+    let (who, host) = match bind {
+        bind if bind.is_loopback() => return None,
+        bind if bind.is_unspecified() => ("this machine", "an address of this machine"),
+        _ => ("that address", "that address"),
+    };
+    Some(format!(
+        "anyone who can reach {who} can read everything that the run shows, its scene and settings too, without a password \
+         and unencrypted; nobody can write: {page} (for HOST {host}, or a name that --allow-host gives)"
+    ))
 }
 
 /// Where this machine itself reaches what listens on `bind`.
@@ -221,13 +251,11 @@ fn reachable(bind: IpAddr) -> IpAddr {
     }
 }
 
-/// The page's own origin, which the data server must accept in addition to `localhost` and `127.0.0.1`.
-fn origin(bind: IpAddr, web_port: u16) -> String {
-    if bind.is_unspecified() {
-        // this machine has any number of names; the port is what distinguishes our page
-        format!("http://*:{web_port}")
-    } else {
-        format!("http://{}", SocketAddr::new(bind, web_port))
+/// An address as the host of a URL.
+fn in_url(ip: IpAddr) -> String {
+    match ip {
+        IpAddr::V4(ip) => ip.to_string(),
+        IpAddr::V6(ip) => format!("[{ip}]"),
     }
 }
 
@@ -252,9 +280,14 @@ mod tests {
     }
 
     #[test]
-    fn only_the_own_page_may_read() {
-        assert_eq!(origin(IpAddr::from([192, 168, 1, 5]), 9090), "http://192.168.1.5:9090");
-        assert_eq!(origin(IpAddr::from([0, 0, 0, 0]), 9090), "http://*:9090");
-        assert_eq!(origin(Ipv6Addr::LOCALHOST.into(), 80), "http://[::1]:80");
+    fn what_others_can_do_is_said_when_they_can() {
+        let exposure = |bind: &str| exposure(bind.parse().expect("an address"), "http://HOST:9090/?url=x");
+        assert_eq!([exposure("127.0.0.1"), exposure("::1")], [None, None]);
+        for (bind, who) in [("0.0.0.0", "this machine"), ("::", "this machine"), ("192.168.1.5", "that address")] {
+            let said = exposure(bind).expect("others can");
+            for part in [who, "can read everything", "nobody can write", "http://HOST:9090/?url=x", "--allow-host"] {
+                assert!(said.contains(part), "{bind}: {said}");
+            }
+        }
     }
 }

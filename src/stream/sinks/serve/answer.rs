@@ -1,0 +1,181 @@
+//! What is answered: the files of the web viewer on one port, what the run sends on the other.
+
+use std::net::IpAddr;
+use std::pin::pin;
+use std::sync::atomic::Ordering;
+
+use hyper::body::{Body, Bytes, Frame, Incoming};
+use hyper::header::{self, HeaderMap, HeaderName, HeaderValue};
+use hyper::{Method, Request, Response, StatusCode};
+use re_protos::sdk_comms::v1alpha1::message_proxy_service_server::SERVICE_NAME;
+use re_web_viewer_server::WebViewerData;
+
+use super::guard::Guard;
+use super::history::History;
+use super::port::Content;
+
+/// What a request for the run may hold: an empty message, in its frame [bytes].
+const REQUEST: usize = 4 << 10;
+/// What says how it went in gRPC; [the codes](https://grpc.io/docs/guides/status-codes/).
+const GRPC_STATUS: HeaderName = HeaderName::from_static("grpc-status");
+const GRPC_MESSAGE: HeaderName = HeaderName::from_static("grpc-message");
+const PERMISSION_DENIED: HeaderValue = HeaderValue::from_static("7");
+const UNIMPLEMENTED: HeaderValue = HeaderValue::from_static("12");
+
+/// What a port serves.
+pub(super) enum Site {
+    /// The web viewer.
+    Viewer(&'static WebViewerData),
+    /// The run, as the proxy of the SDK does: gRPC for native viewers, gRPC-web for browsers.
+    Data(History),
+}
+
+impl Site {
+    /// Whether answers go on as long as the run does.
+    pub fn is_endless(&self) -> bool {
+        matches!(self, Site::Data(_))
+    }
+
+    /// Answers a request that came in at this machine's address `at`.
+    pub async fn answer(&self, guard: &Guard, request: Request<Incoming>, at: IpAddr) -> Response<Content> {
+        if let Err(name) = guard.admits(request.uri(), request.headers(), at) {
+            let help = format!("this program does not answer to {name}: `--allow-host NAME` lets a host in\n");
+            return text(StatusCode::FORBIDDEN, help);
+        }
+        match self {
+            Site::Viewer(files) => file(files, guard, &request),
+            Site::Data(history) => {
+                // the page is on another port, which is another origin; the guard knows it
+                let origin = request.headers().get(header::ORIGIN).cloned();
+                let mut response = data(history, guard, request).await;
+                if let Some(origin) = origin {
+                    let headers = response.headers_mut();
+                    headers.insert(header::ACCESS_CONTROL_ALLOW_ORIGIN, origin);
+                    headers.insert(header::VARY, HeaderValue::from_static("origin"));
+                    let exposed = HeaderValue::from_static("grpc-status, grpc-message");
+                    headers.insert(header::ACCESS_CONTROL_EXPOSE_HEADERS, exposed);
+                }
+                response
+            }
+        }
+    }
+}
+
+/// A file of the web viewer.
+fn file(files: &'static WebViewerData, guard: &Guard, request: &Request<Incoming>) -> Response<Content> {
+    if !matches!(*request.method(), Method::GET | Method::HEAD) {
+        guard.odd.fetch_add(1, Ordering::Relaxed);
+        let mut response = text(StatusCode::METHOD_NOT_ALLOWED, "there are only files to GET\n");
+        response.headers_mut().insert(header::ALLOW, HeaderValue::from_static("GET, HEAD"));
+        return response;
+    }
+    let (kind, bytes) = match request.uri().path() {
+        "/" | "/index.html" => ("text/html", files.index_html()),
+        "/favicon.ico" => ("image/x-icon", files.favicon()),
+        "/apple-touch-icon.png" => ("image/png", files.apple_touch_icon()),
+        "/sw.js" => ("text/javascript", files.sw_js()),
+        "/re_viewer.js" => ("text/javascript", files.viewer_js()),
+        "/re_viewer_bg.wasm" => ("application/wasm", files.viewer_wasm()),
+        "/signed-in" => ("text/html", files.signed_in_html()),
+        "/signed-out" => ("text/html", files.signed_out_html()),
+        _ => return text(StatusCode::NOT_FOUND, "there is no such file\n"),
+    };
+    let mut response = Response::new(Content::Whole(Bytes::from_static(bytes)));
+    let headers = response.headers_mut();
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(kind));
+    // what the page's progress bar goes by
+    headers.insert(HeaderName::from_static("rerun-final-length"), HeaderValue::from(bytes.len()));
+    response
+}
+
+/// A call of the SDK's message proxy.
+async fn data(history: &History, guard: &Guard, request: Request<Incoming>) -> Response<Content> {
+    if request.method() == Method::OPTIONS {
+        return preflight(request.headers());
+    }
+    let content_type = request.headers().get(header::CONTENT_TYPE).cloned();
+    let kind = content_type.as_ref().and_then(|kind| kind.to_str().ok()).unwrap_or_default();
+    let is_text = kind.starts_with("application/grpc-web-text");
+    let method = request.uri().path().strip_prefix('/').and_then(|path| path.strip_prefix(SERVICE_NAME));
+    let odd = |status, help: &'static str| {
+        guard.odd.fetch_add(1, Ordering::Relaxed);
+        text(status, help)
+    };
+    match (method, &content_type) {
+        (Some("/WriteMessages" | "/WriteTable"), _) => {
+            guard.writes.fetch_add(1, Ordering::Relaxed);
+            let help = "this program serves a run of its own and takes nothing from others";
+            status(text(StatusCode::FORBIDDEN, help), PERMISSION_DENIED, help)
+        }
+        _ if request.method() != Method::POST => {
+            odd(StatusCode::METHOD_NOT_ALLOWED, "there are only gRPC calls here\n")
+        }
+        (Some("/ReadMessages"), Some(content_type)) if kind.starts_with("application/grpc") && !is_text => {
+            let end = end(kind);
+            let content_type = content_type.clone();
+            if !is_short(request.into_body()).await {
+                return odd(StatusCode::PAYLOAD_TOO_LARGE, "a request to read has nothing to say\n");
+            }
+            let mut response = Response::new(Content::Stream(history.read(), Some(end)));
+            response.headers_mut().insert(header::CONTENT_TYPE, content_type);
+            response
+        }
+        (_, Some(content_type)) if kind.starts_with("application/grpc") && !is_text => {
+            let mut response = status(Response::new(Content::Whole(Bytes::new())), UNIMPLEMENTED, "no such call");
+            response.headers_mut().insert(header::CONTENT_TYPE, content_type.clone());
+            response
+        }
+        _ => odd(StatusCode::UNSUPPORTED_MEDIA_TYPE, "there are only gRPC calls here\n"),
+    }
+}
+
+/// What a browser asks before a page may call another port.
+fn preflight(asked: &HeaderMap) -> Response<Content> {
+    let mut response = Response::new(Content::Whole(Bytes::new()));
+    *response.status_mut() = StatusCode::NO_CONTENT;
+    let headers = response.headers_mut();
+    headers.insert(header::ACCESS_CONTROL_ALLOW_METHODS, HeaderValue::from_static("POST"));
+    headers.insert(header::ACCESS_CONTROL_MAX_AGE, HeaderValue::from_static("3600"));
+    if let Some(names) = asked.get(header::ACCESS_CONTROL_REQUEST_HEADERS) {
+        headers.insert(header::ACCESS_CONTROL_ALLOW_HEADERS, names.clone());
+    }
+    response
+}
+
+/// What tells a client that the stream is complete: trailers, or in gRPC-web a frame that holds them.
+fn end(kind: &str) -> Frame<Bytes> {
+    if kind.starts_with("application/grpc-web") {
+        return Frame::data(Bytes::from_static(b"\x80\0\0\0\x0fgrpc-status:0\r\n"));
+    }
+    let mut trailers = HeaderMap::new();
+    trailers.insert(GRPC_STATUS, HeaderValue::from_static("0"));
+    Frame::trailers(trailers)
+}
+
+/// Reads a request's body to its end; `false` if it has none or is too long.
+async fn is_short(body: Incoming) -> bool {
+    let mut body = pin!(body);
+    let mut length = 0;
+    while let Some(frame) = std::future::poll_fn(|context| body.as_mut().poll_frame(context)).await {
+        let Ok(frame) = frame else { return false };
+        length += frame.data_ref().map_or(0, Bytes::len);
+        if length > REQUEST {
+            return false;
+        }
+    }
+    true
+}
+
+fn text(status: StatusCode, text: impl Into<Bytes>) -> Response<Content> {
+    let mut response = Response::new(Content::Whole(text.into()));
+    *response.status_mut() = status;
+    response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static("text/plain"));
+    response
+}
+
+/// The same with what gRPC says about it.
+fn status(mut response: Response<Content>, code: HeaderValue, message: &'static str) -> Response<Content> {
+    response.headers_mut().insert(GRPC_STATUS, code);
+    response.headers_mut().insert(GRPC_MESSAGE, HeaderValue::from_static(message));
+    response
+}

@@ -1,0 +1,248 @@
+//! What a run has sent, for every viewer that asks, from the beginning.
+//!
+//! The SDK's own proxy hands new messages to all readers through one channel, so one that does not read holds up all
+//! others. Here every reader has a place of its own in one log: who falls behind costs a number, not memory.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
+
+use hyper::body::Bytes;
+use re_protos::external::prost::Message as _;
+use re_protos::log_msg::v1alpha1 as proto;
+use re_protos::sdk_comms::v1alpha1::ReadMessagesResponse;
+use rerun::StoreKind;
+use rerun::external::re_log_encoding::ToTransport as _;
+use rerun::external::re_log_encoding::rrd::Compression;
+use rerun::log::{ChunkBatcherConfig, LogMsg};
+use rerun::sink::{LogSink, SinkFlushError};
+use tokio::sync::watch;
+use tokio_stream::{Stream as _, wrappers::WatchStream};
+
+/// What a message takes beside its bytes, about [bytes].
+const ENTRY: u64 = 96;
+
+/// A history of at most `limit` bytes, and the only one who writes it.
+pub(super) fn history(limit: u64) -> (Feed, History) {
+    let log = Arc::new(Log(Mutex::new(Entries { limit, ..Entries::default() })));
+    let (news, readers) = watch::channel(());
+    (Feed { log: Arc::clone(&log), news, failure: Mutex::new(None) }, History { log, news: readers })
+}
+
+/// The writing end; readers come to their end when it is dropped.
+pub(super) struct Feed {
+    log: Arc<Log>,
+    news: watch::Sender<()>,
+    failure: Mutex<Option<String>>,
+}
+
+impl LogSink for Feed {
+    fn send(&self, msg: LogMsg) {
+        match encode(&msg) {
+            Ok((frame, keep)) => {
+                self.log.lock().push(frame, keep);
+                self.news.send(()).ok();
+            }
+            Err(reason) => *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(reason),
+        }
+    }
+
+    fn flush_blocking(&self, _timeout: Duration) -> Result<(), SinkFlushError> {
+        if let Some(reason) = &*self.failure.lock().unwrap_or_else(PoisonError::into_inner) {
+            return Err(SinkFlushError::failed(format!("a message cannot be encoded: {reason}")));
+        }
+        if self.news.is_closed() { Err(SinkFlushError::failed("server thread shut down")) } else { Ok(()) }
+    }
+
+    fn default_batcher_config(&self) -> ChunkBatcherConfig {
+        ChunkBatcherConfig::LOW_LATENCY
+    }
+}
+
+/// The reading end. The feed takes it that nobody serves it any more when the last one is dropped.
+#[derive(Clone)]
+pub(super) struct History {
+    log: Arc<Log>,
+    news: watch::Receiver<()>,
+}
+
+impl History {
+    /// Reads everything that is kept, in order, and then what comes.
+    pub fn read(&self) -> Reader {
+        Reader { log: Arc::clone(&self.log), next: 0, news: WatchStream::from_changes(self.news.clone()) }
+    }
+
+    /// What is kept, without keeping the feed believing that it is served.
+    pub fn log(&self) -> Arc<Log> {
+        Arc::clone(&self.log)
+    }
+}
+
+/// One viewer's place in the history.
+pub(super) struct Reader {
+    log: Arc<Log>,
+    /// The number of the first message that it does not have.
+    next: u64,
+    news: WatchStream<()>,
+}
+
+impl Reader {
+    /// The next message as a gRPC frame; `None` when nothing more will come.
+    pub fn poll_next(&mut self, context: &mut Context<'_>) -> Poll<Option<Bytes>> {
+        loop {
+            if let Some((number, frame)) = self.log.lock().from(self.next) {
+                self.next = number + 1;
+                return Poll::Ready(Some(frame));
+            }
+            if ready!(Pin::new(&mut self.news).poll_next(context)).is_none() {
+                return Poll::Ready(None);
+            }
+        }
+    }
+}
+
+/// What is kept.
+pub(super) struct Log(Mutex<Entries>);
+
+impl Log {
+    fn lock(&self) -> MutexGuard<'_, Entries> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether a viewer that connects now misses what was sent first.
+    pub fn is_forgetting(&self) -> bool {
+        self.lock().is_forgetting
+    }
+}
+
+/// How long a message is kept: what changes in time goes first, then what does not.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Keep {
+    /// Store infos and blueprints: without them the rest is not shown.
+    Always,
+    Static,
+    Temporal,
+}
+
+#[derive(Default)]
+struct Entries {
+    /// Frames by number in order of arrival; numbers are never reused.
+    frames: BTreeMap<u64, Bytes>,
+    next: u64,
+    /// Of what is kept [bytes].
+    bytes: u64,
+    /// What may be kept [bytes].
+    limit: u64,
+    temporal: VecDeque<u64>,
+    statics: VecDeque<u64>,
+    is_forgetting: bool,
+}
+
+impl Entries {
+    fn push(&mut self, frame: Bytes, keep: Keep) {
+        self.bytes += frame.len() as u64 + ENTRY;
+        match keep {
+            Keep::Always => {}
+            Keep::Static => self.statics.push_back(self.next),
+            Keep::Temporal => self.temporal.push_back(self.next),
+        }
+        self.frames.insert(self.next, frame);
+        self.next += 1;
+        while self.bytes > self.limit {
+            let Some(oldest) = self.temporal.pop_front().or_else(|| self.statics.pop_front()) else { return };
+            self.bytes -= self.frames.remove(&oldest).map_or(0, |frame| frame.len() as u64 + ENTRY);
+            self.is_forgetting = true;
+        }
+    }
+
+    /// The first message from `number` on.
+    fn from(&self, number: u64) -> Option<(u64, Bytes)> {
+        self.frames.range(number..).next().map(|(number, frame)| (*number, frame.clone()))
+    }
+}
+
+/// A message as every reader gets it: a gRPC frame, that is a byte, a length, and a `ReadMessagesResponse`.
+fn encode(msg: &LogMsg) -> Result<(Bytes, Keep), String> {
+    let is_blueprint = msg.store_id().kind() == StoreKind::Blueprint;
+    let msg = msg.to_transport(Compression::LZ4).map_err(|err| err.to_string())?;
+    let keep = match &msg {
+        proto::log_msg::Msg::ArrowMsg(arrow) if !is_blueprint => {
+            if arrow.is_static == Some(true) {
+                Keep::Static
+            } else {
+                Keep::Temporal
+            }
+        }
+        _ => Keep::Always,
+    };
+    let response = ReadMessagesResponse { log_msg: Some(proto::LogMsg { msg: Some(msg) }) };
+    let length = u32::try_from(response.encoded_len()).map_err(|_| "it takes more than 4 GiB".to_owned())?;
+    let mut frame = Vec::with_capacity(5 + length as usize);
+    frame.push(0);
+    frame.extend_from_slice(&length.to_be_bytes());
+    response.encode(&mut frame).map_err(|err| err.to_string())?;
+    Ok((frame.into(), keep))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_changes_is_forgotten_first_and_what_shows_the_rest_never() {
+        let mut entries = Entries { limit: 10 * (100 + ENTRY), ..Entries::default() };
+        let frame = Bytes::from(vec![0; 100]);
+        entries.push(frame.clone(), Keep::Always);
+        entries.push(frame.clone(), Keep::Static);
+        for _ in 0..8 {
+            entries.push(frame.clone(), Keep::Temporal);
+        }
+        assert!(!entries.is_forgetting);
+        entries.push(frame.clone(), Keep::Temporal);
+        assert!(entries.is_forgetting);
+        let numbers = |entries: &Entries| entries.frames.keys().copied().collect::<Vec<u64>>();
+        assert_eq!(numbers(&entries), [0, 1, 3, 4, 5, 6, 7, 8, 9, 10]);
+        for _ in 0..20 {
+            entries.push(frame.clone(), Keep::Always);
+        }
+        // the bound is what may be forgotten; the rest is a few messages a recording
+        assert_eq!(numbers(&entries)[..2], [0, 11]);
+        assert_eq!(entries.bytes, 21 * (100 + ENTRY));
+        assert_eq!(entries.from(1).map(|(number, _)| number), Some(11));
+        assert!(entries.from(31).is_none());
+    }
+
+    #[test]
+    fn readers_go_their_own_ways_to_the_same_end() {
+        let (feed, history) = history(1 << 20);
+        let mut context = Context::from_waker(std::task::Waker::noop());
+        let (mut early, mut numbers) = (history.read(), Vec::new());
+        assert!(early.poll_next(&mut context).is_pending());
+        for i in 0..5_u8 {
+            feed.log.lock().push(Bytes::from(vec![i]), Keep::Temporal);
+            feed.news.send(()).expect("there are readers");
+        }
+        let mut late = history.read();
+        drop(feed);
+        while let Poll::Ready(Some(frame)) = early.poll_next(&mut context) {
+            numbers.push(frame[0]);
+        }
+        assert_eq!(numbers, [0, 1, 2, 3, 4]);
+        assert!(matches!(early.poll_next(&mut context), Poll::Ready(None)));
+        for i in 0..5_u8 {
+            assert!(matches!(late.poll_next(&mut context), Poll::Ready(Some(frame)) if frame[0] == i));
+        }
+        assert!(matches!(late.poll_next(&mut context), Poll::Ready(None)));
+    }
+
+    #[test]
+    fn a_feed_knows_when_nobody_serves_it() {
+        let (feed, history) = history(1 << 20);
+        assert!(feed.flush_blocking(Duration::MAX).is_ok());
+        let _reader_of_a_connection = history.log();
+        drop(history);
+        assert!(feed.flush_blocking(Duration::MAX).is_err());
+    }
+}
