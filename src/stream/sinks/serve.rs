@@ -37,6 +37,8 @@ const HISTORY: u64 = 1 << 30;
 /// How long the server may take to stop, and of that how long it waits for viewers to take the end.
 const STOP: Duration = Duration::from_secs(1);
 const FAREWELL: Duration = Duration::from_millis(200);
+/// What may be sent and not received of a connection [bytes].
+const SEND: usize = 256 << 10;
 /// Connections that may wait to be accepted.
 const BACKLOG: i32 = 1024;
 
@@ -212,6 +214,8 @@ fn bound(address: SocketAddr) -> io::Result<Socket> {
         // all addresses are those of both kinds, also where that is not the default
         socket.set_only_v6(false)?;
     }
+    // for each connection that is accepted: no more of the system's memory than that, whoever does not read
+    socket.set_send_buffer_size(SEND)?;
     socket.set_nonblocking(true)?;
     socket.bind(&address.into())?;
     socket.listen(BACKLOG)?;

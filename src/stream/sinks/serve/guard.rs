@@ -65,7 +65,7 @@ pub(super) struct Guard {
     pub odd: AtomicU64,
     /// Connections that were closed before there was a whole request.
     pub unfinished: AtomicU64,
-    /// Connections that were closed because their answers were not taken.
+    /// Connections that were closed because they took too little of their answers, or less than others.
     pub unread: AtomicU64,
 }
 
@@ -119,7 +119,7 @@ impl Guard {
         let requests: Vec<String> =
             [foreign, part(writes, "to write"), part(odd, "that make no sense here")].into_iter().flatten().collect();
         let connections: Vec<String> =
-            [part(unfinished, "without a whole request"), part(unread, "that did not take their answer")]
+            [part(unfinished, "without a whole request"), part(unread, "that took too little of their answer")]
                 .into_iter()
                 .flatten()
                 .collect();

@@ -3,8 +3,9 @@
 //! A connection counts as *quiet* from when it was accepted, asked for something, or took something of its answer. One
 //! without an unanswered request is closed when it has been quiet for [`REQUEST`]. As many as [`SEATS`] are served; when
 //! they are taken, the one that has been quiet for longest goes for the one that comes, first of those that have not
-//! asked for anything. So somebody who sends nothing, half of something or nonsense, or who does not read, loses the place
-//! to somebody who does. A viewer that has everything and waits for more is quiet, too, and goes last.
+//! asked for anything; if none is quiet, the one that has taken least. So somebody who sends nothing, half of something or
+//! nonsense, or who does not read, loses the place to somebody who does. A viewer that has everything and waits for more
+//! is quiet, too, and goes last.
 
 use std::collections::HashMap;
 use std::convert::Infallible;
@@ -115,14 +116,17 @@ impl Port {
 
     /// Closes the connection that can best be spared, if one can.
     fn close_one(&self) -> bool {
-        let spared = |client: &Client| {
-            let Doing { answers, quiet_since, .. } = *client.doing();
-            (quiet_since.elapsed() >= GRACE).then_some((answers > 0, quiet_since))
+        let quiet =
+            |doing: &Doing| (doing.quiet_since.elapsed() >= GRACE).then_some((doing.answers > 0, doing.quiet_since));
+        // Systems take more for a client than it reads: who does not read looks like a viewer until that is full.
+        let idle = |doing: &Doing| (doing.seated.elapsed() >= GRACE).then_some((doing.taken, doing.seated));
+        let seated: Vec<(u64, Doing)> =
+            self.clients().iter().map(|(number, client)| (*number, *client.doing())).collect();
+        let quietest = seated.iter().filter_map(|(number, doing)| Some((quiet(doing)?, *number))).min();
+        let idlest = || seated.iter().filter_map(|(number, doing)| Some((idle(doing)?, *number))).min();
+        let Some(number) = quietest.map(|(_, number)| number).or_else(|| idlest().map(|(_, number)| number)) else {
+            return false;
         };
-        let clients = self.clients();
-        let ranks = clients.iter().filter_map(|(number, client)| Some((spared(client)?, *number)));
-        let Some((_, number)) = ranks.min() else { return false };
-        drop(clients);
         self.close(number);
         true
     }
@@ -141,7 +145,8 @@ impl Port {
     /// Serves a connection on a task of its own.
     fn seat(self: &Arc<Port>, stream: TcpStream) {
         let number = self.accepted.fetch_add(1, Ordering::Relaxed);
-        let doing = Doing { has_asked: false, answers: 0, quiet_since: Instant::now() };
+        let now = Instant::now();
+        let doing = Doing { seated: now, has_asked: false, answers: 0, taken: 0, quiet_since: now };
         let client = Arc::new(Client { doing: Mutex::new(doing), closing: Notify::new() });
         self.clients().insert(number, Arc::clone(&client));
         let seat = Seat { port: Arc::clone(self), number };
@@ -210,9 +215,12 @@ struct Client {
 /// What a connection is doing.
 #[derive(Clone, Copy)]
 struct Doing {
+    seated: Instant,
     has_asked: bool,
     /// Answers under way.
     answers: usize,
+    /// What it took of answers until then [bytes].
+    taken: u64,
     quiet_since: Instant,
 }
 
@@ -234,15 +242,17 @@ struct Answer {
     content: Content,
     client: Arc<Client>,
     /// Taken since that was last noted [bytes].
-    taken: usize,
+    unnoted: usize,
 }
 
 impl Answer {
     fn new(content: Content, client: Arc<Client>) -> Answer {
         let mut doing = client.doing();
-        *doing = Doing { has_asked: true, answers: doing.answers + 1, quiet_since: Instant::now() };
+        doing.has_asked = true;
+        doing.answers += 1;
+        doing.quiet_since = Instant::now();
         drop(doing);
-        Answer { content, client, taken: 0 }
+        Answer { content, client, unnoted: 0 }
     }
 }
 
@@ -274,14 +284,15 @@ impl Body for Answer {
     fn poll_frame(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Infallible>>> {
         let answer = self.get_mut();
         let frame = answer.content.poll_frame(context);
-        match &frame {
-            Poll::Ready(Some(frame)) => answer.taken += frame.data_ref().map_or(0, Bytes::len),
-            // there is nothing that it could take
-            _ => answer.taken = SHARE,
-        }
-        if answer.taken >= SHARE {
-            answer.taken = 0;
-            answer.client.doing().quiet_since = Instant::now();
+        answer.unnoted += match &frame {
+            Poll::Ready(Some(frame)) => frame.data_ref().map_or(0, Bytes::len),
+            _ => 0,
+        };
+        // who has taken everything there is has done its share
+        if answer.unnoted >= SHARE || !matches!(frame, Poll::Ready(Some(_))) {
+            let mut doing = answer.client.doing();
+            doing.taken += std::mem::take(&mut answer.unnoted) as u64;
+            doing.quiet_since = Instant::now();
         }
         frame.map(|frame| frame.map(Ok))
     }
