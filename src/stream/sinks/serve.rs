@@ -1,4 +1,8 @@
 //! The web viewer, which is part of this program, and the server that feeds it.
+//!
+//! Whoever reaches the two ports reads everything that the run shows; nobody but the run writes. A request has to name a
+//! host that is this machine's own or allowed, and so has the page that it comes from. Whatever comes in, the run goes on;
+//! what is turned away is counted and said at the end.
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
