@@ -282,7 +282,7 @@ fn bad_client(port: u16, kind: usize) -> Option<TcpStream> {
         _ => b"\n\n\n\n",
     };
     stream.write_all(sends).ok()?;
-    if kind % 5 == 0 {
+    if kind.is_multiple_of(5) {
         stream.shutdown(std::net::Shutdown::Write).ok();
     }
     Some(stream)
