@@ -76,15 +76,15 @@ impl Interval {
 #[derive(Clone, Copy, Debug)]
 pub struct Vertex<'a> {
     interval: &'a Interval,
-    rest: Rest<'a>,
-    i: usize,
+    rest: DVec3,
+    facing: DVec3,
 }
 
 impl Vertex<'_> {
     /// F: all that acts but the vertex's own oscillator, at one of the instants of the interval, for displacement `x` [scene unit/s²].
     #[inline]
     fn force(&self, surroundings: &Surroundings, x: DVec3) -> DVec3 {
-        surroundings.acceleration(self.interval.weight, self.rest, self.i, x)
+        surroundings.acceleration(self.interval.weight, self.rest, self.facing, x)
     }
 
     /// x″ of the equation of motion: F − ω²x − 2κu [scene unit/s²].
@@ -115,7 +115,7 @@ pub fn advance(scheme: Scheme, interval: &Interval, rest: Rest<'_>, front: &mut 
 /// The loop over vertices, compiled once per scheme.
 fn each(interval: &Interval, rest: Rest<'_>, front: &mut Front, scheme: impl Fn(&Vertex<'_>, State) -> State) {
     for i in 0..rest.len() {
-        let vertex = Vertex { interval, rest, i };
+        let vertex = Vertex { interval, rest: rest.position(i), facing: rest.direction(i) };
         front.set_state(i, scheme(&vertex, front.state(i)));
     }
 }

@@ -205,17 +205,18 @@ impl Surroundings {
         self.sources.clear();
     }
 
-    /// The acceleration of vertex `i` of `rest` with displacement `x` [scene unit/s²].
+    /// The acceleration of the vertex with rest position `rest`, whose direction is `facing`, and displacement `x`
+    /// [scene unit/s²].
     #[inline]
-    pub fn acceleration(&self, weight: Weight, rest: Rest<'_>, i: usize, x: DVec3) -> DVec3 {
+    pub fn acceleration(&self, weight: Weight, rest: DVec3, facing: DVec3, x: DVec3) -> DVec3 {
         let mut acceleration = DVec3::ZERO;
-        let position = rest.position(i) + x;
+        let position = rest + x;
         for source in &self.sources {
             let to_centre = source.centre - position;
             acceleration += influence::acceleration(weight, source.strength, source.sphere_radius, to_centre);
         }
         for weighted in &self.weighted {
-            acceleration += weighted.acceleration(rest.direction(i));
+            acceleration += weighted.acceleration(facing);
         }
         for (_, force) in &self.uniform {
             acceleration += *force;
