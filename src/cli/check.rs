@@ -77,9 +77,13 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
     }
     let results: Vec<_> = scripts
         .par_iter()
-        .map(|script| match script.golden.exists() {
+        .enumerate()
+        .map(|(i, script)| match script.golden.exists() {
             true => {
-                let comparison = folder.join(format!("{}.check.rrd", script.name));
+                // scenes of several folders may have one name
+                let number = scripts.iter().take(i).filter(|other| other.name == script.name).count();
+                let number = if number > 0 { format!("-{}", number + 1) } else { String::new() };
+                let comparison = folder.join(format!("{}{number}.check.rrd", script.name));
                 golden::check(&script.scene, &script.golden, Some(&comparison)).map(Some)
             }
             false => Ok(None),
@@ -192,7 +196,7 @@ fn report(name: &str, difference: &Difference, is_accepted: bool) {
         print(&format!("  event {change}"));
     }
     if difference.events.len() > LISTED {
-        print(&format!("  … and {} more events", difference.events.len() - LISTED));
+        print(&format!("  … and {}", counted((difference.events.len() - LISTED) as u64, "more event")));
     }
     match &difference.comparison {
         Some(Ok(path)) => print(&format!("  look at both: rerun {}", path.display())),

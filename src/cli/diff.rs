@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::{Failure, announce, may_save, print, run::parse_tolerance, sink_failure, vector};
+use super::{Failure, announce, may_print, may_save, print, run::parse_tolerance, sink_failure, vector};
 use crate::{
     recording::{Recorded, diff, existing::Existing},
     text::{bytes, counted, thousands},
@@ -29,6 +29,7 @@ pub struct Arguments {
 
 /// Compares: exit status 0 if nothing differs by more than the tolerance, 1 if something does.
 pub fn diff(arguments: Arguments) -> Result<(), Failure> {
+    [&arguments.first, &arguments.second].into_iter().try_for_each(|path| may_print(path))?;
     let [a, b] = [Recorded::open(&arguments.first), Recorded::open(&arguments.second)];
     let (a, b) = (a.map_err(Failure::input)?, b.map_err(Failure::input)?);
     let tolerance = arguments.tolerance.unwrap_or_else(|| a.scene.tolerance.max(b.scene.tolerance));
@@ -74,7 +75,7 @@ pub fn diff(arguments: Arguments) -> Result<(), Failure> {
     }
     match difference.bodies.len() {
         0 => print("  no body differs"),
-        n if n > LISTED => print(&format!("  … and {} more bodies that differ less", n - LISTED)),
+        n if n > LISTED => print(&format!("  … and {} that differ less", counted((n - LISTED) as u64, "body"))),
         _ => {}
     }
     if let Some(worst) = &difference.first_beyond {
@@ -97,7 +98,7 @@ pub fn diff(arguments: Arguments) -> Result<(), Failure> {
         print(&format!("event {change}"));
     }
     if difference.events.len() > LISTED {
-        print(&format!("… and {} more events", difference.events.len() - LISTED));
+        print(&format!("… and {}", counted((difference.events.len() - LISTED) as u64, "more event")));
     }
     if let Some(save) = &arguments.save {
         let saved = diff::save([&a, &b], &difference, tolerance, save).map_err(Failure::input)?;

@@ -186,6 +186,17 @@ fn may_save(path: &Path, inputs: &[(&Path, &str)], new: &Existing) -> Result<(),
     existing::replace(path, new).map(drop).map_err(sink_failure)
 }
 
+/// Refuses to print results into a file that is read.
+fn may_print(input: &Path) -> Result<(), Failure> {
+    let is_stdout = || Ok::<_, io::Error>(same_file::Handle::stdout()? == same_file::Handle::from_path(input)?);
+    match input.is_file() && is_stdout().unwrap_or(false) {
+        true => {
+            Err(Failure::Input(format!("{} is standard output as well: send the results elsewhere", input.display())))
+        }
+        false => Ok(()),
+    }
+}
+
 /// Says what is replaced, if it is something else than what comes; once the place is claimed, so that this is true.
 fn announce(path: &Path, new: &Existing) -> Result<(), Failure> {
     if let Some(note) = existing::replace(path, new).map_err(sink_failure)? {

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::{
-    Failure, announce, may_save, one_of, print,
+    Failure, announce, may_print, may_save, one_of, print,
     run::{parse_integrator, parse_step, parse_tolerance},
     say, sink_failure, vector,
 };
@@ -69,6 +69,7 @@ impl Arguments {
 
 /// Runs it again.
 pub fn replay(arguments: Arguments) -> Result<(), Failure> {
+    may_print(&arguments.recording)?;
     let recorded = Recorded::open(&arguments.recording).map_err(Failure::input)?;
     if arguments.has_overrides() {
         return ask(&arguments, &recorded);

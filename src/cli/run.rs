@@ -12,7 +12,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{Failure, announce, may_save, one_of, print, say, sink_failure};
+use super::{Failure, announce, may_print, may_save, one_of, print, say, sink_failure};
 use crate::{
     recording::existing::{Existing, Kind},
     scene::{Integrator, Scene, builtin},
@@ -157,6 +157,7 @@ fn parse_positive(text: &str, unit: &str) -> Result<f64, String> {
 /// Simulates and records.
 pub fn run(arguments: Arguments) -> Result<(), Failure> {
     check(&arguments)?;
+    may_print(Path::new(&arguments.scene))?;
     let scene = load(&arguments)?;
     if let Some(threads) = arguments.threads {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build_global();

@@ -213,7 +213,7 @@ impl Properties {
         let last = sums.first + (sums.values.len() as u64).saturating_sub(1);
         match (settings.steps, &self.digest) {
             (Some(steps), _) if last > steps => {
-                return Err(damaged(format!("it has a checksum of step {last}, and {steps} steps")));
+                return Err(damaged(format!("it has a checksum of step {last}, and step {steps} is its last")));
             }
             // only a replay begins late, and it knows its end
             (None, _) if sums.first > 0 => {

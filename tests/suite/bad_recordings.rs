@@ -463,12 +463,14 @@ fn repacked(message: &Message, data: &[u8], zeros: usize) -> Message {
 
 /// The ranges of the metadata of an Arrow stream.
 fn metadata(data: &[u8]) -> Vec<std::ops::Range<usize>> {
-    let word = |at: usize| data.get(at..at + 4).map(|word| u32::from_le_bytes(word.try_into().expect("4")));
+    let word =
+        |at: usize| data.get(at..at.saturating_add(4)).map(|word| u32::from_le_bytes(word.try_into().expect("4")));
     let (mut at, mut ranges) = (0, Vec::new());
     while let (Some(u32::MAX), Some(length @ 1..)) = (word(at), word(at + 4)) {
         let range = at + 8..at + 8 + length as usize;
-        let message = root_as_message(&data[range.clone()]).expect("a message of our own");
-        at = range.end + message.bodyLength() as usize;
+        // it may have been distorted before
+        let Some(Ok(message)) = data.get(range.clone()).map(root_as_message) else { break };
+        at = range.end.saturating_add(message.bodyLength().unsigned_abs() as usize);
         ranges.push(range);
     }
     ranges
@@ -698,7 +700,10 @@ fn what_a_recording_claims_is_measured_by_its_size() {
         let mut error = String::new();
         let start = Clock::now();
         let memory = allocation_counter::measure(|| {
-            error = Recorded::open(&dir.file("claims.rrd")).expect_err("it lies").to_string();
+            error = match Recorded::open(&dir.file("claims.rrd")) {
+                Ok(_) => panic!("it lies, and nobody says so"),
+                Err(found) => found.to_string(),
+            };
         });
         assert!(start.elapsed() < MOST_TIME && memory.bytes_max < 400 << 20, "{error}: {} bytes", memory.bytes_max);
         error
@@ -715,12 +720,6 @@ fn what_a_recording_claims_is_measured_by_its_size() {
         let error = with(chunks);
         assert!(error.contains(what), "{error}");
     }
-    let mut chunks = store();
-    let line = TextLog::new("merge a~b at t = 0.1").with_level("merge");
-    (0..100_000).for_each(|_| chunks.log("/events", at(3), &line));
-    let error = with(chunks);
-    assert!(error.contains("rows within"), "{error}");
-
     // a scene that is longer than a file of one may be, and one that is longer than the recording has room for
     for (length, what) in [(33 << 20, "more than the 33554432"), (25 << 20, "more than the")] {
         let mut chunks = store();

@@ -906,7 +906,8 @@ fn a_viewer_beside_a_file_gets_every_row_once() {
     let rows = |name: &str| {
         let mut reader = Reader::open(&dir.file(name)).expect("a recording");
         let mut ids = Vec::new();
-        while let Some(chunk) = reader.next(|_| true).expect("a recording") {
+        // checksums go where they can be verified
+        while let Some(chunk) = reader.next(|entity| entity != "/checksum").expect("a recording") {
             ids.extend(chunk.row_ids().map(|id| (chunk.entity_path().to_string(), id)));
         }
         ids.sort();
@@ -915,7 +916,7 @@ fn a_viewer_beside_a_file_gets_every_row_once() {
     let (seen, saved) = (rows("seen.rrd"), rows("x.rrd"));
     let twice: Vec<_> = seen.windows(2).filter(|pair| pair[0] == pair[1]).map(|pair| &pair[0]).collect();
     assert!(twice.is_empty(), "{} rows twice, such as {:?}", twice.len(), twice[0]);
-    assert_eq!(seen, saved);
+    assert!(seen == saved, "{} rows seen, {} saved", seen.len(), saved.len());
 }
 
 #[cfg(unix)]

@@ -105,13 +105,22 @@ fn a_scene_is_never_replaced_by_its_recording() {
         let output = Command::new("sh").args(["-c", &script]).current_dir(dir.path()).output().expect("a shell");
         let said = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{said}");
-        assert!(said.contains("holds something already"), "{said}");
+        assert!(said.contains("holds something already") || said.contains("is standard output as well"), "{said}");
         let script = format!("'{}' run s.toml --save /dev/stdout {redirection}", env!("CARGO_BIN_EXE_meldscope"));
         if redirection != ">> a.rrd" {
             let output = Command::new("sh").args(["-c", &script]).current_dir(dir.path()).output().expect("a shell");
             assert_eq!(output.status.code(), Some(2));
         }
         assert!(content(&dir) == before, "{redirection}");
+    }
+    #[cfg(target_os = "linux")]
+    for script in ["run s.toml --save b.rrd >> s.toml", "run s.toml --save b.rrd 1<> s.toml", "replay a.rrd 1<> a.rrd"]
+    {
+        let before = content(&dir);
+        let script = format!("'{}' {script}", env!("CARGO_BIN_EXE_meldscope"));
+        let output = Command::new("sh").args(["-c", &script]).current_dir(dir.path()).output().expect("a shell");
+        assert_eq!(output.status.code(), Some(2), "{script}");
+        assert!(content(&dir) == before, "{script}");
     }
 }
 
@@ -200,6 +209,24 @@ fn golden_recordings_are_replaced_by_bless_alone() {
     let (status, out, err) = meldscope(&dir, &["check", "s.toml"]);
     assert!(status == 1 && out.contains("could not be written") && out.contains("golden"), "{out}{err}");
     assert!(fs::read(dir.file("s.check.rrd")).expect("a file") == golden);
+}
+
+/// Scenes of one name in two folders: of each that differs there is something to look at.
+#[test]
+fn comparisons_do_not_replace_each_other() {
+    let dir = Dir::new();
+    for folder in ["one", "two"] {
+        fs::create_dir(dir.file(folder)).expect("room");
+        fs::write(dir.file(&format!("{folder}/s.toml")), SCENE).expect("room");
+    }
+    succeeds(&dir, &["check", "one", "two", "--bless", "a test"]);
+    for folder in ["one", "two"] {
+        let other = SCENE.replace("[-2, 0, 0]", "[-2.5, 0, 0]");
+        fs::write(dir.file(&format!("{folder}/s.toml")), other).expect("room");
+    }
+    let (status, out, err) = meldscope(&dir, &["check", "one", "two"]);
+    assert!(status == 1 && out.contains("rerun s.check.rrd") && out.contains("rerun s-2.check.rrd"), "{out}{err}");
+    assert_eq!(dir.names(), ["one", "s-2.check.rrd", "s.check.rrd", "two"]);
 }
 
 #[test]
