@@ -178,6 +178,7 @@ struct Case {
 /// # Errors
 /// [`MeasureError`], before anything has been measured.
 pub fn measure(scene: &Scene, settings: &Settings, progress: &mut dyn FnMut(f64)) -> Result<Report, MeasureError> {
+    try_out(scene)?;
     let judge = Judge::new(scene)?;
     let mut cases = cases(scene, settings);
     let thread = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
@@ -286,6 +287,19 @@ fn fill_in_orders(report: &mut Report) {
     }
 }
 
+/// Runs the scene as it is: what it cannot come to the end of would keep the reference busy for ever.
+fn try_out(scene: &Scene) -> Result<(), MeasureError> {
+    let mut world = World::new(scene.clone())?;
+    for _ in 0..scene.steps() {
+        if let Some(failure) = &world.step().failure
+            && !failure.is_whole_step()
+        {
+            return Err(failure.clone().into());
+        }
+    }
+    Ok(())
+}
+
 /// The reference, and how well it is known.
 struct Judge {
     reference: Reference,
@@ -316,7 +330,9 @@ impl Judge {
         let mut world = World::new(case.scene.clone())?;
         let mut largest = 0.0;
         for step in 1..=case.steps {
-            world.step();
+            if world.step().failure.is_some() {
+                return Ok(None);
+            }
             let Some(instant) = self.instant(case, step) else { continue };
             for (index, body) in world.bodies().enumerate() {
                 for vertex in 0..body.vertex_count() {

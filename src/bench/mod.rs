@@ -78,7 +78,10 @@ pub mod scale;
 pub mod stability;
 mod tables;
 
-use crate::{SceneError, sim::TooLarge};
+use crate::{
+    SceneError,
+    sim::{self, TooLarge},
+};
 use reference::NoReference;
 
 /// Why something cannot be measured.
@@ -96,6 +99,9 @@ pub enum MeasureError {
     /// There is no memory.
     #[error(transparent)]
     TooLarge(#[from] TooLarge),
+    /// The scene's own run does not come to its end.
+    #[error(transparent)]
+    Failed(#[from] sim::Failure),
     /// There are no threads to measure on.
     #[error("cannot start threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),

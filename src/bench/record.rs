@@ -169,7 +169,9 @@ impl Bench<'_> {
         let mut bench = Bench { scene, settings, frames: Vec::new(), payload: 0, file: file(folder) };
         let (mut world, mut kept) = (bench.world()?, 0);
         for _ in 0..scene.steps() {
-            world.step();
+            if let Some(failure) = &world.step().failure {
+                return Err(failure.to_string());
+            }
             let mut snapshot = Snapshot::default();
             world.look(&mut snapshot);
             kept += snapshot.memory();

@@ -329,7 +329,7 @@ fn measure_plain(
     time: Duration,
 ) -> Result<Plain, TooLarge> {
     scene.integrator = Integrator::Thesis;
-    let mut world = World::with_options(scene, Options { skip: false, arch: Arch::Scalar })?;
+    let mut world = World::with_options(scene, Options { skip: false, arch: Arch::Scalar, ..Options::default() })?;
     let mut judging = Judging { judge, layout, judged: None };
     let mut clock = Clock::new(1);
     pools.one.install(|| {

@@ -204,6 +204,10 @@ impl Judge<'_> {
             }
             let clock = Instant::now();
             let report = world.step();
+            if report.failure.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
+                outcome.is_cut = true;
+                break;
+            }
             let seconds = clock.elapsed().as_secs_f64();
             let substeps = report.substeps;
             for event in &report.events {

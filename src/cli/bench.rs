@@ -121,7 +121,7 @@ fn error(arguments: ErrorArguments) -> Result<(), Failure> {
         let measured = error::measure(scene, &Settings::of(scene), &mut progress);
         bar.finish_and_clear();
         let report = measured.map_err(|error| match error {
-            MeasureError::Threads(_) => Failure::Run(error.to_string()),
+            MeasureError::Failed(_) | MeasureError::Threads(_) => Failure::Run(error.to_string()),
             error => Failure::Input(format!("scene {}: {error}", scene.name)),
         })?;
         print(&table::table(&report));

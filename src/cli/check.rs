@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::{Failure, print, say, vector};
 use crate::{
     recording::{
-        Recorded,
+        ReadError, Recorded,
         existing::{Existing, Kind, REASONS, replace},
         golden::{self, Difference, Outcome},
     },
@@ -93,6 +93,10 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
     for (script, result) in scripts.iter().zip(results) {
         let name = &script.name;
         match result {
+            Err(error @ ReadError::Failed { .. }) => {
+                print(&format!("{name}: {error}"));
+                failed.push(name.as_str());
+            }
             Err(error) => {
                 print(&format!("{name}: {error}"));
                 refused = refused.or(Some(error.to_string()));

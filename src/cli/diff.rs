@@ -38,7 +38,7 @@ pub fn diff(arguments: Arguments) -> Result<(), Failure> {
         may_save(save, &[(&arguments.first, what), (&arguments.second, what)], &Existing::comparison())?;
         announce(save, &Existing::comparison())?;
     }
-    let difference = diff::diff([&a, &b], tolerance).map_err(Failure::input)?;
+    let difference = diff::diff([&a, &b], tolerance)?;
     let (first, second) = (a.path.display(), b.path.display());
     for (recorded, again) in [&a, &b].into_iter().zip(difference.run_again) {
         let again = if again { "; without surfaces, so it was run again" } else { "" };
@@ -101,7 +101,7 @@ pub fn diff(arguments: Arguments) -> Result<(), Failure> {
         print(&format!("… and {}", counted((difference.events.len() - LISTED) as u64, "more event")));
     }
     if let Some(save) = &arguments.save {
-        let saved = diff::save([&a, &b], &difference, tolerance, save).map_err(Failure::input)?;
+        let saved = diff::save([&a, &b], &difference, tolerance, save)?;
         if let Some(saved) = saved.map_err(sink_failure)? {
             print(&format!("saved {}: {}", saved.path.display(), bytes(saved.bytes)));
         }

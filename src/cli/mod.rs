@@ -18,6 +18,7 @@ use std::{
     sync::Mutex,
 };
 
+use crate::recording::ReadError;
 use clap::{
     Parser, Subcommand,
     builder::{PossibleValuesParser, TypedValueParser},
@@ -72,6 +73,15 @@ impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (Failure::Run(message) | Failure::Input(message)) = self;
         f.write_str(message)
+    }
+}
+
+impl From<ReadError> for Failure {
+    fn from(error: ReadError) -> Failure {
+        match error {
+            ReadError::Failed { .. } => Failure::Run(error.to_string()),
+            _ => Failure::Input(error.to_string()),
+        }
     }
 }
 

@@ -76,7 +76,7 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
     }
     let (from, to) = range(&arguments, recorded.last())?;
     let mut saver = Saver::open(&arguments, &recorded.scene, &recorded.settings, from..=to)?;
-    let verdict = replay::verify(&recorded, |world| saver.observe(world)).map_err(Failure::input)?;
+    let verdict = replay::verify(&recorded, |world| saver.observe(world))?;
     if let Some(failure) = saver.failure.take() {
         return Err(Failure::Run(failure));
     }
@@ -99,8 +99,20 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
             for difference in &differences {
                 print(&format!("  though {difference}"));
             }
+            if let Some(failure) = &recorded.failure {
+                print(&format!("  and it fails as it did: {failure}"));
+            }
             saver.finish()?;
             cut_short(&arguments, &recorded)
+        }
+        Verdict::OtherEnd { replayed } => {
+            let recorded = recorded.failure.as_deref().unwrap_or("nothing");
+            let now = replayed.as_deref().unwrap_or("nothing");
+            print(&format!("{path}: {} steps are identical, but not why it ends{settings}", thousands(steps)));
+            print(&format!("  recorded: {recorded}"));
+            print(&format!("  now: {now}"));
+            saver.finish()?;
+            Err(Failure::Run(format!("{path} does not end as it did")))
         }
         Verdict::Divergent(divergence) => {
             print(&format!(
@@ -111,7 +123,7 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
                 Some(before) if before >= recorded.first => format!("  up to step {before} the states are identical"),
                 _ => "  no step is the same".to_owned(),
             });
-            match divergence.worst(&recorded).map_err(Failure::input)? {
+            match divergence.worst(&recorded)? {
                 Some(worst) => {
                     let at = if worst.step == divergence.step {
                         "there".to_owned()
@@ -179,7 +191,8 @@ fn ask(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
 
     let mut world = replay::world(recorded, scene.clone()).map_err(Failure::input)?;
     let mut events = Vec::new();
-    let (mut largest, mut diverged) = ((0.0, 0.0, String::new()), None);
+    let mut largest = (0.0, 0.0, String::new());
+    let mut failure = None;
     loop {
         for body in world.bodies() {
             let displacement = body.max_displacement() / body.scene().radius;
@@ -187,11 +200,15 @@ fn ask(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
                 largest = (displacement, world.time(), body.name().to_owned());
             }
         }
-        diverged = diverged.or(world.report().diverged.as_ref().map(ToString::to_string));
-        if !saver.observe(&world) || world.steps_taken() >= steps || diverged.is_some() {
+        if !saver.observe(&world) || world.steps_taken() >= steps || failure.is_some() {
             break;
         }
-        events.extend(world.step().events.iter().map(|event| describe(&scene, event)));
+        let report = world.step();
+        failure = report.failure.as_ref().map(ToString::to_string);
+        if report.failure.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
+            break;
+        }
+        events.extend(report.events.iter().map(|event| describe(&scene, event)));
     }
     print(&format!(
         "{}: {} of {} s with {}, tolerance {:e}, instead of {} of {} s with {}, tolerance {:e}; not verified",
@@ -219,7 +236,7 @@ fn ask(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
         print(&format!("    {event}"));
     }
     saver.finish()?;
-    match saver.failure.or(diverged) {
+    match saver.failure.or(failure) {
         Some(failure) => Err(Failure::Run(failure)),
         None => Ok(()),
     }

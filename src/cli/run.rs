@@ -5,10 +5,7 @@ use std::{
     io::Read as _,
     net::{IpAddr, Ipv4Addr},
     path::{Path, PathBuf},
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
+    sync::atomic::{AtomicBool, Ordering},
     time::{Duration, Instant},
 };
 
@@ -16,7 +13,7 @@ use super::{Failure, announce, may_print, may_save, one_of, print, say, sink_fai
 use crate::{
     recording::existing::{Existing, Kind},
     scene::{Integrator, Scene, builtin},
-    sim::{Event, Options, World},
+    sim::{self, Event, Options, World},
     stream::{
         Pipeline, Recorder,
         blueprint::Tab,
@@ -176,24 +173,24 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     if let Some(save) = &destinations.save {
         may_save(save, &[(Path::new(&arguments.scene), "the scene to be run")], &new)?;
     }
+    listen_for_interrupts()?; // until now there is nothing to be saved
     let sinks = Sinks::open(&destinations).map_err(sink_failure)?;
     if let Some(save) = &destinations.save {
         announce(save, &new)?;
     }
 
     let mut console = Console::new(&arguments, settings(&arguments, world.scene()).steps);
-    let stop = interrupted()?;
     let outcome = if arguments.watch {
-        watch(world, sinks, &arguments, &stop, &mut console)?
+        watch(world, sinks, &arguments, &STOP, &mut console)?
     } else {
-        simulate(world, sinks, &arguments, &stop, None, &mut console)?.conclude(&mut console)?
+        simulate(world, sinks, &arguments, &STOP, None, &mut console)?.conclude(&mut console)?
     };
     summarize(&console, &outcome);
     if let Some(serving) = &outcome.finished.serving {
         console.say("Serving until Ctrl-C.");
         let failure = loop {
             match serving.failure() {
-                None if !stop.load(Ordering::Relaxed) => std::thread::sleep(Duration::from_millis(100)),
+                None if !STOP.load(Ordering::Relaxed) => std::thread::sleep(Duration::from_millis(100)),
                 failure => break failure,
             }
         };
@@ -232,7 +229,7 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 fn world(arguments: &Arguments, scene: Scene) -> Result<World, Failure> {
-    let options = Options { skip: !arguments.no_skip, ..Options::default() };
+    let options = Options { skip: !arguments.no_skip, interrupt: Some(&STOP), ..Options::default() };
     World::with_options(scene, options).map_err(Failure::input)
 }
 
@@ -313,21 +310,25 @@ fn simulate(
         failure = failure.or(sinks.flush().err().map(|error| error.to_string()));
     }
     let mut pipeline = Pipeline::start(&world, recorder, sinks).map_err(sink_failure)?;
-    let (mut events, mut next) = (Events::default(), None);
+    let (mut events, mut next, mut failed) = (Events::default(), None, None);
     let start = Instant::now();
     let mut looked = start;
     while failure.is_none()
+        && failed.is_none()
         && next.is_none()
         && !stop.load(Ordering::Relaxed)
         && settings.steps.is_none_or(|steps| world.steps_taken() < steps)
     {
         let report = world.step();
+        failed = report.failure.clone();
+        if failed.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
+            break;
+        }
         events.count += report.events.len() as u64;
         events.first.extend(report.events.iter().take(LISTED_EVENTS - events.first.len()));
-        failure = report.diverged.as_ref().map(ToString::to_string);
         let due = arguments.realtime.then(|| start + Duration::from_secs_f64(world.time().min(1e9)));
         let lag = due.map(|due| Instant::now().saturating_duration_since(due));
-        failure = failure.or(pipeline.observe(&world, lag).err());
+        failure = pipeline.observe(&world, lag).err();
         if let Some(due) = due {
             failure = failure.or(pipeline.hand_over().err());
             wait_until(due, stop);
@@ -343,9 +344,14 @@ fn simulate(
     // However it ended: what was simulated is saved.
     let mut recorded = pipeline.finish().map_err(Failure::Run)?;
     let seconds = start.elapsed().as_secs_f64();
+    let failed = failed.filter(|failure| !matches!(failure, sim::Failure::Interrupted { .. }));
+    let failed = failed.map(|failure| failure.to_string());
+    if let Some(failed) = &failed {
+        recorded.recorder.log_property("failure", failed);
+    }
     let unsent = recorded.finish(&world);
     let Recorded { recorder, mut sinks, mut notes, failure: recording } = recorded;
-    let failure = failure.or(recording).or(unsent);
+    let failure = failed.or(failure).or(recording).or(unsent);
     let layout = recorder.measured_layout(&world, arguments.tab);
     let unsent = layout.into_iter().find_map(|message| sinks.send_to(Audience::Files, message).err());
     let failure = failure.or(unsent.map(|error| error.to_string()));
@@ -547,21 +553,21 @@ fn destinations(arguments: &Arguments, scene: &Scene) -> Destinations {
     }
 }
 
-/// A flag that Ctrl-C (or a request to terminate) raises; a second one ends the program at once.
-fn interrupted() -> Result<Arc<AtomicBool>, Failure> {
-    let stop = Arc::new(AtomicBool::new(false));
-    let raise = Arc::clone(&stop);
+/// Raised by Ctrl-C, or a request to terminate: what runs comes to its end.
+static STOP: AtomicBool = AtomicBool::new(false);
+
+/// From here on the first of these raises [`STOP`], and a second one ends the program at once.
+fn listen_for_interrupts() -> Result<(), Failure> {
     let mut first: Option<Instant> = None;
     ctrlc::set_handler(move || match first {
         None => {
             first = Some(Instant::now());
-            raise.store(true, Ordering::Relaxed);
+            STOP.store(true, Ordering::Relaxed);
         }
         Some(first) if first.elapsed() < SAME_INTERRUPT => {}
         Some(_) => std::process::exit(130),
     })
-    .map_err(|error| Failure::Run(format!("cannot listen for Ctrl-C: {error}")))?;
-    Ok(stop)
+    .map_err(|error| Failure::Run(format!("cannot listen for Ctrl-C: {error}")))
 }
 
 /// What the run did, and how to open what it wrote.

@@ -3,6 +3,8 @@
 //! Surfaces are taken from the recordings (they may be of programs that are no more), in the precision that they have
 //! there: some 1e-7 of a radius. A recording without surfaces is run again.
 
+use std::path::PathBuf;
+
 use glam::DVec3;
 
 use super::{
@@ -49,7 +51,7 @@ pub struct Difference {
 /// Frames from a file, or from the scene.
 enum Source {
     Stored(Box<Frames>),
-    Again { world: Box<World>, last: u64, has_begun: bool, events: Vec<Happened> },
+    Again { world: Box<World>, last: u64, path: PathBuf, has_begun: bool, events: Vec<Happened> },
 }
 
 impl Source {
@@ -58,18 +60,24 @@ impl Source {
             return Ok(Source::Stored(Box::new(Frames::open(recorded)?)));
         }
         let world = Box::new(super::replay::world(recorded, recorded.scene.clone())?);
-        Ok(Source::Again { world, last: recorded.last(), has_begun: false, events: Vec::new() })
+        Ok(Source::Again {
+            world,
+            last: recorded.last(),
+            path: recorded.path.clone(),
+            has_begun: false,
+            events: Vec::new(),
+        })
     }
 
     fn next(&mut self) -> Result<Option<Frame>, ReadError> {
         match self {
             Source::Stored(frames) => frames.next(),
-            Source::Again { world, last, has_begun, events } => {
+            Source::Again { world, last, path, has_begun, events } => {
                 if std::mem::replace(has_begun, true) {
                     if world.steps_taken() >= *last {
                         return Ok(None);
                     }
-                    world.step();
+                    super::replay::whole(world.step(), path)?;
                     events.extend(world.report().events.iter().map(|event| Happened::of(world.scene(), event)));
                 }
                 let surfaces = world.bodies().map(|body| {

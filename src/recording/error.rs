@@ -3,6 +3,8 @@
 use std::io;
 use std::path::PathBuf;
 
+use crate::sim;
+
 /// A recording that cannot be read, or not be used for what it is wanted. Displays on one line: which file, what is
 /// wrong with it and where, what to do.
 #[derive(Debug, thiserror::Error)]
@@ -48,6 +50,14 @@ pub enum ReadError {
         path: PathBuf,
         /// What the parser says, or what it would need.
         what: String,
+    },
+    /// Run again, it fails before it comes to its end.
+    #[error("{}, run again, fails: {failure}", path.display())]
+    Failed {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        failure: sim::Failure,
     },
 }
 

@@ -26,6 +26,7 @@ use super::{
     happenings::{self, Change},
     read::Reader,
     recorded::{Happened, raw, step_of},
+    replay::whole,
 };
 use crate::{
     scene::Scene,
@@ -79,8 +80,8 @@ pub fn bless(scene: &Scene, path: &Path, reason: &str) -> Result<Blessed, BlessE
     recorder.log_property("counts", &counts(scene));
     let mut checksums = vec![world.checksum()];
     for step in 1..=scene.steps() {
-        if let Some(diverged) = &world.step().diverged {
-            return Err(BlessError::Scene(diverged.to_string()));
+        if let Some(failure) = &world.step().failure {
+            return Err(BlessError::Scene(failure.to_string()));
         }
         recorder.observe(&world);
         recorder.log_events(&world);
@@ -209,7 +210,9 @@ pub fn check(scene: &Scene, golden: &Path, comparison: Option<&Path>) -> Result<
     let mut first = None;
     for step in 0..=scene.steps() {
         if step > 0 {
-            events.extend(world.step().events.iter().map(|event| Happened::of(scene, event)));
+            let report = world.step();
+            whole(report, golden)?;
+            events.extend(report.events.iter().map(|event| Happened::of(scene, event)));
         }
         if let (None, Some(golden)) = (first, recorded.checksum(step))
             && world.checksum() != golden
@@ -275,7 +278,7 @@ fn look(
         if world.steps_taken() == last {
             break;
         }
-        world.step();
+        whole(world.step(), &recorded.path)?;
     }
     Ok(())
 }
@@ -311,7 +314,9 @@ fn show(scene: &Scene, details: &Details, difference: &Difference, path: &Path) 
         }
         let last = details.states.keys().next_back().copied().unwrap_or(0);
         while world.steps_taken() < last.min(scene.steps()) {
-            world.step();
+            if world.step().failure.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
+                break;
+            }
             if let Some(state) = details.states.get(&world.steps_taken()) {
                 let at = Instant { step: world.steps_taken(), time: world.time() };
                 comparison.frame(scene, at, tolerance(scene, world.time()), |index| {

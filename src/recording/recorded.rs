@@ -53,6 +53,8 @@ pub struct Recorded {
     pub machine: String,
     /// Why it was made, if it is a golden one.
     pub blessed: Option<String>,
+    /// Why the run ended before its last step, if it failed.
+    pub failure: Option<String>,
     /// The step of the first checksum.
     pub first: u64,
     /// Of every step from `first` on.
@@ -85,6 +87,7 @@ struct Properties {
     version: Option<String>,
     machine: Option<String>,
     blessed: Option<String>,
+    failure: Option<String>,
     digest: Option<String>,
     format: Option<f64>,
 }
@@ -145,6 +148,7 @@ impl Properties {
             (&mut self.version, "version"),
             (&mut self.machine, "machine"),
             (&mut self.blessed, "blessed"),
+            (&mut self.failure, "failure"),
             (&mut self.digest, "digest"),
         ] {
             if let Some(text) = cell::<Utf8>(chunk, name, 0).into_iter().next() {
@@ -236,6 +240,7 @@ impl Properties {
             version,
             machine: self.machine.unwrap_or_else(|| "a machine that it does not name".to_owned()),
             blessed: self.blessed,
+            failure: self.failure,
             first: sums.first,
             checksums: sums.values,
             events,

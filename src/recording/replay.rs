@@ -1,9 +1,11 @@
 //! The same steps again, compared checksum by checksum.
 
+use std::path::Path;
+
 use super::{ReadError, Recorded, frames};
 use crate::{
     scene::Scene,
-    sim::{Options, World},
+    sim::{Options, StepReport, World},
 };
 
 /// What a replay came to.
@@ -13,6 +15,11 @@ pub enum Verdict {
     Identical,
     /// One is not.
     Divergent(Divergence),
+    /// Every checksum is the same, but the run ended with a failure then, and now with another one or with none.
+    OtherEnd {
+        /// The present one, in words.
+        replayed: Option<String>,
+    },
 }
 
 /// Where a replay and its recording part.
@@ -42,7 +49,7 @@ impl Divergence {
                 continue;
             }
             while world.steps_taken() < frame.step {
-                world.step();
+                whole(world.step(), &recorded.path)?;
             }
             if let Some(worst) = frame.compare(&world)
                 && worst.difference > 0.0
@@ -84,9 +91,29 @@ pub fn verify(recorded: &Recorded, mut observe: impl FnMut(&World) -> bool) -> R
         if step >= last_step {
             break;
         }
-        world.step();
+        whole(world.step(), &recorded.path)?;
     }
-    Ok(divergence.map_or(Verdict::Identical, Verdict::Divergent))
+    if let Some(divergence) = divergence {
+        return Ok(Verdict::Divergent(divergence));
+    }
+    if recorded.failure.is_some() && world.report().failure.is_none() && world.steps_taken() == recorded.last() {
+        world.step(); // the one that was not recorded, because it was not taken
+    }
+    let replayed = world.report().failure.as_ref().map(ToString::to_string);
+    Ok(match &recorded.failure {
+        Some(recorded) if replayed.as_ref() != Some(recorded) => Verdict::OtherEnd { replayed },
+        _ => Verdict::Identical,
+    })
+}
+
+/// A step is of use to nobody that was not taken to its end.
+pub(super) fn whole(report: &StepReport, path: &Path) -> Result<(), ReadError> {
+    match &report.failure {
+        Some(failure) if !failure.is_whole_step() => {
+            Err(ReadError::Failed { path: path.to_owned(), failure: failure.clone() })
+        }
+        _ => Ok(()),
+    }
 }
 
 /// A world of a recording's scene, with or without other settings.

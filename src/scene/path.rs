@@ -1,8 +1,9 @@
 //! Centre paths: where the centre of a body is, prescribed for all t ≥ 0.
 
-use std::f64::consts::TAU;
+use std::{f64::consts::TAU, hash::Hasher, ops::Range};
 
 use glam::DVec3;
+use rustc_hash::FxHasher;
 
 /// A prescribed path of a centre c(t), defined for every t.
 #[derive(Clone, Debug, PartialEq)]
@@ -123,6 +124,16 @@ impl Path {
         }
     }
 
+    /// A ball in which the centre is throughout `[start, end]` [s]: its centre and its radius [scene unit].
+    pub fn ball(&self, start: f64, end: f64) -> (DVec3, f64) {
+        let half = 0.5 * (end - start);
+        let travelled = (self.position(start + half), self.bounds(start, end).speed * half);
+        match self {
+            Path::Sine { center, amplitude, .. } if amplitude.length() < travelled.1 => (*center, amplitude.length()),
+            _ => travelled,
+        }
+    }
+
     /// c at time `t` [s].
     pub fn position(&self, t: f64) -> DVec3 {
         self.at(t).position
@@ -201,6 +212,8 @@ impl Path {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spline {
     times: Vec<f64>,
+    /// A hash of the times: splines with other times are told apart by it without looking at all of them.
+    times_hash: u64,
     /// `[keys − 1]`
     segments: Vec<Segment>,
     first: DVec3,
@@ -252,7 +265,10 @@ impl Spline {
                 jerk: (m[k + 1] - m[k]) / width(k),
             })
             .collect();
-        Spline { times: keys.iter().map(|key| key.0).collect(), segments, first: keys[0].1, last: keys[n - 1].1 }
+        let times: Vec<f64> = keys.iter().map(|key| key.0).collect();
+        let mut hasher = FxHasher::default();
+        times.iter().for_each(|time| hasher.write_u64(time.to_bits()));
+        Spline { times, times_hash: hasher.finish(), segments, first: keys[0].1, last: keys[n - 1].1 }
     }
 
     fn at(&self, t: f64) -> Kinematics {
@@ -278,7 +294,15 @@ impl Spline {
     }
 
     fn bounds(&self, start: f64, end: f64) -> Bounds {
-        segment_bounds(&self.times, |k| self.segments[k], start, end)
+        let stretch = self.stretch(start, end);
+        segment_bounds(&self.times, stretch, |k| self.segments[k], start, end)
+    }
+
+    /// The segments that have a part in `[start, end]`.
+    fn stretch(&self, start: f64, end: f64) -> Range<usize> {
+        let first = self.times.partition_point(|&key| key <= start).saturating_sub(1);
+        let beyond = self.times.partition_point(|&key| key <= end);
+        first..beyond.min(self.times.len() - 1)
     }
 
     /// [`Path::relative_bounds`] for two splines; `None` if their keys are not at the same times.
@@ -292,20 +316,29 @@ impl Spline {
                 jerk: a.jerk - b.jerk,
             }
         };
-        (self.times == other.times).then(|| segment_bounds(&self.times, between, start, end))
+        if self.times_hash != other.times_hash || self.times.len() != other.times.len() {
+            return None;
+        }
+        // what would be wrong if it were a coincidence is looked at, not all of them
+        let stretch = self.stretch(start, end);
+        let (first, last) = (stretch.start, stretch.end.max(stretch.start));
+        let is_same = stretch == other.stretch(start, end) && self.times[first..=last] == other.times[first..=last];
+        is_same.then(|| segment_bounds(&self.times, stretch, between, start, end))
     }
 }
 
-/// [`Path::bounds`] of a spline with keys at `times`.
-fn segment_bounds(times: &[f64], segment: impl Fn(usize) -> Segment, start: f64, end: f64) -> Bounds {
+/// [`Path::bounds`] of a spline with keys at `times`, which has these segments there.
+fn segment_bounds(
+    times: &[f64],
+    stretch: Range<usize>,
+    segment: impl Fn(usize) -> Segment,
+    start: f64,
+    end: f64,
+) -> Bounds {
     let mut bounds = Bounds { speed: 0.0, acceleration: 0.0 };
-    let first = times.partition_point(|&key| key <= start).saturating_sub(1);
-    for k in first..times.len() - 1 {
+    for k in stretch {
         let from = f64::max(start, times[k]) - times[k];
         let to = f64::min(end, times[k + 1]) - times[k];
-        if times[k] > end {
-            break;
-        }
         if from > to {
             continue;
         }

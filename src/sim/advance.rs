@@ -19,6 +19,7 @@ use super::{
     state::Common,
     terms::{Acting, Moment, On, Phases, Surroundings},
     tracks::Tracks,
+    work::{Tally, Work},
 };
 use crate::{geometry::Rest, model::phase::Phase, scene::Scene};
 
@@ -58,6 +59,8 @@ pub(super) struct Context<'a> {
     pub skip: bool,
     /// Steps taken before this one.
     pub step: u64,
+    /// What the step may take.
+    pub work: &'a Work,
 }
 
 /// How far a neighbour's sphere is from the centre of a body, at the least, and how much it can pull.
@@ -80,14 +83,20 @@ impl Phases for &Pairs {
 }
 
 impl<'a> Context<'a> {
-    /// Advances one body over `span`; its [`Active::effort`] says what that took: nothing if nothing acted on it.
-    pub fn advance(&self, active: &mut Active, span: Span) {
+    /// Advances one body, which is the `turn`-th, over `span`; its [`Active::effort`] says what that took: nothing if
+    /// nothing acted on it.
+    pub fn advance(&self, active: &mut Active, turn: usize, span: Span) {
+        let work = Tally::new(self.work, Some(turn));
+        if work.is_over() {
+            return;
+        }
         SCRATCH.with_borrow_mut(|scratch| {
             active.effort = match Scheme::of(self.scene.integrator) {
-                Some(scheme) => self.advance_explicitly(scheme, active, span, &mut scratch.interval),
-                None => self.advance_exponentially(active, span, scratch),
+                Some(scheme) => self.advance_explicitly(scheme, active, span, &mut scratch.interval, &work),
+                None => self.advance_exponentially(active, span, scratch, &work),
             };
         });
+        active.effort.work = work.done();
         if active.effort.substeps > 0 {
             active.extent = Extent::of(&active.deformation, active.oscillator, self.arch);
             active.bound += self.force_bound(active, span) * span.length();
@@ -180,7 +189,14 @@ impl<'a> Context<'a> {
     }
 
     /// One step, with the phases as they are at its start.
-    fn advance_explicitly(&self, scheme: Scheme, active: &mut Active, span: Span, interval: &mut Interval) -> Effort {
+    fn advance_explicitly(
+        &self,
+        scheme: Scheme,
+        active: &mut Active,
+        span: Span,
+        interval: &mut Interval,
+        work: &Tally<'_>,
+    ) -> Effort {
         let (middle, end) = scheme.looks_at();
         // A sphere that ends short of every vertex of a body at rest would wake it for nothing; one in motion may get
         // anywhere in an inaccurate step.
@@ -206,13 +222,19 @@ impl<'a> Context<'a> {
         let rest = self.body(active.body).rest();
         active.deformation.wake_all(rest);
         let front = &mut active.deformation.front;
-        explicit::advance(scheme, interval, rest, front);
+        explicit::advance(scheme, interval, rest, front, work);
         front.pad_again();
-        Effort { substeps: 1, error: 0.0 }
+        Effort { substeps: 1, base: work.done(), ..Effort::default() }
     }
 
     /// As many stretches as there are jumps in the step, each as exactly as the scene's tolerance asks for.
-    fn advance_exponentially(&self, active: &mut Active, span: Span, scratch: &mut Scratch) -> Effort {
+    fn advance_exponentially(
+        &self,
+        active: &mut Active,
+        span: Span,
+        scratch: &mut Scratch,
+        work: &Tally<'_>,
+    ) -> Effort {
         let scene = self.scene;
         let index = active.body as usize;
         let now = active.now(self.step, scene.dt, self.arch);
@@ -243,11 +265,14 @@ impl<'a> Context<'a> {
             scratch.felt.extend(&active.reachable);
         }
         let Scratch { breaks, felt, acting, exponential, .. } = scratch;
-        self.find_breaks(active.body, felt, span, breaks);
-        let manner = Manner { arch: self.arch, tolerance: scene.tolerance * scene.bodies[index].radius };
-        let mut total = Effort::default();
+        self.find_breaks(active.body, felt, span, breaks, work);
+        let tolerance = scene.tolerance * scene.bodies[index].radius;
+        let manner = Manner { arch: self.arch, tolerance, work };
+        let base = exponential::work_of(active.deformation.front.vertices.len(), felt.len());
+        let mut total = Effort { base, ..Effort::default() };
         for ends in breaks.windows(2) {
             let part = Span { start: ends[0], end: ends[1] };
+            work.spend((felt.len() + self.body(active.body).pushes.len()) as u64);
             self.on(active.body).over(felt, part, acting);
             let is_whole = breaks.len() == 2;
             let course = Course {
@@ -271,6 +296,9 @@ impl<'a> Context<'a> {
             }
             total.substeps += effort.substeps;
             total.error += effort.error;
+            if work.is_over() {
+                break;
+            }
         }
         total
     }
@@ -283,7 +311,7 @@ impl<'a> Context<'a> {
     }
 
     /// The ends of the stretches of a step in which nothing about a body jumps.
-    fn find_breaks(&self, index: u32, reachable: &[Neighbour], span: Span, breaks: &mut Vec<f64>) {
+    fn find_breaks(&self, index: u32, reachable: &[Neighbour], span: Span, breaks: &mut Vec<f64>, work: &Tally<'_>) {
         breaks.clear();
         breaks.push(span.start);
         let mut knots = |body: u32| {
@@ -294,6 +322,7 @@ impl<'a> Context<'a> {
         knots(index);
         reachable.iter().for_each(|source| knots(source.other));
         self.on(index).jumps(reachable, span, breaks);
+        work.spend(breaks.len() as u64);
         if breaks.len() > 1 {
             breaks.sort_by(f64::total_cmp);
             breaks.dedup();

@@ -5,6 +5,11 @@
 //! g is monotone are searched by safeguarded Newton steps, and others are halved: no crossing is missed, however
 //! short the visit. A pair within a few roundings of a threshold is taken to stand on it until it has left.
 
+use std::f64::consts::TAU;
+
+use glam::DVec3;
+
+use super::work::{LOOK_AT_PATHS, Tally};
 use crate::{
     model::phase::{Phase, Thresholds},
     scene::{
@@ -86,12 +91,24 @@ impl PairPaths<'_> {
 
     /// The first of these.
     pub fn first_change(&self, thresholds: &Thresholds, phase: Phase, start: f64, end: f64) -> Option<(f64, Phase)> {
+        self.first_change_within(thresholds, phase, start, end, &Tally::unlimited())
+    }
+
+    /// The same, for no more than `work` has left: what is found when that is over means nothing.
+    pub(super) fn first_change_within(
+        &self,
+        thresholds: &Thresholds,
+        phase: Phase,
+        start: f64,
+        end: f64,
+        work: &Tally<'_>,
+    ) -> Option<(f64, Phase)> {
         // From knot to knot, so that a pair that comes to stand on a threshold is there at an end.
         let mut from = start;
         loop {
             let to = self.knot_after(from).min(end);
-            let found = self.first_change_between_knots(thresholds, phase, from, to);
-            if found.is_some() || to >= end {
+            let found = self.first_change_between_knots(thresholds, phase, from, to, work);
+            if found.is_some() || to >= end || work.is_over() {
                 return found;
             }
             from = to;
@@ -113,25 +130,75 @@ impl PairPaths<'_> {
         phase: Phase,
         start: f64,
         end: f64,
+        work: &Tally<'_>,
     ) -> Option<(f64, Phase)> {
         if self.a.relative_bounds(self.b, start, end).speed == 0.0 {
             return None; // Still, or in formation: only rounding could change the distance.
         }
+        let swing = self.swing();
         thresholds
             .transitions(phase)
             .filter_map(|way| {
-                let gap = Gap { pair: self, level: way.level * self.radii };
+                let gap = Gap { pair: self, level: way.level * self.radii, swing, work };
                 let sign = if way.falling { 1.0 } else { -1.0 };
                 gap.first_fall(sign, start, end).map(|time| (time, way.to))
             })
             .min_by(|x, y| x.0.total_cmp(&y.0))
     }
+
+    /// How the square of the distance swings for ever, if both swing at the same frequency, or one stands still.
+    ///
+    /// With Δc = D + S sin θ + C cos θ, θ = ωt, it is
+    /// `D² + (S² + C²)/2 + 2 D·S sin θ + 2 D·C cos θ + (C² − S²)/2 cos 2θ + S·C sin 2θ`.
+    fn swing(&self) -> Option<Swing> {
+        let still = |frequency| (DVec3::ZERO, frequency, 0.0);
+        let of = |path: &Path, frequency| match path {
+            Path::Fixed(position) => Some((*position, still(frequency))),
+            Path::Sine { center, amplitude, frequency, phase } => Some((*center, (*amplitude, *frequency, *phase))),
+            Path::Line { .. } | Path::Keyframes(_) => None,
+        };
+        let frequency = [self.a, self.b].iter().find_map(|path| match path {
+            Path::Sine { frequency, .. } => Some(*frequency),
+            _ => None,
+        })?;
+        let (a, (swing_a, frequency_a, phase_a)) = of(self.a, frequency)?;
+        let (b, (swing_b, frequency_b, phase_b)) = of(self.b, frequency)?;
+        if frequency_a != frequency_b {
+            return None;
+        }
+        let ((sin_a, cos_a), (sin_b, cos_b)) = (libm::sincos(phase_a), libm::sincos(phase_b));
+        let (d, s, c) = (a - b, swing_a * cos_a - swing_b * cos_b, swing_a * sin_a - swing_b * sin_b);
+        let (d2, s2, c2) = (d.length_squared(), s.length_squared(), c.length_squared());
+        let length = |x: f64, y: f64| (x * x + y * y).sqrt();
+        let once = 2.0 * length(d.dot(s), d.dot(c));
+        let twice = length(0.5 * (c2 - s2), s.dot(c));
+        let rounding = 16.0 * f64::EPSILON * (d2 + s2 + c2);
+        let rate = TAU * frequency;
+        Some(Swing {
+            mean: (d2 + 0.5 * (s2 + c2)).sqrt(),
+            by: once + twice + rounding,
+            curvature: rate * rate * (once + 4.0 * twice + rounding),
+        })
+    }
+}
+
+/// How the square of a distance swings.
+#[derive(Clone, Copy, Debug)]
+struct Swing {
+    /// The root of its mean [scene unit].
+    mean: f64,
+    /// By how much it differs from the mean, at most [scene unit²].
+    by: f64,
+    /// Bound of its second derivative [scene unit²/s²].
+    curvature: f64,
 }
 
 /// `g(t) = |c_a − c_b|² − level²`, times a sign so that the crossing looked for is always a fall through zero.
 struct Gap<'a> {
     pair: &'a PairPaths<'a>,
     level: f64,
+    swing: Option<Swing>,
+    work: &'a Tally<'a>,
 }
 
 impl Gap<'_> {
@@ -148,6 +215,24 @@ impl Gap<'_> {
         ((d - self.level) * (d + self.level), 2.0 * apart.dot(relative))
     }
 
+    /// g in the mean.
+    fn mean(&self, swing: &Swing) -> f64 {
+        (swing.mean - self.level) * (swing.mean + self.level)
+    }
+
+    /// Whether the centres swing so often in a stretch that where they can be at all says more than how fast they are.
+    fn is_restless(&self, length: f64) -> bool {
+        let swings = |path: &Path| matches!(path, Path::Sine { frequency, .. } if frequency * length > 1.0);
+        swings(self.pair.a) || swings(self.pair.b)
+    }
+
+    /// Whether the distance is on one side of the threshold throughout a stretch, by where the centres can be.
+    fn is_out_of_reach(&self, start: f64, end: f64) -> bool {
+        let [(a, spread_a), (b, spread_b)] = [self.pair.a, self.pair.b].map(|path| path.ball(start, end));
+        let far = a.abs().max_element() + b.abs().max_element() + spread_a + spread_b + self.level;
+        (a.distance(b) - self.level).abs() > spread_a + spread_b + 64.0 * f64::EPSILON * far
+    }
+
     /// What rounding of the centres can do to a g near zero.
     fn rounding(&self, a: &Kinematics, b: &Kinematics) -> f64 {
         let far = a.position.abs().max_element() + b.position.abs().max_element();
@@ -157,14 +242,20 @@ impl Gap<'_> {
     /// The first time in `[start, end]` at which `sign · g` falls through zero, being above at `start` or on it.
     fn first_fall(&self, sign: f64, start: f64, end: f64) -> Option<f64> {
         let (a, b) = (self.pair.a.at(start), self.pair.b.at(start));
-        let is_clear = sign * self.of(&a, &b).0 > self.rounding(&a, &b);
+        let (g, rounding) = (self.of(&a, &b).0, self.rounding(&a, &b));
+        let is_clear = sign * g > rounding;
+        // no more than rounding moves it: as below, where a stretch is too close to the threshold to tell more
+        if self.swing.is_some_and(|swing| self.mean(&swing).abs() + swing.by <= 8.0 * rounding) {
+            let (a, b) = (self.pair.a.at(end), self.pair.b.at(end));
+            return (is_clear && sign * self.of(&a, &b).0 <= rounding).then_some(end);
+        }
         self.first_fall_within(sign, start, end, is_clear)
     }
 
     /// The same in a part of it, into which the pair comes without having fallen; it `is_clear` if it was above zero by
     /// more than rounding before.
     fn first_fall_within(&self, sign: f64, start: f64, end: f64, is_clear: bool) -> Option<f64> {
-        if start >= end {
+        if start >= end || !self.work.spend(LOOK_AT_PATHS) {
             return None;
         }
         let half = 0.5 * (end - start);
@@ -181,11 +272,17 @@ impl Gap<'_> {
         let close = 8.0 * rounding;
 
         // No root: on the near side still, or on the far side since it passed `close` to the threshold just before.
-        if g.abs() > range + close {
+        let (mut tighter, mut is_out_of_reach) = (range, false);
+        if let Some(swing) = &self.swing {
+            tighter = range.min(slope.abs() * half + 0.5 * swing.curvature * half * half);
+            is_out_of_reach = self.mean(swing).abs() > swing.by + close;
+        }
+        is_out_of_reach |= self.is_restless(end - start) && self.is_out_of_reach(start, end);
+        if g.abs() > tighter + close || is_out_of_reach {
             return (sign * g < 0.0).then_some(start);
         }
         // All of it too close to the threshold to tell more, or too short: does it come to stand on it, from above?
-        if g.abs() + range <= close || m <= start || m >= end {
+        if g.abs() + tighter <= close || m <= start || m >= end {
             let (before, after) = (sign * self.at(start).0, sign * self.at(end).0);
             return ((is_clear || before > rounding) && after <= rounding).then_some(end);
         }

@@ -14,6 +14,7 @@
 //! | what another thread can look at meanwhile | [`snapshot`] |
 //! | what happens inside of a step, on request | [`stages`] |
 //! | what a step reports | [`report`] |
+//! | how much a step may take | [`work`] |
 //! | one number for the exact state | [`checksum`] |
 //! | what a scene needs before it is built | [`memory`] |
 //!
@@ -53,13 +54,14 @@ mod state;
 pub mod terms;
 pub mod track;
 mod tracks;
+pub mod work;
 pub mod world;
 
 pub use arrays::Vectors;
 pub use events::Event;
 pub use memory::TooLarge;
 pub use observe::{BodyForces, Energy};
-pub use report::{Diverged, Stage, StepReport};
+pub use report::{Diverged, Failure, Overworked, Stage, StepReport, Toil};
 pub use snapshot::Snapshot;
 pub use terms::Cause;
 pub use world::{BodyView, Options, PairView, States, World};

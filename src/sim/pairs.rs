@@ -14,6 +14,7 @@ use super::{
     reach::{Ball, Grid},
     terms::spheres,
     tracks::Tracks,
+    work::{EVENT, LOOK_AT_PATHS, NEW_PAIR, Stop, Tally, Work},
 };
 use crate::{
     model::phase::Phase,
@@ -71,21 +72,21 @@ pub(super) struct Pairs {
 }
 
 impl Pairs {
-    /// All pairs that are near each other at the start.
-    pub fn start(&mut self, scene: &Scene, bodies: &mut [Body]) {
+    /// All pairs that are near each other at the start, unless `work` is interrupted.
+    pub fn start(&mut self, scene: &Scene, bodies: &mut [Body], work: &Tally<'_>) {
         for i in 0..bodies.len() {
             let radius = scene.bodies[i].radius;
             self.place(scene, bodies, i, radius, 0.0);
         }
         for i in 0..bodies.len() {
-            self.find_neighbours(scene, bodies, i, 0.0);
+            self.find_neighbours(scene, bodies, i, 0.0, work);
         }
         self.pairs.shrink_to_fit();
         bodies.iter_mut().for_each(|body| body.neighbours.shrink_to_fit());
     }
 
     /// The plain way: every pair.
-    pub fn start_with_all(&mut self, scene: &Scene, bodies: &mut [Body]) {
+    pub fn start_with_all(&mut self, scene: &Scene, bodies: &mut [Body], work: &Tally<'_>) {
         self.plain = true;
         for body in bodies.iter_mut() {
             body.zone = Zone { vertices: f64::INFINITY, skin: 0.0, until: f64::INFINITY };
@@ -93,23 +94,38 @@ impl Pairs {
         for i in 0..bodies.len() {
             self.found.clear();
             self.found.extend((0..bodies.len() as u32).filter(|&j| j as usize != i));
-            self.meet(scene, bodies, i, 0.0);
+            self.meet(scene, bodies, i, 0.0, work);
         }
     }
 
     /// Looks for the neighbours of bodies that move out of their zones before the end of `span`.
-    pub fn follow(&mut self, scene: &Scene, bodies: &mut [Body], tracks: &mut Tracks, span: Span) {
+    ///
+    /// # Errors
+    /// If they are too many: the body that it ended with.
+    pub fn follow(
+        &mut self,
+        scene: &Scene,
+        bodies: &mut [Body],
+        tracks: &mut Tracks,
+        span: Span,
+        work: &Work,
+    ) -> Result<(), (Stop, u32)> {
         tracks.watch(|track| bodies[track.body as usize].zone.until < span.end);
+        let tally = Tally::new(work, None);
         for body in tracks.watched() {
             let vertices = bodies[body as usize].zone.vertices;
-            self.anchor(scene, bodies, body as usize, vertices, span.start);
+            self.anchor(scene, bodies, body as usize, vertices, span.start, &tally);
+            if tally.is_over() {
+                return work.check().map_err(|stop| (stop, body));
+            }
         }
+        Ok(())
     }
 
     /// Gives a body a zone for vertices up to `vertices` from its centre, from time `t` on, and finds its neighbours.
-    pub fn anchor(&mut self, scene: &Scene, bodies: &mut [Body], i: usize, vertices: f64, t: f64) {
+    pub fn anchor(&mut self, scene: &Scene, bodies: &mut [Body], i: usize, vertices: f64, t: f64, work: &Tally<'_>) {
         self.place(scene, bodies, i, vertices, t);
-        self.find_neighbours(scene, bodies, i, t);
+        self.find_neighbours(scene, bodies, i, t, work);
     }
 
     fn place(&mut self, scene: &Scene, bodies: &mut [Body], i: usize, vertices: f64, t: f64) {
@@ -124,17 +140,19 @@ impl Pairs {
         self.grid.place(i as u32, Ball { centre, radius: reach + rounding });
     }
 
-    fn find_neighbours(&mut self, scene: &Scene, bodies: &mut [Body], i: usize, t: f64) {
+    fn find_neighbours(&mut self, scene: &Scene, bodies: &mut [Body], i: usize, t: f64, work: &Tally<'_>) {
         self.found.clear();
         self.grid.touching(i as u32, &mut self.found);
         let grid = &self.grid;
-        self.found.retain(|&j| are_near(scene, bodies, grid, i as u32, j));
-        self.meet(scene, bodies, i, t);
+        if work.spend(self.found.len() as u64) {
+            self.found.retain(|&j| are_near(scene, bodies, grid, i as u32, j));
+            self.meet(scene, bodies, i, t, work);
+        }
     }
 
     /// Makes `found` the neighbours of body `i`; a pair that was known keeps its phase, one that is not apart stays known
     /// however far it is.
-    fn meet(&mut self, scene: &Scene, bodies: &mut [Body], i: usize, t: f64) {
+    fn meet(&mut self, scene: &Scene, bodies: &mut [Body], i: usize, t: f64, work: &Tally<'_>) {
         let found = std::mem::take(&mut self.found);
         let mut kept = std::mem::take(&mut self.kept);
         kept.clear();
@@ -156,6 +174,7 @@ impl Pairs {
                 leave(self, bodies, gone);
             }
             let neighbour = known.next_if(|neighbour| neighbour.other == other).unwrap_or_else(|| {
+                work.spend(NEW_PAIR);
                 let pair = self.add(scene, i as u32, other, t);
                 let others = &mut bodies[other as usize].neighbours;
                 let place = others.partition_point(|neighbour| neighbour.other < i as u32);
@@ -163,6 +182,9 @@ impl Pairs {
                 spheres::neighbour(scene, i as u32, other, pair)
             });
             bodies[i].neighbours.push(neighbour);
+            if work.is_over() {
+                break;
+            }
         }
         for gone in known {
             leave(self, bodies, gone);
@@ -183,6 +205,9 @@ impl Pairs {
     }
 
     /// When pairs change phase during `span`, exactly; appended to `events` by time.
+    ///
+    /// # Errors
+    /// If that takes too much: the pair that took most.
     pub fn find_events(
         &mut self,
         scene: &Scene,
@@ -191,7 +216,10 @@ impl Pairs {
         span: Span,
         step: u64,
         events: &mut Vec<Event>,
-    ) {
+        work: &Work,
+    ) -> Result<(), (Stop, [u32; 2])> {
+        let tally = Tally::new(work, None);
+        let mut busiest = (0, [0, 0]);
         self.changes.clear();
         self.changed.clear();
         let pairs = &self.pairs;
@@ -216,12 +244,16 @@ impl Pairs {
                     false => span.start + AHEAD * span.length(),
                 };
                 let mut from = pair.phase;
-                let (a, b) = (pair.a, pair.b);
-                pair.advance(&paths, scene, span, horizon, |time, to| {
+                let (a, b, before) = (pair.a, pair.b, tally.done());
+                pair.advance(&paths, scene, span, horizon, &tally, |time, to| {
                     self.changes.push((time, to));
                     events.push(Event { time, step, a, b, q: paths.q(time), from, to });
                     from = to;
                 });
+                busiest = busiest.max((tally.done() - before, [a, b]));
+                if tally.is_over() {
+                    return work.check().map_err(|stop| (stop, busiest.1));
+                }
                 if self.changes.len() > first {
                     self.pairs[index].changes = first as u32..self.changes.len() as u32;
                     self.changed.push(neighbour.pair);
@@ -229,6 +261,7 @@ impl Pairs {
             }
         }
         events.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
+        Ok(())
     }
 
     /// The phases at the end of the step become those at the start of the next.
@@ -243,6 +276,11 @@ impl Pairs {
             }
             pair.changes = 0..0;
         }
+    }
+
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        self.pairs.len() - self.free.len()
     }
 
     /// What was allocated for them [bytes].
@@ -272,7 +310,8 @@ impl Pairs {
     /// The phase of a pair from `t` on, within the current step.
     pub fn phase_at(&self, index: u32, t: f64) -> Phase {
         let changes = self.changes(index);
-        changes.iter().rev().find(|&&(time, _)| time <= t).map_or(self.get(index).phase, |&(_, phase)| phase)
+        let passed = changes.partition_point(|&(time, _)| time <= t);
+        changes[..passed].last().map_or(self.get(index).phase, |&(_, phase)| phase)
     }
 }
 
@@ -289,6 +328,7 @@ impl Pair {
         scene: &Scene,
         span: Span,
         horizon: f64,
+        work: &Tally<'_>,
         mut found: impl FnMut(f64, Phase),
     ) {
         let mut phase = self.phase;
@@ -303,10 +343,14 @@ impl Pair {
                     self.known_until = horizon;
                     return;
                 }
-                self.upcoming = paths.first_change(&scene.thresholds, phase, from, horizon);
+                self.upcoming = paths.first_change_within(&scene.thresholds, phase, from, horizon, work);
+                if !work.spend(LOOK_AT_PATHS) {
+                    return;
+                }
             }
             match self.upcoming {
                 Some((time, to)) if time <= span.end => {
+                    work.spend(EVENT);
                     found(time, to);
                     (from, phase) = (time, to);
                     self.upcoming = None;

@@ -59,6 +59,84 @@ pub struct Diverged {
     pub velocity: DVec3,
 }
 
+/// A step that would take so long that the run seems to hang: it is not taken. How much is too much is counted, not
+/// timed, so the run ends there wherever it is run.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("too much to do in step {step} (from t = {time:.6} s on): {toil}")]
+pub struct Overworked {
+    /// The step that could not be taken.
+    pub step: u64,
+    /// Simulated time at its start, at which the run ends [s].
+    pub time: f64,
+    /// What there was too much of.
+    pub toil: Toil,
+}
+
+/// What a step has too much of.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Toil {
+    /// Changes of phase, or looking for them.
+    #[error(
+        "the distance of bodies \"{a}\" and \"{b}\" has {found} changes of phase so far, and swings too often, or stays too close \
+         to a threshold, to be followed on; lower their frequencies or dt, or move merge_at and split_at apart"
+    )]
+    Events {
+        /// Name of one body of the pair …
+        a: String,
+        /// … and of the other.
+        b: String,
+        /// Changes of phase of all pairs that were found in the step.
+        found: usize,
+    },
+    /// Forces that change too often, or too many of them.
+    #[error(
+        "the forces on body \"{body}\" change too fast for its {vertices} vertices to be followed through {spheres} influence \
+         spheres in reach; lower dt, frequencies or alpha and beta, raise tolerance, or put fewer bodies in one place"
+    )]
+    Forces {
+        /// Name of the body that took most.
+        body: String,
+        /// How many vertices it has.
+        vertices: usize,
+        /// How many influence spheres can reach it.
+        spheres: usize,
+    },
+    /// Bodies that come near each other.
+    #[error(
+        "too many bodies come near body \"{body}\" and others, {pairs} pairs in all; lower reach or dt, or use fewer or slower bodies"
+    )]
+    Neighbours {
+        /// Name of the body whose neighbours were looked for.
+        body: String,
+        /// How many pairs are known.
+        pairs: usize,
+    },
+}
+
+/// Why a run should end with a step.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Failure {
+    /// The step led to a state that cannot be.
+    #[error(transparent)]
+    Diverged(#[from] Diverged),
+    /// The step was not taken: the world is as it is in the middle of it, and no further step is taken.
+    #[error(transparent)]
+    Overworked(#[from] Overworked),
+    /// The same, because somebody wanted it to end: see [`Options::interrupt`](super::Options::interrupt).
+    #[error("interrupted in step {step}")]
+    Interrupted {
+        /// The step that was not taken.
+        step: u64,
+    },
+}
+
+impl Failure {
+    /// Whether the step was taken: there is a state after it.
+    pub fn is_whole_step(&self) -> bool {
+        matches!(self, Failure::Diverged(_))
+    }
+}
+
 /// What happened in one step. Reused from step to step.
 #[derive(Clone, Debug, Default)]
 pub struct StepReport {
@@ -74,8 +152,8 @@ pub struct StepReport {
     /// The largest error that any vertex made in this step, as the integrator estimates it [radii of its body]; 0 for
     /// integrators that don't.
     pub error: f64,
-    /// Set if the step led to a state that the equation of motion cannot lead to; a run should end there.
-    pub diverged: Option<Diverged>,
+    /// Set if a run should end here, and why.
+    pub failure: Option<Failure>,
     /// Bodies at rest for the whole step, for which nothing was computed.
     pub sleeping_bodies: u64,
     /// Time spent in each stage, by [`Stage::ALL`].

@@ -17,6 +17,7 @@ use super::{
     observe::BodyForces,
     state::{Common, Pushed, State},
     terms::{Acting, Moment, On, Phases, Surroundings},
+    work::Tally,
     world::States,
 };
 use crate::{
@@ -209,7 +210,8 @@ impl Again<'_> {
         }
         front.pad_again();
         let mut common = Common { carried: State::default(), pushed: vec![Pushed::default(); body.pushes.len()] };
-        let manner = Manner { arch: self.world.options().arch, tolerance: scene.tolerance * this.radius };
+        let tolerance = scene.tolerance * this.radius;
+        let manner = Manner { arch: self.world.options().arch, tolerance, work: &Tally::unlimited() };
         exponential::advance(&course, manner, &mut common, front, &mut exponential::Scratch::default());
         for (i, facing) in body.mesh.directions().iter().enumerate() {
             let (alike, own) = (common.of(facing, &body.pushes), front.state(i));

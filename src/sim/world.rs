@@ -20,11 +20,12 @@ use super::{
     deformation::Now,
     memory::{self, TooLarge},
     pairs::{self, Pair, Pairs},
-    report::{Diverged, Stage, StepReport},
+    report::{Diverged, Failure, Overworked, Stage, StepReport, Toil},
     state::State,
     terms::{self, Moment, Surroundings},
     track::Track,
     tracks::Tracks,
+    work::{Stop, Tally, Work},
 };
 use crate::{
     geometry::Mesh,
@@ -46,11 +47,14 @@ pub struct Options {
     pub skip: bool,
     /// The instruction set of the kernels; the result is the same to the bit.
     pub arch: Arch,
+    /// Once this is raised, the world is built or stepped no further, wherever it is: the next step ends with
+    /// [`Failure::Interrupted`], soon.
+    pub interrupt: Option<&'static AtomicBool>,
 }
 
 impl Default for Options {
     fn default() -> Options {
-        Options { skip: true, arch: Arch::new() }
+        Options { skip: true, arch: Arch::new(), interrupt: None }
     }
 }
 
@@ -70,6 +74,9 @@ pub struct World {
     /// When terms begin to act on bodies by themselves, and on which, by time; and how many have.
     starts: Vec<(f64, u32)>,
     started: usize,
+    /// Vertices of all bodies.
+    vertices: u64,
+    work: Work,
     report: StepReport,
     /// Computed when the energy is first asked for.
     pub(super) energy_of_distant_pairs: OnceLock<f64>,
@@ -105,6 +112,8 @@ impl World {
             woken: Vec::new(),
             starts: terms::starts(&scene),
             started: 0,
+            vertices: scene.vertex_count(),
+            work: Work::new(options.interrupt),
             report: StepReport::default(),
             options,
             scene,
@@ -114,12 +123,15 @@ impl World {
     }
 
     fn start(&mut self) {
-        let World { scene, bodies, pairs, .. } = self;
+        let World { scene, bodies, pairs, work, .. } = self;
+        work.begin(u64::MAX); // what it takes was asked for
+        let tally = Tally::new(work, None);
         if self.options.skip {
-            pairs.start(scene, bodies);
+            pairs.start(scene, bodies, &tally);
         } else {
-            pairs.start_with_all(scene, bodies);
+            pairs.start_with_all(scene, bodies, &tally);
         }
+        drop(tally);
         // Whoever has a neighbour may be reached from the start; those that aren't go back to sleep in the first step.
         for index in 0..self.bodies.len() {
             if !self.options.skip || !self.bodies[index].neighbours.is_empty() {
@@ -129,43 +141,75 @@ impl World {
     }
 
     /// Advances the world by one step of the scene's Δt and reports what happened.
+    ///
+    /// A step that is not taken to its end ([`Failure::Overworked`], [`Failure::Interrupted`]) is none: it does not count as
+    /// taken, the state means nothing from then on, and no other step is taken.
     pub fn step(&mut self) -> &StepReport {
+        if self.report.failure.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
+            return &self.report;
+        }
         let span = Span { start: self.time(), end: self.time_of(self.step + 1) };
         self.report.begin(self.step + 1, span.end);
+        self.work.begin(self.vertices);
+        if let Err(failure) = self.take_step(span) {
+            self.report.failure = Some(failure);
+        }
+        &self.report
+    }
 
+    fn take_step(&mut self, span: Span) -> Result<(), Failure> {
         let start = Instant::now();
-        self.follow(span);
+        self.follow(span)?;
         let followed = Instant::now();
-        self.find_events(span);
+        self.find_events(span)?;
         let found = Instant::now();
-        self.find_reachable(span);
+        self.find_reachable(span)?;
         let ready = Instant::now();
-        self.integrate(span);
+        let sum = self.integrate(span)?;
         self.step += 1;
         self.pairs.enter_phases();
-        self.finish(span);
+        self.finish(&sum, span);
         let end = Instant::now();
         self.report.timings[Stage::Reach as usize] = (followed - start) + (ready - found);
         self.report.timings[Stage::Events as usize] = found - followed;
         self.report.timings[Stage::Integrate as usize] = end - ready;
-        &self.report
+        Ok(())
     }
 
     /// Where moving bodies go, and whom they come near.
-    fn follow(&mut self, span: Span) {
-        let World { scene, bodies, tracks, pairs, .. } = self;
+    fn follow(&mut self, span: Span) -> Result<(), Failure> {
+        let World { scene, bodies, tracks, pairs, work, .. } = self;
         tracks.follow(scene, span);
-        pairs.follow(scene, bodies, tracks, span);
+        let followed = pairs.follow(scene, bodies, tracks, span, work);
+        followed.map_err(|(stop, body)| self.neighbours_failure(stop, body))
     }
 
     /// When pairs change phase during `span`, exactly.
-    fn find_events(&mut self, span: Span) {
-        let World { scene, bodies, tracks, pairs, report, step, .. } = self;
-        pairs.find_events(scene, bodies, tracks, span, *step + 1, &mut report.events);
+    fn find_events(&mut self, span: Span) -> Result<(), Failure> {
+        let World { scene, bodies, tracks, pairs, report, step, work, .. } = self;
+        let found = pairs.find_events(scene, bodies, tracks, span, *step + 1, &mut report.events, work);
+        found.map_err(|(stop, pair)| {
+            let [a, b] = pair.map(|body| self.scene.bodies[body as usize].name.clone());
+            self.failure(stop, Toil::Events { a, b, found: self.report.events.len() })
+        })
+    }
+
+    fn neighbours_failure(&self, stop: Stop, body: u32) -> Failure {
+        let body = self.scene.bodies[body as usize].name.clone();
+        self.failure(stop, Toil::Neighbours { body, pairs: self.pairs.count() })
+    }
+
+    /// Why the step that is being taken is not taken to its end.
+    fn failure(&self, stop: Stop, toil: Toil) -> Failure {
+        let step = self.step + 1;
+        match stop {
+            Stop::Interrupted => Failure::Interrupted { step },
+            Stop::Overworked => Overworked { step, time: self.time(), toil }.into(),
+        }
     }
 
     /// Wakes whom something acts on during `span`, and finds who can reach whom.
-    fn find_reachable(&mut self, span: Span) {
+    fn find_reachable(&mut self, span: Span) -> Result<(), Failure> {
         self.wake_acted_on(span);
         if self.options.skip {
             self.wake_moved(span);
@@ -173,14 +217,14 @@ impl World {
         let (context, actives) = self.context();
         let awake = actives.len();
         let any_outgrew = AtomicBool::new(false);
-        each(actives, actives.len() >= PARALLEL_BODIES, |active| {
+        each(actives, actives.len() >= PARALLEL_BODIES, |_, active| {
             context.find_reachable(active, span);
             if context.outgrew(active) {
                 any_outgrew.store(true, Ordering::Relaxed);
             }
         });
         if !any_outgrew.into_inner() {
-            return;
+            return Ok(());
         }
         for slot in 0..awake {
             loop {
@@ -188,13 +232,17 @@ impl World {
                 if !self.reading().outgrew(&self.actives[slot]) {
                     break;
                 }
-                let World { scene, bodies, pairs, .. } = self;
+                let World { scene, bodies, pairs, work, .. } = self;
                 let radius = scene.bodies[body as usize].radius;
-                pairs.anchor(scene, bodies, body as usize, radius + ROOM * (roams - radius), span.start);
+                let tally = Tally::new(work, None);
+                pairs.anchor(scene, bodies, body as usize, radius + ROOM * (roams - radius), span.start, &tally);
+                drop(tally);
+                self.work.check().map_err(|stop| self.neighbours_failure(stop, body))?;
                 let (context, actives) = self.context();
                 context.find_reachable(&mut actives[slot], span);
             }
         }
+        Ok(())
     }
 
     /// Wakes bodies on which something begins to act before the end of `span`.
@@ -288,40 +336,59 @@ impl World {
 
     /// What the stepping of bodies reads.
     pub(super) fn reading(&self) -> Context<'_> {
-        let World { scene, bodies, tracks, pairs, options, step, .. } = self;
-        let Options { skip, arch } = *options;
-        Context { scene, bodies, pairs, tracks, arch, skip, step: *step }
+        let World { scene, bodies, tracks, pairs, options, step, work, .. } = self;
+        let Options { skip, arch, .. } = *options;
+        Context { scene, bodies, pairs, tracks, arch, skip, step: *step, work }
     }
 
     /// The same, and the bodies that are awake.
     fn context(&mut self) -> (Context<'_>, &mut [Active]) {
-        let World { scene, bodies, tracks, pairs, options, step, actives, awake, .. } = self;
-        let Options { skip, arch } = *options;
-        (Context { scene, bodies, pairs, tracks, arch, skip, step: *step }, &mut actives[..*awake])
+        let World { scene, bodies, tracks, pairs, options, step, actives, awake, work, .. } = self;
+        let Options { skip, arch, .. } = *options;
+        (Context { scene, bodies, pairs, tracks, arch, skip, step: *step, work }, &mut actives[..*awake])
     }
 
     /// The equation of motion of every body that something happens to.
-    fn integrate(&mut self, span: Span) {
+    fn integrate(&mut self, span: Span) -> Result<Sum, Failure> {
+        self.work.begin_turns(self.awake);
         let (context, actives) = self.context();
         let is_worth_threads = is_worth_threads(actives);
-        each(actives, is_worth_threads, |active| context.advance(active, span));
+        each(actives, is_worth_threads, |turn, active| context.advance(active, turn, span));
+        let sum = self.sum();
+        if self.work.is_interrupted() {
+            return Err(Failure::Interrupted { step: self.step + 1 });
+        }
+        let actives = &self.actives[..self.awake];
+        if let Some(slot) = self.work.busiest(sum.work, actives.iter().map(|active| active.effort.work)) {
+            let Active { body, reachable, .. } = &actives[slot];
+            let (vertices, body) =
+                (self.bodies[*body as usize].mesh.directions().len(), &self.scene.bodies[*body as usize]);
+            let toil = Toil::Forces { body: body.name.clone(), vertices, spheres: reachable.len() };
+            return Err(self.failure(Stop::Overworked, toil));
+        }
+        self.work.end(sum.work, sum.base, sum.vertices);
+        Ok(sum)
     }
 
-    /// Adds up what the step took, lets those sleep that nothing acted on, and looks for a state that cannot be.
-    fn finish(&mut self, span: Span) {
+    /// What the step took.
+    fn sum(&self) -> Sum {
         let actives = &self.actives[..self.awake];
         let scene = &self.scene;
         let add = |sum: Sum, active: &Active| sum.and(Sum::of(active, scene));
-        let sum = if actives.len() >= PARALLEL_BODIES {
+        if actives.len() >= PARALLEL_BODIES {
             let chunks = actives.par_iter().with_min_len(256);
             chunks.fold(Sum::default, add).reduce(Sum::default, Sum::and)
         } else {
             actives.iter().fold(Sum::default(), add)
-        };
+        }
+    }
+
+    /// Reports what the step took, lets those sleep that nothing acted on, and looks for a state that cannot be.
+    fn finish(&mut self, sum: &Sum, span: Span) {
         self.report.substeps = sum.substeps;
         self.report.error = sum.error;
         self.report.sleeping_bodies = self.bodies.len() as u64 - sum.stepped;
-        self.report.diverged = sum.diverged.map(|index| self.divergence(index as usize));
+        self.report.failure = sum.diverged.map(|index| self.divergence(index as usize).into());
         if self.options.skip && sum.any_idle {
             for slot in (0..self.awake).rev() {
                 let Active { body, effort, can_be_left, .. } = self.actives[slot];
@@ -365,11 +432,11 @@ fn is_worth_threads(actives: &[Active]) -> bool {
 }
 
 /// Does the same with every body that is awake, on several threads if that is worth it.
-fn each(actives: &mut [Active], is_worth_threads: bool, work: impl Fn(&mut Active) + Sync + Send) {
+fn each(actives: &mut [Active], is_worth_threads: bool, work: impl Fn(usize, &mut Active) + Sync + Send) {
     if is_worth_threads {
-        actives.par_iter_mut().with_min_len(4).for_each(work);
+        actives.par_iter_mut().with_min_len(4).enumerate().for_each(|(slot, active)| work(slot, active));
     } else {
-        actives.iter_mut().for_each(work);
+        actives.iter_mut().enumerate().for_each(|(slot, active)| work(slot, active));
     }
 }
 
@@ -379,6 +446,10 @@ struct Sum {
     stepped: u64,
     substeps: u64,
     error: f64,
+    work: u64,
+    base: u64,
+    /// Vertices that took the step.
+    vertices: u64,
     /// The first of those whose state cannot be.
     diverged: Option<u32>,
     /// Whether nothing acted on some of them.
@@ -393,6 +464,9 @@ impl Sum {
             stepped: u64::from(!is_idle),
             substeps: effort.substeps,
             error: f64::max(0.0, effort.error / scene.bodies[active.body as usize].radius),
+            work: effort.work,
+            base: effort.base,
+            vertices: active.deformation.front.vertices.len() as u64,
             diverged: active.has_diverged().then_some(active.body),
             any_idle: is_idle,
         }
@@ -403,6 +477,9 @@ impl Sum {
             stepped: self.stepped + other.stepped,
             substeps: self.substeps + other.substeps,
             error: self.error.max(other.error),
+            work: self.work.saturating_add(other.work),
+            base: self.base.saturating_add(other.base),
+            vertices: self.vertices + other.vertices,
             diverged: self.diverged.into_iter().chain(other.diverged).min(),
             any_idle: self.any_idle || other.any_idle,
         }

@@ -27,7 +27,7 @@ use super::{
         spheres::Spheres,
     },
     series::Series,
-    settings::{FORMAT, Frames, application, recording_id},
+    settings::{FORMAT, Frames, Trigger, application, recording_id},
     step::{StageWatch, Step},
 };
 pub use super::{
@@ -39,7 +39,7 @@ pub use super::{
 };
 use crate::{
     scene::Scene,
-    sim::{Snapshot, StepReport, World, stages::Inside},
+    sim::{Failure, Snapshot, StepReport, World, stages::Inside},
 };
 
 /// Turns a world, step by step, into the messages of a recording.
@@ -325,7 +325,14 @@ impl Recorder {
 
     /// Ends the recording: lines reach its end, properties say how many steps there are.
     pub fn finish(&mut self, world: &World) {
-        let is_waiting = matches!(&self.settings.frames, Frames::Last { on, .. } if !on.is_empty());
+        let is_waiting = match &self.settings.frames {
+            // a step that was not taken was not observed either
+            Frames::Last { on, .. } if !on.is_empty() => match &world.report().failure {
+                Some(Failure::Overworked(_)) => !on.contains(&Trigger::Diverge),
+                _ => true,
+            },
+            _ => false,
+        };
         if !is_waiting {
             self.write_kept();
             if let Some(frame) = &mut self.frame {

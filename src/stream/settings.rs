@@ -111,7 +111,7 @@ impl Trigger {
     /// Whether a step was one of these.
     pub fn is_in(self, report: &StepReport) -> bool {
         match self {
-            Trigger::Diverge => report.diverged.is_some(),
+            Trigger::Diverge => report.failure.is_some(),
             _ => report.events.iter().any(|event| event.name().starts_with(self.name())),
         }
     }

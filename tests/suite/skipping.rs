@@ -188,7 +188,8 @@ fn instruction_sets_agree_to_the_bit() {
             let scene = Scene { duration: scene.duration.min(if skip { 10.0 } else { 0.5 }), ..scene.clone() };
             let outcomes = instruction_sets().into_iter().map(|arch| {
                 let mut checksums = vec![];
-                let outcome = run(&scene, Options { skip, arch }, |world| checksums.push(world.checksum()));
+                let outcome =
+                    run(&scene, Options { skip, arch, ..Options::default() }, |world| checksums.push(world.checksum()));
                 (outcome, checksums)
             });
             let outcomes: Vec<(Outcome, Vec<u64>)> = outcomes.collect();

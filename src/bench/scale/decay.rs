@@ -42,9 +42,7 @@ pub(super) fn measure(two: &Scene, steps: u64) -> Result<Vec<Decay>, MeasureErro
 fn follow(two: &Scene, skip: bool, steps: u64) -> Result<Decay, MeasureError> {
     let scene = swinging::scene(swinging::Cause::Sphere, two, 1);
     let mut world = World::with_options(scene, Options { skip, ..Options::default() })?;
-    while world.time() < swinging::LEFT_ALONE {
-        world.step();
-    }
+    while world.time() < swinging::LEFT_ALONE && world.step().failure.is_none() {}
     let mut states = States::default();
     let mut block = || {
         let start = Instant::now();

@@ -6,7 +6,7 @@ use crate::{
     geometry::Rest,
     model::{influence::Weight, oscillator::Oscillator},
     scene::Integrator,
-    sim::{deformation::Front, state::State, terms::Surroundings},
+    sim::{deformation::Front, state::State, terms::Surroundings, work::Tally},
 };
 
 /// The explicit schemes.
@@ -101,20 +101,31 @@ impl Vertex<'_> {
     }
 }
 
-/// Advances all vertices of a body over the interval, in place; all of them are in the front.
-pub fn advance(scheme: Scheme, interval: &Interval, rest: Rest<'_>, front: &mut Front) {
+/// Advances all vertices of a body over the interval, in place, unless `work` is over; all of them are in the front.
+pub fn advance(scheme: Scheme, interval: &Interval, rest: Rest<'_>, front: &mut Front, work: &Tally<'_>) {
     match scheme {
-        Scheme::Thesis => each(interval, rest, front, thesis),
-        Scheme::Mps => each(interval, rest, front, mps),
-        Scheme::Euler => each(interval, rest, front, euler),
-        Scheme::Verlet => each(interval, rest, front, verlet),
-        Scheme::Rk4 => each(interval, rest, front, rk4),
+        Scheme::Thesis => each(interval, rest, front, work, thesis),
+        Scheme::Mps => each(interval, rest, front, work, mps),
+        Scheme::Euler => each(interval, rest, front, work, euler),
+        Scheme::Verlet => each(interval, rest, front, work, verlet),
+        Scheme::Rk4 => each(interval, rest, front, work, rk4),
     }
 }
 
 /// The loop over vertices, compiled once per scheme.
-fn each(interval: &Interval, rest: Rest<'_>, front: &mut Front, scheme: impl Fn(&Vertex<'_>, State) -> State) {
+fn each(
+    interval: &Interval,
+    rest: Rest<'_>,
+    front: &mut Front,
+    work: &Tally<'_>,
+    scheme: impl Fn(&Vertex<'_>, State) -> State,
+) {
+    let acts = |surroundings: &Surroundings| 1 + surroundings.sources.len() + surroundings.weighted.len();
+    let each = [&interval.start, &interval.middle, &interval.end].map(acts).iter().sum::<usize>() as u64;
     for i in 0..rest.len() {
+        if !work.spend(each) {
+            return;
+        }
         let vertex = Vertex { interval, rest: rest.position(i), facing: rest.direction(i) };
         front.set_state(i, scheme(&vertex, front.state(i)));
     }

@@ -27,6 +27,7 @@ use pulp::Arch;
 use crate::sim::{
     deformation::Front,
     state::{Common, State},
+    work::Tally,
 };
 use course::Course;
 use single::Single;
@@ -54,21 +55,34 @@ pub struct Effort {
     pub substeps: u64,
     /// The largest sum of estimated errors of a vertex [scene unit].
     pub error: f64,
+    /// In units of [`crate::sim::work`] …
+    pub work: u64,
+    /// … and what one step of all would have been.
+    pub base: u64,
 }
 
-/// The kernels' instruction set, and the error that will do.
-#[derive(Clone, Copy, Debug)]
-pub struct Manner {
+/// The kernels' instruction set, the error that will do, and what it may take.
+#[derive(Clone, Copy)]
+pub struct Manner<'a> {
     /// Which instructions there are; the result is the same with any.
     pub arch: Arch,
     /// The largest error that will do, per time [scene unit/s].
     pub tolerance: f64,
+    /// When it is over, what is left is not done.
+    pub work: &'a Tally<'a>,
+}
+
+/// The work of a step of so many vertices under so many spheres.
+pub fn work_of(vertices: usize, spheres: usize) -> u64 {
+    /// Forces are found at the four nodes, corrected at three of them, and found in the middle.
+    const FORCES: u64 = 12;
+    FORCES * vertices as u64 * (1 + spheres as u64)
 }
 
 /// Advances what the vertices of a body do alike, and those in its front, over `course`.
 pub fn advance(
     course: &Course<'_>,
-    manner: Manner,
+    manner: Manner<'_>,
     common: &mut Common,
     front: &mut Front,
     scratch: &mut Scratch,
@@ -81,7 +95,7 @@ pub fn advance(
 /// [`advance`], in halves as long as the body's own motion is not resolved.
 fn halve(
     course: &Course<'_>,
-    manner: Manner,
+    manner: Manner<'_>,
     common: &mut Common,
     front: &mut Front,
     scratch: &mut Scratch,
@@ -89,6 +103,9 @@ fn halve(
     effort: &mut Effort,
 ) {
     let h = course.length;
+    if !manner.work.spend((16 + 8 * course.spheres.len() + 5 * course.weighted.len()) as u64) {
+        return;
+    }
     let weights = scratch.known.get(course.oscillator(), h);
     let wanted = manner.tolerance * h;
     scratch.whole.prepare(course, weights, common, wanted);
@@ -114,7 +131,7 @@ fn halve(
 /// estimated error of one [scene unit].
 fn take(
     course: &Course<'_>,
-    manner: Manner,
+    manner: Manner<'_>,
     common: &Common,
     front: &mut Front,
     scratch: &mut Scratch,
@@ -124,14 +141,16 @@ fn take(
     let force = course.strongest_pull();
     let wanted = manner.tolerance * course.length;
     let stiff = single::is_stiff(course, course.length);
-    manner.arch.dispatch(Together { course, step: whole, front, wanted, force, stiff, pulls, outcomes });
+    let work = manner.work;
+    manner.arch.dispatch(Together { course, step: whole, front, wanted, force, stiff, work, pulls, outcomes });
 
-    let mut alone = Single { course, whole, common, tolerance: manner.tolerance, force, substeps: 0, error: 0.0 };
+    let tolerance = manner.tolerance;
+    let mut alone = Single { course, whole, common, tolerance, force, work, substeps: 0, error: 0.0 };
     let has_kink = step::has_kink(course.weight());
     let count = front.vertices.len();
     for group in &outcomes.groups {
         for i in group.start..group.end.min(count) {
-            if outcomes.attention[i] == 0.0 {
+            if outcomes.attention[i] == 0.0 || work.is_over() {
                 continue;
             }
             let vertex = Vertex { rest: front.rest(i), inside: has_kink.then_some(outcomes.inside[i]) };

@@ -12,7 +12,7 @@ use crate::sim::state::State;
 
 /// Looks for the crossing of a rim in a step: more are needed where a vertex swings many times in it, or its bounds are
 /// far too wide.
-const MOST_LOOKS: u32 = 4096;
+pub const MOST_LOOKS: u32 = 4096;
 
 /// Not found out in so many looks.
 #[derive(Clone, Copy, Debug)]
@@ -62,7 +62,7 @@ impl<'a> Motion<'a> {
     }
 
     /// The first time in the step, which is the one that the motion is of, at which the vertex crosses the rim of
-    /// `sphere`: outwards if it is `inside` now, inwards otherwise.
+    /// `sphere`: outwards if it is `inside` now, inwards otherwise. It may take so many `looks`, of which it leaves the rest.
     ///
     /// # Errors
     /// If that takes too many looks.
@@ -72,6 +72,7 @@ impl<'a> Motion<'a> {
         step: &Step,
         sphere: usize,
         inside: bool,
+        looks: &mut u32,
     ) -> Result<Option<f64>, Unresolved> {
         let rim = look.course.spheres[sphere].radius;
         let mut bounds = step.relative[sphere];
@@ -90,7 +91,7 @@ impl<'a> Motion<'a> {
             (moment.centres[sphere] - self.vertex.rest_at(look.course, &moment.pushed) - displacement).length()
         });
         let mut gap = Gap {
-            looks: Cell::new(MOST_LOOKS),
+            looks: Cell::new(*looks),
             sign: if inside { -1.0 } else { 1.0 },
             rim,
             curvature: 2.0 * speed * speed + 2.0 * (d0.max(d1) + speed) * acceleration,
@@ -125,7 +126,8 @@ impl<'a> Motion<'a> {
                 gap.at(position - displacement, self.h * motion - velocity)
             }),
         };
-        if gap.looks.get() == 0 {
+        *looks = gap.looks.get();
+        if *looks == 0 {
             return Err(Unresolved);
         }
         Ok(theta.map(|theta| if theta >= 1.0 { step.end() } else { self.start + theta * self.h }))

@@ -6,15 +6,17 @@ use pulp::Scalar;
 use super::{
     course::Course,
     lanes::{LANES, Vector},
-    rim::{Motion, Unresolved},
+    rim::{self, Motion, Unresolved},
     step::{Collocated, Group, LookUp, Outcome, Pull, RIMS, Step, Vertex},
     weights::{Dense, KnownWeights, Stage, Weights},
+    work_of,
 };
 use crate::{
     model::{energy, influence},
     sim::{
         state::{Common, State},
         terms::Sphere,
+        work::Tally,
     },
 };
 
@@ -22,6 +24,13 @@ use crate::{
 const MOST_STEPS: u32 = 2048;
 /// After so many steps of a vertex in one stretch, and after as many again, twice the error will do.
 const PATIENCE: u32 = 64;
+
+/// The work of preparing a step of one vertex, …
+const STEP: u64 = 60;
+/// … of looking where it is relative to a rim, by polynomials, …
+const LOOK: u64 = 4;
+/// … and by the paths.
+const LOOK_EXACTLY: u64 = 100;
 
 /// Reused from step to step.
 #[derive(Default)]
@@ -44,6 +53,8 @@ pub struct Single<'a> {
     pub tolerance: f64,
     /// Bound of the acceleration of a vertex by anything but its oscillator [scene unit/s²].
     pub force: f64,
+    /// When it is over, what is left is not done.
+    pub work: &'a Tally<'a>,
     /// Steps that were taken beyond the first of each vertex.
     pub substeps: u64,
     /// The largest sum of estimated errors of a vertex [scene unit].
@@ -101,6 +112,9 @@ impl Single<'_> {
             }
 
             let Some(next) = left.pop() else { break };
+            if !self.work.spend(STEP + work_of(1, course.spheres.len()) + course.weighted.len() as u64) {
+                break;
+            }
             (start, h) = next;
             is_whole = false;
             steps += 1;
@@ -209,7 +223,14 @@ impl Single<'_> {
         let look = LookUp { course: self.course, whole: self.whole, common: self.common };
         let mut first: Option<(f64, usize)> = None;
         for j in near {
-            if let Some(t) = motion.crossing(look, step, j, inside >> j & 1 == 1)?
+            let mut looks = rim::MOST_LOOKS;
+            let crossing = motion.crossing(look, step, j, inside >> j & 1 == 1, &mut looks);
+            let looks = u64::from(rim::MOST_LOOKS - looks);
+            let look_takes = if self.whole.smooth { LOOK } else { LOOK_EXACTLY + self.course.weighted.len() as u64 };
+            if !self.work.spend(looks * look_takes) {
+                return Ok(None);
+            }
+            if let Some(t) = crossing?
                 && first.is_none_or(|(before, _)| t < before)
             {
                 first = Some((t, j));

@@ -9,10 +9,12 @@ use super::{
     course::Course,
     lanes::{LANES, Mask, Reals, Vector},
     step::{Group, Pull, RIMS, Step, has_kink},
+    work_of,
 };
 use crate::sim::{
     arrays::{Block, Vectors},
     deformation::Front,
+    work::Tally,
 };
 
 /// Below this |x|² + |u|², in scene units and seconds, a vertex is at rest.
@@ -68,6 +70,8 @@ pub struct Together<'a> {
     pub force: f64,
     /// Whether the step is too long to see a vertex swing.
     pub stiff: bool,
+    /// When it is over, what is left is not done.
+    pub work: &'a Tally<'a>,
     /// Reused.
     pub pulls: &'a mut Vec<Pull>,
     /// What is left to know.
@@ -83,6 +87,12 @@ impl WithSimd for Together<'_> {
         self.outcomes.resize(count.next_multiple_of(LANES));
         let is_pushed = !self.course.weighted.is_empty();
         for first in (0..count).step_by(Reals::<S, 2>::COUNT) {
+            // by blocks, so that it is the same for all instruction sets
+            if first.is_multiple_of(LANES)
+                && !self.work.spend(work_of(LANES.min(count - first), self.course.spheres.len()))
+            {
+                return;
+            }
             if is_pushed {
                 self.take::<S, 2, 5>(simd, first);
             } else {

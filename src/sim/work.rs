@@ -1,0 +1,205 @@
+//! How much a step may take. Work is counted, never timed, so that a run that would not end does so at the same place on
+//! every machine, with any number of threads, whatever else goes on.
+//!
+//! A unit is about the force of a sphere on a vertex. A step may always take what steps ordinarily take; what it takes
+//! beyond that is owed, and a run that owes too much is over. Bodies are stepped side by side, but count as if they took
+//! turns: it is over with the first whose work, and that of those before it, is too much. Those before it go on to
+//! their ends, so that it is the same one in every run.
+
+use std::{
+    cell::Cell,
+    sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering},
+};
+
+/// What a run may owe [units].
+const MOST_OWED: u64 = 300_000_000;
+/// What every step may take, …
+const FREE: u64 = 500_000;
+/// … what it may take for each vertex of the scene that takes steps, …
+const FREE_PER_VERTEX: u64 = 100;
+/// … and what it may take of [`Effort::base`](super::integrator::exponential::Effort::base), twice over, but no more than this.
+const MOST_BASE: u64 = 300_000_000;
+/// Work is told to others when it has come to so much.
+const GRAIN: u64 = 1 << 15;
+/// A body that has done no more has nothing to tell.
+const LITTLE: u64 = 1 << 10;
+
+/// An evaluation of the distance of two centres.
+pub(super) const LOOK_AT_PATHS: u64 = 12;
+/// A change of phase: to be found, kept, looked up and recorded.
+pub(super) const EVENT: u64 = 500;
+/// A pair that is not known yet: to be found, and kept.
+pub(super) const NEW_PAIR: u64 = 60;
+
+/// The work of a step.
+#[derive(Default)]
+pub(super) struct Work {
+    /// What the steps so far took beyond what they may.
+    owed: u64,
+    /// What this one may take.
+    limit: u64,
+    /// What it took so far: a little less than that where it is done side by side.
+    total: AtomicU64,
+    /// What it took before bodies were stepped.
+    before: u64,
+    /// No more than each body took so far, in the order of their turns.
+    of_each: Vec<AtomicU64>,
+    /// From this turn on it is too much.
+    last_turn: AtomicUsize,
+    /// Raised to end the run.
+    interrupt: Option<&'static AtomicBool>,
+}
+
+/// Why a step is not taken to its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Stop {
+    Interrupted,
+    Overworked,
+}
+
+impl Work {
+    /// Before the first step.
+    pub fn new(interrupt: Option<&'static AtomicBool>) -> Work {
+        Work { interrupt, ..Work::default() }
+    }
+
+    /// A step of a scene begins.
+    pub fn begin(&mut self, vertices: u64) {
+        let free = FREE.saturating_add(FREE_PER_VERTEX.saturating_mul(vertices));
+        self.limit = (MOST_OWED + MOST_BASE - self.owed).saturating_add(free);
+        self.total = AtomicU64::new(0);
+        self.before = 0;
+    }
+
+    /// So many bodies are about to be stepped.
+    pub fn begin_turns(&mut self, count: usize) {
+        self.before = *self.total.get_mut();
+        self.last_turn = AtomicUsize::new(usize::MAX);
+        self.of_each.truncate(count);
+        self.of_each.iter_mut().for_each(|of_one| *of_one.get_mut() = 0);
+        self.of_each.resize_with(count, AtomicU64::default);
+    }
+
+    /// Bodies came to this together, of which `base` was to be expected for `vertices`.
+    pub fn end(&mut self, work: u64, base: u64, vertices: u64) {
+        let free = FREE.saturating_add(FREE_PER_VERTEX.saturating_mul(vertices));
+        let free = free.saturating_add(base.saturating_mul(2).min(MOST_BASE));
+        self.owed = self.owed.saturating_add(self.before.saturating_add(work)).saturating_sub(free);
+        self.owed = self.owed.min(MOST_OWED + MOST_BASE);
+    }
+
+    /// Whether the step can go on.
+    pub fn check(&self) -> Result<(), Stop> {
+        match () {
+            () if self.is_interrupted() => Err(Stop::Interrupted),
+            () if self.total.load(Ordering::Relaxed) > self.limit => Err(Stop::Overworked),
+            () => Ok(()),
+        }
+    }
+
+    /// Whether somebody wants the run to end.
+    pub fn is_interrupted(&self) -> bool {
+        self.interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed))
+    }
+
+    /// The turn of the body with the most work of those that took theirs before it was too much, given what all came to
+    /// and what each did; `None` if it was not.
+    pub fn busiest(&self, all: u64, of_each: impl Iterator<Item = u64>) -> Option<usize> {
+        let mut left = self.limit.saturating_sub(self.before);
+        if all <= left {
+            return None;
+        }
+        let mut busiest = (0, 0);
+        for (turn, work) in of_each.enumerate() {
+            let own = work.min(left.saturating_add(1)); // it may have gone on for a while
+            if own > busiest.1 {
+                busiest = (turn, own);
+            }
+            if work > left {
+                break;
+            }
+            left -= work;
+        }
+        Some(busiest.0)
+    }
+}
+
+/// The work of one body, or of something that is done before bodies are stepped.
+pub struct Tally<'a> {
+    work: Option<&'a Work>,
+    turn: Option<usize>,
+    done: Cell<u64>,
+    told: Cell<u64>,
+    is_over: Cell<bool>,
+}
+
+impl Tally<'static> {
+    /// Work without a limit.
+    pub fn unlimited() -> Tally<'static> {
+        Tally { work: None, turn: None, done: Cell::new(0), told: Cell::new(0), is_over: Cell::new(false) }
+    }
+}
+
+impl<'a> Tally<'a> {
+    /// Work of a step, in turn `turn` of the bodies, or before them.
+    pub(super) fn new(work: &'a Work, turn: Option<usize>) -> Tally<'a> {
+        let is_too_much = turn.is_some_and(|turn| turn > work.last_turn.load(Ordering::Relaxed));
+        let is_over = Cell::new(is_too_much || work.is_interrupted());
+        Tally { work: Some(work), turn, done: Cell::new(0), told: Cell::new(0), is_over }
+    }
+
+    /// Counts what is about to be done, and whether to do it: if not, the step is of no use any more.
+    #[inline]
+    pub fn spend(&self, units: u64) -> bool {
+        let done = self.done.get().saturating_add(units);
+        self.done.set(done);
+        if done - self.told.get() >= GRAIN {
+            self.tell();
+        }
+        !self.is_over.get()
+    }
+
+    /// Whether the step is of no use any more.
+    #[inline]
+    pub fn is_over(&self) -> bool {
+        self.is_over.get()
+    }
+
+    /// What was done.
+    pub fn done(&self) -> u64 {
+        self.done.get()
+    }
+
+    #[cold]
+    fn tell(&self) {
+        let Some(work) = self.work else { return };
+        let done = self.done.get();
+        let news = done - self.told.replace(done);
+        let total = work.total.fetch_add(news, Ordering::Relaxed).saturating_add(news);
+        let is_too_much = match self.turn {
+            None => total > work.limit,
+            Some(turn) => {
+                work.of_each[turn].store(done, Ordering::Relaxed);
+                if total > work.limit {
+                    let before = work.of_each[..turn].iter().map(|of_one| of_one.load(Ordering::Relaxed));
+                    if before.fold(work.before.saturating_add(done), u64::saturating_add) > work.limit {
+                        work.last_turn.fetch_min(turn, Ordering::Relaxed);
+                    }
+                }
+                turn >= work.last_turn.load(Ordering::Relaxed)
+            }
+        };
+        if is_too_much || work.is_interrupted() {
+            self.is_over.set(true);
+        }
+    }
+}
+
+impl Drop for Tally<'_> {
+    fn drop(&mut self) {
+        // few are worth the others' attention, and none of those before bodies are stepped may be lost
+        if self.turn.is_none() || self.done.get() - self.told.get() >= LITTLE {
+            self.tell();
+        }
+    }
+}
