@@ -306,6 +306,7 @@ impl Gap<'_> {
         let mut tries = 0;
         while low < t && t < high {
             tries += 1;
+            self.work.spend(LOOK_AT_PATHS);
             let (g, slope) = self.at(t);
             if g == 0.0 {
                 return Some(t);

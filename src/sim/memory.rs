@@ -12,14 +12,15 @@ const SHAPE_BYTES: u64 = 56;
 const OBSERVE_BYTES: u64 = 400;
 /// A body without its vertices: names, path, surroundings [bytes].
 const BODY_BYTES: u64 = 2048;
+/// A pair of bodies that are near each other, and what each knows of the other [bytes].
+const PAIR_BYTES: u64 = 256;
+/// More pairs than this, and this many a body, are more than can be stepped, whatever the memory.
+const MOST_PAIRS: u64 = 2_000_000;
+const MOST_PAIRS_PER_BODY: u64 = 64;
 
-/// The scene needs more memory than the machine has.
+/// The scene needs more memory than the machine has, or has more pairs of bodies near each other than can be stepped.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error(
-    "scene \"{scene}\" is too large for this machine: {bodies} bodies with {vertices} vertices need about {}, \
-     and {} are available; lower `stacks` and `slices` of the shapes, or use fewer bodies",
-    bytes(*needed), bytes(*available)
-)]
+#[error("scene \"{scene}\" is too large{}", self.reason())]
 pub struct TooLarge {
     /// Name of the scene.
     pub scene: String,
@@ -27,10 +28,39 @@ pub struct TooLarge {
     pub bodies: u64,
     /// Number of vertices of all bodies.
     pub vertices: u64,
+    /// There are more pairs of bodies near each other than these, if they are what is too much.
+    pub pairs: Option<u64>,
     /// [bytes]
     pub needed: u64,
     /// [bytes]
     pub available: u64,
+}
+
+impl TooLarge {
+    fn reason(&self) -> String {
+        let TooLarge { bodies, vertices, needed, available, .. } = self;
+        let (needs, has) = (bytes(*needed), bytes(*available));
+        let is_memory = !fits(*needed, *available);
+        match self.pairs {
+            Some(pairs) if is_memory => format!(
+                " for this machine: {bodies} bodies with more than {pairs} pairs near each other need more than {needs}, and {has} \
+                 are available; move bodies apart, lower `reach`, or use fewer bodies"
+            ),
+            Some(pairs) => format!(
+                ": {bodies} bodies have more than {pairs} pairs near each other at the start, more than can be stepped; move \
+                 bodies apart, lower `reach`, or use fewer bodies"
+            ),
+            None => format!(
+                " for this machine: {bodies} bodies with {vertices} vertices need about {needs}, and {has} are available; lower \
+                 `stacks` and `slices` of the shapes, or use fewer bodies"
+            ),
+        }
+    }
+}
+
+/// What there is has to leave a tenth to others.
+fn fits(needed: u64, available: u64) -> bool {
+    needed / 9 * 10 <= available
 }
 
 /// An upper estimate of the memory that simulating and observing the scene takes [bytes]: every vertex awake.
@@ -65,17 +95,37 @@ pub fn available() -> u64 {
     system.available_memory().min(limit)
 }
 
-/// Refuses a scene that needs more than nine tenths of what is available.
-pub fn check(scene: &Scene) -> Result<(), TooLarge> {
+/// Refuses a scene that needs more than nine tenths of what is available; what is known of it by then, pairs are not.
+pub fn check(scene: &Scene) -> Result<Room, TooLarge> {
     let (needed, available) = (needed(scene), available());
-    if needed / 9 * 10 <= available {
-        return Ok(());
+    let room = Room { needed, available };
+    if fits(needed, available) { Ok(room) } else { Err(room.refuse(scene, None)) }
+}
+
+/// What a scene needs without its pairs, and what there is [bytes].
+#[derive(Clone, Copy, Debug)]
+pub struct Room {
+    needed: u64,
+    available: u64,
+}
+
+impl Room {
+    /// The most pairs of bodies near each other for which there is room.
+    pub(super) fn most_pairs(&self, scene: &Scene) -> u64 {
+        let left = (self.available / 10 * 9).saturating_sub(self.needed);
+        (MOST_PAIRS + MOST_PAIRS_PER_BODY * scene.bodies.len() as u64).min(left / PAIR_BYTES)
     }
-    Err(TooLarge {
-        scene: scene.name.clone(),
-        bodies: scene.bodies.len() as u64,
-        vertices: scene.vertex_count(),
-        needed,
-        available,
-    })
+
+    /// Refuses a scene, for `pairs` if there are more of them.
+    pub(super) fn refuse(&self, scene: &Scene, pairs: Option<u64>) -> TooLarge {
+        let of_pairs = pairs.map_or(0, |pairs| (pairs + 1).saturating_mul(PAIR_BYTES));
+        TooLarge {
+            scene: scene.name.clone(),
+            bodies: scene.bodies.len() as u64,
+            vertices: scene.vertex_count(),
+            pairs,
+            needed: self.needed.saturating_add(of_pairs),
+            available: self.available,
+        }
+    }
 }

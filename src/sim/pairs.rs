@@ -4,7 +4,15 @@
 //! more than was allowed for. Pairs whose zones overlap are known, and so is every pair that is not apart. (Molecular
 //! dynamics knows such lists as Verlet's, with a skin.)
 
-use std::{ops::Range, sync::OnceLock};
+use std::{
+    ops::Range,
+    sync::{
+        OnceLock,
+        atomic::{AtomicU64, Ordering},
+    },
+};
+
+use rayon::prelude::*;
 
 use super::{
     Span,
@@ -27,6 +35,8 @@ const SKIN: f64 = 0.25;
 const AHEAD: f64 = 16.0;
 /// Steps for which it is told in advance how far a body moves.
 const LONGEST_STAY: f64 = 256.0;
+/// So many pairs are not worth counting before they are taken up.
+const FEW_PAIRS: u64 = 1 << 16;
 
 /// Two bodies that are near each other.
 #[derive(Clone, Debug)]
@@ -72,21 +82,47 @@ pub(super) struct Pairs {
 }
 
 impl Pairs {
-    /// All pairs that are near each other at the start, unless `work` is interrupted.
-    pub fn start(&mut self, scene: &Scene, bodies: &mut [Body], work: &Tally<'_>) {
+    /// All pairs that are near each other at the start, if these are no more than `most`: they are counted first. When
+    /// interrupted, those found until then.
+    pub fn start(&mut self, scene: &Scene, bodies: &mut [Body], most: u64, work: &Work) -> bool {
         for i in 0..bodies.len() {
             let radius = scene.bodies[i].radius;
             self.place(scene, bodies, i, radius, 0.0);
         }
+        let Some(count) = self.count_near(scene, bodies, most, work) else { return work.is_interrupted() };
+        self.pairs.reserve_exact(count as usize);
+        let tally = Tally::new(work, None);
         for i in 0..bodies.len() {
-            self.find_neighbours(scene, bodies, i, 0.0, work);
+            self.find_neighbours(scene, bodies, i, 0.0, &tally);
         }
         self.pairs.shrink_to_fit();
         bodies.iter_mut().for_each(|body| body.neighbours.shrink_to_fit());
+        true
+    }
+
+    /// How many pairs of bodies are near each other, if these are no more than `most`.
+    fn count_near(&self, scene: &Scene, bodies: &[Body], most: u64, work: &Work) -> Option<u64> {
+        let n = bodies.len() as u64;
+        if n * n.saturating_sub(1) / 2 <= most.min(FEW_PAIRS) {
+            return Some(0); // so few that they need not be counted
+        }
+        let (grid, all) = (&self.grid, AtomicU64::new(0));
+        let counted = (0..n as u32).into_par_iter().try_for_each(|i| {
+            let mut near = 0;
+            grid.each_touching(i, |j| near += u64::from(j > i && are_near(scene, bodies, grid, i, j)));
+            let sum = all.fetch_add(near, Ordering::Relaxed) + near;
+            (sum <= most && !work.is_interrupted()).then_some(())
+        });
+        counted.map(|()| all.into_inner())
     }
 
     /// The plain way: every pair.
-    pub fn start_with_all(&mut self, scene: &Scene, bodies: &mut [Body], work: &Tally<'_>) {
+    pub fn start_with_all(&mut self, scene: &Scene, bodies: &mut [Body], most: u64, work: &Work) -> bool {
+        let n = bodies.len() as u64;
+        if n * n.saturating_sub(1) / 2 > most {
+            return false;
+        }
+        let tally = Tally::new(work, None);
         self.plain = true;
         for body in bodies.iter_mut() {
             body.zone = Zone { vertices: f64::INFINITY, skin: 0.0, until: f64::INFINITY };
@@ -94,8 +130,9 @@ impl Pairs {
         for i in 0..bodies.len() {
             self.found.clear();
             self.found.extend((0..bodies.len() as u32).filter(|&j| j as usize != i));
-            self.meet(scene, bodies, i, 0.0, work);
+            self.meet(scene, bodies, i, 0.0, &tally);
         }
+        true
     }
 
     /// Looks for the neighbours of bodies that move out of their zones before the end of `span`.

@@ -126,13 +126,19 @@ impl Grid {
 
     /// Appends every ball that touches ball `i`, which has been placed; in ascending order.
     pub fn touching(&self, i: u32, found: &mut Vec<u32>) {
-        let ball = self.balls[i as usize].ball;
         let first = found.len();
+        self.each_touching(i, |other| found.push(other));
+        found[first..].sort_unstable();
+    }
+
+    /// Finds every ball that touches ball `i`, which has been placed.
+    pub fn each_touching(&self, i: u32, mut found: impl FnMut(u32)) {
+        let ball = self.balls[i as usize].ball;
         for level in &self.levels {
             let mut look = |mut head: u32| {
                 while let Some(placed) = self.balls.get(head as usize) {
                     if head != i && placed.ball.touches(&ball) {
-                        found.push(head);
+                        found(head);
                     }
                     head = placed.after;
                 }
@@ -156,7 +162,6 @@ impl Grid {
                 }
             }
         }
-        found[first..].sort_unstable();
     }
 }
 

@@ -25,17 +25,19 @@ const GRAIN: u64 = 1 << 15;
 const LITTLE: u64 = 1 << 10;
 
 /// An evaluation of the distance of two centres.
-pub(super) const LOOK_AT_PATHS: u64 = 12;
+pub(super) const LOOK_AT_PATHS: u64 = 20;
 /// A change of phase: to be found, kept, looked up and recorded.
 pub(super) const EVENT: u64 = 500;
 /// A pair that is not known yet: to be found, and kept.
-pub(super) const NEW_PAIR: u64 = 60;
+pub(super) const NEW_PAIR: u64 = 150;
 
 /// The work of a step.
 #[derive(Default)]
 pub(super) struct Work {
     /// What the steps so far took beyond what they may.
     owed: u64,
+    /// [`Effort::base`](super::integrator::exponential::Effort::base) of the last step, or what it may be in the first.
+    base: u64,
     /// What this one may take.
     limit: u64,
     /// What it took so far: a little less than that where it is done side by side.
@@ -60,13 +62,17 @@ pub(super) enum Stop {
 impl Work {
     /// Before the first step.
     pub fn new(interrupt: Option<&'static AtomicBool>) -> Work {
-        Work { interrupt, ..Work::default() }
+        Work { interrupt, limit: u64::MAX, ..Work::default() }
     }
 
-    /// A step of a scene begins.
+    /// What the first step may be expected to take.
+    pub fn expect(&mut self, base: u64) {
+        self.base = base;
+    }
+
+    /// A step of a scene of so many vertices begins.
     pub fn begin(&mut self, vertices: u64) {
-        let free = FREE.saturating_add(FREE_PER_VERTEX.saturating_mul(vertices));
-        self.limit = (MOST_OWED + MOST_BASE - self.owed).saturating_add(free);
+        self.limit = MOST_OWED.saturating_sub(self.owed).saturating_add(self.free(vertices));
         self.total = AtomicU64::new(0);
         self.before = 0;
     }
@@ -82,10 +88,15 @@ impl Work {
 
     /// Bodies came to this together, of which `base` was to be expected for `vertices`.
     pub fn end(&mut self, work: u64, base: u64, vertices: u64) {
-        let free = FREE.saturating_add(FREE_PER_VERTEX.saturating_mul(vertices));
-        let free = free.saturating_add(base.saturating_mul(2).min(MOST_BASE));
+        self.base = base;
+        let free = self.free(vertices);
         self.owed = self.owed.saturating_add(self.before.saturating_add(work)).saturating_sub(free);
-        self.owed = self.owed.min(MOST_OWED + MOST_BASE);
+    }
+
+    /// What a step may take of which so many vertices are part, without owing anything.
+    fn free(&self, vertices: u64) -> u64 {
+        let of_base = self.base.saturating_mul(2).min(MOST_BASE);
+        FREE.saturating_add(of_base).saturating_add(FREE_PER_VERTEX.saturating_mul(vertices))
     }
 
     /// Whether the step can go on.

@@ -18,6 +18,7 @@ use super::{
     arrays::Vectors,
     body::{Active, Body},
     deformation::Now,
+    integrator::exponential,
     memory::{self, TooLarge},
     pairs::{self, Pair, Pairs},
     report::{Diverged, Failure, Overworked, Stage, StepReport, Toil},
@@ -98,7 +99,7 @@ impl World {
     /// # Errors
     /// As [`World::new`].
     pub fn with_options(scene: Scene, options: Options) -> Result<World, TooLarge> {
-        memory::check(&scene)?;
+        let room = memory::check(&scene)?;
         let bodies: Vec<Body> = (0..scene.bodies.len()).map(|index| Body::new(&scene, index)).collect();
         let mut world = World {
             energy_of_distant_pairs: OnceLock::new(),
@@ -118,26 +119,30 @@ impl World {
             options,
             scene,
         };
-        world.start();
+        let most_pairs = room.most_pairs(&world.scene);
+        if !world.start(most_pairs) {
+            return Err(room.refuse(&world.scene, Some(most_pairs)));
+        }
         Ok(world)
     }
 
-    fn start(&mut self) {
+    /// Whether there are no more than so many pairs.
+    fn start(&mut self, most_pairs: u64) -> bool {
         let World { scene, bodies, pairs, work, .. } = self;
-        work.begin(u64::MAX); // what it takes was asked for
-        let tally = Tally::new(work, None);
-        if self.options.skip {
-            pairs.start(scene, bodies, &tally);
-        } else {
-            pairs.start_with_all(scene, bodies, &tally);
+        let start = if self.options.skip { Pairs::start } else { Pairs::start_with_all };
+        if !start(pairs, scene, bodies, most_pairs, work) {
+            return false;
         }
-        drop(tally);
+        let first_step =
+            bodies.iter().map(|body| exponential::work_of(body.mesh.vertex_count(), body.neighbours.len()));
+        self.work.expect(first_step.fold(0, u64::saturating_add));
         // Whoever has a neighbour may be reached from the start; those that aren't go back to sleep in the first step.
         for index in 0..self.bodies.len() {
             if !self.options.skip || !self.bodies[index].neighbours.is_empty() {
                 self.wake(index as u32);
             }
         }
+        true
     }
 
     /// Advances the world by one step of the scene's Δt and reports what happened.

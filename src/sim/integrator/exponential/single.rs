@@ -27,10 +27,12 @@ const PATIENCE: u32 = 64;
 
 /// The work of preparing a step of one vertex, …
 const STEP: u64 = 60;
+/// … the same by the paths, …
+const STEP_EXACTLY: u64 = 400;
 /// … of looking where it is relative to a rim, by polynomials, …
 const LOOK: u64 = 4;
 /// … and by the paths.
-const LOOK_EXACTLY: u64 = 100;
+const LOOK_EXACTLY: u64 = 120;
 
 /// Reused from step to step.
 #[derive(Default)]
@@ -112,7 +114,8 @@ impl Single<'_> {
             }
 
             let Some(next) = left.pop() else { break };
-            if !self.work.spend(STEP + work_of(1, course.spheres.len()) + course.weighted.len() as u64) {
+            let prepare = if self.whole.smooth { STEP } else { STEP_EXACTLY };
+            if !self.work.spend(prepare + 2 * work_of(1, course.spheres.len()) + course.weighted.len() as u64) {
                 break;
             }
             (start, h) = next;
