@@ -335,14 +335,12 @@ impl Judge {
             }
             let Some(instant) = self.instant(case, step) else { continue };
             for (index, body) in world.bodies().enumerate() {
-                for vertex in 0..body.vertex_count() {
-                    let expected = self.reference.displacement(index, vertex, instant);
-                    let error = body.displacement(vertex).distance(expected) / body.scene().radius;
-                    if error.is_nan() || error > DIVERGED {
-                        return Ok(None);
-                    }
-                    largest = f64::max(largest, error);
+                let found = (0..body.vertex_count()).map(|vertex| body.displacement(vertex));
+                let error = self.reference.distance(index, instant, found) / body.scene().radius;
+                if error.is_nan() || error > DIVERGED {
+                    return Ok(None);
                 }
+                largest = f64::max(largest, error);
             }
         }
         Ok(Some(largest))

@@ -167,18 +167,22 @@ impl Reference {
         self.tracks[body][vertex].get(k).copied().unwrap_or(DVec3::ZERO)
     }
 
+    /// The largest distance of a vertex of a body from where it is at instant `k`, if its vertices are displaced as `found`
+    /// [scene unit]; not a number if one of those isn't.
+    pub fn distance(&self, body: usize, k: usize, found: impl Iterator<Item = DVec3>) -> f64 {
+        let distances = found.enumerate().map(|(vertex, x)| x.distance(self.displacement(body, vertex, k)));
+        distances
+            .fold(0.0, |largest, distance| if distance <= largest || largest.is_nan() { largest } else { distance })
+    }
+
     /// The largest distance of a vertex from where it is in another solution of the same scene at the same times [radii].
     pub fn largest_difference(&self, other: &Reference, scene: &Scene) -> f64 {
-        let mut largest = 0.0;
-        for (body, tracks) in self.tracks.iter().enumerate() {
-            for vertex in 0..tracks.len() {
-                for k in 0..self.times.len() {
-                    let apart = self.displacement(body, vertex, k).distance(other.displacement(body, vertex, k));
-                    largest = f64::max(largest, apart / scene.bodies[body].radius);
-                }
-            }
-        }
-        largest
+        let places = (0..self.tracks.len()).flat_map(|body| (0..self.times.len()).map(move |k| (body, k)));
+        let apart = places.map(|(body, k)| {
+            let found = (0..self.tracks[body].len()).map(|vertex| other.displacement(body, vertex, k));
+            self.distance(body, k, found) / scene.bodies[body].radius
+        });
+        apart.fold(0.0, f64::max)
     }
 }
 

@@ -450,11 +450,9 @@ impl Judge {
             for (side, index) in [pair.still, pair.moving].into_iter().enumerate() {
                 let body = world.body(index);
                 let states = body.states();
-                for vertex in 0..body.vertex_count() {
-                    let expected = self.reference.displacement(2 * pair.phase + side, vertex, instant);
-                    let error = states.displacement.get(vertex).distance(expected) / body.scene().radius;
-                    largest = if error > largest || error.is_nan() { error } else { largest };
-                }
+                let found = (0..body.vertex_count()).map(|vertex| states.displacement.get(vertex));
+                let error = self.reference.distance(2 * pair.phase + side, instant, found) / body.scene().radius;
+                largest = if error > largest || error.is_nan() { error } else { largest };
             }
         }
         Some(largest)

@@ -211,9 +211,4 @@ impl Scene {
     pub fn vertex_count(&self) -> u64 {
         self.bodies.iter().map(|body| body.shape.vertex_count()).sum()
     }
-
-    /// Instants at which the acceleration of `body` by its own path or by a push jumps or has a kink [s].
-    pub fn push_edges(&self, body: usize) -> impl Iterator<Item = f64> + '_ {
-        self.pushes.iter().filter(move |push| push.body == body).flat_map(|push| [push.start, push.end()])
-    }
 }
