@@ -74,13 +74,11 @@ pub struct Spawn {
     pub program: OsString,
     /// Where it is to listen, on this machine only [9876].
     pub port: u16,
-    /// What it may keep, like `2GB` or `25%`; then it forgets the oldest [25%].
-    pub memory_limit: String,
 }
 
 impl Default for Spawn {
     fn default() -> Self {
-        Spawn { program: "rerun".into(), port: rerun::DEFAULT_SERVER_PORT, memory_limit: "25%".to_owned() }
+        Spawn { program: "rerun".into(), port: rerun::DEFAULT_SERVER_PORT }
     }
 }
 

@@ -21,6 +21,8 @@ use super::{SinkError, Spawn};
 const START: Duration = Duration::from_secs(30);
 /// How long it may take to say its version.
 const VERSION: Duration = Duration::from_secs(10);
+/// What a viewer may keep, of the memory that there is; then it forgets the oldest.
+const VIEWER_MEMORY: &str = "25%";
 /// What a started viewer's own gRPC server keeps for others that connect to it; the viewer has it already.
 const SERVER_MEMORY: &str = "1GiB";
 
@@ -49,7 +51,7 @@ pub(super) fn spawn(spawn: &Spawn, avoid: bool) -> Result<Spawned, SinkError> {
     command
         .arg(format!("--port={}", address.port()))
         .arg(format!("--bind={}", address.ip()))
-        .arg(format!("--memory-limit={}", spawn.memory_limit))
+        .arg(format!("--memory-limit={VIEWER_MEMORY}"))
         .arg(format!("--server-memory-limit={SERVER_MEMORY}"))
         .arg("--expect-data-soon")
         .stdin(Stdio::null())
