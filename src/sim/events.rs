@@ -9,7 +9,10 @@ use std::f64::consts::TAU;
 
 use glam::DVec3;
 
-use super::work::{LOOK_AT_PATHS, Tally};
+use super::{
+    track::Track,
+    work::{LOOK_AT_PATHS, Tally},
+};
 use crate::{
     model::phase::{Phase, Thresholds},
     scene::{
@@ -53,21 +56,26 @@ impl Event {
 /// them, then bisection.
 const MOST_NEWTON: u32 = 32;
 
-/// Two paths whose distance is watched.
+/// Two tracks whose distance is watched.
 #[derive(Clone, Copy, Debug)]
-pub struct PairPaths<'a> {
-    /// Path of one body …
-    pub a: &'a Path,
+pub struct PairTracks<'a> {
+    /// Of one body …
+    pub a: Track<'a>,
     /// … and of the other.
-    pub b: &'a Path,
+    pub b: Track<'a>,
     /// Sum of the two radii [scene unit].
     pub radii: f64,
 }
 
-impl PairPaths<'_> {
+impl PairTracks<'_> {
     /// Centre distance over the sum of the radii at time `t` [–].
     pub fn q(&self, t: f64) -> f64 {
         (self.a.position(t) - self.b.position(t)).length() / self.radii
+    }
+
+    /// Until when both are known [s].
+    pub fn known_until(&self) -> f64 {
+        self.a.known_until().min(self.b.known_until())
     }
 
     /// The phase changes in `(start, end]` of a pair that is in `phase` at `start`, in order: `(time, new phase)`.
@@ -117,8 +125,8 @@ impl PairPaths<'_> {
 
     /// The first instant after `t` at which a derivative of a path jumps [s].
     fn knot_after(&self, t: f64) -> f64 {
-        let after = |path: &Path| {
-            let knots = path.knots();
+        let after = |track: Track<'_>| {
+            let knots = track.breaks();
             knots.get(knots.partition_point(|&knot| knot <= t)).copied().unwrap_or(f64::INFINITY)
         };
         after(self.a).min(after(self.b))
@@ -157,12 +165,13 @@ impl PairPaths<'_> {
             Path::Sine { center, amplitude, frequency, phase } => Some((*center, (*amplitude, *frequency, *phase))),
             Path::Line { .. } | Path::Keyframes(_) => None,
         };
-        let frequency = [self.a, self.b].iter().find_map(|path| match path {
+        let (path_a, path_b) = (self.a.path()?, self.b.path()?);
+        let frequency = [path_a, path_b].into_iter().find_map(|path| match path {
             Path::Sine { frequency, .. } => Some(*frequency),
             _ => None,
         })?;
-        let (a, (swing_a, frequency_a, phase_a)) = of(self.a, frequency)?;
-        let (b, (swing_b, frequency_b, phase_b)) = of(self.b, frequency)?;
+        let (a, (swing_a, frequency_a, phase_a)) = of(path_a, frequency)?;
+        let (b, (swing_b, frequency_b, phase_b)) = of(path_b, frequency)?;
         if frequency_a != frequency_b {
             return None;
         }
@@ -195,7 +204,7 @@ struct Swing {
 
 /// `g(t) = |c_a − c_b|² − level²`, times a sign so that the crossing looked for is always a fall through zero.
 struct Gap<'a> {
-    pair: &'a PairPaths<'a>,
+    pair: &'a PairTracks<'a>,
     level: f64,
     swing: Option<Swing>,
     work: &'a Tally<'a>,
@@ -222,13 +231,14 @@ impl Gap<'_> {
 
     /// Whether the centres swing so often in a stretch that where they can be at all says more than how fast they are.
     fn is_restless(&self, length: f64) -> bool {
-        let swings = |path: &Path| matches!(path, Path::Sine { frequency, .. } if frequency * length > 1.0);
+        let swings =
+            |track: Track<'_>| matches!(track.path(), Some(Path::Sine { frequency, .. }) if frequency * length > 1.0);
         swings(self.pair.a) || swings(self.pair.b)
     }
 
     /// Whether the distance is on one side of the threshold throughout a stretch, by where the centres can be.
     fn is_out_of_reach(&self, start: f64, end: f64) -> bool {
-        let [(a, spread_a), (b, spread_b)] = [self.pair.a, self.pair.b].map(|path| path.ball(start, end));
+        let [(a, spread_a), (b, spread_b)] = [self.pair.a, self.pair.b].map(|track| track.ball(start, end));
         let far = a.abs().max_element() + b.abs().max_element() + spread_a + spread_b + self.level;
         (a.distance(b) - self.level).abs() > spread_a + spread_b + 64.0 * f64::EPSILON * far
     }

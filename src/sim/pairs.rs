@@ -17,16 +17,18 @@ use rayon::prelude::*;
 use super::{
     Span,
     body::Body,
-    events::{Event, PairPaths},
+    events::{Event, PairTracks},
     neighbours::{Neighbour, Zone},
     reach::{Ball, Grid},
+    report::StepReport,
     terms::spheres,
+    track::Track,
     tracks::Tracks,
     work::{EVENT, LOOK_AT_PATHS, NEW_PAIR, Stop, Tally, Work},
 };
 use crate::{
-    model::phase::Phase,
-    scene::{Path, Scene},
+    model::phase::{Phase, Thresholds},
+    scene::Scene,
 };
 
 /// How far a body may move before its pairs are looked for anew [radii].
@@ -55,10 +57,12 @@ pub(super) struct Pair {
     pub changes: Range<u32>,
 }
 
-/// The paths of two bodies of a scene.
-pub(super) fn paths(scene: &Scene, a: u32, b: u32) -> PairPaths<'_> {
-    let (a, b) = (&scene.bodies[a as usize], &scene.bodies[b as usize]);
-    PairPaths { a: &a.path, b: &b.path, radii: a.radius + b.radius }
+/// What neighbours are looked for in.
+pub(super) struct Surrounded<'a> {
+    pub scene: &'a Scene,
+    pub bodies: &'a mut [Body],
+    pub tracks: &'a Tracks,
+    pub work: Tally<'a>,
 }
 
 /// All pairs of bodies that are near each other.
@@ -84,19 +88,19 @@ pub(super) struct Pairs {
 impl Pairs {
     /// All pairs that are near each other at the start, if these are no more than `most`: they are counted first. When
     /// interrupted, those found until then.
-    pub fn start(&mut self, scene: &Scene, bodies: &mut [Body], most: u64, work: &Work) -> bool {
-        for i in 0..bodies.len() {
+    pub fn start(&mut self, scene: &Scene, bodies: &mut [Body], tracks: &Tracks, most: u64, work: &Work) -> bool {
+        let mut of = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
+        for i in 0..of.bodies.len() {
             let radius = scene.bodies[i].radius;
-            self.place(scene, bodies, i, radius, 0.0);
+            self.place(&mut of, i, radius, 0.0);
         }
-        let Some(count) = self.count_near(scene, bodies, most, work) else { return work.is_interrupted() };
+        let Some(count) = self.count_near(scene, of.bodies, most, work) else { return work.is_interrupted() };
         self.pairs.reserve_exact(count as usize);
-        let tally = Tally::new(work, None);
-        for i in 0..bodies.len() {
-            self.find_neighbours(scene, bodies, i, 0.0, &tally);
+        for i in 0..of.bodies.len() {
+            self.find_neighbours(&mut of, i, 0.0);
         }
         self.pairs.shrink_to_fit();
-        bodies.iter_mut().for_each(|body| body.neighbours.shrink_to_fit());
+        of.bodies.iter_mut().for_each(|body| body.neighbours.shrink_to_fit());
         true
     }
 
@@ -117,20 +121,27 @@ impl Pairs {
     }
 
     /// The plain way: every pair.
-    pub fn start_with_all(&mut self, scene: &Scene, bodies: &mut [Body], most: u64, work: &Work) -> bool {
+    pub fn start_with_all(
+        &mut self,
+        scene: &Scene,
+        bodies: &mut [Body],
+        tracks: &Tracks,
+        most: u64,
+        work: &Work,
+    ) -> bool {
         let n = bodies.len() as u64;
         if n * n.saturating_sub(1) / 2 > most {
             return false;
         }
-        let tally = Tally::new(work, None);
+        let mut of = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
         self.plain = true;
-        for body in bodies.iter_mut() {
+        for body in of.bodies.iter_mut() {
             body.zone = Zone { vertices: f64::INFINITY, skin: 0.0, until: f64::INFINITY };
         }
-        for i in 0..bodies.len() {
+        for i in 0..of.bodies.len() {
             self.found.clear();
-            self.found.extend((0..bodies.len() as u32).filter(|&j| j as usize != i));
-            self.meet(scene, bodies, i, 0.0, &tally);
+            self.found.extend((0..of.bodies.len() as u32).filter(|&j| j as usize != i));
+            self.meet(&mut of, i, 0.0);
         }
         true
     }
@@ -148,11 +159,11 @@ impl Pairs {
         work: &Work,
     ) -> Result<(), (Stop, u32)> {
         tracks.watch(|track| bodies[track.body as usize].zone.until < span.end);
-        let tally = Tally::new(work, None);
-        for body in tracks.watched() {
-            let vertices = bodies[body as usize].zone.vertices;
-            self.anchor(scene, bodies, body as usize, vertices, span.start, &tally);
-            if tally.is_over() {
+        let mut of = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
+        for body in of.tracks.watched() {
+            let vertices = of.bodies[body as usize].zone.vertices;
+            self.anchor(&mut of, body as usize, vertices, span.start);
+            if of.work.is_over() {
                 return work.check().map_err(|stop| (stop, body));
             }
         }
@@ -160,36 +171,38 @@ impl Pairs {
     }
 
     /// Gives a body a zone for vertices up to `vertices` from its centre, from time `t` on, and finds its neighbours.
-    pub fn anchor(&mut self, scene: &Scene, bodies: &mut [Body], i: usize, vertices: f64, t: f64, work: &Tally<'_>) {
-        self.place(scene, bodies, i, vertices, t);
-        self.find_neighbours(scene, bodies, i, t, work);
+    pub fn anchor(&mut self, of: &mut Surrounded<'_>, i: usize, vertices: f64, t: f64) {
+        self.place(of, i, vertices, t);
+        self.find_neighbours(of, i, t);
     }
 
-    fn place(&mut self, scene: &Scene, bodies: &mut [Body], i: usize, vertices: f64, t: f64) {
-        let this = &scene.bodies[i];
-        let (skin, until) = stay(&this.path, SKIN * this.radius, t, scene.dt);
+    fn place(&mut self, of: &mut Surrounded<'_>, i: usize, vertices: f64, t: f64) {
+        let scene = of.scene;
+        let (this, track) = (&scene.bodies[i], of.tracks.track(scene, i));
+        let (skin, until) = stay(track, SKIN * this.radius, t, scene.dt);
         let merging = scene.thresholds.merge_at * this.radius;
         let reach = scene.influence.sphere_radius(this.radius).max(vertices).max(merging) + skin;
-        let centre = this.path.position(t);
+        let centre = track.position(t);
         // a pair that stands exactly on a threshold is not lost to rounding of the centres
         let rounding = 16.0 * f64::EPSILON * (centre.abs().max_element() + reach);
-        bodies[i].zone = Zone { vertices, skin: skin + rounding, until };
+        of.bodies[i].zone = Zone { vertices, skin: skin + rounding, until };
         self.grid.place(i as u32, Ball { centre, radius: reach + rounding });
     }
 
-    fn find_neighbours(&mut self, scene: &Scene, bodies: &mut [Body], i: usize, t: f64, work: &Tally<'_>) {
+    fn find_neighbours(&mut self, of: &mut Surrounded<'_>, i: usize, t: f64) {
         self.found.clear();
         self.grid.touching(i as u32, &mut self.found);
         let grid = &self.grid;
-        if work.spend(self.found.len() as u64) {
-            self.found.retain(|&j| are_near(scene, bodies, grid, i as u32, j));
-            self.meet(scene, bodies, i, t, work);
+        if of.work.spend(self.found.len() as u64) {
+            self.found.retain(|&j| are_near(of.scene, of.bodies, grid, i as u32, j));
+            self.meet(of, i, t);
         }
     }
 
     /// Makes `found` the neighbours of body `i`; a pair that was known keeps its phase, one that is not apart stays known
     /// however far it is.
-    fn meet(&mut self, scene: &Scene, bodies: &mut [Body], i: usize, t: f64, work: &Tally<'_>) {
+    fn meet(&mut self, of: &mut Surrounded<'_>, i: usize, t: f64) {
+        let Surrounded { scene, bodies, tracks, work } = of;
         let found = std::mem::take(&mut self.found);
         let mut kept = std::mem::take(&mut self.kept);
         kept.clear();
@@ -212,7 +225,7 @@ impl Pairs {
             }
             let neighbour = known.next_if(|neighbour| neighbour.other == other).unwrap_or_else(|| {
                 work.spend(NEW_PAIR);
-                let pair = self.add(scene, i as u32, other, t);
+                let pair = self.add(tracks.pair(scene, i as u32, other), [i as u32, other], scene, t);
                 let others = &mut bodies[other as usize].neighbours;
                 let place = others.partition_point(|neighbour| neighbour.other < i as u32);
                 others.insert(place, spheres::neighbour(scene, other, i as u32, pair));
@@ -229,9 +242,9 @@ impl Pairs {
         (self.found, self.kept) = (found, kept);
     }
 
-    fn add(&mut self, scene: &Scene, i: u32, j: u32, t: f64) -> u32 {
+    fn add(&mut self, tracks: PairTracks<'_>, [i, j]: [u32; 2], scene: &Scene, t: f64) -> u32 {
         let (a, b) = (i.min(j), i.max(j));
-        let phase = if t == 0.0 { scene.thresholds.initial(paths(scene, a, b).q(0.0)) } else { Phase::Apart };
+        let phase = if t == 0.0 { scene.thresholds.initial(tracks.q(0.0)) } else { Phase::Apart };
         let pair = Pair { a, b, phase, upcoming: None, known_until: t, changes: 0..0 };
         if let Some(place) = self.free.pop() {
             self.pairs[place as usize] = pair;
@@ -241,7 +254,7 @@ impl Pairs {
         self.pairs.len() as u32 - 1
     }
 
-    /// When pairs change phase during `span`, exactly; appended to `events` by time.
+    /// When pairs change phase during `span`, exactly; reported by time.
     ///
     /// # Errors
     /// If that takes too much: the pair that took most.
@@ -251,10 +264,11 @@ impl Pairs {
         bodies: &[Body],
         tracks: &mut Tracks,
         span: Span,
-        step: u64,
-        events: &mut Vec<Event>,
         work: &Work,
+        report: &mut StepReport,
     ) -> Result<(), (Stop, [u32; 2])> {
+        let StepReport { events, step, .. } = report;
+        let step = *step;
         let tally = Tally::new(work, None);
         let mut busiest = (0, [0, 0]);
         self.changes.clear();
@@ -273,18 +287,18 @@ impl Pairs {
                 }
                 let first = self.changes.len();
                 let pair = &mut self.pairs[index];
-                let paths = paths(scene, pair.a, pair.b);
-                let rests = || [paths.a, paths.b].into_iter().all(|path| path.is_still(span.start, f64::INFINITY));
+                let both = tracks.pair(scene, pair.a, pair.b);
+                let rests = || [both.a, both.b].into_iter().all(|track| track.is_still(span.start, f64::INFINITY));
                 let horizon = match self.plain {
                     true => span.end,
                     false if rests() => f64::INFINITY,
-                    false => span.start + AHEAD * span.length(),
+                    false => (span.start + AHEAD * span.length()).min(both.known_until()),
                 };
                 let mut from = pair.phase;
                 let (a, b, before) = (pair.a, pair.b, tally.done());
-                pair.advance(&paths, scene, span, horizon, &tally, |time, to| {
+                pair.advance(&both, &scene.thresholds, span, horizon, &tally, |time, to| {
                     self.changes.push((time, to));
-                    events.push(Event { time, step, a, b, q: paths.q(time), from, to });
+                    events.push(Event { time, step, a, b, q: both.q(time), from, to });
                     from = to;
                 });
                 busiest = busiest.max((tally.done() - before, [a, b]));
@@ -361,8 +375,8 @@ impl Pair {
     /// is infinite.
     fn advance(
         &mut self,
-        paths: &PairPaths<'_>,
-        scene: &Scene,
+        tracks: &PairTracks<'_>,
+        thresholds: &Thresholds,
         span: Span,
         horizon: f64,
         work: &Tally<'_>,
@@ -380,7 +394,7 @@ impl Pair {
                     self.known_until = horizon;
                     return;
                 }
-                self.upcoming = paths.first_change_within(&scene.thresholds, phase, from, horizon, work);
+                self.upcoming = tracks.first_change_within(thresholds, phase, from, horizon, work);
                 if !work.spend(LOOK_AT_PATHS) {
                     return;
                 }
@@ -413,11 +427,11 @@ fn are_near(scene: &Scene, bodies: &[Body], grid: &Grid, i: u32, j: u32) -> bool
 }
 
 /// How far a body may move from where it is at `t`, no less than `skin` [scene unit], and until when it does not.
-fn stay(path: &Path, skin: f64, t: f64, dt: f64) -> (f64, f64) {
-    if path.is_fixed() {
+fn stay(track: Track<'_>, skin: f64, t: f64, dt: f64) -> (f64, f64) {
+    if track.is_fixed() {
         return (0.0, f64::INFINITY);
     }
-    let moved = |steps: f64| path.bounds(t, t + steps * dt).speed * steps * dt;
+    let moved = |steps: f64| track.bounds(t, t + steps * dt).speed * steps * dt;
     let skin = skin.max(moved(1.0));
     let mut steps = LONGEST_STAY;
     while steps > 1.0 && moved(steps) > skin {

@@ -71,6 +71,20 @@ impl<'a> Track<'a> {
         }
     }
 
+    /// A ball that the centre is in throughout `[start, end]` [s]: its centre and radius [scene unit].
+    pub fn ball(self, start: f64, end: f64) -> (DVec3, f64) {
+        match self {
+            Track::Prescribed(path) => path.ball(start, end),
+        }
+    }
+
+    /// The path that it follows exactly for ever, if it does.
+    pub fn path(self) -> Option<&'a Path> {
+        match self {
+            Track::Prescribed(path) => Some(path),
+        }
+    }
+
     /// Whether the centre does not move within `[start, end]` [s], nor anything about its motion changes there.
     pub fn is_still(self, start: f64, end: f64) -> bool {
         match self {

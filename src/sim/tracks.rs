@@ -3,7 +3,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{Span, nodes::LOOKS, track::Track};
+use super::{Span, events::PairTracks, nodes::LOOKS, track::Track};
 use crate::scene::{
     Scene,
     path::{Bounds, Kinematics, Turns},
@@ -153,6 +153,13 @@ impl Tracks {
     /// The frame of a body.
     pub fn track<'a>(&'a self, scene: &'a Scene, body: usize) -> Track<'a> {
         Track::Prescribed(&scene.bodies[body].path)
+    }
+
+    /// Those of a pair of bodies, that of lower index first.
+    pub fn pair<'a>(&'a self, scene: &'a Scene, i: u32, j: u32) -> PairTracks<'a> {
+        let [a, b] = [i.min(j), i.max(j)].map(|body| body as usize);
+        let radii = scene.bodies[a].radius + scene.bodies[b].radius;
+        PairTracks { a: self.track(scene, a), b: self.track(scene, b), radii }
     }
 
     /// A body's centre and its motion at one of the five looks of the step.

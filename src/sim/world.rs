@@ -20,7 +20,7 @@ use super::{
     deformation::Now,
     integrator::exponential,
     memory::{self, TooLarge},
-    pairs::{self, Pair, Pairs},
+    pairs::{Pair, Pairs, Surrounded},
     report::{Diverged, Failure, Overworked, Stage, StepReport, Toil},
     state::State,
     terms::{self, Moment, Surroundings},
@@ -128,9 +128,9 @@ impl World {
 
     /// Whether there are no more than so many pairs.
     fn start(&mut self, most_pairs: u64) -> bool {
-        let World { scene, bodies, pairs, work, .. } = self;
+        let World { scene, bodies, tracks, pairs, work, .. } = self;
         let start = if self.options.skip { Pairs::start } else { Pairs::start_with_all };
-        if !start(pairs, scene, bodies, most_pairs, work) {
+        if !start(pairs, scene, bodies, tracks, most_pairs, work) {
             return false;
         }
         let first_step =
@@ -191,8 +191,8 @@ impl World {
 
     /// When pairs change phase during `span`, exactly.
     fn find_events(&mut self, span: Span) -> Result<(), Failure> {
-        let World { scene, bodies, tracks, pairs, report, step, work, .. } = self;
-        let found = pairs.find_events(scene, bodies, tracks, span, *step + 1, &mut report.events, work);
+        let World { scene, bodies, tracks, pairs, report, work, .. } = self;
+        let found = pairs.find_events(scene, bodies, tracks, span, work, report);
         found.map_err(|(stop, pair)| {
             let [a, b] = pair.map(|body| self.scene.bodies[body as usize].name.clone());
             self.failure(stop, Toil::Events { a, b, found: self.report.events.len() })
@@ -237,11 +237,11 @@ impl World {
                 if !self.reading().outgrew(&self.actives[slot]) {
                     break;
                 }
-                let World { scene, bodies, pairs, work, .. } = self;
+                let World { scene, bodies, tracks, pairs, work, .. } = self;
                 let radius = scene.bodies[body as usize].radius;
-                let tally = Tally::new(work, None);
-                pairs.anchor(scene, bodies, body as usize, radius + ROOM * (roams - radius), span.start, &tally);
-                drop(tally);
+                let mut surrounded = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
+                pairs.anchor(&mut surrounded, body as usize, radius + ROOM * (roams - radius), span.start);
+                drop(surrounded);
                 self.work.check().map_err(|stop| self.neighbours_failure(stop, body))?;
                 let (context, actives) = self.context();
                 context.find_reachable(&mut actives[slot], span);
@@ -579,8 +579,8 @@ impl World {
         let time = self.time();
         self.known_pairs()
             .map(move |pair| {
-                let paths = pairs::paths(&self.scene, pair.a, pair.b);
-                PairView { a: pair.a as usize, b: pair.b as usize, q: paths.q(time), phase: pair.phase }
+                let q = self.tracks.pair(&self.scene, pair.a, pair.b).q(time);
+                PairView { a: pair.a as usize, b: pair.b as usize, q, phase: pair.phase }
             })
             .filter(|pair| pair.phase != Phase::Apart || pair.q <= self.reach_of(pair.a, pair.b))
     }
