@@ -5,12 +5,9 @@
 //! hashed again. Every instruction set comes to the same, as to the same state; but for the sign of a zero, which is
 //! therefore left out, and has no consequences.
 
-use std::slice;
-
-use pulp::{Simd, WithSimd, bytemuck};
+use pulp::{Arch, Simd, WithSimd, bytemuck};
 
 use super::{
-    World,
     arrays::LANES,
     body::Active,
     deformation::{DISPLACEMENT, Deformation, Swinging, VELOCITY},
@@ -19,26 +16,14 @@ use super::{
 };
 use crate::model::phase::Phase;
 
-impl World {
-    /// A hash of the exact state: the number of steps taken, the bits of all that is kept of every body that is not at
-    /// rest, and every pair that is not apart. (Events to come follow from these and from the scene.)
-    ///
-    /// Equal runs have equal checksums: on every machine, for any number of threads and instruction set, whatever is
-    /// looked at or recorded and however often this is asked for. Two states that differ in one number never have the
-    /// same, others by a coincidence only. Without skipping ([`super::Options::skip`]) more is kept of the same
-    /// motion, so that its checksums are others.
-    pub fn checksum(&self) -> u64 {
-        let (awake, asleep) = self.actives.split_at(self.awake);
-        let arch = self.options.arch;
-        let asleep = self.hash_of_sleeping.get_or_init(|| arch.dispatch(Bodies(asleep)));
-        let sum = arch.dispatch(Bodies(awake)).wrapping_add(*asleep).wrapping_add(self.pairs.hash());
-        mix(mix(self.step.wrapping_add(SEED)).wrapping_add(sum))
-    }
+/// The sum of the hashes of bodies; none of one at rest.
+pub(super) fn of_bodies(arch: Arch, bodies: &[Active]) -> u64 {
+    arch.dispatch(Bodies(bodies))
+}
 
-    /// That of one body, whichever it is.
-    pub(super) fn hash_of(&self, slot: usize) -> u64 {
-        self.options.arch.dispatch(Bodies(slice::from_ref(&self.actives[slot])))
-    }
+/// That of a world, from the number of steps taken and the sum of the hashes of all that is kept.
+pub(super) fn of_world(step: u64, sum: u64) -> u64 {
+    mix(mix(step.wrapping_add(SEED)).wrapping_add(sum))
 }
 
 /// The sum of the hashes of bodies.
@@ -264,7 +249,10 @@ impl<S: Simd> Lanes<S> {
 mod tests {
     use super::*;
     use crate::scene::Scene;
-    use crate::sim::arrays::{Block, Blocks};
+    use crate::sim::{
+        World,
+        arrays::{Block, Blocks},
+    };
 
     /// Two bodies held together, one vertex of each near the other's sphere at least, others swinging.
     fn merged() -> World {
@@ -272,7 +260,7 @@ mod tests {
         for _ in 0..120 {
             world.step();
         }
-        assert!(world.actives.iter().all(|active| !active.deformation.is_empty()));
+        assert!(world.actives.all_mut().iter().all(|active| !active.deformation.is_empty()));
         world
     }
 
@@ -294,13 +282,13 @@ mod tests {
     fn every_bit_of_the_state_counts() {
         let mut world = merged();
         let before = world.checksum();
-        for slot in 0..world.actives.len() {
+        for slot in 0..world.actives.all_mut().len() {
             for number in 0..12 {
-                for i in 0..axis(&mut world.actives[slot], number).len() {
-                    let is_zero = *axis(&mut world.actives[slot], number)[i] == 0.0;
+                for i in 0..axis(&mut world.actives.all_mut()[slot], number).len() {
+                    let is_zero = *axis(&mut world.actives.all_mut()[slot], number)[i] == 0.0;
                     for bit in [0, 1, 31, 32, 51, 52, 62, 63].into_iter().filter(|&bit| !(is_zero && bit == 63)) {
                         let flip = |world: &mut World| {
-                            let value = &mut *axis(&mut world.actives[slot], number)[i];
+                            let value = &mut *axis(&mut world.actives.all_mut()[slot], number)[i];
                             *value = f64::from_bits(value.to_bits() ^ 1 << bit);
                             world.checksum()
                         };
@@ -310,7 +298,7 @@ mod tests {
                 }
             }
             let flip = |world: &mut World| {
-                world.actives[slot].common.carried.u.y += 1.0;
+                world.actives.all_mut()[slot].common.carried.u.y += 1.0;
                 world.checksum()
             };
             assert_ne!(flip(&mut world), before);
@@ -325,7 +313,7 @@ mod tests {
     fn pairs_of_changes_count() {
         let mut world = merged();
         let before = world.checksum();
-        let numbers: Vec<f64> = axis(&mut world.actives[0], 0).into_iter().map(|number| *number).collect();
+        let numbers: Vec<f64> = axis(&mut world.actives.all_mut()[0], 0).into_iter().map(|number| *number).collect();
         let count = numbers.len();
         let mut seen = std::collections::HashSet::from([before]);
         for i in 0..count {
@@ -342,7 +330,7 @@ mod tests {
                 changes.dedup(); // where one is the negative of the other
                 for changed in changes {
                     let set = |world: &mut World, (a, b)| {
-                        let mut axis = axis(&mut world.actives[0], 0);
+                        let mut axis = axis(&mut world.actives.all_mut()[0], 0);
                         (*axis[i], *axis[j]) = (a, b);
                     };
                     set(&mut world, changed);
@@ -358,7 +346,7 @@ mod tests {
     fn padding_does_not_count() {
         let mut world = merged();
         let before = world.checksum();
-        let front = &mut world.actives[0].deformation.front;
+        let front = &mut world.actives.all_mut()[0].deformation.front;
         let count = front.vertices.len();
         let Block([_, velocity, _]) = front.blocks.all_mut().last_mut().unwrap();
         assert!(!count.is_multiple_of(LANES));

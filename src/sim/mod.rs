@@ -4,6 +4,7 @@
 //! | --- | --- |
 //! | the world and its step | [`world`] |
 //! | the state of one body, and its turn in a step | `body`, `advance` |
+//! | the bodies that are not at rest | `active_set` |
 //! | what single vertices do beyond what all of them do | `deformation` |
 //! | what acts on vertices, one file a force term | [`terms`] |
 //! | the frame of a body in the course of a step, and those of all that move | [`track`], `tracks` |
@@ -34,6 +35,7 @@
 //! - **Only contributing spheres are summed**: those that can reach the active set.
 //! - The active set is stepped in SIMD lanes (AVX-512, AVX2 or SSE2), bodies on as many threads as pay off, to the same bits.
 
+mod active_set;
 mod advance;
 pub mod arrays;
 mod body;

@@ -14,9 +14,11 @@ use rayon::prelude::*;
 
 use super::{
     Span,
+    active_set::ActiveSet,
     advance::Context,
     arrays::Vectors,
     body::{Active, Body},
+    checksum,
     deformation::Now,
     integrator::exponential,
     memory::{self, TooLarge},
@@ -65,9 +67,8 @@ pub struct World {
     pub(super) options: Options,
     pub(super) step: u64,
     pub(super) bodies: Vec<Body>,
-    /// Bodies that are not at rest: first those that are awake, then those that nothing acts on.
-    pub(super) actives: Vec<Active>,
-    pub(super) awake: usize,
+    /// Bodies that are not at rest.
+    pub(super) actives: ActiveSet,
     tracks: Tracks,
     pub(super) pairs: Pairs,
     /// Reused.
@@ -81,8 +82,6 @@ pub struct World {
     report: StepReport,
     /// Computed when the energy is first asked for.
     pub(super) energy_of_distant_pairs: OnceLock<f64>,
-    /// Sum of the hashes of the bodies that nothing acts on, once it was asked for.
-    pub(super) hash_of_sleeping: OnceLock<u64>,
 }
 
 impl World {
@@ -103,11 +102,9 @@ impl World {
         let bodies: Vec<Body> = (0..scene.bodies.len()).map(|index| Body::new(&scene, index)).collect();
         let mut world = World {
             energy_of_distant_pairs: OnceLock::new(),
-            hash_of_sleeping: OnceLock::new(),
             step: 0,
             bodies,
-            actives: Vec::new(),
-            awake: 0,
+            actives: ActiveSet::new(options.arch),
             tracks: Tracks::new(&scene),
             pairs: Pairs::default(),
             woken: Vec::new(),
@@ -139,7 +136,7 @@ impl World {
         // Whoever has a neighbour may be reached from the start; those that aren't go back to sleep in the first step.
         for index in 0..self.bodies.len() {
             if !self.options.skip || !self.bodies[index].neighbours.is_empty() {
-                self.wake(index as u32);
+                self.wake_one(index as u32);
             }
         }
         true
@@ -164,16 +161,18 @@ impl World {
 
     fn take_step(&mut self, span: Span) -> Result<(), Failure> {
         let start = Instant::now();
-        self.follow(span)?;
+        self.broad_phase(span)?;
         let followed = Instant::now();
         self.find_events(span)?;
         let found = Instant::now();
-        self.find_reachable(span)?;
+        self.wake(span);
+        self.find_bounds(span)?;
         let ready = Instant::now();
         let sum = self.integrate(span)?;
         self.step += 1;
         self.pairs.enter_phases();
-        self.finish(&sum, span);
+        self.finish(&sum);
+        self.sleep(&sum, span);
         let end = Instant::now();
         self.report.timings[Stage::Reach as usize] = (followed - start) + (ready - found);
         self.report.timings[Stage::Events as usize] = found - followed;
@@ -182,7 +181,7 @@ impl World {
     }
 
     /// Where moving bodies go, and whom they come near.
-    fn follow(&mut self, span: Span) -> Result<(), Failure> {
+    fn broad_phase(&mut self, span: Span) -> Result<(), Failure> {
         let World { scene, bodies, tracks, pairs, work, .. } = self;
         tracks.follow(scene, span);
         let followed = pairs.follow(scene, bodies, tracks, span, work);
@@ -213,12 +212,16 @@ impl World {
         }
     }
 
-    /// Wakes whom something acts on during `span`, and finds who can reach whom.
-    fn find_reachable(&mut self, span: Span) -> Result<(), Failure> {
+    /// Wakes whom something acts on during `span`.
+    fn wake(&mut self, span: Span) {
         self.wake_acted_on(span);
         if self.options.skip {
             self.wake_moved(span);
         }
+    }
+
+    /// How far vertices of those that are awake can get during `span`, and who can reach them.
+    fn find_bounds(&mut self, span: Span) -> Result<(), Failure> {
         let (context, actives) = self.context();
         let awake = actives.len();
         let any_outgrew = AtomicBool::new(false);
@@ -233,8 +236,9 @@ impl World {
         }
         for slot in 0..awake {
             loop {
-                let Active { body, roams, .. } = self.actives[slot];
-                if !self.reading().outgrew(&self.actives[slot]) {
+                let active = &self.actives.awake()[slot];
+                let Active { body, roams, .. } = *active;
+                if !self.reading().outgrew(active) {
                     break;
                 }
                 let World { scene, bodies, tracks, pairs, work, .. } = self;
@@ -256,7 +260,7 @@ impl World {
             if start >= span.end {
                 break;
             }
-            self.wake(body);
+            self.wake_one(body);
             self.started += 1;
         }
     }
@@ -264,8 +268,8 @@ impl World {
     /// Wakes bodies that feel their own motion during `span`, and those that a moving sphere can reach, or whose vertices
     /// move to a sphere.
     fn wake_moved(&mut self, span: Span) {
-        let World { tracks, bodies, awake, woken, .. } = self;
-        let is_awake = |body: u32| bodies[body as usize].active.is_some_and(|slot| (slot as usize) < *awake);
+        let World { tracks, bodies, actives, woken, .. } = self;
+        let is_awake = |body: u32| actives.is_awake(&bodies[body as usize]);
         tracks.watch(|track| {
             let mut neighbours = bodies[track.body as usize].neighbours.iter();
             !track.is_idle && (!is_awake(track.body) || neighbours.any(|neighbour| !is_awake(neighbour.other)))
@@ -275,7 +279,7 @@ impl World {
         watched.extend(tracks.watched());
         for &mover in &watched {
             if !self.is_awake(mover) && self.reading().own_force(mover, span) > 0.0 {
-                self.wake(mover);
+                self.wake_one(mover);
             }
             for n in 0..self.bodies[mover as usize].neighbours.len() {
                 let other = self.bodies[mover as usize].neighbours[n].other;
@@ -290,53 +294,19 @@ impl World {
                     let mut reached = reached.map(|(this, _)| this);
                     [reached.next(), reached.next()]
                 };
-                first.into_iter().chain(second).for_each(|this| self.wake(this));
+                first.into_iter().chain(second).for_each(|this| self.wake_one(this));
             }
         }
         self.woken = watched;
     }
 
     fn is_awake(&self, body: u32) -> bool {
-        self.bodies[body as usize].active.is_some_and(|slot| (slot as usize) < self.awake)
+        self.actives.is_awake(&self.bodies[body as usize])
     }
 
     /// From here on a body is stepped.
-    fn wake(&mut self, body: u32) {
-        let index = body as usize;
-        let slot = self.bodies[index].active.map_or(self.actives.len(), |slot| slot as usize);
-        if slot == self.actives.len() {
-            self.actives.push(Active::new(&self.scene, index, self.bodies[index].pushes.len(), self.step));
-            self.bodies[index].active = Some(slot as u32);
-        }
-        if slot >= self.awake {
-            if let Some(&sum) = self.hash_of_sleeping.get() {
-                self.hash_of_sleeping = OnceLock::from(sum.wrapping_sub(self.hash_of(slot)));
-            }
-            self.swap(slot, self.awake);
-            self.awake += 1;
-        }
-    }
-
-    /// From here on the body at `slot`, which is awake, isn't stepped; one at rest needs no state.
-    fn sleep(&mut self, slot: usize) {
-        self.awake -= 1;
-        self.swap(slot, self.awake);
-        if let Some(&sum) = self.hash_of_sleeping.get() {
-            self.hash_of_sleeping = OnceLock::from(sum.wrapping_add(self.hash_of(self.awake)));
-        }
-        if self.actives[self.awake].is_at_rest() {
-            self.swap(self.awake, self.actives.len() - 1);
-            if let Some(active) = self.actives.pop() {
-                self.bodies[active.body as usize].active = None;
-            }
-        }
-    }
-
-    fn swap(&mut self, a: usize, b: usize) {
-        self.actives.swap(a, b);
-        for slot in [a, b] {
-            self.bodies[self.actives[slot].body as usize].active = Some(slot as u32);
-        }
+    fn wake_one(&mut self, body: u32) {
+        self.actives.wake(&self.scene, &mut self.bodies, body as usize, self.step);
     }
 
     /// What the stepping of bodies reads.
@@ -348,14 +318,14 @@ impl World {
 
     /// The same, and the bodies that are awake.
     fn context(&mut self) -> (Context<'_>, &mut [Active]) {
-        let World { scene, bodies, tracks, pairs, options, step, actives, awake, work, .. } = self;
+        let World { scene, bodies, tracks, pairs, options, step, actives, work, .. } = self;
         let Options { skip, arch, .. } = *options;
-        (Context { scene, bodies, pairs, tracks, arch, skip, step: *step, work }, &mut actives[..*awake])
+        (Context { scene, bodies, pairs, tracks, arch, skip, step: *step, work }, actives.awake_mut())
     }
 
     /// The equation of motion of every body that something happens to.
     fn integrate(&mut self, span: Span) -> Result<Sum, Failure> {
-        self.work.begin_turns(self.awake);
+        self.work.begin_turns(self.actives.awake().len());
         let (context, actives) = self.context();
         let is_worth_threads = is_worth_threads(actives);
         each(actives, is_worth_threads, |turn, active| context.advance(active, turn, span));
@@ -363,7 +333,7 @@ impl World {
         if self.work.is_interrupted() {
             return Err(Failure::Interrupted { step: self.step + 1 });
         }
-        let actives = &self.actives[..self.awake];
+        let actives = self.actives.awake();
         if let Some(slot) = self.work.busiest(sum.work, actives.iter().map(|active| active.effort.work)) {
             let Active { body, reachable, .. } = &actives[slot];
             let (vertices, body) =
@@ -377,7 +347,7 @@ impl World {
 
     /// What the step took.
     fn sum(&self) -> Sum {
-        let actives = &self.actives[..self.awake];
+        let actives = self.actives.awake();
         let scene = &self.scene;
         let add = |sum: Sum, active: &Active| sum.and(Sum::of(active, scene));
         if actives.len() >= PARALLEL_BODIES {
@@ -388,20 +358,25 @@ impl World {
         }
     }
 
-    /// Reports what the step took, lets those sleep that nothing acted on, and looks for a state that cannot be.
-    fn finish(&mut self, sum: &Sum, span: Span) {
+    /// Reports what the step took, and whether it came to a state that cannot be.
+    fn finish(&mut self, sum: &Sum) {
         self.report.substeps = sum.substeps;
         self.report.error = sum.error;
         self.report.sleeping_bodies = self.bodies.len() as u64 - sum.stepped;
         self.report.failure = sum.diverged.map(|index| self.divergence(index as usize).into());
-        if self.options.skip && sum.any_idle {
-            for slot in (0..self.awake).rev() {
-                let Active { body, effort, can_be_left, .. } = self.actives[slot];
-                if effort.substeps == 0 && can_be_left && self.reading().own_force(body, span) == 0.0 {
-                    self.sleep(slot);
-                }
-            }
+    }
+
+    /// Lets those sleep that nothing acted on.
+    fn sleep(&mut self, sum: &Sum, span: Span) {
+        if !self.options.skip || !sum.any_idle {
+            return;
         }
+        let World { scene, bodies, tracks, pairs, options, step, actives, work, .. } = self;
+        let Options { skip, arch, .. } = *options;
+        actives.sleep(bodies, |bodies, active| {
+            let context = Context { scene, bodies, pairs, tracks, arch, skip, step: *step, work };
+            active.effort.substeps == 0 && active.can_be_left && context.own_force(active.body, span) == 0.0
+        });
     }
 
     /// A body whose state cannot be, and its worst vertex.
@@ -517,6 +492,17 @@ impl World {
         &self.report
     }
 
+    /// A hash of the exact state: the number of steps taken, the bits of all that is kept of every body that is not at
+    /// rest, and every pair that is not apart. (Events to come follow from these and from the scene.)
+    ///
+    /// Equal runs have equal checksums: on every machine, for any number of threads and instruction set, whatever is
+    /// looked at or recorded and however often this is asked for. Two states that differ in one number never have the
+    /// same, others by a coincidence only. Without skipping ([`super::Options::skip`]) more is kept of the same
+    /// motion, so that its checksums are others.
+    pub fn checksum(&self) -> u64 {
+        checksum::of_world(self.step, self.actives.hash().wrapping_add(self.pairs.hash()))
+    }
+
     /// Number of bodies.
     pub fn body_count(&self) -> usize {
         self.bodies.len()
@@ -548,7 +534,7 @@ impl World {
     }
 
     fn active(&self, index: usize) -> Option<&Active> {
-        self.actives.get(self.bodies[index].active? as usize)
+        self.actives.get(&self.bodies[index])
     }
 
     /// How this world is stepped.
@@ -559,9 +545,8 @@ impl World {
     /// What its state takes of memory, by what was allocated for it [bytes].
     pub fn memory(&self) -> usize {
         self.bodies.iter().map(Body::memory).sum::<usize>()
-            + self.actives.iter().map(Active::memory).sum::<usize>()
+            + self.actives.memory()
             + self.bodies.capacity() * size_of::<Body>()
-            + self.actives.capacity() * size_of::<Active>()
             + self.pairs.memory()
             + self.tracks.memory()
             + memory::of_bodies(&self.scene)
@@ -789,7 +774,7 @@ mod tests {
         for _ in 0..world.scene().steps() {
             world.step();
             rounded.step();
-            for active in &mut rounded.actives {
+            for active in rounded.actives.all_mut() {
                 let Deformation { front, swinging, .. } = &mut active.deformation;
                 let of_front = front.blocks.all_mut().iter_mut().flat_map(|block| &mut block.0[..2]);
                 let of_swinging = swinging.blocks.all_mut().iter_mut().flat_map(|block| &mut block.0);
