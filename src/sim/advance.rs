@@ -98,13 +98,13 @@ impl<'a> Context<'a> {
         });
         active.effort.work = work.done();
         if active.effort.substeps > 0 {
-            active.extent = Extent::of(&active.deformation, active.oscillator, self.arch);
-            active.bound += self.force_bound(active, span) * span.length();
+            active.state.extent = Extent::of(&active.state.deformation, active.state.oscillator, self.arch);
+            active.state.bound += self.force_bound(active, span) * span.length();
             let is_plain = !self.skip || Scheme::of(self.scene.integrator).is_some();
-            let Extent { displacement, momentum } = active.extent; // without a spring one does not follow from the other
-            if is_plain && momentum < REST && displacement < REST && active.common.is_zero() {
-                active.deformation.clear();
-                active.extent = Extent::default();
+            let Extent { displacement, momentum } = active.state.extent; // without a spring one does not follow from the other
+            if is_plain && momentum < REST && displacement < REST && active.state.common.is_zero() {
+                active.state.deformation.clear();
+                active.state.extent = Extent::default();
             }
         }
     }
@@ -117,7 +117,7 @@ impl<'a> Context<'a> {
     fn force_bound(&self, active: &Active, span: Span) -> f64 {
         let own = self.own_force(active.body, span);
         if Scheme::of(self.scene.integrator).is_none() {
-            return own + active.pull;
+            return own + active.bounds.pull;
         }
         // an inaccurate step may have taken vertices to any neighbour
         let neighbours = &self.body(active.body).neighbours;
@@ -145,24 +145,27 @@ impl<'a> Context<'a> {
     /// how far they get: found from no pull on. A sphere that cannot reach where the others can pull a vertex cannot be
     /// the first to do so, so never does.
     pub fn find_reachable(&self, active: &mut Active, span: Span) {
-        let mut reachable = std::mem::take(&mut active.reachable);
+        let mut reachable = std::mem::take(&mut active.bounds.reachable);
         SCRATCH.with_borrow_mut(|scratch| {
             let margins = &mut scratch.margins;
-            (active.farthest, active.pull) = self.farthest(active, span, margins);
+            (active.bounds.farthest, active.bounds.pull) = self.farthest(active, span, margins);
             let neighbours = self.body(active.body).neighbours.iter().zip(&*margins);
             reachable.clear();
-            reachable.extend(neighbours.filter(|(_, margin)| margin.gap <= active.farthest).map(|(source, _)| source));
-            active.roams = active.farthest.max(self.tracks.whereabouts(active.body).radius + active.amplitude());
-            active.can_be_left = !margins.iter().any(|margin| margin.gap <= active.roams);
+            reachable.extend(
+                neighbours.filter(|(_, margin)| margin.gap <= active.bounds.farthest).map(|(source, _)| source),
+            );
+            active.bounds.max_reach =
+                active.bounds.farthest.max(self.tracks.whereabouts(active.body).radius + active.amplitude());
+            active.bounds.may_sleep = !margins.iter().any(|margin| margin.gap <= active.bounds.max_reach);
         });
         reachable.retain(|source| self.acts(source, active.body));
-        active.reachable = reachable;
+        active.bounds.reachable = reachable;
     }
 
     /// Whether a body can have vertices outside of its zone, in the step or when it is left alone after it. What is not a
     /// number needs no room: it is found to have diverged.
     pub fn outgrew(&self, active: &Active) -> bool {
-        active.roams > self.body(active.body).zone.vertices
+        active.bounds.max_reach > self.body(active.body).zone.vertices
     }
 
     /// How far from the centre a body can have vertices in the step [scene unit], and a bound of the acceleration of any by
@@ -207,7 +210,7 @@ impl<'a> Context<'a> {
             self.on(active.body).surroundings_into(moment, farthest, surroundings);
         };
         interval.h = span.length();
-        interval.oscillator = active.oscillator;
+        interval.oscillator = active.state.oscillator;
         interval.weight = self.scene.influence.weight;
         look(span.start, &mut interval.start);
         if middle {
@@ -220,8 +223,8 @@ impl<'a> Context<'a> {
             return Effort::default();
         }
         let rest = self.body(active.body).rest();
-        active.deformation.wake_all(rest);
-        let front = &mut active.deformation.front;
+        active.state.deformation.wake_all(rest);
+        let front = &mut active.state.deformation.front;
         explicit::advance(scheme, interval, rest, front, work);
         front.pad_again();
         Effort { substeps: 1, base: work.done(), ..Effort::default() }
@@ -239,36 +242,36 @@ impl<'a> Context<'a> {
         let index = active.body as usize;
         let now = active.now(self.step, scene.dt, self.arch);
         if !self.skip {
-            active.deformation.wake_all(self.body(active.body).rest());
-        } else if active.reachable.is_empty() {
+            active.state.deformation.wake_all(self.body(active.body).rest());
+        } else if active.bounds.reachable.is_empty() {
             if active.can_sleep() {
-                active.deformation.let_go(self.body(active.body).rest().len(), now, &mut scratch.deformation);
-                active.seen.clear();
+                active.state.deformation.let_go(self.body(active.body).rest().len(), now, &mut scratch.deformation);
+                active.chosen.seen.clear();
             }
             let is_idle = self.own_force(active.body, span) == 0.0;
             if is_idle && active.can_sleep() {
                 return Effort::default();
             }
         }
-        if active.common_as_of < self.step {
-            active.common = active.common_at(now);
+        if active.state.common_as_of < self.step {
+            active.state.common = active.common_at(now);
         }
-        active.common_as_of = self.step + 1;
+        active.state.common_as_of = self.step + 1;
 
         scratch.felt.clear();
-        if self.skip && !(active.reachable.is_empty() && active.can_sleep()) {
+        if self.skip && !(active.bounds.reachable.is_empty() && active.can_sleep()) {
             self.choose_front(active, span, scratch);
             if active.is_at_rest() && self.own_force(active.body, span) == 0.0 {
                 return Effort::default();
             }
         } else {
-            scratch.felt.extend(&active.reachable);
+            scratch.felt.extend(&active.bounds.reachable);
         }
         let Scratch { breaks, felt, acting, exponential, .. } = scratch;
         self.find_breaks(active.body, felt, span, breaks, work);
         let tolerance = scene.tolerance * scene.bodies[index].radius;
         let manner = Manner { arch: self.arch, tolerance, work };
-        let base = exponential::work_of(active.deformation.front.vertices.len(), felt.len());
+        let base = exponential::work_of(active.state.deformation.front.vertices.len(), felt.len());
         let mut total = Effort { base, ..Effort::default() };
         for ends in breaks.windows(2) {
             let part = Span { start: ends[0], end: ends[1] };
@@ -287,12 +290,12 @@ impl<'a> Context<'a> {
                 spheres: &acting.spheres,
                 weighted: &acting.weighted,
             };
-            let front = &mut active.deformation.front;
-            let effort = exponential::advance(&course, manner, &mut active.common, front, exponential);
+            let front = &mut active.state.deformation.front;
+            let effort = exponential::advance(&course, manner, &mut active.state.common, front, exponential);
             if !self.skip {
                 // the plain way: every vertex has a state of its own, and nothing in common with others
                 let body = self.body(active.body);
-                active.deformation.absorb(&mut active.common, body.rest(), &body.pushes);
+                active.state.deformation.absorb(&mut active.state.common, body.rest(), &body.pushes);
             }
             total.substeps += effort.substeps;
             total.error += effort.error;
@@ -334,10 +337,10 @@ impl<'a> Context<'a> {
     /// reach any of it.
     fn choose_front(&self, active: &mut Active, span: Span, scratch: &mut Scratch) {
         let Scratch { gaps, centres, moved, deformation, felt, .. } = scratch;
-        let reachable = &active.reachable;
+        let reachable = &active.bounds.reachable;
         let this = self.tracks.whereabouts(active.body);
         let radius = this.radius;
-        let Common { carried, pushed } = &active.common;
+        let Common { carried, pushed } = &active.state.common;
         let own = this.centre + carried.x;
         centres.clear();
         centres.extend(reachable.iter().map(|source| {
@@ -347,19 +350,19 @@ impl<'a> Context<'a> {
 
         // How far spheres move relative to rest positions within the step.
         let own_force = self.own_force(active.body, span);
-        let (_, momentum) = active.common.bounds(active.oscillator.omega);
+        let (_, momentum) = active.state.common.bounds(active.state.oscillator.omega);
         let common = (momentum + own_force * span.length()) * span.length();
         let speed = |body: u32| self.tracks.whereabouts(body).speed;
         let fastest = reachable.iter().map(|source| speed(source.other)).fold(0.0, f64::max);
         let travel = (this.speed + fastest) * span.length() + common;
-        let turned: f64 = pushed.iter().zip(&active.seen_pushed).map(|(now, then)| (now.x - then).abs()).sum();
+        let turned: f64 = pushed.iter().zip(&active.chosen.pushed).map(|(now, then)| (now.x - then).abs()).sum();
 
         // The front can get as far from rest as any vertex: a sphere that is farther from all of it is not felt.
-        let swings = active.farthest - radius;
+        let swings = active.bounds.farthest - radius;
         let is_felt = |clear: f64, moved: f64| !(clear - moved > swings);
-        let mut seen = active.seen.iter();
+        let mut seen = active.chosen.seen.iter();
         felt.clear();
-        let is_good = !active.seen.is_empty()
+        let is_good = !active.chosen.seen.is_empty()
             && reachable.iter().zip(&*centres).all(|(source, &(centre, _))| {
                 // both are in the order of the bodies
                 let found = seen.find(|seen| seen.body >= source.other);
@@ -369,16 +372,16 @@ impl<'a> Context<'a> {
                     if is_felt(seen.clear, moved) {
                         felt.push(*source);
                     }
-                    moved <= active.skin
+                    moved <= active.chosen.skin
                 })
             });
         if is_good {
             return;
         }
 
-        active.skin = f64::max(SKIN * radius, SKIN_STEPS * travel);
-        active.seen_pushed.clear();
-        active.seen_pushed.extend(pushed.iter().map(|pushed| pushed.x));
+        active.chosen.skin = f64::max(SKIN * radius, SKIN_STEPS * travel);
+        active.chosen.pushed.clear();
+        active.chosen.pushed.extend(pushed.iter().map(|pushed| pushed.x));
 
         let rest = self.body(active.body).rest();
         gaps.clear();
@@ -386,18 +389,18 @@ impl<'a> Context<'a> {
         moved.clear();
         if pushed.iter().any(|pushed| pushed.x != 0.0) {
             let pushes = &self.body(active.body).pushes;
-            moved.extend(rest.mesh.directions().iter().map(|facing| active.common.moved(facing, pushes)));
+            moved.extend(rest.mesh.directions().iter().map(|facing| active.state.common.moved(facing, pushes)));
         }
         self.arch.dispatch(FindGaps { rest, moved, centres, gaps });
         let now = active.now(self.step, self.scene.dt, self.arch);
-        active.deformation.choose_front(rest, gaps, active.skin, now, deformation);
+        active.state.deformation.choose_front(rest, gaps, active.chosen.skin, now, deformation);
 
-        active.seen.clear();
+        active.chosen.seen.clear();
         felt.clear();
         for (source, &(centre, sphere)) in reachable.iter().zip(&*centres) {
-            let front = &active.deformation.front;
+            let front = &active.state.deformation.front;
             let clear = self.arch.dispatch(Clearance { front, moved, centre }) - sphere;
-            active.seen.push(Seen { body: source.other, centre, clear });
+            active.chosen.seen.push(Seen { body: source.other, centre, clear });
             if is_felt(clear, travel) {
                 felt.push(*source);
             }

@@ -60,11 +60,23 @@ impl Body {
     }
 }
 
-/// The state of a body that isn't at rest. It is that at the end of the last step as long as the body is awake; of one
-/// that isn't, as it was when it was last needed: nothing acts on it, so that the flow takes it to any later time.
+/// A body that isn't at rest.
 pub(super) struct Active {
     /// Index of the body.
     pub body: u32,
+    /// What its vertices do.
+    pub state: BodyState,
+    /// What the front was chosen for.
+    pub chosen: Chosen,
+    /// How far it can get in this step, and who can reach it.
+    pub bounds: StepBounds,
+    /// What its last step took.
+    pub effort: Effort,
+}
+
+/// The state of a body's vertices. It is that at the end of the last step as long as the body is awake; of one that isn't, as
+/// it was when it was last needed: nothing acts on it, so that the flow takes it to any later time.
+pub(super) struct BodyState {
     /// ω and κ of its vertices.
     pub oscillator: Oscillator,
     /// What all its vertices do alike …
@@ -78,24 +90,31 @@ pub(super) struct Active {
     /// What √(|u|² + ω²|x|²) of no vertex can exceed, whatever happened so far: it grows by no more than the forces
     /// that the body was under [scene unit/s].
     pub bound: f64,
-    /// Where the spheres were for which the front was chosen.
+}
+
+/// What a front was chosen for, which is good until spheres have moved too far.
+#[derive(Default)]
+pub(super) struct Chosen {
+    /// Where the spheres were.
     pub seen: Vec<Seen>,
     /// The responses to pushes then [scene unit].
-    pub seen_pushed: Vec<f64>,
+    pub pushed: Vec<f64>,
     /// How far the spheres may move before it is chosen anew [scene unit].
     pub skin: f64,
-    /// Bodies whose spheres can reach it in this step.
+}
+
+/// Bounds of what can happen to a body in a step.
+pub(super) struct StepBounds {
+    /// Bodies whose spheres can reach it.
     pub reachable: Vec<Neighbour>,
-    /// How far from the centre it can have vertices in this step [scene unit].
+    /// How far from the centre it can have vertices [scene unit].
     pub farthest: f64,
-    /// A bound of the acceleration of any vertex by spheres in this step [scene unit/s²].
+    /// A bound of the acceleration of any vertex by spheres [scene unit/s²].
     pub pull: f64,
     /// How far from the centre it can have vertices in this step, or later if nothing else acts [scene unit].
-    pub roams: f64,
+    pub max_reach: f64,
     /// Whether no sphere is so near that it would be reached then.
-    pub can_be_left: bool,
-    /// What its last step took.
-    pub effort: Effort,
+    pub may_sleep: bool,
 }
 
 /// Where a sphere was when a front was chosen.
@@ -115,47 +134,43 @@ impl Active {
         let material = scene.bodies[index].material;
         Active {
             body: index as u32,
-            oscillator: Oscillator { omega: material.omega, damping: material.damping },
-            common: Common { carried: State::default(), pushed: vec![Pushed::default(); pushes] },
-            common_as_of: step,
-            deformation: Deformation::default(),
-            extent: Extent::default(),
-            bound: 0.0,
-            seen: Vec::new(),
-            seen_pushed: Vec::new(),
-            skin: 0.0,
-            reachable: Vec::new(),
-            farthest: 0.0,
-            pull: 0.0,
-            roams: 0.0,
-            can_be_left: true,
+            state: BodyState {
+                oscillator: Oscillator { omega: material.omega, damping: material.damping },
+                common: Common { carried: State::default(), pushed: vec![Pushed::default(); pushes] },
+                common_as_of: step,
+                deformation: Deformation::default(),
+                extent: Extent::default(),
+                bound: 0.0,
+            },
+            chosen: Chosen::default(),
+            bounds: StepBounds { reachable: Vec::new(), farthest: 0.0, pull: 0.0, max_reach: 0.0, may_sleep: true },
             effort: Effort::default(),
         }
     }
 
     /// What was allocated for it [bytes].
     pub fn memory(&self) -> usize {
-        self.deformation.memory()
-            + self.common.pushed.capacity() * size_of::<Pushed>()
-            + self.seen.capacity() * size_of::<Seen>()
-            + self.seen_pushed.capacity() * size_of::<f64>()
-            + self.reachable.capacity() * size_of::<Neighbour>()
+        self.state.deformation.memory()
+            + self.state.common.pushed.capacity() * size_of::<Pushed>()
+            + self.chosen.seen.capacity() * size_of::<Seen>()
+            + self.chosen.pushed.capacity() * size_of::<f64>()
+            + self.bounds.reachable.capacity() * size_of::<Neighbour>()
     }
 
     /// Whether nothing has acted on the body yet: every displacement and velocity is exactly zero.
     pub fn is_at_rest(&self) -> bool {
-        self.deformation.is_empty() && self.common.is_zero()
+        self.state.deformation.is_empty() && self.state.common.is_zero()
     }
 
     /// Whether it may be left alone when nothing acts on it: where vertices swing, that has an end.
     pub fn can_sleep(&self) -> bool {
-        self.oscillator.omega > 0.0 || self.is_at_rest()
+        self.state.oscillator.omega > 0.0 || self.is_at_rest()
     }
 
     /// What all its vertices do alike at the end of the last step.
     pub fn common_at(&self, now: Now) -> Common {
         let flow = self.common_flow(now);
-        Common { carried: flowed(self.common.carried, flow), pushed: self.pushed_at(flow).collect() }
+        Common { carried: flowed(self.state.common.carried, flow), pushed: self.pushed_at(flow).collect() }
     }
 
     /// Adds that to the states of all vertices of `mesh`, which are zero.
@@ -167,11 +182,11 @@ impl Active {
         velocity: &mut Vectors,
         now: Now,
     ) {
-        if self.common.is_zero() {
+        if self.state.common.is_zero() {
             return;
         }
         let flow = self.common_flow(now);
-        let State { x, u } = flowed(self.common.carried, flow);
+        let State { x, u } = flowed(self.state.common.carried, flow);
         displacement.fill(x);
         velocity.fill(u);
         for (pushed, push) in self.pushed_at(flow).zip(pushes) {
@@ -182,60 +197,60 @@ impl Active {
 
     /// The flow that takes what all vertices do alike to the end of the last step.
     fn common_flow(&self, now: Now) -> [f64; 4] {
-        let steps = now.step - self.common_as_of;
-        if steps == 0 || self.common.is_zero() {
+        let steps = now.step - self.state.common_as_of;
+        if steps == 0 || self.state.common.is_zero() {
             return [1.0, 0.0, 0.0, 1.0];
         }
         let flow = now.oscillator.flow(steps as f64 * now.dt);
         let [xx, xu, ux, uu] = flow;
-        let (x, momentum) = self.common.bounds(now.oscillator.omega);
+        let (x, momentum) = self.state.common.bounds(now.oscillator.omega);
         let left = (xx.abs() + ux.abs()) * x + (xu.abs() + uu.abs()) * momentum;
         // numbers that are much smaller still are slow to compute with
         if left < REST { [0.0; 4] } else { flow }
     }
 
     fn pushed_at(&self, [xx, xu, ux, uu]: [f64; 4]) -> impl Iterator<Item = Pushed> + '_ {
-        self.common.pushed.iter().map(move |&Pushed { x, u }| Pushed { x: xx * x + xu * u, u: ux * x + uu * u })
+        self.state.common.pushed.iter().map(move |&Pushed { x, u }| Pushed { x: xx * x + xu * u, u: ux * x + uu * u })
     }
 
     /// When it is looked at.
     pub fn now(&self, step: u64, dt: f64, arch: Arch) -> Now {
-        Now { step, dt, oscillator: self.oscillator, arch }
+        Now { step, dt, oscillator: self.state.oscillator, arch }
     }
 
     /// How far from rest its vertices swing if nothing else acts [scene unit]: no less than any |x|, and unlike those
     /// it does not swing itself.
     pub fn amplitude(&self) -> f64 {
-        let omega = self.oscillator.omega;
-        let (x, momentum) = self.common.bounds(omega);
-        let Extent { displacement, momentum: own } = self.extent;
+        let omega = self.state.oscillator.omega;
+        let (x, momentum) = self.state.common.bounds(omega);
+        let Extent { displacement, momentum: own } = self.state.extent;
         let swings = if omega > 0.0 { (momentum + own) / omega } else { x + displacement };
-        swings.max(self.deformation.swinging.largest)
+        swings.max(self.state.deformation.swinging.largest)
     }
 
     /// How far from rest it can have vertices within `h` [s] if no more than `common` and `single` [scene unit/s²] act on
     /// all and on single ones.
     pub fn farthest(&self, common: f64, single: f64, h: f64) -> f64 {
-        let omega = self.oscillator.omega;
-        let (displacement, momentum) = self.common.bounds(omega);
-        let (mut alike, mut own) = (Extent { displacement, momentum }, self.extent);
+        let omega = self.state.oscillator.omega;
+        let (displacement, momentum) = self.state.common.bounds(omega);
+        let (mut alike, mut own) = (Extent { displacement, momentum }, self.state.extent);
         if self.effort.substeps == 0 && omega > 0.0 {
             // left to the flow, it has swung on since these were found
             for extent in [&mut alike, &mut own] {
                 extent.displacement = extent.momentum / omega;
             }
         }
-        alike.after(self.oscillator, common, h) + own.after(self.oscillator, single, h)
+        alike.after(self.state.oscillator, common, h) + own.after(self.state.oscillator, single, h)
     }
 
     /// Whether its state is one that the equation of motion cannot lead to: not finite, or far beyond [`Active::bound`].
     /// The margin leaves room for schemes that are merely inaccurate.
     pub fn has_diverged(&self) -> bool {
         const MARGIN: f64 = 100.0;
-        let Extent { displacement, momentum } = self.extent;
-        let (x, m) = self.common.bounds(self.oscillator.omega);
+        let Extent { displacement, momentum } = self.state.extent;
+        let (x, m) = self.state.common.bounds(self.state.oscillator.omega);
         let (x, m) = (x + displacement, m + momentum);
-        !x.is_finite() || !m.is_finite() || m > MARGIN * self.bound
+        !x.is_finite() || !m.is_finite() || m > MARGIN * self.state.bound
     }
 }
 

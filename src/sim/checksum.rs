@@ -51,13 +51,13 @@ impl Active {
             return 0;
         }
         let mut lanes = Lanes::new(simd);
-        let State { x, u } = self.common.carried;
+        let State { x, u } = self.state.common.carried;
         let [a, b, c, d, e, f] = [x.x, x.y, x.z, u.x, u.y, u.z].map(bits);
-        lanes.add(&[self.common_as_of, self.deformation.hash_of_kept(simd), a, b, c, d, e, f], |word| word);
-        for pushed in &self.common.pushed {
+        lanes.add(&[self.state.common_as_of, self.state.deformation.hash_of_kept(simd), a, b, c, d, e, f], |word| word);
+        for pushed in &self.state.common.pushed {
             lanes.add(&[pushed.x, pushed.u], bits);
         }
-        let front = &self.deformation.front;
+        let front = &self.state.deformation.front;
         if let Some((end, whole)) = front.blocks.all().split_last() {
             let last = (front.vertices.len() - 1) % LANES + 1;
             for v in [DISPLACEMENT, VELOCITY] {
@@ -260,7 +260,7 @@ mod tests {
         for _ in 0..120 {
             world.step();
         }
-        assert!(world.actives.all_mut().iter().all(|active| !active.deformation.is_empty()));
+        assert!(world.actives.all_mut().iter().all(|active| !active.state.deformation.is_empty()));
         world
     }
 
@@ -269,7 +269,7 @@ mod tests {
         fn of<const V: usize>(blocks: &mut Blocks<V>, v: usize, axis: usize, count: usize) -> Vec<&mut f64> {
             blocks.all_mut().iter_mut().flat_map(|block| &mut block.0[v][axis]).take(count).collect()
         }
-        let Deformation { front, swinging, hash_of_kept, .. } = &mut active.deformation;
+        let Deformation { front, swinging, hash_of_kept, .. } = &mut active.state.deformation;
         hash_of_kept.take();
         if number < 6 {
             of(&mut front.blocks, number / 3, number % 3, front.vertices.len())
@@ -298,7 +298,7 @@ mod tests {
                 }
             }
             let flip = |world: &mut World| {
-                world.actives.all_mut()[slot].common.carried.u.y += 1.0;
+                world.actives.all_mut()[slot].state.common.carried.u.y += 1.0;
                 world.checksum()
             };
             assert_ne!(flip(&mut world), before);
@@ -346,7 +346,7 @@ mod tests {
     fn padding_does_not_count() {
         let mut world = merged();
         let before = world.checksum();
-        let front = &mut world.actives.all_mut()[0].deformation.front;
+        let front = &mut world.actives.all_mut()[0].state.deformation.front;
         let count = front.vertices.len();
         let Block([_, velocity, _]) = front.blocks.all_mut().last_mut().unwrap();
         assert!(!count.is_multiple_of(LANES));

@@ -237,14 +237,14 @@ impl World {
         for slot in 0..awake {
             loop {
                 let active = &self.actives.awake()[slot];
-                let Active { body, roams, .. } = *active;
+                let (body, max_reach) = (active.body, active.bounds.max_reach);
                 if !self.reading().outgrew(active) {
                     break;
                 }
                 let World { scene, bodies, tracks, pairs, work, .. } = self;
                 let radius = scene.bodies[body as usize].radius;
                 let mut surrounded = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
-                pairs.anchor(&mut surrounded, body as usize, radius + ROOM * (roams - radius), span.start);
+                pairs.anchor(&mut surrounded, body as usize, radius + ROOM * (max_reach - radius), span.start);
                 drop(surrounded);
                 self.work.check().map_err(|stop| self.neighbours_failure(stop, body))?;
                 let (context, actives) = self.context();
@@ -335,10 +335,10 @@ impl World {
         }
         let actives = self.actives.awake();
         if let Some(slot) = self.work.busiest(sum.work, actives.iter().map(|active| active.effort.work)) {
-            let Active { body, reachable, .. } = &actives[slot];
+            let Active { body, bounds, .. } = &actives[slot];
             let (vertices, body) =
                 (self.bodies[*body as usize].mesh.directions().len(), &self.scene.bodies[*body as usize]);
-            let toil = Toil::Forces { body: body.name.clone(), vertices, spheres: reachable.len() };
+            let toil = Toil::Forces { body: body.name.clone(), vertices, spheres: bounds.reachable.len() };
             return Err(self.failure(Stop::Overworked, toil));
         }
         self.work.end(sum.work, sum.base, sum.vertices);
@@ -375,7 +375,7 @@ impl World {
         let Options { skip, arch, .. } = *options;
         actives.sleep(bodies, |bodies, active| {
             let context = Context { scene, bodies, pairs, tracks, arch, skip, step: *step, work };
-            active.effort.substeps == 0 && active.can_be_left && context.own_force(active.body, span) == 0.0
+            active.effort.substeps == 0 && active.bounds.may_sleep && context.own_force(active.body, span) == 0.0
         });
     }
 
@@ -403,7 +403,7 @@ impl World {
 /// Whether the steps of bodies take so long that it pays to take them on several threads.
 fn is_worth_threads(actives: &[Active]) -> bool {
     // a body that has no front yet takes about as long as one of a few vertices
-    let cost = |active: &Active| 8 + active.deformation.front.vertices.len();
+    let cost = |active: &Active| 8 + active.state.deformation.front.vertices.len();
     let enough = |sum: &mut usize, active: &Active| {
         *sum += cost(active);
         (*sum < PARALLEL_VERTICES).then_some(())
@@ -446,7 +446,7 @@ impl Sum {
             error: f64::max(0.0, effort.error / scene.bodies[active.body as usize].radius),
             work: effort.work,
             base: effort.base,
-            vertices: active.deformation.front.vertices.len() as u64,
+            vertices: active.state.deformation.front.vertices.len() as u64,
             diverged: active.has_diverged().then_some(active.body),
             any_idle: is_idle,
         }
@@ -511,17 +511,17 @@ impl World {
     /// Body `index`, in the order of the scene; panics beyond the last, like a slice.
     pub fn body(&self, index: usize) -> BodyView<'_> {
         let body = &self.scene.bodies[index];
-        let state = self.active(index);
+        let active = self.active(index);
         let now = Now {
             step: self.step,
             dt: self.scene.dt,
-            oscillator: state.map(|state| state.oscillator).unwrap_or_default(),
+            oscillator: active.map(|active| active.state.oscillator).unwrap_or_default(),
             arch: self.options.arch,
         };
         BodyView {
             body,
             fixed: &self.bodies[index],
-            state,
+            active,
             now,
             track: self.track(index),
             centre: self.track(index).position(self.time()),
@@ -619,7 +619,7 @@ impl World {
 pub struct BodyView<'a> {
     body: &'a scene::Body,
     fixed: &'a Body,
-    state: Option<&'a Active>,
+    active: Option<&'a Active>,
     now: Now,
     track: Track<'a>,
     centre: DVec3,
@@ -657,7 +657,7 @@ impl<'a> BodyView<'a> {
 
     /// Whether nothing has acted on it yet: every displacement and velocity is exactly zero.
     pub fn is_at_rest(&self) -> bool {
-        self.state.is_none_or(Active::is_at_rest)
+        self.active.is_none_or(Active::is_at_rest)
     }
 
     /// Number of vertices.
@@ -690,25 +690,25 @@ impl<'a> BodyView<'a> {
     /// [`BodyView::states`], into an existing one (reused).
     pub fn states_into(&self, states: &mut States) {
         let States { displacement, velocity } = states;
-        if let Some(active) = self.state.filter(|active| active.common.is_zero() && !active.is_at_rest()) {
+        if let Some(active) = self.active.filter(|active| active.state.common.is_zero() && !active.is_at_rest()) {
             displacement.resize(self.vertex_count());
             velocity.resize(self.vertex_count());
-            if active.deformation.all_swings_into(displacement, velocity, self.now) {
+            if active.state.deformation.all_swings_into(displacement, velocity, self.now) {
                 return;
             }
         }
         displacement.reset(self.vertex_count());
         velocity.reset(self.vertex_count());
-        let Some(active) = self.state.filter(|active| !active.is_at_rest()) else { return };
+        let Some(active) = self.active.filter(|active| !active.is_at_rest()) else { return };
         active.add_common_to(&self.fixed.mesh, &self.fixed.pushes, displacement, velocity, self.now);
-        active.deformation.add_to(displacement, velocity, self.now);
+        active.state.deformation.add_to(displacement, velocity, self.now);
     }
 
     /// Displacement x and velocity x′ of vertex `i`.
     fn state_of(&self, i: usize) -> State {
-        let Some(active) = self.state else { return State::default() };
+        let Some(active) = self.active else { return State::default() };
         let alike = active.common_at(self.now).of(self.fixed.rest().direction(i), &self.fixed.pushes);
-        let own = active.deformation.state(i, self.now);
+        let own = active.state.deformation.state(i, self.now);
         State { x: alike.x + own.x, u: alike.u + own.u }
     }
 
@@ -775,7 +775,7 @@ mod tests {
             world.step();
             rounded.step();
             for active in rounded.actives.all_mut() {
-                let Deformation { front, swinging, .. } = &mut active.deformation;
+                let Deformation { front, swinging, .. } = &mut active.state.deformation;
                 let of_front = front.blocks.all_mut().iter_mut().flat_map(|block| &mut block.0[..2]);
                 let of_swinging = swinging.blocks.all_mut().iter_mut().flat_map(|block| &mut block.0);
                 for number in of_front.chain(of_swinging).flatten().flatten() {
