@@ -179,7 +179,7 @@ fn normals(positions: &Vectors, triangles: &[[u32; 3]]) -> Vectors {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::shape::{Shape, Solid as _};
+    use crate::geometry::{Shape, shape::Solid as _};
 
     #[test]
     fn every_shape_is_closed_winds_outwards_and_rests_about_its_centre_of_mass() {

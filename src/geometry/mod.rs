@@ -3,11 +3,11 @@
 //! | what | where |
 //! | --- | --- |
 //! | a closed surface of triangles | [`mesh`] |
-//! | the table of shapes, and one mesh for all bodies of a shape | [`shape`] |
+//! | what a shape is made from, and one mesh for all bodies of a shape | [`shape`] |
 //! | a file for each shape | [`sphere`] |
 //! | arrays of vectors | [`vectors`] |
 //!
-//! A new shape is a file that implements [`shape::Solid`] and its line in the table of [`shape`]. Nothing here knows bodies,
+//! A new shape is a file that implements [`shape::Solid`] and its lines in the table below. Nothing here knows bodies,
 //! scenes or time.
 
 pub mod mesh;
@@ -16,6 +16,9 @@ pub mod sphere;
 pub mod vectors;
 
 pub use mesh::{Mesh, Rest, Rings};
-pub use shape::Shape;
-pub use sphere::Sphere;
 pub use vectors::Vectors;
+
+// A new shape is a file beside this one, which `pub mod` names, and a line here.
+shape::shapes! {
+    sphere::Sphere: "sphere",
+}

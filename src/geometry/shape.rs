@@ -1,4 +1,4 @@
-//! The shapes that a scene can name.
+//! The shapes that a scene can name; the table of them is in the module above.
 
 use std::{
     collections::HashMap,
@@ -6,12 +6,10 @@ use std::{
     sync::{Arc, LazyLock, Mutex, PoisonError, Weak},
 };
 
-use super::{mesh::Mesh, sphere::Sphere};
+use super::{Mesh, Shape, Sphere};
 
 /// A shape that is made from a few whole numbers.
 pub trait Solid: Clone + Ord + Hash {
-    /// Its key in a scene's `shape`.
-    const NAME: &'static str;
     /// The numbers, in the order in which they are given to [`Solid::new`].
     const PARAMETERS: &'static [Parameter];
     /// The keys of these.
@@ -62,8 +60,11 @@ pub struct Kind {
     pub make: fn(&[u32]) -> Shape,
 }
 
+/// The table of shapes.
 macro_rules! shapes {
-    ($($Kind:ident: $name:literal),* $(,)?) => {
+    ($($module:ident::$Kind:ident: $name:literal),* $(,)?) => {
+        $(pub use $module::$Kind;)*
+
         /// The rest shape of a body, of radius 1.
         #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub enum Shape {
@@ -72,43 +73,39 @@ macro_rules! shapes {
 
         impl Shape {
             /// All kinds of shapes, in the order in which they are listed to users.
-            pub const KINDS: &'static [Kind] = &[$(Kind {
+            pub const KINDS: &'static [$crate::geometry::shape::Kind] = &[$($crate::geometry::shape::Kind {
                 name: $name,
                 home: concat!("in shape = { ", $name, " = { … } }"),
-                form: <$Kind as Solid>::FORM,
-                keys: <$Kind as Solid>::KEYS,
-                parameters: <$Kind as Solid>::PARAMETERS,
-                make: |parameters| Shape::$Kind(<$Kind as Solid>::new(parameters)),
+                form: <$Kind as $crate::geometry::shape::Solid>::FORM,
+                keys: <$Kind as $crate::geometry::shape::Solid>::KEYS,
+                parameters: <$Kind as $crate::geometry::shape::Solid>::PARAMETERS,
+                make: |parameters| Shape::$Kind(<$Kind as $crate::geometry::shape::Solid>::new(parameters)),
             }),*];
             /// Their keys.
             pub const NAMES: &'static [&'static str] = &[$($name),*];
 
-            /// Number of vertices.
+            /// Number of vertices, before they are made.
             pub fn vertex_count(&self) -> u64 {
-                match self { $(Shape::$Kind(solid) => solid.vertex_count()),* }
+                match self { $(Shape::$Kind(solid) => $crate::geometry::shape::Solid::vertex_count(solid)),* }
             }
 
-            /// Number of triangles.
+            /// Number of triangles, before they are made.
             pub fn triangle_count(&self) -> u64 {
-                match self { $(Shape::$Kind(solid) => solid.triangle_count()),* }
+                match self { $(Shape::$Kind(solid) => $crate::geometry::shape::Solid::triangle_count(solid)),* }
             }
 
             /// A name that no other shape has: letters, digits and `_`.
             pub fn label(&self) -> String {
-                match self { $(Shape::$Kind(solid) => label($name, &solid.parameters())),* }
+                match self { $(Shape::$Kind(solid) => $crate::geometry::shape::label($name, &$crate::geometry::shape::Solid::parameters(solid))),* }
             }
 
-            fn build(&self) -> Mesh {
-                match self { $(Shape::$Kind(solid) => solid.mesh()),* }
+            pub(super) fn build(&self) -> Mesh {
+                match self { $(Shape::$Kind(solid) => $crate::geometry::shape::Solid::mesh(solid)),* }
             }
         }
     };
 }
-
-// A new shape is a file beside this one and a line here.
-shapes! {
-    Sphere: "sphere",
-}
+pub(super) use shapes;
 
 impl Default for Shape {
     fn default() -> Shape {
@@ -116,7 +113,7 @@ impl Default for Shape {
     }
 }
 
-fn label(name: &str, parameters: &[u32]) -> String {
+pub(super) fn label(name: &str, parameters: &[u32]) -> String {
     let parameters: Vec<String> = parameters.iter().map(u32::to_string).collect();
     if parameters.is_empty() { name.to_owned() } else { format!("{name}_{}", parameters.join("x")) }
 }

@@ -27,7 +27,6 @@ impl Default for Sphere {
 }
 
 impl Solid for Sphere {
-    const NAME: &'static str = "sphere";
     const KEYS: &'static [&'static str] = &["stacks", "slices"];
     const PARAMETERS: &'static [Parameter] =
         &[Parameter { least: 2, most: 65_535, default: 12 }, Parameter { least: 3, most: 65_535, default: 24 }];
