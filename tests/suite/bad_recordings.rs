@@ -436,6 +436,9 @@ fn packed(data: &[u8], zeros: usize) -> Vec<u8> {
     bytes
 }
 
+/// More than this is not unpacked to be distorted further [bytes].
+const MOST_UNPACKED: usize = 32 << 20;
+
 /// What is packed in a message, and its envelope.
 fn unpacked(message: &Message) -> (Fields, Vec<u8>) {
     let envelope = fields(&message.body);
@@ -444,6 +447,7 @@ fn unpacked(message: &Message) -> (Fields, Vec<u8>) {
     let data = match number(2) {
         Some(2) => {
             let size = *number(3).expect("a size") as usize;
+            assert!(size <= MOST_UNPACKED, "it was made to be too large already");
             lz4_flex::block::decompress(payload, size).expect("a message of our own")
         }
         _ => payload.clone(),
@@ -453,7 +457,7 @@ fn unpacked(message: &Message) -> (Fields, Vec<u8>) {
 
 /// The same with other data, and more zeros than that.
 fn repacked(message: &Message, data: &[u8], zeros: usize) -> Message {
-    let (mut envelope, _) = unpacked(message);
+    let (mut envelope, _) = unpacked_or_empty(message);
     let payload = packed(data, zeros);
     let size = if zeros == 0 { data.len() } else { (data.len() + 1).max(15) + zeros.max(27) - 26 + 19 + 12 };
     envelope.retain(|(field, _)| ![2, 3, 5].contains(field));
@@ -595,7 +599,7 @@ fn distort(messages: &mut Vec<Message>, random: &mut Random) {
             1 => drop(messages.remove(chosen)),
             2 => {
                 let message = messages[chosen].clone();
-                let times = [1, 2, 500][random.below(3)];
+                let times = [1, 2, 500][random.below(3)].min(1 + (16 << 20) / message.body.len().max(1));
                 messages.splice(chosen..chosen, std::iter::repeat_n(message, times));
             }
             _ => messages[chosen].kind = random.next() % 5,
