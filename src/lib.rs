@@ -12,13 +12,14 @@
 //! | [`model`] | the equations, scalar and readable, each with its number | nothing |
 //! | [`geometry`] | rest shapes: positions, normals, triangles, masses | nothing |
 //! | [`scene`] | the scene file: parse, validate, centre paths | `model`, `geometry` |
-//! | [`sim`] | the world, the step, integrators, events, reach | `scene` |
-//! | [`stream`] | the world as Rerun data: entities, blueprint, sinks | `sim` |
+//! | [`observe`] | what an instrument may know of a simulation, anybody's | `geometry` |
+//! | [`sim`] | the world, the step, integrators, events, reach | `scene`, `observe` |
+//! | [`stream`] | frames as Rerun data: entities, blueprint, sinks | `observe` |
 //! | [`recording`] | recordings read back: replay, check, diff | `stream` |
 //! | [`bench`] | benchmarks: error against run time; the independent reference solution | `sim` |
 //! | [`cli`] | one file a subcommand | all |
 //!
-//! Imports point one way, upwards in this table. Nothing in `model`, `geometry`, `scene` or `sim` knows Rerun: they are
+//! Imports point one way, upwards in this table. Nothing in `model`, `geometry`, `scene`, `observe` or `sim` knows Rerun: they are
 //! what `default-features = false` leaves, a few dozen small crates. The feature `viewer` adds `stream` and `recording`,
 //! `cli` (the default) all of it. A program that wants the simulation alone needs no more than this:
 //!
@@ -73,6 +74,7 @@ pub mod bench;
 pub mod cli;
 pub mod geometry;
 pub mod model;
+pub mod observe;
 #[cfg(feature = "viewer")]
 pub mod recording;
 pub mod scene;

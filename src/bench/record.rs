@@ -15,23 +15,25 @@ use std::{
     time::{Duration, Instant},
 };
 
+use glam::DVec3;
 use rerun::{Arrows3D, Mesh3D, RecordingStreamBuilder, Scalars, Transform3D};
 
 use saving::{Saving, Way};
 use verifying::Verifying;
 
 use crate::{
+    observe::{BodyFrame, Experiment as _, Frame, Schema},
     recording::read::Reader,
     scene::Scene,
-    sim::{BodyForces, Cause, Snapshot, World},
+    sim::World,
     stream::{
         Pipeline, Recorder, Settings,
         extract::{Arrows, Extractor, Surface},
         parts::forces,
         pipeline::send,
-        settings::{Detail, arrow_scale},
+        settings::Detail,
         sinks::{Destinations, Serve, Sinks},
-        step::Step,
+        step::{StepRecord, StepWatch},
     },
 };
 
@@ -157,7 +159,8 @@ pub fn measure(scene: &Scene, folder: &Path) -> Result<Vec<Measurement>, String>
 struct Bench<'a> {
     scene: &'a Scene,
     settings: Settings,
-    frames: Vec<(Step, Snapshot)>,
+    schema: Schema,
+    frames: Vec<(StepRecord, Frame)>,
     /// Of those frames [bytes].
     payload: u64,
     file: PathBuf,
@@ -166,21 +169,19 @@ struct Bench<'a> {
 impl Bench<'_> {
     fn new<'a>(scene: &'a Scene, detail: Detail, folder: &Path) -> Result<Bench<'a>, String> {
         let settings = Settings { detail, ..Settings::of(scene) };
-        let mut bench = Bench { scene, settings, frames: Vec::new(), payload: 0, file: file(folder) };
+        let schema = scene.schema();
+        let mut bench = Bench { scene, settings, schema, frames: Vec::new(), payload: 0, file: file(folder) };
         let (mut world, mut kept) = (bench.world()?, 0);
         for _ in 0..scene.steps() {
             if let Some(failure) = &world.step().failure {
                 return Err(failure.to_string());
             }
-            let mut snapshot = Snapshot::default();
-            world.look(&mut snapshot);
-            kept += snapshot.memory();
-            bench.payload += bench.payload_of(&snapshot);
-            let (report, checksum) = (world.report().clone(), world.checksum());
-            let (observing, waiting) = (Duration::ZERO, Duration::ZERO);
-            let step =
-                Step { report, checksum, observing, waiting, lag: None, end: Instant::now(), stages: Vec::new() };
-            bench.frames.push((step, snapshot));
+            let mut frame = Frame::default();
+            let mut step = StepRecord::default();
+            StepWatch::default().step(&world, &bench.settings, &mut step, Some(&mut frame));
+            kept += frame.memory();
+            bench.payload += payload_of(&frame);
+            bench.frames.push((step, frame));
             if kept > KEPT {
                 break;
             }
@@ -190,22 +191,6 @@ impl Bench<'_> {
 
     fn world(&self) -> Result<World, String> {
         World::new(self.scene.clone()).map_err(|error| error.to_string())
-    }
-
-    /// f32 positions and normals of what moves, arrows that are not zero [bytes].
-    fn payload_of(&self, snapshot: &Snapshot) -> u64 {
-        let (mut vectors, mut forces) = (0, BodyForces::default());
-        for body in snapshot.bodies(self.scene) {
-            if !body.is_at_rest() {
-                vectors += 2 * body.vertex_count();
-            }
-            if self.settings.detail == Detail::Forces && !(body.is_at_rest() && body.surroundings().is_idle()) {
-                body.forces(self.scene, &mut forces);
-                let arrows = |cause| forces.of(cause).iter().filter(|force| force.length_squared() > 0.0).count();
-                vectors += Cause::ALL.into_iter().map(|cause| 2 * arrows(cause)).sum::<usize>();
-            }
-        }
-        12 * vectors as u64
     }
 
     fn measure(&self, destination: Destination, is_simulated: bool) -> Result<Measurement, String> {
@@ -266,8 +251,8 @@ impl Bench<'_> {
     /// The states that are there already.
     fn record(&self, world: &World, mut sinks: Option<&mut Sinks>) -> Result<(), String> {
         let mut recorder = Recorder::new(world, self.settings.clone());
-        for (step, snapshot) in &self.frames {
-            recorder.record(step, Some(snapshot));
+        for (step, frame) in &self.frames {
+            recorder.record(step, Some(frame));
             let messages = recorder.take_full();
             if let Some(sinks) = &mut sinks {
                 send(sinks, messages).map_or(Ok(()), Err)?;
@@ -286,48 +271,45 @@ impl Bench<'_> {
 
     /// The same by the SDK's own means; returns the size of the file [bytes].
     fn log_plainly(&self) -> Result<u64, String> {
-        let scale = arrow_scale(self.scene);
-        let (mut extractor, mut forces) = (Extractor::default(), BodyForces::default());
-        let (mut surface, mut origins) = (Surface::default(), Vec::new());
+        let (mut extractor, mut surface, mut origins) = (Extractor::default(), Surface::default(), Vec::new());
         let words = |error: rerun::RecordingStreamError| error.to_string();
         let recording = RecordingStreamBuilder::new("meldscope_bench").save(&self.file).map_err(words)?;
-        for body in &self.scene.bodies {
-            let mesh = Mesh3D::update_fields().with_triangle_indices(body.shape.mesh().triangles().iter().copied());
+        for body in &self.schema.bodies {
+            let mesh = Mesh3D::update_fields().with_triangle_indices(body.mesh.triangles().iter().copied());
             recording.log_static(format!("world/bodies/{}/surface", body.name), &mesh).map_err(words)?;
         }
-        for (step, snapshot) in &self.frames {
-            recording.set_time_sequence("step", step.report.step as i64);
-            recording.set_duration_secs("sim_time", step.report.time);
-            let mut arrows: [Arrows; Cause::ALL.len()] = Default::default();
-            for body in snapshot.bodies(self.scene) {
-                let entity = format!("world/bodies/{}", body.scene().name);
-                let transform = Transform3D::from_translation(body.centre().as_vec3());
+        for (step, frame) in &self.frames {
+            recording.set_time_sequence("step", step.summary.at.step as i64);
+            recording.set_duration_secs("sim_time", step.summary.at.time);
+            let mut arrows: Vec<Arrows> = self.schema.terms.iter().map(|_| Arrows::default()).collect();
+            for (body, now) in self.schema.bodies.iter().zip(&frame.bodies) {
+                let entity = format!("world/bodies/{}", body.name);
+                let transform = Transform3D::from_translation(now.centre.as_vec3());
                 recording.log(entity.as_str(), &transform).map_err(words)?;
-                if !body.is_at_rest() {
+                if !now.is_at_rest {
                     surface.clear();
-                    surface.append(body, glam::DVec3::ZERO, &mut extractor);
+                    surface.append(body, now, DVec3::ZERO, &mut extractor);
                     let mesh = Mesh3D::update_fields()
                         .with_vertex_positions(surface.positions.iter().copied())
                         .with_vertex_normals(surface.normals.iter().copied());
                     recording.log(format!("{entity}/surface"), &mesh).map_err(words)?;
                 }
-                if self.settings.detail == Detail::Forces && !(body.is_at_rest() && body.surroundings().is_idle()) {
-                    body.forces(self.scene, &mut forces);
-                    extractor.world_positions(body, &mut origins);
-                    for (cause, arrows) in Cause::ALL.into_iter().zip(&mut arrows) {
-                        arrows.append(&origins, &[], &forces, cause, scale);
+                if now.has_forces {
+                    extractor.world_positions(body, now, &mut origins);
+                    for (term, arrows) in now.terms.iter().zip(&mut arrows) {
+                        arrows.append(&origins, None, &term.accelerations, self.schema.arrow_scale);
                     }
                 }
             }
             if self.settings.detail == Detail::Forces {
-                for (cause, arrows) in Cause::ALL.into_iter().zip(&arrows) {
+                for (term, arrows) in self.schema.terms.iter().zip(&arrows) {
                     let batch = Arrows3D::update_fields()
                         .with_origins(arrows.origins.iter().copied())
                         .with_vectors(arrows.vectors.iter().copied());
-                    recording.log(forces::entity(cause), &batch).map_err(words)?;
+                    recording.log(forces::entity(term.name), &batch).map_err(words)?;
                 }
             }
-            for (name, value) in [("energy", snapshot.energy(self.scene).total()), ("time", step.report.time)] {
+            for (name, value) in [("energy", frame.scalars[0]), ("time", step.summary.at.time)] {
                 recording.log(format!("diagnostics/{name}"), &Scalars::single(value)).map_err(words)?;
             }
         }
@@ -335,6 +317,15 @@ impl Bench<'_> {
         drop(recording);
         std::fs::metadata(&self.file).map(|file| file.len()).map_err(|error| error.to_string())
     }
+}
+
+/// f32 positions and normals of what moves, arrows that are not zero [bytes].
+fn payload_of(frame: &Frame) -> u64 {
+    let of_body = |now: &BodyFrame| {
+        let arrows = now.terms.iter().flat_map(|term| term.accelerations.iter()).filter(|force| *force != DVec3::ZERO);
+        2 * (now.positions.len() + arrows.count()) as u64
+    };
+    12 * frame.bodies.iter().map(of_body).sum::<u64>()
 }
 
 /// How many entities a recording has.

@@ -13,7 +13,7 @@ use crate::{
     recording::{
         ReadError, Recorded,
         existing::{Existing, Kind, REASONS, replace},
-        golden::{self, Difference, Outcome},
+        golden::{self, GoldenDifference, GoldenOutcome},
     },
     scene::Scene,
     stream::settings::application,
@@ -108,7 +108,7 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
                 ));
                 failed.push(name.as_str());
             }
-            Ok(Some(Outcome::Identical { steps, events, digest, is_rewritten })) => {
+            Ok(Some(GoldenOutcome::Identical { steps, events, digest, is_rewritten })) => {
                 let rewritten = if is_rewritten { " (its text has changed, to no effect)" } else { "" };
                 print(&format!(
                     "{name}: identical, {}, {}, {digest:016x}{rewritten}",
@@ -116,7 +116,7 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
                     counted(events as u64, "event")
                 ));
             }
-            Ok(Some(Outcome::Different(difference))) => {
+            Ok(Some(GoldenOutcome::Different(difference))) => {
                 let is_accepted = arguments.tolerant && difference.is_tolerable();
                 report(name, &difference, is_accepted);
                 if !is_accepted {
@@ -137,7 +137,7 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// One line for what it comes to, and below it where and by how much.
-fn report(name: &str, difference: &Difference, is_accepted: bool) {
+fn report(name: &str, difference: &GoldenDifference, is_accepted: bool) {
     let verdict = match (is_accepted, difference.is_tolerable()) {
         (true, _) => "other bits, accepted: values within tolerance, events the same",
         (false, true) => "DIFFERENT bits, though values are within tolerance and events the same",
@@ -214,8 +214,8 @@ fn bless(scripts: &[Script], reason: &str) -> Result<(), Failure> {
         .par_iter()
         .map(|script| {
             let is_same = script.golden.exists()
-                && Recorded::open(&script.golden).is_ok_and(|golden| golden.scene.source == script.scene.source)
-                && matches!(golden::check(&script.scene, &script.golden, None), Ok(Outcome::Identical { .. }));
+                && Recorded::open(&script.golden).is_ok_and(|golden| golden.schema.source == script.scene.source)
+                && matches!(golden::check(&script.scene, &script.golden, None), Ok(GoldenOutcome::Identical { .. }));
             if is_same {
                 return Ok(None);
             }

@@ -32,7 +32,7 @@ pub fn diff(arguments: Arguments) -> Result<(), Failure> {
     [&arguments.first, &arguments.second].into_iter().try_for_each(|path| may_print(path))?;
     let [a, b] = [Recorded::open(&arguments.first), Recorded::open(&arguments.second)];
     let (a, b) = (a.map_err(Failure::input)?, b.map_err(Failure::input)?);
-    let tolerance = arguments.tolerance.unwrap_or_else(|| a.scene.tolerance.max(b.scene.tolerance));
+    let tolerance = arguments.tolerance.unwrap_or_else(|| a.schema.tolerance.max(b.schema.tolerance));
     if let Some(save) = &arguments.save {
         let what = "one of the recordings to be compared";
         may_save(save, &[(&arguments.first, what), (&arguments.second, what)], &Existing::comparison())?;
@@ -45,18 +45,18 @@ pub fn diff(arguments: Arguments) -> Result<(), Failure> {
         print(&format!(
             "{}: {}, {} of {} s with {}, by meldscope {}{again}",
             recorded.path.display(),
-            recorded.scene.name,
+            recorded.schema.name,
             counted(recorded.last(), "step"),
-            recorded.scene.dt,
-            recorded.scene.integrator,
+            recorded.schema.dt,
+            recorded.schema.integrator,
             recorded.version,
         ));
     }
-    if a.scene.source != b.scene.source {
+    if a.schema.source != b.schema.source {
         print("the texts of the two scenes differ");
     }
     match difference.first_bits {
-        Some(step) => print(&format!("bits: other ones from step {step} (t = {:.6} s) on", step as f64 * a.scene.dt)),
+        Some(step) => print(&format!("bits: other ones from step {step} (t = {:.6} s) on", step as f64 * a.schema.dt)),
         None if difference.has_bits => print("bits: the same at every step that both have"),
         None => {}
     }

@@ -8,20 +8,20 @@ use super::{
     say, sink_failure, vector,
 };
 use crate::{
+    observe::{Frame, Refusal, Schema, Simulation, StepSummary, Want},
     recording::{
         Recorded,
         existing::{Existing, Kind},
         read::End,
         replay::{self, Verdict},
     },
-    scene::{Integrator, Scene},
-    sim::World,
+    scene::Integrator,
+    sim::simulation,
     stream::{
         Recorder,
         blueprint::Tab,
         machine,
         pipeline::send,
-        recorder::describe,
         settings::{Detail, Frames, Settings, application},
         sinks::{Destinations, Sinks},
     },
@@ -75,15 +75,15 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
         return ask(&arguments, &recorded);
     }
     let (from, to) = range(&arguments, recorded.last())?;
-    let mut saver = Saver::open(&arguments, &recorded.scene, &recorded.settings, from..=to)?;
-    let verdict = replay::verify(&recorded, |world| saver.observe(world))?;
+    let mut saver = Saver::open(&arguments, &recorded, &recorded.schema, from..=to)?;
+    let verdict = replay::verify(&recorded, |simulation| saver.observe(simulation))?;
     if let Some(failure) = saver.failure.take() {
         return Err(Failure::Run(failure));
     }
     let path = recorded.path.display();
     let steps = recorded.last();
     let differences = recorded.foreign_to(&machine::describe());
-    let no_skip = (!recorded.settings.skip).then_some("--no-skip");
+    let no_skip = recorded.run.contains_key("skip").then_some("--no-skip");
     let overrides = recorded.overrides.lines().chain(no_skip).collect::<Vec<_>>().join(", ");
     let settings = if overrides.is_empty() { String::new() } else { format!(" (run with {overrides})") };
     match verdict {
@@ -178,49 +178,57 @@ fn cut_short(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> 
 
 /// "Does it go away?": the scene with something else, beside the events and surfaces that were recorded.
 fn ask(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
-    let mut scene = recorded.scene.clone();
-    scene.integrator = arguments.integrator.unwrap_or(scene.integrator);
-    scene.dt = arguments.dt.unwrap_or(scene.dt);
-    scene.tolerance = arguments.tolerance.unwrap_or(scene.tolerance);
-    let end = recorded.last() as f64 * recorded.scene.dt;
-    let steps = (end / scene.dt).round() as u64;
-    let mut settings = recorded.settings.clone();
-    (settings.integrator, settings.dt, settings.tolerance) = (scene.integrator, scene.dt, scene.tolerance);
+    let mut run = recorded.run.clone();
+    if let Some(integrator) = arguments.integrator {
+        run.insert("integrator".to_owned(), integrator.name().into());
+    }
+    for (key, number) in [("dt", arguments.dt), ("tolerance", arguments.tolerance)] {
+        if let Some(number) = number {
+            run.insert(key.to_owned(), number.into());
+        }
+    }
+    let was = &recorded.schema;
+    let experiment = simulation::read(&was.name, &was.source, &run)
+        .map_err(|(Refusal::Source(what) | Refusal::Run(what))| Failure::Input(what))?;
+    let mut simulation = experiment.start().map_err(Failure::Input)?;
+    let schema = experiment.schema();
+    let steps = (recorded.last() as f64 * was.dt / schema.dt).round() as u64;
     let (from, to) = range(arguments, steps)?;
-    let mut saver = Saver::open(arguments, &scene, &settings, from..=to)?;
+    let mut saver = Saver::open(arguments, recorded, &schema, from..=to)?;
 
-    let mut world = replay::world(recorded, scene.clone()).map_err(Failure::input)?;
-    let mut events = Vec::new();
+    let (mut frame, mut summary, mut events) = (Frame::default(), StepSummary::default(), Vec::new());
     let mut largest = (0.0, 0.0, String::new());
     let mut failure = None;
     loop {
-        for body in world.bodies() {
-            let displacement = body.max_displacement() / body.scene().radius;
+        simulation.observe(Want::default(), &mut frame);
+        for (body, now) in schema.bodies.iter().zip(&frame.bodies) {
+            let displacement = now.max_displacement / body.radius;
             if displacement > largest.0 {
-                largest = (displacement, world.time(), body.name().to_owned());
+                largest = (displacement, frame.at.time, body.name.clone());
             }
         }
-        if !saver.observe(&world) || world.steps_taken() >= steps || failure.is_some() {
+        if !saver.observe(&*simulation) || frame.at.step >= steps || failure.is_some() {
             break;
         }
-        let report = world.step();
-        failure = report.failure.as_ref().map(ToString::to_string);
-        if report.failure.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
+        simulation.step();
+        simulation.summary(&mut summary);
+        failure = summary.failure.as_ref().map(ToString::to_string);
+        if summary.failure.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
             break;
         }
-        events.extend(report.events.iter().map(|event| describe(&scene, event)));
+        events.extend(summary.events.iter().map(|event| schema.describe(event)));
     }
     print(&format!(
         "{}: {} of {} s with {}, tolerance {:e}, instead of {} of {} s with {}, tolerance {:e}; not verified",
         recorded.path.display(),
-        counted(world.steps_taken(), "step"),
-        scene.dt,
-        scene.integrator,
-        scene.tolerance,
+        counted(simulation.steps_taken(), "step"),
+        schema.dt,
+        schema.integrator,
+        schema.tolerance,
         thousands(recorded.last()),
-        recorded.scene.dt,
-        recorded.scene.integrator,
-        recorded.scene.tolerance,
+        was.dt,
+        was.integrator,
+        was.tolerance,
     ));
     print(&format!(
         "  largest displacement: {:.6} radii, of body \"{}\" at t = {:.6} s",
@@ -267,11 +275,11 @@ struct Saver {
 impl Saver {
     fn open(
         arguments: &Arguments,
-        scene: &Scene,
-        settings: &Settings,
+        recorded: &Recorded,
+        schema: &Schema,
         steps: std::ops::RangeInclusive<u64>,
     ) -> Result<Saver, Failure> {
-        let new = Existing { application: application(&scene.name), kind: Some(Kind::Run) };
+        let new = Existing { application: application(&schema.name), kind: Some(Kind::Run) };
         if let Some(save) = &arguments.save {
             may_save(save, &[(&arguments.recording, "the recording to be replayed")], &new)?;
         }
@@ -280,7 +288,6 @@ impl Saver {
         if let Some(save) = &arguments.save {
             announce(save, &new)?;
         }
-        let own = Settings::of(scene);
         // a step is looked into from the one before it
         let steps = match arguments.detail {
             Detail::Stages { .. } => steps.start().saturating_sub(1)..=*steps.end(),
@@ -288,41 +295,38 @@ impl Saver {
         };
         let settings = Settings {
             steps: Some(*steps.end()),
-            every: 1,
-            skip: settings.skip,
             detail: arguments.detail,
-            frames: Frames::All,
-            entities: settings.entities,
-            ..own
+            entities: recorded.settings.entities,
+            ..Settings::for_bodies(schema.bodies.len(), schema.steps)
         };
         Ok(Saver { sinks, recorder: None, settings, steps, sent: 0, failure: None })
     }
 
     /// Looks at a step; `false` if there is no point in going on.
-    fn observe(&mut self, world: &World) -> bool {
+    fn observe(&mut self, simulation: &dyn Simulation) -> bool {
         let Some(sinks) = &mut self.sinks else { return true };
-        if !self.steps.contains(&world.steps_taken()) {
+        if !self.steps.contains(&simulation.steps_taken()) {
             return true;
         }
         match &mut self.recorder {
             Some(recorder) => {
-                recorder.observe(world);
+                recorder.observe(simulation);
                 if recorder.frames() - self.sent >= FRAMES_PER_CHUNK {
                     self.sent = recorder.frames();
                     self.failure = send(sinks, recorder.take());
                 }
             }
             None => {
-                let mut recorder = Recorder::new(world, self.settings.clone());
-                self.failure = send(sinks, recorder.blueprint(world).into_iter().chain(recorder.take()));
+                let mut recorder = Recorder::new(simulation, self.settings.clone());
+                self.failure = send(sinks, recorder.blueprint(simulation).into_iter().chain(recorder.take()));
                 self.recorder = Some(recorder);
             }
         }
-        if world.steps_taken() == *self.steps.end()
+        if simulation.steps_taken() == *self.steps.end()
             && let Some(recorder) = &mut self.recorder
         {
-            recorder.finish(world);
-            let layout = recorder.measured_layout(world, Tab::Scene);
+            recorder.finish(simulation);
+            let layout = recorder.measured_layout(simulation, Tab::Scene);
             self.failure = self.failure.take().or(send(sinks, recorder.take().into_iter().chain(layout)));
         }
         self.failure.is_none()

@@ -11,15 +11,15 @@ use std::{
 
 use super::{Failure, announce, may_print, may_save, one_of, print, say, sink_failure};
 use crate::{
+    observe::{Experiment as _, PairEvent, Schema, Simulation, StepFailure, StepSummary},
     recording::existing::{Existing, Kind},
     scene::{Integrator, Scene, builtin},
-    sim::{self, Event, Options, World},
+    sim::{Options, simulation::SceneRun},
     stream::{
         Pipeline, Recorder,
         blueprint::Tab,
         chunks::Audience,
-        pipeline::{Recorded, send},
-        recorder::describe,
+        pipeline::{PipelineEnd, send},
         settings::{Detail, Entities, Frames, Settings, Trigger, application, file_stem},
         sinks::{Destinations, Finished, Host, Serve, Serving, Sinks, Spawn},
     },
@@ -162,14 +162,15 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     }
     let destinations = destinations(&arguments, &scene);
     // First what can refuse the scene, then what can refuse the destinations, and only then any work.
-    let world = world(&arguments, scene)?;
-    if let (Some(from), Some(steps)) = (arguments.from, settings(&arguments, world.scene()).steps)
+    let simulation = start(&arguments, scene)?;
+    let schema = simulation.schema();
+    let settings = settings(&arguments, &schema);
+    if let (Some(from), Some(steps)) = (arguments.from, settings.steps)
         && from > steps
     {
         return Err(Failure::Input(format!("--from {from} is beyond the last step, {steps}")));
     }
-    let kind = Kind::of(&settings(&arguments, world.scene()));
-    let new = Existing { application: application(&world.scene().name), kind: Some(kind) };
+    let new = Existing { application: application(&schema.name), kind: Some(Kind::of(&settings)) };
     if let Some(save) = &destinations.save {
         may_save(save, &[(Path::new(&arguments.scene), "the scene to be run")], &new)?;
     }
@@ -179,11 +180,11 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
         announce(save, &new)?;
     }
 
-    let mut console = Console::new(&arguments, settings(&arguments, world.scene()).steps);
+    let mut console = Console::new(&arguments, settings.steps);
     let outcome = if arguments.watch {
-        watch(world, sinks, &arguments, &STOP, &mut console)?
+        watch(simulation, sinks, &arguments, &STOP, &mut console)?
     } else {
-        simulate(world, sinks, &arguments, &STOP, None, &mut console)?.conclude(&mut console)?
+        simulate(simulation, sinks, &arguments, &STOP, None, &mut console)?.conclude(&mut console)?
     };
     summarize(&console, &outcome);
     if let Some(serving) = &outcome.finished.serving {
@@ -228,14 +229,15 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-fn world(arguments: &Arguments, scene: Scene) -> Result<World, Failure> {
+fn start(arguments: &Arguments, scene: Scene) -> Result<Box<dyn Simulation>, Failure> {
     let options = Options { skip: !arguments.no_skip, interrupt: Some(&STOP), ..Options::default() };
-    World::with_options(scene, options).map_err(Failure::input)
+    SceneRun { scene, options }.start().map_err(Failure::Input)
 }
 
 /// What a run came to.
 struct Outcome {
-    world: World,
+    simulation: Box<dyn Simulation>,
+    schema: Schema,
     settings: Settings,
     finished: Finished,
     /// Frames in the recording.
@@ -248,13 +250,14 @@ struct Outcome {
 /// The events of a run: the first [`LISTED_EVENTS`] of them, and how many there were.
 #[derive(Default)]
 struct Events {
-    first: Vec<Event>,
+    first: Vec<PairEvent>,
     count: u64,
 }
 
 /// A run whose recording is complete, and whose destinations are still open.
 struct Simulated {
-    world: World,
+    simulation: Box<dyn Simulation>,
+    schema: Schema,
     settings: Settings,
     sinks: Sinks,
     frames: u64,
@@ -268,11 +271,11 @@ struct Simulated {
 impl Simulated {
     /// Brings every destination to its end.
     fn conclude(self, console: &mut Console) -> Result<Outcome, Failure> {
-        let Simulated { world, settings, sinks, frames, events, seconds, failure, .. } = self;
+        let Simulated { simulation, schema, settings, sinks, frames, events, seconds, failure, .. } = self;
         let finished = sinks.finish();
         console.clear();
         match (failure, finished) {
-            (None, Ok(finished)) => Ok(Outcome { world, settings, finished, frames, events, seconds }),
+            (None, Ok(finished)) => Ok(Outcome { simulation, schema, settings, finished, frames, events, seconds }),
             (Some(failure), finished) => {
                 let finished = finished.ok();
                 let serving = finished.as_ref().and_then(|finished| finished.serving.as_ref());
@@ -288,7 +291,7 @@ impl Simulated {
 
 /// The loop: step, observe. Ends early when `changes` come.
 fn simulate(
-    mut world: World,
+    mut simulation: Box<dyn Simulation>,
     mut sinks: Sinks,
     arguments: &Arguments,
     stop: &AtomicBool,
@@ -296,80 +299,82 @@ fn simulate(
     console: &mut Console,
 ) -> Result<Simulated, Failure> {
     let is_live = destined_live(arguments);
-    let settings = settings(arguments, world.scene());
+    let schema = simulation.schema();
+    let settings = settings(arguments, &schema);
     // a viewer takes what has the id of an earlier run for more of that
     let number = changes.as_mut().map_or(0, |changes| changes.next_run());
-    let mut recorder = Recorder::numbered(&world, settings.clone(), number);
+    let mut recorder = Recorder::numbered(&*simulation, settings.clone(), number);
     // what it takes to run it again comes before everything else: a run may be killed at once
     let mut first = recorder.take();
     let rest = first.split_off(Recorder::HEAD.min(first.len()));
-    let layout = recorder.blueprint_at(&world, arguments.tab);
+    let layout = recorder.blueprint_at(&*simulation, arguments.tab);
     let mut failure = send(&mut sinks, first.into_iter().chain(layout).chain(rest));
     if arguments.save.is_some() && !is_live {
         // what the recording is of is in the file before anything can happen to the run
         failure = failure.or(sinks.flush().err().map(|error| error.to_string()));
     }
-    let mut pipeline = Pipeline::start(&world, recorder, sinks).map_err(sink_failure)?;
-    let (mut events, mut next, mut failed) = (Events::default(), None, None);
+    let mut pipeline = Pipeline::start(&*simulation, recorder, sinks).map_err(sink_failure)?;
+    let (mut events, mut next, mut failed, mut summary) = (Events::default(), None, None, StepSummary::default());
     let start = Instant::now();
     let mut looked = start;
     while failure.is_none()
         && failed.is_none()
         && next.is_none()
         && !stop.load(Ordering::Relaxed)
-        && settings.steps.is_none_or(|steps| world.steps_taken() < steps)
+        && settings.steps.is_none_or(|steps| simulation.steps_taken() < steps)
     {
-        let report = world.step();
-        failed = report.failure.clone();
+        simulation.step();
+        simulation.summary(&mut summary);
+        failed = summary.failure.take();
         if failed.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
             break;
         }
-        events.count += report.events.len() as u64;
-        events.first.extend(report.events.iter().take(LISTED_EVENTS - events.first.len()));
-        let due = arguments.realtime.then(|| start + Duration::from_secs_f64(world.time().min(1e9)));
+        events.count += summary.events.len() as u64;
+        events.first.extend(summary.events.iter().take(LISTED_EVENTS - events.first.len()));
+        let due = arguments.realtime.then(|| start + Duration::from_secs_f64(simulation.time().min(1e9)));
         let lag = due.map(|due| Instant::now().saturating_duration_since(due));
-        failure = pipeline.observe(&world, lag).err();
+        failure = pipeline.observe(&*simulation, lag).err();
         if let Some(due) = due {
             failure = failure.or(pipeline.hand_over().err());
             wait_until(due, stop);
         }
-        let is_time = world.steps_taken().is_multiple_of(STEPS_BETWEEN_LOOKS) || arguments.realtime;
+        let is_time = simulation.steps_taken().is_multiple_of(STEPS_BETWEEN_LOOKS) || arguments.realtime;
         if is_time && looked.elapsed() >= LOOK_INTERVAL {
             looked = Instant::now();
-            console.progress(world.steps_taken(), pipeline.notes());
+            console.progress(simulation.steps_taken(), pipeline.notes());
             next = changes.as_mut().and_then(|changes| changes.scene(arguments, console));
         }
     }
 
     // However it ended: what was simulated is saved.
-    let mut recorded = pipeline.finish().map_err(Failure::Run)?;
+    let mut end = pipeline.finish().map_err(Failure::Run)?;
     let seconds = start.elapsed().as_secs_f64();
-    let failed = failed.filter(|failure| !matches!(failure, sim::Failure::Interrupted { .. }));
-    let failed = failed.map(|failure| failure.to_string());
+    let failed =
+        failed.filter(|failure| !matches!(failure, StepFailure::Interrupted(_))).map(|failure| failure.to_string());
     if let Some(failed) = &failed {
-        recorded.recorder.log_property("failure", failed);
+        end.recorder.log_property("failure", failed);
     }
-    let unsent = recorded.finish(&world);
-    let Recorded { recorder, mut sinks, mut notes, failure: recording } = recorded;
+    let unsent = end.finish(&*simulation);
+    let PipelineEnd { recorder, mut sinks, mut notes, failure: recording } = end;
     let failure = failed.or(failure).or(recording).or(unsent);
-    let layout = recorder.measured_layout(&world, arguments.tab);
+    let layout = recorder.measured_layout(&*simulation, arguments.tab);
     let unsent = layout.into_iter().find_map(|message| sinks.send_to(Audience::Files, message).err());
     let failure = failure.or(unsent.map(|error| error.to_string()));
     notes.append(&mut sinks.notes());
-    console.progress(world.steps_taken(), notes);
-    Ok(Simulated { frames: recorder.written(), world, settings, sinks, events, seconds, failure, next })
+    console.progress(simulation.steps_taken(), notes);
+    Ok(Simulated { frames: recorder.written(), simulation, schema, settings, sinks, events, seconds, failure, next })
 }
 
 /// Runs the scene, and again whenever its file changes, until Ctrl-C.
 fn watch(
-    world: World,
+    simulation: Box<dyn Simulation>,
     sinks: Sinks,
     arguments: &Arguments,
     stop: &AtomicBool,
     console: &mut Console,
 ) -> Result<Outcome, Failure> {
-    let mut changes = Changes { text: world.scene().source.clone(), said: String::new(), runs: 0 };
-    let mut run = simulate(world, sinks, arguments, stop, Some(&mut changes), console)?;
+    let mut changes = Changes { text: simulation.schema().source, said: String::new(), runs: 0 };
+    let mut run = simulate(simulation, sinks, arguments, stop, Some(&mut changes), console)?;
     loop {
         if let Some(failure) = &run.failure {
             if run.sinks.failed() {
@@ -383,18 +388,14 @@ fn watch(
             run.next = changes.scene(arguments, console);
         }
         let Some(scene) = run.next.take() else { return run.conclude(console) };
-        match world_of(arguments, scene) {
-            Ok(world) => {
+        match start(arguments, scene) {
+            Ok(simulation) => {
                 console.say(&format!("{} has changed: starting again", arguments.scene));
-                run = simulate(world, run.sinks, arguments, stop, Some(&mut changes), console)?;
+                run = simulate(simulation, run.sinks, arguments, stop, Some(&mut changes), console)?;
             }
             Err(error) => console.notes(&[format!("{error}; going on with the scene as it was")]),
         }
     }
-}
-
-fn world_of(arguments: &Arguments, scene: Scene) -> Result<World, String> {
-    world(arguments, scene).map_err(|failure| failure.to_string())
 }
 
 /// A scene's file that is watched.
@@ -505,15 +506,14 @@ pub(super) fn scene(name: &str) -> Result<Scene, Failure> {
     }
 }
 
-fn settings(arguments: &Arguments, scene: &Scene) -> Settings {
-    let own = Settings::of(scene);
+fn settings(arguments: &Arguments, schema: &Schema) -> Settings {
+    let own = Settings::for_bodies(schema.bodies.len(), schema.steps);
     Settings {
         steps: match arguments.steps {
             None => own.steps,
             Some(0) => None,
             some => some,
         },
-        skip: !arguments.no_skip,
         every: arguments.every,
         detail: match arguments.detail {
             Detail::Stages { from, to } => {
@@ -572,21 +572,20 @@ fn listen_for_interrupts() -> Result<(), Failure> {
 
 /// What the run did, and how to open what it wrote.
 fn summarize(console: &Console, outcome: &Outcome) {
-    let Outcome { world, settings, finished, frames, events: Events { first: events, count: event_count }, seconds } =
-        outcome;
+    let Outcome { simulation, schema, settings, finished, frames, events, seconds } = outcome;
+    let Events { first: events, count: event_count } = events;
     console.notes(&finished.notes);
-    let scene = world.scene();
-    let (bodies, steps) = (scene.bodies.len() as u64, world.steps_taken());
+    let (bodies, steps) = (schema.bodies.len() as u64, simulation.steps_taken());
     console.print(&format!(
         "{}: {}, {}; {} of {} s with {}, {:.3} s simulated in {seconds:.3} s ({} steps/s)",
-        scene.name,
+        schema.name,
         counted(bodies, "body"),
-        counted(scene.vertex_count(), "vertex"),
+        counted(schema.vertex_count(), "vertex"),
         counted(steps, "step"),
         // six digits are enough to know a step by
-        if settings.dt >= 1e-4 { format!("{:.6}", settings.dt) } else { format!("{:e}", settings.dt) },
-        settings.integrator,
-        world.time(),
+        if schema.dt >= 1e-4 { format!("{:.6}", schema.dt) } else { format!("{:e}", schema.dt) },
+        schema.integrator,
+        simulation.time(),
         thousands((steps as f64 / seconds.max(1e-9)) as u64),
     ));
     match event_count {
@@ -594,7 +593,7 @@ fn summarize(console: &Console, outcome: &Outcome) {
         n => console.print(&format!("{}:", counted(*n, "event"))),
     }
     for event in events {
-        console.print(&format!("  {}", describe(scene, event)));
+        console.print(&format!("  {}", schema.describe(event)));
     }
     if *event_count > events.len() as u64 {
         let more = thousands(event_count - events.len() as u64);

@@ -85,6 +85,13 @@ impl Vectors {
         (0..self.len()).map(|i| self.get(i))
     }
 
+    /// Adds others times a factor to them, one to one.
+    pub fn add_times(&mut self, factor: f64, others: &Vectors) {
+        for (axis, other) in [(&mut self.x, &others.x), (&mut self.y, &others.y), (&mut self.z, &others.z)] {
+            axis.iter_mut().zip(other).for_each(|(sum, other)| *sum += factor * other);
+        }
+    }
+
     /// Makes all of them the same.
     pub fn fill(&mut self, DVec3 { x, y, z }: DVec3) {
         self.x.fill(x);

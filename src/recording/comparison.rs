@@ -10,17 +10,20 @@ use rerun::{
     external::re_log_types::{ApplicationId, LogMsg},
 };
 
-use super::existing::{self, Existing};
+use super::{
+    existing::{self, Existing},
+    happenings::Change,
+};
 use crate::{
     geometry::Mesh,
-    scene::Scene,
+    observe::Schema,
     stream::{
         blueprint,
         chunks::Chunks,
         instant::Instant,
         normals,
         palette::{Rgb, color},
-        series::{Series, Shape},
+        series::{Interpolation, Series},
         settings::file_stem,
         sinks::{Destinations, Saved, SinkError, Sinks},
     },
@@ -56,39 +59,39 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Begins it.
+    /// Begins it; `spheres` are what a camera should have in view, centres and radii.
     ///
     /// # Errors
     /// The file cannot be written.
-    pub fn new(scene: &Scene, plan: &Plan, path: &Path) -> Result<Comparison, SinkError> {
+    pub fn new(schema: &Schema, spheres: &[(DVec3, f64)], plan: &Plan, path: &Path) -> Result<Comparison, SinkError> {
         existing::replace(path, &Existing::comparison())?;
         let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };
         let mut sinks = Sinks::open(&destinations)?;
         let application = ApplicationId::new_or_unknown(Existing::comparison().application);
-        let store = StoreId::new(StoreKind::Recording, application, format!("{}-difference", file_stem(&scene.name)));
-        for message in blueprint::of_comparison(scene, &store) {
+        let store = StoreId::new(StoreKind::Recording, application, format!("{}-difference", file_stem(&schema.name)));
+        for message in blueprint::of_comparison(spheres, &store) {
             sinks.send(message)?;
         }
         let mut chunks = Chunks::new(store);
         let bodies = plan.bodies.iter().take(MOST_BODIES);
         let shown: Vec<_> = bodies
             .filter_map(|&index| {
-                let body = scene.bodies.get(index)?;
-                Some((index, body.name.clone(), body.shape.mesh()))
+                let body = schema.bodies.get(index)?;
+                Some((index, body.name.clone(), Arc::clone(&body.mesh)))
             })
             .collect();
         let radius =
-            shown.iter().filter_map(|&(i, ..)| scene.bodies.get(i)).map(|body| body.radius).fold(0.0, f64::max);
+            shown.iter().filter_map(|&(i, ..)| schema.bodies.get(i)).map(|body| body.radius).fold(0.0, f64::max);
         let wanted = 0.3 * radius / plan.largest;
         let magnification = if wanted.is_finite() { wanted.max(1.0) } else { 1.0 };
 
         chunks.log_static("/world", &ViewCoordinates::RIGHT_HAND_Z_UP());
-        let name = format!("{}: {} and {}", scene.name, plan.labels[0], plan.labels[1]);
+        let name = format!("{}: {} and {}", schema.name, plan.labels[0], plan.labels[1]);
         chunks.log_static("/__properties", &rerun::RecordingInfo::new().with_name(name));
         let about = format!(
             "**{}**: blue is {}, orange is {}. Red arrows lead from the one to the other, {} times as long as the vertices \
              are apart. {}  \nThe plot has the largest distance of each body, in radii; grey: the tolerance, {:e}.",
-            scene.name,
+            schema.name,
             plan.labels[0],
             plan.labels[1],
             if magnification > 1.5 { format!("{magnification:.2e}") } else { "1".to_owned() },
@@ -113,9 +116,9 @@ impl Comparison {
         chunks.log_static("/world/error", &style);
         for (number, (_, name, _)) in shown.iter().enumerate() {
             let rgb = crate::stream::palette::line(number);
-            Series::style(&mut chunks, &format!("/difference/{name}"), name, rgb, 1.5, Shape::Linear);
+            Series::style(&mut chunks, &format!("/difference/{name}"), name, rgb, 1.5, Interpolation::Linear);
         }
-        Series::style(&mut chunks, "/difference/tolerance", "tolerance", LIMIT, 1.0, Shape::Linear);
+        Series::style(&mut chunks, "/difference/tolerance", "tolerance", LIMIT, 1.0, Interpolation::Linear);
         let mut comparison = Comparison { chunks, sinks, shown, magnification, frames: 0 };
         comparison.send()?;
         Ok(comparison)
@@ -127,10 +130,10 @@ impl Comparison {
     /// The file cannot be written.
     pub fn frame(
         &mut self,
-        scene: &Scene,
+        schema: &Schema,
         at: Instant,
         tolerance: f64,
-        positions: impl Fn(usize) -> [Option<Vec<DVec3>>; 2],
+        mut positions: impl FnMut(usize) -> [Option<Vec<DVec3>>; 2],
     ) -> Result<(), SinkError> {
         let (mut origins, mut vectors) = (Vec::new(), Vec::new());
         for (index, name, mesh) in &self.shown {
@@ -138,7 +141,7 @@ impl Comparison {
             for (side, positions) in ["a", "b"].into_iter().zip(&both) {
                 let Some(positions) = positions else { continue };
                 let vectors = positions.iter().copied().collect();
-                let (mut normals, mut scratch) = (Vec::new(), normals::Scratch::default());
+                let (mut normals, mut scratch) = (Vec::new(), normals::NormalScratch::default());
                 normals::append(Arch::new(), mesh, &vectors, &mut scratch, &mut normals);
                 let mesh = Mesh3D::update_fields()
                     .with_vertex_positions(positions.iter().map(|p| p.as_vec3()))
@@ -152,7 +155,7 @@ impl Comparison {
                     origins.push(a.as_vec3());
                     vectors.push(((b - a) * self.magnification).as_vec3());
                 }
-                let radii = largest / scene.bodies.get(*index).map_or(1.0, |body| body.radius);
+                let radii = largest / schema.bodies.get(*index).map_or(1.0, |body| body.radius);
                 self.chunks.log(&format!("/difference/{name}"), at, &Scalars::single(radii));
             }
         }
@@ -163,8 +166,10 @@ impl Comparison {
     }
 
     /// Adds a line about an event.
-    pub fn event(&mut self, at: Instant, line: &str) {
-        self.chunks.log("/events", at, &TextLog::new(line));
+    pub fn change(&mut self, schema: &Schema, change: &Change) {
+        let time = change.time();
+        let at = Instant { step: (time / schema.dt).ceil().max(0.0) as u64, time };
+        self.chunks.log("/events", at, &TextLog::new(change.to_string()));
     }
 
     fn send(&mut self) -> Result<(), SinkError> {

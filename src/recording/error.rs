@@ -3,7 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
-use crate::sim;
+use crate::observe::StepFailure;
 
 /// A recording that cannot be read, or not be used for what it is wanted. Displays on one line: which file, what is
 /// wrong with it and where, what to do.
@@ -57,7 +57,7 @@ pub enum ReadError {
         /// The file.
         path: PathBuf,
         /// Why.
-        failure: sim::Failure,
+        failure: StepFailure,
     },
 }
 

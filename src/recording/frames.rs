@@ -1,8 +1,10 @@
 //! The surfaces in a recording, frame by frame, in the memory of a few chunks.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
-use std::path::PathBuf;
-use std::sync::Arc;
+use std::{
+    collections::{BTreeMap, HashMap, HashSet},
+    path::PathBuf,
+    sync::Arc,
+};
 
 use glam::{DVec3, Vec3};
 use rerun::{
@@ -16,27 +18,31 @@ use super::{
     recorded::{cell, step_of},
 };
 use crate::{
-    geometry::Mesh,
-    scene::Scene,
-    sim::World,
-    stream::recorder::{DEFORMED, resting_entity},
+    geometry::{Mesh, Vectors},
+    observe::{Frame, Instant, Schema, Worst},
+    stream::{
+        instant::STAGE,
+        recorder::{DEFORMED, resting_entity},
+    },
 };
 
 /// Logged with every frame but the first: a frame is complete when the line of its stages is there.
-const MARKER: &str = "/timings/integrate";
+const MARKER: &str = "/timings/observe";
+/// Where the centres of all bodies are.
+const CENTRES: &str = "/world/influence";
 
-/// The surface of a body in a frame.
+/// The surface of a body in a recorded frame.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Surface {
+pub struct RecordedSurface {
     /// Of the vertices [scene unit].
     pub positions: Vec<Vec3>,
     /// How they were recorded.
-    pub kind: Kind,
+    pub kind: SurfaceKind,
 }
 
 /// How a surface was recorded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum SurfaceKind {
     /// Relative to the centre.
     Local,
     /// In the world, with those of other bodies.
@@ -45,95 +51,95 @@ pub enum Kind {
     Resting,
 }
 
-/// All bodies at one step.
+/// All bodies at one step, as far as they were recorded.
 #[derive(Clone, Debug)]
-pub struct Frame {
+pub struct RecordedFrame {
     /// The step.
     pub step: u64,
     /// Its time [s].
     pub time: f64,
     /// By the order of the scene; `None`: not recorded (yet).
-    pub surfaces: Vec<Option<Surface>>,
-    /// Recorded centres [scene unit]; `None`: not recorded apart.
-    pub centres: Vec<Option<Vec3>>,
+    pub surfaces: Vec<Option<RecordedSurface>>,
+    /// Of the bodies [scene unit].
+    pub centres: Vec<Vec3>,
 }
 
-/// The vertex at which two states differ most.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Worst {
-    /// The step.
-    pub step: u64,
-    /// Its time [s].
-    pub time: f64,
-    /// Name of the body.
-    pub body: String,
-    /// The vertex.
-    pub vertex: usize,
-    /// Where it was recorded, from the centre of its body [scene unit].
-    pub recorded: DVec3,
-    /// Where it is now [scene unit].
-    pub found: DVec3,
-    /// How far these are apart [radii of the body].
-    pub difference: f64,
-    /// How many vertices differ at all.
-    pub vertices: usize,
-}
+impl RecordedFrame {
+    /// A frame in the precision of recordings.
+    pub fn of(schema: &Schema, frame: &Frame) -> RecordedFrame {
+        let mut positions = Vectors::default();
+        let surfaces = schema.bodies.iter().zip(&frame.bodies).map(|(body, now)| {
+            now.local_positions(body.rest(), &mut positions);
+            let positions = positions.iter().map(|position| position.as_vec3()).collect();
+            Some(RecordedSurface { positions, kind: SurfaceKind::Local })
+        });
+        let centres = frame.bodies.iter().map(|body| body.centre.as_vec3()).collect();
+        RecordedFrame { step: frame.at.step, time: frame.at.time, surfaces: surfaces.collect(), centres }
+    }
 
-impl Frame {
-    /// The worst vertex beside a world at the same step, both in the precision of the recording; `None` without surfaces.
-    pub fn compare(&self, world: &World) -> Option<Worst> {
-        let mut worst: Option<Worst> = None;
-        let mut vertices = 0;
-        for ((body, surface), centre) in world.bodies().zip(&self.surfaces).zip(&self.centres) {
-            let Some(surface) = surface else { continue };
-            if surface.kind == Kind::Resting && body.max_displacement() <= DEFORMED * body.scene().radius {
+    /// The worst vertex beside another state at the same step, both in the precision of the recording; `None` if there is
+    /// no difference, or no surface.
+    pub fn compare(&self, schema: &Schema, frame: &Frame) -> Option<Worst> {
+        let mut local = Vectors::default();
+        let mut worst = None;
+        for (index, (body, now)) in schema.bodies.iter().zip(&frame.bodies).enumerate() {
+            let Some(Some(surface)) = self.surfaces.get(index) else { continue };
+            if surface.kind == SurfaceKind::Resting && now.max_displacement <= DEFORMED * body.radius {
                 continue;
             }
-            let origin = if surface.kind == Kind::World { body.centre() } else { DVec3::ZERO };
-            let shift = centre.map_or(Vec3::ZERO, |centre| centre - body.centre().as_vec3());
-            for (vertex, &recorded) in surface.positions.iter().enumerate().take(body.vertex_count()) {
-                let found = (body.local_position(vertex) + origin).as_vec3();
-                if found == recorded && shift == Vec3::ZERO {
-                    continue;
-                }
-                vertices += 1;
-                let difference = f64::from((recorded - found + shift).length()) / body.scene().radius;
-                if worst.as_ref().is_none_or(|worst| !(difference <= worst.difference)) {
-                    worst = Some(Worst {
-                        step: self.step,
-                        time: self.time,
-                        body: body.name().to_owned(),
-                        vertex,
-                        recorded: recorded.as_dvec3() - origin + shift.as_dvec3(),
-                        found: found.as_dvec3() - origin,
-                        difference,
-                        vertices: 0,
-                    });
-                }
-            }
+            let (origin, shift) = match surface.kind {
+                SurfaceKind::World => (now.centre, Vec3::ZERO),
+                SurfaceKind::Local | SurfaceKind::Resting => (DVec3::ZERO, self.centres[index] - now.centre.as_vec3()),
+            };
+            now.local_positions(body.rest(), &mut local);
+            let places = surface.positions.iter().zip(local.iter()).map(|(&recorded, found)| {
+                let [recorded, found] = [recorded + shift, (found + origin).as_vec3()];
+                (recorded.as_dvec3() - origin, found.as_dvec3() - origin)
+            });
+            worst = Worst::and(worst, Worst::of(self.at(), body, 0.0, places));
         }
-        worst.map(|worst| Worst { vertices, ..worst })
+        worst
+    }
+
+    /// When it is.
+    pub fn at(&self) -> Instant {
+        Instant { step: self.step, time: self.time }
     }
 
     /// Where the vertices of a body are in the world [scene unit].
-    pub fn world_positions(&self, scene: &Scene, body: usize) -> Option<Vec<DVec3>> {
+    pub fn world_positions(&self, body: usize) -> Option<Vec<DVec3>> {
         let surface = self.surfaces.get(body)?.as_ref()?;
-        let origin = match (surface.kind, self.centres.get(body).copied().flatten()) {
-            (Kind::World, _) => DVec3::ZERO,
-            (_, Some(centre)) => centre.as_dvec3(),
-            (_, None) => scene.bodies[body].path.position(self.time),
-        };
+        let origin = if surface.kind == SurfaceKind::World { DVec3::ZERO } else { self.centres[body].as_dvec3() };
         Some(surface.positions.iter().map(|position| position.as_dvec3() + origin).collect())
+    }
+
+    /// Where they are from its centre [scene unit].
+    pub fn local_positions(&self, body: usize) -> Option<Vec<DVec3>> {
+        let surface = self.surfaces.get(body)?.as_ref()?;
+        let origin = if surface.kind == SurfaceKind::World { self.centres[body].as_dvec3() } else { DVec3::ZERO };
+        Some(surface.positions.iter().map(|position| position.as_dvec3() - origin).collect())
+    }
+
+    /// What is lost of the surface of a body by how it was recorded, beside its own single precision [scene unit].
+    pub fn noise(&self, body: usize, radius: f64) -> f64 {
+        match self.surfaces.get(body).and_then(Option::as_ref).map(|surface| surface.kind) {
+            Some(SurfaceKind::World) => {
+                let far = self.centres[body].as_dvec3().abs().max_element() + 2.0 * radius;
+                2.0 * f64::from(f32::EPSILON) * far
+            }
+            Some(SurfaceKind::Resting) => DEFORMED * radius,
+            Some(SurfaceKind::Local) | None => 0.0,
+        }
     }
 }
 
 /// Reads frames one after the other.
-pub struct Frames {
+pub struct FrameReader {
     reader: Reader,
     path: PathBuf,
     names: HashMap<String, usize>,
     shapes: HashMap<String, Arc<Mesh>>,
-    scene: Scene,
+    schema: Schema,
     first: u64,
     /// Chunks that are not in frames yet; an entity that comes a second time belongs to later frames.
     pending: Vec<Chunk>,
@@ -144,24 +150,24 @@ pub struct Frames {
     next_chunk: Option<Chunk>,
     /// Complete frames to be given, as steps.
     ready: std::collections::VecDeque<i64>,
-    surfaces: Vec<Option<Surface>>,
-    centres: Vec<Option<Vec3>>,
+    surfaces: Vec<Option<RecordedSurface>>,
+    centres: Vec<Vec3>,
     /// Who is in the one mesh of deformed bodies, and how many vertices of each.
     deforming: Vec<(usize, usize)>,
     has_given: bool,
     is_over: bool,
 }
 
-impl Frames {
+impl FrameReader {
     /// From the start of a recording.
     ///
     /// # Errors
     /// It cannot be read.
-    pub fn open(recorded: &Recorded) -> Result<Frames, ReadError> {
-        let scene = recorded.scene.clone();
-        let names = scene.bodies.iter().enumerate().map(|(index, body)| (body.name.clone(), index)).collect();
-        let shapes = scene.bodies.iter().map(|body| (resting_entity(&body.shape), body.shape.mesh()));
-        Ok(Frames {
+    pub fn open(recorded: &Recorded) -> Result<FrameReader, ReadError> {
+        let schema = recorded.schema.clone();
+        let names = schema.bodies.iter().enumerate().map(|(index, body)| (body.name.clone(), index)).collect();
+        let shapes = schema.bodies.iter().map(|body| (resting_entity(&body.shape), Arc::clone(&body.mesh)));
+        Ok(FrameReader {
             reader: Reader::open(&recorded.path)?,
             path: recorded.path.clone(),
             names,
@@ -173,12 +179,12 @@ impl Frames {
             marked: Vec::new(),
             next_chunk: None,
             ready: std::collections::VecDeque::new(),
-            surfaces: vec![None; scene.bodies.len()],
-            centres: vec![None; scene.bodies.len()],
+            surfaces: vec![None; schema.bodies.len()],
+            centres: vec![Vec3::ZERO; schema.bodies.len()],
             deforming: Vec::new(),
             has_given: false,
             is_over: false,
-            scene,
+            schema,
         })
     }
 
@@ -187,14 +193,15 @@ impl Frames {
     /// # Errors
     /// The recording cannot be read.
     #[expect(clippy::should_implement_trait, reason = "it can fail")]
-    pub fn next(&mut self) -> Result<Option<Frame>, ReadError> {
+    pub fn next(&mut self) -> Result<Option<RecordedFrame>, ReadError> {
         loop {
             if let Some(step) = self.ready.pop_front() {
                 let path = self.path.clone();
                 self.apply(step).map_err(|what| ReadError::Damaged { path, at: None, what })?;
                 let number = u64::try_from(step).unwrap_or(0);
                 let (surfaces, centres) = (self.surfaces.clone(), self.centres.clone());
-                return Ok(Some(Frame { step: number, time: number as f64 * self.scene.dt, surfaces, centres }));
+                let time = number as f64 * self.schema.dt;
+                return Ok(Some(RecordedFrame { step: number, time, surfaces, centres }));
             }
             if self.is_over {
                 return Ok(None);
@@ -232,7 +239,10 @@ impl Frames {
             let chunk = match self.next_chunk.take() {
                 Some(chunk) => chunk,
                 None => match self.reader.next(is_wanted)? {
-                    Some(chunk) if chunk.is_static() => continue,
+                    // the inside of steps is no frame
+                    Some(chunk) if chunk.is_static() || chunk.timelines().keys().any(|name| name.as_str() == STAGE) => {
+                        continue;
+                    }
                     Some(chunk) => chunk,
                     None => {
                         self.is_over = true;
@@ -302,18 +312,16 @@ impl Frames {
             if is_naming {
                 return Ok(());
             }
-            let (name, is_surface) = match rest.strip_suffix("/surface") {
-                Some(name) => (name, true),
-                None => (rest, false),
-            };
-            let index = *self.names.get(name).ok_or_else(|| format!("{entity} is no body of its scene"))?;
-            if is_surface {
+            if let Some(name) = rest.strip_suffix("/surface") {
+                let index = *self.names.get(name).ok_or_else(|| format!("{entity} is no body of its scene"))?;
                 let positions = vectors("Mesh3D:vertex_positions");
                 if !positions.is_empty() {
-                    self.surfaces[index] = Some(Surface { positions, kind: Kind::Local });
+                    self.surfaces[index] = Some(RecordedSurface { positions, kind: SurfaceKind::Local });
                 }
-            } else if let Some(&centre) = vectors("Transform3D:translation").first() {
-                self.centres[index] = Some(centre);
+            }
+        } else if entity == CENTRES {
+            if !is_naming {
+                self.centres.iter_mut().zip(vectors("Ellipsoids3D:centers")).for_each(|(centre, now)| *centre = now);
             }
         } else if entity == "/world/deforming/surface" {
             if is_naming {
@@ -329,22 +337,20 @@ impl Frames {
                 for (body, count) in self.deforming.clone() {
                     let Some((own, others)) = rest.split_at_checked(count) else { break };
                     rest = others;
-                    self.surfaces[body] = Some(Surface { positions: own.to_vec(), kind: Kind::World });
-                    self.centres[body] = None;
+                    self.surfaces[body] = Some(RecordedSurface { positions: own.to_vec(), kind: SurfaceKind::World });
                 }
             }
         } else if let Some(mesh) = self.shapes.get(&entity) {
-            // where they are is known from their paths; who they are is what counts
+            // where they are is known from their spheres; who they are is what counts
             if is_naming && super::recorded::raw(chunk, "body", row).is_some() {
                 let resting = bodies()?;
                 let surface = |body: usize| {
-                    let rest = mesh.at(self.scene.bodies[body].radius);
+                    let rest = mesh.at(self.schema.bodies[body].radius);
                     (0..rest.len()).map(|i| rest.position(i).as_vec3()).collect::<Vec<_>>()
                 };
                 let surfaces: Vec<_> = resting.iter().map(|&body| (body, surface(body))).collect();
                 for (body, positions) in surfaces {
-                    self.surfaces[body] = Some(Surface { positions, kind: Kind::Resting });
-                    self.centres[body] = None;
+                    self.surfaces[body] = Some(RecordedSurface { positions, kind: SurfaceKind::Resting });
                 }
             }
         }

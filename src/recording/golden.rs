@@ -22,18 +22,17 @@ use rerun::{
 use super::{
     ReadError, Recorded,
     comparison::{Comparison, Plan},
-    frames::Worst,
     happenings::{self, Change},
     read::Reader,
-    recorded::{Happened, raw, step_of},
-    replay::whole,
+    recorded::{RecordedEvent, raw, start, step_of},
+    replay,
 };
 use crate::{
-    scene::Scene,
-    sim::{World, checksum, world::States},
+    geometry::Vectors,
+    observe::{BodyFrame, Experiment, Frame, Schema, Simulation, StepSummary, Want, Worst},
+    sim::checksum,
     stream::{
         Recorder,
-        instant::Instant,
         settings::{Frames, Settings},
         sinks::{Destinations, SinkError, Sinks},
     },
@@ -71,22 +70,26 @@ pub struct Blessed {
 ///
 /// # Errors
 /// The scene is too large or diverges, or the file cannot be written.
-pub fn bless(scene: &Scene, path: &Path, reason: &str) -> Result<Blessed, BlessError> {
+pub fn bless(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<Blessed, BlessError> {
     let settings = Settings { frames: Frames::Thin, ..Settings::of(scene) };
-    let mut world = World::new(scene.clone()).map_err(|error| BlessError::Scene(error.to_string()))?;
+    let mut simulation = scene.start().map_err(BlessError::Scene)?;
+    let (schema, mut frame, mut summary) = (simulation.schema(), Frame::default(), StepSummary::default());
     let mut sinks = Sinks::open(&Destinations { save: Some(path.to_owned()), ..Destinations::default() })?;
-    let mut recorder = Recorder::new(&world, settings);
+    let mut recorder = Recorder::new(&*simulation, settings);
     recorder.log_property("blessed", reason);
-    recorder.log_property("counts", &counts(scene));
-    let mut checksums = vec![world.checksum()];
-    for step in 1..=scene.steps() {
-        if let Some(failure) = &world.step().failure {
+    recorder.log_property("counts", &counts(&schema));
+    let mut checksums = vec![simulation.checksum()];
+    for step in 1..=schema.steps {
+        simulation.step();
+        simulation.summary(&mut summary);
+        if let Some(failure) = &summary.failure {
             return Err(BlessError::Scene(failure.to_string()));
         }
-        recorder.observe(&world);
-        recorder.log_events(&world);
-        checksums.push(world.checksum());
-        let awake: Vec<usize> = (0..world.body_count()).filter(|&index| !world.body(index).is_at_rest()).collect();
+        recorder.observe(&*simulation);
+        recorder.log_events(&summary);
+        checksums.push(simulation.checksum());
+        simulation.observe(Want::default(), &mut frame);
+        let awake: Vec<usize> = (0..frame.bodies.len()).filter(|&index| !frame.bodies[index].is_at_rest).collect();
         let bodies = |field: ArrayRef, name: &'static str| {
             let bodies: UInt32Array = awake.iter().map(|&index| index as u32).collect::<Vec<_>>().into();
             AnyValues::default()
@@ -94,19 +97,19 @@ pub fn bless(scene: &Scene, path: &Path, reason: &str) -> Result<Blessed, BlessE
                 .with_component_from_data(name, field)
         };
         if !awake.is_empty() {
-            let hashes: Vec<u16> = awake.iter().flat_map(|&index| vertex_hashes(&world, index)).collect();
-            recorder.log(VERTICES, &world, &bodies(Arc::new(UInt16Array::from(hashes)), "hashes"));
+            let hashes: Vec<u16> = awake.iter().flat_map(|&index| vertex_hashes(&frame.bodies[index])).collect();
+            recorder.log(VERTICES, &*simulation, &bodies(Arc::new(UInt16Array::from(hashes)), "hashes"));
         }
-        if !awake.is_empty() && (step % STATE_EVERY == 0 || step == scene.steps()) {
+        if !awake.is_empty() && (step % STATE_EVERY == 0 || step == schema.steps) {
             let displacements: Vec<f64> =
-                awake.iter().flat_map(|&index| displacements(&world, index)).flat_map(|x| x.to_array()).collect();
-            recorder.log(STATES, &world, &bodies(Arc::new(Float64Array::from(displacements)), "displacements"));
+                awake.iter().flat_map(|&i| frame.bodies[i].displacements.iter()).flat_map(|x| x.to_array()).collect();
+            recorder.log(STATES, &*simulation, &bodies(Arc::new(Float64Array::from(displacements)), "displacements"));
         }
         if step % 256 == 0 {
             recorder.take().into_iter().try_for_each(|message| sinks.send(message))?;
         }
     }
-    recorder.finish(&world);
+    recorder.finish(&*simulation);
     recorder.take().into_iter().try_for_each(|message| sinks.send(message))?;
     let saved = sinks.finish()?.save;
     Ok(Blessed { digest: digest(&checksums), bytes: saved.map_or(0, |saved| saved.bytes) })
@@ -117,26 +120,21 @@ pub fn digest(checksums: &[u64]) -> u64 {
     checksum::sequence(checksums.iter().copied())
 }
 
-fn counts(scene: &Scene) -> String {
-    let triangles: u64 = scene.bodies.iter().map(|body| body.shape.triangle_count()).sum();
-    format!("{} vertices, {triangles} triangles", scene.vertex_count())
+fn counts(schema: &Schema) -> String {
+    let triangles: usize = schema.bodies.iter().map(|body| body.mesh.triangles().len()).sum();
+    format!("{} vertices, {triangles} triangles", schema.vertex_count())
 }
 
 /// Two bytes of hash of the state of each vertex of a body.
-fn vertex_hashes(world: &World, index: usize) -> Vec<u16> {
-    let States { displacement, velocity } = world.body(index).states();
+fn vertex_hashes(now: &BodyFrame) -> Vec<u16> {
     let hash =
         |(x, u): (DVec3, DVec3)| checksum::sequence([x, u].into_iter().flat_map(|v| v.to_array()).map(checksum::bits));
-    displacement.iter().zip(velocity.iter()).map(|state| hash(state) as u16).collect()
-}
-
-fn displacements(world: &World, index: usize) -> Vec<DVec3> {
-    world.body(index).states().displacement.iter().collect()
+    now.displacements.iter().zip(now.velocities.iter()).map(|state| hash(state) as u16).collect()
 }
 
 /// How a scene does beside its golden recording.
 #[derive(Clone, Debug)]
-pub enum Outcome {
+pub enum GoldenOutcome {
     /// Every checksum is the same.
     Identical {
         /// Steps of the scene.
@@ -149,12 +147,12 @@ pub enum Outcome {
         is_rewritten: bool,
     },
     /// They are not.
-    Different(Box<Difference>),
+    Different(Box<GoldenDifference>),
 }
 
 /// What differs.
 #[derive(Clone, Debug)]
-pub struct Difference {
+pub struct GoldenDifference {
     /// Golden and present number of steps, if they differ.
     pub steps: Option<[u64; 2]>,
     /// Golden and present vertices and triangles, if they differ.
@@ -173,7 +171,7 @@ pub struct Difference {
     pub comparison: Option<Result<PathBuf, String>>,
 }
 
-impl Difference {
+impl GoldenDifference {
     /// Whether nothing but bits differ: values within the tolerance, the same events, vertices and triangles.
     pub fn is_tolerable(&self) -> bool {
         self.steps.is_none() && self.counts.is_none() && self.events.is_empty() && self.is_within_tolerance
@@ -201,35 +199,34 @@ pub struct First {
 ///
 /// # Errors
 /// The golden recording cannot be read, or the scene not be run.
-pub fn check(scene: &Scene, golden: &Path, comparison: Option<&Path>) -> Result<Outcome, ReadError> {
-    let recorded = Recorded::open(golden)?;
-    let details = |step| Details::read(golden, step);
+pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -> Result<GoldenOutcome, ReadError> {
+    let recorded = Recorded::open_as(golden, &|name, text, run| scene.read(name, text, run))?;
     let counts_then = Details::counts(golden)?;
-    let mut world = super::replay::world(&recorded, scene.clone())?;
+    let mut simulation = start(scene, golden)?;
+    let (schema, mut summary) = (simulation.schema(), StepSummary::default());
     let mut events = Vec::new();
     let mut first = None;
-    for step in 0..=scene.steps() {
+    for step in 0..=schema.steps {
         if step > 0 {
-            let report = world.step();
-            whole(report, golden)?;
-            events.extend(report.events.iter().map(|event| Happened::of(scene, event)));
+            replay::step(&mut *simulation, &mut summary, golden)?;
+            events.extend(summary.events.iter().map(|event| RecordedEvent::of(&schema, event)));
         }
         if let (None, Some(golden)) = (first, recorded.checksum(step))
-            && world.checksum() != golden
+            && simulation.checksum() != golden
         {
             first = Some(step);
         }
     }
-    let counts_now = counts(scene);
-    let is_rewritten = scene.source != recorded.scene.source;
-    let steps = [recorded.last(), scene.steps()];
+    let counts_now = counts(&schema);
+    let is_rewritten = schema.source != recorded.schema.source;
+    let steps = [recorded.last(), schema.steps];
     let same_counts = counts_then.as_ref().is_none_or(|then| *then == counts_now);
     if first.is_none() && steps[0] == steps[1] && same_counts {
         let digest = digest(&recorded.checksums);
-        return Ok(Outcome::Identical { steps: steps[1], events: events.len(), digest, is_rewritten });
+        return Ok(GoldenOutcome::Identical { steps: steps[1], events: events.len(), digest, is_rewritten });
     }
 
-    let mut difference = Difference {
+    let mut difference = GoldenDifference {
         steps: (steps[0] != steps[1]).then_some(steps),
         counts: counts_then.filter(|_| !same_counts).map(|then| [then, counts_now]),
         is_rewritten,
@@ -242,32 +239,41 @@ pub fn check(scene: &Scene, golden: &Path, comparison: Option<&Path>) -> Result<
     if let Some(step) = first
         && difference.counts.is_none()
     {
-        let details = details(step)?;
-        look(scene, &recorded, &details, step, &mut difference)?;
+        let details = Details::read(&recorded, step)?;
+        look(start(scene, golden)?, &schema, &recorded, &details, step, &mut difference)?;
         if let Some(path) = comparison {
-            difference.comparison = Some(show(scene, &details, &difference, path).map(|()| path.to_owned()));
+            let shown = show(start(scene, golden)?, &schema, &details, &difference, path);
+            difference.comparison = Some(shown.map(|()| path.to_owned()).map_err(|error| error.to_string()));
         }
     }
-    Ok(Outcome::Different(Box::new(difference)))
+    Ok(GoldenOutcome::Different(Box::new(difference)))
 }
 
 /// Runs a scene once more, and compares it with the details of its golden recording from `step` on.
 fn look(
-    scene: &Scene,
+    mut simulation: Box<dyn Simulation>,
+    schema: &Schema,
     recorded: &Recorded,
     details: &Details,
     step: u64,
-    difference: &mut Difference,
+    difference: &mut GoldenDifference,
 ) -> Result<(), ReadError> {
-    let mut world = super::replay::world(recorded, scene.clone())?;
-    let last = recorded.last().min(scene.steps());
-    while world.steps_taken() <= last {
-        if world.steps_taken() == step {
-            difference.first = Some(details.part(&world, recorded.checksum(step).unwrap_or_default()));
+    let (mut frame, mut summary) = (Frame::default(), StepSummary::default());
+    for now in 0..=recorded.last().min(schema.steps) {
+        if now > 0 {
+            replay::step(&mut *simulation, &mut summary, &recorded.path)?;
         }
-        if let Some(state) = details.states.get(&world.steps_taken()) {
-            let worst = state.compare(&world);
-            let allowed = tolerance(scene, world.time());
+        if now != step && !details.states.contains_key(&now) {
+            continue;
+        }
+        simulation.observe(Want::default(), &mut frame);
+        if now == step {
+            let sums = [recorded.checksum(step).unwrap_or_default(), simulation.checksum()];
+            difference.first = Some(details.part(schema, &frame, sums));
+        }
+        if let Some(state) = details.states.get(&now) {
+            let worst = state.compare(schema, &frame);
+            let allowed = tolerance(schema, frame.at.time);
             difference.is_within_tolerance &= worst.as_ref().is_none_or(|worst| worst.difference <= allowed);
             let is_worse =
                 |worst: &Worst| !difference.worst.as_ref().is_some_and(|known| known.difference >= worst.difference);
@@ -275,97 +281,82 @@ fn look(
                 difference.worst = Some(worst);
             }
         }
-        if world.steps_taken() == last {
-            break;
-        }
-        whole(world.step(), &recorded.path)?;
     }
     Ok(())
 }
 
 /// What the scene's tolerance comes to at a time: radii per unit of scene time, for at least one of these.
-fn tolerance(scene: &Scene, time: f64) -> f64 {
-    scene.tolerance * time.max(1.0)
+fn tolerance(schema: &Schema, time: f64) -> f64 {
+    schema.tolerance * time.max(1.0)
 }
 
 /// Writes both runs side by side.
-fn show(scene: &Scene, details: &Details, difference: &Difference, path: &Path) -> Result<(), String> {
-    let work = || -> Result<(), SinkError> {
-        let Ok(mut world) = World::new(scene.clone()) else { return Ok(()) };
-        let worst = difference.worst.as_ref();
-        let body = |name: &str| scene.bodies.iter().position(|body| body.name == name);
-        let mut bodies: Vec<usize> = worst.and_then(|worst| body(&worst.body)).into_iter().collect();
-        let awake = details.states.values().flat_map(|state| state.bodies.keys().copied());
-        for index in awake {
-            if !bodies.contains(&index) {
-                bodies.push(index);
-            }
+fn show(
+    mut simulation: Box<dyn Simulation>,
+    schema: &Schema,
+    details: &Details,
+    difference: &GoldenDifference,
+    path: &Path,
+) -> Result<(), SinkError> {
+    let worst = difference.worst.as_ref();
+    let body = |name: &str| schema.bodies.iter().position(|body| body.name == name);
+    let mut bodies: Vec<usize> = worst.and_then(|worst| body(&worst.body)).into_iter().collect();
+    for &index in details.states.values().flat_map(|state| state.bodies.keys()) {
+        if !bodies.contains(&index) {
+            bodies.push(index);
         }
-        let plan = Plan {
-            labels: ["the golden recording".to_owned(), "this run".to_owned()],
-            largest: worst.map_or(0.0, |worst| worst.recorded.distance(worst.found)),
-            bodies,
-            tolerance: scene.tolerance,
-        };
-        let mut comparison = Comparison::new(scene, &plan, path)?;
-        for change in &difference.events {
-            let time = change.time();
-            comparison.event(Instant { step: (time / scene.dt).ceil().max(0.0) as u64, time }, &change.to_string());
-        }
-        let last = details.states.keys().next_back().copied().unwrap_or(0);
-        while world.steps_taken() < last.min(scene.steps()) {
-            if world.step().failure.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
-                break;
-            }
-            if let Some(state) = details.states.get(&world.steps_taken()) {
-                let at = Instant { step: world.steps_taken(), time: world.time() };
-                comparison.frame(scene, at, tolerance(scene, world.time()), |index| {
-                    let now = world.body(index);
-                    let then = |vertex: usize| {
-                        let displacement = state.bodies.get(&index).and_then(|x| x.get(vertex).copied());
-                        now.centre() + now.rest(vertex) + displacement.unwrap_or_default()
-                    };
-                    [Some((0..now.vertex_count()).map(then).collect()), Some(now.positions().collect())]
-                })?;
-            }
-        }
-        comparison.finish().map(|_| ())
+    }
+    let plan = Plan {
+        labels: ["the golden recording".to_owned(), "this run".to_owned()],
+        largest: worst.map_or(0.0, |worst| worst.recorded.distance(worst.found)),
+        bodies,
+        tolerance: schema.tolerance,
     };
-    work().map_err(|error| error.to_string())
+    let mut comparison = Comparison::new(schema, &simulation.framing(false), &plan, path)?;
+    difference.events.iter().for_each(|change| comparison.change(schema, change));
+    let (mut frame, mut local, mut summary) = (Frame::default(), Vectors::default(), StepSummary::default());
+    for (&step, state) in details.states.iter().take_while(|(step, _)| **step <= schema.steps) {
+        while simulation.steps_taken() < step {
+            if replay::step(&mut *simulation, &mut summary, path).is_err() {
+                return comparison.finish().map(|_| ());
+            }
+        }
+        simulation.observe(Want::default(), &mut frame);
+        comparison.frame(schema, frame.at, tolerance(schema, frame.at.time), |index| {
+            let (body, now) = (&schema.bodies[index], &frame.bodies[index]);
+            now.local_positions(body.rest(), &mut local);
+            let found = local.iter().map(|position| now.centre + position).collect();
+            let rest = |vertex| now.centre + body.rest().position(vertex);
+            let then =
+                (0..body.vertex_count()).map(|vertex| rest(vertex) + state.displacement(index, vertex)).collect();
+            [Some(then), Some(found)]
+        })?;
+    }
+    comparison.finish().map(|_| ())
 }
 
 /// A state as a golden recording has it.
 #[derive(Clone, Debug, Default)]
-struct State {
+struct GoldenState {
     /// Displacements of the vertices of bodies that are not at rest [scene unit].
     bodies: BTreeMap<usize, Vec<DVec3>>,
 }
 
-impl State {
-    /// The worst vertex beside a world; `None` if there is no difference.
-    fn compare(&self, world: &World) -> Option<Worst> {
-        let mut worst: Option<Worst> = None;
-        let mut vertices = 0;
-        for (index, body) in world.bodies().enumerate() {
-            let golden = self.bodies.get(&index);
-            if golden.is_none() && body.is_at_rest() {
-                continue;
-            }
-            for vertex in 0..body.vertex_count() {
-                let recorded = golden.and_then(|golden| golden.get(vertex).copied()).unwrap_or_default();
-                let found = body.displacement(vertex);
-                if recorded == found {
-                    continue;
-                }
-                vertices += 1;
-                let difference = recorded.distance(found) / body.scene().radius;
-                if worst.as_ref().is_none_or(|worst| !(difference <= worst.difference)) {
-                    let (step, time, name) = (world.steps_taken(), world.time(), body.name().to_owned());
-                    worst = Some(Worst { step, time, body: name, vertex, recorded, found, difference, vertices });
-                }
-            }
-        }
-        worst.map(|worst| Worst { vertices, ..worst })
+impl GoldenState {
+    fn displacement(&self, index: usize, vertex: usize) -> DVec3 {
+        self.bodies.get(&index).and_then(|golden| golden.get(vertex).copied()).unwrap_or_default()
+    }
+
+    /// The worst vertex beside another state; `None` if there is no difference.
+    fn compare(&self, schema: &Schema, frame: &Frame) -> Option<Worst> {
+        let bodies = schema.bodies.iter().zip(&frame.bodies).enumerate();
+        let moved = bodies.filter(|(index, (_, now))| self.bodies.contains_key(index) || !now.is_at_rest);
+        let worst = moved.map(|(index, (body, now))| {
+            let vertices = 0..body.vertex_count();
+            let places = vertices.map(|vertex| (self.displacement(index, vertex), now.displacement(vertex)));
+            Worst::of(frame.at, body, 0.0, places)
+        });
+        worst.fold(None, Worst::and)
     }
 }
 
@@ -375,7 +366,7 @@ struct Details {
     /// Hashes of the vertices of bodies that are not at rest, at that step.
     hashes: BTreeMap<usize, Vec<u16>>,
     /// States from that step on.
-    states: BTreeMap<u64, State>,
+    states: BTreeMap<u64, GoldenState>,
 }
 
 impl Details {
@@ -389,8 +380,8 @@ impl Details {
         Ok(None)
     }
 
-    fn read(path: &Path, step: u64) -> Result<Details, ReadError> {
-        let scene = Recorded::open(path)?.scene;
+    fn read(recorded: &Recorded, step: u64) -> Result<Details, ReadError> {
+        let (schema, path) = (&recorded.schema, &recorded.path);
         let mut details = Details::default();
         let mut reader = Reader::open(path)?;
         while let Some(chunk) = reader.next(|entity| entity == VERTICES || entity == STATES)? {
@@ -402,8 +393,8 @@ impl Details {
                 let bodies = bodies.as_ref().and_then(|bodies| bodies.as_primitive_opt::<UInt32Type>());
                 let Some(bodies) = bodies else { continue };
                 let sizes = bodies.values().iter().filter_map(|&index| {
-                    let body = scene.bodies.get(index as usize)?;
-                    Some((index as usize, body.shape.vertex_count() as usize))
+                    let body = schema.bodies.get(index as usize)?;
+                    Some((index as usize, body.vertex_count()))
                 });
                 let mut first = 0;
                 if is_states && at >= step {
@@ -432,33 +423,30 @@ impl Details {
         Ok(details)
     }
 
-    /// Which vertices of a world differ at the step.
-    fn part(&self, world: &World, golden: u64) -> First {
-        let mut bodies: Vec<(usize, Vec<usize>)> = Vec::new();
-        for (index, body) in world.bodies().enumerate() {
-            let vertices: Vec<usize> = match (self.hashes.get(&index), body.is_at_rest()) {
+    /// Which vertices of a state differ at the step; `sums` are its checksums in the golden recording and now.
+    fn part(&self, schema: &Schema, frame: &Frame, [golden, found]: [u64; 2]) -> First {
+        let differing = |(index, now): (usize, &BodyFrame)| {
+            let all = 0..schema.bodies[index].vertex_count();
+            let vertices: Vec<usize> = match (self.hashes.get(&index), now.is_at_rest) {
                 (None, true) => Vec::new(),
                 (Some(then), false) => {
-                    let now = vertex_hashes(world, index);
-                    (0..body.vertex_count()).filter(|&vertex| then.get(vertex) != now.get(vertex)).collect()
+                    let now = vertex_hashes(now);
+                    all.filter(|&vertex| then.get(vertex) != now.get(vertex)).collect()
                 }
-                _ => (0..body.vertex_count()).collect(),
+                _ => all.collect(),
             };
-            if !vertices.is_empty() {
-                bodies.push((index, vertices));
-            }
-        }
+            (index, vertices)
+        };
+        let bodies = frame.bodies.iter().enumerate().map(differing).filter(|(_, vertices)| !vertices.is_empty());
+        let bodies: Vec<(usize, Vec<usize>)> = bodies.collect();
         let first = bodies.first().and_then(|(index, vertices)| Some((*index, *vertices.first()?)));
         First {
-            step: world.steps_taken(),
-            time: world.time(),
+            step: frame.at.step,
+            time: frame.at.time,
             golden,
-            found: world.checksum(),
-            displacement: first.map_or(DVec3::ZERO, |(index, vertex)| world.body(index).displacement(vertex)),
-            bodies: bodies
-                .into_iter()
-                .map(|(index, vertices)| (world.body(index).name().to_owned(), vertices))
-                .collect(),
+            found,
+            displacement: first.map_or(DVec3::ZERO, |(index, vertex)| frame.bodies[index].displacement(vertex)),
+            bodies: bodies.into_iter().map(|(index, vertices)| (schema.bodies[index].name.clone(), vertices)).collect(),
         }
     }
 }

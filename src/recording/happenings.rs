@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use super::recorded::Happened;
-use crate::{scene::Scene, sim::Event, stream::recorder::pair_name};
+use super::recorded::RecordedEvent;
+use crate::observe::{PairEvent, Schema};
 
 /// Times of one event that are no farther apart are the same [s].
 pub const SAME_TIME: f64 = 1e-6;
@@ -13,13 +13,13 @@ pub const SAME_TIME: f64 = 1e-6;
 #[derive(Clone, Debug, PartialEq)]
 pub enum Change {
     /// It is at another time.
-    Moved(Happened, Happened),
+    Moved(RecordedEvent, RecordedEvent),
     /// It is in the first only.
-    Vanished(Happened),
+    Vanished(RecordedEvent),
     /// It is in the second only.
-    Appeared(Happened),
+    Appeared(RecordedEvent),
     /// Both have it, and before and after it others than in the first run.
-    Reordered(Happened),
+    Reordered(RecordedEvent),
 }
 
 impl Change {
@@ -48,27 +48,29 @@ impl fmt::Display for Change {
     }
 }
 
-impl fmt::Display for Happened {
+impl fmt::Display for RecordedEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} {} at t = {:.9} s (step {})", self.name, self.pair, self.time, self.step)
     }
 }
 
-impl Happened {
+impl RecordedEvent {
     /// An event as a recording tells of it.
-    pub fn of(scene: &Scene, event: &Event) -> Happened {
-        Happened {
-            name: event.name().to_owned(),
-            pair: pair_name(scene, event.a as usize, event.b as usize),
-            time: (event.time * 1e9).round() * 1e-9,
+    pub fn of(schema: &Schema, event: &PairEvent) -> RecordedEvent {
+        RecordedEvent {
+            name: event.name.to_owned(),
+            pair: schema.pair_name(event.a, event.b),
+            phases: Some([event.from, event.to].map(|phase| schema.phases[phase].name.to_owned())),
+            q: Some(event.q),
+            time: event.time,
             step: event.step,
         }
     }
 }
 
 /// What differs between the events of two runs: the n-th of its kind of a pair in one is the n-th of it in the other.
-pub fn compare(first: &[Happened], second: &[Happened]) -> Vec<Change> {
-    let mut others: BTreeMap<(&str, &str), std::collections::VecDeque<(usize, &Happened)>> = BTreeMap::new();
+pub fn compare(first: &[RecordedEvent], second: &[RecordedEvent]) -> Vec<Change> {
+    let mut others: BTreeMap<(&str, &str), std::collections::VecDeque<(usize, &RecordedEvent)>> = BTreeMap::new();
     for (index, event) in second.iter().enumerate() {
         others.entry((&event.name, &event.pair)).or_default().push_back((index, event));
     }

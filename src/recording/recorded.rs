@@ -1,6 +1,9 @@
 //! What it takes to make a recording again, and what came of it.
 
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 use rerun::{
     Loggable,
@@ -17,11 +20,12 @@ use super::{
     read::{End, Reader},
 };
 use crate::{
-    scene::Scene,
-    sim::checksum,
+    observe::{Experiment, Refusal, Schema, Simulation, simulation::ReadExperiment},
+    sim::{checksum, simulation},
     stream::{
         checksums,
-        settings::{FORMAT, Settings, recording_id},
+        parts::pairs::event,
+        settings::{FORMAT, Settings, recording_id, table},
     },
 };
 
@@ -41,9 +45,13 @@ const TEXT: (u64, u64) = (1 << 20, 16);
 pub struct Recorded {
     /// The file.
     pub path: PathBuf,
-    /// The scene as it was run: overrides included.
-    pub scene: Scene,
-    /// How it was run and recorded.
+    /// What was run: overrides included.
+    pub experiment: Arc<dyn Experiment>,
+    /// What that says of itself.
+    pub schema: Schema,
+    /// How it is run, as the recording has it.
+    pub run: toml::Table,
+    /// How it was recorded.
     pub settings: Settings,
     /// What the run changed of the scene, as lines of its file.
     pub overrides: String,
@@ -60,19 +68,23 @@ pub struct Recorded {
     /// Of every step from `first` on.
     pub checksums: Vec<u64>,
     /// Every event, in the order of the file.
-    pub events: Vec<Happened>,
+    pub events: Vec<RecordedEvent>,
     /// Whether it is all there.
     pub end: End,
 }
 
 /// An event as a recording tells of it.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Happened {
+pub struct RecordedEvent {
     /// What: merge, split, core, core left.
     pub name: String,
     /// The pair, as `A~B`.
     pub pair: String,
-    /// When, to the nanosecond [s].
+    /// The phases before and after, if they are recorded.
+    pub phases: Option<[String; 2]>,
+    /// Centre distance over the sum of the radii then [–], if it is recorded.
+    pub q: Option<f64>,
+    /// When [s]: to the nanosecond in golden recordings of before, exactly in others.
     pub time: f64,
     /// The first step whose state has felt it.
     pub step: u64,
@@ -93,24 +105,40 @@ struct Properties {
 }
 
 impl Recorded {
-    /// Reads a recording, whole or cut short.
+    /// Reads a recording of a scene, whole or cut short.
     ///
     /// # Errors
     /// It is not a recording of this program, of a format that this one does not know, or damaged.
     pub fn open(path: &Path) -> Result<Recorded, ReadError> {
+        Recorded::open_as(path, &simulation::read)
+    }
+
+    /// The same of an experiment that `read` makes again from what the recording carries.
+    ///
+    /// # Errors
+    /// As [`Recorded::open`].
+    pub fn open_as(path: &Path, read: &ReadExperiment<'_>) -> Result<Recorded, ReadError> {
         let mut reader = Reader::open(path)?;
         let mut properties = Properties::default();
-        let (mut sums, mut events) = (Checksums::default(), Vec::new());
+        let (mut sums, mut events) = (ReadChecksums::default(), Vec::new());
         while let Some(chunk) = reader.next(|entity| [PROPERTIES, checksums::ENTITY, "/events"].contains(&entity))? {
             let damaged = |what: String| ReadError::Damaged { path: path.to_owned(), at: None, what };
             match chunk.entity_path().to_string().as_str() {
                 PROPERTIES => properties.take(&chunk, reader.at()).map_err(damaged)?,
                 checksums::ENTITY => sums.take(&chunk, reader.at()).map_err(damaged)?,
-                _ => events.extend(happened(&chunk).map_err(damaged)?),
+                _ => events.extend(events_of(&chunk).map_err(damaged)?),
             }
         }
         let id = reader.id().unwrap_or_default().to_owned();
-        properties.understand(path, &id, sums, events, reader.end().unwrap_or(End::Cut))
+        properties.understand(path, read, &id, sums, events, reader.end().unwrap_or(End::Cut))
+    }
+
+    /// What was run, at its start.
+    ///
+    /// # Errors
+    /// It cannot be run here.
+    pub fn start(&self) -> Result<Box<dyn Simulation>, ReadError> {
+        start(&*self.experiment, &self.path)
     }
 
     /// The last step that there is a checksum of.
@@ -154,7 +182,7 @@ impl Properties {
             if let Some(text) = cell::<Utf8>(chunk, name, 0).into_iter().next() {
                 let text = text.as_str();
                 let most = match name {
-                    "scene" => Scene::LARGEST_TEXT.min(TEXT.0 + TEXT.1 * read) as usize,
+                    "scene" => crate::scene::Scene::LARGEST_TEXT.min(TEXT.0 + TEXT.1 * read) as usize,
                     _ => LONGEST_PROPERTY,
                 };
                 if text.len() > most {
@@ -170,9 +198,10 @@ impl Properties {
     fn understand(
         self,
         path: &Path,
+        read: &ReadExperiment<'_>,
         id: &str,
-        sums: Checksums,
-        events: Vec<Happened>,
+        sums: ReadChecksums,
+        events: Vec<RecordedEvent>,
         end: End,
     ) -> Result<Recorded, ReadError> {
         let foreign = |what: &str| ReadError::Foreign { path: path.to_owned(), what: what.to_owned() };
@@ -198,17 +227,22 @@ impl Properties {
             return Err(foreign("it has no scene, no settings or no version"));
         };
         let file = path.file_name().unwrap_or_default().to_string_lossy();
-        let mut scene = Scene::parse(&text, &file).map_err(|error| scene_error(error.to_string()))?;
         // An id is made of these texts, so any change of them shows.
         let ending = |id: &str| id.rsplit('-').next().unwrap_or_default().to_owned();
-        if ending(id) != ending(&recording_id(&scene.name, &text, &settings, &version)) {
-            let what = "its scene or its settings are not those that it was made of".to_owned();
-            return Err(ReadError::Damaged { path: path.to_owned(), at: None, what });
-        }
-        let settings = Settings::from_toml(&settings, &scene).map_err(unsupported_settings(path))?;
-        scene.integrator = settings.integrator;
-        scene.dt = settings.dt;
-        scene.tolerance = settings.tolerance;
+        let is_as_made = ending(id) == ending(&recording_id("", &text, &settings, &version));
+        let run = table(&settings);
+        let cannot_run = |what: String| unsupported(format!("cannot be run here: {what}"));
+        let experiment = match read(&file, &text, &run) {
+            Err(Refusal::Source(what)) => return Err(scene_error(what)),
+            _ if !is_as_made => {
+                let what = "its scene or its settings are not those that it was made of".to_owned();
+                return Err(ReadError::Damaged { path: path.to_owned(), at: None, what });
+            }
+            Err(Refusal::Run(what)) => return Err(cannot_run(what)),
+            Ok(experiment) => experiment,
+        };
+        let schema = experiment.schema();
+        let settings = Settings::from_toml(&settings, schema.bodies.len()).map_err(cannot_run)?;
         // a run that was killed may not have come to the first step
         if sums.values.is_empty() && end == End::Whole {
             return Err(foreign("it has no checksums"));
@@ -234,7 +268,9 @@ impl Properties {
         }
         Ok(Recorded {
             path: path.to_owned(),
-            scene,
+            experiment,
+            schema,
+            run,
             settings,
             overrides: self.overrides.unwrap_or_default(),
             version,
@@ -249,18 +285,19 @@ impl Properties {
     }
 }
 
-fn unsupported_settings(path: &Path) -> impl Fn(String) -> ReadError + '_ {
-    move |what| ReadError::Unsupported { path: path.to_owned(), what: format!("cannot be run here: {what}") }
+/// An experiment at its start; `path` is what it came from.
+pub(super) fn start(experiment: &dyn Experiment, path: &Path) -> Result<Box<dyn Simulation>, ReadError> {
+    experiment.start().map_err(|what| ReadError::Scene { path: path.to_owned(), what })
 }
 
-/// Checksums as they come in.
+/// ReadChecksums as they come in.
 #[derive(Default)]
-struct Checksums {
+struct ReadChecksums {
     first: u64,
     values: Vec<u64>,
 }
 
-impl Checksums {
+impl ReadChecksums {
     /// Those of a chunk, with which `read` bytes of the file are read.
     fn take(&mut self, chunk: &Chunk, read: u64) -> Result<(), String> {
         for row in 0..chunk.num_rows() {
@@ -286,17 +323,31 @@ impl Checksums {
 }
 
 /// The events of a chunk of `/events`.
-fn happened(chunk: &Chunk) -> Result<Vec<Happened>, String> {
+fn events_of(chunk: &Chunk) -> Result<Vec<RecordedEvent>, String> {
     let mut events = Vec::new();
     for row in 0..chunk.num_rows() {
-        let text = |name| cell::<Utf8>(chunk, name, row).into_iter().next().map(|text| text.as_str().to_owned());
-        let (Some(name), Some(line)) = (text("TextLog:level"), text("TextLog:text")) else { continue };
-        // as `describe` has it: "NAME A~B at t = …"
-        let pair = line.strip_prefix(&name).and_then(|rest| rest.split_whitespace().next());
-        let pair = pair.ok_or("an event of no pair")?.to_owned();
-        let time = time_of(chunk, row)? as f64 * 1e-9;
-        let step = u64::try_from(step_of(chunk, row)?).map_err(|_| "an event of a negative step".to_owned())?;
-        events.push(Happened { name, pair, time, step });
+        let texts = |component: &str| -> Vec<String> {
+            cell::<Utf8>(chunk, component, row).iter().map(|text| text.as_str().to_owned()).collect()
+        };
+        let number = |component: &str| cell::<Float64>(chunk, component, row).first().map(|number| number.0);
+        let Some(name) = texts("TextLog:level").pop() else { continue };
+        let pair = match texts(event::BODIES).as_slice() {
+            [a, b] => format!("{a}~{b}"),
+            // golden recordings of before have the line alone: "NAME A~B at t = …"
+            _ => {
+                let line = texts("TextLog:text").pop();
+                let pair = line.as_ref().and_then(|line| line.strip_prefix(&name)?.split_whitespace().next());
+                pair.ok_or("an event of no pair")?.to_owned()
+            }
+        };
+        events.push(RecordedEvent {
+            name,
+            pair,
+            phases: texts(event::PHASES).try_into().ok(),
+            q: number(event::Q),
+            time: number(event::TIME).unwrap_or(time_of(chunk, row)? as f64 * 1e-9),
+            step: u64::try_from(step_of(chunk, row)?).map_err(|_| "an event of a negative step".to_owned())?,
+        });
     }
     Ok(events)
 }

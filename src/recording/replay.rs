@@ -3,10 +3,7 @@
 use std::path::Path;
 
 use super::{ReadError, Recorded, frames};
-use crate::{
-    scene::Scene,
-    sim::{Options, StepReport, World},
-};
+use crate::observe::{Frame, Simulation, StepSummary, Want, Worst};
 
 /// What a replay came to.
 #[derive(Clone, Debug, PartialEq)]
@@ -41,19 +38,19 @@ impl Divergence {
     ///
     /// # Errors
     /// The recording cannot be read.
-    pub fn worst(&self, recorded: &Recorded) -> Result<Option<frames::Worst>, ReadError> {
-        let mut stream = frames::Frames::open(recorded)?;
-        let Ok(mut world) = world(recorded, recorded.scene.clone()) else { return Ok(None) };
+    pub fn worst(&self, recorded: &Recorded) -> Result<Option<Worst>, ReadError> {
+        let mut stream = frames::FrameReader::open(recorded)?;
+        let Ok(mut simulation) = recorded.start() else { return Ok(None) };
+        let (mut now, mut summary) = (Frame::default(), StepSummary::default());
         while let Some(frame) = stream.next()? {
             if frame.step < self.step || frame.step > recorded.last() {
                 continue;
             }
-            while world.steps_taken() < frame.step {
-                whole(world.step(), &recorded.path)?;
+            while simulation.steps_taken() < frame.step {
+                step(&mut *simulation, &mut summary, &recorded.path)?;
             }
-            if let Some(worst) = frame.compare(&world)
-                && worst.difference > 0.0
-            {
+            simulation.observe(Want::default(), &mut now);
+            if let Some(worst) = frame.compare(&recorded.schema, &now) {
                 return Ok(Some(worst));
             }
         }
@@ -61,67 +58,61 @@ impl Divergence {
     }
 }
 
-/// Runs what a recording holds again, and compares every step of which it has a checksum; `observe` sees the world at
-/// step 0 and after every step. Ends at the first that differs, or when `observe` says so by `false`.
+/// Runs what a recording holds again, and compares every step of which it has a checksum; `observe` sees the simulation
+/// at step 0 and after every step. Ends at the first that differs, or when `observe` says so by `false`.
 ///
 /// # Errors
 /// The scene cannot be run here, or the recording is damaged: a checksum alone differs, and those after it do not, as no
 /// simulation does it.
-pub fn verify(recorded: &Recorded, mut observe: impl FnMut(&World) -> bool) -> Result<Verdict, ReadError> {
-    let mut world = world(recorded, recorded.scene.clone())?;
+pub fn verify(recorded: &Recorded, mut observe: impl FnMut(&dyn Simulation) -> bool) -> Result<Verdict, ReadError> {
+    let mut simulation = recorded.start()?;
     let mut last_step = recorded.last();
+    let mut summary = StepSummary::default();
     let mut divergence = None;
     loop {
-        let step = world.steps_taken();
+        let step = simulation.steps_taken();
         if let (Some(expected), None) = (recorded.checksum(step), &divergence) {
-            let found = world.checksum();
+            let found = simulation.checksum();
             if found != expected {
-                divergence = Some(Divergence { step, time: world.time(), recorded: expected, replayed: found });
+                divergence = Some(Divergence { step, time: simulation.time(), recorded: expected, replayed: found });
                 last_step = last_step.min(step + 1); // one more, to see whether the two meet again
             }
         } else if let (Some(expected), Some(found)) = (recorded.checksum(step), &divergence)
-            && world.checksum() == expected
+            && simulation.checksum() == expected
         {
             let what = format!("the checksum of step {} is wrong, that of the next is right", found.step);
             return Err(ReadError::Damaged { path: recorded.path.clone(), at: None, what });
         }
-        if divergence.is_none() && !observe(&world) {
+        if divergence.is_none() && !observe(&*simulation) {
             break;
         }
         if step >= last_step {
             break;
         }
-        whole(world.step(), &recorded.path)?;
+        self::step(&mut *simulation, &mut summary, &recorded.path)?;
     }
     if let Some(divergence) = divergence {
         return Ok(Verdict::Divergent(divergence));
     }
-    if recorded.failure.is_some() && world.report().failure.is_none() && world.steps_taken() == recorded.last() {
-        world.step(); // the one that was not recorded, because it was not taken
+    if recorded.failure.is_some() && summary.failure.is_none() && simulation.steps_taken() == recorded.last() {
+        simulation.step(); // the one that was not recorded, because it was not taken
+        simulation.summary(&mut summary);
     }
-    let replayed = world.report().failure.as_ref().map(ToString::to_string);
+    let replayed = summary.failure.as_ref().map(ToString::to_string);
     Ok(match &recorded.failure {
         Some(recorded) if replayed.as_ref() != Some(recorded) => Verdict::OtherEnd { replayed },
         _ => Verdict::Identical,
     })
 }
 
-/// A step is of use to nobody that was not taken to its end.
-pub(super) fn whole(report: &StepReport, path: &Path) -> Result<(), ReadError> {
-    match &report.failure {
+/// Takes a step; one that was not taken to its end is of use to nobody.
+pub(super) fn step(simulation: &mut dyn Simulation, summary: &mut StepSummary, path: &Path) -> Result<(), ReadError> {
+    simulation.step();
+    simulation.summary(summary);
+    match &summary.failure {
         Some(failure) if !failure.is_whole_step() => {
             Err(ReadError::Failed { path: path.to_owned(), failure: failure.clone() })
         }
         _ => Ok(()),
     }
-}
-
-/// A world of a recording's scene, with or without other settings.
-///
-/// # Errors
-/// The scene is too large for this machine.
-pub fn world(recorded: &Recorded, scene: Scene) -> Result<World, ReadError> {
-    let options = Options { skip: recorded.settings.skip, ..Options::default() };
-    World::with_options(scene, options)
-        .map_err(|error| ReadError::Scene { path: recorded.path.clone(), what: error.to_string() })
 }

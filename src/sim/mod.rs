@@ -12,7 +12,7 @@
 //! | when pairs merge, split, enter and leave their core | [`events`] |
 //! | how a vertex is advanced | [`integrator`] |
 //! | forces by cause, energy: looking at a state | [`observe`] |
-//! | what another thread can look at meanwhile | [`snapshot`] |
+//! | all that instruments know of it | [`simulation`] |
 //! | what happens inside of a step, on request | [`stages`] |
 //! | what a step reports | [`report`] |
 //! | how much a step may take | [`work`] |
@@ -50,7 +50,7 @@ pub mod observe;
 mod pairs;
 pub mod reach;
 pub mod report;
-pub mod snapshot;
+pub mod simulation;
 pub mod stages;
 mod state;
 pub mod terms;
@@ -64,7 +64,6 @@ pub use events::Event;
 pub use memory::TooLarge;
 pub use observe::{BodyForces, Energy};
 pub use report::{Diverged, Failure, Overworked, Stage, StepReport, Toil};
-pub use snapshot::Snapshot;
 pub use terms::Cause;
 pub use world::{BodyView, Options, PairView, States, World};
 

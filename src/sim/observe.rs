@@ -5,13 +5,15 @@ use glam::DVec3;
 use super::{
     World,
     arrays::Vectors,
-    state::State,
-    terms::{Cause, Surroundings, oscillator, spheres},
+    terms::{Cause, Source, Surroundings, oscillator, spheres},
     world::States,
 };
 use crate::{
     geometry::Rest,
-    model::{influence::Weight, phase::Phase},
+    model::{
+        influence::{self, Weight},
+        phase::Phase,
+    },
     scene::{Body, Scene},
 };
 
@@ -26,31 +28,17 @@ impl BodyForces {
     pub fn of(&self, cause: Cause) -> &Vectors {
         &self.by_cause[cause as usize]
     }
-
-    /// Leaves out what does not come from influence spheres.
-    pub(super) fn keep_influence(&mut self) {
-        let is_influence = |cause: &Cause| matches!(cause, Cause::Attraction | Cause::Repulsion | Cause::Core);
-        for cause in Cause::ALL.into_iter().filter(|cause| !is_influence(cause)) {
-            let count = self.of(cause).len();
-            self.by_cause[cause as usize].reset(count);
-        }
-        let net = self.acting().collect();
-        self.by_cause[Cause::Net as usize] = net;
-    }
-
-    /// What acts on each vertex but for its own oscillator [scene unit/s²].
-    pub(super) fn acting(&self) -> impl Iterator<Item = DVec3> + '_ {
-        let is_own = |cause: &Cause| matches!(cause, Cause::Restoring | Cause::Damping | Cause::Net);
-        let causes: Vec<Cause> = Cause::ALL.into_iter().filter(|cause| !is_own(cause)).collect();
-        (0..self.of(Cause::Net).len()).map(move |i| causes.iter().map(|&cause| self.of(cause).get(i)).sum())
-    }
 }
 
 impl World {
     /// The forces by cause on every vertex of body `index` in the current state, into `forces` (reused).
     pub fn forces(&self, index: usize, forces: &mut BodyForces) {
         let (states, surroundings) = (self.body(index).states(), self.surroundings(index));
-        self.seen(index, &states, &surroundings).forces(self.scene().influence.weight, forces);
+        let seen = self.seen(index, [&states.displacement, &states.velocity], &surroundings);
+        seen.forces(self.scene().influence.weight, &mut forces.by_cause);
+        for vectors in forces.by_cause.iter_mut().filter(|vectors| vectors.is_empty()) {
+            vectors.reset(seen.rest.len());
+        }
     }
 
     /// The energy of the current state.
@@ -61,7 +49,7 @@ impl World {
             let surroundings = self.surroundings(index);
             if !(body.is_at_rest() && surroundings.sources.is_empty()) {
                 body.states_into(&mut states);
-                energy.add(&self.seen(index, &states, &surroundings));
+                energy.add(&self.seen(index, [&states.displacement, &states.velocity], &surroundings));
             }
         }
         energy.sum
@@ -72,8 +60,15 @@ impl World {
         *self.energy_of_distant_pairs.get_or_init(|| spheres::energy_of_distant_pairs(self.scene()))
     }
 
-    pub(super) fn seen<'a>(&'a self, index: usize, states: &'a States, surroundings: &'a Surroundings) -> Seen<'a> {
-        Seen { body: &self.scene().bodies[index], rest: self.bodies[index].rest(), states, surroundings }
+    /// A body in a state: displacements and velocities, empty if every one is zero.
+    pub(super) fn seen<'a>(
+        &'a self,
+        index: usize,
+        [displacement, velocity]: [&'a Vectors; 2],
+        surroundings: &'a Surroundings,
+    ) -> Seen<'a> {
+        let (body, rest) = (&self.scene().bodies[index], self.bodies[index].rest());
+        Seen { body, rest, displacement, velocity, surroundings }
     }
 }
 
@@ -82,29 +77,47 @@ impl World {
 pub(super) struct Seen<'a> {
     pub body: &'a Body,
     pub rest: Rest<'a>,
-    /// Empty if every one is zero.
-    pub states: &'a States,
+    /// Empty if every one is zero, as velocities are.
+    pub displacement: &'a Vectors,
+    pub velocity: &'a Vectors,
     pub surroundings: &'a Surroundings,
 }
 
 impl Seen<'_> {
-    /// State of vertex `i`.
-    fn state(&self, i: usize) -> State {
-        let States { displacement, velocity } = self.states;
-        if displacement.is_empty() { State::default() } else { State { x: displacement.get(i), u: velocity.get(i) } }
-    }
-
-    /// The forces by cause on every vertex.
-    pub fn forces(&self, weight: Weight, forces: &mut BodyForces) {
-        for vectors in &mut forces.by_cause {
-            vectors.resize(self.rest.len()); // every one is set below
+    /// The forces by cause on every vertex; none of a cause that does not act.
+    pub fn forces(&self, weight: Weight, by_cause: &mut [Vectors; Cause::ALL.len()]) {
+        let Seen { body, rest, displacement, velocity, surroundings } = *self;
+        let Surroundings { uniform, weighted, sources } = surroundings;
+        by_cause.iter_mut().for_each(Vectors::clear);
+        for cause in sources.iter().map(Source::cause).chain(weighted.iter().map(|weighted| weighted.cause)) {
+            by_cause[cause as usize].resize(rest.len());
         }
-        for i in 0..self.rest.len() {
-            let by_cause = self.surroundings.by_cause(self.body, weight, self.rest, i, self.state(i));
-            for (vectors, force) in forces.by_cause.iter_mut().zip(by_cause) {
-                vectors.set(i, force);
+        by_cause[Cause::Net as usize].resize(rest.len());
+        for source in sources {
+            let forces = &mut by_cause[source.cause() as usize];
+            for i in 0..rest.len() {
+                let x = if displacement.is_empty() { DVec3::ZERO } else { displacement.get(i) };
+                let to_centre = source.centre - (rest.position(i) + x);
+                let force = influence::acceleration(weight, source.strength, source.sphere_radius, to_centre);
+                forces.set(i, forces.get(i) + force);
             }
         }
+        for weighted in weighted {
+            let forces = &mut by_cause[weighted.cause as usize];
+            for i in 0..rest.len() {
+                forces.set(i, forces.get(i) + weighted.acceleration(rest.direction(i)));
+            }
+        }
+        for (cause, factor, of) in oscillator::accelerations(body.material, displacement, velocity) {
+            by_cause[cause as usize].resize(of.len());
+            by_cause[cause as usize].add_times(factor, of);
+        }
+        for &(cause, force) in uniform {
+            by_cause[cause as usize].resize(rest.len());
+            by_cause[cause as usize].fill(force);
+        }
+        let [terms @ .., net] = by_cause;
+        terms.iter().for_each(|forces| net.add_times(1.0, forces));
     }
 }
 
@@ -150,12 +163,11 @@ impl EnergySum {
 
     /// Adds what the vertices of a body have, and have more than that by being inside of spheres.
     pub fn add(&mut self, seen: &Seen<'_>) {
-        let States { displacement, velocity } = seen.states;
-        let [kinetic, elastic] = oscillator::energy(seen.body.material, displacement, velocity);
+        let [kinetic, elastic] = oscillator::energy(seen.body.material, seen.displacement, seen.velocity);
         self.sum.kinetic += kinetic;
         self.sum.elastic += elastic;
         let sources = &seen.surroundings.sources;
         self.sum.reached_vertices +=
-            spheres::energy_inside(seen.rest, displacement, sources, self.weight, &mut self.sum.influence);
+            spheres::energy_inside(seen.rest, seen.displacement, sources, self.weight, &mut self.sum.influence);
     }
 }

@@ -6,7 +6,7 @@
 use glam::DVec3;
 
 use super::{
-    Snapshot, Span, World,
+    Span, World,
     body::Body,
     deformation::Deformation,
     integrator::{
@@ -14,37 +14,32 @@ use super::{
         exponential::{self, Manner, course::Course},
     },
     neighbours::Neighbour,
-    observe::BodyForces,
+    simulation::{add_forces, pair_frame},
     state::{Common, Pushed, State},
-    terms::{Acting, Moment, On, Phases, Surroundings},
+    terms::{Acting, Cause, Moment, On, Phases, Surroundings},
     work::Tally,
-    world::States,
+    world::{PairView, States},
 };
 use crate::{
     model::{oscillator::Oscillator, phase::Phase},
+    observe::{BodyFrame, Frame, Instant, PairFrame, Simulation as _, StageFrame, Want},
     scene::Integrator,
 };
 
-/// An instant inside a step.
-#[derive(Clone, Debug)]
-pub struct Inside {
-    /// What has just been done.
-    pub name: String,
-    /// The state and the forces then.
-    pub snapshot: Snapshot,
-}
+/// What is seen of a stage.
+const WANT: Want = Want { forces: true, scalars: false };
 
 /// The stages of the step that led from `before` to the world as it is, in order.
-pub fn inside(before: &Snapshot, world: &World) -> Vec<Inside> {
+pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
     let again = Again { world, before };
-    let (start, end) = (before.time, world.time());
+    let (start, end) = (before.at.time, world.time());
     let mut stages = vec![
-        Inside { name: "start".to_owned(), snapshot: before.clone() },
-        Inside { name: "influence forces".to_owned(), snapshot: before.clone().with_influence_only() },
+        StageFrame { name: "start".to_owned(), frame: before.clone() },
+        StageFrame { name: "influence forces".to_owned(), frame: influence_only(before.clone()) },
     ];
     let mut states: Vec<States> = (0..world.body_count()).map(|index| again.states_before(index)).collect();
     let flown = (0..world.body_count()).map(|index| again.flow(index, &states[index])).collect();
-    stages.push(Inside { name: "after the flow alone".to_owned(), snapshot: again.snapshot(end, start, flown) });
+    stages.push(StageFrame { name: "after the flow alone".to_owned(), frame: again.frame(end, start, flown) });
 
     match world.scene().integrator {
         Integrator::Exponential => {
@@ -56,33 +51,51 @@ pub fn inside(before: &Snapshot, world: &World) -> Vec<Inside> {
                 }
                 if breaks.len() > 2 {
                     let name = format!("after sub-step {number}, at t = {to:.9} s");
-                    stages.push(Inside { name, snapshot: again.snapshot(to, from, states.clone()) });
+                    stages.push(StageFrame { name, frame: again.frame(to, from, states.clone()) });
                 }
                 for event in world.report().events.iter().filter(|event| event.time == to) {
                     let name = |i: u32| &world.scene().bodies[i as usize].name;
                     let name = format!("{} {}~{}, at t = {to:.9} s", event.name(), name(event.a), name(event.b));
-                    stages.push(Inside { name, snapshot: again.snapshot(to, to, states.clone()) });
+                    stages.push(StageFrame { name, frame: again.frame(to, to, states.clone()) });
                 }
             }
         }
         Integrator::Thesis | Integrator::Mps => {
             let predicted = (0..world.body_count()).map(|index| again.predict(index, &states[index])).collect();
             let name = "prediction, (3.6) and (3.7)".to_owned();
-            stages.push(Inside { name, snapshot: again.snapshot(end, start, predicted) });
+            stages.push(StageFrame { name, frame: again.frame(end, start, predicted) });
         }
         Integrator::Euler | Integrator::Verlet | Integrator::Rk4 => {}
     }
-    let mut snapshot = Snapshot::default();
-    world.look(&mut snapshot);
-    stages.push(Inside { name: "end".to_owned(), snapshot });
+    let mut frame = Frame::default();
+    world.observe(WANT, &mut frame);
+    stages.push(StageFrame { name: "end".to_owned(), frame });
     stages
+}
+
+/// A frame without the forces that do not come from influence spheres.
+fn influence_only(mut frame: Frame) -> Frame {
+    let is_influence = |cause: Cause| matches!(cause, Cause::Attraction | Cause::Repulsion | Cause::Core);
+    for body in frame.bodies.iter_mut().filter(|body| body.has_forces) {
+        let [terms @ .., net] = body.terms.as_mut_slice() else { continue };
+        let count = net.accelerations.len();
+        net.accelerations.reset(count);
+        for (cause, term) in Cause::ALL.into_iter().zip(terms) {
+            if is_influence(cause) {
+                net.accelerations.add_times(1.0, &term.accelerations);
+            } else {
+                term.accelerations.clear();
+            }
+        }
+    }
+    frame
 }
 
 /// A step that is looked into.
 struct Again<'a> {
     /// After it.
     world: &'a World,
-    before: &'a Snapshot,
+    before: &'a Frame,
 }
 
 impl Again<'_> {
@@ -96,11 +109,10 @@ impl Again<'_> {
     }
 
     fn states_before(&self, index: usize) -> States {
-        let mut states = self.before.states(index).clone();
-        if states.displacement.is_empty() {
-            states.displacement.reset(self.body(index).rest().len());
-            states.velocity.reset(self.body(index).rest().len());
-        }
+        let BodyFrame { displacements, velocities, .. } = &self.before.bodies[index];
+        let mut states = States { displacement: displacements.clone(), velocity: velocities.clone() };
+        states.displacement.resize(self.body(index).rest().len());
+        states.velocity.resize(self.body(index).rest().len());
         states
     }
 
@@ -110,14 +122,17 @@ impl Again<'_> {
         let is_it = |x: usize, y: usize| (x, y) == (a, b);
         let mut events = self.world.report().events.iter();
         let last = events.rfind(|event| event.time <= t && is_it(event.a as usize, event.b as usize));
-        let before = || self.before.phases().find(|&(x, y, _)| is_it(x, y)).map(|(.., phase)| phase);
+        let before = || {
+            let known = self.before.pairs.iter().find(|pair| is_it(pair.a, pair.b))?;
+            [Phase::Apart, Phase::Merged, Phase::Core].into_iter().find(|&phase| phase as usize == known.phase)
+        };
         last.map(|event| event.to).or_else(before).unwrap_or(Phase::Apart)
     }
 
     /// Where something jumps, and both ends of the step.
     fn breaks(&self) -> Vec<f64> {
         let scene = self.world.scene();
-        let span = Span { start: self.before.time, end: self.world.time() };
+        let span = Span { start: self.before.at.time, end: self.world.time() };
         let tracks = self.world.reading().tracks;
         let knots = (0..scene.bodies.len()).flat_map(|body| tracks.track(scene, body).breaks().iter().copied());
         let mut breaks: Vec<f64> = knots.filter(|&t| span.holds(t)).chain([span.start, span.end]).collect();
@@ -143,17 +158,31 @@ impl Again<'_> {
         surroundings
     }
 
-    fn snapshot(&self, t: f64, phases_at: f64, states: Vec<States>) -> Snapshot {
+    /// Another state of the same bodies at `t`, with the phases from `phases_at` on.
+    fn frame(&self, t: f64, phases_at: f64, states: Vec<States>) -> Frame {
+        let scene = self.world.scene();
         let bodies = states.into_iter().enumerate().map(|(index, states)| {
             let surroundings = self.surroundings(index, t, phases_at, &states);
-            (self.world.track(index).position(t), states, surroundings)
+            let States { displacement: displacements, velocity: velocities } = states;
+            let centre = self.world.track(index).position(t);
+            let mut now = BodyFrame { centre, displacements, velocities, ..BodyFrame::default() };
+            now.displaced(self.body(index).rest());
+            add_forces(self.world, index, &surroundings, &mut now);
+            now
         });
-        self.before.at(t, self.world.scene(), |a, b| self.phase(a, b, phases_at), bodies)
+        let bodies: Vec<BodyFrame> = bodies.collect();
+        let pairs = self.before.pairs.iter().map(|&PairFrame { a, b, .. }| {
+            let radii = scene.bodies[a].radius + scene.bodies[b].radius;
+            let q = bodies[a].centre.distance(bodies[b].centre) / radii;
+            pair_frame(PairView { a, b, q, phase: self.phase(a, b, phases_at) })
+        });
+        let at = Instant { step: self.world.steps_taken(), time: t };
+        Frame { at, pairs: pairs.collect(), bodies, scalars: Vec::new() }
     }
 
     /// What the oscillators alone do in the step.
     fn flow(&self, index: usize, states: &States) -> States {
-        let [xx, xu, ux, uu] = self.oscillator(index).flow(self.world.time() - self.before.time);
+        let [xx, xu, ux, uu] = self.oscillator(index).flow(self.world.time() - self.before.at.time);
         let both = || states.displacement.iter().zip(states.velocity.iter());
         States {
             displacement: both().map(|(x, u)| xx * x + xu * u).collect(),
@@ -163,13 +192,15 @@ impl Again<'_> {
 
     /// Velocities after the forces, and the positions to which they lead.
     fn predict(&self, index: usize, states: &States) -> States {
-        let h = self.world.time() - self.before.time;
+        let h = self.world.time() - self.before.at.time;
         let scene = self.world.scene();
         debug_assert!(Scheme::of(scene.integrator).is_some());
-        let mut forces = BodyForces::default();
-        let surroundings = self.surroundings(index, self.before.time, self.before.time, states);
-        self.world.seen(index, states, &surroundings).forces(scene.influence.weight, &mut forces);
-        let acting = forces.acting();
+        let surroundings = self.surroundings(index, self.before.at.time, self.before.at.time, states);
+        let rest = self.body(index).rest();
+        let acting =
+            states.displacement.iter().enumerate().map(|(i, x)| {
+                surroundings.acceleration(scene.influence.weight, rest.position(i), rest.direction(i), x)
+            });
         let velocity = states.velocity.iter().zip(acting).map(|(u, force)| u + h * force).collect();
         let moved = |(x, u): (DVec3, DVec3)| x + h * u;
         let velocity: super::Vectors = velocity;
@@ -245,8 +276,8 @@ mod tests {
             let mut world = World::new(scene.clone()).unwrap();
             let (mut largest, mut sub_steps, mut events) = (0.0, 0, 0);
             for _ in 0..scene.steps() {
-                let mut before = Snapshot::default();
-                world.look(&mut before);
+                let mut before = Frame::default();
+                world.observe(WANT, &mut before);
                 let report = world.step();
                 let happened = report.events.len();
                 let stages = inside(&before, &world);
@@ -259,7 +290,7 @@ mod tests {
                 // the last stretch is the end
                 if let Some(last) = stages.iter().rfind(|stage| stage.name.contains("sub-step")) {
                     for (index, body) in world.bodies().enumerate() {
-                        let ended = &last.snapshot.states(index).displacement;
+                        let ended = &last.frame.bodies[index].displacements;
                         for i in 0..body.vertex_count() {
                             largest =
                                 f64::max(largest, ended.get(i).distance(body.displacement(i)) / body.scene().radius);

@@ -32,35 +32,41 @@ use super::{
     palette,
     parts::{
         forces,
-        numbers::{LAG, SPEED, TIMINGS, Typical},
+        numbers::{LAG, OBSERVING, RECORDING, SPEED},
         vertices::HOTTEST,
     },
-    settings::{Detail, Entities, Frames, Settings, arrow_scale},
+    settings::{Detail, Entities, Frames, Settings},
 };
-use crate::{
-    model::phase::Phase,
-    scene::Scene,
-    sim::{Cause, World},
-};
+use crate::observe::{Schema, Simulation, colors, schema::TermSchema};
+
+/// What a layout is for.
+pub struct Subject<'a> {
+    /// What is simulated …
+    pub simulation: &'a dyn Simulation,
+    /// … which this says …
+    pub schema: &'a Schema,
+    /// … and how it is recorded.
+    pub settings: &'a Settings,
+}
 
 /// The messages that bring the layout for `recording` and make it the active one.
-pub fn messages(world: &World, settings: &Settings, tab: Tab, recording: &StoreId) -> Vec<LogMsg> {
+pub fn messages(subject: &Subject<'_>, tab: Tab, recording: &StoreId) -> Vec<LogMsg> {
     let mut layout = Layout::of(recording);
-    let root = layout.root(world.scene(), settings, tab);
+    let root = layout.root(subject, tab);
     layout.finish(root)
 }
 
 /// What changes of those messages when it is known what stages usually take: plots of times leave out what is rare.
-pub fn ranges(world: &World, settings: &Settings, tab: Tab, recording: &StoreId, typical: &Typical) -> Vec<LogMsg> {
+pub fn ranges(subject: &Subject<'_>, tab: Tab, recording: &StoreId, typical: &[(&str, f64)]) -> Vec<LogMsg> {
     /// So much higher than what is typical is a plot.
     const HEADROOM: f64 = 1.3;
 
     let mut layout = Layout::of(recording);
-    let root = layout.root(world.scene(), settings, tab);
+    let root = layout.root(subject, tab);
     layout.finish(root); // sent before; what follows is numbered after it
     for (plot, stages) in std::mem::take(&mut layout.timings) {
-        let shown = TIMINGS.iter().zip(typical).filter(|(stage, _)| stages.contains(*stage));
-        let highest = shown.filter_map(|(_, typical)| *typical).fold(0.0, f64::max);
+        let shown = typical.iter().filter(|(stage, _)| stages.contains(stage));
+        let highest = shown.map(|(_, typical)| *typical).fold(0.0, f64::max);
         if highest > 0.0 {
             let axis = ScalarAxis::new().with_range(Range1D::new(-0.02 * highest, HEADROOM * highest));
             layout.log(&format!("{plot}/ScalarAxis"), &axis);
@@ -71,9 +77,9 @@ pub fn ranges(world: &World, settings: &Settings, tab: Tab, recording: &StoreId,
 }
 
 /// The same for a recording of two runs side by side: surfaces and error arrows, differences over time, what happened.
-pub fn of_comparison(scene: &Scene, recording: &StoreId) -> Vec<LogMsg> {
+pub fn of_comparison(spheres: &[(DVec3, f64)], recording: &StoreId) -> Vec<LogMsg> {
     let mut layout = Layout::of(recording);
-    let (camera, grid) = (camera(scene), LineGrid3D::new().with_visible(false));
+    let (camera, grid) = (camera_on(spheres), LineGrid3D::new().with_visible(false));
     let background = Background::new(BackgroundKind::SolidColor).with_color(palette::color(palette::BACKGROUND));
     let properties: [(&str, &dyn AsComponents); 3] =
         [("EyeControls3D", &camera), ("LineGrid3D", &grid), ("Background", &background)];
@@ -137,12 +143,6 @@ impl Tab {
     }
 }
 
-/// The stages of the plots in the tab of timings.
-const SIMULATING: &[&str] = TIMINGS.split_at(3).0;
-const STEPPING: &[&str] = TIMINGS.split_at(4).0;
-const OBSERVING: &[&str] = TIMINGS.split_at(3).1.split_at(2).0;
-const RECORDING: &[&str] = TIMINGS.split_at(5).1;
-
 /// What a visualizer takes for one of its components.
 #[derive(Clone, Copy)]
 struct Mapping {
@@ -154,7 +154,7 @@ struct Layout {
     chunks: Chunks,
     next_id: u64,
     /// The plots of times, and which.
-    timings: Vec<(String, &'static [&'static str])>,
+    timings: Vec<(String, Vec<&'static str>)>,
 }
 
 impl Layout {
@@ -187,21 +187,25 @@ impl Layout {
         messages
     }
 
-    fn root(&mut self, scene: &Scene, settings: &Settings, front: Tab) -> Part {
-        let mut tabs = vec![(Tab::Scene, self.scene_tab(scene, settings))];
+    fn root(&mut self, subject: &Subject<'_>, front: Tab) -> Part {
+        let Subject { simulation, schema, settings } = *subject;
+        let camera = camera_on(&simulation.framing(false));
+        let mut tabs = vec![(Tab::Scene, self.scene_tab(&camera, schema, settings))];
         if settings.detail != Detail::Surface {
-            tabs.push((Tab::Forces, self.forces_tab(scene, settings)));
-            tabs.push((Tab::Displacement, self.displacement_tab(scene, settings)));
+            let close = camera_on(&simulation.framing(true));
+            tabs.push((Tab::Forces, self.forces_tab(&close, schema, settings)));
+            tabs.push((Tab::Displacement, self.displacement_tab(&close, schema, settings)));
         }
-        if scene.bodies.len() > 1 {
-            let parts = self.pair_views(scene);
+        if schema.bodies.len() > 1 {
+            let parts = self.pair_views(schema);
             tabs.push((Tab::Pairs, self.container(ContainerKind::Vertical, "Pairs", parts, &[2.0, 1.0, 0.8])));
         }
-        tabs.push((Tab::Timings, self.timings_tab()));
-        let plots = self.diagnostics();
-        tabs.push((Tab::Energy, self.container(ContainerKind::Vertical, "Energy", plots, &[1.0; 4])));
+        tabs.push((Tab::Timings, self.timings_tab(schema)));
+        let plots = self.diagnostics(schema);
+        let shares = vec![1.0; plots.len()];
+        tabs.push((Tab::Energy, self.container(ContainerKind::Vertical, "Energy", plots, &shares)));
         if matches!(settings.detail, Detail::Stages { .. }) {
-            tabs.push((Tab::Stages, self.stages_tab(scene, settings)));
+            tabs.push((Tab::Stages, self.stages_tab(&camera, schema, settings)));
         }
         let active = tabs.iter().find(|(tab, _)| *tab == front).map(|(_, part)| part.path.clone());
         let root =
@@ -213,8 +217,8 @@ impl Layout {
     }
 
     /// The inside of steps: on the timeline `stage`.
-    fn stages_tab(&mut self, scene: &Scene, settings: &Settings) -> Part {
-        let view = self.scene_view(scene, "Inside of a step (timeline: stage)", settings);
+    fn stages_tab(&mut self, camera: &EyeControls3D, schema: &Schema, settings: &Settings) -> Part {
+        let view = self.scene_view(camera, schema, "Inside of a step (timeline: stage)", settings);
         let lines = self.lines("Stages", "/stages");
         self.container(ContainerKind::Horizontal, "Stages", vec![view, lines], &[2.0, 1.0])
     }
@@ -227,43 +231,39 @@ impl Layout {
     }
 
     /// Everything at one glance.
-    fn scene_tab(&mut self, scene: &Scene, settings: &Settings) -> Part {
-        let scene_view = self.scene_view(scene, "Bodies, influence spheres, forces", settings);
+    fn scene_tab(&mut self, camera: &EyeControls3D, schema: &Schema, settings: &Settings) -> Part {
+        let scene_view = self.scene_view(camera, schema, "Bodies, influence spheres, forces", settings);
         let about = self.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
         let left = self.container(ContainerKind::Vertical, "Space", vec![scene_view, about], &[2.6, 1.0]);
-        let right = if scene.bodies.len() > 1 {
-            let mut parts = self.pair_views(scene);
-            parts.push(self.timings());
+        let right = if schema.bodies.len() > 1 {
+            let mut parts = self.pair_views(schema);
+            parts.push(self.timings(schema));
             self.container(ContainerKind::Vertical, "Time", parts, &[1.4, 0.75, 0.75, 1.0])
         } else {
             // a body that is alone: how it moves, and what it cost
-            let mut parts = self.diagnostics();
-            parts.push(self.timings());
-            self.container(ContainerKind::Vertical, "Time", parts, &[1.0, 1.0, 1.0, 1.0, 1.2])
+            let mut parts = self.diagnostics(schema);
+            let mut shares = vec![1.0; parts.len()];
+            parts.push(self.timings(schema));
+            shares.push(1.2);
+            self.container(ContainerKind::Vertical, "Time", parts, &shares)
         };
         self.container(ContainerKind::Horizontal, "Scene", vec![left, right], &[1.6, 1.0])
     }
 
-    /// A view a cause, of those that the scene can have, all from the same side: from there each is turned by itself, as
+    /// A view a term, of those that the scene can have, all from the same side: from there each is turned by itself, as
     /// Rerun 0.36 has a camera for every view and nothing that ties two together.
-    fn forces_tab(&mut self, scene: &Scene, settings: &Settings) -> Part {
+    fn forces_tab(&mut self, camera: &EyeControls3D, schema: &Schema, settings: &Settings) -> Part {
         const WHITE: palette::Rgb = [0xFF; 3];
-        let camera = close_camera(scene);
-        let has = |cause: Cause| match cause {
-            Cause::Attraction | Cause::Repulsion => scene.bodies.len() > 1,
-            Cause::Core => scene.bodies.len() > 1 && scene.thresholds.core_at > 0.0,
-            Cause::Push => !scene.pushes.is_empty(),
-            Cause::Restoring | Cause::Damping | Cause::Carry | Cause::Net => true,
-        };
-        let views: Vec<Part> = Cause::ALL
-            .into_iter()
-            .filter(|&cause| has(cause))
-            .map(|cause| {
-                let arrows = format!("+ {}", forces::entity(cause));
+        let views: Vec<Part> = schema
+            .terms
+            .iter()
+            .filter(|term| term.can_act)
+            .map(|term| {
+                let arrows = format!("+ {}", forces::entity(term.name));
                 let contents = ["+ /world/bodies/**", "+ /world/deforming/**", arrows.as_str()];
-                let view = self.space(&camera, cause_title(cause), &contents);
-                if scene.bodies.len() <= MOST_SHEER || settings.entities == Entities::Batch {
-                    for (index, surface) in surfaces(scene, settings).into_iter().enumerate() {
+                let view = self.space(camera, &format!("{} ({})", term.label, colors::name(term.color)), &contents);
+                if schema.bodies.len() <= MOST_SHEER || settings.entities == Entities::Batch {
+                    for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
                         // a batch has a colour for each vertex
                         let rgb = if settings.entities == Entities::Batch { WHITE } else { palette::body(index) };
                         let sheer = Mesh3D::update_fields().with_albedo_factor(palette::sheer(rgb));
@@ -277,26 +277,26 @@ impl Layout {
     }
 
     /// Surfaces coloured by how far they are displaced, and vertices to select.
-    fn displacement_tab(&mut self, scene: &Scene, settings: &Settings) -> Part {
+    fn displacement_tab(&mut self, camera: &EyeControls3D, schema: &Schema, settings: &Settings) -> Part {
         let title = format!(
             "Displacement: purple 0, green {}, yellow {HOTTEST} radii and more; select a vertex to see its numbers",
             0.6 * HOTTEST
         );
-        let view = self.space(&close_camera(scene), &title, &["+ /world/bodies/**", "+ /world/deforming/**"]);
+        let view = self.space(camera, &title, &["+ /world/bodies/**", "+ /world/deforming/**"]);
         let heat = Mapping { target: "Mesh3D:vertex_colors", source: "Points3D:colors" };
         let positions = Mapping { target: "Points3D:positions", source: "Mesh3D:vertex_positions" };
         let opaque = Mesh3D::update_fields().with_albedo_factor(rerun::Rgba32::WHITE);
         let dots = Points3D::update_fields().with_radii([rerun::Radius::new_ui_points(2.5)]);
-        for surface in surfaces(scene, settings) {
+        for surface in surfaces(schema, settings) {
             self.visualize(&view, &surface, &[("Mesh3D", Some(heat), &opaque), ("Points3D", Some(positions), &dots)]);
         }
         self.container(ContainerKind::Vertical, "Displacement", vec![view], &[])
     }
 
     /// What happens between bodies.
-    fn pair_views(&mut self, scene: &Scene) -> Vec<Part> {
+    fn pair_views(&mut self, schema: &Schema) -> Vec<Part> {
         let legend = PlotLegend::new().with_corner(Corner2D::RightBottom);
-        let [low, high] = q_range(scene);
+        let [low, high] = q_range(schema);
         let axis = ScalarAxis::new().with_range(Range1D::new(low, high));
         let distances = self.view(
             "TimeSeries",
@@ -311,28 +311,29 @@ impl Layout {
     }
 
     /// What it costs, apart: each of these has an order of magnitude of its own.
-    fn timings_tab(&mut self) -> Part {
+    fn timings_tab(&mut self, schema: &Schema) -> Part {
         let left = vec![
-            self.times("Timings, ms per step: simulating", SIMULATING),
-            self.times("Timings, ms per step: observing, and waiting for the recording", OBSERVING),
+            self.times("Timings, ms per step: simulating", &schema.stages),
+            self.times("Timings, ms per step: observing, and waiting for the recording", &OBSERVING),
         ];
         let right =
-            vec![self.times("Timings, ms per step: recording, on a thread of its own", RECORDING), self.speed()];
+            vec![self.times("Timings, ms per step: recording, on a thread of its own", &RECORDING), self.speed()];
         let left = self.container(ContainerKind::Vertical, "The simulation's time", left, &[1.0, 1.0]);
         let right = self.container(ContainerKind::Vertical, "Beside it", right, &[1.0, 1.0]);
         self.container(ContainerKind::Horizontal, "Timings", vec![left, right], &[1.0, 1.0])
     }
 
     /// What the thread that steps does.
-    fn timings(&mut self) -> Part {
-        self.times("Timings, ms per step", STEPPING)
+    fn timings(&mut self, schema: &Schema) -> Part {
+        let stages: Vec<&'static str> = schema.stages.iter().chain(&OBSERVING[..1]).copied().collect();
+        self.times("Timings, ms per step", &stages)
     }
 
-    fn times(&mut self, name: &str, stages: &'static [&'static str]) -> Part {
+    fn times(&mut self, name: &str, stages: &[&'static str]) -> Part {
         let contents: Vec<String> = stages.iter().map(|stage| format!("+ /timings/{stage}")).collect();
         let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
         let plot = self.plot(name, "/timings", &contents, Corner2D::LeftTop);
-        self.timings.push((plot.path.clone(), stages));
+        self.timings.push((plot.path.clone(), stages.to_vec()));
         plot
     }
 
@@ -342,17 +343,21 @@ impl Layout {
         self.plot("Steps per second, and milliseconds behind real time", "/timings", &contents, Corner2D::LeftTop)
     }
 
-    fn diagnostics(&mut self) -> Vec<Part> {
-        let mut plot = |name: &str, contents: &[&str]| self.plot(name, "/diagnostics", contents, Corner2D::RightTop);
-        vec![
-            plot("Energy", &["+ /diagnostics/energy"]),
-            plot("Displacement", &["+ /diagnostics/max_displacement"]),
-            plot("Estimated error", &["+ /diagnostics/estimated_error"]),
-            plot(
-                "Counts",
-                &["+ /diagnostics/reached_vertices", "+ /diagnostics/substeps", "+ /diagnostics/sleeping_bodies"],
-            ),
-        ]
+    /// The plots of the schema's numbers.
+    fn diagnostics(&mut self, schema: &Schema) -> Vec<Part> {
+        let mut plots: Vec<(&str, Vec<String>)> = Vec::new();
+        for scalar in &schema.scalars {
+            let line = format!("+ /diagnostics/{}", scalar.name);
+            match plots.iter_mut().find(|(plot, _)| *plot == scalar.plot) {
+                Some((_, lines)) => lines.push(line),
+                None => plots.push((scalar.plot, vec![line])),
+            }
+        }
+        let mut plot = |(name, lines): (&str, Vec<String>)| {
+            let contents: Vec<&str> = lines.iter().map(String::as_str).collect();
+            self.plot(name, "/diagnostics", &contents, Corner2D::RightTop)
+        };
+        plots.into_iter().map(&mut plot).collect()
     }
 
     fn plot(&mut self, name: &str, origin: &str, contents: &[&str], corner: Corner2D) -> Part {
@@ -361,8 +366,8 @@ impl Layout {
     }
 
     /// Everything in space, with those forces that make bodies merge and split.
-    fn scene_view(&mut self, scene: &Scene, name: &str, settings: &Settings) -> Part {
-        let view = self.space(&camera(scene), name, &["+ /world/**"]);
+    fn scene_view(&mut self, camera: &EyeControls3D, schema: &Schema, name: &str, settings: &Settings) -> Part {
+        let view = self.space(camera, name, &["+ /world/**"]);
         let mut hide = |entity: &str| {
             let path = format!("{}/ViewContents/overrides{entity}/visualizers", view.path);
             self.log(&path, &EntityBehavior::new().with_visible(false));
@@ -372,11 +377,8 @@ impl Layout {
         }
         if settings.detail != Detail::Surface {
             // the others are one click away in the view's entity list
-            for cause in [Cause::Restoring, Cause::Damping, Cause::Push, Cause::Carry, Cause::Net] {
-                if cause == Cause::Push && !scene.pushes.is_empty() {
-                    continue;
-                }
-                hide(&forces::entity(cause));
+            for term in schema.terms.iter().filter(|term| !term.is_shown) {
+                hide(&forces::entity(term.name));
             }
         }
         view
@@ -467,81 +469,12 @@ impl Layout {
     }
 }
 
-/// What a view of a force is called.
-fn cause_title(cause: Cause) -> &'static str {
-    match cause {
-        Cause::Attraction => "Attraction (orange)",
-        Cause::Repulsion => "Repulsion of bodies apart (blue)",
-        Cause::Core => "Repulsion in the core (purple)",
-        Cause::Restoring => "Restoring (green)",
-        Cause::Damping => "Damping (yellow)",
-        Cause::Push => "Push (red)",
-        Cause::Carry => "Carry: its own motion (grey)",
-        Cause::Net => "Net (white)",
-    }
-}
-
 /// The surfaces that deform.
-fn surfaces(scene: &Scene, settings: &Settings) -> Vec<String> {
+fn surfaces(schema: &Schema, settings: &Settings) -> Vec<String> {
     match settings.entities {
-        Entities::Body => scene.bodies.iter().map(|body| format!("world/bodies/{}/surface", body.name)).collect(),
+        Entities::Body => schema.bodies.iter().map(|body| format!("world/bodies/{}/surface", body.name)).collect(),
         Entities::Batch => vec!["world/deforming/surface".to_owned()],
     }
-}
-
-/// Instants of the first minute at which cameras look where bodies are.
-fn instants(scene: &Scene) -> impl Iterator<Item = f64> {
-    let duration = scene.duration.min(60.0);
-    (0..=32).map(move |k| duration * f64::from(k) / 32.0)
-}
-
-/// A camera that has every influence sphere in view wherever its path takes it.
-fn camera(scene: &Scene) -> EyeControls3D {
-    let spheres = scene.bodies.iter().flat_map(|body| {
-        let radius = scene.influence.sphere_radius(body.radius).min(2.0 * body.radius);
-        instants(scene).map(move |time| (body.path.position(time), radius))
-    });
-    camera_on(&spheres.collect::<Vec<_>>())
-}
-
-/// A camera that has those bodies in view that something acts on, while it does.
-fn close_camera(scene: &Scene) -> EyeControls3D {
-    /// Pairs of more bodies are not gone through.
-    const MOST: usize = 1000;
-    /// Of a body, with what it is displaced by [radii].
-    const ROOM: f64 = 1.15;
-    /// How much is shown of a body that is larger than this [radii of the other].
-    const SIDE: f64 = 3.0;
-
-    let bodies = &scene.bodies;
-    let mut acted_on = Vec::new();
-    for push in &scene.pushes {
-        let body = &bodies[push.body];
-        acted_on.push((body.path.position(push.start), ROOM * body.radius));
-    }
-    let pairs_of = if bodies.len() > MOST { 0 } else { bodies.len() };
-    let movers: Vec<usize> = (0..pairs_of).filter(|&i| !bodies[i].path.is_fixed()).collect();
-    let all: Vec<usize> = (0..pairs_of).collect();
-    for (k, time) in instants(scene).enumerate() {
-        let centres: Vec<DVec3> = bodies[..pairs_of].iter().map(|body| body.path.position(time)).collect();
-        // those that do not move are as they were at the first instant
-        for &b in if k == 0 { &all } else { &movers } {
-            for a in (0..pairs_of).filter(|&a| a != b) {
-                let reach =
-                    |from: usize, to: usize| scene.influence.sphere_radius(bodies[from].radius) + bodies[to].radius;
-                if centres[a].distance(centres[b]) < f64::max(reach(a, b), reach(b, a)) {
-                    // of a body that is much larger than the other only the side where that is
-                    let shown = |i: usize, other: usize| {
-                        let radius = f64::min(bodies[i].radius, SIDE * bodies[other].radius);
-                        let towards = (centres[other] - centres[i]).normalize_or_zero();
-                        (centres[i] + (bodies[i].radius - radius) * towards, ROOM * radius)
-                    };
-                    acted_on.extend([shown(a, b), shown(b, a)]);
-                }
-            }
-        }
-    }
-    if acted_on.is_empty() { camera(scene) } else { camera_on(&acted_on) }
 }
 
 /// A camera from the front, somewhat from the side and from above, that has these spheres in view: centres and radii. What is
@@ -574,16 +507,14 @@ fn camera_on(spheres: &[(DVec3, f64)]) -> EyeControls3D {
 }
 
 /// The range of q worth looking at: the thresholds and what is around them.
-fn q_range(scene: &Scene) -> [f64; 2] {
-    let thresholds = &scene.thresholds;
-    let low = if thresholds.core_at > 0.0 { thresholds.core_at } else { thresholds.merge_at };
-    [low - 0.25, thresholds.split_at + 0.25]
+fn q_range(schema: &Schema) -> [f64; 2] {
+    let levels = || schema.thresholds.iter().map(|threshold| threshold.level);
+    [levels().reduce(f64::min).unwrap_or(0.5) - 0.25, levels().reduce(f64::max).unwrap_or(1.5) + 0.25]
 }
 
 /// What the colours mean, and which scene, integrator, step and settings these are; of a recording that begins with step
 /// `first`.
-pub fn about(scene: &Scene, settings: &Settings, first: u64) -> String {
-    let (influence, thresholds) = (&scene.influence, &scene.thresholds);
+pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
     let frames = match (&settings.frames, settings.every) {
         (Frames::Thin, _) => {
             "no frames: only checksums (`meldscope replay F.rrd --save G.rrd` makes the rest)".to_owned()
@@ -605,40 +536,40 @@ pub fn about(scene: &Scene, settings: &Settings, first: u64) -> String {
         Some(steps) => format!("{steps} steps"),
     };
     let head = format!(
-        "**{}**: {} {}, {} vertices. `{}`, Δt = {:.6} s, {steps}, {frames}.  \n",
-        scene.name,
-        scene.bodies.len(),
-        if scene.bodies.len() == 1 { "body" } else { "bodies" },
-        scene.vertex_count(),
-        settings.integrator,
-        settings.dt,
+        "**{}**: {} {}, {} vertices. `{}`, Δt = {:.6} s, {steps}, {frames}.  \n{}  \n",
+        schema.name,
+        schema.bodies.len(),
+        if schema.bodies.len() == 1 { "body" } else { "bodies" },
+        schema.vertex_count(),
+        schema.integrator,
+        schema.dt,
+        schema.law,
     );
-    let law = format!(
-        "α = {}/s², β = {}/s², spheres {:.3} R. Merge at q = {}, split at {}{}; q: centre distance over the sum of the radii.  \n",
-        influence.alpha,
-        influence.beta,
-        influence.reach,
-        thresholds.merge_at,
-        thresholds.split_at,
-        if thresholds.core_at > 0.0 { format!(", core below {}", thresholds.core_at) } else { String::new() },
-    );
+    if settings.frames == Frames::Thin {
+        return head;
+    }
+    let phases = schema.phases.iter().map(|phase| format!("{} **{}**", colors::name(phase.color), phase.name));
     let spheres = format!(
-        "Influence spheres, lines, lanes: blue **{}**, orange **{}**, purple **{}**, grey: reaches nobody{}.  \n",
-        Phase::Apart,
-        Phase::Merged,
-        Phase::Core,
+        "Influence spheres, lines, lanes: {}, grey: reaches nobody{}.  \n",
+        phases.collect::<Vec<_>>().join(", "),
         if settings.entities == Entities::Batch { " (hidden at first)" } else { "" },
     );
     let arrows = match settings.detail {
         Detail::Surface => "Force arrows were not recorded (`--detail forces`).  \n".to_owned(),
-        Detail::Forces | Detail::Stages { .. } => format!(
-            "Arrows: forces of the state on screen, {} unit long per unit/s²: orange **attraction**, blue **repulsion**, \
-             purple **core**, red **push**; hidden at first: green **restoring**, yellow **damping**, grey **carry** (own \
-             motion), white **net**.  \n",
-            arrow_scale(scene)
-        ),
+        Detail::Forces | Detail::Stages { .. } => {
+            let named = |is_it: &dyn Fn(&&TermSchema) -> bool| {
+                let name = |term: &TermSchema| format!("{} **{}**", colors::name(term.color), term.name);
+                schema.terms.iter().filter(is_it).map(name).collect::<Vec<_>>().join(", ")
+            };
+            format!(
+                "Arrows: forces of the state on screen, {} unit long per unit/s²: {}; hidden at first: {}.  \n",
+                schema.arrow_scale,
+                named(&|term| term.is_shown),
+                named(&|term| !term.is_shown),
+            )
+        }
     };
-    let bound = if scene.bodies.len() * scene.bodies.len().saturating_sub(1) / 2 > settings.pairs {
+    let bound = if schema.bodies.len() * schema.bodies.len().saturating_sub(1) / 2 > settings.pairs {
         let most = settings.pairs;
         format!(
             "The first {most} pairs that come within reach have plots and lanes, the closest {most} have lines (`--pairs`); events \
@@ -647,8 +578,5 @@ pub fn about(scene: &Scene, settings: &Settings, first: u64) -> String {
     } else {
         String::new()
     };
-    match settings.frames {
-        Frames::Thin => head + &law,
-        _ => head + &law + &spheres + &arrows + &bound,
-    }
+    head + &spheres + &arrows + &bound
 }

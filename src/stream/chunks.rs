@@ -15,7 +15,7 @@ use rerun::{
 };
 
 use super::{
-    columns::{Cell, Columns, Parts},
+    columns::{Cell, ChunkParts, Columns},
     instant::{Instant, STAGE},
 };
 
@@ -32,18 +32,18 @@ pub enum Audience {
 
 /// An entity that is logged in columns, see [`Chunks::track`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Track(usize);
+pub struct TrackId(usize);
 
 /// An entity, at stages or at instants: rows of a chunk have the same timelines.
-type Place = (EntityPath, bool);
+type RowPlace = (EntityPath, bool);
 
 /// Gathers rows by entity until they are taken.
 pub struct Chunks {
     store: StoreId,
     tracks: Vec<Columns>,
-    open: HashMap<Place, ChunkBuilder>,
+    open: HashMap<RowPlace, ChunkBuilder>,
     /// Entities in `open` in the order of their first row, so that messages do not depend on hashing.
-    order: Vec<Place>,
+    order: Vec<RowPlace>,
     done: Vec<LogMsg>,
     /// What follows is logged at this stage of a step, and not at an instant.
     stage: Option<u64>,
@@ -93,21 +93,21 @@ impl Chunks {
     }
 
     /// For what an entity is logged frame after frame: always these components.
-    pub fn track(&mut self, entity: &str, components: impl IntoIterator<Item = ComponentDescriptor>) -> Track {
+    pub fn track(&mut self, entity: &str, components: impl IntoIterator<Item = ComponentDescriptor>) -> TrackId {
         self.tracks.push(Columns::new(entity, components.into_iter().collect()));
-        Track(self.tracks.len() - 1)
+        TrackId(self.tracks.len() - 1)
     }
 
     /// The same for what depends on the machine: its rows are counted apart, so that all others are known by the same
     /// numbers in equal runs.
-    pub fn push_apart(&mut self, Track(track): Track, at: Instant, cells: &[Cell<'_>]) {
+    pub fn push_apart(&mut self, TrackId(track): TrackId, at: Instant, cells: &[Cell<'_>]) {
         self.rows_apart += 1;
         let row = RowId::from_tuid(Tuid::from_nanos_and_inc(4, self.rows_apart));
         self.tracks[track].push(row, at, None, cells);
     }
 
     /// Logs a cell for each component of a track.
-    pub fn push(&mut self, Track(track): Track, at: Instant, cells: &[Cell<'_>]) {
+    pub fn push(&mut self, TrackId(track): TrackId, at: Instant, cells: &[Cell<'_>]) {
         let row = self.row_id();
         self.tracks[track].push(row, at, self.stage, cells);
     }
@@ -223,7 +223,7 @@ impl Chunks {
         self.chunk(track, parts)
     }
 
-    fn chunk(&mut self, track: usize, (ids, timelines, components): Parts) -> Chunk {
+    fn chunk(&mut self, track: usize, (ids, timelines, components): ChunkParts) -> Chunk {
         let id = self.chunk_id();
         let timelines = timelines.into_iter().map(|column| (*column.timeline().name(), column)).collect();
         let entity = self.tracks[track].entity.clone();

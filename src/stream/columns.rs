@@ -20,7 +20,7 @@ use rerun::{
 
 use super::{
     instant::{Instant, STAGE},
-    normals::Vector,
+    normals::Float3,
 };
 
 /// A chunk is complete with this many bytes of values, or rows: the sizes to which the viewer's store compacts chunks.
@@ -31,7 +31,7 @@ const CHUNK_ROWS: usize = 4096;
 #[derive(Clone, Copy, Debug)]
 pub enum Cell<'a> {
     /// Positions, directions.
-    Vectors(&'a [Vector]),
+    Vectors(&'a [Float3]),
     /// Numbers of a plot.
     Scalars(&'a [f64]),
     /// Numbers of vertices.
@@ -41,7 +41,7 @@ pub enum Cell<'a> {
     /// Classes of an annotation context.
     Classes(&'a [u16]),
     /// Lines from one point to another.
-    Segments(&'a [[Vector; 2]]),
+    Segments(&'a [[Float3; 2]]),
     /// Labels.
     Texts(&'a [String]),
     /// Words of a few.
@@ -61,7 +61,7 @@ pub(super) struct Columns {
 }
 
 /// What a chunk is made of.
-pub(super) type Parts = (Vec<RowId>, Vec<TimeColumn>, ChunkComponents);
+pub(super) type ChunkParts = (Vec<RowId>, Vec<TimeColumn>, ChunkComponents);
 
 struct Column {
     descriptor: ComponentDescriptor,
@@ -71,12 +71,12 @@ struct Column {
 
 enum Values {
     Empty,
-    Vectors(Vec<Vector>),
+    Vectors(Vec<Float3>),
     Scalars(Vec<f64>),
     Floats(Vec<f32>),
     Colors(Vec<u32>),
     Classes(Vec<u16>),
-    Segments(Vec<[Vector; 2]>),
+    Segments(Vec<[Float3; 2]>),
     Texts(Vec<String>),
     Names(Vec<&'static str>),
 }
@@ -124,7 +124,7 @@ impl Columns {
     }
 
     /// The rows as a chunk has them; none are left.
-    pub fn take(&mut self) -> Result<Parts, ArrowError> {
+    pub fn take(&mut self) -> Result<ChunkParts, ArrowError> {
         let fresh = Columns {
             entity: self.entity.clone(),
             ids: Vec::new(),
@@ -137,7 +137,7 @@ impl Columns {
     }
 
     /// Those of the rows that have not been shown yet, if there are any; all stay to be taken.
-    pub fn show(&mut self) -> Option<Result<Parts, ArrowError>> {
+    pub fn show(&mut self) -> Option<Result<ChunkParts, ArrowError>> {
         let first = std::mem::replace(&mut self.shown, self.ids.len());
         let rest = Columns {
             entity: self.entity.clone(),
@@ -150,7 +150,7 @@ impl Columns {
         (!rest.is_empty()).then(|| rest.into_parts())
     }
 
-    fn into_parts(self) -> Result<Parts, ArrowError> {
+    fn into_parts(self) -> Result<ChunkParts, ArrowError> {
         let mut components = Vec::with_capacity(self.columns.len());
         for Column { descriptor, values, lengths } in self.columns {
             let values = values.into_array()?;
@@ -278,7 +278,7 @@ impl Values {
     }
 }
 
-fn vectors(values: Vec<Vector>) -> Result<ArrayRef, ArrowError> {
+fn vectors(values: Vec<Float3>) -> Result<ArrayRef, ArrowError> {
     let coordinates = Arc::new(Float32Array::from(values.into_flattened()));
     let item = Field::new("item", DataType::Float32, false);
     Ok(Arc::new(FixedSizeListArray::try_new(item.into(), 3, coordinates, None)?))

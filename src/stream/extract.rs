@@ -3,53 +3,62 @@
 use glam::DVec3;
 use pulp::Arch;
 
-use super::normals::{self, Vector};
+use super::normals::{self, Float3};
 use crate::{
     geometry::{Mesh, Vectors},
-    sim::{BodyForces, Cause, snapshot::SeenBody},
+    observe::{BodyFrame, schema::BodySchema},
 };
 
 /// Reused from body to body.
 #[derive(Debug, Default)]
 pub struct Extractor {
     arch: Arch,
-    local: Vectors,
-    normals: normals::Scratch,
+    rest: Vectors,
+    normals: normals::NormalScratch,
 }
 
 impl Extractor {
+    /// Positions of the vertices of a body relative to its centre [scene unit].
+    fn local<'a>(&'a mut self, body: &BodySchema, now: &'a BodyFrame) -> &'a Vectors {
+        if !now.is_at_rest {
+            return &now.positions;
+        }
+        now.local_positions(body.rest(), &mut self.rest);
+        &self.rest
+    }
+
     /// World positions of the vertices of a body [scene unit], into `positions` (reused).
-    pub fn world_positions(&mut self, body: SeenBody<'_>, positions: &mut Vec<Vector>) {
+    pub fn world_positions(&mut self, body: &BodySchema, now: &BodyFrame, positions: &mut Vec<Float3>) {
         positions.clear();
-        body.local_positions(&mut self.local);
-        append_moved(&self.local, body.centre(), positions);
+        append_moved(self.local(body, now), now.centre, positions);
     }
 
     /// Smooth normals of a mesh whose vertices are at `positions` relative to its centre.
-    pub fn normals(&mut self, mesh: &Mesh, positions: &Vectors) -> Vec<Vector> {
+    pub fn normals(&mut self, mesh: &Mesh, positions: &Vectors) -> Vec<Float3> {
         let mut normals = Vec::new();
         normals::append(self.arch, mesh, positions, &mut self.normals, &mut normals);
         normals
     }
 }
 
-/// Vertex positions and smooth normals of a surface; reused.
+/// Vertex positions and smooth normals of bodies; reused.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surface {
     /// [scene unit], `[vertex_count]`
-    pub positions: Vec<Vector>,
+    pub positions: Vec<Float3>,
     /// Unit vectors, `[vertex_count]`
-    pub normals: Vec<Vector>,
+    pub normals: Vec<Float3>,
 }
 
 impl Surface {
     /// Appends the surface of a body, its vertices moved by `offset` [scene unit] from body coordinates.
-    pub fn append(&mut self, body: SeenBody<'_>, offset: DVec3, extractor: &mut Extractor) {
-        body.local_positions(&mut extractor.local);
-        append_moved(&extractor.local, offset, &mut self.positions);
+    pub fn append(&mut self, body: &BodySchema, now: &BodyFrame, offset: DVec3, extractor: &mut Extractor) {
+        let local = extractor.local(body, now);
+        append_moved(local, offset, &mut self.positions);
         // From body coordinates: an offset would cost precision.
-        let Extractor { arch, local, normals } = extractor;
-        normals::append(*arch, body.mesh(), local, normals, &mut self.normals);
+        let Extractor { arch, rest, normals } = extractor;
+        let local = if now.is_at_rest { rest } else { &now.positions };
+        normals::append(*arch, &body.mesh, local, normals, &mut self.normals);
     }
 
     /// Keeps the storage, holds nothing.
@@ -60,7 +69,7 @@ impl Surface {
 }
 
 /// Appends vectors, each with `offset` added, in single precision.
-fn append_moved(vectors: &Vectors, offset: DVec3, moved: &mut Vec<Vector>) {
+fn append_moved(vectors: &Vectors, offset: DVec3, moved: &mut Vec<Float3>) {
     let n = vectors.len();
     let (x, y, z) = (&vectors.x[..n], &vectors.y[..n], &vectors.z[..n]);
     moved.extend((0..n).map(|i| [(x[i] + offset.x) as f32, (y[i] + offset.y) as f32, (z[i] + offset.z) as f32]));
@@ -70,26 +79,25 @@ fn append_moved(vectors: &Vectors, offset: DVec3, moved: &mut Vec<Vector>) {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Arrows {
     /// The vertices that feel the force [scene unit].
-    pub origins: Vec<Vector>,
+    pub origins: Vec<Float3>,
     /// The force times the arrow scale [scene unit].
-    pub vectors: Vec<Vector>,
+    pub vectors: Vec<Float3>,
     /// Of the pair between whom it acts, if it acts between two.
     pub classes: Vec<u16>,
 }
 
 impl Arrows {
-    /// Appends an arrow for every vertex that feels `cause`, `scale` [scene unit per scene unit/s²] long; `origins` are
-    /// the vertices of the body, `[vertex_count]`, `classes` those of their arrows or none.
-    pub fn append(&mut self, origins: &[Vector], classes: &[u16], forces: &BodyForces, cause: Cause, scale: f64) {
-        let forces = forces.of(cause);
-        let (n, arrows) = (origins.len(), self);
-        let (x, y, z) = (&forces.x[..n], &forces.y[..n], &forces.z[..n]);
+    /// Appends an arrow for every vertex that is accelerated, `scale` [scene unit per scene unit/s²] long; `origins` are
+    /// the vertices of the body, `[vertex_count]`, `class` is that of their arrows, if they have one.
+    pub fn append(&mut self, origins: &[Float3], class: Option<u16>, accelerations: &Vectors, scale: f64) {
+        let (n, arrows) = (accelerations.len().min(origins.len()), self);
+        let (x, y, z) = (&accelerations.x[..n], &accelerations.y[..n], &accelerations.z[..n]);
         for i in 0..n {
             let vector = [(x[i] * scale) as f32, (y[i] * scale) as f32, (z[i] * scale) as f32];
             if vector != [0.0; 3] {
                 arrows.origins.push(origins[i]);
                 arrows.vectors.push(vector);
-                arrows.classes.extend(classes.get(i));
+                arrows.classes.extend(class);
             }
         }
     }

@@ -1,18 +1,11 @@
-//! When rows of a recording are.
+//! When rows of a recording are: what an [`Instant`] is on its two timelines.
 
 use rerun::{TimePoint, Timeline};
 
 /// The timeline that walks through the inside of steps.
 pub const STAGE: &str = "stage";
 
-/// When something was: what the two timelines of a recording say.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Instant {
-    /// Timeline `step`.
-    pub step: u64,
-    /// Timeline `sim_time` [s].
-    pub time: f64,
-}
+pub use crate::observe::Instant;
 
 impl Instant {
     /// As a row has it.

@@ -1,4 +1,4 @@
-//! The world as Rerun data: a recording that the viewer opens, or that it follows live.
+//! Frames as Rerun data: a recording that the viewer opens, or that it follows live.
 //!
 //! | what | where |
 //! | --- | --- |
@@ -7,7 +7,7 @@
 //! | which entities there are, and what is logged to each | [`parts`] |
 //! | what a step leaves to be recorded | [`step`] |
 //! | the state as meshes and arrows, in the viewer's precision | [`extract`] |
-//! | smooth normals of deformed spheres | [`normals`] |
+//! | smooth normals of deformed surfaces | [`normals`] |
 //! | what a recording is a function of | [`settings`] |
 //! | lines of plots | [`series`] |
 //! | a hash of the state for every step | [`checksums`] |
@@ -19,7 +19,7 @@
 //! | colours and what they mean | [`palette`] |
 //! | where the messages go: files, viewers, servers | [`sinks`] |
 //!
-//! Observers receive the world by shared reference: looking never changes anything.
+//! Nothing here knows what is simulated, or how: see [`observe`](crate::observe).
 //!
 //! # What a recording holds
 //! Two timelines, `step` and `sim_time`, and these entities. A value that did not change is not logged again. Equal runs give
@@ -34,7 +34,7 @@
 //! | `/world/forces/CAUSE` | arrows of `attraction`, `repulsion` (of bodies apart), `core` (of bodies in their core), `restoring`, `damping`, `push`, `carry`, `net`: accelerations times the arrow scale that the panel states; classes, named at `/world/forces`, say between which two bodies one acts |
 //! | on a surface, with forces | of each vertex: `body`, `vertex`, `displacement_in_radii`, `net_force`, `reach`, and its colour in the heat map |
 //! | `/pairs/A~B/distance`, `…/merge_at`, `…/split_at`, `…/core_at`, `…/phase` | q, its thresholds, the phase, for the first 16 pairs within reach, or 5 in a batched scene (`--pairs N`), of those that come together the closest |
-//! | `/events` | each merge, split and core event |
+//! | `/events` | a line for each merge, split and core event, and beside it, as components, `bodies`, `phases` (before and after), `time` (s, exact) and `q` |
 //! | `/timings/STAGE`, `/timings/speed`, `/timings/lag`, `/diagnostics/…` | numbers over time |
 //! | `/stages` | on the timeline `stage`: a line for each stage of the steps that are looked into; the entities under `/world` are there, too |
 //! | `/checksum` | `checksum`, a hash of the exact state, for every step; in a thin recording several steps a row, the last of which is the row's |

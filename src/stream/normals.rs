@@ -9,11 +9,11 @@ use pulp::{Arch, Simd, WithSimd};
 use crate::geometry::{Mesh, Rings, Vectors};
 
 /// Coordinates as the viewer has them.
-pub type Vector = [f32; 3];
+pub type Float3 = [f32; 3];
 
 /// Reused from body to body.
 #[derive(Debug, Default)]
-pub struct Scratch {
+pub struct NormalScratch {
     /// Two rings of positions, the first of each repeated at its end.
     upper: Vectors,
     lower: Vectors,
@@ -27,14 +27,14 @@ pub struct Scratch {
 }
 
 /// Appends the unit normals of a deformed mesh whose vertices are at `positions`, relative to its centre.
-pub fn append(arch: Arch, mesh: &Mesh, positions: &Vectors, scratch: &mut Scratch, normals: &mut Vec<Vector>) {
+pub fn append(arch: Arch, mesh: &Mesh, positions: &Vectors, scratch: &mut NormalScratch, normals: &mut Vec<Float3>) {
     if positions.len() != mesh.vertex_count() {
         // not this mesh
         normals.extend(positions.iter().map(|position| unit(position, DVec3::Z)));
     } else if let Some(rings) = mesh.rings() {
         arch.dispatch(All { rings, positions, scratch, normals });
     } else {
-        let Scratch { sum, .. } = scratch;
+        let NormalScratch { sum, .. } = scratch;
         sum.reset(positions.len());
         for corners in mesh.triangles() {
             let [a, b, c] = corners.map(|i| positions.get(i as usize));
@@ -49,8 +49,8 @@ pub fn append(arch: Arch, mesh: &Mesh, positions: &Vectors, scratch: &mut Scratc
 struct All<'a> {
     rings: Rings,
     positions: &'a Vectors,
-    scratch: &'a mut Scratch,
-    normals: &'a mut Vec<Vector>,
+    scratch: &'a mut NormalScratch,
+    normals: &'a mut Vec<Float3>,
 }
 
 impl WithSimd for All<'_> {
@@ -63,9 +63,9 @@ impl WithSimd for All<'_> {
 }
 
 #[inline(always)]
-fn all(rings: Rings, positions: &Vectors, scratch: &mut Scratch, normals: &mut Vec<Vector>) {
+fn all(rings: Rings, positions: &Vectors, scratch: &mut NormalScratch, normals: &mut Vec<Float3>) {
     let Rings { bands: stacks, vertices: n } = rings;
-    let Scratch { upper, lower, single, double, above, sum } = scratch;
+    let NormalScratch { upper, lower, single, double, above, sum } = scratch;
     for ring in [&mut *upper, lower, single, double] {
         ring.resize(n + 1);
     }
@@ -176,7 +176,7 @@ fn total(areas: &Vectors) -> DVec3 {
 
 /// The unit vectors of a ring whose vertices begin at `first`.
 #[inline(always)]
-fn store(sum: &mut Vectors, positions: &Vectors, first: usize, normals: &mut Vec<Vector>) {
+fn store(sum: &mut Vectors, positions: &Vectors, first: usize, normals: &mut Vec<Float3>) {
     let [x, y, z] = coordinates_mut(sum);
     let n = x.len();
     let (y, z) = (&mut y[..n], &mut z[..n]);
@@ -197,7 +197,7 @@ fn store(sum: &mut Vectors, positions: &Vectors, first: usize, normals: &mut Vec
 }
 
 /// Where triangles cancel out, the direction from the centre is as good as any.
-fn unit(sum: DVec3, position: DVec3) -> Vector {
+fn unit(sum: DVec3, position: DVec3) -> Float3 {
     sum.try_normalize().unwrap_or_else(|| position.normalize_or(DVec3::Z)).as_vec3().to_array()
 }
 
@@ -226,7 +226,7 @@ mod tests {
             }
             for mesh in [&mesh, &any] {
                 let mut normals = Vec::new();
-                append(Arch::new(), mesh, &positions, &mut Scratch::default(), &mut normals);
+                append(Arch::new(), mesh, &positions, &mut NormalScratch::default(), &mut normals);
                 assert_eq!(normals.len(), expected.len());
                 for (normal, expected) in normals.iter().zip(&expected) {
                     let normal = DVec3::from_array(normal.map(f64::from));
@@ -242,7 +242,7 @@ mod tests {
         for size in [0.0, 1e-200, 1e-30, 1e200] {
             let positions: Vectors = mesh.positions().iter().map(|v| v * size).collect();
             let mut normals = Vec::new();
-            append(Arch::new(), &mesh, &positions, &mut Scratch::default(), &mut normals);
+            append(Arch::new(), &mesh, &positions, &mut NormalScratch::default(), &mut normals);
             for normal in normals {
                 let length = DVec3::from_array(normal.map(f64::from)).length();
                 assert!((length - 1.0).abs() < 1e-6, "{size}: {normal:?}");

@@ -1,46 +1,9 @@
-//! Colours and what they mean. Those that tell causes and phases apart are Okabe and Ito's, which readers with any
-//! colour vision distinguish, on the viewer's dark background and on the bodies.
+//! Colours of what has none of its own, as the viewer takes them; see [`colors`](crate::observe::colors).
 
 use rerun::{Color, Rgba32};
 
-use crate::{model::phase::Phase, sim::Cause};
-
-/// Red, green, blue.
-pub type Rgb = [u8; 3];
-
-const ORANGE: Rgb = [0xE6, 0x9F, 0x00];
-const SKY_BLUE: Rgb = [0x56, 0xB4, 0xE9];
-const GREEN: Rgb = [0x00, 0x9E, 0x73];
-const YELLOW: Rgb = [0xF0, 0xE4, 0x42];
-const VERMILION: Rgb = [0xD5, 0x5E, 0x00];
-const PURPLE: Rgb = [0xCC, 0x79, 0xA7];
-const BLUE: Rgb = [0x3D, 0x8B, 0xD9];
-const SILVER: Rgb = [0x9A, 0xA4, 0xB0];
-const WHITE: Rgb = [0xF4, 0xF4, 0xF4];
-const GREY: Rgb = [0x6A, 0x72, 0x7C];
-
-/// Colour of the arrows of a cause.
-pub fn cause(cause: Cause) -> Rgb {
-    match cause {
-        Cause::Attraction => ORANGE,
-        Cause::Repulsion => SKY_BLUE,
-        Cause::Core => PURPLE,
-        Cause::Restoring => GREEN,
-        Cause::Damping => YELLOW,
-        Cause::Push => VERMILION,
-        Cause::Carry => SILVER,
-        Cause::Net => WHITE,
-    }
-}
-
-/// Colour of a phase, in lanes, events and spheres: that of the force it brings, if any.
-pub fn phase(phase: Phase) -> Rgb {
-    match phase {
-        Phase::Apart => SKY_BLUE,
-        Phase::Merged => ORANGE,
-        Phase::Core => PURPLE,
-    }
-}
+pub use crate::observe::colors::Rgb;
+use crate::observe::colors::{BLUE, GREEN, GREY, ORANGE, PURPLE, SILVER, SKY_BLUE, VERMILION};
 
 /// Behind the bodies.
 pub const BACKGROUND: Rgb = [0x10, 0x13, 0x18];
@@ -53,15 +16,6 @@ pub const IDLE_SPHERE_OF_MANY: Rgb = [0x26, 0x2B, 0x33];
 
 /// Colour of bodies that rest in a batch.
 pub const RESTING: Rgb = GREY;
-
-/// Colour of a threshold, by the entity that it is logged to: that of the phase it leads to.
-pub fn threshold(part: &str) -> Rgb {
-    match part {
-        "merge_at" => phase(Phase::Merged),
-        "split_at" => phase(Phase::Apart),
-        _ => phase(Phase::Core),
-    }
-}
 
 /// Colours of the lines of q, in order: none is that of a threshold, all can be read on a dark and on a light page.
 pub fn distance(index: usize) -> Rgb {

@@ -20,9 +20,9 @@ use super::{
     Recorder, Settings,
     chunks::Audience,
     sinks::{SinkError, Sinks},
-    step::{StageWatch, Step},
+    step::{StepRecord, StepWatch},
 };
-use crate::sim::{Snapshot, World, stages::Inside};
+use crate::observe::{Frame, Simulation, StageFrame};
 
 /// Packets on their way, and being filled.
 const PACKETS: usize = 4;
@@ -39,7 +39,7 @@ const FILE_INTERVAL: Duration = Duration::from_millis(200);
 /// The simulation's end of it.
 pub struct Pipeline {
     settings: Settings,
-    watch: StageWatch,
+    watch: StepWatch,
     packet: Packet,
     handed_over: Clock,
     /// Since the last step.
@@ -51,7 +51,7 @@ pub struct Pipeline {
 }
 
 /// What there is after the last step, for the recording's end.
-pub struct Recorded {
+pub struct PipelineEnd {
     /// To be finished.
     pub recorder: Recorder,
     /// To be sent the rest, and finished.
@@ -62,10 +62,10 @@ pub struct Recorded {
     pub failure: Option<String>,
 }
 
-impl Recorded {
+impl PipelineEnd {
     /// Ends the recording, and sends the rest; what went wrong, if something did.
-    pub fn finish(&mut self, world: &World) -> Option<String> {
-        self.recorder.finish(world);
+    pub fn finish(&mut self, simulation: &dyn Simulation) -> Option<String> {
+        self.recorder.finish(simulation);
         let [is_live, is_recorded] = self.sinks.are_live_and_recorded();
         if !(is_live && is_recorded) {
             return send(&mut self.sinks, self.recorder.take());
@@ -85,19 +85,20 @@ struct Shared {
 /// Some steps, and those of their frames that are recorded.
 #[derive(Default)]
 struct Packet {
-    steps: Vec<Step>,
-    /// The first `used` are filled; the others are reused.
-    frames: Vec<Snapshot>,
+    /// The first `steps_used` are filled, and so with frames; the others are reused.
+    steps: Vec<StepRecord>,
+    steps_used: usize,
+    frames: Vec<Frame>,
     used: usize,
     bytes: usize,
 }
 
 impl Pipeline {
-    /// Records what follows on the world as it is, and sends it to the sinks.
+    /// Records what follows on the simulation as it is, and sends it to the sinks.
     ///
     /// # Errors
     /// The thread cannot be started.
-    pub fn start(world: &World, recorder: Recorder, sinks: Sinks) -> Result<Pipeline, SinkError> {
+    pub fn start(simulation: &dyn Simulation, recorder: Recorder, sinks: Sinks) -> Result<Pipeline, SinkError> {
         let (full, filled) = channel();
         let (emptied, empty) = channel();
         for _ in 1..PACKETS {
@@ -112,7 +113,7 @@ impl Pipeline {
         let thread = thread
             .map_err(|error| SinkError::Thread { target: "the recording".to_owned(), reason: error.to_string() })?;
         Ok(Pipeline {
-            watch: StageWatch::new(world, &settings),
+            watch: StepWatch::new(simulation, &settings),
             settings,
             packet: Packet::default(),
             handed_over: Clock::now(),
@@ -124,32 +125,19 @@ impl Pipeline {
         })
     }
 
-    /// Looks at the world after a step; `lag` is how far it is behind real time, if that matters. `Err` is why nothing
+    /// Looks at the simulation after a step; `lag` is how far it is behind real time, if that matters. `Err` is why nothing
     /// more can be recorded.
-    pub fn observe(&mut self, world: &World, lag: Option<Duration>) -> Result<(), String> {
-        let start = Clock::now();
+    pub fn observe(&mut self, simulation: &dyn Simulation, lag: Option<Duration>) -> Result<(), String> {
         let packet = &mut self.packet;
-        if self.settings.has_frame(world.steps_taken()) {
-            if packet.used == packet.frames.len() {
-                packet.frames.push(Snapshot::default());
-            }
-            let snapshot = &mut packet.frames[packet.used];
-            world.look(snapshot);
-            packet.used += 1;
-            packet.bytes += snapshot.memory();
-        }
-        let (report, checksum) = (world.report().clone(), world.checksum());
-        let stages = self.watch.observe(world, &self.settings);
-        let memory = |stage: &Inside| stage.snapshot.memory();
-        packet.bytes += stages.iter().map(memory).sum::<usize>();
-        let end = Clock::now();
-        let (observing, waiting) = (end - start, take(&mut self.waiting));
-        packet.steps.push(Step { report, checksum, observing, waiting, lag, end, stages });
-        if packet.used >= FRAMES
-            || packet.steps.len() >= STEPS
-            || packet.bytes >= BYTES
-            || end - self.handed_over >= AGE
-        {
+        let step = next_of(&mut packet.steps, &mut packet.steps_used);
+        let has_frame = self.settings.has_frame(simulation.steps_taken());
+        let mut frame = has_frame.then(|| next_of(&mut packet.frames, &mut packet.used));
+        self.watch.step(simulation, &self.settings, step, frame.as_deref_mut());
+        (step.waiting, step.lag) = (take(&mut self.waiting), lag);
+        let memory = |stage: &StageFrame| stage.frame.memory();
+        packet.bytes += frame.map_or(0, |frame| frame.memory()) + step.stages.iter().map(memory).sum::<usize>();
+        let is_old = step.end.is_some_and(|end| end - self.handed_over >= AGE);
+        if packet.used >= FRAMES || packet.steps_used >= STEPS || packet.bytes >= BYTES || is_old {
             return self.hand_over();
         }
         Ok(())
@@ -157,7 +145,7 @@ impl Pipeline {
 
     /// Hands over what was seen so far, and waits if too much is on its way.
     pub fn hand_over(&mut self) -> Result<(), String> {
-        if self.packet.steps.is_empty() {
+        if self.packet.steps_used == 0 {
             return Ok(());
         }
         let start = Clock::now();
@@ -180,13 +168,13 @@ impl Pipeline {
     ///
     /// # Errors
     /// The thread is gone.
-    pub fn finish(mut self) -> Result<Recorded, String> {
+    pub fn finish(mut self) -> Result<PipelineEnd, String> {
         let handed_over = self.hand_over();
         self.full = None;
         match self.thread.take().map(JoinHandle::join) {
             Some(Ok((recorder, sinks))) => {
                 let Shared { notes, failure } = take(&mut *self.lock());
-                Ok(Recorded { recorder, sinks, notes, failure: failure.or(handed_over.err()) })
+                Ok(PipelineEnd { recorder, sinks, notes, failure: failure.or(handed_over.err()) })
             }
             _ => Err(broken()),
         }
@@ -195,6 +183,15 @@ impl Pipeline {
     fn lock(&self) -> MutexGuard<'_, Shared> {
         self.shared.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// The next one to be filled.
+fn next_of<'a, T: Default>(all: &'a mut Vec<T>, used: &mut usize) -> &'a mut T {
+    if *used == all.len() {
+        all.push(T::default());
+    }
+    *used += 1;
+    &mut all[*used - 1]
 }
 
 fn broken() -> String {
@@ -268,11 +265,12 @@ impl Recording {
 
     fn record(&mut self, packet: &mut Packet) {
         let mut frames = packet.frames[..packet.used].iter();
-        for step in packet.steps.drain(..) {
-            let has_frame = self.recorder.settings().has_frame(step.report.step);
-            self.recorder.record(&step, if has_frame { frames.next() } else { None });
+        for step in &mut packet.steps[..packet.steps_used] {
+            let has_frame = self.recorder.settings().has_frame(step.summary.at.step);
+            self.recorder.record(step, if has_frame { frames.next() } else { None });
+            step.stages.clear(); // they are large
         }
-        (packet.used, packet.bytes) = (0, 0);
+        (packet.steps_used, packet.used, packet.bytes) = (0, 0, 0);
     }
 }
 

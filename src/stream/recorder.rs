@@ -15,7 +15,7 @@ use rerun::{
 };
 
 use super::{
-    blueprint::{self, Tab},
+    blueprint::{self, Subject, Tab},
     checksums::Checksums,
     chunks::{Audience, Chunks},
     extract::Extractor,
@@ -23,121 +23,120 @@ use super::{
     instant::Instant,
     machine,
     parts::{
-        Look, batch::Batch, bodies::Bodies, forces::Forces, lines::Lines, numbers::Numbers, pairs, pairs::Pairs,
-        spheres::Spheres,
+        Look, batch::BatchedBodies, bodies::SeparateBodies, forces::Forces, lines::Lines, numbers::FrameNumbers, pairs,
+        pairs::PairPlots, spheres::SphereEntities,
     },
     series::Series,
     settings::{FORMAT, Frames, Trigger, application, recording_id},
-    step::{StageWatch, Step},
+    step::{StepRecord, StepWatch},
 };
 pub use super::{
-    parts::{
-        batch::{DEFORMED, resting_entity},
-        pairs::{describe, pair_name},
-    },
-    settings::{Detail, Entities, MOST_PAIRS, Settings, arrow_scale, file_stem},
+    parts::batch::{DEFORMED, resting_entity},
+    settings::{Detail, Entities, MOST_PAIRS, Settings, file_stem},
 };
-use crate::{
-    scene::Scene,
-    sim::{Failure, Snapshot, StepReport, World, stages::Inside},
-};
+use crate::observe::{Frame, Schema, Simulation, StageFrame, StepFailure, StepSummary};
 
-/// Turns a world, step by step, into the messages of a recording.
+/// Turns a simulation, step by step, into the messages of a recording.
 pub struct Recorder {
-    scene: Scene,
+    schema: Schema,
     settings: Settings,
     chunks: Chunks,
     checksums: Checksums,
     flight: Option<FlightRecorder>,
     /// `None` in a recording without frames.
-    frame: Option<Frame>,
+    parts: Option<FrameParts>,
     /// Made, and of them those that are in the recording.
     frames: u64,
     written: u64,
     /// What shows the inside of steps, and how many stages were shown.
-    stages: Option<State>,
+    stages: Option<StateParts>,
     stage_count: u64,
-    watch: StageWatch,
+    watch: StepWatch,
     /// Reused.
-    snapshot: Snapshot,
+    step: StepRecord,
+    frame: Frame,
 }
 
-/// The parts of a frame.
-struct Frame {
-    state: State,
-    pairs: Pairs,
-    numbers: Numbers,
+/// What a frame is made of.
+struct FrameParts {
+    state: StateParts,
+    pairs: PairPlots,
+    numbers: FrameNumbers,
     series: Series,
 }
 
 /// Those that show the state.
-struct State {
+struct StateParts {
     extractor: Extractor,
     surfaces: Surfaces,
-    spheres: Spheres,
+    spheres: SphereEntities,
     forces: Option<Forces>,
     lines: Lines,
 }
 
 #[allow(clippy::large_enum_variant)] // there is one
 enum Surfaces {
-    Bodies(Bodies),
-    Batch(Batch),
+    Bodies(SeparateBodies),
+    Batch(BatchedBodies),
 }
 
 impl Recorder {
     /// So many of the first messages say what the recording is of: the store, and its properties.
     pub const HEAD: usize = 4;
 
-    /// Begins a recording: its properties, everything static, the blueprint, and the world as it is.
-    pub fn new(world: &World, settings: Settings) -> Recorder {
-        Recorder::numbered(world, settings, 0)
+    /// Begins a recording: its properties, everything static, the blueprint, and the simulation as it is.
+    pub fn new(simulation: &dyn Simulation, settings: Settings) -> Recorder {
+        Recorder::numbered(simulation, settings, 0)
     }
 
     /// The same of run `number`, from 0, of those that one viewer is to keep apart, whatever they are of.
-    pub fn numbered(world: &World, settings: Settings, number: u64) -> Recorder {
-        let scene = world.scene().clone();
-        let application = ApplicationId::new_or_unknown(application(&scene.name));
-        let mut id = recording_id(&scene.name, &scene.source, &settings.to_toml(), env!("CARGO_PKG_VERSION"));
+    pub fn numbered(simulation: &dyn Simulation, settings: Settings, number: u64) -> Recorder {
+        let schema = simulation.schema();
+        let application = ApplicationId::new_or_unknown(application(&schema.name));
+        let run = schema.run.clone() + &settings.to_toml();
+        let mut id = recording_id(&schema.name, &schema.source, &run, env!("CARGO_PKG_VERSION"));
         if number > 0 {
             id = format!("{number}-{id}");
         }
         let mut chunks = Chunks::new(StoreId::new(StoreKind::Recording, application, id));
-        log_properties(&scene, &settings, &mut chunks);
+        log_properties(&schema, &run, &simulation.overrides(settings.steps), &settings, &mut chunks);
         chunks.log_static("/world", &ViewCoordinates::RIGHT_HAND_Z_UP());
-        let about = TextDocument::new(blueprint::about(&scene, &settings, world.steps_taken()));
+        let about = TextDocument::new(blueprint::about(&schema, &settings, simulation.steps_taken()));
         chunks.log_static("/about", &about.with_media_type(MediaType::MARKDOWN));
         let mut recorder = Recorder {
             checksums: match settings.frames {
-                Frames::Thin => Checksums::packed(scene.vertex_count()),
+                Frames::Thin => Checksums::packed(schema.vertex_count()),
                 Frames::All | Frames::Last { .. } => Checksums::by_step(),
             },
             flight: match settings.frames {
                 Frames::Last { most, .. } => Some(FlightRecorder::new(most)),
                 Frames::All | Frames::Thin => None,
             },
-            frame: (settings.frames != Frames::Thin).then(|| Frame::new(&scene, &settings, &mut chunks)),
+            parts: (settings.frames != Frames::Thin).then(|| FrameParts::new(&schema, &settings, &mut chunks)),
             frames: 0,
             written: 0,
             stages: matches!(settings.detail, Detail::Stages { .. })
-                .then(|| State::new(&scene, &settings, &mut chunks)),
+                .then(|| StateParts::new(&schema, &settings, &mut chunks)),
             stage_count: 0,
-            watch: StageWatch::new(world, &settings),
-            snapshot: Snapshot::default(),
-            scene,
+            watch: StepWatch::new(simulation, &settings),
+            step: StepRecord::default(),
+            frame: Frame::default(),
+            schema,
             settings,
             chunks,
         };
-        let at = now(world);
-        recorder.checksums.push(at, world.checksum());
+        let at = now(simulation);
+        recorder.checksums.push(at, simulation.checksum());
         recorder.checksums.log(&mut recorder.chunks, true); // by itself: a run that is killed has at least this one
-        if recorder.frame.is_some() {
-            world.look(&mut recorder.snapshot);
-            let snapshot = take(&mut recorder.snapshot);
-            recorder.log_frame(&snapshot, at);
-            recorder.snapshot = snapshot;
+        if recorder.parts.is_some() {
+            let mut frame = take(&mut recorder.frame);
+            simulation.observe(recorder.settings.want(), &mut frame);
+            recorder.log_frame(&frame, at);
+            recorder.frame = frame;
         }
-        recorder.keep(world.report());
+        let mut summary = StepSummary::default();
+        simulation.summary(&mut summary);
+        recorder.keep(&summary);
         recorder
     }
 
@@ -167,28 +166,28 @@ impl Recorder {
     }
 
     /// The layout that the viewer opens with, to be sent before anything else.
-    pub fn blueprint(&self, world: &World) -> Vec<LogMsg> {
-        self.blueprint_at(world, Tab::Scene)
+    pub fn blueprint(&self, simulation: &dyn Simulation) -> Vec<LogMsg> {
+        self.blueprint_at(simulation, Tab::Scene)
     }
 
     /// The same with another tab in front.
-    pub fn blueprint_at(&self, world: &World, tab: Tab) -> Vec<LogMsg> {
+    pub fn blueprint_at(&self, simulation: &dyn Simulation, tab: Tab) -> Vec<LogMsg> {
         match self.settings.frames {
             Frames::Thin => Vec::new(), // nothing to lay out
-            _ => blueprint::messages(world, &self.settings, tab, self.chunks.store()),
+            _ => blueprint::messages(&self.subject(simulation), tab, self.chunks.store()),
         }
     }
 
     /// What a file needs at its end so that plots of times show what is typical: the first frames and every wait for a
     /// disk take so much longer that nothing else could be seen. A viewer that is open would lose what its user has
     /// arranged.
-    pub fn measured_layout(&self, world: &World, tab: Tab) -> Vec<LogMsg> {
-        match &self.frame {
-            Some(frame) => {
-                blueprint::ranges(world, &self.settings, tab, self.chunks.store(), &frame.numbers.typical_timings())
-            }
-            None => Vec::new(),
-        }
+    pub fn measured_layout(&self, simulation: &dyn Simulation, tab: Tab) -> Vec<LogMsg> {
+        let Some(parts) = &self.parts else { return Vec::new() };
+        blueprint::ranges(&self.subject(simulation), tab, self.chunks.store(), &parts.numbers.typical_timings())
+    }
+
+    fn subject<'a>(&'a self, simulation: &'a dyn Simulation) -> Subject<'a> {
+        Subject { simulation, schema: &self.schema, settings: &self.settings }
     }
 
     /// What is recorded, and how.
@@ -208,69 +207,62 @@ impl Recorder {
 
     /// Adds time that the caller spent on bringing messages to their sinks to that of logging.
     pub fn messages_sent(&mut self, time: Duration) {
-        if let Some(frame) = &mut self.frame {
-            frame.numbers.add_sending(time);
+        if let Some(parts) = &mut self.parts {
+            parts.numbers.add_sending(time);
         }
     }
 
-    /// Looks at the world after a step: its events always, a frame if it is the turn of one.
-    pub fn observe(&mut self, world: &World) {
-        let start = Clock::now();
-        let mut snapshot = take(&mut self.snapshot);
-        let has_frame = self.settings.has_frame(world.steps_taken());
-        if has_frame {
-            world.look(&mut snapshot);
-        }
-        let (report, checksum) = (world.report().clone(), world.checksum());
-        let stages = self.watch.observe(world, &self.settings);
-        let end = Clock::now();
-        let step = Step { report, checksum, observing: end - start, waiting: Duration::ZERO, lag: None, end, stages };
-        self.record(&step, has_frame.then_some(&snapshot));
-        self.snapshot = snapshot;
+    /// Looks at the simulation after a step: its events always, a frame if it is the turn of one.
+    pub fn observe(&mut self, simulation: &dyn Simulation) {
+        let (mut step, mut frame) = (take(&mut self.step), take(&mut self.frame));
+        let has_frame = self.settings.has_frame(simulation.steps_taken());
+        self.watch.step(simulation, &self.settings, &mut step, has_frame.then_some(&mut frame));
+        self.record(&step, has_frame.then_some(&frame));
+        (self.step, self.frame) = (step, frame);
     }
 
     /// Records a step, and its frame if it is the turn of one.
-    pub fn record(&mut self, step: &Step, snapshot: Option<&Snapshot>) {
+    pub fn record(&mut self, step: &StepRecord, frame: Option<&Frame>) {
         let start = Clock::now();
-        let at = Instant { step: step.report.step, time: step.report.time };
+        let at = step.summary.at;
         self.checksums.push(at, step.checksum);
-        let Some(frame) = &mut self.frame else { return };
-        frame.numbers.add(step);
-        for event in &step.report.events {
-            frame.pairs.log_event(&self.scene, event, &mut frame.series, &mut self.chunks);
+        let Some(parts) = &mut self.parts else { return };
+        parts.numbers.add(step);
+        for event in &step.summary.events {
+            parts.pairs.log_event(&self.schema, event, &mut parts.series, &mut self.chunks);
         }
-        frame.numbers.add_recording(Duration::ZERO, start.elapsed());
+        parts.numbers.add_recording(Duration::ZERO, start.elapsed());
         self.log_stages(&step.stages, at);
-        if let Some(snapshot) = snapshot {
-            self.log_frame(snapshot, at);
+        if let Some(frame) = frame {
+            self.log_frame(frame, at);
         }
-        self.keep(&step.report);
+        self.keep(&step.summary);
     }
 
-    fn log_stages(&mut self, stages: &[Inside], at: Instant) {
+    fn log_stages(&mut self, stages: &[StageFrame], at: Instant) {
         let Some(state) = &mut self.stages else { return };
         for stage in stages {
             self.chunks.set_stage(Some(self.stage_count));
             self.stage_count += 1;
             let line = format!("step {}: {}", at.step, stage.name);
             self.chunks.log("/stages", at, &TextLog::new(line).with_level("stage"));
-            state.log(Look { scene: &self.scene, snapshot: &stage.snapshot, at }, &mut self.chunks);
+            state.log(Look { schema: &self.schema, frame: &stage.frame, at }, &mut self.chunks);
         }
         self.chunks.set_stage(None);
     }
 
-    fn log_frame(&mut self, snapshot: &Snapshot, at: Instant) {
-        let look = Look { scene: &self.scene, snapshot, at };
-        if let Some(frame) = &mut self.frame {
-            frame.log(look, self.frames, &mut self.chunks);
+    fn log_frame(&mut self, frame: &Frame, at: Instant) {
+        let look = Look { schema: &self.schema, frame, at };
+        if let Some(parts) = &mut self.parts {
+            parts.log(look, self.frames, &mut self.chunks);
             self.frames += 1;
             self.written += u64::from(self.flight.is_none());
         }
     }
 
-    /// Logs something of the caller's own at the world's instant.
-    pub fn log(&mut self, entity: &str, world: &World, components: &dyn AsComponents) {
-        self.chunks.log(entity, now(world), components);
+    /// Logs something of the caller's own at the simulation's instant.
+    pub fn log(&mut self, entity: &str, simulation: &dyn Simulation, components: &dyn AsComponents) {
+        self.chunks.log(entity, now(simulation), components);
     }
 
     /// Adds a text to the recording's properties.
@@ -279,16 +271,16 @@ impl Recorder {
         self.chunks.log_static("/__properties/meldscope", &property);
     }
 
-    /// Logs the events of the last step as [`Recorder::observe`] does, for recordings that have no frames.
-    pub fn log_events(&mut self, world: &World) {
-        for event in &world.report().events {
-            pairs::log_event_line(&self.scene, event, &mut self.chunks);
+    /// Logs events as [`Recorder::observe`] does, for recordings that have no frames.
+    pub fn log_events(&mut self, summary: &StepSummary) {
+        for event in &summary.events {
+            pairs::log_event_line(&self.schema, event, &mut self.chunks);
         }
     }
 
     /// Takes what was logged of this step into the flight recorder, if there is one, and writes what that holds if this
     /// is a step that it waited for. Events and phases are always written.
-    fn keep(&mut self, report: &StepReport) {
+    fn keep(&mut self, summary: &StepSummary) {
         let (Some(flight), Frames::Last { on, .. }) = (&mut self.flight, &self.settings.frames) else { return };
         for chunk in self.chunks.drain() {
             let entity = chunk.entity_path().to_string();
@@ -298,9 +290,8 @@ impl Recorder {
                 flight.push(chunk);
             }
         }
-        if report.step.is_multiple_of(self.settings.every) {
-            let at = Instant { step: report.step, time: report.time };
-            if let Some((at, lines)) = flight.end_frame(at) {
+        if summary.at.step.is_multiple_of(self.settings.every) {
+            if let Some((at, lines)) = flight.end_frame(summary.at) {
                 for line in lines {
                     self.chunks.log(&line, at, &Scalars::new([0.0; 0]));
                 }
@@ -309,7 +300,7 @@ impl Recorder {
                 }
             }
         }
-        if on.iter().any(|trigger| trigger.is_in(report)) {
+        if on.iter().any(|trigger| trigger.is_in(summary)) {
             self.write_kept();
         }
     }
@@ -324,68 +315,70 @@ impl Recorder {
     }
 
     /// Ends the recording: lines reach its end, properties say how many steps there are.
-    pub fn finish(&mut self, world: &World) {
+    pub fn finish(&mut self, simulation: &dyn Simulation) {
+        let mut summary = StepSummary::default();
+        simulation.summary(&mut summary);
         let is_waiting = match &self.settings.frames {
             // a step that was not taken was not observed either
-            Frames::Last { on, .. } if !on.is_empty() => match &world.report().failure {
-                Some(Failure::Overworked(_)) => !on.contains(&Trigger::Diverge),
+            Frames::Last { on, .. } if !on.is_empty() => match &summary.failure {
+                Some(StepFailure::NotTaken(_)) => !on.contains(&Trigger::Diverge),
                 _ => true,
             },
             _ => false,
         };
         if !is_waiting {
             self.write_kept();
-            if let Some(frame) = &mut self.frame {
-                frame.series.extend_all(&mut self.chunks);
+            if let Some(parts) = &mut self.parts {
+                parts.series.extend_all(&mut self.chunks);
             }
         }
         self.checksums.log(&mut self.chunks, true);
         self.log_property("digest", &format!("{:016x}", self.checksums.digest()));
-        log_steps(Some(world.steps_taken()), &mut self.chunks);
+        log_steps(Some(simulation.steps_taken()), &mut self.chunks);
     }
 }
 
-impl Frame {
+impl FrameParts {
     /// Logs what stays the same.
-    fn new(scene: &Scene, settings: &Settings, chunks: &mut Chunks) -> Frame {
+    fn new(schema: &Schema, settings: &Settings, chunks: &mut Chunks) -> FrameParts {
         let mut series =
             if matches!(settings.frames, Frames::Last { .. }) { Series::whole() } else { Series::default() };
-        let state = State::new(scene, settings, chunks);
-        let numbers = Numbers::new(&mut series, chunks);
-        Frame { state, pairs: Pairs::new(settings.pairs), numbers, series }
+        let state = StateParts::new(schema, settings, chunks);
+        let numbers = FrameNumbers::new(schema, &mut series, chunks);
+        FrameParts { state, pairs: PairPlots::new(settings.pairs), numbers, series }
     }
 
     /// Logs what has changed; it is frame `number`.
     fn log(&mut self, look: Look<'_>, number: u64, chunks: &mut Chunks) {
         let start = Clock::now();
-        let Frame { state, pairs, numbers, series } = self;
+        let FrameParts { state, pairs, numbers, series } = self;
         let extracting = state.log(look, chunks);
         pairs.log(look, number, series, chunks);
-        numbers.log_diagnostics(look, series, chunks);
+        numbers.log_scalars(look, series, chunks);
         numbers.add_recording(extracting, start.elapsed().saturating_sub(extracting));
         numbers.log_timings(look.at, chunks);
     }
 }
 
-impl State {
+impl StateParts {
     /// Logs what stays the same.
-    fn new(scene: &Scene, settings: &Settings, chunks: &mut Chunks) -> State {
+    fn new(schema: &Schema, settings: &Settings, chunks: &mut Chunks) -> StateParts {
         let mut extractor = Extractor::default();
         let detail = settings.detail;
-        let spheres = Spheres::new(scene, settings.entities, chunks);
+        let spheres = SphereEntities::new(schema, settings.entities, chunks);
         let surfaces = match settings.entities {
-            Entities::Body => Surfaces::Bodies(Bodies::new(scene, detail, chunks)),
-            Entities::Batch => Surfaces::Batch(Batch::new(scene, detail, &mut extractor, chunks)),
+            Entities::Body => Surfaces::Bodies(SeparateBodies::new(schema, detail, chunks)),
+            Entities::Batch => Surfaces::Batch(BatchedBodies::new(schema, detail, &mut extractor, chunks)),
         };
-        let forces = (detail != Detail::Surface).then(|| Forces::new(scene, settings.entities, chunks));
-        let lines = Lines::new(scene, settings.pairs, chunks);
-        State { extractor, surfaces, spheres, forces, lines }
+        let forces = (detail != Detail::Surface).then(|| Forces::new(schema, settings.entities, chunks));
+        let lines = Lines::new(schema, settings.pairs, chunks);
+        StateParts { extractor, surfaces, spheres, forces, lines }
     }
 
     /// Logs what has changed; returns the time that extracting took.
     fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) -> Duration {
         let start = Clock::now();
-        let State { extractor, surfaces, spheres, forces, lines } = self;
+        let StateParts { extractor, surfaces, spheres, forces, lines } = self;
         if let Some(forces) = forces {
             forces.extract(look, extractor);
         }
@@ -404,17 +397,17 @@ impl State {
     }
 }
 
-fn log_properties(scene: &Scene, settings: &Settings, chunks: &mut Chunks) {
+fn log_properties(schema: &Schema, run: &str, overrides: &str, settings: &Settings, chunks: &mut Chunks) {
     let properties = AnyValues::default()
-        .with_component::<Text>("scene", [scene.source.as_str()])
-        .with_component::<Text>("settings", [settings.to_toml()])
-        .with_component::<Text>("overrides", [settings.overrides(scene)])
+        .with_component::<Text>("scene", [schema.source.as_str()])
+        .with_component::<Text>("settings", [run])
+        .with_component::<Text>("overrides", [overrides])
         .with_component::<Text>("version", [env!("CARGO_PKG_VERSION")])
         .with_component::<Scalar>("format", [f64::from(FORMAT)])
         .with_component::<Text>("machine", [machine::describe()])
-        .with_component::<Text>("integrator", [settings.integrator.name()]);
+        .with_component::<Text>("integrator", [schema.integrator.as_str()]);
     chunks.log_static("/__properties/meldscope", &properties);
-    chunks.log_static("/__properties", &rerun::RecordingInfo::new().with_name(scene.name.as_str()));
+    chunks.log_static("/__properties", &rerun::RecordingInfo::new().with_name(schema.name.as_str()));
     log_steps(settings.steps, chunks);
 }
 
@@ -424,6 +417,6 @@ fn log_steps(steps: Option<u64>, chunks: &mut Chunks) {
     chunks.log_static("/__properties/meldscope", &steps);
 }
 
-fn now(world: &World) -> Instant {
-    Instant { step: world.steps_taken(), time: world.time() }
+fn now(simulation: &dyn Simulation) -> Instant {
+    Instant { step: simulation.steps_taken(), time: simulation.time() }
 }

@@ -3,7 +3,7 @@
 use rerun::{Scalars, SeriesLines, components::InterpolationMode};
 
 use super::{
-    chunks::{Chunks, Track},
+    chunks::{Chunks, TrackId},
     columns::Cell,
     instant::Instant,
     palette::{Rgb, color},
@@ -11,7 +11,7 @@ use super::{
 
 /// How a line gets from one value to the next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Shape {
+pub enum Interpolation {
     /// Straight: quantities that change all the time.
     Linear,
     /// Level until the next value: counts, thresholds.
@@ -30,8 +30,8 @@ pub struct Series {
 pub struct LineId(usize);
 
 struct Line {
-    track: Track,
-    shape: Shape,
+    track: TrackId,
+    shape: Interpolation,
     last: Option<Last>,
 }
 
@@ -50,10 +50,10 @@ impl Series {
     }
 
     /// Names and colours a line.
-    pub fn style(chunks: &mut Chunks, entity: &str, name: &str, rgb: Rgb, width: f32, shape: Shape) {
+    pub fn style(chunks: &mut Chunks, entity: &str, name: &str, rgb: Rgb, width: f32, shape: Interpolation) {
         let mode = match shape {
-            Shape::Linear => InterpolationMode::Linear,
-            Shape::Step => InterpolationMode::StepAfter,
+            Interpolation::Linear => InterpolationMode::Linear,
+            Interpolation::Step => InterpolationMode::StepAfter,
         };
         let style = SeriesLines::new()
             .with_names([name])
@@ -64,7 +64,7 @@ impl Series {
     }
 
     /// A new line, without a point so far.
-    pub fn line(&mut self, chunks: &mut Chunks, entity: &str, shape: Shape) -> LineId {
+    pub fn line(&mut self, chunks: &mut Chunks, entity: &str, shape: Interpolation) -> LineId {
         let track = chunks.track(entity, [Scalars::descriptor_scalars()]);
         self.lines.push(Line { track, shape, last: None });
         LineId(self.lines.len() - 1)
@@ -81,7 +81,7 @@ impl Series {
             }
             Some(Last { value: before, logged, seen }) => {
                 // A straight line was level until the value was last seen: it needs that corner.
-                if *shape == Shape::Linear && logged.step < seen.step {
+                if *shape == Interpolation::Linear && logged.step < seen.step {
                     chunks.push(*track, *seen, &[Cell::Scalars(&[*before])]);
                 }
                 chunks.push(*track, now, &[Cell::Scalars(&[value])]);

@@ -1,9 +1,6 @@
 //! What a recording is a function of: the scene, and the settings of the run.
 
-use crate::{
-    scene::{Integrator, Scene},
-    sim::StepReport,
-};
+use crate::observe::{Experiment, StepSummary, Want};
 
 /// More bodies than this are batched: the viewer slows down at several hundred entities.
 pub(super) const MOST_BODY_ENTITIES: usize = 64;
@@ -109,10 +106,10 @@ impl Trigger {
     }
 
     /// Whether a step was one of these.
-    pub fn is_in(self, report: &StepReport) -> bool {
+    pub fn is_in(self, summary: &StepSummary) -> bool {
         match self {
-            Trigger::Diverge => report.failure.is_some(),
-            _ => report.events.iter().any(|event| event.name().starts_with(self.name())),
+            Trigger::Diverge => summary.failure.is_some(),
+            _ => summary.events.iter().any(|event| event.name.starts_with(self.name())),
         }
     }
 }
@@ -120,19 +117,12 @@ impl Trigger {
 /// The version of what is in a recording, beside that of the program: a program reads this one and older ones.
 pub const FORMAT: u32 = 1;
 
-/// The settings of a run, resolved: with the scene's text, what it takes to make a recording again.
+/// How a run is recorded: with the scene's text and what its simulation says of itself
+/// ([`Schema::run`](crate::observe::Schema::run)), what it takes to make a recording again.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
-    /// How steps are taken.
-    pub integrator: Integrator,
-    /// Step Δt [s].
-    pub dt: f64,
-    /// The error that [`Integrator::Exponential`] may make [radii per unit of scene time].
-    pub tolerance: f64,
     /// Number of steps to take; `None`: until stopped.
     pub steps: Option<u64>,
-    /// Whether what need not be computed is skipped: without, the same but for rounding ([`crate::sim::Options::skip`]).
-    pub skip: bool,
     /// A frame is recorded every so many steps, ≥ 1.
     pub every: u64,
     /// How much is recorded of a frame.
@@ -156,15 +146,22 @@ impl Settings {
         self.frames != Frames::Thin && step.is_multiple_of(self.every)
     }
 
+    /// What is wanted of a frame.
+    pub fn want(&self) -> Want {
+        Want { forces: self.detail != Detail::Surface, scalars: true }
+    }
+
     /// The settings that the scene itself asks for, everything recorded.
-    pub fn of(scene: &Scene) -> Settings {
-        let is_crowd = scene.bodies.len() > MOST_BODY_ENTITIES;
+    pub fn of(scene: &dyn Experiment) -> Settings {
+        let schema = scene.schema();
+        Settings::for_bodies(schema.bodies.len(), schema.steps)
+    }
+
+    /// The same, for so many bodies and steps.
+    pub fn for_bodies(bodies: usize, steps: u64) -> Settings {
+        let is_crowd = bodies > MOST_BODY_ENTITIES;
         Settings {
-            integrator: scene.integrator,
-            dt: scene.dt,
-            tolerance: scene.tolerance,
-            steps: Some(scene.steps()),
-            skip: true,
+            steps: Some(steps),
             every: 1,
             detail: Detail::Forces,
             entities: if is_crowd { Entities::Batch } else { Entities::Body },
@@ -173,43 +170,19 @@ impl Settings {
         }
     }
 
-    /// What the run changed of the scene, as lines of its file; empty if nothing. `scene` is as it was run: what its text
-    /// says is read again.
-    pub fn overrides(&self, scene: &Scene) -> String {
-        let Ok(own) = Scene::parse(&scene.source, &scene.name) else { return String::new() };
-        let changed = [
-            (own.integrator != self.integrator).then(|| format!("integrator = \"{}\"\n", self.integrator)),
-            (own.dt != self.dt).then(|| format!("dt = {:?}\n", self.dt)),
-            (own.tolerance != self.tolerance).then(|| format!("tolerance = {:?}\n", self.tolerance)),
-            (Some(own.steps()) != self.steps).then(|| format!("steps = {}\n", self.steps.unwrap_or(0))),
-        ];
-        changed.into_iter().flatten().collect()
-    }
-
-    /// From the properties of a recording. What only says how it was recorded may be unknown, as it may be to an older
-    /// program: it is then as in [`Settings::of`].
+    /// From the properties of a recording of so many bodies. What only says how it was recorded may be unknown, as it may
+    /// be to an older program: it is then as in [`Settings::of`].
     ///
     /// # Errors
     /// What is missing or wrong, in words.
-    pub fn from_toml(text: &str, scene: &Scene) -> Result<Settings, String> {
-        let table: toml::Table = within_toml(text).parse().map_err(|_| "the settings are not TOML".to_owned())?;
+    pub fn from_toml(text: &str, bodies: usize) -> Result<Settings, String> {
+        let table = table(text);
         let text = |key: &str| table.get(key).and_then(toml::Value::as_str);
-        let positive = |key: &str| {
-            let number =
-                table.get(key).and_then(toml::Value::as_float).filter(|number| Scene::POSITIVE.contains(number));
-            number.ok_or_else(|| format!("the settings have no usable {key}"))
-        };
         let count = |key: &str| table.get(key).and_then(number);
-        let name = text("integrator").unwrap_or("none");
-        let integrator = Integrator::ALL.into_iter().find(|integrator| integrator.name() == name);
-        let own = Settings::of(scene);
         let steps = count("steps").ok_or("the settings have no usable number of steps")?;
+        let own = Settings::for_bodies(bodies, steps);
         Ok(Settings {
-            integrator: integrator.ok_or_else(|| format!("this program has no integrator \"{name}\""))?,
-            dt: positive("dt")?,
-            tolerance: positive("tolerance")?,
             steps: (steps > 0).then_some(steps),
-            skip: table.get("skip").and_then(toml::Value::as_bool).unwrap_or(true),
             every: count("every").filter(|&every| every > 0).unwrap_or(own.every),
             detail: match (text("detail"), table.get("stages").and_then(toml::Value::as_array).map(Vec::as_slice)) {
                 (Some("surface"), _) => Detail::Surface,
@@ -254,12 +227,8 @@ impl Settings {
             }
         };
         format!(
-            "integrator = \"{}\"\ndt = {:?}\ntolerance = {:?}\nsteps = {}\n{}every = {}\ndetail = \"{detail}\"\nentities = \"{entities}\"\npairs = {}\n{stages}{frames}",
-            self.integrator,
-            self.dt,
-            self.tolerance,
+            "steps = {}\nevery = {}\ndetail = \"{detail}\"\nentities = \"{entities}\"\npairs = {}\n{stages}{frames}",
             written(self.steps.unwrap_or(0)),
-            if self.skip { "" } else { "skip = false\n" },
             written(self.every),
             self.pairs,
         )
@@ -280,7 +249,11 @@ fn number(value: &toml::Value) -> Option<u64> {
     }
 }
 
-/// Settings as they were written before 2^63 and more were texts, made TOML.
+/// What a recording has as its settings, as they may be from before 2^63 and more were texts; empty if they are no TOML.
+pub(crate) fn table(text: &str) -> toml::Table {
+    within_toml(text).parse().unwrap_or_default()
+}
+
 fn within_toml(text: &str) -> String {
     let mut fixed = String::with_capacity(text.len());
     let mut rest = text;
@@ -295,22 +268,6 @@ fn within_toml(text: &str) -> String {
         rest = after;
     }
     fixed + rest
-}
-
-/// Length of an arrow per acceleration [scene unit per scene unit/s²]: 1, 2 or 5 times a power of ten, such that the
-/// strongest influence or push on the largest body is drawn about 0.4 of its radius long.
-pub fn arrow_scale(scene: &Scene) -> f64 {
-    let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
-    let strength = scene.influence.alpha.max(scene.influence.beta);
-    let pull = strength * scene.influence.sphere_radius(radius) * scene.influence.weight.max_pull();
-    let strongest = scene.pushes.iter().map(|push| push.strength.abs()).fold(pull, f64::max);
-    let wanted = 0.4 * radius / strongest;
-    if !(wanted.is_finite() && wanted > 0.0) {
-        return 0.01;
-    }
-    let decade = 10f64.powf(wanted.log10().floor());
-    let step = [5.0, 2.0, 1.0].into_iter().find(|step| step * decade <= wanted * 1.0001).unwrap_or(1.0);
-    step * decade
 }
 
 /// The same scene and options give the same id; a recording whose texts do not give its id was damaged or edited.

@@ -3,53 +3,69 @@
 use std::time::{Duration, Instant as Clock};
 
 use super::settings::Settings;
-use crate::sim::{
-    Snapshot, StepReport, World,
-    stages::{self, Inside},
-};
+use crate::observe::{Frame, Simulation, StageFrame, StepSummary};
 
-/// What a step leaves to be recorded, apart from its frame.
-#[derive(Clone, Debug)]
-pub struct Step {
+/// What a step leaves to be recorded, apart from its frame; reused.
+#[derive(Clone, Debug, Default)]
+pub struct StepRecord {
     /// What happened.
-    pub report: StepReport,
+    pub summary: StepSummary,
     /// The hash of the state after it.
     pub checksum: u64,
-    /// What looking at the world took of the simulation's time …
+    /// What looking at the simulation took of its time …
     pub observing: Duration,
     /// … and what waiting for the recording took.
     pub waiting: Duration,
     /// How far the simulation is behind real time, if it runs no faster than that.
     pub lag: Option<Duration>,
     /// When the step was complete.
-    pub end: Clock,
+    pub end: Option<Clock>,
     /// What happened inside, if that is wanted.
-    pub stages: Vec<Inside>,
+    pub stages: Vec<StageFrame>,
 }
 
-/// Looks into steps, for which it keeps the state before the next one.
+/// Looks at steps; keeps the state before the next one if that is to be looked into.
 #[derive(Default)]
-pub struct StageWatch {
-    before: Option<Snapshot>,
+pub struct StepWatch {
+    before: Option<Frame>,
 }
 
-impl StageWatch {
-    /// From the world as it is on.
-    pub fn new(world: &World, settings: &Settings) -> StageWatch {
-        let mut watch = StageWatch::default();
-        watch.observe(world, settings);
+impl StepWatch {
+    /// From the simulation as it is on.
+    pub fn new(simulation: &dyn Simulation, settings: &Settings) -> StepWatch {
+        let mut watch = StepWatch::default();
+        watch.stages(simulation, settings);
         watch
     }
 
+    /// The step just taken into `record`, and its frame into `frame` if it is the turn of one.
+    pub fn step(
+        &mut self,
+        simulation: &dyn Simulation,
+        settings: &Settings,
+        record: &mut StepRecord,
+        frame: Option<&mut Frame>,
+    ) {
+        let start = Clock::now();
+        if let Some(frame) = frame {
+            simulation.observe(settings.want(), frame);
+        }
+        simulation.summary(&mut record.summary);
+        record.checksum = simulation.checksum();
+        record.stages = self.stages(simulation, settings);
+        let end = Clock::now();
+        (record.observing, record.end) = (end - start, Some(end));
+    }
+
     /// The stages of the step just taken, if they are wanted.
-    pub fn observe(&mut self, world: &World, settings: &Settings) -> Vec<Inside> {
-        let step = world.steps_taken();
+    fn stages(&mut self, simulation: &dyn Simulation, settings: &Settings) -> Vec<StageFrame> {
+        let step = simulation.steps_taken();
         let stages = match &self.before {
-            Some(before) if settings.has_stages(step) => stages::inside(before, world),
+            Some(before) if settings.has_stages(step) => simulation.stages(before),
             _ => Vec::new(),
         };
         if settings.has_stages(step + 1) {
-            world.look(self.before.get_or_insert_default());
+            simulation.observe(settings.want(), self.before.get_or_insert_default());
         } else {
             self.before = None;
         }

@@ -13,7 +13,7 @@ use std::{
 
 use meldscope::{
     Scene,
-    recording::{ReadError, Recorded, frames::Frames, golden, read::Reader, replay},
+    recording::{ReadError, Recorded, frames::FrameReader, golden, read::Reader, replay},
     scene::builtin,
     stream::{
         chunks,
@@ -137,10 +137,10 @@ fn seconds() -> f64 {
 /// What a user's command would do with a file.
 fn use_it(path: &Path, scene: &Scene) -> Result<(), ReadError> {
     let recorded = Recorded::open(path)?;
-    let mut frames = Frames::open(&recorded)?;
+    let mut frames = FrameReader::open(&recorded)?;
     while let Some(frame) = frames.next()? {
-        for body in 0..recorded.scene.bodies.len() {
-            frame.world_positions(&recorded.scene, body);
+        for body in 0..recorded.schema.bodies.len() {
+            frame.world_positions(body);
         }
     }
     if let replay::Verdict::Divergent(divergence) = replay::verify(&recorded, |_| true)? {

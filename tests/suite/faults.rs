@@ -101,7 +101,7 @@ fn no_more_than_half_a_second_is_lost() {
         let simulated = start.elapsed().as_secs_f64();
         drop(run);
         let recorded = Recorded::open(&dir.file("k.rrd.partial")).expect("a recording");
-        let saved = recorded.last() as f64 * recorded.scene.dt;
+        let saved = recorded.last() as f64 * recorded.schema.dt;
         // on a busy machine the run itself may lag
         assert!(simulated - saved < 0.5 + 0.3, "{kind:?}: {saved} s of {simulated} s");
         fs::remove_file(dir.file("k.rrd.partial")).expect("it is there");
@@ -140,8 +140,8 @@ fn of_two_runs_into_one_file_the_second_is_refused() {
     assert!(said(&second).contains("another run is writing"), "{}", said(&second));
     drop(first);
     let recorded = Recorded::open(&dir.file("one.rrd.partial")).expect("that of the first");
-    assert_eq!(recorded.scene.name, "two");
+    assert_eq!(recorded.schema.name, "two");
     let third = program(&dir, &["run", "push", "--save", "one.rrd"]).output().expect("it runs");
     assert_eq!(third.status.code(), Some(0));
-    assert_eq!(Recorded::open(&dir.file("one.rrd")).expect("whole").scene.name, "push");
+    assert_eq!(Recorded::open(&dir.file("one.rrd")).expect("whole").schema.name, "push");
 }

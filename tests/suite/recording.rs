@@ -14,12 +14,15 @@ use meldscope::{
     Scene, World,
     geometry::{Shape, Sphere},
     model::phase::Phase,
-    sim::{BodyForces, BodyView, Cause, Event},
+    sim::{
+        BodyForces, BodyView, Cause, Event,
+        simulation::{arrow_scale, phase_color},
+    },
     stream::{
         Recorder, Settings,
         blueprint::Tab,
         palette,
-        recorder::{Detail, Entities, arrow_scale},
+        recorder::{Detail, Entities},
         settings::{FORMAT, Frames, MOST_PAIRS_OF_MANY},
         sinks::{Destinations, Sinks},
     },
@@ -487,7 +490,7 @@ impl Run {
                     (row.step as u64).is_multiple_of(self.settings.every) && row.step as u64 <= self.steps(),
                     "{path}"
                 );
-                assert_eq!(row.time, nanoseconds(row.step as f64 * self.settings.dt), "{path} at step {}", row.step);
+                assert_eq!(row.time, nanoseconds(row.step as f64 * self.scene.dt), "{path} at step {}", row.step);
                 for component in row.cells.into_keys() {
                     assert!(seen.insert((row.step, component.clone())), "{path} at step {}: {component}", row.step);
                 }
@@ -512,9 +515,9 @@ impl Run {
 
         let read: toml::Table = recording.property("settings").parse().expect("TOML");
         let mut expected = toml::Table::new();
-        expected.insert("integrator".to_owned(), settings.integrator.name().into());
-        expected.insert("dt".to_owned(), settings.dt.into());
-        expected.insert("tolerance".to_owned(), settings.tolerance.into());
+        expected.insert("integrator".to_owned(), self.scene.integrator.name().into());
+        expected.insert("dt".to_owned(), self.scene.dt.into());
+        expected.insert("tolerance".to_owned(), self.scene.tolerance.into());
         expected.insert("steps".to_owned(), (self.steps() as i64).into());
         expected.insert("every".to_owned(), (settings.every as i64).into());
         let detail = if settings.detail == Detail::Forces { "forces" } else { "surface" };
@@ -677,7 +680,7 @@ impl Run {
                 let phases: Vec<Phase> =
                     world.pairs().filter(|pair| pair.a == i || pair.b == i).map(|pair| pair.phase).collect();
                 let deepest = [Phase::Core, Phase::Merged, Phase::Apart].into_iter().find(|p| phases.contains(p));
-                color(deepest.map_or(idle, palette::phase))
+                color(deepest.map_or(idle, phase_color))
             };
             let colors: Vec<Rgba32> = (0..world.body_count()).map(of_body).collect();
             let held = &track.held[frame];
@@ -708,7 +711,7 @@ impl Run {
             let half_size = |i: usize| Vec3::splat((self.scene.influence.reach * self.scene.bodies[i].radius) as f32);
             let half_sizes: Vec<Vec3> = spheres.keys().map(|&i| half_size(i)).collect();
             assert_same(&held.vectors("Ellipsoids3D:half_sizes"), &half_sizes, &step);
-            let colors: Vec<Rgba32> = spheres.values().map(|&phase| color(palette::phase(phase))).collect();
+            let colors: Vec<Rgba32> = spheres.values().map(|&phase| color(phase_color(phase))).collect();
             assert_same(&held.colors("Ellipsoids3D:colors"), &colors, &step);
         });
     }
@@ -795,7 +798,7 @@ impl Run {
             let held = &track.held[frame];
             let labels: Vec<String> = pairs.iter().map(|pair| format!("q = {:.3}", pair.q)).collect();
             assert_eq!(held.texts("LineStrips3D:labels"), labels, "step {}", world.steps_taken());
-            let colors: Vec<Rgba32> = pairs.iter().map(|pair| color(palette::phase(pair.phase))).collect();
+            let colors: Vec<Rgba32> = pairs.iter().map(|pair| color(phase_color(pair.phase))).collect();
             assert_eq!(held.colors("LineStrips3D:colors"), colors);
             let strips = held.get::<rerun::components::LineStrip3D>("LineStrips3D:strips");
             for (pair, strip) in pairs.iter().zip(&strips) {
@@ -866,7 +869,12 @@ impl Run {
             let text = row.text("TextLog:text");
             assert_eq!((row.step, row.time), (event.step as i64, nanoseconds(event.time)), "{text}");
             assert_eq!(row.text("TextLog:level"), event.name());
-            assert_eq!(row.colors("TextLog:color"), [color(palette::phase(event.to))], "{text}");
+            assert_eq!(row.colors("TextLog:color"), [color(phase_color(event.to))], "{text}");
+            let names = [event.a, event.b].map(|body| self.scene.bodies[body as usize].name.as_str());
+            assert_eq!(row.texts("bodies"), names);
+            assert_eq!(row.texts("phases"), [event.from.name(), event.to.name()]);
+            let number = |component| row.get::<Float64>(component)[0].0;
+            assert_eq!([number("time"), number("q")], [event.time, event.q], "exactly");
             let pair = self.pair_name((event.a as usize, event.b as usize));
             for part in [
                 format!("{} {pair} ", event.name()),
@@ -879,7 +887,7 @@ impl Run {
 
             // on the paths themselves: within the step, and on the threshold
             let time = row.time as f64 * 1e-9;
-            let (end, dt) = (row.step as f64 * self.settings.dt, self.settings.dt);
+            let (end, dt) = (row.step as f64 * self.scene.dt, self.scene.dt);
             assert!(time > end - dt - 1e-9 && time < end + 1e-9, "{text}");
             let [a, b] = [event.a, event.b].map(|i| &self.scene.bodies[i as usize]);
             let q = a.path.position(time).distance(b.path.position(time)) / (a.radius + b.radius);

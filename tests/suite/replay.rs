@@ -10,7 +10,7 @@ use meldscope::{
     Scene, World,
     recording::{
         Recorded,
-        golden::{self, Outcome},
+        golden::{self, GoldenOutcome},
         replay::{self, Verdict},
     },
     scene::builtin,
@@ -26,9 +26,12 @@ use crate::recording::{Dir, Recording};
 
 /// Records `played`, whatever its text says: as another version of the program would have.
 fn record(path: &Path, played: &Scene, settings: Settings) {
+    record_with(path, played, Options::default(), settings);
+}
+
+fn record_with(path: &Path, played: &Scene, options: Options, settings: Settings) {
     let mut sinks =
         Sinks::open(&Destinations { save: Some(path.to_owned()), ..Destinations::default() }).expect("a file");
-    let options = Options { skip: settings.skip, ..Options::default() };
     let mut world = World::with_options(played.clone(), options).expect("it fits");
     let mut recorder = Recorder::new(&world, settings.clone());
     let mut messages = recorder.blueprint(&world);
@@ -85,13 +88,13 @@ fn every_kind_of_recording_is_replayed() {
     let kinds = [
         own.clone(),
         Settings { every: 7, steps: Some(100), ..own.clone() },
-        Settings { skip: false, ..own.clone() },
+        own.clone(),
         Settings { frames: Frames::Thin, ..own.clone() },
         Settings { frames: Frames::Last { most: 5, on: vec![] }, ..own.clone() },
         Settings { frames: Frames::Last { most: 5, on: vec![Trigger::Core] }, ..own },
     ];
-    for settings in kinds {
-        record(&path, &scene, settings.clone());
+    for (i, settings) in kinds.into_iter().enumerate() {
+        record_with(&path, &scene, Options { skip: i != 2, ..Options::default() }, settings.clone());
         let recorded = Recorded::open(&path).expect("a recording");
         assert_eq!((recorded.first, recorded.last()), (0, settings.steps.expect("an end")));
         let mut steps = Vec::new();
@@ -100,6 +103,7 @@ fn every_kind_of_recording_is_replayed() {
             true
         });
         assert_eq!(verdict.expect("it runs"), Verdict::Identical, "{settings:?}");
+        assert_eq!(recorded.run.contains_key("skip"), i == 2);
         assert_eq!(steps, (0..=recorded.last()).collect::<Vec<_>>());
     }
 }
@@ -319,7 +323,7 @@ fn a_planted_bit_is_found_and_named() {
     let mut planted = two();
     planted.influence.beta = planted.influence.beta.next_up();
     let comparison = dir.file("two.check.rrd");
-    let Ok(Outcome::Different(difference)) = golden::check(&planted, &path, Some(&comparison)) else {
+    let Ok(GoldenOutcome::Different(difference)) = golden::check(&planted, &path, Some(&comparison)) else {
         panic!("it differs")
     };
     assert!(difference.is_tolerable() && difference.is_within_tolerance && difference.events.is_empty());
@@ -489,7 +493,7 @@ fn a_flight_recorder_keeps_whole_lines() {
     }
     // and it is read as the frames that it has
     let recorded = Recorded::open(&dir.file("three.rrd")).expect("a recording");
-    let mut frames = meldscope::recording::frames::Frames::open(&recorded).expect("a recording");
+    let mut frames = meldscope::recording::frames::FrameReader::open(&recorded).expect("a recording");
     let mut seen = Vec::new();
     while let Some(frame) = frames.next().expect("a recording") {
         seen.push(frame.step as i64);

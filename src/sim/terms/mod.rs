@@ -13,9 +13,8 @@ pub(super) mod spheres;
 
 use glam::DVec3;
 
-use super::{Span, neighbours::Neighbour, state::State, tracks::Tracks};
+use super::{Span, neighbours::Neighbour, tracks::Tracks};
 use crate::{
-    geometry::Rest,
     model::{
         influence::{self, Weight},
         phase::Phase,
@@ -222,35 +221,6 @@ impl Surroundings {
             acceleration += *force;
         }
         acceleration
-    }
-
-    /// The accelerations of that vertex by cause, with velocity `u` of its displacement [scene unit/s²].
-    pub(super) fn by_cause(
-        &self,
-        body: &scene::Body,
-        weight: Weight,
-        rest: Rest<'_>,
-        i: usize,
-        state: State,
-    ) -> [DVec3; Cause::ALL.len()] {
-        let mut by_cause = [DVec3::ZERO; Cause::ALL.len()];
-        let position = rest.position(i) + state.x;
-        for source in &self.sources {
-            let to_centre = source.centre - position;
-            by_cause[source.cause() as usize] +=
-                influence::acceleration(weight, source.strength, source.sphere_radius, to_centre);
-        }
-        for (cause, force) in oscillator::accelerations(body.material, state) {
-            by_cause[cause as usize] = force;
-        }
-        for weighted in &self.weighted {
-            by_cause[weighted.cause as usize] += weighted.acceleration(rest.direction(i));
-        }
-        for &(cause, force) in &self.uniform {
-            by_cause[cause as usize] = force;
-        }
-        by_cause[Cause::Net as usize] = by_cause.iter().sum();
-        by_cause
     }
 
     /// Whether nothing acts: a body at rest stays at rest.

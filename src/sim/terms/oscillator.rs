@@ -1,23 +1,21 @@
 //! The vertices' own oscillators (3.2): integrators know them by their exact flow or write them out, so that they add nothing
 //! to what acts on a body; here is what they count as when one looks.
 
-use glam::DVec3;
-
 use super::{Cause, Term};
-use crate::{
-    model::energy,
-    scene::Material,
-    sim::{arrays::Vectors, state::State},
-};
+use crate::{model::energy, scene::Material, sim::arrays::Vectors};
 
 pub struct Springs;
 
 impl Term for Springs {}
 
-/// What they do to a vertex [scene unit/s²].
-pub fn accelerations(material: Material, State { x, u }: State) -> [(Cause, DVec3); 2] {
+/// What they do to vertices, as so many times displacements or velocities [scene unit/s²].
+pub fn accelerations<'a>(
+    material: Material,
+    displacement: &'a Vectors,
+    velocity: &'a Vectors,
+) -> [(Cause, f64, &'a Vectors); 2] {
     let Material { omega, damping, .. } = material;
-    [(Cause::Restoring, omega * omega * -x), (Cause::Damping, -2.0 * damping * u)]
+    [(Cause::Restoring, -(omega * omega), displacement), (Cause::Damping, -2.0 * damping, velocity)]
 }
 
 /// Kinetic and elastic energy of the vertices of a body per unit of a vertex's mass [scene unit²/s²].

@@ -1,6 +1,6 @@
 //! Many bodies in few entities: the deformed ones in one mesh, the others as instances of their shapes.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::sync::Arc;
 
 use rerun::{AnyValues, InstancePoses3D, Mesh3D, components::Text, external::arrow::array::UInt32Array};
 
@@ -9,13 +9,12 @@ use super::{
     vertices::{self, Vertices},
 };
 use crate::{
-    geometry::{Mesh, Shape},
-    scene::Scene,
+    observe::Schema,
     stream::{
-        chunks::{Chunks, Track},
+        chunks::{Chunks, TrackId},
         columns::Cell,
         extract::{Extractor, Surface},
-        normals::Vector,
+        normals::Float3,
         palette::{self, color},
         settings::Detail,
     },
@@ -27,32 +26,23 @@ pub const DEFORMED: f64 = 1e-6;
 const DEFORMING: &str = "/world/deforming/surface";
 
 /// What was last logged of the bodies together.
-pub struct Batch {
-    /// The shapes of the scene.
-    shapes: BTreeMap<Shape, Arc<Mesh>>,
-    track: Track,
+pub struct BatchedBodies {
+    track: TrackId,
     deforming: Vec<usize>,
     last: Surface,
     next: Surface,
-    resting: Option<Vec<(usize, Vector)>>,
+    resting: Option<Vec<(usize, Float3)>>,
     /// Only with forces.
     vertices: Option<Vertices>,
-    numbers: vertices::Numbers,
+    numbers: vertices::VertexNumbers,
 }
 
-impl Batch {
+impl BatchedBodies {
     /// Logs what stays the same.
-    pub fn new(scene: &Scene, detail: Detail, extractor: &mut Extractor, chunks: &mut Chunks) -> Batch {
-        let mut shapes: BTreeMap<Shape, Arc<Mesh>> = BTreeMap::new();
-        for shape in scene.bodies.iter().map(|body| &body.shape) {
-            if !shapes.contains_key(shape) {
-                shapes.insert(shape.clone(), shape.mesh());
-            }
-        }
-        for (shape, mesh) in &shapes {
-            let rest = mesh.positions();
-            let mesh = Mesh3D::new(rest.iter().map(|v| v.as_vec3()))
-                .with_vertex_normals(extractor.normals(mesh, rest))
+    pub fn new(schema: &Schema, detail: Detail, extractor: &mut Extractor, chunks: &mut Chunks) -> BatchedBodies {
+        for (shape, mesh) in schema.shapes() {
+            let mesh = Mesh3D::new(mesh.positions().iter().map(|v| v.as_vec3()))
+                .with_vertex_normals(extractor.normals(mesh, mesh.positions()))
                 .with_triangle_indices(mesh.triangles().iter().copied())
                 .with_albedo_factor(palette::opaque(palette::RESTING));
             chunks.log_static(&resting_entity(shape), &mesh);
@@ -61,23 +51,23 @@ impl Batch {
             chunks.track(DEFORMING, [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals()]);
         let vertices = (detail != Detail::Surface).then(|| Vertices::new(DEFORMING, chunks));
         let (last, next, numbers) = Default::default();
-        Batch { shapes, track, deforming: Vec::new(), last, next, resting: None, vertices, numbers }
+        BatchedBodies { track, deforming: Vec::new(), last, next, resting: None, vertices, numbers }
     }
 
     /// Logs what has changed; `numbers` are those of the vertices of each body, if they are wanted.
     pub fn log(
         &mut self,
         look: Look<'_>,
-        numbers: &[vertices::Numbers],
+        numbers: &[vertices::VertexNumbers],
         extractor: &mut Extractor,
         chunks: &mut Chunks,
     ) {
-        let body = |i: usize| look.snapshot.body(look.scene, i);
-        let (deforming, resting): (Vec<usize>, Vec<usize>) = (0..look.snapshot.body_count())
-            .partition(|&i| body(i).max_displacement() > DEFORMED * body(i).scene().radius);
+        let (bodies, now) = (&look.schema.bodies, &look.frame.bodies);
+        let (deforming, resting): (Vec<usize>, Vec<usize>) =
+            (0..now.len()).partition(|&i| now[i].max_displacement > DEFORMED * bodies[i].radius);
         self.next.clear();
         for &i in &deforming {
-            self.next.append(body(i), body(i).centre(), extractor);
+            self.next.append(&bodies[i], &now[i], now[i].centre, extractor);
         }
         if let Some(vertices) = &mut self.vertices {
             self.numbers.clear();
@@ -93,7 +83,7 @@ impl Batch {
             let Surface { positions, normals } = &self.last;
             chunks.push(self.track, look.at, &[Cell::Vectors(positions), Cell::Vectors(normals)]);
         }
-        let resting = resting.into_iter().map(|i| (i, body(i).centre().as_vec3().to_array())).collect();
+        let resting = resting.into_iter().map(|i| (i, now[i].centre.as_vec3().to_array())).collect();
         if self.resting.as_ref() != Some(&resting) {
             self.log_resting(look, &resting, chunks);
             self.resting = Some(resting);
@@ -104,12 +94,11 @@ impl Batch {
     fn log_layout(&self, look: Look<'_>, deforming: &[usize], chunks: &mut Chunks) {
         let (mut first, mut triangles, mut colors, mut names, mut indices) = (0, vec![], vec![], vec![], vec![]);
         for &i in deforming {
-            let body = &look.scene.bodies[i];
-            let of_shape = self.shapes[&body.shape].triangles();
-            let count = body.shape.vertex_count();
-            triangles.extend(of_shape.iter().map(|t| t.map(|v| v + first)));
-            colors.extend(std::iter::repeat_n(color(palette::body(i)), count as usize));
-            names.extend(std::iter::repeat_n(body.name.as_str(), count as usize));
+            let body = &look.schema.bodies[i];
+            let count = body.vertex_count();
+            triangles.extend(body.mesh.triangles().iter().map(|t| t.map(|v| v + first)));
+            colors.extend(std::iter::repeat_n(color(palette::body(i)), count));
+            names.extend(std::iter::repeat_n(body.name.as_str(), count));
             indices.extend(0..count as u32);
             first += count as u32;
         }
@@ -120,16 +109,16 @@ impl Batch {
     }
 
     /// Instances of the shapes of which they have changed.
-    fn log_resting(&self, look: Look<'_>, resting: &[(usize, Vector)], chunks: &mut Chunks) {
-        for shape in self.shapes.keys() {
-            let of_shape = |list: &[(usize, Vector)]| -> Vec<(usize, Vector)> {
-                list.iter().copied().filter(|&(i, _)| look.scene.bodies[i].shape == *shape).collect()
+    fn log_resting(&self, look: Look<'_>, resting: &[(usize, Float3)], chunks: &mut Chunks) {
+        for shape in look.schema.shapes().keys() {
+            let of_shape = |list: &[(usize, Float3)]| -> Vec<(usize, Float3)> {
+                list.iter().copied().filter(|&(i, _)| look.schema.bodies[i].shape == *shape).collect()
             };
             let instances = of_shape(resting);
             if self.resting.as_ref().is_some_and(|last| of_shape(last) == instances) {
                 continue;
             }
-            let bodies = || instances.iter().map(|&(i, _)| &look.scene.bodies[i]);
+            let bodies = || instances.iter().map(|&(i, _)| &look.schema.bodies[i]);
             let poses = InstancePoses3D::update_fields()
                 .with_translations(instances.iter().map(|&(_, centre)| centre))
                 .with_scales(bodies().map(|body| [body.radius as f32; 3]));
@@ -146,6 +135,6 @@ fn body_names(names: &[&str]) -> AnyValues {
 }
 
 /// Where the undeformed bodies of a shape are if bodies are recorded together.
-pub fn resting_entity(shape: &Shape) -> String {
-    format!("/world/resting/{}", shape.label())
+pub fn resting_entity(shape: &str) -> String {
+    format!("/world/resting/{shape}")
 }

@@ -8,48 +8,48 @@ use super::{
     vertices::{self, Vertices, identity},
 };
 use crate::{
-    scene::Scene,
+    observe::Schema,
     stream::{
-        chunks::{Chunks, Track},
+        chunks::{Chunks, TrackId},
         columns::Cell,
         extract::{Extractor, Surface},
-        normals::Vector,
+        normals::Float3,
         palette,
         settings::Detail,
     },
 };
 
 /// All bodies, each with entities of its own.
-pub struct Bodies {
-    bodies: Vec<Body>,
+pub struct SeparateBodies {
+    bodies: Vec<Logged>,
     next: Surface,
 }
 
 /// What was last logged of a body.
-struct Body {
-    transform: Track,
-    surface: Track,
-    centre: Option<Vector>,
+struct Logged {
+    transform: TrackId,
+    surface: TrackId,
+    centre: Option<Float3>,
     last: Surface,
     /// Only with forces.
     vertices: Option<Vertices>,
 }
 
-impl Bodies {
+impl SeparateBodies {
     /// Logs what stays the same.
-    pub fn new(scene: &Scene, detail: Detail, chunks: &mut Chunks) -> Bodies {
-        let bodies = scene.bodies.iter().enumerate().map(|(index, body)| {
+    pub fn new(schema: &Schema, detail: Detail, chunks: &mut Chunks) -> SeparateBodies {
+        let bodies = schema.bodies.iter().enumerate().map(|(index, body)| {
             let entity = format!("/world/bodies/{}", body.name);
             let surface = format!("{entity}/surface");
             let mesh = Mesh3D::update_fields()
-                .with_triangle_indices(body.shape.mesh().triangles().iter().copied())
+                .with_triangle_indices(body.mesh.triangles().iter().copied())
                 .with_albedo_factor(palette::translucent(palette::body(index)));
             chunks.log_static(&surface, &mesh);
             let vertices = (detail != Detail::Surface).then(|| {
-                chunks.log_static(&surface, &identity(&body.name, body.shape.vertex_count()));
+                chunks.log_static(&surface, &identity(&body.name, body.vertex_count()));
                 Vertices::new(&surface, chunks)
             });
-            Body {
+            Logged {
                 transform: chunks.track(&entity, [Transform3D::descriptor_translation()]),
                 surface: chunks
                     .track(&surface, [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals()]),
@@ -58,14 +58,14 @@ impl Bodies {
                 vertices,
             }
         });
-        Bodies { bodies: bodies.collect(), next: Surface::default() }
+        SeparateBodies { bodies: bodies.collect(), next: Surface::default() }
     }
 
     /// Logs what has changed; `numbers` are those of the vertices of each body, if they are wanted.
     pub fn log(
         &mut self,
         look: Look<'_>,
-        numbers: &[vertices::Numbers],
+        numbers: &[vertices::VertexNumbers],
         extractor: &mut Extractor,
         chunks: &mut Chunks,
     ) {
@@ -74,17 +74,17 @@ impl Bodies {
                 vertices.log(look.at, numbers, chunks);
             }
         }
-        for (body, track) in look.snapshot.bodies(look.scene).zip(&mut self.bodies) {
-            let centre = body.centre().as_vec3().to_array();
+        for ((body, now), track) in look.bodies().zip(&mut self.bodies) {
+            let centre = now.centre.as_vec3().to_array();
             if track.centre != Some(centre) {
                 chunks.push(track.transform, look.at, &[Cell::Vectors(&[centre])]);
                 track.centre = Some(centre);
             }
-            if body.is_at_rest() && !track.last.positions.is_empty() {
+            if now.is_at_rest && !track.last.positions.is_empty() {
                 continue;
             }
             self.next.clear();
-            self.next.append(body, DVec3::ZERO, extractor);
+            self.next.append(body, now, DVec3::ZERO, extractor);
             if self.next != track.last {
                 std::mem::swap(&mut self.next, &mut track.last);
                 let Surface { positions, normals } = &track.last;

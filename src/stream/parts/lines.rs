@@ -4,13 +4,12 @@ use rerun::LineStrips3D;
 
 use super::{Look, MOST_LABELS};
 use crate::{
-    scene::Scene,
-    sim::PairView,
+    observe::{PairFrame, Schema},
     stream::{
-        chunks::{Chunks, Track},
+        chunks::{Chunks, TrackId},
         columns::Cell,
-        normals::Vector,
-        palette::{self, color},
+        normals::Float3,
+        palette::color,
     },
 };
 
@@ -19,51 +18,51 @@ pub(super) const PAIRS: &str = "/world/pairs";
 
 /// What was last logged of them.
 pub struct Lines {
-    track: Track,
+    track: TrackId,
     /// At most so many, the closest.
     most: usize,
-    last: Option<Batch>,
-    next: Batch,
+    last: Option<LineRows>,
+    next: LineRows,
     /// Reused.
-    closest: Vec<PairView>,
+    closest: Vec<PairFrame>,
 }
 
 #[derive(Clone, Default, PartialEq)]
-struct Batch {
-    segments: Vec<[Vector; 2]>,
+struct LineRows {
+    segments: Vec<[Float3; 2]>,
     colors: Vec<u32>,
     labels: Vec<String>,
 }
 
 impl Lines {
     /// Never more than `most`.
-    pub fn new(scene: &Scene, most: usize, chunks: &mut Chunks) -> Lines {
+    pub fn new(schema: &Schema, most: usize, chunks: &mut Chunks) -> Lines {
         let style = LineStrips3D::update_fields()
             .with_radii([rerun::Radius::new_ui_points(1.5)])
-            .with_show_labels(scene.bodies.len() <= MOST_LABELS);
+            .with_show_labels(schema.bodies.len() <= MOST_LABELS);
         chunks.log_static(PAIRS, &style);
         let components =
             [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_colors(), LineStrips3D::descriptor_labels()];
         let track = chunks.track(PAIRS, components);
-        Lines { track, most, last: None, next: Batch::default(), closest: Vec::new() }
+        Lines { track, most, last: None, next: LineRows::default(), closest: Vec::new() }
     }
 
     /// Logs what has changed.
     pub fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) {
-        let Batch { segments, colors, labels } = &mut self.next;
+        let LineRows { segments, colors, labels } = &mut self.next;
         self.closest.clear();
-        self.closest.extend_from_slice(&look.snapshot.pairs);
+        self.closest.extend_from_slice(&look.frame.pairs);
         self.closest.sort_by(|x, y| x.q.total_cmp(&y.q));
         self.closest.truncate(self.most);
-        let centre = |i: usize| look.snapshot.body(look.scene, i).centre().as_vec3().to_array();
+        let centre = |i: usize| look.frame.bodies[i].centre.as_vec3().to_array();
         segments.clear();
         segments.extend(self.closest.iter().map(|pair| [centre(pair.a), centre(pair.b)]));
         colors.clear();
-        colors.extend(self.closest.iter().map(|pair| color(palette::phase(pair.phase)).to_u32()));
+        colors.extend(self.closest.iter().map(|pair| color(look.schema.phases[pair.phase].color).to_u32()));
         labels.clear();
         labels.extend(self.closest.iter().map(|pair| format!("q = {:.3}", pair.q)));
         if self.last.as_ref() != Some(&self.next) {
-            let Batch { segments, colors, labels } = &self.next;
+            let LineRows { segments, colors, labels } = &self.next;
             let cells = [Cell::Segments(segments), Cell::Colors(colors), Cell::Texts(labels)];
             chunks.push(self.track, look.at, &cells);
             let last = self.last.get_or_insert_default();

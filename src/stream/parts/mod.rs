@@ -5,7 +5,7 @@
 //! | `/world/bodies/NAME`, `…/surface` | [`bodies`] |
 //! | `/world/resting/SHAPE`, `/world/deforming/surface` | [`batch`] |
 //! | `/world/influence` | [`spheres`] |
-//! | `/world/forces/CAUSE` | [`forces`] |
+//! | `/world/forces/TERM` | [`forces`] |
 //! | `/pairs/A~B/…`, `/events` | [`pairs`] |
 //! | `/world/pairs` | [`lines`] |
 //! | single vertices, on the entities of their surfaces | [`vertices`] |
@@ -21,18 +21,24 @@ pub mod spheres;
 pub mod vertices;
 
 use super::instant::Instant;
-use crate::{scene::Scene, sim::Snapshot};
+use crate::observe::{BodyFrame, Frame, Schema, schema::BodySchema};
 
 /// More bodies than this go without their names in the picture.
 const MOST_LABELS: usize = 8;
 
-/// What a frame is made from.
+/// What is logged of a frame.
 #[derive(Clone, Copy)]
 pub struct Look<'a> {
-    /// The scene that is simulated.
-    pub scene: &'a Scene,
-    /// The state on screen: everything in a frame is of this instant.
-    pub snapshot: &'a Snapshot,
+    /// What is simulated.
+    pub schema: &'a Schema,
+    /// The state on screen: everything that is logged is of this instant.
+    pub frame: &'a Frame,
     /// When that is.
     pub at: Instant,
+}
+
+impl<'a> Look<'a> {
+    fn bodies(self) -> impl Iterator<Item = (&'a BodySchema, &'a BodyFrame)> {
+        self.schema.bodies.iter().zip(&self.frame.bodies)
+    }
 }

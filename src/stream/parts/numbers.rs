@@ -1,4 +1,4 @@
-//! Numbers over time: what the state is like, and what it cost.
+//! FrameNumbers over time: what the state is like, and what it cost.
 
 use std::time::{Duration, Instant as Clock};
 
@@ -6,89 +6,89 @@ use rerun::Scalars;
 
 use super::Look;
 use crate::{
-    sim::Stage,
+    observe::{Schema, schema::ScalarOf},
     stream::{
-        chunks::{Chunks, Track},
+        chunks::{Chunks, TrackId},
         columns::Cell,
         instant::Instant,
         palette,
-        series::{LineId, Series, Shape},
-        step::Step,
+        series::{Interpolation, LineId, Series},
+        step::StepRecord,
     },
 };
 
-/// The stages in `/timings`: those of a step, then what looking at it costs the simulation, then what recording costs
-/// on a thread of its own.
-pub const TIMINGS: [&str; 7] =
-    [Stage::ALL[0].name(), Stage::ALL[1].name(), Stage::ALL[2].name(), "observe", "wait", "extract", "log"];
+/// In `/timings` besides the stages of a step: what looking at it costs the simulation …
+pub const OBSERVING: [&str; 2] = ["observe", "wait"];
+/// … and what recording costs, on a thread of its own.
+pub const RECORDING: [&str; 2] = ["extract", "log"];
 
-/// What a stage took in most frames [ms], in the order of [`TIMINGS`]; `None` if there were no frames.
-pub type Typical = [Option<f64>; TIMINGS.len()];
+/// The stages in `/timings`, in order.
+pub fn timings(schema: &Schema) -> impl Iterator<Item = &'static str> {
+    schema.stages.iter().copied().chain(OBSERVING).chain(RECORDING)
+}
 
 /// Steps per second since the last frame.
 pub const SPEED: &str = "/timings/speed";
 /// How far a run that keeps to real time is behind it.
 pub const LAG: &str = "/timings/lag";
 
-/// The entities in `/diagnostics`, what their lines are called, and how they are drawn.
-const DIAGNOSTICS: [(&str, &str, Shape); 6] = [
-    ("energy", "energy [unit²/s²]", Shape::Linear),
-    ("max_displacement", "largest displacement [radii]", Shape::Linear),
-    ("reached_vertices", "vertices inside a sphere", Shape::Step),
-    ("substeps", "steps of the integrator", Shape::Step),
-    ("estimated_error", "estimated error of the step [radii]", Shape::Step),
-    ("sleeping_bodies", "bodies at rest", Shape::Step),
-];
-
 /// What adds up between frames.
-pub struct Numbers {
-    diagnostics: [LineId; DIAGNOSTICS.len()],
-    timings: [Track; TIMINGS.len()],
-    spread: [Spread; TIMINGS.len()],
+pub struct FrameNumbers {
+    scalars: Vec<ScalarLine>,
+    timings: Vec<Timing>,
     /// Since messages were last sent, and what that took a step.
     steps_since_sent: u32,
     sending: Duration,
     /// Since the last frame.
     steps: u32,
-    spent: [Duration; TIMINGS.len()],
-    substeps: u64,
-    error: f64,
     /// When the last step ended, and the one before the last frame.
     end: Option<Clock>,
     last_frame: Option<Clock>,
-    speed: Track,
+    speed: TrackId,
     lag: Option<Duration>,
-    lag_track: Track,
+    lag_track: TrackId,
 }
 
-impl Numbers {
+/// A number of the schema, and what came together of it since the last frame.
+struct ScalarLine {
+    id: LineId,
+    of: ScalarOf,
+    value: f64,
+}
+
+/// A stage, what it took since the last frame, and what it took in frames before.
+struct Timing {
+    name: &'static str,
+    track: TrackId,
+    spent: Duration,
+    spread: Spread,
+}
+
+impl FrameNumbers {
     /// Logs what the lines are called.
-    pub fn new(series: &mut Series, chunks: &mut Chunks) -> Numbers {
-        let mut i = 0;
-        let timings = TIMINGS.map(|stage| {
-            let entity = format!("/timings/{stage}");
-            Series::style(chunks, &entity, &format!("{stage} [ms]"), palette::line(i), 1.5, Shape::Step);
-            i += 1;
-            chunks.track(&entity, [Scalars::descriptor_scalars()])
+    pub fn new(schema: &Schema, series: &mut Series, chunks: &mut Chunks) -> FrameNumbers {
+        let mut numbered = 0..;
+        let timings = timings(schema).map(|name| {
+            let (entity, rgb) = (format!("/timings/{name}"), palette::line(numbered.next().unwrap_or(0)));
+            Series::style(chunks, &entity, &format!("{name} [ms]"), rgb, 1.5, Interpolation::Step);
+            let track = chunks.track(&entity, [Scalars::descriptor_scalars()]);
+            Timing { name, track, spent: Duration::ZERO, spread: Spread::default() }
         });
-        i = 0;
-        let diagnostics = DIAGNOSTICS.map(|(name, label, shape)| {
-            let entity = format!("/diagnostics/{name}");
-            Series::style(chunks, &entity, label, palette::line(i), 1.5, shape);
-            i += 1;
-            series.line(chunks, &entity, shape)
+        let timings = timings.collect();
+        let scalars = schema.scalars.iter().enumerate().map(|(i, scalar)| {
+            let entity = format!("/diagnostics/{}", scalar.name);
+            let shape = if scalar.is_smooth { Interpolation::Linear } else { Interpolation::Step };
+            Series::style(chunks, &entity, scalar.label, palette::line(i), 1.5, shape);
+            ScalarLine { id: series.line(chunks, &entity, shape), of: scalar.of, value: 0.0 }
         });
+        let scalars = scalars.collect();
         let speed = line_of_run(SPEED, "steps per second", 0, chunks);
-        Numbers {
-            diagnostics,
+        FrameNumbers {
+            scalars,
             timings,
-            spread: Default::default(),
             steps_since_sent: 0,
             sending: Duration::ZERO,
             steps: 0,
-            spent: Default::default(),
-            substeps: 0,
-            error: 0.0,
             end: None,
             last_frame: None,
             speed,
@@ -98,18 +98,21 @@ impl Numbers {
     }
 
     /// Adds a step.
-    pub fn add(&mut self, step: &Step) {
-        let report = &step.report;
+    pub fn add(&mut self, step: &StepRecord) {
+        let summary = &step.summary;
         self.steps += 1;
         self.steps_since_sent += 1;
-        self.end = Some(step.end);
+        self.end = step.end;
         self.lag = step.lag;
-        for (sum, spent) in self.spent.iter_mut().zip(report.timings.into_iter().chain([step.observing, step.waiting]))
-        {
-            *sum += spent;
+        let spent = summary.timings.iter().copied().chain([step.observing, step.waiting]);
+        self.timings.iter_mut().zip(spent).for_each(|(timing, spent)| timing.spent += spent);
+        for (line, &value) in self.scalars.iter_mut().zip(&summary.scalars) {
+            match line.of {
+                ScalarOf::State => {}
+                ScalarOf::SumOfSteps => line.value += value,
+                ScalarOf::MaxOfSteps => line.value = line.value.max(value),
+            }
         }
-        self.substeps += report.substeps;
-        self.error = self.error.max(report.error);
     }
 
     /// Adds what bringing messages to their destinations took: spread over the steps from which they came.
@@ -119,47 +122,40 @@ impl Numbers {
 
     /// Adds what recording took since the last frame.
     pub fn add_recording(&mut self, extracting: Duration, logging: Duration) {
-        let [.., extract, log] = &mut self.spent;
-        *extract += extracting;
-        *log += logging;
-    }
-
-    /// What the state is like.
-    pub fn log_diagnostics(&mut self, look: Look<'_>, series: &mut Series, chunks: &mut Chunks) {
-        let Look { scene, snapshot, at } = look;
-        let energy = snapshot.energy(scene);
-        let displacement = snapshot.bodies(scene).map(|body| body.max_displacement() / body.scene().radius);
-        let values = [
-            energy.total(),
-            displacement.fold(0.0, f64::max),
-            energy.reached_vertices as f64,
-            std::mem::take(&mut self.substeps) as f64,
-            std::mem::take(&mut self.error),
-            snapshot.bodies(scene).filter(|body| body.is_at_rest()).count() as f64,
-        ];
-        for (&line, value) in self.diagnostics.iter().zip(values) {
-            series.log(chunks, line, value, at);
+        if let [.., extract, log] = self.timings.as_mut_slice() {
+            extract.spent += extracting;
+            log.spent += logging;
         }
     }
 
-    /// What stages took in all frames but the slowest tenth.
-    pub fn typical_timings(&self) -> Typical {
-        self.spread.each_ref().map(|spread| spread.quantile(0.9))
+    /// The numbers of the schema.
+    pub fn log_scalars(&mut self, look: Look<'_>, series: &mut Series, chunks: &mut Chunks) {
+        for (line, &of_state) in self.scalars.iter_mut().zip(&look.frame.scalars) {
+            let value = if line.of == ScalarOf::State { of_state } else { std::mem::take(&mut line.value) };
+            series.log(chunks, line.id, value, look.at);
+        }
+    }
+
+    /// What stages took in all frames but the slowest tenth [ms]; none if there were no frames.
+    pub fn typical_timings(&self) -> Vec<(&'static str, f64)> {
+        self.timings.iter().filter_map(|timing| Some((timing.name, timing.spread.quantile(0.9)?))).collect()
     }
 
     /// Milliseconds per step since the last frame.
     pub fn log_timings(&mut self, at: Instant, chunks: &mut Chunks) {
         let steps = std::mem::take(&mut self.steps);
-        let mut spent = std::mem::take(&mut self.spent);
+        if let Some(log) = self.timings.last_mut() {
+            log.spent += self.sending * steps;
+        }
+        for Timing { track, spent, spread, .. } in &mut self.timings {
+            let milliseconds = 1e3 * std::mem::take(spent).as_secs_f64() / f64::from(steps);
+            if steps > 0 {
+                spread.add(milliseconds);
+                chunks.push_apart(*track, at, &[Cell::Scalars(&[milliseconds])]);
+            }
+        }
         if steps == 0 {
             return;
-        }
-        let [.., log] = &mut spent;
-        *log += self.sending * steps;
-        for ((&track, spread), spent) in self.timings.iter().zip(&mut self.spread).zip(spent) {
-            let milliseconds = 1e3 * spent.as_secs_f64() / f64::from(steps);
-            spread.add(milliseconds);
-            chunks.push_apart(track, at, &[Cell::Scalars(&[milliseconds])]);
         }
         if let (Some(last), Some(end)) = (self.last_frame, self.end) {
             let speed = f64::from(steps) / (end - last).as_secs_f64().max(1e-9);
@@ -204,8 +200,8 @@ impl Spread {
     }
 }
 
-fn line_of_run(entity: &str, name: &str, color: usize, chunks: &mut Chunks) -> Track {
-    Series::style(chunks, entity, name, palette::line(color), 1.5, Shape::Step);
+fn line_of_run(entity: &str, name: &str, color: usize, chunks: &mut Chunks) -> TrackId {
+    Series::style(chunks, entity, name, palette::line(color), 1.5, Interpolation::Step);
     chunks.track(entity, [Scalars::descriptor_scalars()])
 }
 

@@ -4,12 +4,11 @@ use rerun::{Ellipsoids3D, components::FillMode};
 
 use super::{Look, MOST_LABELS, lines::PAIRS};
 use crate::{
-    model::phase::Phase,
-    scene::Scene,
+    observe::Schema,
     stream::{
-        chunks::{Chunks, Track},
+        chunks::{Chunks, TrackId},
         columns::Cell,
-        normals::Vector,
+        normals::Float3,
         palette::{self, Rgb, color},
         settings::Entities,
     },
@@ -20,46 +19,46 @@ const ENTITY: &str = "/world/influence";
 const LINE: f32 = 0.6;
 
 /// What was last logged of them.
-pub struct Spheres {
-    track: Track,
+pub struct SphereEntities {
+    track: TrackId,
     /// In a batch those that reach somebody are apart as well: thousands of wire spheres are slow to draw, and hide them.
     reaching: Option<Reaching>,
     /// Of those that reach nobody.
     idle: Rgb,
-    centres: Vec<Vector>,
+    centres: Vec<Float3>,
     colors: Vec<Rgb>,
     /// Reused: the deepest phase of each.
-    phases: Vec<Option<Phase>>,
-    next_centres: Vec<Vector>,
+    phases: Vec<Option<usize>>,
+    next_centres: Vec<Float3>,
     next_colors: Vec<Rgb>,
 }
 
 /// The spheres of bodies that have another within reach, with the pairs.
 struct Reaching {
-    track: Track,
-    last: Option<Batch>,
-    next: Batch,
+    track: TrackId,
+    last: Option<SphereRows>,
+    next: SphereRows,
 }
 
 #[derive(Default, PartialEq)]
-struct Batch {
-    centres: Vec<Vector>,
-    half_sizes: Vec<Vector>,
+struct SphereRows {
+    centres: Vec<Float3>,
+    half_sizes: Vec<Float3>,
     colors: Vec<u32>,
 }
 
-impl Spheres {
+impl SphereEntities {
     /// Logs what stays the same.
-    pub fn new(scene: &Scene, entities: Entities, chunks: &mut Chunks) -> Spheres {
-        let radii = scene.bodies.iter().map(|body| scene.influence.sphere_radius(body.radius) as f32);
+    pub fn new(schema: &Schema, entities: Entities, chunks: &mut Chunks) -> SphereEntities {
+        let radii = schema.bodies.iter().map(|body| body.reach as f32);
         let spheres = Ellipsoids3D::update_fields()
             .with_half_sizes(radii.map(|r| [r, r, r]))
             .with_fill_mode(FillMode::MajorWireframe)
             .with_line_radii([rerun::Radius::new_ui_points(LINE)])
-            .with_labels(scene.bodies.iter().map(|body| body.name.as_str()))
-            .with_show_labels(scene.bodies.len() <= MOST_LABELS);
+            .with_labels(schema.bodies.iter().map(|body| body.name.as_str()))
+            .with_show_labels(schema.bodies.len() <= MOST_LABELS);
         chunks.log_static(ENTITY, &spheres);
-        Spheres {
+        SphereEntities {
             track: chunks.track(ENTITY, [Ellipsoids3D::descriptor_centers()]),
             reaching: (entities == Entities::Batch).then(|| Reaching::new(chunks)),
             idle: match entities {
@@ -76,18 +75,15 @@ impl Spheres {
 
     /// Logs what has changed.
     pub fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) {
-        let depth = |phase| [Phase::Apart, Phase::Merged, Phase::Core].iter().position(|&p| p == phase);
         self.phases.clear();
-        self.phases.resize(look.snapshot.body_count(), None);
-        for pair in &look.snapshot.pairs {
+        self.phases.resize(look.frame.bodies.len(), None);
+        for pair in &look.frame.pairs {
             for i in [pair.a, pair.b] {
-                if self.phases[i].is_none_or(|known| depth(pair.phase) > depth(known)) {
-                    self.phases[i] = Some(pair.phase);
-                }
+                self.phases[i] = self.phases[i].max(Some(pair.phase));
             }
         }
         self.next_centres.clear();
-        self.next_centres.extend(look.snapshot.bodies(look.scene).map(|body| body.centre().as_vec3().to_array()));
+        self.next_centres.extend(look.frame.bodies.iter().map(|body| body.centre.as_vec3().to_array()));
         if self.next_centres != self.centres {
             std::mem::swap(&mut self.next_centres, &mut self.centres);
             chunks.push(self.track, look.at, &[Cell::Vectors(&self.centres)]);
@@ -96,7 +92,8 @@ impl Spheres {
             reaching.log(look, &self.phases, chunks);
         }
         self.next_colors.clear();
-        self.next_colors.extend(self.phases.iter().map(|phase| phase.map_or(self.idle, palette::phase)));
+        self.next_colors
+            .extend(self.phases.iter().map(|phase| phase.map_or(self.idle, |phase| look.schema.phases[phase].color)));
         if self.next_colors != self.colors {
             std::mem::swap(&mut self.next_colors, &mut self.colors);
             let spheres = Ellipsoids3D::update_fields().with_colors(self.colors.iter().map(|&rgb| color(rgb)));
@@ -116,23 +113,22 @@ impl Reaching {
             Ellipsoids3D::descriptor_half_sizes(),
             Ellipsoids3D::descriptor_colors(),
         ];
-        Reaching { track: chunks.track(PAIRS, components), last: None, next: Batch::default() }
+        Reaching { track: chunks.track(PAIRS, components), last: None, next: SphereRows::default() }
     }
 
-    fn log(&mut self, look: Look<'_>, phases: &[Option<Phase>], chunks: &mut Chunks) {
-        let Batch { centres, half_sizes, colors } = &mut self.next;
+    fn log(&mut self, look: Look<'_>, phases: &[Option<usize>], chunks: &mut Chunks) {
+        let SphereRows { centres, half_sizes, colors } = &mut self.next;
         centres.clear();
         half_sizes.clear();
         colors.clear();
         for (i, phase) in phases.iter().enumerate() {
             let Some(phase) = *phase else { continue };
-            let body = look.snapshot.body(look.scene, i);
-            centres.push(body.centre().as_vec3().to_array());
-            half_sizes.push([look.scene.influence.sphere_radius(body.scene().radius) as f32; 3]);
-            colors.push(color(palette::phase(phase)).to_u32());
+            centres.push(look.frame.bodies[i].centre.as_vec3().to_array());
+            half_sizes.push([look.schema.bodies[i].reach as f32; 3]);
+            colors.push(color(look.schema.phases[phase].color).to_u32());
         }
         if self.last.as_ref() != Some(&self.next) {
-            let Batch { centres, half_sizes, colors } = &self.next;
+            let SphereRows { centres, half_sizes, colors } = &self.next;
             chunks.push(
                 self.track,
                 look.at,

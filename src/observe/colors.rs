@@ -1,0 +1,40 @@
+//! Colours that can be told apart by readers with any colour vision (Okabe and Ito's), on a dark background.
+
+/// Red, green, blue.
+pub type Rgb = [u8; 3];
+
+/// Okabe and Ito's orange.
+pub const ORANGE: Rgb = [0xE6, 0x9F, 0x00];
+/// Their sky blue.
+pub const SKY_BLUE: Rgb = [0x56, 0xB4, 0xE9];
+/// Their bluish green.
+pub const GREEN: Rgb = [0x00, 0x9E, 0x73];
+/// Their yellow.
+pub const YELLOW: Rgb = [0xF0, 0xE4, 0x42];
+/// Their vermilion.
+pub const VERMILION: Rgb = [0xD5, 0x5E, 0x00];
+/// Their reddish purple.
+pub const PURPLE: Rgb = [0xCC, 0x79, 0xA7];
+/// Their blue, lighter.
+pub const BLUE: Rgb = [0x3D, 0x8B, 0xD9];
+/// A light grey.
+pub const SILVER: Rgb = [0x9A, 0xA4, 0xB0];
+/// Nearly white.
+pub const WHITE: Rgb = [0xF4, 0xF4, 0xF4];
+/// A dark grey.
+pub const GREY: Rgb = [0x6A, 0x72, 0x7C];
+
+/// What people call these; nothing for others.
+pub fn name(rgb: Rgb) -> &'static str {
+    match rgb {
+        ORANGE => "orange",
+        SKY_BLUE | BLUE => "blue",
+        GREEN => "green",
+        YELLOW => "yellow",
+        VERMILION => "red",
+        PURPLE => "purple",
+        SILVER | GREY => "grey",
+        WHITE => "white",
+        _ => "",
+    }
+}

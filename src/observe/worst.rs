@@ -1,0 +1,63 @@
+//! Two states beside each other.
+
+use glam::DVec3;
+
+use super::{schema::BodySchema, simulation::Instant};
+
+/// The vertex at which two states differ most.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Worst {
+    /// The step.
+    pub step: u64,
+    /// Its time [s].
+    pub time: f64,
+    /// Name of the body.
+    pub body: String,
+    /// The vertex.
+    pub vertex: usize,
+    /// Where it is in the first state, which was recorded [scene unit].
+    pub recorded: DVec3,
+    /// Where it is in the second [scene unit].
+    pub found: DVec3,
+    /// How far these are apart [radii of the body].
+    pub difference: f64,
+    /// How many vertices differ at all.
+    pub vertices: usize,
+}
+
+impl Worst {
+    /// The worst vertex of a body whose vertices are at these places in two states; what is no more than `noise` [scene
+    /// unit] is no difference. What is NaN is the worst. `None` without a difference.
+    pub fn of(
+        at: Instant,
+        body: &BodySchema,
+        noise: f64,
+        places: impl Iterator<Item = (DVec3, DVec3)>,
+    ) -> Option<Worst> {
+        let (mut worst, mut largest, mut vertices) = (None, 0.0, 0);
+        for (vertex, (recorded, found)) in places.enumerate() {
+            let distance = recorded.distance(found);
+            if recorded == found || distance <= noise {
+                continue;
+            }
+            vertices += 1;
+            if worst.is_none() || !(distance <= largest) {
+                (worst, largest) = (Some((vertex, recorded, found)), distance);
+            }
+        }
+        let (vertex, recorded, found) = worst?;
+        let (difference, body) = (largest / body.radius, body.name.clone());
+        Some(Worst { step: at.step, time: at.time, body, vertex, recorded, found, difference, vertices })
+    }
+
+    /// The worse of two of the same instant; vertices of both are counted.
+    pub fn and(one: Option<Worst>, other: Option<Worst>) -> Option<Worst> {
+        let (one, other) = match (one, other) {
+            (Some(one), Some(other)) => (one, other),
+            (one, other) => return one.or(other),
+        };
+        let vertices = one.vertices + other.vertices;
+        let worse = if other.difference <= one.difference { one } else { other };
+        Some(Worst { vertices, ..worse })
+    }
+}

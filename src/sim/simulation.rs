@@ -1,0 +1,465 @@
+//! The [`World`] as instruments see it, and scenes as what it can be made from: all that recorder, replay, check and diff
+//! know of either.
+
+use std::{mem::take, sync::Arc};
+
+use glam::DVec3;
+
+use super::{
+    Options, StepReport, World,
+    observe::{Energy, EnergySum, Seen},
+    report::{Failure, Stage},
+    stages,
+    terms::{Cause, Surroundings},
+    world::{PairView, States},
+};
+use crate::{
+    model::phase::{Phase, Thresholds},
+    observe::{
+        BodyFrame, Experiment, Frame, Instant, PairEvent, PairFrame, Refusal, Schema, Simulation, StageFrame,
+        StepFailure, StepSummary, Want,
+        colors::{self, Rgb},
+        schema::{self, BodySchema, PhaseSchema, ScalarOf, ScalarSchema, TermSchema, Threshold},
+    },
+    scene::{Integrator, Scene},
+};
+
+/// All phases, the deepest last.
+const PHASES: [Phase; 3] = [Phase::Apart, Phase::Merged, Phase::Core];
+
+/// What is said of a vertex: what influence spheres do to it.
+const LABELS: [&str; 5] = ["out of reach", "attracted", "repelled", "attracted and repelled", "in a core"];
+
+/// A number over time, and where it comes from: one more line here is one more plot.
+struct Scalar {
+    name: &'static str,
+    label: &'static str,
+    plot: &'static str,
+    value: ScalarValue,
+    is_smooth: bool,
+}
+
+enum ScalarValue {
+    State(fn(&StateNumbers<'_>) -> f64),
+    SumOfSteps(fn(&StepReport) -> f64),
+    MaxOfSteps(fn(&StepReport) -> f64),
+}
+
+/// What numbers of the state follow from.
+struct StateNumbers<'a> {
+    scene: &'a Scene,
+    energy: Energy,
+    bodies: &'a [BodyFrame],
+}
+
+const SCALARS: &[Scalar] = &[
+    Scalar {
+        name: "energy",
+        label: "energy [unit²/s²]",
+        plot: "Energy",
+        value: ScalarValue::State(|state| state.energy.total()),
+        is_smooth: true,
+    },
+    Scalar {
+        name: "max_displacement",
+        label: "largest displacement [radii]",
+        plot: "Displacement",
+        value: ScalarValue::State(|state| {
+            let bodies = state.bodies.iter().zip(&state.scene.bodies);
+            bodies.map(|(now, body)| now.max_displacement / body.radius).fold(0.0, f64::max)
+        }),
+        is_smooth: true,
+    },
+    Scalar {
+        name: "reached_vertices",
+        label: "vertices inside a sphere",
+        plot: "Counts",
+        value: ScalarValue::State(|state| state.energy.reached_vertices as f64),
+        is_smooth: false,
+    },
+    Scalar {
+        name: "substeps",
+        label: "steps of the integrator",
+        plot: "Counts",
+        value: ScalarValue::SumOfSteps(|report| report.substeps as f64),
+        is_smooth: false,
+    },
+    Scalar {
+        name: "estimated_error",
+        label: "estimated error of the step [radii]",
+        plot: "Estimated error",
+        value: ScalarValue::MaxOfSteps(|report| report.error),
+        is_smooth: false,
+    },
+    Scalar {
+        name: "sleeping_bodies",
+        label: "bodies at rest",
+        plot: "Counts",
+        value: ScalarValue::State(|state| state.bodies.iter().filter(|body| body.is_at_rest).count() as f64),
+        is_smooth: false,
+    },
+];
+
+impl Simulation for World {
+    fn schema(&self) -> Schema {
+        schema(self.scene(), self.options())
+    }
+
+    fn overrides(&self, steps: Option<u64>) -> String {
+        let scene = self.scene();
+        let Ok(own) = Scene::parse(&scene.source, &scene.name) else { return String::new() };
+        let changed = [
+            (own.integrator != scene.integrator).then(|| format!("integrator = \"{}\"\n", scene.integrator)),
+            (own.dt != scene.dt).then(|| format!("dt = {:?}\n", scene.dt)),
+            (own.tolerance != scene.tolerance).then(|| format!("tolerance = {:?}\n", scene.tolerance)),
+            (Some(own.steps()) != steps).then(|| format!("steps = {}\n", steps.unwrap_or(0))),
+        ];
+        changed.into_iter().flatten().collect()
+    }
+
+    fn steps_taken(&self) -> u64 {
+        World::steps_taken(self)
+    }
+
+    fn time(&self) -> f64 {
+        World::time(self)
+    }
+
+    fn step(&mut self) {
+        World::step(self);
+    }
+
+    fn summary(&self, summary: &mut StepSummary) {
+        let report = self.report();
+        summary.at = Instant { step: report.step, time: report.time };
+        summary.events.clear();
+        summary.events.extend(report.events.iter().map(|event| PairEvent {
+            name: event.name(),
+            time: event.time,
+            step: event.step,
+            a: event.a as usize,
+            b: event.b as usize,
+            q: event.q,
+            from: event.from as usize,
+            to: event.to as usize,
+        }));
+        summary.timings.clear();
+        summary.timings.extend(report.timings);
+        summary.scalars.clear();
+        summary.scalars.extend(SCALARS.iter().map(|scalar| match scalar.value {
+            ScalarValue::State(_) => 0.0,
+            ScalarValue::SumOfSteps(value) | ScalarValue::MaxOfSteps(value) => value(report),
+        }));
+        summary.failure = report.failure.as_ref().map(|failure| match failure {
+            Failure::Diverged(_) => StepFailure::Diverged(failure.to_string()),
+            Failure::Overworked(_) => StepFailure::NotTaken(failure.to_string()),
+            Failure::Interrupted { .. } => StepFailure::Interrupted(failure.to_string()),
+        });
+    }
+
+    fn checksum(&self) -> u64 {
+        World::checksum(self)
+    }
+
+    fn observe(&self, want: Want, frame: &mut Frame) {
+        let scene = self.scene();
+        frame.at = Instant { step: World::steps_taken(self), time: World::time(self) };
+        frame.pairs.clear();
+        frame.pairs.extend(self.pairs().map(pair_frame));
+        frame.bodies.resize_with(self.body_count(), BodyFrame::default);
+        let mut energy = want.scalars.then(|| EnergySum::new(scene, self.energy_of_distant_pairs(), self.phases()));
+        let mut surroundings = Surroundings::default();
+        for ((index, body), now) in self.bodies().enumerate().zip(&mut frame.bodies) {
+            now.centre = body.centre();
+            if body.is_at_rest() {
+                now.rest();
+            } else {
+                let mut states =
+                    States { displacement: take(&mut now.displacements), velocity: take(&mut now.velocities) };
+                body.states_into(&mut states);
+                (now.displacements, now.velocities) = (states.displacement, states.velocity);
+                now.displaced(self.bodies[index].rest());
+            }
+            now.clear_forces();
+            if !(want.forces || want.scalars) {
+                continue;
+            }
+            self.surroundings_into(index, &mut surroundings);
+            if let Some(energy) = energy.as_mut().filter(|_| !(now.is_at_rest && surroundings.sources.is_empty())) {
+                energy.add(&self.seen(index, [&now.displacements, &now.velocities], &surroundings));
+            }
+            if want.forces && !(now.is_at_rest && surroundings.is_idle()) {
+                add_forces(self, index, &surroundings, now);
+            }
+        }
+        frame.scalars.clear();
+        if let Some(energy) = energy {
+            let state = StateNumbers { scene, energy: energy.sum, bodies: &frame.bodies };
+            frame.scalars.extend(SCALARS.iter().map(|scalar| match scalar.value {
+                ScalarValue::State(value) => value(&state),
+                ScalarValue::SumOfSteps(_) | ScalarValue::MaxOfSteps(_) => 0.0,
+            }));
+        }
+    }
+
+    fn stages(&self, before: &Frame) -> Vec<StageFrame> {
+        stages::inside(before, self)
+    }
+
+    fn framing(&self, only_what_happens: bool) -> Vec<(DVec3, f64)> {
+        if only_what_happens { what_happens(self.scene()) } else { all_there_is(self.scene()) }
+    }
+}
+
+/// A pair as frames have it.
+pub(super) fn pair_frame(pair: PairView) -> PairFrame {
+    PairFrame { a: pair.a, b: pair.b, q: pair.q, phase: pair.phase as usize }
+}
+
+/// The forces on a body in a state of a frame, and what is said of its vertices.
+pub(super) fn add_forces(world: &World, index: usize, surroundings: &Surroundings, now: &mut BodyFrame) {
+    now.has_forces = true;
+    now.terms.resize_with(Cause::ALL.len(), Default::default);
+    let mut by_cause = std::array::from_fn(|cause| take(&mut now.terms[cause].accelerations));
+    let seen: Seen<'_> = world.seen(index, [&now.displacements, &now.velocities], surroundings);
+    seen.forces(world.scene().influence.weight, &mut by_cause);
+    let felt = [Cause::Attraction, Cause::Repulsion, Cause::Core].map(|cause| &by_cause[cause as usize]);
+    now.labels.clear();
+    now.labels.extend((0..seen.rest.len()).map(|i| {
+        let feels = felt.map(|forces| !forces.is_empty() && forces.get(i) != DVec3::ZERO);
+        match feels {
+            [false, false, false] => 0,
+            [true, false, false] => 1,
+            [false, true, false] => 2,
+            [true, true, false] => 3,
+            [_, _, true] => 4,
+        }
+    }));
+    for ((cause, term), accelerations) in Cause::ALL.into_iter().zip(&mut now.terms).zip(by_cause) {
+        let mut sources = surroundings.sources.iter().filter(|source| source.cause() == cause);
+        term.source = match (sources.next(), sources.next()) {
+            (Some(source), None) => Some(source.body),
+            _ => None,
+        };
+        term.accelerations = accelerations;
+    }
+}
+
+/// A scene, and how its world is to be stepped.
+#[derive(Clone, Debug)]
+pub struct SceneRun {
+    /// What is simulated.
+    pub scene: Scene,
+    /// How.
+    pub options: Options,
+}
+
+impl Experiment for SceneRun {
+    fn schema(&self) -> Schema {
+        schema(&self.scene, self.options)
+    }
+
+    fn start(&self) -> Result<Box<dyn Simulation>, String> {
+        match World::with_options(self.scene.clone(), self.options) {
+            Ok(world) => Ok(Box::new(world)),
+            Err(error) => Err(error.to_string()),
+        }
+    }
+
+    fn read(&self, name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> {
+        read(name, text, run)
+    }
+}
+
+impl Experiment for Scene {
+    fn schema(&self) -> Schema {
+        schema(self, Options::default())
+    }
+
+    fn start(&self) -> Result<Box<dyn Simulation>, String> {
+        SceneRun { scene: self.clone(), options: Options::default() }.start()
+    }
+
+    fn read(&self, name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> {
+        read(name, text, run)
+    }
+}
+
+/// A scene as a recording has it: its text, and as it was run.
+///
+/// # Errors
+/// The text is no scene, or it was run in a way that is not known here.
+pub fn read(name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> {
+    let mut scene = Scene::parse(text, name).map_err(|error| Refusal::Source(error.to_string()))?;
+    let positive = |key: &str| {
+        let number = run.get(key).and_then(toml::Value::as_float).filter(|number| Scene::POSITIVE.contains(number));
+        number.ok_or_else(|| Refusal::Run(format!("the settings have no usable {key}")))
+    };
+    let integrator = run.get("integrator").and_then(toml::Value::as_str).unwrap_or("none");
+    scene.integrator = Integrator::ALL
+        .into_iter()
+        .find(|known| known.name() == integrator)
+        .ok_or_else(|| Refusal::Run(format!("this program has no integrator \"{integrator}\"")))?;
+    scene.dt = positive("dt")?;
+    scene.tolerance = positive("tolerance")?;
+    let skip = run.get("skip").and_then(toml::Value::as_bool).unwrap_or(true);
+    Ok(Arc::new(SceneRun { scene, options: Options { skip, ..Options::default() } }))
+}
+
+/// Colour of a phase: that of the force it brings, if any.
+pub fn phase_color(phase: Phase) -> Rgb {
+    match phase {
+        Phase::Apart => colors::SKY_BLUE,
+        Phase::Merged => colors::ORANGE,
+        Phase::Core => colors::PURPLE,
+    }
+}
+
+fn schema(scene: &Scene, options: Options) -> Schema {
+    let bodies = scene.bodies.iter().map(|body| BodySchema {
+        name: body.name.clone(),
+        radius: body.radius,
+        reach: scene.influence.sphere_radius(body.radius),
+        shape: body.shape.label(),
+        mesh: body.shape.mesh(),
+    });
+    let bodies = bodies.collect();
+    let Thresholds { merge_at, split_at, core_at } = scene.thresholds;
+    let thresholds = [
+        ("merge_at", "merge at", merge_at, Phase::Merged),
+        ("split_at", "split at", split_at, Phase::Apart),
+        ("core_at", "core at", core_at, Phase::Core),
+    ];
+    let thresholds = thresholds.into_iter().filter(|&(.., phase)| phase != Phase::Core || core_at > 0.0);
+    Schema {
+        name: scene.name.clone(),
+        source: scene.source.clone(),
+        run: format!(
+            "integrator = \"{}\"\ndt = {:?}\ntolerance = {:?}\n{}",
+            scene.integrator,
+            scene.dt,
+            scene.tolerance,
+            if options.skip { "" } else { "skip = false\n" }
+        ),
+        integrator: scene.integrator.name().to_owned(),
+        dt: scene.dt,
+        steps: scene.steps(),
+        tolerance: scene.tolerance,
+        law: law(scene),
+        bodies,
+        terms: Cause::ALL.map(|cause| term(scene, cause)).into(),
+        labels: LABELS.into(),
+        arrow_scale: arrow_scale(scene),
+        phases: PHASES.map(|phase| PhaseSchema { name: phase.name(), color: phase_color(phase) }).into(),
+        thresholds: thresholds
+            .map(|(name, label, level, phase)| Threshold { name, label, level, color: phase_color(phase) })
+            .collect(),
+        scalars: SCALARS
+            .iter()
+            .map(|&Scalar { name, label, plot, ref value, is_smooth }| {
+                let of = match value {
+                    ScalarValue::State(_) => ScalarOf::State,
+                    ScalarValue::SumOfSteps(_) => ScalarOf::SumOfSteps,
+                    ScalarValue::MaxOfSteps(_) => ScalarOf::MaxOfSteps,
+                };
+                ScalarSchema { name, label, plot, of, is_smooth }
+            })
+            .collect(),
+        stages: Stage::ALL.map(Stage::name).into(),
+    }
+}
+
+fn term(scene: &Scene, cause: Cause) -> TermSchema {
+    let has_pairs = scene.bodies.len() > 1;
+    #[allow(unreachable_patterns)] // a term without a line of its own is shown as it is
+    let (label, color, can_act, is_shown) = match cause {
+        Cause::Attraction => ("Attraction", colors::ORANGE, has_pairs, true),
+        Cause::Repulsion => ("Repulsion of bodies apart", colors::SKY_BLUE, has_pairs, true),
+        Cause::Core => ("Repulsion in the core", colors::PURPLE, has_pairs && scene.thresholds.core_at > 0.0, true),
+        Cause::Restoring => ("Restoring", colors::GREEN, true, false),
+        Cause::Damping => ("Damping", colors::YELLOW, true, false),
+        Cause::Push => ("Push", colors::VERMILION, !scene.pushes.is_empty(), !scene.pushes.is_empty()),
+        Cause::Carry => ("Carry: its own motion", colors::SILVER, true, false),
+        Cause::Net => ("Net", colors::WHITE, true, false),
+        _ => (cause.name(), colors::BLUE, true, true),
+    };
+    let has_source = matches!(cause, Cause::Attraction | Cause::Repulsion | Cause::Core);
+    TermSchema { name: cause.name(), label, color, has_source, can_act, is_shown }
+}
+
+fn law(scene: &Scene) -> String {
+    let (influence, thresholds) = (&scene.influence, &scene.thresholds);
+    format!(
+        "α = {}/s², β = {}/s², spheres {:.3} R. Merge at q = {}, split at {}{}; q: centre distance over the sum of the radii.",
+        influence.alpha,
+        influence.beta,
+        influence.reach,
+        thresholds.merge_at,
+        thresholds.split_at,
+        if thresholds.core_at > 0.0 { format!(", core below {}", thresholds.core_at) } else { String::new() },
+    )
+}
+
+/// Length of an arrow per acceleration [scene unit per scene unit/s²]: the strongest influence or push on the largest body
+/// is drawn about 0.4 of its radius long.
+pub fn arrow_scale(scene: &Scene) -> f64 {
+    let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+    let strength = scene.influence.alpha.max(scene.influence.beta);
+    let pull = strength * scene.influence.sphere_radius(radius) * scene.influence.weight.max_pull();
+    schema::arrow_scale(radius, scene.pushes.iter().map(|push| push.strength.abs()).fold(pull, f64::max))
+}
+
+/// Instants of the first minute at which cameras look where bodies are.
+fn instants(scene: &Scene) -> impl Iterator<Item = f64> {
+    let duration = scene.duration.min(60.0);
+    (0..=32).map(move |k| duration * f64::from(k) / 32.0)
+}
+
+/// Every influence sphere wherever its path takes it.
+fn all_there_is(scene: &Scene) -> Vec<(DVec3, f64)> {
+    let spheres = scene.bodies.iter().flat_map(|body| {
+        let radius = scene.influence.sphere_radius(body.radius).min(2.0 * body.radius);
+        instants(scene).map(move |time| (body.path.position(time), radius))
+    });
+    spheres.collect()
+}
+
+/// Those bodies that something acts on, while it does; all there is if there are none.
+fn what_happens(scene: &Scene) -> Vec<(DVec3, f64)> {
+    /// Pairs of more bodies are not gone through.
+    const MOST: usize = 1000;
+    /// Of a body, with what it is displaced by [radii].
+    const ROOM: f64 = 1.15;
+    /// How much is shown of a body that is larger than this [radii of the other].
+    const SIDE: f64 = 3.0;
+
+    let bodies = &scene.bodies;
+    let mut acted_on = Vec::new();
+    for push in &scene.pushes {
+        let body = &bodies[push.body];
+        acted_on.push((body.path.position(push.start), ROOM * body.radius));
+    }
+    let pairs_of = if bodies.len() > MOST { 0 } else { bodies.len() };
+    let movers: Vec<usize> = (0..pairs_of).filter(|&i| !bodies[i].path.is_fixed()).collect();
+    let all: Vec<usize> = (0..pairs_of).collect();
+    for (k, time) in instants(scene).enumerate() {
+        let centres: Vec<DVec3> = bodies[..pairs_of].iter().map(|body| body.path.position(time)).collect();
+        // those that do not move are as they were at the first instant
+        for &b in if k == 0 { &all } else { &movers } {
+            for a in (0..pairs_of).filter(|&a| a != b) {
+                let reach =
+                    |from: usize, to: usize| scene.influence.sphere_radius(bodies[from].radius) + bodies[to].radius;
+                if centres[a].distance(centres[b]) < f64::max(reach(a, b), reach(b, a)) {
+                    // of a body that is much larger than the other only the side where that is
+                    let shown = |i: usize, other: usize| {
+                        let radius = f64::min(bodies[i].radius, SIDE * bodies[other].radius);
+                        let towards = (centres[other] - centres[i]).normalize_or_zero();
+                        (centres[i] + (bodies[i].radius - radius) * towards, ROOM * radius)
+                    };
+                    acted_on.extend([shown(a, b), shown(b, a)]);
+                }
+            }
+        }
+    }
+    if acted_on.is_empty() { all_there_is(scene) } else { acted_on }
+}

@@ -1,0 +1,135 @@
+//! A simulation that shares nothing with this crate's: two octahedra pass each other, each corner pulled back to its place,
+//! and towards the other octahedron while they grip.
+
+use std::{sync::Arc, time::Duration};
+
+use glam::DVec3;
+use meldscope::{
+    geometry::{Mesh, Vectors},
+    observe::{
+        BodyFrame, Experiment, Frame, Instant, PairEvent, PairFrame, Refusal, Schema, Simulation, StepSummary, Want,
+        colors,
+        frame::TermFrame,
+        schema::{BodySchema, ScalarOf, ScalarSchema, TermSchema},
+    },
+    sim::checksum,
+};
+
+const AXES: [DVec3; 6] = [DVec3::X, DVec3::Y, DVec3::Z, DVec3::NEG_X, DVec3::NEG_Y, DVec3::NEG_Z];
+const FACES: [[u32; 3]; 8] = [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]];
+const GRIP: f64 = 0.8;
+const SLIP: f64 = 1.1;
+
+/// How hard they grip [1/s²].
+#[derive(Clone, Debug)]
+pub struct Octahedra(pub f64);
+
+struct Projected {
+    schema: Schema,
+    pull: f64,
+    step: u64,
+    moved: [Vectors; 2],
+    velocity: [Vectors; 2],
+    phase: usize,
+    events: Vec<PairEvent>,
+}
+
+impl Projected {
+    fn centre(&self, body: usize) -> DVec3 {
+        if body == 0 { DVec3::ZERO } else { DVec3::new(4.0 * self.time() - 4.0, 1.2, 0.0) }
+    }
+
+    fn forces(&self, body: usize, i: usize) -> [DVec3; 2] {
+        let grip = if self.phase == 1 { self.pull } else { 0.0 };
+        [-50.0 * self.moved[body].get(i), grip * (self.centre(1 - body) - self.centre(body))]
+    }
+}
+
+impl Simulation for Projected {
+    fn schema(&self) -> Schema {
+        self.schema.clone()
+    }
+    fn steps_taken(&self) -> u64 {
+        self.step
+    }
+    fn time(&self) -> f64 {
+        self.step as f64 * self.schema.dt
+    }
+    fn step(&mut self) {
+        for (body, i) in (0..2).flat_map(|body| (0..AXES.len()).map(move |i| (body, i))) {
+            let (x, dt) = (self.moved[body].get(i), self.schema.dt);
+            let u = 0.98 * self.velocity[body].get(i) + dt * self.forces(body, i).iter().sum::<DVec3>();
+            self.velocity[body].set(i, u);
+            self.moved[body].set(i, x + dt * u);
+        }
+        self.step += 1;
+        let (from, q, time, step) = (self.phase, self.centre(1).length() / 2.0, self.time(), self.step);
+        self.phase = usize::from(q < if from == 1 { SLIP } else { GRIP });
+        let event = PairEvent { name: ["split", "merge"][self.phase], time, step, a: 0, b: 1, q, from, to: self.phase };
+        self.events = if from == self.phase { Vec::new() } else { vec![event] };
+    }
+    fn summary(&self, summary: &mut StepSummary) {
+        let (at, timings) = (Instant { step: self.step, time: self.time() }, vec![Duration::ZERO]);
+        *summary = StepSummary { at, events: self.events.clone(), timings, scalars: vec![0.0, 12.0], failure: None };
+    }
+    fn checksum(&self) -> u64 {
+        let numbers = self.moved.iter().chain(&self.velocity).flat_map(Vectors::iter).flat_map(|v| v.to_array());
+        checksum::sequence(numbers.map(f64::to_bits).chain([self.phase as u64]))
+    }
+    fn observe(&self, want: Want, frame: &mut Frame) {
+        frame.at = Instant { step: self.step, time: self.time() };
+        frame.pairs = vec![PairFrame { a: 0, b: 1, q: self.centre(1).length() / 2.0, phase: self.phase }];
+        frame.bodies.resize_with(2, BodyFrame::default);
+        for (body, now) in frame.bodies.iter_mut().enumerate() {
+            now.centre = self.centre(body);
+            (now.displacements, now.velocities) = (self.moved[body].clone(), self.velocity[body].clone());
+            now.displaced(self.schema.bodies[body].rest());
+            if want.forces {
+                let forces: Vec<_> = (0..AXES.len()).map(|i| self.forces(body, i)).collect();
+                let spring = (forces.iter().map(|[spring, _]| *spring).collect(), None);
+                let grip = (forces.iter().map(|[_, grip]| *grip).collect(), Some(1 - body as u32));
+                let net = (forces.iter().map(|[spring, grip]| *spring + *grip).collect(), None);
+                now.terms =
+                    [spring, grip, net].map(|(accelerations, source)| TermFrame { accelerations, source }).into();
+                (now.has_forces, now.labels) = (true, vec![self.phase as u8; AXES.len()]);
+            }
+        }
+        frame.scalars = vec![self.moved[0].iter().map(DVec3::length).sum(), 0.0];
+    }
+}
+
+impl Experiment for Octahedra {
+    fn schema(&self) -> Schema {
+        let mesh = Arc::new(Mesh::new(AXES.into_iter().collect(), FACES.to_vec()));
+        let body = |name: &str| BodySchema::new(name, "octahedron", Arc::clone(&mesh), 1.0, 2.0);
+        let grip = TermSchema { has_source: true, ..TermSchema::new("grip", "Grip", colors::ORANGE) };
+        let terms =
+            [TermSchema::new("spring", "Spring", colors::GREEN), grip, TermSchema::new("net", "Net", colors::WHITE)];
+        Schema {
+            name: "octahedra".to_owned(),
+            source: format!("pull = {:?}", self.0),
+            dt: 0.02,
+            steps: 100,
+            bodies: vec![body("a"), body("b")],
+            terms: terms.into(),
+            labels: vec!["free", "held"],
+            phases: [("loose", colors::SILVER), ("gripped", colors::ORANGE)].map(Into::into).into(),
+            thresholds: [("grip_at", GRIP, colors::ORANGE), ("slip_at", SLIP, colors::SILVER)].map(Into::into).into(),
+            scalars: vec![
+                ScalarSchema::new("stretch", "stretch [unit]", ScalarOf::State),
+                ScalarSchema::new("projections", "projections", ScalarOf::SumOfSteps),
+            ],
+            stages: vec!["project"],
+            ..Schema::default()
+        }
+    }
+    fn start(&self) -> Result<Box<dyn Simulation>, String> {
+        let zeros = || [Vectors::zeros(AXES.len()), Vectors::zeros(AXES.len())];
+        let (moved, velocity, schema, events) = (zeros(), zeros(), self.schema(), Vec::new());
+        Ok(Box::new(Projected { schema, pull: self.0, step: 0, moved, velocity, phase: 0, events }))
+    }
+    fn read(&self, _: &str, text: &str, _: &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> {
+        let number = text.strip_prefix("pull = ").and_then(|number| number.parse().ok());
+        number.map(|pull| Arc::new(Octahedra(pull)) as _).ok_or(Refusal::Source("it has no pull".to_owned()))
+    }
+}

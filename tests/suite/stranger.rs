@@ -1,0 +1,77 @@
+//! Anybody's simulation gets all instruments of this crate: one that shares nothing with its own is recorded, with its terms,
+//! thresholds, phases, events, stages and numbers, replayed, compared, checked, and kept by the flight recorder.
+
+use std::path::Path;
+
+use meldscope::{
+    observe::Experiment as _,
+    recording::{
+        Recorded, diff,
+        golden::{self, GoldenOutcome},
+        replay::{self, Verdict},
+    },
+    stream::{
+        Pipeline, Recorder, Settings,
+        settings::{Detail, Entities, Frames, Trigger},
+        sinks::{Destinations, Sinks},
+    },
+};
+
+use crate::{
+    octahedra::Octahedra,
+    recording::{Dir, Recording},
+};
+
+/// Records, on a thread of its own, and reads it back; and how many frames it has.
+fn record(path: &Path, pull: f64, settings: Settings) -> (Recorded, u64) {
+    let mut simulation = Octahedra(pull).start().expect("it fits");
+    let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };
+    let mut sinks = Sinks::open(&destinations).expect("a file");
+    let recorder = Recorder::new(&*simulation, settings);
+    recorder.blueprint(&*simulation).into_iter().for_each(|message| sinks.send(message).expect("room"));
+    let mut pipeline = Pipeline::start(&*simulation, recorder, sinks).expect("a thread");
+    for _ in 0..100 {
+        simulation.step();
+        pipeline.observe(&*simulation, None).expect("room");
+    }
+    let mut end = pipeline.finish().expect("a recording");
+    assert_eq!(end.finish(&*simulation), None);
+    end.sinks.finish().expect("room");
+    let recorded = Recorded::open_as(path, &|name, text, run| Octahedra(0.0).read(name, text, run));
+    (recorded.expect("a recording"), end.recorder.written())
+}
+
+#[test]
+fn anybodys_simulation_is_recorded_replayed_compared_and_checked() {
+    let (dir, own) = (Dir::new(), Settings::of(&Octahedra(3.0)));
+    let with = |name: &str, pull, settings| record(&dir.file(name), pull, settings);
+    let (full, frames) = with("full", 3.0, Settings { detail: Detail::Stages { from: 20, to: 30 }, ..own.clone() });
+    let (thin, _) = with("thin", 3.0, Settings { frames: Frames::Thin, ..own.clone() });
+    let (other, _) = with("other", 3.1, Settings { entities: Entities::Batch, ..own.clone() });
+    let last = Frames::Last { most: 3, on: vec![Trigger::Merge] };
+    assert_eq!((frames, with("kept", 3.0, Settings { frames: last, ..own }).1), (101, 3));
+    let phases: Vec<_> = full.events.iter().filter_map(|event| event.phases.clone()).collect();
+    assert_eq!(phases, [["loose", "gripped"], ["gripped", "loose"]]);
+    for recorded in [&full, &thin, &other] {
+        assert_eq!(replay::verify(recorded, |_| true).expect("it runs"), Verdict::Identical);
+    }
+    let entities = Recording::open(&dir.file("other")).entities();
+    for entity in
+        ["world/forces/grip", "pairs/a~b/slip_at", "pairs/a~b/phase", "timings/project", "diagnostics/stretch"]
+    {
+        assert!(entities.contains(&entity.into()), "{entity}");
+    }
+
+    let same = diff::diff([&full, &thin], 1e-6).expect("the same bodies");
+    assert_eq!((same.instants, same.first_bits, same.bodies, same.events), (101, None, vec![], vec![]));
+    let differing = diff::diff([&full, &other], 1e-6).expect("the same bodies");
+    let first = differing.first_beyond.expect("they differ").step;
+    assert_eq!((differing.first_bits, differing.bodies.len()), (Some(first), 2));
+    let path = dir.file("golden");
+    golden::bless(&Octahedra(3.0), &path, "a test").expect("room");
+    let check = |pull| golden::check(&Octahedra(pull), &path, None).expect("it runs");
+    assert!(matches!(check(3.0), GoldenOutcome::Identical { events: 2, .. }));
+    assert!(
+        matches!(check(3.1), GoldenOutcome::Different(found) if found.first.as_ref().is_some_and(|at| at.step == first))
+    );
+}
