@@ -57,7 +57,7 @@ pub enum ReadError {
         /// The file.
         path: PathBuf,
         /// Why.
-        failure: StepFailure,
+        failure: Box<StepFailure>,
     },
 }
 

@@ -111,7 +111,7 @@ pub(super) fn step(simulation: &mut dyn Simulation, summary: &mut StepSummary, p
     simulation.summary(summary);
     match &summary.failure {
         Some(failure) if !failure.is_whole_step() => {
-            Err(ReadError::Failed { path: path.to_owned(), failure: failure.clone() })
+            Err(ReadError::Failed { path: path.to_owned(), failure: Box::new(failure.clone()) })
         }
         _ => Ok(()),
     }

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use plotters::style::RGBColor;
 
-use super::{Point, Report, Run, scenes::Family};
+use super::{Point, Report, scenes::Family};
 use crate::bench::{
     drawing::{Axis, Line, Marker, Sheet, Style, TOP, draw_axes, draw_lines, power_of_ten, ticks},
     machine::Machine,
@@ -38,8 +38,8 @@ pub fn svg(report: &Report, machine: &Machine) -> Result<String, String> {
         ],
         notes: &["Run times: the best of 9 blocks of steps, or of 3 that take long.", &machine],
     };
-    let lines = lines(report);
-    let all = lines.iter().flat_map(|(.., points)| points);
+    let curves = curves(report);
+    let all = curves.iter().flat_map(|curve| &curve.points);
     let (bodies, times) = (range(all.clone().map(|point| point.0), 1.5), range(all.map(|point| point.1), 2.0));
     let axis = |name, range: Range<f64>| Axis {
         name,
@@ -51,25 +51,36 @@ pub fn svg(report: &Report, machine: &Machine) -> Result<String, String> {
     sheet.svg(|panel| {
         let axes = [axis("bodies", bodies.clone()), axis("time of a step [ms]", times.clone())];
         let at = draw_axes(panel, TOP, RIGHT, axes)?;
-        let line = |(family, is_plain, points): (Family, bool, Vec<(f64, f64)>)| Line {
-            name: format!("{}{}", family.name(), if is_plain { ", plain" } else { "" }),
-            style: style(family, is_plain),
-            points: points.into_iter().map(|(bodies, time)| at(bodies, time)).collect(),
+        let line = |Curve { family, is_plain, points }: &Curve| Line {
+            name: format!("{}{}", family.name(), if *is_plain { ", plain" } else { "" }),
+            style: style(*family, *is_plain),
+            points: points.iter().map(|&(bodies, time)| at(bodies, time)).collect(),
         };
-        draw_lines(panel, TOP, at(bodies.end, times.start).0, lines.into_iter().map(line).collect())
+        draw_lines(panel, TOP, at(bodies.end, times.start).0, curves.iter().map(line).collect())
     })
 }
 
-/// Numbers of bodies and time of a step [ms], by family, skipping and the plain way.
-fn lines(report: &Report) -> Vec<(Family, bool, Vec<(f64, f64)>)> {
-    let line = |family, is_plain: bool| {
-        let run = |point: &'_ Point| -> Option<Run> {
-            if is_plain { Some(point.plain.as_ref()?.run.clone()) } else { Some(point.one.clone()) }
+/// A family, skipping or in the plain way.
+struct Curve {
+    family: Family,
+    is_plain: bool,
+    /// Numbers of bodies, and time of a step [ms].
+    points: Vec<(f64, f64)>,
+}
+
+fn curves(report: &Report) -> Vec<Curve> {
+    let curve = |family, is_plain: bool| {
+        let run = |point: &Point| -> Option<f64> {
+            Some(if is_plain { point.plain.as_ref()?.run.seconds } else { point.one.seconds })
         };
-        let point = |point: &Point| Some((point.bodies as f64, 1e3 * run(point)?.seconds));
-        (family, is_plain, report.of(family).filter_map(point).filter(|(_, time)| *time > 0.0).collect())
+        let point = |point: &Point| Some((point.bodies as f64, 1e3 * run(point)?));
+        Curve {
+            family,
+            is_plain,
+            points: report.of(family).filter_map(point).filter(|(_, time)| *time > 0.0).collect(),
+        }
     };
-    Family::ALL.into_iter().flat_map(|family| [line(family, false), line(family, true)]).collect()
+    Family::ALL.into_iter().flat_map(|family| [curve(family, false), curve(family, true)]).collect()
 }
 
 /// From the least to the largest, and as much again on either side.
