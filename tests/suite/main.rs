@@ -22,3 +22,4 @@ mod sinks;
 mod skipping;
 mod stability;
 mod stranger;
+mod work;
