@@ -6,6 +6,7 @@
 //! | what a shape is made from, and one mesh for all bodies of a shape | [`shape`] |
 //! | a file for each shape | [`sphere`] |
 //! | arrays of vectors | [`vectors`] |
+//! | one surface of many that overlap, and what geometry says of a pair | [`union`] |
 //!
 //! A new shape is a file that implements [`shape::Solid`] and its lines in the table below. Nothing here knows bodies,
 //! scenes or time.
@@ -13,6 +14,7 @@
 pub mod mesh;
 pub mod shape;
 pub mod sphere;
+pub mod union;
 pub mod vectors;
 
 pub use mesh::{Mesh, Rest, Rings};

@@ -1,0 +1,528 @@
+//! Where surfaces meet: nodes (an edge through a triangle), segments (a triangle through a triangle, from node to node)
+//! and triple points (three triangles).
+//!
+//! Only signs of polynomials decide, and signs are exact; so what is found is the arrangement of the displaced bodies,
+//! not an approximation of it. Coordinates are computed last, and nothing depends on them.
+
+use glam::DVec3;
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
+
+use super::{
+    candidates::EdgeAndTriangle,
+    exact::{Bounded, Number, Polynomial},
+    placement::Placement,
+    report::{Failure, Meter},
+};
+
+/// An end of a line: a node, or a vertex (by numbers that are unique among the bodies).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum End {
+    Node(u32),
+    /// Where two triangles of a body meet that share no more than this vertex.
+    Vertex(u32),
+}
+
+/// A line's passage through a triangle.
+#[derive(Clone, Copy, Debug)]
+pub struct Passage {
+    pub triangle: u32,
+    pub body: u32,
+    /// How far in front of the triangle the line's first end is, and its second; of opposite signs.
+    heights: [Bounded; 2],
+    /// Where, from 0 at the first end to 1 at the second.
+    pub at: f64,
+}
+
+impl Passage {
+    /// Whether the line goes from in front of the triangle to behind it.
+    #[inline]
+    pub fn enters(&self) -> bool {
+        self.heights[0].value > 0.0
+    }
+}
+
+/// Where an edge passes through a triangle.
+#[derive(Clone, Copy, Debug)]
+pub struct Node {
+    pub edge: u32,
+    pub edge_body: u32,
+    pub passage: Passage,
+}
+
+/// Where two triangles meet.
+#[derive(Clone, Debug)]
+pub struct Segment {
+    /// Ascending.
+    pub triangles: [u32; 2],
+    pub bodies: [u32; 2],
+    /// The first is a node.
+    pub ends: [End; 2],
+    /// Whether it runs along normal(second) × normal(first) from its first end, so that on the first triangle what is in
+    /// front of the second is on its left.
+    pub forward: bool,
+    /// Inside a third body as a whole, where nothing of it shows; its triple points are not looked for.
+    pub buried: bool,
+    /// Triple points on it, from the first end, each with its number.
+    pub passages: Vec<(Passage, u32)>,
+}
+
+/// What the predicates say of where the bodies meet.
+pub struct Arrangement {
+    /// By edge, and along it.
+    pub nodes: Vec<Node>,
+    /// Of every node: its true place on its edge, from 0 to 1.
+    pub places: Vec<f64>,
+    /// Of every edge that has some: the range of its nodes.
+    pub nodes_of_edge: FxHashMap<u32, (u32, u32)>,
+    /// A bit for every edge that has nodes.
+    has_nodes: Vec<u64>,
+    /// By triangles.
+    pub segments: Vec<Segment>,
+    /// (triangle, segment), ascending.
+    pub segments_of_triangles: Vec<(u32, u32)>,
+    /// True places [scene unit].
+    pub triple_points: Vec<DVec3>,
+    /// Of each, ascending.
+    pub triple_point_triangles: Vec<[u32; 3]>,
+}
+
+/// How far in front of a triangle an end is, times something positive that depends on the end alone.
+struct Height<'p, 'a, 'b> {
+    placement: &'p Placement<'a, 'b>,
+    nodes: &'p [Node],
+}
+
+impl Height<'_, '_, '_> {
+    fn of_vertex<N: Number>(&self, vertex: u32, triangle: u32, body: u32) -> N {
+        let names = self.placement.corners(triangle, body);
+        if names.contains(&vertex) {
+            return N::zero();
+        }
+        let [a, b, c] = names.map(|v| self.placement.placed[v as usize]);
+        N::orientation(a, b, c, self.placement.placed[vertex as usize])
+    }
+
+    /// Of a node on the edge ab, at heights (p, q) over the triangle that made it and (f, g) over this one, it is
+    /// (p g − q f)/(p − q).
+    fn of_end<N: Number>(&self, end: End, triangle: u32, body: u32) -> N {
+        match end {
+            End::Vertex(vertex) => self.of_vertex(vertex, triangle, body),
+            End::Node(node) => {
+                let node = &self.nodes[node as usize];
+                let ends = self.placement.ends(node.edge, node.edge_body);
+                let [p, q] = ends.map(|v| self.of_vertex::<N>(v, node.passage.triangle, node.passage.body));
+                let [f, g] = ends.map(|v| self.of_vertex::<N>(v, triangle, body));
+                if node.passage.enters() { p.times(&g).minus(&q.times(&f)) } else { q.times(&f).minus(&p.times(&g)) }
+            }
+        }
+    }
+
+    /// |p − q| of a node: what [`Self::of_end`] is too large by.
+    fn factor(&self, end: End) -> f64 {
+        match end {
+            End::Vertex(_) => 1.0,
+            End::Node(node) => {
+                let [p, q] = self.nodes[node as usize].passage.heights;
+                p.value.abs() + q.value.abs()
+            }
+        }
+    }
+
+    /// The passage of a line through a triangle; none if both ends are on the same side.
+    fn passage(&self, ends: [End; 2], triangle: u32, body: u32) -> Result<Option<Passage>, Failure> {
+        let mut heights = [Bounded::zero(); 2];
+        for k in 0..2 {
+            heights[k] = self.of_end::<Bounded>(ends[k], triangle, body);
+            if heights[k].is_positive().is_none() {
+                let exact = OfEnd(self, ends[k], triangle, body).exactly_positive().ok_or(Failure::Tie)?;
+                // The bound stays: comparisons of places go on to the exact number as well.
+                let magnitude = heights[k].value.abs().max(f64::MIN_POSITIVE);
+                heights[k].value = if exact { magnitude } else { -magnitude };
+                heights[k].error *= 4.0;
+            }
+        }
+        if (heights[0].value > 0.0) == (heights[1].value > 0.0) {
+            return Ok(None);
+        }
+        let (p, q) = (heights[0].value.abs() / self.factor(ends[0]), heights[1].value.abs() / self.factor(ends[1]));
+        Ok(Some(Passage { triangle, body, heights, at: p / (p + q) }))
+    }
+
+    /// Whether a line comes to `first` before it comes to `second`.
+    ///
+    /// Through a triangle whose heights at the ends are (p, q) it passes at p/(p − q). So the first is before the second
+    /// if p₁ (p₂ − q₂) < p₂ (p₁ − q₁), all divided by (p₁ − q₁)(p₂ − q₂): p₂ q₁ < p₁ q₂ if p₁ and p₂ have the same sign.
+    fn is_before(&self, ends: [End; 2], first: &Passage, second: &Passage) -> Result<bool, Failure> {
+        let bounded = (second.heights[0].times(&first.heights[1])).minus(&first.heights[0].times(&second.heights[1]));
+        let exact = || Later { heights: self, ends, first: *first, second: *second }.exactly_positive();
+        let positive = bounded.is_positive().or_else(exact).ok_or(Failure::Tie)?;
+        Ok(positive != (first.enters() == second.enters()))
+    }
+
+    /// Puts a line's passages in order, from almost there.
+    fn sort_along<T>(&self, ends: [End; 2], items: &mut [T], passage: impl Fn(&T) -> &Passage) -> Result<(), Failure> {
+        if items.len() < 2 {
+            return Ok(());
+        }
+        items.sort_by(|x, y| {
+            let (x, y) = (passage(x), passage(y));
+            x.at.total_cmp(&y.at).then(x.triangle.cmp(&y.triangle))
+        });
+        for i in 1..items.len() {
+            let mut k = i;
+            while k > 0 && !self.is_before(ends, passage(&items[k - 1]), passage(&items[k]))? {
+                items.swap(k - 1, k);
+                k -= 1;
+            }
+        }
+        Ok(())
+    }
+}
+
+struct OfEnd<'h, 'p, 'a, 'b>(&'h Height<'p, 'a, 'b>, End, u32, u32);
+
+impl Polynomial for OfEnd<'_, '_, '_, '_> {
+    fn value<N: Number>(&self) -> N {
+        self.0.of_end(self.1, self.2, self.3)
+    }
+}
+
+struct Later<'h, 'p, 'a, 'b> {
+    heights: &'h Height<'p, 'a, 'b>,
+    ends: [End; 2],
+    first: Passage,
+    second: Passage,
+}
+
+impl Polynomial for Later<'_, '_, '_, '_> {
+    fn value<N: Number>(&self) -> N {
+        let height = |end: usize, of: &Passage| self.heights.of_end::<N>(self.ends[end], of.triangle, of.body);
+        height(0, &self.second)
+            .times(&height(1, &self.first))
+            .minus(&height(0, &self.first).times(&height(1, &self.second)))
+    }
+}
+
+/// Whether four placed points see each other counter-clockwise.
+struct Orientation([DVec3; 4]);
+
+impl Polynomial for Orientation {
+    #[inline]
+    fn value<N: Number>(&self) -> N {
+        let [a, b, c, d] = self.0;
+        N::orientation(a, b, c, d)
+    }
+}
+
+/// Exactly, whether `d` is in front of a, b, c.
+#[inline]
+pub fn is_in_front(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> Result<bool, Failure> {
+    Orientation([a, b, c, d]).is_positive().ok_or(Failure::Tie)
+}
+
+impl Arrangement {
+    /// Nodes and segments of edges and triangles that may meet.
+    pub fn new(placement: &Placement, candidates: &[EdgeAndTriangle], threads: bool) -> Result<Arrangement, Failure> {
+        let mut arrangement = Arrangement {
+            nodes: Vec::new(),
+            places: Vec::new(),
+            nodes_of_edge: FxHashMap::default(),
+            has_nodes: Vec::new(),
+            segments: Vec::new(),
+            segments_of_triangles: Vec::new(),
+            triple_points: Vec::new(),
+            triple_point_triangles: Vec::new(),
+        };
+        arrangement.find_nodes(placement, candidates, threads)?;
+        arrangement.order_nodes(placement)?;
+        arrangement.places = arrangement.nodes.iter().map(|node| Self::place_on_edge(placement, node)).collect();
+        arrangement.connect(placement)?;
+        Ok(arrangement)
+    }
+
+    fn find_nodes(
+        &mut self,
+        placement: &Placement,
+        candidates: &[EdgeAndTriangle],
+        threads: bool,
+    ) -> Result<(), Failure> {
+        let node_at = |&candidate: &EdgeAndTriangle| -> Result<Option<Node>, Failure> {
+            let (edge, triangle) = ((candidate >> 32) as u32, candidate as u32);
+            let (edge_body, body) = (placement.body_of_edge(edge), placement.body_of_triangle(triangle));
+            let ends = placement.ends(edge, edge_body);
+            let names = placement.corners(triangle, body);
+            if names.contains(&ends[0]) || names.contains(&ends[1]) {
+                return Ok(None);
+            }
+            let [a, b] = ends.map(|v| placement.placed[v as usize]);
+            let [x, y, z] = names.map(|v| placement.placed[v as usize]);
+            // Through the triangle if it turns the same way about all three sides.
+            let turn = is_in_front(a, b, x, y)?;
+            if is_in_front(a, b, y, z)? != turn || is_in_front(a, b, z, x)? != turn {
+                return Ok(None);
+            }
+            let heights = Height { placement, nodes: &[] };
+            let passage = heights.passage(ends.map(End::Vertex), triangle, body)?;
+            let passage = passage.ok_or(Failure::Inconsistent("an edge that crosses a plane does not"))?;
+            Ok(Some(Node { edge, edge_body, passage }))
+        };
+        let nodes: Result<Vec<Option<Node>>, Failure> = if threads && candidates.len() > 2048 {
+            candidates.par_iter().with_min_len(512).map(node_at).collect()
+        } else {
+            candidates.iter().map(node_at).collect()
+        };
+        self.nodes = nodes?.into_iter().flatten().collect();
+        Ok(())
+    }
+
+    fn order_nodes(&mut self, placement: &Placement) -> Result<(), Failure> {
+        let heights = Height { placement, nodes: &[] };
+        self.has_nodes = vec![0; placement.first_edge[placement.bodies.len()] as usize / 64 + 1];
+        let mut from = 0;
+        while from < self.nodes.len() {
+            let Node { edge, edge_body, .. } = self.nodes[from];
+            let count = self.nodes[from..].iter().take_while(|n| n.edge == edge).count();
+            let ends = placement.ends(edge, edge_body).map(End::Vertex);
+            heights.sort_along(ends, &mut self.nodes[from..from + count], |n| &n.passage)?;
+            self.nodes_of_edge.insert(edge, (from as u32, (from + count) as u32));
+            self.has_nodes[edge as usize / 64] |= 1 << (edge % 64);
+            from += count;
+        }
+        Ok(())
+    }
+
+    /// The nodes of a pair of triangles are the ends of its segment.
+    fn connect(&mut self, placement: &Placement) -> Result<(), Failure> {
+        let mut ends: Vec<([u32; 2], u32)> = Vec::with_capacity(2 * self.nodes.len());
+        for (i, node) in self.nodes.iter().enumerate() {
+            for side in placement.sides_of(node.edge, node.edge_body) {
+                let other = node.passage.triangle;
+                ends.push(([side.min(other), side.max(other)], i as u32));
+            }
+        }
+        ends.sort_unstable();
+        let mut from = 0;
+        while from < ends.len() {
+            let (triangles, first) = ends[from];
+            let count = ends[from..].iter().take_while(|end| end.0 == triangles).count();
+            let node = &self.nodes[first as usize];
+            let bodies = if placement.sides_of(node.edge, node.edge_body).contains(&triangles[0])
+                && node.passage.triangle == triangles[1]
+            {
+                [node.edge_body, node.passage.body]
+            } else {
+                [node.passage.body, node.edge_body]
+            };
+            let last = match count {
+                2 => End::Node(ends[from + 1].1),
+                1 if bodies[0] == bodies[1] => {
+                    let others = placement.corners(triangles[1], bodies[1]);
+                    let shared = placement.corners(triangles[0], bodies[0]).into_iter().find(|v| others.contains(v));
+                    End::Vertex(shared.ok_or(Failure::Inconsistent("a segment of one end"))?)
+                }
+                _ => return Err(Failure::Inconsistent("a segment of more than two ends")),
+            };
+            let forward = self.runs_forward(placement, first, triangles);
+            if let End::Node(last) = last
+                && self.runs_forward(placement, last, triangles) == forward
+            {
+                return Err(Failure::Inconsistent("a segment of two beginnings"));
+            }
+            self.segments.push(Segment {
+                triangles,
+                bodies,
+                ends: [End::Node(first), last],
+                forward,
+                buried: false,
+                passages: Vec::new(),
+            });
+            from += count;
+        }
+        self.segments_of_triangles = (self.segments.iter().enumerate())
+            .flat_map(|(i, segment)| segment.triangles.map(|t| (t, i as u32)))
+            .collect();
+        self.segments_of_triangles.sort_unstable();
+        Ok(())
+    }
+
+    /// Whether the segment that starts at a node, inwards, is forward.
+    ///
+    /// Let the edge be of the first triangle. Counter-clockwise along it, the triangle is on the left; a segment that
+    /// turns in there has on its left what the edge came from. So it is forward if the edge came from in front. If the edge
+    /// is of the second triangle, the segment has in front of the first on its left, on the second, when it is backward.
+    fn runs_forward(&self, placement: &Placement, node: u32, triangles: [u32; 2]) -> bool {
+        let node = &self.nodes[node as usize];
+        let of_first = node.passage.triangle == triangles[1];
+        let own = triangles[usize::from(!of_first)];
+        let along = placement.sides_of(node.edge, node.edge_body)[0] == own;
+        (node.passage.enters() == along) == of_first
+    }
+
+    /// The nodes of an edge, in the order of its ends.
+    #[inline]
+    pub fn nodes_of(&self, edge: u32) -> &[Node] {
+        if self.has_nodes[edge as usize / 64] & (1 << (edge % 64)) == 0 {
+            return &[];
+        }
+        self.nodes_of_edge.get(&edge).map_or(&[], |&(from, to)| &self.nodes[from as usize..to as usize])
+    }
+
+    /// The number of segments of a triangle, and theirs.
+    pub fn segments_of(&self, triangle: u32) -> &[(u32, u32)] {
+        let from = self.segments_of_triangles.partition_point(|s| s.0 < triangle);
+        let count = self.segments_of_triangles[from..].iter().take_while(|s| s.0 == triangle).count();
+        &self.segments_of_triangles[from..from + count]
+    }
+
+    /// The segments of one triangle after the other.
+    pub fn cut_triangles(&self) -> impl Iterator<Item = &[(u32, u32)]> {
+        self.segments_of_triangles.chunk_by(|a, b| a.0 == b.0)
+    }
+
+    fn segment_between(&self, a: u32, b: u32) -> Option<u32> {
+        self.segments.binary_search_by_key(&[a.min(b), a.max(b)], |s| s.triangles).ok().map(|i| i as u32)
+    }
+
+    /// Finds the triple points on all segments that are not buried.
+    pub fn find_triple_points(&mut self, placement: &Placement, meter: &Meter, threads: bool) -> Result<(), Failure> {
+        let cut: Vec<&[(u32, u32)]> = self.cut_triangles().filter(|segments| segments.len() > 1).collect();
+        let found: Result<Vec<Vec<TriplePoint>>, Failure> = if threads && cut.len() > 256 {
+            cut.par_iter().map(|segments| self.triple_points_in(placement, segments, meter)).collect()
+        } else {
+            cut.iter().map(|segments| self.triple_points_in(placement, segments, meter)).collect()
+        };
+        let found = found?.concat();
+
+        for (number, point) in found.iter().enumerate() {
+            for &(segment, passage) in point.on.iter().flatten() {
+                self.segments[segment as usize].passages.push((passage, number as u32));
+            }
+        }
+        let heights = Height { placement, nodes: &self.nodes };
+        for segment in &mut self.segments {
+            heights.sort_along(segment.ends, &mut segment.passages, |p| &p.0)?;
+        }
+        self.triple_points = found.iter().map(|point| self.place_of(placement, point)).collect();
+        self.triple_point_triangles = found.iter().map(|point| point.triangles).collect();
+        Ok(())
+    }
+
+    /// Triple points in a triangle that are not left to another.
+    fn triple_points_in(
+        &self,
+        placement: &Placement,
+        segments: &[(u32, u32)],
+        meter: &Meter,
+    ) -> Result<Vec<TriplePoint>, Failure> {
+        let heights = Height { placement, nodes: &self.nodes };
+        let mut found = Vec::new();
+        let triangle = segments[0].0;
+        let other = |s: &Segment| {
+            let k = usize::from(s.triangles[0] == triangle);
+            (s.triangles[k], s.bodies[k])
+        };
+        for (i, &(_, first)) in segments.iter().enumerate() {
+            let s1 = &self.segments[first as usize];
+            let (t1, b1) = other(s1);
+            meter.spend((segments.len() - i) as u64)?;
+            for &(_, second) in &segments[i + 1..] {
+                let s2 = &self.segments[second as usize];
+                if s1.buried && s2.buried {
+                    continue;
+                }
+                let (t2, b2) = other(s2); // > t1
+                // The least triangle has the triple point, if one of its segments is not buried; else the middle one.
+                let is_only_here = s1.buried && !s2.buried;
+                let left_to_another = triangle > t2 || (triangle > t1 && !is_only_here);
+                if left_to_another || (b1 == b2 && !placement.folds[b1 as usize]) {
+                    continue;
+                }
+                if s1.ends.iter().any(|end| s2.ends.contains(end)) {
+                    continue;
+                }
+                let is_shared = |ends: [End; 2], t: u32, b: u32| {
+                    let corners = placement.corners(t, b);
+                    ends.iter().any(|end| matches!(end, End::Vertex(v) if corners.contains(v)))
+                };
+                if b1 == b2 && (is_shared(s1.ends, t2, b2) || is_shared(s2.ends, t1, b1)) {
+                    continue;
+                }
+                let Some(on_first) = heights.passage(s1.ends, t2, b2)? else { continue };
+                let Some(on_second) = heights.passage(s2.ends, t1, b1)? else { continue };
+                let inconsistent = Failure::Inconsistent("a triple point of two segments");
+                let third = self.segment_between(t1, t2).ok_or(inconsistent)?;
+                let s3 = &self.segments[third as usize];
+                if triangle > t1 && !s3.buried {
+                    continue;
+                }
+                let body = s1.bodies[usize::from(s1.triangles[0] != triangle)];
+                let on_third = heights.passage(s3.ends, triangle, body)?.ok_or(inconsistent)?;
+                let on_shown = |number: u32, passage: Passage| {
+                    (!self.segments[number as usize].buried).then_some((number, passage))
+                };
+                // Of the least two triangles first, so that its place does not depend on what is buried.
+                let mut triangles = [triangle, t1, t2];
+                triangles.sort_unstable();
+                let on = [on_shown(first, on_first), on_shown(second, on_second), on_shown(third, on_third)];
+                found.push(TriplePoint { triangles, on });
+            }
+        }
+        meter.spend(16 * found.len() as u64)?;
+        Ok(found)
+    }
+
+    /// Where a triple point is in truth [scene unit]: where the true planes meet, if that is near to where they were seen
+    /// to.
+    fn place_of(&self, placement: &Placement, point: &TriplePoint) -> DVec3 {
+        let Some((segment, passage)) = point.on.iter().flatten().next() else { return DVec3::ZERO };
+        let [from, to] = self.segments[*segment as usize].ends.map(|end| self.true_position(placement, end));
+        let seen = from + (to - from) * passage.at;
+        let planes = point.triangles.map(|t| {
+            let body = placement.body_of_triangle(t);
+            let [a, b, c] = placement.corners(t, body).map(|v| placement.true_position(v, body) - seen);
+            let normal = (b - a).cross(c - a).normalize_or_zero();
+            (normal, normal.dot(a))
+        });
+        let [(n1, d1), (n2, d2), (n3, d3)] = planes;
+        let offset = (n2.cross(n3) * d1 + n3.cross(n1) * d2 + n1.cross(n2) * d3) / n1.dot(n2.cross(n3));
+        let near = NEAR * from.distance(to);
+        if offset.length_squared() <= near * near { seen + offset } else { seen }
+    }
+
+    /// Where an end is in truth [scene unit].
+    pub fn true_position(&self, placement: &Placement, end: End) -> DVec3 {
+        match end {
+            End::Vertex(v) => placement.true_position(v, placement.body_of_vertex(v)),
+            End::Node(node) => {
+                let Node { edge, edge_body, .. } = self.nodes[node as usize];
+                let [a, b] = placement.ends(edge, edge_body).map(|v| placement.true_position(v, edge_body));
+                a + (b - a) * self.places[node as usize]
+            }
+        }
+    }
+
+    /// Where a node's edge truly passes through the plane of its triangle, if that is near to where it was seen to.
+    fn place_on_edge(placement: &Placement, node: &Node) -> f64 {
+        let Node { edge, edge_body, passage } = *node;
+        let ends = placement.ends(edge, edge_body).map(|v| placement.true_position(v, edge_body));
+        let [a, b, c] =
+            placement.corners(passage.triangle, passage.body).map(|v| placement.true_position(v, passage.body));
+        let normal = (b - a).cross(c - a);
+        let [p, q] = ends.map(|end| normal.dot(end - a));
+        let at = p / (p - q);
+        if (0.0..=1.0).contains(&at) && (at - passage.at).abs() <= NEAR { at } else { passage.at }
+    }
+}
+
+/// Farther than this, in lengths of its line, the true place of a point is not from where it was seen: displacements are
+/// smaller, save where lines and triangles are all but parallel, and there the true places may be out of order.
+const NEAR: f64 = 1e-6;
+
+/// Where three triangles meet.
+#[derive(Clone, Copy)]
+struct TriplePoint {
+    triangles: [u32; 3],
+    /// The segments it is on that are not buried, and where on them.
+    on: [Option<(u32, Passage)>; 3],
+}

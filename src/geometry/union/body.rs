@@ -1,0 +1,226 @@
+//! A closed mesh where it is now, with what is needed of it before it meets another.
+
+use glam::DVec3;
+use thiserror::Error;
+
+use super::topology::Topology;
+
+/// Coordinates beyond this would overflow in a volume's cube.
+const FARTHEST: f64 = 1e90;
+
+/// A box along the axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Aabb {
+    /// Least coordinates [scene unit].
+    pub min: DVec3,
+    /// Greatest coordinates [scene unit].
+    pub max: DVec3,
+}
+
+impl Aabb {
+    /// Of nothing.
+    pub(super) const EMPTY: Aabb = Aabb { min: DVec3::INFINITY, max: DVec3::NEG_INFINITY };
+
+    #[inline]
+    pub(super) fn take_in(&mut self, point: DVec3) {
+        self.min = self.min.min(point);
+        self.max = self.max.max(point);
+    }
+
+    #[inline]
+    pub(super) fn of(points: impl IntoIterator<Item = DVec3>) -> Aabb {
+        let mut hull = Aabb::EMPTY;
+        for point in points {
+            hull.take_in(point);
+        }
+        hull
+    }
+
+    #[inline]
+    pub(super) fn joined(&self, other: &Aabb) -> Aabb {
+        Aabb { min: self.min.min(other.min), max: self.max.max(other.max) }
+    }
+
+    #[inline]
+    pub(super) fn grown(&self, by: f64) -> Aabb {
+        Aabb { min: self.min - by, max: self.max + by }
+    }
+
+    #[inline]
+    pub(super) fn meets(&self, other: &Aabb) -> bool {
+        self.min.cmple(other.max).all() && other.min.cmple(self.max).all()
+    }
+
+    #[inline]
+    pub(super) fn contains(&self, point: DVec3) -> bool {
+        self.min.cmple(point).all() && point.cmple(self.max).all()
+    }
+}
+
+/// A closed mesh at given positions. It may intersect itself, lie inside out and have any number of components.
+#[derive(Clone, Debug)]
+pub struct Body<'a> {
+    pub(super) topology: &'a Topology,
+    pub(super) positions: &'a [DVec3],
+    pub(super) bounds: Aabb,
+    pub(super) block_bounds: Vec<Aabb>,
+    /// Mean of the vertices.
+    pub(super) centre: DVec3,
+    /// Of the ball about the centre that holds all.
+    pub(super) radius: f64,
+    /// Of a ball about the centre that is inside; 0 if none is known.
+    pub(super) inner_radius: f64,
+    /// As far as this every vertex may be displaced, and still the surface does not intersect itself; < 0 if that is not
+    /// known.
+    pub(super) slack: f64,
+    volume: f64,
+    area: f64,
+}
+
+/// Why positions are refused.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum BodyError {
+    /// Another number of positions than the topology has vertices.
+    #[error("{given} positions for {wanted} vertices")]
+    Count {
+        /// Positions given.
+        given: usize,
+        /// Vertices of the topology.
+        wanted: usize,
+    },
+    /// A coordinate that is not a number, infinite, or beyond 1e90.
+    #[error("vertex {vertex} is at {position}, which cannot be computed with")]
+    Position {
+        /// The first such vertex.
+        vertex: usize,
+        /// Where it is.
+        position: DVec3,
+    },
+}
+
+impl<'a> Body<'a> {
+    /// The mesh `topology` with its vertices at `positions` [scene unit], `[vertex_count]`.
+    ///
+    /// Takes time in proportion to the mesh; the union then takes time in proportion to the overlap.
+    ///
+    /// # Errors
+    ///
+    /// If a position cannot be computed with, or there are too many or too few.
+    pub fn new(topology: &'a Topology, positions: &'a [DVec3]) -> Result<Body<'a>, BodyError> {
+        if positions.len() != topology.vertex_count() {
+            return Err(BodyError::Count { given: positions.len(), wanted: topology.vertex_count() });
+        }
+        let mut sum = DVec3::ZERO;
+        for (vertex, &position) in positions.iter().enumerate() {
+            if !(position.abs().max_element() < FARTHEST && position.is_finite()) {
+                return Err(BodyError::Position { vertex, position });
+            }
+            sum += position;
+        }
+        let mut body = Body {
+            topology,
+            positions,
+            bounds: Aabb::EMPTY,
+            block_bounds: Vec::with_capacity(topology.block_count()),
+            centre: sum / positions.len().max(1) as f64,
+            radius: 0.0,
+            inner_radius: 0.0,
+            slack: -1.0,
+            volume: 0.0,
+            area: 0.0,
+        };
+        body.bound();
+        body.measure();
+        Ok(body)
+    }
+
+    fn bound(&mut self) {
+        let mut farthest = 0.0f64;
+        for block in 0..self.topology.block_count() {
+            let mut hull = Aabb::EMPTY;
+            for &v in self.topology.vertices_of_block(block) {
+                let p = self.position(v);
+                hull.take_in(p);
+                farthest = farthest.max(p.distance_squared(self.centre));
+            }
+            self.bounds = self.bounds.joined(&hull);
+            self.block_bounds.push(hull);
+        }
+        self.radius = farthest.sqrt();
+    }
+
+    /// Volume, area, and whether every triangle is seen from the centre, from within. A connected mesh of χ = 2 … any
+    /// connected mesh of which this holds covers the sphere of directions without a fold, so exactly once: it does not
+    /// intersect itself.
+    fn measure(&mut self) {
+        let mut least_height_squared = f64::INFINITY;
+        let mut least_slack = f64::INFINITY;
+        for corners in &self.topology.triangles {
+            let [a, b, c] = corners.map(|v| self.position(v) - self.centre);
+            let (ab, bc, ca) = (b - a, c - b, a - c);
+            let normal = ab.cross(-ca);
+            let volume = a.dot(normal);
+            let normal_squared = normal.length_squared();
+            self.volume += volume;
+            self.area += normal_squared.sqrt();
+            // A displacement by d of each corner changes the volume by no more than d (|a×b| + |b×c| + |c×a|), to first
+            // order, and |a×b| ≤ |a| |ab|; twice that for the higher orders.
+            let longest = ab.length_squared().max(bc.length_squared()).max(ca.length_squared()).sqrt();
+            least_slack = least_slack.min(volume / (6.0 * self.radius * longest));
+            least_height_squared = least_height_squared.min(volume * volume / normal_squared);
+        }
+        self.volume /= 6.0;
+        self.area /= 2.0;
+        if least_slack > 0.0 && self.topology.components == 1 {
+            self.slack = least_slack;
+            self.inner_radius = least_height_squared.sqrt();
+        }
+    }
+
+    /// The topology.
+    pub fn topology(&self) -> &'a Topology {
+        self.topology
+    }
+
+    /// Positions of the vertices [scene unit], `[vertex_count]`.
+    pub fn positions(&self) -> &'a [DVec3] {
+        self.positions
+    }
+
+    /// The box around it [scene unit].
+    pub fn bounds(&self) -> Aabb {
+        self.bounds
+    }
+
+    /// Signed volume [scene unit³]: of a mesh that intersects itself, volume times winding number.
+    pub fn volume(&self) -> f64 {
+        self.volume
+    }
+
+    /// Area [scene unit²].
+    pub fn area(&self) -> f64 {
+        self.area
+    }
+
+    #[inline]
+    pub(super) fn position(&self, vertex: u32) -> DVec3 {
+        self.positions[self.topology.place_of(vertex) as usize]
+    }
+
+    /// In front of its surface, weighted at every vertex so that neither the lengths of edges nor diagonals matter
+    /// (Max, *Weights for Computing Vertex Normals from Facet Normals*, 1999); 0 where it is not defined.
+    pub(super) fn normal(&self, vertex: u32) -> DVec3 {
+        let at = self.position(vertex);
+        let mut sum = DVec3::ZERO;
+        for &edge in self.topology.edges_at(vertex) {
+            let (t, k) = self.topology.triangle_left_of(edge, vertex);
+            let corners = &self.topology.triangles[t as usize];
+            let (a, b) = (self.position(corners[(k + 1) % 3]) - at, self.position(corners[(k + 2) % 3]) - at);
+            let weighted = a.cross(b) / (a.length_squared() * b.length_squared());
+            if weighted.is_finite() {
+                sum += weighted;
+            }
+        }
+        sum.try_normalize().unwrap_or(DVec3::ZERO)
+    }
+}

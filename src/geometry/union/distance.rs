@@ -1,0 +1,248 @@
+//! Distances: of a point to a surface, of a surface to a surface.
+
+use glam::DVec3;
+
+use super::body::{Aabb, Body};
+
+/// Boxes of boxes of a body's blocks.
+pub struct Tree<'t, 'a> {
+    pub body: &'t Body<'a>,
+    nodes: Vec<Branch>,
+}
+
+struct Branch {
+    bounds: Aabb,
+    /// Two branches, or a block twice.
+    parts: [u32; 2],
+    is_block: bool,
+}
+
+/// The place of a surface nearest to a point.
+#[derive(Clone, Copy, Debug)]
+pub struct Nearest {
+    pub distance_squared: f64,
+    pub position: DVec3,
+    triangle: u32,
+    feature: Feature,
+}
+
+/// What of a triangle is nearest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Feature {
+    Corner(usize),
+    /// From corner k to corner k + 1.
+    Edge(usize),
+    Inside,
+}
+
+impl<'t, 'a> Tree<'t, 'a> {
+    pub fn new(body: &'t Body<'a>) -> Self {
+        let mut blocks: Vec<u32> = (0..body.block_bounds.len() as u32).collect();
+        let mut tree = Tree { body, nodes: Vec::with_capacity(2 * blocks.len()) };
+        if !blocks.is_empty() {
+            tree.split(&mut blocks);
+        }
+        tree
+    }
+
+    /// Adds the branch of some blocks; its number.
+    fn split(&mut self, blocks: &mut [u32]) -> u32 {
+        let of = |b: u32| self.body.block_bounds[b as usize];
+        let bounds = blocks.iter().fold(Aabb::EMPTY, |sum, &b| sum.joined(&of(b)));
+        if let [only] = *blocks {
+            self.nodes.push(Branch { bounds, parts: [only; 2], is_block: true });
+            return self.nodes.len() as u32 - 1;
+        }
+        let extent = bounds.max - bounds.min;
+        let axis = if extent.x >= extent.y.max(extent.z) {
+            0
+        } else if extent.y >= extent.z {
+            1
+        } else {
+            2
+        };
+        let middle = blocks.len() / 2;
+        let key = |b: u32| of(b).min[axis] + of(b).max[axis];
+        blocks.select_nth_unstable_by(middle, |&a, &b| key(a).total_cmp(&key(b)).then(a.cmp(&b)));
+        let (low, high) = blocks.split_at_mut(middle);
+        let number = self.nodes.len();
+        self.nodes.push(Branch { bounds, parts: [0; 2], is_block: false });
+        let parts = [self.split(low), self.split(high)];
+        self.nodes[number].parts = parts;
+        number as u32
+    }
+
+    fn corners(&self, triangle: u32) -> [DVec3; 3] {
+        self.body.topology.triangles[triangle as usize].map(|v| self.body.position(v))
+    }
+
+    /// The nearest place of the surface; none of a body of no triangles.
+    pub fn nearest(&self, point: DVec3) -> Option<Nearest> {
+        let mut best: Option<Nearest> = None;
+        let mut queue = if self.nodes.is_empty() { vec![] } else { vec![(0, 0.0)] };
+        while let Some((branch, bound)) = queue.pop() {
+            let limit = best.map_or(f64::INFINITY, |b| b.distance_squared);
+            if bound >= limit {
+                continue;
+            }
+            let Branch { parts, is_block, .. } = self.nodes[branch as usize];
+            if !is_block {
+                let mut next = parts.map(|part| (part, point_to_box_squared(point, &self.nodes[part as usize].bounds)));
+                if next[0].1 < next[1].1 {
+                    next.swap(0, 1);
+                }
+                queue.extend(next);
+                continue;
+            }
+            for &triangle in self.body.topology.block(parts[0] as usize) {
+                let (position, feature) = nearest_of_triangle(point, self.corners(triangle));
+                let distance_squared = point.distance_squared(position);
+                if best.is_none_or(|b| distance_squared < b.distance_squared) {
+                    best = Some(Nearest { distance_squared, position, triangle, feature });
+                }
+            }
+        }
+        best
+    }
+
+    /// How deep a point is inside, < 0 outside [scene unit]: by the side of the normal at the nearest place, that of a
+    /// corner weighted by angles (Bærentzen and Aanæs, *Signed Distance Computation Using the Angle Weighted
+    /// Pseudonormal*, 2005).
+    pub fn depth(&self, point: DVec3) -> f64 {
+        let Some(nearest) = self.nearest(point) else { return f64::NEG_INFINITY };
+        let topology = self.body.topology;
+        let normal_of = |t: u32| {
+            let [a, b, c] = self.corners(t);
+            (b - a).cross(c - a).normalize_or_zero()
+        };
+        let normal = match nearest.feature {
+            Feature::Inside => normal_of(nearest.triangle),
+            Feature::Edge(k) => {
+                let edge = topology.triangle_edges[nearest.triangle as usize][k];
+                let [one, other] = topology.edge_triangles[edge as usize];
+                normal_of(one) + normal_of(other)
+            }
+            Feature::Corner(k) => {
+                let vertex = topology.triangles[nearest.triangle as usize][k];
+                let around = topology.edges_at(vertex).iter().map(|&edge| {
+                    let (t, k) = topology.triangle_left_of(edge, vertex);
+                    let corners = self.corners(t);
+                    let (a, b) = (corners[(k + 1) % 3] - corners[k], corners[(k + 2) % 3] - corners[k]);
+                    normal_of(t) * libm::atan2(a.cross(b).length(), a.dot(b))
+                });
+                around.sum()
+            }
+        };
+        let distance = nearest.distance_squared.sqrt();
+        if (point - nearest.position).dot(normal) <= 0.0 { distance } else { -distance }
+    }
+
+    /// The least distance to another surface that this one does not meet [scene unit].
+    pub fn distance(&self, other: &Tree) -> f64 {
+        let mut best = f64::INFINITY;
+        if self.nodes.is_empty() || other.nodes.is_empty() {
+            return best;
+        }
+        let mut queue = vec![(0, 0, 0.0)];
+        while let Some((a, b, bound)) = queue.pop() {
+            if bound >= best {
+                continue;
+            }
+            let (first, second) = (&self.nodes[a as usize], &other.nodes[b as usize]);
+            let size = |branch: &Branch| (branch.bounds.max - branch.bounds.min).length_squared();
+            let mut next = if !first.is_block && (second.is_block || size(first) >= size(second)) {
+                first.parts.map(|a| (a, b, 0.0))
+            } else if !second.is_block {
+                second.parts.map(|b| (a, b, 0.0))
+            } else {
+                for &s in self.body.topology.block(first.parts[0] as usize) {
+                    let corners = self.corners(s);
+                    let hull = Aabb::of(corners);
+                    for &t in other.body.topology.block(second.parts[0] as usize) {
+                        let others = other.corners(t);
+                        if box_to_box_squared(&hull, &Aabb::of(others)) < best {
+                            best = best.min(triangle_to_triangle_squared(corners, others));
+                        }
+                    }
+                }
+                continue;
+            };
+            for (a, b, bound) in &mut next {
+                *bound = box_to_box_squared(&self.nodes[*a as usize].bounds, &other.nodes[*b as usize].bounds);
+            }
+            if next[0].2 < next[1].2 {
+                next.swap(0, 1);
+            }
+            queue.extend(next);
+        }
+        best.sqrt()
+    }
+}
+
+fn point_to_box_squared(point: DVec3, bounds: &Aabb) -> f64 {
+    (bounds.min - point).max(point - bounds.max).max(DVec3::ZERO).length_squared()
+}
+
+fn box_to_box_squared(a: &Aabb, b: &Aabb) -> f64 {
+    (a.min - b.max).max(b.min - a.max).max(DVec3::ZERO).length_squared()
+}
+
+/// Ericson, *Real-Time Collision Detection*, 2005, section 5.1.5.
+fn nearest_of_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> (DVec3, Feature) {
+    let (ab, ac, ap) = (b - a, c - a, p - a);
+    let (d1, d2) = (ab.dot(ap), ac.dot(ap));
+    if d1 <= 0.0 && d2 <= 0.0 {
+        return (a, Feature::Corner(0));
+    }
+    let bp = p - b;
+    let (d3, d4) = (ab.dot(bp), ac.dot(bp));
+    if d3 >= 0.0 && d4 <= d3 {
+        return (b, Feature::Corner(1));
+    }
+    let vc = d1 * d4 - d3 * d2;
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
+        return (a + ab * (d1 / (d1 - d3)), Feature::Edge(0));
+    }
+    let cp = p - c;
+    let (d5, d6) = (ab.dot(cp), ac.dot(cp));
+    if d6 >= 0.0 && d5 <= d6 {
+        return (c, Feature::Corner(2));
+    }
+    let vb = d5 * d2 - d1 * d6;
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
+        return (a + ac * (d2 / (d2 - d6)), Feature::Edge(2));
+    }
+    let va = d3 * d6 - d5 * d4;
+    if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 {
+        return (b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6))), Feature::Edge(1));
+    }
+    let share = 1.0 / (va + vb + vc);
+    (a + ab * (vb * share) + ac * (vc * share), Feature::Inside)
+}
+
+/// Of two that do not meet: from a corner of one to the other, or from edge to edge.
+fn triangle_to_triangle_squared(first: [DVec3; 3], second: [DVec3; 3]) -> f64 {
+    let corners = |of: [DVec3; 3], to: [DVec3; 3]| {
+        of.into_iter().map(move |p| p.distance_squared(nearest_of_triangle(p, to).0)).fold(f64::INFINITY, f64::min)
+    };
+    let mut least = corners(first, second).min(corners(second, first));
+    for i in 0..3 {
+        for j in 0..3 {
+            let between = edge_to_edge_squared([first[i], first[(i + 1) % 3]], [second[j], second[(j + 1) % 3]]);
+            least = least.min(between);
+        }
+    }
+    least
+}
+
+/// Ericson 2005, section 5.1.9.
+fn edge_to_edge_squared([p1, q1]: [DVec3; 2], [p2, q2]: [DVec3; 2]) -> f64 {
+    let (d1, d2, r) = (q1 - p1, q2 - p2, p1 - p2);
+    let (a, e, f) = (d1.length_squared(), d2.length_squared(), d2.dot(r));
+    let (b, c) = (d1.dot(d2), d1.dot(r));
+    let ratio = |x: f64, y: f64| if y > 0.0 { (x / y).clamp(0.0, 1.0) } else { 0.0 };
+    let mut s = ratio(b * f - c * e, a * e - b * b);
+    let t = ratio(b * s + f, e);
+    s = ratio(b * t - c, a);
+    (p1 + d1 * s).distance_squared(p2 + d2 * t)
+}

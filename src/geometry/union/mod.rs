@@ -1,0 +1,159 @@
+//! The union of closed triangle meshes: one closed, manifold, oriented surface of many that overlap.
+//!
+//! The union is {winding number of any body ≥ 1}. Bodies may intersect themselves, touch, coincide, lie inside each other
+//! or inside out; where vertices of bodies remain they keep their place to the bit, and the surface says of each other
+//! vertex on which edge and triangle it arose. What a union costs follows the overlap, not the size of the meshes.
+//!
+//! # Method
+//!
+//! 1. Predicates see the bodies in general position ([`placement`]): displaced by some 1e-9 of their size, such that
+//!    bodies in contact are apart. The result has the true positions. Displacing numbers in place of symbols (Edelsbrunner
+//!    and Mücke, *Simulation of Simplicity*, 1990; Smith, *Towards Robust Inexact Geometric Computation*, 2009, and the
+//!    library Manifold, which displace along normals) leaves every predicate a plain polynomial.
+//! 2. The sign of a polynomial is that of its f64 value where a bound of the error allows, else of its exact value
+//!    ([`exact`]; Shewchuk 1997). Where edges and triangles meet is never rounded: it stays the pair (edge, triangle), as
+//!    the implicit points of Attene (*Indirect Predicates for Geometric Constructions*, 2020) and of Cherchi et al.
+//!    (*Fast and Robust Mesh Arrangements*, 2020; *Interactive and Robust Mesh Booleans*, 2022).
+//! 3. Boxes of bodies, of blocks of triangles and of triangles find what may meet ([`candidates`]); signs tell what does
+//!    ([`arrangement`]).
+//! 4. Winding numbers (Zhou et al., *Mesh Arrangements for Solid Geometry*, 2016) flood from where they are known
+//!    ([`winding`]), and are checked at the end of every edge and segment. A side of a triangle bounds the union if
+//!    nothing is in front of it and something behind it.
+//! 5. Cut triangles are filled anew ([`faces`], [`triangulate`]), whole ones kept; that all is closed is checked
+//!    ([`surface`]).
+//!
+//! Bodies are put in an order of their own first, and each loop that may run on several threads has a fixed order of
+//! results: neither the order in which bodies are given nor the number of threads changes the surface.
+
+mod arrangement;
+mod body;
+mod candidates;
+mod distance;
+mod exact;
+mod faces;
+mod measures;
+mod placement;
+mod report;
+mod seams;
+mod surface;
+#[cfg(test)]
+mod tests;
+mod topology;
+mod triangulate;
+mod winding;
+
+pub use body::{Aabb, Body, BodyError};
+pub use measures::{PairMeasures, gap, pair_measures};
+pub use report::{Budget, UnionError};
+pub use seams::Seam;
+pub use surface::{Component, NewTriangle, NewVertex, Origin, Statistics, Union, UnionMesh};
+pub use topology::{Topology, TopologyError};
+
+use arrangement::Arrangement;
+use faces::Faces;
+use placement::Placement;
+use report::{Failure, Meter};
+use winding::Classified;
+
+/// Displacements to try. One has always been enough, save for bodies without any extent.
+const ATTEMPTS: u32 = 6;
+
+/// The boundary of the union of `bodies`.
+///
+/// # Errors
+///
+/// If the budget does not suffice, there are too many vertices to count, or no attempt finds the bodies in general
+/// position. There is nothing to be done about any of these but to show the bodies as they are.
+pub fn union<'a, 'b>(bodies: &'b [Body<'a>], budget: &Budget) -> Result<Union<'a, 'b>, UnionError> {
+    let total = |count: &dyn Fn(&Topology) -> usize| bodies.iter().map(|b| count(b.topology())).sum::<usize>();
+    let most = total(&|t| t.edges.len()).max(total(&Topology::fan_count));
+    if most >= 1 << 30 {
+        return Err(UnionError::TooLarge);
+    }
+    let meter = Meter::new(*budget);
+    let order = canonical_order(bodies);
+    let mut reason = "";
+    for attempt in 0..ATTEMPTS {
+        match attempt_union(bodies, &order, attempt, &meter) {
+            Ok(mut union) => {
+                union.statistics.retries = attempt;
+                union.statistics.work = meter.spent();
+                return Ok(union);
+            }
+            Err(Failure::GaveUp) => return Err(meter.gave_up()),
+            Err(Failure::Tie) => reason = "a tie",
+            Err(Failure::Inconsistent(what)) => reason = what,
+        }
+    }
+    Err(UnionError::Undecided { attempts: ATTEMPTS, reason })
+}
+
+fn attempt_union<'a, 'b>(
+    bodies: &'b [Body<'a>],
+    order: &[u32],
+    attempt: u32,
+    meter: &Meter,
+) -> Result<Union<'a, 'b>, Failure> {
+    let chosen: Vec<&Body> = order.iter().map(|&b| &bodies[b as usize]).collect();
+    let mut placement = Placement::new(chosen, attempt);
+    let order: Vec<u32> = placement.kept.iter().map(|&i| order[i as usize]).collect();
+    let mut included = vec![false; bodies.len()];
+    for &b in &order {
+        included[b as usize] = true;
+    }
+    let mut union = Union::untouched(bodies, &included);
+    union.statistics.pairs = placement.pairs.len();
+    union.statistics.folds = placement.folds.iter().filter(|f| **f).count();
+    union.statistics.dropped = placement.dropped;
+    if placement.pairs.is_empty() && union.statistics.folds == 0 {
+        return Ok(union);
+    }
+
+    let meetings = candidates::meetings(&placement);
+    for meeting in &meetings {
+        for k in 0..2 {
+            placement.place(meeting.bodies[k], &meeting.blocks[k]);
+        }
+    }
+    for body in 0..placement.bodies.len() as u32 {
+        if placement.folds[body as usize] {
+            let all: Vec<u32> = (0..placement.bodies[body as usize].topology.block_count() as u32).collect();
+            placement.place(body, &all);
+        }
+    }
+
+    let threads = rayon::current_num_threads() > 1 && winding::is_worth_threads(&meetings);
+    let candidates = candidates::edges_and_triangles(&placement, &meetings, meter, threads)?;
+    union.statistics.tests = candidates.len();
+    let mut arrangement = Arrangement::new(&placement, &candidates, threads)?;
+    let mut classified = Classified::new(&placement, &meetings, &mut arrangement, meter, threads)?;
+    arrangement.find_triple_points(&placement, meter, threads)?;
+    classified.walk_segments(&arrangement, meter)?;
+    let faces = Faces::new(&placement, &arrangement, &classified, meter, threads)?;
+
+    union.statistics.nodes = arrangement.nodes.len();
+    union.statistics.segments = arrangement.segments.len();
+    union.statistics.triple_points = arrangement.triple_points.len();
+    union.assemble(&placement, &arrangement, &classified, faces, &order)
+}
+
+/// The bodies by their positions, each kind once: so the result does not depend on the order in which they are given.
+fn canonical_order(bodies: &[Body]) -> Vec<u32> {
+    let compare = |&a: &u32, &b: &u32| {
+        let (a, b) = (&bodies[a as usize], &bodies[b as usize]);
+        let keys = |body: &Body| (body.bounds.min.to_array(), body.bounds.max.to_array());
+        let ((a_min, a_max), (b_min, b_max)) = (keys(a), keys(b));
+        let by_bounds = (0..3).map(|k| a_min[k].total_cmp(&b_min[k]).then(a_max[k].total_cmp(&b_max[k])));
+        let by_positions = (a.positions.iter().zip(b.positions))
+            .flat_map(|(p, q)| [p.x.total_cmp(&q.x), p.y.total_cmp(&q.y), p.z.total_cmp(&q.z)]);
+        by_bounds
+            .chain(by_positions)
+            .find(|ordering| ordering.is_ne())
+            .unwrap_or_else(|| a.positions.len().cmp(&b.positions.len()))
+            .then_with(|| a.topology.triangles.cmp(&b.topology.triangles))
+    };
+    let mut order: Vec<u32> = (0..bodies.len() as u32).collect();
+    order.sort_by(compare);
+    order.dedup_by(|a, b| compare(a, b).is_eq());
+    order
+}

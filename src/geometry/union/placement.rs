@@ -1,0 +1,229 @@
+//! The bodies as the predicates see them: in general position.
+//!
+//! Bodies that touch, coincide or are aligned are the rule, not the exception: scenes along the axes, copies, stacks.
+//! The predicates therefore see every body deflated by a little, its own little, and every vertex displaced by a
+//! hundredth of that at random (but always alike). So bodies in contact are apart, of identical ones one is inside the
+//! other, and four points of a plane, or six numbers that happen to satisfy an equation, do not occur; where they do
+//! all the same, everything is done again with other displacements. The result has the true positions.
+
+use glam::DVec3;
+
+use super::{
+    body::{Aabb, Body},
+    candidates::body_pairs,
+};
+
+/// Largest random displacement in a body's scale.
+const JITTER: f64 = 1.0 / (1u64 << 36) as f64;
+/// The same, in the scene's: what its coordinates can tell apart.
+const SCENE_JITTER: f64 = 1.0 / (1u64 << 47) as f64;
+/// Deflation over jitter.
+const DEFLATION: f64 = 64.0;
+/// Deflations that differ. Where more bodies than this lie in one place, some are deflated alike.
+const COLOURS: u32 = 64;
+/// The smallest body over its jitter: a smaller one is left out.
+const SMALLEST: f64 = (1u64 << 20) as f64;
+/// Coordinates are multiples of 1 over this, the scene lying within ±1: so polynomials of degree 12, the highest in use,
+/// neither under- nor overflow, and their expansions are exact.
+const LATTICE: f64 = (1u64 << 60) as f64;
+
+/// The bodies of a union, perturbed.
+pub struct Placement<'a, 'b> {
+    pub bodies: Vec<&'b Body<'a>>,
+    /// Which of the bodies given they are: bodies too small to be resolved beside the others are left out.
+    pub kept: Vec<u32>,
+    /// How many are left out.
+    pub dropped: usize,
+    /// First vertex, edge and triangle of each body, in numbers that are unique among the bodies; and the ends.
+    pub first_vertex: Vec<u32>,
+    pub first_edge: Vec<u32>,
+    pub first_triangle: Vec<u32>,
+    /// Pairs whose boxes meet, ascending.
+    pub pairs: Vec<[u32; 2]>,
+    /// Farther than this no vertex of a body is displaced [scene unit].
+    pub displaced: Vec<f64>,
+    /// What is to be tested against itself.
+    pub folds: Vec<bool>,
+    /// Positions as the predicates see them; only those asked for by [`Placement::place`].
+    pub placed: Vec<DVec3>,
+    scale: f64,
+    jitter: Vec<f64>,
+    deflation: Vec<f64>,
+    seed: u64,
+}
+
+impl<'a, 'b> Placement<'a, 'b> {
+    /// Of `bodies`, in an order that depends on them alone. Every attempt has displacements of its own.
+    pub fn new(bodies: Vec<&'b Body<'a>>, attempt: u32) -> Self {
+        let farthest =
+            bodies.iter().map(|b| b.bounds.min.abs().max(b.bounds.max.abs()).max_element()).fold(0.0, f64::max);
+        // A power of two, so that scaling does not round.
+        let scale = 1.0 / power_of_two_above(farthest);
+        let jitter_of = |body: &Body| (JITTER * power_of_two_above(body.radius * scale)).max(SCENE_JITTER);
+        let given = bodies.len();
+        let is_resolved = |body: &Body| body.radius * scale > SMALLEST * jitter_of(body);
+        let kept: Vec<u32> = (0..given as u32).filter(|&b| is_resolved(bodies[b as usize])).collect();
+        let bodies: Vec<&Body> = kept.iter().map(|&b| bodies[b as usize]).collect();
+        let jitter: Vec<f64> = bodies.iter().map(|b| jitter_of(b)).collect();
+
+        let most = DEFLATION * f64::from(2 * COLOURS + 1) + 4.0;
+        let displaced: Vec<f64> = jitter.iter().map(|j| j * most / scale).collect();
+        let boxes: Vec<Aabb> = bodies.iter().zip(&displaced).map(|(b, d)| b.bounds.grown(*d)).collect();
+        let pairs = body_pairs(&boxes);
+        // Odd multiples, so that different colours deflate differently whatever the bodies' scales.
+        let deflation: Vec<f64> = (jitter.iter().zip(colours(bodies.len(), &pairs)))
+            .map(|(j, colour)| j * DEFLATION * f64::from(2 * (colour % COLOURS) + 1))
+            .collect();
+        let folds = (0..bodies.len()).map(|b| bodies[b].slack <= (deflation[b] + 4.0 * jitter[b]) / scale).collect();
+
+        let ends = |count: &dyn Fn(&Body) -> usize| {
+            let mut sum = 0;
+            std::iter::once(0)
+                .chain(bodies.iter().map(|b| {
+                    sum += count(b) as u32;
+                    sum
+                }))
+                .collect::<Vec<u32>>()
+        };
+        let first_vertex = ends(&|b| b.topology.fan_count());
+        let vertices = first_vertex[bodies.len()] as usize;
+        Placement {
+            first_vertex,
+            first_edge: ends(&|b| b.topology.edges.len()),
+            first_triangle: ends(&|b| b.topology.triangles.len()),
+            pairs,
+            displaced,
+            folds,
+            placed: vec![DVec3::ZERO; vertices],
+            scale,
+            jitter,
+            deflation,
+            seed: u64::from(attempt),
+            dropped: given - kept.len(),
+            kept,
+            bodies,
+        }
+    }
+
+    /// Where the predicates see a vertex of a body.
+    pub fn position(&self, body: u32, vertex: u32) -> DVec3 {
+        let (b, global) = (body as usize, self.first_vertex[body as usize] + vertex);
+        let mesh = self.bodies[b];
+        let true_position = mesh.position(vertex) * self.scale;
+        let displaced =
+            true_position - mesh.normal(vertex) * self.deflation[b] + random(global, self.seed) * self.jitter[b];
+        (displaced * LATTICE).round() / LATTICE
+    }
+
+    /// Fills in `placed` for the vertices of blocks of a body.
+    pub fn place(&mut self, body: u32, blocks: &[u32]) {
+        let mesh = self.bodies[body as usize];
+        let first = self.first_vertex[body as usize];
+        for &block in blocks {
+            for &vertex in mesh.topology.vertices_of_block(block as usize) {
+                // No vertex lies in the very origin that has been placed, save one in 2^150.
+                if self.placed[(first + vertex) as usize] == DVec3::ZERO {
+                    self.placed[(first + vertex) as usize] = self.position(body, vertex);
+                }
+            }
+        }
+    }
+
+    /// The scene's units in those of `placed`.
+    pub fn scale(&self) -> f64 {
+        self.scale
+    }
+
+    #[inline]
+    pub fn corners(&self, triangle: u32, body: u32) -> [u32; 3] {
+        let local = triangle - self.first_triangle[body as usize];
+        let first = self.first_vertex[body as usize];
+        self.bodies[body as usize].topology.triangles[local as usize].map(|v| v + first)
+    }
+
+    #[inline]
+    pub fn edges_of(&self, triangle: u32, body: u32) -> [u32; 3] {
+        let local = triangle - self.first_triangle[body as usize];
+        let first = self.first_edge[body as usize];
+        self.bodies[body as usize].topology.triangle_edges[local as usize].map(|e| e + first)
+    }
+
+    #[inline]
+    pub fn ends(&self, edge: u32, body: u32) -> [u32; 2] {
+        let local = edge - self.first_edge[body as usize];
+        let first = self.first_vertex[body as usize];
+        self.bodies[body as usize].topology.edges[local as usize].map(|v| v + first)
+    }
+
+    /// The triangle that runs along an edge and the one that runs against it.
+    #[inline]
+    pub fn sides_of(&self, edge: u32, body: u32) -> [u32; 2] {
+        let local = edge - self.first_edge[body as usize];
+        let first = self.first_triangle[body as usize];
+        self.bodies[body as usize].topology.edge_triangles[local as usize].map(|t| t + first)
+    }
+
+    /// Positions as the predicates see them.
+    #[inline]
+    pub fn placed_corners(&self, triangle: u32, body: u32) -> [DVec3; 3] {
+        self.corners(triangle, body).map(|v| self.placed[v as usize])
+    }
+
+    /// The true position of a vertex [scene unit].
+    #[inline]
+    pub fn true_position(&self, vertex: u32, body: u32) -> DVec3 {
+        self.bodies[body as usize].position(vertex - self.first_vertex[body as usize])
+    }
+
+    pub fn body_of_triangle(&self, triangle: u32) -> u32 {
+        self.first_triangle.partition_point(|&first| first <= triangle) as u32 - 1
+    }
+
+    pub fn body_of_edge(&self, edge: u32) -> u32 {
+        self.first_edge.partition_point(|&first| first <= edge) as u32 - 1
+    }
+
+    pub fn body_of_vertex(&self, vertex: u32) -> u32 {
+        self.first_vertex.partition_point(|&first| first <= vertex) as u32 - 1
+    }
+}
+
+/// The least power of two above `x`, 1 of 0.
+fn power_of_two_above(x: f64) -> f64 {
+    if x < 1e-300 {
+        return 1.0;
+    }
+    // The exponent alone is a power of two ≤ x.
+    2.0 * f64::from_bits(x.to_bits() & 0x7ff0_0000_0000_0000)
+}
+
+/// Uniform in (−1, 1)³ (SplitMix64).
+fn random(index: u32, seed: u64) -> DVec3 {
+    let mut state = u64::from(index).wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ seed.wrapping_mul(0xD1B5_4A32_D192_ED03);
+    let mut next = || {
+        state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = state;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^= z >> 31;
+        (z >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    };
+    DVec3::new(next(), next(), next())
+}
+
+/// The least colours such that those of a pair differ, greedily.
+fn colours(bodies: usize, pairs: &[[u32; 2]]) -> Vec<u32> {
+    let mut lower = vec![Vec::new(); bodies];
+    for &[a, b] in pairs {
+        lower[b as usize].push(a);
+    }
+    let mut colours = vec![0; bodies];
+    for b in 0..bodies {
+        let mut taken: Vec<u32> = lower[b].iter().map(|&a| colours[a as usize]).collect();
+        taken.sort_unstable();
+        for colour in taken {
+            colours[b] += u32::from(colour == colours[b]);
+        }
+    }
+    colours
+}

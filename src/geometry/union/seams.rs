@@ -1,0 +1,72 @@
+//! Where the surfaces of two bodies meet on a union.
+
+use glam::DVec3;
+
+use super::surface::Union;
+
+/// A line along which the surfaces of two bodies meet.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Seam {
+    /// Ascending.
+    pub bodies: [u32; 2],
+    /// Along it, by the numbers of [`Union::first_vertex`]; on the first body's surface the union is on its left.
+    pub vertices: Vec<u32>,
+    /// Whether it returns to its first vertex. It does not where it ends on a third body.
+    pub is_closed: bool,
+    /// Length [scene unit].
+    pub length: f64,
+    /// Vector area [scene unit²] of a closed one: that of any surface it bounds, for a flat loop its area times its
+    /// normal, to the side of the first body.
+    pub vector_area: DVec3,
+}
+
+/// Puts edges together.
+pub(super) fn seams(union: &Union, mut edges: Vec<([u32; 2], u32, u32)>) -> Vec<Seam> {
+    edges.sort_unstable();
+    let mut seams = Vec::new();
+    for pair in edges.chunk_by(|a, b| a.0 == b.0) {
+        let mut used = vec![false; pair.len()];
+        let mut arrivals: Vec<u32> = pair.iter().map(|e| e.2).collect();
+        arrivals.sort_unstable();
+        // Those with a beginning first; what is left is closed.
+        let has_beginning = |e: &([u32; 2], u32, u32)| arrivals.binary_search(&e.1).is_err();
+        let starts = (0..pair.len()).filter(|&i| has_beginning(&pair[i])).chain(0..pair.len());
+        for start in starts {
+            if used[start] {
+                continue;
+            }
+            let mut vertices = Vec::new();
+            let mut at = start;
+            let last = loop {
+                used[at] = true;
+                vertices.push(pair[at].1);
+                let next = pair.partition_point(|e| e.1 < pair[at].2);
+                let next = (next..pair.len()).take_while(|&i| pair[i].1 == pair[at].2).find(|&i| !used[i]);
+                match next {
+                    Some(next) => at = next,
+                    None => break pair[at].2,
+                }
+            };
+            let is_closed = last == vertices[0];
+            if !is_closed {
+                vertices.push(last);
+            }
+            seams.push(measured(union, pair[0].0, vertices, is_closed));
+        }
+    }
+    seams
+}
+
+fn measured(union: &Union, bodies: [u32; 2], vertices: Vec<u32>, is_closed: bool) -> Seam {
+    let origin = union.position(vertices[0]);
+    let (mut length, mut vector_area) = (0.0, DVec3::ZERO);
+    let mut from = DVec3::ZERO;
+    let closing = is_closed.then_some(vertices[0]);
+    for &v in vertices[1..].iter().chain(&closing) {
+        let to = union.position(v) - origin;
+        length += from.distance(to);
+        vector_area += 0.5 * from.cross(to);
+        from = to;
+    }
+    Seam { bodies, vertices, is_closed, length, vector_area: if is_closed { vector_area } else { DVec3::ZERO } }
+}

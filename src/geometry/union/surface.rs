@@ -1,0 +1,630 @@
+//! The union, as what it takes from the bodies and what it adds.
+
+use glam::DVec3;
+use rustc_hash::FxHashMap;
+
+use super::{
+    arrangement::Arrangement,
+    body::Body,
+    faces::{Faces, Points},
+    placement::Placement,
+    report::Failure,
+    seams::{Seam, seams},
+    winding::Classified,
+};
+
+/// Where a vertex of the union is from. Vertices, edges and triangles are those of the bodies as they were given.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Origin {
+    /// A body's vertex: it is where that is, to the bit.
+    Vertex {
+        /// The body.
+        body: u32,
+        /// Its vertex.
+        vertex: u32,
+    },
+    /// Where an edge of one body passes through a triangle of another, or of its own.
+    Edge {
+        /// The body of the edge.
+        body: u32,
+        /// Vertices from … to.
+        edge: [u32; 2],
+        /// Place on the edge, 0 … 1.
+        at: f64,
+        /// The body of the triangle.
+        through: u32,
+        /// The triangle.
+        triangle: u32,
+    },
+    /// Where three triangles meet: (body, triangle) of each.
+    Triangles([[u32; 2]; 3]),
+    /// Added within a triangle, where its part could not be divided otherwise.
+    Within {
+        /// The body.
+        body: u32,
+        /// Its triangle.
+        triangle: u32,
+    },
+}
+
+/// A new vertex: its place and where it is from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NewVertex {
+    /// [scene unit]
+    pub position: DVec3,
+    /// Where it is from.
+    pub origin: Origin,
+}
+
+/// A new triangle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NewTriangle {
+    /// Vertices, counter-clockwise from outside: those of body b start at [`Union::first_vertex`]`[b]`, new ones follow
+    /// those of the last body.
+    pub corners: [u32; 3],
+    /// The body and triangle of which it is a part.
+    pub part_of: [u32; 2],
+}
+
+/// Counts of what happened.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Statistics {
+    /// Attempts beyond the first.
+    pub retries: u32,
+    /// Pairs of bodies whose boxes meet.
+    pub pairs: usize,
+    /// Edges and triangles tested.
+    pub tests: usize,
+    /// Edges through triangles.
+    pub nodes: usize,
+    /// Triangles through triangles.
+    pub segments: usize,
+    /// Places where three triangles meet.
+    pub triple_points: usize,
+    /// Bodies tested against themselves.
+    pub folds: usize,
+    /// Bodies left out, being smaller than arithmetic resolves beside the others.
+    pub dropped: usize,
+    /// Steps of work, as in [`super::Budget`].
+    pub work: u64,
+}
+
+/// The boundary of the union of bodies: closed, manifold, oriented.
+///
+/// It is kept as a difference from the bodies, so that it costs no more than their overlap; [`Union::mesh`] makes a mesh
+/// of it.
+#[derive(Clone, Debug)]
+pub struct Union<'a, 'b> {
+    pub(super) bodies: &'b [Body<'a>],
+    /// The number of each body's first vertex, and that of the first new vertex.
+    pub first_vertex: Vec<u32>,
+    /// Triangles of each body that are not in the union, ascending, or no longer whole.
+    pub removed: Vec<Vec<u32>>,
+    /// Bodies that are left out from the start: copies of others, and those too small to be resolved.
+    absent: Vec<bool>,
+    /// Vertices that no body has.
+    pub new_vertices: Vec<NewVertex>,
+    /// Triangles that no body has.
+    pub new_triangles: Vec<NewTriangle>,
+    /// Where the surfaces of two bodies meet.
+    pub seams: Vec<Seam>,
+    /// Volume [scene unit³].
+    pub volume: f64,
+    /// Area [scene unit²].
+    pub area: f64,
+    /// Vertices − edges + triangles.
+    pub euler: i64,
+    /// What happened.
+    pub statistics: Statistics,
+    /// The bodies' volumes less the union's.
+    pub(super) taken: f64,
+}
+
+/// A connected part of the surface of a union.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Component {
+    /// Vertices − edges + triangles: 2 − 2 × genus.
+    pub euler: i64,
+    /// Volume inside [scene unit³]; < 0 of the surface of a void, which counts against the component about it.
+    pub volume: f64,
+    /// Area [scene unit²].
+    pub area: f64,
+}
+
+impl Component {
+    /// Handles.
+    pub fn genus(&self) -> i64 {
+        (2 - self.euler) / 2
+    }
+}
+
+/// A union as a mesh.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct UnionMesh {
+    /// [scene unit], `[vertex_count]`
+    pub positions: Vec<DVec3>,
+    /// Where each vertex is from, `[vertex_count]`.
+    pub origins: Vec<Origin>,
+    /// Vertices of each triangle, counter-clockwise from outside.
+    pub triangles: Vec<[u32; 3]>,
+    /// The body and triangle that each is, or is a part of, `[triangle_count]`.
+    pub sources: Vec<[u32; 2]>,
+    /// Of [`Union::first_vertex`]'s numbers, those here; `u32::MAX` where a vertex is not in the union.
+    pub names: Vec<u32>,
+}
+
+impl<'a, 'b> Union<'a, 'b> {
+    /// Of no bodies but `bodies`, each as it is, where `included`.
+    pub(super) fn untouched(bodies: &'b [Body<'a>], included: &[bool]) -> Union<'a, 'b> {
+        let mut first_vertex = vec![0];
+        for body in bodies {
+            first_vertex.push(first_vertex[first_vertex.len() - 1] + body.topology.fan_count() as u32);
+        }
+        let mut union = Union {
+            bodies,
+            first_vertex,
+            removed: vec![Vec::new(); bodies.len()],
+            absent: included.iter().map(|included| !included).collect(),
+            new_vertices: Vec::new(),
+            new_triangles: Vec::new(),
+            seams: Vec::new(),
+            volume: 0.0,
+            area: 0.0,
+            euler: 0,
+            statistics: Statistics::default(),
+            taken: 0.0,
+        };
+        for (b, body) in bodies.iter().enumerate() {
+            if included[b] {
+                union.volume += body.volume();
+                union.area += body.area();
+                let topology = body.topology;
+                union.euler += i64::from(topology.used_vertices) - topology.triangles.len() as i64 / 2;
+            } else {
+                union.taken += body.volume();
+                union.removed[b] = (0..body.topology.triangles.len() as u32).collect();
+            }
+        }
+        union
+    }
+
+    /// What the faces put in place of what they are parts of and of what is inside. `order` has the caller's number of
+    /// every placed body.
+    pub(super) fn assemble(
+        mut self,
+        placement: &Placement,
+        arrangement: &Arrangement,
+        classified: &Classified,
+        faces: Faces,
+        order: &[u32],
+    ) -> Result<Union<'a, 'b>, Failure> {
+        let points = Points::new(placement, arrangement);
+        let marks = Marks::new(placement, arrangement, classified);
+
+        // Names: the bodies' in the caller's order, then new ones as they come.
+        let mut names: FxHashMap<u32, u32> = FxHashMap::default();
+        let new_name = |union: &mut Self, position: DVec3, origin: Origin| {
+            union.new_vertices.push(NewVertex { position, origin });
+            union.first_vertex[union.bodies.len()] + union.new_vertices.len() as u32 - 1
+        };
+        let named =
+            |body: u32, triangle: u32| [order[body as usize], triangle - placement.first_triangle[body as usize]];
+        let mut name = |union: &mut Self, point: u32| -> u32 {
+            if point < points.first_node {
+                let body = placement.body_of_vertex(point);
+                return point - placement.first_vertex[body as usize]
+                    + union.first_vertex[order[body as usize] as usize];
+            }
+            if let Some(&name) = names.get(&point) {
+                return name;
+            }
+            let (position, origin) = if point < points.first_triple {
+                let number = point - points.first_node;
+                let node = &arrangement.nodes[number as usize];
+                let body = placement.bodies[node.edge_body as usize];
+                let ends = placement.ends(node.edge, node.edge_body);
+                let edge = ends.map(|v| body.topology.place_of(v - placement.first_vertex[node.edge_body as usize]));
+                let [through, triangle] = named(node.passage.body, node.passage.triangle);
+                let origin = Origin::Edge {
+                    body: order[node.edge_body as usize],
+                    edge,
+                    at: arrangement.places[number as usize],
+                    through,
+                    triangle,
+                };
+                (arrangement.true_position(placement, super::arrangement::End::Node(number)), origin)
+            } else if point < points.first_added {
+                let number = (point - points.first_triple) as usize;
+                let triangles = arrangement.triple_point_triangles[number];
+                let origin = Origin::Triangles(triangles.map(|t| named(placement.body_of_triangle(t), t)));
+                (arrangement.triple_points[number], origin)
+            } else {
+                let number = (point - points.first_added) as usize;
+                let (triangle, body) = faces.added_in[number];
+                let [body, triangle] = named(body, triangle);
+                (faces.added[number], Origin::Within { body, triangle })
+            };
+            let name = new_name(union, position, origin);
+            names.insert(point, name);
+            name
+        };
+        for face in &faces.faces {
+            let corners = face.corners.map(|p| name(&mut self, p));
+            self.new_triangles.push(NewTriangle { corners, part_of: named(face.body, face.triangle) });
+        }
+        let mut seam_edges = Vec::with_capacity(faces.seam.len());
+        for edge in &faces.seam {
+            let [a, b] = edge.bodies.map(|b| order[b as usize]);
+            let (from, to) = (name(&mut self, edge.from), name(&mut self, edge.to));
+            seam_edges.push(if a < b { ([a, b], from, to) } else { ([b, a], to, from) });
+        }
+        for &triangle in &marks.gone {
+            let [body, triangle] = named(placement.body_of_triangle(triangle), triangle);
+            self.removed[body as usize].push(triangle);
+        }
+        for removed in &mut self.removed {
+            removed.sort_unstable();
+        }
+
+        self.audit()?;
+        self.count_and_measure();
+        if placement.folds.contains(&true) {
+            self.split_touching_fans()?;
+        }
+        self.seams = seams(&self, seam_edges);
+        Ok(self)
+    }
+
+    /// Where a vertex is [scene unit].
+    pub fn position(&self, vertex: u32) -> DVec3 {
+        let body = self.body_of(vertex);
+        match self.bodies.get(body) {
+            Some(body_of_it) => body_of_it.position(vertex - self.first_vertex[body]),
+            None => self.new_vertices[(vertex - self.first_vertex[self.bodies.len()]) as usize].position,
+        }
+    }
+
+    /// The body of a vertex; their number, of a new one.
+    fn body_of(&self, vertex: u32) -> usize {
+        self.first_vertex.partition_point(|&first| first <= vertex) - 1
+    }
+
+    /// Whether something of a body, or all of it, is inside others or the same as another.
+    pub(super) fn is_inside(&self, body: usize) -> bool {
+        !self.removed[body].is_empty()
+    }
+
+    fn is_removed(&self, body: u32, triangle: u32) -> bool {
+        self.removed[body as usize].binary_search(&triangle).is_ok()
+    }
+
+    /// Checks that new triangles close what was removed: each edge of theirs is that of another, the other way round, or
+    /// of a triangle that is still there, and nothing of those is open.
+    fn audit(&self) -> Result<(), Failure> {
+        let mut edges: Vec<([u32; 2], bool, u32)> = Vec::with_capacity(3 * self.new_triangles.len());
+        for (i, triangle) in self.new_triangles.iter().enumerate() {
+            for k in 0..3 {
+                let (a, b) = (triangle.corners[k], triangle.corners[(k + 1) % 3]);
+                if a == b {
+                    return Err(Failure::Inconsistent("a triangle of two corners"));
+                }
+                edges.push(([a.min(b), a.max(b)], a < b, i as u32));
+            }
+        }
+        edges.sort_unstable();
+        let mut unpaired = 0;
+        for group in edges.chunk_by(|a, b| a.0 == b.0) {
+            match group {
+                [one, other] if one.1 != other.1 => {}
+                [(ends, along, i)] => {
+                    let [body, triangle] = self.new_triangles[*i as usize].part_of;
+                    let topology = self.bodies[body as usize].topology;
+                    let first = self.first_vertex[body as usize];
+                    let [from, to] = if *along { *ends } else { [ends[1], ends[0]] };
+                    let corners = topology.triangles[triangle as usize].map(|v| v + first);
+                    let k = (0..3).find(|&k| corners[k] == from && corners[(k + 1) % 3] == to);
+                    let edge = k.map(|k| topology.triangle_edges[triangle as usize][k]);
+                    let beside = edge.map(|edge| topology.edge_triangles[edge as usize][usize::from(*along)]);
+                    if beside.is_none_or(|t| self.is_removed(body, t)) {
+                        return Err(Failure::Inconsistent("an open edge"));
+                    }
+                    unpaired += 1;
+                }
+                _ => return Err(Failure::Inconsistent("an edge of three triangles")),
+            }
+        }
+        let mut open = 0;
+        for (b, removed) in self.removed.iter().enumerate() {
+            let topology = self.bodies[b].topology;
+            if removed.len() == topology.triangles.len() {
+                continue;
+            }
+            for &t in removed {
+                for edge in topology.triangle_edges[t as usize] {
+                    let [one, other] = topology.edge_triangles[edge as usize];
+                    let beside = if one == t { other } else { one };
+                    open += usize::from(!self.is_removed(b as u32, beside));
+                }
+            }
+        }
+        if open == unpaired { Ok(()) } else { Err(Failure::Inconsistent("an edge left open")) }
+    }
+
+    /// Triangles removed, by body, of those that were not left out.
+    fn removed_of_present(&self) -> impl Iterator<Item = (usize, &Vec<u32>)> {
+        self.removed.iter().enumerate().filter(|(b, _)| !self.absent[*b])
+    }
+
+    /// Vertices of removed triangles that occur no more.
+    fn lost_vertices(&self) -> i64 {
+        let mut used: Vec<u32> = self.new_triangles.iter().flat_map(|t| t.corners).collect();
+        used.sort_unstable();
+        used.dedup();
+        let mut lost = 0;
+        for (b, removed) in self.removed_of_present() {
+            let topology = self.bodies[b].topology;
+            let mut vertices: Vec<u32> = removed.iter().flat_map(|&t| topology.triangles[t as usize]).collect();
+            vertices.sort_unstable();
+            vertices.dedup();
+            for v in vertices {
+                let is_kept = || {
+                    (topology.edges_at(v).iter())
+                        .any(|&e| !self.is_removed(b as u32, topology.triangle_left_of(e, v).0))
+                };
+                lost += i64::from(used.binary_search(&(v + self.first_vertex[b])).is_err() && !is_kept());
+            }
+        }
+        lost
+    }
+
+    fn count_and_measure(&mut self) {
+        self.euler += self.new_vertices.len() as i64 - self.lost_vertices();
+        // Three halves of the number of triangles is that of the edges.
+        let removed: usize = self.removed_of_present().map(|(_, removed)| removed.len()).sum();
+        self.euler -= (self.new_triangles.len() as i64 - removed as i64) / 2;
+        // About a place where something changed.
+        let origin = self.new_triangles.first().map_or(DVec3::ZERO, |t| self.position(t.corners[0]));
+        let (mut volume, mut area) = (0.0, 0.0);
+        for (b, removed) in self.removed_of_present() {
+            let body = &self.bodies[b];
+            if removed.len() == body.topology.triangles.len() {
+                volume -= 6.0 * body.volume();
+                area -= 2.0 * body.area();
+                continue;
+            }
+            for &t in removed {
+                let [x, y, z] = body.topology.triangles[t as usize].map(|v| body.position(v) - origin);
+                volume -= x.dot(y.cross(z));
+                area -= (y - x).cross(z - x).length();
+            }
+        }
+        for triangle in &self.new_triangles {
+            let [x, y, z] = triangle.corners.map(|v| self.position(v) - origin);
+            volume += x.dot(y.cross(z));
+            area += (y - x).cross(z - x).length();
+        }
+        self.taken -= volume / 6.0;
+        self.volume += volume / 6.0;
+        self.area += area / 2.0;
+    }
+
+    /// Gives every fan of triangles about a vertex of new triangles but the first a vertex of its own.
+    fn split_touching_fans(&mut self) -> Result<(), Failure> {
+        // Where there are several fans, old triangles are first made new ones.
+        let mut several = Vec::new();
+        let mut old = Vec::new();
+        for (vertex, about) in self.new_triangles_about_vertices().chunk_by(|a, b| a.0 == b.0).map(|g| (g[0].0, g)) {
+            let mut corners: Vec<[u32; 3]> =
+                about.iter().map(|&(_, i)| self.new_triangles[i as usize].corners).collect();
+            let kept = self.old_triangles_about(vertex);
+            corners.extend(kept.iter().map(|t| t.corners));
+            if fans(vertex, &corners)?.len() > 1 {
+                several.push(vertex);
+                old.extend(kept);
+            }
+        }
+        old.sort_unstable_by_key(|t| t.part_of);
+        old.dedup();
+        for triangle in old {
+            let [body, t] = triangle.part_of;
+            let removed = &mut self.removed[body as usize];
+            if let Err(i) = removed.binary_search(&t) {
+                removed.insert(i, t);
+            }
+            self.new_triangles.push(triangle);
+        }
+        let about = self.new_triangles_about_vertices();
+        for vertex in several {
+            let from = about.partition_point(|a| a.0 < vertex);
+            let about: Vec<u32> = about[from..].iter().take_while(|a| a.0 == vertex).map(|a| a.1).collect();
+            let corners: Vec<[u32; 3]> = about.iter().map(|&i| self.new_triangles[i as usize].corners).collect();
+            for fan in &fans(vertex, &corners)?[1..] {
+                let (position, origin) = (self.position(vertex), self.origin(vertex));
+                self.new_vertices.push(NewVertex { position, origin });
+                self.euler += 1;
+                let name = self.first_vertex[self.bodies.len()] + self.new_vertices.len() as u32 - 1;
+                for &k in fan {
+                    let corners = &mut self.new_triangles[about[k] as usize].corners;
+                    *corners = corners.map(|v| if v == vertex { name } else { v });
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// (vertex, new triangle), ascending.
+    fn new_triangles_about_vertices(&self) -> Vec<(u32, u32)> {
+        let mut about: Vec<(u32, u32)> =
+            (self.new_triangles.iter().enumerate()).flat_map(|(i, t)| t.corners.map(|v| (v, i as u32))).collect();
+        about.sort_unstable();
+        about
+    }
+
+    /// Triangles about a vertex that are still those of its body.
+    fn old_triangles_about(&self, vertex: u32) -> Vec<NewTriangle> {
+        let body = self.body_of(vertex);
+        let Some(mesh) = self.bodies.get(body) else { return Vec::new() };
+        let (topology, first) = (mesh.topology, self.first_vertex[body]);
+        (topology.edges_at(vertex - first).iter())
+            .map(|&edge| topology.triangle_left_of(edge, vertex - first).0)
+            .filter(|&t| !self.is_removed(body as u32, t))
+            .map(|t| NewTriangle {
+                corners: topology.triangles[t as usize].map(|v| v + first),
+                part_of: [body as u32, t],
+            })
+            .collect()
+    }
+
+    /// Where a vertex is from.
+    pub fn origin(&self, vertex: u32) -> Origin {
+        let body = self.body_of(vertex);
+        match self.bodies.get(body) {
+            Some(mesh) => {
+                Origin::Vertex { body: body as u32, vertex: mesh.topology.place_of(vertex - self.first_vertex[body]) }
+            }
+            None => self.new_vertices[(vertex - self.first_vertex[self.bodies.len()]) as usize].origin,
+        }
+    }
+
+    /// The union as a mesh: time in proportion to all of it.
+    pub fn mesh(&self) -> UnionMesh {
+        let count = self.first_vertex[self.bodies.len()] as usize + self.new_vertices.len();
+        let mut mesh = UnionMesh { names: vec![u32::MAX; count], ..UnionMesh::default() };
+        for (b, body) in self.bodies.iter().enumerate() {
+            let first = self.first_vertex[b];
+            let mut removed = self.removed[b].iter().copied().peekable();
+            for (t, corners) in body.topology.triangles.iter().enumerate() {
+                if removed.next_if_eq(&(t as u32)).is_none() {
+                    mesh.triangles.push(corners.map(|v| v + first));
+                    mesh.sources.push([b as u32, t as u32]);
+                }
+            }
+        }
+        mesh.triangles.extend(self.new_triangles.iter().map(|t| t.corners));
+        mesh.sources.extend(self.new_triangles.iter().map(|t| t.part_of));
+        for &v in mesh.triangles.iter().flatten() {
+            mesh.names[v as usize] = 0;
+        }
+        for (b, body) in self.bodies.iter().enumerate() {
+            for v in 0..body.topology.fan_count() as u32 {
+                let name = &mut mesh.names[(v + self.first_vertex[b]) as usize];
+                if *name == 0 {
+                    *name = mesh.positions.len() as u32;
+                    mesh.positions.push(body.position(v));
+                    mesh.origins.push(Origin::Vertex { body: b as u32, vertex: body.topology.place_of(v) });
+                }
+            }
+        }
+        let first_new = self.first_vertex[self.bodies.len()] as usize;
+        for (vertex, name) in self.new_vertices.iter().zip(&mut mesh.names[first_new..]) {
+            if *name == 0 {
+                *name = mesh.positions.len() as u32;
+                mesh.positions.push(vertex.position);
+                mesh.origins.push(vertex.origin);
+            }
+        }
+        for v in mesh.triangles.iter_mut().flatten() {
+            *v = mesh.names[*v as usize];
+        }
+        mesh
+    }
+}
+
+impl UnionMesh {
+    /// The connected parts of the surface, by their first vertex: time in proportion to all of it.
+    pub fn components(&self) -> Vec<Component> {
+        // Every vertex's representative is the least of its component, once paths are short.
+        let mut parent: Vec<u32> = (0..self.positions.len() as u32).collect();
+        fn root(parent: &mut [u32], mut v: u32) -> u32 {
+            while parent[v as usize] != v {
+                parent[v as usize] = parent[parent[v as usize] as usize];
+                v = parent[v as usize];
+            }
+            v
+        }
+        for &[a, b, c] in &self.triangles {
+            for (a, b) in [(a, b), (b, c)] {
+                let (a, b) = (root(&mut parent, a), root(&mut parent, b));
+                parent[a.max(b) as usize] = a.min(b);
+            }
+        }
+        let mut components: Vec<(Component, i64)> = Vec::new();
+        let mut number: FxHashMap<u32, usize> = FxHashMap::default();
+        for v in 0..self.positions.len() as u32 {
+            let root = root(&mut parent, v);
+            let k = *number.entry(root).or_insert_with(|| {
+                components.push((Component { euler: 0, volume: 0.0, area: 0.0 }, 0));
+                components.len() - 1
+            });
+            components[k].0.euler += 1;
+        }
+        let origin = self.positions.first().copied().unwrap_or_default();
+        for corners in &self.triangles {
+            let (component, triangles) = &mut components[number[&root(&mut parent, corners[0])]];
+            let [x, y, z] = corners.map(|v| self.positions[v as usize] - origin);
+            component.volume += x.dot(y.cross(z)) / 6.0;
+            component.area += (y - x).cross(z - x).length() / 2.0;
+            *triangles += 1;
+        }
+        components.into_iter().map(|(c, triangles)| Component { euler: c.euler - triangles / 2, ..c }).collect()
+    }
+}
+
+/// Puts triangles about a vertex into fans, each by their place in `corners`.
+fn fans(vertex: u32, corners: &[[u32; 3]]) -> Result<Vec<Vec<usize>>, Failure> {
+    // From the corner after the vertex to the one after that.
+    let mut arcs: Vec<(u32, u32, usize)> = Vec::with_capacity(corners.len());
+    for (i, corners) in corners.iter().enumerate() {
+        let k = corners.iter().position(|&v| v == vertex);
+        let k = k.ok_or(Failure::Inconsistent("a corner that is not there"))?;
+        arcs.push((corners[(k + 1) % 3], corners[(k + 2) % 3], i));
+    }
+    let mut fans = Vec::new();
+    while let Some((start, mut end, first)) = arcs.pop() {
+        let mut fan = vec![first];
+        while end != start {
+            let next = arcs.iter().position(|arc| arc.0 == end);
+            let next = next.ok_or(Failure::Inconsistent("a fan that does not close"))?;
+            let (_, to, triangle) = arcs.swap_remove(next);
+            fan.push(triangle);
+            end = to;
+        }
+        fans.push(fan);
+    }
+    Ok(fans)
+}
+
+/// Triangles that are not in the union, or not whole.
+struct Marks {
+    gone: Vec<u32>,
+}
+
+impl Marks {
+    fn new(placement: &Placement, arrangement: &Arrangement, classified: &Classified) -> Marks {
+        let mut marked = vec![0u64; placement.first_triangle[placement.bodies.len()] as usize / 64 + 1];
+        let mut gone = Vec::new();
+        let mut is_new = |t: u32| {
+            let (word, bit) = (&mut marked[t as usize / 64], 1 << (t % 64));
+            let is_new = *word & bit == 0;
+            *word |= bit;
+            is_new
+        };
+        for segments in arrangement.cut_triangles() {
+            gone.push(segments[0].0);
+            is_new(segments[0].0);
+        }
+        for &vertex in classified.vertices.iter().chain(&classified.fan_vertices) {
+            let body = placement.body_of_vertex(vertex);
+            let b = body as usize;
+            let topology = placement.bodies[b].topology;
+            let local = vertex - placement.first_vertex[b];
+            for &edge in topology.edges_at(local) {
+                let t = topology.triangle_left_of(edge, local).0 + placement.first_triangle[b];
+                if is_new(t) && !classified.is_shown_at(vertex, edge + placement.first_edge[b], body) {
+                    gone.push(t);
+                }
+            }
+        }
+        Marks { gone }
+    }
+}

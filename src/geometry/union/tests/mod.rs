@@ -1,0 +1,142 @@
+//! Tests of the union as a whole.
+
+mod closed_forms;
+mod random;
+mod shapes;
+mod ties;
+
+use std::collections::HashMap;
+
+use glam::DVec3;
+
+use super::*;
+use shapes::Shape;
+
+/// Their union, as a mesh that has been looked over.
+fn unite(shapes: &[Shape]) -> Checked {
+    try_unite(shapes, &Budget::default()).unwrap()
+}
+
+fn try_unite(shapes: &[Shape], budget: &Budget) -> Result<Checked, UnionError> {
+    let topologies: Vec<Topology> =
+        shapes.iter().map(|s| Topology::new(s.positions.len(), &s.triangles).unwrap()).collect();
+    let bodies: Vec<Body> = topologies.iter().zip(shapes).map(|(t, s)| Body::new(t, &s.positions).unwrap()).collect();
+    let union = union(&bodies, budget)?;
+    let mesh = union.mesh();
+    look_over(&mesh);
+
+    // Vertices keep their places to the bit.
+    for (position, origin) in mesh.positions.iter().zip(&mesh.origins) {
+        if let Origin::Vertex { body, vertex } = *origin {
+            let given = shapes[body as usize].positions[vertex as usize];
+            assert_eq!(position.to_array().map(f64::to_bits), given.to_array().map(f64::to_bits));
+        }
+    }
+    // What was computed from the difference is what the mesh has.
+    let components = mesh.components();
+    let size = bodies.iter().map(|b| b.area()).sum::<f64>();
+    let extent =
+        bodies.iter().map(|b| b.bounds().max.abs().max(b.bounds().min.abs()).max_element()).fold(0.0, f64::max);
+    let sum = |of: &dyn Fn(&Component) -> f64| components.iter().map(of).sum::<f64>();
+    assert_eq!(components.iter().map(|c| c.euler).sum::<i64>(), union.euler);
+    assert!(
+        (sum(&|c| c.volume) - union.volume).abs() <= 1e-11 * size * extent,
+        "{} {}",
+        sum(&|c| c.volume),
+        union.volume
+    );
+    assert!((sum(&|c| c.area) - union.area).abs() <= 1e-10 * size);
+    let (volume, area, seams, statistics) = (union.volume, union.area, union.seams.clone(), union.statistics);
+    Ok(Checked { mesh, components, volume, area, seams, statistics })
+}
+
+/// A union that is closed, manifold and oriented.
+struct Checked {
+    mesh: UnionMesh,
+    components: Vec<Component>,
+    volume: f64,
+    area: f64,
+    seams: Vec<Seam>,
+    statistics: Statistics,
+}
+
+impl Checked {
+    fn eulers(&self) -> Vec<i64> {
+        let mut eulers: Vec<i64> = self.components.iter().map(|c| c.euler).collect();
+        eulers.sort_unstable();
+        eulers
+    }
+}
+
+/// Fails unless every edge has one triangle to either side and every vertex one fan.
+fn look_over(mesh: &UnionMesh) {
+    let mut next: HashMap<(u32, u32), u32> = HashMap::new();
+    let mut count = vec![0; mesh.positions.len()];
+    for corners in &mesh.triangles {
+        for k in 0..3 {
+            let (a, b, c) = (corners[k], corners[(k + 1) % 3], corners[(k + 2) % 3]);
+            assert_ne!(a, b);
+            assert_eq!(next.insert((a, b), c), None, "two triangles run along the edge {a} {b}");
+            count[a as usize] += 1;
+        }
+    }
+    let mut seen = vec![false; mesh.positions.len()];
+    for corners in &mesh.triangles {
+        for k in 0..3 {
+            let (v, start) = (corners[k], corners[(k + 1) % 3]);
+            assert!(next.contains_key(&(start, v)), "the edge {v} {start} is open");
+            if std::mem::replace(&mut seen[v as usize], true) {
+                continue;
+            }
+            let (mut at, mut around) = (start, 0);
+            loop {
+                at = next[&(v, at)];
+                around += 1;
+                assert!(around <= count[v as usize]);
+                if at == start {
+                    break;
+                }
+            }
+            assert_eq!(around, count[v as usize], "several fans at vertex {v}");
+        }
+    }
+    assert!(seen.iter().all(|s| *s), "a vertex of no triangle");
+    assert!(mesh.positions.iter().all(|p| p.is_finite()));
+}
+
+/// The generalized winding number of a mesh about a point: solid angle over 4π (Jacobson et al. 2013; Van Oosterom and
+/// Strackee 1983).
+fn winding_number(positions: &[DVec3], triangles: &[[u32; 3]], point: DVec3) -> f64 {
+    let angle = |corners: &[u32; 3]| {
+        let [a, b, c] = corners.map(|v| positions[v as usize] - point);
+        let (la, lb, lc) = (a.length(), b.length(), c.length());
+        2.0 * a.dot(b.cross(c)).atan2(la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb)
+    };
+    triangles.iter().map(angle).sum::<f64>() / (4.0 * std::f64::consts::PI)
+}
+
+/// Fails where the mesh winds otherwise than the bodies say, at points near and far.
+fn compare_inside(shapes: &[Shape], union: &Checked, seed: u64, samples: usize) {
+    let mut random = shapes::Random::new(seed);
+    let bounds = Aabb::of(shapes.iter().flat_map(|s| s.positions.iter().copied()));
+    for _ in 0..samples {
+        let mut at = bounds.min + (bounds.max - bounds.min) * (DVec3::splat(0.5) + 0.6 * random.in_cube());
+        let all: Vec<DVec3> = shapes.iter().flat_map(|s| s.positions.iter().copied()).collect();
+        if random.next() < 0.5 {
+            let [a, b] = [0; 2].map(|_| all[(random.next() * all.len() as f64) as usize]);
+            // Beside the line between them, which may lie in a surface.
+            at = a + (b - a) * random.next() * 0.3 + 1e-3 * a.distance(b) * random.in_cube();
+        }
+        let windings: Vec<f64> = shapes.iter().map(|s| winding_number(&s.positions, &s.triangles, at)).collect();
+        // On a surface there is nothing to compare.
+        if windings.iter().any(|w| (w - w.round()).abs() > 1e-6) {
+            continue;
+        }
+        let expected = windings.iter().any(|w| w.round() >= 1.0);
+        let found = winding_number(&union.mesh.positions, &union.mesh.triangles, at);
+        if (found - found.round()).abs() > 1e-6 {
+            continue;
+        }
+        assert_eq!(found.round() as i64, i64::from(expected), "at {at}, windings {windings:?}");
+    }
+}

@@ -1,0 +1,266 @@
+//! Contact, coincidence, alignment; bodies inside out, through themselves, too small; and what does not change a union.
+
+use super::{shapes::*, *};
+
+#[test]
+fn contact_stays_apart() {
+    let c = cube();
+    for offset in [DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::ONE, DVec3::new(1.0, 0.3, 0.0)] {
+        let union = unite(&[c.clone(), c.clone().at(2.0 * offset)]);
+        assert_eq!(union.eulers(), [2, 2], "{offset}");
+        assert_eq!(union.volume, 16.0);
+    }
+    // Pole on pole, and a vertex of the equator on one.
+    let s = sphere(12, 24);
+    for offset in [DVec3::X, DVec3::Z] {
+        assert_eq!(unite(&[s.clone(), s.clone().at(2.0 * offset)]).eulers(), [2, 2]);
+    }
+    assert_eq!(unite(&[octahedron(), octahedron().at(DVec3::X * 2.0)]).eulers(), [2, 2]);
+    assert_eq!(unite(&[octahedron(), octahedron().at(DVec3::new(1.0, 1.0, 0.0))]).eulers(), [2, 2], "edge on edge");
+}
+
+#[test]
+fn copies_are_one() {
+    let s = sphere(12, 24);
+    let copies = vec![s.clone(); 5];
+    let union = unite(&copies);
+    assert_eq!(union.mesh.positions, s.positions);
+    assert_eq!(union.eulers(), [2]);
+    // Almost copies, from an ulp to a millionth.
+    for by in [f64::EPSILON, 1e-12, 1e-10, 1e-9, 1e-8, 1e-6] {
+        let shapes = [s.clone(), s.clone().at(DVec3::new(by, 2.0 * by, 0.0))];
+        let union = unite(&shapes);
+        assert!((union.volume - 4.0705).abs() < 1e-4, "{by}: {}", union.volume);
+        assert_eq!(union.components.iter().filter(|c| c.volume > 1.0).count(), 1);
+    }
+}
+
+#[test]
+fn aligned_boxes_share_planes() {
+    let c = cube();
+    for offset in [DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::ONE, DVec3::new(0.5, 0.0, 2.0 - 1e-3)] {
+        let shapes = [c.clone(), c.clone().at(offset)];
+        let union = unite(&shapes);
+        let expected = 16.0 - (DVec3::splat(2.0) - offset).to_array().iter().product::<f64>();
+        assert!((union.volume - expected).abs() < 1e-6, "{offset}: {} for {expected}", union.volume);
+        assert_eq!(union.eulers(), [2]);
+    }
+    // A cube in a corner of another, three sides in common; one half as large on another's side.
+    assert_eq!(unite(&[c.clone(), c.clone().scaled(0.5).at(DVec3::splat(0.5))]).eulers(), [2]);
+    let bricks: Vec<Shape> = (0..27)
+        .map(|i| c.clone().at(1.5 * DVec3::new(f64::from(i % 3), f64::from(i / 3 % 3), f64::from(i / 9))))
+        .collect();
+    let wall = unite(&bricks);
+    assert_eq!(wall.eulers(), [2]);
+    assert!((wall.volume - 125.0).abs() < 1e-5, "{}", wall.volume);
+}
+
+#[test]
+fn a_body_inside_out_adds_nothing() {
+    let s = sphere(12, 24);
+    let with = unite(&[s.clone(), s.clone().inverted().at(DVec3::new(1.3, 0.1, 0.2))]);
+    assert!(with.mesh.positions == s.positions);
+    assert!(unite(&[s.clone().inverted()]).mesh.triangles.is_empty());
+    // Not even where bodies inside out overlap each other.
+    let shapes = [s.clone().inverted(), s.inverted().at(DVec3::X)];
+    assert!(unite(&shapes).mesh.triangles.is_empty());
+}
+
+#[test]
+fn a_body_through_itself_counts_once() {
+    let s = sphere(8, 16);
+    // Two components of one mesh: as two bodies.
+    let apart = [s.clone(), s.clone().at(DVec3::new(1.3, 0.2, 0.1))];
+    let one = [s.clone().and(s.clone().at(DVec3::new(1.3, 0.2, 0.1)))];
+    let (apart, one_union) = (unite(&apart), unite(&one));
+    assert!((apart.volume - one_union.volume).abs() < 1e-12);
+    assert_eq!(one_union.eulers(), [2]);
+    // A hollow sphere, its inner surface inside out, with something in the hollow and something through both.
+    let hollow = s.clone().and(s.clone().scaled(0.6).inverted());
+    let shapes = [hollow, s.clone().scaled(0.2), s.clone().scaled(0.3).at(DVec3::X * 0.8)];
+    let union = unite(&shapes);
+    assert_eq!(union.components.len(), 3);
+    compare_inside(&shapes, &union, 11, 200);
+    for (seed, by) in [(1, 0.1), (2, 0.2), (3, 0.35), (4, 0.5)] {
+        let mut random = Random::new(seed);
+        let shapes = [s.clone().shaken(&mut random, by), s.clone().at(DVec3::X * 1.2).shaken(&mut random, by)];
+        let union = unite(&shapes);
+        assert!(union.statistics.folds > 0);
+        compare_inside(&shapes, &union, seed, 200);
+    }
+}
+
+#[test]
+fn touching_fans_are_split() {
+    // Two tetrahedra with one vertex in common, one mesh.
+    let mut shape = octahedron();
+    let first = shape.positions.len() as u32;
+    shape.positions.extend([DVec3::new(0.5, 0.0, 2.0), DVec3::new(-0.5, 0.5, 2.0), DVec3::new(-0.5, -0.5, 2.0)]);
+    let (a, b, c) = (first, first + 1, first + 2);
+    shape.triangles.extend([[0, b, a], [0, c, b], [0, a, c], [a, b, c]]);
+    let union = unite(std::slice::from_ref(&shape));
+    assert_eq!(union.eulers(), [2, 2]);
+    let with = [shape, octahedron().scaled(0.3).at(DVec3::Z)];
+    let union = unite(&with);
+    assert_eq!(union.eulers(), [2]);
+    compare_inside(&with, &union, 2, 100);
+}
+
+#[test]
+fn what_is_too_small_beside_the_others_is_left_out() {
+    let shapes = [sphere(6, 12), octahedron().scaled(1e-12).at(DVec3::X * 1.5), octahedron().scaled(0.0)];
+    let union = unite(&shapes);
+    assert_eq!((union.eulers(), union.statistics.dropped), (vec![2], 2));
+    // At any scale, and far away from the origin.
+    for scale in [1e-80, 1e-3, 1e3, 1e60] {
+        let shapes = [sphere(6, 12), sphere(6, 12).at(DVec3::new(1.2, 0.1, 0.3))].map(|s| s.scaled(scale));
+        assert_eq!(unite(&shapes).eulers(), [2], "{scale}");
+    }
+    let far = [sphere(6, 12), sphere(6, 12).at(DVec3::new(1.2, 0.1, 0.3))].map(|s| s.at(DVec3::splat(1e5)));
+    assert_eq!(unite(&far).eulers(), [2]);
+}
+
+#[test]
+fn what_cannot_be_is_refused() {
+    let s = octahedron();
+    let topology = Topology::new(s.positions.len(), &s.triangles).unwrap();
+    for bad in [f64::NAN, f64::INFINITY, -1e300] {
+        let mut positions = s.positions.clone();
+        positions[3].y = bad;
+        assert!(matches!(Body::new(&topology, &positions), Err(BodyError::Position { vertex: 3, .. })));
+    }
+    assert!(matches!(Body::new(&topology, &s.positions[1..]), Err(BodyError::Count { given: 5, wanted: 6 })));
+
+    let refused = |triangles: &[[u32; 3]]| Topology::new(6, triangles).unwrap_err();
+    assert!(matches!(refused(&s.triangles[1..]), TopologyError::Unpaired { count: 3, .. }));
+    assert!(matches!(refused(&[[0, 1, 9]]), TopologyError::NoSuchVertex { vertex: 9, .. }));
+    assert!(matches!(refused(&[[0, 1, 1]]), TopologyError::RepeatedVertex { vertex: 1, .. }));
+    assert!(matches!(refused(&[[0, 1, 2], [0, 2, 1]]), TopologyError::SameTriangle { .. }));
+    let twice: Vec<_> = s.triangles.iter().chain(&s.triangles).copied().collect();
+    assert!(matches!(refused(&twice), TopologyError::Unpaired { .. }));
+}
+
+#[test]
+fn a_budget_ends_it() {
+    let mut random = Random::new(1);
+    let shapes = [sphere(12, 24).shaken(&mut random, 0.5), sphere(12, 24).shaken(&mut random, 0.5)];
+    let budget = Budget { work: 10_000, time: None };
+    let Err(UnionError::GaveUp { work, .. }) = try_unite(&shapes, &budget) else { panic!("it did not") };
+    assert!(work > 10_000 && work < 100_000);
+    let budget = Budget { time: Some(std::time::Duration::ZERO), ..Budget::default() };
+    assert!(matches!(try_unite(&shapes, &budget), Err(UnionError::GaveUp { .. })));
+}
+
+/// The triangles by their corners' positions, each from its least corner.
+fn canonical(mesh: &UnionMesh) -> Vec<[[u64; 3]; 3]> {
+    let mut triangles: Vec<[[u64; 3]; 3]> = (mesh.triangles.iter())
+        .map(|corners| {
+            let mut bits = corners.map(|v| mesh.positions[v as usize].to_array().map(f64::to_bits));
+            let least = (0..3).min_by_key(|&k| bits[k]).unwrap();
+            bits.rotate_left(least);
+            bits
+        })
+        .collect();
+    triangles.sort_unstable();
+    triangles
+}
+
+fn some_scenes() -> Vec<Vec<Shape>> {
+    let mut random = Random::new(9);
+    let crowd = (0..12).map(|_| sphere(8, 16).at(2.5 * random.in_cube())).collect();
+    let folded = (0..3).map(|_| sphere(8, 16).at(2.0 * random.in_cube()).shaken(&mut random, 0.15)).collect();
+    let aligned =
+        (0..8).map(|i| cube().at(DVec3::new(f64::from(i & 1), f64::from(i >> 1 & 1), f64::from(i >> 2)))).collect();
+    vec![crowd, folded, aligned]
+}
+
+#[test]
+fn the_order_of_bodies_does_not_matter() {
+    for shapes in some_scenes() {
+        let reference = canonical(&unite(&shapes).mesh);
+        let reversed: Vec<Shape> = shapes.iter().rev().cloned().collect();
+        let mut rotated = shapes.clone();
+        rotated.rotate_left(2);
+        for other in [reversed, rotated] {
+            assert!(canonical(&unite(&other).mesh) == reference);
+        }
+    }
+}
+
+#[test]
+fn the_number_of_threads_does_not_matter() {
+    let big = vec![sphere(60, 120), sphere(60, 120).at(DVec3::new(0.4, 0.2, 0.1)), sphere(60, 120).at(DVec3::Z * 0.5)];
+    for shapes in some_scenes().into_iter().chain([big]) {
+        let meshes = [1, 2, 8].map(|threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| unite(&shapes).mesh)
+        });
+        assert!(meshes[0] == meshes[1] && meshes[0] == meshes[2]);
+    }
+}
+
+#[test]
+fn rigid_motions_move_the_union() {
+    let mut random = Random::new(4);
+    let shapes: Vec<Shape> = (0..4).map(|_| sphere(12, 24).at(2.0 * random.in_cube())).collect();
+    let reference = unite(&shapes);
+    for _ in 0..4 {
+        let (turn, offset) = (random.rotation(), 5.0 * random.in_cube());
+        let moved: Vec<Shape> = shapes.iter().map(|s| s.clone().turned(turn).at(offset)).collect();
+        let union = unite(&moved);
+        assert_eq!(union.eulers(), reference.eulers());
+        assert_eq!(union.mesh.positions.len(), reference.mesh.positions.len());
+        assert!((union.volume - reference.volume).abs() < 1e-11 * reference.volume);
+        assert!((union.area - reference.area).abs() < 1e-9 * reference.area, "{} {}", union.area, reference.area);
+    }
+}
+
+#[test]
+fn the_cost_follows_the_overlap() {
+    // Both spheres fine all over, or fine only where they meet … the same overlap of ten times the vertices.
+    let work = |stacks: u32| {
+        let far: Vec<Shape> = vec![
+            sphere(12, 24),
+            sphere(12, 24).at(DVec3::new(1.9, 0.1, 0.1)),
+            sphere(stacks, 2 * stacks).at(-DVec3::X * 1.99),
+        ];
+        unite(&far).statistics.work
+    };
+    assert!(work(60) < 2 * work(20), "{} {}", work(20), work(60));
+}
+
+#[test]
+fn origins_say_where_vertices_are() {
+    for shapes in some_scenes() {
+        let union = unite(&shapes);
+        let corner = |[body, triangle]: [u32; 2], k: usize| {
+            let shape = &shapes[body as usize];
+            shape.positions[shape.triangles[triangle as usize][k] as usize]
+        };
+        let off_plane = |p: DVec3, of: [u32; 2]| {
+            let [a, b, c] = [0, 1, 2].map(|k| corner(of, k));
+            let normal = (b - a).cross(c - a);
+            normal.dot(p - a).abs() / (normal.length() * (b - a).length().max((c - a).length()))
+        };
+        for (position, origin) in union.mesh.positions.iter().zip(&union.mesh.origins) {
+            match *origin {
+                Origin::Vertex { body, vertex } => {
+                    assert_eq!(*position, shapes[body as usize].positions[vertex as usize])
+                }
+                Origin::Edge { body, edge: [from, to], at, through, triangle } => {
+                    let [a, b] = [from, to].map(|v| shapes[body as usize].positions[v as usize]);
+                    assert_eq!(*position, a + (b - a) * at);
+                    assert!(off_plane(*position, [through, triangle]) < 1e-7);
+                }
+                // Three planes at a small angle meet anywhere near; this one is on all of them.
+                Origin::Triangles(all) => assert!(all.iter().all(|of| off_plane(*position, *of) < 1e-6)),
+                Origin::Within { body, triangle } => assert!(off_plane(*position, [body, triangle]) < 1e-6),
+            }
+        }
+        for (corners, source) in union.mesh.triangles.iter().zip(&union.mesh.sources) {
+            for v in corners {
+                assert!(off_plane(union.mesh.positions[*v as usize], *source) < 1e-6);
+            }
+        }
+    }
+}

@@ -1,0 +1,370 @@
+//! How the triangles of a closed mesh hang together.
+
+use rustc_hash::FxHashMap;
+use thiserror::Error;
+
+/// Triangles of a block at most: what is culled by one box.
+const BLOCK: usize = 16;
+
+/// The connectivity of a closed, oriented triangle mesh: made once, used with any positions.
+///
+/// Closed and oriented: every edge has one triangle that runs along it and one that runs against it. A vertex at which
+/// several fans of triangles touch is several vertices here.
+#[derive(Clone, Debug)]
+pub struct Topology {
+    pub(super) vertex_count: u32,
+    /// Of vertices beyond `vertex_count`, further fans: whose place they share.
+    pub(super) copies: Vec<u32>,
+    pub(super) triangles: Vec<[u32; 3]>,
+    /// Edge k of a triangle runs from its vertex k to vertex k + 1.
+    pub(super) triangle_edges: Vec<[u32; 3]>,
+    /// Lower vertex first.
+    pub(super) edges: Vec<[u32; 2]>,
+    /// The triangle that runs along the edge, and the one that runs against it.
+    pub(super) edge_triangles: Vec<[u32; 2]>,
+    /// Edges at vertex v: `vertex_edges[vertex_start[v]..vertex_start[v + 1]]`.
+    vertex_start: Vec<u32>,
+    vertex_edges: Vec<u32>,
+    /// Triangles in patches of up to [`BLOCK`] neighbours: block i is `block_triangles[block_start[i]..block_start[i + 1]]`.
+    block_start: Vec<u32>,
+    block_triangles: Vec<u32>,
+    /// Vertices in use of each block, in the same manner.
+    block_vertex_start: Vec<u32>,
+    block_vertices: Vec<u32>,
+    /// Connected components.
+    pub(super) components: u32,
+    /// Vertices, further fans included, that triangles have.
+    pub(super) used_vertices: u32,
+}
+
+/// Why triangles are not a closed, oriented mesh.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum TopologyError {
+    /// A triangle names a vertex that is not there.
+    #[error("triangle {triangle} names vertex {vertex}, of {vertex_count}")]
+    NoSuchVertex {
+        /// The triangle.
+        triangle: usize,
+        /// What it names.
+        vertex: u32,
+        /// How many there are.
+        vertex_count: usize,
+    },
+    /// A triangle names a vertex twice.
+    #[error("triangle {triangle} names vertex {vertex} twice")]
+    RepeatedVertex {
+        /// The triangle.
+        triangle: usize,
+        /// What it names.
+        vertex: u32,
+    },
+    /// Edges without their counterpart: a hole, a third sheet, or neighbours that disagree on which side is out.
+    #[error("not closed and oriented: {count} edges have no counterpart, the first from vertex {from} to vertex {to}")]
+    Unpaired {
+        /// How many directed edges.
+        count: usize,
+        /// Where the first of them starts.
+        from: u32,
+        /// Where it ends.
+        to: u32,
+    },
+    /// Two triangles of the same three vertices: nothing is between them.
+    #[error("triangles {first} and {second} have the same vertices")]
+    SameTriangle {
+        /// The one.
+        first: u32,
+        /// The other.
+        second: u32,
+    },
+    /// More vertices or triangles than a 31-bit index counts.
+    #[error("more than 2^29 vertices or triangles")]
+    TooLarge,
+}
+
+impl Topology {
+    /// Of `triangles` (vertex indices, counter-clockwise seen from outside) of `vertex_count` vertices.
+    ///
+    /// # Errors
+    ///
+    /// If they are not closed and oriented, with the first place at which they are not.
+    pub fn new(vertex_count: usize, triangles: &[[u32; 3]]) -> Result<Topology, TopologyError> {
+        if vertex_count > 1 << 29 || triangles.len() > 1 << 29 {
+            return Err(TopologyError::TooLarge);
+        }
+        for (triangle, corners) in triangles.iter().enumerate() {
+            for k in 0..3 {
+                let vertex = corners[k];
+                if vertex as usize >= vertex_count {
+                    return Err(TopologyError::NoSuchVertex { triangle, vertex, vertex_count });
+                }
+                if corners[(k + 1) % 3] == vertex {
+                    return Err(TopologyError::RepeatedVertex { triangle, vertex });
+                }
+            }
+        }
+
+        let mut topology = Topology {
+            vertex_count: vertex_count as u32,
+            copies: Vec::new(),
+            triangles: triangles.to_vec(),
+            triangle_edges: vec![[0; 3]; triangles.len()],
+            edges: Vec::new(),
+            edge_triangles: Vec::new(),
+            vertex_start: Vec::new(),
+            vertex_edges: Vec::new(),
+            block_start: vec![0],
+            block_triangles: Vec::with_capacity(triangles.len()),
+            block_vertex_start: vec![0],
+            block_vertices: Vec::new(),
+            components: 0,
+            used_vertices: 0,
+        };
+        topology.pair_edges()?;
+        topology.split_fans();
+        topology.list_edges_of_vertices();
+        topology.cluster();
+        topology.count_components();
+        Ok(topology)
+    }
+
+    fn pair_edges(&mut self) -> Result<(), TopologyError> {
+        const NONE: u32 = u32::MAX;
+        let mut edge_of: FxHashMap<[u32; 2], u32> = FxHashMap::default();
+        let mut surplus: Vec<[u32; 2]> = Vec::new();
+        for (t, corners) in self.triangles.iter().enumerate() {
+            for k in 0..3 {
+                let (a, b) = (corners[k], corners[(k + 1) % 3]);
+                let key = [a.min(b), a.max(b)];
+                let edge = *edge_of.entry(key).or_insert_with(|| {
+                    self.edges.push(key);
+                    self.edge_triangles.push([NONE; 2]);
+                    self.edges.len() as u32 - 1
+                });
+                let side = &mut self.edge_triangles[edge as usize][usize::from(a > b)];
+                if *side == NONE {
+                    *side = t as u32;
+                } else {
+                    surplus.push([a, b]);
+                }
+                self.triangle_edges[t][k] = edge;
+            }
+        }
+        let open = self.edges.iter().zip(&self.edge_triangles).flat_map(|(&[a, b], sides)| {
+            let missing = [(sides[0] == NONE, [b, a]), (sides[1] == NONE, [a, b])];
+            missing.into_iter().filter(|m| m.0).map(|m| m.1)
+        });
+        let unpaired: Vec<[u32; 2]> = surplus.into_iter().chain(open).collect();
+        if let Some(&[from, to]) = unpaired.first() {
+            return Err(TopologyError::Unpaired { count: unpaired.len(), from, to });
+        }
+        for sides in &self.edge_triangles {
+            let [mut first, mut second] = sides.map(|t| self.triangles[t as usize]);
+            first.sort_unstable();
+            second.sort_unstable();
+            if first == second {
+                return Err(TopologyError::SameTriangle { first: sides[0], second: sides[1] });
+            }
+        }
+        Ok(())
+    }
+
+    /// Gives every fan of triangles about a vertex but the first a vertex of its own.
+    fn split_fans(&mut self) {
+        let mut seen = vec![[false; 3]; self.triangles.len()];
+        let mut used = vec![false; self.vertex_count as usize];
+        let mut renamed = false;
+        for start in 0..self.triangles.len() {
+            for corner in 0..3 {
+                if seen[start][corner] {
+                    continue;
+                }
+                let vertex = self.triangles[start][corner];
+                let name = if used[vertex as usize] {
+                    renamed = true;
+                    self.copies.push(vertex);
+                    self.vertex_count + self.copies.len() as u32 - 1
+                } else {
+                    used[vertex as usize] = true;
+                    vertex
+                };
+                // Around the vertex, over the edge that comes in to it.
+                let (mut t, mut k) = (start, corner);
+                while !seen[t][k] {
+                    seen[t][k] = true;
+                    let edge = self.triangle_edges[t][(k + 2) % 3];
+                    let [one, other] = self.edge_triangles[edge as usize];
+                    self.triangles[t][k] = name;
+                    t = if one as usize == t { other } else { one } as usize;
+                    k = self.triangle_edges[t].iter().position(|&e| e == edge).unwrap_or(0);
+                }
+            }
+        }
+        if renamed {
+            for (t, corners) in self.triangles.iter().enumerate() {
+                for k in 0..3 {
+                    let (a, b) = (corners[k], corners[(k + 1) % 3]);
+                    let edge = self.triangle_edges[t][k] as usize;
+                    self.edges[edge] = [a.min(b), a.max(b)];
+                    self.edge_triangles[edge][usize::from(a > b)] = t as u32;
+                }
+            }
+        }
+    }
+
+    fn list_edges_of_vertices(&mut self) {
+        let vertices = self.vertex_count as usize + self.copies.len();
+        self.vertex_start = vec![0; vertices + 1];
+        for &v in self.edges.iter().flatten() {
+            self.vertex_start[v as usize + 1] += 1;
+        }
+        for v in 0..vertices {
+            self.vertex_start[v + 1] += self.vertex_start[v];
+        }
+        self.used_vertices = self.vertex_start.windows(2).filter(|w| w[0] < w[1]).count() as u32;
+        let mut next = self.vertex_start.clone();
+        self.vertex_edges = vec![0; self.vertex_start[vertices] as usize];
+        for (e, ends) in self.edges.iter().enumerate() {
+            for &v in ends {
+                self.vertex_edges[next[v as usize] as usize] = e as u32;
+                next[v as usize] += 1;
+            }
+        }
+    }
+
+    /// Collects neighbours into blocks: breadth first, up to [`BLOCK`] from each start, the next start beside the last.
+    fn cluster(&mut self) {
+        let mut taken = vec![false; self.triangles.len()];
+        let mut border = std::collections::VecDeque::new();
+        for t in 0..self.triangles.len() as u32 {
+            border.push_back(t);
+            while let Some(start) = border.pop_front() {
+                if taken[start as usize] {
+                    continue;
+                }
+                let first = self.block_triangles.len();
+                taken[start as usize] = true;
+                self.block_triangles.push(start);
+                let mut at = first;
+                while at < self.block_triangles.len() {
+                    let t = self.block_triangles[at];
+                    at += 1;
+                    for edge in self.triangle_edges[t as usize] {
+                        let [one, other] = self.edge_triangles[edge as usize];
+                        let beside = if one == t { other } else { one };
+                        if taken[beside as usize] {
+                            continue;
+                        }
+                        if self.block_triangles.len() - first < BLOCK {
+                            taken[beside as usize] = true;
+                            self.block_triangles.push(beside);
+                        } else {
+                            border.push_back(beside);
+                        }
+                    }
+                }
+                self.block_start.push(self.block_triangles.len() as u32);
+                let vertices = self.block_vertices.len();
+                self.block_vertices
+                    .extend(self.block_triangles[first..].iter().flat_map(|&t| self.triangles[t as usize]));
+                self.block_vertices[vertices..].sort_unstable();
+                let mut kept = vertices;
+                for i in vertices..self.block_vertices.len() {
+                    if i == vertices || self.block_vertices[i] != self.block_vertices[kept - 1] {
+                        self.block_vertices[kept] = self.block_vertices[i];
+                        kept += 1;
+                    }
+                }
+                self.block_vertices.truncate(kept);
+                self.block_vertex_start.push(kept as u32);
+            }
+        }
+    }
+
+    fn count_components(&mut self) {
+        let mut seen = vec![false; self.triangles.len()];
+        for start in 0..self.triangles.len() as u32 {
+            if seen[start as usize] {
+                continue;
+            }
+            self.components += 1;
+            seen[start as usize] = true;
+            let mut queue = vec![start];
+            while let Some(t) = queue.pop() {
+                for edge in self.triangle_edges[t as usize] {
+                    for beside in self.edge_triangles[edge as usize] {
+                        if !seen[beside as usize] {
+                            seen[beside as usize] = true;
+                            queue.push(beside);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// The number of vertices that positions are wanted for.
+    pub fn vertex_count(&self) -> usize {
+        self.vertex_count as usize
+    }
+
+    /// The number of triangles.
+    pub fn triangle_count(&self) -> usize {
+        self.triangles.len()
+    }
+
+    /// Vertices including further fans.
+    pub(super) fn fan_count(&self) -> usize {
+        self.vertex_count as usize + self.copies.len()
+    }
+
+    /// The vertex whose position a fan's vertex has.
+    #[inline]
+    pub(super) fn place_of(&self, vertex: u32) -> u32 {
+        if vertex < self.vertex_count { vertex } else { self.copies[(vertex - self.vertex_count) as usize] }
+    }
+
+    #[inline]
+    pub(super) fn edges_at(&self, vertex: u32) -> &[u32] {
+        let (from, to) = (self.vertex_start[vertex as usize], self.vertex_start[vertex as usize + 1]);
+        &self.vertex_edges[from as usize..to as usize]
+    }
+
+    /// The triangle in which an edge leaves one of its ends counter-clockwise, and the place of that end in it.
+    #[inline]
+    pub(super) fn triangle_left_of(&self, edge: u32, from: u32) -> (u32, usize) {
+        let side = usize::from(self.edges[edge as usize][0] != from);
+        let t = self.edge_triangles[edge as usize][side];
+        let corners = &self.triangles[t as usize];
+        (
+            t,
+            if corners[0] == from {
+                0
+            } else if corners[1] == from {
+                1
+            } else {
+                2
+            },
+        )
+    }
+
+    /// The other end.
+    #[inline]
+    pub(super) fn across(&self, edge: u32, vertex: u32) -> u32 {
+        let [a, b] = self.edges[edge as usize];
+        if a == vertex { b } else { a }
+    }
+
+    pub(super) fn block_count(&self) -> usize {
+        self.block_start.len() - 1
+    }
+
+    #[inline]
+    pub(super) fn block(&self, block: usize) -> &[u32] {
+        &self.block_triangles[self.block_start[block] as usize..self.block_start[block + 1] as usize]
+    }
+
+    #[inline]
+    pub(super) fn vertices_of_block(&self, block: usize) -> &[u32] {
+        &self.block_vertices[self.block_vertex_start[block] as usize..self.block_vertex_start[block + 1] as usize]
+    }
+}

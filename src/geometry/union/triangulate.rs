@@ -1,0 +1,346 @@
+//! Directed lines of a plane, filled with triangles on their left.
+//!
+//! What comes out is closed whatever the coordinates are: every line is an edge of exactly one triangle, every other edge
+//! of exactly two. Coordinates decide only how good the triangles are.
+
+use glam::{DVec2, DVec3};
+use rustc_hash::FxHashSet;
+
+/// The corner of a triangle: a point that was given, or, from here on, one that was added.
+pub const ADDED: u32 = 1 << 31;
+
+/// What is to be filled, and scratch.
+#[derive(Default)]
+pub struct Region {
+    /// Directed lines, from point to point, with the region on their left.
+    pub pieces: Vec<[u32; 2]>,
+    /// Points and the straight lines they lie on. Points on a common line are not joined: what is on the line's other
+    /// side could do the same.
+    pub lines: Vec<(u32, u32)>,
+    /// The points' names, ascending; below, points go by their place in it.
+    names: Vec<u32>,
+    first_line: Vec<u32>,
+    flat: Vec<DVec2>,
+    loops: Vec<Vec<u32>>,
+}
+
+/// Triangles of a region.
+#[derive(Default)]
+pub struct Filling {
+    /// Names of points, or [`ADDED`] and more.
+    pub triangles: Vec<[u32; 3]>,
+    /// Points added where no other way is left, by what they are the mean of.
+    pub added: Vec<Vec<u32>>,
+}
+
+/// Twice the area of a triangle, > 0 if counter-clockwise.
+#[inline]
+fn turn(a: DVec2, b: DVec2, c: DVec2) -> f64 {
+    (b - a).perp_dot(c - a)
+}
+
+/// Grows with a direction's angle, in [0, 4).
+fn pseudo_angle(d: DVec2) -> f64 {
+    let r = d.x / (d.x.abs() + d.y.abs()).max(f64::MIN_POSITIVE);
+    if d.y < 0.0 { 3.0 + r } else { 1.0 - r }
+}
+
+impl Region {
+    /// Fills the region, of a plane of this `normal`. None if the lines do not close.
+    pub fn fill(&mut self, normal: DVec3, position: impl Fn(u32) -> DVec3, filling: &mut Filling) -> Option<()> {
+        self.lines.sort_unstable();
+        self.lines.dedup();
+        self.names.clear();
+        self.first_line.clear();
+        for (i, line) in self.lines.iter().enumerate() {
+            if self.names.last() != Some(&line.0) {
+                self.names.push(line.0);
+                self.first_line.push(i as u32);
+            }
+        }
+        self.first_line.push(self.lines.len() as u32);
+        // Seen along the axis that the normal is nearest to.
+        let absolute = normal.abs();
+        let axis = if absolute.x >= absolute.y.max(absolute.z) {
+            0
+        } else if absolute.y >= absolute.z {
+            1
+        } else {
+            2
+        };
+        let (mut x, mut y) = ((axis + 1) % 3, (axis + 2) % 3);
+        if normal[axis] < 0.0 {
+            std::mem::swap(&mut x, &mut y);
+        }
+        self.flat.clear();
+        self.flat.extend(self.names.iter().map(|&name| {
+            let p = position(name);
+            DVec2::new(p[x], p[y])
+        }));
+        self.trace()?;
+        self.fill_loops(filling);
+        Some(())
+    }
+
+    fn place(&self, name: u32) -> Option<u32> {
+        self.names.binary_search(&name).ok().map(|i| i as u32)
+    }
+
+    fn at(&self, point: u32) -> DVec2 {
+        self.flat[point as usize]
+    }
+
+    fn share_a_line(&self, a: u32, b: u32) -> bool {
+        let lines =
+            |p: u32| &self.lines[self.first_line[p as usize] as usize..self.first_line[p as usize + 1] as usize];
+        lines(a).iter().any(|x| lines(b).iter().any(|y| x.1 == y.1))
+    }
+
+    /// Joins the pieces to loops. Where several pieces leave a point, the narrowest sector keeps regions apart.
+    fn trace(&mut self) -> Option<()> {
+        let mut pieces = Vec::with_capacity(self.pieces.len());
+        for &[from, to] in &self.pieces {
+            pieces.push([self.place(from)?, self.place(to)?]);
+        }
+        pieces.sort_unstable();
+        self.loops.clear();
+        let mut used = vec![false; pieces.len()];
+        for start in 0..pieces.len() {
+            if used[start] {
+                continue;
+            }
+            let mut trace = Vec::new();
+            let mut k = start;
+            loop {
+                used[k] = true;
+                let [from, at] = pieces[k];
+                trace.push(from);
+                let first = pieces.partition_point(|p| p[0] < at);
+                let back = pseudo_angle(self.at(from) - self.at(at));
+                let mut best: Option<(f64, usize)> = None;
+                for next in first..pieces.len() {
+                    if pieces[next][0] != at {
+                        break;
+                    }
+                    if used[next] && next != start {
+                        continue;
+                    }
+                    let mut sector = back - pseudo_angle(self.at(pieces[next][1]) - self.at(at));
+                    if sector <= 0.0 {
+                        sector += 4.0;
+                    }
+                    if best.is_none_or(|b| sector < b.0) {
+                        best = Some((sector, next));
+                    }
+                }
+                k = best?.1;
+                if k == start {
+                    break;
+                }
+            }
+            self.loops.push(trace);
+        }
+        Some(())
+    }
+
+    fn fill_loops(&self, filling: &mut Filling) {
+        if let [only] = &self.loops[..] {
+            self.clip_ears(only, &mut None, filling);
+            return;
+        }
+        let (mut outer, mut holes): (Vec<Vec<u32>>, Vec<Vec<u32>>) =
+            self.loops.iter().cloned().partition(|points| self.area(points) >= 0.0);
+        if outer.is_empty() {
+            std::mem::swap(&mut outer, &mut holes);
+        }
+        // From the right, so that what a hole is tied to is already there.
+        holes.sort_by(|a, b| {
+            let right = |points: &[u32]| points.iter().map(|&p| self.at(p).x).fold(f64::NEG_INFINITY, f64::max);
+            right(b).total_cmp(&right(a))
+        });
+        for hole in holes {
+            self.tie(&hole, &mut outer);
+        }
+        let mut edges = FxHashSet::default();
+        for points in &outer {
+            for k in 0..points.len() {
+                edges.insert(undirected(points[k], points[(k + 1) % points.len()]));
+            }
+        }
+        let mut edges = Some(edges);
+        for points in outer {
+            self.clip_ears(&points, &mut edges, filling);
+        }
+    }
+
+    fn area(&self, points: &[u32]) -> f64 {
+        let origin = self.at(points[0]);
+        (0..points.len()).map(|k| turn(origin, self.at(points[k]), self.at(points[(k + 1) % points.len()]))).sum()
+    }
+
+    fn is_inside(&self, point: DVec2, points: &[u32]) -> bool {
+        let mut inside = false;
+        for k in 0..points.len() {
+            let (a, b) = (self.at(points[k]), self.at(points[(k + 1) % points.len()]));
+            if (a.y > point.y) != (b.y > point.y) && point.x < (b.x - a.x) * (point.y - a.y) / (b.y - a.y) + a.x {
+                inside = !inside;
+            }
+        }
+        inside
+    }
+
+    /// Makes a hole part of the loop about it, by a cut to the nearest point in sight.
+    fn tie(&self, hole: &[u32], outer: &mut [Vec<u32>]) {
+        let from = (0..hole.len()).max_by(|&a, &b| self.at(hole[a]).x.total_cmp(&self.at(hole[b]).x)).unwrap_or(0);
+        let start = self.at(hole[from]);
+        let around = (0..outer.len())
+            .filter(|&o| self.is_inside(start, &outer[o]))
+            .min_by(|&a, &b| self.area(&outer[a]).total_cmp(&self.area(&outer[b])))
+            .unwrap_or(0);
+        let points = &outer[around];
+        let mut order: Vec<usize> = (0..points.len()).collect();
+        order.sort_by(|&a, &b| {
+            let distance = |k: usize| self.at(points[k]).distance_squared(start);
+            distance(a).total_cmp(&distance(b)).then(a.cmp(&b))
+        });
+        let may_join = |k: usize| !self.share_a_line(points[k], hole[from]);
+        let is_in_sight = |k: usize| {
+            let end = self.at(points[k]);
+            let blocks = |points: &[u32], to: u32| {
+                (0..points.len()).any(|m| {
+                    let (a, b) = (points[m], points[(m + 1) % points.len()]);
+                    if a == to || b == to || a == hole[from] || b == hole[from] {
+                        return false;
+                    }
+                    let (a, b) = (self.at(a), self.at(b));
+                    turn(start, end, a) * turn(start, end, b) < 0.0 && turn(a, b, start) * turn(a, b, end) < 0.0
+                })
+            };
+            let (before, after) =
+                (self.at(points[(k + points.len() - 1) % points.len()]), self.at(points[(k + 1) % points.len()]));
+            let (left_of_in, left_of_out) = (turn(before, end, start) >= 0.0, turn(end, after, start) >= 0.0);
+            let opens =
+                if turn(before, end, after) >= 0.0 { left_of_in && left_of_out } else { left_of_in || left_of_out };
+            opens && may_join(k) && !blocks(points, points[k]) && !blocks(hole, points[k])
+        };
+        let to = (order.iter().copied().find(|&k| is_in_sight(k)))
+            .or_else(|| order.iter().copied().find(|&k| may_join(k)))
+            .unwrap_or(order[0]);
+        let mut tied = points[..=to].to_vec();
+        tied.extend((0..=hole.len()).map(|k| hole[(from + k) % hole.len()]));
+        tied.extend_from_slice(&points[to..]);
+        outer[around] = tied;
+    }
+
+    /// Cuts off the best ear, again and again. `edges` are those in use, where points occur more than once: in a simple
+    /// loop no edge can be met again.
+    fn clip_ears(&self, points: &[u32], edges: &mut Option<FxHashSet<[u32; 2]>>, filling: &mut Filling) {
+        let mut points = points.to_vec();
+        if edges.is_none() && points.len() > 3 {
+            let mut sorted = points.clone();
+            sorted.sort_unstable();
+            if sorted.windows(2).any(|w| w[0] == w[1]) {
+                let all = 0..points.len();
+                *edges = Some(all.map(|k| undirected(points[k], points[(k + 1) % points.len()])).collect());
+            }
+        }
+        let name = |p: u32| self.names[p as usize];
+        let mut qualities: Vec<Option<f64>> = Vec::new();
+        while points.len() > 3 {
+            let n = points.len();
+            if qualities.is_empty() {
+                qualities.extend((0..n).map(|k| self.quality(&points, k, edges)));
+            }
+            let best = |qualities: &[Option<f64>]| {
+                let mut best: Option<(f64, usize)> = None;
+                for (k, quality) in qualities.iter().enumerate() {
+                    if let Some(quality) = *quality
+                        && best.is_none_or(|b| quality > b.0)
+                    {
+                        best = Some((quality, k));
+                    }
+                }
+                best
+            };
+            let mut ear = best(&qualities);
+            if ear.is_none_or(|e| e.0 <= 0.0) {
+                // What was in the way may be gone by now.
+                qualities.clear();
+                qualities.extend((0..n).map(|k| self.quality(&points, k, edges)));
+                ear = best(&qualities);
+            }
+            let Some((_, k)) = ear else {
+                self.fan_out(&points, filling);
+                return;
+            };
+            let (before, after) = (points[(k + n - 1) % n], points[(k + 1) % n]);
+            if edges.as_ref().is_some_and(|edges| edges.contains(&undirected(before, after))) {
+                // Joined since, elsewhere.
+                qualities[k] = None;
+                continue;
+            }
+            filling.triangles.push([name(before), name(points[k]), name(after)]);
+            if let Some(edges) = edges {
+                edges.insert(undirected(before, after));
+            }
+            points.remove(k);
+            qualities.remove(k);
+            let n = points.len();
+            for k in [(k + n - 1) % n, k % n] {
+                qualities[k] = self.quality(&points, k, edges);
+            }
+        }
+        if let [a, b, c] = points[..] {
+            filling.triangles.push([name(a), name(b), name(c)]);
+        }
+    }
+
+    /// How good the triangle is that cutting off a corner gives, in (0, √3/6]; ≤ 0, on the same scale less 1, if it is
+    /// turned over or something is in it; none if its new edge must not be.
+    fn quality(&self, points: &[u32], k: usize, edges: &Option<FxHashSet<[u32; 2]>>) -> Option<f64> {
+        let n = points.len();
+        let [a, b, c] = [points[(k + n - 1) % n], points[k], points[(k + 1) % n]];
+        let is_used = || edges.as_ref().is_some_and(|edges| edges.contains(&undirected(a, c)));
+        if a == c || a == b || b == c || self.share_a_line(a, c) || is_used() {
+            return None;
+        }
+        let [pa, pb, pc] = [a, b, c].map(|p| self.at(p));
+        let area = turn(pa, pb, pc);
+        let sides = pa.distance_squared(pb) + pb.distance_squared(pc) + pc.distance_squared(pa);
+        let quality = area / sides.max(f64::MIN_POSITIVE);
+        let is_in = |p: DVec2| turn(pa, pb, p) >= 0.0 && turn(pb, pc, p) >= 0.0 && turn(pc, pa, p) >= 0.0;
+        let is_free = area > 0.0 && !points.iter().any(|&p| p != a && p != b && p != c && is_in(self.at(p)));
+        Some(if is_free { quality } else { quality - 1.0 })
+    }
+
+    /// Where no ear may be cut off: triangles about a new point; with points that occur more than once, about a ring of
+    /// new points.
+    fn fan_out(&self, points: &[u32], filling: &mut Filling) {
+        let name = |p: u32| self.names[p as usize];
+        let n = points.len();
+        let centre = ADDED + filling.added.len() as u32;
+        filling.added.push(points.iter().map(|&p| name(p)).collect());
+        let repeats = (0..n).any(|k| points[..k].contains(&points[k]));
+        if repeats {
+            for &point in points {
+                // Half way to the centre.
+                let mut mean: Vec<u32> = points.iter().map(|&p| name(p)).collect();
+                mean.extend(std::iter::repeat_n(name(point), n));
+                filling.added.push(mean);
+            }
+        }
+        for k in 0..n {
+            let (a, b) = (name(points[k]), name(points[(k + 1) % n]));
+            if repeats {
+                let (inner_a, inner_b) = (centre + 1 + k as u32, centre + 1 + ((k + 1) % n) as u32);
+                filling.triangles.extend([[a, b, inner_b], [a, inner_b, inner_a], [centre, inner_a, inner_b]]);
+            } else {
+                filling.triangles.push([centre, a, b]);
+            }
+        }
+    }
+}
+
+fn undirected(a: u32, b: u32) -> [u32; 2] {
+    [a.min(b), a.max(b)]
+}
