@@ -11,6 +11,7 @@
 //! | who can touch whom | `neighbours` of `pairs`, by a grid in [`reach`] |
 //! | when pairs merge, split, enter and leave their core | [`events`] |
 //! | how a vertex is advanced | [`integrator`] |
+//! | bodies that nobody moves: a solver by itself | [`free`] |
 //! | forces by cause, energy: looking at a state | [`observe`] |
 //! | all that instruments know of it | [`simulation`] |
 //! | what happens inside of a step, on request | [`stages`] |
@@ -42,6 +43,7 @@ mod body;
 pub mod checksum;
 mod deformation;
 pub mod events;
+pub mod free;
 pub mod integrator;
 pub mod memory;
 mod neighbours;

@@ -1,0 +1,247 @@
+//! A body: vertices with masses about a rest shape that follows them.
+
+use std::sync::Arc;
+
+use glam::{DMat3, DQuat, DVec3};
+
+use crate::model::{
+    oscillator::Oscillator,
+    shape_matching::{Inner, best_rotation, outer, resistance},
+};
+
+/// A rest shape, about its mass centre.
+#[derive(Clone, Debug)]
+pub struct Shape {
+    /// Rest positions l, Σ m l = 0 [scene unit], `[vertex_count]`.
+    pub(super) rest: Vec<DVec3>,
+    /// m [mass], `[vertex_count]`.
+    pub(super) masses: Vec<f64>,
+    /// M = Σ m.
+    pub(super) mass: f64,
+    /// Σ m l lᵀ.
+    pub(super) spread: DMat3,
+    /// The largest |l| [scene unit].
+    pub(super) extent: f64,
+}
+
+impl Shape {
+    /// Of vertices at `rest` [scene unit] with `masses` > 0; moved to its mass centre.
+    pub fn new(mut rest: Vec<DVec3>, masses: Vec<f64>) -> Shape {
+        let mass: f64 = masses.iter().sum();
+        let middle = rest.iter().zip(&masses).map(|(&l, &m)| m * l).sum::<DVec3>() / mass;
+        for l in &mut rest {
+            *l -= middle;
+        }
+        let spread = rest.iter().zip(&masses).fold(DMat3::ZERO, |sum, (&l, &m)| sum + outer(m * l, l));
+        let extent = rest.iter().map(|l| l.length()).fold(0.0, f64::max);
+        Shape { rest, masses, mass, spread, extent }
+    }
+
+    /// M.
+    pub fn mass(&self) -> f64 {
+        self.mass
+    }
+
+    /// Rest positions l about the mass centre [scene unit].
+    pub fn rest(&self) -> &[DVec3] {
+        &self.rest
+    }
+
+    /// Masses of the vertices.
+    pub fn masses(&self) -> &[f64] {
+        &self.masses
+    }
+}
+
+/// Whether a free body turns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rotation {
+    /// Its rest shape turns with its vertices.
+    Free,
+    /// Its rest shape keeps its orientation.
+    Fixed,
+}
+
+/// Who moves a body.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Motion {
+    /// Forces.
+    Free(Rotation),
+    /// A path: see [`super::Paths`].
+    Prescribed,
+}
+
+/// A body, and its state. A vertex is at c + Q l + x and moves with c′ + Ω_Q×Q l + u.
+#[derive(Clone, Debug)]
+pub struct Body {
+    /// Its rest shape, which others may share.
+    pub shape: Arc<Shape>,
+    /// R [scene unit].
+    pub radius: f64,
+    /// ω and κ.
+    pub oscillator: Oscillator,
+    /// Who moves it.
+    pub motion: Motion,
+    /// c [scene unit]
+    pub centre: DVec3,
+    /// c′ [scene unit/s]
+    pub velocity: DVec3,
+    /// Q
+    pub rotation: DQuat,
+    /// S = Σ m s×s′, about the centre [mass · scene unit²/s]. Of no meaning unless the body turns.
+    pub spin: DVec3,
+    /// x, in world axes [scene unit], `[vertex_count]`.
+    pub x: Vec<DVec3>,
+    /// u = x′ [scene unit/s], `[vertex_count]`.
+    pub u: Vec<DVec3>,
+}
+
+impl Body {
+    /// A free body at rest at the origin.
+    pub fn free(shape: Arc<Shape>, radius: f64, oscillator: Oscillator, rotation: Rotation) -> Body {
+        let none = vec![DVec3::ZERO; shape.rest.len()];
+        Body {
+            shape,
+            radius,
+            oscillator,
+            motion: Motion::Free(rotation),
+            centre: DVec3::ZERO,
+            velocity: DVec3::ZERO,
+            rotation: DQuat::IDENTITY,
+            spin: DVec3::ZERO,
+            x: none.clone(),
+            u: none,
+        }
+    }
+
+    /// A body on a path, undeformed.
+    pub fn prescribed(shape: Arc<Shape>, radius: f64, oscillator: Oscillator) -> Body {
+        Body { motion: Motion::Prescribed, ..Body::free(shape, radius, oscillator, Rotation::Fixed) }
+    }
+
+    /// Places a free body and lets all of it move at `velocity` [scene unit/s] and turn at the rate `spin` [rad/s].
+    pub fn throw(&mut self, from: DVec3, velocity: DVec3, spin: DVec3) {
+        (self.centre, self.velocity) = (from, velocity);
+        if self.motion == Motion::Free(Rotation::Free) {
+            let inertia = resistance(self.inner(self.rotation).ss);
+            self.spin = inertia * spin;
+        } else {
+            let axes = DMat3::from_quat(self.rotation);
+            for (u, &l) in self.u.iter_mut().zip(&self.shape.rest) {
+                *u = spin.cross(axes * l);
+            }
+        }
+    }
+
+    /// Whether its rest shape turns.
+    pub fn turns(&self) -> bool {
+        self.motion == Motion::Free(Rotation::Free)
+    }
+
+    /// Whether forces move it.
+    pub fn is_free(&self) -> bool {
+        matches!(self.motion, Motion::Free(_))
+    }
+
+    /// M.
+    pub fn mass(&self) -> f64 {
+        self.shape.mass
+    }
+
+    /// World position of a vertex [scene unit].
+    pub fn position(&self, vertex: usize) -> DVec3 {
+        self.centre + (self.rotation * self.shape.rest[vertex] + self.x[vertex])
+    }
+
+    /// World velocity of every vertex [scene unit/s].
+    pub fn velocities(&self) -> impl Iterator<Item = DVec3> + '_ {
+        let (spin, axes) = (self.frame_spin(), DMat3::from_quat(self.rotation));
+        self.shape.rest.iter().zip(&self.u).map(move |(&l, &u)| self.velocity + (spin.cross(axes * l) + u))
+    }
+
+    /// Ω_Q [rad/s].
+    pub fn frame_spin(&self) -> DVec3 {
+        if self.turns() { self.inner(self.rotation).frame_spin(self.spin) } else { DVec3::ZERO }
+    }
+
+    /// The sums over its vertices.
+    pub(super) fn inner(&self, rotation: DQuat) -> Inner {
+        Sums::of(&self.shape, &self.x, &self.u).inner(&self.shape, DMat3::from_quat(rotation))
+    }
+
+    /// Turns the frame to where it fits the vertices best, which do not move by that.
+    pub(super) fn refit(&mut self) {
+        let shape = &*self.shape;
+        let per_mass = 1.0 / shape.mass;
+        let mean = |v: &[DVec3]| v.iter().zip(&shape.masses).map(|(&v, &m)| m * v).sum::<DVec3>() * per_mass;
+        let (x, u) = (mean(&self.x), mean(&self.u));
+        self.x.iter_mut().for_each(|v| *v -= x);
+        self.u.iter_mut().for_each(|v| *v -= u);
+        if !self.turns() {
+            return;
+        }
+        let axes = DMat3::from_quat(self.rotation);
+        let sums = Sums::of(shape, &self.x, &self.u);
+        let inner = sums.inner(shape, axes);
+        // Σ m s lᵀ
+        let rotation = best_rotation(axes * shape.spread + sums.lx.transpose(), self.rotation);
+        let turned = DMat3::from_quat(rotation);
+        let spin = inner.frame_spin(self.spin);
+        // the rate of the new frame, from Σ m a×s′
+        let mut moved = DMat3::ZERO;
+        for ((&l, &u), &m) in shape.rest.iter().zip(&self.u).zip(&shape.masses) {
+            moved += outer(m * l, spin.cross(axes * l) + u);
+        }
+        for (x, &l) in self.x.iter_mut().zip(&shape.rest) {
+            *x += axes * l - turned * l;
+        }
+        let stretched = resistance(Sums::of(shape, &self.x, &self.u).inner(shape, turned).as_);
+        let turning =
+            crate::model::shape_matching::solve(stretched, crate::model::shape_matching::moment(turned * moved));
+        for (u, &l) in self.u.iter_mut().zip(&shape.rest) {
+            *u += spin.cross(axes * l) - turning.cross(turned * l);
+        }
+        self.rotation = rotation;
+    }
+}
+
+/// Sums over the vertices that do not depend on the frame.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sums {
+    /// Σ m l xᵀ
+    pub lx: DMat3,
+    /// Σ m l uᵀ
+    pub lu: DMat3,
+    /// Σ m x xᵀ
+    pub xx: DMat3,
+    /// Σ m x×u
+    pub xu: DVec3,
+}
+
+impl Default for Sums {
+    fn default() -> Sums {
+        // a matrix is the identity by default
+        Sums { lx: DMat3::ZERO, lu: DMat3::ZERO, xx: DMat3::ZERO, xu: DVec3::ZERO }
+    }
+}
+
+impl Sums {
+    pub fn of(shape: &Shape, x: &[DVec3], u: &[DVec3]) -> Sums {
+        let mut sums = Sums::default();
+        for (((&l, &m), &x), &u) in shape.rest.iter().zip(&shape.masses).zip(x).zip(u) {
+            let (ml, mx) = (m * l, m * x);
+            sums.lx += outer(ml, x);
+            sums.lu += outer(ml, u);
+            sums.xx += outer(mx, x);
+            sums.xu += mx.cross(u);
+        }
+        sums
+    }
+
+    /// With a = Q l, s = a + x.
+    pub fn inner(&self, shape: &Shape, axes: DMat3) -> Inner {
+        let aa = axes * shape.spread * axes.transpose();
+        let ax = axes * self.lx;
+        Inner { as_: aa + ax, ax_rate: axes * self.lu, x_cross_rate: self.xu, ss: aa + ax + ax.transpose() + self.xx }
+    }
+}

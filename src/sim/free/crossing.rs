@@ -1,0 +1,236 @@
+//! Where a quantity of a step passes zero: rims of spheres and planes, thresholds of pairs.
+//!
+//! It is known with its rate at the four nodes, and taken as the polynomial of degree seven through those. In Bernstein's
+//! basis a polynomial has no more roots than its coefficients have changes of sign: halved until there is one or none,
+//! no crossing is missed, however short the visit.
+
+use std::sync::LazyLock;
+
+use super::super::nodes::NODES;
+
+/// Most crossings in a step that are told apart.
+pub const MOST: usize = 7;
+
+/// `BASIS[i][k]`: how much the k-th of (values at the nodes, rates at the nodes) counts in coefficient i.
+static BASIS: LazyLock<[[f64; 8]; 8]> = LazyLock::new(|| {
+    // Row k of the system says what the k-th datum is of the Bernstein coefficients; invert by Gauss–Jordan.
+    const CHOOSE: [f64; 8] = [1.0, 7.0, 21.0, 35.0, 35.0, 21.0, 7.0, 1.0];
+    let mut a = [[0.0; 16]; 8];
+    for (k, row) in a.iter_mut().enumerate() {
+        let (t, is_rate) = (NODES[k % 4], k >= 4);
+        let s = 1.0 - t;
+        let power = |x: f64, n: i32| if n < 0 { 0.0 } else { (0..n).fold(1.0, |p, _| p * x) };
+        for i in 0..8 {
+            let n = i as i32;
+            row[i] = if is_rate {
+                CHOOSE[i]
+                    * (f64::from(n) * power(t, n - 1) * power(s, 7 - n)
+                        - f64::from(7 - n) * power(t, n) * power(s, 6 - n))
+            } else {
+                CHOOSE[i] * power(t, n) * power(s, 7 - n)
+            };
+        }
+        row[8 + k] = 1.0;
+    }
+    for p in 0..8 {
+        let pivot = (p..8).max_by(|&i, &j| a[i][p].abs().total_cmp(&a[j][p].abs())).unwrap_or(p);
+        a.swap(p, pivot);
+        let scale = 1.0 / a[p][p];
+        for value in &mut a[p] {
+            *value *= scale;
+        }
+        let row = a[p];
+        for (_, other) in a.iter_mut().enumerate().filter(|&(i, _)| i != p) {
+            let factor = other[p];
+            for (value, own) in other.iter_mut().zip(row) {
+                *value -= factor * own;
+            }
+        }
+    }
+    std::array::from_fn(|i| std::array::from_fn(|k| a[i][8 + k]))
+});
+
+/// A quantity over a step, from 0 to 1.
+#[derive(Clone, Copy, Debug)]
+pub struct Course([f64; 8]);
+
+/// Crossings of zero in a step, in order.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Crossings {
+    count: usize,
+    at: [f64; MOST],
+}
+
+impl Crossings {
+    /// When, as parts of the step.
+    pub fn as_slice(&self) -> &[f64] {
+        &self.at[..self.count]
+    }
+
+    fn push(&mut self, at: f64) {
+        if self.count < MOST {
+            self.at[self.count] = at;
+            self.count += 1;
+        }
+    }
+}
+
+impl Course {
+    /// Through values and rates (by the time as a part of the step) at the nodes.
+    pub fn new(values: &[f64; 4], rates: &[f64; 4]) -> Course {
+        let mut b = BASIS.map(|row| {
+            let of_values = (row[0] * values[0] + row[1] * values[1]) + (row[2] * values[2] + row[3] * values[3]);
+            let of_rates = (row[4] * rates[0] + row[5] * rates[1]) + (row[6] * rates[2] + row[7] * rates[3]);
+            of_values + of_rates
+        });
+        (b[0], b[7]) = (values[0], values[3]); // but for rounding
+        Course(b)
+    }
+
+    /// Takes it as exactly zero at the start.
+    pub fn starting_at_zero(mut self) -> Course {
+        self.0[0] = 0.0;
+        self
+    }
+
+    /// Whether it is positive at the start, or right after where it is zero there.
+    pub fn starts_positive(&self) -> bool {
+        self.0.iter().find(|value| **value != 0.0).is_some_and(|&value| value > 0.0)
+    }
+
+    /// Its value.
+    pub fn at(&self, theta: f64) -> f64 {
+        split(&self.0, theta).0[7]
+    }
+
+    /// Where it changes its sign. What starts at zero has the sign that it takes then.
+    pub fn crossings(&self) -> Crossings {
+        let mut found = Crossings::default();
+        search(&self.0, 0.0, 1.0, 0, &mut found);
+        found
+    }
+}
+
+/// The coefficients before and after `theta` (de Casteljau).
+fn split(b: &[f64; 8], theta: f64) -> ([f64; 8], [f64; 8]) {
+    let (mut left, mut right, mut row) = ([0.0; 8], [0.0; 8], *b);
+    for i in 0..8 {
+        left[i] = row[0];
+        right[7 - i] = row[7 - i];
+        for k in 0..7 - i {
+            row[k] += theta * (row[k + 1] - row[k]);
+        }
+    }
+    (left, right)
+}
+
+fn sign_changes(b: &[f64; 8]) -> usize {
+    let (mut last, mut changes) = (0.0, 0);
+    for &value in b {
+        if value != 0.0 {
+            changes += usize::from(last * value < 0.0);
+            last = value.signum();
+        }
+    }
+    changes
+}
+
+fn search(b: &[f64; 8], start: f64, end: f64, depth: u32, found: &mut Crossings) {
+    const DEEPEST: u32 = 40;
+    match sign_changes(b) {
+        0 => {}
+        1 => found.push(start + (end - start) * only_root(b)),
+        _ if depth == DEEPEST => {
+            // too near to each other to be told apart: one if the sign is another after them
+            if b[0] * b[7] < 0.0 {
+                found.push(0.5 * (start + end));
+            }
+        }
+        _ => {
+            let (left, right) = split(b, 0.5);
+            let middle = 0.5 * (start + end);
+            search(&left, start, middle, depth + 1, found);
+            // a root in the very middle is the one's end and the other's start
+            if right[0] == 0.0 && left[6] * right[1] < 0.0 {
+                found.push(middle);
+            }
+            search(&right, middle, end, depth + 1, found);
+        }
+    }
+}
+
+/// The root of a polynomial that has one: secants within a bracket (Illinois), to rounding.
+fn only_root(b: &[f64; 8]) -> f64 {
+    if b[7] == 0.0 {
+        return 1.0;
+    }
+    let first = b.iter().find(|value| **value != 0.0).copied().unwrap_or(0.0);
+    let (mut low, mut high) = (0.0, 1.0);
+    let (mut below, mut above) = (first, b[7]);
+    let mut side = 0;
+    for _ in 0..100 {
+        let secant = low + (high - low) * (below / (below - above));
+        let t = if secant > low && secant < high { secant } else { 0.5 * (low + high) };
+        if high - low <= 1e-15 || t <= low || t >= high {
+            return t;
+        }
+        let value = split(b, t).0[7];
+        if value == 0.0 {
+            return t;
+        }
+        if (value > 0.0) == (above > 0.0) {
+            if high - t < 1e-16 {
+                return t;
+            }
+            (high, above) = (t, value);
+            if side == 1 {
+                below *= 0.5;
+            }
+            side = 1;
+        } else {
+            (low, below) = (t, value);
+            if side == -1 {
+                above *= 0.5;
+            }
+            side = -1;
+        }
+    }
+    0.5 * (low + high)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn course(f: impl Fn(f64) -> f64, rate: impl Fn(f64) -> f64) -> Course {
+        Course::new(&NODES.map(&f), &NODES.map(&rate))
+    }
+
+    #[test]
+    fn a_polynomial_of_degree_seven_is_itself() {
+        let c = course(|t| 2.0 + t.powi(7) - 3.0 * t.powi(4), |t| 7.0 * t.powi(6) - 12.0 * t.powi(3));
+        for i in 0..=10 {
+            let t = f64::from(i) / 10.0;
+            assert!((c.at(t) - (2.0 + t.powi(7) - 3.0 * t.powi(4))).abs() < 1e-13);
+        }
+    }
+
+    #[test]
+    fn every_crossing_is_found() {
+        let roots = [0.1, 0.1001, 0.5, 0.93];
+        let f = |t: f64| roots.iter().map(|r| t - r).product::<f64>();
+        let rate =
+            |t: f64| (0..4).map(|i| (0..4).filter(|&j| j != i).map(|j| t - roots[j]).product::<f64>()).sum::<f64>();
+        let found = course(f, rate).crossings();
+        assert_eq!(found.as_slice().len(), 4);
+        for (found, root) in found.as_slice().iter().zip(roots) {
+            assert!((found - root).abs() < 1e-10, "{found} {root}");
+        }
+    }
+
+    #[test]
+    fn what_touches_zero_does_not_cross_it() {
+        assert!(course(|t| (t - 0.3) * (t - 0.3) + 1e-9, |t| 2.0 * (t - 0.3)).crossings().as_slice().is_empty());
+        assert!(course(|t| t * (1.0 + t), |t| 1.0 + 2.0 * t).starting_at_zero().crossings().as_slice().is_empty());
+    }
+}

@@ -1,0 +1,421 @@
+//! What acts on the vertices of a body at the looks of a step, and where that has a kink.
+
+use glam::DVec3;
+
+use super::{
+    body::Body,
+    crossing::Course as Polynomial,
+    field::{Field, Pair, Push},
+    step::{Course, Held, MIDDLE, Own, Piece, Place, Reaction, Span},
+};
+use crate::model::{influence::Weight, shape_matching::Plane};
+
+/// A sphere that acts on a body.
+#[derive(Clone, Copy, Debug)]
+pub struct Sphere {
+    /// Whose it is.
+    pub source: u32,
+    /// r_e [scene unit].
+    pub radius: f64,
+    /// Its strength at each look [1/s²].
+    pub strength: [f64; 5],
+    /// Where its centre is at each look.
+    pub places: [Place; 5],
+}
+
+/// What acts on a body.
+#[derive(Clone, Debug, Default)]
+pub struct Acting {
+    pub spheres: Vec<Sphere>,
+    pub pushes: Vec<Push>,
+}
+
+/// A body in a step, where it is thought to be at the looks, and the first node at which what acts is wanted.
+#[derive(Clone, Copy)]
+pub struct View<'a> {
+    pub body: &'a Body,
+    pub field: &'a Field,
+    pub span: &'a Span,
+    pub places: &'a [Place; 5],
+    pub first: usize,
+}
+
+/// One of what acts on a body.
+#[derive(Clone, Copy)]
+enum Contact<'a> {
+    Sphere(&'a Sphere),
+    Plane(u32, &'a Plane),
+    Push(&'a Push),
+}
+
+/// A vertex at a look: relative to the centre, and of the centre.
+#[derive(Clone, Copy)]
+struct Seen {
+    a: DVec3,
+    s: DVec3,
+    rate: DVec3,
+    place: Place,
+    turning: DVec3,
+}
+
+impl Contact<'_> {
+    /// Positive where it acts, and how that changes [1/s].
+    fn depth(&self, look: usize, seen: &Seen) -> (f64, f64) {
+        let Seen { a, s, rate, place, turning } = *seen;
+        match self {
+            Contact::Sphere(sphere) => {
+                let d = (sphere.places[look].centre - place.centre) - s;
+                let v = (sphere.places[look].velocity - place.velocity) - rate;
+                let distance = d.length();
+                ((sphere.radius - distance) * (sphere.radius + distance), -2.0 * d.dot(v))
+            }
+            Contact::Plane(_, plane) => (plane.depth(place.centre + s), -plane.normal.dot(place.velocity + rate)),
+            Contact::Push(push) => (-push.direction.dot(unit(a)), -push.direction.dot(turning.cross(unit(a)))),
+        }
+    }
+
+    /// The acceleration, smoothly on where it does not act [scene unit/s²].
+    fn acceleration(&self, weight: Weight, look: usize, seen: &Seen) -> DVec3 {
+        let Seen { a, s, rate, place, .. } = *seen;
+        match self {
+            Contact::Sphere(sphere) => {
+                let d = (sphere.places[look].centre - place.centre) - s;
+                let z = d.length() / sphere.radius;
+                let y = 1.0 - z;
+                let w = match weight {
+                    Weight::Linear => y, // (3.3)
+                    Weight::Wendland => (y * y) * (y * y) * (4.0 * z + 1.0),
+                };
+                d * (sphere.strength[look] * w)
+            }
+            Contact::Plane(_, plane) => plane.acceleration(plane.depth(place.centre + s), place.velocity + rate),
+            Contact::Push(push) => push.direction * (-push.strength * push.direction.dot(unit(a))),
+        }
+    }
+}
+
+/// a/|a|; a vertex at the mass centre faces nothing.
+#[inline]
+fn unit(a: DVec3) -> DVec3 {
+    a.normalize_or_zero()
+}
+
+impl Acting {
+    /// Who acts on body `index`, which is in `pairs`, in a step.
+    pub fn find<'a>(
+        &mut self,
+        index: usize,
+        bodies: &[Body],
+        pairs: impl Iterator<Item = &'a Pair>,
+        field: &Field,
+        span: &Span,
+        places: &[[Place; 5]],
+    ) {
+        self.spheres.clear();
+        for pair in pairs {
+            let other = if pair.a as usize == index { pair.b } else { pair.a };
+            let (own, source) = (&bodies[index], &bodies[other as usize]);
+            let scale = field.scale(own.radius, source.radius);
+            let (mine, its) = (&places[index], &places[other as usize]);
+            let radii = own.radius + source.radius;
+            let is_gradual = pair.law.rim(pair.phase).is_some();
+            let strength = std::array::from_fn(|look| {
+                let q = if is_gradual { mine[look].centre.distance(its[look].centre) / radii } else { 0.0 };
+                scale * pair.law.strength(pair.phase, q)
+            });
+            if strength != [0.0; 5] {
+                self.spheres.push(Sphere {
+                    source: other,
+                    radius: field.reach * source.radius,
+                    strength,
+                    places: *its,
+                });
+            }
+        }
+        self.pushes.clear();
+        let acts = |push: &&Push| push.body as usize == index && push.start <= span.start && span.start < push.end;
+        self.pushes.extend(field.pushes.iter().filter(acts));
+    }
+
+    /// What acts on the vertices at the nodes from the first that is wanted on, as what has no kink in the step and pieces
+    /// of it.
+    pub fn evaluate(&self, view: &View<'_>, course: &mut Course) {
+        let View { body, field, span, places, first } = *view;
+        course.pieces.clear();
+        course.reactions.clear();
+        std::mem::swap(&mut course.held, &mut course.held_before);
+        course.held.clear();
+        course.stiffness = self.spheres.iter().map(|sphere| sphere.strength[0].abs()).sum();
+        for look in first..4 {
+            course.vertices[look].f.fill(DVec3::ZERO);
+        }
+        let extent = (0..4).map(|look| course.frames[look].extent).fold(0.0, f64::max);
+        let speed = (0..4).map(|look| {
+            let frame = &course.frames[look];
+            frame.speed + frame.frame_spin.length() * frame.extent
+        });
+        let speed = speed.fold(0.0, f64::max);
+        for sphere in &self.spheres {
+            let apart = |look: usize| sphere.places[look].centre - places[look].centre;
+            let nearest = (0..4).map(|look| apart(look).length()).fold(f64::INFINITY, f64::min);
+            let passing = (0..4).map(|look| (sphere.places[look].velocity - places[look].velocity).length());
+            let band = 0.5 * span.h * (speed + passing.fold(0.0, f64::max));
+            if nearest > sphere.radius + extent + band {
+                continue;
+            }
+            let mut reaction = Reaction { source: sphere.source, force: [DVec3::ZERO; 5] };
+            let (inner, outer) = ((sphere.radius - band).max(0.0), sphere.radius + band);
+            let (inner, outer) = (inner * inner, outer * outer);
+            for i in 0..body.x.len() {
+                let squares: [f64; 4] = std::array::from_fn(|look| {
+                    let s = course.frames[look].axes * body.shape.rest[i] + course.vertices[look].x[i];
+                    (apart(look) - s).length_squared()
+                });
+                let least = squares[0].min(squares[1]).min(squares[2].min(squares[3]));
+                let most = squares[0].max(squares[1]).max(squares[2].max(squares[3]));
+                if least > outer {
+                    continue;
+                }
+                view.touch(Contact::Sphere(sphere), most < inner, course, i, Some(&mut reaction));
+            }
+            course.reactions.push(reaction);
+        }
+        for (number, plane) in (0..).zip(&field.planes) {
+            let depth = |look: usize| plane.depth(places[look].centre);
+            let deepest = (0..4).map(depth).fold(f64::NEG_INFINITY, f64::max);
+            let passing = (0..4).map(|look| plane.normal.dot(places[look].velocity).abs()).fold(0.0, f64::max);
+            let band = 0.5 * span.h * (speed + passing);
+            if deepest + extent + band < 0.0 {
+                continue;
+            }
+            for i in 0..body.x.len() {
+                let depths: [f64; 4] = std::array::from_fn(|look| {
+                    let s = course.frames[look].axes * body.shape.rest[i] + course.vertices[look].x[i];
+                    plane.depth(places[look].centre + s)
+                });
+                if depths.iter().all(|&d| d < -band) {
+                    continue;
+                }
+                let inside = depths.iter().all(|&d| d > band);
+                view.touch(Contact::Plane(number, plane), inside, course, i, None);
+            }
+        }
+        for push in &self.pushes {
+            for i in 0..body.x.len() {
+                view.touch(Contact::Push(push), false, course, i, None);
+            }
+        }
+        for look in first..4 {
+            finish(body, course, look);
+        }
+    }
+
+    /// What acts in the middle of the step.
+    pub fn evaluate_middle(&self, body: &Body, field: &Field, places: &[Place; 5], course: &mut Course) {
+        let look = MIDDLE;
+        course.vertices[look].f.fill(DVec3::ZERO);
+        let extent = course.frames[look].extent;
+        for sphere in &self.spheres {
+            let apart = sphere.places[look].centre - places[look].centre;
+            let mut reaction = DVec3::ZERO;
+            if apart.length() < sphere.radius + extent {
+                for i in 0..body.x.len() {
+                    let s = course.frames[look].axes * body.shape.rest[i] + course.vertices[look].x[i];
+                    if (apart - s).length_squared() < sphere.radius * sphere.radius {
+                        let seen = see(body, course, places, look, i);
+                        let g = Contact::Sphere(sphere).acceleration(field.weight, look, &seen);
+                        course.vertices[look].f[i] += g;
+                        reaction -= body.shape.masses[i] * g;
+                    }
+                }
+            }
+            if let Some(known) = course.reactions.iter_mut().find(|known| known.source == sphere.source) {
+                known.force[look] = reaction;
+            }
+        }
+        let planes = (0..).zip(&field.planes).map(|(number, plane)| Contact::Plane(number, plane));
+        for contact in planes.chain(self.pushes.iter().map(Contact::Push)) {
+            if let Contact::Plane(_, plane) = contact
+                && plane.depth(places[look].centre) + extent < 0.0
+            {
+                continue;
+            }
+            for i in 0..body.x.len() {
+                let seen = see(body, course, places, look, i);
+                if contact.depth(look, &seen).0 > 0.0 {
+                    course.vertices[look].f[i] += contact.acceleration(field.weight, look, &seen);
+                }
+            }
+        }
+        finish(body, course, look);
+    }
+}
+
+impl View<'_> {
+    /// One contact of one vertex over the step, with a kink wherever it begins or ends unless it is known to be `inside`
+    /// throughout.
+    fn touch(
+        &self,
+        contact: Contact<'_>,
+        inside: bool,
+        course: &mut Course,
+        i: usize,
+        reaction: Option<&mut Reaction>,
+    ) {
+        let View { body, field, span, places, first } = *self;
+        let seen: [Seen; 4] = std::array::from_fn(|look| see(body, course, places, look, i));
+        let (mut starts_inside, mut polynomial) = (true, None);
+        if !inside {
+            let depths: [(f64, f64); 4] = std::array::from_fn(|look| contact.depth(look, &seen[look]));
+            let (values, rates) = (depths.map(|d| d.0), depths.map(|d| span.h * d.1));
+            starts_inside = values[0] > 0.0 || (values[0] == 0.0 && rates[0] > 0.0);
+            let fastest = rates.iter().fold(0.0, |m: f64, r| m.max(r.abs()));
+            let nearest = values.iter().fold(f64::INFINITY, |m, v| m.min(v.abs()));
+            let alike = values.iter().all(|&v| (v > 0.0) == (values[0] > 0.0));
+            if !(alike && nearest > fastest) {
+                polynomial = Some(Polynomial::new(&values, &rates));
+            }
+        }
+        let crossings = polynomial.map(|p| p.crossings()).unwrap_or_default();
+        let crossings = crossings.as_slice();
+        if !starts_inside && crossings.is_empty() {
+            return;
+        }
+        let mass = body.shape.masses[i];
+        let mut g: [DVec3; 4] = std::array::from_fn(|look| contact.acceleration(field.weight, look, &seen[look]));
+        if let Contact::Plane(number, plane) = contact {
+            let key = (number, i as u32);
+            let known = course.held_before.binary_search_by_key(&key, |held| (held.plane, held.vertex));
+            if let Ok(known) = known {
+                let responses = course.responses(body.oscillator, span.h, starts_inside, crossings);
+                g = hold(plane, &course.held_before[known].g, &g, &seen, &responses);
+            }
+            course.held.push(Held { plane: number, vertex: i as u32, g });
+        }
+        let mut source = None;
+        if let Some(reaction) = reaction {
+            source = Some(reaction.source);
+            if starts_inside {
+                for look in 0..4 {
+                    reaction.force[look] -= mass * g[look];
+                }
+            }
+        }
+        if starts_inside {
+            for look in first..4 {
+                course.vertices[look].f[i] += g[look];
+            }
+        }
+        let mut sign = if starts_inside { -1.0 } else { 1.0 };
+        for &from in crossings {
+            let share = mass / body.mass();
+            let torque =
+                std::array::from_fn(|look| (places[look].centre - span.origin + seen[look].s).cross(mass * g[look]));
+            let turn = std::array::from_fn(|look| {
+                if body.turns() { course.turn_of(look, seen[look].a.cross(mass * g[look])) } else { DVec3::ZERO }
+            });
+            course.pieces.push(Piece {
+                from,
+                sign,
+                acceleration: g.map(|g| share * g),
+                torque,
+                own: Some(Own { vertex: i as u32, source, g, turn }),
+            });
+            sign = -sign;
+        }
+    }
+}
+
+/// Sums over what acts on the vertices at a look, and what damping does to them there beyond −2κ x′.
+fn finish(body: &Body, course: &mut Course, look: usize) {
+    if !body.is_free() {
+        return;
+    }
+    let (frame, vertices) = (&mut course.frames[look], &mut course.vertices[look]);
+    let shape = &*body.shape;
+    let twice_damped = 2.0 * body.oscillator.damping * frame.spin;
+    let (mut sum, mut turning, mut spinning) = (DVec3::ZERO, DVec3::ZERO, DVec3::ZERO);
+    for i in 0..shape.rest.len() {
+        let f = vertices.f[i];
+        if f != DVec3::ZERO {
+            let force = shape.masses[i] * f;
+            sum += force;
+            let a = frame.axes * shape.rest[i];
+            turning += a.cross(force);
+            spinning += (a + vertices.x[i]).cross(force);
+        }
+        vertices.f[i] = f + twice_damped.cross(vertices.x[i]);
+    }
+    frame.mean = sum / shape.mass;
+    frame.turning = turning;
+    frame.spinning = spinning;
+}
+
+/// A vertex at a look.
+#[inline]
+fn see(body: &Body, course: &Course, places: &[Place; 5], look: usize, i: usize) -> Seen {
+    let frame = &course.frames[look];
+    let a = frame.axes * body.shape.rest[i];
+    let rate = frame.frame_spin.cross(a) + course.vertices[look].u[i];
+    Seen { a, s: a + course.vertices[look].x[i], rate, place: places[look], turning: frame.frame_spin }
+}
+
+/// What a plane does to a vertex at the nodes, which depends on where that takes the vertex: one of Newton's steps from
+/// `before`, of which `found` is what came. A stiff plane or one of sharp friction leads nowhere without. By far the most of
+/// what a force does is that it moves its own vertex; how it moves others is left to the corrections.
+fn hold(
+    plane: &Plane,
+    before: &[DVec3; 4],
+    found: &[DVec3; 4],
+    seen: &[Seen; 4],
+    responses: &[[(f64, f64); 3]; 3],
+) -> [DVec3; 4] {
+    // (1 − J W) change = found − before, at the nodes after the first
+    let mut a = [[0.0; 10]; 9];
+    for i in 0..3 {
+        let at = &seen[i + 1];
+        let (by_position, by_velocity) =
+            plane.derivatives(plane.depth(at.place.centre + at.s), at.place.velocity + at.rate);
+        let residual = found[i + 1] - before[i + 1];
+        for j in 0..3 {
+            let (x, u) = responses[i][j];
+            let block = by_position * x + by_velocity * u;
+            for column in 0..3 {
+                for row in 0..3 {
+                    let one = if i == j && row == column { 1.0 } else { 0.0 };
+                    a[3 * i + row][3 * j + column] = one - block.col(column)[row];
+                }
+            }
+        }
+        for row in 0..3 {
+            a[3 * i + row][9] = residual[row];
+        }
+    }
+    let change = solve(a);
+    std::array::from_fn(|node| match node {
+        0 => found[0],
+        node => before[node] + DVec3::from_slice(&change[3 * node - 3..3 * node]),
+    })
+}
+
+/// The solution of nine linear equations, the right-hand side in the last column (Gauss, with pivots).
+fn solve(mut a: [[f64; 10]; 9]) -> [f64; 9] {
+    for p in 0..9 {
+        let pivot = (p..9).max_by(|&i, &j| a[i][p].abs().total_cmp(&a[j][p].abs())).unwrap_or(p);
+        a.swap(p, pivot);
+        let row = a[p];
+        let scale = 1.0 / row[p];
+        for other in &mut a[p + 1..] {
+            let factor = other[p] * scale;
+            for column in p + 1..10 {
+                other[column] -= factor * row[column];
+            }
+        }
+    }
+    let mut solution = [0.0; 9];
+    for p in (0..9).rev() {
+        let known: f64 = (p + 1..9).map(|column| a[p][column] * solution[column]).sum();
+        solution[p] = (a[p][9] - known) / a[p][p];
+    }
+    solution
+}

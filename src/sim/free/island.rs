@@ -1,0 +1,537 @@
+//! Bodies that depend on each other, advanced together: steps of the right length, that end where a pair changes its phase.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::{
+    body::Body,
+    conserved::{self, Conserved},
+    crossing::Course as Polynomial,
+    field::{Field, Pair, Paths},
+    force::{Acting, View},
+    step::{Course, MIDDLE, Piece, Place, Span, larger},
+};
+use crate::model::{oscillator::Oscillator, phase::Phase};
+
+/// Corrections after which a step that has not settled is taken in shorter ones.
+const MOST_SWEEPS: u32 = 24;
+/// Steps that [`Island::advance`] takes at most.
+const MOST_STEPS: u64 = 20_000;
+/// Changes of phase of one pair in [`Island::advance`], at most.
+const MOST_CHANGES: u32 = 200;
+/// Fewer vertices than this are not worth a second thread.
+const PARALLEL_VERTICES: usize = 4096;
+/// A step has settled when what corrections still do is this part of the error that is allowed: its error must be that of
+/// the step, not of what was left of the corrections.
+const SETTLED: f64 = 2.5e-3;
+/// Distances over thresholds as near to 1 as this are on them.
+const STANDING: f64 = 1e-12;
+/// A step is longer than the one before by no more than this.
+const MOST_GROWTH: f64 = 4.0;
+/// A body's frame may turn by as much in a step [rad].
+const MOST_TURN: f64 = 1.0;
+
+/// A change of phase.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Change {
+    /// When [s].
+    pub time: f64,
+    /// Index of the pair.
+    pub pair: usize,
+    /// Centre distance over the sum of the radii [–].
+    pub q: f64,
+    /// The phase that ended.
+    pub from: Phase,
+    /// The phase that began.
+    pub to: Phase,
+    /// By how much the energy of influence changed at once: Σ m Δs Φ [mass · scene unit²/s²].
+    pub energy: f64,
+}
+
+/// What happened, and what it took. Added to by [`Island::advance`].
+#[derive(Clone, Debug, Default)]
+pub struct Report {
+    /// Changes of phase, by time.
+    pub changes: Vec<Change>,
+    /// Steps taken.
+    pub steps: u64,
+    /// Steps tried and taken in shorter ones.
+    pub rejected: u64,
+    /// Corrections of all bodies.
+    pub sweeps: u64,
+    /// The sum over the steps of the largest estimated error [radii].
+    pub error: f64,
+}
+
+/// Why bodies cannot be followed any further.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Failure {
+    /// A pair changes its phase over and over.
+    #[error(
+        "the pair of bodies {a} and {b} changed its phase {MOST_CHANGES} times by t = {time:.9} s within one step: where \
+         attraction turns into repulsion at once, bodies chatter; give the core a width (core_width), or thresholds that \
+         are farther apart"
+    )]
+    Chatter {
+        /// Index of one body …
+        a: u32,
+        /// … and of the other.
+        b: u32,
+        /// When [s].
+        time: f64,
+    },
+    /// Steps would have to be shorter and shorter.
+    #[error(
+        "at t = {time:.9} s body {body} cannot be followed within the tolerance: steps of {step:e} s are still too long; \
+         allow a larger tolerance, or make what acts on it smoother (core_width, a plane's slip)"
+    )]
+    Unresolved {
+        /// Index of the body.
+        body: usize,
+        /// When [s].
+        time: f64,
+        /// What was tried [s].
+        step: f64,
+    },
+}
+
+/// Free bodies, and those on prescribed paths near them.
+#[derive(Clone, Debug, Default)]
+pub struct Island {
+    bodies: Vec<Body>,
+    pairs: Vec<Pair>,
+    field: Field,
+    tolerance: f64,
+    time: f64,
+    /// The length of step that was right last [s].
+    pace: f64,
+    scratch: Scratch,
+}
+
+/// Reused from step to step.
+#[derive(Clone, Debug, Default)]
+struct Scratch {
+    courses: Vec<Course>,
+    acting: Vec<Acting>,
+    places: Vec<[Place; 5]>,
+    /// What the sphere of each body feels at a look.
+    reactions: Vec<DVec3>,
+    /// The pairs that each body is in.
+    pairs_of: Vec<Vec<u32>>,
+    changes: Vec<u32>,
+}
+
+/// When something about a pair changes in a step.
+#[derive(Clone, Copy, Debug)]
+struct Crossing {
+    /// As a part of the step.
+    theta: f64,
+    /// Index of the pair.
+    pair: usize,
+    /// q [–].
+    level: f64,
+    /// The phase that begins, if one does.
+    to: Option<Phase>,
+}
+
+/// How a step went.
+#[derive(Clone, Copy, Debug)]
+struct Outcome {
+    /// Over what is allowed.
+    error: f64,
+    /// The worst body.
+    body: usize,
+    /// [radii]
+    estimate: f64,
+}
+
+impl Island {
+    /// Of bodies that keep an error of `tolerance` [radii/s], at t = 0; pairs have the phases that they come with. Bodies on
+    /// prescribed paths are to be where those begin.
+    pub fn new(bodies: Vec<Body>, pairs: Vec<Pair>, field: Field, tolerance: f64) -> Island {
+        Island { bodies, pairs, field, tolerance, time: 0.0, pace: f64::INFINITY, scratch: Scratch::default() }
+    }
+
+    /// The bodies.
+    pub fn bodies(&self) -> &[Body] {
+        &self.bodies
+    }
+
+    /// The bodies, to be pushed about between steps.
+    pub fn bodies_mut(&mut self) -> &mut [Body] {
+        &mut self.bodies
+    }
+
+    /// The pairs.
+    pub fn pairs(&self) -> &[Pair] {
+        &self.pairs
+    }
+
+    /// When it is [s].
+    pub fn time(&self) -> f64 {
+        self.time
+    }
+
+    /// Momentum, angular momentum and energy.
+    pub fn conserved(&self) -> Conserved {
+        Conserved::of(&self.bodies, &self.pairs, &self.field)
+    }
+
+    /// Advances all of it to `end` [s].
+    ///
+    /// # Errors
+    /// If a pair changes its phase over and over, or steps would have to be too short. The state is then that of the
+    /// last instant reached.
+    pub fn advance(&mut self, end: f64, paths: &dyn Paths, report: &mut Report) -> Result<(), Failure> {
+        let mut scratch = std::mem::take(&mut self.scratch);
+        let done = self.advance_with(&mut scratch, end, paths, report);
+        self.scratch = scratch;
+        done
+    }
+
+    fn advance_with(
+        &mut self,
+        scratch: &mut Scratch,
+        end: f64,
+        paths: &dyn Paths,
+        report: &mut Report,
+    ) -> Result<(), Failure> {
+        let whole = end - self.time;
+        let shortest = whole * 1e-9;
+        scratch.courses.resize_with(self.bodies.len(), Course::default);
+        scratch.acting.resize_with(self.bodies.len(), Acting::default);
+        scratch.places.resize(self.bodies.len(), Default::default());
+        scratch.changes.clear();
+        scratch.changes.resize(self.pairs.len(), 0);
+        scratch.pairs_of.resize_with(self.bodies.len(), Vec::new);
+        scratch.pairs_of.iter_mut().for_each(Vec::clear);
+        for (index, pair) in (0..).zip(&self.pairs) {
+            scratch.pairs_of[pair.a as usize].push(index);
+            scratch.pairs_of[pair.b as usize].push(index);
+        }
+        let mut steps = 0;
+        while self.time < end {
+            self.leave_phases(scratch, paths, report)?;
+            let stop = f64::min(end, self.field.next_break(self.time));
+            let left = stop - self.time;
+            let parts = (left / self.pace).ceil().max(1.0);
+            let mut next = if parts > 1.0 { self.time + left / parts } else { stop };
+            let outcome = loop {
+                let h = next - self.time;
+                steps += 1;
+                let outcome = self.step(scratch, next, paths, report);
+                let factor = match &outcome {
+                    Some(outcome) if outcome.error <= 1.0 => break *outcome,
+                    Some(outcome) => (0.85 * libm::pow(outcome.error, -0.2)).clamp(0.1, 0.7),
+                    None => 0.4,
+                };
+                report.rejected += 1;
+                if h < shortest || steps >= MOST_STEPS {
+                    let body = outcome.map_or(0, |outcome| outcome.body);
+                    return Err(Failure::Unresolved { body, time: self.time, step: h });
+                }
+                self.pace = factor * h;
+                next = self.time + factor * h;
+            };
+            let h = next - self.time;
+            let factor = 0.85 * libm::pow(outcome.error.max(1e-9), -0.2);
+            // a step that was cut short tells nothing about long ones
+            self.pace = if factor > MOST_GROWTH { self.pace.max(MOST_GROWTH * h) } else { factor * h };
+            report.steps += 1;
+            report.error += outcome.estimate;
+
+            let crossing = self.first_crossing(scratch, h);
+            if let Some(crossing) = crossing {
+                next = self.end_at(scratch, next, crossing, paths, report);
+                if next > self.time {
+                    self.commit(scratch, next);
+                }
+                if let Some(to) = crossing.to {
+                    self.change(crossing.pair, to, scratch, report)?;
+                }
+            } else {
+                self.commit(scratch, next);
+            }
+        }
+        Ok(())
+    }
+
+    fn commit(&mut self, scratch: &mut Scratch, next: f64) {
+        for ((body, course), places) in self.bodies.iter_mut().zip(&mut scratch.courses).zip(&scratch.places) {
+            course.end(body, places);
+        }
+        self.time = next;
+    }
+
+    /// A step to `next`, which is not yet taken; none if it does not settle.
+    fn step(&self, scratch: &mut Scratch, next: f64, paths: &dyn Paths, report: &mut Report) -> Option<Outcome> {
+        let free = self.bodies.iter().filter(|body| body.is_free());
+        let (sum, count) = free.fold((DVec3::ZERO, 0.0), |(sum, n), body| (sum + body.centre, n + 1.0));
+        let span = Span::new(self.time, next, sum / f64::max(count, 1.0));
+        let parallel = self.bodies.iter().map(|body| body.x.len()).sum::<usize>() >= PARALLEL_VERTICES;
+        for (i, body) in self.bodies.iter().enumerate() {
+            let (course, places) = (&mut scratch.courses[i], &mut scratch.places[i]);
+            course.begin(i, body, &span, paths, places);
+            course.guess(body, self.field.gravity);
+            course.follow(body, &span, 1..4, places);
+        }
+        let wanted = |body: &Body| self.tolerance * body.radius * span.h;
+        let mut before = f64::INFINITY;
+        let mut growing = 0;
+        for sweep in 0..MOST_SWEEPS {
+            self.evaluate(scratch, &span, usize::from(sweep > 0), parallel);
+            report.sweeps += 1;
+            // how far the vertices moved by that, over what will do
+            let follow = |((body, course), places): ((&Body, &mut Course), &mut [Place; 5])| {
+                let rounding = 4e-15 * (places[0].centre.length() + body.shape.extent);
+                course.follow(body, &span, 1..4, places) / f64::max(SETTLED * wanted(body), rounding)
+            };
+            let Scratch { courses, places, .. } = scratch;
+            let change = if parallel {
+                let all = self.bodies.par_iter().zip(courses.par_iter_mut()).zip(places.par_iter_mut());
+                all.map(follow).reduce(|| 0.0, larger)
+            } else {
+                self.bodies.iter().zip(courses.iter_mut()).zip(places.iter_mut()).map(follow).fold(0.0, larger)
+            };
+            if !change.is_finite() {
+                return None;
+            }
+            let rate = if sweep > 0 { change / before } else { 1.0 };
+            // what is left is the rest of a geometric series
+            let left = if rate < 0.9 { change * rate / (1.0 - rate) } else { change };
+            if sweep > 0 && left <= 1.0 {
+                return Some(self.judge(scratch, &span));
+            }
+            growing = if change > 0.8 * before { growing + 1 } else { 0 };
+            if growing >= 4 {
+                return None;
+            }
+            before = change;
+        }
+        None
+    }
+
+    /// What acts on all bodies, at the nodes from `first` on, given where they are.
+    fn evaluate(&self, scratch: &mut Scratch, span: &Span, first: usize, parallel: bool) {
+        let Scratch { courses, acting, places, pairs_of, .. } = scratch;
+        let evaluate = |(i, (course, acting)): (usize, (&mut Course, &mut Acting))| {
+            let pairs = pairs_of[i].iter().map(|&pair| &self.pairs[pair as usize]);
+            acting.find(i, &self.bodies, pairs, &self.field, span, places);
+            let view = View { body: &self.bodies[i], field: &self.field, span, places: &places[i], first };
+            acting.evaluate(&view, course);
+        };
+        if parallel {
+            courses.par_iter_mut().zip(acting.par_iter_mut()).enumerate().for_each(evaluate);
+        } else {
+            courses.iter_mut().zip(acting.iter_mut()).enumerate().for_each(evaluate);
+        }
+        // action and reaction
+        for i in 0..courses.len() {
+            let Course { pieces, .. } = &courses[i];
+            let on_spheres = pieces.iter().filter_map(|piece| {
+                let own = piece.own?;
+                Some((
+                    own.source?,
+                    piece.from,
+                    piece.sign,
+                    own.g.map(|g| -self.bodies[i].shape.masses[own.vertex as usize] * g),
+                ))
+            });
+            for (source, from, sign, force) in on_spheres.collect::<Vec<_>>() {
+                let body = &self.bodies[source as usize];
+                if body.is_free() {
+                    let place = &places[source as usize];
+                    let torque = std::array::from_fn(|node| (place[node].centre - span.origin).cross(force[node]));
+                    let acceleration = force.map(|force| force / body.mass());
+                    courses[source as usize].pieces.push(Piece { from, sign, acceleration, torque, own: None });
+                }
+            }
+        }
+        for look in first..4 {
+            self.drive(scratch, span, look);
+        }
+    }
+
+    /// What follows from the forces at a look.
+    fn drive(&self, scratch: &mut Scratch, span: &Span, look: usize) {
+        let Scratch { courses, places, reactions, .. } = scratch;
+        reactions.clear();
+        reactions.resize(courses.len(), DVec3::ZERO);
+        for reaction in courses.iter().flat_map(|course| &course.reactions) {
+            reactions[reaction.source as usize] += reaction.force[look];
+        }
+        for (i, body) in self.bodies.iter().enumerate() {
+            courses[i].drive(body, look, self.field.gravity, reactions[i], &places[i][look], span.origin);
+        }
+    }
+
+    /// The error that a step makes, from what is found in its middle.
+    fn judge(&self, scratch: &mut Scratch, span: &Span) -> Outcome {
+        let Scratch { courses, acting, places, pairs_of, .. } = scratch;
+        for (i, body) in self.bodies.iter().enumerate() {
+            courses[i].follow(body, span, MIDDLE..MIDDLE + 1, &mut places[i]);
+        }
+        for (i, body) in self.bodies.iter().enumerate() {
+            let pairs = pairs_of[i].iter().map(|&pair| &self.pairs[pair as usize]);
+            acting[i].find(i, &self.bodies, pairs, &self.field, span, places);
+            acting[i].evaluate_middle(body, &self.field, &places[i], &mut courses[i]);
+        }
+        self.drive(scratch, span, MIDDLE);
+        let courses = &scratch.courses;
+        let mut worst = Outcome { error: 0.0, body: 0, estimate: 0.0 };
+        for (i, body) in self.bodies.iter().enumerate() {
+            let (course, h) = (&courses[i], span.h);
+            let bends = course.bends(body);
+            let Oscillator { omega, damping } = body.oscillator;
+            // What a quartic has beyond the cubic Lobatto's weights see, and a slow oscillator does, too; left of a bend is
+            // what is of the next orders in what passes in the step.
+            let planes = self.field.planes.iter().map(|plane| plane.stiffness).sum::<f64>();
+            let rate = (course.stiffness + planes).sqrt() + omega + 2.0 * damping;
+            let rough = f64::min(1.0, 0.5 * rate * h);
+            let left = rough * rough;
+            // what an error of the force is in the displacement, now or after the oscillator has taken the velocity up;
+            // that of a centre nothing takes up: within a second
+            let swing = 1.0 / omega.max(2.0 * damping).max(1.0);
+            let constant = f64::min(0.5 * h * h, 2.0 / (omega * omega));
+            let vertex = 0.2 * (constant + h * swing) * left * bends.force;
+            let centre = 0.1 * h * (1.0 + 0.5 * h) * left * bends.acceleration;
+            let turn = 0.1 * h * left * bends.spin * body.shape.extent;
+            let estimate = (vertex + centre + turn) / body.radius;
+            let turned = course.frames[3].turned.length();
+            let error = estimate / (self.tolerance * h);
+            let error = if turned > MOST_TURN { error.max(2.0) } else { error };
+            if !(error <= worst.error) {
+                worst = Outcome { error, body: i, estimate };
+            }
+        }
+        worst
+    }
+
+    /// The levels of q at which something about a pair changes: whether it is by falling, by rising or either, and to what.
+    fn levels(pair: &Pair) -> impl Iterator<Item = (f64, Option<bool>, Option<Phase>)> {
+        let ends = pair.law.rim(pair.phase).into_iter().flat_map(|rim| rim.ends());
+        let ends = ends.filter(|&level| level > 0.0).map(|level| (level, None, None));
+        let ways = pair.law.thresholds.transitions(pair.phase);
+        ways.map(|way| (way.level, Some(way.falling), Some(way.to))).chain(ends)
+    }
+
+    /// The first instant of the step that was just tried at which something about a pair changes.
+    fn first_crossing(&self, scratch: &Scratch, h: f64) -> Option<Crossing> {
+        let mut first: Option<Crossing> = None;
+        for (index, pair) in self.pairs.iter().enumerate() {
+            let (a, b) = (&scratch.places[pair.a as usize], &scratch.places[pair.b as usize]);
+            let radii = self.bodies[pair.a as usize].radius + self.bodies[pair.b as usize].radius;
+            for (level, falling, to) in Island::levels(pair) {
+                let rim = level * radii;
+                let distance: [f64; 4] = std::array::from_fn(|node| a[node].centre.distance(b[node].centre));
+                let values = distance.map(|d| (d - rim) * (d + rim));
+                let rates: [f64; 4] = std::array::from_fn(|node| {
+                    2.0 * h * (a[node].centre - b[node].centre).dot(a[node].velocity - b[node].velocity)
+                });
+                let fastest = rates.iter().fold(0.0, |m: f64, r| m.max(r.abs()));
+                let alike = values.iter().all(|&v| (v > 0.0) == (values[0] > 0.0));
+                if alike && values.iter().all(|v| v.abs() > fastest) {
+                    continue;
+                }
+                let mut polynomial = Polynomial::new(&values, &rates);
+                if (distance[0] - rim).abs() <= STANDING * rim {
+                    polynomial = polynomial.starting_at_zero();
+                }
+                let mut positive = polynomial.starts_positive();
+                for &theta in polynomial.crossings().as_slice() {
+                    if falling.is_none_or(|falling| falling == positive) {
+                        if first.is_none_or(|before| theta < before.theta) {
+                            first = Some(Crossing { theta, pair: index, level, to });
+                        }
+                        break;
+                    }
+                    positive = !positive;
+                }
+            }
+        }
+        first
+    }
+
+    /// Takes the step again so that it ends where the pair is at the level.
+    fn end_at(
+        &self,
+        scratch: &mut Scratch,
+        next: f64,
+        crossing: Crossing,
+        paths: &dyn Paths,
+        report: &mut Report,
+    ) -> f64 {
+        let Crossing { theta, pair, level, .. } = crossing;
+        const MOST_TRIES: u32 = 5;
+        let (a, b) = (self.pairs[pair].a as usize, self.pairs[pair].b as usize);
+        let rim = level * (self.bodies[a].radius + self.bodies[b].radius);
+        let mut end = self.time + theta * (next - self.time);
+        for _ in 0..MOST_TRIES {
+            if end <= self.time {
+                return self.time;
+            }
+            if self.step(scratch, end, paths, report).is_none() {
+                break;
+            }
+            let (a, b) = (scratch.places[a][3], scratch.places[b][3]);
+            let apart = a.centre - b.centre;
+            let distance = apart.length();
+            let rate = apart.dot(a.velocity - b.velocity) / distance;
+            let off = (distance - rim) / rate;
+            if !((distance - rim).abs() > 0.1 * STANDING * rim && off.abs() < next - self.time && end - off != end) {
+                break;
+            }
+            end -= off;
+        }
+        end
+    }
+
+    /// Changes the phases of pairs that are beyond a way out of theirs, or on it and going there.
+    fn leave_phases(&mut self, scratch: &mut Scratch, paths: &dyn Paths, report: &mut Report) -> Result<(), Failure> {
+        for (i, body) in self.bodies.iter().enumerate() {
+            scratch.places[i][3] = if body.is_free() {
+                Place { centre: body.centre, velocity: body.velocity }
+            } else {
+                let driven = paths.at(i, self.time, false);
+                Place { centre: driven.position, velocity: driven.velocity }
+            };
+        }
+        for index in 0..self.pairs.len() {
+            let pair = self.pairs[index];
+            let (a, b) = (scratch.places[pair.a as usize][3], scratch.places[pair.b as usize][3]);
+            let radii = self.bodies[pair.a as usize].radius + self.bodies[pair.b as usize].radius;
+            let apart = a.centre - b.centre;
+            let rate = apart.dot(a.velocity - b.velocity);
+            let beyond = pair.law.thresholds.transitions(pair.phase).find(|way| {
+                let side = if way.falling { 1.0 } else { -1.0 };
+                let gap = side * (apart.length() - way.level * radii);
+                let standing = STANDING * way.level * radii;
+                gap < -standing || (gap <= standing && side * rate < 0.0)
+            });
+            if let Some(way) = beyond {
+                self.change(index, way.to, scratch, report)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn change(&mut self, index: usize, to: Phase, scratch: &mut Scratch, report: &mut Report) -> Result<(), Failure> {
+        let pair = self.pairs[index];
+        for i in [pair.a as usize, pair.b as usize] {
+            if !self.bodies[i].is_free() {
+                self.bodies[i].centre = scratch.places[i][3].centre;
+            }
+        }
+        let (a, b) = (&self.bodies[pair.a as usize], &self.bodies[pair.b as usize]);
+        let q = a.centre.distance(b.centre) / (a.radius + b.radius);
+        let jump = pair.law.strength(to, q) - pair.law.strength(pair.phase, q);
+        let energy = conserved::influence(&self.bodies, &pair, &self.field, jump);
+        report.changes.push(Change { time: self.time, pair: index, q, from: pair.phase, to, energy });
+        self.pairs[index].phase = to;
+        scratch.changes[index] += 1;
+        if scratch.changes[index] > MOST_CHANGES {
+            return Err(Failure::Chatter { a: pair.a, b: pair.b, time: self.time });
+        }
+        Ok(())
+    }
+}

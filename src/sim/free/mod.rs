@@ -1,0 +1,53 @@
+//! Bodies that nobody moves: a solver for free bodies, coupled by their influence spheres, on planes and under gravity.
+//!
+//! | what | where |
+//! | --- | --- |
+//! | a body: vertices with masses about a rest shape that follows them | [`body`] |
+//! | what acts on bodies: pairs, planes, pushes, gravity | [`field`] |
+//! | the solver: steps of the right length, that end where a pair changes its phase | [`island`] |
+//! | one step: exponential collocation of vertices, centres and frames together | `step`, `force` |
+//! | where something passes zero within a step: rims and thresholds | [`crossing`] |
+//! | what forces do to an oscillator and to a centre | [`weights`] |
+//! | momentum, angular momentum, energy | [`conserved`] |
+//!
+//! It takes plain data and knows nothing of a world or a scene file:
+//!
+//! ```
+//! # use std::sync::Arc;
+//! # use glam::DVec3;
+//! use meldscope::model::oscillator::Oscillator;
+//! use meldscope::sim::free::{Body, Field, Island, NoPaths, Report, Rotation, Shape};
+//!
+//! // an octahedron, thrown upwards and turning
+//! let rest = [DVec3::X, DVec3::Y, DVec3::Z].into_iter().flat_map(|v| [v, -v]).collect();
+//! let shape = Arc::new(Shape::new(rest, vec![1.0 / 6.0; 6]));
+//! let oscillator = Oscillator { omega: 50.0, damping: 1.0 };
+//! let mut body = Body::free(shape, 1.0, oscillator, Rotation::Free);
+//! body.throw(DVec3::ZERO, DVec3::new(0.0, 0.0, 4.0), DVec3::new(0.1, 0.0, 0.0));
+//!
+//! let field = Field { gravity: DVec3::new(0.0, 0.0, -9.81), ..Field::default() };
+//! let mut island = Island::new(vec![body], vec![], field, 1e-6);
+//! let mut report = Report::default();
+//! for step in 1..=60 {
+//!     island.advance(f64::from(step) / 60.0, &NoPaths, &mut report)?;
+//! }
+//! assert!((island.bodies()[0].centre.z - (4.0 - 9.81 / 2.0)).abs() < 1e-12);
+//! # Ok::<(), meldscope::sim::free::Failure>(())
+//! ```
+
+pub mod body;
+pub mod conserved;
+pub mod crossing;
+pub mod field;
+mod force;
+pub mod island;
+mod step;
+pub mod weights;
+
+pub use body::{Body, Motion, Rotation, Shape};
+pub use conserved::Conserved;
+pub use field::{Driven, Field, NoPaths, Pair, PairLaw, Paths, Push};
+pub use island::{Change, Failure, Island, Report};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,331 @@
+//! Free bodies against closed forms, against what has to be kept, and against themselves.
+
+use std::sync::Arc;
+
+use glam::DVec3;
+
+use super::*;
+use crate::model::{
+    oscillator::Oscillator,
+    phase::{Phase, Thresholds},
+    shape_matching::{Plane, rotation_by},
+};
+
+/// A sphere of 86 vertices, each with its share of the surface (areas between rings, not of triangles).
+fn sphere(radius: f64, mass: f64) -> Arc<Shape> {
+    stretched_sphere(radius, mass, DVec3::ONE)
+}
+
+/// The same, stretched along the axes.
+fn stretched_sphere(radius: f64, mass: f64, stretch: DVec3) -> Arc<Shape> {
+    let (stacks, slices) = (8, 12);
+    let mut rest = vec![DVec3::Z, -DVec3::Z];
+    let cap = |polar: f64| 1.0 - libm::cos(polar);
+    let width = std::f64::consts::PI / f64::from(stacks);
+    let mut masses = vec![cap(0.5 * width) / 2.0; 2];
+    for i in 1..stacks {
+        let polar = width * f64::from(i);
+        for j in 0..slices {
+            let (sin, cos) = libm::sincos(std::f64::consts::TAU * f64::from(j) / f64::from(slices));
+            rest.push(DVec3::new(libm::sin(polar) * cos, libm::sin(polar) * sin, libm::cos(polar)));
+            masses.push((cap(polar + 0.5 * width) - cap(polar - 0.5 * width)) / (2.0 * f64::from(slices)));
+        }
+    }
+    let rest = rest.into_iter().map(|v| radius * stretch * v).collect();
+    Arc::new(Shape::new(rest, masses.into_iter().map(|m| mass * m).collect()))
+}
+
+const LAW: PairLaw = PairLaw {
+    alpha: 100.0,
+    beta: 60.0,
+    apart_repels: true,
+    thresholds: Thresholds { merge_at: 1.05, split_at: 1.15, core_at: 0.0 },
+    core_width: 0.0,
+};
+
+fn body(radius: f64, oscillator: Oscillator, from: DVec3, velocity: DVec3, spin: DVec3) -> Body {
+    let mut body = Body::free(sphere(radius, radius.powi(3)), radius, oscillator, Rotation::Free);
+    body.throw(from, velocity, spin);
+    body
+}
+
+fn pair(a: u32, b: u32, phase: Phase, law: PairLaw) -> Pair {
+    Pair { a, b, phase, law }
+}
+
+/// Two of different size that meet off-centre.
+fn two(oscillator: Oscillator, law: PairLaw, tolerance: f64) -> Island {
+    let a = body(1.0, oscillator, DVec3::new(-1.6, 0.1, 0.0), DVec3::new(1.2, 0.0, 0.0), DVec3::new(0.2, 0.0, 0.5));
+    let b = body(0.8, oscillator, DVec3::new(1.2, -0.1, 0.05), DVec3::new(-1.0, 0.0, 0.0), DVec3::ZERO);
+    Island::new(vec![a, b], vec![pair(0, 1, Phase::Apart, law)], Field::default(), tolerance)
+}
+
+fn run(island: &mut Island, duration: f64, dt: f64) -> Report {
+    let mut report = Report::default();
+    let start = island.time();
+    for step in 1..=(duration / dt).round() as u32 {
+        island.advance(start + f64::from(step) * dt, &NoPaths, &mut report).expect("can be followed");
+    }
+    report
+}
+
+/// The largest distance between the same vertices.
+fn difference(a: &Island, b: &Island) -> f64 {
+    let all = a.bodies().iter().zip(b.bodies());
+    all.flat_map(|(a, b)| (0..a.x.len()).map(|i| a.position(i).distance(b.position(i)))).fold(0.0, f64::max)
+}
+
+#[test]
+fn a_throw_is_a_parabola() {
+    let gravity = DVec3::new(0.3, 0.0, -9.81);
+    let o = Oscillator { omega: 12.0, damping: 1.0 };
+    let (from, velocity) = (DVec3::new(1.0, 2.0, 3.0), DVec3::new(-1.0, 4.0, 5.0));
+    let thrown = body(1.0, o, from, velocity, DVec3::new(0.5, -1.0, 2.0));
+    let mut island = Island::new(vec![thrown], vec![], Field { gravity, ..Field::default() }, 1e-6);
+    let spin = island.bodies()[0].spin;
+    run(&mut island, 2.0, 1.0 / 60.0);
+    let expected = from + 2.0 * velocity + 2.0 * gravity;
+    assert!(island.bodies()[0].centre.distance(expected) < 1e-12);
+    assert!((island.bodies()[0].spin - spin).length() < 1e-12);
+}
+
+/// sn, cn, dn for the parameter m = k², by the arithmetic-geometric mean (Abramowitz & Stegun 16.4).
+fn jacobi(u: f64, m: f64) -> [f64; 3] {
+    let (mut a, mut b, mut c) = (vec![1.0], (1.0 - m).sqrt(), vec![m.sqrt()]);
+    while c[c.len() - 1] > 1e-16 {
+        let last = a[a.len() - 1];
+        a.push(0.5 * (last + b));
+        c.push(0.5 * (last - b));
+        b = (last * b).sqrt();
+    }
+    let n = a.len() - 1;
+    let mut phi = f64::powi(2.0, n as i32) * a[n] * u;
+    for k in (1..=n).rev() {
+        phi = 0.5 * (phi + (c[k] / a[k] * phi.sin()).asin());
+    }
+    [phi.sin(), phi.cos(), (1.0 - m * phi.sin().powi(2)).sqrt()]
+}
+
+/// A stiff body with three different moments turns as Euler's equations say (Landau & Lifshitz, Mechanics, § 37).
+#[test]
+fn a_stiff_body_turns_as_a_top() {
+    let shape = stretched_sphere(1.0, 1.0, DVec3::new(1.0, 0.8, 0.6));
+    let mut top = Body::free(shape, 1.0, Oscillator { omega: 1e5, damping: 1e3 }, Rotation::Free);
+    let start = DVec3::new(0.6, 0.0, 2.0); // I₁ < I₂ < I₃ about x, y, z
+    top.throw(DVec3::ZERO, DVec3::ZERO, start);
+    let spread = top.shape.spread;
+    let (x, y, z) = (spread.x_axis.x, spread.y_axis.y, spread.z_axis.z);
+    let [i1, i2, i3] = [y + z, x + z, x + y];
+    let energy2 = i1 * start.x * start.x + i3 * start.z * start.z;
+    let momentum2 = (i1 * start.x).powi(2) + (i3 * start.z).powi(2);
+    assert!(momentum2 > energy2 * i2);
+    let rate = ((i3 - i2) * (momentum2 - energy2 * i1) / (i1 * i2 * i3)).sqrt();
+    let m = (i2 - i1) * (energy2 * i3 - momentum2) / ((i3 - i2) * (momentum2 - energy2 * i1));
+
+    let mut island = Island::new(vec![top], vec![], Field::default(), 1e-6);
+    let duration = 5.0;
+    run(&mut island, duration, 1.0 / 60.0);
+    let [sn, cn, dn] = jacobi(rate * duration, m);
+    let second = ((energy2 * i3 - momentum2) / (i2 * (i3 - i2))).sqrt();
+    let expected = DVec3::new(start.x * cn, second * sn, start.z * dn);
+    let top = &island.bodies()[0];
+    let found = top.rotation.inverse() * top.frame_spin();
+    // either way round, as the axes are
+    let error = found.distance(expected).min(found.distance(expected * DVec3::new(1.0, -1.0, 1.0)));
+    assert!(error < 1e-7, "{found} {expected}");
+}
+
+#[test]
+fn momentum_and_angular_momentum_are_kept_and_energy_is_accounted_for() {
+    let mut island = two(Oscillator { omega: 12.0, damping: 0.0 }, LAW, 1e-6);
+    let first = island.conserved();
+    let report = run(&mut island, 3.0, 1.0 / 60.0);
+    let last = island.conserved();
+    assert!((last.momentum - first.momentum).length() < 1e-13);
+    assert!((last.angular_momentum - first.angular_momentum).length() < 1e-13);
+    assert!(!report.changes.is_empty());
+    let brought: f64 = report.changes.iter().map(|change| change.energy).sum();
+    assert!((last.energy() - first.energy() - brought).abs() < 1e-6 * first.energy().abs());
+}
+
+/// The spring is no stiff coupling between vertices and frame.
+#[test]
+fn any_stiffness_will_do() {
+    for omega in [3.0, 12.0, 100.0, 1e3, 1e4] {
+        for damping in [0.0, 0.1 * omega, 2.0 * omega] {
+            let o = Oscillator { omega, damping };
+            let mut island = two(o, LAW, 1e-6);
+            let mut exact = two(o, LAW, 1e-8);
+            let (report, close) = (run(&mut island, 0.7, 1.0 / 60.0), run(&mut exact, 0.7, 1.0 / 60.0));
+            let error = difference(&island, &exact);
+            assert!(error < 7e-7, "{omega} {damping}: {error:e}");
+            assert!((report.changes[0].time - close.changes[0].time).abs() < 1e-8);
+            assert!(report.steps < 400, "{omega} {damping}: {}", report.steps); // 42 are the least
+        }
+    }
+}
+
+#[test]
+fn steps_become_shorter_as_of_a_method_of_high_order() {
+    let o = Oscillator { omega: 12.0, damping: 1.5 };
+    let mut exact = two(o, LAW, 1e-11);
+    run(&mut exact, 1.0, 1.0 / 60.0);
+    let mut last = None;
+    for tolerance in [1e-4, 1e-6, 1e-8] {
+        let mut island = two(o, LAW, tolerance);
+        let report = run(&mut island, 1.0, 1.0 / 20.0);
+        let error = difference(&island, &exact);
+        assert!(error < tolerance, "{tolerance:e}: {error:e}");
+        if let Some(before) = last {
+            assert!(report.steps < 4 * before, "{tolerance:e}: {} after {before}", report.steps);
+        }
+        last = Some(report.steps);
+    }
+}
+
+/// The model page's table of what comes of two that are thrown at each other.
+#[test]
+fn slow_ones_bounce_off_and_fast_ones_pass() {
+    let o = Oscillator { omega: 12.0, damping: 1.5 };
+    for (alpha, beta, speed, expected) in [
+        (100.0, 60.0, 0.4, &[][..]),
+        (100.0, 60.0, 0.8, &[Phase::Merged][..]),
+        (100.0, 60.0, 6.4, &[Phase::Merged]),
+        (100.0, 60.0, 12.8, &[Phase::Merged, Phase::Apart]),
+        (220.0, 120.0, 0.8, &[]),
+        (220.0, 120.0, 12.8, &[Phase::Merged]),
+    ] {
+        let law = PairLaw { alpha, beta, ..LAW };
+        let half = 0.5 * speed * DVec3::X;
+        let a = body(1.0, o, -1.6 * DVec3::X, half, DVec3::ZERO);
+        let b = body(1.0, o, 1.6 * DVec3::X, -half, DVec3::ZERO);
+        let mut island = Island::new(vec![a, b], vec![pair(0, 1, Phase::Apart, law)], Field::default(), 1e-6);
+        let report = run(&mut island, 2.5, 1.0 / 60.0);
+        let found: Vec<Phase> = report.changes.iter().map(|change| change.to).collect();
+        assert_eq!(found, expected, "{alpha} {speed}");
+    }
+}
+
+/// Turned as a whole, it comes to the same, turned.
+#[test]
+fn no_direction_is_special() {
+    let o = Oscillator { omega: 12.0, damping: 1.5 };
+    let turn = rotation_by(DVec3::new(0.4, -1.0, 0.7));
+    let mut island = two(o, LAW, 1e-6);
+    let mut turned = island.clone();
+    for body in turned.bodies_mut() {
+        body.centre = turn * body.centre;
+        body.velocity = turn * body.velocity;
+        body.rotation = turn * body.rotation;
+        body.spin = turn * body.spin;
+    }
+    run(&mut island, 1.0, 1.0 / 60.0);
+    run(&mut turned, 1.0, 1.0 / 60.0);
+    for (body, turned) in island.bodies().iter().zip(turned.bodies()) {
+        for i in 0..body.x.len() {
+            assert!((turn * body.position(i)).distance(turned.position(i)) < 1e-9);
+        }
+    }
+}
+
+/// Four vertices in a square, which does not turn: what a plane does to it is what it does to a point.
+fn slab(omega: f64, from: DVec3, velocity: DVec3) -> Body {
+    let rest = vec![DVec3::X, DVec3::Y, -DVec3::X, -DVec3::Y];
+    let shape = Arc::new(Shape::new(rest, vec![0.25; 4]));
+    let mut slab = Body::free(shape, 1.0, Oscillator { omega, damping: 0.0 }, Rotation::Fixed);
+    slab.throw(from, velocity, DVec3::ZERO);
+    slab
+}
+
+#[test]
+fn a_slab_bounces_from_a_plane_as_a_spring_does() {
+    let plane = Plane { normal: DVec3::Z, offset: 0.0, stiffness: 4000.0, friction: 0.0, slip: 0.01 };
+    let thrown = slab(30.0, DVec3::new(0.0, 0.0, 0.33), DVec3::new(0.2, 0.0, -1.5));
+    let mut island = Island::new(vec![thrown], vec![], Field { planes: vec![plane], ..Field::default() }, 1e-6);
+    run(&mut island, 0.5, 1.0 / 60.0);
+    // there at 0.22 s, and away again after half a swing
+    let away = 0.22 + std::f64::consts::PI / 4000f64.sqrt();
+    let expected = DVec3::new(0.1, 0.0, 1.5 * (0.5 - away));
+    let found = &island.bodies()[0];
+    assert!(found.centre.distance(expected) < 1e-6, "{} {expected}", found.centre);
+    assert!((found.velocity.z - 1.5).abs() < 1e-6);
+}
+
+#[test]
+fn a_slab_slides_as_far_as_friction_lets_it() {
+    let (stiffness, friction, slip, gravity, speed) = (4000.0, 0.3, 0.02, 9.81, 1.2);
+    let plane = Plane { normal: DVec3::Z, offset: 0.0, stiffness, friction, slip };
+    let thrown = slab(30.0, DVec3::new(0.0, 0.0, -gravity / stiffness), speed * DVec3::X);
+    let field = Field { planes: vec![plane], gravity: -gravity * DVec3::Z, ..Field::default() };
+    let mut island = Island::new(vec![thrown], vec![], field, 1e-6);
+    run(&mut island, 1.0, 1.0 / 60.0);
+    // v′ = −μ g v/√(v² + v_s²)
+    let way = 0.5 * (speed * (speed * speed + slip * slip).sqrt() + slip * slip * (speed / slip).asinh());
+    let found = &island.bodies()[0];
+    assert!((found.centre.x - way / (friction * gravity)).abs() < 1e-6, "{}", found.centre.x);
+    assert!(found.velocity.length() < 1e-7);
+}
+
+/// Two on a rough plane, which takes the swing out of them, where attraction turns into repulsion.
+#[test]
+fn chatter_is_told_and_a_wide_core_ends_it() {
+    let plane = Plane { normal: DVec3::Z, offset: 0.0, stiffness: 4000.0, friction: 0.5, slip: 0.01 };
+    let thresholds = Thresholds { core_at: 0.7, ..LAW.thresholds };
+    let outcome = |core_width: f64| {
+        let law = PairLaw { thresholds, core_width, ..LAW };
+        let at = |x: f64| slab(30.0, DVec3::new(x, 0.0, -9.81 / 4000.0), DVec3::ZERO);
+        let pairs = vec![pair(0, 1, Phase::Merged, law)];
+        let field = Field { planes: vec![plane], gravity: -9.81 * DVec3::Z, ..Field::default() };
+        let mut island = Island::new(vec![at(-0.71), at(0.71)], pairs, field, 1e-6);
+        let mut report = Report::default();
+        (1..=60).try_for_each(|step| island.advance(f64::from(step) / 60.0, &NoPaths, &mut report))
+    };
+    let chattering = outcome(0.0);
+    assert!(matches!(chattering, Err(Failure::Chatter { a: 0, b: 1, .. })), "{chattering:?}");
+    assert_eq!(outcome(0.3), Ok(()));
+}
+
+/// A body on a path pulls a free one, which by its sphere pulls back at the vertices of the one on the path, and those at it.
+#[test]
+fn the_lighter_one_follows_the_one_on_a_path() {
+    let o = Oscillator { omega: 12.0, damping: 1.5 };
+    let path = |body: usize, t: f64, _: bool| match body {
+        0 => Driven { position: 0.5 * t * DVec3::X, velocity: 0.5 * DVec3::X, carry: DVec3::ZERO },
+        _ => Driven::default(),
+    };
+    let led = body(0.5, o, DVec3::new(1.0, 0.0, 0.0), DVec3::ZERO, DVec3::ZERO);
+    let leads = Body::prescribed(sphere(1.0, 1.0), 1.0, o);
+    let law = PairLaw { thresholds: Thresholds { core_at: 0.6, ..LAW.thresholds }, core_width: 0.3, ..LAW };
+    let mut island = Island::new(vec![leads, led], vec![pair(0, 1, Phase::Merged, law)], Field::default(), 1e-6);
+    let mut report = Report::default();
+    for step in 1..=360 {
+        island.advance(f64::from(step) / 60.0, &path, &mut report).expect("can be followed");
+    }
+    assert!(island.bodies()[1].centre.distance(island.bodies()[0].centre) < 1.2);
+}
+
+#[test]
+fn the_number_of_threads_makes_no_difference() {
+    let o = Oscillator { omega: 12.0, damping: 1.5 };
+    let place = |i: u32| DVec3::new(f64::from(i % 4), f64::from(i / 4 % 4), f64::from(i / 16)) * 1.9;
+    let bodies: Vec<Body> = (0..48).map(|i| body(1.0, o, place(i), -0.1 * place(i), DVec3::X)).collect();
+    let mut pairs = Vec::new();
+    for a in 0..48 {
+        for b in a + 1..48 {
+            let q = place(a).distance(place(b)) / 2.0;
+            if q < 2.0 {
+                pairs.push(pair(a, b, LAW.thresholds.initial(q), LAW));
+            }
+        }
+    }
+    let outcome = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+        let mut island = Island::new(bodies.clone(), pairs.clone(), Field::default(), 1e-4);
+        pool.install(|| run(&mut island, 2.0 / 60.0, 1.0 / 60.0));
+        island
+    };
+    let (one, three) = (outcome(1), outcome(3));
+    for (a, b) in one.bodies().iter().zip(three.bodies()) {
+        assert_eq!((a.centre, a.velocity, a.rotation, &a.x, &a.u), (b.centre, b.velocity, b.rotation, &b.x, &b.u));
+    }
+}

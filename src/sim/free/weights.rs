@@ -1,0 +1,93 @@
+//! What forces at the nodes of a step do to an oscillator at any instant of it; also forces that act from some instant on.
+
+use std::sync::LazyLock;
+
+use super::super::{
+    integrator::exponential::weights::Dense,
+    nodes::{LOOKS, NODES},
+};
+use crate::model::oscillator::Oscillator;
+
+/// No spring and no damping: how a centre moves.
+pub const BALLISTIC: Oscillator = Oscillator { omega: 0.0, damping: 0.0 };
+
+/// `CUBIC[i]` holds the coefficients of the cubic that is 1 at node i and 0 at the others.
+static CUBIC: LazyLock<[[f64; 4]; 4]> = LazyLock::new(|| {
+    std::array::from_fn(|i| {
+        // Π (θ − θ_j)/(θ_i − θ_j), multiplied out
+        let mut c = [1.0, 0.0, 0.0, 0.0];
+        for (degree, j) in (0..4).filter(|&j| j != i).enumerate() {
+            let scale = 1.0 / (NODES[i] - NODES[j]);
+            for k in (0..=degree + 1).rev() {
+                let lower = if k > 0 { c[k - 1] } else { 0.0 };
+                c[k] = scale * (lower - NODES[j] * c[k]);
+            }
+        }
+        c
+    })
+});
+
+/// The weight at `theta` of what is known at each node, in the cubic through them.
+pub fn cubic(theta: f64) -> [f64; 4] {
+    CUBIC.map(|[a, b, c, d]| a + theta * (b + theta * (c + theta * d)))
+}
+
+/// How the state at an instant of a step follows from that at its start and the forces at the nodes.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Stage {
+    /// The flow: ∂x/∂x₀ [–] …
+    pub xx: f64,
+    /// … ∂x/∂u₀ [s] …
+    pub xu: f64,
+    /// … ∂u/∂x₀ [1/s] …
+    pub ux: f64,
+    /// … ∂u/∂u₀ [–].
+    pub uu: f64,
+    /// Weights of the forces in x [s²] …
+    pub x: [f64; 4],
+    /// … and in u [s].
+    pub u: [f64; 4],
+}
+
+impl Stage {
+    /// At `theta` > 0 of a step of length `h` [s].
+    pub fn new(oscillator: Oscillator, h: f64, theta: f64) -> Stage {
+        let Dense { xx, xu, ux, uu, x, u, .. } = Dense::new(oscillator, h, theta);
+        Stage { xx, xu, ux, uu, x, u }
+    }
+
+    /// At each of the looks after the start: the three other nodes, and the middle.
+    pub fn looks(oscillator: Oscillator, h: f64) -> [Stage; 4] {
+        std::array::from_fn(|look| Stage::new(oscillator, h, LOOKS[look + 1]))
+    }
+}
+
+/// What forces that act from an instant within the step on do by another: weights of their values at the four nodes,
+/// between which they are the cubic.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Late {
+    /// In x [s²].
+    pub x: [f64; 4],
+    /// In u [s].
+    pub u: [f64; 4],
+}
+
+impl Late {
+    /// By `theta`, of forces that act from `from` on, in a step of length `h` [s].
+    pub fn new(oscillator: Oscillator, h: f64, from: f64, theta: f64) -> Late {
+        let length = theta - from;
+        if length <= 0.0 {
+            return Late::default();
+        }
+        let p = oscillator.propagator(length * h);
+        let weights = |powers: &[f64; 4]| {
+            CUBIC.map(|[a, b, c, d]| {
+                let at = a + from * (b + from * (c + from * d));
+                let slope = b + from * (2.0 * c + from * (3.0 * d));
+                let bend = c + from * (3.0 * d);
+                at * powers[0] + length * (slope * powers[1] + length * (bend * powers[2] + length * (d * powers[3])))
+            })
+        };
+        Late { x: weights(&p.x), u: weights(&p.u) }
+    }
+}
