@@ -71,7 +71,7 @@ pub fn step<const N: usize>(
         row[k] = entry;
         if k >= 2 {
             let errors = change.iter().zip(tolerance).map(|(change, tolerance)| change.abs() / tolerance);
-            // not `f64::max`, which would lose what is not a number
+            // not `f64::max`, which would lose NaN
             let error = errors.fold(0.0, |a: f64, b| if a.is_nan() || b <= a { a } else { b });
             result = Step { end: std::array::from_fn(|i| y[i] + entry[i]), error, columns: k + 1 };
             if result.is_accurate() {

@@ -168,7 +168,7 @@ impl Reference {
     }
 
     /// The largest distance of a vertex of a body from where it is at instant `k`, if its vertices are displaced as `found`
-    /// [scene unit]; not a number if one of those isn't.
+    /// [scene unit]; NaN if one of those isn't.
     pub fn distance(&self, body: usize, k: usize, found: impl Iterator<Item = DVec3>) -> f64 {
         let distances = found.enumerate().map(|(vertex, x)| x.distance(self.displacement(body, vertex, k)));
         distances

@@ -2,15 +2,15 @@
 //!
 //! Every scene is made of the same pairs ([`scenes`]), so that one reference of these pairs judges all of them. A world
 //! is stepped on one core and on all in turns, so that whatever else the machine does meanwhile falls on both alike, for
-//! whole periods of the pairs' motion where that doesn't take too long; beside it the plain way: the thesis's scheme, every
+//! whole periods of the pairs' motion where that doesn't take too long; beside it the naive baseline: the thesis's scheme, every
 //! vertex, all pairs, one number at a time.
 
 pub mod csv;
 pub mod decay;
 pub mod diagram;
+pub mod free_oscillation;
 pub mod goals;
 pub mod scenes;
-pub mod swinging;
 pub mod table;
 
 use std::time::{Duration, Instant};
@@ -28,8 +28,8 @@ use crate::{
     sim::{Options, TooLarge, report::Stage},
 };
 use decay::Decay;
+use free_oscillation::FreeOscillation;
 use scenes::{Family, Layout, PERIOD, PHASES};
-use swinging::Swinging;
 
 /// What is measured.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,7 +58,7 @@ const WARM: u64 = 60;
 const BLOCKS: usize = 9;
 /// Of blocks that take longer than all of these should.
 const LONG_BLOCKS: usize = 3;
-/// The plain way is followed up to scenes of which a step is expected to take longer.
+/// The naive baseline is followed up to scenes of which a step is expected to take longer.
 const LONGEST_PLAIN_STEP: Duration = Duration::from_secs(4);
 /// Errors are looked at when so many steps have been taken since the last time, up to a period.
 const JUDGED_EVERY: u64 = 20;
@@ -96,7 +96,7 @@ pub struct Judged {
     pub steps: u64,
 }
 
-/// The plain way.
+/// The naive baseline.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plain {
     /// On one thread.
@@ -128,7 +128,7 @@ pub struct Point {
     pub all: Option<Run>,
     /// How far off it was.
     pub judged: Option<Judged>,
-    /// The plain way, if a step of it doesn't take too long.
+    /// The naive baseline, if a step of it doesn't take too long.
     pub plain: Option<Plain>,
 }
 
@@ -162,7 +162,7 @@ pub struct Report {
     /// The built-in scene `two`, on one core.
     pub two: Run,
     /// Bodies whose vertices all swing freely, every frame wanted.
-    pub swinging: Vec<Swinging>,
+    pub free_oscillation: Vec<FreeOscillation>,
     /// Bodies that come to rest.
     pub decay: Vec<Decay>,
     /// Scenes that need more memory than there is.
@@ -256,10 +256,10 @@ pub fn measure(settings: &Settings, progress: &mut dyn FnMut(f64)) -> Result<Rep
             progress(done as f64 / (Family::ALL.len() * settings.bodies.len() + 1) as f64);
         }
     }
-    let swinging = swinging::measure(&pair, &pools, settings.time, largest)?;
+    let free_oscillation = free_oscillation::measure(&pair, &pools, settings.time, largest)?;
     let threads = pools.best().current_num_threads();
     let decay = pools.one.install(|| decay::measure(&pair, settings.decay))?;
-    Ok(Report { points, two, swinging, decay, too_large, threads })
+    Ok(Report { points, two, free_oscillation, decay, too_large, threads })
 }
 
 /// The whole of `two`, again and again.

@@ -224,7 +224,7 @@ impl Judge<'_> {
             for (index, (body, allowance)) in world.bodies().zip(&mut allowances).enumerate() {
                 allowance.advance(world.scene(), index, world.time());
                 let used = allowance.used(&body);
-                // written so that what is not a number stays
+                // written so that NaN stays
                 if !(used <= outcome.used) {
                     outcome.used = used;
                 }

@@ -8,11 +8,11 @@ use pulp::{Arch, Simd, WithSimd};
 use super::{
     Span,
     arrays::{Block, LANES},
-    body::{Active, Body, Extent, Seen},
-    deformation::{self, Front, REST},
+    body::{Active, Body, Seen, StateBounds},
+    deformation::{self, ActiveSet, REST},
     integrator::{
         explicit::{self, Interval, Scheme},
-        exponential::{self, Effort, Manner, course::Course},
+        exponential::{self, StepControl, StepStatistics, course::Course},
     },
     neighbours::Neighbour,
     pairs::Pairs,
@@ -23,7 +23,7 @@ use super::{
 };
 use crate::{geometry::Rest, model::phase::Phase, scene::Scene};
 
-/// How far spheres may move before a front is chosen anew: no less than this [radii] …
+/// How far spheres may move before an active set is chosen anew: no less than this [radii] …
 const SKIN: f64 = 0.1;
 /// … and this many times what they move in a step.
 const SKIN_STEPS: f64 = 3.0;
@@ -38,7 +38,7 @@ struct Scratch {
     interval: Interval,
     breaks: Vec<f64>,
     margins: Vec<Margin>,
-    felt: Vec<Neighbour>,
+    contributing: Vec<Neighbour>,
     acting: Acting,
     gaps: Vec<f64>,
     centres: Vec<(DVec3, f64)>,
@@ -83,7 +83,7 @@ impl Phases for &Pairs {
 }
 
 impl<'a> Context<'a> {
-    /// Advances one body, which is the `turn`-th, over `span`; its [`Active::effort`] says what that took: nothing if
+    /// Advances one body, which is the `turn`-th, over `span`; its [`Active::statistics`] says what that took: nothing if
     /// nothing acted on it.
     pub fn advance(&self, active: &mut Active, turn: usize, span: Span) {
         let work = Tally::new(self.work, Some(turn));
@@ -91,20 +91,20 @@ impl<'a> Context<'a> {
             return;
         }
         SCRATCH.with_borrow_mut(|scratch| {
-            active.effort = match Scheme::of(self.scene.integrator) {
+            active.statistics = match Scheme::of(self.scene.integrator) {
                 Some(scheme) => self.advance_explicitly(scheme, active, span, &mut scratch.interval, &work),
                 None => self.advance_exponentially(active, span, scratch, &work),
             };
         });
-        active.effort.work = work.done();
-        if active.effort.substeps > 0 {
-            active.state.extent = Extent::of(&active.state.deformation, active.state.oscillator, self.arch);
+        active.statistics.work = work.done();
+        if active.statistics.substeps > 0 {
+            active.state.state_bounds = StateBounds::of(&active.state.deformation, active.state.oscillator, self.arch);
             active.state.bound += self.force_bound(active, span) * span.length();
             let is_plain = !self.skip || Scheme::of(self.scene.integrator).is_some();
-            let Extent { displacement, momentum } = active.state.extent; // without a spring one does not follow from the other
+            let StateBounds { displacement, momentum } = active.state.state_bounds; // without a spring one does not follow from the other
             if is_plain && momentum < REST && displacement < REST && active.state.common.is_zero() {
                 active.state.deformation.clear();
-                active.state.extent = Extent::default();
+                active.state.state_bounds = StateBounds::default();
             }
         }
     }
@@ -137,7 +137,7 @@ impl<'a> Context<'a> {
 
     /// How near the centres of two bodies can come within the step, less what rounding of them can do [scene unit].
     pub fn nearest(&self, a: u32, b: u32, span: Span) -> f64 {
-        self.tracks.whereabouts(a).nearest(self.tracks.whereabouts(b), span.length())
+        self.tracks.motion_bounds(a).nearest(self.tracks.motion_bounds(b), span.length())
     }
 
     /// Finds the influence spheres that can reach a body's vertices within the step, and how far from the centre it can
@@ -155,35 +155,35 @@ impl<'a> Context<'a> {
                 neighbours.filter(|(_, margin)| margin.gap <= active.bounds.farthest).map(|(source, _)| source),
             );
             active.bounds.max_reach =
-                active.bounds.farthest.max(self.tracks.whereabouts(active.body).radius + active.amplitude());
+                active.bounds.farthest.max(self.tracks.motion_bounds(active.body).radius + active.amplitude());
             active.bounds.may_sleep = !margins.iter().any(|margin| margin.gap <= active.bounds.max_reach);
         });
         reachable.retain(|source| self.acts(source, active.body));
         active.bounds.reachable = reachable;
     }
 
-    /// Whether a body can have vertices outside of its zone, in the step or when it is left alone after it. What is not a
-    /// number needs no room: it is found to have diverged.
-    pub fn outgrew(&self, active: &Active) -> bool {
-        active.bounds.max_reach > self.body(active.body).zone.vertices
+    /// Whether a body can have vertices outside of its fat bounds, in the step or when it is left alone after it. NaN needs no
+    /// room: it is found to have diverged.
+    pub fn left_fat_bounds(&self, active: &Active) -> bool {
+        active.bounds.max_reach > self.body(active.body).fat_bounds.vertices
     }
 
     /// How far from the centre a body can have vertices in the step [scene unit], and a bound of the acceleration of any by
     /// spheres [scene unit/s²].
     fn farthest(&self, active: &Active, span: Span, margins: &mut Vec<Margin>) -> (f64, f64) {
         let index = active.body;
-        let own = *self.tracks.whereabouts(index);
+        let own = *self.tracks.motion_bounds(index);
         let own_force = self.own_force(index, span);
         margins.clear();
         margins.extend(self.body(index).neighbours.iter().map(|neighbour| {
-            let other = self.tracks.whereabouts(neighbour.other);
+            let other = self.tracks.motion_bounds(neighbour.other);
             Margin { gap: own.nearest(other, span.length()) - other.sphere, pull: neighbour.pull }
         }));
         let mut pull = 0.0;
         loop {
             let farthest = own.radius + active.farthest(own_force, pull, span.length());
             let next = margins.iter().filter(|margin| margin.gap <= farthest).map(|margin| margin.pull).sum();
-            // written so that what is not a number ends it
+            // written so that NaN ends it
             if !(next > pull) {
                 return (farthest, pull);
             }
@@ -199,7 +199,7 @@ impl<'a> Context<'a> {
         span: Span,
         interval: &mut Interval,
         work: &Tally<'_>,
-    ) -> Effort {
+    ) -> StepStatistics {
         let (middle, end) = scheme.looks_at();
         // A sphere that ends short of every vertex of a body at rest would wake it for nothing; one in motion may get
         // anywhere in an inaccurate step.
@@ -220,24 +220,24 @@ impl<'a> Context<'a> {
             look(span.end, &mut interval.end);
         }
         if active.is_at_rest() && interval.is_idle(scheme) {
-            return Effort::default();
+            return StepStatistics::default();
         }
         let rest = self.body(active.body).rest();
         active.state.deformation.wake_all(rest);
-        let front = &mut active.state.deformation.front;
-        explicit::advance(scheme, interval, rest, front, work);
-        front.pad_again();
-        Effort { substeps: 1, base: work.done(), ..Effort::default() }
+        let active_set = &mut active.state.deformation.active_set;
+        explicit::advance(scheme, interval, rest, active_set, work);
+        active_set.pad_again();
+        StepStatistics { substeps: 1, base: work.done(), ..StepStatistics::default() }
     }
 
-    /// As many stretches as there are jumps in the step, each as exactly as the scene's tolerance asks for.
+    /// As many intervals as there are jumps in the step, each as exactly as the scene's tolerance asks for.
     fn advance_exponentially(
         &self,
         active: &mut Active,
         span: Span,
         scratch: &mut Scratch,
         work: &Tally<'_>,
-    ) -> Effort {
+    ) -> StepStatistics {
         let scene = self.scene;
         let index = active.body as usize;
         let now = active.now(self.step, scene.dt, self.arch);
@@ -245,12 +245,12 @@ impl<'a> Context<'a> {
             active.state.deformation.wake_all(self.body(active.body).rest());
         } else if active.bounds.reachable.is_empty() {
             if active.can_sleep() {
-                active.state.deformation.let_go(self.body(active.body).rest().len(), now, &mut scratch.deformation);
+                active.state.deformation.release(self.body(active.body).rest().len(), now, &mut scratch.deformation);
                 active.chosen.seen.clear();
             }
             let is_idle = self.own_force(active.body, span) == 0.0;
             if is_idle && active.can_sleep() {
-                return Effort::default();
+                return StepStatistics::default();
             }
         }
         if active.state.common_as_of < self.step {
@@ -258,25 +258,25 @@ impl<'a> Context<'a> {
         }
         active.state.common_as_of = self.step + 1;
 
-        scratch.felt.clear();
+        scratch.contributing.clear();
         if self.skip && !(active.bounds.reachable.is_empty() && active.can_sleep()) {
-            self.choose_front(active, span, scratch);
+            self.choose_active_set(active, span, scratch);
             if active.is_at_rest() && self.own_force(active.body, span) == 0.0 {
-                return Effort::default();
+                return StepStatistics::default();
             }
         } else {
-            scratch.felt.extend(&active.bounds.reachable);
+            scratch.contributing.extend(&active.bounds.reachable);
         }
-        let Scratch { breaks, felt, acting, exponential, .. } = scratch;
-        self.find_breaks(active.body, felt, span, breaks, work);
+        let Scratch { breaks, contributing, acting, exponential, .. } = scratch;
+        self.find_breaks(active.body, contributing, span, breaks, work);
         let tolerance = scene.tolerance * scene.bodies[index].radius;
-        let manner = Manner { arch: self.arch, tolerance, work };
-        let base = exponential::work_of(active.state.deformation.front.vertices.len(), felt.len());
-        let mut total = Effort { base, ..Effort::default() };
+        let control = StepControl { arch: self.arch, tolerance, work };
+        let base = exponential::work_of(active.state.deformation.active_set.vertices.len(), contributing.len());
+        let mut total = StepStatistics { base, ..StepStatistics::default() };
         for ends in breaks.windows(2) {
             let part = Span { start: ends[0], end: ends[1] };
-            work.spend((felt.len() + self.body(active.body).pushes.len()) as u64);
-            self.on(active.body).over(felt, part, acting);
+            work.spend((contributing.len() + self.body(active.body).pushes.len()) as u64);
+            self.on(active.body).over(contributing, part, acting);
             let is_whole = breaks.len() == 2;
             let course = Course {
                 scene,
@@ -290,15 +290,15 @@ impl<'a> Context<'a> {
                 spheres: &acting.spheres,
                 weighted: &acting.weighted,
             };
-            let front = &mut active.state.deformation.front;
-            let effort = exponential::advance(&course, manner, &mut active.state.common, front, exponential);
+            let active_set = &mut active.state.deformation.active_set;
+            let statistics = exponential::advance(&course, control, &mut active.state.common, active_set, exponential);
             if !self.skip {
-                // the plain way: every vertex has a state of its own, and nothing in common with others
+                // the naive baseline: every vertex has a state of its own, and nothing in common with others
                 let body = self.body(active.body);
                 active.state.deformation.absorb(&mut active.state.common, body.rest(), &body.pushes);
             }
-            total.substeps += effort.substeps;
-            total.error += effort.error;
+            total.substeps += statistics.substeps;
+            total.error += statistics.error;
             if work.is_over() {
                 break;
             }
@@ -313,7 +313,7 @@ impl<'a> Context<'a> {
         phases.chain([self.pairs.get(source.pair).phase]).any(|phase| on.strength(source, phase) != 0.0)
     }
 
-    /// The ends of the stretches of a step in which nothing about a body jumps.
+    /// The ends of the intervals of a step in which nothing about a body jumps.
     fn find_breaks(&self, index: u32, reachable: &[Neighbour], span: Span, breaks: &mut Vec<f64>, work: &Tally<'_>) {
         breaks.clear();
         breaks.push(span.start);
@@ -333,18 +333,18 @@ impl<'a> Context<'a> {
         breaks.push(span.end);
     }
 
-    /// Sees to it that the front has every vertex that a sphere can reach within the step, and finds the spheres that can
+    /// Sees to it that the active set has every vertex that a sphere can reach within the step, and finds the spheres that can
     /// reach any of it.
-    fn choose_front(&self, active: &mut Active, span: Span, scratch: &mut Scratch) {
-        let Scratch { gaps, centres, moved, deformation, felt, .. } = scratch;
+    fn choose_active_set(&self, active: &mut Active, span: Span, scratch: &mut Scratch) {
+        let Scratch { gaps, centres, moved, deformation, contributing, .. } = scratch;
         let reachable = &active.bounds.reachable;
-        let this = self.tracks.whereabouts(active.body);
+        let this = self.tracks.motion_bounds(active.body);
         let radius = this.radius;
         let Common { carried, pushed } = &active.state.common;
         let own = this.centre + carried.x;
         centres.clear();
         centres.extend(reachable.iter().map(|source| {
-            let other = self.tracks.whereabouts(source.other);
+            let other = self.tracks.motion_bounds(source.other);
             (other.centre - own, other.sphere)
         }));
 
@@ -352,16 +352,16 @@ impl<'a> Context<'a> {
         let own_force = self.own_force(active.body, span);
         let (_, momentum) = active.state.common.bounds(active.state.oscillator.omega);
         let common = (momentum + own_force * span.length()) * span.length();
-        let speed = |body: u32| self.tracks.whereabouts(body).speed;
+        let speed = |body: u32| self.tracks.motion_bounds(body).speed;
         let fastest = reachable.iter().map(|source| speed(source.other)).fold(0.0, f64::max);
         let travel = (this.speed + fastest) * span.length() + common;
         let turned: f64 = pushed.iter().zip(&active.chosen.pushed).map(|(now, then)| (now.x - then).abs()).sum();
 
-        // The front can get as far from rest as any vertex: a sphere that is farther from all of it is not felt.
+        // The active set can get as far from rest as any vertex: a sphere that is farther from all of it does not contribute.
         let swings = active.bounds.farthest - radius;
-        let is_felt = |clear: f64, moved: f64| !(clear - moved > swings);
+        let contributes = |clear: f64, moved: f64| !(clear - moved > swings);
         let mut seen = active.chosen.seen.iter();
-        felt.clear();
+        contributing.clear();
         let is_good = !active.chosen.seen.is_empty()
             && reachable.iter().zip(&*centres).all(|(source, &(centre, _))| {
                 // both are in the order of the bodies
@@ -369,8 +369,8 @@ impl<'a> Context<'a> {
                 let then = found.filter(|seen| seen.body == source.other);
                 then.is_some_and(|seen| {
                     let moved = (centre - seen.centre).length() + turned + travel;
-                    if is_felt(seen.clear, moved) {
-                        felt.push(*source);
+                    if contributes(seen.clear, moved) {
+                        contributing.push(*source);
                     }
                     moved <= active.chosen.skin
                 })
@@ -393,16 +393,16 @@ impl<'a> Context<'a> {
         }
         self.arch.dispatch(FindGaps { rest, moved, centres, gaps });
         let now = active.now(self.step, self.scene.dt, self.arch);
-        active.state.deformation.choose_front(rest, gaps, active.chosen.skin, now, deformation);
+        active.state.deformation.choose_active_set(rest, gaps, active.chosen.skin, now, deformation);
 
         active.chosen.seen.clear();
-        felt.clear();
+        contributing.clear();
         for (source, &(centre, sphere)) in reachable.iter().zip(&*centres) {
-            let front = &active.state.deformation.front;
-            let clear = self.arch.dispatch(Clearance { front, moved, centre }) - sphere;
+            let active_set = &active.state.deformation.active_set;
+            let clear = self.arch.dispatch(Clearance { active_set, moved, centre }) - sphere;
             active.chosen.seen.push(Seen { body: source.other, centre, clear });
-            if is_felt(clear, travel) {
-                felt.push(*source);
+            if contributes(clear, travel) {
+                contributing.push(*source);
             }
         }
     }
@@ -427,7 +427,7 @@ impl WithSimd for FindGaps<'_> {
 
 /// See [`clearance`].
 struct Clearance<'a> {
-    front: &'a Front,
+    active_set: &'a ActiveSet,
     moved: &'a [DVec3],
     centre: DVec3,
 }
@@ -437,7 +437,7 @@ impl WithSimd for Clearance<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> f64 {
-        clearance(self.front, self.moved, self.centre)
+        clearance(self.active_set, self.moved, self.centre)
     }
 }
 
@@ -465,13 +465,13 @@ fn find_gaps(rest: Rest<'_>, moved: &[DVec3], centres: &[(DVec3, f64)], gaps: &m
     }
 }
 
-/// How near a centre is to the nearest rest position of a front, moved if `moved` says so [scene unit].
+/// How near a centre is to the nearest rest position of an active set, moved if `moved` says so [scene unit].
 #[inline(always)]
-fn clearance(front: &Front, moved: &[DVec3], centre: DVec3) -> f64 {
+fn clearance(active_set: &ActiveSet, moved: &[DVec3], centre: DVec3) -> f64 {
     let mut nearest = [f64::INFINITY; LANES];
     if moved.is_empty() {
         // padded to whole blocks
-        for Block([.., [lx, ly, lz]]) in front.blocks.all() {
+        for Block([.., [lx, ly, lz]]) in active_set.blocks.all() {
             for lane in 0..LANES {
                 let (dx, dy, dz) = (centre.x - lx[lane], centre.y - ly[lane], centre.z - lz[lane]);
                 let square = dx * dx + dy * dy + dz * dz;
@@ -479,8 +479,8 @@ fn clearance(front: &Front, moved: &[DVec3], centre: DVec3) -> f64 {
             }
         }
     } else {
-        for (i, &v) in front.vertices.iter().enumerate() {
-            let square = (centre - front.rest(i) - moved[v as usize]).length_squared();
+        for (i, &v) in active_set.vertices.iter().enumerate() {
+            let square = (centre - active_set.rest(i) - moved[v as usize]).length_squared();
             nearest[0] = f64::min(nearest[0], square);
         }
     }

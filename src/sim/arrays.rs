@@ -27,7 +27,7 @@ pub type Lanes = [[f64; LANES]; 3];
 pub struct Block<const V: usize>(pub [Lanes; V]);
 
 /// `V` vectors of each of many vertices: what is known of those side by side is next to each other in memory, so that a
-/// step of a body reads and writes one stretch of it and not one an array.
+/// step of a body touches one run of it and not one per array.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Blocks<const V: usize>(Vec<Block<V>>);
 

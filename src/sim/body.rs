@@ -8,8 +8,8 @@ use pulp::{Arch, Simd, WithSimd};
 use super::{
     arrays::Vectors,
     deformation::{Deformation, Now, REST, larger},
-    integrator::exponential::{Effort, together::Largest},
-    neighbours::{Neighbour, Zone},
+    integrator::exponential::{StepStatistics, together::Largest},
+    neighbours::{FatBounds, Neighbour},
     state::{Common, Pushed, State},
 };
 use crate::{
@@ -31,7 +31,7 @@ pub(super) struct Body {
     /// Bodies near it, ascending.
     pub neighbours: Vec<Neighbour>,
     /// What its neighbours were found for.
-    pub zone: Zone,
+    pub fat_bounds: FatBounds,
 }
 
 impl Body {
@@ -43,7 +43,7 @@ impl Body {
             pushes: scene.pushes.iter().filter(|push| push.body == index).copied().collect(),
             active: None,
             neighbours: Vec::new(),
-            zone: Zone::NONE,
+            fat_bounds: FatBounds::NONE,
         }
     }
 }
@@ -66,12 +66,12 @@ pub(super) struct Active {
     pub body: u32,
     /// What its vertices do.
     pub state: BodyState,
-    /// What the front was chosen for.
+    /// What the active set was chosen for.
     pub chosen: Chosen,
     /// How far it can get in this step, and who can reach it.
     pub bounds: StepBounds,
     /// What its last step took.
-    pub effort: Effort,
+    pub statistics: StepStatistics,
 }
 
 /// The state of a body's vertices. It is that at the end of the last step as long as the body is awake; of one that isn't, as
@@ -86,13 +86,13 @@ pub(super) struct BodyState {
     /// What single vertices do beyond that.
     pub deformation: Deformation,
     /// Bounds over these.
-    pub extent: Extent,
+    pub state_bounds: StateBounds,
     /// What √(|u|² + ω²|x|²) of no vertex can exceed, whatever happened so far: it grows by no more than the forces
     /// that the body was under [scene unit/s].
     pub bound: f64,
 }
 
-/// What a front was chosen for, which is good until spheres have moved too far.
+/// What an active set was chosen for, which is good until spheres have moved too far.
 #[derive(Default)]
 pub(super) struct Chosen {
     /// Where the spheres were.
@@ -117,14 +117,14 @@ pub(super) struct StepBounds {
     pub may_sleep: bool,
 }
 
-/// Where a sphere was when a front was chosen.
+/// Where a sphere was when an active set was chosen.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seen {
     /// Index of the body that it belongs to.
     pub body: u32,
     /// Its centre relative to the body's, shifted by what all vertices do alike [scene unit].
     pub centre: DVec3,
-    /// How far all rest positions of the front were outside of it [scene unit].
+    /// How far all rest positions of the active set were outside of it [scene unit].
     pub clear: f64,
 }
 
@@ -139,12 +139,12 @@ impl Active {
                 common: Common { carried: State::default(), pushed: vec![Pushed::default(); pushes] },
                 common_as_of: step,
                 deformation: Deformation::default(),
-                extent: Extent::default(),
+                state_bounds: StateBounds::default(),
                 bound: 0.0,
             },
             chosen: Chosen::default(),
             bounds: StepBounds { reachable: Vec::new(), farthest: 0.0, pull: 0.0, max_reach: 0.0, may_sleep: true },
-            effort: Effort::default(),
+            statistics: StepStatistics::default(),
         }
     }
 
@@ -223,9 +223,9 @@ impl Active {
     pub fn amplitude(&self) -> f64 {
         let omega = self.state.oscillator.omega;
         let (x, momentum) = self.state.common.bounds(omega);
-        let Extent { displacement, momentum: own } = self.state.extent;
+        let StateBounds { displacement, momentum: own } = self.state.state_bounds;
         let swings = if omega > 0.0 { (momentum + own) / omega } else { x + displacement };
-        swings.max(self.state.deformation.swinging.largest)
+        swings.max(self.state.deformation.free_vertices.largest)
     }
 
     /// How far from rest it can have vertices within `h` [s] if no more than `common` and `single` [scene unit/s²] act on
@@ -233,11 +233,11 @@ impl Active {
     pub fn farthest(&self, common: f64, single: f64, h: f64) -> f64 {
         let omega = self.state.oscillator.omega;
         let (displacement, momentum) = self.state.common.bounds(omega);
-        let (mut alike, mut own) = (Extent { displacement, momentum }, self.state.extent);
-        if self.effort.substeps == 0 && omega > 0.0 {
+        let (mut alike, mut own) = (StateBounds { displacement, momentum }, self.state.state_bounds);
+        if self.statistics.substeps == 0 && omega > 0.0 {
             // left to the flow, it has swung on since these were found
-            for extent in [&mut alike, &mut own] {
-                extent.displacement = extent.momentum / omega;
+            for state_bounds in [&mut alike, &mut own] {
+                state_bounds.displacement = state_bounds.momentum / omega;
             }
         }
         alike.after(self.state.oscillator, common, h) + own.after(self.state.oscillator, single, h)
@@ -247,7 +247,7 @@ impl Active {
     /// The margin leaves room for schemes that are merely inaccurate.
     pub fn has_diverged(&self) -> bool {
         const MARGIN: f64 = 100.0;
-        let Extent { displacement, momentum } = self.state.extent;
+        let StateBounds { displacement, momentum } = self.state.state_bounds;
         let (x, m) = self.state.common.bounds(self.state.oscillator.omega);
         let (x, m) = (x + displacement, m + momentum);
         !x.is_finite() || !m.is_finite() || m > MARGIN * self.state.bound
@@ -300,21 +300,21 @@ fn add_push(facing: &Vectors, d: DVec3, pushed: Pushed, displacement: &mut Vecto
 
 /// Bounds over the vertices of a body, from which it is told how far they can get in a step.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Extent {
+pub(super) struct StateBounds {
     /// Largest |x| [scene unit].
     pub displacement: f64,
     /// Largest √(|u|² + ω²|x|²) [scene unit/s].
     pub momentum: f64,
 }
 
-impl Extent {
-    /// The bounds of a state; not a number if any of it isn't.
-    pub fn of(deformation: &Deformation, oscillator: Oscillator, arch: Arch) -> Extent {
+impl StateBounds {
+    /// The bounds of a state; NaN if any of it isn't.
+    pub fn of(deformation: &Deformation, oscillator: Oscillator, arch: Arch) -> StateBounds {
         let omega_squared = oscillator.omega * oscillator.omega;
-        let [x2, m2] = arch.dispatch(Largest { front: &deformation.front, omega_squared });
-        let swinging = deformation.swinging.largest;
-        let swings = if swinging > 0.0 { oscillator.omega * swinging } else { 0.0 };
-        Extent { displacement: larger(x2.sqrt(), swinging), momentum: larger(m2.sqrt(), swings) }
+        let [x2, m2] = arch.dispatch(Largest { active_set: &deformation.active_set, omega_squared });
+        let free_vertices = deformation.free_vertices.largest;
+        let swings = if free_vertices > 0.0 { oscillator.omega * free_vertices } else { 0.0 };
+        StateBounds { displacement: larger(x2.sqrt(), free_vertices), momentum: larger(m2.sqrt(), swings) }
     }
 
     /// How far from its rest position a vertex can get within `h` [s] under no more than `force` [scene unit/s²].

@@ -10,7 +10,7 @@ use pulp::{Arch, Simd, WithSimd, bytemuck};
 use super::{
     arrays::LANES,
     body::Active,
-    deformation::{DISPLACEMENT, Deformation, Swinging, VELOCITY},
+    deformation::{DISPLACEMENT, Deformation, FreeVertices, VELOCITY},
     pairs::Pair,
     state::State,
 };
@@ -57,9 +57,9 @@ impl Active {
         for pushed in &self.state.common.pushed {
             lanes.add(&[pushed.x, pushed.u], bits);
         }
-        let front = &self.state.deformation.front;
-        if let Some((end, whole)) = front.blocks.all().split_last() {
-            let last = (front.vertices.len() - 1) % LANES + 1;
+        let active_set = &self.state.deformation.active_set;
+        if let Some((end, whole)) = active_set.blocks.all().split_last() {
+            let last = (active_set.vertices.len() - 1) % LANES + 1;
             for v in [DISPLACEMENT, VELOCITY] {
                 for axis in 0..3 {
                     for block in whole {
@@ -80,10 +80,10 @@ impl Deformation {
         if let Some(hash) = self.hash_of_kept.get() {
             return *hash;
         }
-        let Swinging { vertices, as_of, blocks, .. } = &self.swinging;
+        let FreeVertices { vertices, as_of, blocks, .. } = &self.free_vertices;
         let mut lanes = Lanes::new(simd);
-        lanes.add(&[self.front.vertices.len() as u64, vertices.len() as u64, *as_of], |word| word);
-        for list in [&self.front.vertices, vertices] {
+        lanes.add(&[self.active_set.vertices.len() as u64, vertices.len() as u64, *as_of], |word| word);
+        for list in [&self.active_set.vertices, vertices] {
             lanes.add(list, u64::from);
         }
         for v in [DISPLACEMENT, VELOCITY] {
@@ -254,7 +254,7 @@ mod tests {
         arrays::{Block, Blocks},
     };
 
-    /// Two bodies held together, one vertex of each near the other's sphere at least, others swinging.
+    /// Two bodies held together, one vertex of each near the other's sphere at least, others free.
     fn merged() -> World {
         let mut world = World::new(Scene::builtin("two").unwrap()).unwrap();
         for _ in 0..120 {
@@ -264,17 +264,17 @@ mod tests {
         world
     }
 
-    /// A coordinate of the displacements or velocities of a body: six of the front, six of those that swing.
+    /// A coordinate of the displacements or velocities of a body: six of the active set, six of those that swing.
     fn axis(active: &mut Active, number: usize) -> Vec<&mut f64> {
         fn of<const V: usize>(blocks: &mut Blocks<V>, v: usize, axis: usize, count: usize) -> Vec<&mut f64> {
             blocks.all_mut().iter_mut().flat_map(|block| &mut block.0[v][axis]).take(count).collect()
         }
-        let Deformation { front, swinging, hash_of_kept, .. } = &mut active.state.deformation;
+        let Deformation { active_set, free_vertices, hash_of_kept, .. } = &mut active.state.deformation;
         hash_of_kept.take();
         if number < 6 {
-            of(&mut front.blocks, number / 3, number % 3, front.vertices.len())
+            of(&mut active_set.blocks, number / 3, number % 3, active_set.vertices.len())
         } else {
-            of(&mut swinging.blocks, (number - 6) / 3, number % 3, swinging.vertices.len())
+            of(&mut free_vertices.blocks, (number - 6) / 3, number % 3, free_vertices.vertices.len())
         }
     }
 
@@ -346,9 +346,9 @@ mod tests {
     fn padding_does_not_count() {
         let mut world = merged();
         let before = world.checksum();
-        let front = &mut world.actives.all_mut()[0].state.deformation.front;
-        let count = front.vertices.len();
-        let Block([_, velocity, _]) = front.blocks.all_mut().last_mut().unwrap();
+        let active_set = &mut world.actives.all_mut()[0].state.deformation.active_set;
+        let count = active_set.vertices.len();
+        let Block([_, velocity, _]) = active_set.blocks.all_mut().last_mut().unwrap();
         assert!(!count.is_multiple_of(LANES));
         velocity[2][count % LANES..].fill(f64::NAN);
         assert_eq!(world.checksum(), before);

@@ -1,6 +1,6 @@
 //! What single vertices of a body do, beyond what all of them do alike.
 //!
-//! A vertex that nothing single ever happened to has no state. One near a sphere is in the front, where its state is that
+//! A vertex that nothing single ever happened to has no state. One near a sphere is in the active set, where its state is that
 //! at the end of the last step. One that a sphere has left alone swings freely: its state is kept as it was then, and the
 //! exact flow takes it to any later time in one go, when somebody asks.
 
@@ -19,10 +19,10 @@ use crate::{geometry::Rest, model::oscillator::Oscillator, scene::Push};
 #[derive(Clone, Debug, Default)]
 pub struct Deformation {
     /// Those near a sphere.
-    pub front: Front,
+    pub active_set: ActiveSet,
     /// Those that swing freely.
-    pub swinging: Swinging,
-    /// Of all but the states of the front, when it was asked for since that last changed.
+    pub free_vertices: FreeVertices,
+    /// Of all but the states of the active set, when it was asked for since that last changed.
     pub hash_of_kept: OnceLock<u64>,
 }
 
@@ -30,12 +30,12 @@ pub struct Deformation {
 pub const DISPLACEMENT: usize = 0;
 /// … velocities [scene unit/s] …
 pub const VELOCITY: usize = 1;
-/// … and, of the front, rest positions [scene unit].
+/// … and, of the active set, rest positions [scene unit].
 const REST_POSITION: usize = 2;
 
 /// Vertices that take every step.
 #[derive(Clone, Debug, Default)]
-pub struct Front {
+pub struct ActiveSet {
     /// Which they are.
     pub vertices: Vec<u32>,
     /// Displacements and velocities at the end of the last step, and rest positions; padded with repetitions of the last
@@ -45,7 +45,7 @@ pub struct Front {
 
 /// Vertices that swing freely.
 #[derive(Clone, Debug, Default)]
-pub struct Swinging {
+pub struct FreeVertices {
     /// Which they are, ascending.
     pub vertices: Vec<u32>,
     /// The step at whose end they had the states below.
@@ -56,19 +56,19 @@ pub struct Swinging {
     pub largest: f64,
 }
 
-/// What all vertices of a body do by themselves, for a front to be chosen; reused from step to step.
+/// What all vertices of a body do by themselves, for an active set to be chosen; reused from step to step.
 #[derive(Clone, Debug, Default)]
 pub struct Scratch {
     displacement: Vectors,
     velocity: Vectors,
     /// How far each swings [scene unit].
     amplitudes: Vec<f64>,
-    /// Which are to be in the front …
-    front: Vec<u32>,
+    /// Which are to be in the active set …
+    active_set: Vec<u32>,
     /// … of which these are inside of no sphere …
     outside: Vec<u32>,
     /// … and which are to swing freely.
-    swinging: Vec<u32>,
+    free_vertices: Vec<u32>,
 }
 
 /// The time that a state is wanted at.
@@ -88,7 +88,7 @@ pub struct Now {
 /// smaller still are slow to compute with.
 pub const REST: f64 = 1e-150;
 
-/// The larger of two numbers, or what is not a number: `f64::max` would pass over that.
+/// The larger of two numbers, or NaN: `f64::max` would pass over that.
 pub fn larger(a: f64, b: f64) -> f64 {
     if b > a || b.is_nan() { b } else { a }
 }
@@ -96,81 +96,81 @@ pub fn larger(a: f64, b: f64) -> f64 {
 impl Deformation {
     /// Whether nothing single has happened to any vertex.
     pub fn is_empty(&self) -> bool {
-        self.front.vertices.is_empty() && self.swinging.vertices.is_empty()
+        self.active_set.vertices.is_empty() && self.free_vertices.vertices.is_empty()
     }
 
     /// What was allocated for it [bytes].
     pub fn memory(&self) -> usize {
-        let Deformation { front, swinging, .. } = self;
-        front.blocks.memory()
-            + swinging.blocks.memory()
-            + (front.vertices.capacity() + swinging.vertices.capacity()) * size_of::<u32>()
+        let Deformation { active_set, free_vertices, .. } = self;
+        active_set.blocks.memory()
+            + free_vertices.blocks.memory()
+            + (active_set.vertices.capacity() + free_vertices.vertices.capacity()) * size_of::<u32>()
     }
 
     /// The state of one vertex at the end of the last step.
     pub fn state(&self, vertex: usize, now: Now) -> State {
         let v = vertex as u32;
-        if let Ok(i) = self.swinging.vertices.binary_search(&v) {
-            return self.swinging.flow(now).map_or(State::default(), |flow| self.swinging.state(i, flow));
+        if let Ok(i) = self.free_vertices.vertices.binary_search(&v) {
+            return self.free_vertices.flow(now).map_or(State::default(), |flow| self.free_vertices.state(i, flow));
         }
-        let front = &self.front.vertices;
-        let all = (front.get(vertex) == Some(&v)).then_some(vertex);
-        let place = all.or_else(|| front.iter().position(|&other| other == v));
-        place.map_or(State::default(), |i| self.front.state(i))
+        let active_set = &self.active_set.vertices;
+        let all = (active_set.get(vertex) == Some(&v)).then_some(vertex);
+        let place = all.or_else(|| active_set.iter().position(|&other| other == v));
+        place.map_or(State::default(), |i| self.active_set.state(i))
     }
 
     /// Adds the states of all vertices at the end of the last step to those in the arrays.
     pub fn add_to(&self, displacement: &mut Vectors, velocity: &mut Vectors, now: Now) {
-        for (i, &vertex) in self.front.vertices.iter().enumerate() {
-            let (v, State { x, u }) = (vertex as usize, self.front.state(i));
+        for (i, &vertex) in self.active_set.vertices.iter().enumerate() {
+            let (v, State { x, u }) = (vertex as usize, self.active_set.state(i));
             displacement.set(v, displacement.get(v) + x);
             velocity.set(v, velocity.get(v) + u);
         }
-        let swinging = &self.swinging;
-        let Some(flow) = swinging.flow(now).filter(|_| !swinging.vertices.is_empty()) else { return };
-        for (i, &vertex) in swinging.vertices.iter().enumerate() {
-            let (v, State { x, u }) = (vertex as usize, swinging.state(i, flow));
+        let free_vertices = &self.free_vertices;
+        let Some(flow) = free_vertices.flow(now).filter(|_| !free_vertices.vertices.is_empty()) else { return };
+        for (i, &vertex) in free_vertices.vertices.iter().enumerate() {
+            let (v, State { x, u }) = (vertex as usize, free_vertices.state(i, flow));
             displacement.set(v, displacement.get(v) + x);
             velocity.set(v, velocity.get(v) + u);
         }
     }
 
     /// Sets the arrays to the states of all vertices at the end of the last step, if all swing freely; whether they do.
-    pub fn all_swings_into(&self, displacement: &mut Vectors, velocity: &mut Vectors, now: Now) -> bool {
-        let swinging = &self.swinging;
-        let all = swinging.vertices.len() == displacement.len();
-        let flow = swinging.flow(now).filter(|_| all && self.front.vertices.is_empty());
+    pub fn all_free_into(&self, displacement: &mut Vectors, velocity: &mut Vectors, now: Now) -> bool {
+        let free_vertices = &self.free_vertices;
+        let all = free_vertices.vertices.len() == displacement.len();
+        let flow = free_vertices.flow(now).filter(|_| all && self.active_set.vertices.is_empty());
         let Some(flow) = flow else { return false };
-        now.arch.dispatch(Swing { flow, swinging, displacement, velocity }); // every vertex, in order
+        now.arch.dispatch(FreeVertex { flow, free_vertices, displacement, velocity }); // every vertex, in order
         true
     }
 
-    /// Puts all vertices into the front, in their order, those that were at rest with a state of zero.
+    /// Puts all vertices into the active set, in their order, those that were at rest with a state of zero.
     pub fn wake_all(&mut self, rest: Rest<'_>) {
         if !self.is_empty() {
             return;
         }
         self.hash_of_kept.take();
-        let Front { vertices, blocks } = &mut self.front;
+        let ActiveSet { vertices, blocks } = &mut self.active_set;
         vertices.extend(0..rest.len() as u32);
         blocks.resize(rest.len());
         for i in 0..rest.len() {
             blocks.set(REST_POSITION, i, rest.position(i));
         }
-        self.front.pad_again();
+        self.active_set.pad_again();
     }
 
-    /// Makes what all vertices do alike part of what each does, all of them being in the front.
+    /// Makes what all vertices do alike part of what each does, all of them being in the active set.
     pub fn absorb(&mut self, common: &mut Common, rest: Rest<'_>, pushes: &[Push]) {
         if common.is_zero() {
             return;
         }
-        for i in 0..self.front.vertices.len() {
-            let vertex = self.front.vertices[i] as usize;
-            let (alike, own) = (common.of(rest.direction(vertex), pushes), self.front.state(i));
-            self.front.set_state(i, State { x: alike.x + own.x, u: alike.u + own.u });
+        for i in 0..self.active_set.vertices.len() {
+            let vertex = self.active_set.vertices[i] as usize;
+            let (alike, own) = (common.of(rest.direction(vertex), pushes), self.active_set.state(i));
+            self.active_set.set_state(i, State { x: alike.x + own.x, u: alike.u + own.u });
         }
-        self.front.pad_again();
+        self.active_set.pad_again();
         common.carried = State::default();
         common.pushed.fill(Pushed::default());
     }
@@ -178,8 +178,8 @@ impl Deformation {
     /// Puts all vertices at rest.
     pub fn clear(&mut self) {
         self.hash_of_kept.take();
-        self.front.clear();
-        self.swinging.clear();
+        self.active_set.clear();
+        self.free_vertices.clear();
     }
 
     /// The states of all vertices, and how far each swings by itself.
@@ -187,13 +187,13 @@ impl Deformation {
         let Scratch { displacement, velocity, amplitudes, .. } = scratch;
         displacement.reset(count);
         velocity.reset(count);
-        self.front.scatter(displacement, velocity);
-        let swinging = &self.swinging;
-        if let Some(flow) = swinging.flow(now) {
-            if swinging.vertices.len() == count {
-                now.arch.dispatch(Swing { flow, swinging, displacement, velocity }); // every vertex, in order
+        self.active_set.scatter(displacement, velocity);
+        let free_vertices = &self.free_vertices;
+        if let Some(flow) = free_vertices.flow(now) {
+            if free_vertices.vertices.len() == count {
+                now.arch.dispatch(FreeVertex { flow, free_vertices, displacement, velocity }); // every vertex, in order
             } else {
-                swinging.scatter(flow, displacement, velocity);
+                free_vertices.scatter(flow, displacement, velocity);
             }
         }
         amplitudes.clear();
@@ -201,66 +201,66 @@ impl Deformation {
         now.arch.dispatch(Amplitudes { omega: now.oscillator.omega, displacement, velocity, amplitudes });
     }
 
-    /// Chooses the front anew: the vertices whose `gap` [scene unit], by which their rest position is outside of every
+    /// Chooses the active set anew: the vertices whose `gap` [scene unit], by which their rest position is outside of every
     /// sphere, is no more than `skin` and what they may swing. The others swing freely from now on.
-    pub fn choose_front(&mut self, rest: Rest<'_>, gap: &[f64], skin: f64, now: Now, scratch: &mut Scratch) {
+    pub fn choose_active_set(&mut self, rest: Rest<'_>, gap: &[f64], skin: f64, now: Now, scratch: &mut Scratch) {
         self.hash_of_kept.take();
         self.gather(rest.len(), now, scratch);
-        let Scratch { displacement, velocity, amplitudes, front, outside, swinging } = scratch;
-        for list in [&mut *front, &mut *outside, &mut *swinging] {
+        let Scratch { displacement, velocity, amplitudes, active_set, outside, free_vertices } = scratch;
+        for list in [&mut *active_set, &mut *outside, &mut *free_vertices] {
             list.clear();
             list.reserve(rest.len());
         }
-        // Those inside a sphere first: vertices side by side then have the same to do. What is not a number is in.
+        // Those inside a sphere first: vertices side by side then have the same to do. NaN is in.
         for (v, (&gap, &amplitude)) in (0..).zip(gap.iter().zip(&*amplitudes)) {
             if gap < 0.0 {
-                front.push(v);
+                active_set.push(v);
             } else if !(gap - amplitude > skin) {
                 outside.push(v);
             } else if !(amplitude < REST) {
-                swinging.push(v);
+                free_vertices.push(v);
             }
         }
-        front.append(outside);
-        self.front.take(front, rest, displacement, velocity);
-        self.swinging.take(swinging, displacement, velocity, amplitudes, now);
+        active_set.append(outside);
+        self.active_set.take(active_set, rest, displacement, velocity);
+        self.free_vertices.take(free_vertices, displacement, velocity, amplitudes, now);
     }
 
     /// Lets all vertices swing freely from now on.
-    pub fn let_go(&mut self, count: usize, now: Now, scratch: &mut Scratch) {
-        if self.front.vertices.is_empty() {
+    pub fn release(&mut self, count: usize, now: Now, scratch: &mut Scratch) {
+        if self.active_set.vertices.is_empty() {
             return;
         }
         self.gather(count, now, scratch);
-        let Scratch { displacement, velocity, amplitudes, swinging, .. } = scratch;
-        swinging.clear();
-        swinging.extend((0..count as u32).filter(|&v| !(amplitudes[v as usize] < REST)));
+        let Scratch { displacement, velocity, amplitudes, free_vertices, .. } = scratch;
+        free_vertices.clear();
+        free_vertices.extend((0..count as u32).filter(|&v| !(amplitudes[v as usize] < REST)));
         self.clear();
-        self.swinging.take(swinging, displacement, velocity, amplitudes, now);
+        self.free_vertices.take(free_vertices, displacement, velocity, amplitudes, now);
     }
 }
 
 /// Adds to displacements and velocities what a flow makes of those of all vertices.
-struct Swing<'a> {
+struct FreeVertex<'a> {
     flow: [f64; 4],
-    swinging: &'a Swinging,
+    free_vertices: &'a FreeVertices,
     displacement: &'a mut Vectors,
     velocity: &'a mut Vectors,
 }
 
-impl WithSimd for Swing<'_> {
+impl WithSimd for FreeVertex<'_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let n = self.displacement.len();
-        for (block, first) in self.swinging.blocks.all().iter().zip((0..n).step_by(LANES)) {
+        for (block, first) in self.free_vertices.blocks.all().iter().zip((0..n).step_by(LANES)) {
             let range = first..n.min(first + LANES);
             let [x, u] = &block.0;
             let displacement = [&mut self.displacement.x, &mut self.displacement.y, &mut self.displacement.z];
             let velocity = [&mut self.velocity.x, &mut self.velocity.y, &mut self.velocity.z];
             for (axis, (displacement, velocity)) in displacement.into_iter().zip(velocity).enumerate() {
-                swings_into(
+                free_into(
                     self.flow,
                     [&x[axis], &u[axis]],
                     &mut displacement[range.clone()],
@@ -273,7 +273,7 @@ impl WithSimd for Swing<'_> {
 
 /// One coordinate of that, of a block or what there is of it.
 #[inline(always)]
-fn swings_into([xx, xu, ux, uu]: [f64; 4], [x, u]: [&[f64; LANES]; 2], displacement: &mut [f64], velocity: &mut [f64]) {
+fn free_into([xx, xu, ux, uu]: [f64; 4], [x, u]: [&[f64; LANES]; 2], displacement: &mut [f64], velocity: &mut [f64]) {
     if let (Ok(displacement), Ok(velocity)) =
         (<&mut [f64; LANES]>::try_from(&mut *displacement), <&mut [f64; LANES]>::try_from(&mut *velocity))
     {
@@ -342,7 +342,7 @@ fn flow(oscillator: Oscillator, h: f64) -> [f64; 4] {
     flow
 }
 
-impl Front {
+impl ActiveSet {
     /// Rest position of the `i`-th [scene unit].
     pub fn rest(&self, i: usize) -> DVec3 {
         self.blocks.get(REST_POSITION, i)
@@ -394,7 +394,7 @@ impl Front {
     }
 }
 
-impl Swinging {
+impl FreeVertices {
     /// The flow that takes them to the end of the last step; `None` if there is nothing left of them by then.
     fn flow(&self, now: Now) -> Option<[f64; 4]> {
         let steps = now.step - self.as_of;

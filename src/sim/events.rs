@@ -1,7 +1,7 @@
 //! When a pair of bodies changes phase: exact times, by root finding on the prescribed paths.
 //!
 //! The distance of two centres reaches a threshold L where `g(t) = |c_a(t) − c_b(t)|² − L²` crosses zero. The paths
-//! bound |g″| over any stretch of time, so stretches that can't hold a root are passed over whole, stretches on which
+//! bound |g″| over any interval of time, so intervals that can't hold a root are passed over whole, intervals on which
 //! g is monotone are searched by safeguarded Newton steps, and others are halved: no crossing is missed, however
 //! short the visit. A pair within a few roundings of a threshold is taken to stand on it until it has left.
 
@@ -158,7 +158,7 @@ impl PairTracks<'_> {
     ///
     /// With Δc = D + S sin θ + C cos θ, θ = ωt, it is
     /// `D² + (S² + C²)/2 + 2 D·S sin θ + 2 D·C cos θ + (C² − S²)/2 cos 2θ + S·C sin 2θ`.
-    fn swing(&self) -> Option<Swing> {
+    fn swing(&self) -> Option<FreeVertex> {
         let still = |frequency| (DVec3::ZERO, frequency, 0.0);
         let of = |path: &Path, frequency| match path {
             Path::Fixed(position) => Some((*position, still(frequency))),
@@ -183,7 +183,7 @@ impl PairTracks<'_> {
         let twice = length(0.5 * (c2 - s2), s.dot(c));
         let rounding = 16.0 * f64::EPSILON * (d2 + s2 + c2);
         let rate = TAU * frequency;
-        Some(Swing {
+        Some(FreeVertex {
             mean: (d2 + 0.5 * (s2 + c2)).sqrt(),
             by: once + twice + rounding,
             curvature: rate * rate * (once + 4.0 * twice + rounding),
@@ -193,7 +193,7 @@ impl PairTracks<'_> {
 
 /// How the square of a distance swings.
 #[derive(Clone, Copy, Debug)]
-struct Swing {
+struct FreeVertex {
     /// The root of its mean [scene unit].
     mean: f64,
     /// By how much it differs from the mean, at most [scene unit²].
@@ -206,7 +206,7 @@ struct Swing {
 struct Gap<'a> {
     pair: &'a PairTracks<'a>,
     level: f64,
-    swing: Option<Swing>,
+    swing: Option<FreeVertex>,
     work: &'a Tally<'a>,
 }
 
@@ -225,18 +225,18 @@ impl Gap<'_> {
     }
 
     /// g in the mean.
-    fn mean(&self, swing: &Swing) -> f64 {
+    fn mean(&self, swing: &FreeVertex) -> f64 {
         (swing.mean - self.level) * (swing.mean + self.level)
     }
 
-    /// Whether the centres swing so often in a stretch that where they can be at all says more than how fast they are.
+    /// Whether the centres swing so often in an interval that where they can be at all says more than how fast they are.
     fn is_restless(&self, length: f64) -> bool {
         let swings =
             |track: Track<'_>| matches!(track.path(), Some(Path::Sine { frequency, .. }) if frequency * length > 1.0);
         swings(self.pair.a) || swings(self.pair.b)
     }
 
-    /// Whether the distance is on one side of the threshold throughout a stretch, by where the centres can be.
+    /// Whether the distance is on one side of the threshold throughout an interval, by where the centres can be.
     fn is_out_of_reach(&self, start: f64, end: f64) -> bool {
         let [(a, spread_a), (b, spread_b)] = [self.pair.a, self.pair.b].map(|track| track.ball(start, end));
         let far = a.abs().max_element() + b.abs().max_element() + spread_a + spread_b + self.level;
@@ -254,7 +254,7 @@ impl Gap<'_> {
         let (a, b) = (self.pair.a.at(start), self.pair.b.at(start));
         let (g, rounding) = (self.of(&a, &b).0, self.rounding(&a, &b));
         let is_clear = sign * g > rounding;
-        // no more than rounding moves it: as below, where a stretch is too close to the threshold to tell more
+        // no more than rounding moves it: as below, where an interval is too close to the threshold to tell more
         if self.swing.is_some_and(|swing| self.mean(&swing).abs() + swing.by <= 8.0 * rounding) {
             let (a, b) = (self.pair.a.at(end), self.pair.b.at(end));
             return (is_clear && sign * self.of(&a, &b).0 <= rounding).then_some(end);
@@ -274,7 +274,7 @@ impl Gap<'_> {
         let (g, slope) = self.of(&a, &b);
         let apart = (a.position - b.position).length();
 
-        // |g″| = |2|Δv|² + 2Δc·Δa| on the stretch, and by how much g can differ there from its value in the middle
+        // |g″| = |2|Δv|² + 2Δc·Δa| on the interval, and by how much g can differ there from its value in the middle
         let Bounds { speed, acceleration } = self.pair.a.relative_bounds(self.pair.b, start, end);
         let curvature = 2.0 * speed * speed + 2.0 * (apart + speed * half) * acceleration;
         let range = slope.abs() * half + 0.5 * curvature * half * half;

@@ -69,7 +69,7 @@ pub use report::{Diverged, Failure, Overworked, Stage, StepReport, Toil};
 pub use terms::Cause;
 pub use world::{BodyView, Options, PairView, States, World};
 
-/// A stretch of time [s].
+/// An interval of time [s].
 #[derive(Clone, Copy, Debug)]
 struct Span {
     start: f64,

@@ -11,9 +11,9 @@ pub(super) struct Neighbour {
     pub pull: f64,
 }
 
-/// What a body's zone allows for.
+/// What a body's fat bounds allows for.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Zone {
+pub(super) struct FatBounds {
     /// How far from the centre it may have vertices [scene unit].
     pub vertices: f64,
     /// How far from where it was its centre may be [scene unit].
@@ -22,6 +22,6 @@ pub(super) struct Zone {
     pub until: f64,
 }
 
-impl Zone {
-    pub const NONE: Zone = Zone { vertices: 0.0, skin: 0.0, until: f64::NEG_INFINITY };
+impl FatBounds {
+    pub const NONE: FatBounds = FatBounds { vertices: 0.0, skin: 0.0, until: f64::NEG_INFINITY };
 }

@@ -4,4 +4,4 @@
 pub const NODES: [f64; 4] = [0.0, 0.276_393_202_250_021, 0.723_606_797_749_978_9, 1.0];
 
 /// The instants at which a step looks: its nodes, and its middle.
-pub const LOOKS: [f64; 5] = [NODES[0], NODES[1], NODES[2], NODES[3], 0.5];
+pub const SAMPLES: [f64; 5] = [NODES[0], NODES[1], NODES[2], NODES[3], 0.5];

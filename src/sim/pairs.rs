@@ -1,7 +1,7 @@
 //! Pairs of bodies that are near each other, their phases, and when these change.
 //!
-//! A body's zone holds everything that it can touch or be touched at until it has moved, or its vertices have swung, by
-//! more than was allowed for. Pairs whose zones overlap are known, and so is every pair that is not apart. (Molecular
+//! A body's fat bounds holds everything that it can touch or be touched at until it has moved, or its vertices have swung, by
+//! more than was allowed for. Pairs whose fat bounds overlap are known, and so is every pair that is not apart. (Molecular
 //! dynamics knows such lists as Verlet's, with a skin.)
 
 use std::{
@@ -18,7 +18,7 @@ use super::{
     Span,
     body::Body,
     events::{Event, PairTracks},
-    neighbours::{Neighbour, Zone},
+    neighbours::{FatBounds, Neighbour},
     reach::{Ball, Grid},
     report::StepReport,
     terms::spheres,
@@ -120,7 +120,7 @@ impl Pairs {
         counted.map(|()| all.into_inner())
     }
 
-    /// The plain way: every pair.
+    /// The naive baseline: every pair.
     pub fn start_with_all(
         &mut self,
         scene: &Scene,
@@ -136,7 +136,7 @@ impl Pairs {
         let mut of = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
         self.plain = true;
         for body in of.bodies.iter_mut() {
-            body.zone = Zone { vertices: f64::INFINITY, skin: 0.0, until: f64::INFINITY };
+            body.fat_bounds = FatBounds { vertices: f64::INFINITY, skin: 0.0, until: f64::INFINITY };
         }
         for i in 0..of.bodies.len() {
             self.found.clear();
@@ -146,7 +146,7 @@ impl Pairs {
         true
     }
 
-    /// Looks for the neighbours of bodies that move out of their zones before the end of `span`.
+    /// Looks for the neighbours of bodies that move out of their fat bounds before the end of `span`.
     ///
     /// # Errors
     /// If they are too many: the body that it ended with.
@@ -158,10 +158,10 @@ impl Pairs {
         span: Span,
         work: &Work,
     ) -> Result<(), (Stop, u32)> {
-        tracks.watch(|track| bodies[track.body as usize].zone.until < span.end);
+        tracks.watch(|track| bodies[track.body as usize].fat_bounds.until < span.end);
         let mut of = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
         for body in of.tracks.watched() {
-            let vertices = of.bodies[body as usize].zone.vertices;
+            let vertices = of.bodies[body as usize].fat_bounds.vertices;
             self.anchor(&mut of, body as usize, vertices, span.start);
             if of.work.is_over() {
                 return work.check().map_err(|stop| (stop, body));
@@ -170,7 +170,7 @@ impl Pairs {
         Ok(())
     }
 
-    /// Gives a body a zone for vertices up to `vertices` from its centre, from time `t` on, and finds its neighbours.
+    /// Gives a body a fat bounds for vertices up to `vertices` from its centre, from time `t` on, and finds its neighbours.
     pub fn anchor(&mut self, of: &mut Surrounded<'_>, i: usize, vertices: f64, t: f64) {
         self.place(of, i, vertices, t);
         self.find_neighbours(of, i, t);
@@ -185,7 +185,7 @@ impl Pairs {
         let centre = track.position(t);
         // a pair that stands exactly on a threshold is not lost to rounding of the centres
         let rounding = 16.0 * f64::EPSILON * (centre.abs().max_element() + reach);
-        of.bodies[i].zone = Zone { vertices, skin: skin + rounding, until };
+        of.bodies[i].fat_bounds = FatBounds { vertices, skin: skin + rounding, until };
         self.grid.place(i as u32, Ball { centre, radius: reach + rounding });
     }
 
@@ -416,10 +416,10 @@ impl Pair {
     }
 }
 
-/// Whether one of two bodies can have vertices inside of the other's sphere, or they can merge, as far as their zones let
-/// them. (That their zones overlap says less: what has no vertices out there isn't touched there.)
+/// Whether one of two bodies can have vertices inside of the other's sphere, or they can merge, as far as their fat bounds let
+/// them. (That their fat bounds overlap says less: what has no vertices out there isn't touched there.)
 fn are_near(scene: &Scene, bodies: &[Body], grid: &Grid, i: u32, j: u32) -> bool {
-    let [a, b] = [i, j].map(|k| (&bodies[k as usize].zone, scene.bodies[k as usize].radius));
+    let [a, b] = [i, j].map(|k| (&bodies[k as usize].fat_bounds, scene.bodies[k as usize].radius));
     let sphere = |radius| scene.influence.sphere_radius(radius);
     let touching = f64::max(sphere(a.1) + b.0.vertices, sphere(b.1) + a.0.vertices);
     let near = touching.max(scene.thresholds.merge_at * (a.1 + b.1)) + a.0.skin + b.0.skin;

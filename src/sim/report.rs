@@ -146,7 +146,7 @@ pub struct StepReport {
     pub time: f64,
     /// Phase changes within the step, by time.
     pub events: Vec<Event>,
-    /// Steps taken by the integrator: one a body and stretch of time without a jump, and those that single vertices took
+    /// Steps taken by the integrator: one a body and interval of time without a jump, and those that single vertices took
     /// beyond it.
     pub substeps: u64,
     /// The largest error that any vertex made in this step, as the integrator estimates it [radii of its body]; 0 for

@@ -223,10 +223,10 @@ pub(super) fn add_forces(world: &World, index: usize, surroundings: &Surrounding
     let mut by_cause = std::array::from_fn(|cause| take(&mut now.terms[cause].accelerations));
     let seen: Seen<'_> = world.seen(index, [&now.displacements, &now.velocities], surroundings);
     seen.forces(world.scene().influence.weight, &mut by_cause);
-    let felt = [Cause::Attraction, Cause::Repulsion, Cause::Core].map(|cause| &by_cause[cause as usize]);
+    let contributing = [Cause::Attraction, Cause::Repulsion, Cause::Core].map(|cause| &by_cause[cause as usize]);
     now.labels.clear();
     now.labels.extend((0..seen.rest.len()).map(|i| {
-        let feels = felt.map(|forces| !forces.is_empty() && forces.get(i) != DVec3::ZERO);
+        let feels = contributing.map(|forces| !forces.is_empty() && forces.get(i) != DVec3::ZERO);
         match feels {
             [false, false, false] => 0,
             [true, false, false] => 1,

@@ -1,6 +1,6 @@
 //! The inside of a step, worked out once more beside the world: for whoever debugs an integrator.
 //!
-//! From the state before a step, and the events in it, every stretch between two jumps is taken again with the pieces
+//! From the state before a step, and the events in it, every interval between two jumps is taken again with the pieces
 //! that the step itself uses; the world is only looked at, and a step that nobody asks about costs nothing.
 
 use glam::DVec3;
@@ -11,7 +11,7 @@ use super::{
     deformation::Deformation,
     integrator::{
         explicit::Scheme,
-        exponential::{self, Manner, course::Course},
+        exponential::{self, StepControl, course::Course},
     },
     neighbours::Neighbour,
     simulation::{add_forces, pair_frame},
@@ -208,12 +208,12 @@ impl Again<'_> {
         States { displacement, velocity }
     }
 
-    /// Takes a body over a stretch without a jump, every vertex by itself.
+    /// Takes a body over an interval without a jump, every vertex by itself.
     fn advance(&self, index: usize, from: f64, to: f64, states: &mut States) {
         let scene = self.world.scene();
         let (this, body) = (&scene.bodies[index], self.body(index));
         let surroundings = self.surroundings(index, from, from, states);
-        // a sphere may come within reach in the course of the stretch
+        // a sphere may come within reach in the course of the interval
         let mut acting = Acting::default();
         self.on(index).over(&body.neighbours, Span { start: from, end: to }, &mut acting);
         let Acting { weighted, spheres } = &acting;
@@ -235,17 +235,17 @@ impl Again<'_> {
         };
         let mut deformation = Deformation::default();
         deformation.wake_all(body.rest());
-        let front = &mut deformation.front;
+        let active_set = &mut deformation.active_set;
         for i in 0..body.rest().len() {
-            front.set_state(i, State { x: states.displacement.get(i), u: states.velocity.get(i) });
+            active_set.set_state(i, State { x: states.displacement.get(i), u: states.velocity.get(i) });
         }
-        front.pad_again();
+        active_set.pad_again();
         let mut common = Common { carried: State::default(), pushed: vec![Pushed::default(); body.pushes.len()] };
         let tolerance = scene.tolerance * this.radius;
-        let manner = Manner { arch: self.world.options().arch, tolerance, work: &Tally::unlimited() };
-        exponential::advance(&course, manner, &mut common, front, &mut exponential::Scratch::default());
+        let control = StepControl { arch: self.world.options().arch, tolerance, work: &Tally::unlimited() };
+        exponential::advance(&course, control, &mut common, active_set, &mut exponential::Scratch::default());
         for (i, facing) in body.mesh.directions().iter().enumerate() {
-            let (alike, own) = (common.of(facing, &body.pushes), front.state(i));
+            let (alike, own) = (common.of(facing, &body.pushes), active_set.state(i));
             states.displacement.set(i, alike.x + own.x);
             states.velocity.set(i, alike.u + own.u);
         }
@@ -287,7 +287,7 @@ mod tests {
                 sub_steps += named("sub-step");
                 events += named("~");
                 assert_eq!(named("~"), happened);
-                // the last stretch is the end
+                // the last interval is the end
                 if let Some(last) = stages.iter().rfind(|stage| stage.name.contains("sub-step")) {
                     for (index, body) in world.bodies().enumerate() {
                         let ended = &last.frame.bodies[index].displacements;

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{Span, events::PairTracks, nodes::LOOKS, track::Track};
+use super::{Span, events::PairTracks, nodes::SAMPLES, track::Track};
 use crate::scene::{
     Scene,
     path::{Bounds, Kinematics, Turns},
@@ -18,14 +18,14 @@ const STILL: u32 = u32::MAX;
 pub struct Tracks {
     movers: Vec<Mover>,
     /// Of every body, close together: neighbours look each other up in every step.
-    whereabouts: Vec<Whereabouts>,
+    motion_bounds: Vec<MotionBounds>,
     /// Track of each body, or [`STILL`].
     of_body: Vec<u32>,
 }
 
 /// Where a body is, and what of it reaches others.
 #[derive(Clone, Copy, Debug)]
-pub struct Whereabouts {
+pub struct MotionBounds {
     /// Its centre at the start of the step [scene unit].
     pub centre: DVec3,
     /// Bound of its speed in the step [scene unit/s].
@@ -36,10 +36,10 @@ pub struct Whereabouts {
     pub sphere: f64,
 }
 
-impl Whereabouts {
+impl MotionBounds {
     /// How near the centres of two bodies can come within `h` [s], less what rounding of them can do [scene unit].
     #[inline]
-    pub fn nearest(&self, other: &Whereabouts, h: f64) -> f64 {
+    pub fn nearest(&self, other: &MotionBounds, h: f64) -> f64 {
         let distance = self.centre.distance(other.centre);
         let far = self.centre.abs().max_element() + other.centre.abs().max_element() + distance;
         distance - (self.speed + other.speed) * h - 8.0 * f64::EPSILON * far
@@ -68,18 +68,18 @@ impl Tracks {
     pub fn new(scene: &Scene) -> Tracks {
         let mut of_body = vec![STILL; scene.bodies.len()];
         let mut movers = Vec::new();
-        let whereabouts = scene.bodies.iter().map(|body| Whereabouts {
+        let motion_bounds = scene.bodies.iter().map(|body| MotionBounds {
             centre: body.path.position(0.0),
             speed: 0.0,
             radius: body.radius,
             sphere: scene.influence.sphere_radius(body.radius),
         });
-        let whereabouts = whereabouts.collect();
+        let motion_bounds = motion_bounds.collect();
         for (body, place) in (0..).zip(&mut of_body) {
             let path = &scene.bodies[body as usize].path;
             if !path.is_fixed() {
                 *place = movers.len() as u32;
-                let turns = path.turns(&LOOKS.map(|theta| theta * scene.dt));
+                let turns = path.turns(&SAMPLES.map(|theta| theta * scene.dt));
                 let bounds = Bounds { speed: 0.0, acceleration: 0.0 };
                 let kinematics = [path.at(0.0); 5];
                 movers.push(Mover {
@@ -93,7 +93,7 @@ impl Tracks {
                 });
             }
         }
-        Tracks { movers, whereabouts, of_body }
+        Tracks { movers, motion_bounds, of_body }
     }
 
     /// Follows all of them over a step.
@@ -106,14 +106,14 @@ impl Tracks {
             if track.is_idle {
                 return;
             }
-            path.kinematics(span.start, span.end, &LOOKS, &track.turns, &mut track.kinematics);
+            path.kinematics(span.start, span.end, &SAMPLES, &track.turns, &mut track.kinematics);
             track.bounds = path.bounds(span.start, span.end);
         };
         each(&mut self.movers, follow);
         for track in &self.movers {
-            let whereabouts = &mut self.whereabouts[track.body as usize];
-            whereabouts.centre = track.kinematics[0].position;
-            whereabouts.speed = track.bounds.speed;
+            let motion_bounds = &mut self.motion_bounds[track.body as usize];
+            motion_bounds.centre = track.kinematics[0].position;
+            motion_bounds.speed = track.bounds.speed;
         }
     }
 
@@ -129,14 +129,14 @@ impl Tracks {
 
     /// Where a body is at the start of the step.
     #[inline]
-    pub fn whereabouts(&self, body: u32) -> &Whereabouts {
-        &self.whereabouts[body as usize]
+    pub fn motion_bounds(&self, body: u32) -> &MotionBounds {
+        &self.motion_bounds[body as usize]
     }
 
     /// What was allocated for them [bytes].
     pub fn memory(&self) -> usize {
         self.movers.capacity() * size_of::<Mover>()
-            + self.whereabouts.capacity() * size_of::<Whereabouts>()
+            + self.motion_bounds.capacity() * size_of::<MotionBounds>()
             + self.of_body.capacity() * size_of::<u32>()
     }
 
@@ -200,7 +200,7 @@ mod tests {
                 tracks.follow(&scene, span);
                 for track in tracks.all() {
                     let path = &scene.bodies[track.body as usize].path;
-                    for (look, theta) in LOOKS.into_iter().enumerate() {
+                    for (look, theta) in SAMPLES.into_iter().enumerate() {
                         let t = if theta == 1.0 { span.end } else { span.start + theta * scene.dt };
                         let (seen, exact) = (track.kinematics[look], path.at(t));
                         assert!(seen.position.distance(exact.position) < 1e-14 * exact.position.length().max(1.0));

@@ -17,7 +17,7 @@ const MOST_OWED: u64 = 300_000_000;
 const FREE: u64 = 500_000;
 /// … what it may take for each vertex of the scene that takes steps, …
 const FREE_PER_VERTEX: u64 = 100;
-/// … and what it may take of [`Effort::base`](super::integrator::exponential::Effort::base), twice over, but no more than this.
+/// … and what it may take of [`StepStatistics::base`](super::integrator::exponential::StepStatistics::base), twice over, but no more than this.
 const MOST_BASE: u64 = 300_000_000;
 /// Work is told to others when it has come to so much.
 const GRAIN: u64 = 1 << 15;
@@ -36,7 +36,7 @@ pub(super) const NEW_PAIR: u64 = 150;
 pub(super) struct Work {
     /// What the steps so far took beyond what they may.
     owed: u64,
-    /// [`Effort::base`](super::integrator::exponential::Effort::base) of the last step, or what it may be in the first.
+    /// [`StepStatistics::base`](super::integrator::exponential::StepStatistics::base) of the last step, or what it may be in the first.
     base: u64,
     /// What this one may take.
     limit: u64,

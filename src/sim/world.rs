@@ -40,7 +40,7 @@ use crate::{
 const PARALLEL_VERTICES: usize = 2048;
 /// Nor are fewer bodies than this when it is only to be found out who can reach them, or what they came to.
 const PARALLEL_BODIES: usize = 512;
-/// How much farther than they do now vertices may get from rest when a body outgrows its zone.
+/// How much farther than they do now vertices may get from rest when a body outgrows its fat bounds.
 const ROOM: f64 = 1.5;
 
 /// How the world is stepped; none of it changes the result, but for rounding.
@@ -224,21 +224,21 @@ impl World {
     fn find_bounds(&mut self, span: Span) -> Result<(), Failure> {
         let (context, actives) = self.context();
         let awake = actives.len();
-        let any_outgrew = AtomicBool::new(false);
+        let any_left = AtomicBool::new(false);
         each(actives, actives.len() >= PARALLEL_BODIES, |_, active| {
             context.find_reachable(active, span);
-            if context.outgrew(active) {
-                any_outgrew.store(true, Ordering::Relaxed);
+            if context.left_fat_bounds(active) {
+                any_left.store(true, Ordering::Relaxed);
             }
         });
-        if !any_outgrew.into_inner() {
+        if !any_left.into_inner() {
             return Ok(());
         }
         for slot in 0..awake {
             loop {
                 let active = &self.actives.awake()[slot];
                 let (body, max_reach) = (active.body, active.bounds.max_reach);
-                if !self.reading().outgrew(active) {
+                if !self.reading().left_fat_bounds(active) {
                     break;
                 }
                 let World { scene, bodies, tracks, pairs, work, .. } = self;
@@ -286,7 +286,7 @@ impl World {
                 let sleeping = [(mover, other), (other, mover)].into_iter().filter(|&(this, _)| !self.is_awake(this));
                 let reached = sleeping.filter(|&(this, source)| {
                     let [radius, sphere] =
-                        [self.tracks.whereabouts(this).radius, self.tracks.whereabouts(source).sphere];
+                        [self.tracks.motion_bounds(this).radius, self.tracks.motion_bounds(source).sphere];
                     let vertices = radius + self.active(this as usize).map_or(0.0, Active::amplitude);
                     self.reading().nearest(this, source, span) <= sphere + vertices
                 });
@@ -334,7 +334,7 @@ impl World {
             return Err(Failure::Interrupted { step: self.step + 1 });
         }
         let actives = self.actives.awake();
-        if let Some(slot) = self.work.busiest(sum.work, actives.iter().map(|active| active.effort.work)) {
+        if let Some(slot) = self.work.busiest(sum.work, actives.iter().map(|active| active.statistics.work)) {
             let Active { body, bounds, .. } = &actives[slot];
             let (vertices, body) =
                 (self.bodies[*body as usize].mesh.directions().len(), &self.scene.bodies[*body as usize]);
@@ -375,7 +375,7 @@ impl World {
         let Options { skip, arch, .. } = *options;
         actives.sleep(bodies, |bodies, active| {
             let context = Context { scene, bodies, pairs, tracks, arch, skip, step: *step, work };
-            active.effort.substeps == 0 && active.bounds.may_sleep && context.own_force(active.body, span) == 0.0
+            active.statistics.substeps == 0 && active.bounds.may_sleep && context.own_force(active.body, span) == 0.0
         });
     }
 
@@ -384,7 +384,7 @@ impl World {
         let body = self.body(index);
         let states = body.states();
         let size = |i: usize| states.displacement.get(i).length_squared() + states.velocity.get(i).length_squared();
-        // what is not a number is the worst
+        // NaN is the worst
         let rank = |i: &usize| if size(*i).is_nan() { f64::INFINITY } else { size(*i) };
         let vertex = (0..body.vertex_count()).max_by(|i, j| rank(i).total_cmp(&rank(j))).unwrap_or_default();
         Diverged {
@@ -402,8 +402,8 @@ impl World {
 
 /// Whether the steps of bodies take so long that it pays to take them on several threads.
 fn is_worth_threads(actives: &[Active]) -> bool {
-    // a body that has no front yet takes about as long as one of a few vertices
-    let cost = |active: &Active| 8 + active.state.deformation.front.vertices.len();
+    // a body that has no active set yet takes about as long as one of a few vertices
+    let cost = |active: &Active| 8 + active.state.deformation.active_set.vertices.len();
     let enough = |sum: &mut usize, active: &Active| {
         *sum += cost(active);
         (*sum < PARALLEL_VERTICES).then_some(())
@@ -438,15 +438,15 @@ struct Sum {
 
 impl Sum {
     fn of(active: &Active, scene: &Scene) -> Sum {
-        let effort = active.effort;
-        let is_idle = effort.substeps == 0;
+        let statistics = active.statistics;
+        let is_idle = statistics.substeps == 0;
         Sum {
             stepped: u64::from(!is_idle),
-            substeps: effort.substeps,
-            error: f64::max(0.0, effort.error / scene.bodies[active.body as usize].radius),
-            work: effort.work,
-            base: effort.base,
-            vertices: active.state.deformation.front.vertices.len() as u64,
+            substeps: statistics.substeps,
+            error: f64::max(0.0, statistics.error / scene.bodies[active.body as usize].radius),
+            work: statistics.work,
+            base: statistics.base,
+            vertices: active.state.deformation.active_set.vertices.len() as u64,
             diverged: active.has_diverged().then_some(active.body),
             any_idle: is_idle,
         }
@@ -693,7 +693,7 @@ impl<'a> BodyView<'a> {
         if let Some(active) = self.active.filter(|active| active.state.common.is_zero() && !active.is_at_rest()) {
             displacement.resize(self.vertex_count());
             velocity.resize(self.vertex_count());
-            if active.state.deformation.all_swings_into(displacement, velocity, self.now) {
+            if active.state.deformation.all_free_into(displacement, velocity, self.now) {
                 return;
             }
         }
@@ -775,10 +775,10 @@ mod tests {
             world.step();
             rounded.step();
             for active in rounded.actives.all_mut() {
-                let Deformation { front, swinging, .. } = &mut active.state.deformation;
-                let of_front = front.blocks.all_mut().iter_mut().flat_map(|block| &mut block.0[..2]);
-                let of_swinging = swinging.blocks.all_mut().iter_mut().flat_map(|block| &mut block.0);
-                for number in of_front.chain(of_swinging).flatten().flatten() {
+                let Deformation { active_set, free_vertices, .. } = &mut active.state.deformation;
+                let of_active_set = active_set.blocks.all_mut().iter_mut().flat_map(|block| &mut block.0[..2]);
+                let of_free_vertices = free_vertices.blocks.all_mut().iter_mut().flat_map(|block| &mut block.0);
+                for number in of_active_set.chain(of_free_vertices).flatten().flatten() {
                     *number = f64::from(*number as f32);
                 }
             }

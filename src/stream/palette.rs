@@ -74,7 +74,7 @@ pub fn heat(share: f64) -> u32 {
         [253.0, 231.0, 37.0],
     ];
     let place = share.clamp(0.0, 1.0) * (STOPS.len() - 1) as f64;
-    // what is not a number is as far as it gets
+    // NaN is as far as it gets
     let stop = if place.is_nan() { STOPS.len() - 2 } else { (place as usize).min(STOPS.len() - 2) };
     let rest = if place.is_nan() { 1.0 } else { place - stop as f64 };
     let [r, g, b] = std::array::from_fn(|i| (STOPS[stop][i] + rest * (STOPS[stop + 1][i] - STOPS[stop][i])) as u8);

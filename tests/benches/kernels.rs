@@ -11,8 +11,8 @@ use glam::DVec3;
 use meldscope::{
     Scene, World,
     bench::scale::{
+        free_oscillation,
         scenes::{Family, Layout},
-        swinging,
     },
     model::{
         oscillator::Oscillator,
@@ -142,9 +142,9 @@ fn step(c: &mut Criterion) {
 fn states(c: &mut Criterion) {
     let mut group = c.benchmark_group("states");
     group.throughput(Throughput::Elements(266));
-    for cause in [swinging::Cause::Sphere, swinging::Cause::Push] {
+    for cause in [free_oscillation::Cause::Sphere, free_oscillation::Cause::Push] {
         for (name, arch) in instruction_sets() {
-            let scene = swinging::scene(cause, &two(), 1);
+            let scene = free_oscillation::scene(cause, &two(), 1);
             let mut world = World::with_options(scene, Options { arch, ..Options::default() }).expect("fits");
             (0..90).for_each(|_| _ = world.step());
             let mut states = States::default();

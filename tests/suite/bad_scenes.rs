@@ -258,7 +258,7 @@ Top: dt is a number in quotes
 dt = "0.01"
 > bad.toml:1:6: dt: expected a number between 1e-12 and 1e15, found the string "0.01"; write the number without quotes
 
-Top: dt not a number
+Top: dt NaN
 dt = nan
 > bad.toml:1:6: dt: expected a number between 1e-12 and 1e15, found nan
 

@@ -62,8 +62,8 @@ fn every_family_is_measured_at_every_size() {
     }
     let at = |family| report.at(family, 10).expect("measured");
     assert_eq!([Family::Contact, Family::Hundredth, Family::Rest].map(|family| at(family).touching), [10, 2, 2]);
-    assert_eq!(report.swinging.len(), 2);
-    assert!(report.swinging.iter().all(|swinging| swinging.one > 1e6));
+    assert_eq!(report.free_oscillation.len(), 2);
+    assert!(report.free_oscillation.iter().all(|one| one.one > 1e6));
     assert_eq!(
         report.decay.iter().map(|decay| (decay.skip, decay.steps)).collect::<Vec<_>>(),
         [(true, 60_000), (false, 3_000)]

@@ -159,7 +159,7 @@ fn run(scene: &Scene, options: Options, mut look: impl FnMut(&World)) -> Outcome
     outcome
 }
 
-/// The plain way looks at every pair and every vertex in every step, and lets a body's own motion and pushes act on each
+/// The naive baseline looks at every pair and every vertex in every step, and lets a body's own motion and pushes act on each
 /// vertex by itself.
 #[test]
 fn skipping_changes_nothing_but_rounding() {
@@ -400,7 +400,7 @@ fn assert_same_as_plain(scene: &Scene, steps: u64, tolerance: f64) {
             }
         }
     }
-    eprintln!("{}: skipping against the plain way: {worst:e} of a radius", scene.name);
+    eprintln!("{}: skipping against the naive baseline: {worst:e} of a radius", scene.name);
 }
 
 proptest! {

@@ -6,7 +6,7 @@
 
 use std::time::Instant;
 
-use super::swinging;
+use super::free_oscillation;
 use crate::{
     Scene, World,
     bench::MeasureError,
@@ -34,15 +34,15 @@ pub struct Decay {
 const STEPS: u64 = 200;
 const BLOCKS: usize = 10;
 
-/// Follows the decay both ways, skipping over `steps` steps, the plain way over a twentieth of that.
+/// Follows the decay both ways, skipping over `steps` steps, the naive baseline over a twentieth of that.
 pub(super) fn measure(two: &Scene, steps: u64) -> Result<Vec<Decay>, MeasureError> {
     [(true, steps), (false, steps / 20)].into_iter().map(|(skip, steps)| follow(two, skip, steps)).collect()
 }
 
 fn follow(two: &Scene, skip: bool, steps: u64) -> Result<Decay, MeasureError> {
-    let scene = swinging::scene(swinging::Cause::Sphere, two, 1);
+    let scene = free_oscillation::scene(free_oscillation::Cause::Sphere, two, 1);
     let mut world = World::with_options(scene, Options { skip, ..Options::default() })?;
-    while world.time() < swinging::LEFT_ALONE && world.step().failure.is_none() {}
+    while world.time() < free_oscillation::LEFT_ALONE && world.step().failure.is_none() {}
     let mut states = States::default();
     let mut block = || {
         let start = Instant::now();

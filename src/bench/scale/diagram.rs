@@ -13,7 +13,7 @@ use crate::bench::{
 /// Right of the axes [px].
 const RIGHT: u32 = 330;
 
-/// Colours that the colour-blind can tell too (Okabe & Ito 2008), and shapes; the plain way is drawn in its family's colour.
+/// Colours that the colour-blind can tell too (Okabe & Ito 2008), and shapes; the naive baseline is drawn in its family's colour.
 fn style(family: Family, is_plain: bool) -> Style {
     let (color, marker) = match family {
         Family::Contact => (RGBColor(213, 94, 0), Marker::Polygon(&[0.0, 2.67, 5.33])),
@@ -34,7 +34,7 @@ pub fn svg(report: &Report, machine: &Machine) -> Result<String, String> {
         title: "Cost and size",
         heading: [
             "Time of a step against the number of bodies, 266 vertices each, on one core: down is faster.",
-            "Crosses: the plain way, the thesis’s scheme with every vertex and all pairs, as far as it was followed.",
+            "Crosses: the naive baseline, the thesis’s scheme with every vertex and all pairs, as far as it was followed.",
         ],
         notes: &["Run times: the best of 9 blocks of steps, or of 3 that take long.", &machine],
     };
@@ -60,7 +60,7 @@ pub fn svg(report: &Report, machine: &Machine) -> Result<String, String> {
     })
 }
 
-/// A family, skipping or in the plain way.
+/// A family, skipping or the naive baseline.
 struct Curve {
     family: Family,
     is_plain: bool,

@@ -1,6 +1,6 @@
 //! The goals, and what was measured beside each.
 
-use super::{Point, Report, Run, scenes::Family, swinging::Cause};
+use super::{Point, Report, Run, free_oscillation::Cause, scenes::Family};
 use crate::bench::goals::{Goal, at_least, at_most};
 
 /// Vertex-steps a second that a plain loop over damped oscillators makes from memory on one core of the machine for which the
@@ -37,7 +37,7 @@ pub fn goals(report: &Report) -> Vec<Goal> {
             }
         }
     }
-    if let Some(each) = report.swinging.iter().find(|swinging| swinging.cause == Cause::Sphere) {
+    if let Some(each) = report.free_oscillation.iter().find(|one| one.cause == Cause::Sphere) {
         let share = 100.0 * each.one / MEMORY_BOUND;
         goals.push(at_least("free oscillation, every frame wanted, of 0.85 G vertices/s, one core", 50.0, " %", share));
     }

@@ -36,13 +36,13 @@ pub fn table(report: &Report) -> String {
     let heading = ["", "bodies", "threads", "reach", "events", "integrate"];
     add("share of the stages in a step [%]".to_owned(), tables::table(heading, rows));
 
-    let rows = report.swinging.iter().map(|swinging| {
+    let rows = report.free_oscillation.iter().map(|each| {
         [
-            swinging.cause.name().to_owned(),
-            thousands(swinging.vertices),
-            significant(1e-6 * swinging.one),
-            swinging.all.map_or_else(missing, |all| significant(1e-6 * all)),
-            significant(swinging.memory),
+            each.cause.name().to_owned(),
+            thousands(each.vertices),
+            significant(1e-6 * each.one),
+            each.all.map_or_else(missing, |all| significant(1e-6 * all)),
+            significant(each.memory),
         ]
     });
     let heading = ["", "vertices", "one core\nM vertices/s", "all\nM vertices/s", "memory\nB a vertex"];

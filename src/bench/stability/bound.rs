@@ -121,7 +121,7 @@ impl Allowance {
             let momentum = u.hypot(self.omega * x);
             let most = f64::min(self.impulse, self.energy.get(i).copied().unwrap_or(f64::INFINITY));
             for part in [part(momentum, most), part(x, furthest), part(u, fastest)] {
-                // written so that what is not a number stays
+                // written so that NaN stays
                 if !(part <= used) {
                     used = part;
                 }

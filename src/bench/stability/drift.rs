@@ -73,7 +73,7 @@ pub fn measure(integrator: Integrator, steps: u64) -> Result<Drift, MeasureError
             continue;
         }
         let change = (world.energy().total() - start).abs() / available;
-        // written so that what is not a number stays
+        // written so that NaN stays
         if !(change <= drift.largest) {
             drift.largest = change;
         }

@@ -88,7 +88,7 @@ pub enum BodyError {
         /// Vertices of the topology.
         wanted: usize,
     },
-    /// A coordinate that is not a number, infinite, or beyond 1e90.
+    /// A coordinate that is NaN, infinite, or beyond 1e90.
     #[error("vertex {vertex} is at {position}, which cannot be computed with")]
     Position {
         /// The first such vertex.

@@ -6,7 +6,7 @@ use crate::{
     geometry::Rest,
     model::{influence::Weight, oscillator::Oscillator},
     scene::Integrator,
-    sim::{deformation::Front, state::State, terms::Surroundings, work::Tally},
+    sim::{deformation::ActiveSet, state::State, terms::Surroundings, work::Tally},
 };
 
 /// The explicit schemes.
@@ -47,7 +47,7 @@ impl Scheme {
     }
 }
 
-/// A stretch of time and what acts on a body in it; the same for all vertices of the body.
+/// An interval of time and what acts on a body in it; the same for all vertices of the body.
 #[derive(Clone, Debug, Default)]
 pub struct Interval {
     /// Its length Δt [s].
@@ -101,14 +101,14 @@ impl Vertex<'_> {
     }
 }
 
-/// Advances all vertices of a body over the interval, in place, unless `work` is over; all of them are in the front.
-pub fn advance(scheme: Scheme, interval: &Interval, rest: Rest<'_>, front: &mut Front, work: &Tally<'_>) {
+/// Advances all vertices of a body over the interval, in place, unless `work` is over; all of them are in the active set.
+pub fn advance(scheme: Scheme, interval: &Interval, rest: Rest<'_>, active_set: &mut ActiveSet, work: &Tally<'_>) {
     match scheme {
-        Scheme::Thesis => each(interval, rest, front, work, thesis),
-        Scheme::Mps => each(interval, rest, front, work, mps),
-        Scheme::Euler => each(interval, rest, front, work, euler),
-        Scheme::Verlet => each(interval, rest, front, work, verlet),
-        Scheme::Rk4 => each(interval, rest, front, work, rk4),
+        Scheme::Thesis => each(interval, rest, active_set, work, thesis),
+        Scheme::Mps => each(interval, rest, active_set, work, mps),
+        Scheme::Euler => each(interval, rest, active_set, work, euler),
+        Scheme::Verlet => each(interval, rest, active_set, work, verlet),
+        Scheme::Rk4 => each(interval, rest, active_set, work, rk4),
     }
 }
 
@@ -116,7 +116,7 @@ pub fn advance(scheme: Scheme, interval: &Interval, rest: Rest<'_>, front: &mut 
 fn each(
     interval: &Interval,
     rest: Rest<'_>,
-    front: &mut Front,
+    active_set: &mut ActiveSet,
     work: &Tally<'_>,
     scheme: impl Fn(&Vertex<'_>, State) -> State,
 ) {
@@ -127,7 +127,7 @@ fn each(
             return;
         }
         let vertex = Vertex { interval, rest: rest.position(i), facing: rest.direction(i) };
-        front.set_state(i, scheme(&vertex, front.state(i)));
+        active_set.set_state(i, scheme(&vertex, active_set.state(i)));
     }
 }
 

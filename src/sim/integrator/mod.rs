@@ -1,4 +1,4 @@
-//! How a vertex is advanced over a stretch of time.
+//! How a vertex is advanced over an interval of time.
 //!
 //! Vertices do not act on each other, so a scheme is a function of one vertex: its state at the start, what acts on it
 //! in between, its state at the end. All state is displacement in body coordinates, `x = r − c − l`, and its velocity.

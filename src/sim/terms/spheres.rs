@@ -66,7 +66,7 @@ impl Term for Spheres {
         for neighbour in on.neighbours {
             let phase = on.phases.from(on.index, neighbour, moment.phases_at);
             let (strength, sphere_radius) =
-                (on.strength(neighbour, phase), on.tracks.whereabouts(neighbour.other).sphere);
+                (on.strength(neighbour, phase), on.tracks.motion_bounds(neighbour.other).sphere);
             if strength == 0.0 {
                 continue;
             }
@@ -80,7 +80,7 @@ impl Term for Spheres {
     fn over<P: Phases>(on: &On<'_, P>, near: &[Neighbour], part: Span, acting: &mut Acting) {
         for neighbour in near {
             let strength = on.strength(neighbour, on.phases.from(on.index, neighbour, part.start));
-            let radius = on.tracks.whereabouts(neighbour.other).sphere;
+            let radius = on.tracks.motion_bounds(neighbour.other).sphere;
             if strength != 0.0 {
                 let sphere = Sphere { body: neighbour.other, radius, inverse_radius: 1.0 / radius, strength };
                 acting.spheres.push(sphere);
@@ -107,7 +107,7 @@ impl Term for Spheres {
 impl<P> On<'_, P> {
     /// The strength of a neighbour's sphere on the body in a phase of their pair [1/s²].
     pub fn strength(&self, neighbour: &Neighbour, phase: Phase) -> f64 {
-        let [this, other] = [self.index, neighbour.other].map(|body| self.tracks.whereabouts(body).radius);
+        let [this, other] = [self.index, neighbour.other].map(|body| self.tracks.motion_bounds(body).radius);
         self.scene.influence.strength(phase, this, other)
     }
 }

@@ -1,4 +1,4 @@
-//! What acts on a body over a stretch of time in which nothing jumps, at any instant of it.
+//! What acts on a body over an interval of time in which nothing jumps, at any instant of it.
 
 use glam::DVec3;
 
@@ -13,7 +13,7 @@ use crate::{
     },
 };
 
-/// A body's course over a stretch of time in which nothing jumps: phases, pushes and paths are smooth inside it.
+/// A body's course over an interval of time in which nothing jumps: phases, pushes and paths are smooth inside it.
 #[derive(Clone, Copy)]
 pub struct Course<'a> {
     /// The scene …
@@ -22,13 +22,13 @@ pub struct Course<'a> {
     pub index: usize,
     /// Its rest shape.
     pub mesh: &'a Mesh,
-    /// Where the stretch starts [s].
+    /// Where the interval starts [s].
     pub start: f64,
     /// How long it is [s].
     pub length: f64,
     /// Where the bodies are.
     pub tracks: &'a Tracks,
-    /// Whether the stretch is a whole step, of which the tracks have the looks.
+    /// Whether the interval is a whole step, of which the tracks have the looks.
     pub is_whole: bool,
     /// Spheres that can reach the body.
     pub spheres: &'a [Sphere],
@@ -37,7 +37,7 @@ pub struct Course<'a> {
 }
 
 impl Course<'_> {
-    /// Where the stretch ends [s].
+    /// Where the interval ends [s].
     pub fn end(&self) -> f64 {
         self.start + self.length
     }
@@ -76,7 +76,7 @@ impl Course<'_> {
     }
 
     /// The centres of the spheres relative to that of the body at time `t` [scene unit], into `centres` (reused), and
-    /// what is the same for all vertices [scene unit/s²]. At the end of the stretch: just before it.
+    /// what is the same for all vertices [scene unit/s²]. At the end of the interval: just before it.
     pub fn look(&self, t: f64, centres: &mut Vec<DVec3>) -> DVec3 {
         let track = self.track(self.index);
         let own = if t >= self.end() { track.before(t) } else { track.at(t) };

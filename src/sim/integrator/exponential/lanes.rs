@@ -67,7 +67,7 @@ impl<S: Simd, const W: usize> Reals<S, W> {
         Reals { v, ..self }
     }
 
-    /// Where it is below another; false where either is not a number.
+    /// Where it is below another; false where either is NaN.
     #[inline(always)]
     pub fn below(self, other: Reals<S, W>) -> Mask<S, W> {
         let mut m = [self.simd.less_than_f64s(self.v[0], other.v[0]); W];
@@ -77,7 +77,7 @@ impl<S: Simd, const W: usize> Reals<S, W> {
         Mask { simd: self.simd, m }
     }
 
-    /// Where it is below another or equal to it; false where either is not a number.
+    /// Where it is below another or equal to it; false where either is NaN.
     #[inline(always)]
     pub fn at_most(self, other: Reals<S, W>) -> Mask<S, W> {
         let mut m = [self.simd.less_than_or_equal_f64s(self.v[0], other.v[0]); W];
@@ -87,19 +87,19 @@ impl<S: Simd, const W: usize> Reals<S, W> {
         Mask { simd: self.simd, m }
     }
 
-    /// The larger of the two, or the first if either is not a number.
+    /// The larger of the two, or the first if either is NaN.
     #[inline(always)]
     pub fn larger(self, other: Reals<S, W>) -> Reals<S, W> {
         self.below(other).select(other, self)
     }
 
-    /// The larger of the two; not a number if either is not.
+    /// The larger of the two; NaN if either is.
     #[inline(always)]
     pub fn larger_or_nan(self, other: Reals<S, W>) -> Reals<S, W> {
         self.below(other).or(other.at_most(other).negated()).select(other, self)
     }
 
-    /// The smaller of the two, or the first if either is not a number.
+    /// The smaller of the two, or the first if either is NaN.
     #[inline(always)]
     pub fn smaller(self, other: Reals<S, W>) -> Reals<S, W> {
         other.below(self).select(other, self)

@@ -12,7 +12,7 @@ use crate::sim::state::State;
 
 /// Looks for the crossing of a rim in a step: more are needed where a vertex swings many times in it, or its bounds are
 /// far too wide.
-pub const MOST_LOOKS: u32 = 4096;
+pub const MOST_SAMPLES: u32 = 4096;
 
 /// Not found out in so many looks.
 #[derive(Clone, Copy, Debug)]

@@ -20,9 +20,9 @@ use crate::{
     },
 };
 
-/// Steps that a vertex may take in one stretch; what is left then is taken in one, unchecked but within bounds.
+/// Steps that a vertex may take in one interval; what is left then is taken in one, unchecked but within bounds.
 const MOST_STEPS: u32 = 2048;
-/// After so many steps of a vertex in one stretch, and after as many again, twice the error will do.
+/// After so many steps of a vertex in one interval, and after as many again, twice the error will do.
 const PATIENCE: u32 = 64;
 
 /// The work of preparing a step of one vertex, …
@@ -38,12 +38,12 @@ const LOOK_EXACTLY: u64 = 120;
 #[derive(Default)]
 pub struct Scratch {
     part: Step,
-    /// Parts of the stretch that are still to be taken, the next one last: where each starts and how long it is [s].
+    /// Parts of the interval that are still to be taken, the next one last: where each starts and how long it is [s].
     left: Vec<(f64, f64)>,
     pulls: Vec<Pull>,
 }
 
-/// One by one through a stretch.
+/// One by one through an interval.
 pub struct Single<'a> {
     /// The body's course.
     pub course: &'a Course<'a>,
@@ -64,7 +64,7 @@ pub struct Single<'a> {
 }
 
 impl Single<'_> {
-    /// Takes a vertex to the end of the stretch, in as many steps as it needs; `outcome` is that of the whole step.
+    /// Takes a vertex to the end of the interval, in as many steps as it needs; `outcome` is that of the whole step.
     pub fn take(
         &mut self,
         mut vertex: Vertex,
@@ -83,7 +83,7 @@ impl Single<'_> {
             let (middle, end) = (start + 0.5 * h, start + h);
             let wanted = self.wanted(h, steps);
             let resolved = self.resolves_spheres(step, &vertex, state);
-            // written so that what is not a number is not small enough
+            // written so that NaN is not small enough
             let mut will_do = start >= middle || (outcome.error <= wanted && resolved);
             let mut crossing = None;
             if will_do {
@@ -226,9 +226,9 @@ impl Single<'_> {
         let look = LookUp { course: self.course, whole: self.whole, common: self.common };
         let mut first: Option<(f64, usize)> = None;
         for j in near {
-            let mut looks = rim::MOST_LOOKS;
+            let mut looks = rim::MOST_SAMPLES;
             let crossing = motion.crossing(look, step, j, inside >> j & 1 == 1, &mut looks);
-            let looks = u64::from(rim::MOST_LOOKS - looks);
+            let looks = u64::from(rim::MOST_SAMPLES - looks);
             let look_takes = if self.whole.smooth { LOOK } else { LOOK_EXACTLY + self.course.weighted.len() as u64 };
             if !self.work.spend(looks * look_takes) {
                 return Ok(None);
@@ -249,9 +249,9 @@ pub fn is_stiff(course: &Course<'_>, h: f64) -> bool {
     (material.omega + 2.0 * material.damping) * h > 1.0
 }
 
-/// The end of a step under the force of its start: where no more can be spent on it. What is felt is no more than what there
-/// is, so the end is within all bounds of a motion by such forces; if nothing about the vertex moves, its energy does not
-/// grow either, and if that cannot be had, it stays where it is.
+/// The end of a step under the force of its start, for a vertex on which no more work can be spent. That force can act, so
+/// the end is within all bounds of a motion by such forces. If nothing about the vertex moves, its energy does not grow
+/// either; if that cannot be had, it stays where it is.
 fn hold(course: &Course<'_>, step: &Step, vertex: &Vertex, state: State) -> State {
     let (Weights { ux, uu, constant, .. }, Stage { xx, xu, .. }) = (step.weights, step.weights.nodes[3]);
     let moment = &step.moments[0];
@@ -274,7 +274,7 @@ fn hold(course: &Course<'_>, step: &Step, vertex: &Vertex, state: State) -> Stat
         energy::elastic(course.oscillator().omega, x.length_squared()) + of_spheres
     };
     let kinetic = energy::kinetic(state.u.length_squared()) + potential(state.x) - potential(end.x);
-    // written so that what is not a number is not enough
+    // written so that NaN is not enough
     if !(kinetic >= 0.0) {
         return state;
     }

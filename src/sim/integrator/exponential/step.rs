@@ -114,9 +114,9 @@ pub struct Outcome {
     pub error: f64,
 }
 
-/// Vertices that take a step together, and what acts on them. Their rest positions are `LOOKS`: one if they stay where they
+/// Vertices that take a step together, and what acts on them. Their rest positions are `SAMPLES`: one if they stay where they
 /// are, five, at each look, if pushes move them.
-pub struct Group<'a, S: Simd, const W: usize, const LOOKS: usize> {
+pub struct Group<'a, S: Simd, const W: usize, const SAMPLES: usize> {
     /// The instruction set.
     pub simd: S,
     /// The body's course.
@@ -124,7 +124,7 @@ pub struct Group<'a, S: Simd, const W: usize, const LOOKS: usize> {
     /// The step.
     pub step: &'a Step,
     /// Rest positions, moved by the response to pushes.
-    rest: [Vector<S, W>; LOOKS],
+    rest: [Vector<S, W>; SAMPLES],
     /// The spheres that they are inside of.
     pub pulls: &'a [Pull],
 }
@@ -150,7 +150,7 @@ fn respond<S: Simd, const W: usize>(flow: Vector<S, W>, w: &[f64; 4], f: &[Vecto
     flow + ((f[0] * w[0] + f[1] * w[1]) + (f[2] * w[2] + f[3] * w[3]))
 }
 
-impl<'a, S: Simd, const W: usize, const LOOKS: usize> Group<'a, S, W, LOOKS> {
+impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES> {
     /// With rest positions `rest`, moved by what pushes have done to each vertex by how squarely it faces them.
     #[inline(always)]
     pub fn new(
@@ -159,9 +159,9 @@ impl<'a, S: Simd, const W: usize, const LOOKS: usize> Group<'a, S, W, LOOKS> {
         step: &'a Step,
         rest: Vector<S, W>,
         pulls: &'a [Pull],
-    ) -> Group<'a, S, W, LOOKS> {
-        let mut group = Group { simd, course, step, rest: [rest; LOOKS], pulls };
-        if LOOKS > 1 {
+    ) -> Group<'a, S, W, SAMPLES> {
+        let mut group = Group { simd, course, step, rest: [rest; SAMPLES], pulls };
+        if SAMPLES > 1 {
             let none = Reals::splat(simd, 0.0);
             // the length of a rest position is the radius of a round body; it is computed for others only
             let per_length = if course.mesh.is_round() {
@@ -172,7 +172,7 @@ impl<'a, S: Simd, const W: usize, const LOOKS: usize> Group<'a, S, W, LOOKS> {
             for (p, push) in course.weighted.iter().enumerate() {
                 let d = Vector::splat(simd, push.direction);
                 let facing = none - (rest.x * d.x + rest.y * d.y + rest.z * d.z) * per_length;
-                let along = d * none.larger(facing); // none of a vertex at the centre, where that is not a number
+                let along = d * none.larger(facing); // none of a vertex at the centre, where that is NaN
                 for (look, rest) in group.rest.iter_mut().enumerate() {
                     *rest = *rest + along * step.moments[look].pushed[p];
                 }
@@ -184,7 +184,7 @@ impl<'a, S: Simd, const W: usize, const LOOKS: usize> Group<'a, S, W, LOOKS> {
     /// Rest positions at a look, moved by the response to pushes.
     #[inline(always)]
     pub fn rest_at(&self, look: usize) -> Vector<S, W> {
-        self.rest[look.min(LOOKS - 1)]
+        self.rest[look.min(SAMPLES - 1)]
     }
 
     /// F of each vertex for its displacement `x` at one of the step's moments [scene unit/s²].
@@ -304,7 +304,7 @@ impl<'a, S: Simd, const W: usize, const LOOKS: usize> Group<'a, S, W, LOOKS> {
 }
 
 impl Step {
-    /// Sets the step up over a whole stretch, with `common` at its start; an error of `wanted` [scene unit] will do.
+    /// Sets the step up over a whole interval, with `common` at its start; an error of `wanted` [scene unit] will do.
     pub fn prepare(&mut self, course: &Course<'_>, weights: &Weights, common: &Common, wanted: f64) {
         let h = weights.h;
         self.start = course.start;
@@ -411,12 +411,12 @@ impl Step {
         let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
         let gain = weights.gain();
         let left_out = (self.moments[4].uniform - combine(&weights.polynomial, &forces)).length();
-        // not `f64::max`, which would lose what is not a number
+        // not `f64::max`, which would lose NaN
         let beyond = if left_out <= self.noise { 0.0 } else { left_out - self.noise };
         0.1 * beyond * gain
     }
 
-    /// Sets the step up over a part of a stretch, of which `whole` is the step.
+    /// Sets the step up over a part of an interval, of which `whole` is the step.
     pub fn prepare_part(&mut self, course: &Course<'_>, whole: &Step, common: &Common, start: f64, weights: &Weights) {
         self.start = start;
         self.set_weights(weights);
@@ -504,7 +504,7 @@ impl Step {
 
 /// When a step looks for the n-th time [s].
 fn time_of(look: usize, start: f64, h: f64) -> f64 {
-    if look == 3 { start + h } else { start + nodes::LOOKS[look] * h }
+    if look == 3 { start + h } else { start + nodes::SAMPLES[look] * h }
 }
 
 /// `Σ wᵢ vᵢ`
@@ -517,12 +517,12 @@ pub fn has_kink(weight: Weight) -> bool {
     weight == Weight::Linear
 }
 
-/// Where spheres are relative to vertices at any instant of a stretch, and what it takes to tell.
+/// Where spheres are relative to vertices at any instant of an interval, and what it takes to tell.
 #[derive(Clone, Copy)]
 pub struct LookUp<'a> {
     /// The body's course.
     pub course: &'a Course<'a>,
-    /// The step over all of the stretch.
+    /// The step over all of the interval.
     pub whole: &'a Step,
     /// What all vertices do alike at its start.
     pub common: &'a Common,
@@ -544,7 +544,7 @@ pub struct ExactPath<'a> {
 }
 
 impl<'a> LookUp<'a> {
-    /// Of the course's sphere number `sphere` and a vertex, in the course of a part of the stretch.
+    /// Of the course's sphere number `sphere` and a vertex, in the course of a part of the interval.
     pub fn apart(self, vertex: &'a Vertex, sphere: usize, start: f64, h: f64) -> Apart<'a> {
         let whole = self.whole;
         if !whole.smooth {

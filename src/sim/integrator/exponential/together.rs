@@ -1,4 +1,4 @@
-//! The vertices of a front take a step side by side, and those are found that have to be looked at one by one.
+//! The vertices of an active set take a step side by side, and those are found that have to be looked at one by one.
 
 use std::ops::Range;
 
@@ -13,15 +13,15 @@ use super::{
 };
 use crate::sim::{
     arrays::{Block, Vectors},
-    deformation::Front,
+    deformation::ActiveSet,
     work::Tally,
 };
 
 /// Below this |x|² + |u|², in scene units and seconds, a vertex is at rest.
 const REST_SQUARED: f64 = 1e-300;
 
-/// What is left to know of a step that the vertices of a front have taken, for those that need attention; arrays padded
-/// like the front's.
+/// What is left to know of a step that the vertices of an active set have taken, for those that need attention; arrays padded
+/// like the active set's.
 #[derive(Clone, Debug, Default)]
 pub struct Outcomes {
     /// Displacements at the start [scene unit].
@@ -56,14 +56,14 @@ impl Outcomes {
     }
 }
 
-/// One step of all vertices of a front.
+/// One step of all vertices of an active set.
 pub struct Together<'a> {
     /// The body's course.
     pub course: &'a Course<'a>,
     /// The step, over all of it.
     pub step: &'a Step,
     /// The vertices; their states become those at the end.
-    pub front: &'a mut Front,
+    pub active_set: &'a mut ActiveSet,
     /// The largest error that will do [scene unit].
     pub wanted: f64,
     /// Bound of the acceleration of a vertex by anything but its oscillator [scene unit/s²].
@@ -83,7 +83,7 @@ impl WithSimd for Together<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
-        let count = self.front.vertices.len();
+        let count = self.active_set.vertices.len();
         self.outcomes.resize(count.next_multiple_of(LANES));
         let is_pushed = !self.course.weighted.is_empty();
         for first in (0..count).step_by(Reals::<S, 2>::COUNT) {
@@ -105,10 +105,10 @@ impl WithSimd for Together<'_> {
 impl Together<'_> {
     /// The step of the vertices from `first` on, as many as are taken side by side.
     #[inline(always)]
-    fn take<S: Simd, const W: usize, const LOOKS: usize>(&mut self, simd: S, first: usize) {
-        let Together { course, step, ref front, .. } = *self;
+    fn take<S: Simd, const W: usize, const SAMPLES: usize>(&mut self, simd: S, first: usize) {
+        let Together { course, step, ref active_set, .. } = *self;
         let (block, lane) = (first / LANES, first % LANES);
-        let [x, u, rest] = &front.blocks.all()[block].0;
+        let [x, u, rest] = &active_set.blocks.all()[block].0;
         let weights = &step.weights;
         let h = step.h;
         let material = course.body().material;
@@ -119,7 +119,7 @@ impl Together<'_> {
         let swing = (u.length_squared() + x.length_squared() * (material.omega * material.omega)).sqrt();
         let speed = swing + Reals::splat(simd, self.force * h);
         let travel = (speed * h).smaller(speed * (2.0 / material.omega));
-        let group = Group::<S, W, LOOKS>::new(simd, course, step, rest, &[]);
+        let group = Group::<S, W, SAMPLES>::new(simd, course, step, rest, &[]);
         let ends_at_rest = [group.rest_at(0), group.rest_at(3)];
         let Near { rims: near, passing } = self.find_pulls(simd, first, ends_at_rest[0] + x, travel);
 
@@ -136,7 +136,7 @@ impl Together<'_> {
             }
             (x * last.xx + u * last.xu, x * weights.ux + u * weights.uu, Mask::none(simd))
         } else {
-            let group = Group::<S, W, LOOKS>::new(simd, course, step, rest, &*self.pulls);
+            let group = Group::<S, W, SAMPLES>::new(simd, course, step, rest, &*self.pulls);
             let end = group.collocate(x, u, self.wanted);
             end.error.store(&mut outcomes.error, first);
             end.bend.store(&mut outcomes.bend, first);
@@ -147,7 +147,7 @@ impl Together<'_> {
         };
         let mut attention = short.or(passing);
         // Nothing is felt of a vertex that swings by less, and smaller numbers still are slow to compute with.
-        // (What is not a number stays to be found.)
+        // (NaN stays to be found.)
         let rests = (u1.length_squared() + x1.length_squared()).below(Reals::splat(simd, REST_SQUARED));
         let zero = Vector::splat(simd, DVec3::ZERO);
         let (x1, u1) = (rests.select_vector(zero, x1), rests.select_vector(zero, u1));
@@ -166,7 +166,7 @@ impl Together<'_> {
             u.store(&mut outcomes.velocity, first);
             outcomes.groups.push(first..first + Reals::<S, W>::COUNT);
         }
-        let [x, u, _] = &mut self.front.blocks.all_mut()[block].0;
+        let [x, u, _] = &mut self.active_set.blocks.all_mut()[block].0;
         x1.into_block(x, lane);
         u1.into_block(u, lane);
     }
@@ -189,7 +189,7 @@ impl Together<'_> {
             let centre = Vector::splat(simd, step.moments[0].centres[j]);
             let distance = (centre - position).length_squared().sqrt();
             let reach = travel + Reals::splat(simd, step.relative[j].speed * step.h);
-            // written so that what is not a number is near
+            // written so that NaN is near
             let close = reach.below((distance - rim).abs()).negated();
             let mut pull = Pull { sphere: j, strength: [0.0; LANES], cut: true };
             if has_kink(course.weight()) && j < RIMS {
@@ -262,10 +262,10 @@ fn may_cross<S: Simd, const W: usize>(
     crossing
 }
 
-/// The largest |x|² and |u|² + ω²|x|² of a front; not a number if any is not.
+/// The largest |x|² and |u|² + ω²|x|² of an active set; NaN if any is not.
 pub struct Largest<'a> {
     /// The vertices.
-    pub front: &'a Front,
+    pub active_set: &'a ActiveSet,
     /// ω² [1/s²].
     pub omega_squared: f64,
 }
@@ -277,7 +277,7 @@ impl WithSimd for Largest<'_> {
     fn with_simd<S: Simd>(self, simd: S) -> [f64; 2] {
         let zero = Reals::<S, 2>::splat(simd, 0.0);
         let (mut x2, mut m2) = (zero, zero);
-        let Front { vertices, blocks } = self.front;
+        let ActiveSet { vertices, blocks } = self.active_set;
         for (Block([x, u, _]), vertices) in blocks.all().iter().zip(vertices.chunks(LANES)) {
             // what is beyond them was not advanced
             for lane in (0..vertices.len()).step_by(Reals::<S, 2>::COUNT) {

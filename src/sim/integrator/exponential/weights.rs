@@ -7,7 +7,7 @@ use glam::DVec3;
 use crate::{
     model::oscillator::{Oscillator, Propagator},
     sim::{
-        nodes::{LOOKS, NODES},
+        nodes::{NODES, SAMPLES},
         state::State,
     },
 };
@@ -173,22 +173,22 @@ static QUARTIC: LazyLock<[[f64; 5]; 5]> = LazyLock::new(|| {
         // Π (θ − θ_j)/(θ_i − θ_j), multiplied out
         coefficients[0] = 1.0;
         for (degree, j) in (0..5).filter(|&j| j != i).enumerate() {
-            let scale = 1.0 / (LOOKS[i] - LOOKS[j]);
+            let scale = 1.0 / (SAMPLES[i] - SAMPLES[j]);
             for k in (0..=degree + 1).rev() {
                 let lower = if k > 0 { coefficients[k - 1] } else { 0.0 };
-                coefficients[k] = scale * (lower - LOOKS[j] * coefficients[k]);
+                coefficients[k] = scale * (lower - SAMPLES[j] * coefficients[k]);
             }
         }
     }
     all
 });
 
-/// Weight at `theta` of what is known at each of [`LOOKS`], in the quartic through them.
+/// Weight at `theta` of what is known at each of [`SAMPLES`], in the quartic through them.
 pub fn quartic(theta: f64) -> [f64; 5] {
     QUARTIC.map(|[a, b, c, d, e]| a + theta * (b + theta * (c + theta * (d + theta * e))))
 }
 
-/// The coefficients of the quartic through vectors at [`LOOKS`].
+/// The coefficients of the quartic through vectors at [`SAMPLES`].
 pub fn quartic_through(known: &[DVec3; 5]) -> [DVec3; 5] {
     let all = &*QUARTIC;
     std::array::from_fn(|k| (0..5).map(|look| all[look][k] * known[look]).sum())

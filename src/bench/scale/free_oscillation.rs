@@ -38,7 +38,7 @@ impl Cause {
 
 /// What was measured.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Swinging {
+pub struct FreeOscillation {
     /// Why they swing.
     pub cause: Cause,
     /// How many vertices.
@@ -57,7 +57,12 @@ const BODIES: usize = 4000;
 pub(super) const LEFT_ALONE: f64 = 1.0;
 
 /// Measures both.
-pub(super) fn measure(two: &Scene, pools: &Pools, time: Duration, most: usize) -> Result<Vec<Swinging>, MeasureError> {
+pub(super) fn measure(
+    two: &Scene,
+    pools: &Pools,
+    time: Duration,
+    most: usize,
+) -> Result<Vec<FreeOscillation>, MeasureError> {
     [Cause::Sphere, Cause::Push].into_iter().map(|cause| measure_one(cause, two, pools, time, most)).collect()
 }
 
@@ -67,7 +72,7 @@ fn measure_one(
     pools: &Pools,
     time: Duration,
     most: usize,
-) -> Result<Swinging, MeasureError> {
+) -> Result<FreeOscillation, MeasureError> {
     let scene = scene(cause, two, BODIES.min(most) / 2);
     let vertices = scene.vertex_count();
     let mut world = pools.best().install(|| World::new(scene))?;
@@ -82,7 +87,7 @@ fn measure_one(
     let mut rates = times.into_iter().map(|times| Some(vertices as f64 / times.into_iter().min_by(f64::total_cmp)?));
     let one = rates.next().flatten().unwrap_or(f64::NAN);
     let memory = world.memory() as f64 / vertices as f64;
-    Ok(Swinging { cause, vertices, memory, one, all: rates.next().flatten() })
+    Ok(FreeOscillation { cause, vertices, memory, one, all: rates.next().flatten() })
 }
 
 /// Takes frames for so long; how long one takes [s].
