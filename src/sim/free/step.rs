@@ -16,7 +16,7 @@ use std::mem::take;
 use glam::{DMat3, DQuat, DVec3};
 
 use super::{
-    super::nodes::LOOKS,
+    super::nodes::SAMPLES,
     body::{Body, Sums},
     field::{Driven, Paths},
     weights::{BALLISTIC, Late, Stage, cubic},
@@ -212,7 +212,7 @@ impl Span {
         match look {
             0 => self.start,
             3 => self.end,
-            _ => self.start + LOOKS[look] * self.h,
+            _ => self.start + SAMPLES[look] * self.h,
         }
     }
 }
@@ -426,7 +426,7 @@ impl Course {
         let per_mass = 1.0 / body.mass();
         for piece in &self.pieces {
             let centre: [Late; 4] =
-                std::array::from_fn(|look| Late::new(BALLISTIC, span.h, piece.from, LOOKS[look + 1]));
+                std::array::from_fn(|look| Late::new(BALLISTIC, span.h, piece.from, SAMPLES[look + 1]));
             for (late, weights) in self.late.iter_mut().zip(&centre) {
                 late.centre += piece.sign * combine(&weights.x, piece.acceleration);
                 late.velocity += piece.sign * combine(&weights.u, piece.acceleration);
@@ -439,7 +439,7 @@ impl Course {
             let turn: [DMat3; 4] = std::array::from_fn(|node| cross_matrix(own.turn[node]) * self.frames[node].axes);
             let rates: [DVec3; 3] = std::array::from_fn(|node| combine(&centre[node].u, own.turn));
             for look in 0..4 {
-                let w = Late::new(body.oscillator, span.h, piece.from, LOOKS[look + 1]);
+                let w = Late::new(body.oscillator, span.h, piece.from, SAMPLES[look + 1]);
                 let (x, u) = (piece.sign * combine(&w.x, own.g), piece.sign * combine(&w.u, own.g));
                 alone[look] = (x, u);
                 if !body.is_free() {
@@ -476,7 +476,7 @@ impl Course {
                 std::array::from_fn(|j| if starts { (stage.x[j + 1], stage.u[j + 1]) } else { (0.0, 0.0) });
             let mut sign = if starts { -1.0 } else { 1.0 };
             for &from in crossings {
-                let late = Late::new(oscillator, h, from, LOOKS[i + 1]);
+                let late = Late::new(oscillator, h, from, SAMPLES[i + 1]);
                 for (j, weight) in all.iter_mut().enumerate() {
                     weight.0 += sign * late.x[j + 1];
                     weight.1 += sign * late.u[j + 1];
@@ -558,7 +558,7 @@ pub struct Bends {
     pub spin: f64,
 }
 
-/// The larger; what is not a number is larger than anything.
+/// The larger; NaN is larger than anything.
 #[inline]
 pub fn larger(a: f64, b: f64) -> f64 {
     if b > a || b.is_nan() { b } else { a }

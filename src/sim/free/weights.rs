@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 use super::super::{
     integrator::exponential::weights::Dense,
-    nodes::{LOOKS, NODES},
+    nodes::{NODES, SAMPLES},
 };
 use crate::model::oscillator::Oscillator;
 
@@ -58,7 +58,7 @@ impl Stage {
 
     /// At each of the looks after the start: the three other nodes, and the middle.
     pub fn looks(oscillator: Oscillator, h: f64) -> [Stage; 4] {
-        std::array::from_fn(|look| Stage::new(oscillator, h, LOOKS[look + 1]))
+        std::array::from_fn(|look| Stage::new(oscillator, h, SAMPLES[look + 1]))
     }
 }
 
