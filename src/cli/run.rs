@@ -528,7 +528,6 @@ fn settings(arguments: &Arguments, schema: &Schema) -> Settings {
             (false, None) => own.frames,
         },
         pairs: arguments.pairs.map_or(own.pairs, |pairs| pairs as usize),
-        ..own
     }
 }
 

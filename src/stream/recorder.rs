@@ -290,14 +290,14 @@ impl Recorder {
                 flight.push(chunk);
             }
         }
-        if summary.at.step.is_multiple_of(self.settings.every) {
-            if let Some((at, lines)) = flight.end_frame(summary.at) {
-                for line in lines {
-                    self.chunks.log(&line, at, &Scalars::new([0.0; 0]));
-                }
-                for gap in self.chunks.drain() {
-                    self.chunks.send(gap);
-                }
+        if summary.at.step.is_multiple_of(self.settings.every)
+            && let Some((at, lines)) = flight.end_frame(summary.at)
+        {
+            for line in lines {
+                self.chunks.log(&line, at, &Scalars::new([0.0; 0]));
+            }
+            for gap in self.chunks.drain() {
+                self.chunks.send(gap);
             }
         }
         if on.iter().any(|trigger| trigger.is_in(summary)) {

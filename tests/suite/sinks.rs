@@ -609,7 +609,7 @@ fn a_run_ends_when_its_only_viewer_goes_away() {
 // ---- starting a viewer ----
 
 fn spawning(program: &Path, port: u16) -> Destinations {
-    let spawn = Spawn { program: program.into(), port, ..Spawn::default() };
+    let spawn = Spawn { program: program.into(), port };
     Destinations { spawn: Some(spawn), ..Destinations::default() }
 }
 

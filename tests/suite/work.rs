@@ -99,8 +99,10 @@ fn no_step_follows_one_that_was_not_taken() {
 #[test]
 fn what_only_looks_endless_is_none() {
     let standing = |amplitude: f64| {
-        let (a, b) =
-            (sine(0.0, [amplitude, 0.0, 0.0], 1.0, 0.0), sine(0.0, [0.0, amplitude, 0.0], 1.0, 1.5707963267948966));
+        let (a, b) = (
+            sine(0.0, [amplitude, 0.0, 0.0], 1.0, 0.0),
+            sine(0.0, [0.0, amplitude, 0.0], 1.0, std::f64::consts::FRAC_PI_2),
+        );
         let (a, b) = (body("a", SMALL, &a), body("b", SMALL, &b));
         format!("duration = 1.0\n[influence]\nmerge_at = 1.05\nsplit_at = 1.05\n{a}{b}")
     };
