@@ -1,4 +1,4 @@
-//! Colours that can be told apart by readers with any colour vision (Okabe and Ito's), on a dark background.
+//! Colours from the palette of Okabe and Ito, distinguishable with any colour vision, chosen for a dark background.
 
 /// Red, green, blue.
 pub type Rgb = [u8; 3];
@@ -24,7 +24,7 @@ pub const WHITE: Rgb = [0xF4, 0xF4, 0xF4];
 /// A dark grey.
 pub const GREY: Rgb = [0x6A, 0x72, 0x7C];
 
-/// What people call these; nothing for others.
+/// The common name of one of these colours; empty for any other colour.
 pub fn name(rgb: Rgb) -> &'static str {
     match rgb {
         ORANGE => "orange",

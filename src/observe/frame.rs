@@ -1,86 +1,87 @@
-//! The state at an instant, as far as somebody wants to see it.
+//! The state of a simulation at an instant.
 
 use glam::DVec3;
 
 use super::simulation::Instant;
 use crate::geometry::{Rest, Vectors};
 
-/// What is wanted of a frame besides where bodies and vertices are, and the pairs; nothing else is computed.
+/// Optional contents of a frame. Bodies, vertices and pairs are always included; nothing else is computed unless it is
+/// requested here.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Want {
-    /// Forces by term, and labels.
+    /// Whether forces by term, and vertex labels, are included.
     pub forces: bool,
-    /// Scalars of the state.
+    /// Whether the scalars of the state are included.
     pub scalars: bool,
 }
 
 impl Want {
-    /// All of it.
+    /// Requests everything.
     pub const ALL: Want = Want { forces: true, scalars: true };
 }
 
-/// The state at an instant; reused from one to the next.
+/// The state at an instant. Frames are reused from one instant to the next.
 #[derive(Clone, Debug, Default)]
 pub struct Frame {
-    /// When it is.
+    /// The instant of the state.
     pub at: Instant,
-    /// In the order of the schema.
+    /// The bodies, in the order of the schema.
     pub bodies: Vec<BodyFrame>,
-    /// Pairs that can act on each other, or that are not in the first phase; in ascending order of their bodies.
+    /// Pairs that can act on each other or are not in the first phase, in ascending order of their bodies.
     pub pairs: Vec<PairFrame>,
-    /// By the schema's order; of those that are not of the state, nothing.
+    /// Scalars in the order of the schema; entries of scalars that do not describe the state are ignored.
     pub scalars: Vec<f64>,
 }
 
-/// A body at an instant; reused.
+/// A body at an instant. Reused from one frame to the next.
 #[derive(Clone, Debug, Default)]
 pub struct BodyFrame {
-    /// Where its centre is [scene unit].
+    /// Position of its centre [scene unit].
     pub centre: DVec3,
-    /// Whether every displacement and velocity is exactly zero; the vectors are empty then.
+    /// Whether every displacement and velocity is exactly zero. If so, the vectors are empty.
     pub is_at_rest: bool,
     /// Displacements of the vertices from rest, x [scene unit], `[vertex_count]`.
     pub displacements: Vectors,
-    /// Their velocities x′ [scene unit/s], `[vertex_count]`.
+    /// Velocities x′ of the vertices [scene unit/s], `[vertex_count]`.
     pub velocities: Vectors,
     /// Positions of the vertices relative to the centre [scene unit], `[vertex_count]`.
     pub positions: Vectors,
-    /// |x| [scene unit], `[vertex_count]`.
+    /// Displacement lengths |x| of the vertices [scene unit], `[vertex_count]`.
     pub lengths: Vec<f64>,
     /// The largest |x| [scene unit].
     pub max_displacement: f64,
-    /// Whether anything acts on it that is in `terms`.
+    /// Whether `terms` has any force on the body.
     pub has_forces: bool,
-    /// Accelerations of the vertices, by the schema's terms.
+    /// Accelerations of the vertices, one entry per force term of the schema.
     pub terms: Vec<TermFrame>,
-    /// What is said of each vertex, as indices of the schema's labels, `[vertex_count]`; empty if nothing acts.
+    /// A label for each vertex, as an index into the schema's labels, `[vertex_count]`; empty if no force acts.
     pub labels: Vec<u8>,
 }
 
-/// What one cause does to a body.
+/// The contribution of one force term to a body.
 #[derive(Clone, Debug, Default)]
 pub struct TermFrame {
     /// Accelerations [scene unit/s²], `[vertex_count]`; empty if all are zero.
     pub accelerations: Vectors,
-    /// The body that brings them, if it is one.
+    /// Index of the body that causes the accelerations, if it is a single one.
     pub source: Option<u32>,
 }
 
 /// A pair of bodies at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PairFrame {
-    /// Index of one body …
+    /// Index of the first body.
     pub a: usize,
-    /// … and of the other, a < b.
+    /// Index of the second body; a < b.
     pub b: usize,
-    /// What decides on their phase, as centre distance over the sum of the radii [–].
+    /// The quantity that decides the phase: centre distance over the sum of the radii [–].
     pub q: f64,
-    /// Index of the schema's phases.
+    /// Index into the schema's phases.
     pub phase: usize,
 }
 
 impl BodyFrame {
-    /// The body is at rest: no vertex is displaced, and nothing is known to act.
+    /// Sets the body to rest: no vertex is displaced and no force is known to act.
     pub fn rest(&mut self) {
         self.is_at_rest = true;
         for vectors in [&mut self.displacements, &mut self.velocities, &mut self.positions] {
@@ -90,7 +91,7 @@ impl BodyFrame {
         self.max_displacement = 0.0;
     }
 
-    /// Positions and |x|, from the displacements.
+    /// Computes positions and |x| from the displacements.
     pub fn displaced(&mut self, rest: Rest<'_>) {
         let BodyFrame { displacements, positions, lengths, .. } = self;
         self.is_at_rest = false;
@@ -105,14 +106,14 @@ impl BodyFrame {
         self.max_displacement = lengths.iter().copied().fold(0.0, f64::max);
     }
 
-    /// Forgets what acts on it.
+    /// Removes all forces.
     pub fn clear_forces(&mut self) {
         self.has_forces = false;
         self.terms.iter_mut().for_each(|term| term.accelerations.clear());
         self.labels.clear();
     }
 
-    /// Positions of the vertices relative to the centre [scene unit], at rest or not, into `positions` (reused).
+    /// Writes the vertex positions relative to the centre [scene unit] to `positions` (reused), whether at rest or not.
     pub fn local_positions(&self, rest: Rest<'_>, positions: &mut Vectors) {
         if !self.is_at_rest {
             positions.copy_from(&self.positions);
@@ -124,7 +125,7 @@ impl BodyFrame {
         }
     }
 
-    /// Displacement of vertex `i`, at rest or not [scene unit].
+    /// Displacement of vertex `i` [scene unit], whether at rest or not.
     pub fn displacement(&self, i: usize) -> DVec3 {
         if self.is_at_rest { DVec3::ZERO } else { self.displacements.get(i) }
     }
@@ -141,7 +142,7 @@ impl BodyFrame {
 }
 
 impl Frame {
-    /// What it takes of memory, by what was allocated for it [bytes].
+    /// Allocated memory [bytes].
     pub fn memory(&self) -> usize {
         self.bodies.iter().map(BodyFrame::memory).sum::<usize>()
             + self.pairs.capacity() * size_of::<PairFrame>()

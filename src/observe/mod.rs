@@ -1,14 +1,16 @@
-//! What an instrument may know of a simulation: anybody's, not only this crate's [`World`](crate::World).
+//! The simulation as an instrument sees it: any simulation, not only this crate's [`World`](crate::World).
 //!
-//! | what | where |
+//! | contents | module |
 //! | --- | --- |
-//! | what is simulated, told once: bodies, force terms, scalars, thresholds | [`schema`] |
-//! | the state at an instant, of which only what is wanted is computed | [`frame`] |
-//! | a simulation that can be stepped and looked at, and what one can be made from | [`simulation`] |
-//! | two states beside each other | [`worst`] |
-//! | colours, for whoever draws it | [`colors`] |
+//! | what does not change during a run: bodies, force terms, scalars, thresholds | [`schema`] |
+//! | the state at an instant; only what is requested is computed | [`frame`] |
+//! | the traits of a simulation that can be stepped and observed, and of the experiment that creates it |
+//! [`simulation`] |
+//! | the largest difference between two states | [`worst`] |
+//! | colours | [`colors`] |
 //!
-//! Recorder, replay, check and diff know no more than this. Nothing here knows Rerun, a file, or a simulation.
+//! The recorder, `replay`, `check` and `diff` depend on nothing else. Nothing here depends on Rerun, on files or on a
+//! particular simulation.
 
 pub mod colors;
 pub mod frame;

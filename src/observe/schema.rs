@@ -1,129 +1,129 @@
-//! What is simulated, told once: what frames have numbers for.
+//! The schema of a simulation: everything about it that does not change during a run.
 
 use std::{collections::BTreeMap, sync::Arc};
 
 use super::{colors::Rgb, simulation::PairEvent};
 use crate::geometry::{Mesh, Rest};
 
-/// What is simulated.
+/// The schema of a simulation, which does not change during a run. Frames refer to its entries by index.
 #[derive(Clone, Debug)]
 pub struct Schema {
     /// Name of the scene, of its recording and of its default output file.
     pub name: String,
-    /// The text that the simulation was made from: a recording carries it, so that it can be made again.
+    /// The text from which the simulation was created. A recording contains it, so that the run can be reproduced.
     pub source: String,
-    /// What it takes besides to make it again, as lines of TOML: a recording carries these, too.
+    /// Further settings needed to reproduce the run, as lines of TOML. A recording contains these too.
     pub run: String,
-    /// How steps are taken, in a word.
+    /// Name of the integrator, as one word.
     pub integrator: String,
     /// Step Δt [s], > 0.
     pub dt: f64,
     /// Number of steps that the scene asks for.
     pub steps: u64,
-    /// The error that does not matter [radii per unit of scene time].
+    /// Acceptable error [radii per unit of scene time].
     pub tolerance: f64,
-    /// What acts between bodies, as Markdown for people.
+    /// Description of the interaction between bodies, as Markdown.
     pub law: String,
-    /// At least one; names are unique.
+    /// The bodies: at least one, with unique names.
     pub bodies: Vec<BodySchema>,
-    /// What accelerates vertices, by cause. The last one is the sum of all.
+    /// Force terms that accelerate vertices. The last one is the sum of all others.
     pub terms: Vec<TermSchema>,
-    /// How [`BodyFrame::labels`](super::BodyFrame::labels) read; the first is that of vertices on which nothing acts.
+    /// Texts of [`BodyFrame::labels`](super::BodyFrame::labels). The first one is for vertices on which no force acts.
     pub labels: Vec<&'static str>,
-    /// Length of an arrow per acceleration [scene unit per scene unit/s²].
+    /// Arrow length per acceleration [scene unit per scene unit/s²].
     pub arrow_scale: f64,
-    /// What two bodies can be to each other, the least first.
+    /// Phases of a pair, from the weakest interaction to the strongest.
     pub phases: Vec<PhaseSchema>,
-    /// The levels of q at which that changes.
+    /// Levels of q at which a pair changes phase.
     pub thresholds: Vec<Threshold>,
-    /// Numbers over time.
+    /// Scalars plotted over time.
     pub scalars: Vec<ScalarSchema>,
-    /// The stages of a step of which the time is measured, in order.
+    /// Stages of a step whose duration is measured, in order.
     pub stages: Vec<&'static str>,
 }
 
-/// A body.
+/// A body of a simulation.
 #[derive(Clone, Debug)]
 pub struct BodySchema {
-    /// Unique; letters, digits, `-` and `_`.
+    /// Unique name; letters, digits, `-` and `_`.
     pub name: String,
-    /// How far the farthest vertex is from the centre at rest [scene unit], > 0: errors are measured in it.
+    /// Distance from the centre to the farthest vertex at rest [scene unit], > 0. Errors are measured in this unit.
     pub radius: f64,
-    /// Radius of the sphere in which it acts on others [scene unit]; 0 for none.
+    /// Radius of the influence sphere, within which the body acts on others [scene unit]; 0 if it acts on none.
     pub reach: f64,
-    /// The name of its shape, which says the same of every body that has it: letters, digits, `-` and `_`.
+    /// Name of its shape: letters, digits, `-` and `_`. Bodies with the same shape name have the same mesh.
     pub shape: String,
-    /// The shape at rest, of radius 1.
+    /// Mesh at rest, scaled to radius 1.
     pub mesh: Arc<Mesh>,
 }
 
-/// A cause of acceleration.
+/// A force term: one cause of acceleration.
 #[derive(Clone, Debug)]
 pub struct TermSchema {
-    /// Of its entity: letters, digits, `-` and `_`.
+    /// Name of its entity: letters, digits, `-` and `_`.
     pub name: &'static str,
-    /// For people.
+    /// Display name.
     pub label: &'static str,
-    /// Of its arrows.
+    /// Colour of its arrows.
     pub color: Rgb,
-    /// Whether it comes from other bodies, of which arrows name the one.
+    /// Whether other bodies cause it. If so, each arrow names the body that causes it.
     pub has_source: bool,
     /// Whether it can act in this scene at all.
     pub can_act: bool,
-    /// Whether its arrows are shown from the start.
+    /// Whether its arrows are visible when the recording is opened.
     pub is_shown: bool,
 }
 
-/// What two bodies can be to each other.
+/// A phase of a pair of bodies.
 #[derive(Clone, Debug)]
 pub struct PhaseSchema {
-    /// A word.
+    /// Name, as one word.
     pub name: &'static str,
-    /// Of its lanes, lines and spheres.
+    /// Colour of its lanes, lines and spheres.
     pub color: Rgb,
 }
 
 /// A level of q at which a pair changes phase.
 #[derive(Clone, Debug)]
 pub struct Threshold {
-    /// Of its entity.
+    /// Name of its entity.
     pub name: &'static str,
-    /// For people.
+    /// Display name.
     pub label: &'static str,
-    /// q [–].
+    /// Level of q [–].
     pub level: f64,
-    /// Of its line.
+    /// Colour of its line.
     pub color: Rgb,
 }
 
-/// A number over time.
+/// A scalar plotted over time.
 #[derive(Clone, Debug)]
 pub struct ScalarSchema {
-    /// Of its entity.
+    /// Name of its entity.
     pub name: &'static str,
-    /// For people, with its unit.
+    /// Display name with its unit.
     pub label: &'static str,
-    /// The plot in which its line is.
+    /// Name of the plot that shows it.
     pub plot: &'static str,
-    /// Where it comes from.
+    /// Whether it describes the state or a step, and how a frame aggregates it over several steps.
     pub of: ScalarOf,
-    /// Whether it changes all the time: its line is straight from one value to the next, and not level.
+    /// Whether it varies continuously: its line interpolates linearly between values instead of holding each value.
     pub is_smooth: bool,
 }
 
-/// Where a number comes from.
+/// How a scalar of a frame is obtained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ScalarOf {
-    /// The state: it is in the frame.
+    /// From the state: its value is part of the frame.
     State,
-    /// Each step: a frame shows the sum over the steps since the one before.
+    /// From every step: a frame shows the sum over all steps since the previous frame.
     SumOfSteps,
-    /// Each step: a frame shows the largest of them.
+    /// From every step: a frame shows the maximum over all steps since the previous frame.
     MaxOfSteps,
 }
 
 impl Default for Schema {
-    /// Of nothing, at 60 steps a second.
+    /// An empty scene at 60 steps per second.
     fn default() -> Schema {
         Schema {
             name: String::new(),
@@ -147,7 +147,7 @@ impl Default for Schema {
 }
 
 impl BodySchema {
-    /// A body whose farthest vertex is at `radius`, and which acts on others within `reach` [scene unit].
+    /// A body whose farthest vertex is at distance `radius` and which acts on others within `reach` [scene unit].
     pub fn new(name: &str, shape: &str, mesh: Arc<Mesh>, radius: f64, reach: f64) -> BodySchema {
         BodySchema { name: name.to_owned(), radius, reach, shape: shape.to_owned(), mesh }
     }
@@ -166,56 +166,56 @@ impl From<(&'static str, f64, Rgb)> for Threshold {
 }
 
 impl TermSchema {
-    /// A cause that can always act, and is shown.
+    /// A force term that can always act and is visible.
     pub fn new(name: &'static str, label: &'static str, color: Rgb) -> TermSchema {
         TermSchema { name, label, color, has_source: false, can_act: true, is_shown: true }
     }
 }
 
 impl ScalarSchema {
-    /// A number in a plot of its own.
+    /// A scalar with a plot of its own.
     pub fn new(name: &'static str, label: &'static str, of: ScalarOf) -> ScalarSchema {
         ScalarSchema { name, label, plot: label, of, is_smooth: of == ScalarOf::State }
     }
 }
 
 impl Schema {
-    /// Number of vertices of all bodies.
+    /// Total number of vertices of all bodies.
     pub fn vertex_count(&self) -> u64 {
         self.bodies.iter().map(|body| body.vertex_count() as u64).sum()
     }
 
-    /// The name of a pair: `A~B`, in the order of the bodies.
+    /// Name of a pair: `A~B`, in the order of the bodies.
     pub fn pair_name(&self, a: usize, b: usize) -> String {
         format!("{}~{}", self.bodies[a].name, self.bodies[b].name)
     }
 
-    /// An event in words: what, which pair, exactly when, at which q, felt by which step.
+    /// Describes an event in words: its kind, its pair, its exact time, its q, and the first step affected.
     pub fn describe(&self, event: &PairEvent) -> String {
         let pair = self.pair_name(event.a, event.b);
         format!("{} {pair} at t = {:.9} s, q = {:.6}, step {}", event.name, event.time, event.q, event.step)
     }
 
-    /// The different shapes, by name.
+    /// The distinct shapes, by name.
     pub fn shapes(&self) -> BTreeMap<&str, &Mesh> {
         self.bodies.iter().map(|body| (body.shape.as_str(), &*body.mesh)).collect()
     }
 }
 
 impl BodySchema {
-    /// Number of vertices.
+    /// Number of vertices of the body.
     pub fn vertex_count(&self) -> usize {
         self.mesh.vertex_count()
     }
 
-    /// Where its vertices are at rest.
+    /// Rest positions of its vertices.
     pub fn rest(&self) -> Rest<'_> {
         self.mesh.at(self.radius)
     }
 }
 
-/// Length of an arrow per acceleration [scene unit per scene unit/s²]: 1, 2 or 5 times a power of ten, such that the
-/// `strongest` [scene unit/s²] is drawn about 0.4 of `radius` long.
+/// Arrow length per acceleration [scene unit per scene unit/s²]: 1, 2 or 5 times a power of ten, chosen so that the
+/// `strongest` acceleration [scene unit/s²] is drawn at about 0.4 of `radius`.
 pub fn arrow_scale(radius: f64, strongest: f64) -> f64 {
     let wanted = 0.4 * radius / strongest;
     if !(wanted.is_finite() && wanted > 0.0) {

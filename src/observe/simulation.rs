@@ -1,4 +1,4 @@
-//! A simulation that can be stepped and looked at.
+//! Simulations that can be stepped and observed.
 
 use std::{fmt::Debug, sync::Arc, time::Duration};
 
@@ -9,13 +9,13 @@ use super::{
     schema::Schema,
 };
 
-/// A simulation that an instrument can step and look at. Looking never changes anything.
+/// A simulation that an instrument can step and observe. Observation never changes the simulation.
 pub trait Simulation {
-    /// What is simulated; asked once.
+    /// The schema, which does not change during a run.
     fn schema(&self) -> Schema;
 
-    /// What differs from what the text of the scene says if so many steps are to be taken (`None`: until stopped), as lines
-    /// of it; empty if nothing does.
+    /// Overrides of the scene's text for a run of this many steps (`None`: until stopped), as lines of that text; empty
+    /// if there are none.
     fn overrides(&self, steps: Option<u64>) -> String {
         let _ = steps;
         String::new()
@@ -30,16 +30,16 @@ pub trait Simulation {
     /// Takes one step.
     fn step(&mut self);
 
-    /// What the last step came to, into `summary` (reused).
+    /// Writes a summary of the last step to `summary` (reused).
     fn summary(&self, summary: &mut StepSummary);
 
-    /// A hash of the exact state: the same for the same bits, and for no others.
+    /// Hash of the exact state: bit-identical states have equal hashes, all others differ (barring collisions).
     fn checksum(&self) -> u64;
 
-    /// The state, as far as it is wanted, into `frame` (reused).
+    /// Writes the requested parts of the state to `frame` (reused).
     fn observe(&self, want: Want, frame: &mut Frame);
 
-    /// The inside of the step that led from `before` to here, in order; both its ends if there is no more to tell.
+    /// States inside the step that led from `before` to the current state, in order. By default its start and end only.
     fn stages(&self, before: &Frame) -> Vec<StageFrame> {
         let mut frame = Frame::default();
         self.observe(Want { forces: true, scalars: false }, &mut frame);
@@ -47,8 +47,8 @@ pub trait Simulation {
         vec![stage("start", before.clone()), stage("end", frame)]
     }
 
-    /// Spheres that a camera should have in view, centres and radii: all that is to be seen in the course of the run, or
-    /// only where something happens.
+    /// Spheres (centre and radius) that a camera should have in view: everything visible in the course of the run, or
+    /// only the places where something happens.
     fn framing(&self, only_what_happens: bool) -> Vec<(DVec3, f64)> {
         let _ = only_what_happens;
         let (mut frame, schema) = (Frame::default(), self.schema());
@@ -58,37 +58,38 @@ pub trait Simulation {
     }
 }
 
-/// What simulations can be made from, again and again: a scene.
+/// A scene, from which a simulation can be started any number of times.
 pub trait Experiment: Debug + Send + Sync {
-    /// What will be simulated.
+    /// The schema of the simulations that it starts.
     fn schema(&self) -> Schema;
 
-    /// The simulation at its start.
+    /// Starts a simulation.
     ///
     /// # Errors
-    /// It cannot be run here: why, in words.
+    /// The simulation cannot run here; the text says why.
     fn start(&self) -> Result<Box<dyn Simulation>, String>;
 
-    /// One of its kind, from what a recording of it carries: the name of the file, [`Schema::source`] and [`Schema::run`].
+    /// Creates an experiment of the same kind from the contents of a recording: the file name, [`Schema::source`] and
+    /// [`Schema::run`].
     ///
     /// # Errors
-    /// It is none.
+    /// The text does not describe an experiment of this kind.
     fn read(&self, name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experiment>, Refusal>;
 }
 
-/// Makes an experiment again from what a recording of it carries, see [`Experiment::read`].
+/// Recreates an experiment from the contents of a recording, see [`Experiment::read`].
 pub type ReadExperiment<'a> = dyn Fn(&str, &str, &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> + 'a;
 
-/// Why an experiment cannot be made, in words.
+/// Why an experiment cannot be created, in words.
 #[derive(Clone, Debug)]
 pub enum Refusal {
-    /// Its text is none.
+    /// The text is not a valid scene.
     Source(String),
-    /// It is to be run in a way that is not known here.
+    /// The settings of the run are not supported here.
     Run(String),
 }
 
-/// When something was.
+/// A point in time of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Instant {
     /// Number of the step.
@@ -97,68 +98,68 @@ pub struct Instant {
     pub time: f64,
 }
 
-/// A change of phase of a pair, at its exact time.
+/// A phase change of a pair, at its exact time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PairEvent {
-    /// What it is called: `merge`, `split`, …
+    /// Kind of event: `merge`, `split`, …
     pub name: &'static str,
     /// When it happened [s].
     pub time: f64,
-    /// The first step whose state has felt it.
+    /// The first step whose state is affected by the event.
     pub step: u64,
-    /// Index of one body of the pair …
+    /// Index of the first body of the pair.
     pub a: usize,
-    /// … and of the other, a < b.
+    /// Index of the second body of the pair; a < b.
     pub b: usize,
     /// Centre distance over the sum of the radii at that time [–].
     pub q: f64,
-    /// The phase that ended, as an index of the schema's.
+    /// The previous phase, as an index into the schema's phases.
     pub from: usize,
-    /// The phase that began.
+    /// The new phase, as an index into the schema's phases.
     pub to: usize,
 }
 
-/// What a step came to; reused.
+/// Summary of a step. Reused from one step to the next.
 #[derive(Clone, Debug, Default)]
 pub struct StepSummary {
-    /// Its number, and the time at its end.
+    /// Step number, and simulated time at the end of the step.
     pub at: Instant,
-    /// Changes of phase within it, by time.
+    /// Phase changes within the step, in order of time.
     pub events: Vec<PairEvent>,
-    /// What its stages took, by the schema's order.
+    /// Duration of each stage, in the order of the schema.
     pub timings: Vec<Duration>,
-    /// By the schema's order; of those that are not of steps, nothing.
+    /// Scalars in the order of the schema; entries of scalars that do not describe a step are ignored.
     pub scalars: Vec<f64>,
-    /// Set if a run should end here, and why.
+    /// Why the run should end here, if it should.
     pub failure: Option<StepFailure>,
 }
 
-/// Why a run should end with a step, in words.
+/// Why a run should end with this step, in words.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum StepFailure {
-    /// The step led to a state that cannot be.
+    /// The step led to an impossible state.
     #[error("{0}")]
     Diverged(String),
-    /// The step was not taken to its end, and no further one can be.
+    /// The step was not completed, and no further step can be taken.
     #[error("{0}")]
     NotTaken(String),
-    /// The same, because somebody wanted the run to end.
+    /// The step was not completed because the run was interrupted.
     #[error("{0}")]
     Interrupted(String),
 }
 
 impl StepFailure {
-    /// Whether the step was taken: there is a state after it.
+    /// Whether the step was completed, so that there is a state after it.
     pub fn is_whole_step(&self) -> bool {
         matches!(self, StepFailure::Diverged(_))
     }
 }
 
-/// An instant inside a step.
+/// The state at a stage inside a step.
 #[derive(Clone, Debug)]
 pub struct StageFrame {
-    /// What has just been done.
+    /// Name of the operation that was just completed.
     pub name: String,
-    /// The state and the forces then.
+    /// State and forces at that point.
     pub frame: Frame,
 }

@@ -1,4 +1,4 @@
-//! Two states beside each other.
+//! The largest difference between two states.
 
 use glam::DVec3;
 
@@ -7,27 +7,27 @@ use super::{schema::BodySchema, simulation::Instant};
 /// The vertex at which two states differ most.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Worst {
-    /// The step.
+    /// The step of both states.
     pub step: u64,
-    /// Its time [s].
+    /// Simulated time of that step [s].
     pub time: f64,
     /// Name of the body.
     pub body: String,
-    /// The vertex.
+    /// Index of the vertex in the body.
     pub vertex: usize,
-    /// Where it is in the first state, which was recorded [scene unit].
+    /// Its position in the first state, which was recorded [scene unit].
     pub recorded: DVec3,
-    /// Where it is in the second [scene unit].
+    /// Its position in the second state [scene unit].
     pub found: DVec3,
-    /// How far these are apart [radii of the body].
+    /// Distance between the two positions [radii of the body].
     pub difference: f64,
-    /// How many vertices differ at all.
+    /// Number of vertices that differ at all.
     pub vertices: usize,
 }
 
 impl Worst {
-    /// The worst vertex of a body whose vertices are at these places in two states; what is no more than `noise` [scene
-    /// unit] is no difference. What is NaN is the worst. `None` without a difference.
+    /// The worst vertex of a body, given its vertex positions in two states. Distances of at most `noise` [scene unit]
+    /// do not count as a difference. NaN is worse than any number. `None` if there is no difference.
     pub fn of(
         at: Instant,
         body: &BodySchema,
@@ -50,7 +50,7 @@ impl Worst {
         Some(Worst { step: at.step, time: at.time, body, vertex, recorded, found, difference, vertices })
     }
 
-    /// The worse of two of the same instant; vertices of both are counted.
+    /// The worse of two differences at the same instant; the vertices of both are counted.
     pub fn and(one: Option<Worst>, other: Option<Worst>) -> Option<Worst> {
         let (one, other) = match (one, other) {
             (Some(one), Some(other)) => (one, other),

@@ -1,4 +1,5 @@
-//! Differences to look at: a recording with both surfaces of two runs, arrows between them, and how far they are apart.
+//! A recording that visualises the difference between two runs: both surfaces, error arrows between them, and plots of
+//! their distance.
 
 use std::{path::Path, sync::Arc};
 
@@ -29,37 +30,37 @@ use crate::{
     },
 };
 
-/// More bodies than this are too many to look at.
+/// Upper limit on the number of bodies shown.
 const MOST_BODIES: usize = 64;
 const COLORS: [Rgb; 2] = [[90, 150, 235], [240, 150, 50]];
 const ERROR: Rgb = [235, 60, 60];
 const LIMIT: Rgb = [150, 150, 150];
 
-/// What to show, and how large it will be.
+/// What a comparison shows, known before it is written.
 #[derive(Clone, Debug)]
 pub struct Plan {
-    /// What the two runs are called.
+    /// Display names of the two runs.
     pub labels: [String; 2],
-    /// The bodies to show, the ones that differ most first.
+    /// Bodies to show, in descending order of difference.
     pub bodies: Vec<usize>,
-    /// The largest distance between two vertices [scene unit].
+    /// The largest distance between corresponding vertices [scene unit].
     pub largest: f64,
-    /// What is not worth mentioning [radii].
+    /// Differences up to this size are ignored [radii].
     pub tolerance: f64,
 }
 
-/// Writes the recording as the two runs are gone through.
+/// Writes a comparison while the two runs are stepped through.
 pub struct Comparison {
     chunks: Chunks,
     sinks: Sinks,
     shown: Vec<(usize, String, Arc<Mesh>)>,
-    /// Arrows are so many times as long as the distance that they stand for.
+    /// Ratio of an arrow's length to the distance that it represents.
     magnification: f64,
     frames: u64,
 }
 
 impl Comparison {
-    /// Begins it; `spheres` are what a camera should have in view, centres and radii.
+    /// Starts a comparison; `spheres` (centre and radius) are what the camera should have in view.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -124,7 +125,7 @@ impl Comparison {
         Ok(comparison)
     }
 
-    /// Adds an instant: where the vertices of each body are in both runs [scene unit], `None` where that is not known.
+    /// Adds an instant: the vertex positions of each body in both runs [scene unit], `None` where they are unknown.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -165,7 +166,7 @@ impl Comparison {
         if self.frames.is_multiple_of(64) { self.send() } else { Ok(()) }
     }
 
-    /// Adds a line about an event.
+    /// Logs a difference between the events of the two runs.
     pub fn change(&mut self, schema: &Schema, change: &Change) {
         let time = change.time();
         let at = Instant { step: (time / schema.dt).ceil().max(0.0) as u64, time };
@@ -177,7 +178,7 @@ impl Comparison {
         messages.into_iter().try_for_each(|message| self.sinks.send(message))
     }
 
-    /// Ends it.
+    /// Completes the recording.
     ///
     /// # Errors
     /// The file cannot be written.

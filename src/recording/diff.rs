@@ -1,7 +1,7 @@
-//! Two recordings of a scene side by side, aligned by simulated time.
+//! Comparison of two recordings of a scene, aligned by simulated time.
 //!
-//! Surfaces are taken from the recordings (they may be of programs that are no more), in the precision that they have
-//! there: some 1e-7 of a radius. A recording without surfaces is run again.
+//! Surfaces are read from the recordings, so that recordings of older program versions can be compared, at the recorded
+//! precision of about 1e-7 of a radius. A recording without surfaces is run again.
 
 use super::{
     ReadError, Recorded,
@@ -18,30 +18,30 @@ use crate::{
     },
 };
 
-/// Instants no farther apart are the same [s]: recordings have nanoseconds.
+/// Instants at most this far apart are the same [s]; recordings have a resolution of one nanosecond.
 const SAME_TIME: f64 = 2e-9;
 
-/// What differs between two recordings.
+/// The differences between two recordings.
 #[derive(Clone, Debug)]
 pub struct Difference {
-    /// Instants that both have.
+    /// Number of instants in both recordings.
     pub instants: u64,
-    /// The first step of the first recording whose checksum is another one; `None` if all are the same, or if steps are
-    /// not comparable.
+    /// The first step whose checksums differ; `None` if all are equal, or if the steps are not comparable.
     pub first_bits: Option<u64>,
-    /// Whether checksums could be compared: the same Δt.
+    /// Whether checksums could be compared: both recordings have the same Δt.
     pub has_bits: bool,
-    /// For each body that differs: where it does most, the worst first. `recorded` is in the first, `found` in the second.
+    /// The worst vertex of each body that differs, in descending order of difference. `recorded` is its position in the
+    /// first recording, `found` in the second.
     pub bodies: Vec<Worst>,
-    /// The first instant at which something differs by more than the tolerance, and its worst vertex.
+    /// The worst vertex at the first instant at which the difference exceeds the tolerance.
     pub first_beyond: Option<Worst>,
-    /// What differs of the events.
+    /// Differences between the events.
     pub events: Vec<Change>,
-    /// Which of the two had to be run again, having no surfaces.
+    /// Whether each recording had to be run again because it has no surfaces.
     pub run_again: [bool; 2],
 }
 
-/// Frames from a file, or from the scene.
+/// Frames from a file or from a new run of the scene.
 enum FrameSource {
     Stored(Box<FrameReader>),
     Again { simulation: Box<dyn Simulation>, last: u64, has_begun: bool, events: Vec<RecordedEvent> },
@@ -83,7 +83,7 @@ impl FrameSource {
     }
 }
 
-/// Goes through the instants that two recordings have in common.
+/// Steps through the instants that both recordings have.
 fn walk(
     recorded: [&Recorded; 2],
     mut look: impl FnMut([&RecordedFrame; 2]) -> Result<(), SinkError>,
@@ -102,7 +102,7 @@ fn walk(
             b = second.next(recorded[1])?;
         }
     }
-    // events of what is run again are known when it has run to its end
+    // the events of a new run are complete only when it has reached its end
     while a.is_some() && matches!(first, FrameSource::Again { .. }) {
         a = first.next(recorded[0])?;
     }
@@ -112,10 +112,10 @@ fn walk(
     Ok(Ok([first.events(recorded[0]), second.events(recorded[1])]))
 }
 
-/// Compares two recordings; `tolerance` [radii] is what does not matter.
+/// Compares two recordings; differences up to `tolerance` [radii] are ignored.
 ///
 /// # Errors
-/// One of them cannot be read, or they are not of the same bodies.
+/// One of them cannot be read, or they do not have the same bodies.
 pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, ReadError> {
     let [a, b] = recorded;
     same_bodies(a, b)?;
@@ -140,7 +140,7 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
     bodies.sort_by(|x, y| y.difference.total_cmp(&x.difference));
     let has_bits = a.schema.dt == b.schema.dt;
     let mut common = (a.first.max(b.first)..=a.last().min(b.last())).filter(|_| has_bits);
-    // events after the shorter one's end are no difference
+    // events after the end of the shorter recording do not count as differences
     let end = (a.last() as f64 * a.schema.dt).min(b.last() as f64 * b.schema.dt);
     let events = events.map(|events| events.map(|list| list.into_iter().filter(|e| e.time <= end).collect::<Vec<_>>()));
     Ok(Difference {
@@ -154,10 +154,10 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
     })
 }
 
-/// Writes both side by side.
+/// Writes a recording that shows both runs.
 ///
 /// # Errors
-/// One of them cannot be read; within: the file cannot be written.
+/// One of the recordings cannot be read. The inner error: the file cannot be written.
 pub fn save(
     recorded: [&Recorded; 2],
     difference: &Difference,
@@ -192,7 +192,7 @@ pub fn save(
     Ok(walked.and_then(|_| comparison.finish()))
 }
 
-/// The worst vertex of a body at an instant; `None` without a difference.
+/// The worst vertex of a body at an instant; `None` if there is no difference.
 fn difference(schema: &Schema, frames: [&RecordedFrame; 2], index: usize) -> Option<Worst> {
     let [first, second] = frames.map(|frame| frame.local_positions(index));
     let (first, second) = (first?, second?);
@@ -203,7 +203,7 @@ fn difference(schema: &Schema, frames: [&RecordedFrame; 2], index: usize) -> Opt
     Worst::of(frames[0].at(), body, noise, places)
 }
 
-/// Two recordings can be compared if they have the same bodies with the same vertices.
+/// Checks that both recordings have the same bodies with the same vertices, so that they can be compared.
 fn same_bodies(a: &Recorded, b: &Recorded) -> Result<(), ReadError> {
     let [first, second] =
         [a, b].map(|recorded| recorded.schema.bodies.iter().map(|body| (&body.name, &body.shape)).collect::<Vec<_>>());

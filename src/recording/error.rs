@@ -1,23 +1,23 @@
-//! Why a recording cannot be used.
+//! Errors of reading a recording.
 
 use std::io;
 use std::path::PathBuf;
 
 use crate::observe::StepFailure;
 
-/// A recording that cannot be read, or not be used for what it is wanted. Displays on one line: which file, what is
-/// wrong with it and where, what to do.
+/// A recording that cannot be read, or cannot be used for the purpose at hand. Displays on one line: the file, what is
+/// wrong with it and where, and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
-    /// The operating system does not give it.
+    /// The operating system cannot read the file.
     #[error("cannot read {}: {source}", path.display())]
     File {
         /// The file.
         path: PathBuf,
-        /// The system's answer.
+        /// The operating system's error.
         source: io::Error,
     },
-    /// Something else.
+    /// The file is not a recording of this program.
     #[error("{} is not a recording of meldscope: {what}", path.display())]
     Foreign {
         /// The file.
@@ -25,38 +25,38 @@ pub enum ReadError {
         /// What was found instead.
         what: String,
     },
-    /// Of a format that this program does not read.
+    /// The recording has a format that this program cannot read.
     #[error("{} {what}", path.display())]
     Unsupported {
         /// The file.
         path: PathBuf,
-        /// Why not, and what to do.
+        /// Why it is not supported, and what to do.
         what: String,
     },
-    /// Bytes are not as they were written.
+    /// The contents are corrupt.
     #[error("{} is damaged{}: {what}; get it again from where it was made", path.display(), place(*at))]
     Damaged {
         /// The file.
         path: PathBuf,
-        /// Of the message in question [bytes from the start], where there is one.
+        /// Position of the affected message, if known [bytes from the start].
         at: Option<u64>,
         /// What is wrong.
         what: String,
     },
-    /// The scene in it is not one.
+    /// The recording's scene is invalid.
     #[error("the scene in {}: {what}", path.display())]
     Scene {
         /// The file.
         path: PathBuf,
-        /// What the parser says, or what it would need.
+        /// The parser's message, or what the scene would need.
         what: String,
     },
-    /// Run again, it fails before it comes to its end.
+    /// The scene fails before its last step when it is run again.
     #[error("{}, run again, fails: {failure}", path.display())]
     Failed {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The failure.
         failure: Box<StepFailure>,
     },
 }

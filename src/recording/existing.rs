@@ -1,7 +1,8 @@
-//! What a new recording would replace.
+//! Protection of existing recordings from being overwritten.
 //!
-//! [`Sinks`](crate::stream::sinks::Sinks) replace recordings only; here is which ones: golden recordings are made anew by
-//! `check --bless` alone, those of other programs not at all, and of what is another scene or kind it is said.
+//! [`Sinks`](crate::stream::sinks::Sinks) overwrite recordings only; this module decides which ones. Golden recordings
+//! are replaced by `check --bless` alone, recordings of other programs never. If a recording of another scene or kind
+//! is replaced, the user is told.
 
 use std::fmt;
 use std::path::Path;
@@ -17,30 +18,30 @@ use crate::stream::{
     sinks::SinkError,
 };
 
-/// What a file is of is at its beginning [bytes].
+/// The kind of a recording is determined from its beginning, of this length [bytes].
 const HEAD: u64 = 4 << 20;
-/// Every application id of this program begins with it.
+/// Prefix of all application ids of this program.
 const OURS: &str = "meldscope";
-/// Where the reasons for golden recordings are, beside them.
+/// Name of the file, next to golden recordings, that gives the reasons for them.
 pub const REASONS: &str = "BLESSED.md";
 
-/// What a recording is.
+/// The kind of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// What a scene should give.
+    /// The expected results of a scene.
     Golden,
-    /// Checksums only.
+    /// The scene and its checksums only, without frames.
     Thin,
     /// The last frames of a run.
     Last,
     /// All frames of a run.
     Run,
-    /// Two runs side by side.
+    /// A comparison of two runs.
     Comparison,
 }
 
 impl Kind {
-    /// Of a run with these settings.
+    /// The kind of a run with these settings.
     pub fn of(settings: &Settings) -> Kind {
         match settings.frames {
             Frames::All => Kind::Run,
@@ -62,22 +63,22 @@ impl fmt::Display for Kind {
     }
 }
 
-/// The recording in a file, as far as its beginning says it.
+/// The recording in an existing file, as far as its beginning tells.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Existing {
-    /// The application id.
+    /// Its application id.
     pub application: String,
-    /// `None` if it is not known, or of another program.
+    /// Its kind; `None` if that is unknown, or if another program made the recording.
     pub kind: Option<Kind>,
 }
 
 impl Existing {
-    /// Whether a file begins as recordings do.
+    /// Whether a file begins like a recording.
     pub fn is_recording(path: &Path) -> bool {
         path.is_file() && Reader::open(path).is_ok()
     }
 
-    /// `None` if there is no recording that can be read.
+    /// The recording at `path`; `None` if there is none that can be read.
     pub fn at(path: &Path) -> Option<Existing> {
         if !std::fs::metadata(path).is_ok_and(|there| there.is_file()) {
             return None;
@@ -104,12 +105,12 @@ impl Existing {
         }
         let application = reader.application()?.to_owned();
         if application == Existing::comparison().application {
-            kind = kind.or(Some(Kind::Comparison)); // a scene may have that name, too
+            kind = kind.or(Some(Kind::Comparison)); // a scene may have that name too
         }
         Some(Existing { application, kind })
     }
 
-    /// What [`super::comparison`] makes.
+    /// A recording made by [`super::comparison`].
     pub fn comparison() -> Existing {
         Existing { application: application("difference"), kind: Some(Kind::Comparison) }
     }
@@ -119,11 +120,11 @@ impl Existing {
     }
 }
 
-/// Whether a recording of this kind may replace what is at `path`; what to say about it beforehand, if that is something
-/// else than what comes.
+/// Checks whether a recording of this kind may replace the file at `path`. Returns a note for the user if the file is a
+/// recording of another scene or kind.
 ///
 /// # Errors
-/// It is a golden recording (and the new one is none), or one of another program.
+/// The file is a golden recording and the new one is not, or it was recorded by another program.
 pub fn replace(path: &Path, new: &Existing) -> Result<Option<String>, SinkError> {
     let taken = |what: String| SinkError::Taken { path: path.to_owned(), what };
     let there = Existing::at(path);
@@ -151,7 +152,8 @@ pub fn replace(path: &Path, new: &Existing) -> Result<Option<String>, SinkError>
     Ok(Some(format!("{} is replaced, {kind}{scene}", path.display())))
 }
 
-/// Whether `check` takes this file for a golden one, whatever is in it: it is beside its scene, where reasons are kept.
+/// Whether `check` takes this file for a golden recording, whatever its contents: it is next to its scene, in a folder
+/// that has the reasons.
 fn is_checked(path: &Path) -> bool {
     let path = std::fs::canonicalize(path).unwrap_or_default();
     let is_recording = path.extension().is_some_and(|extension| extension == "rrd") && path.is_file();

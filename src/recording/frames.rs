@@ -1,4 +1,4 @@
-//! The surfaces in a recording, frame by frame, in the memory of a few chunks.
+//! The surfaces in a recording, read frame by frame, with only a few chunks in memory.
 
 use std::{
     collections::{BTreeMap, HashMap, HashSet},
@@ -26,46 +26,46 @@ use crate::{
     },
 };
 
-/// Logged with every frame but the first: a frame is complete when the line of its stages is there.
+/// Entity logged with every frame but the first: a frame is complete once it has a row for its timings.
 const MARKER: &str = "/timings/observe";
-/// Where the centres of all bodies are.
+/// Entity with the centres of all bodies.
 const CENTRES: &str = "/world/influence";
 
 /// The surface of a body in a recorded frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedSurface {
-    /// Of the vertices [scene unit].
+    /// Vertex positions [scene unit].
     pub positions: Vec<Vec3>,
-    /// How they were recorded.
+    /// How the surface was recorded.
     pub kind: SurfaceKind,
 }
 
 /// How a surface was recorded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SurfaceKind {
-    /// Relative to the centre.
+    /// Relative to the centre of the body.
     Local,
-    /// In the world, with those of other bodies.
+    /// In world coordinates, in one mesh with other bodies.
     World,
-    /// As an instance of its shape, relative to the centre: displaced by less than is drawn.
+    /// As an instance of its shape, relative to the centre: its displacement is too small to be drawn.
     Resting,
 }
 
 /// All bodies at one step, as far as they were recorded.
 #[derive(Clone, Debug)]
 pub struct RecordedFrame {
-    /// The step.
+    /// Step number.
     pub step: u64,
-    /// Its time [s].
+    /// Simulated time of the step [s].
     pub time: f64,
-    /// By the order of the scene; `None`: not recorded (yet).
+    /// Surfaces in the order of the scene; `None` if a surface is not recorded (yet).
     pub surfaces: Vec<Option<RecordedSurface>>,
-    /// Of the bodies [scene unit].
+    /// Centres of the bodies [scene unit].
     pub centres: Vec<Vec3>,
 }
 
 impl RecordedFrame {
-    /// A frame in the precision of recordings.
+    /// Converts a frame to the precision of recordings.
     pub fn of(schema: &Schema, frame: &Frame) -> RecordedFrame {
         let mut positions = Vectors::default();
         let surfaces = schema.bodies.iter().zip(&frame.bodies).map(|(body, now)| {
@@ -77,8 +77,8 @@ impl RecordedFrame {
         RecordedFrame { step: frame.at.step, time: frame.at.time, surfaces: surfaces.collect(), centres }
     }
 
-    /// The worst vertex beside another state at the same step, both in the precision of the recording; `None` if there is
-    /// no difference, or no surface.
+    /// The worst vertex compared with another state at the same step, both in the precision of the recording; `None` if
+    /// there is no difference or no surface.
     pub fn compare(&self, schema: &Schema, frame: &Frame) -> Option<Worst> {
         let mut local = Vectors::default();
         let mut worst = None;
@@ -101,26 +101,27 @@ impl RecordedFrame {
         worst
     }
 
-    /// When it is.
+    /// The instant of the frame.
     pub fn at(&self) -> Instant {
         Instant { step: self.step, time: self.time }
     }
 
-    /// Where the vertices of a body are in the world [scene unit].
+    /// World positions of the vertices of a body [scene unit].
     pub fn world_positions(&self, body: usize) -> Option<Vec<DVec3>> {
         let surface = self.surfaces.get(body)?.as_ref()?;
         let origin = if surface.kind == SurfaceKind::World { DVec3::ZERO } else { self.centres[body].as_dvec3() };
         Some(surface.positions.iter().map(|position| position.as_dvec3() + origin).collect())
     }
 
-    /// Where they are from its centre [scene unit].
+    /// Vertex positions of a body relative to its centre [scene unit].
     pub fn local_positions(&self, body: usize) -> Option<Vec<DVec3>> {
         let surface = self.surfaces.get(body)?.as_ref()?;
         let origin = if surface.kind == SurfaceKind::World { self.centres[body].as_dvec3() } else { DVec3::ZERO };
         Some(surface.positions.iter().map(|position| position.as_dvec3() - origin).collect())
     }
 
-    /// What is lost of the surface of a body by how it was recorded, beside its own single precision [scene unit].
+    /// Rounding error of a body's surface due to how it was recorded, in addition to its own single precision
+    /// [scene unit].
     pub fn noise(&self, body: usize, radius: f64) -> f64 {
         match self.surfaces.get(body).and_then(Option::as_ref).map(|surface| surface.kind) {
             Some(SurfaceKind::World) => {
@@ -141,28 +142,28 @@ pub struct FrameReader {
     shapes: HashMap<String, Arc<Mesh>>,
     schema: Schema,
     first: u64,
-    /// Chunks that are not in frames yet; an entity that comes a second time belongs to later frames.
+    /// Chunks that do not belong to a frame yet; a second chunk of the same entity belongs to later frames.
     pending: Vec<Chunk>,
     entities: HashSet<String>,
     /// Rows of `pending` by step, and the steps that are frames.
     rows: BTreeMap<i64, Vec<(usize, usize)>>,
     marked: Vec<i64>,
     next_chunk: Option<Chunk>,
-    /// Complete frames to be given, as steps.
+    /// Steps of complete frames that have not been returned yet.
     ready: std::collections::VecDeque<i64>,
     surfaces: Vec<Option<RecordedSurface>>,
     centres: Vec<Vec3>,
-    /// Who is in the one mesh of deformed bodies, and how many vertices of each.
+    /// Bodies in the shared mesh of deformed bodies, with the number of vertices of each.
     deforming: Vec<(usize, usize)>,
     has_given: bool,
     is_over: bool,
 }
 
 impl FrameReader {
-    /// From the start of a recording.
+    /// Opens a recording at its start.
     ///
     /// # Errors
-    /// It cannot be read.
+    /// The recording cannot be read.
     pub fn open(recorded: &Recorded) -> Result<FrameReader, ReadError> {
         let schema = recorded.schema.clone();
         let names = schema.bodies.iter().enumerate().map(|(index, body)| (body.name.clone(), index)).collect();
@@ -188,7 +189,7 @@ impl FrameReader {
         })
     }
 
-    /// The next frame.
+    /// Returns the next frame.
     ///
     /// # Errors
     /// The recording cannot be read.
@@ -210,11 +211,11 @@ impl FrameReader {
         }
     }
 
-    /// Reads chunks until an entity comes again, and finds out which frames are complete.
+    /// Reads chunks until an entity repeats, and finds which frames are complete.
     fn gather(&mut self) -> Result<(), ReadError> {
         let path = self.path.clone();
         let damaged = |what| ReadError::Damaged { path: path.clone(), at: None, what };
-        // what is left of older chunks are rows of frames that were not complete
+        // the remaining rows of older chunks belong to incomplete frames
         let left: Vec<(i64, usize, usize)> = self
             .rows
             .iter()
@@ -239,7 +240,7 @@ impl FrameReader {
             let chunk = match self.next_chunk.take() {
                 Some(chunk) => chunk,
                 None => match self.reader.next(is_wanted)? {
-                    // the inside of steps is no frame
+                    // stages inside a step are not frames
                     Some(chunk) if chunk.is_static() || chunk.timelines().keys().any(|name| name.as_str() == STAGE) => {
                         continue;
                     }
@@ -258,7 +259,7 @@ impl FrameReader {
             for row in 0..chunk.num_rows() {
                 let step = step_of(&chunk, row).map_err(damaged)?;
                 if entity == MARKER {
-                    // where a line has a gap there is no frame
+                    // a gap in the line is not a frame
                     if !cell::<Float64>(&chunk, "Scalars:scalars", row).is_empty() {
                         self.marked.push(step);
                     }
@@ -269,7 +270,7 @@ impl FrameReader {
             self.pending.push(chunk);
         }
         let first = i64::try_from(self.first).unwrap_or(i64::MAX);
-        // the first frame has no line of its own: it is complete when another is
+        // the first frame has no timings of its own: it is complete when another frame is
         if !self.has_given && (self.is_over || !self.marked.is_empty()) {
             self.has_given = true;
             self.ready.extend(self.rows.contains_key(&first).then_some(first));
@@ -279,11 +280,11 @@ impl FrameReader {
         Ok(())
     }
 
-    /// Brings the surfaces to what was recorded up to `step`.
+    /// Updates the surfaces to what was recorded up to `step`.
     fn apply(&mut self, step: i64) -> Result<(), String> {
         while let Some((&at, _)) = self.rows.first_key_value().filter(|(at, _)| **at <= step) {
             let Some(mut rows) = self.rows.remove(&at) else { break };
-            // who is in a mesh comes before where its vertices are
+            // the bodies of a mesh must be known before its vertex positions
             rows.sort_unstable();
             for pass in [true, false] {
                 for &(chunk, row) in &rows {
@@ -341,7 +342,7 @@ impl FrameReader {
                 }
             }
         } else if let Some(mesh) = self.shapes.get(&entity) {
-            // where they are is known from their spheres; who they are is what counts
+            // the influence spheres give the positions; only the identity of the bodies matters here
             if is_naming && super::recorded::raw(chunk, "body", row).is_some() {
                 let resting = bodies()?;
                 let surface = |body: usize| {

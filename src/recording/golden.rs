@@ -1,8 +1,8 @@
-//! What a scene should give, and whether it does.
+//! Golden recordings: the expected results of a scene, and comparison with them.
 //!
-//! A golden recording is thin: the scene and a checksum of every step. So that a difference can be named, it also has
-//! the events, two bytes of hash for every vertex that has moved and every step ([`VERTICES`]), which tells at which
-//! vertices two states part, and every so many steps the displacements themselves, in full ([`STATES`]).
+//! A golden recording is thin: the scene and a checksum of every step. To locate a difference, it also has the events,
+//! a two-byte hash for every displaced vertex at every step ([`VERTICES`]), which tells at which vertices two states
+//! diverge, and the full displacements at regular intervals ([`STATES`]).
 
 use std::{
     collections::BTreeMap,
@@ -38,26 +38,27 @@ use crate::{
     },
 };
 
-/// Two bytes for every vertex of every body that is not at rest, every step: `bodies` and `hashes`.
+/// Entity with a two-byte hash for every vertex of every body that is not at rest, at every step: components `bodies`
+/// and `hashes`.
 pub const VERTICES: &str = "/golden/vertices";
-/// The displacements of every body that is not at rest, every [`STATE_EVERY`] steps: `bodies` and `displacements`, x, y
-/// and z of each vertex [scene unit].
+/// Entity with the displacements of every body that is not at rest, every [`STATE_EVERY`] steps: components `bodies`
+/// and `displacements`, the latter x, y and z of each vertex [scene unit].
 pub const STATES: &str = "/golden/states";
-/// A third of a second of most scenes.
+/// Steps between recorded states: a third of a second in most scenes.
 pub const STATE_EVERY: u64 = 20;
 
 /// Why a golden recording could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum BlessError {
-    /// It cannot be written.
+    /// The file cannot be written.
     #[error(transparent)]
     Sink(#[from] SinkError),
-    /// The scene cannot be run, or is no example to anyone.
+    /// The scene cannot be run, or is not suitable as a reference.
     #[error("{0}")]
     Scene(String),
 }
 
-/// A golden recording that was made.
+/// A golden recording that was just made.
 #[derive(Clone, Debug)]
 pub struct Blessed {
     /// Hash of all its checksums.
@@ -115,7 +116,7 @@ pub fn bless(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<Blesse
     Ok(Blessed { digest: digest(&checksums), bytes: saved.map_or(0, |saved| saved.bytes) })
 }
 
-/// One number for all checksums of a recording.
+/// Combines all checksums of a recording into one number.
 pub fn digest(checksums: &[u64]) -> u64 {
     checksum::sequence(checksums.iter().copied())
 }
@@ -125,80 +126,82 @@ fn counts(schema: &Schema) -> String {
     format!("{} vertices, {triangles} triangles", schema.vertex_count())
 }
 
-/// Two bytes of hash of the state of each vertex of a body.
+/// A two-byte hash of the state of each vertex of a body.
 fn vertex_hashes(now: &BodyFrame) -> Vec<u16> {
     let hash =
         |(x, u): (DVec3, DVec3)| checksum::sequence([x, u].into_iter().flat_map(|v| v.to_array()).map(checksum::bits));
     now.displacements.iter().zip(now.velocities.iter()).map(|state| hash(state) as u16).collect()
 }
 
-/// How a scene does beside its golden recording.
+/// The result of comparing a scene with its golden recording.
 #[derive(Clone, Debug)]
 pub enum GoldenOutcome {
-    /// Every checksum is the same.
+    /// Every checksum is equal.
     Identical {
-        /// Steps of the scene.
+        /// Number of steps of the scene.
         steps: u64,
-        /// Its events.
+        /// Number of events.
         events: usize,
         /// Hash of all checksums.
         digest: u64,
-        /// The text of the scene is another one, to no effect.
+        /// Whether the text of the scene has changed, without effect on the results.
         is_rewritten: bool,
     },
-    /// They are not.
+    /// Something differs.
     Different(Box<GoldenDifference>),
 }
 
-/// What differs.
+/// The differences between a scene and its golden recording.
 #[derive(Clone, Debug)]
 pub struct GoldenDifference {
     /// Golden and present number of steps, if they differ.
     pub steps: Option<[u64; 2]>,
     /// Golden and present vertices and triangles, if they differ.
     pub counts: Option<[String; 2]>,
-    /// Whether the text of the scene is another one than that of the golden recording.
+    /// Whether the text of the scene differs from that of the golden recording.
     pub is_rewritten: bool,
-    /// The first step with another checksum.
+    /// The first step whose checksums differ.
     pub first: Option<First>,
-    /// The worst vertex of all states that the golden recording has from there on, displacements from rest.
+    /// The worst vertex of all later states of the golden recording; its positions are displacements from rest.
     pub worst: Option<Worst>,
-    /// Whether no vertex of those differs by more than the scene's tolerance allows.
+    /// Whether no vertex of those states differs by more than the scene's tolerance.
     pub is_within_tolerance: bool,
-    /// What differs of the events.
+    /// Differences between the events.
     pub events: Vec<Change>,
-    /// The recording of both, if it could be written, or why it could not.
+    /// Path of the comparison recording, or why it could not be written; `None` if none was requested.
     pub comparison: Option<Result<PathBuf, String>>,
 }
 
 impl GoldenDifference {
-    /// Whether nothing but bits differ: values within the tolerance, the same events, vertices and triangles.
+    /// Whether the difference is only in rounding: values within the tolerance; the same events, vertices and
+    /// triangles.
     pub fn is_tolerable(&self) -> bool {
         self.steps.is_none() && self.counts.is_none() && self.events.is_empty() && self.is_within_tolerance
     }
 }
 
-/// Where two states part.
+/// The first step at which two states differ.
 #[derive(Clone, Debug)]
 pub struct First {
-    /// The step.
+    /// Step number.
     pub step: u64,
-    /// Its time [s].
+    /// Simulated time of the step [s].
     pub time: f64,
-    /// Its checksum in the golden recording …
+    /// Checksum in the golden recording.
     pub golden: u64,
-    /// … and now.
+    /// Checksum of the present run.
     pub found: u64,
-    /// Bodies that differ, and which of their vertices do; empty if only phases do.
+    /// Bodies that differ, with the indices of the vertices that do; empty if only phases differ.
     pub bodies: Vec<(String, Vec<usize>)>,
-    /// Where the first of these vertices is now, from its rest position [scene unit].
+    /// Present displacement of the first of these vertices from its rest position [scene unit].
     pub displacement: DVec3,
 }
 
-/// Runs a scene and compares it with its golden recording; what differs is written to `comparison` to look at, if given.
+/// Runs a scene and compares it with its golden recording. If `comparison` is given, a recording that shows the
+/// differences is written there.
 ///
 /// # Errors
-/// The golden recording cannot be read, or the scene not be run.
+/// The golden recording cannot be read, or the scene cannot be run.
 pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -> Result<GoldenOutcome, ReadError> {
     let recorded = Recorded::open_as(golden, &|name, text, run| scene.read(name, text, run))?;
     let counts_then = Details::counts(golden)?;
@@ -249,7 +252,7 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
     Ok(GoldenOutcome::Different(Box::new(difference)))
 }
 
-/// Runs a scene once more, and compares it with the details of its golden recording from `step` on.
+/// Runs a scene again and compares it with the details of its golden recording from `step` on.
 fn look(
     mut simulation: Box<dyn Simulation>,
     schema: &Schema,
@@ -285,12 +288,12 @@ fn look(
     Ok(())
 }
 
-/// What the scene's tolerance comes to at a time: radii per unit of scene time, for at least one of these.
+/// The scene's tolerance accumulated up to a time: radii per unit of scene time, for at least one unit.
 fn tolerance(schema: &Schema, time: f64) -> f64 {
     schema.tolerance * time.max(1.0)
 }
 
-/// Writes both runs side by side.
+/// Writes a recording that shows both runs.
 fn show(
     mut simulation: Box<dyn Simulation>,
     schema: &Schema,
@@ -335,7 +338,7 @@ fn show(
     comparison.finish().map(|_| ())
 }
 
-/// A state as a golden recording has it.
+/// A state as stored in a golden recording.
 #[derive(Clone, Debug, Default)]
 struct GoldenState {
     /// Displacements of the vertices of bodies that are not at rest [scene unit].
@@ -347,7 +350,7 @@ impl GoldenState {
         self.bodies.get(&index).and_then(|golden| golden.get(vertex).copied()).unwrap_or_default()
     }
 
-    /// The worst vertex beside another state; `None` if there is no difference.
+    /// The worst vertex compared with another state; `None` if there is no difference.
     fn compare(&self, schema: &Schema, frame: &Frame) -> Option<Worst> {
         let bodies = schema.bodies.iter().zip(&frame.bodies).enumerate();
         let moved = bodies.filter(|(index, (_, now))| self.bodies.contains_key(index) || !now.is_at_rest);
@@ -360,10 +363,10 @@ impl GoldenState {
     }
 }
 
-/// What a golden recording has besides checksums, as far as it concerns a step.
+/// What a golden recording has besides checksums, as far as it is relevant to a step.
 #[derive(Default)]
 struct Details {
-    /// Hashes of the vertices of bodies that are not at rest, at that step.
+    /// Vertex hashes of bodies that are not at rest, at that step.
     hashes: BTreeMap<usize, Vec<u16>>,
     /// States from that step on.
     states: BTreeMap<u64, GoldenState>,
@@ -423,7 +426,7 @@ impl Details {
         Ok(details)
     }
 
-    /// Which vertices of a state differ at the step; `sums` are its checksums in the golden recording and now.
+    /// Finds the vertices that differ at the step; the last argument is its checksum in the golden recording and now.
     fn part(&self, schema: &Schema, frame: &Frame, [golden, found]: [u64; 2]) -> First {
         let differing = |(index, now): (usize, &BodyFrame)| {
             let all = 0..schema.bodies[index].vertex_count();

@@ -1,4 +1,4 @@
-//! The events of two runs beside each other.
+//! Comparison of the events of two runs.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -6,24 +6,24 @@ use std::fmt;
 use super::recorded::RecordedEvent;
 use crate::observe::{PairEvent, Schema};
 
-/// Times of one event that are no farther apart are the same [s].
+/// Two times of an event that are at most this far apart are the same [s].
 pub const SAME_TIME: f64 = 1e-6;
 
 /// How an event differs between two runs.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Change {
-    /// It is at another time.
+    /// Both runs have it, at different times.
     Moved(RecordedEvent, RecordedEvent),
-    /// It is in the first only.
+    /// Only the first run has it.
     Vanished(RecordedEvent),
-    /// It is in the second only.
+    /// Only the second run has it.
     Appeared(RecordedEvent),
-    /// Both have it, and before and after it others than in the first run.
+    /// Both runs have it, but in a different order relative to other events.
     Reordered(RecordedEvent),
 }
 
 impl Change {
-    /// When it is, in the run that has it [s].
+    /// The time of the event, in the run that has it [s].
     pub fn time(&self) -> f64 {
         match self {
             Change::Moved(event, _) | Change::Vanished(event) | Change::Appeared(event) | Change::Reordered(event) => {
@@ -55,7 +55,7 @@ impl fmt::Display for RecordedEvent {
 }
 
 impl RecordedEvent {
-    /// An event as a recording tells of it.
+    /// Converts an event to its recorded form.
     pub fn of(schema: &Schema, event: &PairEvent) -> RecordedEvent {
         RecordedEvent {
             name: event.name.to_owned(),
@@ -68,7 +68,7 @@ impl RecordedEvent {
     }
 }
 
-/// What differs between the events of two runs: the n-th of its kind of a pair in one is the n-th of it in the other.
+/// Compares the events of two runs. The n-th event of a kind of a pair in one run corresponds to the n-th in the other.
 pub fn compare(first: &[RecordedEvent], second: &[RecordedEvent]) -> Vec<Change> {
     let mut others: BTreeMap<(&str, &str), std::collections::VecDeque<(usize, &RecordedEvent)>> = BTreeMap::new();
     for (index, event) in second.iter().enumerate() {
@@ -82,7 +82,7 @@ pub fn compare(first: &[RecordedEvent], second: &[RecordedEvent]) -> Vec<Change>
             Some((_, other)) if (other.time - event.time).abs() > SAME_TIME => {
                 changes.push(Change::Moved(event.clone(), other.clone()));
             }
-            // of two at one instant either may come first
+            // two events at the same instant may be in either order
             Some((index, other)) => {
                 if let Some((last, time)) = latest
                     && index < last

@@ -1,16 +1,16 @@
-//! Recordings read back: run again and verified, compared with what they should be, or with each other.
+//! Reading recordings: replay and verify them, compare them with golden recordings or with each other.
 //!
-//! | what | where |
+//! | contents | module |
 //! | --- | --- |
-//! | the chunks of a file, whatever is in it | [`read`] |
-//! | what it takes to make a recording again, and what came of it: scene, settings, checksums, events | [`recorded`] |
-//! | the surfaces in it, frame by frame | [`frames`] |
-//! | what a new recording would replace | [`existing`] |
-//! | the same steps again, compared checksum by checksum | [`replay`] |
-//! | what a scene should give, and whether it does | [`golden`] |
-//! | the events of two runs beside each other | [`happenings`] |
-//! | two recordings of a scene side by side | [`diff`] |
-//! | differences to look at | [`comparison`] |
+//! | the chunks of a file, however malformed the file may be | [`read`] |
+//! | what it takes to reproduce a run (scene, settings) and its results (checksums, events) | [`recorded`] |
+//! | surfaces, frame by frame | [`frames`] |
+//! | what a new recording would overwrite | [`existing`] |
+//! | running a recording again and comparing every checksum | [`replay`] |
+//! | golden recordings: the expected results of a scene | [`golden`] |
+//! | the events of two runs compared | [`happenings`] |
+//! | two recordings of a scene compared | [`diff`] |
+//! | a recording that shows the differences between two runs | [`comparison`] |
 
 pub mod comparison;
 pub mod diff;

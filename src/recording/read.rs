@@ -1,12 +1,12 @@
-//! The chunks of a recording, one after the other, from a file that may hold anything.
+//! Reads the chunks of a recording one after the other, from an untrusted file.
 //!
-//! The SDK's own decoder takes every length in a file at its word (it allocates what a header claims, and panics where
-//! Arrow's reader does), so the frames are read here: no message is larger than the file, nothing is unpacked to much
-//! more than the file is large, and no buffer is larger than the message that it is in. What is left to the SDK and to
-//! Arrow is to decode one message whose sizes fit; if they should panic over it, it is damaged, too.
+//! The SDK's own decoder trusts every length in a file: it allocates what a header claims, and panics where Arrow's
+//! reader does. So the frames are read here: no message is larger than the file, total unpacked data is bounded by the
+//! file's size, and no buffer is larger than the message that contains it. The SDK and Arrow only decode single
+//! messages whose sizes are consistent; if they panic, the message counts as damaged too.
 //!
-//! Frames of an .rrd file: `RRF2`, version (4 bytes), options (4 bytes); messages, each with a kind and a length (8 bytes
-//! each, little-endian); an end message and a footer, for random access, which this does not need.
+//! Frames of an .rrd file: `RRF2`, version (4 bytes), options (4 bytes); messages, each with a kind and a length (8
+//! bytes each, little-endian); an end message and a footer for random access, which is not needed here.
 
 use std::{
     cell::Cell,
@@ -27,41 +27,42 @@ use rerun::external::{
 
 use super::ReadError;
 
-/// No message of ours is larger, packed or not [bytes].
+/// Upper limit on the size of a message of this program, packed or not [bytes].
 const LARGEST_MESSAGE: u64 = 1 << 30;
-/// What LZ4 can pack into a byte [bytes].
+/// The largest compression ratio of LZ4 [bytes per byte].
 const LZ4_RATIO: u64 = 255;
-/// What the messages of a recording may unpack to, all together: so much, and so many times what was read of the file
-/// until then. Recordings come to 2 or 3 times, long texts to 20: whatever is kept of a file, its memory and time follow
-/// from the file's size.
+/// Upper limit on the total unpacked size of a recording's messages: a constant, plus a multiple of what was read of
+/// the file so far. Typical recordings need a factor of 2 or 3, long texts 20. Memory and time are thereby bounded by
+/// the size of the file.
 const UNPACKED: (u64, u64) = (64 << 20, 16);
-/// Rows of a recording: so many, and one for so many bytes of the file. Ids, times and values come to 14 bytes or more.
+/// Upper limit on the rows of a recording: a constant, plus one for this many bytes of the file. Ids, times and values
+/// of a row take 14 bytes or more.
 const ROWS: (u64, u64) = (4096, 8);
 
 /// How a file ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// With the end that a finished recording has.
+    /// With the end message of a finished recording.
     Whole,
-    /// Before it: the run was killed, or the file cut.
+    /// Without one: the run was killed, or the file was truncated.
     Cut,
 }
 
-/// Reads a recording from start to end, one message in memory.
+/// Reads a recording from start to end, with one message in memory at a time.
 pub struct Reader {
     path: PathBuf,
     input: Input,
-    /// Bytes read.
+    /// Bytes read so far.
     at: u64,
     /// Size of the file [bytes].
     size: u64,
-    /// What was unpacked so far [bytes].
+    /// Total unpacked size so far [bytes].
     unpacked: u64,
-    /// Rows of the chunks that were given.
+    /// Rows of the chunks returned so far.
     rows: u64,
-    /// Nothing is read from here on [bytes from the start].
+    /// Reading stops here [bytes from the start].
     limit: u64,
-    /// Of the recording: those of its first message.
+    /// Ids of the recording, from its first message.
     id: Option<String>,
     application: Option<String>,
     end: Option<End>,
@@ -73,7 +74,7 @@ impl Reader {
     /// Opens a file.
     ///
     /// # Errors
-    /// It cannot be read, or does not begin as a recording does that this program can read.
+    /// The file cannot be read, or does not begin like a recording that this program can read.
     pub fn open(path: &Path) -> Result<Reader, ReadError> {
         let refuse = |source| ReadError::File { path: path.to_owned(), source };
         let file = File::open(path).map_err(refuse)?;
@@ -81,7 +82,7 @@ impl Reader {
         if metadata.is_dir() {
             return Err(refuse(io::ErrorKind::IsADirectory.into()));
         }
-        // a pipe or a device says nothing of its size: then it is what a recording can be at most
+        // a pipe or a device does not report its size: assume the largest possible
         let size = if metadata.is_file() { metadata.len() } else { u64::MAX };
         let input = BufReader::with_capacity(256 << 10, file);
         let mut reader = Reader {
@@ -130,17 +131,17 @@ impl Reader {
         Err(ReadError::Foreign { path: self.path.clone(), what })
     }
 
-    /// The file.
+    /// The path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The id of the recording, once there was a message of it.
+    /// The id of the recording, once a message of it has been read.
     pub fn id(&self) -> Option<&str> {
         self.id.as_deref()
     }
 
-    /// The id of the application that made it, once there was a message of it.
+    /// The application id of the recording, once a message of it has been read.
     pub fn application(&self) -> Option<&str> {
         self.application.as_deref()
     }
@@ -150,20 +151,21 @@ impl Reader {
         self.at
     }
 
-    /// Ends with the first message that begins beyond so many bytes.
+    /// Stops at the first message that begins beyond this many bytes.
     pub fn stop_after(&mut self, bytes: u64) {
         self.limit = bytes;
     }
 
-    /// How the file ended, once it has.
+    /// How the file ended; `None` before its end was reached.
     pub fn end(&self) -> Option<End> {
         self.end
     }
 
-    /// The next chunk of the recording whose entity is `wanted`; blueprints are passed over.
+    /// The next chunk of the recording whose entity is `wanted`; blueprints are skipped.
     ///
     /// # Errors
-    /// It cannot be read, or what is there is no message. A message that is not all there is the end, not an error.
+    /// The file cannot be read, or its next bytes are not a message. A truncated message is the end of the file, not an
+    /// error.
     pub fn next(&mut self, wanted: impl Fn(&str) -> bool) -> Result<Option<Chunk>, ReadError> {
         while self.end.is_none() {
             if self.at > self.limit {
@@ -181,7 +183,7 @@ impl Reader {
                 return Err(self.damaged(&format!("there is no message of kind {kind}")));
             }
             if length > self.size.saturating_sub(self.at) {
-                // a message cut short, unless it claims what none can have
+                // a truncated message, unless it claims an impossible size
                 if length > LARGEST_MESSAGE {
                     return Err(self.damaged(&format!("a message of {length} bytes")));
                 }
@@ -239,7 +241,7 @@ impl Reader {
         Ok(None)
     }
 
-    /// After the end message there is a footer of 32 bytes, and nothing after that.
+    /// Checks what follows the end message: a footer of 32 bytes, and nothing after it.
     fn footer(&mut self, length: u64) -> Result<(), ReadError> {
         let mut footer = [0; 32];
         let read = self.fill(&mut footer)?;
@@ -255,7 +257,7 @@ impl Reader {
         Ok(())
     }
 
-    /// Reads until `buffer` is full or the file ends; how much.
+    /// Reads until `buffer` is full or the file ends; returns the number of bytes read.
     fn fill(&mut self, buffer: &mut [u8]) -> Result<usize, ReadError> {
         let mut filled = 0;
         while let Some(rest) = buffer.get_mut(filled..).filter(|rest| !rest.is_empty()) {
@@ -275,7 +277,7 @@ impl Reader {
     }
 }
 
-/// An Arrow message as it is in the file: `rerun.log_msg.v1alpha1.ArrowMsg`, of which this is what is needed.
+/// An Arrow message as stored in the file: the fields of `rerun.log_msg.v1alpha1.ArrowMsg` that are needed.
 struct Envelope<'a> {
     is_recording: bool,
     recording_id: String,
@@ -327,12 +329,12 @@ impl<'a> Envelope<'a> {
         Ok(envelope)
     }
 
-    /// What the message says that it takes [bytes].
+    /// The unpacked size that the message claims [bytes].
     fn unpacked_size(&self) -> u64 {
         if self.compression == 2 { self.uncompressed } else { self.payload.len() as u64 }
     }
 
-    /// The chunk, if its entity is wanted.
+    /// Decodes the chunk if its entity is wanted.
     fn chunk(&self, wanted: impl Fn(&str) -> bool) -> Result<Option<Chunk>, String> {
         let mut unpacked = Vec::new();
         let data = match self.compression {
@@ -370,13 +372,13 @@ impl<'a> Envelope<'a> {
     }
 }
 
-/// The first line of an error, which may have many.
+/// The first line of an error message, which may have many.
 fn brief(error: &dyn std::fmt::Display) -> String {
     let text = error.to_string();
     text.lines().next().unwrap_or_default().chars().take(120).collect()
 }
 
-/// The frames of an Arrow stream say how long they are: no longer than the stream, or its reader would believe them.
+/// Checks that the lengths of an Arrow stream's frames do not exceed the stream: Arrow's reader would trust them.
 fn check_lengths(mut data: &[u8]) -> Result<(), String> {
     fn split<'a>(data: &mut &'a [u8], length: usize) -> Option<&'a [u8]> {
         let (head, rest) = data.split_at_checked(length)?;
@@ -398,7 +400,7 @@ fn check_lengths(mut data: &[u8]) -> Result<(), String> {
         let metadata = usize::try_from(length).ok().and_then(|length| split(&mut data, length)).ok_or_else(short)?;
         let message = ipc::root_as_message(metadata)
             .map_err(|error| format!("a message is no Arrow data ({})", brief(&error)))?;
-        // nobody packs a body once more, and what it would unpack to is for its reader to believe
+        // bodies are never compressed twice; Arrow's reader would trust the claimed unpacked size
         let is_packed = |batch: Option<ipc::RecordBatch<'_>>| batch.is_some_and(|batch| batch.compression().is_some());
         let dictionary = message.header_as_dictionary_batch().and_then(|dictionary| dictionary.data());
         if is_packed(message.header_as_record_batch()) || is_packed(dictionary) {
@@ -474,13 +476,13 @@ thread_local! {
     static EXPECTS_PANICS: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Whether a panic of this thread is no more than Arrow's way to say that data of a recording is malformed: it is caught, and
-/// becomes a [`ReadError`]. A program's panic hook may ask, so as not to print it.
+/// Whether a panic of this thread only means that Arrow found malformed data in a recording. Such a panic is caught and
+/// becomes a [`ReadError`]. A program's panic hook can call this to avoid printing it.
 pub fn expects_panics() -> bool {
     EXPECTS_PANICS.get()
 }
 
-/// What `work` gives; a panic in it is an error.
+/// Returns the result of `work`; a panic becomes an error.
 fn catching<T>(work: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
     let before = EXPECTS_PANICS.replace(true);
     let result = catch_unwind(AssertUnwindSafe(work));

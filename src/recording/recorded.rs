@@ -1,4 +1,4 @@
-//! What it takes to make a recording again, and what came of it.
+//! What it takes to reproduce a run, and the run's results.
 
 use std::{
     path::{Path, PathBuf},
@@ -29,15 +29,15 @@ use crate::{
     },
 };
 
-/// Where the properties are.
+/// Entity of the properties.
 pub(super) const PROPERTIES: &str = "/__properties/meldscope";
-/// Checksums do not pack: each takes so much of its file [bytes].
+/// Checksums are incompressible: each takes this much of its file [bytes].
 const CHECKSUM_BYTES: u64 = 8;
-/// So many may be read before the file has room for them.
+/// This many checksums are accepted whatever the size of the file.
 const SPARE: u64 = 4096;
-/// No property but the scene is longer [bytes].
+/// Upper limit on the length of any property but the scene [bytes].
 const LONGEST_PROPERTY: usize = 64 << 10;
-/// A scene's text packs to no less than a part in so many, beyond this length [bytes].
+/// Beyond this length [bytes], the text of a scene compresses at most by this factor.
 const TEXT: (u64, u64) = (1 << 20, 16);
 
 /// A recording without its frames.
@@ -45,52 +45,52 @@ const TEXT: (u64, u64) = (1 << 20, 16);
 pub struct Recorded {
     /// The file.
     pub path: PathBuf,
-    /// What was run: overrides included.
+    /// The experiment that was run, overrides included.
     pub experiment: Arc<dyn Experiment>,
-    /// What that says of itself.
+    /// The schema of the experiment.
     pub schema: Schema,
-    /// How it is run, as the recording has it.
+    /// The settings of the run, as recorded.
     pub run: toml::Table,
-    /// How it was recorded.
+    /// How the run was recorded.
     pub settings: Settings,
-    /// What the run changed of the scene, as lines of its file.
+    /// Overrides of the scene by the run, as lines of the scene's file.
     pub overrides: String,
-    /// Version of the program that made it.
+    /// Version of the program that made the recording.
     pub version: String,
-    /// The machine that it was made on.
+    /// The machine on which the recording was made.
     pub machine: String,
-    /// Why it was made, if it is a golden one.
+    /// The reason for a golden recording; `None` for any other recording.
     pub blessed: Option<String>,
     /// Why the run ended before its last step, if it failed.
     pub failure: Option<String>,
     /// The step of the first checksum.
     pub first: u64,
-    /// Of every step from `first` on.
+    /// Checksums of every step from `first` on.
     pub checksums: Vec<u64>,
-    /// Every event, in the order of the file.
+    /// All events, in the order of the file.
     pub events: Vec<RecordedEvent>,
-    /// Whether it is all there.
+    /// Whether the file is complete.
     pub end: End,
 }
 
-/// An event as a recording tells of it.
+/// An event as stored in a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedEvent {
-    /// What: merge, split, core, core left.
+    /// Kind of event: merge, split, core, core left.
     pub name: String,
     /// The pair, as `A~B`.
     pub pair: String,
-    /// The phases before and after, if they are recorded.
+    /// The phases before and after the event, if they are recorded.
     pub phases: Option<[String; 2]>,
-    /// Centre distance over the sum of the radii then [–], if it is recorded.
+    /// Centre distance over the sum of the radii at the event [–], if it is recorded.
     pub q: Option<f64>,
-    /// When [s]: to the nanosecond in golden recordings of before, exactly in others.
+    /// Time of the event [s]: to the nanosecond in older golden recordings, exact in all others.
     pub time: f64,
-    /// The first step whose state has felt it.
+    /// The first step whose state is affected by the event.
     pub step: u64,
 }
 
-/// The properties as they are in the file.
+/// The properties as stored in the file.
 #[derive(Default)]
 struct Properties {
     scene: Option<String>,
@@ -105,18 +105,18 @@ struct Properties {
 }
 
 impl Recorded {
-    /// Reads a recording of a scene, whole or cut short.
+    /// Reads a recording of a scene, complete or truncated.
     ///
     /// # Errors
-    /// It is not a recording of this program, of a format that this one does not know, or damaged.
+    /// The file is not a recording of this program, has an unsupported format, or is damaged.
     pub fn open(path: &Path) -> Result<Recorded, ReadError> {
         Recorded::open_as(path, &simulation::read)
     }
 
-    /// The same of an experiment that `read` makes again from what the recording carries.
+    /// Like [`Recorded::open`], for an experiment that `read` recreates from the contents of the recording.
     ///
     /// # Errors
-    /// As [`Recorded::open`].
+    /// The same as those of [`Recorded::open`].
     pub fn open_as(path: &Path, read: &ReadExperiment<'_>) -> Result<Recorded, ReadError> {
         let mut reader = Reader::open(path)?;
         let mut properties = Properties::default();
@@ -133,7 +133,7 @@ impl Recorded {
         properties.understand(path, read, &id, sums, events, reader.end().unwrap_or(End::Cut))
     }
 
-    /// What was run, at its start.
+    /// Starts the recorded experiment.
     ///
     /// # Errors
     /// It cannot be run here.
@@ -141,18 +141,18 @@ impl Recorded {
         start(&*self.experiment, &self.path)
     }
 
-    /// The last step that there is a checksum of.
+    /// The last step that has a checksum.
     pub fn last(&self) -> u64 {
         self.first + (self.checksums.len() as u64).saturating_sub(1)
     }
 
-    /// The checksum of a step, if there is one.
+    /// The checksum of a step, if it has one.
     pub fn checksum(&self, step: u64) -> Option<u64> {
         let index = usize::try_from(step.checked_sub(self.first)?).ok()?;
         self.checksums.get(index).copied()
     }
 
-    /// What differs between where it was made and here, in words; empty if nothing does.
+    /// Differences between the environment of the recording and this one, in words; empty if there are none.
     pub fn foreign_to(&self, machine: &str) -> Vec<String> {
         let mut differences = Vec::new();
         let here = env!("CARGO_PKG_VERSION");
@@ -167,7 +167,7 @@ impl Recorded {
 }
 
 impl Properties {
-    /// Those of a chunk, with which `read` bytes of the file are read.
+    /// Takes the properties of a chunk, after `read` bytes of the file.
     fn take(&mut self, chunk: &Chunk, read: u64) -> Result<(), String> {
         for (field, name) in [
             (&mut self.scene, "scene"),
@@ -227,7 +227,7 @@ impl Properties {
             return Err(foreign("it has no scene, no settings or no version"));
         };
         let file = path.file_name().unwrap_or_default().to_string_lossy();
-        // An id is made of these texts, so any change of them shows.
+        // The id is derived from these texts, so any change of them shows.
         let ending = |id: &str| id.rsplit('-').next().unwrap_or_default().to_owned();
         let is_as_made = ending(id) == ending(&recording_id("", &text, &settings, &version));
         let run = table(&settings);
@@ -243,7 +243,7 @@ impl Properties {
         };
         let schema = experiment.schema();
         let settings = Settings::from_toml(&settings, schema.bodies.len()).map_err(cannot_run)?;
-        // a run that was killed may not have come to the first step
+        // a run that was killed may not have reached the first step
         if sums.values.is_empty() && end == End::Whole {
             return Err(foreign("it has no checksums"));
         }
@@ -253,7 +253,7 @@ impl Properties {
             (Some(steps), _) if last > steps => {
                 return Err(damaged(format!("it has a checksum of step {last}, and step {steps} is its last")));
             }
-            // only a replay begins late, and it knows its end
+            // only a replay starts late, and it knows its end
             (None, _) if sums.first > 0 => {
                 return Err(damaged(format!("its checksums begin with step {}", sums.first)));
             }
@@ -285,12 +285,12 @@ impl Properties {
     }
 }
 
-/// An experiment at its start; `path` is what it came from.
+/// Starts an experiment; `path` is the file that it came from.
 pub(super) fn start(experiment: &dyn Experiment, path: &Path) -> Result<Box<dyn Simulation>, ReadError> {
     experiment.start().map_err(|what| ReadError::Scene { path: path.to_owned(), what })
 }
 
-/// ReadChecksums as they come in.
+/// The checksums read so far.
 #[derive(Default)]
 struct ReadChecksums {
     first: u64,
@@ -298,7 +298,7 @@ struct ReadChecksums {
 }
 
 impl ReadChecksums {
-    /// Those of a chunk, with which `read` bytes of the file are read.
+    /// Takes the checksums of a chunk, after `read` bytes of the file.
     fn take(&mut self, chunk: &Chunk, read: u64) -> Result<(), String> {
         for row in 0..chunk.num_rows() {
             let step = u64::try_from(step_of(chunk, row)?).map_err(|_| "a checksum of a negative step".to_owned())?;
@@ -333,7 +333,7 @@ fn events_of(chunk: &Chunk) -> Result<Vec<RecordedEvent>, String> {
         let Some(name) = texts("TextLog:level").pop() else { continue };
         let pair = match texts(event::BODIES).as_slice() {
             [a, b] => format!("{a}~{b}"),
-            // golden recordings of before have the line alone: "NAME A~B at t = …"
+            // older golden recordings have only the line: "NAME A~B at t = …"
             _ => {
                 let line = texts("TextLog:text").pop();
                 let pair = line.as_ref().and_then(|line| line.strip_prefix(&name)?.split_whitespace().next());
@@ -352,12 +352,12 @@ fn events_of(chunk: &Chunk) -> Result<Vec<RecordedEvent>, String> {
     Ok(events)
 }
 
-/// What the timeline `step` says of a row.
+/// The value of the timeline `step` in a row.
 pub(super) fn step_of(chunk: &Chunk, row: usize) -> Result<i64, String> {
     index(chunk, "step", row)
 }
 
-/// What the timeline `sim_time` says of a row [ns].
+/// The value of the timeline `sim_time` in a row [ns].
 pub(super) fn time_of(chunk: &Chunk, row: usize) -> Result<i64, String> {
     index(chunk, "sim_time", row)
 }
@@ -368,14 +368,14 @@ fn index(chunk: &Chunk, timeline: &str, row: usize) -> Result<i64, String> {
     time.copied().ok_or_else(|| format!("{} has rows without {timeline}", chunk.entity_path()))
 }
 
-/// A component of a row as it is in the file.
+/// A component of a row as stored in the file.
 pub(super) fn raw(chunk: &Chunk, component: &str, row: usize) -> Option<ArrayRef> {
     let column = chunk.components().values().find(|column| column.descriptor.component.as_str() == component)?;
     let list = &column.list_array;
     (row < list.len() && !list.is_null(row)).then(|| list.value(row))
 }
 
-/// A component of a row as the SDK reads it; nothing if there is none, or none of that kind.
+/// A component of a row, decoded by the SDK; empty if the row has none, or none of that type.
 pub(super) fn cell<T: Loggable>(chunk: &Chunk, component: &str, row: usize) -> Vec<T> {
     raw(chunk, component, row).and_then(|cell| T::from_arrow(&cell).ok()).unwrap_or_default()
 }

@@ -1,40 +1,40 @@
-//! The same steps again, compared checksum by checksum.
+//! Runs a recording again and compares every checksum.
 
 use std::path::Path;
 
 use super::{ReadError, Recorded, frames};
 use crate::observe::{Frame, Simulation, StepSummary, Want, Worst};
 
-/// What a replay came to.
+/// The result of a replay.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Verdict {
-    /// Every checksum is the same.
+    /// All checksums are equal.
     Identical,
-    /// One is not.
+    /// A checksum differs.
     Divergent(Divergence),
-    /// Every checksum is the same, but the run ended with a failure then, and now with another one or with none.
+    /// All checksums are equal, but the recorded run ended with a failure and the replay with another one or none.
     OtherEnd {
-        /// The present one, in words.
+        /// The failure of the replay, in words.
         replayed: Option<String>,
     },
 }
 
-/// Where a replay and its recording part.
+/// The first difference between a replay and its recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Divergence {
-    /// The first step whose state differs; its predecessor's is the same.
+    /// The first step whose state differs; the state of the step before is equal.
     pub step: u64,
-    /// Simulated time at its end [s].
+    /// Simulated time at the end of that step [s].
     pub time: f64,
-    /// Its checksum in the recording.
+    /// Checksum of that step in the recording.
     pub recorded: u64,
-    /// Its checksum now.
+    /// Checksum of that step in the replay.
     pub replayed: u64,
 }
 
 impl Divergence {
-    /// The first frame at or after the divergence in which the difference is large enough to be seen in what is recorded
-    /// there (single precision), and its worst vertex; `None` if there is none.
+    /// The worst vertex of the first frame, at or after the divergence, whose difference is visible in the single
+    /// precision of the recording; `None` if there is no such frame.
     ///
     /// # Errors
     /// The recording cannot be read.
@@ -58,12 +58,12 @@ impl Divergence {
     }
 }
 
-/// Runs what a recording holds again, and compares every step of which it has a checksum; `observe` sees the simulation
-/// at step 0 and after every step. Ends at the first that differs, or when `observe` says so by `false`.
+/// Runs a recorded experiment again and compares every step that has a checksum; `observe` is called with the
+/// simulation at step 0 and after every step. Stops at the first difference, or when `observe` returns `false`.
 ///
 /// # Errors
-/// The scene cannot be run here, or the recording is damaged: a checksum alone differs, and those after it do not, as no
-/// simulation does it.
+/// The scene cannot be run here, or the recording is damaged: a single checksum differs and the next ones are right,
+/// which no simulation can produce.
 pub fn verify(recorded: &Recorded, mut observe: impl FnMut(&dyn Simulation) -> bool) -> Result<Verdict, ReadError> {
     let mut simulation = recorded.start()?;
     let mut last_step = recorded.last();
@@ -75,7 +75,7 @@ pub fn verify(recorded: &Recorded, mut observe: impl FnMut(&dyn Simulation) -> b
             let found = simulation.checksum();
             if found != expected {
                 divergence = Some(Divergence { step, time: simulation.time(), recorded: expected, replayed: found });
-                last_step = last_step.min(step + 1); // one more, to see whether the two meet again
+                last_step = last_step.min(step + 1); // one more, to see whether the two agree again
             }
         } else if let (Some(expected), Some(found)) = (recorded.checksum(step), &divergence)
             && simulation.checksum() == expected
@@ -95,7 +95,7 @@ pub fn verify(recorded: &Recorded, mut observe: impl FnMut(&dyn Simulation) -> b
         return Ok(Verdict::Divergent(divergence));
     }
     if recorded.failure.is_some() && summary.failure.is_none() && simulation.steps_taken() == recorded.last() {
-        simulation.step(); // the one that was not recorded, because it was not taken
+        simulation.step(); // the step that was not recorded, because it was not completed
         simulation.summary(&mut summary);
     }
     let replayed = summary.failure.as_ref().map(ToString::to_string);
@@ -105,7 +105,7 @@ pub fn verify(recorded: &Recorded, mut observe: impl FnMut(&dyn Simulation) -> b
     })
 }
 
-/// Takes a step; one that was not taken to its end is of use to nobody.
+/// Takes a step; a step that is not completed is an error.
 pub(super) fn step(simulation: &mut dyn Simulation, summary: &mut StepSummary, path: &Path) -> Result<(), ReadError> {
     simulation.step();
     simulation.summary(summary);
