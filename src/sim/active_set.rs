@@ -1,4 +1,4 @@
-//! The bodies that are not at rest: those that are stepped, and those that nothing acts on.
+//! The bodies that are not at rest: those that are awake, and those that sleep because nothing acts on them.
 
 use std::sync::OnceLock;
 
@@ -10,34 +10,34 @@ use super::{
 };
 use crate::scene::Scene;
 
-/// The states of the bodies that are not at rest. It alone moves them and says in [`Body::active`] where they are, so that it
-/// knows when what it remembers of them for the checksum no longer holds.
+/// The states of the bodies that are not at rest. Only this type moves them and sets [`Body::active`], their index
+/// here, so that it knows when its cached hashes are stale.
 pub(super) struct ActiveSet {
-    /// First those that are awake, then those that sleep.
+    /// Awake bodies first, then sleeping ones.
     states: Vec<Active>,
     awake: usize,
     arch: Arch,
-    /// Sum of the hashes of those that sleep, once it was asked for.
+    /// Sum of the hashes of the sleeping bodies, once it has been requested.
     hash_of_sleeping: OnceLock<u64>,
 }
 
 impl ActiveSet {
-    /// None.
+    /// An empty set.
     pub fn new(arch: Arch) -> ActiveSet {
         ActiveSet { states: Vec::new(), awake: 0, arch, hash_of_sleeping: OnceLock::new() }
     }
 
-    /// Those that are stepped.
+    /// The bodies that are stepped.
     pub fn awake(&self) -> &[Active] {
         &self.states[..self.awake]
     }
 
-    /// Those that are stepped.
+    /// The bodies that are stepped, mutable.
     pub fn awake_mut(&mut self) -> &mut [Active] {
         &mut self.states[..self.awake]
     }
 
-    /// All of them, in whatever state tests want them.
+    /// All bodies of the set; lets tests put them into any state.
     #[cfg(test)]
     pub fn all_mut(&mut self) -> &mut [Active] {
         &mut self.states
@@ -53,7 +53,7 @@ impl ActiveSet {
         body.active.is_some_and(|slot| (slot as usize) < self.awake)
     }
 
-    /// From here on body `index` is stepped; `step` is the number of steps taken.
+    /// Marks body `index` as awake: it is stepped from now on. `step` is the number of steps taken.
     pub fn wake(&mut self, scene: &Scene, bodies: &mut [Body], index: usize, step: u64) {
         let slot = bodies[index].active.map_or(self.states.len(), |slot| slot as usize);
         if slot == self.states.len() {
@@ -69,7 +69,8 @@ impl ActiveSet {
         }
     }
 
-    /// From here on those that are awake and for which `may_sleep` holds are not stepped; those at rest need no state.
+    /// Puts awake bodies to sleep for which `may_sleep` holds; they are no longer stepped. Those at rest drop their
+    /// state.
     pub fn sleep(&mut self, bodies: &mut [Body], may_sleep: impl Fn(&[Body], &Active) -> bool) {
         for slot in (0..self.awake).rev() {
             if may_sleep(bodies, &self.states[slot]) {
@@ -99,7 +100,7 @@ impl ActiveSet {
         }
     }
 
-    /// The sum of the hashes of all of them.
+    /// Sum of the hashes of all bodies in the set.
     pub fn hash(&self) -> u64 {
         let (awake, asleep) = self.states.split_at(self.awake);
         let asleep = self.hash_of_sleeping.get_or_init(|| checksum::of_bodies(self.arch, asleep));
@@ -110,7 +111,7 @@ impl ActiveSet {
         checksum::of_bodies(self.arch, std::slice::from_ref(&self.states[slot]))
     }
 
-    /// What was allocated for them [bytes].
+    /// Memory allocated for the set [bytes].
     pub fn memory(&self) -> usize {
         self.states.iter().map(Active::memory).sum::<usize>() + self.states.capacity() * size_of::<Active>()
     }

@@ -1,38 +1,39 @@
-//! State as arrays, by coordinate: one vector quantity of many vertices, or several of a few that are stepped side by side.
+//! State as arrays, by coordinate: one vector quantity of many vertices, or several quantities of a few vertices that
+//! are stepped side by side.
 //!
 //! # Precision
 //! The error budget is 1e-6 of a radius over a scene, of which the integrator at 60 steps a second takes about 1e-9.
 //!
 //! | quantity | kept as | why |
 //! | --- | --- | --- |
-//! | displacement, velocity | f64, in body coordinates | f32 would leave 1.5e-7 of a radius (measured on the built-in `two`; see the test of `sim::world`), a hundred times what the integrator does, and would end the observation of its order |
-//! | rest positions, in radii | f64 | a constant error of the rest shape, but one that shows where forces are compared |
-//! | centres, paths, times | f64 | 1e6 units from the origin a centre is still good to 1e-10, and so are displacements, which only see differences of centres; events are good to 1e-12 s |
-//! | weights of a step | f64 | computed once per length of step |
-//! | what is recorded | f32 | what the viewer takes; the state is not changed by looking |
+//! | displacement, velocity | f64, in body coordinates | f32 would add 1.5e-7 of a radius (measured on the built-in `two`; see the test of `sim::world`), a hundred times the integrator's error, and would hide its order |
+//! | rest positions, in radii | f64 | a constant error of the rest shape, but visible where forces are compared |
+//! | centres, paths, times | f64 | 1e6 units from the origin a centre is still accurate to 1e-10, and so are displacements, which depend only on differences of centres; events are accurate to 1e-12 s |
+//! | weights of a step | f64 | computed once per step length |
+//! | what is recorded | f32 | what the viewer takes; recording does not change the state |
 
 use glam::DVec3;
 
 pub use crate::geometry::Vectors;
 
-/// The most vertices that any instruction set takes side by side: arrays that are read in lanes are padded to this.
+/// The most vertices that any instruction set processes side by side. Arrays that are read in lanes are padded to this.
 pub const LANES: usize = 16;
 
-/// A vector of each of some vertices side by side, by coordinate.
+/// One vector for each of some vertices side by side, by coordinate.
 pub type Lanes = [[f64; LANES]; 3];
 
-/// `V` vectors of each of some vertices side by side.
+/// `V` vectors for each of some vertices side by side.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[repr(C, align(64))] // whole lines of a cache
+#[repr(C, align(64))] // whole cache lines
 pub struct Block<const V: usize>(pub [Lanes; V]);
 
-/// `V` vectors of each of many vertices: what is known of those side by side is next to each other in memory, so that a
-/// step of a body touches one run of it and not one per array.
+/// `V` vectors for each of many vertices. All vectors of the same lanes are contiguous in memory, so that a body's step
+/// streams through one array instead of one per quantity.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Blocks<const V: usize>(Vec<Block<V>>);
 
 impl<const V: usize> Blocks<V> {
-    /// For how many vertices there is room.
+    /// Number of vertices that there is room for.
     pub fn room(&self) -> usize {
         self.0.len() * LANES
     }
@@ -63,19 +64,19 @@ impl<const V: usize> Blocks<V> {
         &mut self.0
     }
 
-    /// Has room for `count` vertices; what is new is zero.
+    /// Makes room for `count` vertices; new entries are zero.
     pub fn resize(&mut self, count: usize) {
         let blocks = count.div_ceil(LANES);
-        self.0.reserve_exact(blocks.saturating_sub(self.0.len())); // they are large, and come to an end soon
+        self.0.reserve_exact(blocks.saturating_sub(self.0.len())); // blocks are large, and growth stops soon
         self.0.resize(blocks, Block([[[0.0; LANES]; 3]; V]));
     }
 
-    /// Keeps the storage, holds none.
+    /// Removes all vertices and keeps the storage.
     pub fn clear(&mut self) {
         self.0.clear();
     }
 
-    /// Repeats vertex `count - 1` to the end of its block.
+    /// Fills the last block by repeating vertex `count - 1`.
     pub fn pad(&mut self, count: usize) {
         for i in count..self.room() {
             for v in 0..V {
@@ -84,7 +85,7 @@ impl<const V: usize> Blocks<V> {
         }
     }
 
-    /// What was allocated for them [bytes].
+    /// Memory allocated for the blocks [bytes].
     pub fn memory(&self) -> usize {
         self.0.capacity() * size_of::<Block<V>>()
     }

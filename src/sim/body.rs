@@ -18,7 +18,7 @@ use crate::{
     scene::{self, Scene},
 };
 
-/// A body, whatever it does.
+/// A body of the scene, at rest or not.
 pub(super) struct Body {
     /// Its rest shape, shared by all bodies of the same shape.
     pub mesh: Arc<Mesh>,
@@ -26,11 +26,11 @@ pub(super) struct Body {
     pub radius: f64,
     /// The scene's pushes on this body.
     pub pushes: Box<[scene::Push]>,
-    /// Its place among the active bodies, if it isn't at rest.
+    /// Its index among the active bodies; `None` if it is at rest.
     pub active: Option<u32>,
-    /// Bodies near it, ascending.
+    /// Nearby bodies, ascending.
     pub neighbours: Vec<Neighbour>,
-    /// What its neighbours were found for.
+    /// The bounds for which its neighbours were found.
     pub fat_bounds: FatBounds,
 }
 
@@ -49,87 +49,87 @@ impl Body {
 }
 
 impl Body {
-    /// Its rest shape at its own scale.
+    /// Its rest shape at the body's scale.
     pub fn rest(&self) -> Rest<'_> {
         self.mesh.at(self.radius)
     }
 
-    /// What was allocated for it [bytes].
+    /// Memory allocated for the body [bytes].
     pub fn memory(&self) -> usize {
         self.neighbours.capacity() * size_of::<Neighbour>() + size_of_val(&*self.pushes)
     }
 }
 
-/// A body that isn't at rest.
+/// The state of a body that isn't at rest.
 pub(super) struct Active {
     /// Index of the body.
     pub body: u32,
-    /// What its vertices do.
+    /// The state of its vertices.
     pub state: BodyState,
-    /// What the active set was chosen for.
+    /// The conditions for which the active set was selected.
     pub chosen: Chosen,
-    /// How far it can get in this step, and who can reach it.
+    /// How far its vertices can get in this step, and which bodies can reach it.
     pub bounds: StepBounds,
-    /// What its last step took.
+    /// Statistics of its last step.
     pub statistics: StepStatistics,
 }
 
-/// The state of a body's vertices. It is that at the end of the last step as long as the body is awake; of one that isn't, as
-/// it was when it was last needed: nothing acts on it, so that the flow takes it to any later time.
+/// The state of a body's vertices: at the end of the last step if the body is awake, otherwise as of the last time it
+/// was needed. Nothing acts on a sleeping body, so the flow advances it to any later time.
 pub(super) struct BodyState {
     /// ω and κ of its vertices.
     pub oscillator: Oscillator,
-    /// What all its vertices do alike …
+    /// The motion that all its vertices share, as of step [`BodyState::common_as_of`].
     pub common: Common,
-    /// … at the end of this step.
+    /// The step at whose end [`BodyState::common`] is valid.
     pub common_as_of: u64,
-    /// What single vertices do beyond that.
+    /// The motion of single vertices beyond that.
     pub deformation: Deformation,
-    /// Bounds over these.
+    /// Bounds over both.
     pub state_bounds: StateBounds,
-    /// What √(|u|² + ω²|x|²) of no vertex can exceed, whatever happened so far: it grows by no more than the forces
-    /// that the body was under [scene unit/s].
+    /// An upper bound of √(|u|² + ω²|x|²) of every vertex, whatever has happened so far: it grows by no more than the
+    /// forces that acted on the body [scene unit/s].
     pub bound: f64,
 }
 
-/// What an active set was chosen for, which is good until spheres have moved too far.
+/// The conditions for which an active set was selected. It is valid until spheres have moved too far.
 #[derive(Default)]
 pub(super) struct Chosen {
-    /// Where the spheres were.
+    /// Where the spheres were when the active set was selected.
     pub seen: Vec<Seen>,
-    /// The responses to pushes then [scene unit].
+    /// The responses to pushes when the active set was selected [scene unit].
     pub pushed: Vec<f64>,
-    /// How far the spheres may move before it is chosen anew [scene unit].
+    /// How far the spheres may move before it is selected again [scene unit].
     pub skin: f64,
 }
 
-/// Bounds of what can happen to a body in a step.
+/// Bounds on what can happen to a body in a step.
 pub(super) struct StepBounds {
     /// Bodies whose spheres can reach it.
     pub reachable: Vec<Neighbour>,
-    /// How far from the centre it can have vertices [scene unit].
+    /// The largest distance of its vertices from the centre in this step [scene unit].
     pub farthest: f64,
-    /// A bound of the acceleration of any vertex by spheres [scene unit/s²].
+    /// A bound on the acceleration of any vertex by spheres [scene unit/s²].
     pub pull: f64,
-    /// How far from the centre it can have vertices in this step, or later if nothing else acts [scene unit].
+    /// The largest distance of its vertices from the centre in this step, or later if nothing else acts [scene unit].
     pub max_reach: f64,
-    /// Whether no sphere is so near that it would be reached then.
+    /// Whether no sphere is near enough to be reached within [`StepBounds::max_reach`].
     pub may_sleep: bool,
 }
 
-/// Where a sphere was when an active set was chosen.
+/// Where a sphere was when an active set was selected.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seen {
     /// Index of the body that it belongs to.
     pub body: u32,
-    /// Its centre relative to the body's, shifted by what all vertices do alike [scene unit].
+    /// Its centre relative to the body's, shifted by the motion that all vertices share [scene unit].
     pub centre: DVec3,
-    /// How far all rest positions of the active set were outside of it [scene unit].
+    /// Distance of the sphere's surface from the nearest rest position of the active set [scene unit].
     pub clear: f64,
 }
 
 impl Active {
-    /// Body `index` of the scene, at rest; `pushes` act on it at some time.
+    /// Body `index` of the scene, at rest; `pushes` is the number of pushes that act on it at some time.
     pub fn new(scene: &Scene, index: usize, pushes: usize, step: u64) -> Active {
         let material = scene.bodies[index].material;
         Active {
@@ -148,7 +148,7 @@ impl Active {
         }
     }
 
-    /// What was allocated for it [bytes].
+    /// Memory allocated for the body's state [bytes].
     pub fn memory(&self) -> usize {
         self.state.deformation.memory()
             + self.state.common.pushed.capacity() * size_of::<Pushed>()
@@ -162,18 +162,18 @@ impl Active {
         self.state.deformation.is_empty() && self.state.common.is_zero()
     }
 
-    /// Whether it may be left alone when nothing acts on it: where vertices swing, that has an end.
+    /// Whether the body may sleep when nothing acts on it: vertices that oscillate must decay.
     pub fn can_sleep(&self) -> bool {
         self.state.oscillator.omega > 0.0 || self.is_at_rest()
     }
 
-    /// What all its vertices do alike at the end of the last step.
+    /// The motion that all its vertices share, at the end of the last step.
     pub fn common_at(&self, now: Now) -> Common {
         let flow = self.common_flow(now);
         Common { carried: flowed(self.state.common.carried, flow), pushed: self.pushed_at(flow).collect() }
     }
 
-    /// Adds that to the states of all vertices of `mesh`, which are zero.
+    /// Adds the shared motion to the states of all vertices of `mesh`, which are zero.
     pub fn add_common_to(
         &self,
         mesh: &Mesh,
@@ -195,7 +195,7 @@ impl Active {
         }
     }
 
-    /// The flow that takes what all vertices do alike to the end of the last step.
+    /// The flow that advances the shared motion to the end of the last step.
     fn common_flow(&self, now: Now) -> [f64; 4] {
         let steps = now.step - self.state.common_as_of;
         if steps == 0 || self.state.common.is_zero() {
@@ -205,7 +205,7 @@ impl Active {
         let [xx, xu, ux, uu] = flow;
         let (x, momentum) = self.state.common.bounds(now.oscillator.omega);
         let left = (xx.abs() + ux.abs()) * x + (xu.abs() + uu.abs()) * momentum;
-        // numbers that are much smaller still are slow to compute with
+        // subnormal numbers are slow to compute with
         if left < REST { [0.0; 4] } else { flow }
     }
 
@@ -213,13 +213,13 @@ impl Active {
         self.state.common.pushed.iter().map(move |&Pushed { x, u }| Pushed { x: xx * x + xu * u, u: ux * x + uu * u })
     }
 
-    /// When it is looked at.
+    /// The time at which its state is wanted.
     pub fn now(&self, step: u64, dt: f64, arch: Arch) -> Now {
         Now { step, dt, oscillator: self.state.oscillator, arch }
     }
 
-    /// How far from rest its vertices swing if nothing else acts [scene unit]: no less than any |x|, and unlike those
-    /// it does not swing itself.
+    /// An upper bound of |x| of every vertex, now and later if nothing else acts [scene unit]. Unlike |x| itself it
+    /// does not oscillate.
     pub fn amplitude(&self) -> f64 {
         let omega = self.state.oscillator.omega;
         let (x, momentum) = self.state.common.bounds(omega);
@@ -228,14 +228,14 @@ impl Active {
         swings.max(self.state.deformation.free_vertices.largest)
     }
 
-    /// How far from rest it can have vertices within `h` [s] if no more than `common` and `single` [scene unit/s²] act on
-    /// all and on single ones.
+    /// The largest distance of its vertices from rest within `h` [s] if accelerations of at most `common` and `single`
+    /// [scene unit/s²] act on all vertices and on single ones.
     pub fn farthest(&self, common: f64, single: f64, h: f64) -> f64 {
         let omega = self.state.oscillator.omega;
         let (displacement, momentum) = self.state.common.bounds(omega);
         let (mut alike, mut own) = (StateBounds { displacement, momentum }, self.state.state_bounds);
         if self.statistics.substeps == 0 && omega > 0.0 {
-            // left to the flow, it has swung on since these were found
+            // the flow has continued the oscillation since these bounds were computed
             for state_bounds in [&mut alike, &mut own] {
                 state_bounds.displacement = state_bounds.momentum / omega;
             }
@@ -243,8 +243,8 @@ impl Active {
         alike.after(self.state.oscillator, common, h) + own.after(self.state.oscillator, single, h)
     }
 
-    /// Whether its state is one that the equation of motion cannot lead to: not finite, or far beyond [`Active::bound`].
-    /// The margin leaves room for schemes that are merely inaccurate.
+    /// Whether its state is one that the equation of motion cannot lead to: not finite, or far beyond the bound
+    /// [`BodyState::bound`]. The margin leaves room for schemes that are merely inaccurate.
     pub fn has_diverged(&self) -> bool {
         const MARGIN: f64 = 100.0;
         let StateBounds { displacement, momentum } = self.state.state_bounds;
@@ -254,7 +254,7 @@ impl Active {
     }
 }
 
-/// What a flow makes of a state.
+/// Applies a flow to a state.
 fn flowed(State { x, u }: State, [xx, xu, ux, uu]: [f64; 4]) -> State {
     State { x: xx * x + xu * u, u: ux * x + uu * u }
 }
@@ -280,7 +280,7 @@ impl WithSimd for AddPush<'_> {
 
 #[inline(always)]
 fn add_push(facing: &Vectors, d: DVec3, pushed: Pushed, displacement: &mut Vectors, velocity: &mut Vectors) {
-    // slices of one length, so that the loop has no bounds to check and is vectorised
+    // slices of equal length, so that the loop needs no bounds checks and vectorises
     let n = facing.len();
     let (lx, ly, lz) = (&facing.x[..n], &facing.y[..n], &facing.z[..n]);
     let [x, y, z] = [&mut displacement.x[..n], &mut displacement.y[..n], &mut displacement.z[..n]];
@@ -298,7 +298,7 @@ fn add_push(facing: &Vectors, d: DVec3, pushed: Pushed, displacement: &mut Vecto
     }
 }
 
-/// Bounds over the vertices of a body, from which it is told how far they can get in a step.
+/// Bounds over the vertices of a body, from which follows how far they can get in a step.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct StateBounds {
     /// Largest |x| [scene unit].
@@ -308,7 +308,7 @@ pub(super) struct StateBounds {
 }
 
 impl StateBounds {
-    /// The bounds of a state; NaN if any of it isn't.
+    /// The bounds of a state; NaN if any of it is NaN.
     pub fn of(deformation: &Deformation, oscillator: Oscillator, arch: Arch) -> StateBounds {
         let omega_squared = oscillator.omega * oscillator.omega;
         let [x2, m2] = arch.dispatch(Largest { active_set: &deformation.active_set, omega_squared });
@@ -317,10 +317,10 @@ impl StateBounds {
         StateBounds { displacement: larger(x2.sqrt(), free_vertices), momentum: larger(m2.sqrt(), swings) }
     }
 
-    /// How far from its rest position a vertex can get within `h` [s] under no more than `force` [scene unit/s²].
+    /// The largest distance of a vertex from its rest position within `h` [s] under at most `force` [scene unit/s²].
     ///
-    /// Without force √(|u|² + ω²|x|²) never grows, and under one at no more than its size: so |x| grows by no more
-    /// than that times h, nor beyond that over ω.
+    /// Without force √(|u|² + ω²|x|²) never grows; under a force it grows at most at the rate of the force. So |x|
+    /// grows by no more than this bound times h, and never exceeds the bound over ω.
     pub fn after(&self, oscillator: Oscillator, force: f64, h: f64) -> f64 {
         let momentum = self.momentum + force * h;
         let travelled = self.displacement + momentum * h;

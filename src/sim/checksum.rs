@@ -1,9 +1,9 @@
 //! One number for the exact state of a world, so that two runs can be compared step by step.
 //!
-//! What is hashed is what is kept, however old: so looking changes nothing, and the cost follows the bodies that are
-//! stepped. Bodies and pairs are hashed apart and their hashes added, so that those to which nothing happens need not be
-//! hashed again. Every instruction set comes to the same, as to the same state; but for the sign of a zero, which is
-//! therefore left out, and has no consequences.
+//! The hash covers what is stored, however old it is: so observation does not change it, and its cost follows the
+//! bodies that are stepped. Bodies and pairs are hashed separately and their hashes added, so that unchanged ones need
+//! not be hashed again. Every instruction set gives the same hash because it gives the same state, except for the sign
+//! of zero, which has no effect and is left out.
 
 use pulp::{Arch, Simd, WithSimd, bytemuck};
 
@@ -16,12 +16,12 @@ use super::{
 };
 use crate::model::phase::Phase;
 
-/// The sum of the hashes of bodies; none of one at rest.
+/// The sum of the hashes of bodies; a body at rest adds nothing.
 pub(super) fn of_bodies(arch: Arch, bodies: &[Active]) -> u64 {
     arch.dispatch(Bodies(bodies))
 }
 
-/// That of a world, from the number of steps taken and the sum of the hashes of all that is kept.
+/// The hash of a world, from the number of steps taken and the sum of the hashes of all stored states.
 pub(super) fn of_world(step: u64, sum: u64) -> u64 {
     mix(mix(step.wrapping_add(SEED)).wrapping_add(sum))
 }
@@ -34,7 +34,7 @@ impl WithSimd for Bodies<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> u64 {
-        // no closure: it would not know the instruction set
+        // not a closure, which would not inherit the target features
         let mut sum = 0u64;
         for active in self.0 {
             sum = sum.wrapping_add(active.hash(simd));
@@ -44,7 +44,7 @@ impl WithSimd for Bodies<'_> {
 }
 
 impl Active {
-    /// A hash of what is kept of a body; 0 for one at rest.
+    /// A hash of the stored state of a body; 0 for one at rest.
     #[inline(always)]
     fn hash<S: Simd>(&self, simd: S) -> u64 {
         if self.is_at_rest() {
@@ -74,7 +74,8 @@ impl Active {
 }
 
 impl Deformation {
-    /// A hash of all that doesn't change from step to step, kept until it does: what swings freely, and who is where.
+    /// A hash of all that is constant from step to step, cached until it changes: the free vertices, and which vertices
+    /// are active.
     #[inline(always)]
     fn hash_of_kept<S: Simd>(&self, simd: S) -> u64 {
         if let Some(hash) = self.hash_of_kept.get() {
@@ -98,7 +99,7 @@ impl Deformation {
 }
 
 impl Pair {
-    /// A hash of the pair and its phase; 0 if it is apart, as those are that are not known.
+    /// A hash of the pair and its phase; 0 if it is apart, like pairs that are not listed.
     pub fn hash(&self) -> u64 {
         let phase = match self.phase {
             Phase::Apart => return 0,
@@ -114,7 +115,7 @@ pub fn sequence(words: impl IntoIterator<Item = u64>) -> u64 {
     words.into_iter().fold(0, followed_by)
 }
 
-/// The hash of a sequence that goes on with `next`; 0 for none.
+/// The hash of a sequence extended by `next`; 0 for the empty sequence.
 pub fn followed_by(hash: u64, next: u64) -> u64 {
     mix(hash ^ mix(next.wrapping_add(SEED)))
 }
@@ -124,11 +125,11 @@ pub fn bits(number: f64) -> u64 {
     (number + 0.0).to_bits()
 }
 
-/// Any number but a simple one: 2⁶⁴ over the golden ratio.
+/// An arbitrary number without a simple pattern: 2⁶⁴ over the golden ratio.
 const SEED: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// Makes every bit of the result depend on every bit, and no two numbers the same (the finalizer of `SplitMix64`, Steele
-/// et al. 2014, in Stafford's variant 13).
+/// Makes every bit of the result depend on every bit of the input, one-to-one (the finalizer of `SplitMix64`, Steele et
+/// al. 2014, in Stafford's variant 13).
 #[inline(always)]
 const fn mix(hash: u64) -> u64 {
     let hash = (hash ^ hash >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -136,18 +137,19 @@ const fn mix(hash: u64) -> u64 {
     hash ^ hash >> 31
 }
 
-/// A hash of a sequence of numbers, as many of it side by side as vertices are: a rotation and an addition for several at
-/// once are next to nothing beside what it took to compute them. Each is one-to-one in what was and in what comes.
+/// A hash of a sequence of numbers, in parallel lanes like the vertices: one rotation and one addition for several
+/// numbers at once, which is negligible beside the cost of computing them. Each update is one-to-one in the old state
+/// and in the input.
 struct Lanes<S: Simd> {
     simd: S,
     /// The first `LANES / S::U64_LANES` are used.
     state: [S::u64s; LANES],
 }
 
-/// By so many bits the two halves of a number are rotated: of all odd numbers this is one of those that take longest to
-/// lead a bit back to near where it was.
+/// Number of bits by which the two halves of a number are rotated. Among odd numbers, this is one of those after which
+/// a bit takes longest to return near its old place.
 const ROTATION: u32 = 15;
-/// One for each lane, odd, so that they cannot change places, nor changes of several make up for each other.
+/// One odd factor per lane, so that lanes cannot be swapped and changes in several lanes cannot cancel.
 const FACTORS: [u64; LANES] = {
     let mut factors = [0; LANES];
     let mut lane = 0;
@@ -157,7 +159,7 @@ const FACTORS: [u64; LANES] = {
     }
     factors
 };
-/// All of a block, and what is beside it: none.
+/// Masks: ones for a whole block, then zeros for what follows it.
 const MASKS: [f64; 2 * LANES] = {
     let mut masks = [0.0; 2 * LANES];
     let mut lane = 0;
@@ -218,7 +220,7 @@ impl<S: Simd> Lanes<S> {
         }
     }
 
-    /// Of the last block `count` numbers count; the rest is padding.
+    /// Adds the first `count` numbers of the last block; the rest is padding.
     #[inline(always)]
     fn add_first(&mut self, numbers: &[f64; LANES], count: usize) {
         let simd = self.simd;
@@ -254,7 +256,7 @@ mod tests {
         arrays::{Block, Blocks},
     };
 
-    /// Two bodies held together, one vertex of each near the other's sphere at least, others free.
+    /// Two merged bodies, each with at least one vertex near the other's sphere and other vertices free.
     fn merged() -> World {
         let mut world = World::new(Scene::builtin("two").unwrap()).unwrap();
         for _ in 0..120 {
@@ -264,7 +266,7 @@ mod tests {
         world
     }
 
-    /// A coordinate of the displacements or velocities of a body: six of the active set, six of those that swing.
+    /// One coordinate of the displacements or velocities of a body: six of the active set, six of the free vertices.
     fn axis(active: &mut Active, number: usize) -> Vec<&mut f64> {
         fn of<const V: usize>(blocks: &mut Blocks<V>, v: usize, axis: usize, count: usize) -> Vec<&mut f64> {
             blocks.all_mut().iter_mut().flat_map(|block| &mut block.0[v][axis]).take(count).collect()
@@ -308,7 +310,7 @@ mod tests {
         assert_ne!(world.checksum(), before);
     }
 
-    /// Differences that come in pairs, as those of a symmetric motion do, don't cancel.
+    /// Differences that come in pairs, as in a symmetric motion, don't cancel.
     #[test]
     fn pairs_of_changes_count() {
         let mut world = merged();

@@ -1,8 +1,8 @@
-//! What single vertices of a body do, beyond what all of them do alike.
+//! The motion of single vertices of a body, beyond the motion that all of them share.
 //!
-//! A vertex that nothing single ever happened to has no state. One near a sphere is in the active set, where its state is that
-//! at the end of the last step. One that a sphere has left alone swings freely: its state is kept as it was then, and the
-//! exact flow takes it to any later time in one go, when somebody asks.
+//! A vertex that has only ever followed the shared motion has no state here. One near a sphere is in the active set,
+//! which holds its state at the end of the last step. One that no sphere reaches any more is free: its state is kept as
+//! of the time it was released, and the exact flow advances it to any later time at once, on request.
 
 use std::{cell::Cell, sync::OnceLock};
 
@@ -15,91 +15,91 @@ use super::{
 };
 use crate::{geometry::Rest, model::oscillator::Oscillator, scene::Push};
 
-/// The single vertices of a body that are not at rest.
+/// The state of the single vertices of a body that are not at rest.
 #[derive(Clone, Debug, Default)]
 pub struct Deformation {
     /// Those near a sphere.
     pub active_set: ActiveSet,
-    /// Those that swing freely.
+    /// Those that oscillate freely.
     pub free_vertices: FreeVertices,
-    /// Of all but the states of the active set, when it was asked for since that last changed.
+    /// Cached hash of everything but the states of the active set; unset when that has changed.
     pub hash_of_kept: OnceLock<u64>,
 }
 
-/// Where a block has displacements [scene unit], …
+/// Index of the displacements in a block [scene unit].
 pub const DISPLACEMENT: usize = 0;
-/// … velocities [scene unit/s] …
+/// Index of the velocities in a block [scene unit/s].
 pub const VELOCITY: usize = 1;
-/// … and, of the active set, rest positions [scene unit].
+/// Index of the rest positions in a block of the active set [scene unit].
 const REST_POSITION: usize = 2;
 
-/// Vertices that take every step.
+/// Vertices that are advanced in every step.
 #[derive(Clone, Debug, Default)]
 pub struct ActiveSet {
-    /// Which they are.
+    /// Indices of these vertices.
     pub vertices: Vec<u32>,
-    /// Displacements and velocities at the end of the last step, and rest positions; padded with repetitions of the last
+    /// Displacements and velocities at the end of the last step, and rest positions; padded by repeating the last
     /// vertex.
     pub blocks: Blocks<3>,
 }
 
-/// Vertices that swing freely.
+/// Vertices that oscillate freely.
 #[derive(Clone, Debug, Default)]
 pub struct FreeVertices {
-    /// Which they are, ascending.
+    /// Indices of these vertices, ascending.
     pub vertices: Vec<u32>,
-    /// The step at whose end they had the states below.
+    /// The step at whose end they had the states in `blocks`.
     pub as_of: u64,
-    /// Displacements and velocities then.
+    /// Displacements and velocities at the end of step `as_of`.
     pub blocks: Blocks<2>,
-    /// How far any of them swings at most [scene unit].
+    /// An upper bound of their amplitudes [scene unit].
     pub largest: f64,
 }
 
-/// What all vertices of a body do by themselves, for an active set to be chosen; reused from step to step.
+/// Buffers for selecting an active set, with the state of every vertex; reused from step to step.
 #[derive(Clone, Debug, Default)]
 pub struct Scratch {
     displacement: Vectors,
     velocity: Vectors,
-    /// How far each swings [scene unit].
+    /// Amplitude of each vertex [scene unit].
     amplitudes: Vec<f64>,
-    /// Which are to be in the active set …
+    /// The vertices selected for the active set.
     active_set: Vec<u32>,
-    /// … of which these are inside of no sphere …
+    /// Those of the active set that are inside no sphere.
     outside: Vec<u32>,
-    /// … and which are to swing freely.
+    /// The vertices that are to be free.
     free_vertices: Vec<u32>,
 }
 
-/// The time that a state is wanted at.
+/// The time at which a state is wanted.
 #[derive(Clone, Copy, Debug)]
 pub struct Now {
     /// Steps taken.
     pub step: u64,
     /// Δt [s].
     pub dt: f64,
-    /// Of the body.
+    /// The body's oscillator.
     pub oscillator: Oscillator,
     /// The instruction set of the kernels.
     pub arch: Arch,
 }
 
-/// What is by less than this away from rest, or moves by less, is at rest [scene unit, scene unit/s]: numbers that are much
-/// smaller still are slow to compute with.
+/// A displacement or velocity below this counts as rest [scene unit, scene unit/s]: subnormal numbers are slow to
+/// compute with.
 pub const REST: f64 = 1e-150;
 
-/// The larger of two numbers, or NaN: `f64::max` would pass over that.
+/// The larger of two numbers, or NaN if either is NaN, which `f64::max` would ignore.
 pub fn larger(a: f64, b: f64) -> f64 {
     if b > a || b.is_nan() { b } else { a }
 }
 
 impl Deformation {
-    /// Whether nothing single has happened to any vertex.
+    /// Whether every vertex has only followed the shared motion.
     pub fn is_empty(&self) -> bool {
         self.active_set.vertices.is_empty() && self.free_vertices.vertices.is_empty()
     }
 
-    /// What was allocated for it [bytes].
+    /// Memory allocated for the deformation [bytes].
     pub fn memory(&self) -> usize {
         let Deformation { active_set, free_vertices, .. } = self;
         active_set.blocks.memory()
@@ -119,7 +119,7 @@ impl Deformation {
         place.map_or(State::default(), |i| self.active_set.state(i))
     }
 
-    /// Adds the states of all vertices at the end of the last step to those in the arrays.
+    /// Adds the states of all vertices at the end of the last step to the arrays.
     pub fn add_to(&self, displacement: &mut Vectors, velocity: &mut Vectors, now: Now) {
         for (i, &vertex) in self.active_set.vertices.iter().enumerate() {
             let (v, State { x, u }) = (vertex as usize, self.active_set.state(i));
@@ -135,7 +135,7 @@ impl Deformation {
         }
     }
 
-    /// Sets the arrays to the states of all vertices at the end of the last step, if all swing freely; whether they do.
+    /// If all vertices are free, sets the arrays to their states at the end of the last step and returns true.
     pub fn all_free_into(&self, displacement: &mut Vectors, velocity: &mut Vectors, now: Now) -> bool {
         let free_vertices = &self.free_vertices;
         let all = free_vertices.vertices.len() == displacement.len();
@@ -145,7 +145,7 @@ impl Deformation {
         true
     }
 
-    /// Puts all vertices into the active set, in their order, those that were at rest with a state of zero.
+    /// Puts all vertices into the active set, in order; those at rest get a state of zero.
     pub fn wake_all(&mut self, rest: Rest<'_>) {
         if !self.is_empty() {
             return;
@@ -160,7 +160,7 @@ impl Deformation {
         self.active_set.pad_again();
     }
 
-    /// Makes what all vertices do alike part of what each does, all of them being in the active set.
+    /// Moves the shared motion into the states of the single vertices, all of which are in the active set.
     pub fn absorb(&mut self, common: &mut Common, rest: Rest<'_>, pushes: &[Push]) {
         if common.is_zero() {
             return;
@@ -175,14 +175,14 @@ impl Deformation {
         common.pushed.fill(Pushed::default());
     }
 
-    /// Puts all vertices at rest.
+    /// Puts all vertices to rest.
     pub fn clear(&mut self) {
         self.hash_of_kept.take();
         self.active_set.clear();
         self.free_vertices.clear();
     }
 
-    /// The states of all vertices, and how far each swings by itself.
+    /// Gathers the states of all vertices and the amplitude of each.
     fn gather(&self, count: usize, now: Now, scratch: &mut Scratch) {
         let Scratch { displacement, velocity, amplitudes, .. } = scratch;
         displacement.reset(count);
@@ -201,8 +201,8 @@ impl Deformation {
         now.arch.dispatch(Amplitudes { omega: now.oscillator.omega, displacement, velocity, amplitudes });
     }
 
-    /// Chooses the active set anew: the vertices whose `gap` [scene unit], by which their rest position is outside of every
-    /// sphere, is no more than `skin` and what they may swing. The others swing freely from now on.
+    /// Selects the active set: the vertices whose `gap` [scene unit], the distance of their rest position from the
+    /// nearest sphere, is no more than `skin` plus their amplitude. The others are free from now on.
     pub fn choose_active_set(&mut self, rest: Rest<'_>, gap: &[f64], skin: f64, now: Now, scratch: &mut Scratch) {
         self.hash_of_kept.take();
         self.gather(rest.len(), now, scratch);
@@ -211,7 +211,7 @@ impl Deformation {
             list.clear();
             list.reserve(rest.len());
         }
-        // Those inside a sphere first: vertices side by side then have the same to do. NaN is in.
+        // Those inside a sphere come first, so that neighbouring lanes do the same work. NaN counts as inside.
         for (v, (&gap, &amplitude)) in (0..).zip(gap.iter().zip(&*amplitudes)) {
             if gap < 0.0 {
                 active_set.push(v);
@@ -226,7 +226,7 @@ impl Deformation {
         self.free_vertices.take(free_vertices, displacement, velocity, amplitudes, now);
     }
 
-    /// Lets all vertices swing freely from now on.
+    /// Releases all vertices: they are free from now on.
     pub fn release(&mut self, count: usize, now: Now, scratch: &mut Scratch) {
         if self.active_set.vertices.is_empty() {
             return;
@@ -240,7 +240,7 @@ impl Deformation {
     }
 }
 
-/// Adds to displacements and velocities what a flow makes of those of all vertices.
+/// Applies a flow to the states of all vertices and adds the result to displacements and velocities.
 struct FreeVertex<'a> {
     flow: [f64; 4],
     free_vertices: &'a FreeVertices,
@@ -271,7 +271,7 @@ impl WithSimd for FreeVertex<'_> {
     }
 }
 
-/// One coordinate of that, of a block or what there is of it.
+/// One coordinate of [`FreeVertex`], for one block or part of one.
 #[inline(always)]
 fn free_into([xx, xu, ux, uu]: [f64; 4], [x, u]: [&[f64; LANES]; 2], displacement: &mut [f64], velocity: &mut [f64]) {
     if let (Ok(displacement), Ok(velocity)) =
@@ -293,7 +293,7 @@ fn free_into([xx, xu, ux, uu]: [f64; 4], [x, u]: [&[f64; LANES]; 2], displacemen
     velocity.copy_from_slice(&swung[1][..n]);
 }
 
-/// How far from rest each vertex swings by itself [scene unit]: no less than |x| at any time to come.
+/// Amplitude of each vertex [scene unit]: an upper bound of |x| at any later time.
 struct Amplitudes<'a> {
     omega: f64,
     displacement: &'a Vectors,
@@ -307,7 +307,7 @@ impl WithSimd for Amplitudes<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let Amplitudes { omega, displacement, velocity, amplitudes } = self;
-        // slices of one length, so that the loops have no bounds to check and are vectorised
+        // slices of equal length, so that the loops need no bounds checks and vectorise
         let n = amplitudes.len();
         let [x, y, z] = [&displacement.x[..n], &displacement.y[..n], &displacement.z[..n]];
         let [u, v, w] = [&velocity.x[..n], &velocity.y[..n], &velocity.z[..n]];
@@ -326,7 +326,7 @@ impl WithSimd for Amplitudes<'_> {
 }
 
 thread_local! {
-    /// The flow that was asked for last: most bodies of a scene have the same oscillator.
+    /// The flow that was last requested: most bodies of a scene have the same oscillator.
     static LAST_FLOW: Cell<(Oscillator, f64, [f64; 4])> =
         const { Cell::new((Oscillator { omega: 0.0, damping: 0.0 }, 0.0, [1.0, 0.0, 0.0, 1.0])) };
 }
@@ -343,18 +343,18 @@ fn flow(oscillator: Oscillator, h: f64) -> [f64; 4] {
 }
 
 impl ActiveSet {
-    /// Rest position of the `i`-th [scene unit].
+    /// Rest position of vertex number `i` of the set [scene unit].
     pub fn rest(&self, i: usize) -> DVec3 {
         self.blocks.get(REST_POSITION, i)
     }
 
-    /// State of the `i`-th.
+    /// State of vertex number `i` of the set.
     #[inline]
     pub fn state(&self, i: usize) -> State {
         State { x: self.blocks.get(DISPLACEMENT, i), u: self.blocks.get(VELOCITY, i) }
     }
 
-    /// Replaces the state of the `i`-th.
+    /// Replaces the state of vertex number `i` of the set.
     #[inline]
     pub fn set_state(&mut self, i: usize, State { x, u }: State) {
         self.blocks.set(DISPLACEMENT, i, x);
@@ -366,7 +366,7 @@ impl ActiveSet {
         self.blocks.clear();
     }
 
-    /// Becomes what is listed, of all vertices of a body.
+    /// Replaces the set by the listed vertices, with their states from the arrays of all vertices.
     fn take(&mut self, list: &[u32], rest: Rest<'_>, displacement: &Vectors, velocity: &Vectors) {
         self.vertices.clear();
         self.vertices.extend_from_slice(list);
@@ -379,7 +379,7 @@ impl ActiveSet {
         self.pad_again();
     }
 
-    /// Puts the states where they belong among those of all vertices.
+    /// Scatters the states into the arrays of all vertices.
     fn scatter(&self, displacement: &mut Vectors, velocity: &mut Vectors) {
         for (i, &vertex) in self.vertices.iter().enumerate() {
             let State { x, u } = self.state(i);
@@ -388,14 +388,14 @@ impl ActiveSet {
         }
     }
 
-    /// Repeats the last again after all have been changed.
+    /// Repeats the last vertex in the padding after all have changed.
     pub fn pad_again(&mut self) {
         self.blocks.pad(self.vertices.len());
     }
 }
 
 impl FreeVertices {
-    /// The flow that takes them to the end of the last step; `None` if there is nothing left of them by then.
+    /// The flow that advances them to the end of the last step; `None` if they have decayed to rest by then.
     fn flow(&self, now: Now) -> Option<[f64; 4]> {
         let steps = now.step - self.as_of;
         if steps == 0 || self.vertices.is_empty() {
@@ -409,7 +409,7 @@ impl FreeVertices {
         (!(left < REST)).then_some(flow)
     }
 
-    /// The state that a flow makes of one of them.
+    /// The state of one of them after a flow.
     #[inline(always)]
     fn state(&self, i: usize, [xx, xu, ux, uu]: [f64; 4]) -> State {
         let (x, u) = (self.blocks.get(DISPLACEMENT, i), self.blocks.get(VELOCITY, i));
@@ -422,7 +422,7 @@ impl FreeVertices {
         self.largest = 0.0;
     }
 
-    /// Becomes what is listed, of all vertices of a body.
+    /// Replaces the set by the listed vertices, with their states from the arrays of all vertices.
     fn take(&mut self, list: &[u32], displacement: &Vectors, velocity: &Vectors, amplitudes: &[f64], now: Now) {
         self.as_of = now.step;
         self.vertices.clear();
@@ -435,7 +435,7 @@ impl FreeVertices {
         self.largest = list.iter().map(|&v| amplitudes[v as usize]).fold(0.0, larger);
     }
 
-    /// Puts the states that a flow makes of them where they belong among those of all vertices.
+    /// Applies a flow to the states and scatters the result into the arrays of all vertices.
     fn scatter(&self, flow: [f64; 4], displacement: &mut Vectors, velocity: &mut Vectors) {
         for (i, &vertex) in self.vertices.iter().enumerate() {
             let State { x, u } = self.state(i, flow);

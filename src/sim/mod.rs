@@ -1,40 +1,41 @@
-//! The simulation: a [`World`] made from a scene, stepped, and looked at.
+//! The simulation: a [`World`] built from a scene, its time step, and access to its state.
 //!
 //! | what | where |
 //! | --- | --- |
 //! | the world and its step | [`world`] |
-//! | the state of one body, and its turn in a step | `body`, `advance` |
+//! | the state of one body and how a step advances it | `body`, `advance` |
 //! | the bodies that are not at rest | `active_set` |
-//! | what single vertices do beyond what all of them do | `deformation` |
-//! | what acts on vertices, one file a force term | [`terms`] |
-//! | the frame of a body in the course of a step, and those of all that move | [`track`], `tracks` |
-//! | who can touch whom | `neighbours` of `pairs`, by a grid in [`reach`] |
+//! | per-vertex state beyond the motion that all vertices share | `deformation` |
+//! | what acts on vertices, one file per force term | [`terms`] |
+//! | the frame of a body during a step, and the frames of all moving bodies | [`track`], `tracks` |
+//! | broad phase: which bodies can touch | `neighbours` of `pairs`, by a grid in [`reach`] |
 //! | when pairs merge, split, enter and leave their core | [`events`] |
 //! | how a vertex is advanced | [`integrator`] |
-//! | bodies that nobody moves: a solver by itself | [`free`] |
-//! | forces by cause, energy: looking at a state | [`observe`] |
-//! | all that instruments know of it | [`simulation`] |
-//! | what happens inside of a step, on request | [`stages`] |
+//! | free bodies: a self-contained solver | [`free`] |
+//! | observation: forces by cause, energy | [`observe`] |
+//! | the interface to instruments | [`simulation`] |
+//! | the stages inside a step, on request | [`stages`] |
 //! | what a step reports | [`report`] |
-//! | how much a step may take | [`work`] |
+//! | how much work a step may do | [`work`] |
 //! | one number for the exact state | [`checksum`] |
-//! | what a scene needs before it is built | [`memory`] |
+//! | memory that a scene needs, estimated before it is built | [`memory`] |
 //!
-//! Nothing here knows Rerun, files or clocks beyond the step's own timers.
+//! This module does not depend on Rerun or files, nor on clocks other than the step's own timers.
 //!
 //! # What a step skips
 //! Step cost scales with active interactions, not with vertices, and skipping changes no result:
 //!
-//! - **Broad phase**: a grid with a level for each size of body finds pairs; its result holds until a body leaves its fat
-//!   bounds. Only bodies that move are checked in a step.
-//! - **Bodies at rest cost nothing**: no memory for their vertices, no time in a step. They wake when a push begins, when their
-//!   own motion acts on them, when a sphere can reach them.
-//! - **What all vertices of a body do alike**, by its own motion or a push, is a few numbers per body.
-//! - **Only the active set is stepped**: the vertices near a sphere, chosen anew when spheres have moved by a tenth of a radius.
-//!   All other vertices are free, and the exact flow takes them over any number of steps at once when a sphere or an observer
-//!   needs them: `run --every 10` pays for a tenth of the observation.
+//! - **Broad phase**: a multi-level grid, one level per size class, finds pairs. Its result holds until a body leaves
+//!   its fat bounds. A step checks only bodies that move.
+//! - **Bodies at rest cost nothing**: no memory for their vertices, no time in a step. They wake when a push begins,
+//!   when their own motion acts on them, or when a sphere can reach them.
+//! - **Motion shared by all vertices of a body**, caused by the body's own motion or a push, is a few numbers per body.
+//! - **Only the active set is stepped**: the vertices near a sphere, selected again after spheres have moved by a tenth
+//!   of a radius. All other vertices are free. The exact flow advances them over any number of steps at once when a
+//!   sphere or an observer needs them: `run --every 10` pays for a tenth of the observation.
 //! - **Only contributing spheres are summed**: those that can reach the active set.
-//! - The active set is stepped in SIMD lanes (AVX-512, AVX2 or SSE2), bodies on as many threads as pay off, to the same bits.
+//! - The active set is stepped in SIMD lanes (AVX-512, AVX2 or SSE2), and bodies on as many threads as pay off, with
+//!   bit-identical results.
 
 mod active_set;
 mod advance;
@@ -81,7 +82,7 @@ impl Span {
         self.end - self.start
     }
 
-    /// Whether `t` [s] is inside of it.
+    /// Whether `t` [s] is inside the interval.
     fn holds(&self, t: f64) -> bool {
         self.start < t && t < self.end
     }

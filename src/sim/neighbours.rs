@@ -1,4 +1,4 @@
-//! Who is near a body, and for how long that is known.
+//! Which bodies are near a body, and for how long that holds.
 
 /// Another body that is near this one.
 #[derive(Clone, Copy, Debug)]
@@ -11,14 +11,14 @@ pub(super) struct Neighbour {
     pub pull: f64,
 }
 
-/// What a body's fat bounds allows for.
+/// What a body's fat bounds allow for.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FatBounds {
-    /// How far from the centre it may have vertices [scene unit].
+    /// Largest distance of its vertices from its centre [scene unit].
     pub vertices: f64,
-    /// How far from where it was its centre may be [scene unit].
+    /// How far its centre may move [scene unit].
     pub skin: f64,
-    /// Until when its centre is within the bounds [s].
+    /// Time until which its centre stays within the bounds [s].
     pub until: f64,
 }
 

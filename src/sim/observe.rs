@@ -1,4 +1,4 @@
-//! Looking at a state: forces by cause, energy, how many vertices are reached.
+//! Observation of a state: forces by cause, energy, number of vertices reached.
 
 use glam::DVec3;
 
@@ -17,21 +17,21 @@ use crate::{
     scene::{Body, Scene},
 };
 
-/// Accelerations of the vertices of one body by cause [scene unit/s²]; reused from body to body.
+/// Accelerations of the vertices of one body by cause [scene unit/s²]; reused for every body.
 #[derive(Clone, Debug, Default)]
 pub struct BodyForces {
     by_cause: [Vectors; Cause::ALL.len()],
 }
 
 impl BodyForces {
-    /// Acceleration of each vertex by one cause [scene unit/s²], `[vertex_count]`.
+    /// Acceleration of each vertex by `cause` [scene unit/s²], `[vertex_count]`.
     pub fn of(&self, cause: Cause) -> &Vectors {
         &self.by_cause[cause as usize]
     }
 }
 
 impl World {
-    /// The forces by cause on every vertex of body `index` in the current state, into `forces` (reused).
+    /// Computes the forces by cause on every vertex of body `index` in the current state, into `forces` (reused).
     pub fn forces(&self, index: usize, forces: &mut BodyForces) {
         let (states, surroundings) = (self.body(index).states(), self.surroundings(index));
         let seen = self.seen(index, [&states.displacement, &states.velocity], &surroundings);
@@ -55,12 +55,12 @@ impl World {
         energy.sum
     }
 
-    /// That of the influence as if every pair were apart and out of reach [scene unit²/s²].
+    /// The energy of the influence if every pair were apart and out of reach [scene unit²/s²].
     pub(super) fn energy_of_distant_pairs(&self) -> f64 {
         *self.energy_of_distant_pairs.get_or_init(|| spheres::energy_of_distant_pairs(self.scene()))
     }
 
-    /// A body in a state: displacements and velocities, empty if every one is zero.
+    /// A body in a given state: displacements and velocities, empty if all are zero.
     pub(super) fn seen<'a>(
         &'a self,
         index: usize,
@@ -72,19 +72,19 @@ impl World {
     }
 }
 
-/// A body, and what acts on it: what its forces and its energy follow from.
+/// A body in a state and what acts on it: the input for its forces and its energy.
 #[derive(Clone, Copy)]
 pub(super) struct Seen<'a> {
     pub body: &'a Body,
     pub rest: Rest<'a>,
-    /// Empty if every one is zero, as velocities are.
+    /// Empty if all are zero, and so are the velocities.
     pub displacement: &'a Vectors,
     pub velocity: &'a Vectors,
     pub surroundings: &'a Surroundings,
 }
 
 impl Seen<'_> {
-    /// The forces by cause on every vertex; none of a cause that does not act.
+    /// Computes the forces by cause on every vertex; empty for a cause that does not act.
     pub fn forces(&self, weight: Weight, by_cause: &mut [Vectors; Cause::ALL.len()]) {
         let Seen { body, rest, displacement, velocity, surroundings } = *self;
         let Surroundings { uniform, weighted, sources } = surroundings;
@@ -121,35 +121,35 @@ impl Seen<'_> {
     }
 }
 
-/// Energy per unit mass of a vertex, summed over all vertices, and what was counted along the way.
+/// Energy per unit mass of a vertex, summed over all vertices, and the number of vertices reached.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Energy {
     /// Σ ½|u|² [scene unit²/s²].
     pub kinetic: f64,
     /// Σ ½ω²|x|² [scene unit²/s²].
     pub elastic: f64,
-    /// Σ s Φ, influence spheres on vertices [scene unit²/s²].
+    /// Σ s Φ of influence spheres on vertices [scene unit²/s²].
     pub influence: f64,
     /// Vertices inside at least one influence sphere that acts on them.
     pub reached_vertices: u64,
 }
 
 impl Energy {
-    /// E of model's `Energy` [scene unit²/s²].
+    /// Total energy E, as defined in [`crate::model::energy`] [scene unit²/s²].
     pub fn total(&self) -> f64 {
         self.kinetic + self.elastic + self.influence
     }
 }
 
-/// An energy that is being added up, body by body.
+/// An energy sum that is accumulated body by body.
 pub(super) struct EnergySum {
     weight: Weight,
     pub sum: Energy,
 }
 
 impl EnergySum {
-    /// As if every vertex were at rest outside of every sphere: `distant` is that with all pairs apart, `phases` are
-    /// those of the pairs that may not be.
+    /// Starts with every vertex at rest outside every sphere: `distant` is that energy with all pairs apart, `phases`
+    /// are the phases of the pairs that may not be apart.
     pub fn new(scene: &Scene, distant: f64, phases: impl Iterator<Item = (usize, usize, Phase)>) -> EnergySum {
         let mut sum = Energy { influence: distant, ..Energy::default() };
         for (a, b, phase) in phases {
@@ -161,7 +161,7 @@ impl EnergySum {
         EnergySum { weight: scene.influence.weight, sum }
     }
 
-    /// Adds what the vertices of a body have, and have more than that by being inside of spheres.
+    /// Adds the energy of a body's vertices, including the part due to being inside spheres.
     pub fn add(&mut self, seen: &Seen<'_>) {
         let [kinetic, elastic] = oscillator::energy(seen.body.material, seen.displacement, seen.velocity);
         self.sum.kinetic += kinetic;

@@ -1,8 +1,8 @@
-//! Who is near whom: a grid of balls that hold everything a body can touch or be touched at for a while.
+//! Broad phase: a grid of balls, each of which bounds where a body can act or be acted on for a while.
 //!
-//! Balls of very different sizes share a space by having a grid for each power of two: a ball is in one cell of the grid
-//! whose cells are just larger than it (Ericson, Real-Time Collision Detection, 7.2.1). A ball that stays within
-//! its bounds costs nothing; one that leaves them is placed anew, in the time that its surroundings take.
+//! Balls of very different sizes share the space because there is one grid per power of two: a ball is in one cell of
+//! the grid whose cells are just larger than it (Ericson, Real-Time Collision Detection, 7.2.1). A ball that stays
+//! within its bounds costs nothing; one that leaves them is inserted again, in time proportional to its surroundings.
 
 use std::{collections::HashMap, hash::BuildHasherDefault};
 
@@ -26,11 +26,11 @@ impl Ball {
     }
 }
 
-/// Balls, findable by where they are.
+/// Balls in a spatial index.
 #[derive(Clone, Debug, Default)]
 pub struct Grid {
     balls: Vec<Placed>,
-    /// One grid a size that occurs.
+    /// One grid per size class that occurs.
     levels: Vec<Level>,
 }
 
@@ -40,32 +40,32 @@ const NONE: u32 = u32::MAX;
 #[derive(Clone, Copy, Debug)]
 struct Placed {
     ball: Ball,
-    /// Its grid, or [`NONE`] if it has none yet …
+    /// Its grid, or [`NONE`] if the ball has not been placed.
     level: u32,
-    /// … and the balls in the same cell before and after it.
+    /// The previous ball in the same cell.
     before: u32,
     after: u32,
 }
 
 #[derive(Clone, Debug)]
 struct Level {
-    /// Edge length of a cell is 2 to the power of this.
+    /// The edge length of a cell is 2 to the power of this.
     exponent: i32,
     size: f64,
-    /// The first ball in each cell that has any.
+    /// The first ball in each non-empty cell.
     cells: HashMap<[i64; 3], u32, BuildHasherDefault<FxHasher>>,
     count: usize,
 }
 
 impl Level {
-    /// The cell that a point is in; those beyond the range of numbers share the last.
+    /// The cell that contains a point; points beyond the range of i64 share the outermost cells.
     fn cell(&self, point: DVec3) -> [i64; 3] {
         (point / self.size).floor().to_array().map(|x| x as i64)
     }
 }
 
 impl Grid {
-    /// What was allocated for them [bytes].
+    /// Memory allocated for the grid [bytes].
     pub fn memory(&self) -> usize {
         let cells: usize = self.levels.iter().map(|level| level.cells.capacity()).sum();
         self.balls.capacity() * size_of::<Placed>() + cells * size_of::<([i64; 3], u32)>()
@@ -76,7 +76,7 @@ impl Grid {
         &self.balls[i as usize].ball
     }
 
-    /// Places ball `i`, or places it anew.
+    /// Inserts ball `i`, or moves it.
     pub fn place(&mut self, i: u32, ball: Ball) {
         let index = i as usize;
         if index >= self.balls.len() {
@@ -114,7 +114,7 @@ impl Grid {
         }
     }
 
-    /// The grid whose cells are larger than a ball across, but not more than twice that.
+    /// The grid whose cells are larger than a ball's diameter, but at most twice as large.
     fn level_for(&mut self, radius: f64) -> usize {
         let exponent = exponent_above(2.0 * radius);
         self.levels.iter().position(|level| level.exponent == exponent).unwrap_or_else(|| {
@@ -143,7 +143,7 @@ impl Grid {
                     head = placed.after;
                 }
             };
-            // A ball of this grid that touches is no farther than this from the cell that its centre is in.
+            // A ball of this grid that touches is no farther than this from the cell that contains its centre.
             let far = ball.radius + 0.5 * level.size;
             let far = far + 1e-12 * (far + ball.centre.abs().max_element());
             let (low, high) = (level.cell(ball.centre - far), level.cell(ball.centre + far));
@@ -165,7 +165,7 @@ impl Grid {
     }
 }
 
-/// The smallest n for which 2ⁿ is above `x`; for any `x` that is a number.
+/// The smallest n for which 2ⁿ is above `x`, for any `x` that is not NaN.
 fn exponent_above(x: f64) -> i32 {
     let biased = (x.to_bits() >> 52 & 0x7ff) as i32;
     (biased - 1022).clamp(-1000, 1000)
@@ -202,7 +202,7 @@ mod tests {
         }
     }
 
-    /// Sizes and places at the ends of the range of numbers.
+    /// Sizes and positions at the ends of the range of f64.
     #[test]
     fn extreme_balls_are_found() {
         let mut grid = Grid::default();

@@ -1,4 +1,4 @@
-//! What a step reports to whoever observes it.
+//! What a step reports to its observers.
 
 use std::time::Duration;
 
@@ -10,11 +10,11 @@ use crate::scene::Integrator;
 /// The stages of a step, in the order in which they run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// Who can touch whom in this step.
+    /// Broad phase: which bodies can touch in this step.
     Reach,
-    /// Exact times at which pairs change phase.
+    /// Event location: the exact times at which pairs change phase.
     Events,
-    /// The equation of motion of every vertex.
+    /// Integration of the equation of motion of every vertex.
     Integrate,
 }
 
@@ -41,26 +41,26 @@ impl Stage {
     displacement.length(), velocity.length()
 )]
 pub struct Diverged {
-    /// How steps were taken.
+    /// The integrator in use.
     pub integrator: Integrator,
     /// Step Δt [s].
     pub dt: f64,
-    /// The first step whose state is wrong.
+    /// The first step whose state is invalid.
     pub step: u64,
-    /// Simulated time at its end [s].
+    /// Simulated time at the end of that step [s].
     pub time: f64,
     /// Name of the body.
     pub body: String,
-    /// The worst of its vertices.
+    /// Index of its worst vertex.
     pub vertex: usize,
-    /// Its displacement [scene unit].
+    /// Displacement of that vertex [scene unit].
     pub displacement: DVec3,
-    /// Its velocity [scene unit/s].
+    /// Velocity of that vertex [scene unit/s].
     pub velocity: DVec3,
 }
 
-/// A step that would take so long that the run seems to hang: it is not taken. How much is too much is counted, not
-/// timed, so the run ends there wherever it is run.
+/// A step that would take so long that the run appears to hang; it is not taken. The limit counts work, not time, so
+/// the run ends at the same step on every machine.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("too much to do in step {step} (from t = {time:.6} s on): {toil}")]
 pub struct Overworked {
@@ -68,24 +68,24 @@ pub struct Overworked {
     pub step: u64,
     /// Simulated time at its start, at which the run ends [s].
     pub time: f64,
-    /// What there was too much of.
+    /// What exceeded the limit.
     pub toil: Toil,
 }
 
-/// What a step has too much of.
+/// What made a step exceed its work limit.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Toil {
-    /// Changes of phase, or looking for them.
+    /// Phase changes, or the search for them.
     #[error(
         "the distance of bodies \"{a}\" and \"{b}\" has {found} changes of phase so far, and swings too often, or stays too close \
          to a threshold, to be followed on; lower their frequencies or dt, or move merge_at and split_at apart"
     )]
     Events {
-        /// Name of one body of the pair …
+        /// Name of one body of the pair.
         a: String,
-        /// … and of the other.
+        /// Name of the other body of the pair.
         b: String,
-        /// Changes of phase of all pairs that were found in the step.
+        /// Number of phase changes of all pairs found in the step.
         found: usize,
     },
     /// Forces that change too often, or too many of them.
@@ -94,11 +94,11 @@ pub enum Toil {
          spheres in reach; lower dt, frequencies or alpha and beta, raise tolerance, or put fewer bodies in one place"
     )]
     Forces {
-        /// Name of the body that took most.
+        /// Name of the body that took the most work.
         body: String,
-        /// How many vertices it has.
+        /// Number of its vertices.
         vertices: usize,
-        /// How many influence spheres can reach it.
+        /// Number of influence spheres that can reach it.
         spheres: usize,
     },
     /// Bodies that come near each other.
@@ -106,9 +106,9 @@ pub enum Toil {
         "too many bodies come near body \"{body}\" and others, {pairs} pairs in all; lower reach or dt, or use fewer or slower bodies"
     )]
     Neighbours {
-        /// Name of the body whose neighbours were looked for.
+        /// Name of the body whose neighbours were searched for.
         body: String,
-        /// How many pairs are known.
+        /// Number of pairs known so far.
         pairs: usize,
     },
 }
@@ -116,13 +116,13 @@ pub enum Toil {
 /// Why a run should end with a step.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Failure {
-    /// The step led to a state that cannot be.
+    /// The step led to an invalid state.
     #[error(transparent)]
     Diverged(#[from] Diverged),
-    /// The step was not taken: the world is as it is in the middle of it, and no further step is taken.
+    /// The step was not completed: the world stops in the middle of it and takes no further step.
     #[error(transparent)]
     Overworked(#[from] Overworked),
-    /// The same, because somebody wanted it to end: see [`Options::interrupt`](super::Options::interrupt).
+    /// The step was not completed because it was interrupted: see [`Options::interrupt`](super::Options::interrupt).
     #[error("interrupted in step {step}")]
     Interrupted {
         /// The step that was not taken.
@@ -131,37 +131,36 @@ pub enum Failure {
 }
 
 impl Failure {
-    /// Whether the step was taken: there is a state after it.
+    /// Whether the step was completed, so that there is a state after it.
     pub fn is_whole_step(&self) -> bool {
         matches!(self, Failure::Diverged(_))
     }
 }
 
-/// What happened in one step. Reused from step to step.
+/// What happened in one step. Reused for every step.
 #[derive(Clone, Debug, Default)]
 pub struct StepReport {
-    /// Number of this step; its state is that at `time`.
+    /// Number of this step, whose final state is that at `time`.
     pub step: u64,
     /// Simulated time at the end of the step [s].
     pub time: f64,
     /// Phase changes within the step, by time.
     pub events: Vec<Event>,
-    /// Steps taken by the integrator: one a body and interval of time without a jump, and those that single vertices took
-    /// beyond it.
+    /// Steps taken by the integrator: one per body and interval without a jump, plus the substeps of single vertices.
     pub substeps: u64,
-    /// The largest error that any vertex made in this step, as the integrator estimates it [radii of its body]; 0 for
-    /// integrators that don't.
+    /// The largest error of any vertex in this step, as estimated by the integrator [radii of its body]; 0 for
+    /// integrators without an error estimate.
     pub error: f64,
-    /// Set if a run should end here, and why.
+    /// Why the run should end here, if it should.
     pub failure: Option<Failure>,
-    /// Bodies at rest for the whole step, for which nothing was computed.
+    /// Bodies at rest for the whole step, which were skipped.
     pub sleeping_bodies: u64,
     /// Time spent in each stage, by [`Stage::ALL`].
     pub timings: [Duration; Stage::ALL.len()],
 }
 
 impl StepReport {
-    /// Forgets the step before.
+    /// Clears the report of the previous step.
     pub(super) fn begin(&mut self, step: u64, time: f64) {
         let StepReport { events, .. } = self;
         let mut events = std::mem::take(events);

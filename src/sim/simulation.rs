@@ -1,5 +1,5 @@
-//! The [`World`] as instruments see it, and scenes as what it can be made from: all that recorder, replay, check and diff
-//! know of either.
+//! [`World`] as a simulation that instruments observe, and scenes as experiments that create it. Recorder, replay,
+//! check and diff know nothing else of either.
 
 use std::{mem::take, sync::Arc};
 
@@ -24,13 +24,13 @@ use crate::{
     scene::{Integrator, Scene},
 };
 
-/// All phases, the deepest last.
+/// All phases in order of depth, the deepest last.
 const PHASES: [Phase; 3] = [Phase::Apart, Phase::Merged, Phase::Core];
 
-/// What is said of a vertex: what influence spheres do to it.
+/// Label of a vertex, by what influence spheres do to it.
 const LABELS: [&str; 5] = ["out of reach", "attracted", "repelled", "attracted and repelled", "in a core"];
 
-/// A number over time, and where it comes from: one more line here is one more plot.
+/// A scalar over time and its source. One more line in the table is one more plot.
 struct Scalar {
     name: &'static str,
     label: &'static str,
@@ -45,7 +45,7 @@ enum ScalarValue {
     MaxOfSteps(fn(&StepReport) -> f64),
 }
 
-/// What numbers of the state follow from.
+/// The input for scalars of the state.
 struct StateNumbers<'a> {
     scene: &'a Scene,
     energy: Energy,
@@ -211,12 +211,12 @@ impl Simulation for World {
     }
 }
 
-/// A pair as frames have it.
+/// A pair, as frames represent it.
 pub(super) fn pair_frame(pair: PairView) -> PairFrame {
     PairFrame { a: pair.a, b: pair.b, q: pair.q, phase: pair.phase as usize }
 }
 
-/// The forces on a body in a state of a frame, and what is said of its vertices.
+/// Adds the forces on a body in a frame's state, and the labels of its vertices.
 pub(super) fn add_forces(world: &World, index: usize, surroundings: &Surroundings, now: &mut BodyFrame) {
     now.has_forces = true;
     now.terms.resize_with(Cause::ALL.len(), Default::default);
@@ -245,12 +245,12 @@ pub(super) fn add_forces(world: &World, index: usize, surroundings: &Surrounding
     }
 }
 
-/// A scene, and how its world is to be stepped.
+/// A scene and the options for stepping its world.
 #[derive(Clone, Debug)]
 pub struct SceneRun {
-    /// What is simulated.
+    /// The scene to simulate.
     pub scene: Scene,
-    /// How.
+    /// How its world is stepped.
     pub options: Options,
 }
 
@@ -285,10 +285,10 @@ impl Experiment for Scene {
     }
 }
 
-/// A scene as a recording has it: its text, and as it was run.
+/// Reads a recorded scene: its text, and the settings of its run.
 ///
 /// # Errors
-/// The text is no scene, or it was run in a way that is not known here.
+/// The text is not a valid scene, or the settings are unknown here.
 pub fn read(name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> {
     let mut scene = Scene::parse(text, name).map_err(|error| Refusal::Source(error.to_string()))?;
     let positive = |key: &str| {
@@ -306,7 +306,7 @@ pub fn read(name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experim
     Ok(Arc::new(SceneRun { scene, options: Options { skip, ..Options::default() } }))
 }
 
-/// Colour of a phase: that of the force it brings, if any.
+/// Colour of a phase: that of the force it causes, if any.
 pub fn phase_color(phase: Phase) -> Rgb {
     match phase {
         Phase::Apart => colors::SKY_BLUE,
@@ -371,7 +371,7 @@ fn schema(scene: &Scene, options: Options) -> Schema {
 
 fn term(scene: &Scene, cause: Cause) -> TermSchema {
     let has_pairs = scene.bodies.len() > 1;
-    #[allow(unreachable_patterns)] // a term without a line of its own is shown as it is
+    #[allow(unreachable_patterns)] // a term without its own line gets the defaults
     let (label, color, can_act, is_shown) = match cause {
         Cause::Attraction => ("Attraction", colors::ORANGE, has_pairs, true),
         Cause::Repulsion => ("Repulsion of bodies apart", colors::SKY_BLUE, has_pairs, true),
@@ -400,8 +400,8 @@ fn law(scene: &Scene) -> String {
     )
 }
 
-/// Length of an arrow per acceleration [scene unit per scene unit/s²]: the strongest influence or push on the largest body
-/// is drawn about 0.4 of its radius long.
+/// Length of an arrow per acceleration [scene unit per scene unit/s²]. The strongest influence or push on the largest
+/// body gets an arrow of about 0.4 of its radius.
 pub fn arrow_scale(scene: &Scene) -> f64 {
     let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
     let strength = scene.influence.alpha.max(scene.influence.beta);
@@ -409,13 +409,13 @@ pub fn arrow_scale(scene: &Scene) -> f64 {
     schema::arrow_scale(radius, scene.pushes.iter().map(|push| push.strength.abs()).fold(pull, f64::max))
 }
 
-/// Instants of the first minute at which cameras look where bodies are.
+/// Instants, within the first minute, at which the camera framing samples positions.
 fn instants(scene: &Scene) -> impl Iterator<Item = f64> {
     let duration = scene.duration.min(60.0);
     (0..=32).map(move |k| duration * f64::from(k) / 32.0)
 }
 
-/// Every influence sphere wherever its path takes it.
+/// Every influence sphere along its path.
 fn all_there_is(scene: &Scene) -> Vec<(DVec3, f64)> {
     let spheres = scene.bodies.iter().flat_map(|body| {
         let radius = scene.influence.sphere_radius(body.radius).min(2.0 * body.radius);
@@ -424,13 +424,13 @@ fn all_there_is(scene: &Scene) -> Vec<(DVec3, f64)> {
     spheres.collect()
 }
 
-/// Those bodies that something acts on, while it does; all there is if there are none.
+/// The bodies that something acts on, while it acts; everything if there are none.
 fn what_happens(scene: &Scene) -> Vec<(DVec3, f64)> {
-    /// Pairs of more bodies are not gone through.
+    /// With more bodies than this, pairs are not examined.
     const MOST: usize = 1000;
-    /// Of a body, with what it is displaced by [radii].
+    /// Size of a body including its displacements [radii].
     const ROOM: f64 = 1.15;
-    /// How much is shown of a body that is larger than this [radii of the other].
+    /// A body larger than this is shown only in part [radii of the other].
     const SIDE: f64 = 3.0;
 
     let bodies = &scene.bodies;
@@ -444,13 +444,13 @@ fn what_happens(scene: &Scene) -> Vec<(DVec3, f64)> {
     let all: Vec<usize> = (0..pairs_of).collect();
     for (k, time) in instants(scene).enumerate() {
         let centres: Vec<DVec3> = bodies[..pairs_of].iter().map(|body| body.path.position(time)).collect();
-        // those that do not move are as they were at the first instant
+        // bodies that do not move are as at the first instant
         for &b in if k == 0 { &all } else { &movers } {
             for a in (0..pairs_of).filter(|&a| a != b) {
                 let reach =
                     |from: usize, to: usize| scene.influence.sphere_radius(bodies[from].radius) + bodies[to].radius;
                 if centres[a].distance(centres[b]) < f64::max(reach(a, b), reach(b, a)) {
-                    // of a body that is much larger than the other only the side where that is
+                    // of a body that is much larger than the other, only the side near the other
                     let shown = |i: usize, other: usize| {
                         let radius = f64::min(bodies[i].radius, SIDE * bodies[other].radius);
                         let towards = (centres[other] - centres[i]).normalize_or_zero();

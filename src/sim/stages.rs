@@ -1,7 +1,8 @@
-//! The inside of a step, worked out once more beside the world: for whoever debugs an integrator.
+//! The stages inside a step, recomputed outside the world, for debugging integrators.
 //!
-//! From the state before a step, and the events in it, every interval between two jumps is taken again with the pieces
-//! that the step itself uses; the world is only looked at, and a step that nobody asks about costs nothing.
+//! Starting from the state before a step and the events in it, every interval between two jumps is integrated again
+//! with the components that the step itself uses. The world is only read, and a step that nobody inspects costs
+//! nothing.
 
 use glam::DVec3;
 
@@ -26,7 +27,7 @@ use crate::{
     scene::Integrator,
 };
 
-/// What is seen of a stage.
+/// What a stage's frame contains.
 const WANT: Want = Want { forces: true, scalars: false };
 
 /// The stages of the step that led from `before` to the world as it is, in order.
@@ -73,7 +74,7 @@ pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
     stages
 }
 
-/// A frame without the forces that do not come from influence spheres.
+/// The frame without the forces that do not come from influence spheres.
 fn influence_only(mut frame: Frame) -> Frame {
     let is_influence = |cause: Cause| matches!(cause, Cause::Attraction | Cause::Repulsion | Cause::Core);
     for body in frame.bodies.iter_mut().filter(|body| body.has_forces) {
@@ -91,9 +92,9 @@ fn influence_only(mut frame: Frame) -> Frame {
     frame
 }
 
-/// A step that is looked into.
+/// A step that is recomputed.
 struct Again<'a> {
-    /// After it.
+    /// The world after the step.
     world: &'a World,
     before: &'a Frame,
 }
@@ -129,7 +130,7 @@ impl Again<'_> {
         last.map(|event| event.to).or_else(before).unwrap_or(Phase::Apart)
     }
 
-    /// Where something jumps, and both ends of the step.
+    /// The instants at which something jumps, and both ends of the step.
     fn breaks(&self) -> Vec<f64> {
         let scene = self.world.scene();
         let span = Span { start: self.before.at.time, end: self.world.time() };
@@ -149,7 +150,7 @@ impl Again<'_> {
         self.world.reading().on(index as u32).with_phases(self)
     }
 
-    /// What acts on a body at `t`, with the phases from `phases_at` on.
+    /// What acts on a body at `t`, with the phases that hold from `phases_at` on.
     fn surroundings(&self, index: usize, t: f64, phases_at: f64, states: &States) -> Surroundings {
         let radius = self.world.scene().bodies[index].radius;
         let farthest = states.displacement.iter().map(DVec3::length).fold(0.0, f64::max) + radius;
@@ -158,7 +159,7 @@ impl Again<'_> {
         surroundings
     }
 
-    /// Another state of the same bodies at `t`, with the phases from `phases_at` on.
+    /// A frame of the same bodies in other states at `t`, with the phases that hold from `phases_at` on.
     fn frame(&self, t: f64, phases_at: f64, states: Vec<States>) -> Frame {
         let scene = self.world.scene();
         let bodies = states.into_iter().enumerate().map(|(index, states)| {
@@ -180,7 +181,7 @@ impl Again<'_> {
         Frame { at, pairs: pairs.collect(), bodies, scalars: Vec::new() }
     }
 
-    /// What the oscillators alone do in the step.
+    /// The states after a step under the oscillators alone.
     fn flow(&self, index: usize, states: &States) -> States {
         let [xx, xu, ux, uu] = self.oscillator(index).flow(self.world.time() - self.before.at.time);
         let both = || states.displacement.iter().zip(states.velocity.iter());
@@ -190,7 +191,7 @@ impl Again<'_> {
         }
     }
 
-    /// Velocities after the forces, and the positions to which they lead.
+    /// Velocities after the forces have acted, and the resulting positions.
     fn predict(&self, index: usize, states: &States) -> States {
         let h = self.world.time() - self.before.at.time;
         let scene = self.world.scene();
@@ -208,12 +209,12 @@ impl Again<'_> {
         States { displacement, velocity }
     }
 
-    /// Takes a body over an interval without a jump, every vertex by itself.
+    /// Advances a body over an interval without a jump, each vertex separately.
     fn advance(&self, index: usize, from: f64, to: f64, states: &mut States) {
         let scene = self.world.scene();
         let (this, body) = (&scene.bodies[index], self.body(index));
         let surroundings = self.surroundings(index, from, from, states);
-        // a sphere may come within reach in the course of the interval
+        // a sphere may come within reach during the interval
         let mut acting = Acting::default();
         self.on(index).over(&body.neighbours, Span { start: from, end: to }, &mut acting);
         let Acting { weighted, spheres } = &acting;
@@ -287,7 +288,7 @@ mod tests {
                 sub_steps += named("sub-step");
                 events += named("~");
                 assert_eq!(named("~"), happened);
-                // the last interval is the end
+                // the last interval ends the step
                 if let Some(last) = stages.iter().rfind(|stage| stage.name.contains("sub-step")) {
                     for (index, body) in world.bodies().enumerate() {
                         let ended = &last.frame.bodies[index].displacements;

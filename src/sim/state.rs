@@ -1,4 +1,4 @@
-//! What is kept of vertices: displacement from rest and its velocity, of single ones and of all alike.
+//! Stored state of vertices: displacement from rest and its velocity, per vertex and shared by all.
 
 use glam::DVec3;
 
@@ -16,14 +16,15 @@ pub struct State {
 /// The response of a vertex that faces a push squarely, along the push.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pushed {
-    /// [scene unit]
+    /// Displacement along the push [scene unit].
     pub x: f64,
-    /// [scene unit/s]
+    /// Velocity along the push [scene unit/s].
     pub u: f64,
 }
 
-/// What all vertices of a body do alike: the equation of motion is linear but for the influence, so that the response
-/// to the body's own motion is one vector for all of them, and that to a push one number, times how squarely each faces it.
+/// The motion that all vertices of a body share. The equation of motion is linear except for the influence, so the
+/// response to the body's own motion is one vector for all vertices, and the response to a push is one number, scaled
+/// by how squarely each vertex faces the push.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Common {
     /// Response to the body's own motion.
@@ -33,12 +34,12 @@ pub struct Common {
 }
 
 impl Common {
-    /// Whether nothing has happened to all vertices alike.
+    /// Whether the shared motion is zero.
     pub fn is_zero(&self) -> bool {
         self.carried == State::default() && self.pushed.iter().all(|pushed| *pushed == Pushed::default())
     }
 
-    /// What it adds to the displacement and velocity of the vertex whose rest position has the direction `facing`.
+    /// Contribution to the displacement and velocity of the vertex whose rest position has the direction `facing`.
     pub fn of(&self, facing: DVec3, pushes: &[scene::Push]) -> State {
         let mut state = self.carried;
         for (pushed, push) in self.pushed.iter().zip(pushes) {
@@ -49,12 +50,14 @@ impl Common {
         state
     }
 
-    /// What pushes add to the displacement of the vertex whose rest position has the direction `facing` [scene unit].
+    /// Contribution of pushes to the displacement of the vertex whose rest position has the direction `facing` [scene
+    /// unit].
     pub fn moved(&self, facing: DVec3, pushes: &[scene::Push]) -> DVec3 {
         self.of(facing, pushes).x - self.carried.x
     }
 
-    /// What √(|u|² + ω²|x|²) of a vertex cannot exceed that faces the pushes so squarely, from 0 to 1 each [scene unit/s].
+    /// An upper bound of √(|u|² + ω²|x|²) of a vertex that faces each push as squarely as given, from 0 to 1 [scene
+    /// unit/s].
     pub fn momentum(&self, omega: f64, facing: impl Iterator<Item = f64>) -> f64 {
         let momentum = |x2: f64, u2: f64| (u2 + omega * omega * x2).sqrt();
         let State { x, u } = self.carried;
@@ -62,7 +65,8 @@ impl Common {
         momentum(x.length_squared(), u.length_squared()) + pushed.sum::<f64>()
     }
 
-    /// No |x| that it gives any vertex exceeds the first [scene unit], no √(|u|² + ω²|x|²) the second [scene unit/s].
+    /// Upper bounds over all vertices of |x| [scene unit] and of √(|u|² + ω²|x|²) [scene unit/s] from the shared
+    /// motion.
     pub fn bounds(&self, omega: f64) -> (f64, f64) {
         let momentum = |x2: f64, u2: f64| (u2 + omega * omega * x2).sqrt();
         let State { x, u } = self.carried;

@@ -36,22 +36,24 @@ use crate::{
     scene::{self, Scene},
 };
 
-/// Fewer vertices than this to step are not worth a second thread.
+/// With fewer vertices than this to step, a second thread does not pay off.
 const PARALLEL_VERTICES: usize = 2048;
-/// Nor are fewer bodies than this when it is only to be found out who can reach them, or what they came to.
+/// With fewer bodies than this, a second thread does not pay off for the broad phase or the summary of a step.
 const PARALLEL_BODIES: usize = 512;
-/// How much farther than they do now vertices may get from rest when a body outgrows its fat bounds.
+/// When a body outgrows its fat bounds, the new ones allow its vertices this factor of their current distance from
+/// rest.
 const ROOM: f64 = 1.5;
 
-/// How the world is stepped; none of it changes the result, but for rounding.
+/// How the world is stepped. No option changes the result beyond rounding.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
-    /// Whether what need not be computed is skipped. Without, every pair and every vertex is looked at in every step.
+    /// Whether to skip work that cannot affect the result. If false, every step examines every pair and every vertex
+    /// (the naive baseline).
     pub skip: bool,
-    /// The instruction set of the kernels; the result is the same to the bit.
+    /// The instruction set of the kernels; results are bit-identical.
     pub arch: Arch,
-    /// Once this is raised, the world is built or stepped no further, wherever it is: the next step ends with
-    /// [`Failure::Interrupted`], soon.
+    /// A flag that stops building and stepping once it is set: the current step soon ends with
+    /// [`Failure::Interrupted`].
     pub interrupt: Option<&'static AtomicBool>,
 }
 
@@ -61,7 +63,7 @@ impl Default for Options {
     }
 }
 
-/// The bodies of a scene at an instant, on their way through it.
+/// The bodies of a scene at an instant, advanced step by step.
 pub struct World {
     scene: Scene,
     pub(super) options: Options,
@@ -71,16 +73,16 @@ pub struct World {
     pub(super) actives: ActiveSet,
     tracks: Tracks,
     pub(super) pairs: Pairs,
-    /// Reused.
+    /// Buffer, reused.
     woken: Vec<u32>,
-    /// When terms begin to act on bodies by themselves, and on which, by time; and how many have.
+    /// When terms begin to act on bodies by themselves, with the bodies' indices, by time; and how many have begun.
     starts: Vec<(f64, u32)>,
     started: usize,
-    /// Vertices of all bodies.
+    /// Total number of vertices.
     vertices: u64,
     work: Work,
     report: StepReport,
-    /// Computed when the energy is first asked for.
+    /// Computed when the energy is first requested.
     pub(super) energy_of_distant_pairs: OnceLock<f64>,
 }
 
@@ -88,15 +90,15 @@ impl World {
     /// The scene at t = 0: every displacement and velocity is zero.
     ///
     /// # Errors
-    /// [`TooLarge`] if the scene needs more memory than is available; nothing has been allocated then.
+    /// [`TooLarge`] if the scene needs more memory than is available; nothing has been allocated in that case.
     pub fn new(scene: Scene) -> Result<World, TooLarge> {
         World::with_options(scene, Options::default())
     }
 
-    /// [`World::new`], stepped as the options say.
+    /// Like [`World::new`], with options for stepping.
     ///
     /// # Errors
-    /// As [`World::new`].
+    /// [`TooLarge`], as for [`World::new`].
     pub fn with_options(scene: Scene, options: Options) -> Result<World, TooLarge> {
         let room = memory::check(&scene)?;
         let bodies: Vec<Body> = (0..scene.bodies.len()).map(|index| Body::new(&scene, index)).collect();
@@ -123,7 +125,7 @@ impl World {
         Ok(world)
     }
 
-    /// Whether there are no more than so many pairs.
+    /// Finds the initial pairs; false if there are more than `most_pairs`.
     fn start(&mut self, most_pairs: u64) -> bool {
         let World { scene, bodies, tracks, pairs, work, .. } = self;
         let start = if self.options.skip { Pairs::start } else { Pairs::start_with_all };
@@ -133,7 +135,7 @@ impl World {
         let first_step =
             bodies.iter().map(|body| exponential::work_of(body.mesh.vertex_count(), body.neighbours.len()));
         self.work.expect(first_step.fold(0, u64::saturating_add));
-        // Whoever has a neighbour may be reached from the start; those that aren't go back to sleep in the first step.
+        // A body with neighbours may be reached from the start; those that aren't go back to sleep in the first step.
         for index in 0..self.bodies.len() {
             if !self.options.skip || !self.bodies[index].neighbours.is_empty() {
                 self.wake_one(index as u32);
@@ -144,8 +146,8 @@ impl World {
 
     /// Advances the world by one step of the scene's Δt and reports what happened.
     ///
-    /// A step that is not taken to its end ([`Failure::Overworked`], [`Failure::Interrupted`]) is none: it does not count as
-    /// taken, the state means nothing from then on, and no other step is taken.
+    /// A step that is not completed ([`Failure::Overworked`], [`Failure::Interrupted`]) does not count as taken: from
+    /// then on the state is meaningless and the world takes no further step.
     pub fn step(&mut self) -> &StepReport {
         if self.report.failure.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
             return &self.report;
@@ -180,7 +182,7 @@ impl World {
         Ok(())
     }
 
-    /// Where moving bodies go, and whom they come near.
+    /// Finds where moving bodies go and which bodies they come near.
     fn broad_phase(&mut self, span: Span) -> Result<(), Failure> {
         let World { scene, bodies, tracks, pairs, work, .. } = self;
         tracks.follow(scene, span);
@@ -188,7 +190,7 @@ impl World {
         followed.map_err(|(stop, body)| self.neighbours_failure(stop, body))
     }
 
-    /// When pairs change phase during `span`, exactly.
+    /// Finds the exact times at which pairs change phase during `span`.
     fn find_events(&mut self, span: Span) -> Result<(), Failure> {
         let World { scene, bodies, tracks, pairs, report, work, .. } = self;
         let found = pairs.find_events(scene, bodies, tracks, span, work, report);
@@ -203,7 +205,7 @@ impl World {
         self.failure(stop, Toil::Neighbours { body, pairs: self.pairs.count() })
     }
 
-    /// Why the step that is being taken is not taken to its end.
+    /// Why the current step is not completed.
     fn failure(&self, stop: Stop, toil: Toil) -> Failure {
         let step = self.step + 1;
         match stop {
@@ -212,7 +214,7 @@ impl World {
         }
     }
 
-    /// Wakes whom something acts on during `span`.
+    /// Wakes the bodies that something acts on during `span`.
     fn wake(&mut self, span: Span) {
         self.wake_acted_on(span);
         if self.options.skip {
@@ -220,7 +222,7 @@ impl World {
         }
     }
 
-    /// How far vertices of those that are awake can get during `span`, and who can reach them.
+    /// Bounds how far vertices of awake bodies can get during `span`, and finds which bodies can reach them.
     fn find_bounds(&mut self, span: Span) -> Result<(), Failure> {
         let (context, actives) = self.context();
         let awake = actives.len();
@@ -254,7 +256,7 @@ impl World {
         Ok(())
     }
 
-    /// Wakes bodies on which something begins to act before the end of `span`.
+    /// Wakes the bodies on which something begins to act before the end of `span`.
     fn wake_acted_on(&mut self, span: Span) {
         while let Some(&(start, body)) = self.starts.get(self.started) {
             if start >= span.end {
@@ -265,8 +267,8 @@ impl World {
         }
     }
 
-    /// Wakes bodies that feel their own motion during `span`, and those that a moving sphere can reach, or whose vertices
-    /// move to a sphere.
+    /// Wakes the bodies that respond to their own motion during `span`, those that a moving sphere can reach, and those
+    /// whose vertices move to a sphere.
     fn wake_moved(&mut self, span: Span) {
         let World { tracks, bodies, actives, woken, .. } = self;
         let is_awake = |body: u32| actives.is_awake(&bodies[body as usize]);
@@ -304,26 +306,26 @@ impl World {
         self.actives.is_awake(&self.bodies[body as usize])
     }
 
-    /// From here on a body is stepped.
+    /// Wakes a body: it is stepped from now on.
     fn wake_one(&mut self, body: u32) {
         self.actives.wake(&self.scene, &mut self.bodies, body as usize, self.step);
     }
 
-    /// What the stepping of bodies reads.
+    /// What stepping a body reads.
     pub(super) fn reading(&self) -> Context<'_> {
         let World { scene, bodies, tracks, pairs, options, step, work, .. } = self;
         let Options { skip, arch, .. } = *options;
         Context { scene, bodies, pairs, tracks, arch, skip, step: *step, work }
     }
 
-    /// The same, and the bodies that are awake.
+    /// What stepping a body reads, and the awake bodies.
     fn context(&mut self) -> (Context<'_>, &mut [Active]) {
         let World { scene, bodies, tracks, pairs, options, step, actives, work, .. } = self;
         let Options { skip, arch, .. } = *options;
         (Context { scene, bodies, pairs, tracks, arch, skip, step: *step, work }, actives.awake_mut())
     }
 
-    /// The equation of motion of every body that something happens to.
+    /// Integrates the equation of motion of every awake body.
     fn integrate(&mut self, span: Span) -> Result<Sum, Failure> {
         self.work.begin_turns(self.actives.awake().len());
         let (context, actives) = self.context();
@@ -345,7 +347,7 @@ impl World {
         Ok(sum)
     }
 
-    /// What the step took.
+    /// Sums the results of the step over bodies.
     fn sum(&self) -> Sum {
         let actives = self.actives.awake();
         let scene = &self.scene;
@@ -358,7 +360,7 @@ impl World {
         }
     }
 
-    /// Reports what the step took, and whether it came to a state that cannot be.
+    /// Reports the results of the step, and whether it led to an invalid state.
     fn finish(&mut self, sum: &Sum) {
         self.report.substeps = sum.substeps;
         self.report.error = sum.error;
@@ -366,7 +368,7 @@ impl World {
         self.report.failure = sum.diverged.map(|index| self.divergence(index as usize).into());
     }
 
-    /// Lets those sleep that nothing acted on.
+    /// Puts bodies to sleep that nothing acted on.
     fn sleep(&mut self, sum: &Sum, span: Span) {
         if !self.options.skip || !sum.any_idle {
             return;
@@ -379,12 +381,12 @@ impl World {
         });
     }
 
-    /// A body whose state cannot be, and its worst vertex.
+    /// Describes a body in an invalid state, and its worst vertex.
     fn divergence(&self, index: usize) -> Diverged {
         let body = self.body(index);
         let states = body.states();
         let size = |i: usize| states.displacement.get(i).length_squared() + states.velocity.get(i).length_squared();
-        // NaN is the worst
+        // NaN ranks worst
         let rank = |i: &usize| if size(*i).is_nan() { f64::INFINITY } else { size(*i) };
         let vertex = (0..body.vertex_count()).max_by(|i, j| rank(i).total_cmp(&rank(j))).unwrap_or_default();
         Diverged {
@@ -400,9 +402,9 @@ impl World {
     }
 }
 
-/// Whether the steps of bodies take so long that it pays to take them on several threads.
+/// Whether the bodies' steps take long enough for several threads to pay off.
 fn is_worth_threads(actives: &[Active]) -> bool {
-    // a body that has no active set yet takes about as long as one of a few vertices
+    // a body without an active set costs about as much as one of a few vertices
     let cost = |active: &Active| 8 + active.state.deformation.active_set.vertices.len();
     let enough = |sum: &mut usize, active: &Active| {
         *sum += cost(active);
@@ -411,7 +413,7 @@ fn is_worth_threads(actives: &[Active]) -> bool {
     actives.iter().scan(0, enough).count() < actives.len()
 }
 
-/// Does the same with every body that is awake, on several threads if that is worth it.
+/// Applies `work` to every awake body, on several threads if that pays off.
 fn each(actives: &mut [Active], is_worth_threads: bool, work: impl Fn(usize, &mut Active) + Sync + Send) {
     if is_worth_threads {
         actives.par_iter_mut().with_min_len(4).enumerate().for_each(|(slot, active)| work(slot, active));
@@ -420,7 +422,7 @@ fn each(actives: &mut [Active], is_worth_threads: bool, work: impl Fn(usize, &mu
     }
 }
 
-/// What the steps of some bodies came to; the order in which they are added up does not matter.
+/// Results of the steps of some bodies; the order of summation does not matter.
 #[derive(Clone, Copy, Default)]
 struct Sum {
     stepped: u64,
@@ -428,11 +430,11 @@ struct Sum {
     error: f64,
     work: u64,
     base: u64,
-    /// Vertices that took the step.
+    /// Number of vertices that were stepped.
     vertices: u64,
-    /// The first of those whose state cannot be.
+    /// The first body in an invalid state.
     diverged: Option<u32>,
-    /// Whether nothing acted on some of them.
+    /// Whether nothing acted on some of the bodies.
     any_idle: bool,
 }
 
@@ -466,7 +468,7 @@ impl Sum {
     }
 }
 
-/// Looking at the world; nothing here changes it.
+/// Access to the state; nothing here changes it.
 impl World {
     /// The scene that is simulated.
     pub fn scene(&self) -> &Scene {
@@ -487,18 +489,18 @@ impl World {
         step as f64 * self.scene.dt
     }
 
-    /// What the last step reported.
+    /// The report of the last step.
     pub fn report(&self) -> &StepReport {
         &self.report
     }
 
-    /// A hash of the exact state: the number of steps taken, the bits of all that is kept of every body that is not at
-    /// rest, and every pair that is not apart. (Events to come follow from these and from the scene.)
+    /// A hash of the exact state: the number of steps taken, the bits of all stored state of every body that is not at
+    /// rest, and every pair that is not apart. (Future events follow from these and from the scene.)
     ///
-    /// Equal runs have equal checksums: on every machine, for any number of threads and instruction set, whatever is
-    /// looked at or recorded and however often this is asked for. Two states that differ in one number never have the
-    /// same, others by a coincidence only. Without skipping ([`super::Options::skip`]) more is kept of the same
-    /// motion, so that its checksums are others.
+    /// Equal runs have equal checksums on every machine, for any number of threads and any instruction set, whatever is
+    /// observed or recorded and however often this is called. Two states that differ in one number never have the same
+    /// checksum; others do so only by coincidence. Without skipping ([`super::Options::skip`]) the world stores more
+    /// state for the same motion, so its checksums differ.
     pub fn checksum(&self) -> u64 {
         checksum::of_world(self.step, self.actives.hash().wrapping_add(self.pairs.hash()))
     }
@@ -537,12 +539,12 @@ impl World {
         self.actives.get(&self.bodies[index])
     }
 
-    /// How this world is stepped.
+    /// The options with which this world is stepped.
     pub fn options(&self) -> Options {
         self.options
     }
 
-    /// What its state takes of memory, by what was allocated for it [bytes].
+    /// Memory allocated for its state [bytes].
     pub fn memory(&self) -> usize {
         self.bodies.iter().map(Body::memory).sum::<usize>()
             + self.actives.memory()
@@ -557,9 +559,9 @@ impl World {
         (0..self.bodies.len()).map(|index| self.body(index))
     }
 
-    /// Pairs of which one's influence sphere can reach the other's vertices, as far as those swing now, or that are near
-    /// enough to merge, or not apart; in ascending order of their bodies. All others are apart, and do nothing to each
-    /// other.
+    /// Pairs in which one body's influence sphere can reach the other's vertices at their current amplitude, that are
+    /// near enough to merge, or that are not apart; in ascending order of their bodies. All other pairs are apart and
+    /// do not interact.
     pub fn pairs(&self) -> impl Iterator<Item = PairView> + '_ {
         let time = self.time();
         self.known_pairs()
@@ -583,7 +585,8 @@ impl World {
         self.known_pairs().map(|pair| (pair.a as usize, pair.b as usize, pair.phase))
     }
 
-    /// The q up to which one of two bodies can have vertices inside the other's influence sphere, or can merge [–].
+    /// The q up to which one of two bodies can have vertices inside the other's influence sphere, or the two can merge
+    /// [–].
     fn reach_of(&self, a: usize, b: usize) -> f64 {
         let vertices = |i: usize| self.scene.bodies[i].radius + self.active(i).map_or(0.0, Active::amplitude);
         let sphere = |i: usize| self.scene.influence.sphere_radius(self.scene.bodies[i].radius);
@@ -599,14 +602,14 @@ impl World {
         found.map_or(Phase::Apart, |place| self.pairs.get(neighbours[place].pair).phase)
     }
 
-    /// What acts on body `index` in the current state, but for its own oscillators.
+    /// What acts on body `index` in the current state, except its own oscillators.
     pub fn surroundings(&self, index: usize) -> Surroundings {
         let mut surroundings = Surroundings::default();
         self.surroundings_into(index, &mut surroundings);
         surroundings
     }
 
-    /// The same, into existing ones (reused).
+    /// Like [`World::surroundings`], into an existing value (reused).
     pub(super) fn surroundings_into(&self, index: usize, surroundings: &mut Surroundings) {
         let time = self.time();
         let farthest = self.scene.bodies[index].radius + self.active(index).map_or(0.0, Active::amplitude);
@@ -635,7 +638,7 @@ pub struct States {
 }
 
 impl<'a> BodyView<'a> {
-    /// What the scene says of it.
+    /// The scene's description of the body.
     pub fn scene(&self) -> &'a scene::Body {
         self.body
     }
@@ -645,12 +648,12 @@ impl<'a> BodyView<'a> {
         &self.body.name
     }
 
-    /// Where its centre is [scene unit].
+    /// World position of its centre [scene unit].
     pub fn centre(&self) -> DVec3 {
         self.centre
     }
 
-    /// What turns its rest shape.
+    /// Rotation of its rest shape.
     pub fn rotation(&self) -> DQuat {
         self.track.rotation(self.now.step as f64 * self.now.dt)
     }
@@ -675,19 +678,19 @@ impl<'a> BodyView<'a> {
         self.fixed.rest().position(i)
     }
 
-    /// Direction l̂ = l/|l| of that [–]; panics beyond the last, like a slice.
+    /// Direction l̂ = l/|l| of the rest position of vertex `i` [–]; panics beyond the last, like a slice.
     pub fn direction(&self, i: usize) -> DVec3 {
         self.fixed.rest().direction(i)
     }
 
-    /// The states of all vertices, in less time than one by one.
+    /// The states of all vertices, computed faster than one by one.
     pub fn states(&self) -> States {
         let mut states = States::default();
         self.states_into(&mut states);
         states
     }
 
-    /// [`BodyView::states`], into an existing one (reused).
+    /// Like [`BodyView::states`], into an existing value (reused).
     pub fn states_into(&self, states: &mut States) {
         let States { displacement, velocity } = states;
         if let Some(active) = self.active.filter(|active| active.state.common.is_zero() && !active.is_at_rest()) {
@@ -750,13 +753,13 @@ impl<'a> BodyView<'a> {
 /// A pair of bodies at the world's current time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PairView {
-    /// Index of one body …
+    /// Index of the first body.
     pub a: usize,
-    /// … and of the other, a < b.
+    /// Index of the second body; `a < b`.
     pub b: usize,
     /// Centre distance over the sum of the radii [–].
     pub q: f64,
-    /// What the two do to each other.
+    /// The phase of the pair, which determines how the two act on each other.
     pub phase: Phase,
 }
 
@@ -765,7 +768,7 @@ mod tests {
     use super::*;
     use crate::sim::deformation::Deformation;
 
-    /// What single precision would cost: the state rounded to f32 after every step, against the state as it is.
+    /// The cost of single precision: the state rounded to f32 after every step, compared with the exact state.
     #[test]
     fn single_precision_is_not_enough() {
         let scene = Scene::builtin("two").unwrap();

@@ -1,4 +1,4 @@
-//! What a body feels of its own motion, by its response.
+//! Carry: the inertial response of a body's vertices to its own motion.
 
 use glam::DVec3;
 

@@ -1,10 +1,10 @@
-//! Force terms: what acts on the vertices of a body beyond the inertia of its own displacement, one file a term.
+//! Force terms: what acts on the vertices of a body beyond their own oscillators, one file per term.
 //!
-//! A term says what it adds in the three kinds that integrators know, see [`Surroundings`]: the same acceleration for all
-//! vertices, one times a weight of each vertex, one that depends on where a vertex is. It says how much that can be at most,
-//! when it jumps, and when it first needs a body that is at rest. All who add up what acts on a body, the integrators, the
-//! bounds on what vertices can do, arrows, energy, the inside of a step, ask the table below; a new term is a file beside this
-//! one and its line there.
+//! A term contributes in the three kinds that integrators know, see [`Surroundings`]: the same acceleration for all
+//! vertices, an acceleration times a weight per vertex, and one that depends on a vertex's position. It also gives a
+//! bound of its contribution, the instants at which it jumps, and the times at which it wakes a body at rest.
+//! Everything that sums what acts on a body (integrators, motion bounds, arrows, energy, the stages of a step) uses the
+//! table below. A new term is a file beside this one and its line there.
 
 mod carry;
 pub(super) mod oscillator;
@@ -30,15 +30,15 @@ macro_rules! terms {
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum Cause {
             $($($(#[$doc])* $Cause,)*)*
-            /// The sum of all: x″.
+            /// The sum of all causes: x″.
             Net,
         }
 
         impl Cause {
-            /// All causes, the sum last.
+            /// All causes; the sum is last.
             pub const ALL: [Cause; Cause::Net as usize + 1] = [$($(Cause::$Cause,)*)* Cause::Net];
 
-            /// The name used in recordings. The unit of all is scene unit/s².
+            /// The name used in recordings. The unit of every cause is scene unit/s².
             pub fn name(self) -> &'static str {
                 match self {
                     $($(Cause::$Cause => $name,)*)*
@@ -47,7 +47,8 @@ macro_rules! terms {
             }
         }
 
-        /// What is the same for all vertices of body `index`, which moves like that, at an instant [scene unit/s²].
+        /// The acceleration that all vertices of body `index` share at an instant, given the body's motion [scene
+        /// unit/s²].
         pub(super) fn uniform(scene: &Scene, index: usize, motion: &Kinematics) -> DVec3 {
             let mut sum = DVec3::ZERO;
             $(sum += $module::$Term::uniform(scene, index, motion).map_or(DVec3::ZERO, |(_, force)| force);)*
@@ -55,7 +56,8 @@ macro_rules! terms {
         }
 
         impl<P: Phases> On<'_, P> {
-            /// What acts on the body at an instant, with no vertices farther from its centre than `farthest` [scene unit].
+            /// Collects what acts on the body at an instant; no vertex is farther from its centre than `farthest`
+            /// [scene unit].
             pub fn surroundings_into(&self, moment: Moment, farthest: f64, surroundings: &mut Surroundings) {
                 let motion = self.tracks.track(self.scene, self.index as usize).at(moment.time);
                 surroundings.clear();
@@ -63,13 +65,13 @@ macro_rules! terms {
                 $($module::$Term::at(self, moment, &motion, farthest, surroundings);)*
             }
 
-            /// What acts all through a part of a step in which nothing jumps, of what `near` can bring.
+            /// Collects what acts throughout a part of a step without jumps, considering the neighbours `near`.
             pub fn over(&self, near: &[Neighbour], part: Span, acting: &mut Acting) {
                 acting.clear();
                 $($module::$Term::over(self, near, part, acting);)*
             }
 
-            /// A bound of the acceleration of any vertex during `span` by what acts wherever other bodies are
+            /// A bound on the acceleration of any vertex during `span` by terms that do not depend on other bodies
             /// [scene unit/s²].
             pub fn own_bound(&self, span: Span) -> f64 {
                 let mut sum = 0.0;
@@ -77,13 +79,14 @@ macro_rules! terms {
                 sum
             }
 
-            /// Adds the instants within `span` at which something jumps for the body or by what `near` bring.
+            /// Appends the instants within `span` at which a term jumps for the body, considering the neighbours
+            /// `near`.
             pub fn jumps(&self, near: &[Neighbour], span: Span, jumps: &mut Vec<f64>) {
                 $($module::$Term::jumps(self, near, span, jumps);)*
             }
         }
 
-        /// Adds when terms begin to act on bodies by themselves, and on which [s].
+        /// Appends the times [s] at which terms begin to act on bodies by themselves, with the bodies' indices.
         pub(super) fn starts(scene: &Scene) -> Vec<(f64, u32)> {
             let mut starts = Vec::new();
             $($module::$Term::starts(scene, &mut starts);)*
@@ -93,14 +96,14 @@ macro_rules! terms {
     };
 }
 
-// In the order in which their accelerations are added up. A new term is a file beside this one and a line here.
+// In the order in which their accelerations are summed. A new term is a file beside this one and a line here.
 terms! {
     spheres::Spheres => [
         /// (3.4): influence spheres of merged bodies.
         Attraction: "attraction",
-        /// (3.5): influence spheres of bodies apart.
+        /// (3.5): influence spheres of bodies that are apart.
         Repulsion: "repulsion",
-        /// The same of bodies in their core.
+        /// (3.5): influence spheres of bodies in their core.
         Core: "core"
     ];
     oscillator::Springs => [
@@ -119,38 +122,40 @@ terms! {
     ];
 }
 
-/// What a term adds to the acceleration of the vertices of a body; nothing of what it doesn't say.
+/// A term's contribution to the acceleration of a body's vertices. Every method defaults to no contribution.
 trait Term {
-    /// What is the same for all vertices of body `index`, which moves like that, at an instant [scene unit/s²].
+    /// The acceleration that all vertices of body `index` share at an instant, given the body's motion [scene unit/s²].
     fn uniform(_scene: &Scene, _index: usize, _motion: &Kinematics) -> Option<(Cause, DVec3)> {
         None
     }
 
-    /// Adds what else acts on a body at an instant, with no vertices farther from its centre than `farthest` [scene unit].
+    /// Adds the other contributions at an instant; no vertex is farther from the body's centre than `farthest` [scene
+    /// unit].
     fn at<P: Phases>(_: &On<'_, P>, _: Moment, _motion: &Kinematics, _farthest: f64, _: &mut Surroundings) {}
 
-    /// Adds the same for all of a part of a step in which nothing jumps, of what `near` can bring.
+    /// Adds the same contributions for a whole part of a step without jumps, considering the neighbours `near`.
     fn over<P: Phases>(_: &On<'_, P>, _near: &[Neighbour], _part: Span, _: &mut Acting) {}
 
-    /// A bound of the acceleration of any vertex during `span` by what acts wherever other bodies are [scene unit/s²].
+    /// A bound on the acceleration of any vertex during `span` by contributions that do not depend on other bodies
+    /// [scene unit/s²].
     fn own_bound<P>(_: &On<'_, P>, _span: Span) -> f64 {
         0.0
     }
 
-    /// Adds the instants within `span` at which what it adds jumps, or has a kink [s].
+    /// Appends the instants within `span` at which the contribution jumps or has a kink [s].
     fn jumps<P: Phases>(_: &On<'_, P>, _near: &[Neighbour], _span: Span, _: &mut Vec<f64>) {}
 
-    /// Adds when it begins to act on bodies by itself, and on which [s].
+    /// Appends the times [s] at which the term begins to act on bodies by itself, with the bodies' indices.
     fn starts(_: &Scene, _: &mut Vec<(f64, u32)>) {}
 }
 
-/// A body that terms act on, and what they may know about it.
+/// A body that terms act on, with all that they may know about it.
 #[derive(Clone, Copy)]
 pub(super) struct On<'a, P> {
     pub scene: &'a Scene,
     /// Its index in the scene.
     pub index: u32,
-    /// Bodies that are near it.
+    /// Nearby bodies.
     pub neighbours: &'a [Neighbour],
     /// The scene's pushes on it.
     pub pushes: &'a [scene::Push],
@@ -160,40 +165,40 @@ pub(super) struct On<'a, P> {
 }
 
 impl<'a, P> On<'a, P> {
-    /// The same with phases from elsewhere.
+    /// The same body, with phases from another source.
     pub fn with_phases<Q>(self, phases: Q) -> On<'a, Q> {
         let On { scene, index, neighbours, pushes, tracks, .. } = self;
         On { scene, index, neighbours, pushes, tracks, phases }
     }
 }
 
-/// The phases of the pairs of a body in the course of a step.
+/// The phases of a body's pairs during a step.
 pub(super) trait Phases {
-    /// From `t` on.
+    /// The phase of the pair from `t` on.
     fn from(&self, index: u32, neighbour: &Neighbour, t: f64) -> Phase;
 
-    /// Adds when it changes.
+    /// Appends the times at which the phase changes.
     fn changes(&self, index: u32, neighbour: &Neighbour, times: &mut Vec<f64>);
 }
 
-/// An instant at which it is wanted what acts.
+/// An instant at which forces are evaluated.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Moment {
-    /// When [s].
+    /// Time of the instant [s].
     pub time: f64,
-    /// Pairs have the phases that they have from this time on [s].
+    /// Time whose phases apply: pairs have the phases that hold from here on [s].
     pub phases_at: f64,
 }
 
-/// What acts on the vertices of one body at one instant, but for its own oscillators: the right-hand side of the equation
-/// of motion beyond (3.2), in body coordinates.
+/// What acts on the vertices of one body at one instant, except their own oscillators: the right-hand side of the
+/// equation of motion beyond (3.2), in body coordinates.
 #[derive(Clone, Debug, Default)]
 pub struct Surroundings {
-    /// What is the same for all vertices [scene unit/s²], once a cause.
+    /// Accelerations that all vertices share [scene unit/s²], one per cause.
     pub uniform: Vec<(Cause, DVec3)>,
-    /// What acts on each vertex by a weight of its own.
+    /// Accelerations that act on each vertex by a weight of its own.
     pub weighted: Vec<Weighted>,
-    /// What depends on where a vertex is: the influence spheres that can reach the body.
+    /// The influence spheres that can reach the body: accelerations that depend on a vertex's position.
     pub sources: Vec<Source>,
 }
 
@@ -204,8 +209,8 @@ impl Surroundings {
         self.sources.clear();
     }
 
-    /// The acceleration of the vertex with rest position `rest`, whose direction is `facing`, and displacement `x`
-    /// [scene unit/s²].
+    /// The acceleration of the vertex with rest position `rest`, direction `facing` and displacement `x` [scene
+    /// unit/s²].
     #[inline]
     pub fn acceleration(&self, weight: Weight, rest: DVec3, facing: DVec3, x: DVec3) -> DVec3 {
         let mut acceleration = DVec3::ZERO;
@@ -231,13 +236,13 @@ impl Surroundings {
     }
 }
 
-/// What acts on the vertices of a body all through a part of a step in which nothing jumps, but for what is the same for all
-/// of them; see [`uniform`].
+/// What acts on the vertices of a body throughout a part of a step without jumps, except what all of them share; see
+/// [`uniform`].
 #[derive(Clone, Debug, Default)]
 pub(super) struct Acting {
-    /// The body's weighted terms, those that do not act now with strength zero.
+    /// The body's weighted terms; one that does not act now has strength zero.
     pub weighted: Vec<Weighted>,
-    /// The spheres that can reach it.
+    /// The influence spheres that can reach the body.
     pub spheres: Vec<Sphere>,
 }
 

@@ -1,5 +1,5 @@
-//! The vertices' own oscillators (3.2): integrators know them by their exact flow or write them out, so that they add nothing
-//! to what acts on a body; here is what they count as when one looks.
+//! The vertices' own oscillators (3.2). Integrators use their exact flow or write them out, so they contribute nothing
+//! to the forces on a body; this file computes their share for observation.
 
 use super::{Cause, Term};
 use crate::{model::energy, scene::Material, sim::arrays::Vectors};
@@ -8,7 +8,7 @@ pub struct Springs;
 
 impl Term for Springs {}
 
-/// What they do to vertices, as so many times displacements or velocities [scene unit/s²].
+/// Their accelerations: multiples of the displacements and of the velocities [scene unit/s²].
 pub fn accelerations<'a>(
     material: Material,
     displacement: &'a Vectors,
@@ -18,12 +18,12 @@ pub fn accelerations<'a>(
     [(Cause::Restoring, -(omega * omega), displacement), (Cause::Damping, -2.0 * damping, velocity)]
 }
 
-/// Kinetic and elastic energy of the vertices of a body per unit of a vertex's mass [scene unit²/s²].
+/// Kinetic and elastic energy of a body's vertices, per unit of vertex mass [scene unit²/s²].
 pub fn energy(material: Material, displacement: &Vectors, velocity: &Vectors) -> [f64; 2] {
     [energy::kinetic(sum_of_squares(velocity)), energy::elastic(material.omega, sum_of_squares(displacement))]
 }
 
-/// Σ |v|², in eight sums side by side, which are vectorised.
+/// Σ |v|², in eight parallel sums so that the loop vectorises.
 fn sum_of_squares(vectors: &Vectors) -> f64 {
     const LANES: usize = 8;
     let n = vectors.len();

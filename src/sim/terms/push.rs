@@ -1,4 +1,4 @@
-//! Pushes (Fig. 4.1): vertices that face one accelerate along it.
+//! Pushes (Fig. 4.1): vertices that face a push accelerate along it.
 
 use glam::DVec3;
 
@@ -8,10 +8,10 @@ use crate::{
     sim::{Span, neighbours::Neighbour},
 };
 
-/// An acceleration that acts on each vertex by how squarely it faces it.
+/// An acceleration that acts on each vertex in proportion to how squarely the vertex faces it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Weighted {
-    /// As what it counts.
+    /// The cause that it counts as.
     pub cause: Cause,
     /// Unit direction d.
     pub direction: DVec3,
@@ -20,7 +20,7 @@ pub struct Weighted {
 }
 
 impl Weighted {
-    /// What it does to a vertex whose rest position has the direction `facing` [scene unit/s²].
+    /// The acceleration of a vertex whose rest position has the direction `facing` [scene unit/s²].
     #[inline]
     pub fn acceleration(&self, facing: DVec3) -> DVec3 {
         self.direction * (self.strength * f64::max(0.0, -facing.dot(self.direction)))

@@ -1,4 +1,4 @@
-//! Influence spheres of other bodies: attraction (3.4), repulsion (3.5), and that of the core.
+//! Influence spheres of other bodies: attraction (3.4), repulsion (3.5), and repulsion in the core.
 
 use glam::DVec3;
 
@@ -14,7 +14,7 @@ use crate::{
     sim::{Span, arrays::Vectors, neighbours::Neighbour},
 };
 
-/// An influence sphere of another body that can reach a body in a part of a step.
+/// An influence sphere of another body that can reach this body in a part of a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Sphere {
     /// Index of the body that it belongs to.
@@ -38,12 +38,12 @@ pub struct Source {
     pub sphere_radius: f64,
     /// Signed strength [1/s²]: positive attracts, negative repels.
     pub strength: f64,
-    /// The phase of the pair, from which that follows.
+    /// The phase of the pair, which determines the strength.
     pub phase: Phase,
 }
 
 impl Source {
-    /// As what its force counts.
+    /// The cause that its force counts as.
     pub fn cause(&self) -> Cause {
         match (self.phase, self.strength > 0.0) {
             (Phase::Core, _) => Cause::Core,
@@ -112,12 +112,13 @@ impl<P> On<'_, P> {
     }
 }
 
-/// Body `other`, of pair `pair`, as one that is near `this`.
+/// The neighbour entry for body `other`, in pair `pair`, as seen from `this`.
 pub(in crate::sim) fn neighbour(scene: &Scene, this: u32, other: u32, pair: u32) -> Neighbour {
     Neighbour { other, pair, pull: strongest_pull(scene, this, other) }
 }
 
-/// A bound of the acceleration of any vertex of body `this` by the sphere of body `source`, in any phase [scene unit/s²].
+/// A bound on the acceleration of any vertex of body `this` by the sphere of body `source`, in any phase [scene
+/// unit/s²].
 fn strongest_pull(scene: &Scene, this: u32, source: u32) -> f64 {
     let influence = &scene.influence;
     let [this, source] = [this, source].map(|index| scene.bodies[index as usize].radius);
@@ -126,11 +127,11 @@ fn strongest_pull(scene: &Scene, this: u32, source: u32) -> f64 {
     strongest * influence.sphere_radius(source) * influence.weight.max_pull()
 }
 
-/// Vertices whose distances are computed together.
+/// Number of vertices whose distances are computed together.
 const STRIP: usize = 64;
 
-/// What the vertices of a body have of Σ s Φ beyond what they have outside of all spheres [scene unit²/s²], and how many are
-/// inside of any. `displacement` is empty if every one is zero.
+/// Σ s Φ over a body's vertices, less its value if all were outside every sphere [scene unit²/s²], and the number of
+/// vertices inside any sphere. `displacement` is empty if all are zero.
 pub fn energy_inside(rest: Rest<'_>, displacement: &Vectors, sources: &[Source], weight: Weight, sum: &mut f64) -> u64 {
     let mut count = 0;
     if sources.is_empty() {
@@ -156,7 +157,7 @@ pub fn energy_inside(rest: Rest<'_>, displacement: &Vectors, sources: &[Source],
     count
 }
 
-/// How far some vertices from `first` on are from `centre`, which is relative to the body's [scene unit].
+/// Distances of some vertices, from `first` on, to `centre`, which is relative to the body's centre [scene unit].
 fn find_distances(rest: Rest<'_>, displacement: &Vectors, centre: DVec3, first: usize, distances: &mut [f64]) {
     let n = distances.len();
     let (l, radius) = (rest.mesh.positions(), rest.radius);
@@ -178,7 +179,7 @@ fn find_distances(rest: Rest<'_>, displacement: &Vectors, centre: DVec3, first: 
     }
 }
 
-/// Σ s Φ over the vertices of body `index`, all of them outside the sphere of body `source` [scene unit²/s²].
+/// Σ s Φ over the vertices of body `index` if all of them were outside the sphere of body `source` [scene unit²/s²].
 pub fn energy_outside(scene: &Scene, index: usize, source: usize, phase: Phase) -> f64 {
     let (body, source) = (&scene.bodies[index], scene.bodies[source].radius);
     outside_per_vertex(&scene.influence, body.radius, source, phase) * body.shape.vertex_count() as f64
@@ -189,7 +190,7 @@ fn outside_per_vertex(influence: &Influence, radius: f64, source: f64, phase: Ph
     influence.strength(phase, radius, source) * energy::influence_potential(influence.weight, sphere, sphere)
 }
 
-/// Σ [`energy_outside`] over all ordered pairs of bodies as if all were apart: a constant of the scene, in
+/// Σ [`energy_outside`] over all ordered pairs of bodies as if all were apart: a constant of the scene, computed in
 /// O(bodies · distinct radii).
 pub fn energy_of_distant_pairs(scene: &Scene) -> f64 {
     let mut radii: Vec<f64> = scene.bodies.iter().map(|body| body.radius).collect();
