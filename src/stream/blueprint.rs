@@ -1,7 +1,7 @@
-//! The layout that the viewer opens with, sent by code beside every recording.
+//! The layout (blueprint) that the viewer opens with, sent along with every recording.
 //!
-//! The SDK's own builder knows neither cameras nor axes, so this logs the blueprint's archetypes itself: a tree of
-//! containers and views, each an entity of the blueprint store with an id of its own.
+//! The SDK's own builder supports neither cameras nor axes, so this module logs the blueprint's archetypes itself: a
+//! tree of containers and views, each an entity of the blueprint store with its own id.
 
 use glam::DVec3;
 use rerun::{
@@ -39,31 +39,32 @@ use super::{
 };
 use crate::observe::{Schema, Simulation, colors, schema::TermSchema};
 
-/// What a layout is for.
+/// The recording for which a layout is made.
 pub struct Subject<'a> {
-    /// What is simulated …
+    /// The recorded simulation.
     pub simulation: &'a dyn Simulation,
-    /// … which this says …
+    /// The schema of the simulation.
     pub schema: &'a Schema,
-    /// … and how it is recorded.
+    /// The settings of the recording.
     pub settings: &'a Settings,
 }
 
-/// The messages that bring the layout for `recording` and make it the active one.
+/// The messages that create the layout for `recording` and make it the active one.
 pub fn messages(subject: &Subject<'_>, tab: Tab, recording: &StoreId) -> Vec<LogMsg> {
     let mut layout = Layout::of(recording);
     let root = layout.root(subject, tab);
     layout.finish(root)
 }
 
-/// What changes of those messages when it is known what stages usually take: plots of times leave out what is rare.
+/// The changes to those messages once typical stage durations are known: the axes of timing plots exclude rare
+/// outliers.
 pub fn ranges(subject: &Subject<'_>, tab: Tab, recording: &StoreId, typical: &[(&str, f64)]) -> Vec<LogMsg> {
-    /// So much higher than what is typical is a plot.
+    /// Ratio of a plot's upper end to the typical value.
     const HEADROOM: f64 = 1.3;
 
     let mut layout = Layout::of(recording);
     let root = layout.root(subject, tab);
-    layout.finish(root); // sent before; what follows is numbered after it
+    layout.finish(root); // already sent; ids of what follows continue after it
     for (plot, stages) in std::mem::take(&mut layout.timings) {
         let shown = typical.iter().filter(|(stage, _)| stages.contains(stage));
         let highest = shown.map(|(_, typical)| *typical).fold(0.0, f64::max);
@@ -76,7 +77,7 @@ pub fn ranges(subject: &Subject<'_>, tab: Tab, recording: &StoreId, typical: &[(
     if messages.is_empty() { messages } else { layout.activate(messages) }
 }
 
-/// The same for a recording of two runs side by side: surfaces and error arrows, differences over time, what happened.
+/// The layout of a comparison of two runs: surfaces and error arrows, differences over time, events.
 pub fn of_comparison(spheres: &[(DVec3, f64)], recording: &StoreId) -> Vec<LogMsg> {
     let mut layout = Layout::of(recording);
     let (camera, grid) = (camera_on(spheres), LineGrid3D::new().with_visible(false));
@@ -96,7 +97,7 @@ pub fn of_comparison(spheres: &[(DVec3, f64)], recording: &StoreId) -> Vec<LogMs
     layout.finish(root)
 }
 
-/// Surfaces of more bodies than this look in views of forces as they do elsewhere.
+/// Upper limit on the number of bodies that are drawn transparent in views of forces.
 const MOST_SHEER: usize = 16;
 
 /// A container or a view that has been logged.
@@ -108,28 +109,28 @@ struct Part {
 /// A tab of the layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tab {
-    /// Everything at one glance.
+    /// An overview of everything.
     Scene,
-    /// A view a cause.
+    /// One 3D view per force term.
     Forces,
-    /// Surfaces by how far they are displaced, vertices to select.
+    /// Surfaces coloured by displacement, with selectable vertices.
     Displacement,
-    /// Distances, phases, events.
+    /// Distances, phases and events of pairs.
     Pairs,
-    /// What it costs.
+    /// Durations of stages.
     Timings,
-    /// What the state is like.
+    /// Energy and other scalars of the state.
     Energy,
-    /// The inside of steps.
+    /// The stages inside steps.
     Stages,
 }
 
 impl Tab {
-    /// All of them, in the viewer's order.
+    /// All tabs, in the order of the viewer.
     pub const ALL: [Tab; 7] =
         [Tab::Scene, Tab::Forces, Tab::Displacement, Tab::Pairs, Tab::Timings, Tab::Energy, Tab::Stages];
 
-    /// The name on the command line.
+    /// The name of the tab on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Tab::Scene => "scene",
@@ -143,7 +144,7 @@ impl Tab {
     }
 }
 
-/// What a visualizer takes for one of its components.
+/// Source of a component of a visualizer.
 #[derive(Clone, Copy)]
 struct Mapping {
     target: &'static str,
@@ -153,19 +154,19 @@ struct Mapping {
 struct Layout {
     chunks: Chunks,
     next_id: u64,
-    /// The plots of times, and which.
+    /// The timing plots, and the stages in each.
     timings: Vec<(String, Vec<&'static str>)>,
 }
 
 impl Layout {
-    /// For a recording, with nothing in it.
+    /// An empty layout for a recording.
     fn of(recording: &StoreId) -> Layout {
         let id = format!("blueprint-{}", recording.recording_id().as_str());
         let store = StoreId::new(StoreKind::Blueprint, recording.application_id().clone(), id);
         Layout { chunks: Chunks::new(store), next_id: 0, timings: Vec::new() }
     }
 
-    /// Makes `root` the whole window.
+    /// Makes `root` the content of the whole window.
     fn finish(&mut self, root: Part) -> Vec<LogMsg> {
         self.log(
             "viewport",
@@ -216,7 +217,7 @@ impl Layout {
         root
     }
 
-    /// The inside of steps: on the timeline `stage`.
+    /// The stages inside steps, on the timeline `stage`.
     fn stages_tab(&mut self, camera: &EyeControls3D, schema: &Schema, settings: &Settings) -> Part {
         let view = self.scene_view(camera, schema, "Inside of a step (timeline: stage)", settings);
         let lines = self.lines("Stages", "/stages");
@@ -230,7 +231,7 @@ impl Layout {
         self.view("TextLog", name, entity, &[&format!("+ {entity}")], &[("TextLogColumns", &columns)])
     }
 
-    /// Everything at one glance.
+    /// An overview of everything.
     fn scene_tab(&mut self, camera: &EyeControls3D, schema: &Schema, settings: &Settings) -> Part {
         let scene_view = self.scene_view(camera, schema, "Bodies, influence spheres, forces", settings);
         let about = self.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
@@ -240,7 +241,7 @@ impl Layout {
             parts.push(self.timings(schema));
             self.container(ContainerKind::Vertical, "Time", parts, &[1.4, 0.75, 0.75, 1.0])
         } else {
-            // a body that is alone: how it moves, and what it cost
+            // a single body: show its motion and its timings
             let mut parts = self.diagnostics(schema);
             let mut shares = vec![1.0; parts.len()];
             parts.push(self.timings(schema));
@@ -250,8 +251,8 @@ impl Layout {
         self.container(ContainerKind::Horizontal, "Scene", vec![left, right], &[1.6, 1.0])
     }
 
-    /// A view a term, of those that the scene can have, all from the same side: from there each is turned by itself, as
-    /// Rerun 0.36 has a camera for every view and nothing that ties two together.
+    /// One view for each force term that can act in the scene, all with the same initial camera. Afterwards each view
+    /// is turned separately: Rerun 0.36 has a camera for every view and cannot link two of them.
     fn forces_tab(&mut self, camera: &EyeControls3D, schema: &Schema, settings: &Settings) -> Part {
         const WHITE: palette::Rgb = [0xFF; 3];
         let views: Vec<Part> = schema
@@ -264,7 +265,7 @@ impl Layout {
                 let view = self.space(camera, &format!("{} ({})", term.label, colors::name(term.color)), &contents);
                 if schema.bodies.len() <= MOST_SHEER || settings.entities == Entities::Batch {
                     for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
-                        // a batch has a colour for each vertex
+                        // a batch has a colour per vertex
                         let rgb = if settings.entities == Entities::Batch { WHITE } else { palette::body(index) };
                         let sheer = Mesh3D::update_fields().with_albedo_factor(palette::sheer(rgb));
                         self.visualize(&view, &surface, &[("Mesh3D", None, &sheer)]);
@@ -276,7 +277,7 @@ impl Layout {
         self.grid("Forces", views, 3)
     }
 
-    /// Surfaces coloured by how far they are displaced, and vertices to select.
+    /// Surfaces coloured by displacement, with selectable vertices.
     fn displacement_tab(&mut self, camera: &EyeControls3D, schema: &Schema, settings: &Settings) -> Part {
         let title = format!(
             "Displacement: purple 0, green {}, yellow {HOTTEST} radii and more; select a vertex to see its numbers",
@@ -293,7 +294,7 @@ impl Layout {
         self.container(ContainerKind::Vertical, "Displacement", vec![view], &[])
     }
 
-    /// What happens between bodies.
+    /// Views of pair distances, phases and events.
     fn pair_views(&mut self, schema: &Schema) -> Vec<Part> {
         let legend = PlotLegend::new().with_corner(Corner2D::RightBottom);
         let [low, high] = q_range(schema);
@@ -310,7 +311,7 @@ impl Layout {
         vec![distances, phases, events]
     }
 
-    /// What it costs, apart: each of these has an order of magnitude of its own.
+    /// Timings in separate plots, because their orders of magnitude differ.
     fn timings_tab(&mut self, schema: &Schema) -> Part {
         let left = vec![
             self.times("Timings, ms per step: simulating", &schema.stages),
@@ -323,7 +324,7 @@ impl Layout {
         self.container(ContainerKind::Horizontal, "Timings", vec![left, right], &[1.0, 1.0])
     }
 
-    /// What the thread that steps does.
+    /// Timings of the simulation thread.
     fn timings(&mut self, schema: &Schema) -> Part {
         let stages: Vec<&'static str> = schema.stages.iter().chain(&OBSERVING[..1]).copied().collect();
         self.times("Timings, ms per step", &stages)
@@ -343,7 +344,7 @@ impl Layout {
         self.plot("Steps per second, and milliseconds behind real time", "/timings", &contents, Corner2D::LeftTop)
     }
 
-    /// The plots of the schema's numbers.
+    /// Plots of the schema's scalars.
     fn diagnostics(&mut self, schema: &Schema) -> Vec<Part> {
         let mut plots: Vec<(&str, Vec<String>)> = Vec::new();
         for scalar in &schema.scalars {
@@ -365,7 +366,7 @@ impl Layout {
         self.view("TimeSeries", name, origin, contents, &[("PlotLegend", &legend)])
     }
 
-    /// Everything in space, with those forces that make bodies merge and split.
+    /// A 3D view of everything, with the forces that make bodies merge and split.
     fn scene_view(&mut self, camera: &EyeControls3D, schema: &Schema, name: &str, settings: &Settings) -> Part {
         let view = self.space(camera, name, &["+ /world/**"]);
         let mut hide = |entity: &str| {
@@ -373,10 +374,10 @@ impl Layout {
             self.log(&path, &EntityBehavior::new().with_visible(false));
         };
         if settings.entities == Entities::Batch {
-            hide("/world/influence"); // those that reach somebody are with the pairs
+            hide("/world/influence"); // spheres within reach of another body are with the pairs
         }
         if settings.detail != Detail::Surface {
-            // the others are one click away in the view's entity list
+            // the other terms can be enabled in the view's entity list
             for term in schema.terms.iter().filter(|term| !term.is_shown) {
                 hide(&forces::entity(term.name));
             }
@@ -393,7 +394,7 @@ impl Layout {
         self.view("3D", name, "/world", contents, &properties)
     }
 
-    /// Shows an entity of a view with these visualizers instead of those that the viewer would choose.
+    /// Replaces the default visualizers of an entity in a view.
     fn visualize(&mut self, view: &Part, entity: &str, visualizers: &[(&str, Option<Mapping>, &dyn AsComponents)]) {
         let base = format!("{}/ViewContents/overrides/{entity}/visualizers", view.path);
         let mut ids = Vec::new();
@@ -415,7 +416,7 @@ impl Layout {
 
     fn id(&mut self) -> (Uuid, String) {
         self.next_id += 1;
-        // Version 8 of RFC 9562: bits of our own, here just a count.
+        // A version 8 UUID of RFC 9562, whose bits are free to choose: here a counter.
         let value = 0x6d65_6c64_0000_8000_8000_0000_0000_0000_u128 | u128::from(self.next_id);
         let digits = format!("{value:032x}");
         let text =
@@ -469,7 +470,7 @@ impl Layout {
     }
 }
 
-/// The surfaces that deform.
+/// The entities of deformable surfaces.
 fn surfaces(schema: &Schema, settings: &Settings) -> Vec<String> {
     match settings.entities {
         Entities::Body => schema.bodies.iter().map(|body| format!("world/bodies/{}/surface", body.name)).collect(),
@@ -477,12 +478,12 @@ fn surfaces(schema: &Schema, settings: &Settings) -> Vec<String> {
     }
 }
 
-/// A camera from the front, somewhat from the side and from above, that has these spheres in view: centres and radii. What is
-/// flat is seen from higher up.
+/// A camera in front of the spheres (centre and radius), slightly to one side and above, that has all of them in view.
+/// Flat arrangements are viewed from higher up.
 fn camera_on(spheres: &[(DVec3, f64)]) -> EyeControls3D {
     /// Half the viewer's vertical field of view, 55°.
     const HALF_HEIGHT: f64 = 0.5205;
-    /// Views are 1.45 times as wide as they are high, or wider.
+    /// Views have an aspect ratio of at least 1.45.
     const HALF_WIDTH: f64 = 1.42 * HALF_HEIGHT;
 
     let low = spheres.iter().fold(DVec3::INFINITY, |low, &(centre, radius)| low.min(centre - radius));
@@ -492,7 +493,7 @@ fn camera_on(spheres: &[(DVec3, f64)]) -> EyeControls3D {
     let back = DVec3::new(-0.2, -1.0, if is_flat { 1.0 } else { 0.4 }).normalize(); // towards the eye
     let right = DVec3::Z.cross(back).normalize();
     let up = back.cross(right);
-    // The distance from which a sphere at `centre` just fits between the planes that bound the view.
+    // The distance at which a sphere at `centre` just fits between the planes of the view frustum.
     let distance = |centre: DVec3, radius: f64| {
         let offset = centre - middle;
         let fits = |sideways: f64, half: f64| (sideways.abs() + radius * half.hypot(1.0)) / half;
@@ -506,14 +507,14 @@ fn camera_on(spheres: &[(DVec3, f64)]) -> EyeControls3D {
         .with_eye_up(Vector3D::from(glam::Vec3::Z))
 }
 
-/// The range of q worth looking at: the thresholds and what is around them.
+/// The interesting range of q: the thresholds with a margin.
 fn q_range(schema: &Schema) -> [f64; 2] {
     let levels = || schema.thresholds.iter().map(|threshold| threshold.level);
     [levels().reduce(f64::min).unwrap_or(0.5) - 0.25, levels().reduce(f64::max).unwrap_or(1.5) + 0.25]
 }
 
-/// What the colours mean, and which scene, integrator, step and settings these are; of a recording that begins with step
-/// `first`.
+/// The text of the panel: what the colours mean, the scene, integrator, step and settings. The recording begins with
+/// step `first`.
 pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
     let frames = match (&settings.frames, settings.every) {
         (Frames::Thin, _) => {

@@ -1,4 +1,4 @@
-//! `/checksum`: a hash of the exact state for every step, recorded or not.
+//! `/checksum`: a hash of the exact state for every step, whether or not its frame is recorded.
 
 use std::sync::Arc;
 
@@ -16,50 +16,52 @@ use rerun::external::{
 use super::{chunks::Chunks, instant::Instant};
 use crate::sim::checksum::followed_by;
 
-/// The entity, and its one component: unsigned 64-bit numbers.
+/// The entity of the checksums. Its only component holds unsigned 64-bit numbers.
 pub const ENTITY: &str = "/checksum";
-/// See [`ENTITY`].
+/// The component of [`ENTITY`].
 pub const COMPONENT: &str = "checksum";
 
-/// Checksums that have not been sent yet, of consecutive steps.
+/// Checksums of consecutive steps that have not been sent yet.
 ///
-/// A row at step s holds those of the last steps up to s, in order: of s alone, or of several in a thin recording. (A row
-/// of Rerun costs some 30 bytes beside its value, which is nothing beside a frame but a lot beside a checksum.)
+/// A row at step s holds the checksums of the last steps up to s, in order: one per step, or several per row in a thin
+/// recording. (A row of Rerun has an overhead of about 30 bytes, which is negligible compared with a frame but not with a
+/// checksum.)
 pub(super) struct Checksums {
-    /// Checksums in a row, ≥ 1.
+    /// Checksums per row, ≥ 1.
     in_row: usize,
     at: Vec<Instant>,
     values: Vec<u64>,
-    /// Rows sent: their ids are counted apart, as when they are sent depends on the machine.
+    /// Rows sent. Their ids are counted separately, because the time at which they are sent depends on the machine.
     rows: u64,
-    /// Of all of them, sent or not.
+    /// Digest of all checksums, sent or not.
     digest: u64,
 }
 
 impl Checksums {
-    /// A row for every step.
+    /// One row per step.
     pub fn by_step() -> Checksums {
         Checksums { in_row: 1, at: Vec::new(), values: Vec::new(), rows: 0, digest: 0 }
     }
 
-    /// Several in a row, as many as take a fraction of a second to compute: that much is lost if the run is killed.
+    /// Several checksums per row, as many as take a fraction of a second to compute: that much is lost if the run is
+    /// killed.
     pub fn packed(vertices: u64) -> Checksums {
         Checksums { in_row: (250_000 / vertices.max(1)).clamp(1, 16) as usize, ..Checksums::by_step() }
     }
 
-    /// Adds that of the next step.
+    /// Adds the checksum of the next step.
     pub fn push(&mut self, at: Instant, value: u64) {
         self.at.push(at);
         self.values.push(value);
         self.digest = followed_by(self.digest, value);
     }
 
-    /// One number for all of them, by which a recording knows whether it has them all, unharmed.
+    /// A digest of all checksums, by which a reader can tell whether a recording has all of them, undamaged.
     pub fn digest(&self) -> u64 {
         self.digest
     }
 
-    /// Logs what has come together; of a row that is not full only at the end of the run.
+    /// Logs all full rows, and at the end of the run also an incomplete one.
     pub fn log(&mut self, chunks: &mut Chunks, at_end: bool) {
         let whole = self.values.len() / self.in_row * self.in_row;
         let count = if at_end { self.values.len() } else { whole };

@@ -1,7 +1,7 @@
-//! Rows gathered into chunks, chunks into messages.
+//! Batches rows into chunks, and chunks into messages.
 //!
 //! The SDK's own recording stream would add wall-clock timelines and random row ids, and flush by a timer. Here a
-//! recording is a function of what is logged: times are the simulation's, ids count up.
+//! recording is a deterministic function of what is logged: times are simulated time, ids are counters.
 
 use std::collections::HashMap;
 
@@ -19,10 +19,10 @@ use super::{
     instant::{Instant, STAGE},
 };
 
-/// Whom a message is for: files get the same rows as viewers, but in larger chunks.
+/// The destinations of a message: files get the same rows as viewers, but in larger chunks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Audience {
-    /// Everyone.
+    /// All destinations.
     All,
     /// Viewers and servers.
     Viewers,
@@ -30,31 +30,31 @@ pub enum Audience {
     Files,
 }
 
-/// An entity that is logged in columns, see [`Chunks::track`].
+/// Handle of an entity that is logged in columns, see [`Chunks::track`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TrackId(usize);
 
-/// An entity, at stages or at instants: rows of a chunk have the same timelines.
+/// An entity, and whether its rows are at stages or at instants: all rows of a chunk have the same timelines.
 type RowPlace = (EntityPath, bool);
 
-/// Gathers rows by entity until they are taken.
+/// Collects rows by entity until they are taken.
 pub struct Chunks {
     store: StoreId,
     tracks: Vec<Columns>,
     open: HashMap<RowPlace, ChunkBuilder>,
-    /// Entities in `open` in the order of their first row, so that messages do not depend on hashing.
+    /// Entities in `open` in the order of their first row, so that the order of messages does not depend on hashing.
     order: Vec<RowPlace>,
     done: Vec<LogMsg>,
-    /// What follows is logged at this stage of a step, and not at an instant.
+    /// The stage at which rows are logged; `None` if they are at instants.
     stage: Option<u64>,
     rows: u64,
-    /// Of what depends on the machine.
+    /// Number of rows whose contents depend on the machine.
     rows_apart: u64,
     chunks: u64,
 }
 
 impl Chunks {
-    /// For the recording or blueprint `store`; the first message says what it is.
+    /// For the recording or blueprint `store`. The first message identifies the store.
     pub fn new(store: StoreId) -> Chunks {
         let source = StoreSource::Other("meldscope".to_owned());
         let info = SetStoreInfo { row_id: Tuid::from_nanos_and_inc(1, 0), info: StoreInfo::new(store.clone(), source) };
@@ -76,7 +76,7 @@ impl Chunks {
         &self.store
     }
 
-    // Counted apart: how many chunks the rows come in depends on the machine, which rows there are does not.
+    // Counted separately: the number of chunks depends on the machine, the rows do not.
     fn row_id(&mut self) -> RowId {
         self.rows += 1;
         RowId::from_tuid(Tuid::from_nanos_and_inc(1, self.rows))
@@ -87,26 +87,27 @@ impl Chunks {
         ChunkId::from_tuid(Tuid::from_nanos_and_inc(2, self.chunks))
     }
 
-    /// From here on rows are at a stage, on a timeline of its own, or at instants again. A track keeps to either.
+    /// Sets whether the following rows are at a stage, on its own timeline, or at instants. A track must not mix the
+    /// two.
     pub fn set_stage(&mut self, stage: Option<u64>) {
         self.stage = stage;
     }
 
-    /// For what an entity is logged frame after frame: always these components.
+    /// Creates a track: an entity that is logged frame after frame with the same components.
     pub fn track(&mut self, entity: &str, components: impl IntoIterator<Item = ComponentDescriptor>) -> TrackId {
         self.tracks.push(Columns::new(entity, components.into_iter().collect()));
         TrackId(self.tracks.len() - 1)
     }
 
-    /// The same for what depends on the machine: its rows are counted apart, so that all others are known by the same
-    /// numbers in equal runs.
+    /// Like [`Chunks::push`], for values that depend on the machine. Their rows are counted separately, so that all
+    /// other rows have the same ids in equal runs.
     pub fn push_apart(&mut self, TrackId(track): TrackId, at: Instant, cells: &[Cell<'_>]) {
         self.rows_apart += 1;
         let row = RowId::from_tuid(Tuid::from_nanos_and_inc(4, self.rows_apart));
         self.tracks[track].push(row, at, None, cells);
     }
 
-    /// Logs a cell for each component of a track.
+    /// Logs a row of a track, one cell per component.
     pub fn push(&mut self, TrackId(track): TrackId, at: Instant, cells: &[Cell<'_>]) {
         let row = self.row_id();
         self.tracks[track].push(row, at, self.stage, cells);
@@ -118,7 +119,7 @@ impl Chunks {
         self.row(entity, self.stage.map_or_else(|| at.time_point(), stage), components);
     }
 
-    /// Logs components of an entity at a time of any timeline.
+    /// Logs components of an entity at a time point on any timelines.
     pub fn row(&mut self, entity: &str, at: TimePoint, components: &dyn AsComponents) {
         let row = self.row_id();
         let path = EntityPath::from(entity);
@@ -132,7 +133,7 @@ impl Chunks {
         self.open.insert(place, builder);
     }
 
-    /// Logs components of an entity for all times, in a message of its own.
+    /// Logs static components of an entity, in a separate message.
     pub fn log_static(&mut self, entity: &str, components: &dyn AsComponents) {
         let (id, row) = (self.chunk_id(), self.row_id());
         let builder = Chunk::builder_with_id(id, EntityPath::from(entity));
@@ -140,7 +141,7 @@ impl Chunks {
         self.finish(builder);
     }
 
-    /// Logs many rows of an entity at once, in a message of its own.
+    /// Logs many rows of an entity at once, in a separate message.
     pub fn columns(
         &mut self,
         entity: &str,
@@ -154,7 +155,7 @@ impl Chunks {
         self.send(ours(chunk));
     }
 
-    /// The messages since the last call.
+    /// Returns the messages since the last call.
     pub fn take(&mut self) -> Vec<LogMsg> {
         for chunk in self.drain() {
             self.send(chunk);
@@ -162,10 +163,10 @@ impl Chunks {
         std::mem::take(&mut self.done)
     }
 
-    /// The same, but for what comes in tracks only that of which there is enough for a chunk.
+    /// Like [`Chunks::take`], but includes tracks only if they have enough rows to fill a chunk.
     pub fn take_full(&mut self) -> Vec<LogMsg> {
         if self.tracks.iter().any(Columns::is_long) {
-            return self.take(); // lines of numbers never get ahead of what they are about
+            return self.take(); // numbers must not get ahead of the frames that they belong to
         }
         for track in 0..self.tracks.len() {
             if self.tracks[track].is_full() {
@@ -176,8 +177,8 @@ impl Chunks {
         std::mem::take(&mut self.done)
     }
 
-    /// What there is to see since the last call. Rows of tracks are for viewers only, and stay to be taken, for files, in
-    /// larger chunks.
+    /// Returns what viewers have not received since the last call. Rows of tracks are for viewers only; they remain to
+    /// be taken, for files, in larger chunks.
     pub fn show(&mut self) -> Vec<(Audience, LogMsg)> {
         for chunk in self.drain_rows() {
             self.send(chunk);
@@ -194,12 +195,12 @@ impl Chunks {
         shown
     }
 
-    /// Whether [`Chunks::take_full`] has something to give.
+    /// Whether [`Chunks::take_full`] would return a full chunk.
     pub fn has_full(&self) -> bool {
         !self.done.is_empty() || self.tracks.iter().any(|track| track.is_full() || track.is_long())
     }
 
-    /// What was logged at instants since the last call, not yet as messages.
+    /// Returns what was logged at instants since the last call, before it is converted to messages.
     pub fn drain(&mut self) -> Vec<Chunk> {
         let mut chunks = self.drain_rows();
         for track in 0..self.tracks.len() {
@@ -210,14 +211,14 @@ impl Chunks {
         chunks
     }
 
-    /// The same of what does not come in tracks.
+    /// Like [`Chunks::drain`], without the tracks.
     fn drain_rows(&mut self) -> Vec<Chunk> {
         let order = std::mem::take(&mut self.order);
         let rows = order.into_iter().filter_map(|path| self.open.remove(&path));
         rows.map(|builder| ours(builder.build())).collect()
     }
 
-    /// The rows of a track as a chunk.
+    /// Converts the rows of a track to a chunk.
     fn close(&mut self, track: usize) -> Chunk {
         let parts = ours(self.tracks[track].take());
         self.chunk(track, parts)
@@ -234,13 +235,13 @@ impl Chunks {
         self.send(ours(builder.build()));
     }
 
-    /// Makes a message of a chunk.
+    /// Converts a chunk to a message.
     pub fn send(&mut self, chunk: Chunk) {
         self.done.push(LogMsg::ArrowMsg(self.store.clone(), ours(chunk.to_arrow_msg())));
     }
 }
 
-/// Only malformed columns can fail, and none comes from outside.
+/// Unwraps a result that fails only for malformed columns; no column comes from outside.
 fn ours<T, E: std::fmt::Display>(result: Result<T, E>) -> T {
     match result {
         Ok(result) => result,
@@ -248,7 +249,7 @@ fn ours<T, E: std::fmt::Display>(result: Result<T, E>) -> T {
     }
 }
 
-/// The time of everything in a blueprint.
+/// The time point of everything in a blueprint.
 pub(super) fn blueprint_time() -> TimePoint {
     TimePoint::from_iter([(Timeline::new_sequence("blueprint"), 0)])
 }

@@ -1,4 +1,4 @@
-//! Rows of one entity as columns: what is logged frame after frame, without an array for each row.
+//! Columnar storage for entities that are logged every frame, without an array per row.
 
 use std::sync::Arc;
 
@@ -23,28 +23,29 @@ use super::{
     normals::Float3,
 };
 
-/// A chunk is complete with this many bytes of values, or rows: the sizes to which the viewer's store compacts chunks.
+/// A chunk is full at this many bytes of values, or this many rows: the sizes to which the viewer's store compacts
+/// chunks.
 const CHUNK_BYTES: usize = 384 << 10;
 const CHUNK_ROWS: usize = 4096;
 
-/// What a row has of one component.
+/// The value of one component in a row.
 #[derive(Clone, Copy, Debug)]
 pub enum Cell<'a> {
-    /// Positions, directions.
+    /// Positions or directions.
     Vectors(&'a [Float3]),
-    /// Numbers of a plot.
+    /// Scalars of a plot.
     Scalars(&'a [f64]),
-    /// Numbers of vertices.
+    /// Scalars of vertices.
     Floats(&'a [f32]),
     /// Packed colours.
     Colors(&'a [u32]),
-    /// Classes of an annotation context.
+    /// Class ids of an annotation context.
     Classes(&'a [u16]),
-    /// Lines from one point to another.
+    /// Line segments.
     Segments(&'a [[Float3; 2]]),
     /// Labels.
     Texts(&'a [String]),
-    /// Words of a few.
+    /// Strings from a small fixed set.
     Names(&'a [&'static str]),
 }
 
@@ -52,15 +53,15 @@ pub enum Cell<'a> {
 pub(super) struct Columns {
     pub entity: EntityPath,
     ids: Vec<RowId>,
-    /// Or stages, if there are no times.
+    /// Step numbers; stage numbers if there are no times.
     steps: Vec<i64>,
     nanoseconds: Vec<i64>,
     columns: Vec<Column>,
-    /// So many rows have been shown already, see [`Columns::show`].
+    /// Number of rows already shown, see [`Columns::show`].
     shown: usize,
 }
 
-/// What a chunk is made of.
+/// The parts from which a chunk is built.
 pub(super) type ChunkParts = (Vec<RowId>, Vec<TimeColumn>, ChunkComponents);
 
 struct Column {
@@ -94,7 +95,7 @@ impl Columns {
         }
     }
 
-    /// Adds a row with a cell for each component.
+    /// Adds a row, one cell per component.
     pub fn push(&mut self, id: RowId, at: Instant, stage: Option<u64>, cells: &[Cell<'_>]) {
         self.ids.push(id);
         match stage {
@@ -113,17 +114,17 @@ impl Columns {
         self.ids.is_empty()
     }
 
-    /// Whether there are enough bytes for a chunk.
+    /// Whether there are enough bytes to fill a chunk.
     pub fn is_full(&self) -> bool {
         self.columns.iter().map(|column| column.values.bytes()).sum::<usize>() >= CHUNK_BYTES
     }
 
-    /// Whether there are as many rows as a chunk should have.
+    /// Whether there are enough rows to fill a chunk.
     pub fn is_long(&self) -> bool {
         self.ids.len() >= CHUNK_ROWS
     }
 
-    /// The rows as a chunk has them; none are left.
+    /// Takes all rows, in the form of a chunk.
     pub fn take(&mut self) -> Result<ChunkParts, ArrowError> {
         let fresh = Columns {
             entity: self.entity.clone(),
@@ -136,7 +137,7 @@ impl Columns {
         std::mem::replace(self, fresh).into_parts()
     }
 
-    /// Those of the rows that have not been shown yet, if there are any; all stay to be taken.
+    /// Copies the rows that have not been shown yet, if there are any; they remain to be taken.
     pub fn show(&mut self) -> Option<Result<ChunkParts, ArrowError>> {
         let first = std::mem::replace(&mut self.shown, self.ids.len());
         let rest = Columns {
@@ -171,7 +172,7 @@ impl Columns {
 }
 
 impl Column {
-    /// Without rows, with room for as many.
+    /// An empty column with the same capacity.
     fn fresh(&self) -> Column {
         let (values, lengths) = (self.values.with_capacity(), Vec::with_capacity(self.lengths.len()));
         Column { descriptor: self.descriptor.clone(), values, lengths }
@@ -186,7 +187,7 @@ impl Column {
 }
 
 impl Values {
-    /// Adds a cell; returns its length.
+    /// Appends a cell; returns its length.
     fn extend(&mut self, cell: Cell<'_>) -> usize {
         match (self, cell) {
             (Values::Vectors(values), Cell::Vectors(cell)) => append(values, cell),
@@ -198,7 +199,7 @@ impl Values {
             (Values::Texts(values), Cell::Texts(cell)) => append(values, cell),
             (Values::Names(values), Cell::Names(cell)) => append(values, cell),
             (values, cell) => {
-                // the first row says what a column is of
+                // the first row determines the type of the column
                 *values = match cell {
                     Cell::Vectors(cell) => Values::Vectors(cell.to_vec()),
                     Cell::Scalars(cell) => Values::Scalars(cell.to_vec()),
@@ -228,7 +229,7 @@ impl Values {
         }
     }
 
-    /// None, with room for as many.
+    /// Empty storage with the same capacity.
     fn with_capacity(&self) -> Values {
         match self {
             Values::Empty => Values::Empty,

@@ -1,4 +1,4 @@
-//! The state as meshes and arrows, in the viewer's single precision.
+//! Converts states to meshes and arrows, in the single precision of the viewer.
 
 use glam::DVec3;
 use pulp::Arch;
@@ -9,7 +9,7 @@ use crate::{
     observe::{BodyFrame, schema::BodySchema},
 };
 
-/// Reused from body to body.
+/// Scratch storage, reused from body to body.
 #[derive(Debug, Default)]
 pub struct Extractor {
     arch: Arch,
@@ -18,7 +18,7 @@ pub struct Extractor {
 }
 
 impl Extractor {
-    /// Positions of the vertices of a body relative to its centre [scene unit].
+    /// Vertex positions of a body relative to its centre [scene unit].
     fn local<'a>(&'a mut self, body: &BodySchema, now: &'a BodyFrame) -> &'a Vectors {
         if !now.is_at_rest {
             return &now.positions;
@@ -27,13 +27,13 @@ impl Extractor {
         &self.rest
     }
 
-    /// World positions of the vertices of a body [scene unit], into `positions` (reused).
+    /// Writes the world positions of a body's vertices [scene unit] to `positions` (reused).
     pub fn world_positions(&mut self, body: &BodySchema, now: &BodyFrame, positions: &mut Vec<Float3>) {
         positions.clear();
         append_moved(self.local(body, now), now.centre, positions);
     }
 
-    /// Smooth normals of a mesh whose vertices are at `positions` relative to its centre.
+    /// Smooth vertex normals of a mesh; `positions` are relative to its centre.
     pub fn normals(&mut self, mesh: &Mesh, positions: &Vectors) -> Vec<Float3> {
         let mut normals = Vec::new();
         normals::append(self.arch, mesh, positions, &mut self.normals, &mut normals);
@@ -41,54 +41,56 @@ impl Extractor {
     }
 }
 
-/// Vertex positions and smooth normals of bodies; reused.
+/// Vertex positions and smooth normals of bodies. Reused.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surface {
-    /// [scene unit], `[vertex_count]`
+    /// Vertex positions [scene unit], `[vertex_count]`.
     pub positions: Vec<Float3>,
-    /// Unit vectors, `[vertex_count]`
+    /// Unit normals, `[vertex_count]`.
     pub normals: Vec<Float3>,
 }
 
 impl Surface {
-    /// Appends the surface of a body, its vertices moved by `offset` [scene unit] from body coordinates.
+    /// Appends the surface of a body; `offset` [scene unit] is added to its vertex positions in body coordinates.
     pub fn append(&mut self, body: &BodySchema, now: &BodyFrame, offset: DVec3, extractor: &mut Extractor) {
         let local = extractor.local(body, now);
         append_moved(local, offset, &mut self.positions);
-        // From body coordinates: an offset would cost precision.
+        // Normals are computed in body coordinates: an offset would cost precision.
         let Extractor { arch, rest, normals } = extractor;
         let local = if now.is_at_rest { rest } else { &now.positions };
         normals::append(*arch, &body.mesh, local, normals, &mut self.normals);
     }
 
-    /// Keeps the storage, holds nothing.
+    /// Removes all vertices and keeps the allocation.
     pub fn clear(&mut self) {
         self.positions.clear();
         self.normals.clear();
     }
 }
 
-/// Appends vectors, each with `offset` added, in single precision.
+/// Appends vectors in single precision, each with `offset` added.
 fn append_moved(vectors: &Vectors, offset: DVec3, moved: &mut Vec<Float3>) {
     let n = vectors.len();
     let (x, y, z) = (&vectors.x[..n], &vectors.y[..n], &vectors.z[..n]);
     moved.extend((0..n).map(|i| [(x[i] + offset.x) as f32, (y[i] + offset.y) as f32, (z[i] + offset.z) as f32]));
 }
 
-/// Arrows in world coordinates; reused.
+/// Force arrows in world coordinates. Reused.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Arrows {
-    /// The vertices that feel the force [scene unit].
+    /// Positions of the vertices on which the force acts [scene unit].
     pub origins: Vec<Float3>,
-    /// The force times the arrow scale [scene unit].
+    /// Accelerations times the arrow scale [scene unit].
     pub vectors: Vec<Float3>,
-    /// Of the pair between whom it acts, if it acts between two.
+    /// Classes that identify the pair of bodies between which a force acts; empty if it does not act between two
+    /// bodies.
     pub classes: Vec<u16>,
 }
 
 impl Arrows {
-    /// Appends an arrow for every vertex that is accelerated, `scale` [scene unit per scene unit/s²] long; `origins` are
-    /// the vertices of the body, `[vertex_count]`, `class` is that of their arrows, if they have one.
+    /// Appends an arrow for every vertex with a nonzero acceleration; `scale` is its length per acceleration
+    /// [scene unit per scene unit/s²]. `origins` are the vertices of the body, `[vertex_count]`; `class` is the class
+    /// of the arrows, if any.
     pub fn append(&mut self, origins: &[Float3], class: Option<u16>, accelerations: &Vectors, scale: f64) {
         let (n, arrows) = (accelerations.len().min(origins.len()), self);
         let (x, y, z) = (&accelerations.x[..n], &accelerations.y[..n], &accelerations.z[..n]);
@@ -102,7 +104,7 @@ impl Arrows {
         }
     }
 
-    /// Keeps the storage, holds nothing.
+    /// Removes all arrows and keeps the allocation.
     pub fn clear(&mut self) {
         self.origins.clear();
         self.vectors.clear();

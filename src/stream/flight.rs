@@ -1,8 +1,8 @@
-//! A flight recorder: the last frames, kept in memory until something happens.
+//! A flight recorder: keeps the last frames in memory until a trigger fires.
 //!
-//! What did not change is not logged again, so a frame alone is not enough to see what was then: of every component
-//! that has left the memory its last value is kept, too, and written first. All rows keep their own times, so what is
-//! written is true, and the viewer's latest-at query shows every kept frame as it was.
+//! Unchanged values are not logged again, so the kept frames alone do not give the full state. For each component, the
+//! last value that has left the window is therefore kept too, and written first. All rows keep their own times, so that
+//! every written row is correct, and the viewer's latest-at query shows every kept frame as it was.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -15,20 +15,20 @@ use super::instant::Instant;
 
 /// The last frames of a run.
 pub(super) struct FlightRecorder {
-    /// Most frames kept, ≥ 1.
+    /// Upper limit on the number of frames kept, ≥ 1.
     most: usize,
-    /// What was logged since the last frame ended.
+    /// Rows logged since the end of the last frame.
     open: Vec<Chunk>,
     frames: VecDeque<(Instant, Vec<Chunk>)>,
-    /// What has left `frames` and holds until something newer comes, by entity and component: the chunk it is in.
+    /// The chunk with the last value that has left `frames`, by entity and component, until a newer value leaves.
     held: BTreeMap<(String, String), ChunkId>,
     held_chunks: BTreeMap<ChunkId, (Chunk, usize)>,
-    /// The lines that were written up to the last frame.
+    /// Lines that were written up to the last frame.
     lines: BTreeSet<String>,
 }
 
 impl FlightRecorder {
-    /// For `most` frames.
+    /// Keeps `most` frames.
     pub fn new(most: u64) -> FlightRecorder {
         FlightRecorder {
             most: usize::try_from(most).unwrap_or(usize::MAX).max(1),
@@ -40,13 +40,13 @@ impl FlightRecorder {
         }
     }
 
-    /// Adds to the frame that is being made.
+    /// Adds a chunk to the current frame.
     pub fn push(&mut self, chunk: Chunk) {
         self.open.push(chunk);
     }
 
-    /// The frame is complete; the oldest goes if there are too many. Lines that were written up to that one end there: which,
-    /// and when.
+    /// Ends the current frame, and drops the oldest one if there are too many. If lines were written up to the dropped
+    /// frame, they end there: returns the instant and those lines.
     pub fn end_frame(&mut self, at: Instant) -> Option<(Instant, BTreeSet<String>)> {
         self.frames.push_back((at, std::mem::take(&mut self.open)));
         let mut ended = None;
@@ -83,7 +83,7 @@ impl FlightRecorder {
         }
     }
 
-    /// Everything kept, to be written, and how many frames that is; then nothing is kept any more.
+    /// Takes everything kept, to be written, with the number of frames. The recorder is empty afterwards.
     pub fn take(&mut self) -> (Vec<Chunk>, u64) {
         self.held.clear();
         let held = std::mem::take(&mut self.held_chunks).into_values().map(|(chunk, _)| chunk);
@@ -95,7 +95,7 @@ impl FlightRecorder {
     }
 }
 
-/// Whether a chunk has points of a line.
+/// Whether a chunk has points of a plot line.
 fn is_line(chunk: &Chunk) -> bool {
     chunk.components().contains_key(&Scalars::descriptor_scalars().component)
 }

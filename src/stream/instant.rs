@@ -1,14 +1,14 @@
-//! When rows of a recording are: what an [`Instant`] is on its two timelines.
+//! Conversion of an [`Instant`] to the two timelines of a recording.
 
 use rerun::{TimePoint, Timeline};
 
-/// The timeline that walks through the inside of steps.
+/// The timeline of the stages inside steps.
 pub const STAGE: &str = "stage";
 
 pub use crate::observe::Instant;
 
 impl Instant {
-    /// As a row has it.
+    /// The time point of a row.
     pub fn time_point(self) -> TimePoint {
         TimePoint::from_iter([
             (*Timeline::new_sequence("step").name(), rerun::TimeCell::from_sequence(self.step as i64)),
@@ -16,7 +16,7 @@ impl Instant {
         ])
     }
 
-    /// What `sim_time` says [ns]. Times that it can't hold (292 years) stay at its end.
+    /// The value of `sim_time` [ns]. Times beyond its range (292 years) are clamped.
     pub fn nanoseconds(self) -> i64 {
         (self.time * 1e9).round().clamp(0.0, i64::MAX as f64) as i64
     }

@@ -1,35 +1,38 @@
-//! Smooth normals: the sums of those of the triangles around a vertex, weighted by area.
+//! Smooth vertex normals: area-weighted sums of the normals of the adjacent triangles.
 //!
-//! A mesh of rings has its triangles in bands between two rings, each band the same two triangles all around. So a band
-//! is a few loops over arrays, which are vectorised, and nothing is looked up. Any other mesh is taken triangle by triangle.
+//! A mesh of rings has its triangles in bands between two rings, with the same two triangles repeated around each band.
+//! A band is therefore processed by a few vectorised loops over arrays, without index lookups. Any other mesh is
+//! processed triangle by triangle.
 
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::geometry::{Mesh, Rings, Vectors};
 
-/// Coordinates as the viewer has them.
+/// Single-precision coordinates, as in the viewer.
 pub type Float3 = [f32; 3];
 
-/// Reused from body to body.
+/// Scratch storage, reused from body to body.
 #[derive(Debug, Default)]
 pub struct NormalScratch {
-    /// Two rings of positions, the first of each repeated at its end.
+    /// Positions of two rings, the first of each repeated at its end.
     upper: Vectors,
     lower: Vectors,
-    /// Twice the areas of the triangles of a band, the last one of them repeated at the front: those with a corner in
-    /// the upper ring, and those with two.
+    /// Area vectors (times two) of the triangles of a band with one vertex in the upper ring, the last one repeated at
+    /// the front.
     single: Vectors,
+    /// Area vectors (times two) of the triangles with two vertices in the upper ring, the last one repeated at the
+    /// front.
     double: Vectors,
-    /// What the band above brings to each vertex of a ring.
+    /// Contribution of the band above to each vertex of a ring.
     above: Vectors,
     sum: Vectors,
 }
 
-/// Appends the unit normals of a deformed mesh whose vertices are at `positions`, relative to its centre.
+/// Appends the unit normals of a deformed mesh; `positions` are its vertices relative to its centre.
 pub fn append(arch: Arch, mesh: &Mesh, positions: &Vectors, scratch: &mut NormalScratch, normals: &mut Vec<Float3>) {
     if positions.len() != mesh.vertex_count() {
-        // not this mesh
+        // the positions do not belong to this mesh
         normals.extend(positions.iter().map(|position| unit(position, DVec3::Z)));
     } else if let Some(rings) = mesh.rings() {
         arch.dispatch(All { rings, positions, scratch, normals });
@@ -45,7 +48,7 @@ pub fn append(arch: Arch, mesh: &Mesh, positions: &Vectors, scratch: &mut Normal
     }
 }
 
-/// See [`all`]. (A closure would be compiled for the least instruction set.)
+/// The arguments of [`all`]. (A closure would be compiled for the baseline instruction set.)
 struct All<'a> {
     rings: Rings,
     positions: &'a Vectors,
@@ -102,7 +105,7 @@ fn all(rings: Rings, positions: &Vectors, scratch: &mut NormalScratch, normals: 
     cap(positions.get(south), upper, single);
     let sums = coordinates_mut(sum).into_iter().zip(coordinates(above));
     for ((sum, above), single) in sums.zip(coordinates(single)) {
-        // seen from the other pole the ring runs the other way round
+        // seen from the other pole, the ring runs the other way round
         let (now, before) = (&single[1..=n], &single[..n]);
         for j in 0..n {
             sum[j] = above[j] - (now[j] + before[j]);
@@ -122,7 +125,7 @@ fn coordinates_mut(vectors: &mut Vectors) -> [&mut [f64]; 3] {
     [&mut vectors.x, &mut vectors.y, &mut vectors.z]
 }
 
-/// The ring whose vertices begin at `first`.
+/// Loads the ring whose vertices begin at `first`.
 #[inline(always)]
 fn load(positions: &Vectors, first: usize, ring: &mut Vectors) {
     let n = ring.len() - 1;
@@ -132,7 +135,7 @@ fn load(positions: &Vectors, first: usize, ring: &mut Vectors) {
     }
 }
 
-/// The triangles of a pole and two neighbours in a ring.
+/// Area vectors of the triangles between a pole and two adjacent vertices of a ring.
 #[inline(always)]
 fn cap(pole: DVec3, ring: &Vectors, areas: &mut Vectors) {
     let n = ring.len() - 1;
@@ -142,7 +145,8 @@ fn cap(pole: DVec3, ring: &Vectors, areas: &mut Vectors) {
     areas.set(0, areas.get(n));
 }
 
-/// The triangles of quads: (north-west, south-west, south-east) and (north-west, south-east, north-east).
+/// Area vectors of the triangles of quads: (north-west, south-west, south-east) and (north-west, south-east,
+/// north-east).
 #[inline(always)]
 fn band(upper: &Vectors, lower: &Vectors, single: &mut Vectors, double: &mut Vectors) {
     let n = upper.len() - 1;
@@ -174,7 +178,7 @@ fn total(areas: &Vectors) -> DVec3 {
     areas.iter().skip(1).sum()
 }
 
-/// The unit vectors of a ring whose vertices begin at `first`.
+/// Stores the unit normals of a ring whose vertices begin at `first`.
 #[inline(always)]
 fn store(sum: &mut Vectors, positions: &Vectors, first: usize, normals: &mut Vec<Float3>) {
     let [x, y, z] = coordinates_mut(sum);
@@ -196,7 +200,7 @@ fn store(sum: &mut Vectors, positions: &Vectors, first: usize, normals: &mut Vec
     }
 }
 
-/// Where triangles cancel out, the direction from the centre is as good as any.
+/// Normalises a normal; where triangles cancel out, uses the direction from the centre instead.
 fn unit(sum: DVec3, position: DVec3) -> Float3 {
     sum.try_normalize().unwrap_or_else(|| position.normalize_or(DVec3::Z)).as_vec3().to_array()
 }

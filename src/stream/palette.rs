@@ -1,23 +1,24 @@
-//! Colours of what has none of its own, as the viewer takes them; see [`colors`](crate::observe::colors).
+//! Colours of everything that the schema gives no colour, in the viewer's types; see
+//! [`colors`](crate::observe::colors).
 
 use rerun::{Color, Rgba32};
 
 pub use crate::observe::colors::Rgb;
 use crate::observe::colors::{BLUE, GREEN, GREY, ORANGE, PURPLE, SILVER, SKY_BLUE, VERMILION};
 
-/// Behind the bodies.
+/// Background colour of 3D views.
 pub const BACKGROUND: Rgb = [0x10, 0x13, 0x18];
 
-/// Colour of an influence sphere that reaches nobody.
+/// Colour of an influence sphere that reaches no other body.
 pub const IDLE_SPHERE: Rgb = GREY;
 
-/// The same where there are so many that they would hide what happens.
+/// The same for batched scenes, darker, as many spheres would hide everything else.
 pub const IDLE_SPHERE_OF_MANY: Rgb = [0x26, 0x2B, 0x33];
 
-/// Colour of bodies that rest in a batch.
+/// Colour of resting bodies in a batched scene.
 pub const RESTING: Rgb = GREY;
 
-/// Colours of the lines of q, in order: none is that of a threshold, all can be read on a dark and on a light page.
+/// Colours of q lines, in order. None is a threshold colour; all are legible on dark and light backgrounds.
 pub fn distance(index: usize) -> Rgb {
     [SILVER, GREEN, VERMILION, BLUE][index % 4]
 }
@@ -37,33 +38,33 @@ pub fn body(index: usize) -> Rgb {
     BODIES[index % BODIES.len()]
 }
 
-/// Colours of the lines of a plot without other meaning, in order.
+/// Colours of plot lines without other meaning, in order.
 pub fn line(index: usize) -> Rgb {
     [SKY_BLUE, ORANGE, GREEN, VERMILION, PURPLE, SILVER, BLUE][index % 7]
 }
 
-/// For the viewer.
+/// Converts a colour to the viewer's type.
 pub fn color([r, g, b]: Rgb) -> Color {
     Color::from_rgb(r, g, b)
 }
 
-/// For surfaces, so that what is inside them shows.
+/// Translucent colour of surfaces, so that their inside is visible.
 pub fn translucent([r, g, b]: Rgb) -> Rgba32 {
     Rgba32::from_unmultiplied_rgba(r, g, b, 150)
 }
 
-/// For surfaces in which there is nothing to see: thousands of them are drawn twice as fast as translucent ones.
+/// Opaque colour of surfaces without visible inside: thousands of them are drawn twice as fast as translucent ones.
 pub fn opaque([r, g, b]: Rgb) -> Rgba32 {
     Rgba32::from_rgb(r, g, b)
 }
 
-/// For surfaces that only show where arrows are.
+/// Almost transparent colour of surfaces in views of arrows.
 pub fn sheer([r, g, b]: Rgb) -> Rgba32 {
     Rgba32::from_unmultiplied_rgba(r, g, b, 70)
 }
 
-/// The colour of a share from 0 to 1, packed: viridis, which gets lighter all the way and which readers with any colour
-/// vision can read.
+/// Packed colour of a fraction from 0 to 1: viridis, which increases monotonically in lightness and is legible with any
+/// colour vision.
 pub fn heat(share: f64) -> u32 {
     const STOPS: [[f64; 3]; 6] = [
         [72.0, 32.0, 112.0],
@@ -74,7 +75,7 @@ pub fn heat(share: f64) -> u32 {
         [253.0, 231.0, 37.0],
     ];
     let place = share.clamp(0.0, 1.0) * (STOPS.len() - 1) as f64;
-    // NaN is as far as it gets
+    // NaN is drawn like the maximum
     let stop = if place.is_nan() { STOPS.len() - 2 } else { (place as usize).min(STOPS.len() - 2) };
     let rest = if place.is_nan() { 1.0 } else { place - stop as f64 };
     let [r, g, b] = std::array::from_fn(|i| (STOPS[stop][i] + rest * (STOPS[stop + 1][i] - STOPS[stop][i])) as u8);

@@ -1,8 +1,8 @@
-//! Recording on a thread of its own: the simulation only copies what there is to see, and goes on.
+//! Recording on a separate thread: the simulation only copies the data to be recorded, and continues.
 //!
-//! What it copies goes in packets of some frames, of which there are a few: when all are full the simulation waits, so
-//! that a file misses nothing and memory is bounded. It waits for the recording, never for a viewer: behind that is
-//! the queue of each [sink](super::sinks).
+//! The data is passed in a small pool of packets of several frames each. When all packets are full, the simulation
+//! waits, so that files are complete and memory is bounded. It never waits for a viewer: viewers are behind the queue
+//! of each [sink](super::sinks).
 
 use std::{
     mem::{replace, take},
@@ -24,25 +24,28 @@ use super::{
 };
 use crate::observe::{Frame, Simulation, StageFrame};
 
-/// Packets on their way, and being filled.
+/// Number of packets: in transit, or being filled.
 const PACKETS: usize = 4;
-/// A packet is full with this many frames, steps, or bytes …
+/// A packet is full with this many frames.
 const FRAMES: usize = 16;
+/// A packet is full with this many steps.
 const STEPS: usize = 4096;
+/// A packet is full with this many bytes.
 const BYTES: usize = 8 << 20;
-/// … or after this time.
+/// A packet is handed over after this time, even if it is not full.
 const AGE: Duration = Duration::from_millis(10);
-/// All that is recorded goes to a viewer at least this often, and to a file.
+/// Upper limit on the time until recorded data is sent to viewers.
 const LIVE_INTERVAL: Duration = Duration::from_millis(30);
+/// Upper limit on the time until recorded data is sent to files.
 const FILE_INTERVAL: Duration = Duration::from_millis(200);
 
-/// The simulation's end of it.
+/// The simulation's side of the pipeline.
 pub struct Pipeline {
     settings: Settings,
     watch: StepWatch,
     packet: Packet,
     handed_over: Clock,
-    /// Since the last step.
+    /// Time spent waiting since the last step.
     waiting: Duration,
     full: Option<Sender<Packet>>,
     empty: Receiver<Packet>,
@@ -50,20 +53,20 @@ pub struct Pipeline {
     thread: Option<JoinHandle<(Recorder, Sinks)>>,
 }
 
-/// What there is after the last step, for the recording's end.
+/// The recorder and its destinations after the last step, to be finished.
 pub struct PipelineEnd {
-    /// To be finished.
+    /// The recorder, not finished yet.
     pub recorder: Recorder,
-    /// To be sent the rest, and finished.
+    /// The destinations, which still have to receive the remaining messages.
     pub sinks: Sinks,
-    /// What there is to tell the user since [`Pipeline::notes`].
+    /// Notes for the user since the last [`Pipeline::notes`].
     pub notes: Vec<String>,
-    /// What went wrong, if something did.
+    /// Why recording failed, if it did.
     pub failure: Option<String>,
 }
 
 impl PipelineEnd {
-    /// Ends the recording, and sends the rest; what went wrong, if something did.
+    /// Ends the recording and sends what remains. Returns why that failed, if it did.
     pub fn finish(&mut self, simulation: &dyn Simulation) -> Option<String> {
         self.recorder.finish(simulation);
         let [is_live, is_recorded] = self.sinks.are_live_and_recorded();
@@ -75,26 +78,27 @@ impl PipelineEnd {
     }
 }
 
-/// What the thread has to say.
+/// State shared with the recording thread.
 #[derive(Default)]
 struct Shared {
     notes: Vec<String>,
     failure: Option<String>,
 }
 
-/// Some steps, and those of their frames that are recorded.
+/// Several steps, and those of their frames that are recorded.
 #[derive(Default)]
 struct Packet {
-    /// The first `steps_used` are filled, and so with frames; the others are reused.
+    /// The first `steps_used` are filled; the others are kept for reuse.
     steps: Vec<StepRecord>,
     steps_used: usize,
+    /// The first `used` are filled; the others are kept for reuse.
     frames: Vec<Frame>,
     used: usize,
     bytes: usize,
 }
 
 impl Pipeline {
-    /// Records what follows on the simulation as it is, and sends it to the sinks.
+    /// Starts to record the simulation from its current state, to the sinks.
     ///
     /// # Errors
     /// The thread cannot be started.
@@ -125,8 +129,8 @@ impl Pipeline {
         })
     }
 
-    /// Looks at the simulation after a step; `lag` is how far it is behind real time, if that matters. `Err` is why nothing
-    /// more can be recorded.
+    /// Observes the simulation after a step; `lag` is its delay behind real time, if that is to be recorded. `Err`
+    /// tells why nothing more can be recorded.
     pub fn observe(&mut self, simulation: &dyn Simulation, lag: Option<Duration>) -> Result<(), String> {
         let packet = &mut self.packet;
         let step = next_of(&mut packet.steps, &mut packet.steps_used);
@@ -143,7 +147,7 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Hands over what was seen so far, and waits if too much is on its way.
+    /// Hands over the current packet; waits if too many are in transit.
     pub fn hand_over(&mut self) -> Result<(), String> {
         if self.packet.steps_used == 0 {
             return Ok(());
@@ -159,15 +163,15 @@ impl Pipeline {
         }
     }
 
-    /// What there is to tell the user since the last call.
+    /// Notes for the user since the last call.
     pub fn notes(&self) -> Vec<String> {
         take(&mut self.lock().notes)
     }
 
-    /// Waits until all that was seen is recorded.
+    /// Waits until everything observed is recorded.
     ///
     /// # Errors
-    /// The thread is gone.
+    /// The recording thread has died.
     pub fn finish(mut self) -> Result<PipelineEnd, String> {
         let handed_over = self.hand_over();
         self.full = None;
@@ -185,7 +189,7 @@ impl Pipeline {
     }
 }
 
-/// The next one to be filled.
+/// The next element to be filled.
 fn next_of<'a, T: Default>(all: &'a mut Vec<T>, used: &mut usize) -> &'a mut T {
     if *used == all.len() {
         all.push(T::default());
@@ -198,15 +202,16 @@ fn broken() -> String {
     "the thread that records is gone; this is a bug, please report it".to_owned()
 }
 
-/// The thread's end of it.
+/// The recording thread's side of the pipeline.
 struct Recording {
     recorder: Recorder,
     sinks: Sinks,
     is_live: bool,
     is_recorded: bool,
     shared: Arc<Mutex<Shared>>,
-    /// When everything was last sent to viewers, and to files.
+    /// When everything was last sent to viewers.
     shown: Clock,
+    /// When everything was last sent to files.
     saved: Clock,
 }
 
@@ -224,7 +229,7 @@ impl Recording {
             let is_last = matches!(packet, Err(RecvTimeoutError::Disconnected));
             if let Ok(mut packet) = packet {
                 self.record(&mut packet);
-                emptied.send(packet).ok(); // nobody needs it after the last step
+                emptied.send(packet).ok(); // the receiver is gone after the last step
             }
             let start = Clock::now();
             let failure = self.send();
@@ -240,7 +245,7 @@ impl Recording {
         }
     }
 
-    /// Sends what is due: to viewers all of it, to files what fills a chunk.
+    /// Sends what is due: everything to viewers, full chunks to files.
     fn send(&mut self) -> Option<String> {
         let mut failure = None;
         if self.is_live && self.shown.elapsed() >= LIVE_INTERVAL {
@@ -250,7 +255,7 @@ impl Recording {
         if self.is_recorded && failure.is_none() {
             let is_due = self.saved.elapsed() >= FILE_INTERVAL;
             if self.is_live && (is_due || self.recorder.has_full()) {
-                // what goes to the file is gone afterwards
+                // what is sent to the file is no longer available for viewers
                 failure = show(&mut self.recorder, &mut self.sinks, true);
             }
             let messages = if is_due { self.recorder.take() } else { self.recorder.take_full() };
@@ -268,13 +273,13 @@ impl Recording {
         for step in &mut packet.steps[..packet.steps_used] {
             let has_frame = self.recorder.settings().has_frame(step.summary.at.step);
             self.recorder.record(step, if has_frame { frames.next() } else { None });
-            step.stages.clear(); // they are large
+            step.stages.clear(); // stages are large
         }
         (packet.steps_used, packet.used, packet.bytes) = (0, 0, 0);
     }
 }
 
-/// Sends what viewers have not seen; to files as well what does not come in large chunks.
+/// Sends what viewers have not received. Files get it too if it does not come in large chunks.
 fn show(recorder: &mut Recorder, sinks: &mut Sinks, is_recorded: bool) -> Option<String> {
     if !is_recorded {
         return send(sinks, recorder.take());
@@ -284,7 +289,7 @@ fn show(recorder: &mut Recorder, sinks: &mut Sinks, is_recorded: bool) -> Option
     failed.map(|error| error.to_string())
 }
 
-/// Sends messages; what went wrong, if a destination failed that the run cannot do without.
+/// Sends messages; returns why that failed if a required destination did.
 pub fn send(sinks: &mut Sinks, messages: impl IntoIterator<Item = LogMsg>) -> Option<String> {
     send_to(Audience::All, sinks, messages)
 }

@@ -1,7 +1,7 @@
-//! A recording from its first message to its last: the contract of the README's entity table.
+//! A recording from its first message to its last: writes the entities listed in [`stream`](super).
 //!
-//! What did not change is not logged again; the viewer's latest-at query holds it. Lines of plots therefore hold their
-//! value until the next one (`StepAfter`), and get one more point at the end of the run.
+//! Unchanged values are not logged again; the viewer's latest-at query holds them. Plot lines of such values therefore
+//! hold each value until the next one (`StepAfter`), and get a final point at the end of the run.
 
 use std::{
     mem::take,
@@ -36,28 +36,30 @@ pub use super::{
 };
 use crate::observe::{Frame, Schema, Simulation, StageFrame, StepFailure, StepSummary};
 
-/// Turns a simulation, step by step, into the messages of a recording.
+/// Converts a simulation, step by step, to the messages of a recording.
 pub struct Recorder {
     schema: Schema,
     settings: Settings,
     chunks: Chunks,
     checksums: Checksums,
     flight: Option<FlightRecorder>,
-    /// `None` in a recording without frames.
+    /// The parts of a frame; `None` in a recording without frames.
     parts: Option<FrameParts>,
-    /// Made, and of them those that are in the recording.
+    /// Number of frames made.
     frames: u64,
+    /// Number of those frames that are in the recording.
     written: u64,
-    /// What shows the inside of steps, and how many stages were shown.
+    /// The parts that show stages inside steps.
     stages: Option<StateParts>,
+    /// Number of stages shown.
     stage_count: u64,
     watch: StepWatch,
-    /// Reused.
+    /// Storage for the current step, reused.
     step: StepRecord,
     frame: Frame,
 }
 
-/// What a frame is made of.
+/// The parts of a frame.
 struct FrameParts {
     state: StateParts,
     pairs: PairPlots,
@@ -65,7 +67,7 @@ struct FrameParts {
     series: Series,
 }
 
-/// Those that show the state.
+/// The parts that show the state.
 struct StateParts {
     extractor: Extractor,
     surfaces: Surfaces,
@@ -74,22 +76,23 @@ struct StateParts {
     lines: Lines,
 }
 
-#[allow(clippy::large_enum_variant)] // there is one
+#[allow(clippy::large_enum_variant)] // only one exists
 enum Surfaces {
     Bodies(SeparateBodies),
     Batch(BatchedBodies),
 }
 
 impl Recorder {
-    /// So many of the first messages say what the recording is of: the store, and its properties.
+    /// Number of initial messages that identify the recording: its store and its properties.
     pub const HEAD: usize = 4;
 
-    /// Begins a recording: its properties, everything static, the blueprint, and the simulation as it is.
+    /// Begins a recording: logs its properties, everything static, the blueprint, and the current state.
     pub fn new(simulation: &dyn Simulation, settings: Settings) -> Recorder {
         Recorder::numbered(simulation, settings, 0)
     }
 
-    /// The same of run `number`, from 0, of those that one viewer is to keep apart, whatever they are of.
+    /// Like [`Recorder::new`], for run `number` (from 0) of several that a viewer must keep apart, even if they are
+    /// equal.
     pub fn numbered(simulation: &dyn Simulation, settings: Settings, number: u64) -> Recorder {
         let schema = simulation.schema();
         let application = ApplicationId::new_or_unknown(application(&schema.name));
@@ -127,7 +130,7 @@ impl Recorder {
         };
         let at = now(simulation);
         recorder.checksums.push(at, simulation.checksum());
-        recorder.checksums.log(&mut recorder.chunks, true); // by itself: a run that is killed has at least this one
+        recorder.checksums.log(&mut recorder.chunks, true); // own row: a killed run has at least this one
         if recorder.parts.is_some() {
             let mut frame = take(&mut recorder.frame);
             simulation.observe(recorder.settings.want(), &mut frame);
@@ -140,27 +143,28 @@ impl Recorder {
         recorder
     }
 
-    /// The messages since the last call, for the sinks. The first ones are those of the blueprint.
+    /// Returns the messages since the last call, for the sinks. The first ones are those of the blueprint.
     pub fn take(&mut self) -> Vec<LogMsg> {
         self.checksums.log(&mut self.chunks, false);
         self.chunks.take()
     }
 
-    /// The same, but only of what there is enough to fill a chunk: a file of few large chunks is smaller, and quicker to
-    /// write and to read.
+    /// Like [`Recorder::take`], but only returns data that fills a chunk: a file of few large chunks is smaller, and
+    /// faster to write and read.
     pub fn take_full(&mut self) -> Vec<LogMsg> {
         if self.chunks.has_full() {
-            self.checksums.log(&mut self.chunks, false); // what cannot be verified is of little use
+            self.checksums.log(&mut self.chunks, false); // frames without checksums could not be verified
         }
         self.chunks.take_full()
     }
 
-    /// Whether [`Recorder::take_full`] has something to give.
+    /// Whether [`Recorder::take_full`] would return a full chunk.
     pub fn has_full(&self) -> bool {
         self.chunks.has_full()
     }
 
-    /// What there is for viewers since the last call, if files get theirs apart, by the other two.
+    /// Returns what viewers have not received since the last call, if files are served separately by the two methods
+    /// above.
     pub fn show(&mut self) -> Vec<(Audience, LogMsg)> {
         self.chunks.show()
     }
@@ -170,17 +174,17 @@ impl Recorder {
         self.blueprint_at(simulation, Tab::Scene)
     }
 
-    /// The same with another tab in front.
+    /// Like [`Recorder::blueprint`], with another tab active.
     pub fn blueprint_at(&self, simulation: &dyn Simulation, tab: Tab) -> Vec<LogMsg> {
         match self.settings.frames {
-            Frames::Thin => Vec::new(), // nothing to lay out
+            Frames::Thin => Vec::new(), // there is nothing to lay out
             _ => blueprint::messages(&self.subject(simulation), tab, self.chunks.store()),
         }
     }
 
-    /// What a file needs at its end so that plots of times show what is typical: the first frames and every wait for a
-    /// disk take so much longer that nothing else could be seen. A viewer that is open would lose what its user has
-    /// arranged.
+    /// Layout changes, for the end of a file, that scale timing plots to typical values: the first frames and every
+    /// wait for a disk take so long that they would dwarf everything else. Not for open viewers: they would lose the
+    /// user's arrangement.
     pub fn measured_layout(&self, simulation: &dyn Simulation, tab: Tab) -> Vec<LogMsg> {
         let Some(parts) = &self.parts else { return Vec::new() };
         blueprint::ranges(&self.subject(simulation), tab, self.chunks.store(), &parts.numbers.typical_timings())
@@ -190,7 +194,7 @@ impl Recorder {
         Subject { simulation, schema: &self.schema, settings: &self.settings }
     }
 
-    /// What is recorded, and how.
+    /// The settings of the recording.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
@@ -205,14 +209,14 @@ impl Recorder {
         self.written
     }
 
-    /// Adds time that the caller spent on bringing messages to their sinks to that of logging.
+    /// Adds the time that the caller spent on sending messages to the logging time.
     pub fn messages_sent(&mut self, time: Duration) {
         if let Some(parts) = &mut self.parts {
             parts.numbers.add_sending(time);
         }
     }
 
-    /// Looks at the simulation after a step: its events always, a frame if it is the turn of one.
+    /// Observes the simulation after a step: always its events, and a frame if one is due.
     pub fn observe(&mut self, simulation: &dyn Simulation) {
         let (mut step, mut frame) = (take(&mut self.step), take(&mut self.frame));
         let has_frame = self.settings.has_frame(simulation.steps_taken());
@@ -221,7 +225,7 @@ impl Recorder {
         (self.step, self.frame) = (step, frame);
     }
 
-    /// Records a step, and its frame if it is the turn of one.
+    /// Records a step, and its frame if one is due.
     pub fn record(&mut self, step: &StepRecord, frame: Option<&Frame>) {
         let start = Clock::now();
         let at = step.summary.at;
@@ -260,7 +264,7 @@ impl Recorder {
         }
     }
 
-    /// Logs something of the caller's own at the simulation's instant.
+    /// Logs additional components at the simulation's current instant.
     pub fn log(&mut self, entity: &str, simulation: &dyn Simulation, components: &dyn AsComponents) {
         self.chunks.log(entity, now(simulation), components);
     }
@@ -278,8 +282,8 @@ impl Recorder {
         }
     }
 
-    /// Takes what was logged of this step into the flight recorder, if there is one, and writes what that holds if this
-    /// is a step that it waited for. Events and phases are always written.
+    /// Moves what was logged in this step to the flight recorder, if there is one, and writes its contents if the step
+    /// fires a trigger. Events and phases are always written.
     fn keep(&mut self, summary: &StepSummary) {
         let (Some(flight), Frames::Last { on, .. }) = (&mut self.flight, &self.settings.frames) else { return };
         for chunk in self.chunks.drain() {
@@ -305,7 +309,7 @@ impl Recorder {
         }
     }
 
-    /// Writes what the flight recorder holds.
+    /// Writes the contents of the flight recorder.
     fn write_kept(&mut self) {
         if let Some(flight) = &mut self.flight {
             let (chunks, frames) = flight.take();
@@ -314,12 +318,12 @@ impl Recorder {
         }
     }
 
-    /// Ends the recording: lines reach its end, properties say how many steps there are.
+    /// Ends the recording: extends plot lines to its end, and logs the final number of steps.
     pub fn finish(&mut self, simulation: &dyn Simulation) {
         let mut summary = StepSummary::default();
         simulation.summary(&mut summary);
         let is_waiting = match &self.settings.frames {
-            // a step that was not taken was not observed either
+            // a step that was not completed was not observed either
             Frames::Last { on, .. } if !on.is_empty() => match &summary.failure {
                 Some(StepFailure::NotTaken(_)) => !on.contains(&Trigger::Diverge),
                 _ => true,
@@ -339,7 +343,7 @@ impl Recorder {
 }
 
 impl FrameParts {
-    /// Logs what stays the same.
+    /// Logs static data.
     fn new(schema: &Schema, settings: &Settings, chunks: &mut Chunks) -> FrameParts {
         let mut series =
             if matches!(settings.frames, Frames::Last { .. }) { Series::whole() } else { Series::default() };
@@ -348,7 +352,7 @@ impl FrameParts {
         FrameParts { state, pairs: PairPlots::new(settings.pairs), numbers, series }
     }
 
-    /// Logs what has changed; it is frame `number`.
+    /// Logs what has changed; `number` is the number of the frame.
     fn log(&mut self, look: Look<'_>, number: u64, chunks: &mut Chunks) {
         let start = Clock::now();
         let FrameParts { state, pairs, numbers, series } = self;
@@ -361,7 +365,7 @@ impl FrameParts {
 }
 
 impl StateParts {
-    /// Logs what stays the same.
+    /// Logs static data.
     fn new(schema: &Schema, settings: &Settings, chunks: &mut Chunks) -> StateParts {
         let mut extractor = Extractor::default();
         let detail = settings.detail;
@@ -375,7 +379,7 @@ impl StateParts {
         StateParts { extractor, surfaces, spheres, forces, lines }
     }
 
-    /// Logs what has changed; returns the time that extracting took.
+    /// Logs what has changed; returns the time spent on extraction.
     fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) -> Duration {
         let start = Clock::now();
         let StateParts { extractor, surfaces, spheres, forces, lines } = self;
@@ -411,7 +415,7 @@ fn log_properties(schema: &Schema, run: &str, overrides: &str, settings: &Settin
     log_steps(settings.steps, chunks);
 }
 
-/// How many there are to be, and in the end how many there were.
+/// Logs the number of steps: the planned one, and at the end the actual one.
 fn log_steps(steps: Option<u64>, chunks: &mut Chunks) {
     let steps = AnyValues::default().with_component::<Scalar>("steps", [steps.unwrap_or(0) as f64]);
     chunks.log_static("/__properties/meldscope", &steps);

@@ -1,4 +1,4 @@
-//! Lines of plots, from which values that did not change are left out without changing the line.
+//! Plot lines. Unchanged values are left out without changing the shape of the line.
 
 use rerun::{Scalars, SeriesLines, components::InterpolationMode};
 
@@ -9,23 +9,23 @@ use super::{
     palette::{Rgb, color},
 };
 
-/// How a line gets from one value to the next.
+/// Interpolation between the values of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Interpolation {
-    /// Straight: quantities that change all the time.
+    /// Linear: for continuous quantities.
     Linear,
-    /// Level until the next value: counts, thresholds.
+    /// Holds each value until the next one: for counts and thresholds.
     Step,
 }
 
-/// The lines of a recording.
+/// The plot lines of a recording.
 #[derive(Default)]
 pub struct Series {
     lines: Vec<Line>,
     is_whole: bool,
 }
 
-/// One of them.
+/// Handle of a plot line.
 #[derive(Clone, Copy, Debug)]
 pub struct LineId(usize);
 
@@ -35,7 +35,7 @@ struct Line {
     last: Option<Last>,
 }
 
-/// The last value, when it was logged, and when it was last seen to be the same.
+/// The last value, when it was logged, and when it was last observed unchanged.
 #[derive(Clone, Copy)]
 struct Last {
     value: f64,
@@ -44,12 +44,13 @@ struct Last {
 }
 
 impl Series {
-    /// Lines with a point in every frame, whether the value changed or not: of some frames of a run, the first has them all.
+    /// Lines with a point in every frame, even if the value is unchanged. For an excerpt of a run, whose first frame
+    /// has all values.
     pub fn whole() -> Series {
         Series { lines: Vec::new(), is_whole: true }
     }
 
-    /// Names and colours a line.
+    /// Sets the name and style of a line.
     pub fn style(chunks: &mut Chunks, entity: &str, name: &str, rgb: Rgb, width: f32, shape: Interpolation) {
         let mode = match shape {
             Interpolation::Linear => InterpolationMode::Linear,
@@ -63,14 +64,14 @@ impl Series {
         chunks.log_static(entity, &style);
     }
 
-    /// A new line, without a point so far.
+    /// Creates a line without points.
     pub fn line(&mut self, chunks: &mut Chunks, entity: &str, shape: Interpolation) -> LineId {
         let track = chunks.track(entity, [Scalars::descriptor_scalars()]);
         self.lines.push(Line { track, shape, last: None });
         LineId(self.lines.len() - 1)
     }
 
-    /// A point of a line, if the value changed.
+    /// Adds a point to a line if the value has changed.
     pub fn log(&mut self, chunks: &mut Chunks, LineId(line): LineId, value: f64, now: Instant) {
         let Line { track, shape, last } = &mut self.lines[line];
         match last {
@@ -80,7 +81,7 @@ impl Series {
                 *last = Last { value, logged: now, seen: now };
             }
             Some(Last { value: before, logged, seen }) => {
-                // A straight line was level until the value was last seen: it needs that corner.
+                // A linear line was level until the value was last observed: it needs a point at that corner.
                 if *shape == Interpolation::Linear && logged.step < seen.step {
                     chunks.push(*track, *seen, &[Cell::Scalars(&[*before])]);
                 }
@@ -94,12 +95,12 @@ impl Series {
         }
     }
 
-    /// Draws a line on to where its value was last seen.
+    /// Extends a line to where its value was last observed.
     pub fn extend(&mut self, chunks: &mut Chunks, LineId(line): LineId) {
         self.lines[line].extend(chunks);
     }
 
-    /// Ends a line until its next point: draws it on, and logs that there is no value any more.
+    /// Ends a line until its next point: extends it, and logs a gap.
     pub fn interrupt(&mut self, chunks: &mut Chunks, LineId(line): LineId, now: Instant) {
         let line = &mut self.lines[line];
         line.extend(chunks);
@@ -108,7 +109,7 @@ impl Series {
         }
     }
 
-    /// Draws all lines on to where their values were last seen.
+    /// Extends all lines to where their values were last observed.
     pub fn extend_all(&mut self, chunks: &mut Chunks) {
         self.lines.iter_mut().for_each(|line| line.extend(chunks));
     }

@@ -1,32 +1,32 @@
-//! What a recording is a function of: the scene, and the settings of the run.
+//! Recording settings. Together with the scene they determine a recording.
 
 use crate::observe::{Experiment, StepSummary, Want};
 
-/// More bodies than this are batched: the viewer slows down at several hundred entities.
+/// Scenes with more bodies than this are batched: the viewer slows down at several hundred entities.
 pub(super) const MOST_BODY_ENTITIES: usize = 64;
-/// More pairs than this get no plots of their own, unless asked for; their events are logged all the same.
+/// Default limit on the number of pairs with their own plots. Events of all pairs are logged.
 pub const MOST_PAIRS: usize = 16;
-/// The same in a scene that is batched: with these it has 60 entities at most, if all its bodies are of one shape.
+/// The same limit for batched scenes, which then have at most 60 entities if all bodies have one shape.
 pub const MOST_PAIRS_OF_MANY: usize = 5;
 
-/// How much is recorded of a frame.
+/// Level of detail of recorded frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Detail {
-    /// Surfaces, spheres, pairs, events, timings, diagnostics.
+    /// Surfaces, spheres, pairs, events, timings and diagnostics.
     Surface,
-    /// Those, and force arrows by cause, pairs in space, numbers of vertices.
+    /// `Surface`, plus force arrows by cause, pairs in space, and values of single vertices.
     Forces,
-    /// Those, and the inside of these steps.
+    /// `Forces`, plus the stages inside a range of steps.
     Stages {
-        /// The first step that is looked into.
+        /// The first step whose stages are recorded.
         from: u64,
-        /// The last one.
+        /// The last step whose stages are recorded.
         to: u64,
     },
 }
 
 impl Detail {
-    /// All of them, from the least on; every step is looked into.
+    /// All levels, in ascending order; `Stages` covers every step.
     pub const ALL: [Detail; 3] = [Detail::Surface, Detail::Forces, Detail::Stages { from: 0, to: u64::MAX }];
 
     /// The name on the command line and in recordings.
@@ -39,17 +39,17 @@ impl Detail {
     }
 }
 
-/// One entity a body, or all bodies in few.
+/// How bodies are distributed over entities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Entities {
-    /// `/world/bodies/NAME` each.
+    /// Each body has its own entity, `/world/bodies/NAME`.
     Body,
-    /// `/world/resting/SHAPE` and `/world/deforming`.
+    /// All bodies share `/world/resting/SHAPE` and `/world/deforming`.
     Batch,
 }
 
 impl Entities {
-    /// Both.
+    /// Both variants.
     pub const ALL: [Entities; 2] = [Entities::Body, Entities::Batch];
 
     /// The name on the command line and in recordings.
@@ -61,38 +61,38 @@ impl Entities {
     }
 }
 
-/// Which frames are recorded. Properties, checksums and events of all steps are, whichever frames (but a thin recording
-/// has no events).
+/// Selects which frames are recorded. Properties, checksums and events of all steps are recorded in any case (but a
+/// thin recording has no events).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Frames {
-    /// All of them.
+    /// All frames.
     All,
-    /// None: the scene and checksums, from which the rest can be made again.
+    /// No frames: only the scene and checksums, from which everything else can be reproduced.
     Thin,
-    /// A flight recorder: the last `most` until something of `on` happens, or at the end if `on` is empty.
+    /// A flight recorder: the last `most` frames, written when a trigger of `on` fires, or at the end if `on` is empty.
     Last {
-        /// How many, ≥ 1.
+        /// Number of frames kept, ≥ 1.
         most: u64,
-        /// What they are written for.
+        /// Triggers that cause the frames to be written.
         on: Vec<Trigger>,
     },
 }
 
-/// Something that a flight recorder waits for.
+/// An event that makes a flight recorder write its frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trigger {
     /// A pair merges.
     Merge,
     /// A pair splits.
     Split,
-    /// A pair enters its core, or leaves it.
+    /// A pair enters or leaves its core.
     Core,
-    /// The state becomes one that no forces can have led to.
+    /// The state diverges: no forces can have led to it.
     Diverge,
 }
 
 impl Trigger {
-    /// All of them, in the order in which they are listed to users.
+    /// All triggers, in the order in which they are listed to users.
     pub const ALL: [Trigger; 4] = [Trigger::Merge, Trigger::Split, Trigger::Core, Trigger::Diverge];
 
     /// The name on the command line and in recordings.
@@ -105,7 +105,7 @@ impl Trigger {
         }
     }
 
-    /// Whether a step was one of these.
+    /// Whether the trigger fired in a step.
     pub fn is_in(self, summary: &StepSummary) -> bool {
         match self {
             Trigger::Diverge => summary.failure.is_some(),
@@ -114,50 +114,50 @@ impl Trigger {
     }
 }
 
-/// The version of what is in a recording, beside that of the program: a program reads this one and older ones.
+/// Version of the recording format, independent of the program version. This program reads this version and older ones.
 pub const FORMAT: u32 = 1;
 
-/// How a run is recorded: with the scene's text and what its simulation says of itself
-/// ([`Schema::run`](crate::observe::Schema::run)), what it takes to make a recording again.
+/// The recording settings of a run. Together with the text of the scene and the simulation's own settings
+/// ([`Schema::run`](crate::observe::Schema::run)), they suffice to reproduce a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     /// Number of steps to take; `None`: until stopped.
     pub steps: Option<u64>,
-    /// A frame is recorded every so many steps, ≥ 1.
+    /// Interval between frames, in steps, ≥ 1.
     pub every: u64,
-    /// How much is recorded of a frame.
+    /// Level of detail of frames.
     pub detail: Detail,
-    /// One entity a body, or all bodies in few.
+    /// How bodies are distributed over entities.
     pub entities: Entities,
     /// Which frames are recorded.
     pub frames: Frames,
-    /// So many pairs at most have plots, lanes and lines of their own.
+    /// Upper limit on the number of pairs with their own plots, lanes and lines.
     pub pairs: usize,
 }
 
 impl Settings {
-    /// Whether a step is looked into.
+    /// Whether the stages inside a step are recorded.
     pub fn has_stages(&self, step: u64) -> bool {
         matches!(self.detail, Detail::Stages { from, to } if from <= step && step <= to) && self.frames == Frames::All
     }
 
-    /// Whether there is a frame of a step.
+    /// Whether a step has a frame.
     pub fn has_frame(&self, step: u64) -> bool {
         self.frames != Frames::Thin && step.is_multiple_of(self.every)
     }
 
-    /// What is wanted of a frame.
+    /// The contents that are needed of a frame.
     pub fn want(&self) -> Want {
         Want { forces: self.detail != Detail::Surface, scalars: true }
     }
 
-    /// The settings that the scene itself asks for, everything recorded.
+    /// The default settings of a scene: everything is recorded.
     pub fn of(scene: &dyn Experiment) -> Settings {
         let schema = scene.schema();
         Settings::for_bodies(schema.bodies.len(), schema.steps)
     }
 
-    /// The same, for so many bodies and steps.
+    /// The default settings for this many bodies and steps.
     pub fn for_bodies(bodies: usize, steps: u64) -> Settings {
         let is_crowd = bodies > MOST_BODY_ENTITIES;
         Settings {
@@ -170,11 +170,12 @@ impl Settings {
         }
     }
 
-    /// From the properties of a recording of so many bodies. What only says how it was recorded may be unknown, as it may
-    /// be to an older program: it is then as in [`Settings::of`].
+    /// Parses the settings in the properties of a recording with this many bodies. Values that only say how it was
+    /// recorded may be unknown, as a newer program may have added them: defaults as in [`Settings::of`] are used
+    /// instead.
     ///
     /// # Errors
-    /// What is missing or wrong, in words.
+    /// Describes what is missing or invalid.
     pub fn from_toml(text: &str, bodies: usize) -> Result<Settings, String> {
         let table = table(text);
         let text = |key: &str| table.get(key).and_then(toml::Value::as_str);
@@ -211,7 +212,7 @@ impl Settings {
         })
     }
 
-    /// As TOML, for the recording's properties.
+    /// The settings as TOML, for the recording's properties.
     pub fn to_toml(&self) -> String {
         let (detail, entities) = (self.detail.name(), self.entities.name());
         let stages = match self.detail {
@@ -235,12 +236,12 @@ impl Settings {
     }
 }
 
-/// A number as TOML has it, whose integers end at 2^63 − 1: as a text from there on.
+/// A number as TOML. TOML integers end at 2^63 − 1; larger numbers are written as strings.
 fn written(number: u64) -> String {
     if i64::try_from(number).is_ok() { number.to_string() } else { format!("\"{number}\"") }
 }
 
-/// The number that was [`written`].
+/// Parses a number from [`written`].
 fn number(value: &toml::Value) -> Option<u64> {
     match value {
         toml::Value::Integer(number) => u64::try_from(*number).ok(),
@@ -249,7 +250,8 @@ fn number(value: &toml::Value) -> Option<u64> {
     }
 }
 
-/// What a recording has as its settings, as they may be from before 2^63 and more were texts; empty if they are no TOML.
+/// Parses a recording's settings, including those of older versions that did not write numbers from 2^63 as strings;
+/// empty if they are not valid TOML.
 pub(crate) fn table(text: &str) -> toml::Table {
     within_toml(text).parse().unwrap_or_default()
 }
@@ -261,7 +263,7 @@ fn within_toml(text: &str) -> String {
         let (before, from) = rest.split_at(start);
         let (digits, after) = from.split_at(from.find(|c: char| !c.is_ascii_digit()).unwrap_or(from.len()));
         fixed.push_str(before);
-        // of the number's own digits only, not of those behind a point or within a text
+        // only if all digits of the number matched, neither after a decimal point nor within a string
         let is_alone = !before.ends_with(['.', '"']) && !after.starts_with(['.', '"']);
         let is_large = digits.parse::<u64>().is_ok_and(|number| i64::try_from(number).is_err());
         fixed.push_str(&if is_alone && is_large { format!("\"{digits}\"") } else { digits.to_owned() });
@@ -270,26 +272,26 @@ fn within_toml(text: &str) -> String {
     fixed + rest
 }
 
-/// The same scene and options give the same id; a recording whose texts do not give its id was damaged or edited.
+/// Equal scenes and options give equal ids; if the id does not match its texts, the recording was damaged or edited.
 pub(crate) fn recording_id(name: &str, scene: &str, settings: &str, version: &str) -> String {
     format!("{}-{:016x}", file_stem(name), fnv(&format!("{scene}\0{settings}\0{version}")))
 }
 
-/// The application id of recordings of a scene. A viewer keeps one layout an application: each scene is one, so that layouts
-/// do not replace each other's.
+/// The application id for recordings of a scene. A viewer keeps one layout per application; with one application per
+/// scene, layouts do not replace each other.
 pub(crate) fn application(name: &str) -> String {
     let stem = if name.is_empty() { String::new() } else { file_stem(name) };
     format!("meldscope_{stem}")
 }
 
-/// FNV-1a.
+/// The 64-bit FNV-1a hash of a text.
 fn fnv(text: &str) -> u64 {
     text.bytes()
         .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3))
 }
 
-/// The name of a scene as a file can have it: anything but letters, digits, `-`, `_` and `.` inside becomes `_`, and
-/// it is no longer than file systems allow, which count bytes.
+/// The name of a scene as a file name: any character but letters, digits, `-`, `_` and inner `.` becomes `_`. It is
+/// truncated to the length that file systems allow, in bytes.
 pub fn file_stem(name: &str) -> String {
     let plain = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' };
     let mut bytes = 0;

@@ -1,44 +1,44 @@
-//! What a step leaves to be recorded.
+//! The data of a step that is passed to the recorder.
 
 use std::time::{Duration, Instant as Clock};
 
 use super::settings::Settings;
 use crate::observe::{Frame, Simulation, StageFrame, StepSummary};
 
-/// What a step leaves to be recorded, apart from its frame; reused.
+/// The data of a step to be recorded, apart from its frame. Reused.
 #[derive(Clone, Debug, Default)]
 pub struct StepRecord {
-    /// What happened.
+    /// Summary of the step.
     pub summary: StepSummary,
-    /// The hash of the state after it.
+    /// Hash of the state after the step.
     pub checksum: u64,
-    /// What looking at the simulation took of its time …
+    /// Time that the simulation thread spent on observation.
     pub observing: Duration,
-    /// … and what waiting for the recording took.
+    /// Time that the simulation thread spent waiting for the recording thread.
     pub waiting: Duration,
-    /// How far the simulation is behind real time, if it runs no faster than that.
+    /// Delay behind real time, if the run is limited to real time.
     pub lag: Option<Duration>,
-    /// When the step was complete.
+    /// When the step was completed.
     pub end: Option<Clock>,
-    /// What happened inside, if that is wanted.
+    /// Stages inside the step, if they are recorded.
     pub stages: Vec<StageFrame>,
 }
 
-/// Looks at steps; keeps the state before the next one if that is to be looked into.
+/// Observes steps. Keeps the state before a step whose stages are to be recorded.
 #[derive(Default)]
 pub struct StepWatch {
     before: Option<Frame>,
 }
 
 impl StepWatch {
-    /// From the simulation as it is on.
+    /// Starts at the simulation's current state.
     pub fn new(simulation: &dyn Simulation, settings: &Settings) -> StepWatch {
         let mut watch = StepWatch::default();
         watch.stages(simulation, settings);
         watch
     }
 
-    /// The step just taken into `record`, and its frame into `frame` if it is the turn of one.
+    /// Writes the last step to `record`, and its frame to `frame` if one is due.
     pub fn step(
         &mut self,
         simulation: &dyn Simulation,
@@ -57,7 +57,7 @@ impl StepWatch {
         (record.observing, record.end) = (end - start, Some(end));
     }
 
-    /// The stages of the step just taken, if they are wanted.
+    /// The stages of the last step, if they are recorded.
     fn stages(&mut self, simulation: &dyn Simulation, settings: &Settings) -> Vec<StageFrame> {
         let step = simulation.steps_taken();
         let stages = match &self.before {

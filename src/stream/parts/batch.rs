@@ -1,4 +1,4 @@
-//! Many bodies in few entities: the deformed ones in one mesh, the others as instances of their shapes.
+//! Many bodies in few entities: deformed bodies in one mesh, all others as instances of their shapes.
 
 use std::sync::Arc;
 
@@ -20,25 +20,25 @@ use crate::{
     },
 };
 
-/// A body displaced by less than this much of its radius is drawn with the resting ones.
+/// Displacement above which a body counts as deformed [radii]; below it, the body is drawn as an instance of its shape.
 pub const DEFORMED: f64 = 1e-6;
 
 const DEFORMING: &str = "/world/deforming/surface";
 
-/// What was last logged of the bodies together.
+/// All bodies in shared entities, with what was last logged of them.
 pub struct BatchedBodies {
     track: TrackId,
     deforming: Vec<usize>,
     last: Surface,
     next: Surface,
     resting: Option<Vec<(usize, Float3)>>,
-    /// Only with forces.
+    /// Values of single vertices, only if forces are recorded.
     vertices: Option<Vertices>,
     numbers: vertices::VertexNumbers,
 }
 
 impl BatchedBodies {
-    /// Logs what stays the same.
+    /// Logs static data.
     pub fn new(schema: &Schema, detail: Detail, extractor: &mut Extractor, chunks: &mut Chunks) -> BatchedBodies {
         for (shape, mesh) in schema.shapes() {
             let mesh = Mesh3D::new(mesh.positions().iter().map(|v| v.as_vec3()))
@@ -54,7 +54,7 @@ impl BatchedBodies {
         BatchedBodies { track, deforming: Vec::new(), last, next, resting: None, vertices, numbers }
     }
 
-    /// Logs what has changed; `numbers` are those of the vertices of each body, if they are wanted.
+    /// Logs what has changed; `numbers` are the values of each body's vertices, if they are recorded.
     pub fn log(
         &mut self,
         look: Look<'_>,
@@ -90,7 +90,7 @@ impl BatchedBodies {
         }
     }
 
-    /// Which triangles there are, of which body each vertex is.
+    /// Logs the triangles, and the body to which each vertex belongs.
     fn log_layout(&self, look: Look<'_>, deforming: &[usize], chunks: &mut Chunks) {
         let (mut first, mut triangles, mut colors, mut names, mut indices) = (0, vec![], vec![], vec![], vec![]);
         for &i in deforming {
@@ -108,7 +108,7 @@ impl BatchedBodies {
         chunks.log(DEFORMING, look.at, &identity);
     }
 
-    /// Instances of the shapes of which they have changed.
+    /// Logs the instances of the shapes whose instances have changed.
     fn log_resting(&self, look: Look<'_>, resting: &[(usize, Float3)], chunks: &mut Chunks) {
         for shape in look.schema.shapes().keys() {
             let of_shape = |list: &[(usize, Float3)]| -> Vec<(usize, Float3)> {
@@ -129,12 +129,12 @@ impl BatchedBodies {
     }
 }
 
-/// Says on selection which body a vertex or an instance is.
+/// The body of each vertex or instance, shown when it is selected.
 fn body_names(names: &[&str]) -> AnyValues {
     AnyValues::default().with_component::<Text>("body", names.iter().copied())
 }
 
-/// Where the undeformed bodies of a shape are if bodies are recorded together.
+/// The entity of the undeformed bodies of a shape in a batched scene.
 pub fn resting_entity(shape: &str) -> String {
     format!("/world/resting/{shape}")
 }

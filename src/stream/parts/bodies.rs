@@ -1,4 +1,4 @@
-//! One transform and one mesh a body.
+//! One transform and one mesh per body.
 
 use glam::DVec3;
 use rerun::{Mesh3D, Transform3D};
@@ -19,24 +19,24 @@ use crate::{
     },
 };
 
-/// All bodies, each with entities of its own.
+/// All bodies, each with its own entities.
 pub struct SeparateBodies {
     bodies: Vec<Logged>,
     next: Surface,
 }
 
-/// What was last logged of a body.
+/// The last logged values of a body.
 struct Logged {
     transform: TrackId,
     surface: TrackId,
     centre: Option<Float3>,
     last: Surface,
-    /// Only with forces.
+    /// Values of single vertices, only if forces are recorded.
     vertices: Option<Vertices>,
 }
 
 impl SeparateBodies {
-    /// Logs what stays the same.
+    /// Logs static data.
     pub fn new(schema: &Schema, detail: Detail, chunks: &mut Chunks) -> SeparateBodies {
         let bodies = schema.bodies.iter().enumerate().map(|(index, body)| {
             let entity = format!("/world/bodies/{}", body.name);
@@ -61,7 +61,7 @@ impl SeparateBodies {
         SeparateBodies { bodies: bodies.collect(), next: Surface::default() }
     }
 
-    /// Logs what has changed; `numbers` are those of the vertices of each body, if they are wanted.
+    /// Logs what has changed; `numbers` are the values of each body's vertices, if they are recorded.
     pub fn log(
         &mut self,
         look: Look<'_>,

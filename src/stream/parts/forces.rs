@@ -1,4 +1,4 @@
-//! Forces as arrows: one batch a term, only the vertices that feel it.
+//! Forces as arrows: one batch per force term, only at vertices on which it acts.
 
 use std::collections::{BTreeMap, btree_map::Entry};
 
@@ -17,17 +17,17 @@ use crate::{
     },
 };
 
-/// Says of the arrows below which bodies they are between.
+/// The entity that names the pairs of bodies to which the arrows below it belong.
 const SOURCES: &str = "/world/forces";
-/// More pairs than this are not told apart by their arrows.
+/// Upper limit on the number of pairs that arrows can name.
 const MOST_SOURCES: usize = 256;
 
-/// What was last logged of them.
+/// Force arrows, with what was last logged of them.
 pub struct Forces {
     terms: Vec<TermArrows>,
-    /// Reused.
+    /// Scratch storage, reused.
     origins: Vec<Float3>,
-    /// What there is to say of the vertices of each body: of those at rest only if they have entities of their own.
+    /// Values of each body's vertices; for bodies at rest only if each body has its own entity.
     pub vertices: Vec<vertices::VertexNumbers>,
     at_rest: Vec<bool>,
     of_resting: bool,
@@ -41,7 +41,7 @@ struct TermArrows {
 }
 
 impl Forces {
-    /// Logs what stays the same.
+    /// Logs static data.
     pub fn new(schema: &Schema, entities: Entities, chunks: &mut Chunks) -> Forces {
         chunks.log_static(SOURCES, &AnnotationContext::new([OTHERS]));
         let terms = schema.terms.iter().map(|term| {
@@ -68,7 +68,7 @@ impl Forces {
         }
     }
 
-    /// Takes the forces of a frame.
+    /// Extracts the forces of a frame.
     pub fn extract(&mut self, look: Look<'_>, extractor: &mut Extractor) {
         let Look { schema, .. } = look;
         self.terms.iter_mut().for_each(|term| term.next.clear());
@@ -108,10 +108,10 @@ impl Forces {
     }
 }
 
-/// The class of arrows that several bodies bring, or one that is not named.
+/// The class of arrows caused by several bodies, or by a pair without a name.
 const OTHERS: (u16, &str) = (0, "several or others");
 
-/// Pairs of a body and the one whose sphere acts on it, as classes that the viewer names.
+/// Pairs of a body and the body whose sphere acts on it, as named classes of the viewer.
 #[derive(Default)]
 struct Sources {
     classes: BTreeMap<(usize, usize), u16>,
@@ -119,7 +119,7 @@ struct Sources {
 }
 
 impl Sources {
-    /// The class of arrows on body `index`: 0 if several bodies bring them, or more pairs are named already than fit.
+    /// The class of arrows on body `index`: 0 if several bodies cause them, or if the limit on named pairs is reached.
     fn class_of(&mut self, index: usize, source: Option<u32>) -> u16 {
         let Some(source) = source else { return 0 };
         let next = self.classes.len();
@@ -130,7 +130,7 @@ impl Sources {
         }
     }
 
-    /// Names those that are new.
+    /// Logs the names of new pairs.
     fn log(&mut self, schema: &Schema, chunks: &mut Chunks) {
         if self.logged == self.classes.len() {
             return;
@@ -145,7 +145,7 @@ impl Sources {
     }
 }
 
-/// Where the arrows of a term are.
+/// The entity of a term's arrows.
 pub fn entity(term: &str) -> String {
     format!("/world/forces/{term}")
 }

@@ -1,4 +1,4 @@
-//! In 3D: a line between the centres of each pair within reach, coloured by phase and labelled with q.
+//! Lines in 3D between the centres of pairs within reach, coloured by phase and labelled with q.
 
 use rerun::LineStrips3D;
 
@@ -13,17 +13,17 @@ use crate::{
     },
 };
 
-/// What there is between bodies.
+/// The entity of these lines.
 pub(super) const PAIRS: &str = "/world/pairs";
 
-/// What was last logged of them.
+/// Pair lines, with what was last logged of them.
 pub struct Lines {
     track: TrackId,
-    /// At most so many, the closest.
+    /// Upper limit on the number of lines; the closest pairs are shown.
     most: usize,
     last: Option<LineRows>,
     next: LineRows,
-    /// Reused.
+    /// Scratch storage, reused.
     closest: Vec<PairFrame>,
 }
 
@@ -35,7 +35,7 @@ struct LineRows {
 }
 
 impl Lines {
-    /// Never more than `most`.
+    /// Shows at most `most` pairs.
     pub fn new(schema: &Schema, most: usize, chunks: &mut Chunks) -> Lines {
         let style = LineStrips3D::update_fields()
             .with_radii([rerun::Radius::new_ui_points(1.5)])

@@ -1,6 +1,7 @@
-//! What a frame is made of: each part knows its entities, what was last logged to them, and logs what has changed.
+//! The parts of a frame. Each part owns its entities, remembers what was last logged to them, and logs what has
+//! changed.
 //!
-//! | entities | where |
+//! | entities | module |
 //! | --- | --- |
 //! | `/world/bodies/NAME`, `…/surface` | [`bodies`] |
 //! | `/world/resting/SHAPE`, `/world/deforming/surface` | [`batch`] |
@@ -8,7 +9,7 @@
 //! | `/world/forces/TERM` | [`forces`] |
 //! | `/pairs/A~B/…`, `/events` | [`pairs`] |
 //! | `/world/pairs` | [`lines`] |
-//! | single vertices, on the entities of their surfaces | [`vertices`] |
+//! | values of single vertices, on the entities of their surfaces | [`vertices`] |
 //! | `/diagnostics/…`, `/timings/…` | [`numbers`] |
 
 pub mod batch;
@@ -23,17 +24,17 @@ pub mod vertices;
 use super::instant::Instant;
 use crate::observe::{BodyFrame, Frame, Schema, schema::BodySchema};
 
-/// More bodies than this go without their names in the picture.
+/// Upper limit on the number of bodies whose names are shown in the 3D view.
 const MOST_LABELS: usize = 8;
 
-/// What is logged of a frame.
+/// The input of a part: what is logged of a frame.
 #[derive(Clone, Copy)]
 pub struct Look<'a> {
-    /// What is simulated.
+    /// The schema of the simulation.
     pub schema: &'a Schema,
-    /// The state on screen: everything that is logged is of this instant.
+    /// The state to be logged.
     pub frame: &'a Frame,
-    /// When that is.
+    /// The instant of that state.
     pub at: Instant,
 }
 

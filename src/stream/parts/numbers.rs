@@ -1,4 +1,4 @@
-//! FrameNumbers over time: what the state is like, and what it cost.
+//! Scalars over time: diagnostics of the state, and timings.
 
 use std::time::{Duration, Instant as Clock};
 
@@ -17,9 +17,9 @@ use crate::{
     },
 };
 
-/// In `/timings` besides the stages of a step: what looking at it costs the simulation …
+/// Additional stages in `/timings`: the cost of observation on the simulation thread.
 pub const OBSERVING: [&str; 2] = ["observe", "wait"];
-/// … and what recording costs, on a thread of its own.
+/// Additional stages in `/timings`: the cost of recording on its own thread.
 pub const RECORDING: [&str; 2] = ["extract", "log"];
 
 /// The stages in `/timings`, in order.
@@ -29,34 +29,36 @@ pub fn timings(schema: &Schema) -> impl Iterator<Item = &'static str> {
 
 /// Steps per second since the last frame.
 pub const SPEED: &str = "/timings/speed";
-/// How far a run that keeps to real time is behind it.
+/// Delay of a run that is limited to real time.
 pub const LAG: &str = "/timings/lag";
 
-/// What adds up between frames.
+/// Scalars aggregated between frames.
 pub struct FrameNumbers {
     scalars: Vec<ScalarLine>,
     timings: Vec<Timing>,
-    /// Since messages were last sent, and what that took a step.
+    /// Steps since messages were last sent.
     steps_since_sent: u32,
+    /// Time per step that sending took last.
     sending: Duration,
-    /// Since the last frame.
+    /// Steps since the last frame.
     steps: u32,
-    /// When the last step ended, and the one before the last frame.
+    /// When the last step ended.
     end: Option<Clock>,
+    /// When the step of the last frame ended.
     last_frame: Option<Clock>,
     speed: TrackId,
     lag: Option<Duration>,
     lag_track: TrackId,
 }
 
-/// A number of the schema, and what came together of it since the last frame.
+/// A scalar of the schema, aggregated since the last frame.
 struct ScalarLine {
     id: LineId,
     of: ScalarOf,
     value: f64,
 }
 
-/// A stage, what it took since the last frame, and what it took in frames before.
+/// A stage, the time spent on it since the last frame, and the distribution of that time over previous frames.
 struct Timing {
     name: &'static str,
     track: TrackId,
@@ -65,7 +67,7 @@ struct Timing {
 }
 
 impl FrameNumbers {
-    /// Logs what the lines are called.
+    /// Logs the names of the lines.
     pub fn new(schema: &Schema, series: &mut Series, chunks: &mut Chunks) -> FrameNumbers {
         let mut numbered = 0..;
         let timings = timings(schema).map(|name| {
@@ -115,12 +117,12 @@ impl FrameNumbers {
         }
     }
 
-    /// Adds what bringing messages to their destinations took: spread over the steps from which they came.
+    /// Adds the time spent on sending messages, distributed over the steps from which they came.
     pub fn add_sending(&mut self, time: Duration) {
         self.sending = time / std::mem::take(&mut self.steps_since_sent).max(1);
     }
 
-    /// Adds what recording took since the last frame.
+    /// Adds the time spent on recording since the last frame.
     pub fn add_recording(&mut self, extracting: Duration, logging: Duration) {
         if let [.., extract, log] = self.timings.as_mut_slice() {
             extract.spent += extracting;
@@ -128,7 +130,7 @@ impl FrameNumbers {
         }
     }
 
-    /// The numbers of the schema.
+    /// Logs the schema's scalars.
     pub fn log_scalars(&mut self, look: Look<'_>, series: &mut Series, chunks: &mut Chunks) {
         for (line, &of_state) in self.scalars.iter_mut().zip(&look.frame.scalars) {
             let value = if line.of == ScalarOf::State { of_state } else { std::mem::take(&mut line.value) };
@@ -136,12 +138,12 @@ impl FrameNumbers {
         }
     }
 
-    /// What stages took in all frames but the slowest tenth [ms]; none if there were no frames.
+    /// The 90th percentile of each stage's duration over all frames [ms]; empty if there were no frames.
     pub fn typical_timings(&self) -> Vec<(&'static str, f64)> {
         self.timings.iter().filter_map(|timing| Some((timing.name, timing.spread.quantile(0.9)?))).collect()
     }
 
-    /// Milliseconds per step since the last frame.
+    /// Logs the timings since the last frame [ms per step].
     pub fn log_timings(&mut self, at: Instant, chunks: &mut Chunks) {
         let steps = std::mem::take(&mut self.steps);
         if let Some(log) = self.timings.last_mut() {
@@ -168,7 +170,7 @@ impl FrameNumbers {
     }
 }
 
-/// How often a number of which size came: to an eighth of an octave, from 2^-24 to 2^16.
+/// A histogram on a logarithmic scale, with eight buckets per octave from 2^-24 to 2^16.
 #[derive(Default)]
 struct Spread {
     counts: Vec<u64>,
@@ -176,7 +178,7 @@ struct Spread {
 }
 
 impl Spread {
-    /// Buckets of an octave, by the first bits of a mantissa, and of them those that are smaller than any that is counted.
+    /// Mantissa bits that select a bucket within an octave. The other constants give the first bucket and their number.
     const BITS: u32 = 3;
     const FIRST: usize = (1023 - 24) << Spread::BITS;
     const BUCKETS: usize = 40 << Spread::BITS;
@@ -188,7 +190,7 @@ impl Spread {
         self.all += 1;
     }
 
-    /// What this share of the numbers does not exceed, rounded up to a bucket.
+    /// The quantile of this fraction of the values, rounded up to a bucket.
     fn quantile(&self, share: f64) -> Option<f64> {
         let wanted = (share * self.all as f64).ceil() as u64;
         let mut seen = 0;

@@ -1,4 +1,4 @@
-//! PairPlots: the distance of each against its thresholds, its phase, and what happens to it.
+//! Plots of pairs: q and its thresholds, the phase, and events.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,16 +18,16 @@ use crate::{
     },
 };
 
-/// Threshold lines get a point at least every so many frames, so that they keep up with a live plot.
+/// Maximum interval between points of threshold lines [frames], so that they keep up with a live plot.
 const THRESHOLD_FRAMES: u64 = 64;
 
-/// The pairs that have entities of their own.
+/// The pairs that have their own entities.
 pub struct PairPlots {
-    /// At most so many.
+    /// Upper limit on their number.
     most: usize,
     known: BTreeMap<(usize, usize), PairPlot>,
     in_reach: BTreeSet<(usize, usize)>,
-    /// Reused.
+    /// Scratch storage, reused.
     next_in_reach: BTreeSet<(usize, usize)>,
     new: Vec<PairFrame>,
 }
@@ -39,7 +39,7 @@ struct PairPlot {
 }
 
 impl PairPlots {
-    /// None yet, and never more than `most`.
+    /// Starts without pairs; at most `most` are added.
     pub fn new(most: usize) -> PairPlots {
         PairPlots {
             most,
@@ -50,11 +50,11 @@ impl PairPlots {
         }
     }
 
-    /// Logs the distances of those within reach; it is frame number `frame`.
+    /// Logs the q of pairs within reach; `frame` is the number of the frame.
     pub fn log(&mut self, look: Look<'_>, frame: u64, series: &mut Series, chunks: &mut Chunks) {
         let Look { schema, frame: now, at } = look;
         if self.known.len() < self.most {
-            // of those that come within reach together the closest first
+            // of pairs that come within reach in the same frame, take the closest first
             self.new.clear();
             self.new.extend(now.pairs.iter().filter(|pair| !self.known.contains_key(&(pair.a, pair.b))));
             self.new.sort_by(|x, y| x.q.total_cmp(&y.q));
@@ -68,7 +68,7 @@ impl PairPlots {
             series.log(chunks, known.distance, pair.q, at);
             for &(line, level) in &known.thresholds {
                 series.log(chunks, line, level, at);
-                // A level line has nothing new to say, but should keep up with a plot that is looked at live.
+                // A constant line has no new values, but should keep up with a live plot.
                 if frame.is_multiple_of(THRESHOLD_FRAMES) {
                     series.extend(chunks, line);
                 }
@@ -85,7 +85,8 @@ impl PairPlots {
         std::mem::swap(&mut self.in_reach, &mut self.next_in_reach);
     }
 
-    /// The entity of a pair's phase, its entities made when it first comes within reach; `None` beyond the bound.
+    /// The phase entity of a pair. Creates the pair's entities when it first comes within reach; `None` beyond the
+    /// limit.
     fn track(
         &mut self,
         schema: &Schema,
@@ -105,7 +106,7 @@ impl PairPlots {
         self.known.get(&(a, b)).map(|pair| pair.phase.as_str())
     }
 
-    /// A log line and a change of lane, at the exact time of the event.
+    /// Logs an event as a line and as a change of phase, at its exact time.
     pub fn log_event(&mut self, schema: &Schema, event: &PairEvent, series: &mut Series, chunks: &mut Chunks) {
         let at = Instant { step: event.step, time: event.time };
         let pair = PairFrame { a: event.a, b: event.b, q: event.q, phase: event.from };
@@ -145,19 +146,19 @@ impl PairPlot {
     }
 }
 
-/// What an event is, beside its line: components of the same row.
+/// Components of an event, in the same row as its line.
 pub mod event {
     /// The two bodies, in the order of the scene.
     pub const BODIES: &str = "bodies";
     /// The phases before and after.
     pub const PHASES: &str = "phases";
-    /// Exactly when it was [s].
+    /// Exact time of the event [s].
     pub const TIME: &str = "time";
     /// Centre distance over the sum of the radii [–].
     pub const Q: &str = "q";
 }
 
-/// The line of an event, and what it is as components beside it.
+/// Logs the line of an event, with its components in the same row.
 pub fn log_event_line(schema: &Schema, event: &PairEvent, chunks: &mut Chunks) {
     let at = Instant { step: event.step, time: event.time };
     let color = color(schema.phases[event.to].color);
@@ -171,7 +172,7 @@ pub fn log_event_line(schema: &Schema, event: &PairEvent, chunks: &mut Chunks) {
     chunks.log("/events", at, &Together(&[&line, &typed]));
 }
 
-/// Components of one row.
+/// Several component batches in one row.
 struct Together<'a>(&'a [&'a dyn AsComponents]);
 
 impl AsComponents for Together<'_> {

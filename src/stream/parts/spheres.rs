@@ -1,4 +1,4 @@
-//! Influence spheres, coloured by the deepest phase that each is in.
+//! Influence spheres, coloured by the deepest phase of their body.
 
 use rerun::{Ellipsoids3D, components::FillMode};
 
@@ -15,25 +15,26 @@ use crate::{
 };
 
 const ENTITY: &str = "/world/influence";
-/// How thick wires are drawn [points on the screen].
+/// Line width of wireframe spheres [points on the screen].
 const LINE: f32 = 0.6;
 
-/// What was last logged of them.
+/// Influence spheres, with what was last logged of them.
 pub struct SphereEntities {
     track: TrackId,
-    /// In a batch those that reach somebody are apart as well: thousands of wire spheres are slow to draw, and hide them.
+    /// In a batched scene, spheres that reach another body have a separate entity: thousands of wireframe spheres are
+    /// slow to draw, and would hide them.
     reaching: Option<Reaching>,
-    /// Of those that reach nobody.
+    /// Colour of spheres that reach no other body.
     idle: Rgb,
     centres: Vec<Float3>,
     colors: Vec<Rgb>,
-    /// Reused: the deepest phase of each.
+    /// The deepest phase of each body; scratch storage, reused.
     phases: Vec<Option<usize>>,
     next_centres: Vec<Float3>,
     next_colors: Vec<Rgb>,
 }
 
-/// The spheres of bodies that have another within reach, with the pairs.
+/// The spheres of bodies with another body within reach, drawn with the pairs.
 struct Reaching {
     track: TrackId,
     last: Option<SphereRows>,
@@ -48,7 +49,7 @@ struct SphereRows {
 }
 
 impl SphereEntities {
-    /// Logs what stays the same.
+    /// Logs static data.
     pub fn new(schema: &Schema, entities: Entities, chunks: &mut Chunks) -> SphereEntities {
         let radii = schema.bodies.iter().map(|body| body.reach as f32);
         let spheres = Ellipsoids3D::update_fields()

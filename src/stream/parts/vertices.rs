@@ -1,4 +1,4 @@
-//! VertexNumbers of single vertices, which the viewer shows when one is pointed at or selected.
+//! Values of single vertices, which the viewer shows when one is hovered or selected.
 
 use std::sync::Arc;
 
@@ -14,24 +14,24 @@ use crate::{
     },
 };
 
-/// The colours of the heat map end at this displacement [radii].
+/// Upper end of the heat map's colour scale [radii].
 pub const HOTTEST: f64 = 0.5;
 
-/// What there is to say of some vertices; reused.
+/// Values of vertices. Reused.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct VertexNumbers {
     /// |x| [radii], `[vertex_count]`.
     displacement: Vec<f32>,
     /// |x″| [scene unit/s²], `[vertex_count]`.
     net: Vec<f32>,
-    /// The displacement as a colour.
+    /// The displacement as a packed colour of the heat map.
     heat: Vec<u32>,
-    /// What acts on it, in words.
+    /// Which forces act on the vertex, in words.
     reach: Vec<&'static str>,
 }
 
 impl VertexNumbers {
-    /// Appends others.
+    /// Appends the values of others.
     pub fn extend(&mut self, of: &VertexNumbers) {
         self.displacement.extend_from_slice(&of.displacement);
         self.net.extend_from_slice(&of.net);
@@ -39,7 +39,7 @@ impl VertexNumbers {
         self.reach.extend_from_slice(&of.reach);
     }
 
-    /// Appends those of a body.
+    /// Appends the values of a body's vertices.
     pub fn append(&mut self, schema: &Schema, body: &BodySchema, now: &BodyFrame) {
         let first = self.displacement.len();
         let end = first + body.vertex_count();
@@ -58,7 +58,7 @@ impl VertexNumbers {
         }
     }
 
-    /// Keeps the storage, holds none.
+    /// Removes all values and keeps the allocation.
     pub fn clear(&mut self) {
         self.displacement.clear();
         self.net.clear();
@@ -67,7 +67,7 @@ impl VertexNumbers {
     }
 }
 
-/// The vertices of an entity, and what was last logged of them.
+/// The vertex values of an entity, with what was last logged of them.
 pub struct Vertices {
     numbers: TrackId,
     reach: TrackId,
@@ -75,7 +75,7 @@ pub struct Vertices {
 }
 
 impl Vertices {
-    /// None yet.
+    /// Starts without logged values.
     pub fn new(entity: &str, chunks: &mut Chunks) -> Vertices {
         let of_ours = ["displacement_in_radii", "net_force"].map(ComponentDescriptor::partial);
         let [displacement, net] = of_ours;
@@ -101,7 +101,7 @@ impl Vertices {
     }
 }
 
-/// Says which body a vertex is of, and its number there.
+/// The body and the index of each vertex.
 pub fn identity(body: &str, count: usize) -> AnyValues {
     AnyValues::default()
         .with_component::<Text>("body", [body])

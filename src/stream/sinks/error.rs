@@ -1,4 +1,4 @@
-//! What can go wrong with a destination, and what to do about it.
+//! Errors of destinations, with advice on how to fix them.
 
 use std::io;
 use std::net::SocketAddr;
@@ -8,23 +8,23 @@ use std::sync::Arc;
 use super::note::viewer_help;
 use crate::text::counted;
 
-/// A destination that cannot be opened, or one that a run cannot do without and that failed.
+/// A destination that cannot be opened, or a required one that has failed.
 ///
-/// Displays on one line: what, which one, the operating system's words, what to do.
+/// Displays on one line: what failed, which destination, the operating system's message, what to do.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum SinkError {
     /// No destination was asked for.
     #[error("there is nowhere to send the recording: give at least one destination")]
     Nowhere,
-    /// The address of a viewer cannot be understood.
+    /// The address of a viewer is invalid.
     #[error(
         "\"{url}\" is not the address of a viewer ({reason}); expected something like {}",
         rerun::DEFAULT_CONNECT_URL
     )]
     Url {
-        /// As it was given.
+        /// The address as given.
         url: String,
-        /// What is wrong with it.
+        /// What is wrong with the address.
         reason: String,
     },
     /// Standard output is a terminal.
@@ -33,7 +33,7 @@ pub enum SinkError {
          send it into a file or a program, for example `… --stdout | rerun -`"
     )]
     Terminal,
-    /// The web page and its data cannot share a port.
+    /// The web page and its data server cannot share a port.
     #[error("the web viewer and its data cannot both use port {port}; give another --web-port or --grpc-port")]
     SamePort {
         /// The port.
@@ -42,115 +42,115 @@ pub enum SinkError {
     /// A file cannot be created, written, synced or renamed.
     #[error("cannot {doing} {}: {source}; {help}", path.display())]
     File {
-        /// What was tried, as in "cannot {doing} F.rrd".
+        /// The operation that failed, as in "cannot {doing} F.rrd".
         doing: &'static str,
         /// The file.
         path: PathBuf,
-        /// The operating system's answer.
+        /// The operating system's error.
         source: Arc<io::Error>,
         /// What to do about it.
         help: String,
     },
-    /// Another run is writing that file at this moment.
+    /// Another run is currently writing that file.
     #[error("another run is writing {} now; wait for it or save under another name", path.display())]
     Busy {
-        /// The file asked for.
+        /// The requested file.
         path: PathBuf,
     },
-    /// What is there, or in the way, is not this program's to replace.
+    /// The existing file at the path, or one in the way, must not be replaced by this program.
     #[error("cannot save to {}: {what}", path.display())]
     Taken {
-        /// The file asked for.
+        /// The requested file.
         path: PathBuf,
-        /// What it is, and what to do.
+        /// What is there, and what to do.
         what: String,
     },
-    /// Standard output is a file that a recording would spoil.
+    /// Standard output is a file that a recording would corrupt.
     #[error("{what}")]
     StdoutTaken {
-        /// Which, and what to do.
+        /// The file, and what to do.
         what: String,
     },
-    /// Standard output cannot be written.
+    /// Writing to standard output failed.
     #[error("cannot write the recording to standard output: {source}; {help}")]
     Stdout {
-        /// The operating system's answer.
+        /// The operating system's error.
         source: Arc<io::Error>,
         /// What to do about it.
         help: String,
     },
-    /// Rerun's encoder refused a message: a bug, in this program or in it.
+    /// Rerun's encoder rejected a message: a bug in this program or in the encoder.
     #[error("cannot encode a message for {target}: {reason}; this is a bug, please report it")]
     Encode {
         /// The destination.
         target: String,
-        /// The encoder's words.
+        /// The encoder's message.
         reason: String,
     },
-    /// A server cannot listen where it was told to.
+    /// A server cannot listen on its address.
     #[error("{what} cannot listen on {address}: {source}; {help}")]
     Listen {
         /// "the web viewer" or "the data server".
         what: &'static str,
-        /// Where it should.
+        /// The requested address.
         address: SocketAddr,
-        /// The operating system's answer.
+        /// The operating system's error.
         source: Arc<io::Error>,
         /// What to do about it.
         help: String,
     },
-    /// A server did not start, though its port is free.
+    /// A server did not start although its port is free.
     #[error("{what} did not start on {address}: {reason}")]
     Serve {
         /// "the web viewer" or "the data server".
         what: &'static str,
-        /// Where it should have.
+        /// The requested address.
         address: SocketAddr,
-        /// What is known about it.
+        /// The reason, as far as it is known.
         reason: String,
     },
     /// Nothing listens at a viewer's address.
     #[error("no viewer answers at {url} ({reason}); start one first with `rerun`, or let --spawn start it{}", viewer_help(*.local))]
     NoViewer {
-        /// Its address.
+        /// The viewer's address.
         url: String,
-        /// What the connection attempt said.
+        /// The error of the connection attempt.
         reason: String,
-        /// Whether it should be on this machine.
+        /// Whether the viewer should be on this machine.
         local: bool,
     },
     /// A viewer could not be started.
     #[error("cannot start the viewer `{program}`: {reason}; {help}")]
     Spawn {
-        /// What was run.
+        /// The program that was run.
         program: String,
-        /// What it said, or the operating system.
+        /// The viewer's message, or the operating system's error.
         reason: String,
         /// What to do about it.
         help: String,
     },
-    /// A viewer, or the server for viewers, is gone, and it was the last place to send to.
+    /// A viewer, or the server for viewers, has disconnected, and no other destination is left.
     #[error("{name} went away after {} ({reason}), and nothing else is left to send to", counted(*messages, "message"))]
     Gone {
-        /// Which one.
+        /// The viewer or the server.
         name: String,
-        /// Messages that it took until then.
+        /// Number of messages delivered before that.
         messages: u64,
-        /// What is known about it.
+        /// The reason, as far as it is known.
         reason: String,
     },
-    /// A thread could not be started, or ended when it should not have.
+    /// A thread could not be started, or has ended unexpectedly.
     #[error("cannot send the recording to {target}: {reason}")]
     Thread {
         /// The destination.
         target: String,
-        /// What is known about it.
+        /// The reason, as far as it is known.
         reason: String,
     },
 }
 
 impl SinkError {
-    /// Whether what was asked for is at fault (exit status 2), not what happened (exit status 1).
+    /// Whether the request itself is invalid (exit status 2), as opposed to a failure while running (exit status 1).
     pub fn is_usage(&self) -> bool {
         matches!(
             self,
@@ -164,7 +164,7 @@ impl SinkError {
     }
 }
 
-/// What to do about an error of a file that is being written.
+/// Advice for an error of a file that is being written.
 pub(super) fn file_help(source: &io::Error, kept: Option<&std::path::Path>) -> String {
     let remedy = match source.kind() {
         io::ErrorKind::StorageFull => "the disk is full: make room or save elsewhere",

@@ -1,7 +1,7 @@
-//! Recordings as bytes: a file, or standard output.
+//! Writes recordings as bytes, to a file or to standard output.
 //!
-//! A file is written beside its place, as `F.rrd.partial`, and renamed when it is whole: whatever happens to the run,
-//! the file that was there before stays as it was, and what was simulated can be read up to the last flush.
+//! A file is first written next to its destination, as `F.rrd.partial`, and renamed when it is complete: whatever
+//! happens to the run, the previous file remains intact, and everything simulated up to the last flush can be read.
 
 use std::fs::{File, Metadata, OpenOptions, TryLockError};
 use std::io::{self, BufWriter, IsTerminal as _, Read as _, Write};
@@ -18,34 +18,34 @@ use super::SinkError;
 use super::error::file_help;
 use super::queue::{Parcel, Queue, WhenFull};
 
-/// What may wait to be written [bytes]; then the run waits for the disk. More would not be quicker: what was recorded
-/// would have left the processor's caches when it is written.
+/// Upper limit on data waiting to be written [bytes]; beyond it the run waits for the disk. A larger queue would not be
+/// faster: data would have left the processor's caches by the time it is written.
 const LIMIT: u64 = 16 << 20;
-/// What is handed to the operating system at once [bytes].
+/// Write buffer size [bytes].
 const BUFFER: usize = 256 << 10;
-/// A killed run loses at most what came after this [time since the last flush].
+/// Interval between flushes: a killed run loses at most what was written after the last one.
 const FLUSH_EVERY: Duration = Duration::from_millis(250);
-/// Messages encoded between two looks at the clock.
+/// Messages encoded between two checks of the clock.
 const BATCH: usize = 64;
 
-/// What a recording begins with, in the versions of Rerun that there have been.
+/// Magic numbers of recordings, of all Rerun versions so far.
 const MAGICS: [&[u8; 4]; 4] = [b"RRF2", b"RRF1", b"RRF0", b"RRIO"];
 
-/// The right to write a file: checked and locked, nothing in it touched yet.
+/// The claim to a file: checked and locked, but nothing is modified yet.
 pub(super) struct Claim {
-    /// Where the recording is wanted, symbolic links followed.
+    /// Destination of the recording, with symbolic links resolved.
     path: PathBuf,
-    /// Open for writing, and locked.
+    /// The file to write, open and locked.
     file: File,
-    /// Where it is written; `None`: into `path` itself, which is a device or a pipe and cannot be renamed over.
+    /// The temporary file; `None` if `path` is written directly, as a device or a pipe cannot be replaced by renaming.
     partial: Option<Partial>,
-    /// `file` is what a killed run left: it stays until this one begins.
+    /// Whether `file` was left by a killed run: it is kept until this run starts to write.
     is_stale: bool,
-    /// What is to be replaced.
+    /// The existing file to be replaced.
     there: Option<Handle>,
 }
 
-/// The file beside, under its preliminary name; removed when dropped if there is nothing in it to keep.
+/// The temporary file next to the destination; removed when dropped unless it has contents to keep.
 struct Partial {
     path: PathBuf,
     is_kept: bool,
@@ -60,8 +60,8 @@ impl Drop for Partial {
 }
 
 impl Claim {
-    /// Finds out all that can be found out before a run: whether `path` can be written, whether what is there may be
-    /// replaced, and whether another run writes it.
+    /// Performs all checks that are possible before a run: whether `path` can be written, whether an existing file may
+    /// be replaced, and whether another run is writing it.
     pub fn new(path: &Path) -> Result<Claim, SinkError> {
         let resolved = std::fs::canonicalize(path);
         let is_link = std::fs::symlink_metadata(path).is_ok_and(|there| there.is_symlink());
@@ -86,7 +86,7 @@ impl Claim {
             Ok(found) if found.is_dir() => return Err(refuse("write", io::ErrorKind::IsADirectory.into())),
             Ok(found) if is_disk(&found) => return Err(taken("it is a disk; save to a file")),
             Ok(found) if found.is_file() => {
-                // the rename would replace even a file that is write-protected, so that must be asked for here
+                // renaming would replace even a write-protected file, so check for write permission here
                 let file = OpenOptions::new().read(true).write(true).open(path).map_err(|err| refuse("write", err))?;
                 if !may_be_replaced(&file).map_err(|err| refuse("read", err))? {
                     return Err(taken(NO_RECORDING));
@@ -107,7 +107,7 @@ impl Claim {
         let Some(name) = path.file_name() else {
             return Err(refuse("write", io::ErrorKind::IsADirectory.into()));
         };
-        // what another run is writing under that name would end up under its own
+        // a file that another run writes under that name would be renamed by that run
         if path.extension().is_some_and(|extension| extension == "partial") {
             return Err(taken("files of runs that are going on end in .partial; save under another name"));
         }
@@ -116,7 +116,7 @@ impl Claim {
         let partial = path.with_file_name(partial_name);
         let in_the_way = |what: &str| taken(&format!("{}, where it is written first, {what}", partial.display()));
         loop {
-            // never through a link, whoever left it there
+            // never follow a link, whoever created it
             match OpenOptions::new().write(true).create_new(true).open(&partial) {
                 Ok(file) => {
                     if lock(&file, path)?.is_none() || leads_to(&partial, &file) {
@@ -134,7 +134,7 @@ impl Claim {
                     let kind = if there.is_symlink() { "is a symbolic link" } else { "is no file" };
                     return Err(in_the_way(&format!("{kind}; remove it or save under another name")));
                 }
-                // renamed or removed meanwhile
+                // it was renamed or removed in the meantime
                 Err(err) if err.kind() == io::ErrorKind::NotFound => continue,
                 Err(err) => return Err(refuse("create the .partial file of", err)),
             }
@@ -149,8 +149,8 @@ impl Claim {
                      none",
                 ));
             }
-            // The run that held the lock may have renamed this very file to `path` in the meantime: it is a finished
-            // recording now.
+            // The run that held the lock may have renamed this very file to `path` in the meantime. Then it is a
+            // finished recording.
             if !leads_to(&partial, &file) {
                 continue;
             }
@@ -162,7 +162,7 @@ impl Claim {
         }
     }
 
-    /// Begins to write; the note is about what was lost by that.
+    /// Starts to write. Returns a note if an unfinished recording was overwritten.
     pub fn start(self) -> Result<(Writer, Option<String>), SinkError> {
         let Claim { path, mut file, mut partial, is_stale, there } = self;
         let mut note = None;
@@ -174,7 +174,7 @@ impl Claim {
                     let left = partial.path.display();
                     note = Some(format!("overwriting {left}, which an earlier run left unfinished"));
                 }
-                // not emptied: it may have another name, under which it is wanted
+                // not truncated: the file may have another hard link under which it is wanted
                 std::fs::remove_file(&partial.path).map_err(create)?;
                 drop(file);
                 file = match OpenOptions::new().write(true).create_new(true).open(&partial.path) {
@@ -192,18 +192,18 @@ impl Claim {
     }
 }
 
-/// Why a file is not replaced.
+/// The reason for refusing to replace a file.
 const NO_RECORDING: &str =
     "it is no recording, and nothing else is replaced; save under another name or remove it first";
 
-/// Whether a file is one to lose: empty, or a recording.
+/// Whether a file may be replaced: it is empty or a recording.
 fn may_be_replaced(file: &File) -> io::Result<bool> {
     let mut magic = Vec::new();
     file.take(4).read_to_end(&mut magic)?;
     Ok(magic.is_empty() || MAGICS.iter().any(|known| magic == **known))
 }
 
-/// Locks a file that is to become `path`; `None` where the file system has no locks.
+/// Locks a file that is to become `path`; `None` if the file system does not support locks.
 fn lock(file: &File, path: &Path) -> Result<Option<()>, SinkError> {
     match file.try_lock() {
         Ok(()) => Ok(Some(())),
@@ -212,7 +212,7 @@ fn lock(file: &File, path: &Path) -> Result<Option<()>, SinkError> {
     }
 }
 
-/// Whether `path` is a name of what `file` has open, and no link to it.
+/// Whether `path` is a regular file, not a link, and the same one as `file`.
 fn leads_to(path: &Path, file: &File) -> bool {
     let is_file = std::fs::symlink_metadata(path).is_ok_and(|there| there.is_file());
     let open = file.try_clone().and_then(Handle::from_file);
@@ -225,18 +225,18 @@ fn is_disk(there: &Metadata) -> bool {
     there.file_type().is_block_device()
 }
 
-/// Elsewhere a disk has no name that could be given by mistake.
+/// On other systems, a disk has no file name that could be given by mistake.
 #[cfg(not(unix))]
 fn is_disk(_there: &Metadata) -> bool {
     false
 }
 
-/// The null device of Windows is there under that name in every folder, and says nothing of itself.
+/// Whether `path` is the null device of Windows, which exists in every folder and cannot be detected by its metadata.
 fn is_null(path: &Path) -> bool {
     cfg!(windows) && path.file_name().is_some_and(|name| name.eq_ignore_ascii_case("nul"))
 }
 
-/// Where the bytes go, to name it when something goes wrong.
+/// Destination of the bytes, for error messages.
 #[derive(Clone)]
 enum Target {
     File { path: PathBuf, partial: Option<PathBuf> },
@@ -280,37 +280,37 @@ pub(super) struct Writer {
     target: Target,
     queue: Arc<Queue>,
     thread: Option<JoinHandle<Option<Written>>>,
-    /// Messages sent.
+    /// Number of messages sent.
     sent: u64,
     held: Option<Held>,
 }
 
-/// What keeps a file ours until it has its name.
+/// What keeps the claim to a file until it is renamed.
 struct Held {
     partial: Option<Partial>,
-    /// The lock ends with its last handle.
+    /// Open until the end, because the lock is released with the last handle.
     file: File,
-    /// What is to be replaced.
+    /// The existing file to be replaced.
     there: Option<Handle>,
 }
 
 /// What a writer has written.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Written {
-    /// The recording, footer included [bytes].
+    /// Size of the recording, footer included [bytes].
     pub bytes: u64,
     pub messages: u64,
 }
 
 impl Writer {
-    /// Begins to write to standard output, which must not be a terminal.
+    /// Starts to write to standard output, which must not be a terminal.
     ///
-    /// Whoever else prints there while this lives spoils the recording.
+    /// Any other output to it would corrupt the recording.
     pub fn stdout() -> Result<Writer, SinkError> {
         if is_terminal() {
             return Err(SinkError::Terminal);
         }
-        // locked for each write and not for the whole run: a print from elsewhere would then wait for ever
+        // locked per write, not for the whole run: otherwise a print from elsewhere would block forever
         Writer::start(Target::Stdout, io::stdout())
     }
 
@@ -329,23 +329,23 @@ impl Writer {
         }
     }
 
-    /// Queues a message, and waits while the queue is full; `Err` is why nothing more can be written.
+    /// Queues a message; waits while the queue is full. `Err` tells why nothing more can be written.
     pub fn send(&mut self, parcel: Parcel) -> Result<(), SinkError> {
         self.sent += 1;
         self.queue.send(parcel)
     }
 
-    /// Waits until all that was sent is with the operating system.
+    /// Waits until everything sent has been passed to the operating system.
     pub fn flush(&self) -> Result<(), SinkError> {
         self.queue.flush()
     }
 
-    /// Whether nothing more can be written.
+    /// Whether writing has failed.
     pub fn failed(&self) -> bool {
         self.queue.failure().is_some()
     }
 
-    /// Nothing more will be sent: the thread may finish meanwhile.
+    /// Signals that nothing more will be sent, so that the thread can finish in the background.
     pub fn close(&self) {
         self.queue.close();
     }
@@ -358,14 +358,14 @@ impl Writer {
         }
     }
 
-    /// Waits for the last byte, and gives a file its name.
+    /// Waits until everything is written, and renames the temporary file.
     pub fn finish(mut self) -> Result<Written, SinkError> {
         let written = self.join()?;
         if let (Target::File { path, .. }, Some(Held { partial: Some(partial), file, there })) =
             (&self.target, self.held.take())
         {
             file.sync_all().map_err(|err| self.target.error("sync", err))?;
-            // a run takes its time: somebody may have put something else where it is to end
+            // in the course of the run, something else may have been put at the destination
             let in_the_way = |what: &str| SinkError::Taken {
                 path: path.clone(),
                 what: format!("{what}; what was recorded is in {}", partial.path.display()),
@@ -385,7 +385,8 @@ impl Writer {
             drop(there);
             std::fs::rename(&partial.path, path)
                 .map_err(|err| self.target.error("rename the .partial file to", err))?;
-            // the name is in the directory, which is synced by itself; where that cannot be done there is no remedy
+            // the name is part of the directory, which must be synced separately; where that is impossible there is no
+            // remedy
             if let Some(Ok(directory)) = path.parent().map(File::open) {
                 directory.sync_all().ok();
             }
@@ -409,14 +410,14 @@ impl Writer {
     }
 }
 
-/// A run that ended badly: what there is gets its footer and stays under its preliminary name.
+/// On failure: what was written gets its footer and remains in the temporary file.
 impl Drop for Writer {
     fn drop(&mut self) {
         if self.thread.is_none() {
             return;
         }
         self.queue.close();
-        // a pipe whose reader sleeps would keep the program from ending; a disk gets on
+        // a pipe whose reader is blocked would keep the program from ending; a disk makes progress
         let patience = if self.held.as_ref().is_some_and(|held| held.partial.is_some()) { 60 } else { 2 };
         if self.queue.wait_ended(Duration::from_secs(patience)) {
             self.join().ok();
@@ -427,8 +428,8 @@ impl Drop for Writer {
     }
 }
 
-/// Refuses a standard output that a recording would spoil, or that would spoil one: a file with something in it, or the
-/// one to save to.
+/// Rejects a standard output that a recording would corrupt, or that would corrupt one: a non-empty file, or the file
+/// to save to.
 pub(super) fn check_stdout(save: Option<&Path>) -> Result<(), SinkError> {
     let refuse = |what: &str| Err(SinkError::StdoutTaken { what: what.to_owned() });
     let Ok(stdout) = Handle::stdout() else { return Ok(()) };
@@ -453,7 +454,7 @@ pub(super) fn is_terminal() -> bool {
     io::stdout().is_terminal()
 }
 
-/// Counts what passes.
+/// Counts the bytes that pass through.
 struct Counted<W> {
     out: W,
     bytes: u64,
@@ -471,7 +472,7 @@ impl<W: Write> Write for Counted<W> {
     }
 }
 
-/// Writes what comes through the queue, up to its end, then the footer.
+/// Writes all messages of the queue, then the footer.
 fn write<W: Write>(target: &Target, queue: &Queue, out: W) -> Result<Written, SinkError> {
     let out = BufWriter::with_capacity(BUFFER, Counted { out, bytes: 0 });
     let mut encoder = Encoder::new_eager(CrateVersion::LOCAL, EncodingOptions::PROTOBUF_COMPRESSED, out)
@@ -480,7 +481,7 @@ fn write<W: Write>(target: &Target, queue: &Queue, out: W) -> Result<Written, Si
     let messages = match result {
         Ok(messages) => messages,
         Err(err) => {
-            // a footer after half a message would be one more thing that is wrong: drop what is still in the buffer
+            // a footer after half a message would corrupt the file further: discard the buffer
             encoder.into_inner().map(BufWriter::into_parts).ok();
             return Err(err);
         }
@@ -492,7 +493,7 @@ fn write<W: Write>(target: &Target, queue: &Queue, out: W) -> Result<Written, Si
 
 fn encode<W: Write>(target: &Target, queue: &Queue, encoder: &mut Encoder<W>) -> Result<u64, SinkError> {
     let mut messages = 0;
-    // the stream's header is not flushed either
+    // the header has not been flushed yet
     let mut is_flushed = false;
     let mut flushed_at = Instant::now();
     loop {

@@ -1,4 +1,4 @@
-//! Viewers: the SDK's gRPC client on a thread of its own, so that no viewer can hold up or hang a run.
+//! Live viewers: the SDK's gRPC client on a separate thread, so that no viewer can block a run.
 
 use std::io;
 use std::net::{TcpStream, ToSocketAddrs as _};
@@ -12,33 +12,34 @@ use rerun::sink::{GrpcSink, LogSink};
 use super::SinkError;
 use super::queue::{Parcel, Queue, WhenFull};
 
-/// What may wait for a viewer [bytes]: some thousand steps of a scene of a few bodies.
+/// Upper limit on data waiting for a viewer [bytes]: several thousand steps of a scene with a few bodies.
 const VIEWER_LIMIT: u64 = 128 << 20;
-/// Messages handed to the SDK before it is asked whether they are on their way. Its own queue is bounded at 100 messages
-/// of any size; asking keeps it at this, and tells how a viewer gets on and whether it is still there.
+/// Messages handed to the SDK before it is flushed. The SDK's own queue is bounded by 100 messages of any size;
+/// flushing keeps it at this length, and tells whether the viewer makes progress and is still connected.
 const BATCH: usize = 8;
-/// How long a viewer's address may take to answer.
+/// Timeout of a connection attempt to one address of a viewer.
 const PROBE: Duration = Duration::from_secs(1);
-/// How long its name may take to be looked up, and all of its addresses to be tried.
+/// Timeout of resolving a viewer's name and trying all of its addresses.
 const LOOK_UP: Duration = Duration::from_secs(5);
 
-/// A place that shows what comes in, over a gRPC connection.
+/// A destination that displays messages, over a gRPC connection.
 pub(super) struct Live {
     queue: Arc<Queue>,
-    /// Its going away, its falling behind: each is said once.
+    /// Whether its disconnection has been reported to the user.
     pub said_gone: bool,
+    /// Whether dropped messages have been reported to the user.
     pub said_thinned: bool,
 }
 
 impl Live {
-    /// Streams to the viewer at `uri`, which must have answered a [`probe`].
+    /// Connects to the viewer at `uri`, which must have answered a [`probe`].
     pub fn connect(uri: ProxyUri) -> Result<Live, SinkError> {
         let name = format!("the viewer at {uri}");
         Live::start(name, VIEWER_LIMIT, WhenFull::Thin, false, move || Ok(Box::new(GrpcSink::new(uri))))
     }
 
-    /// Starts the thread; `open` is run on it. With `stays`, the sink is taken down on [`Live::release`] only, and not
-    /// when everything is delivered.
+    /// Starts the thread, which calls `open`. With `stays`, the sink is dropped only on [`Live::release`], not as soon
+    /// as everything is delivered.
     pub fn start(
         name: String,
         limit: u64,
@@ -47,7 +48,7 @@ impl Live {
         open: impl FnOnce() -> Result<Box<dyn LogSink>, String> + Send + 'static,
     ) -> Result<Live, SinkError> {
         let queue = Arc::new(Queue::new(name.clone(), limit, when_full));
-        // Detached: it cannot be made to end while it waits for a viewer that does not read.
+        // Detached: the thread cannot be stopped while it waits for a viewer that does not read.
         let thread = std::thread::Builder::new().name("viewer".to_owned()).spawn({
             let queue = Arc::clone(&queue);
             move || {
@@ -64,30 +65,30 @@ impl Live {
         }
     }
 
-    /// Queues a message, never waits; `Err` is why it takes no more.
+    /// Queues a message without waiting. `Err` tells why the viewer receives no more.
     pub fn send(&self, parcel: Parcel) -> Result<(), SinkError> {
         self.queue.send(parcel)
     }
 
-    /// What is known of it.
+    /// The queue, for its state.
     pub fn queue(&self) -> &Queue {
         &self.queue
     }
 
-    /// Why it takes no more, if it does not.
+    /// Why the viewer receives no more; `None` if it does.
     pub fn failure(&self) -> Option<SinkError> {
         self.queue.failure()
     }
 }
 
-/// A run that ended badly: nobody waits for the viewer any more.
+/// On failure: the viewer is not waited for.
 impl Drop for Live {
     fn drop(&mut self) {
         self.queue.release();
     }
 }
 
-/// Delivers what comes through the queue until its end, or the sink's.
+/// Delivers messages from the queue until the queue ends or the sink fails.
 fn attend(queue: &Queue, sink: Box<dyn LogSink>, stays: bool) {
     loop {
         let mut batch = queue.take(BATCH, None);
@@ -95,8 +96,8 @@ fn attend(queue: &Queue, sink: Box<dyn LogSink>, stays: bool) {
         for msg in batch.messages.drain(..) {
             sink.send(msg);
         }
-        // No time-out: the SDK answers as soon as the connection is lost. A viewer that only does not read makes this
-        // wait for ever, which is why nobody waits for this thread for long.
+        // No timeout: the SDK returns as soon as the connection is lost. If the viewer is connected but does not read,
+        // this blocks forever, which is why nothing waits long for this thread.
         if delivered > 0
             && let Err(err) = sink.flush_blocking(Duration::MAX)
         {
@@ -111,16 +112,16 @@ fn attend(queue: &Queue, sink: Box<dyn LogSink>, stays: bool) {
             break;
         }
     }
-    // waits until the other side has everything, and for ever if it does not read
+    // blocks until the other side has received everything, forever if it does not read
     drop(sink);
 }
 
-/// What the SDK's error means to a user; its own words are about its insides.
+/// Translates the SDK's error to a message for users; the original is about implementation details.
 fn plain(error: &str) -> String {
     const CODE: &str = "Failed to send messages: ";
     let code = error.split_once(CODE).and_then(|(_, rest)| rest.split(", uri: ").next());
     match code {
-        // what a viewer of another kind or version answers is worth knowing
+        // the response of another kind or version of viewer is worth reporting
         Some(code) if code != "Unknown error" => format!("the connection broke: {code}"),
         _ if error.contains("unable to connect") => "it does not speak gRPC, or not on this port".to_owned(),
         _ if error.contains("gracefully") => "it closed the connection".to_owned(),
@@ -129,7 +130,7 @@ fn plain(error: &str) -> String {
     }
 }
 
-/// Whether something listens at the address, before the SDK retries to connect to nothing for ever.
+/// Checks that something listens at the address; otherwise the SDK would retry to connect forever.
 pub(super) fn probe(uri: &ProxyUri) -> Result<(), SinkError> {
     let address = format!("{}:{}", uri.origin.format_host(), uri.origin.port);
     let attempt = within(LOOK_UP, move || {
@@ -150,8 +151,8 @@ pub(super) fn probe(uri: &ProxyUri) -> Result<(), SinkError> {
     Err(SinkError::NoViewer { url: uri.to_string(), reason, local: uri.origin.is_localhost() })
 }
 
-/// What `work` returns, or `None` if it takes longer than `limit`, cannot be started, or panics; it then goes on by
-/// itself, and nobody listens.
+/// The result of `work`, or `None` if it takes longer than `limit`, cannot be started, or panics. After a timeout it
+/// continues in the background, and its result is ignored.
 pub(super) fn within<T: Send + 'static>(limit: Duration, work: impl FnOnce() -> T + Send + 'static) -> Option<T> {
     let (answer, question) = mpsc::sync_channel(1);
     let thread = std::thread::Builder::new().name("bounded".to_owned());

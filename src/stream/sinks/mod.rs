@@ -1,19 +1,19 @@
-//! Where a recording goes: a file, standard output, viewers, a server for viewers, memory; any of them together.
+//! Destinations of a recording: a file, standard output, viewers, a server for viewers, memory, or several of these.
 //!
-//! Every destination has a thread of its own behind a queue that is bounded in bytes, and gets the messages in the order
-//! in which they were sent. Files and pipes get every message: when they are slow the run waits for them. A viewer gets
-//! what it can take and never holds up a run. The server for viewers gets everything, for those that come later too, and
-//! who reads it, how fast and whether at all holds up nobody.
+//! Every destination has its own thread behind a queue that is bounded in bytes, and receives messages in the order in
+//! which they were sent. Files and pipes receive every message; the run waits for them if they are slow. A viewer
+//! receives what it can keep up with. The simulation never blocks on a viewer. The server receives everything and keeps
+//! a history for viewers that connect later; a slow or stalled client affects no other client and not the run.
 //!
-//! Memory: 16 MiB for a file or pipe; 128 MiB for each viewer and for the server, twice as much where it is all values
-//! that nothing newer follows; and what the SDK holds; and 1 GiB of history for the server, however many read it.
-//! A message in several queues is there once. The footer of a file takes about 1 kB for each message, kept until the
-//! end.
+//! Memory: 16 MiB for a file or pipe; 128 MiB for each viewer and for the server, twice as much if every waiting
+//! message has values that no newer message replaces; the SDK's own buffers; and 1 GiB of history for the server,
+//! regardless of the number of clients. Queues share messages, so that a message in several queues is stored once. The
+//! footer of a file takes about 1 kB per message, kept until the end.
 //!
-//! The SDK's own sinks are not used as they are because of what they do when something goes wrong: `FileSink` overwrites
-//! the file at once and only logs that the disk is full, `GrpcSink` waits for ever for a viewer that does not read, and
-//! `GrpcServerSink` lets everybody read and write, and waits for the slowest reader. The web viewer's server takes as much
-//! memory as a request asks for.
+//! The SDK's own sinks are not used directly because of their behaviour on errors: `FileSink` overwrites the file
+//! immediately and only logs that the disk is full; `GrpcSink` waits forever for a viewer that does not read;
+//! `GrpcServerSink` lets anyone read and write, and waits for the slowest reader. The web viewer's server allocates as
+//! much memory as a request asks for.
 
 use std::ffi::OsString;
 use std::net::{IpAddr, Ipv4Addr};
@@ -42,24 +42,24 @@ use note::seconds;
 use queue::Parcel;
 use serve::Server;
 
-/// What was asked for.
+/// The requested destinations.
 #[derive(Clone, Debug)]
 pub struct Destinations {
     /// The file to write.
     pub save: Option<PathBuf>,
     /// Whether to write to standard output.
     pub stdout: bool,
-    /// The viewer to start.
+    /// The viewer to start, if any.
     pub spawn: Option<Spawn>,
     /// The address of a running viewer, such as [`rerun::DEFAULT_CONNECT_URL`].
     pub connect: Option<String>,
     /// The web viewer to serve.
     pub serve: Option<Serve>,
-    /// How long a viewer may take none of what is left for it after the run, before it is given up [5 s].
+    /// How long a viewer may make no progress with the remaining messages after the run before it is given up [5 s].
     pub patience: Duration,
 }
 
-/// Nowhere.
+/// No destination.
 impl Default for Destinations {
     fn default() -> Self {
         let patience = Duration::from_secs(5);
@@ -67,12 +67,12 @@ impl Default for Destinations {
     }
 }
 
-/// A viewer to start. One that listens on the port already is used instead.
+/// A viewer to start. If a viewer listens on the port already, it is used instead.
 #[derive(Clone, Debug)]
 pub struct Spawn {
-    /// A path, or a name to be found on the PATH [`rerun`].
+    /// Path of the viewer, or a name to be found on the PATH [`rerun`].
     pub program: OsString,
-    /// Where it is to listen, on this machine only [9876].
+    /// Port on which it listens, on this machine only [9876].
     pub port: u16,
 }
 
@@ -87,11 +87,11 @@ impl Default for Spawn {
 pub struct Serve {
     /// The address to listen on [127.0.0.1].
     pub bind: IpAddr,
-    /// Where the web viewer is [9090]; 0 is any that is free.
+    /// Port of the web page [9090]; 0 selects a free one.
     pub web_port: u16,
-    /// Where it gets its data [9876]; 0 is any that is free.
+    /// Port of the data server [9876]; 0 selects a free one.
     pub grpc_port: u16,
-    /// Hosts under which viewers may ask, beside this machine's loopback names and addresses that `bind` stands for.
+    /// Additional host names that viewers may use, besides this machine's loopback names and the addresses of `bind`.
     pub allow: Vec<Host>,
 }
 
@@ -104,31 +104,31 @@ impl Default for Serve {
 
 /// All destinations of a run, open.
 ///
-/// Dropping it without [`Sinks::finish`] leaves a file under its preliminary name, with all that was sent.
+/// Dropping it without [`Sinks::finish`] leaves a file under its temporary name, with everything sent so far.
 pub struct Sinks {
     writers: Vec<Writer>,
     viewers: Vec<Live>,
     server: Option<Server>,
     memory: Option<Vec<LogMsg>>,
     notes: Vec<String>,
-    /// A file or a pipe has what a viewer misses.
+    /// Whether a file or pipe has the messages that a viewer misses.
     is_recorded: bool,
     patience: Duration,
 }
 
-/// How it went.
+/// The results of finished destinations.
 pub struct Finished {
-    /// The file.
+    /// The file that was saved.
     pub save: Option<Saved>,
-    /// What went to standard output [bytes].
+    /// Bytes written to standard output.
     pub stdout: Option<u64>,
-    /// What became of each viewer that was connected.
+    /// The result of each viewer that was connected.
     pub viewers: Vec<Watched>,
-    /// What there is to tell since the last [`Sinks::notes`].
+    /// Notes for the user since the last [`Sinks::notes`].
     pub notes: Vec<String>,
-    /// What [`Sinks::memory`] has kept.
+    /// Messages kept by [`Sinks::memory`].
     pub memory: Vec<LogMsg>,
-    /// The servers: they stay up as long as this is kept.
+    /// The servers: they stay up as long as this value lives.
     pub serving: Option<Serving>,
 }
 
@@ -139,29 +139,29 @@ pub struct Saved {
     pub path: PathBuf,
     /// Its size [bytes].
     pub bytes: u64,
-    /// Messages in it.
+    /// Number of messages in the file.
     pub messages: u64,
 }
 
-/// What became of a viewer.
+/// The result of a viewer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Watched {
-    /// Which one.
+    /// The viewer's name.
     pub name: String,
-    /// Messages that it took.
+    /// Number of messages delivered.
     pub messages: u64,
-    /// Messages left out for it because it could not keep up.
+    /// Number of messages dropped because the viewer could not keep up.
     pub left_out: u64,
-    /// Whether it has everything else.
+    /// Whether every other message was delivered.
     pub is_complete: bool,
 }
 
 impl Sinks {
-    /// Opens every destination. A viewer that is not there is an error only if there is no other destination;
-    /// everything else is one always. No file is touched and no viewer started if there is one.
+    /// Opens every destination. A missing viewer is an error only if there is no other destination; any other failure
+    /// is always an error. On an error, no file has been modified and no viewer started.
     pub fn open(destinations: &Destinations) -> Result<Sinks, SinkError> {
         let Destinations { save, stdout, spawn, connect, serve, patience } = destinations;
-        // first what needs nothing but to be looked at
+        // first the checks that have no side effects
         let connect = connect.as_deref().map(parse_url).transpose()?;
         if *stdout && file::is_terminal() {
             return Err(SinkError::Terminal);
@@ -220,7 +220,7 @@ impl Sinks {
         Ok(sinks)
     }
 
-    /// Keeps every message, for [`Finished::memory`]. Unbounded.
+    /// Keeps all messages in memory, for [`Finished::memory`]. Unbounded.
     pub fn memory() -> Sinks {
         Sinks { memory: Some(Vec::new()), ..Sinks::closed() }
     }
@@ -231,39 +231,40 @@ impl Sinks {
         Sinks { writers, viewers, server: None, memory: None, notes, is_recorded: false, patience }
     }
 
-    /// Whether there is a server, which should stay up after the run until its user has seen enough.
+    /// Whether there is a server, which should stay up after the run until the user ends it.
     pub fn serving(&self) -> bool {
         self.server.is_some()
     }
 
-    /// Whether there are viewers or a server, and files or pipes.
+    /// Whether there are viewers or a server, and whether there are files or pipes.
     pub fn are_live_and_recorded(&self) -> [bool; 2] {
         [!self.viewers.is_empty() || self.server.is_some(), !self.writers.is_empty()]
     }
 
-    /// Whether a file or pipe cannot be written, or nothing is left to send to.
+    /// Whether a file or pipe has failed, or no destination is left.
     pub fn failed(&self) -> bool {
         !self.is_anyone_left() || self.writers.iter().any(Writer::failed)
     }
 
-    /// What there is to tell the user since the last call: whole sentences, each said once.
+    /// Notes for the user since the last call: whole sentences, each given once.
     pub fn notes(&mut self) -> Vec<String> {
         self.look();
         std::mem::take(&mut self.notes)
     }
 
-    /// Sends a message everywhere. Waits while the queue of a file or pipe is full, and for a server as long as it gets on.
+    /// Sends a message to all destinations. Waits while the queue of a file or pipe is full, and for a server as long
+    /// as it makes progress.
     ///
-    /// `Err` if a file or pipe cannot be written, or if nothing is left to send to. A run should then end with
-    /// [`Sinks::finish`], which gives the same error once more.
+    /// `Err` if a file or pipe cannot be written, or if no destination is left. A run should then end with
+    /// [`Sinks::finish`], which returns the same error again.
     pub fn send(&mut self, msg: LogMsg) -> Result<(), SinkError> {
         self.send_to(Audience::All, msg)
     }
 
-    /// The same for some of them.
+    /// Like [`Sinks::send`], to some of the destinations.
     ///
     /// # Errors
-    /// As those of [`Sinks::send`].
+    /// The same as those of [`Sinks::send`].
     pub fn send_to(&mut self, audience: Audience, msg: LogMsg) -> Result<(), SinkError> {
         let parcel = Parcel::new(msg);
         if audience != Audience::Viewers {
@@ -295,10 +296,10 @@ impl Sinks {
         self.writers.iter().try_for_each(Writer::flush)
     }
 
-    /// Ends the recording everywhere: footers written, files synced and under their names, viewers up to date as far as
-    /// they take it. Every destination is brought to its end even if one fails; the first failure is returned.
+    /// Finishes all destinations: writes footers, syncs and renames files, and delivers what remains to viewers as far
+    /// as they accept it. Every destination is finished even if one fails; the first failure is returned.
     pub fn finish(mut self) -> Result<Finished, SinkError> {
-        // all at once, so that they end while the first is waited for
+        // close all of them first, so that they finish in parallel
         self.writers.iter().for_each(Writer::close);
         self.viewers.iter().for_each(|viewer| viewer.queue().close());
         if let Some(server) = &self.server {
@@ -366,7 +367,7 @@ impl Sinks {
         self.server.as_ref().and_then(|server| server.live.failure())
     }
 
-    /// Whether anything takes messages.
+    /// Whether any destination still receives messages.
     fn is_anyone_left(&self) -> bool {
         !self.writers.is_empty()
             || self.memory.is_some()
@@ -374,7 +375,7 @@ impl Sinks {
             || self.server.as_ref().is_some_and(|server| server.live.failure().is_none())
     }
 
-    /// Notes what has become of viewers and server.
+    /// Adds notes about changes in the state of viewers and the server.
     fn look(&mut self) {
         let is_news = |live: &Live| !live.said_gone && live.failure().is_some();
         let has_news = self.viewers.iter().chain(self.server.as_ref().map(|server| &server.live)).any(is_news);
@@ -403,7 +404,7 @@ impl Sinks {
         self.notes.extend(self.server.as_mut().and_then(Server::forgetting));
     }
 
-    /// What is left of the destinations, to complete a sentence about one that is gone.
+    /// The second half of a note about a lost destination: which ones are left.
     fn rest(&self) -> String {
         let mut rest: Vec<String> = Vec::new();
         for writer in &self.writers {
@@ -420,7 +421,8 @@ impl Sinks {
     }
 }
 
-/// The address of a viewer: `rerun+http://HOST:PORT/proxy`, or `rerun+https://` and `rerun://` for an encrypted one.
+/// Parses the address of a viewer: `rerun+http://HOST:PORT/proxy`, or `rerun+https://` and `rerun://` for an encrypted
+/// one.
 fn parse_url(url: &str) -> Result<ProxyUri, SinkError> {
     url.parse()
         .map_err(|err: rerun::external::re_uri::Error| SinkError::Url { url: url.to_owned(), reason: err.to_string() })

@@ -1,4 +1,4 @@
-//! Words and figures for people.
+//! Text fragments for messages to users.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ pub(super) fn seconds(duration: Duration) -> String {
     format!("{} s", (duration.as_secs_f64() * 10.0).round() / 10.0)
 }
 
-/// How to get the viewer that fits this program.
+/// Advice on installing the viewer version that matches this program.
 pub(super) fn install_help() -> String {
     let version = rerun::build_info().version;
     format!(
@@ -16,7 +16,7 @@ pub(super) fn install_help() -> String {
     )
 }
 
-/// How to get a viewer that should have been on this machine.
+/// Advice on starting a viewer that was expected on this machine.
 pub(super) fn viewer_help(local: bool) -> String {
     if local { format!(" (if `rerun` is missing: {})", install_help()) } else { String::new() }
 }

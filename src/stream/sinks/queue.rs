@@ -1,4 +1,4 @@
-//! The queue between a run and the thread that serves one destination: bounded in bytes, in order.
+//! The queue between a run and the thread that serves one destination: FIFO, bounded in bytes.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::hash::{DefaultHasher, Hash as _, Hasher as _};
@@ -10,19 +10,19 @@ use rerun::log::LogMsg;
 
 use super::SinkError;
 
-/// Messages from this size on are left out first when a viewer cannot keep up [bytes]. Below it are events, phases and
-/// scalars, which cost little and are what a viewer's user looks for: one of them takes some 2 kB.
+/// Size from which messages are dropped first when a viewer cannot keep up [bytes]. Smaller ones (about 2 kB each) are
+/// events, phases and scalars, which cost little and matter most to the user.
 const BULKY: u64 = 8 * 1024;
-/// What a column takes beside its values: its description and the vectors' own sizes [bytes].
+/// Overhead of a column in addition to its values: its description and the sizes of the vectors [bytes].
 const COLUMN: u64 = 512;
 
-/// A message on its way, with what the queues need to know about it.
+/// A message in transit, with what the queues need to know about it.
 #[derive(Clone)]
 pub(super) struct Parcel {
     pub msg: LogMsg,
     /// Size in memory [bytes].
     bytes: u64,
-    /// What a later message replaces it in: same recording, entity and columns. `None`: it is needed whatever follows.
+    /// Identifies messages that replace each other: same recording, entity and columns. `None`: it must not be dropped.
     stream: Option<u64>,
 }
 
@@ -32,8 +32,8 @@ impl Parcel {
     }
 }
 
-/// Size in memory [bytes], as if nothing else held the same data: a message may be shared by several queues, but each has
-/// to count on keeping it longest. (The SDK's own figure is divided by the number of owners.)
+/// Size in memory [bytes], as if no other owner held the data: several queues may share a message, but each must assume
+/// that it keeps it longest. (The SDK's own figure is divided by the number of owners.)
 fn size_of(msg: &LogMsg) -> u64 {
     match msg {
         LogMsg::ArrowMsg(_, arrow) => {
@@ -43,7 +43,8 @@ fn size_of(msg: &LogMsg) -> u64 {
     }
 }
 
-/// The stream that `msg` belongs to, or `None` for what is sent only once: store infos, blueprints, static data.
+/// The stream to which `msg` belongs; `None` for messages that are sent only once: store infos, blueprints, static
+/// data.
 fn stream_of(msg: &LogMsg) -> Option<u64> {
     let LogMsg::ArrowMsg(store, arrow) = msg else { return None };
     if store.kind() == rerun::StoreKind::Blueprint {
@@ -63,25 +64,25 @@ fn stream_of(msg: &LogMsg) -> Option<u64> {
     Some(hasher.finish())
 }
 
-/// What is waiting, and what of it could be left out without changing what a viewer shows at the end.
+/// The waiting messages, and which of them can be dropped without changing the final state of a viewer.
 ///
-/// A value that does not change is not sent again, so whatever is dropped must have a successor: then the picture at
-/// the end is the true one, and only the way there is coarser.
+/// Unchanged values are not sent again, so a message can be dropped only if it has a successor. Then the final state in
+/// the viewer is exact, and only the intermediate states are coarser.
 #[derive(Default)]
 struct Backlog {
-    /// By number in order of arrival.
+    /// Waiting messages by sequence number.
     waiting: BTreeMap<u64, Parcel>,
-    /// Of what is waiting [bytes].
+    /// Total size of waiting messages [bytes].
     bytes: u64,
-    /// Number of the next message; numbers are never reused.
+    /// Sequence number of the next message; never reused.
     next: u64,
     /// The newest message of each stream, waiting or delivered.
     newest: HashMap<u64, u64>,
-    /// Messages that waited when a newer one of their stream came, large ones.
+    /// Large messages that were still waiting when a newer one of their stream arrived.
     superseded_bulky: VecDeque<u64>,
-    /// The same, small ones.
+    /// Small messages that were still waiting when a newer one of their stream arrived.
     superseded_small: VecDeque<u64>,
-    /// Messages left out so far.
+    /// Number of messages dropped so far.
     left_out: u64,
 }
 
@@ -94,7 +95,7 @@ impl Backlog {
             && let Some(superseded) = self.waiting.get(&previous)
         {
             let list = if superseded.bytes >= BULKY { &mut self.superseded_bulky } else { &mut self.superseded_small };
-            // forgets what was delivered meanwhile, so that the list does not outgrow what is waiting
+            // remove entries delivered in the meantime, so that the list does not outgrow the waiting messages
             while list.front().is_some_and(|number| !self.waiting.contains_key(number)) {
                 list.pop_front();
             }
@@ -109,7 +110,7 @@ impl Backlog {
         Some(parcel)
     }
 
-    /// Leaves out the oldest superseded messages until at most `limit` bytes wait, or nothing else is superseded.
+    /// Drops the oldest superseded messages until at most `limit` bytes wait, or none is superseded.
     fn thin(&mut self, limit: u64) {
         while self.bytes > limit {
             let Some(number) = self.superseded_bulky.pop_front().or_else(|| self.superseded_small.pop_front()) else {
@@ -127,23 +128,24 @@ impl Backlog {
     }
 }
 
-/// What happens to a message when the queue is full.
+/// Policy for a full queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum WhenFull {
-    /// The run waits: nothing is ever lost.
+    /// The run waits: no message is lost.
     Wait,
-    /// Superseded messages are left out; if that is not enough the destination is given up. The run never waits.
+    /// Superseded messages are dropped. If that does not suffice, the destination is given up. The run never waits.
     Thin,
-    /// The run waits as long as something is delivered within this time, then messages are left out until it is again.
+    /// The run waits as long as messages are delivered within this time; otherwise messages are dropped until delivery
+    /// resumes.
     WaitThenThin(Duration),
 }
 
 /// A queue for one sender and one thread that serves a destination.
 ///
-/// Bound: `limit` bytes wait or are in hand, or one larger message; if messages may be left out twice that, where those
-/// that may not take so much.
+/// Memory bound: `limit` bytes waiting or in delivery, or one larger message. If messages may be dropped, twice that,
+/// in case those that must not be dropped take so much.
 pub(super) struct Queue {
-    /// The destination, as messages call it.
+    /// Name of the destination in messages to users.
     name: String,
     limit: u64,
     when_full: WhenFull,
@@ -153,37 +155,38 @@ pub(super) struct Queue {
 
 struct State {
     backlog: Backlog,
-    /// What the thread has taken and not yet reported as delivered [bytes].
+    /// Messages taken by the thread and not yet reported as delivered [bytes].
     in_hand: u64,
-    /// Messages delivered.
+    /// Number of messages delivered.
     delivered: u64,
-    /// When something was last delivered.
+    /// When a message was last delivered.
     progress: Instant,
-    /// What was delivered when it was last waited for in vain.
+    /// The value of `delivered` when waiting for it last timed out.
     stalled_at: Option<u64>,
-    /// A flush is wanted up to this number (not including it), and was done up to that one.
+    /// A flush is requested up to this sequence number (exclusive).
     flush_to: u64,
+    /// Everything up to this sequence number (exclusive) has been flushed.
     flushed: u64,
-    /// Nothing more will be sent.
+    /// Whether the sender has finished.
     closed: bool,
-    /// The thread may take down what it holds.
+    /// Whether the thread may drop its sink.
     released: bool,
-    /// The thread has ended.
+    /// Whether the thread has ended.
     ended: bool,
     failure: Option<SinkError>,
 }
 
-/// What a thread gets to do.
+/// Work for the thread.
 #[derive(Default)]
 pub(super) struct Batch {
-    /// To deliver, in order.
+    /// Messages to deliver, in order.
     pub messages: Vec<LogMsg>,
-    /// Someone waits for everything up to here to be flushed.
+    /// Whether the sender waits for everything up to this batch to be flushed.
     pub flush: bool,
-    /// Nothing more will come.
+    /// Whether this is the last batch.
     pub last: bool,
     bytes: u64,
-    /// Number of the first message after this batch.
+    /// Sequence number of the first message after this batch.
     upto: u64,
 }
 
@@ -205,8 +208,8 @@ impl Queue {
         Queue { name, limit, when_full, state: Mutex::new(state), changed: Condvar::new() }
     }
 
-    /// A thread that panicked while it held the lock left the state as it was between two statements of this file:
-    /// counters may be off by a message, which is no reason to bring the run down.
+    /// Ignores poisoning: a thread that panicked while it held the lock left the state between two statements of this
+    /// file. Counters may be off by one message, which is no reason to abort the run.
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -221,10 +224,10 @@ impl Queue {
 
     // ---- the sender's side ----
 
-    /// Adds a message; `Err` is why the destination takes no more.
+    /// Adds a message. `Err` tells why the destination accepts no more.
     pub fn send(&self, mut parcel: Parcel) -> Result<(), SinkError> {
         if self.when_full == WhenFull::Wait {
-            // nothing is left out, so nobody needs to know what replaces what
+            // messages are never dropped, so streams are irrelevant
             parcel.stream = None;
         }
         let patience = match self.when_full {
@@ -240,7 +243,7 @@ impl Queue {
                 state.stalled_at = Some(state.delivered);
                 break;
             }
-            // no longer at once than every system can count
+            // some systems cannot represent longer timeouts
             state = self.wait_for(state, (patience - idle).min(Duration::from_secs(3600)));
         }
         if let Some(failure) = &state.failure {
@@ -267,7 +270,7 @@ impl Queue {
         Ok(())
     }
 
-    /// Waits until everything sent so far is delivered and flushed; `Err` is why it cannot be.
+    /// Waits until everything sent so far is delivered and flushed. `Err` tells why that is impossible.
     pub fn flush(&self) -> Result<(), SinkError> {
         let mut state = self.lock();
         let upto = state.backlog.next;
@@ -279,13 +282,13 @@ impl Queue {
         state.failure.clone().map_or(Ok(()), Err)
     }
 
-    /// Nothing more will be sent.
+    /// Signals that nothing more will be sent.
     pub fn close(&self) {
         self.lock().closed = true;
         self.changed.notify_all();
     }
 
-    /// Nothing more will be sent, and what the thread holds may be taken down.
+    /// Signals that nothing more will be sent, and that the thread may drop its sink.
     pub fn release(&self) {
         let mut state = self.lock();
         state.closed = true;
@@ -299,7 +302,7 @@ impl Queue {
         self.wait_until(patience, |state| state.ended)
     }
 
-    /// Waits until everything sent is delivered or the thread has ended; `false` if there was no progress for `patience`.
+    /// Waits until everything sent is delivered or the thread has ended; `false` after no progress for `patience`.
     pub fn wait_drained(&self, patience: Duration) -> bool {
         self.wait_until(patience, |state| state.ended || (state.backlog.waiting.is_empty() && state.in_hand == 0))
     }
@@ -308,7 +311,7 @@ impl Queue {
         let started = Instant::now();
         let mut state = self.lock();
         while !is_done(&state) {
-            // what happened before somebody waited for it is no reason to lose patience
+            // the time before this call does not count towards the patience
             let idle = state.progress.max(started).elapsed();
             let Some(left) = patience.checked_sub(idle).filter(|left| !left.is_zero()) else { return false };
             state = self.wait_for(state, left);
@@ -316,7 +319,7 @@ impl Queue {
         true
     }
 
-    /// The destination, as messages call it.
+    /// Name of the destination in messages to users.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -326,7 +329,7 @@ impl Queue {
         self.lock().delivered
     }
 
-    /// Messages left out so far.
+    /// Number of messages dropped so far.
     pub fn left_out(&self) -> u64 {
         self.lock().backlog.left_out
     }
@@ -336,14 +339,14 @@ impl Queue {
         self.lock().backlog.waiting.len() as u64
     }
 
-    /// Why the destination takes no more, if it does not.
+    /// Why the destination accepts no more; `None` if it does.
     pub fn failure(&self) -> Option<SinkError> {
         self.lock().failure.clone()
     }
 
     // ---- the thread's side ----
 
-    /// The next messages, at most `most`: waits for one, but at most for `idle`.
+    /// The next messages, at most `most`. Waits for one, for `idle` at most.
     pub fn take(&self, most: usize, idle: Option<Duration>) -> Batch {
         let started = Instant::now();
         let mut state = self.lock();
@@ -359,7 +362,7 @@ impl Queue {
             };
         }
         let mut batch = Batch::default();
-        // half the limit, so that the run can go on filling the queue meanwhile
+        // half the limit, so that the run can continue to fill the queue meanwhile
         while batch.messages.len() < most && (batch.messages.is_empty() || batch.bytes < self.limit / 2) {
             let Some(parcel) = state.backlog.pop() else { break };
             batch.bytes += parcel.bytes;
@@ -372,7 +375,7 @@ impl Queue {
         batch
     }
 
-    /// The batch was delivered, and flushed as well if `is_flushed`.
+    /// Reports that the batch was delivered, and whether it was flushed.
     pub fn done(&self, batch: &Batch, delivered: usize, is_flushed: bool) {
         let mut state = self.lock();
         state.in_hand -= batch.bytes.min(state.in_hand);
@@ -387,7 +390,7 @@ impl Queue {
         self.changed.notify_all();
     }
 
-    /// Waits until what the thread holds may be taken down.
+    /// Waits until the thread may drop its sink.
     pub fn wait_released(&self) {
         let mut state = self.lock();
         while !state.released {
@@ -395,7 +398,7 @@ impl Queue {
         }
     }
 
-    /// The destination takes no more: it went away.
+    /// Reports that the destination has disconnected.
     pub fn gone(&self, reason: String) {
         let mut state = self.lock();
         let failure = SinkError::Gone { name: self.name.clone(), messages: state.delivered, reason };
@@ -404,38 +407,38 @@ impl Queue {
         self.changed.notify_all();
     }
 
-    /// The destination takes no more.
+    /// Reports that the destination accepts no more.
     pub fn fail(&self, failure: SinkError) {
         self.lock().fail(failure);
         self.changed.notify_all();
     }
 
-    /// To be held by the thread: says when it has ended, panic or not.
+    /// A guard held by the thread: reports the end of the thread, even after a panic.
     pub fn attend(&self) -> Attendance<'_> {
         Attendance(self)
     }
 }
 
 impl State {
-    /// Whether `bytes` more are too much. One message always has room, whatever its size.
+    /// Whether `bytes` more would exceed the limit. One message always fits, whatever its size.
     fn is_full(&self, limit: u64, bytes: u64) -> bool {
         let held = self.backlog.bytes + self.in_hand;
         held > 0 && held + bytes > limit
     }
 
-    /// Whether nothing was delivered since it was waited for in vain.
+    /// Whether nothing was delivered since waiting last timed out.
     fn is_stalled(&self) -> bool {
         self.stalled_at == Some(self.delivered)
     }
 
     fn fail(&mut self, failure: SinkError) {
-        // the first failure is the cause of the others
+        // the first failure is the cause of later ones
         self.failure.get_or_insert(failure);
         self.backlog.clear();
     }
 }
 
-/// See [`Queue::attend`].
+/// The guard returned by [`Queue::attend`].
 pub(super) struct Attendance<'a>(&'a Queue);
 
 impl Drop for Attendance<'_> {
@@ -467,7 +470,7 @@ mod tests {
         StoreId::new(kind, "queue_test", "one")
     }
 
-    /// A message that is known by `name`, of a size and stream of choice.
+    /// A message identified by `name`, with a given size and stream.
     fn parcel(name: &str, bytes: u64, stream: Option<u64>) -> Parcel {
         let id = StoreId::new(StoreKind::Recording, "queue_test", name);
         let info = StoreInfo::new_unversioned(id, StoreSource::Other(String::new()));
@@ -527,7 +530,7 @@ mod tests {
         let (at, err) = refused.expect("twice the limit is the end");
         assert_eq!(at, 20);
         assert!(matches!(err, SinkError::Gone { messages: 0, .. }), "{err}");
-        // and stays so, holding nothing
+        // the failure is permanent, and the queue is empty
         assert!(queue.send(parcel("value", SMALL, None)).is_err());
         assert_eq!(queue.waiting(), 0);
     }
@@ -554,12 +557,12 @@ mod tests {
             }
         });
         for i in 0..1_000 {
-            // the same stream: here that is no reason to leave anything out
+            // the same stream: in this queue, that is no reason to drop messages
             queue.send(parcel(&i.to_string(), SMALL, Some(1))).expect("a thread that works");
         }
         queue.flush().expect("a thread that works");
         assert_eq!(queue.waiting(), 0);
-        // larger than the limit: goes through alone
+        // larger than the limit: passes through alone
         queue.send(parcel("large", 5_000, None)).expect("a thread that works");
         queue.close();
         assert!(queue.wait_ended(Duration::from_secs(10)));
@@ -611,7 +614,7 @@ mod tests {
         assert!(queue.wait_ended(Duration::ZERO));
     }
 
-    /// A message with points at `entity`, in `kind` of store.
+    /// A message with points at `entity`, in a store of this `kind`.
     fn points(kind: StoreKind, entity: &str, time: impl Into<TimePoint>, points: rerun::Points3D) -> Parcel {
         let chunk = Chunk::builder(entity).with_archetype_auto_row(time, &points).build().expect("a valid chunk");
         Parcel::new(LogMsg::ArrowMsg(store(kind), chunk.to_arrow_msg().expect("a chunk encodes")))

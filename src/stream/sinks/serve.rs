@@ -1,8 +1,8 @@
-//! The web viewer, which is part of this program, and the server that feeds it.
+//! The web viewer, which is embedded in this program, and the server that feeds it.
 //!
-//! Whoever reaches the two ports reads everything that the run shows; nobody but the run writes. A request has to name a
-//! host that is this machine's own or allowed, and so has the page that it comes from. Whatever comes in, the run goes on;
-//! what is turned away is counted and said at the end.
+//! Any client that reaches the two ports can read everything the run sends; only the run can write. The host name of a
+//! request must be this machine's own or allowed, and so must the host of the page that it comes from. No request can
+//! stop the run; rejected requests are counted and reported at the end.
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -31,17 +31,17 @@ use guard::Guard;
 use history::Log;
 use port::Port;
 
-/// What may wait for the server [bytes].
+/// Upper limit on data waiting for the server [bytes].
 const LIMIT: u64 = 128 << 20;
-/// What is left out for the server is left out for every viewer to come. So the run waits when the queue is full, as
-/// long as the server gets on.
+/// A message dropped for the server is missing for every later viewer. So the run waits when the queue is full, as long
+/// as the server makes progress.
 const WHEN_FULL: WhenFull = WhenFull::WaitThenThin(Duration::from_secs(1));
-/// What the server keeps for viewers that connect late, compressed [bytes].
+/// Upper limit on history kept for viewers that connect late, compressed [bytes].
 const HISTORY: u64 = 1 << 30;
-/// How long the server may take to stop, and of that how long it waits for viewers to take the end.
+/// Timeout of stopping the server, including the time for viewers to receive the last messages.
 const STOP: Duration = Duration::from_secs(1);
 const FAREWELL: Duration = Duration::from_millis(200);
-/// What may be sent and not received of a connection [bytes].
+/// Send buffer of a connection [bytes].
 const SEND: usize = 256 << 10;
 /// Connections that may wait to be accepted.
 const BACKLOG: i32 = 1024;
@@ -53,13 +53,13 @@ pub(super) struct Server {
     pub data_port: u16,
     log: Arc<Log>,
     guard: Arc<Guard>,
-    /// The thread, and what makes it end when dropped.
+    /// The thread, and a sender that stops it when dropped.
     thread: Option<(oneshot::Sender<()>, JoinHandle<()>)>,
     said_forgetting: bool,
 }
 
 impl Server {
-    /// Starts both; they answer when this returns.
+    /// Starts both servers; they accept connections when this returns.
     pub fn start(serve: &Serve) -> Result<Server, SinkError> {
         let Serve { bind, web_port, grpc_port, ref allow } = *serve;
         if web_port == grpc_port && web_port != 0 {
@@ -117,12 +117,12 @@ impl Server {
         Ok(Server { live, notes, data_port: data_address.port(), log, guard, thread, said_forgetting: false })
     }
 
-    /// Queues a message, and waits a little if the queue is full; `Err` is why the server takes no more.
+    /// Queues a message, waiting briefly if the queue is full. `Err` tells why the server accepts no more.
     pub fn send(&self, parcel: Parcel) -> Result<(), SinkError> {
         self.live.send(parcel)
     }
 
-    /// Said once, when the server has begun to forget.
+    /// Returns a note, once, when the server has begun to discard history.
     pub fn forgetting(&mut self) -> Option<String> {
         if self.said_forgetting || !self.log.is_forgetting() {
             return None;
@@ -135,7 +135,7 @@ impl Server {
         )
     }
 
-    /// Stops both, and waits for that only shortly: a viewer that does not read could hold them for ever.
+    /// Stops both servers with a short timeout: a viewer that does not read could block them forever.
     fn stop(&mut self) {
         self.live.queue().release();
         self.live.queue().wait_ended(STOP);
@@ -152,32 +152,32 @@ impl Drop for Server {
     }
 }
 
-/// The servers after the run: viewers can connect and look at it as long as this lives.
+/// The servers after the run: viewers can connect to them as long as this value lives.
 pub struct Serving {
     pub(super) server: Server,
 }
 
 impl Serving {
-    /// Takes both servers down, within a few seconds; dropping does the same.
+    /// Stops both servers within a few seconds; dropping does the same.
     pub fn close(mut self) {
         self.server.stop();
     }
 
-    /// Why the data server is no longer there, if it is not.
+    /// Why the data server has stopped; `None` if it has not.
     pub fn failure(&self) -> Option<SinkError> {
         self.server.live.failure()
     }
 
-    /// What was turned away until now, as a sentence.
+    /// Summary of the requests rejected so far, as a sentence.
     pub fn refused(&self) -> Option<String> {
         self.server.guard.summary()
     }
 }
 
-/// The server, for messages.
+/// Name of the server in messages to users.
 const NAME: &str = "the data server";
 
-/// One of the two ports, for messages.
+/// One of the two ports, for messages to users.
 #[derive(Clone, Copy)]
 struct Kind {
     what: &'static str,
@@ -187,7 +187,7 @@ struct Kind {
 const WEB: Kind = Kind { what: "the web viewer", option: "--web-port" };
 const DATA: Kind = Kind { what: NAME, option: "--grpc-port" };
 
-/// Listens, on any port that is free if it is left open (0). Has to be called within a runtime.
+/// Listens on a port, or on any free one for port 0. Must be called within a runtime.
 fn listen(kind: Kind, ip: IpAddr, port: u16) -> Result<(TcpListener, SocketAddr), SinkError> {
     let refuse = |source: io::Error| {
         let help = match source.kind() {
@@ -211,14 +211,14 @@ fn listen(kind: Kind, ip: IpAddr, port: u16) -> Result<(TcpListener, SocketAddr)
 
 fn bound(address: SocketAddr) -> io::Result<Socket> {
     let socket = Socket::new(Domain::for_address(address), Type::STREAM, Some(Protocol::TCP))?;
-    // elsewhere this would let two programs have the same port
+    // on other systems this would let two programs use the same port
     #[cfg(unix)]
     socket.set_reuse_address(true)?;
     if address.ip() == IpAddr::V6(Ipv6Addr::UNSPECIFIED) {
-        // all addresses are those of both kinds, also where that is not the default
+        // an unspecified address covers both IP versions, even where that is not the default
         socket.set_only_v6(false)?;
     }
-    // for each connection that is accepted: no more of the system's memory than that, whoever does not read
+    // bounds the system's memory per accepted connection, whether or not the client reads
     socket.set_send_buffer_size(SEND)?;
     socket.set_nonblocking(true)?;
     socket.bind(&address.into())?;
@@ -226,7 +226,7 @@ fn bound(address: SocketAddr) -> io::Result<Socket> {
     Ok(socket)
 }
 
-/// The web viewer's files, which are in this program.
+/// The files of the web viewer, embedded in this program.
 fn files(address: SocketAddr) -> Result<&'static WebViewerData, SinkError> {
     static FILES: OnceLock<WebViewerData> = OnceLock::new();
     if let Some(files) = FILES.get() {
@@ -237,7 +237,7 @@ fn files(address: SocketAddr) -> Result<&'static WebViewerData, SinkError> {
     Ok(FILES.get_or_init(|| files))
 }
 
-/// What others can do, if they can reach the server at all; they would open `page`.
+/// Tells who else can read the run, if anyone can reach the server; `page` is the URL that they would open.
 fn exposure(bind: IpAddr, page: &str) -> Option<String> {
     let (who, host) = match bind {
         bind if bind.is_loopback() => return None,
@@ -250,7 +250,7 @@ fn exposure(bind: IpAddr, page: &str) -> Option<String> {
     ))
 }
 
-/// Where this machine itself reaches what listens on `bind`.
+/// The address at which this machine itself reaches a server bound to `bind`.
 fn reachable(bind: IpAddr) -> IpAddr {
     match bind {
         IpAddr::V4(ip) if ip.is_unspecified() => Ipv4Addr::LOCALHOST.into(),
@@ -259,7 +259,7 @@ fn reachable(bind: IpAddr) -> IpAddr {
     }
 }
 
-/// An address as the host of a URL.
+/// Formats an address as the host of a URL.
 fn in_url(ip: IpAddr) -> String {
     match ip {
         IpAddr::V4(ip) => ip.to_string(),
@@ -267,9 +267,9 @@ fn in_url(ip: IpAddr) -> String {
     }
 }
 
-/// `text` as the value of a parameter of a URL.
+/// Percent-encodes `text` as the value of a URL parameter.
 fn percent_encoded(text: &str) -> String {
-    /// All but what RFC 3986 calls unreserved.
+    /// Everything but the unreserved characters of RFC 3986.
     const RESERVED: AsciiSet = NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_').remove(b'~');
     utf8_percent_encode(text, &RESERVED).to_string()
 }

@@ -1,7 +1,7 @@
-//! Starting a viewer.
+//! Starts a viewer.
 //!
-//! Not with `rerun::spawn`: it lets the viewer listen on every interface and inherit standard output, where it would
-//! spoil `--stdout` and keep the pipe of whoever reads this program's results open until its window is closed.
+//! `rerun::spawn` is not used because its viewer listens on every interface and inherits standard output, where it
+//! would corrupt `--stdout` and keep the pipe of a program that reads our output open until the window is closed.
 
 use std::ffi::OsString;
 use std::fs::{File, OpenOptions};
@@ -17,13 +17,13 @@ use super::live::within;
 use super::note::{install_help, seconds};
 use super::{SinkError, Spawn};
 
-/// How long a viewer may take until it listens; a first start on a slow machine takes some seconds.
+/// Timeout of a viewer's start; the first start on a slow machine takes several seconds.
 const START: Duration = Duration::from_secs(30);
-/// How long it may take to say its version.
+/// Timeout of asking a viewer for its version.
 const VERSION: Duration = Duration::from_secs(10);
-/// What a viewer may keep, of the memory that there is; then it forgets the oldest.
+/// Memory limit of the viewer, as a share of the machine's memory; beyond it the viewer drops the oldest data.
 const VIEWER_MEMORY: &str = "25%";
-/// What a started viewer's own gRPC server keeps for others that connect to it; the viewer has it already.
+/// Memory limit of a started viewer's own gRPC server, for others that connect to it; the viewer has the data already.
 const SERVER_MEMORY: &str = "1GiB";
 
 /// A viewer that listens on this machine.
@@ -32,8 +32,8 @@ pub(super) struct Spawned {
     pub notes: Vec<String>,
 }
 
-/// Starts a viewer, or finds the one that listens on the port already, as `rerun` itself does. With `avoid`, the port is
-/// known not to be a viewer's, and a free one is used instead.
+/// Starts a viewer, or finds the one that listens on the port already, as `rerun` itself does. With `avoid`, the port
+/// is known to be in use by something else, and a free one is used instead.
 pub(super) fn spawn(spawn: &Spawn, avoid: bool) -> Result<Spawned, SinkError> {
     let program = spawn.program.to_string_lossy().into_owned();
     let refuse = |reason: String, help: String| SinkError::Spawn { program: program.clone(), reason, help };
@@ -57,7 +57,7 @@ pub(super) fn spawn(spawn: &Spawn, avoid: bool) -> Result<Spawned, SinkError> {
         .stdin(Stdio::null())
         .stdout(log.stdio())
         .stderr(log.stdio());
-    // a Ctrl-C that ends the run must not close the window that shows it
+    // a Ctrl-C that ends the run must not close the viewer's window
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
     let mut child = command.spawn().map_err(|err| match err.kind() {
@@ -81,14 +81,14 @@ pub(super) fn spawn(spawn: &Spawn, avoid: bool) -> Result<Spawned, SinkError> {
             }
         }
     }
-    // the viewer outlives the run: it is neither ended nor waited for
+    // the viewer outlives the run: it is neither terminated nor waited for
     drop(child);
     let mut notes = vec![format!("started the viewer `{program}`, listening on {address}")];
     notes.extend(other_version(&spawn.program));
     Ok(Spawned { address, notes })
 }
 
-/// What to say if the program is a viewer of another version.
+/// A warning if the program is a viewer of another version.
 fn other_version(program: &OsString) -> Option<String> {
     let mut command = Command::new(program);
     command.arg("--version").stdin(Stdio::null()).stderr(Stdio::null());
@@ -101,8 +101,8 @@ fn other_version(program: &OsString) -> Option<String> {
     })
 }
 
-/// Ends a viewer that was started and does not answer. What is called `rerun` may be a script that has started the real
-/// program, so the whole process group is asked to end.
+/// Terminates a viewer that was started and does not respond. The program `rerun` may be a script that started the real
+/// viewer, so the signal is sent to the whole process group.
 fn end(child: &mut Child) {
     #[cfg(unix)]
     Command::new("kill").args(["-TERM", "--", &format!("-{}", child.id())]).status().ok();
@@ -110,8 +110,8 @@ fn end(child: &mut Child) {
     child.wait().ok();
 }
 
-/// What a viewer says while it starts, to be quoted if it fails. A file and not a pipe: with a pipe it would be in
-/// trouble once this program has ended. Its name is gone at once, its space when the viewer ends.
+/// The output of a starting viewer, quoted if it fails. A file instead of a pipe, because a pipe would break once this
+/// program has ended. The file is unlinked immediately, and its space is freed when the viewer ends.
 struct Log(Option<File>);
 
 impl Log {
@@ -130,18 +130,18 @@ impl Log {
         self.0.as_ref().and_then(|file| file.try_clone().ok()).map_or_else(Stdio::null, Stdio::from)
     }
 
-    /// The last lines, ready to be appended to a reason.
+    /// The last lines, formatted to be appended to a reason.
     fn tail(&mut self) -> String {
         let mut text = Vec::new();
         if let Some(file) = &mut self.0 {
             let length = file.metadata().map_or(0, |metadata| metadata.len());
-            // seeking does not move where the viewer writes: it appends
+            // seeking does not affect the viewer's writes: it appends
             file.seek(SeekFrom::Start(length.saturating_sub(4096))).ok();
             file.take(4096).read_to_end(&mut text).ok();
         }
         let text = without_escapes(&String::from_utf8_lossy(&text));
         let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
-        // one line says why, if the program knows; else the last ones may
+        // prefer a single line that reports an error; otherwise use the last lines
         let is_error = |line: &&&str| line.to_ascii_lowercase().starts_with("error");
         let said = match lines.iter().rfind(is_error) {
             Some(error) => (*error).to_owned(),
@@ -151,7 +151,7 @@ impl Log {
     }
 }
 
-/// `text` without colours and other control characters, except line breaks.
+/// Removes escape sequences and other control characters from `text`, except line breaks.
 fn without_escapes(text: &str) -> String {
     let mut plain = String::new();
     let mut chars = text.chars();

@@ -1,4 +1,4 @@
-//! What is answered: the files of the web viewer on one port, what the run sends on the other.
+//! Responses: the files of the web viewer on one port, the messages of the run on the other.
 
 use std::net::IpAddr;
 use std::pin::pin;
@@ -14,29 +14,29 @@ use super::guard::Guard;
 use super::history::History;
 use super::port::Content;
 
-/// What a request for the run may hold: an empty message, in its frame [bytes].
+/// Upper limit on the body of a gRPC request: an empty message, in its frame [bytes].
 const REQUEST: usize = 4 << 10;
-/// What says how it went in gRPC; [the codes](https://grpc.io/docs/guides/status-codes/).
+/// The gRPC status header; [the codes](https://grpc.io/docs/guides/status-codes/).
 const GRPC_STATUS: HeaderName = HeaderName::from_static("grpc-status");
 const GRPC_MESSAGE: HeaderName = HeaderName::from_static("grpc-message");
 const PERMISSION_DENIED: HeaderValue = HeaderValue::from_static("7");
 const UNIMPLEMENTED: HeaderValue = HeaderValue::from_static("12");
 
-/// What a port serves.
+/// The content that a port serves.
 pub(super) enum Site {
     /// The web viewer.
     Viewer(&'static WebViewerData),
-    /// The run, as the proxy of the SDK does: gRPC for native viewers, gRPC-web for browsers.
+    /// The run's messages, like the SDK's proxy: gRPC for native viewers, gRPC-web for browsers.
     Data(History),
 }
 
 impl Site {
-    /// Whether answers go on as long as the run does.
+    /// Whether responses last as long as the run does.
     pub fn is_endless(&self) -> bool {
         matches!(self, Site::Data(_))
     }
 
-    /// Answers a request that came in at this machine's address `at`.
+    /// Responds to a request received at this machine's address `at`.
     pub async fn answer(&self, guard: &Guard, request: Request<Incoming>, at: IpAddr) -> Response<Content> {
         if let Err(name) = guard.admits(request.uri(), request.headers(), at) {
             let help = format!("this program does not answer to {name}: `--allow-host NAME` lets a host in\n");
@@ -45,7 +45,7 @@ impl Site {
         match self {
             Site::Viewer(files) => file(files, guard, &request),
             Site::Data(history) => {
-                // the page is on another port, which is another origin; the guard knows it
+                // the page is on another port, hence another origin; the guard has checked it
                 let origin = request.headers().get(header::ORIGIN).cloned();
                 let mut response = data(history, guard, request).await;
                 if let Some(origin) = origin {
@@ -61,7 +61,7 @@ impl Site {
     }
 }
 
-/// A file of the web viewer.
+/// Responds with a file of the web viewer.
 fn file(files: &'static WebViewerData, guard: &Guard, request: &Request<Incoming>) -> Response<Content> {
     if !matches!(*request.method(), Method::GET | Method::HEAD) {
         guard.odd.fetch_add(1, Ordering::Relaxed);
@@ -83,12 +83,12 @@ fn file(files: &'static WebViewerData, guard: &Guard, request: &Request<Incoming
     let mut response = Response::new(Content::Whole(Bytes::from_static(bytes)));
     let headers = response.headers_mut();
     headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(kind));
-    // what the page's progress bar goes by
+    // the page's progress bar needs this
     headers.insert(HeaderName::from_static("rerun-final-length"), HeaderValue::from(bytes.len()));
     response
 }
 
-/// A call of the SDK's message proxy.
+/// Responds to a call of the SDK's message proxy.
 async fn data(history: &History, guard: &Guard, request: Request<Incoming>) -> Response<Content> {
     if request.method() == Method::OPTIONS {
         return preflight(request.headers());
@@ -129,7 +129,7 @@ async fn data(history: &History, guard: &Guard, request: Request<Incoming>) -> R
     }
 }
 
-/// What a browser asks before a page may call another port.
+/// Responds to a CORS preflight request, which a browser sends before a page may call another port.
 fn preflight(asked: &HeaderMap) -> Response<Content> {
     let mut response = Response::new(Content::Whole(Bytes::new()));
     *response.status_mut() = StatusCode::NO_CONTENT;
@@ -142,7 +142,7 @@ fn preflight(asked: &HeaderMap) -> Response<Content> {
     response
 }
 
-/// What tells a client that the stream is complete: trailers, or in gRPC-web a frame that holds them.
+/// The end of a stream: trailers, or in gRPC-web a frame that contains them.
 fn end(kind: &str) -> Frame<Bytes> {
     if kind.starts_with("application/grpc-web") {
         return Frame::data(Bytes::from_static(b"\x80\0\0\0\x0fgrpc-status:0\r\n"));
@@ -152,7 +152,7 @@ fn end(kind: &str) -> Frame<Bytes> {
     Frame::trailers(trailers)
 }
 
-/// Reads a request's body to its end; `false` if it has none or is too long.
+/// Reads a request's body to its end; `false` if that fails or the body is too long.
 async fn is_short(body: Incoming) -> bool {
     let mut body = pin!(body);
     let mut length = 0;
@@ -173,7 +173,7 @@ fn text(status: StatusCode, text: impl Into<Bytes>) -> Response<Content> {
     response
 }
 
-/// The same with what gRPC says about it.
+/// Adds the gRPC status to a response.
 fn status(mut response: Response<Content>, code: HeaderValue, message: &'static str) -> Response<Content> {
     response.headers_mut().insert(GRPC_STATUS, code);
     response.headers_mut().insert(GRPC_MESSAGE, HeaderValue::from_static(message));

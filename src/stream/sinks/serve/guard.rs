@@ -1,5 +1,5 @@
-//! Who may ask: a web page of somebody else's must not read a run through the browser of the one who watches it, neither
-//! directly nor by giving its own name the address of this machine (DNS rebinding).
+//! Access control: a foreign web page must not read a run through the user's browser, neither directly nor by resolving
+//! its own host name to the address of this machine (DNS rebinding).
 
 use std::net::IpAddr;
 use std::str::FromStr;
@@ -11,7 +11,7 @@ use hyper::{HeaderMap, Uri, header};
 
 use crate::text::{counted, listed, thousands};
 
-/// A host as a viewer may name it: an address or a name, without a port.
+/// A host as a viewer may specify it: an address or a name, without a port.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Host {
     /// An address.
@@ -35,7 +35,7 @@ impl FromStr for Host {
 }
 
 impl Host {
-    /// What is no address is a name, whatever it looks like.
+    /// Anything that is not an address counts as a name, valid or not.
     fn lenient(text: &str) -> Host {
         let bare = text.strip_prefix('[').and_then(|text| text.strip_suffix(']')).unwrap_or(text);
         match bare.parse::<IpAddr>() {
@@ -44,28 +44,28 @@ impl Host {
         }
     }
 
-    /// The host of `studio.local:9090`.
+    /// Parses the host of an authority such as `studio.local:9090`.
     fn of(authority: &[u8]) -> Option<Host> {
         let authority = Authority::try_from(authority).ok()?;
         (!authority.as_str().contains('@')).then(|| Host::lenient(authority.host()))
     }
 }
 
-/// Who may ask, and how often others did.
+/// Decides which requests are admitted, and counts the rejected ones.
 #[derive(Debug, Default)]
 pub(super) struct Guard {
-    /// Hosts that are allowed beside this machine's own.
+    /// Allowed hosts, besides this machine's own.
     allowed: Vec<Host>,
-    /// Requests under other names, and the first of these.
+    /// Number of requests under other host names; the first such name is kept too.
     foreign: AtomicU64,
     foreign_name: Mutex<Option<String>>,
-    /// Attempts to write.
+    /// Number of attempts to write.
     pub writes: AtomicU64,
-    /// Requests that make no sense here.
+    /// Number of invalid requests.
     pub odd: AtomicU64,
-    /// Connections that were closed before there was a whole request.
+    /// Number of connections closed before they sent a complete request.
     pub unfinished: AtomicU64,
-    /// Connections that were closed because they took too little of their answers, or less than others.
+    /// Number of connections closed because they read too little of their responses, or less than others.
     pub unread: AtomicU64,
 }
 
@@ -74,13 +74,13 @@ impl Guard {
         Guard { allowed, ..Guard::default() }
     }
 
-    /// Whether a request to this machine's address `at` is one of a page or program that may ask; counted if not, with
-    /// the name that it came under.
+    /// Admits a request to this machine's address `at` if its page or program is allowed. Otherwise counts it and
+    /// returns the host name that it used.
     pub fn admits(&self, uri: &Uri, headers: &HeaderMap, at: IpAddr) -> Result<(), String> {
         let named = uri.authority().map(|authority| authority.as_str().as_bytes());
         let mut names =
             named.into_iter().chain(headers.get_all(header::HOST).iter().map(|host| host.as_bytes())).peekable();
-        // every browser says where it asks, and which page does
+        // every browser sends the host that it requests, and the origin of the page
         let refused = match names.peek() {
             None => Some("no host".to_owned()),
             Some(_) => names.find(|name| !Host::of(name).is_some_and(|host| self.knows(&host, at))).map(printable),
@@ -107,7 +107,7 @@ impl Guard {
         is_own || self.allowed.contains(host)
     }
 
-    /// What was turned away until now, as a sentence.
+    /// Summary of the requests rejected so far, as a sentence.
     pub fn summary(&self) -> Option<String> {
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let [foreign, writes, odd] = [&self.foreign, &self.writes, &self.odd].map(count);
@@ -134,7 +134,7 @@ impl Guard {
     }
 }
 
-/// What somebody else has sent, as it may be printed.
+/// A printable form of untrusted text.
 fn printable(name: &[u8]) -> String {
     let is_plain = |c: &char| c.is_ascii_alphanumeric() || "-_.:/[]".contains(*c);
     let plain: String = name.iter().map(|&byte| char::from(byte)).filter(is_plain).take(80).collect();
@@ -199,7 +199,7 @@ mod tests {
             let origin = format!("http://{bad}");
             assert!(!admits(&guard, "/", &[(header::HOST, "localhost"), (header::ORIGIN, &origin)], at), "{bad}");
         }
-        // one that is allowed does not bring another in
+        // an allowed host does not make another one in the same request acceptable
         let host = |name| (header::HOST, name);
         assert!(!admits(&guard, "/", &[], at));
         assert!(!admits(&guard, "/", &[host("localhost"), host("evil.example")], at));
@@ -207,7 +207,7 @@ mod tests {
         assert!(!admits(&guard, "http://localhost/", &[host("evil.example")], at));
         assert!(!admits(&guard, "/", &[host("localhost"), (header::ORIGIN, "null")], at));
         assert!(!admits(&guard, "/", &[host("localhost"), (header::ORIGIN, "file://")], at));
-        // where the connection comes in is what --bind names
+        // the address that receives the connection is one that --bind covers
         assert!(!admits(&guard, "/", &[host("192.168.1.5")], "127.0.0.1"));
         assert!(admits(&guard, "/", &[host("192.168.1.5")], "::ffff:192.168.1.5"));
     }

@@ -1,7 +1,7 @@
-//! What a run has sent, for every viewer that asks, from the beginning.
+//! The history of a run's messages, which every viewer reads from the beginning.
 //!
-//! The SDK's own proxy hands new messages to all readers through one channel, so one that does not read holds up all
-//! others. Here every reader has a place of its own in one log: who falls behind costs a number, not memory.
+//! The SDK's own proxy passes new messages to all readers through one channel, so one stalled reader blocks all others.
+//! Here every reader has its own position in a shared log: a slow reader costs one integer, not memory.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::pin::Pin;
@@ -21,17 +21,17 @@ use rerun::sink::{LogSink, SinkFlushError};
 use tokio::sync::watch;
 use tokio_stream::{Stream as _, wrappers::WatchStream};
 
-/// What a message takes beside its bytes, about [bytes].
+/// Approximate overhead per message [bytes].
 const ENTRY: u64 = 96;
 
-/// A history of at most `limit` bytes, and the only one who writes it.
+/// Creates a history of at most `limit` bytes, with its only writer.
 pub(super) fn history(limit: u64) -> (Feed, History) {
     let log = Arc::new(Log(Mutex::new(Entries { limit, ..Entries::default() })));
     let (news, readers) = watch::channel(());
     (Feed { log: Arc::clone(&log), news, failure: Mutex::new(None) }, History { log, news: readers })
 }
 
-/// The writing end; readers come to their end when it is dropped.
+/// The writer. Readers reach their end when it is dropped.
 pub(super) struct Feed {
     log: Arc<Log>,
     news: watch::Sender<()>,
@@ -61,7 +61,7 @@ impl LogSink for Feed {
     }
 }
 
-/// The reading end. The feed takes it that nobody serves it any more when the last one is dropped.
+/// The reading side. When the last copy is dropped, the feed reports that the server has stopped.
 #[derive(Clone)]
 pub(super) struct History {
     log: Arc<Log>,
@@ -69,27 +69,27 @@ pub(super) struct History {
 }
 
 impl History {
-    /// Reads everything that is kept, in order, and then what comes.
+    /// A reader of everything kept, in order, and then of new messages.
     pub fn read(&self) -> Reader {
         Reader { log: Arc::clone(&self.log), next: 0, news: WatchStream::from_changes(self.news.clone()) }
     }
 
-    /// What is kept, without keeping the feed believing that it is served.
+    /// The stored messages. Holding this does not make the feed believe that the server is running.
     pub fn log(&self) -> Arc<Log> {
         Arc::clone(&self.log)
     }
 }
 
-/// One viewer's place in the history.
+/// A viewer's position in the history.
 pub(super) struct Reader {
     log: Arc<Log>,
-    /// The number of the first message that it does not have.
+    /// Sequence number of the first message that it has not received.
     next: u64,
     news: WatchStream<()>,
 }
 
 impl Reader {
-    /// The next message as a gRPC frame; `None` when nothing more will come.
+    /// The next message as a gRPC frame; `None` at the end of the history.
     pub fn poll_next(&mut self, context: &mut Context<'_>) -> Poll<Option<Bytes>> {
         loop {
             if let Some((number, frame)) = self.log.lock().from(self.next) {
@@ -103,7 +103,7 @@ impl Reader {
     }
 }
 
-/// What is kept.
+/// The stored messages, behind a lock.
 pub(super) struct Log(Mutex<Entries>);
 
 impl Log {
@@ -111,16 +111,16 @@ impl Log {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Whether a viewer that connects now misses what was sent first.
+    /// Whether messages have been discarded, so that a viewer that connects now misses the beginning.
     pub fn is_forgetting(&self) -> bool {
         self.lock().is_forgetting
     }
 }
 
-/// How long a message is kept: what changes in time goes first, then what does not.
+/// Retention of a message: temporal data is discarded first, then static data.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Keep {
-    /// Store infos and blueprints: without them the rest is not shown.
+    /// Store infos and blueprints: nothing can be displayed without them.
     Always,
     Static,
     Temporal,
@@ -128,12 +128,12 @@ enum Keep {
 
 #[derive(Default)]
 struct Entries {
-    /// Frames by number in order of arrival; numbers are never reused.
+    /// Frames by sequence number; numbers are never reused.
     frames: BTreeMap<u64, Bytes>,
     next: u64,
-    /// Of what is kept [bytes].
+    /// Total size of what is kept [bytes].
     bytes: u64,
-    /// What may be kept [bytes].
+    /// Upper limit on `bytes`.
     limit: u64,
     temporal: VecDeque<u64>,
     statics: VecDeque<u64>,
@@ -157,13 +157,13 @@ impl Entries {
         }
     }
 
-    /// The first message from `number` on.
+    /// The first message with sequence number `number` or later.
     fn from(&self, number: u64) -> Option<(u64, Bytes)> {
         self.frames.range(number..).next().map(|(number, frame)| (*number, frame.clone()))
     }
 }
 
-/// A message as every reader gets it: a gRPC frame, that is a byte, a length, and a `ReadMessagesResponse`.
+/// Encodes a message as readers receive it: a gRPC frame, which is a flag byte, a length, and a `ReadMessagesResponse`.
 fn encode(msg: &LogMsg) -> Result<(Bytes, Keep), String> {
     let is_blueprint = msg.store_id().kind() == StoreKind::Blueprint;
     let msg = msg.to_transport(Compression::LZ4).map_err(|err| err.to_string())?;
@@ -207,7 +207,7 @@ mod tests {
         for _ in 0..20 {
             entries.push(frame.clone(), Keep::Always);
         }
-        // the bound is what may be forgotten; the rest is a few messages a recording
+        // the limit applies to what may be discarded; the rest is a few messages per recording
         assert_eq!(numbers(&entries)[..2], [0, 11]);
         assert_eq!(entries.bytes, 21 * (100 + ENTRY));
         assert_eq!(entries.from(1).map(|(number, _)| number), Some(11));

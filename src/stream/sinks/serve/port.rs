@@ -1,11 +1,11 @@
-//! A port and those who are connected to it: each costs little memory, and none keeps another out.
+//! A port and its connections: each one costs little memory, and none can lock out others.
 //!
-//! A connection counts as *quiet* from when it was accepted, asked for something, or took something of its answer. One
-//! without an unanswered request is closed when it has been quiet for [`REQUEST`]. As many as [`SEATS`] are served; when
-//! they are taken, the one that has been quiet for longest goes for the one that comes, first of those that have not
-//! asked for anything; if none is quiet, the one that has taken least. So somebody who sends nothing, half of something or
-//! nonsense, or who does not read, loses the place to somebody who does. A viewer that has everything and waits for more
-//! is quiet, too, and goes last.
+//! A connection becomes *quiet* when it is accepted, when it sends a request, and whenever it reads some of its
+//! response. A connection without a pending request is closed when it has been quiet for [`REQUEST`]. At most [`SEATS`]
+//! connections are served. When all are taken, a new connection replaces the one that has been quiet longest;
+//! connections without a pending request are replaced first. If none is quiet, the one that has read least is replaced.
+//! A client that sends nothing, an incomplete request or garbage, or that does not read, therefore loses its place to
+//! one that does. A viewer that has received everything and waits for more is quiet too, and is replaced last.
 
 use std::collections::HashMap;
 use std::convert::Infallible;
@@ -26,33 +26,34 @@ use super::answer::Site;
 use super::guard::Guard;
 use super::history::Reader;
 
-/// Connections served at a time. Two ports of that many, and what else a run has open, stay below what systems allow a
-/// process by default: 1,024 files, on macOS 256.
+/// Upper limit on the number of connections. Two ports with this many, plus the other files of a run, stay below the
+/// default limits per process: 1,024 files, 256 on macOS.
 const SEATS: usize = if cfg!(target_os = "macos") { 64 } else { 256 };
-/// How long a connection has to send a whole request, or the next one.
+/// Timeout for a complete request, the first or the next one on a connection.
 const REQUEST: Duration = Duration::from_secs(10);
-/// How long an answer that ends may not be taken.
+/// Timeout for reading a finite response.
 const TAKE: Duration = Duration::from_secs(60);
-/// Who has been quiet for less than this is not closed for another.
+/// A connection that has been quiet for less than this is not replaced.
 const GRACE: Duration = Duration::from_millis(500);
-/// How often the clocks are looked at.
+/// Interval between checks of the timeouts.
 const SWEEP: Duration = Duration::from_millis(500);
-/// What may be in memory of a request's head, and of an answer on its way [bytes].
+/// Upper limit on the memory of a request's header, and on the buffer of a response [bytes].
 const BUFFER: usize = 32 << 10;
-/// Streams of a connection with several of them; a viewer uses one.
+/// HTTP/2 streams per connection; a viewer uses one.
 const STREAMS: u32 = 8;
-/// What a client has to take to count as taking [bytes].
+/// Amount that a client must read for it to count as activity [bytes].
 const SHARE: usize = 64 << 10;
-/// How often an HTTP/2 client is asked whether it is still there, and how long it has to answer.
+/// Interval of HTTP/2 pings.
 const PING: Duration = Duration::from_secs(10);
+/// Timeout of the response to a ping.
 const PONG: Duration = Duration::from_secs(20);
 
-/// A port and what is behind it.
+/// A port and the content that it serves.
 pub(super) struct Port {
     pub site: Site,
     pub guard: Arc<Guard>,
     clients: Mutex<HashMap<u64, Arc<Client>>>,
-    /// Connections accepted.
+    /// Number of connections accepted.
     accepted: AtomicU64,
 }
 
@@ -61,18 +62,19 @@ impl Port {
         Arc::new(Port { site, guard, clients: Mutex::default(), accepted: AtomicU64::new(0) })
     }
 
-    /// Accepts connections for ever.
+    /// Accepts connections forever.
     pub async fn listen(self: Arc<Port>, listener: TcpListener) {
         loop {
             match listener.accept().await {
                 Ok((stream, _)) => {
-                    // who comes meanwhile waits in the system's queue
+                    // further connections wait in the system's backlog
                     while self.is_full() && !self.close_one() {
                         tokio::time::sleep(GRACE / 10).await;
                     }
                     self.seat(stream);
                 }
-                // A client that has gone already, or no more files to be had, which is worth a seat.
+                // The client has disconnected already, or file handles are exhausted, which justifies closing a
+                // connection.
                 Err(_) => {
                     self.close_one();
                     tokio::time::sleep(GRACE / 10).await;
@@ -81,13 +83,13 @@ impl Port {
         }
     }
 
-    /// Closes for ever who is out of time.
+    /// Closes connections that exceed their timeouts, forever.
     pub async fn sweep(self: Arc<Port>) {
         loop {
             tokio::time::sleep(SWEEP).await;
             let patience = |doing: Doing| match doing.answers {
                 0 => REQUEST,
-                // a viewer in the background may not look for hours at a run that goes on
+                // a viewer in the background may not read for hours while the run goes on
                 _ if self.site.is_endless() => Duration::MAX,
                 _ => TAKE,
             };
@@ -101,7 +103,7 @@ impl Port {
         }
     }
 
-    /// Whether an answer is under way.
+    /// Whether a response is in progress.
     pub fn is_busy(&self) -> bool {
         self.clients().values().any(|client| client.doing().answers > 0)
     }
@@ -114,11 +116,12 @@ impl Port {
         self.clients().len() >= SEATS
     }
 
-    /// Closes the connection that can best be spared, if one can.
+    /// Closes the most expendable connection; `false` if there is none.
     fn close_one(&self) -> bool {
         let quiet =
             |doing: &Doing| (doing.quiet_since.elapsed() >= GRACE).then_some((doing.answers > 0, doing.quiet_since));
-        // Systems take more for a client than it reads: who does not read looks like a viewer until that is full.
+        // The system buffers more than the client reads: until the buffers are full, a stalled client looks like a
+        // viewer.
         let idle = |doing: &Doing| (doing.seated.elapsed() >= GRACE).then_some((doing.taken, doing.seated));
         let seated: Vec<(u64, Doing)> =
             self.clients().iter().map(|(number, client)| (*number, *client.doing())).collect();
@@ -142,7 +145,7 @@ impl Port {
         client.closing.notify_one();
     }
 
-    /// Serves a connection on a task of its own.
+    /// Serves a connection in its own task.
     fn seat(self: &Arc<Port>, stream: TcpStream) {
         let number = self.accepted.fetch_add(1, Ordering::Relaxed);
         let now = Instant::now();
@@ -170,7 +173,7 @@ impl Port {
         let at = stream.local_addr()?.ip();
         stream.set_nodelay(true)?;
         let mut builder = auto::Builder::new(TokioExecutor::new());
-        // Who has sent all may still read a page. That a viewer is gone can only be seen from its silence.
+        // A client that has finished sending may still read a page. Only silence tells that a viewer has gone.
         builder.http1().max_buf_size(BUFFER).half_close(!self.site.is_endless());
         builder
             .http2()
@@ -193,7 +196,7 @@ impl Port {
     }
 }
 
-/// A connection's entry in the list, which goes when it does.
+/// An entry in the list of connections, removed when dropped.
 struct Seat {
     port: Arc<Port>,
     number: u64,
@@ -208,18 +211,18 @@ impl Drop for Seat {
 /// One connection.
 struct Client {
     doing: Mutex<Doing>,
-    /// Rung when it is to be closed.
+    /// Notified when the connection is to be closed.
     closing: Notify,
 }
 
-/// What a connection is doing.
+/// Activity of a connection.
 #[derive(Clone, Copy)]
 struct Doing {
     seated: Instant,
     has_asked: bool,
-    /// Answers under way.
+    /// Number of responses in progress.
     answers: usize,
-    /// What it took of answers until then [bytes].
+    /// Total amount read of responses, as of the last record of activity [bytes].
     taken: u64,
     quiet_since: Instant,
 }
@@ -230,18 +233,18 @@ impl Client {
     }
 }
 
-/// What there is to answer.
+/// The body of a response.
 pub(super) enum Content {
     Whole(Bytes),
-    /// What the run sends, and what comes after it.
+    /// The messages of the run, followed by a final frame.
     Stream(Reader, Option<Frame<Bytes>>),
 }
 
-/// An answer that keeps account of how it is taken.
+/// A response body that records how much of it is read.
 struct Answer {
     content: Content,
     client: Arc<Client>,
-    /// Taken since that was last noted [bytes].
+    /// Amount read since the last record of activity [bytes].
     unnoted: usize,
 }
 
@@ -288,7 +291,7 @@ impl Body for Answer {
             Poll::Ready(Some(frame)) => frame.data_ref().map_or(0, Bytes::len),
             _ => 0,
         };
-        // who has taken everything there is has done its share
+        // a client that has read everything available counts as active
         if answer.unnoted >= SHARE || !matches!(frame, Poll::Ready(Some(_))) {
             let mut doing = answer.client.doing();
             doing.taken += std::mem::take(&mut answer.unnoted) as u64;
