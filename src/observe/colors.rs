@@ -5,17 +5,17 @@ pub type Rgb = [u8; 3];
 
 /// Okabe and Ito's orange.
 pub const ORANGE: Rgb = [0xE6, 0x9F, 0x00];
-/// Their sky blue.
+/// Okabe and Ito's sky blue.
 pub const SKY_BLUE: Rgb = [0x56, 0xB4, 0xE9];
-/// Their bluish green.
+/// Okabe and Ito's bluish green.
 pub const GREEN: Rgb = [0x00, 0x9E, 0x73];
-/// Their yellow.
+/// Okabe and Ito's yellow.
 pub const YELLOW: Rgb = [0xF0, 0xE4, 0x42];
-/// Their vermilion.
+/// Okabe and Ito's vermilion.
 pub const VERMILION: Rgb = [0xD5, 0x5E, 0x00];
-/// Their reddish purple.
+/// Okabe and Ito's reddish purple.
 pub const PURPLE: Rgb = [0xCC, 0x79, 0xA7];
-/// Their blue, lighter.
+/// A lighter variant of Okabe and Ito's blue.
 pub const BLUE: Rgb = [0x3D, 0x8B, 0xD9];
 /// A light grey.
 pub const SILVER: Rgb = [0x9A, 0xA4, 0xB0];

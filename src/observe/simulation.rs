@@ -103,7 +103,7 @@ pub struct Instant {
 pub struct PairEvent {
     /// Kind of event: `merge`, `split`, …
     pub name: &'static str,
-    /// When it happened [s].
+    /// Exact time of the event [s].
     pub time: f64,
     /// The first step whose state is affected by the event.
     pub step: u64,

@@ -24,8 +24,8 @@ pub const COMPONENT: &str = "checksum";
 /// Checksums of consecutive steps that have not been sent yet.
 ///
 /// A row at step s holds the checksums of the last steps up to s, in order: one per step, or several per row in a thin
-/// recording. (A row of Rerun has an overhead of about 30 bytes, which is negligible compared with a frame but not with a
-/// checksum.)
+/// recording. (A row of Rerun has an overhead of about 30 bytes, which is negligible compared with a frame but not with
+/// a checksum.)
 pub(super) struct Checksums {
     /// Checksums per row, ≥ 1.
     in_row: usize,
