@@ -1,40 +1,41 @@
-//! A rest shape: a closed surface of triangles about its centre of mass.
+//! A rest shape: a closed triangle mesh about its centre of mass.
 
 use glam::DVec3;
 
 use super::vectors::Vectors;
 
-/// A closed surface of triangles. All bodies of a shape share one, whatever their radii: lengths are in radii, the farthest
-/// vertex being 1 away from the centre of mass, which is the origin. [`Rest`] is the same at the scale of a body.
+/// A closed triangle mesh. All bodies of a shape share one, whatever their radii: lengths are in radii, the origin is
+/// the centre of mass, and the farthest vertex is at distance 1. [`Rest`] is the mesh at the scale of a body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mesh {
     /// Rest positions [radii], `[vertex_count]`.
     positions: Vectors,
-    /// Directions l/|l| of these [–], zero for a vertex at the centre; `None` if they are the positions.
+    /// Directions l/|l| of the rest positions [–], zero for a vertex at the centre; `None` if they equal the positions.
     directions: Option<Vectors>,
-    /// Outward unit normals [–]; `None` if they are the positions.
+    /// Outward unit normals [–]; `None` if they equal the positions.
     normals: Option<Vectors>,
     /// Vertex indices, counter-clockwise seen from outside, `[triangle_count]`.
     triangles: Vec<[u32; 3]>,
-    /// What each vertex has of the mass of its body [–], `[vertex_count]`; the sum is 1.
+    /// Fraction of the body's mass at each vertex [–], `[vertex_count]`; the sum is 1.
     shares: Vec<f64>,
-    /// If vertices are in rings.
+    /// The rings of vertices, if the mesh has this structure.
     rings: Option<Rings>,
 }
 
-/// A mesh that consists of a pole, rings of vertices, and a pole: the triangles are those of [`super::Sphere`].
+/// Structure of a mesh that consists of a pole, rings of vertices, and a pole, with triangles as in [`super::Sphere`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rings {
-    /// Bands from pole to pole; there is one ring less.
+    /// Number of bands from pole to pole; there is one ring fewer.
     pub bands: usize,
-    /// Vertices of a ring.
+    /// Number of vertices per ring.
     pub vertices: usize,
 }
 
 impl Mesh {
-    /// A mesh of any form: moved to its centre of mass, and scaled so that its farthest vertex is 1 away from there.
+    /// A mesh of any form, shifted to its centre of mass and scaled so that its farthest vertex is at distance 1.
     ///
-    /// `triangles` are indices of `positions` [any unit], counter-clockwise seen from outside, a closed surface.
+    /// `triangles` are indices into `positions` [any unit], counter-clockwise seen from outside, and form a closed
+    /// surface.
     pub fn new(positions: Vectors, triangles: Vec<[u32; 3]>) -> Mesh {
         let shares = shares(&positions, &triangles);
         let centre: DVec3 = positions.iter().zip(&shares).map(|(position, share)| *share * position).sum();
@@ -46,7 +47,8 @@ impl Mesh {
         Mesh { positions, directions: Some(directions), normals, triangles, shares, rings: None }
     }
 
-    /// A mesh whose vertices are all 1 away from its centre of mass, each with its own direction as normal, to rounding.
+    /// A mesh whose vertices are all at distance 1 from its centre of mass and have their direction as normal, to
+    /// rounding.
     pub fn round(directions: Vectors, triangles: Vec<[u32; 3]>, rings: Option<Rings>) -> Mesh {
         let shares = shares(&directions, &triangles);
         Mesh { positions: directions, directions: None, normals: None, triangles, shares, rings }
@@ -67,7 +69,7 @@ impl Mesh {
         self.directions.as_ref().unwrap_or(&self.positions)
     }
 
-    /// Outward unit normals at rest [–], `[vertex_count]`: sums of those of the triangles, weighted by area.
+    /// Outward unit normals at rest [–], `[vertex_count]`: area-weighted means of the triangles' normals.
     pub fn normals(&self) -> &Vectors {
         self.normals.as_ref().unwrap_or(&self.positions)
     }
@@ -77,29 +79,29 @@ impl Mesh {
         &self.triangles
     }
 
-    /// What each vertex has of the mass of its body [–], `[vertex_count]`: a third of the area of its triangles, of all the
-    /// area. The sum is 1.
+    /// Fraction of the body's mass at each vertex [–], `[vertex_count]`: a third of the area of its triangles over the
+    /// total area. The sum is 1.
     pub fn shares(&self) -> &[f64] {
         &self.shares
     }
 
-    /// Whether every rest position is 1 radius from the centre, to rounding: a direction is then a position over the
-    /// radius, for which no length has to be computed.
+    /// Whether every rest position is at distance 1 radius from the centre, to rounding: a direction is then the
+    /// position over the radius, and no length has to be computed.
     pub fn is_round(&self) -> bool {
         self.directions.is_none()
     }
 
-    /// The rings that its vertices are in, if they are: what is the same all around a ring can be computed as arrays.
+    /// The rings of vertices, if the mesh has this structure: what is constant around a ring can be computed as arrays.
     pub fn rings(&self) -> Option<Rings> {
         self.rings
     }
 
-    /// The mesh of a body of a radius [scene unit].
+    /// The mesh at the scale of a body of the given radius [scene unit].
     pub fn at(&self, radius: f64) -> Rest<'_> {
         Rest { mesh: self, radius }
     }
 
-    /// What was allocated for it [bytes].
+    /// Memory allocated for the mesh [bytes].
     pub fn memory(&self) -> usize {
         let vectors = [Some(&self.positions), self.directions.as_ref(), self.normals.as_ref()];
         vectors.into_iter().flatten().map(Vectors::memory).sum::<usize>()
@@ -113,7 +115,7 @@ impl Mesh {
 pub struct Rest<'a> {
     /// The shape.
     pub mesh: &'a Mesh,
-    /// How far its farthest vertex is from the centre [scene unit].
+    /// Distance of its farthest vertex from the centre [scene unit].
     pub radius: f64,
 }
 
@@ -123,7 +125,7 @@ impl Rest<'_> {
         self.mesh.vertex_count()
     }
 
-    /// Whether there are none.
+    /// Whether there are no vertices.
     pub fn is_empty(self) -> bool {
         self.len() == 0
     }
@@ -134,7 +136,7 @@ impl Rest<'_> {
         self.radius * self.mesh.positions.get(i)
     }
 
-    /// Its direction l̂ [–]; panics beyond the last, like a slice.
+    /// Direction l̂ of the rest position of vertex `i` [–]; panics beyond the last, like a slice.
     #[inline]
     pub fn direction(self, i: usize) -> DVec3 {
         self.mesh.directions().get(i)
@@ -146,7 +148,7 @@ fn doubled_area([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a)
 }
 
-/// A third of the area of its triangles for each vertex, of all the area; equal shares if there is no area.
+/// For each vertex a third of the area of its triangles over the total area; equal fractions if the total is zero.
 fn shares(positions: &Vectors, triangles: &[[u32; 3]]) -> Vec<f64> {
     let mut shares = vec![0.0; positions.len()];
     let mut total = 0.0;
@@ -164,8 +166,8 @@ fn shares(positions: &Vectors, triangles: &[[u32; 3]]) -> Vec<f64> {
     shares
 }
 
-/// Unit sums of the normals of each vertex's triangles, weighted by area; where they cancel out, the direction from the
-/// centre is as good as any.
+/// For each vertex the normalised, area-weighted sum of its triangles' normals; where these cancel, the direction from
+/// the centre.
 fn normals(positions: &Vectors, triangles: &[[u32; 3]]) -> Vectors {
     let mut sums = Vectors::zeros(positions.len());
     for corners in triangles {
@@ -231,7 +233,7 @@ mod tests {
         assert!(std::sync::Arc::ptr_eq(&a, &b));
     }
 
-    /// What is not built as round has the same normals and masses to the coarseness of its triangles.
+    /// A sphere built as a general mesh has the same normals and masses, up to the coarseness of its triangles.
     #[test]
     fn a_sphere_is_round() {
         let round = crate::geometry::Sphere { stacks: 40, slices: 80 }.mesh();

@@ -2,14 +2,14 @@
 //!
 //! | what | where |
 //! | --- | --- |
-//! | a closed surface of triangles | [`mesh`] |
-//! | what a shape is made from, and one mesh for all bodies of a shape | [`shape`] |
-//! | a file for each shape | [`sphere`] |
+//! | a closed triangle mesh | [`mesh`] |
+//! | the parameters of a shape, and its mesh shared by all bodies | [`shape`] |
+//! | one file per shape | [`sphere`] |
 //! | arrays of vectors | [`vectors`] |
-//! | one surface of many that overlap, and what geometry says of a pair | [`union`] |
+//! | the union of overlapping meshes, and geometric measures of a pair | [`union`] |
 //!
-//! A new shape is a file that implements [`shape::Solid`] and its lines in the table below. Nothing here knows bodies,
-//! scenes or time.
+//! A new shape is a file that implements [`shape::Solid`] and its lines in the table below. This module does not depend
+//! on bodies, scenes or time.
 
 pub mod mesh;
 pub mod shape;

@@ -1,4 +1,4 @@
-//! The shapes that a scene can name; the table of them is in the module above.
+//! The shapes that a scene can name; the parent module contains their table.
 
 use std::{
     collections::HashMap,
@@ -8,55 +8,55 @@ use std::{
 
 use super::{Mesh, Shape, Sphere};
 
-/// A shape that is made from a few whole numbers.
+/// A shape with integer parameters.
 pub trait Solid: Clone + Ord + Hash {
-    /// The numbers, in the order in which they are given to [`Solid::new`].
+    /// The parameters, in the order in which [`Solid::new`] takes them.
     const PARAMETERS: &'static [Parameter];
-    /// The keys of these.
+    /// The keys of the parameters.
     const KEYS: &'static [&'static str];
-    /// What a scene gives for it, in words.
+    /// The form of the shape's entry in a scene, for messages.
     const FORM: &'static str;
 
-    /// From its numbers.
+    /// Creates the shape from its parameters.
     fn new(parameters: &[u32]) -> Self;
 
-    /// Its numbers.
+    /// The values of its parameters.
     fn parameters(&self) -> Vec<u32>;
 
-    /// Number of vertices, before they are made.
+    /// Number of vertices, computed without creating them.
     fn vertex_count(&self) -> u64;
 
-    /// Number of triangles, before they are made.
+    /// Number of triangles, computed without creating them.
     fn triangle_count(&self) -> u64;
 
-    /// Its vertices and triangles.
+    /// Creates its vertices and triangles.
     fn mesh(&self) -> Mesh;
 }
 
-/// A whole number that a shape is made from.
+/// An integer parameter of a shape.
 #[derive(Clone, Copy, Debug)]
 pub struct Parameter {
-    /// The least that it can be …
+    /// The smallest allowed value.
     pub least: u32,
-    /// … the most …
+    /// The largest allowed value.
     pub most: u32,
-    /// … and what it is if nothing is said.
+    /// The value if none is given.
     pub default: u32,
 }
 
-/// A kind of shape, as the scene file has it.
+/// A kind of shape, as scene files name it.
 pub struct Kind {
     /// Its key.
     pub name: &'static str,
-    /// Where its numbers belong, in words.
+    /// Where its parameters belong, for messages.
     pub home: &'static str,
-    /// What a scene gives for it, in words.
+    /// The form of its entry in a scene, for messages.
     pub form: &'static str,
-    /// The keys of its numbers …
+    /// The keys of its parameters.
     pub keys: &'static [&'static str],
-    /// … and what they can be.
+    /// The ranges of its parameters.
     pub parameters: &'static [Parameter],
-    /// A shape of this kind.
+    /// Creates a shape of this kind.
     pub make: fn(&[u32]) -> Shape,
 }
 
@@ -81,20 +81,20 @@ macro_rules! shapes {
                 parameters: <$Kind as $crate::geometry::shape::Solid>::PARAMETERS,
                 make: |parameters| Shape::$Kind(<$Kind as $crate::geometry::shape::Solid>::new(parameters)),
             }),*];
-            /// Their keys.
+            /// The keys of all kinds.
             pub const NAMES: &'static [&'static str] = &[$($name),*];
 
-            /// Number of vertices, before they are made.
+            /// Number of vertices, computed without creating them.
             pub fn vertex_count(&self) -> u64 {
                 match self { $(Shape::$Kind(solid) => $crate::geometry::shape::Solid::vertex_count(solid)),* }
             }
 
-            /// Number of triangles, before they are made.
+            /// Number of triangles, computed without creating them.
             pub fn triangle_count(&self) -> u64 {
                 match self { $(Shape::$Kind(solid) => $crate::geometry::shape::Solid::triangle_count(solid)),* }
             }
 
-            /// A name that no other shape has: letters, digits and `_`.
+            /// A label unique to this shape: letters, digits and `_`.
             pub fn label(&self) -> String {
                 match self { $(Shape::$Kind(solid) => $crate::geometry::shape::label($name, &$crate::geometry::shape::Solid::parameters(solid))),* }
             }
@@ -118,11 +118,11 @@ pub(super) fn label(name: &str, parameters: &[u32]) -> String {
     if parameters.is_empty() { name.to_owned() } else { format!("{name}_{}", parameters.join("x")) }
 }
 
-/// The meshes that are in use.
+/// The meshes in use.
 static MESHES: LazyLock<Mutex<HashMap<Shape, Weak<Mesh>>>> = LazyLock::new(Mutex::default);
 
 impl Shape {
-    /// Its mesh: one for all who ask, as long as any of them holds it.
+    /// The mesh of this shape, shared by all callers as long as any of them holds it.
     pub fn mesh(&self) -> Arc<Mesh> {
         let mut meshes = MESHES.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(mesh) = meshes.get(self).and_then(Weak::upgrade) {

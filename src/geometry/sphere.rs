@@ -1,4 +1,4 @@
-//! Unit spheres of rings, as the thesis draws them.
+//! Unit spheres made of rings, as in the thesis.
 
 use glam::DVec3;
 
@@ -7,20 +7,21 @@ use super::{
     shape::{Parameter, Solid},
 };
 
-/// A unit sphere of rings: a pole, `stacks − 1` rings of `slices` vertices, a pole.
+/// A unit sphere made of rings: a pole, `stacks − 1` rings of `slices` vertices, a pole.
 ///
-/// Vertex 0 is the north pole (+z); then rings from north to south, ring i = 1 … stacks − 1 at polar angle
-/// πi/stacks, each with vertex j = 0 … slices − 1 at azimuth 2πj/slices from +x towards +y; the south pole last.
+/// Vertex 0 is the north pole (+z). The rings follow from north to south: ring i = 1 … stacks − 1 is at polar angle
+/// πi/stacks, and its vertex j = 0 … slices − 1 is at azimuth 2πj/slices from +x towards +y. The south pole is the last
+/// vertex.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Sphere {
-    /// Bands from pole to pole, ≥ 2.
+    /// Number of bands from pole to pole, ≥ 2.
     pub stacks: u32,
-    /// Vertices of a ring, ≥ 3.
+    /// Number of vertices per ring, ≥ 3.
     pub slices: u32,
 }
 
 impl Default for Sphere {
-    /// The thesis's 266 vertices.
+    /// The sphere of the thesis, with 266 vertices.
     fn default() -> Self {
         Sphere { stacks: 12, slices: 24 }
     }

@@ -1,8 +1,8 @@
-//! Vectors of many vertices, by coordinate.
+//! Arrays of vectors, stored by coordinate.
 
 use glam::DVec3;
 
-/// A vector per vertex, stored by coordinate; all three arrays have the same length.
+/// One vector per vertex, stored by coordinate; all three arrays have the same length.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Vectors {
     /// First coordinates, `[vertex_count]`.
@@ -41,41 +41,41 @@ impl Vectors {
         (self.x[i], self.y[i], self.z[i]) = (v.x, v.y, v.z);
     }
 
-    /// Adds one at the end.
+    /// Appends a vector.
     pub fn push(&mut self, v: DVec3) {
         self.x.push(v.x);
         self.y.push(v.y);
         self.z.push(v.z);
     }
 
-    /// Adds others at the end.
+    /// Appends other vectors.
     pub fn extend(&mut self, others: &Vectors) {
         self.x.extend_from_slice(&others.x);
         self.y.extend_from_slice(&others.y);
         self.z.extend_from_slice(&others.z);
     }
 
-    /// Becomes a copy of others.
+    /// Replaces the contents by a copy of `others`.
     pub fn copy_from(&mut self, others: &Vectors) {
         self.clear();
         self.extend(others);
     }
 
-    /// Becomes `count` long, with zeros at the end if that is longer.
+    /// Changes the length to `count`; new vectors are zero.
     pub fn resize(&mut self, count: usize) {
         for axis in [&mut self.x, &mut self.y, &mut self.z] {
             axis.resize(count, 0.0);
         }
     }
 
-    /// Keeps the storage, holds none.
+    /// Removes all vectors and keeps the storage.
     pub fn clear(&mut self) {
         self.x.clear();
         self.y.clear();
         self.z.clear();
     }
 
-    /// What was allocated for them [bytes].
+    /// Memory allocated for the vectors [bytes].
     pub fn memory(&self) -> usize {
         (self.x.capacity() + self.y.capacity() + self.z.capacity()) * size_of::<f64>()
     }
@@ -85,21 +85,21 @@ impl Vectors {
         (0..self.len()).map(|i| self.get(i))
     }
 
-    /// Adds others times a factor to them, one to one.
+    /// Adds `factor` times `others`, element by element.
     pub fn add_times(&mut self, factor: f64, others: &Vectors) {
         for (axis, other) in [(&mut self.x, &others.x), (&mut self.y, &others.y), (&mut self.z, &others.z)] {
             axis.iter_mut().zip(other).for_each(|(sum, other)| *sum += factor * other);
         }
     }
 
-    /// Makes all of them the same.
+    /// Sets all vectors to one value.
     pub fn fill(&mut self, DVec3 { x, y, z }: DVec3) {
         self.x.fill(x);
         self.y.fill(y);
         self.z.fill(z);
     }
 
-    /// Keeps the storage, holds `count` zero vectors.
+    /// Sets the contents to `count` zero vectors, keeping the storage.
     pub fn reset(&mut self, count: usize) {
         for axis in [&mut self.x, &mut self.y, &mut self.z] {
             axis.clear();

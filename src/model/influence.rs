@@ -1,4 +1,4 @@
-//! What an influence sphere does to a vertex: (3.3), (3.4), (3.5).
+//! The effect of an influence sphere on a vertex: (3.3), (3.4), (3.5).
 
 use glam::DVec3;
 
@@ -23,7 +23,7 @@ pub enum Scaling {
     Absolute,
 }
 
-/// The influence law of a scene: everything about (3.3)–(3.5) but who and where.
+/// The influence law of a scene: all parameters of (3.3)–(3.5) that are common to all bodies.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Influence {
     /// Strength α of attraction (3.4) [1/s²].

@@ -8,10 +8,10 @@
 //! S(t) = e^(−κt) sinh(μt)/μ,   μ² = κ² − ω²      (sin for κ < ω, t e^(−κt) for κ = ω)
 //! ```
 
-/// Times (ω + 2κ) h up to which the series of [`SERIES`] is exact to rounding.
+/// The largest (ω + 2κ) h for which the series of [`SERIES`] is exact to rounding.
 const SHORT: f64 = 0.5;
 
-/// What a term of the series for S counts in each of the sums.
+/// Weights of one term of the series for S in each of the sums.
 struct Term {
     /// n! k!/(n + k + 1)!, k = 0 … 3.
     moments: [f64; 4],
@@ -21,7 +21,7 @@ struct Term {
     per_next: f64,
 }
 
-/// The terms n = 1 … 14 of the series for S; the next would be below 0.5¹⁴/15! ≈ 5e-17 of the first.
+/// The terms n = 1 … 14 of the series for S; the next term would be below 0.5¹⁴/15! ≈ 5e-17 of the first.
 static SERIES: [Term; 14] = {
     const NONE: Term = Term { moments: [0.0; 4], per_n_and_next: 0.0, per_next: 0.0 };
     let mut terms = [NONE; 14];
@@ -51,7 +51,8 @@ pub struct Oscillator {
     pub damping: f64,
 }
 
-/// The exact solution over a time h: `(x, u) ← flow · (x, u)` plus the response to a force that is a polynomial in time.
+/// The exact solution over a time h: `(x, u) ← flow · (x, u)` plus the response to a force that is a polynomial in
+/// time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Propagator {
     /// ∂x(h)/∂x(0) [–]
@@ -62,9 +63,10 @@ pub struct Propagator {
     pub ux: f64,
     /// ∂u(h)/∂u(0) [–]
     pub uu: f64,
-    /// What the forces (s/h)ᵏ, k = 0 … 3, add to x: X_k = ∫₀ʰ S(h − s) (s/h)ᵏ ds [s²]; k! φ-functions of the flow's matrix.
+    /// Contributions of the forces (s/h)ᵏ, k = 0 … 3, to x: X_k = ∫₀ʰ S(h − s) (s/h)ᵏ ds [s²]; k! times the φ-functions
+    /// of the flow's matrix.
     pub x: [f64; 4],
-    /// What they add to u: U_k = ∫₀ʰ S′(h − s) (s/h)ᵏ ds = k X_{k−1}/h, U_0 = S(h) [s].
+    /// Contributions of these forces to u: U_k = ∫₀ʰ S′(h − s) (s/h)ᵏ ds = k X_{k−1}/h, U_0 = S(h) [s].
     pub u: [f64; 4],
 }
 
@@ -80,14 +82,14 @@ impl Oscillator {
         Propagator { xx, xu, ux, uu, x, u: [xu, x[0] / h, 2.0 * (x[1] / h), 3.0 * (x[2] / h)] }
     }
 
-    /// The propagator over a time in which little happens, by the Taylor series S = Σ a_n tⁿ: S″ = −ω²S − 2κS′, so
-    /// (n+2)(n+1) a_{n+2} = −ω² a_n − 2κ (n+1) a_{n+1}. With b_n = a_n hⁿ the terms shrink like zⁿ/n!, z = (ω + 2κ) h,
-    /// and ∫₀¹ (1 − θ)ⁿ θᵏ dθ = n! k!/(n + k + 1)!.
+    /// The propagator over a time that is short for the oscillator, by the Taylor series S = Σ a_n tⁿ: S″ = −ω²S −
+    /// 2κS′, so (n+2)(n+1) a_{n+2} = −ω² a_n − 2κ (n+1) a_{n+1}. With b_n = a_n hⁿ the terms decay like zⁿ/n!, z = (ω +
+    /// 2κ) h, and ∫₀¹ (1 − θ)ⁿ θᵏ dθ = n! k!/(n + k + 1)!.
     fn short_propagator(&self, h: f64) -> Propagator {
         let Oscillator { omega, damping } = *self;
         let (a, b) = (-(omega * h) * (omega * h), -2.0 * damping * h);
         let (mut before, mut current) = (0.0, 1.0);
-        // over h; the first terms, which are the largest by far, last: so only that addition rounds
+        // divided by h; the first terms are by far the largest and are added last, so that only that addition rounds
         let (mut s, mut slope, mut sums) = (0.0, 0.0, [0.0; 4]);
         for (n, row) in (1..).zip(&SERIES) {
             if n > 1 {
@@ -122,7 +124,7 @@ impl Oscillator {
     /// `[xx, xu, uu]`: x = e^(−κt) (C + κS̃) x₀ + e^(−κt) S̃ u₀ with C = cosh μt, S̃ = sinh(μt)/μ.
     fn modes(&self, h: f64) -> [f64; 3] {
         let Oscillator { omega, damping } = *self;
-        // κ² − ω² without cancellation, and without overflow where the factors don't
+        // κ² − ω² without cancellation, and without overflow unless a factor overflows
         let discriminant = (damping - omega) * (damping + omega);
         if discriminant < 0.0 {
             let nu = (-discriminant).sqrt();
@@ -141,7 +143,7 @@ impl Oscillator {
             let s = if y < 1e-8 { h * (1.0 - y / 2.0) } else { fading / (2.0 * mu) };
             let xx = decay * (1.0 + slow * s);
             let uu = decay * (1.0 - (damping + mu) * s);
-            // far from t = 0, 1 − (κ + μ) s cancels; there 2μ uu = −slow + (κ + μ) E directly
+            // away from t = 0, 1 − (κ + μ) s cancels; use 2μ uu = −slow + (κ + μ) E there
             let uu = if y > 1.0 { decay * ((damping + mu) * libm::exp(-y) - slow) / (2.0 * mu) } else { uu };
             [xx, decay * s, uu]
         }

@@ -10,7 +10,7 @@
 
 use std::fmt;
 
-/// What a pair of bodies does to each other, from the distance of their centres.
+/// The state of a pair of bodies, determined by the distance of their centres with hysteresis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Phase {
     /// Repels by (3.5), or does nothing.
@@ -43,22 +43,22 @@ impl fmt::Display for Phase {
 /// Invariant, established by the scene parser: `core_at < merge_at ≤ split_at`, all finite, `core_at ≥ 0`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Thresholds {
-    /// Falling to this, an apart pair merges.
+    /// An apart pair merges when q falls to this [–].
     pub merge_at: f64,
-    /// Rising to this, a merged pair splits.
+    /// A merged pair splits when q rises to this [–].
     pub split_at: f64,
-    /// Falling below this, a merged pair enters its core; 0 for none.
+    /// A merged pair enters its core when q falls below this [–]; 0 if there is no core.
     pub core_at: f64,
 }
 
-/// One way out of a phase: the level of `q`, the direction in which it is crossed, and where it leads.
+/// A transition out of a phase: the level of `q`, the direction in which it is crossed, and the phase that follows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Transition {
     /// The threshold, in q [–].
     pub level: f64,
-    /// Crossed while q falls (true) or rises (false).
+    /// Whether q falls through the level (true) or rises through it (false).
     pub falling: bool,
-    /// The phase on the other side.
+    /// The phase that follows.
     pub to: Phase,
 }
 
@@ -74,7 +74,7 @@ impl Thresholds {
         }
     }
 
-    /// The ways out of `phase`. Without a core (`core_at` = 0) the second way out of `Merged` is absent.
+    /// The transitions out of `phase`. Without a core (`core_at` = 0) the second transition out of `Merged` is absent.
     pub fn transitions(&self, phase: Phase) -> impl Iterator<Item = Transition> + use<> {
         let fall = |level, to| Some(Transition { level, falling: true, to });
         let rise = |level, to| Some(Transition { level, falling: false, to });

@@ -1,26 +1,26 @@
-//! Bodies that move: vertices with masses about a rest shape that follows them. This is shape matching (Müller,
+//! Free bodies: vertices with masses about a rest shape that follows them. This is shape matching (Müller,
 //! Heidelberger, Teschner, Gross: Meshless Deformations Based on Shape Matching, 2005) as a differential equation.
 //!
 //! | symbol | meaning |
 //! | --- | --- |
 //! | c, c′ | mass centre of the vertices and its velocity |
 //! | Q | the rotation that fits the vertices best; a = Q l, s = r − c, x = s − a |
-//! | Ω_Q | the rate of Q, a′ = Ω_Q×a |
+//! | Ω_Q | the angular velocity of Q, a′ = Ω_Q×a |
 //! | Ω | the rigid rotation in the motion of the vertices, I⁻¹ Σ m s×s′ |
-//! | f, f̄ | acceleration of a vertex from outside, and its mean Σ m f/M |
+//! | f, f̄ | external acceleration of a vertex, and its mean Σ m f/M |
 //!
 //! ```text
 //! r″ = −ω² x − 2κ (s′ − Ω×s) + f + g + R/M
 //! ```
 //!
-//! Because c and Q minimise Σ m |x|², springs and damping exert no net force and no net torque. What is left of the motion
-//! of x beyond its oscillator (3.2) is smooth, however stiff the spring is; see [`Inner`].
+//! Because c and Q minimise Σ m |x|², springs and damping exert no net force and no net torque. The motion of x beyond
+//! its oscillator (3.2) is smooth, however stiff the spring is; see [`Inner`].
 //!
-//! Sums over the vertices come as matrices: Σ m p qᵀ of two vectors p, q that each vertex has.
+//! Sums over the vertices are given as matrices: Σ m p qᵀ of two vectors p, q per vertex.
 
 use glam::{DMat3, DQuat, DVec3};
 
-/// p qᵀ.
+/// The outer product p qᵀ.
 #[inline]
 pub fn outer(p: DVec3, q: DVec3) -> DMat3 {
     DMat3::from_cols(p * q.x, p * q.y, p * q.z)
@@ -39,8 +39,8 @@ pub fn cross_matrix(v: DVec3) -> DMat3 {
     DMat3::from_cols(DVec3::new(0.0, v.z, -v.y), DVec3::new(-v.z, 0.0, v.x), DVec3::new(v.y, -v.x, 0.0))
 }
 
-/// tr(A) 1 − A. Of Σ m s sᵀ it is the inertia I of the vertices where they are; of Σ m a sᵀ it is G, in
-/// Σ m a×(Ω×s) = Gᵀ Ω and Σ m s×(Ω_Q×a) = G Ω_Q.
+/// tr(A) 1 − A. For Σ m s sᵀ it is the inertia tensor I of the vertices at their current positions; for Σ m a sᵀ it is
+/// G, in Σ m a×(Ω×s) = Gᵀ Ω and Σ m s×(Ω_Q×a) = G Ω_Q.
 #[inline]
 pub fn resistance(a: DMat3) -> DMat3 {
     let trace = a.x_axis.x + a.y_axis.y + a.z_axis.z;
@@ -70,7 +70,7 @@ pub fn rotation_by(v: DVec3) -> DQuat {
     DQuat::from_xyzw(v.x * sinc, v.y * sinc, v.z * sinc, cos)
 }
 
-/// The rate of a rotation vector v, where exp([v]×) turns at the rate `spin`: dexp⁻¹. For |v| well below 2π [rad].
+/// The rate of a rotation vector v when exp([v]×) rotates at the rate `spin`: dexp⁻¹. For |v| well below 2π [rad].
 ///
 /// ```text
 /// v′ = Ω − ½ v×Ω + c v×(v×Ω),   c = (1 − (|v|/2) cot(|v|/2))/|v|²
@@ -91,12 +91,13 @@ pub fn rotation_vector_rate(v: DVec3, spin: DVec3) -> DVec3 {
     spin - 0.5 * turned + c * v.cross(turned)
 }
 
-/// The rotation Q that fits best: it has the largest tr(Qᵀ A) for A = Σ m s lᵀ. The orthogonal factor of the polar
-/// decomposition of A, but a rotation always, never a reflection.
+/// The best-fitting rotation Q: the one with the largest tr(Qᵀ A) for A = Σ m s lᵀ. It is the orthogonal factor of the
+/// polar decomposition of A, but always a rotation, never a reflection.
 ///
-/// As a quaternion it is the eigenvector of the largest eigenvalue of a symmetric 4×4 matrix (Horn, Closed-form solution of
-/// absolute orientation using unit quaternions, 1987), which is well defined for flat and for inverted shapes. Where two
-/// rotations fit alike, it is the one nearest to `before`; of q and −q, which are the same rotation, likewise.
+/// As a quaternion it is the eigenvector of the largest eigenvalue of a symmetric 4×4 matrix (Horn, Closed-form
+/// solution of absolute orientation using unit quaternions, 1987), which is well defined for flat and for inverted
+/// shapes. If several rotations fit equally well, the result is the one nearest to `before`; the same choice is made
+/// between q and −q, which are the same rotation.
 pub fn best_rotation(a: DMat3, before: DQuat) -> DQuat {
     let scale = [a.x_axis, a.y_axis, a.z_axis].iter().map(|c| c.abs().max_element()).fold(0.0, f64::max);
     if !(scale > 0.0 && scale.is_finite()) {
@@ -113,7 +114,7 @@ pub fn best_rotation(a: DMat3, before: DQuat) -> DQuat {
     ];
     let vectors = eigenvectors(&mut k);
     let largest = (0..4).map(|i| k[i][i]).fold(f64::NEG_INFINITY, f64::max);
-    // of all that fit as well, to rounding, the nearest to the one before: its projection
+    // of all rotations that fit equally well, to rounding, the one nearest to `before`: its projection
     let known = [before.w, before.x, before.y, before.z];
     let mut sum = [0.0; 4];
     let mut only = [0.0; 4];
@@ -134,7 +135,7 @@ pub fn best_rotation(a: DMat3, before: DQuat) -> DQuat {
     if best.length_squared() > 1e-6 { best.normalize() } else { of(only).normalize() }
 }
 
-/// Makes a symmetric matrix diagonal by Jacobi's rotations, and returns its eigenvectors, in columns.
+/// Diagonalises a symmetric matrix by Jacobi rotations, and returns its eigenvectors as columns.
 fn eigenvectors(k: &mut [[f64; 4]; 4]) -> [[f64; 4]; 4] {
     const MOST_SWEEPS: usize = 12;
     let mut v = [[0.0; 4]; 4];
@@ -176,12 +177,12 @@ fn eigenvectors(k: &mut [[f64; 4]; 4]) -> [[f64; 4]; 4] {
     v
 }
 
-/// The sums over the vertices of a body from which the motion of its frame follows.
+/// Sums over the vertices of a body, which determine the motion of its frame.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Inner {
     /// Σ m a sᵀ [mass · scene unit²].
     pub as_: DMat3,
-    /// Σ m a x′ᵀ, x′ being the rate of x in world axes [mass · scene unit²/s].
+    /// Σ m a x′ᵀ, where x′ is the rate of x in world axes [mass · scene unit²/s].
     pub ax_rate: DMat3,
     /// Σ m x×x′ [mass · scene unit²/s].
     pub x_cross_rate: DVec3,
@@ -196,7 +197,7 @@ impl Inner {
     /// S = G Ω_Q + Σ m s×x′,   G = (Σ m s·a) 1 − Σ m a sᵀ
     /// ```
     ///
-    /// Not finite where no rotation fits better than all others: G is singular there.
+    /// Not finite where the best-fitting rotation is not unique: G is singular there.
     pub fn frame_spin(&self, angular_momentum: DVec3) -> DVec3 {
         solve(resistance(self.as_), angular_momentum - moment(self.ax_rate) - self.x_cross_rate)
     }
@@ -206,7 +207,7 @@ impl Inner {
         solve(resistance(self.ss), angular_momentum)
     }
 
-    /// Ω_Q′ [rad/s²], from Σ m a×s = 0 derived twice; `turning` is Σ m a×f:
+    /// Ω_Q′ [rad/s²], from the second derivative of Σ m a×s = 0; `turning` is Σ m a×f:
     ///
     /// ```text
     /// G Ω_Q′ = Σ m a×(f − f̄ − 2κ(s′ − Ω×s)) + 2 Σ m (Ω_Q×a)×s′ + Σ m (Ω_Q×(Ω_Q×a))×s
@@ -228,14 +229,15 @@ fn trace(a: DMat3) -> f64 {
     a.x_axis.x + a.y_axis.y + a.z_axis.z
 }
 
-/// What all vertices of a free body have in common of the right-hand side of x″ = −ω² x − 2κ x′ + F:
+/// The matrix D [1/s²] of the part of the right-hand side that all vertices of a free body share, in x″ = −ω² x − 2κ x′
+/// + F:
 ///
 /// ```text
 /// F = f − f̄ + 2κ(Ω×s − Ω_Q×a) − Ω_Q′×a − Ω_Q×(Ω_Q×a)
 ///   = f − f̄ + 2κ Ω×x + D l,   D = (2κ [Ω − Ω_Q]× − [Ω_Q′]× − [Ω_Q]×²) Q
 /// ```
 ///
-/// This is D [1/s²]. None of it has ω in it.
+/// F does not contain ω.
 pub fn frame_drive(axes: DMat3, damping: f64, spin: DVec3, frame_spin: DVec3, frame_spin_rate: DVec3) -> DMat3 {
     let turn = cross_matrix(2.0 * damping * (spin - frame_spin) - frame_spin_rate);
     let w = frame_spin;
@@ -243,14 +245,14 @@ pub fn frame_drive(axes: DMat3, damping: f64, spin: DVec3, frame_spin: DVec3, fr
     (turn + centrifugal) * axes
 }
 
-/// A plane that holds vertices on the side that its normal points to.
+/// A plane that keeps vertices on the side that its normal points to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plane {
     /// Unit vector n.
     pub normal: DVec3,
-    /// n·r of its points [scene unit].
+    /// n·r of the points of the plane [scene unit].
     pub offset: f64,
-    /// k [1/s²].
+    /// Stiffness k [1/s²].
     pub stiffness: f64,
     /// Coefficient of friction μ [–].
     pub friction: f64,
@@ -259,14 +261,14 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// d before it is cut off at zero: how deep a point is behind the plane [scene unit].
+    /// Signed depth d of a point behind the plane, not clamped at zero [scene unit].
     #[inline]
     pub fn depth(&self, position: DVec3) -> f64 {
         self.offset - self.normal.dot(position)
     }
 
-    /// `k d n − μ k d v_t/√(|v_t|² + v_s²)` for a depth d, v_t being the part of the velocity in the plane
-    /// [scene unit/s²]. Goes on smoothly for d < 0, where the plane does not act.
+    /// `k d n − μ k d v_t/√(|v_t|² + v_s²)` for a depth d, where v_t is the tangential velocity [scene unit/s²].
+    /// Continues smoothly for d < 0, where the plane does not act.
     #[inline]
     pub fn acceleration(&self, depth: f64, velocity: DVec3) -> DVec3 {
         let pressure = self.stiffness * depth;
@@ -278,7 +280,7 @@ impl Plane {
         pressure * (self.normal - (self.friction * per_speed) * slide)
     }
 
-    /// The derivatives of [`Plane::acceleration`] by the position [1/s²] and by the velocity [1/s].
+    /// The derivatives of [`Plane::acceleration`] with respect to position [1/s²] and velocity [1/s].
     pub fn derivatives(&self, depth: f64, velocity: DVec3) -> (DMat3, DMat3) {
         let n = self.normal;
         if self.friction == 0.0 {
@@ -288,29 +290,29 @@ impl Plane {
         let per_speed = 1.0 / (slide.length_squared() + self.slip * self.slip).sqrt();
         let unit = per_speed * slide;
         let by_position = outer(-self.stiffness * (n - self.friction * unit), n);
-        // of v_t/√(|v_t|² + v_s²): (1 − n nᵀ − unit unitᵀ)/√…
+        // derivative of v_t/√(|v_t|² + v_s²): (1 − n nᵀ − unit unitᵀ)/√…
         let along = DMat3::IDENTITY - outer(n, n) - outer(unit, unit);
         (by_position, along * (-self.friction * self.stiffness * depth * per_speed))
     }
 
-    /// ½ k d² [scene unit²/s²], per unit mass.
+    /// Potential ½ k d² per unit mass [scene unit²/s²].
     #[inline]
     pub fn potential(&self, depth: f64) -> f64 {
         0.5 * self.stiffness * depth.max(0.0) * depth.max(0.0)
     }
 }
 
-/// How the strength of a pair changes from attraction to repulsion about the rim of its core, where that takes a width:
+/// Gradual change of a pair's strength from attraction to repulsion at the rim of its core, over a finite width:
 /// `−β + (α + β)·S((q − core_at)/w + ½)`, S(z) = z²(3 − 2z) clamped to [0, 1].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoreRim {
-    /// α [1/s²].
+    /// Strength α of attraction [1/s²].
     pub alpha: f64,
-    /// β [1/s²].
+    /// Strength β of repulsion [1/s²].
     pub beta: f64,
-    /// Where it is half way, in q [–].
+    /// The q at which the change is half complete [–].
     pub core_at: f64,
-    /// w, in q [–], > 0.
+    /// Width w of the change in q [–], > 0.
     pub width: f64,
 }
 
@@ -325,13 +327,14 @@ impl CoreRim {
         (self.alpha + self.beta) * (z * z * (3.0 - 2.0 * z)) - self.beta
     }
 
-    /// Its derivative by q [1/s²]: the pair's potential energy changes by Σ m (ds/dq) q′ Φ in a unit of time for it.
+    /// The derivative of the strength with respect to q [1/s²]: it changes the pair's potential energy by Σ m (ds/dq)
+    /// q′ Φ per unit of time.
     pub fn slope(&self, q: f64) -> f64 {
         let z = self.place(q);
         (self.alpha + self.beta) * (6.0 * z * (1.0 - z)) / self.width
     }
 
-    /// Between these, in q, it changes; it has a kink in its slope at each.
+    /// The q between which the strength changes [–]; its slope has a kink at each.
     pub fn ends(&self) -> [f64; 2] {
         [self.core_at - 0.5 * self.width, self.core_at + 0.5 * self.width]
     }
@@ -341,7 +344,7 @@ impl CoreRim {
 mod tests {
     use super::*;
 
-    /// A body of a few vertices, far from undeformed, with forces from anywhere on it.
+    /// A body of a few vertices, strongly deformed, with arbitrary forces on it.
     struct Particles {
         rest: Vec<DVec3>,
         masses: Vec<f64>,
@@ -404,13 +407,13 @@ mod tests {
                 .collect()
         }
 
-        /// Positions a little later, or earlier.
+        /// Positions at a slightly later or earlier time.
         fn after(&self, t: f64) -> Vec<DVec3> {
             let a = self.accelerations();
             (0..self.rest.len()).map(|i| self.position[i] + t * (self.velocity[i] + 0.5 * t * a[i])).collect()
         }
 
-        /// The sums, with rates of x as they follow from a rate of the frame.
+        /// The sums, with rates of x that follow from the frame's angular velocity.
         fn inner(&self, frame_spin: DVec3) -> (Inner, DVec3, DVec3) {
             let (c, v, q) = (self.mean(&self.position), self.mean(&self.velocity), self.rotation(&self.position));
             let mut inner =
@@ -431,7 +434,7 @@ mod tests {
         }
     }
 
-    /// [w]× from a matrix that is nearly that.
+    /// The vector w of a matrix that is [w]× up to rounding.
     fn vector_of(m: DMat3) -> DVec3 {
         0.5 * DVec3::new(m.y_axis.z - m.z_axis.y, m.z_axis.x - m.x_axis.z, m.x_axis.y - m.y_axis.x)
     }
@@ -455,7 +458,7 @@ mod tests {
         let found_rate = inner.frame_spin_rate(turning, particles.damping, spin, found);
         assert!((found_rate - spin_rate).length() < 1e-5 * spin_rate.length(), "{found_rate} {spin_rate}");
 
-        // x″ of every particle: by differences, and by the oscillator with its smooth right-hand side
+        // x″ of every particle: by finite differences, and by the oscillator with its smooth right-hand side
         let x = |position: &[DVec3], q: DMat3, i: usize| position[i] - particles.mean(position) - q * particles.rest[i];
         let mean = particles.mean(&particles.force);
         let drive = frame_drive(q, particles.damping, spin, found, found_rate);
@@ -493,7 +496,7 @@ mod tests {
         ] {
             let found = DMat3::from_quat(best_rotation(turn * a, DQuat::IDENTITY));
             assert!((found.determinant() - 1.0).abs() < 1e-12, "{what}");
-            // nothing near fits better
+            // no nearby rotation fits better
             let fit = |q: DMat3| {
                 (q.transpose() * (turn * a)).x_axis.x
                     + (q.transpose() * (turn * a)).y_axis.y
@@ -506,7 +509,7 @@ mod tests {
                 }
             }
         }
-        // of nothing, it is what it was; of a line, the nearest that fits
+        // without data the rotation is unchanged; for points on a line it is the nearest that fits
         let before = rotation_by(DVec3::new(0.1, 0.2, 0.3));
         assert_eq!(best_rotation(DMat3::ZERO, before), before);
         let line = best_rotation(outer(DVec3::Z, DVec3::Z), before);
@@ -555,7 +558,7 @@ mod tests {
             let seen = (at(r, v + h * axis) - at(r, v - h * axis)) / (2.0 * h);
             assert!((seen - by_velocity * axis).length() < 1e-2, "{seen} {}", by_velocity * axis);
         }
-        // friction brakes, and never by more than μ of the pressure
+        // friction opposes the motion, and never exceeds μ times the pressure
         let drag = plane.acceleration(0.1, v) - smooth.acceleration(0.1, v);
         assert!(drag.dot(v) < 0.0 && drag.length() < 0.4 * 4000.0 * 0.1);
     }

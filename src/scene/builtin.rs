@@ -1,17 +1,17 @@
-//! The scenes that come with the program: files in `recordings/`, compiled in.
+//! The built-in scenes: files in `recordings/`, compiled in.
 
 use super::Scene;
 
 /// A scene file that is compiled into the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Builtin {
-    /// What it is called on the command line.
+    /// Its name on the command line.
     pub name: &'static str,
     /// The scene file.
     pub text: &'static str,
 }
 
-/// All of them, in the order in which they are listed to users.
+/// All built-in scenes, in the order in which they are listed to users.
 pub const ALL: [Builtin; 5] = [
     Builtin { name: "push", text: include_str!("../../recordings/push.toml") },
     Builtin { name: "two", text: include_str!("../../recordings/two.toml") },
@@ -21,17 +21,18 @@ pub const ALL: [Builtin; 5] = [
 ];
 
 impl Builtin {
-    /// What to look at: the lines of the comment at the head of the file.
+    /// What to watch for: the lines of the comment at the head of the file.
     pub fn what_to_look_at(&self) -> impl Iterator<Item = &'static str> {
         self.text.lines().map_while(|line| line.strip_prefix('#')).map(str::trim)
     }
 }
 
 impl Scene {
-    /// A scene that comes with the program: `push`, `two`, `three`, `size_ratio` or `crowd`; `None` for other names.
+    /// A built-in scene: `push`, `two`, `three`, `size_ratio` or `crowd`; `None` for other names.
     pub fn builtin(name: &str) -> Option<Scene> {
         let builtin = ALL.iter().find(|builtin| builtin.name == name)?;
-        // Compiled in and parsed by a test, so an error would be a broken build; then it is as if it were not there.
+        // A test parses every built-in scene, so an error would mean a broken build; the scene is then treated as
+        // absent.
         Scene::parse(builtin.text, builtin.name).ok()
     }
 }

@@ -76,26 +76,27 @@ pub struct Scene {
     pub dt: f64,
     /// Simulated time [s], > 0. See [`Scene::steps`].
     pub duration: f64,
-    /// How a step is taken.
+    /// Integrator of the scene.
     pub integrator: Integrator,
-    /// The error that [`Integrator::Exponential`] may make, in radii of a vertex's body per unit of scene time [1/s], > 0.
+    /// Tolerance of [`Integrator::Exponential`]: the acceptable error, in radii of a vertex's body per unit of scene
+    /// time [1/s], > 0.
     pub tolerance: f64,
-    /// (3.3)–(3.5) and their constants.
+    /// The influence law: (3.3)–(3.5) and their constants.
     pub influence: Influence,
     /// When pairs merge, split and enter their core.
     pub thresholds: Thresholds,
-    /// At least one; names are unique.
+    /// The bodies: at least one, with unique names.
     pub bodies: Vec<Body>,
-    /// In the order of the file.
+    /// The pushes, in the order of the file.
     pub pushes: Vec<Push>,
-    /// The text that this scene was parsed from: a recording carries it, so that it can be made again.
+    /// The text that this scene was parsed from. Recordings store it, so that the scene can be created again.
     pub source: String,
 }
 
 /// A soft body: a shape whose vertices are damped oscillators about their rest positions, on a prescribed path.
 #[derive(Clone, Debug)]
 pub struct Body {
-    /// Unique in the scene; letters, digits, `-` and `_`.
+    /// Name of the body, unique in the scene; letters, digits, `-` and `_`.
     pub name: String,
     /// Radius R [scene unit], > 0.
     pub radius: f64,
@@ -103,29 +104,29 @@ pub struct Body {
     pub material: Material,
     /// The rest shape, of unit radius.
     pub shape: Shape,
-    /// Where the centre is at each time.
+    /// Position of the centre over time.
     pub path: Path,
 }
 
-/// Constants of the damped oscillator (3.2), and how a body feels its own motion.
+/// Constants of the damped oscillator (3.2), and the response of a body to its own motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Material {
     /// Natural angular frequency ω of the restoring force [rad/s], ≥ 0 (thesis: w).
     pub omega: f64,
     /// Damping rate κ [1/s], ≥ 0 (thesis: k).
     pub damping: f64,
-    /// What the body's own motion does to its vertices.
+    /// The effect of the body's own motion on its vertices.
     pub response: Response,
 }
 
-/// How a body feels its own motion: the `carry` that is subtracted from the acceleration in body coordinates.
+/// Response of a body to its own motion: the `carry` that is subtracted from the acceleration in body coordinates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Response {
-    /// 0: the rest shape moves along, no inertia.
+    /// Carry 0: the rest shape moves along, without inertia.
     Rigid,
-    /// c″: the body wobbles when its centre accelerates.
+    /// Carry c″: the body wobbles when its centre accelerates.
     Inertial,
-    /// c″ + 2κ c′: damping acts on world velocity, as (3.8) reads in world coordinates.
+    /// Carry c″ + 2κ c′: damping acts on world velocity, as (3.8) reads in world coordinates.
     World,
 }
 
@@ -134,13 +135,13 @@ pub enum Response {
 pub struct Push {
     /// Index into [`Scene::bodies`].
     pub body: usize,
-    /// Unit vector.
+    /// Direction of the push, a unit vector.
     pub direction: DVec3,
-    /// [scene unit/s²]
+    /// Strength of the push [scene unit/s²].
     pub strength: f64,
-    /// [s], ≥ 0.
+    /// Start of the push [s], ≥ 0.
     pub start: f64,
-    /// [s], ≥ 0; the push acts during [start, start + duration).
+    /// Duration of the push [s], ≥ 0; it acts during [start, start + duration).
     pub duration: f64,
 }
 
@@ -151,10 +152,10 @@ impl Push {
     }
 }
 
-/// How a step is taken; see [`crate::sim::integrator`] for what each does.
+/// Time integration schemes; see [`crate::sim::integrator`] for what each does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Integrator {
-    /// (3.6)–(3.10) exactly as printed: advances the position twice a step, converges to the wrong equation.
+    /// (3.6)–(3.10) exactly as printed: advances the position twice per step and converges to the wrong equation.
     Thesis,
     /// The prediction–correction that the thesis builds on: consistent, first order.
     Mps,
@@ -164,12 +165,12 @@ pub enum Integrator {
     Verlet,
     /// Classical Runge–Kutta, fourth order between phase switches.
     Rk4,
-    /// Exact oscillator flow with φ-functions for the force, fifth order, with error control and jumps located.
+    /// Exact oscillator flow with φ-functions for the force: fifth order, with error control and located jumps.
     Exponential,
 }
 
 impl Integrator {
-    /// All of them, in the order in which they are listed to users.
+    /// All integrators, in the order in which they are listed to users.
     pub const ALL: [Integrator; 6] = [
         Integrator::Thesis,
         Integrator::Mps,
@@ -199,7 +200,7 @@ impl fmt::Display for Integrator {
 }
 
 impl Scene {
-    /// The tolerance of scenes that give none [1/s].
+    /// The tolerance of scenes that do not set one [1/s].
     pub const DEFAULT_TOLERANCE: f64 = 1e-6;
 
     /// Number of steps: `round(duration / dt)`.
@@ -207,7 +208,7 @@ impl Scene {
         (self.duration / self.dt).round() as u64 // saturates
     }
 
-    /// Number of vertices of all bodies.
+    /// Total number of vertices of all bodies.
     pub fn vertex_count(&self) -> u64 {
         self.bodies.iter().map(|body| body.shape.vertex_count()).sum()
     }

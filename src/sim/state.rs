@@ -50,14 +50,14 @@ impl Common {
         state
     }
 
-    /// Contribution of pushes to the displacement of the vertex whose rest position has the direction `facing` [scene
-    /// unit].
+    /// Contribution of pushes to the displacement of the vertex whose rest position has the direction `facing`
+    /// [scene unit].
     pub fn moved(&self, facing: DVec3, pushes: &[scene::Push]) -> DVec3 {
         self.of(facing, pushes).x - self.carried.x
     }
 
-    /// An upper bound of √(|u|² + ω²|x|²) of a vertex that faces each push as squarely as given, from 0 to 1 [scene
-    /// unit/s].
+    /// An upper bound of √(|u|² + ω²|x|²) of a vertex that faces each push as squarely as given, from 0 to 1
+    /// [scene unit/s].
     pub fn momentum(&self, omega: f64, facing: impl Iterator<Item = f64>) -> f64 {
         let momentum = |x2: f64, u2: f64| (u2 + omega * omega * x2).sqrt();
         let State { x, u } = self.carried;

@@ -1,8 +1,8 @@
-//! Where surfaces meet: nodes (an edge through a triangle), segments (a triangle through a triangle, from node to node)
-//! and triple points (three triangles).
+//! Intersections of surfaces: nodes (an edge through a triangle), segments (a triangle through a triangle, from node to
+//! node) and triple points (three triangles).
 //!
-//! Only signs of polynomials decide, and signs are exact; so what is found is the arrangement of the displaced bodies,
-//! not an approximation of it. Coordinates are computed last, and nothing depends on them.
+//! Only signs of polynomials decide, and signs are exact; so the result is the exact arrangement of the displaced
+//! bodies, not an approximation. Coordinates are computed last, and no decision depends on them.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -15,11 +15,11 @@ use super::{
     report::{Failure, Meter},
 };
 
-/// An end of a line: a node, or a vertex (by numbers that are unique among the bodies).
+/// An end of a line: a node, or a vertex (numbered uniquely over all bodies).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
     Node(u32),
-    /// Where two triangles of a body meet that share no more than this vertex.
+    /// A vertex at which two triangles of a body meet that share nothing else.
     Vertex(u32),
 }
 
@@ -28,9 +28,9 @@ pub enum End {
 pub struct Passage {
     pub triangle: u32,
     pub body: u32,
-    /// How far in front of the triangle the line's first end is, and its second; of opposite signs.
+    /// Heights of the line's first and second end in front of the triangle; of opposite signs.
     heights: [Bounded; 2],
-    /// Where, from 0 at the first end to 1 at the second.
+    /// Position on the line, from 0 at the first end to 1 at the second.
     pub at: f64,
 }
 
@@ -53,41 +53,42 @@ pub struct Node {
 /// Where two triangles meet.
 #[derive(Clone, Debug)]
 pub struct Segment {
-    /// Ascending.
+    /// The two triangles, ascending.
     pub triangles: [u32; 2],
     pub bodies: [u32; 2],
-    /// The first is a node.
+    /// The two ends; the first is a node.
     pub ends: [End; 2],
-    /// Whether it runs along normal(second) × normal(first) from its first end, so that on the first triangle what is in
-    /// front of the second is on its left.
+    /// Whether it runs along normal(second) × normal(first) from its first end, so that on the first triangle what is
+    /// in front of the second is on its left.
     pub forward: bool,
-    /// Inside a third body as a whole, where nothing of it shows; its triple points are not looked for.
+    /// Whether the segment lies entirely inside a third body, where it is invisible; its triple points are not
+    /// computed.
     pub buried: bool,
-    /// Triple points on it, from the first end, each with its number.
+    /// Triple points on it, from the first end, each with its index.
     pub passages: Vec<(Passage, u32)>,
 }
 
-/// What the predicates say of where the bodies meet.
+/// The intersections of the bodies, as determined by the predicates.
 pub struct Arrangement {
-    /// By edge, and along it.
+    /// Nodes, sorted by edge and by position along it.
     pub nodes: Vec<Node>,
-    /// Of every node: its true place on its edge, from 0 to 1.
+    /// True position of every node on its edge, from 0 to 1.
     pub places: Vec<f64>,
-    /// Of every edge that has some: the range of its nodes.
+    /// For every edge with nodes, the range of its nodes.
     pub nodes_of_edge: FxHashMap<u32, (u32, u32)>,
     /// A bit for every edge that has nodes.
     has_nodes: Vec<u64>,
-    /// By triangles.
+    /// Segments, sorted by triangles.
     pub segments: Vec<Segment>,
     /// (triangle, segment), ascending.
     pub segments_of_triangles: Vec<(u32, u32)>,
-    /// True places [scene unit].
+    /// True positions of the triple points [scene unit].
     pub triple_points: Vec<DVec3>,
-    /// Of each, ascending.
+    /// Triangles of each triple point, ascending.
     pub triple_point_triangles: Vec<[u32; 3]>,
 }
 
-/// How far in front of a triangle an end is, times something positive that depends on the end alone.
+/// Height of an end in front of a triangle, times a positive factor that depends on the end alone.
 struct Height<'p, 'a, 'b> {
     placement: &'p Placement<'a, 'b>,
     nodes: &'p [Node],
@@ -103,8 +104,8 @@ impl Height<'_, '_, '_> {
         N::orientation(a, b, c, self.placement.placed[vertex as usize])
     }
 
-    /// Of a node on the edge ab, at heights (p, q) over the triangle that made it and (f, g) over this one, it is
-    /// (p g − q f)/(p − q).
+    /// For a node on the edge ab, with heights (p, q) over its own triangle and (f, g) over this one, the height is (p
+    /// g − q f)/(p − q).
     fn of_end<N: Number>(&self, end: End, triangle: u32, body: u32) -> N {
         match end {
             End::Vertex(vertex) => self.of_vertex(vertex, triangle, body),
@@ -118,7 +119,7 @@ impl Height<'_, '_, '_> {
         }
     }
 
-    /// |p − q| of a node: what [`Self::of_end`] is too large by.
+    /// |p − q| of a node: the factor by which [`Self::of_end`] is too large.
     fn factor(&self, end: End) -> f64 {
         match end {
             End::Vertex(_) => 1.0,
@@ -129,14 +130,14 @@ impl Height<'_, '_, '_> {
         }
     }
 
-    /// The passage of a line through a triangle; none if both ends are on the same side.
+    /// The passage of a line through a triangle; `None` if both ends are on the same side.
     fn passage(&self, ends: [End; 2], triangle: u32, body: u32) -> Result<Option<Passage>, Failure> {
         let mut heights = [Bounded::zero(); 2];
         for k in 0..2 {
             heights[k] = self.of_end::<Bounded>(ends[k], triangle, body);
             if heights[k].is_positive().is_none() {
                 let exact = OfEnd(self, ends[k], triangle, body).exactly_positive().ok_or(Failure::Tie)?;
-                // The bound stays: comparisons of places go on to the exact number as well.
+                // Keep the error bound, so that comparisons of positions also fall back to the exact number.
                 let magnitude = heights[k].value.abs().max(f64::MIN_POSITIVE);
                 heights[k].value = if exact { magnitude } else { -magnitude };
                 heights[k].error *= 4.0;
@@ -149,10 +150,11 @@ impl Height<'_, '_, '_> {
         Ok(Some(Passage { triangle, body, heights, at: p / (p + q) }))
     }
 
-    /// Whether a line comes to `first` before it comes to `second`.
+    /// Whether a line passes `first` before `second`.
     ///
-    /// Through a triangle whose heights at the ends are (p, q) it passes at p/(p − q). So the first is before the second
-    /// if p₁ (p₂ − q₂) < p₂ (p₁ − q₁), all divided by (p₁ − q₁)(p₂ − q₂): p₂ q₁ < p₁ q₂ if p₁ and p₂ have the same sign.
+    /// Through a triangle whose heights at the ends are (p, q) it passes at p/(p − q). So the first is before the
+    /// second if p₁ (p₂ − q₂) < p₂ (p₁ − q₁), all divided by (p₁ − q₁)(p₂ − q₂): p₂ q₁ < p₁ q₂ if p₁ and p₂ have the
+    /// same sign.
     fn is_before(&self, ends: [End; 2], first: &Passage, second: &Passage) -> Result<bool, Failure> {
         let bounded = (second.heights[0].times(&first.heights[1])).minus(&first.heights[0].times(&second.heights[1]));
         let exact = || Later { heights: self, ends, first: *first, second: *second }.exactly_positive();
@@ -160,7 +162,7 @@ impl Height<'_, '_, '_> {
         Ok(positive != (first.enters() == second.enters()))
     }
 
-    /// Puts a line's passages in order, from almost there.
+    /// Sorts a line's passages, which are nearly in order.
     fn sort_along<T>(&self, ends: [End; 2], items: &mut [T], passage: impl Fn(&T) -> &Passage) -> Result<(), Failure> {
         if items.len() < 2 {
             return Ok(());
@@ -204,7 +206,7 @@ impl Polynomial for Later<'_, '_, '_, '_> {
     }
 }
 
-/// Whether four placed points see each other counter-clockwise.
+/// Whether four placed points are oriented counter-clockwise, seen from the last.
 struct Orientation([DVec3; 4]);
 
 impl Polynomial for Orientation {
@@ -215,14 +217,14 @@ impl Polynomial for Orientation {
     }
 }
 
-/// Exactly, whether `d` is in front of a, b, c.
+/// Whether `d` is in front of a, b, c, decided exactly.
 #[inline]
 pub fn is_in_front(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> Result<bool, Failure> {
     Orientation([a, b, c, d]).is_positive().ok_or(Failure::Tie)
 }
 
 impl Arrangement {
-    /// Nodes and segments of edges and triangles that may meet.
+    /// The nodes and segments of the candidate edges and triangles.
     pub fn new(placement: &Placement, candidates: &[EdgeAndTriangle], threads: bool) -> Result<Arrangement, Failure> {
         let mut arrangement = Arrangement {
             nodes: Vec::new(),
@@ -257,7 +259,7 @@ impl Arrangement {
             }
             let [a, b] = ends.map(|v| placement.placed[v as usize]);
             let [x, y, z] = names.map(|v| placement.placed[v as usize]);
-            // Through the triangle if it turns the same way about all three sides.
+            // The edge passes through the triangle if it turns the same way about all three sides.
             let turn = is_in_front(a, b, x, y)?;
             if is_in_front(a, b, y, z)? != turn || is_in_front(a, b, z, x)? != turn {
                 return Ok(None);
@@ -349,8 +351,9 @@ impl Arrangement {
     /// Whether the segment that starts at a node, inwards, is forward.
     ///
     /// Let the edge be of the first triangle. Counter-clockwise along it, the triangle is on the left; a segment that
-    /// turns in there has on its left what the edge came from. So it is forward if the edge came from in front. If the edge
-    /// is of the second triangle, the segment has in front of the first on its left, on the second, when it is backward.
+    /// turns in there has on its left what the edge came from. So it is forward if the edge came from in front. If the
+    /// edge is of the second triangle, the segment has in front of the first on its left, on the second, when it is
+    /// backward.
     fn runs_forward(&self, placement: &Placement, node: u32, triangles: [u32; 2]) -> bool {
         let node = &self.nodes[node as usize];
         let of_first = node.passage.triangle == triangles[1];
@@ -359,7 +362,7 @@ impl Arrangement {
         (node.passage.enters() == along) == of_first
     }
 
-    /// The nodes of an edge, in the order of its ends.
+    /// The nodes of an edge, in order from its first end.
     #[inline]
     pub fn nodes_of(&self, edge: u32) -> &[Node] {
         if self.has_nodes[edge as usize / 64] & (1 << (edge % 64)) == 0 {
@@ -375,7 +378,7 @@ impl Arrangement {
         &self.segments_of_triangles[from..from + count]
     }
 
-    /// The segments of one triangle after the other.
+    /// The segments of each cut triangle, triangle by triangle.
     pub fn cut_triangles(&self) -> impl Iterator<Item = &[(u32, u32)]> {
         self.segments_of_triangles.chunk_by(|a, b| a.0 == b.0)
     }
@@ -408,7 +411,7 @@ impl Arrangement {
         Ok(())
     }
 
-    /// Triple points in a triangle that are not left to another.
+    /// Triple points in a triangle, except those assigned to another triangle.
     fn triple_points_in(
         &self,
         placement: &Placement,
@@ -432,7 +435,8 @@ impl Arrangement {
                     continue;
                 }
                 let (t2, b2) = other(s2); // > t1
-                // The least triangle has the triple point, if one of its segments is not buried; else the middle one.
+                // The lowest triangle owns the triple point if one of its segments is not buried; otherwise the middle
+                // one does.
                 let is_only_here = s1.buried && !s2.buried;
                 let left_to_another = triangle > t2 || (triangle > t1 && !is_only_here);
                 if left_to_another || (b1 == b2 && !placement.folds[b1 as usize]) {
@@ -461,7 +465,7 @@ impl Arrangement {
                 let on_shown = |number: u32, passage: Passage| {
                     (!self.segments[number as usize].buried).then_some((number, passage))
                 };
-                // Of the least two triangles first, so that its place does not depend on what is buried.
+                // Start with the two lowest triangles, so that the position does not depend on what is buried.
                 let mut triangles = [triangle, t1, t2];
                 triangles.sort_unstable();
                 let on = [on_shown(first, on_first), on_shown(second, on_second), on_shown(third, on_third)];
@@ -472,8 +476,8 @@ impl Arrangement {
         Ok(found)
     }
 
-    /// Where a triple point is in truth [scene unit]: where the true planes meet, if that is near to where they were seen
-    /// to.
+    /// True position of a triple point [scene unit]: the intersection of the true planes, if that is near the perturbed
+    /// position.
     fn place_of(&self, placement: &Placement, point: &TriplePoint) -> DVec3 {
         let Some((segment, passage)) = point.on.iter().flatten().next() else { return DVec3::ZERO };
         let [from, to] = self.segments[*segment as usize].ends.map(|end| self.true_position(placement, end));
@@ -490,7 +494,7 @@ impl Arrangement {
         if offset.length_squared() <= near * near { seen + offset } else { seen }
     }
 
-    /// Where an end is in truth [scene unit].
+    /// True position of an end [scene unit].
     pub fn true_position(&self, placement: &Placement, end: End) -> DVec3 {
         match end {
             End::Vertex(v) => placement.true_position(v, placement.body_of_vertex(v)),
@@ -502,7 +506,8 @@ impl Arrangement {
         }
     }
 
-    /// Where a node's edge truly passes through the plane of its triangle, if that is near to where it was seen to.
+    /// True position at which a node's edge passes through the plane of its triangle, if that is near the perturbed
+    /// position.
     fn place_on_edge(placement: &Placement, node: &Node) -> f64 {
         let Node { edge, edge_body, passage } = *node;
         let ends = placement.ends(edge, edge_body).map(|v| placement.true_position(v, edge_body));
@@ -515,14 +520,15 @@ impl Arrangement {
     }
 }
 
-/// Farther than this, in lengths of its line, the true place of a point is not from where it was seen: displacements are
-/// smaller, save where lines and triangles are all but parallel, and there the true places may be out of order.
+/// Largest accepted distance of the true position of a point from its perturbed one, in lengths of its line.
+/// Displacements are smaller, except where lines and triangles are nearly parallel; there, the true positions may be
+/// out of order.
 const NEAR: f64 = 1e-6;
 
 /// Where three triangles meet.
 #[derive(Clone, Copy)]
 struct TriplePoint {
     triangles: [u32; 3],
-    /// The segments it is on that are not buried, and where on them.
+    /// The segments through it that are not buried, with the position on each.
     on: [Option<(u32, Passage)>; 3],
 }

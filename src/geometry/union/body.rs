@@ -1,24 +1,24 @@
-//! A closed mesh where it is now, with what is needed of it before it meets another.
+//! A closed mesh at its current positions, with data that does not depend on other bodies.
 
 use glam::DVec3;
 use thiserror::Error;
 
 use super::topology::Topology;
 
-/// Coordinates beyond this would overflow in a volume's cube.
+/// Limit of coordinates; larger ones would overflow in a volume.
 const FARTHEST: f64 = 1e90;
 
-/// A box along the axes.
+/// An axis-aligned bounding box.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Aabb {
-    /// Least coordinates [scene unit].
+    /// Smallest coordinates [scene unit].
     pub min: DVec3,
-    /// Greatest coordinates [scene unit].
+    /// Largest coordinates [scene unit].
     pub max: DVec3,
 }
 
 impl Aabb {
-    /// Of nothing.
+    /// The empty box.
     pub(super) const EMPTY: Aabb = Aabb { min: DVec3::INFINITY, max: DVec3::NEG_INFINITY };
 
     #[inline]
@@ -66,26 +66,25 @@ pub struct Body<'a> {
     pub(super) block_bounds: Vec<Aabb>,
     /// Mean of the vertices.
     pub(super) centre: DVec3,
-    /// Of the ball about the centre that holds all.
+    /// Radius of the ball about the centre that contains all vertices.
     pub(super) radius: f64,
-    /// Of a ball about the centre that is inside; 0 if none is known.
+    /// Radius of a ball about the centre that lies inside; 0 if none is known.
     pub(super) inner_radius: f64,
-    /// As far as this every vertex may be displaced, and still the surface does not intersect itself; < 0 if that is not
-    /// known.
+    /// Distance by which every vertex may be displaced without the surface intersecting itself; < 0 if unknown.
     pub(super) slack: f64,
     volume: f64,
     area: f64,
 }
 
-/// Why positions are refused.
+/// Why positions are rejected.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum BodyError {
-    /// Another number of positions than the topology has vertices.
+    /// The number of positions differs from the number of vertices of the topology.
     #[error("{given} positions for {wanted} vertices")]
     Count {
-        /// Positions given.
+        /// Number of positions given.
         given: usize,
-        /// Vertices of the topology.
+        /// Number of vertices of the topology.
         wanted: usize,
     },
     /// A coordinate that is NaN, infinite, or beyond 1e90.
@@ -93,7 +92,7 @@ pub enum BodyError {
     Position {
         /// The first such vertex.
         vertex: usize,
-        /// Where it is.
+        /// Its position.
         position: DVec3,
     },
 }
@@ -101,11 +100,11 @@ pub enum BodyError {
 impl<'a> Body<'a> {
     /// The mesh `topology` with its vertices at `positions` [scene unit], `[vertex_count]`.
     ///
-    /// Takes time in proportion to the mesh; the union then takes time in proportion to the overlap.
+    /// Takes time proportional to the mesh; the union then takes time proportional to the overlap.
     ///
     /// # Errors
     ///
-    /// If a position cannot be computed with, or there are too many or too few.
+    /// If a position is not usable, or the number of positions is wrong.
     pub fn new(topology: &'a Topology, positions: &'a [DVec3]) -> Result<Body<'a>, BodyError> {
         if positions.len() != topology.vertex_count() {
             return Err(BodyError::Count { given: positions.len(), wanted: topology.vertex_count() });
@@ -149,9 +148,9 @@ impl<'a> Body<'a> {
         self.radius = farthest.sqrt();
     }
 
-    /// Volume, area, and whether every triangle is seen from the centre, from within. A connected mesh of χ = 2 … any
-    /// connected mesh of which this holds covers the sphere of directions without a fold, so exactly once: it does not
-    /// intersect itself.
+    /// Computes the volume, the area, and whether every triangle is seen from the centre from its inner side. A
+    /// connected mesh for which this holds, whatever its χ, covers the sphere of directions without a fold, so exactly
+    /// once: it does not intersect itself.
     fn measure(&mut self) {
         let mut least_height_squared = f64::INFINITY;
         let mut least_slack = f64::INFINITY;
@@ -163,8 +162,8 @@ impl<'a> Body<'a> {
             let normal_squared = normal.length_squared();
             self.volume += volume;
             self.area += normal_squared.sqrt();
-            // A displacement by d of each corner changes the volume by no more than d (|a×b| + |b×c| + |c×a|), to first
-            // order, and |a×b| ≤ |a| |ab|; twice that for the higher orders.
+            // Displacing each corner by d changes the volume by at most d (|a×b| + |b×c| + |c×a|) to first order, and
+            // |a×b| ≤ |a| |ab|; twice that covers the higher orders.
             let longest = ab.length_squared().max(bc.length_squared()).max(ca.length_squared()).sqrt();
             least_slack = least_slack.min(volume / (6.0 * self.radius * longest));
             least_height_squared = least_height_squared.min(volume * volume / normal_squared);
@@ -187,12 +186,12 @@ impl<'a> Body<'a> {
         self.positions
     }
 
-    /// The box around it [scene unit].
+    /// Its bounding box [scene unit].
     pub fn bounds(&self) -> Aabb {
         self.bounds
     }
 
-    /// Signed volume [scene unit³]: of a mesh that intersects itself, volume times winding number.
+    /// Signed volume [scene unit³]; for a mesh that intersects itself, volume times winding number.
     pub fn volume(&self) -> f64 {
         self.volume
     }

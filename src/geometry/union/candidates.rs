@@ -1,5 +1,5 @@
-//! What may meet what: pairs of bodies, of blocks, of triangles; and the edges and triangles of those that straddle
-//! each other's plane.
+//! Candidate intersections: pairs of bodies, of blocks and of triangles, and the edges and triangles of pairs that
+//! straddle each other's plane.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -11,7 +11,7 @@ use super::{
     report::{Failure, Meter},
 };
 
-/// Pairs of boxes that meet, each ascending, in ascending order.
+/// Pairs of overlapping boxes, each ascending, in ascending order.
 pub fn body_pairs(boxes: &[Aabb]) -> Vec<[u32; 2]> {
     let everything: Vec<u32> = (0..boxes.len() as u32).collect();
     let mut pairs = Vec::new();
@@ -24,7 +24,7 @@ pub fn body_pairs(boxes: &[Aabb]) -> Vec<[u32; 2]> {
     pairs
 }
 
-/// Calls `meet` with every element of `first` and element of `second` whose boxes meet.
+/// Calls `meet` for every element of `first` and every element of `second` whose boxes overlap.
 fn sweep(first: &[u32], first_boxes: &[Aabb], second: &[u32], second_boxes: &[Aabb], mut meet: impl FnMut(u32, u32)) {
     let sorted = |list: &[u32], boxes: &[Aabb]| {
         let mut list = list.to_vec();
@@ -35,7 +35,7 @@ fn sweep(first: &[u32], first_boxes: &[Aabb], second: &[u32], second_boxes: &[Aa
     let (mut i, mut j) = (0, 0);
     while i < first.len() && j < second.len() {
         let (a, b) = (first_boxes[first[i] as usize], second_boxes[second[j] as usize]);
-        // Whichever starts first is met by those of the other list that start within it.
+        // The box that starts first overlaps those of the other list that start within it.
         if a.min.x <= b.min.x {
             for &other in second[j..].iter().take_while(|&&o| second_boxes[o as usize].min.x <= a.max.x) {
                 if a.meets(&second_boxes[other as usize]) {
@@ -54,13 +54,13 @@ fn sweep(first: &[u32], first_boxes: &[Aabb], second: &[u32], second_boxes: &[Aa
     }
 }
 
-/// Two bodies whose boxes meet, and the blocks of each in the box of the other.
+/// Two bodies with overlapping boxes, and the blocks of each that overlap the box of the other.
 pub struct Meeting {
     pub bodies: [u32; 2],
     pub blocks: [Vec<u32>; 2],
 }
 
-/// Of every pair of bodies.
+/// The meetings of all pairs of bodies.
 pub fn meetings(placement: &Placement) -> Vec<Meeting> {
     let within = |me: u32, other: u32| {
         let margin = placement.displaced[me as usize] + placement.displaced[other as usize];
@@ -71,8 +71,8 @@ pub fn meetings(placement: &Placement) -> Vec<Meeting> {
     placement.pairs.iter().map(|&[a, b]| Meeting { bodies: [a, b], blocks: [within(a, b), within(b, a)] }).collect()
 }
 
-/// An edge and a triangle, one of whose planes … each straddles the other's: edge in the upper half, triangle in the
-/// lower, so that they sort by edge.
+/// An edge and a triangle of two triangles that straddle each other's plane: the edge in the upper half, the triangle
+/// in the lower, so that candidates sort by edge.
 pub type EdgeAndTriangle = u64;
 
 /// The edges and triangles that may meet, ascending, each once.
@@ -110,7 +110,7 @@ pub fn edges_and_triangles(
     Ok(found)
 }
 
-/// Triangles of listed blocks of a body, with their boxes.
+/// Triangles of the listed blocks of a body, with their boxes.
 struct Listed {
     body: u32,
     hulls: Vec<Aabb>,
@@ -142,7 +142,7 @@ impl Listed {
         &self.triangles[self.start[block as usize] as usize..self.start[block as usize + 1] as usize]
     }
 
-    /// Tests the triangles of this list against those of another, or each pair of its own once.
+    /// Tests the triangles of this list against those of another list, or all pairs within this list.
     fn meet(
         &self,
         other: &Listed,
@@ -200,7 +200,7 @@ impl<'p, 'a, 'b> Straddle<'p, 'a, 'b> {
         Straddle { placement, triangle, body, other_body, names, corners, plane }
     }
 
-    /// Adds the edges of either triangle that straddle the other's plane, if each triangle has some.
+    /// Adds the edges of either triangle that straddle the other's plane, if both triangles have some.
     fn test(&self, other: u32, found: &mut Vec<EdgeAndTriangle>) -> Result<(), Failure> {
         let names = self.placement.corners(other, self.other_body);
         let shared = self.body == self.other_body && {
@@ -236,7 +236,8 @@ impl<'p, 'a, 'b> Straddle<'p, 'a, 'b> {
     }
 }
 
-/// On which side of a plane each corner lies, 0 for those on it by definition; none if no edge crosses it.
+/// The side of a plane on which each corner lies, 0 for corners that are on it by definition; `None` if no edge crosses
+/// it.
 #[inline]
 fn sides(
     plane: &Plane,

@@ -1,10 +1,10 @@
-//! Distances: of a point to a surface, of a surface to a surface.
+//! Distances from a point to a surface and between surfaces.
 
 use glam::DVec3;
 
 use super::body::{Aabb, Body};
 
-/// Boxes of boxes of a body's blocks.
+/// A bounding volume hierarchy of a body's blocks.
 pub struct Tree<'t, 'a> {
     pub body: &'t Body<'a>,
     nodes: Vec<Branch>,
@@ -12,12 +12,12 @@ pub struct Tree<'t, 'a> {
 
 struct Branch {
     bounds: Aabb,
-    /// Two branches, or a block twice.
+    /// Indices of two child nodes, or a block twice.
     parts: [u32; 2],
     is_block: bool,
 }
 
-/// The place of a surface nearest to a point.
+/// The point of a surface that is nearest to a given point.
 #[derive(Clone, Copy, Debug)]
 pub struct Nearest {
     pub distance_squared: f64,
@@ -26,7 +26,7 @@ pub struct Nearest {
     feature: Feature,
 }
 
-/// What of a triangle is nearest.
+/// The part of a triangle that is nearest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Feature {
     Corner(usize),
@@ -45,7 +45,7 @@ impl<'t, 'a> Tree<'t, 'a> {
         tree
     }
 
-    /// Adds the branch of some blocks; its number.
+    /// Adds the node for some blocks and returns its index.
     fn split(&mut self, blocks: &mut [u32]) -> u32 {
         let of = |b: u32| self.body.block_bounds[b as usize];
         let bounds = blocks.iter().fold(Aabb::EMPTY, |sum, &b| sum.joined(&of(b)));
@@ -76,7 +76,7 @@ impl<'t, 'a> Tree<'t, 'a> {
         self.body.topology.triangles[triangle as usize].map(|v| self.body.position(v))
     }
 
-    /// The nearest place of the surface; none of a body of no triangles.
+    /// The nearest point of the surface; `None` for a body without triangles.
     pub fn nearest(&self, point: DVec3) -> Option<Nearest> {
         let mut best: Option<Nearest> = None;
         let mut queue = if self.nodes.is_empty() { vec![] } else { vec![(0, 0.0)] };
@@ -105,8 +105,8 @@ impl<'t, 'a> Tree<'t, 'a> {
         best
     }
 
-    /// How deep a point is inside, < 0 outside [scene unit]: by the side of the normal at the nearest place, that of a
-    /// corner weighted by angles (Bærentzen and Aanæs, *Signed Distance Computation Using the Angle Weighted
+    /// Depth of a point inside, < 0 outside [scene unit], by the side of the normal at the nearest point; a corner's
+    /// normal is weighted by angles (Bærentzen and Aanæs, *Signed Distance Computation Using the Angle Weighted
     /// Pseudonormal*, 2005).
     pub fn depth(&self, point: DVec3) -> f64 {
         let Some(nearest) = self.nearest(point) else { return f64::NEG_INFINITY };
@@ -137,7 +137,7 @@ impl<'t, 'a> Tree<'t, 'a> {
         if (point - nearest.position).dot(normal) <= 0.0 { distance } else { -distance }
     }
 
-    /// The least distance to another surface that this one does not meet [scene unit].
+    /// The smallest distance to another surface that does not intersect this one [scene unit].
     pub fn distance(&self, other: &Tree) -> f64 {
         let mut best = f64::INFINITY;
         if self.nodes.is_empty() || other.nodes.is_empty() {
@@ -187,7 +187,7 @@ fn box_to_box_squared(a: &Aabb, b: &Aabb) -> f64 {
     (a.min - b.max).max(b.min - a.max).max(DVec3::ZERO).length_squared()
 }
 
-/// Ericson, *Real-Time Collision Detection*, 2005, section 5.1.5.
+/// Nearest point of a triangle (Ericson, *Real-Time Collision Detection*, 2005, section 5.1.5).
 fn nearest_of_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> (DVec3, Feature) {
     let (ab, ac, ap) = (b - a, c - a, p - a);
     let (d1, d2) = (ab.dot(ap), ac.dot(ap));
@@ -220,7 +220,7 @@ fn nearest_of_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> (DVec3, Feature) {
     (a + ab * (vb * share) + ac * (vc * share), Feature::Inside)
 }
 
-/// Of two that do not meet: from a corner of one to the other, or from edge to edge.
+/// Squared distance of two disjoint triangles: from a corner of one to the other, or from edge to edge.
 fn triangle_to_triangle_squared(first: [DVec3; 3], second: [DVec3; 3]) -> f64 {
     let corners = |of: [DVec3; 3], to: [DVec3; 3]| {
         of.into_iter().map(move |p| p.distance_squared(nearest_of_triangle(p, to).0)).fold(f64::INFINITY, f64::min)
@@ -235,7 +235,7 @@ fn triangle_to_triangle_squared(first: [DVec3; 3], second: [DVec3; 3]) -> f64 {
     least
 }
 
-/// Ericson 2005, section 5.1.9.
+/// Squared distance of two edges (Ericson 2005, section 5.1.9).
 fn edge_to_edge_squared([p1, q1]: [DVec3; 2], [p2, q2]: [DVec3; 2]) -> f64 {
     let (d1, d2, r) = (q1 - p1, q2 - p2, p1 - p2);
     let (a, e, f) = (d1.length_squared(), d2.length_squared(), d2.dot(r));

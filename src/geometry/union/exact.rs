@@ -1,8 +1,8 @@
-//! Numbers whose sign is certain: f64 with a bound of its error, and, where that does not decide, exact sums.
+//! Numbers with a certain sign: f64 with an error bound and, where that is inconclusive, exact sums.
 
 use glam::DVec3;
 
-/// What the predicates compute with.
+/// The number type of the predicates.
 pub trait Number: Sized {
     /// Six times the signed volume of a tetrahedron: > 0 if `d` is in front of the triangle, that is, sees it
     /// counter-clockwise.
@@ -13,16 +13,16 @@ pub trait Number: Sized {
     fn times(&self, other: &Self) -> Self;
     /// The difference.
     fn minus(&self, other: &Self) -> Self;
-    /// Whether it is positive; none if that is not known or it is neither.
+    /// Whether it is positive; `None` if that is unknown or the number is zero.
     fn is_positive(&self) -> Option<bool>;
 }
 
 /// A value and a bound of its error.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounded {
-    /// As computed.
+    /// The computed value.
     pub value: f64,
-    /// The true value is no farther than this.
+    /// Bound on the distance of the true value from the computed one.
     pub error: f64,
 }
 
@@ -69,12 +69,12 @@ impl Number for Bounded {
 pub struct Plane {
     origin: DVec3,
     normal: DVec3,
-    /// Component by component above what the normal was computed from.
+    /// Componentwise bound on the magnitudes from which the normal was computed.
     permanent: DVec3,
 }
 
 impl Plane {
-    /// Through three points.
+    /// The plane through three points.
     #[inline]
     pub fn new(a: DVec3, b: DVec3, c: DVec3) -> Plane {
         let (x, y) = (b - a, c - a);
@@ -91,10 +91,10 @@ impl Plane {
     }
 }
 
-/// An exact number: a sum of f64 that do not overlap, ascending in magnitude, none of them 0 (Shewchuk, *Adaptive
-/// Precision Floating-Point Arithmetic and Fast Robust Geometric Predicates*, 1997).
+/// An exact number: a sum of non-overlapping f64, ascending in magnitude, none of them 0 (Shewchuk, *Adaptive Precision
+/// Floating-Point Arithmetic and Fast Robust Geometric Predicates*, 1997).
 ///
-/// Exact as long as nothing under- or overflows, which [`super::placement`] sees to.
+/// Exact unless something under- or overflows, which [`super::placement`] prevents.
 #[derive(Clone, Debug, Default)]
 pub struct Expansion(Vec<f64>);
 
@@ -156,7 +156,7 @@ impl Number for Expansion {
         for &a in &self.0 {
             for &b in &other.0 {
                 let high = a * b;
-                // The rest of a product is a f64: what a fused multiply-add gives, in hardware or not.
+                // The rounding error of a product is an f64, which a fused multiply-add gives, in hardware or not.
                 product.add(a.mul_add(b, -high));
                 product.add(high);
             }
@@ -177,18 +177,18 @@ impl Number for Expansion {
     }
 }
 
-/// Something of which only the sign is wanted.
+/// An expression of which only the sign is needed.
 pub trait Polynomial {
     /// Its value.
     fn value<N: Number>(&self) -> N;
 
-    /// Whether it is positive, for certain; none if it is 0.
+    /// Whether it is positive, with certainty; `None` if it is 0.
     #[inline]
     fn is_positive(&self) -> Option<bool> {
         self.value::<Bounded>().is_positive().or_else(|| self.exactly_positive())
     }
 
-    /// The same, where the bound is known not to decide.
+    /// Like `is_positive`, for cases where the bound is known to be inconclusive.
     #[cold]
     fn exactly_positive(&self) -> Option<bool> {
         self.value::<Expansion>().is_positive()
@@ -204,7 +204,7 @@ mod tests {
         let big = Expansion::difference(1e16, -1.0);
         let square = big.times(&big); // 1e32 + 2e16 + 1
         let rest = square.minus(&Expansion(vec![1e32])).minus(&Expansion(vec![2e16]));
-        // 1e32 is not a power of two: its f64 is off, exactly by what is left.
+        // 1e32 is not a power of two: its f64 has an error, which is exactly this.
         let off = 1e16f64.mul_add(1e16, -1e32);
         assert_eq!(rest.minus(&Expansion(vec![off])).0, [1.0]);
         assert_eq!(big.minus(&big).is_positive(), None);
@@ -212,7 +212,7 @@ mod tests {
 
     #[test]
     fn an_orientation_that_rounding_hides_has_its_sign() {
-        // Four points of a plane, one of them moved by an ulp, to either side.
+        // Four points in a plane, one of them moved by one ulp to either side.
         let plane = |x: f64, y: f64| 0.1 * x + 0.7 * y + 1.0 / 3.0;
         let point = |x: f64, y: f64| DVec3::new(x, y, plane(x, y));
         let (a, b, c) = (point(0.1, 0.2), point(0.9, 0.3), point(0.4, 0.8));

@@ -1,4 +1,4 @@
-//! What of the triangles bounds the union.
+//! The parts of the triangles that bound the union.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -11,7 +11,7 @@ use super::{
     winding::{Classified, shown},
 };
 
-/// Numbers of points: those of the vertices, then those of the nodes, of the triple points, and of added points.
+/// Numbering of points: vertices, then nodes, triple points, and added points.
 #[derive(Clone, Copy)]
 pub struct Points {
     pub first_node: u32,
@@ -34,20 +34,20 @@ impl Points {
     }
 }
 
-/// A triangle of the result that is no triangle of a body.
+/// A triangle of the result that is not a whole triangle of a body.
 #[derive(Clone, Copy, Debug)]
 pub struct Face {
     pub corners: [u32; 3],
-    /// The triangle it is part of, and its body.
+    /// The triangle that it is part of, and its body.
     pub triangle: u32,
     pub body: u32,
 }
 
-/// Where two bodies' surfaces meet on the union.
+/// An edge on the union where the surfaces of two bodies meet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct SeamEdge {
     pub bodies: [u32; 2],
-    /// On the surface of the first body, the union is on its left.
+    /// Start of the edge; on the surface of the first body, the union is on the left.
     pub from: u32,
     pub to: u32,
 }
@@ -59,18 +59,18 @@ pub struct Faces {
     pub seam: Vec<SeamEdge>,
     /// True positions of added points [scene unit].
     pub added: Vec<DVec3>,
-    /// The triangle, and its body, of each.
+    /// The triangle, and its body, of each added point.
     pub added_in: Vec<(u32, u32)>,
 }
 
-/// What a worker keeps from triangle to triangle.
+/// A worker's buffers, reused from triangle to triangle.
 #[derive(Default)]
 struct Scratch {
     region: Region,
     filling: Filling,
 }
 
-/// All that is asked about a cut triangle.
+/// The input for cutting a triangle.
 struct Cutter<'f, 'a, 'b> {
     placement: &'f Placement<'a, 'b>,
     arrangement: &'f Arrangement,
@@ -138,7 +138,7 @@ impl Cutter<'_, '_, '_> {
         if region.pieces.is_empty() {
             return Ok(());
         }
-        // Ears of n points are found in n² steps.
+        // Ear clipping of n points takes n² steps.
         meter.spend((region.pieces.len() * region.pieces.len() / 16) as u64)?;
         let [a, b, c] = self.placement.placed_corners(triangle, body);
         filling.triangles.clear();
@@ -157,7 +157,7 @@ impl Cutter<'_, '_, '_> {
         Ok(())
     }
 
-    /// The triangle's own edges, counter-clockwise, as far as they bound the union.
+    /// Adds the triangle's own edges, counter-clockwise, where they bound the union.
     fn outline(&self, triangle: u32, body: u32, region: &mut Region) {
         let corners = self.placement.corners(triangle, body);
         let edges = self.placement.edges_of(triangle, body);
@@ -181,7 +181,8 @@ impl Cutter<'_, '_, '_> {
                     beside.reverse();
                 }
                 shown = beside[1];
-                // What shows on both sides of a triangle is not cut by it: that is of a body inside out.
+                // A line where both sides of the triangle are visible does not cut it: that happens with bodies that
+                // are inside out.
                 if beside == [true; 2] {
                     continue;
                 }
@@ -198,7 +199,7 @@ impl Cutter<'_, '_, '_> {
         }
     }
 
-    /// A segment, as far as the union's part of the triangle ends there.
+    /// Adds a segment, where the union's part of the triangle ends at it.
     fn inner_line(&self, triangle: u32, number: u32, line: u32, region: &mut Region, faces: &mut Faces) {
         let segment = &self.arrangement.segments[number as usize];
         let is_first = segment.triangles[0] == triangle;
@@ -211,7 +212,7 @@ impl Cutter<'_, '_, '_> {
         let mut from = self.points.of_end(segment.ends[0]);
         region.lines.push((from, line));
         for part in 0..=segment.passages.len() {
-            // Nor is a line cut by what changes nothing beside it.
+            // A point that changes nothing beside a line does not cut the line either.
             if part < segment.passages.len() && parts[part] == parts[part + 1] {
                 continue;
             }
@@ -232,7 +233,7 @@ impl Cutter<'_, '_, '_> {
         }
     }
 
-    /// Where the predicates see a point, as well as it can be computed.
+    /// Perturbed position of a point, as accurate as possible.
     fn placed(&self, point: u32) -> DVec3 {
         if point < self.points.first_node {
             self.placement.placed[point as usize]
@@ -245,7 +246,7 @@ impl Cutter<'_, '_, '_> {
         }
     }
 
-    /// Where a point is [scene unit].
+    /// True position of a point [scene unit].
     fn true_position(&self, point: u32) -> DVec3 {
         if point < self.points.first_node {
             self.placement.true_position(point, self.placement.body_of_vertex(point))

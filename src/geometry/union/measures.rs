@@ -1,4 +1,4 @@
-//! What geometry says of a pair of bodies: how far apart or how deep in each other, by how much, and with what neck.
+//! Geometric measures of a pair of bodies: distance or depth, overlap, and neck.
 
 use glam::DVec3;
 
@@ -9,30 +9,30 @@ use super::{
     union,
 };
 
-/// What geometry says of a pair of bodies, beside what thresholds say.
+/// Geometric measures of a pair of bodies, independent of thresholds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PairMeasures {
-    /// Least distance of the surfaces; where the bodies overlap, minus the greatest depth [scene unit].
+    /// Smallest distance of the surfaces; where the bodies overlap, minus the greatest depth [scene unit].
     pub gap: f64,
     /// Volume of the intersection [scene unit³].
     pub overlap: f64,
-    /// Radius of the circle whose area is the seam's vector area [scene unit]: 0 where there is no seam.
+    /// Radius of the circle that has the area of the seam's vector area [scene unit]; 0 without a seam.
     pub neck: f64,
     /// Length of the seam [scene unit].
     pub perimeter: f64,
-    /// Where the surfaces meet, with vertices numbered as in the union of the two.
+    /// Where the surfaces meet; vertices are numbered as in the union of the two.
     pub seams: Vec<Seam>,
 }
 
 /// Measures two bodies.
 ///
-/// The depth is the greatest distance of a point of either surface, inside the other body, to that body's surface, among
-/// the vertices, the middles of edges and of what is left of cut ones, and the centres of triangles; of bodies that
-/// intersect themselves, to whichever sheet is nearest.
+/// The depth is the greatest distance of a sample point on either surface, inside the other body, to that body's
+/// surface. Sample points are the vertices, the midpoints of edges and of what remains of cut edges, and the centres of
+/// triangles. For bodies that intersect themselves, the distance is to the nearest sheet.
 ///
 /// # Errors
 ///
-/// Those of [`union`], which it is computed from.
+/// Those of [`union`], from which the measures are computed.
 pub fn pair_measures(a: &Body, b: &Body, budget: &Budget) -> Result<PairMeasures, UnionError> {
     let bodies = [a.clone(), b.clone()];
     let united = union(&bodies, budget)?;
@@ -40,7 +40,7 @@ pub fn pair_measures(a: &Body, b: &Body, budget: &Budget) -> Result<PairMeasures
         if bodies[body].slack > 0.0 {
             return Ok(bodies[body].volume());
         }
-        // What is inside twice counts once.
+        // Volume that is inside twice counts once.
         Ok(union(&bodies[body..=body], budget)?.volume)
     };
     let overlap =
@@ -55,7 +55,8 @@ pub fn pair_measures(a: &Body, b: &Body, budget: &Budget) -> Result<PairMeasures
     })
 }
 
-/// The gap alone: the least distance of two surfaces or minus the greatest depth [scene unit], as in [`PairMeasures`].
+/// The gap alone: the smallest distance of two surfaces or minus the greatest depth [scene unit], as in
+/// [`PairMeasures`].
 ///
 /// # Errors
 ///
@@ -79,10 +80,10 @@ fn gap_of(united: &Union) -> f64 {
     -deepest
 }
 
-/// Raises `deepest` to the greatest depth in `other` of what the union leaves out of a body's surface.
+/// Raises `deepest` to the greatest depth in `other` of the part of a body's surface that the union leaves out.
 fn deepen(united: &Union, body: usize, other: &Tree, deepest: &mut f64) {
     let mesh = &united.bodies[body];
-    // From one point to another the depth changes by no more than their distance.
+    // Between two points the depth changes by no more than their distance.
     let mut last: Option<(DVec3, f64)> = None;
     let mut sample = |at: DVec3| {
         if last.is_none_or(|(other, depth)| depth + other.distance(at) > *deepest) {
@@ -95,7 +96,7 @@ fn deepen(united: &Union, body: usize, other: &Tree, deepest: &mut f64) {
         let [a, b, c] = mesh.topology.triangles[t as usize].map(|v| mesh.position(v));
         [a, b, c, (a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0, (a + b + c) / 3.0].into_iter().for_each(&mut sample);
     }
-    // Between what cuts an edge and what cuts it next, or its ends.
+    // Between one cut of an edge and the next, or the edge's ends.
     let mut cuts: Vec<([u32; 2], f64)> = (united.new_vertices.iter())
         .filter_map(|vertex| match vertex.origin {
             Origin::Edge { body: of, edge, at, .. } if of as usize == body => Some((edge, at)),

@@ -1,29 +1,31 @@
-//! The union of closed triangle meshes: one closed, manifold, oriented surface of many that overlap.
+//! The union of closed triangle meshes: one closed, manifold, oriented surface of many overlapping ones.
 //!
-//! The union is {winding number of any body ≥ 1}. Bodies may intersect themselves, touch, coincide, lie inside each other
-//! or inside out; where vertices of bodies remain they keep their place to the bit, and the surface says of each other
-//! vertex on which edge and triangle it arose. What a union costs follows the overlap, not the size of the meshes.
+//! The union is {winding number of any body ≥ 1}. Bodies may intersect themselves, touch, coincide, and lie inside each
+//! other or inside out. Vertices of bodies that remain keep their position to the bit; every other vertex records on
+//! which edge and triangle it arose. The cost of a union depends on the overlap, not on the size of the meshes.
 //!
 //! # Method
 //!
 //! 1. Predicates see the bodies in general position ([`placement`]): displaced by some 1e-9 of their size, such that
-//!    bodies in contact are apart. The result has the true positions. Displacing numbers in place of symbols (Edelsbrunner
-//!    and Mücke, *Simulation of Simplicity*, 1990; Smith, *Towards Robust Inexact Geometric Computation*, 2009, and the
-//!    library Manifold, which displace along normals) leaves every predicate a plain polynomial.
-//! 2. The sign of a polynomial is that of its f64 value where a bound of the error allows, else of its exact value
-//!    ([`exact`]; Shewchuk 1997). Where edges and triangles meet is never rounded: it stays the pair (edge, triangle), as
-//!    the implicit points of Attene (*Indirect Predicates for Geometric Constructions*, 2020) and of Cherchi et al.
-//!    (*Fast and Robust Mesh Arrangements*, 2020; *Interactive and Robust Mesh Booleans*, 2022).
-//! 3. Boxes of bodies, of blocks of triangles and of triangles find what may meet ([`candidates`]); signs tell what does
-//!    ([`arrangement`]).
-//! 4. Winding numbers (Zhou et al., *Mesh Arrangements for Solid Geometry*, 2016) flood from where they are known
-//!    ([`winding`]), and are checked at the end of every edge and segment. A side of a triangle bounds the union if
+//!    bodies in contact are apart. The result has the true positions. Displacing numbers in place of symbols
+//!    (Edelsbrunner and Mücke, *Simulation of Simplicity*, 1990; Smith, *Towards Robust Inexact Geometric Computation*,
+//!    2009, and the library Manifold, which displace along normals) leaves every predicate an ordinary polynomial.
+//! 2. The sign of a polynomial is that of its f64 value where an error bound allows, otherwise that of its exact value
+//!    ([`exact`]; Shewchuk 1997). The intersection of an edge and a triangle is never rounded: it stays the pair (edge,
+//!    triangle), like the implicit points of Attene (*Indirect Predicates for Geometric Constructions*, 2020) and of
+//!    Cherchi et al. (*Fast and Robust Mesh Arrangements*, 2020; *Interactive and Robust Mesh Booleans*, 2022).
+//! 3. Boxes of bodies, of blocks of triangles and of triangles find candidates ([`candidates`]); signs determine which
+//! of
+//!    them intersect ([`arrangement`]).
+//! 4. Winding numbers (Zhou et al., *Mesh Arrangements for Solid Geometry*, 2016) are flood-filled from where they are
+//!    known ([`winding`]), and checked at the end of every edge and segment. A side of a triangle bounds the union if
 //!    nothing is in front of it and something behind it.
-//! 5. Cut triangles are filled anew ([`faces`], [`triangulate`]), whole ones kept; that all is closed is checked
-//!    ([`surface`]).
+//! 5. Cut triangles are triangulated again ([`faces`], [`triangulate`]), whole ones kept; a final check verifies that
+//! the
+//!    surface is closed ([`surface`]).
 //!
-//! Bodies are put in an order of their own first, and each loop that may run on several threads has a fixed order of
-//! results: neither the order in which bodies are given nor the number of threads changes the surface.
+//! Bodies are first put into a canonical order, and each loop that may run on several threads has a fixed order of
+//! results: the surface depends neither on the order in which bodies are given nor on the number of threads.
 
 mod arrangement;
 mod body;
@@ -55,15 +57,15 @@ use placement::Placement;
 use report::{Failure, Meter};
 use winding::Classified;
 
-/// Displacements to try. One has always been enough, save for bodies without any extent.
+/// Number of displacements to try. One has always sufficed, except for bodies without any extent.
 const ATTEMPTS: u32 = 6;
 
 /// The boundary of the union of `bodies`.
 ///
 /// # Errors
 ///
-/// If the budget does not suffice, there are too many vertices to count, or no attempt finds the bodies in general
-/// position. There is nothing to be done about any of these but to show the bodies as they are.
+/// If the budget is exhausted, there are too many vertices to index, or no attempt brings the bodies into general
+/// position. The only remedy is to show the bodies as they are.
 pub fn union<'a, 'b>(bodies: &'b [Body<'a>], budget: &Budget) -> Result<Union<'a, 'b>, UnionError> {
     let total = |count: &dyn Fn(&Topology) -> usize| bodies.iter().map(|b| count(b.topology())).sum::<usize>();
     let most = total(&|t| t.edges.len()).max(total(&Topology::fan_count));
@@ -137,7 +139,7 @@ fn attempt_union<'a, 'b>(
     union.assemble(&placement, &arrangement, &classified, faces, &order)
 }
 
-/// The bodies by their positions, each kind once: so the result does not depend on the order in which they are given.
+/// The bodies sorted by their positions, without duplicates, so that the result does not depend on their given order.
 fn canonical_order(bodies: &[Body]) -> Vec<u32> {
     let compare = |&a: &u32, &b: &u32| {
         let (a, b) = (&bodies[a as usize], &bodies[b as usize]);

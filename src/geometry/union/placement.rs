@@ -1,10 +1,10 @@
 //! The bodies as the predicates see them: in general position.
 //!
-//! Bodies that touch, coincide or are aligned are the rule, not the exception: scenes along the axes, copies, stacks.
-//! The predicates therefore see every body deflated by a little, its own little, and every vertex displaced by a
-//! hundredth of that at random (but always alike). So bodies in contact are apart, of identical ones one is inside the
-//! other, and four points of a plane, or six numbers that happen to satisfy an equation, do not occur; where they do
-//! all the same, everything is done again with other displacements. The result has the true positions.
+//! Bodies often touch, coincide or are aligned: scenes along the axes, copies, stacks. The predicates therefore see
+//! every body deflated by a small amount of its own, and every vertex displaced by a hundredth of that, pseudo-randomly
+//! but reproducibly. So bodies in contact are apart, one of two identical bodies is inside the other, and degeneracies
+//! such as four coplanar points do not occur; if one occurs nevertheless, everything is repeated with other
+//! displacements. The result has the true positions.
 
 use glam::DVec3;
 
@@ -13,38 +13,39 @@ use super::{
     candidates::body_pairs,
 };
 
-/// Largest random displacement in a body's scale.
+/// Largest random displacement, relative to a body's scale.
 const JITTER: f64 = 1.0 / (1u64 << 36) as f64;
-/// The same, in the scene's: what its coordinates can tell apart.
+/// Largest random displacement, relative to the scene's scale: what its coordinates can resolve.
 const SCENE_JITTER: f64 = 1.0 / (1u64 << 47) as f64;
 /// Deflation over jitter.
 const DEFLATION: f64 = 64.0;
-/// Deflations that differ. Where more bodies than this lie in one place, some are deflated alike.
+/// Number of distinct deflations. Where more bodies than this overlap in one place, some are deflated equally.
 const COLOURS: u32 = 64;
-/// The smallest body over its jitter: a smaller one is left out.
+/// Ratio of the smallest body to its jitter; smaller bodies are left out.
 const SMALLEST: f64 = (1u64 << 20) as f64;
-/// Coordinates are multiples of 1 over this, the scene lying within ±1: so polynomials of degree 12, the highest in use,
+/// Coordinates are multiples of 1 over this, with the scene within ±1. So polynomials of degree 12, the highest in use,
 /// neither under- nor overflow, and their expansions are exact.
 const LATTICE: f64 = (1u64 << 60) as f64;
 
 /// The bodies of a union, perturbed.
 pub struct Placement<'a, 'b> {
     pub bodies: Vec<&'b Body<'a>>,
-    /// Which of the bodies given they are: bodies too small to be resolved beside the others are left out.
+    /// Indices of the given bodies that are kept: bodies too small to be resolved beside the others are left out.
     pub kept: Vec<u32>,
-    /// How many are left out.
+    /// Number of bodies left out.
     pub dropped: usize,
-    /// First vertex, edge and triangle of each body, in numbers that are unique among the bodies; and the ends.
+    /// First vertex, edge and triangle of each body, in numbers that are unique over all bodies, followed by the
+    /// totals.
     pub first_vertex: Vec<u32>,
     pub first_edge: Vec<u32>,
     pub first_triangle: Vec<u32>,
-    /// Pairs whose boxes meet, ascending.
+    /// Pairs with overlapping boxes, ascending.
     pub pairs: Vec<[u32; 2]>,
-    /// Farther than this no vertex of a body is displaced [scene unit].
+    /// Bound on the displacement of any vertex of a body [scene unit].
     pub displaced: Vec<f64>,
-    /// What is to be tested against itself.
+    /// Whether each body is to be tested against itself.
     pub folds: Vec<bool>,
-    /// Positions as the predicates see them; only those asked for by [`Placement::place`].
+    /// Positions as the predicates see them; only those requested by [`Placement::place`].
     pub placed: Vec<DVec3>,
     scale: f64,
     jitter: Vec<f64>,
@@ -53,7 +54,7 @@ pub struct Placement<'a, 'b> {
 }
 
 impl<'a, 'b> Placement<'a, 'b> {
-    /// Of `bodies`, in an order that depends on them alone. Every attempt has displacements of its own.
+    /// Places `bodies` in an order that depends on them alone. Each attempt uses other displacements.
     pub fn new(bodies: Vec<&'b Body<'a>>, attempt: u32) -> Self {
         let farthest =
             bodies.iter().map(|b| b.bounds.min.abs().max(b.bounds.max.abs()).max_element()).fold(0.0, f64::max);
@@ -105,7 +106,7 @@ impl<'a, 'b> Placement<'a, 'b> {
         }
     }
 
-    /// Where the predicates see a vertex of a body.
+    /// Perturbed position of a vertex of a body, as the predicates see it.
     pub fn position(&self, body: u32, vertex: u32) -> DVec3 {
         let (b, global) = (body as usize, self.first_vertex[body as usize] + vertex);
         let mesh = self.bodies[b];
@@ -115,13 +116,13 @@ impl<'a, 'b> Placement<'a, 'b> {
         (displaced * LATTICE).round() / LATTICE
     }
 
-    /// Fills in `placed` for the vertices of blocks of a body.
+    /// Computes `placed` for the vertices of some blocks of a body.
     pub fn place(&mut self, body: u32, blocks: &[u32]) {
         let mesh = self.bodies[body as usize];
         let first = self.first_vertex[body as usize];
         for &block in blocks {
             for &vertex in mesh.topology.vertices_of_block(block as usize) {
-                // No vertex lies in the very origin that has been placed, save one in 2^150.
+                // A vertex that has been placed lies exactly at the origin with probability 2^-150.
                 if self.placed[(first + vertex) as usize] == DVec3::ZERO {
                     self.placed[(first + vertex) as usize] = self.position(body, vertex);
                 }
@@ -129,7 +130,7 @@ impl<'a, 'b> Placement<'a, 'b> {
         }
     }
 
-    /// The scene's units in those of `placed`.
+    /// Factor from scene units to the units of `placed`.
     pub fn scale(&self) -> f64 {
         self.scale
     }
@@ -163,7 +164,7 @@ impl<'a, 'b> Placement<'a, 'b> {
         self.bodies[body as usize].topology.edge_triangles[local as usize].map(|t| t + first)
     }
 
-    /// Positions as the predicates see them.
+    /// Corners of a triangle as the predicates see them.
     #[inline]
     pub fn placed_corners(&self, triangle: u32, body: u32) -> [DVec3; 3] {
         self.corners(triangle, body).map(|v| self.placed[v as usize])
@@ -188,7 +189,7 @@ impl<'a, 'b> Placement<'a, 'b> {
     }
 }
 
-/// The least power of two above `x`, 1 of 0.
+/// The smallest power of two above `x`; 1 for 0.
 fn power_of_two_above(x: f64) -> f64 {
     if x < 1e-300 {
         return 1.0;
@@ -211,7 +212,7 @@ fn random(index: u32, seed: u64) -> DVec3 {
     DVec3::new(next(), next(), next())
 }
 
-/// The least colours such that those of a pair differ, greedily.
+/// A greedy colouring with few colours in which the bodies of each pair differ.
 fn colours(bodies: usize, pairs: &[[u32; 2]]) -> Vec<u32> {
     let mut lower = vec![Vec::new(); bodies];
     for &[a, b] in pairs {

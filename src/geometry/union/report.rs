@@ -1,4 +1,4 @@
-//! What a union costs at most, and why there is none.
+//! The cost limit of a union, and the errors.
 
 use std::{
     sync::atomic::{AtomicU64, Ordering},
@@ -7,12 +7,13 @@ use std::{
 
 use thiserror::Error;
 
-/// What a union may cost before it is given up.
+/// The largest cost of a union; beyond it, the union is given up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Budget {
-    /// Steps of work, each some tens of nanoseconds and bytes: the same on every machine and for any number of threads.
+    /// Work steps, each some tens of nanoseconds and bytes; the count is the same on every machine and for any number
+    /// of threads.
     pub work: u64,
-    /// Wall time. Whether it suffices depends on the machine, but what comes out within it does not.
+    /// Wall-clock time. Whether it suffices depends on the machine, but a result obtained within it does not.
     pub time: Option<Duration>,
 }
 
@@ -26,35 +27,35 @@ impl Default for Budget {
 /// Why there is no union.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum UnionError {
-    /// The budget did not suffice.
+    /// The budget was exhausted.
     #[error("gave up after {work} steps and {elapsed:?}")]
     GaveUp {
-        /// Steps done.
+        /// Work steps done.
         work: u64,
-        /// Time taken.
+        /// Time elapsed.
         elapsed: Duration,
     },
-    /// The bodies are in no general position after every attempt to displace them, or arithmetic failed.
+    /// No attempt brought the bodies into general position, or arithmetic failed.
     #[error("undecided after {attempts} attempts: {reason}")]
     Undecided {
-        /// How often it was tried.
+        /// Number of attempts.
         attempts: u32,
-        /// What the last attempt met with.
+        /// Why the last attempt failed.
         reason: &'static str,
     },
-    /// More vertices, edges or triangles in all than a 31-bit index counts.
+    /// There are more vertices, edges or triangles in total than a 31-bit index can number.
     #[error("more than 2^30 vertices, edges or triangles in all")]
     TooLarge,
 }
 
-/// Why an attempt came to nothing.
+/// Why an attempt failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Failure {
-    /// A sign that decides is 0.
+    /// A decisive sign is 0.
     Tie,
-    /// What has to hold of every arrangement does not.
+    /// An invariant of arrangements is violated.
     Inconsistent(&'static str),
-    /// The budget is used up.
+    /// The budget is exhausted.
     GaveUp,
 }
 
@@ -70,14 +71,14 @@ impl Meter {
         Meter { budget, start: Instant::now(), spent: AtomicU64::new(0) }
     }
 
-    /// Counts `steps`; fails once there have been too many, or too much time is gone.
+    /// Counts `steps`; fails if the work or the time budget is exhausted.
     #[inline]
     pub fn spend(&self, steps: u64) -> Result<(), Failure> {
         let before = self.spent.fetch_add(steps, Ordering::Relaxed);
         if before + steps > self.budget.work {
             return Err(Failure::GaveUp);
         }
-        // The clock is looked at every some thousand steps.
+        // The clock is read only every few thousand steps.
         match self.budget.time {
             Some(time) if before >> 12 != (before + steps) >> 12 && self.start.elapsed() > time => Err(Failure::GaveUp),
             _ => Ok(()),

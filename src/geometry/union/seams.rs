@@ -7,20 +7,21 @@ use super::surface::Union;
 /// A line along which the surfaces of two bodies meet.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Seam {
-    /// Ascending.
+    /// The two bodies, ascending.
     pub bodies: [u32; 2],
-    /// Along it, by the numbers of [`Union::first_vertex`]; on the first body's surface the union is on its left.
+    /// Vertices along the seam, numbered as in [`Union::first_vertex`]; on the first body's surface the union is on the
+    /// left.
     pub vertices: Vec<u32>,
-    /// Whether it returns to its first vertex. It does not where it ends on a third body.
+    /// Whether the seam returns to its first vertex. A seam that ends on a third body does not.
     pub is_closed: bool,
-    /// Length [scene unit].
+    /// Length of the seam [scene unit].
     pub length: f64,
-    /// Vector area [scene unit²] of a closed one: that of any surface it bounds, for a flat loop its area times its
-    /// normal, to the side of the first body.
+    /// Vector area of a closed seam [scene unit²]: that of any surface bounded by it. For a flat loop it is the area
+    /// times the normal, towards the side of the first body.
     pub vector_area: DVec3,
 }
 
-/// Puts edges together.
+/// Joins edges into seams.
 pub(super) fn seams(union: &Union, mut edges: Vec<([u32; 2], u32, u32)>) -> Vec<Seam> {
     edges.sort_unstable();
     let mut seams = Vec::new();
@@ -28,7 +29,7 @@ pub(super) fn seams(union: &Union, mut edges: Vec<([u32; 2], u32, u32)>) -> Vec<
         let mut used = vec![false; pair.len()];
         let mut arrivals: Vec<u32> = pair.iter().map(|e| e.2).collect();
         arrivals.sort_unstable();
-        // Those with a beginning first; what is left is closed.
+        // Seams with a start first; the remaining ones are closed.
         let has_beginning = |e: &([u32; 2], u32, u32)| arrivals.binary_search(&e.1).is_err();
         let starts = (0..pair.len()).filter(|&i| has_beginning(&pair[i])).chain(0..pair.len());
         for start in starts {

@@ -1,4 +1,4 @@
-//! The union, as what it takes from the bodies and what it adds.
+//! The union, stored as what it takes from the bodies and what it adds.
 
 use glam::DVec3;
 use rustc_hash::FxHashMap;
@@ -13,46 +13,46 @@ use super::{
     winding::Classified,
 };
 
-/// Where a vertex of the union is from. Vertices, edges and triangles are those of the bodies as they were given.
+/// Origin of a vertex of the union. Vertices, edges and triangles are numbered as in the given bodies.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Origin {
-    /// A body's vertex: it is where that is, to the bit.
+    /// A vertex of a body, with the same position to the bit.
     Vertex {
-        /// The body.
+        /// Index of the body.
         body: u32,
-        /// Its vertex.
+        /// Index of the vertex in that body.
         vertex: u32,
     },
-    /// Where an edge of one body passes through a triangle of another, or of its own.
+    /// The point where an edge of one body passes through a triangle of another body or of its own.
     Edge {
-        /// The body of the edge.
+        /// Index of the edge's body.
         body: u32,
-        /// Vertices from … to.
+        /// Start and end vertex of the edge.
         edge: [u32; 2],
-        /// Place on the edge, 0 … 1.
+        /// Position on the edge, from 0 to 1.
         at: f64,
-        /// The body of the triangle.
+        /// Index of the triangle's body.
         through: u32,
-        /// The triangle.
+        /// Index of the triangle.
         triangle: u32,
     },
-    /// Where three triangles meet: (body, triangle) of each.
+    /// The point where three triangles meet: (body, triangle) of each.
     Triangles([[u32; 2]; 3]),
-    /// Added within a triangle, where its part could not be divided otherwise.
+    /// A point added within a triangle whose part could not be triangulated otherwise.
     Within {
-        /// The body.
+        /// Index of the body.
         body: u32,
-        /// Its triangle.
+        /// Index of the triangle in that body.
         triangle: u32,
     },
 }
 
-/// A new vertex: its place and where it is from.
+/// A new vertex: its position and origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NewVertex {
-    /// [scene unit]
+    /// Position of the vertex [scene unit].
     pub position: DVec3,
-    /// Where it is from.
+    /// Origin of the vertex.
     pub origin: Origin,
 }
 
@@ -62,49 +62,49 @@ pub struct NewTriangle {
     /// Vertices, counter-clockwise from outside: those of body b start at [`Union::first_vertex`]`[b]`, new ones follow
     /// those of the last body.
     pub corners: [u32; 3],
-    /// The body and triangle of which it is a part.
+    /// The body and triangle that it is part of.
     pub part_of: [u32; 2],
 }
 
-/// Counts of what happened.
+/// Statistics of a union.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Statistics {
-    /// Attempts beyond the first.
+    /// Number of attempts beyond the first.
     pub retries: u32,
-    /// Pairs of bodies whose boxes meet.
+    /// Number of pairs of bodies with overlapping boxes.
     pub pairs: usize,
-    /// Edges and triangles tested.
+    /// Number of edge–triangle tests.
     pub tests: usize,
-    /// Edges through triangles.
+    /// Number of edges through triangles.
     pub nodes: usize,
-    /// Triangles through triangles.
+    /// Number of triangles through triangles.
     pub segments: usize,
-    /// Places where three triangles meet.
+    /// Number of points where three triangles meet.
     pub triple_points: usize,
-    /// Bodies tested against themselves.
+    /// Number of bodies tested against themselves.
     pub folds: usize,
-    /// Bodies left out, being smaller than arithmetic resolves beside the others.
+    /// Number of bodies left out because they are too small to be resolved beside the others.
     pub dropped: usize,
-    /// Steps of work, as in [`super::Budget`].
+    /// Work steps, as in [`super::Budget`].
     pub work: u64,
 }
 
 /// The boundary of the union of bodies: closed, manifold, oriented.
 ///
-/// It is kept as a difference from the bodies, so that it costs no more than their overlap; [`Union::mesh`] makes a mesh
-/// of it.
+/// It is stored as a difference from the bodies, so that its cost is proportional to their overlap; [`Union::mesh`]
+/// turns it into a mesh.
 #[derive(Clone, Debug)]
 pub struct Union<'a, 'b> {
     pub(super) bodies: &'b [Body<'a>],
-    /// The number of each body's first vertex, and that of the first new vertex.
+    /// Number of each body's first vertex, followed by the number of the first new vertex.
     pub first_vertex: Vec<u32>,
-    /// Triangles of each body that are not in the union, ascending, or no longer whole.
+    /// Triangles of each body that are not in the union or no longer whole, ascending.
     pub removed: Vec<Vec<u32>>,
-    /// Bodies that are left out from the start: copies of others, and those too small to be resolved.
+    /// Whether each body is left out from the start: copies of others, and those too small to be resolved.
     absent: Vec<bool>,
-    /// Vertices that no body has.
+    /// Vertices that belong to no body.
     pub new_vertices: Vec<NewVertex>,
-    /// Triangles that no body has.
+    /// Triangles that belong to no body.
     pub new_triangles: Vec<NewTriangle>,
     /// Where the surfaces of two bodies meet.
     pub seams: Vec<Seam>,
@@ -112,27 +112,27 @@ pub struct Union<'a, 'b> {
     pub volume: f64,
     /// Area [scene unit²].
     pub area: f64,
-    /// Vertices − edges + triangles.
+    /// Euler characteristic: vertices − edges + triangles.
     pub euler: i64,
-    /// What happened.
+    /// Statistics of the computation.
     pub statistics: Statistics,
-    /// The bodies' volumes less the union's.
+    /// Sum of the bodies' volumes minus the union's.
     pub(super) taken: f64,
 }
 
 /// A connected part of the surface of a union.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Component {
-    /// Vertices − edges + triangles: 2 − 2 × genus.
+    /// Euler characteristic: vertices − edges + triangles = 2 − 2 × genus.
     pub euler: i64,
-    /// Volume inside [scene unit³]; < 0 of the surface of a void, which counts against the component about it.
+    /// Enclosed volume [scene unit³]; < 0 for the surface of a void, which is subtracted from the component around it.
     pub volume: f64,
     /// Area [scene unit²].
     pub area: f64,
 }
 
 impl Component {
-    /// Handles.
+    /// Genus: the number of handles.
     pub fn genus(&self) -> i64 {
         (2 - self.euler) / 2
     }
@@ -141,20 +141,20 @@ impl Component {
 /// A union as a mesh.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct UnionMesh {
-    /// [scene unit], `[vertex_count]`
+    /// Position of each vertex [scene unit], `[vertex_count]`.
     pub positions: Vec<DVec3>,
-    /// Where each vertex is from, `[vertex_count]`.
+    /// Origin of each vertex, `[vertex_count]`.
     pub origins: Vec<Origin>,
     /// Vertices of each triangle, counter-clockwise from outside.
     pub triangles: Vec<[u32; 3]>,
-    /// The body and triangle that each is, or is a part of, `[triangle_count]`.
+    /// The body and triangle that each triangle is, or is part of, `[triangle_count]`.
     pub sources: Vec<[u32; 2]>,
-    /// Of [`Union::first_vertex`]'s numbers, those here; `u32::MAX` where a vertex is not in the union.
+    /// Index in this mesh of each vertex numbered as in [`Union::first_vertex`]; `u32::MAX` if it is not in the union.
     pub names: Vec<u32>,
 }
 
 impl<'a, 'b> Union<'a, 'b> {
-    /// Of no bodies but `bodies`, each as it is, where `included`.
+    /// The union of bodies that do not overlap: each one unchanged, where `included`.
     pub(super) fn untouched(bodies: &'b [Body<'a>], included: &[bool]) -> Union<'a, 'b> {
         let mut first_vertex = vec![0];
         for body in bodies {
@@ -188,8 +188,8 @@ impl<'a, 'b> Union<'a, 'b> {
         union
     }
 
-    /// What the faces put in place of what they are parts of and of what is inside. `order` has the caller's number of
-    /// every placed body.
+    /// Replaces cut triangles by their faces and removes what is inside. `order` gives the caller's number of every
+    /// placed body.
     pub(super) fn assemble(
         mut self,
         placement: &Placement,
@@ -201,7 +201,7 @@ impl<'a, 'b> Union<'a, 'b> {
         let points = Points::new(placement, arrangement);
         let marks = Marks::new(placement, arrangement, classified);
 
-        // Names: the bodies' in the caller's order, then new ones as they come.
+        // Numbering: the bodies' vertices in the caller's order, then new ones as they occur.
         let mut names: FxHashMap<u32, u32> = FxHashMap::default();
         let new_name = |union: &mut Self, position: DVec3, origin: Origin| {
             union.new_vertices.push(NewVertex { position, origin });
@@ -275,7 +275,7 @@ impl<'a, 'b> Union<'a, 'b> {
         Ok(self)
     }
 
-    /// Where a vertex is [scene unit].
+    /// Position of a vertex [scene unit].
     pub fn position(&self, vertex: u32) -> DVec3 {
         let body = self.body_of(vertex);
         match self.bodies.get(body) {
@@ -284,12 +284,12 @@ impl<'a, 'b> Union<'a, 'b> {
         }
     }
 
-    /// The body of a vertex; their number, of a new one.
+    /// The body of a vertex; the number of bodies for a new vertex.
     fn body_of(&self, vertex: u32) -> usize {
         self.first_vertex.partition_point(|&first| first <= vertex) - 1
     }
 
-    /// Whether something of a body, or all of it, is inside others or the same as another.
+    /// Whether a body is, entirely or in part, inside others or the same as another.
     pub(super) fn is_inside(&self, body: usize) -> bool {
         !self.removed[body].is_empty()
     }
@@ -298,8 +298,8 @@ impl<'a, 'b> Union<'a, 'b> {
         self.removed[body as usize].binary_search(&triangle).is_ok()
     }
 
-    /// Checks that new triangles close what was removed: each edge of theirs is that of another, the other way round, or
-    /// of a triangle that is still there, and nothing of those is open.
+    /// Checks that new triangles close the holes left by removed ones: each of their edges is paired with an opposite
+    /// edge of another new triangle or of one that remains, and none of those remains open.
     fn audit(&self) -> Result<(), Failure> {
         let mut edges: Vec<([u32; 2], bool, u32)> = Vec::with_capacity(3 * self.new_triangles.len());
         for (i, triangle) in self.new_triangles.iter().enumerate() {
@@ -350,12 +350,12 @@ impl<'a, 'b> Union<'a, 'b> {
         if open == unpaired { Ok(()) } else { Err(Failure::Inconsistent("an edge left open")) }
     }
 
-    /// Triangles removed, by body, of those that were not left out.
+    /// Removed triangles by body, for the bodies that were not left out.
     fn removed_of_present(&self) -> impl Iterator<Item = (usize, &Vec<u32>)> {
         self.removed.iter().enumerate().filter(|(b, _)| !self.absent[*b])
     }
 
-    /// Vertices of removed triangles that occur no more.
+    /// Number of vertices of removed triangles that no longer occur.
     fn lost_vertices(&self) -> i64 {
         let mut used: Vec<u32> = self.new_triangles.iter().flat_map(|t| t.corners).collect();
         used.sort_unstable();
@@ -379,10 +379,10 @@ impl<'a, 'b> Union<'a, 'b> {
 
     fn count_and_measure(&mut self) {
         self.euler += self.new_vertices.len() as i64 - self.lost_vertices();
-        // Three halves of the number of triangles is that of the edges.
+        // The number of edges is 3/2 times that of triangles.
         let removed: usize = self.removed_of_present().map(|(_, removed)| removed.len()).sum();
         self.euler -= (self.new_triangles.len() as i64 - removed as i64) / 2;
-        // About a place where something changed.
+        // Relative to a point where something changed.
         let origin = self.new_triangles.first().map_or(DVec3::ZERO, |t| self.position(t.corners[0]));
         let (mut volume, mut area) = (0.0, 0.0);
         for (b, removed) in self.removed_of_present() {
@@ -408,9 +408,9 @@ impl<'a, 'b> Union<'a, 'b> {
         self.area += area / 2.0;
     }
 
-    /// Gives every fan of triangles about a vertex of new triangles but the first a vertex of its own.
+    /// Gives every fan of triangles about a vertex of new triangles, except the first, a vertex of its own.
     fn split_touching_fans(&mut self) -> Result<(), Failure> {
-        // Where there are several fans, old triangles are first made new ones.
+        // Where there are several fans, first turn the old triangles into new ones.
         let mut several = Vec::new();
         let mut old = Vec::new();
         for (vertex, about) in self.new_triangles_about_vertices().chunk_by(|a, b| a.0 == b.0).map(|g| (g[0].0, g)) {
@@ -460,7 +460,7 @@ impl<'a, 'b> Union<'a, 'b> {
         about
     }
 
-    /// Triangles about a vertex that are still those of its body.
+    /// Triangles about a vertex that are unchanged triangles of its body.
     fn old_triangles_about(&self, vertex: u32) -> Vec<NewTriangle> {
         let body = self.body_of(vertex);
         let Some(mesh) = self.bodies.get(body) else { return Vec::new() };
@@ -475,7 +475,7 @@ impl<'a, 'b> Union<'a, 'b> {
             .collect()
     }
 
-    /// Where a vertex is from.
+    /// Origin of a vertex.
     pub fn origin(&self, vertex: u32) -> Origin {
         let body = self.body_of(vertex);
         match self.bodies.get(body) {
@@ -486,7 +486,7 @@ impl<'a, 'b> Union<'a, 'b> {
         }
     }
 
-    /// The union as a mesh: time in proportion to all of it.
+    /// Converts the union to a mesh, in time proportional to the whole mesh.
     pub fn mesh(&self) -> UnionMesh {
         let count = self.first_vertex[self.bodies.len()] as usize + self.new_vertices.len();
         let mut mesh = UnionMesh { names: vec![u32::MAX; count], ..UnionMesh::default() };
@@ -531,9 +531,9 @@ impl<'a, 'b> Union<'a, 'b> {
 }
 
 impl UnionMesh {
-    /// The connected parts of the surface, by their first vertex: time in proportion to all of it.
+    /// The connected components of the surface, by their first vertex, in time proportional to the whole mesh.
     pub fn components(&self) -> Vec<Component> {
-        // Every vertex's representative is the least of its component, once paths are short.
+        // A vertex's representative is the lowest of its component, after path compression.
         let mut parent: Vec<u32> = (0..self.positions.len() as u32).collect();
         fn root(parent: &mut [u32], mut v: u32) -> u32 {
             while parent[v as usize] != v {
@@ -570,7 +570,7 @@ impl UnionMesh {
     }
 }
 
-/// Puts triangles about a vertex into fans, each by their place in `corners`.
+/// Groups the triangles about a vertex into fans, as indices into `corners`.
 fn fans(vertex: u32, corners: &[[u32; 3]]) -> Result<Vec<Vec<usize>>, Failure> {
     // From the corner after the vertex to the one after that.
     let mut arcs: Vec<(u32, u32, usize)> = Vec::with_capacity(corners.len());

@@ -1,92 +1,94 @@
-//! How the triangles of a closed mesh hang together.
+//! Connectivity of the triangles of a closed mesh.
 
 use rustc_hash::FxHashMap;
 use thiserror::Error;
 
-/// Triangles of a block at most: what is culled by one box.
+/// Largest number of triangles in a block, which is culled by one box.
 const BLOCK: usize = 16;
 
-/// The connectivity of a closed, oriented triangle mesh: made once, used with any positions.
+/// The connectivity of a closed, oriented triangle mesh: computed once, used with any positions.
 ///
-/// Closed and oriented: every edge has one triangle that runs along it and one that runs against it. A vertex at which
-/// several fans of triangles touch is several vertices here.
+/// Closed and oriented means that every edge has one triangle that runs along it and one that runs against it. A vertex
+/// at which several fans of triangles touch is represented by several vertices.
 #[derive(Clone, Debug)]
 pub struct Topology {
     pub(super) vertex_count: u32,
-    /// Of vertices beyond `vertex_count`, further fans: whose place they share.
+    /// For vertices beyond `vertex_count`, which are further fans: the vertex whose position they share.
     pub(super) copies: Vec<u32>,
     pub(super) triangles: Vec<[u32; 3]>,
     /// Edge k of a triangle runs from its vertex k to vertex k + 1.
     pub(super) triangle_edges: Vec<[u32; 3]>,
-    /// Lower vertex first.
+    /// Edges, lower vertex first.
     pub(super) edges: Vec<[u32; 2]>,
     /// The triangle that runs along the edge, and the one that runs against it.
     pub(super) edge_triangles: Vec<[u32; 2]>,
     /// Edges at vertex v: `vertex_edges[vertex_start[v]..vertex_start[v + 1]]`.
     vertex_start: Vec<u32>,
     vertex_edges: Vec<u32>,
-    /// Triangles in patches of up to [`BLOCK`] neighbours: block i is `block_triangles[block_start[i]..block_start[i + 1]]`.
+    /// Triangles in patches of up to [`BLOCK`] neighbours: block i is
+    /// `block_triangles[block_start[i]..block_start[i + 1]]`.
     block_start: Vec<u32>,
     block_triangles: Vec<u32>,
-    /// Vertices in use of each block, in the same manner.
+    /// Used vertices of each block, in the same layout.
     block_vertex_start: Vec<u32>,
     block_vertices: Vec<u32>,
-    /// Connected components.
+    /// Number of connected components.
     pub(super) components: u32,
-    /// Vertices, further fans included, that triangles have.
+    /// Number of vertices used by triangles, further fans included.
     pub(super) used_vertices: u32,
 }
 
-/// Why triangles are not a closed, oriented mesh.
+/// Why triangles do not form a closed, oriented mesh.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum TopologyError {
-    /// A triangle names a vertex that is not there.
+    /// A triangle refers to a vertex that does not exist.
     #[error("triangle {triangle} names vertex {vertex}, of {vertex_count}")]
     NoSuchVertex {
-        /// The triangle.
+        /// Index of the triangle.
         triangle: usize,
-        /// What it names.
+        /// The vertex index that it refers to.
         vertex: u32,
-        /// How many there are.
+        /// Number of vertices.
         vertex_count: usize,
     },
-    /// A triangle names a vertex twice.
+    /// A triangle refers to a vertex twice.
     #[error("triangle {triangle} names vertex {vertex} twice")]
     RepeatedVertex {
-        /// The triangle.
+        /// Index of the triangle.
         triangle: usize,
-        /// What it names.
+        /// The vertex that it refers to.
         vertex: u32,
     },
-    /// Edges without their counterpart: a hole, a third sheet, or neighbours that disagree on which side is out.
+    /// Edges without their counterpart: a hole, a third sheet, or neighbours that disagree on which side is outside.
     #[error("not closed and oriented: {count} edges have no counterpart, the first from vertex {from} to vertex {to}")]
     Unpaired {
-        /// How many directed edges.
+        /// Number of directed edges.
         count: usize,
-        /// Where the first of them starts.
+        /// Start vertex of the first of them.
         from: u32,
-        /// Where it ends.
+        /// End vertex of the first of them.
         to: u32,
     },
-    /// Two triangles of the same three vertices: nothing is between them.
+    /// Two triangles have the same three vertices, with nothing between them.
     #[error("triangles {first} and {second} have the same vertices")]
     SameTriangle {
-        /// The one.
+        /// Index of the first triangle.
         first: u32,
-        /// The other.
+        /// Index of the second triangle.
         second: u32,
     },
-    /// More vertices or triangles than a 31-bit index counts.
+    /// There are more vertices or triangles than a 31-bit index can number.
     #[error("more than 2^29 vertices or triangles")]
     TooLarge,
 }
 
 impl Topology {
-    /// Of `triangles` (vertex indices, counter-clockwise seen from outside) of `vertex_count` vertices.
+    /// The connectivity of `triangles` (vertex indices, counter-clockwise seen from outside) over `vertex_count`
+    /// vertices.
     ///
     /// # Errors
     ///
-    /// If they are not closed and oriented, with the first place at which they are not.
+    /// If they are not closed and oriented, with the first place where that fails.
     pub fn new(vertex_count: usize, triangles: &[[u32; 3]]) -> Result<Topology, TopologyError> {
         if vertex_count > 1 << 29 || triangles.len() > 1 << 29 {
             return Err(TopologyError::TooLarge);
@@ -168,7 +170,7 @@ impl Topology {
         Ok(())
     }
 
-    /// Gives every fan of triangles about a vertex but the first a vertex of its own.
+    /// Gives every fan of triangles about a vertex, except the first, a vertex of its own.
     fn split_fans(&mut self) {
         let mut seen = vec![[false; 3]; self.triangles.len()];
         let mut used = vec![false; self.vertex_count as usize];
@@ -187,7 +189,7 @@ impl Topology {
                     used[vertex as usize] = true;
                     vertex
                 };
-                // Around the vertex, over the edge that comes in to it.
+                // Rotate about the vertex, across the incoming edge.
                 let (mut t, mut k) = (start, corner);
                 while !seen[t][k] {
                     seen[t][k] = true;
@@ -231,7 +233,8 @@ impl Topology {
         }
     }
 
-    /// Collects neighbours into blocks: breadth first, up to [`BLOCK`] from each start, the next start beside the last.
+    /// Groups neighbouring triangles into blocks: breadth first, up to [`BLOCK`] from each start, the next start beside
+    /// the last block.
     fn cluster(&mut self) {
         let mut taken = vec![false; self.triangles.len()];
         let mut border = std::collections::VecDeque::new();
@@ -302,22 +305,22 @@ impl Topology {
         }
     }
 
-    /// The number of vertices that positions are wanted for.
+    /// Number of vertices for which positions are required.
     pub fn vertex_count(&self) -> usize {
         self.vertex_count as usize
     }
 
-    /// The number of triangles.
+    /// Number of triangles.
     pub fn triangle_count(&self) -> usize {
         self.triangles.len()
     }
 
-    /// Vertices including further fans.
+    /// Number of vertices including further fans.
     pub(super) fn fan_count(&self) -> usize {
         self.vertex_count as usize + self.copies.len()
     }
 
-    /// The vertex whose position a fan's vertex has.
+    /// The vertex whose position a fan's vertex shares.
     #[inline]
     pub(super) fn place_of(&self, vertex: u32) -> u32 {
         if vertex < self.vertex_count { vertex } else { self.copies[(vertex - self.vertex_count) as usize] }
@@ -329,7 +332,7 @@ impl Topology {
         &self.vertex_edges[from as usize..to as usize]
     }
 
-    /// The triangle in which an edge leaves one of its ends counter-clockwise, and the place of that end in it.
+    /// The triangle in which an edge leaves one of its ends counter-clockwise, and the corner at which that end is.
     #[inline]
     pub(super) fn triangle_left_of(&self, edge: u32, from: u32) -> (u32, usize) {
         let side = usize::from(self.edges[edge as usize][0] != from);
@@ -347,7 +350,7 @@ impl Topology {
         )
     }
 
-    /// The other end.
+    /// The other end of an edge.
     #[inline]
     pub(super) fn across(&self, edge: u32, vertex: u32) -> u32 {
         let [a, b] = self.edges[edge as usize];

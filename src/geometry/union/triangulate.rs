@@ -1,15 +1,15 @@
-//! Directed lines of a plane, filled with triangles on their left.
+//! Triangulates a plane region given by directed lines, which have the region on their left.
 //!
-//! What comes out is closed whatever the coordinates are: every line is an edge of exactly one triangle, every other edge
-//! of exactly two. Coordinates decide only how good the triangles are.
+//! The result is closed whatever the coordinates are: every line is an edge of exactly one triangle, every other edge
+//! of exactly two. Coordinates affect only the quality of the triangles.
 
 use glam::{DVec2, DVec3};
 use rustc_hash::FxHashSet;
 
-/// The corner of a triangle: a point that was given, or, from here on, one that was added.
+/// A corner of a triangle is a given point or, from this number on, an added one.
 pub const ADDED: u32 = 1 << 31;
 
-/// What is to be filled, and scratch.
+/// The region to triangulate, with buffers.
 #[derive(Default)]
 pub struct Region {
     /// Directed lines, from point to point, with the region on their left.
@@ -17,7 +17,7 @@ pub struct Region {
     /// Points and the straight lines they lie on. Points on a common line are not joined: what is on the line's other
     /// side could do the same.
     pub lines: Vec<(u32, u32)>,
-    /// The points' names, ascending; below, points go by their place in it.
+    /// The points' names, ascending; below, points are numbered by their index here.
     names: Vec<u32>,
     first_line: Vec<u32>,
     flat: Vec<DVec2>,
@@ -27,9 +27,9 @@ pub struct Region {
 /// Triangles of a region.
 #[derive(Default)]
 pub struct Filling {
-    /// Names of points, or [`ADDED`] and more.
+    /// Names of points, or [`ADDED`] and above.
     pub triangles: Vec<[u32; 3]>,
-    /// Points added where no other way is left, by what they are the mean of.
+    /// Points added where there is no other solution, each as the mean of the listed points.
     pub added: Vec<Vec<u32>>,
 }
 
@@ -39,14 +39,14 @@ fn turn(a: DVec2, b: DVec2, c: DVec2) -> f64 {
     (b - a).perp_dot(c - a)
 }
 
-/// Grows with a direction's angle, in [0, 4).
+/// Monotonic in a direction's angle, in [0, 4).
 fn pseudo_angle(d: DVec2) -> f64 {
     let r = d.x / (d.x.abs() + d.y.abs()).max(f64::MIN_POSITIVE);
     if d.y < 0.0 { 3.0 + r } else { 1.0 - r }
 }
 
 impl Region {
-    /// Fills the region, of a plane of this `normal`. None if the lines do not close.
+    /// Triangulates the region in a plane with this `normal`. `None` if the lines do not form loops.
     pub fn fill(&mut self, normal: DVec3, position: impl Fn(u32) -> DVec3, filling: &mut Filling) -> Option<()> {
         self.lines.sort_unstable();
         self.lines.dedup();
@@ -59,7 +59,7 @@ impl Region {
             }
         }
         self.first_line.push(self.lines.len() as u32);
-        // Seen along the axis that the normal is nearest to.
+        // Project along the axis nearest to the normal.
         let absolute = normal.abs();
         let axis = if absolute.x >= absolute.y.max(absolute.z) {
             0
@@ -96,7 +96,8 @@ impl Region {
         lines(a).iter().any(|x| lines(b).iter().any(|y| x.1 == y.1))
     }
 
-    /// Joins the pieces to loops. Where several pieces leave a point, the narrowest sector keeps regions apart.
+    /// Joins the pieces into loops. Where several pieces leave a point, choosing the narrowest sector keeps regions
+    /// apart.
     fn trace(&mut self) -> Option<()> {
         let mut pieces = Vec::with_capacity(self.pieces.len());
         for &[from, to] in &self.pieces {
@@ -153,7 +154,7 @@ impl Region {
         if outer.is_empty() {
             std::mem::swap(&mut outer, &mut holes);
         }
-        // From the right, so that what a hole is tied to is already there.
+        // From the right, so that what a hole is tied to is already connected.
         holes.sort_by(|a, b| {
             let right = |points: &[u32]| points.iter().map(|&p| self.at(p).x).fold(f64::NEG_INFINITY, f64::max);
             right(b).total_cmp(&right(a))
@@ -189,7 +190,7 @@ impl Region {
         inside
     }
 
-    /// Makes a hole part of the loop about it, by a cut to the nearest point in sight.
+    /// Connects a hole to the loop around it, by a cut to the nearest visible point.
     fn tie(&self, hole: &[u32], outer: &mut [Vec<u32>]) {
         let from = (0..hole.len()).max_by(|&a, &b| self.at(hole[a]).x.total_cmp(&self.at(hole[b]).x)).unwrap_or(0);
         let start = self.at(hole[from]);
@@ -232,8 +233,8 @@ impl Region {
         outer[around] = tied;
     }
 
-    /// Cuts off the best ear, again and again. `edges` are those in use, where points occur more than once: in a simple
-    /// loop no edge can be met again.
+    /// Clips the best ear repeatedly. `edges` are those in use, for loops in which points occur more than once; in a
+    /// simple loop no edge can repeat.
     fn clip_ears(&self, points: &[u32], edges: &mut Option<FxHashSet<[u32; 2]>>, filling: &mut Filling) {
         let mut points = points.to_vec();
         if edges.is_none() && points.len() > 3 {
@@ -264,7 +265,7 @@ impl Region {
             };
             let mut ear = best(&qualities);
             if ear.is_none_or(|e| e.0 <= 0.0) {
-                // What was in the way may be gone by now.
+                // An obstacle may be gone by now.
                 qualities.clear();
                 qualities.extend((0..n).map(|k| self.quality(&points, k, edges)));
                 ear = best(&qualities);
@@ -275,7 +276,7 @@ impl Region {
             };
             let (before, after) = (points[(k + n - 1) % n], points[(k + 1) % n]);
             if edges.as_ref().is_some_and(|edges| edges.contains(&undirected(before, after))) {
-                // Joined since, elsewhere.
+                // The edge has been used elsewhere since.
                 qualities[k] = None;
                 continue;
             }
@@ -295,8 +296,8 @@ impl Region {
         }
     }
 
-    /// How good the triangle is that cutting off a corner gives, in (0, √3/6]; ≤ 0, on the same scale less 1, if it is
-    /// turned over or something is in it; none if its new edge must not be.
+    /// Quality of the triangle that clipping a corner gives, in (0, √3/6]; ≤ 0, on the same scale less 1, if it is
+    /// inverted or contains a point; `None` if its new edge is not allowed.
     fn quality(&self, points: &[u32], k: usize, edges: &Option<FxHashSet<[u32; 2]>>) -> Option<f64> {
         let n = points.len();
         let [a, b, c] = [points[(k + n - 1) % n], points[k], points[(k + 1) % n]];
@@ -313,8 +314,8 @@ impl Region {
         Some(if is_free { quality } else { quality - 1.0 })
     }
 
-    /// Where no ear may be cut off: triangles about a new point; with points that occur more than once, about a ring of
-    /// new points.
+    /// Triangulates a loop without an admissible ear: triangles about a new point or, with points that occur more than
+    /// once, about a ring of new points.
     fn fan_out(&self, points: &[u32], filling: &mut Filling) {
         let name = |p: u32| self.names[p as usize];
         let n = points.len();
@@ -323,7 +324,7 @@ impl Region {
         let repeats = (0..n).any(|k| points[..k].contains(&points[k]));
         if repeats {
             for &point in points {
-                // Half way to the centre.
+                // Halfway to the centre.
                 let mut mean: Vec<u32> = points.iter().map(|&p| name(p)).collect();
                 mean.extend(std::iter::repeat_n(name(point), n));
                 filling.added.push(mean);

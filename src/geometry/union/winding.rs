@@ -1,7 +1,8 @@
-//! How often each body winds around a place: at vertices by flooding from where it is known, along edges and segments by
-//! counting what they pass through.
+//! Winding numbers of bodies: at vertices by flood fill from where they are known, along edges and segments by counting
+//! the triangles that these pass through.
 //!
-//! "In front" of a surface means beside it on the outer side. Behind a triangle of a body its winding number is one more.
+//! "In front" of a surface means beside it on the outer side. Behind a triangle of a body its winding number is larger
+//! by one.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -40,48 +41,50 @@ fn of(windings: &[(u32, i32)], body: u32) -> i32 {
     windings.iter().find(|w| w.0 == body).map_or(0, |w| w.1)
 }
 
-/// Whether a place is inside a body other than two.
+/// Whether a place is inside a body other than the two given ones.
 #[inline]
 fn is_inside_another(windings: &[(u32, i32)], a: u32, b: u32) -> bool {
     windings.iter().any(|w| w.1 >= 1 && w.0 != a && w.0 != b)
 }
 
-/// In front of a body's surface, whether the surface bounds the union there: nothing in front, something behind.
+/// Whether a body's surface bounds the union, from the winding numbers in front of it: nothing in front, something
+/// behind.
 #[inline]
 fn is_boundary(front: &[(u32, i32)], body: u32) -> bool {
     of(front, body) == 0 && !is_inside_another(front, body, body)
 }
 
-/// What of a segment's four neighbouring half-triangles bounds the union, as bits; above them, whether each of the four
-/// quarters about it is occupied.
+/// Bits that tell which of a segment's four neighbouring half-triangles bound the union; the bits above them tell which
+/// of the four sectors about it are occupied.
 pub mod shown {
-    /// Of the first triangle, what is in front of the second.
+    /// The part of the first triangle that is in front of the second.
     pub const FIRST_IN_FRONT: u8 = 1;
-    /// Of the first triangle, what is behind the second.
+    /// The part of the first triangle that is behind the second.
     pub const FIRST_BEHIND: u8 = 2;
-    /// Of the second triangle, what is in front of the first.
+    /// The part of the second triangle that is in front of the first.
     pub const SECOND_IN_FRONT: u8 = 4;
-    /// Of the second triangle, what is behind the first.
+    /// The part of the second triangle that is behind the first.
     pub const SECOND_BEHIND: u8 = 8;
 }
 
-/// What bounds the union, by winding numbers.
+/// What bounds the union, according to winding numbers.
 pub struct Classified {
-    /// In front of the surface at vertices: ranges of `windings`; nothing where a vertex is not named.
+    /// Winding numbers in front of the surface at vertices, as ranges of `windings`; all are 0 at a vertex that is not
+    /// listed.
     at_vertex: FxHashMap<u32, (u32, u32)>,
     windings: Windings,
-    /// At a vertex from which segments start, triangles of its own body pass through its fan: what the body's winding
-    /// number is in front of an edge there, over that in front of the first.
+    /// For vertices from which segments start because triangles of their own body pass through their fan: the body's
+    /// winding number in front of an edge there, relative to that in front of the first edge.
     over_first_edge: FxHashMap<(u32, u32), i32>,
     /// Such vertices, ascending.
     pub fan_vertices: Vec<u32>,
-    /// Vertices at which something winds, ascending.
+    /// Vertices with non-zero winding numbers, ascending.
     pub vertices: Vec<u32>,
-    /// Of every node: whether its edge bounds the union before it, and after it.
+    /// For every node, whether its edge bounds the union before it and after it.
     pub edge_shown: Vec<[bool; 2]>,
-    /// Of every segment: where its parts, one more than its triple points, start in `parts`.
+    /// For every segment, the start of its parts in `parts`; it has one part more than triple points.
     pub first_part: Vec<u32>,
-    /// See [`shown`].
+    /// Bits of each part, see [`shown`].
     pub parts: Vec<u8>,
     /// In front of the edge's surface and the triangle, at every node: ranges of `fronts`.
     node_fronts: Vec<(u32, u32)>,
@@ -89,7 +92,7 @@ pub struct Classified {
 }
 
 impl Classified {
-    /// Winding numbers at the vertices and nodes; buries segments.
+    /// Computes the winding numbers at the vertices and nodes, and marks buried segments.
     pub fn new(
         placement: &Placement,
         meetings: &[Meeting],
@@ -116,7 +119,7 @@ impl Classified {
         Ok(classified)
     }
 
-    /// Around every vertex from which segments start.
+    /// Walks around every vertex from which segments start.
     fn walk_fans(&mut self, placement: &Placement, arrangement: &Arrangement) -> Result<(), Failure> {
         let fan_vertex = |s: &super::arrangement::Segment| match s.ends[1] {
             End::Vertex(v) => Some(v),
@@ -209,7 +212,7 @@ impl Classified {
         Ok(())
     }
 
-    /// In front of the surface at a vertex of an edge, on that edge.
+    /// Winding numbers in front of the surface at a vertex of an edge, on that edge.
     fn front_at(&self, vertex: u32, edge: u32, body: u32, windings: &mut Windings) {
         windings.clear();
         if let Some(&(from, to)) = self.at_vertex.get(&vertex) {
@@ -342,7 +345,7 @@ fn shown_beside(front: &[(u32, i32)], [a, b]: [u32; 2]) -> u8 {
         | bit(behind_first, behind_both, shown::SECOND_BEHIND)
 }
 
-/// Winding numbers of a body at the vertices of another, or of itself.
+/// Flood fill of the winding numbers of a body at the vertices of another body, or of itself.
 struct Flood<'f, 'a, 'b> {
     placement: &'f Placement<'a, 'b>,
     arrangement: &'f Arrangement,
@@ -369,7 +372,7 @@ impl Flood<'_, '_, '_> {
         if self.placement.bodies[self.me as usize].topology.edges[edge as usize][0] == from { sum } else { -sum }
     }
 
-    /// In front of the surface at my vertices in the other's box; those that are not 0.
+    /// Finds the non-zero winding numbers in front of this body's surface at its vertices in the other body's box.
     fn of_other(&self, blocks: &[u32], meter: &Meter, found: &mut Vec<AtVertex>) -> Result<(), Failure> {
         if blocks.is_empty() {
             return Ok(());
@@ -391,7 +394,7 @@ impl Flood<'_, '_, '_> {
         }
         meter.spend(inside.len() as u64 + 1)?;
 
-        // Beyond the box nothing winds: from there inwards.
+        // Outside the box all winding numbers are 0: start there and proceed inwards.
         let mut queue = Vec::new();
         for &v in &inside {
             let outwards = topology.edges_at(v).iter().find(|&&e| state[topology.across(e, v) as usize] == BEYOND);
@@ -411,7 +414,7 @@ impl Flood<'_, '_, '_> {
                     }
                 }
             }
-            // A component inside the box as a whole.
+            // A component that lies entirely inside the box.
             while next < inside.len() && state[inside[next] as usize] != UNSET {
                 next += 1;
             }
@@ -428,7 +431,7 @@ impl Flood<'_, '_, '_> {
         Ok(())
     }
 
-    /// My own winding number in front of my surface; where it is not 0.
+    /// Finds where this body's own winding number in front of its surface is not 0.
     fn of_itself(&self, classified: &Classified, meter: &Meter, found: &mut Vec<AtVertex>) -> Result<(), Failure> {
         let placement = self.placement;
         let topology = placement.bodies[self.me as usize].topology;
@@ -464,7 +467,8 @@ impl Flood<'_, '_, '_> {
         Ok(())
     }
 
-    /// Of the first edges of a component, a vertex and an edge that is free for longest from there and not folded.
+    /// Among the first edges of a component, a vertex and an edge with the longest free part from there and without a
+    /// fold.
     fn seed_near(&self, start: u32) -> (u32, u32) {
         let topology = self.placement.bodies[self.me as usize].topology;
         let (first_vertex, first_edge) =
@@ -503,7 +507,7 @@ impl Flood<'_, '_, '_> {
         normals[0] + normals[1]
     }
 
-    /// The share of an edge before the first node from one of its ends.
+    /// The fraction of an edge before the first node from one of its ends.
     fn free_from(&self, edge: u32, from_first: bool) -> f64 {
         let nodes = self.arrangement.nodes_of(edge);
         match if from_first { nodes.first() } else { nodes.last() } {
@@ -513,7 +517,7 @@ impl Flood<'_, '_, '_> {
         }
     }
 
-    /// My winding number in front of an edge, at its vertex `v`.
+    /// This body's winding number in front of an edge, at its vertex `v`.
     fn cast_from(&self, v: u32, edge: u32, meter: &Meter) -> Result<i32, Failure> {
         let placement = self.placement;
         let topology = placement.bodies[self.me as usize].topology;
@@ -521,13 +525,13 @@ impl Flood<'_, '_, '_> {
         let place = |v: u32| placement.placed[(v + placement.first_vertex[b]) as usize];
         let free = self.free_from(edge + first_edge, topology.edges[edge as usize][0] == v);
         let from = place(v) + (place(topology.across(edge, v)) - place(v)) * (0.5 * free);
-        // In front of both triangles of the edge, which are not asked, as the ray starts on them.
+        // The start is in front of both triangles of the edge, which are skipped because the ray starts on them.
         let skipped = topology.edge_triangles[edge as usize];
         Ray { placement, body: self.me, from, skipped }.cast(self.outwards(edge), meter)
     }
 }
 
-/// From a placed position to beyond a body.
+/// A ray from a perturbed position to beyond a body.
 struct Ray<'f, 'a, 'b> {
     placement: &'f Placement<'a, 'b>,
     body: u32,
@@ -536,7 +540,7 @@ struct Ray<'f, 'a, 'b> {
 }
 
 impl Ray<'_, '_, '_> {
-    /// The body's winding number at the ray's origin: every passage out of it counts one.
+    /// The body's winding number at the ray's origin: the signed count of passages out of the body.
     fn cast(&self, direction: DVec3, meter: &Meter) -> Result<i32, Failure> {
         let placement = self.placement;
         let mesh = placement.bodies[self.body as usize];
@@ -552,7 +556,7 @@ impl Ray<'_, '_, '_> {
         for (block, bounds) in mesh.block_bounds.iter().enumerate() {
             let bounds = scaled(bounds);
             let (one, other) = ((bounds.min - self.from) / span, (bounds.max - self.from) / span);
-            // A coordinate that stands still gives infinities, or no number, which the minimum and maximum pass over.
+            // A zero component gives infinities or NaN, which the minimum and maximum ignore.
             let (enter, leave) = (one.min(other).max_element(), one.max(other).min_element());
             if enter > leave + 1e-9 || leave < -1e-9 || enter > 1.0 {
                 continue;
@@ -579,7 +583,7 @@ impl Ray<'_, '_, '_> {
     }
 }
 
-/// Winding numbers for many meetings at once are worth threads.
+/// Whether there are enough meetings for several threads to pay off.
 pub fn is_worth_threads(meetings: &[Meeting]) -> bool {
     meetings.iter().map(|m| m.blocks[0].len() + m.blocks[1].len()).sum::<usize>() > 256
 }

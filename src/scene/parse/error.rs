@@ -1,47 +1,48 @@
-//! What is wrong with a scene file, where, and what to do about it.
+//! Errors in scene files: what is wrong, where, and how to fix it.
 
 use std::fmt;
 
 use crate::text::printable;
 
-/// A scene file that was refused: where, which key, what was expected and what was found.
+/// A rejected scene file: the place, the key, what was expected and what was found.
 ///
 /// Displays on one line: `two.toml:12:12: influence.split_at: expected …, found 0.9`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SceneError {
-    /// The file's name as it was given.
+    /// Name of the file, as given.
     pub file: String,
-    /// Where in the file; `None` if the whole of it is meant (it cannot be read, it is too large).
+    /// Place in the file; `None` if the error concerns the whole file (it cannot be read, it is too large).
     pub place: Option<Place>,
-    /// The key as a dotted path (`influence.split_at`, `body["b"].radius`, `push[0].start`); empty if no key is meant.
+    /// The key as a dotted path (`influence.split_at`, `body["b"].radius`, `push[0].start`); empty if the error
+    /// concerns no key.
     pub key: String,
     /// What was expected and what was found.
     pub message: String,
-    /// What to do about it, where there is something to say.
+    /// How to fix it, where there is something to say.
     pub help: Option<String>,
 }
 
-/// A place in a text, both counted from 1.
+/// A place in a text. Line and column count from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Place {
-    /// The line.
+    /// Line number.
     pub line: u32,
-    /// The character in the line; a byte order mark is none.
+    /// Column, in characters; a byte order mark does not count.
     pub column: u32,
 }
 
 impl SceneError {
-    /// The line of the error, from 1.
+    /// Line of the error, from 1.
     pub fn line(&self) -> Option<u32> {
         self.place.map(|place| place.line)
     }
 
-    /// The character in that line, from 1.
+    /// Column of the error in its line, in characters, from 1.
     pub fn column(&self) -> Option<u32> {
         self.place.map(|place| place.column)
     }
 
-    /// The same with a remedy.
+    /// The same error with a hint on how to fix it.
     pub(super) fn with_help(self, help: impl Into<String>) -> SceneError {
         SceneError { help: Some(help.into()), ..self }
     }
@@ -78,12 +79,13 @@ impl Place {
     }
 }
 
-/// Characters of the file that a message quotes at most.
+/// Largest number of characters of the file that a message quotes.
 const QUOTED: usize = 40;
 
-/// The beginning of `text`, without anything that could break a line or a terminal.
+/// The beginning of `text`, without characters that could break a line or a terminal.
 pub(super) fn clip(text: &str) -> String {
-    // escape_debug also knows what is invisible or turns the direction of writing; an apostrophe does no harm
+    // escape_debug also escapes invisible characters and those that change the writing direction; apostrophes are
+    // harmless
     let escape = |c: char| if c == '\'' { c.to_string() } else { c.escape_debug().to_string() };
     let mut clipped: String = text.chars().take(QUOTED).map(escape).collect();
     if text.chars().nth(QUOTED).is_some() {

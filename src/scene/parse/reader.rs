@@ -1,7 +1,7 @@
-//! A typed view of a TOML document that knows where everything stands and what it is called.
+//! A typed view of a TOML document that keeps the source position and dotted path of every value.
 //!
 //! serde could fill the structs, but its messages name a type where a user needs the key's range, and it loses the
-//! place of a value as soon as two of them have to agree.
+//! position of a value that has to be consistent with another.
 
 use std::{fmt, ops::Range};
 
@@ -18,7 +18,7 @@ pub(super) struct Source<'a> {
 }
 
 impl<'a> Source<'a> {
-    /// The text as a tree of tables.
+    /// Parses the text into a tree of tables.
     ///
     /// # Errors
     /// The text is not TOML.
@@ -27,7 +27,7 @@ impl<'a> Source<'a> {
     }
 
     fn syntax_error(&self, error: &toml::de::Error) -> SceneError {
-        // some of the parser's messages end in this where it means that something should go
+        // some of the parser's messages end like this where they mean that something should be removed
         let message = one_line(error.message().trim_end_matches(", expected nothing"));
         let Some(span) = error.span() else {
             let message = format!("\"{}\" is not valid TOML: {message}", one_line(self.file));
@@ -39,7 +39,7 @@ impl<'a> Source<'a> {
             None | Some("" | "\n" | "\r\n") => {}
             Some(found) => message.push_str(&format!(", found \"{}\"", clip(found))),
         }
-        // there is no tree to say which key it is, but most often its name begins the line
+        // there is no tree to look up the key, but its name usually starts the line
         let line = self.text[..self.text.floor_char_boundary(span.start)].rfind('\n').map_or(0, |newline| newline + 1);
         let key =
             self.text[line..].lines().next().and_then(|line| line.split_once('=')).map_or("", |(key, _)| key.trim());
@@ -55,7 +55,7 @@ impl<'a> Source<'a> {
     }
 }
 
-/// The dotted path of a value, as a list from the value outwards: it is only spelled out in an error.
+/// The dotted path of a value, as a linked list from the value outwards; it is formatted only for an error.
 #[derive(Clone, Copy)]
 enum Key<'a> {
     File,
@@ -80,46 +80,46 @@ impl fmt::Display for Key<'_> {
     }
 }
 
-/// Whether `byte` may stand in a TOML key without quotes, and in the name of a body.
+/// Whether `byte` may appear in a TOML key without quotes, and in the name of a body.
 fn is_bare(byte: u8) -> bool {
     byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_')
 }
 
-/// Whether `name` may be that of a body: 1 to 64 letters, digits, `-` and `_`.
+/// Whether `name` is valid for a body: 1 to 64 letters, digits, `-` and `_`.
 pub(super) fn is_body_name(name: &str) -> bool {
     (1..=64).contains(&name.len()) && name.bytes().all(is_bare)
 }
 
-/// The keys that a table may have.
+/// The keys that a table accepts.
 pub(super) struct Keys {
-    /// Where these keys belong, to follow "belongs".
+    /// Where these keys belong, as the text after "belongs".
     pub home: &'static str,
-    /// The table itself, to follow "expected".
+    /// Description of the table, as the text after "expected".
     pub form: &'static str,
-    /// In the order in which they are listed to users.
+    /// Names of the keys, in the order in which they are listed to users.
     pub names: &'static [&'static str],
 }
 
-/// A table whose keys are all known. One that is missing reads like an empty one.
+/// A table whose keys are all known. A missing table reads like an empty one.
 pub(super) struct Table<'a> {
     source: &'a Source<'a>,
     key: Key<'a>,
-    /// Of its header, or of the whole if it is written inline.
+    /// Position of its header, or of the whole table if it is inline.
     span: Range<usize>,
     entries: Option<&'a DeTable<'a>>,
 }
 
 impl<'a> Table<'a> {
-    /// The whole of a file.
+    /// The root table of a file.
     ///
     /// # Errors
-    /// An unknown key.
+    /// There is an unknown key.
     pub fn root(source: &'a Source<'a>, document: &'a DeTable<'a>, known: &Keys) -> Result<Table<'a>, SceneError> {
         Table { source, key: Key::File, span: 0..0, entries: Some(document) }.known(known)
     }
 
-    /// Unknown keys are reported before anything else: one is most often another key misspelled or misplaced, and
-    /// says more than that the other key is missing.
+    /// Unknown keys are reported before anything else: an unknown key is usually a misspelled or misplaced one, and its
+    /// message says more than that the intended key is missing.
     fn known(self, known: &Keys) -> Result<Table<'a>, SceneError> {
         let unknown = self.entries.iter().flat_map(|entries| entries.keys());
         let unknown = unknown.filter(|key| !known.names.contains(&key.get_ref().as_ref()));
@@ -137,7 +137,7 @@ impl<'a> Table<'a> {
         Err(self.source.error(key.span().start, &Key::Field(&self.key, name), message))
     }
 
-    /// The value of `name`, if it is given.
+    /// The value of `name`, if present.
     pub fn get(&self, name: &'static str) -> Option<Value<'_>> {
         let value = self.entries?.get(name)?;
         Some(Value {
@@ -148,10 +148,10 @@ impl<'a> Table<'a> {
         })
     }
 
-    /// The value of `name` as a `kind`, if it is given.
+    /// The value of `name` as a `kind`, if present.
     ///
     /// # Errors
-    /// It is not a `kind`.
+    /// The value is not a `kind`.
     pub fn optional<K: Kind>(&self, name: &'static str, kind: K) -> Result<Option<K::Read>, SceneError> {
         self.get(name).map(|value| kind.read(&value)).transpose()
     }
@@ -159,7 +159,7 @@ impl<'a> Table<'a> {
     /// The value of `name` as a `kind`.
     ///
     /// # Errors
-    /// It is not given, or not a `kind`.
+    /// The value is missing, or is not a `kind`.
     pub fn required<K: Kind>(&self, name: &'static str, kind: K) -> Result<K::Read, SceneError> {
         kind.read(&self.present(name, &kind.expected())?)
     }
@@ -167,7 +167,7 @@ impl<'a> Table<'a> {
     /// The value of `name`.
     ///
     /// # Errors
-    /// It is not given; `expected` says what should have been.
+    /// The value is missing; `expected` describes it in the message.
     pub fn present(&self, name: &'static str, expected: &str) -> Result<Value<'_>, SceneError> {
         self.get(name).ok_or_else(|| {
             let message = format!("missing, expected {expected}");
@@ -178,7 +178,7 @@ impl<'a> Table<'a> {
     /// The table `name`; empty if it is missing.
     ///
     /// # Errors
-    /// It is no table, or has an unknown key.
+    /// The value is not a table, or has an unknown key.
     pub fn table(&self, name: &'static str, known: &Keys) -> Result<Table<'_>, SceneError> {
         match self.get(name) {
             Some(value) => value.into_table(known),
@@ -192,7 +192,7 @@ impl<'a> Table<'a> {
     }
 }
 
-/// A value, what it is called and where it stands.
+/// A value with its path and its position in the file.
 #[derive(Clone)]
 pub(super) struct Value<'a> {
     source: &'a Source<'a>,
@@ -202,7 +202,7 @@ pub(super) struct Value<'a> {
 }
 
 impl<'a> Value<'a> {
-    /// An error at this value.
+    /// An error at this value's position.
     pub fn error(&self, message: String) -> SceneError {
         self.source.error(self.span.start, &self.key, message)
     }
@@ -228,12 +228,12 @@ impl<'a> Value<'a> {
         }
     }
 
-    /// The text of this value, if it is a string.
+    /// The string, if this value is one.
     pub fn text(&self) -> Option<&'a str> {
         self.value.as_str()
     }
 
-    /// The line of this value, from 1.
+    /// Line of this value, from 1.
     pub fn line(&self) -> u32 {
         Place::of(self.source.text, self.span.start).line
     }
@@ -252,16 +252,16 @@ impl<'a> Value<'a> {
     /// This value as a table.
     ///
     /// # Errors
-    /// It is none, or has an unknown key.
+    /// The value is not a table, or has an unknown key.
     pub fn into_table(self, known: &Keys) -> Result<Table<'a>, SceneError> {
         let entries = self.value.as_table().ok_or_else(|| self.unexpected(known.form))?;
         Table { source: self.source, key: self.key, span: self.span, entries: Some(entries) }.known(known)
     }
 
-    /// This value as an array of tables, each called by its name if it has a proper one and by its number otherwise.
+    /// This value as an array of tables, each identified by its name if that is valid, otherwise by its index.
     ///
     /// # Errors
-    /// It is none, or one of them has an unknown key.
+    /// The value is not an array of tables, or one of them has an unknown key.
     pub fn tables(&self, known: &Keys) -> Result<Vec<Table<'_>>, SceneError> {
         let items = self
             .items()
@@ -280,7 +280,7 @@ impl<'a> Value<'a> {
     /// This value as an array of exactly `N` numbers; `expected` describes it.
     ///
     /// # Errors
-    /// It is none.
+    /// The value is not such an array.
     pub fn numbers<const N: usize>(&self, number: Number, expected: &str) -> Result<[f64; N], SceneError> {
         let items = self.items().filter(|items| items.len() == N).ok_or_else(|| self.unexpected(expected))?;
         let mut numbers = [0.0; N];
@@ -291,12 +291,12 @@ impl<'a> Value<'a> {
     }
 }
 
-/// What a value may be.
+/// A kind of value, with its constraints.
 pub(super) trait Kind {
-    /// What it is read as.
+    /// The type that it is read into.
     type Read;
 
-    /// What was expected, to follow "expected".
+    /// Description of the kind, as the text after "expected".
     fn expected(&self) -> String;
 
     /// # Errors
@@ -304,7 +304,7 @@ pub(super) trait Kind {
     fn read(&self, value: &Value<'_>) -> Result<Self::Read, SceneError>;
 }
 
-/// A finite number, both ends included. TOML's integers are numbers, too.
+/// A finite number within a closed range. TOML integers are accepted.
 #[derive(Clone, Copy)]
 pub(super) struct Number {
     pub min: f64,
@@ -317,7 +317,7 @@ impl Kind for Number {
     fn expected(&self) -> String {
         match self {
             Number { max: f64::MAX, .. } => "a finite number".to_owned(),
-            // a power of ten where there is one: 1e15, not 1000000000000000
+            // use powers of ten: 1e15, not 1000000000000000
             Number { min, max } => {
                 let short = |x: f64| if x == 0.0 { "0".to_owned() } else { format!("{x:e}") };
                 format!("a number between {} and {}", short(*min), short(*max))
@@ -328,7 +328,7 @@ impl Kind for Number {
     fn read(&self, value: &Value<'_>) -> Result<f64, SceneError> {
         let number = match value.value {
             DeValue::Float(float) => float.as_str().parse().ok(),
-            // as a float: an integer may be longer than any integer type
+            // as a float, because a TOML integer may exceed any integer type
             DeValue::Integer(integer) if integer.radix() == 10 => integer.as_str().parse().ok(),
             DeValue::Integer(integer) => u128::from_str_radix(integer.as_str(), integer.radix()).ok().map(|n| n as f64),
             _ => None,
@@ -340,7 +340,7 @@ impl Kind for Number {
     }
 }
 
-/// An integer, both ends included.
+/// An integer within a closed range.
 #[derive(Clone, Copy)]
 pub(super) struct Integer {
     pub min: u32,
@@ -363,7 +363,7 @@ impl Kind for Integer {
     }
 }
 
-/// Three numbers.
+/// A vector of three numbers.
 #[derive(Clone, Copy)]
 pub(super) struct Vector(pub Number);
 
@@ -379,7 +379,7 @@ impl Kind for Vector {
     }
 }
 
-/// A string that is accepted.
+/// A string that satisfies a condition.
 pub(super) struct Text {
     pub form: &'static str,
     pub accepts: fn(&str) -> bool,
@@ -398,7 +398,7 @@ impl Kind for Text {
     }
 }
 
-/// One of several words, and what it stands for.
+/// One of several keywords, each with the value that it stands for.
 pub(super) struct Choice<T, const N: usize>(pub [(&'static str, T); N]);
 
 impl<T: Copy, const N: usize> Kind for Choice<T, N> {

@@ -1,4 +1,4 @@
-//! A body: vertices with masses about a rest shape that follows them.
+//! A free or prescribed body: vertices with masses about a rest shape that follows them.
 
 use std::sync::Arc;
 
@@ -9,23 +9,23 @@ use crate::model::{
     shape_matching::{Inner, best_rotation, outer, resistance},
 };
 
-/// A rest shape, about its mass centre.
+/// A rest shape, relative to its mass centre.
 #[derive(Clone, Debug)]
 pub struct Shape {
     /// Rest positions l, Σ m l = 0 [scene unit], `[vertex_count]`.
     pub(super) rest: Vec<DVec3>,
-    /// m [mass], `[vertex_count]`.
+    /// Vertex masses m [mass], `[vertex_count]`.
     pub(super) masses: Vec<f64>,
-    /// M = Σ m.
+    /// Total mass M = Σ m.
     pub(super) mass: f64,
-    /// Σ m l lᵀ.
+    /// Second moment Σ m l lᵀ.
     pub(super) spread: DMat3,
     /// The largest |l| [scene unit].
     pub(super) extent: f64,
 }
 
 impl Shape {
-    /// Of vertices at `rest` [scene unit] with `masses` > 0; moved to its mass centre.
+    /// A shape with vertices at `rest` [scene unit] and `masses` > 0; it is shifted to its mass centre.
     pub fn new(mut rest: Vec<DVec3>, masses: Vec<f64>) -> Shape {
         let mass: f64 = masses.iter().sum();
         let middle = rest.iter().zip(&masses).map(|(&l, &m)| m * l).sum::<DVec3>() / mass;
@@ -37,7 +37,7 @@ impl Shape {
         Shape { rest, masses, mass, spread, extent }
     }
 
-    /// M.
+    /// Total mass M.
     pub fn mass(&self) -> f64 {
         self.mass
     }
@@ -53,46 +53,46 @@ impl Shape {
     }
 }
 
-/// Whether a free body turns.
+/// Whether a free body rotates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rotation {
-    /// Its rest shape turns with its vertices.
+    /// The rest shape rotates with the vertices.
     Free,
     /// Its rest shape keeps its orientation.
     Fixed,
 }
 
-/// Who moves a body.
+/// What moves a body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Motion {
-    /// Forces.
+    /// Forces move it.
     Free(Rotation),
-    /// A path: see [`super::Paths`].
+    /// A path moves it: see [`super::Paths`].
     Prescribed,
 }
 
-/// A body, and its state. A vertex is at c + Q l + x and moves with c′ + Ω_Q×Q l + u.
+/// A body and its state. A vertex is at c + Q l + x and moves at c′ + Ω_Q×Q l + u.
 #[derive(Clone, Debug)]
 pub struct Body {
-    /// Its rest shape, which others may share.
+    /// Its rest shape, which may be shared with other bodies.
     pub shape: Arc<Shape>,
-    /// R [scene unit].
+    /// Radius R [scene unit].
     pub radius: f64,
-    /// ω and κ.
+    /// ω and κ of its vertices.
     pub oscillator: Oscillator,
-    /// Who moves it.
+    /// What moves the body.
     pub motion: Motion,
-    /// c [scene unit]
+    /// Position c of the centre [scene unit].
     pub centre: DVec3,
-    /// c′ [scene unit/s]
+    /// Velocity c′ of the centre [scene unit/s].
     pub velocity: DVec3,
-    /// Q
+    /// Rotation Q of the rest shape.
     pub rotation: DQuat,
-    /// S = Σ m s×s′, about the centre [mass · scene unit²/s]. Of no meaning unless the body turns.
+    /// Angular momentum S = Σ m s×s′ about the centre [mass · scene unit²/s]. Meaningless unless the body rotates.
     pub spin: DVec3,
-    /// x, in world axes [scene unit], `[vertex_count]`.
+    /// Displacements x, in world axes [scene unit], `[vertex_count]`.
     pub x: Vec<DVec3>,
-    /// u = x′ [scene unit/s], `[vertex_count]`.
+    /// Velocities u = x′ [scene unit/s], `[vertex_count]`.
     pub u: Vec<DVec3>,
 }
 
@@ -119,7 +119,7 @@ impl Body {
         Body { motion: Motion::Prescribed, ..Body::free(shape, radius, oscillator, Rotation::Fixed) }
     }
 
-    /// Places a free body and lets all of it move at `velocity` [scene unit/s] and turn at the rate `spin` [rad/s].
+    /// Places a free body and sets it in motion at `velocity` [scene unit/s], rotating at the rate `spin` [rad/s].
     pub fn throw(&mut self, from: DVec3, velocity: DVec3, spin: DVec3) {
         (self.centre, self.velocity) = (from, velocity);
         if self.motion == Motion::Free(Rotation::Free) {
@@ -133,7 +133,7 @@ impl Body {
         }
     }
 
-    /// Whether its rest shape turns.
+    /// Whether its rest shape rotates.
     pub fn turns(&self) -> bool {
         self.motion == Motion::Free(Rotation::Free)
     }
@@ -143,7 +143,7 @@ impl Body {
         matches!(self.motion, Motion::Free(_))
     }
 
-    /// M.
+    /// Total mass M.
     pub fn mass(&self) -> f64 {
         self.shape.mass
     }
@@ -159,7 +159,7 @@ impl Body {
         self.shape.rest.iter().zip(&self.u).map(move |(&l, &u)| self.velocity + (spin.cross(axes * l) + u))
     }
 
-    /// Ω_Q [rad/s].
+    /// Angular velocity Ω_Q of the frame [rad/s].
     pub fn frame_spin(&self) -> DVec3 {
         if self.turns() { self.inner(self.rotation).frame_spin(self.spin) } else { DVec3::ZERO }
     }
@@ -169,7 +169,7 @@ impl Body {
         Sums::of(&self.shape, &self.x, &self.u).inner(&self.shape, DMat3::from_quat(rotation))
     }
 
-    /// Turns the frame to where it fits the vertices best, which do not move by that.
+    /// Rotates the frame to the best fit of the vertices, which keep their positions.
     pub(super) fn refit(&mut self) {
         let shape = &*self.shape;
         let per_mass = 1.0 / shape.mass;
@@ -187,7 +187,7 @@ impl Body {
         let rotation = best_rotation(axes * shape.spread + sums.lx.transpose(), self.rotation);
         let turned = DMat3::from_quat(rotation);
         let spin = inner.frame_spin(self.spin);
-        // the rate of the new frame, from Σ m a×s′
+        // the angular velocity of the new frame, from Σ m a×s′
         let mut moved = DMat3::ZERO;
         for ((&l, &u), &m) in shape.rest.iter().zip(&self.u).zip(&shape.masses) {
             moved += outer(m * l, spin.cross(axes * l) + u);
@@ -220,7 +220,7 @@ pub(super) struct Sums {
 
 impl Default for Sums {
     fn default() -> Sums {
-        // a matrix is the identity by default
+        // the default of a matrix is the identity
         Sums { lx: DMat3::ZERO, lu: DMat3::ZERO, xx: DMat3::ZERO, xu: DVec3::ZERO }
     }
 }
@@ -238,7 +238,7 @@ impl Sums {
         sums
     }
 
-    /// With a = Q l, s = a + x.
+    /// The sums for rotation matrix `axes`: a = Q l, s = a + x.
     pub fn inner(&self, shape: &Shape, axes: DMat3) -> Inner {
         let aa = axes * shape.spread * axes.transpose();
         let ax = axes * self.lx;

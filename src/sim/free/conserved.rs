@@ -8,36 +8,37 @@ use super::{
 };
 use crate::model::energy::influence_potential;
 
-/// What free bodies keep where nothing from outside acts, nothing damps, and no pair changes its strength.
+/// Quantities that free bodies conserve if nothing external acts, nothing is damped, and no pair changes its strength.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Conserved {
-    /// Σ M c′ [mass · scene unit/s].
+    /// Momentum Σ M c′ [mass · scene unit/s].
     pub momentum: DVec3,
-    /// About the world's origin [mass · scene unit²/s].
+    /// Angular momentum about the world origin [mass · scene unit²/s].
     pub angular_momentum: DVec3,
-    /// Energies, all in [mass · scene unit²/s²]: Σ ½ M |c′|² …
+    /// Kinetic energy of the centres, Σ ½ M |c′|² [mass · scene unit²/s²].
     pub kinetic: f64,
-    /// … Σ ½ S·Ω, of rigid rotation …
+    /// Energy of rigid rotation, Σ ½ S·Ω [mass · scene unit²/s²].
     pub spin: f64,
-    /// … what is left of Σ ½ m |r′|² …
+    /// Remaining kinetic energy of Σ ½ m |r′|² [mass · scene unit²/s²].
     pub vibration: f64,
-    /// … Σ ½ m ω² |x|² …
+    /// Elastic energy, Σ ½ m ω² |x|² [mass · scene unit²/s²].
     pub elastic: f64,
-    /// … Σ m s Φ …
+    /// Energy of the influence, Σ m s Φ [mass · scene unit²/s²].
     pub influence: f64,
-    /// … −Σ M g·c …
+    /// Gravitational energy, −Σ M g·c [mass · scene unit²/s²].
     pub gravity: f64,
-    /// … Σ ½ m k d².
+    /// Energy of penetrated planes, Σ ½ m k d² [mass · scene unit²/s²].
     pub plane: f64,
 }
 
 impl Conserved {
-    /// All energy.
+    /// Total energy [mass · scene unit²/s²].
     pub fn energy(&self) -> f64 {
         self.kinetic + self.spin + self.vibration + self.elastic + self.influence + self.gravity + self.plane
     }
 
-    /// Of bodies as they are. Of those on prescribed paths, only what influence does to them counts.
+    /// The conserved quantities of bodies in their current state. Bodies on prescribed paths contribute only the energy
+    /// of the influence on them.
     pub fn of(bodies: &[Body], pairs: &[Pair], field: &Field) -> Conserved {
         let mut sum = Conserved::default();
         for body in bodies.iter().filter(|body| body.is_free()) {
@@ -73,7 +74,7 @@ impl Conserved {
     }
 }
 
-/// The energy of a pair at a strength [mass · scene unit²/s²].
+/// The energy of a pair's influence at a given strength [mass · scene unit²/s²].
 pub(super) fn influence(bodies: &[Body], pair: &Pair, field: &Field, strength: f64) -> f64 {
     if strength == 0.0 {
         return 0.0;

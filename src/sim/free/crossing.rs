@@ -1,19 +1,19 @@
-//! Where a quantity of a step passes zero: rims of spheres and planes, thresholds of pairs.
+//! Locates the zeros of a quantity within a step: rims of spheres and planes, thresholds of pairs.
 //!
-//! It is known with its rate at the four nodes, and taken as the polynomial of degree seven through those. In Bernstein's
-//! basis a polynomial has no more roots than its coefficients have changes of sign: halved until there is one or none,
-//! no crossing is missed, however short the visit.
+//! The quantity and its rate are known at the four nodes, and interpolated by a polynomial of degree seven. In the
+//! Bernstein basis, a polynomial has no more roots than its coefficients have sign changes. Bisection until there is at
+//! most one change misses no crossing, however short the visit.
 
 use std::sync::LazyLock;
 
 use super::super::nodes::NODES;
 
-/// Most crossings in a step that are told apart.
+/// Largest number of crossings in a step that are distinguished.
 pub const MOST: usize = 7;
 
-/// `BASIS[i][k]`: how much the k-th of (values at the nodes, rates at the nodes) counts in coefficient i.
+/// `BASIS[i][k]`: weight in coefficient i of datum k of (values at the nodes, rates at the nodes).
 static BASIS: LazyLock<[[f64; 8]; 8]> = LazyLock::new(|| {
-    // Row k of the system says what the k-th datum is of the Bernstein coefficients; invert by Gauss–Jordan.
+    // Row k of the system expresses datum k in the Bernstein coefficients; invert by Gauss–Jordan.
     const CHOOSE: [f64; 8] = [1.0, 7.0, 21.0, 35.0, 35.0, 21.0, 7.0, 1.0];
     let mut a = [[0.0; 16]; 8];
     for (k, row) in a.iter_mut().enumerate() {
@@ -50,11 +50,11 @@ static BASIS: LazyLock<[[f64; 8]; 8]> = LazyLock::new(|| {
     std::array::from_fn(|i| std::array::from_fn(|k| a[i][8 + k]))
 });
 
-/// A quantity over a step, from 0 to 1.
+/// A quantity over a step, with time from 0 to 1.
 #[derive(Clone, Copy, Debug)]
 pub struct Course([f64; 8]);
 
-/// Crossings of zero in a step, in order.
+/// Zero crossings in a step, in order.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Crossings {
     count: usize,
@@ -62,7 +62,7 @@ pub struct Crossings {
 }
 
 impl Crossings {
-    /// When, as parts of the step.
+    /// Times of the crossings, as fractions of the step.
     pub fn as_slice(&self) -> &[f64] {
         &self.at[..self.count]
     }
@@ -76,34 +76,34 @@ impl Crossings {
 }
 
 impl Course {
-    /// Through values and rates (by the time as a part of the step) at the nodes.
+    /// Interpolates values and rates at the nodes; rates are per step length.
     pub fn new(values: &[f64; 4], rates: &[f64; 4]) -> Course {
         let mut b = BASIS.map(|row| {
             let of_values = (row[0] * values[0] + row[1] * values[1]) + (row[2] * values[2] + row[3] * values[3]);
             let of_rates = (row[4] * rates[0] + row[5] * rates[1]) + (row[6] * rates[2] + row[7] * rates[3]);
             of_values + of_rates
         });
-        (b[0], b[7]) = (values[0], values[3]); // but for rounding
+        (b[0], b[7]) = (values[0], values[3]); // equal except for rounding
         Course(b)
     }
 
-    /// Takes it as exactly zero at the start.
+    /// The same quantity with its start set to exactly zero.
     pub fn starting_at_zero(mut self) -> Course {
         self.0[0] = 0.0;
         self
     }
 
-    /// Whether it is positive at the start, or right after where it is zero there.
+    /// Whether the quantity is positive at the start, or immediately after it if it is zero there.
     pub fn starts_positive(&self) -> bool {
         self.0.iter().find(|value| **value != 0.0).is_some_and(|&value| value > 0.0)
     }
 
-    /// Its value.
+    /// The value at `theta`.
     pub fn at(&self, theta: f64) -> f64 {
         split(&self.0, theta).0[7]
     }
 
-    /// Where it changes its sign. What starts at zero has the sign that it takes then.
+    /// The sign changes. A quantity that starts at zero has the sign that it takes immediately afterwards.
     pub fn crossings(&self) -> Crossings {
         let mut found = Crossings::default();
         search(&self.0, 0.0, 1.0, 0, &mut found);
@@ -141,7 +141,7 @@ fn search(b: &[f64; 8], start: f64, end: f64, depth: u32, found: &mut Crossings)
         0 => {}
         1 => found.push(start + (end - start) * only_root(b)),
         _ if depth == DEEPEST => {
-            // too near to each other to be told apart: one if the sign is another after them
+            // too close to be distinguished: one crossing if the sign differs after them
             if b[0] * b[7] < 0.0 {
                 found.push(0.5 * (start + end));
             }
@@ -150,7 +150,7 @@ fn search(b: &[f64; 8], start: f64, end: f64, depth: u32, found: &mut Crossings)
             let (left, right) = split(b, 0.5);
             let middle = 0.5 * (start + end);
             search(&left, start, middle, depth + 1, found);
-            // a root in the very middle is the one's end and the other's start
+            // a root exactly in the middle is the end of one half and the start of the other
             if right[0] == 0.0 && left[6] * right[1] < 0.0 {
                 found.push(middle);
             }
@@ -159,7 +159,7 @@ fn search(b: &[f64; 8], start: f64, end: f64, depth: u32, found: &mut Crossings)
     }
 }
 
-/// The root of a polynomial that has one: secants within a bracket (Illinois), to rounding.
+/// The root of a polynomial that has exactly one: bracketed secants (Illinois), to rounding.
 fn only_root(b: &[f64; 8]) -> f64 {
     if b[7] == 0.0 {
         return 1.0;

@@ -1,4 +1,4 @@
-//! What acts on bodies.
+//! What acts on free bodies.
 
 use glam::DVec3;
 
@@ -8,20 +8,20 @@ use crate::model::{
     shape_matching::{CoreRim, Plane},
 };
 
-/// What acts beyond pairs, and what all pairs have in common.
+/// External forces, and the parameters that all pairs share.
 #[derive(Clone, Debug)]
 pub struct Field {
-    /// Acceleration of free bodies [scene unit/s²].
+    /// Gravity: acceleration of free bodies [scene unit/s²].
     pub gravity: DVec3,
-    /// On every vertex of every body.
+    /// Planes, which act on every vertex of every body.
     pub planes: Vec<Plane>,
-    /// On single bodies.
+    /// Pushes, which act on single bodies.
     pub pushes: Vec<Push>,
-    /// r_e / R [–].
+    /// Influence radius in body radii, r_e / R [–].
     pub reach: f64,
     /// The shape of the influence (3.3).
     pub weight: Weight,
-    /// Dependence of strengths on sizes.
+    /// Dependence of strengths on body sizes.
     pub scaling: Scaling,
     /// Instants at which a derivative of a path jumps [s], ascending.
     pub breaks: Vec<f64>,
@@ -41,58 +41,58 @@ impl Default for Field {
     }
 }
 
-/// A push (Fig. 4.1) of the vertices of a body that face it.
+/// A push (Fig. 4.1) on the vertices of a body that face it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Push {
-    /// Index of the body.
+    /// Index of the body that is pushed.
     pub body: u32,
-    /// Unit vector.
+    /// Direction of the push, a unit vector.
     pub direction: DVec3,
-    /// [scene unit/s²]
+    /// Strength of the push [scene unit/s²].
     pub strength: f64,
-    /// [s]; it acts during [start, end).
+    /// Start of the push [s]; it acts during [start, end).
     pub start: f64,
-    /// [s]
+    /// End of the push, exclusive [s].
     pub end: f64,
 }
 
-/// Two bodies that can touch.
+/// Two bodies that can interact.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pair {
-    /// Index of one body …
+    /// Index of the first body.
     pub a: u32,
-    /// … and of the other.
+    /// Index of the second body.
     pub b: u32,
-    /// What they do to each other now.
+    /// Current phase, which determines how the two act on each other.
     pub phase: Phase,
-    /// When that changes, and how strong it is.
+    /// When the phase changes, and how strong the influence is.
     pub law: PairLaw,
 }
 
-/// What a pair does by its phase.
+/// The law of a pair: strengths and thresholds by phase.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PairLaw {
-    /// α [1/s²].
+    /// Strength α of attraction [1/s²].
     pub alpha: f64,
-    /// β [1/s²].
+    /// Strength β of repulsion [1/s²].
     pub beta: f64,
-    /// Whether it repels while it is apart.
+    /// Whether the pair repels while it is apart.
     pub apart_repels: bool,
-    /// When its phase changes.
+    /// The thresholds at which the phase changes.
     pub thresholds: Thresholds,
-    /// Over how much of q the strength changes about the rim of the core [–]; 0: it jumps.
+    /// Width in q of the change of strength at the rim of the core [–]; 0 for a jump.
     pub core_width: f64,
 }
 
 impl PairLaw {
-    /// How the strength changes about the rim of the core in a phase, if it does so gradually.
+    /// The gradual change of strength at the rim of the core in a phase, if there is one.
     pub fn rim(&self, phase: Phase) -> Option<CoreRim> {
         let PairLaw { alpha, beta, thresholds, core_width: width, .. } = *self;
         let is_gradual = width > 0.0 && phase != Phase::Apart;
         is_gradual.then_some(CoreRim { alpha, beta, core_at: thresholds.core_at, width })
     }
 
-    /// The strength between bodies of the same size, `q` apart [1/s²].
+    /// The strength between bodies of equal size at distance `q` [1/s²].
     pub fn strength(&self, phase: Phase, q: f64) -> f64 {
         match (self.rim(phase), phase) {
             (Some(rim), _) => rim.strength(q),
@@ -105,7 +105,7 @@ impl PairLaw {
 }
 
 impl Field {
-    /// By how much the strength of a pair differs for the body of size `radius`, the other being of size `source`.
+    /// The factor on a pair's strength for a body of size `radius` when the other is of size `source`.
     pub fn scale(&self, radius: f64, source: f64) -> f64 {
         match self.scaling {
             Scaling::Absolute => 1.0,
@@ -113,31 +113,31 @@ impl Field {
         }
     }
 
-    /// The next instant after `t` at which something jumps, whatever bodies do [s].
+    /// The next instant after `t` at which something jumps, regardless of the bodies' motion [s].
     pub(super) fn next_break(&self, t: f64) -> f64 {
         let edges = self.pushes.iter().flat_map(|push| [push.start, push.end]);
         edges.chain(self.breaks.iter().copied()).filter(|&edge| edge > t).fold(f64::INFINITY, f64::min)
     }
 }
 
-/// Where a body on a prescribed path is.
+/// The motion of a body on a prescribed path at an instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Driven {
-    /// c [scene unit]
+    /// Position c [scene unit].
     pub position: DVec3,
-    /// c′ [scene unit/s]
+    /// Velocity c′ [scene unit/s].
     pub velocity: DVec3,
-    /// What the body feels of its own motion, by its response [scene unit/s²].
+    /// Carry: the body's inertial response to its own motion [scene unit/s²].
     pub carry: DVec3,
 }
 
-/// Where bodies on prescribed paths are.
+/// The motion of bodies on prescribed paths.
 pub trait Paths: Sync {
-    /// At `t` [s]; just before it, should something jump there, if `before`.
+    /// The motion of `body` at `t` [s]; if something jumps there and `before` is set, just before the jump.
     fn at(&self, body: usize, t: f64, before: bool) -> Driven;
 }
 
-/// For bodies of which none has one.
+/// No paths, for islands without prescribed bodies.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NoPaths;
 

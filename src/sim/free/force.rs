@@ -1,4 +1,4 @@
-//! What acts on the vertices of a body at the looks of a step, and where that has a kink.
+//! What acts on the vertices of a body at the samples of a step, and where that has kinks.
 
 use glam::DVec3;
 
@@ -13,24 +13,24 @@ use crate::model::{influence::Weight, shape_matching::Plane};
 /// A sphere that acts on a body.
 #[derive(Clone, Copy, Debug)]
 pub struct Sphere {
-    /// Whose it is.
+    /// Index of the body that the sphere belongs to.
     pub source: u32,
-    /// r_e [scene unit].
+    /// Radius r_e [scene unit].
     pub radius: f64,
-    /// Its strength at each look [1/s²].
+    /// Strength at each sample [1/s²].
     pub strength: [f64; 5],
-    /// Where its centre is at each look.
+    /// Position of its centre at each sample.
     pub places: [Place; 5],
 }
 
-/// What acts on a body.
+/// Everything that acts on a body.
 #[derive(Clone, Debug, Default)]
 pub struct Acting {
     pub spheres: Vec<Sphere>,
     pub pushes: Vec<Push>,
 }
 
-/// A body in a step, where it is thought to be at the looks, and the first node at which what acts is wanted.
+/// A body in a step, its estimated state at the samples, and the first node at which forces are wanted.
 #[derive(Clone, Copy)]
 pub struct View<'a> {
     pub body: &'a Body,
@@ -40,7 +40,7 @@ pub struct View<'a> {
     pub first: usize,
 }
 
-/// One of what acts on a body.
+/// One sphere, plane or push that acts on a body.
 #[derive(Clone, Copy)]
 enum Contact<'a> {
     Sphere(&'a Sphere),
@@ -48,7 +48,7 @@ enum Contact<'a> {
     Push(&'a Push),
 }
 
-/// A vertex at a look: relative to the centre, and of the centre.
+/// A vertex at a sample, both relative to the centre and with the centre's motion.
 #[derive(Clone, Copy)]
 struct Seen {
     a: DVec3,
@@ -59,7 +59,7 @@ struct Seen {
 }
 
 impl Contact<'_> {
-    /// Positive where it acts, and how that changes [1/s].
+    /// Depth, positive where the contact acts, and its rate [1/s].
     fn depth(&self, look: usize, seen: &Seen) -> (f64, f64) {
         let Seen { a, s, rate, place, turning } = *seen;
         match self {
@@ -74,7 +74,7 @@ impl Contact<'_> {
         }
     }
 
-    /// The acceleration, smoothly on where it does not act [scene unit/s²].
+    /// The acceleration, continued smoothly to where the contact does not act [scene unit/s²].
     fn acceleration(&self, weight: Weight, look: usize, seen: &Seen) -> DVec3 {
         let Seen { a, s, rate, place, .. } = *seen;
         match self {
@@ -94,14 +94,14 @@ impl Contact<'_> {
     }
 }
 
-/// a/|a|; a vertex at the mass centre faces nothing.
+/// a/|a|; zero at the mass centre, where a vertex faces nothing.
 #[inline]
 fn unit(a: DVec3) -> DVec3 {
     a.normalize_or_zero()
 }
 
 impl Acting {
-    /// Who acts on body `index`, which is in `pairs`, in a step.
+    /// Collects what acts on body `index` in a step; `pairs` are the pairs that it belongs to.
     pub fn find<'a>(
         &mut self,
         index: usize,
@@ -137,8 +137,8 @@ impl Acting {
         self.pushes.extend(field.pushes.iter().filter(acts));
     }
 
-    /// What acts on the vertices at the nodes from the first that is wanted on, as what has no kink in the step and pieces
-    /// of it.
+    /// Evaluates the forces on the vertices at the nodes, from the first one wanted on: a part without kinks in the
+    /// step, and pieces that begin or end in it.
     pub fn evaluate(&self, view: &View<'_>, course: &mut Course) {
         let View { body, field, span, places, first } = *view;
         course.pieces.clear();
@@ -210,7 +210,7 @@ impl Acting {
         }
     }
 
-    /// What acts in the middle of the step.
+    /// Evaluates the forces in the middle of the step.
     pub fn evaluate_middle(&self, body: &Body, field: &Field, places: &[Place; 5], course: &mut Course) {
         let look = MIDDLE;
         course.vertices[look].f.fill(DVec3::ZERO);
@@ -252,8 +252,8 @@ impl Acting {
 }
 
 impl View<'_> {
-    /// One contact of one vertex over the step, with a kink wherever it begins or ends unless it is known to be `inside`
-    /// throughout.
+    /// One contact of one vertex over the step, with a kink wherever it begins or ends, unless the vertex is known to
+    /// be `inside` throughout.
     fn touch(
         &self,
         contact: Contact<'_>,
@@ -326,7 +326,7 @@ impl View<'_> {
     }
 }
 
-/// Sums over what acts on the vertices at a look, and what damping does to them there beyond −2κ x′.
+/// Sums the forces on the vertices at a sample, with the damping there beyond −2κ x′.
 fn finish(body: &Body, course: &mut Course, look: usize) {
     if !body.is_free() {
         return;
@@ -351,7 +351,7 @@ fn finish(body: &Body, course: &mut Course, look: usize) {
     frame.spinning = spinning;
 }
 
-/// A vertex at a look.
+/// The state of a vertex at a sample.
 #[inline]
 fn see(body: &Body, course: &Course, places: &[Place; 5], look: usize, i: usize) -> Seen {
     let frame = &course.frames[look];
@@ -360,9 +360,9 @@ fn see(body: &Body, course: &Course, places: &[Place; 5], look: usize, i: usize)
     Seen { a, s: a + course.vertices[look].x[i], rate, place: places[look], turning: frame.frame_spin }
 }
 
-/// What a plane does to a vertex at the nodes, which depends on where that takes the vertex: one of Newton's steps from
-/// `before`, of which `found` is what came. A stiff plane or one of sharp friction leads nowhere without. By far the most of
-/// what a force does is that it moves its own vertex; how it moves others is left to the corrections.
+/// The force of a plane on a vertex at the nodes, which depends on where the force moves the vertex: one Newton step
+/// from the guess `before`, for which the result was `found`. For a stiff plane or sharp friction, plain iteration
+/// diverges. A force acts mostly on its own vertex; its effect on other vertices is left to the corrections.
 fn hold(
     plane: &Plane,
     before: &[DVec3; 4],
@@ -398,7 +398,7 @@ fn hold(
     })
 }
 
-/// The solution of nine linear equations, the right-hand side in the last column (Gauss, with pivots).
+/// Solves nine linear equations, with the right-hand side in the last column (Gaussian elimination with pivoting).
 fn solve(mut a: [[f64; 10]; 9]) -> [f64; 9] {
     for p in 0..9 {
         let pivot = (p..9).max_by(|&i, &j| a[i][p].abs().total_cmp(&a[j][p].abs())).unwrap_or(p);

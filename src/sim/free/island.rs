@@ -1,4 +1,4 @@
-//! Bodies that depend on each other, advanced together: steps of the right length, that end where a pair changes its phase.
+//! An island: coupled bodies, advanced together with adaptive steps that end where a pair changes its phase.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -13,28 +13,28 @@ use super::{
 };
 use crate::model::{oscillator::Oscillator, phase::Phase};
 
-/// Corrections after which a step that has not settled is taken in shorter ones.
+/// A step that has not converged after this many corrections is split.
 const MOST_SWEEPS: u32 = 24;
-/// Steps that [`Island::advance`] takes at most.
+/// Largest number of steps of one [`Island::advance`].
 const MOST_STEPS: u64 = 20_000;
-/// Changes of phase of one pair in [`Island::advance`], at most.
+/// Largest number of phase changes of one pair in one [`Island::advance`].
 const MOST_CHANGES: u32 = 200;
-/// Fewer vertices than this are not worth a second thread.
+/// With fewer vertices than this, a second thread does not pay off.
 const PARALLEL_VERTICES: usize = 4096;
-/// A step has settled when what corrections still do is this part of the error that is allowed: its error must be that of
-/// the step, not of what was left of the corrections.
+/// A step has converged when the remaining corrections are below this fraction of the tolerance, so that its error is
+/// the discretisation error, not that of unfinished iteration.
 const SETTLED: f64 = 2.5e-3;
-/// Distances over thresholds as near to 1 as this are on them.
+/// Distances this close to a threshold, relative to it, count as on it.
 const STANDING: f64 = 1e-12;
-/// A step is longer than the one before by no more than this.
+/// Largest ratio of a step's length to that of the previous step.
 const MOST_GROWTH: f64 = 4.0;
-/// A body's frame may turn by as much in a step [rad].
+/// Largest rotation of a body's frame in a step [rad].
 const MOST_TURN: f64 = 1.0;
 
-/// A change of phase.
+/// A phase change of a pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Change {
-    /// When [s].
+    /// Time of the change [s].
     pub time: f64,
     /// Index of the pair.
     pub pair: usize,
@@ -44,43 +44,43 @@ pub struct Change {
     pub from: Phase,
     /// The phase that began.
     pub to: Phase,
-    /// By how much the energy of influence changed at once: Σ m Δs Φ [mass · scene unit²/s²].
+    /// Sudden change of the influence's energy, Σ m Δs Φ [mass · scene unit²/s²].
     pub energy: f64,
 }
 
-/// What happened, and what it took. Added to by [`Island::advance`].
+/// Results and statistics, accumulated by [`Island::advance`].
 #[derive(Clone, Debug, Default)]
 pub struct Report {
-    /// Changes of phase, by time.
+    /// Phase changes, in order of time.
     pub changes: Vec<Change>,
     /// Steps taken.
     pub steps: u64,
-    /// Steps tried and taken in shorter ones.
+    /// Number of rejected steps, which were retried with shorter ones.
     pub rejected: u64,
-    /// Corrections of all bodies.
+    /// Number of correction sweeps over all bodies.
     pub sweeps: u64,
-    /// The sum over the steps of the largest estimated error [radii].
+    /// Sum over the steps of the largest estimated error [radii].
     pub error: f64,
 }
 
-/// Why bodies cannot be followed any further.
+/// Why an island cannot be advanced any further.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Failure {
-    /// A pair changes its phase over and over.
+    /// A pair chatters: it changes its phase over and over.
     #[error(
         "the pair of bodies {a} and {b} changed its phase {MOST_CHANGES} times by t = {time:.9} s within one step: where \
          attraction turns into repulsion at once, bodies chatter; give the core a width (core_width), or thresholds that \
          are farther apart"
     )]
     Chatter {
-        /// Index of one body …
+        /// Index of the pair's first body.
         a: u32,
-        /// … and of the other.
+        /// Index of the pair's second body.
         b: u32,
-        /// When [s].
+        /// Time of the failure [s].
         time: f64,
     },
-    /// Steps would have to be shorter and shorter.
+    /// The step size underflows: the tolerance would require ever shorter steps.
     #[error(
         "at t = {time:.9} s body {body} cannot be followed within the tolerance: steps of {step:e} s are still too long; \
          allow a larger tolerance, or make what acts on it smoother (core_width, a plane's slip)"
@@ -88,14 +88,14 @@ pub enum Failure {
     Unresolved {
         /// Index of the body.
         body: usize,
-        /// When [s].
+        /// Time of the failure [s].
         time: f64,
-        /// What was tried [s].
+        /// Length of the last step tried [s].
         step: f64,
     },
 }
 
-/// Free bodies, and those on prescribed paths near them.
+/// Free bodies, and the bodies on prescribed paths near them.
 #[derive(Clone, Debug, Default)]
 pub struct Island {
     bodies: Vec<Body>,
@@ -103,51 +103,51 @@ pub struct Island {
     field: Field,
     tolerance: f64,
     time: f64,
-    /// The length of step that was right last [s].
+    /// The step length that last met the tolerance [s].
     pace: f64,
     scratch: Scratch,
 }
 
-/// Reused from step to step.
+/// Buffers, reused from step to step.
 #[derive(Clone, Debug, Default)]
 struct Scratch {
     courses: Vec<Course>,
     acting: Vec<Acting>,
     places: Vec<[Place; 5]>,
-    /// What the sphere of each body feels at a look.
+    /// The reaction on each body's sphere at a sample.
     reactions: Vec<DVec3>,
-    /// The pairs that each body is in.
+    /// The pairs that each body belongs to.
     pairs_of: Vec<Vec<u32>>,
     changes: Vec<u32>,
 }
 
-/// When something about a pair changes in a step.
+/// The time in a step at which a pair reaches a level at which it changes.
 #[derive(Clone, Copy, Debug)]
 struct Crossing {
-    /// As a part of the step.
+    /// Time as a fraction of the step.
     theta: f64,
     /// Index of the pair.
     pair: usize,
-    /// q [–].
+    /// The level of q that is reached [–].
     level: f64,
-    /// The phase that begins, if one does.
+    /// The phase that begins, if any.
     to: Option<Phase>,
 }
 
-/// How a step went.
+/// The error estimate of a step.
 #[derive(Clone, Copy, Debug)]
 struct Outcome {
-    /// Over what is allowed.
+    /// Error over tolerance.
     error: f64,
-    /// The worst body.
+    /// Index of the worst body.
     body: usize,
-    /// [radii]
+    /// Estimated error [radii].
     estimate: f64,
 }
 
 impl Island {
-    /// Of bodies that keep an error of `tolerance` [radii/s], at t = 0; pairs have the phases that they come with. Bodies on
-    /// prescribed paths are to be where those begin.
+    /// An island that keeps an error of `tolerance` [radii/s], at t = 0; pairs start in the phases that they are given
+    /// with. Bodies on prescribed paths must be at the start of their paths.
     pub fn new(bodies: Vec<Body>, pairs: Vec<Pair>, field: Field, tolerance: f64) -> Island {
         Island { bodies, pairs, field, tolerance, time: 0.0, pace: f64::INFINITY, scratch: Scratch::default() }
     }
@@ -157,7 +157,7 @@ impl Island {
         &self.bodies
     }
 
-    /// The bodies, to be pushed about between steps.
+    /// The bodies, mutable, to be modified between steps.
     pub fn bodies_mut(&mut self) -> &mut [Body] {
         &mut self.bodies
     }
@@ -167,7 +167,7 @@ impl Island {
         &self.pairs
     }
 
-    /// When it is [s].
+    /// Current time [s].
     pub fn time(&self) -> f64 {
         self.time
     }
@@ -177,11 +177,11 @@ impl Island {
         Conserved::of(&self.bodies, &self.pairs, &self.field)
     }
 
-    /// Advances all of it to `end` [s].
+    /// Advances the island to `end` [s].
     ///
     /// # Errors
-    /// If a pair changes its phase over and over, or steps would have to be too short. The state is then that of the
-    /// last instant reached.
+    /// If a pair chatters, or the tolerance would require steps that are too short. The state is then that of the last
+    /// instant reached.
     pub fn advance(&mut self, end: f64, paths: &dyn Paths, report: &mut Report) -> Result<(), Failure> {
         let mut scratch = std::mem::take(&mut self.scratch);
         let done = self.advance_with(&mut scratch, end, paths, report);
@@ -235,7 +235,7 @@ impl Island {
             };
             let h = next - self.time;
             let factor = 0.85 * libm::pow(outcome.error.max(1e-9), -0.2);
-            // a step that was cut short tells nothing about long ones
+            // a step that was cut short says nothing about longer ones
             self.pace = if factor > MOST_GROWTH { self.pace.max(MOST_GROWTH * h) } else { factor * h };
             report.steps += 1;
             report.error += outcome.estimate;
@@ -263,7 +263,7 @@ impl Island {
         self.time = next;
     }
 
-    /// A step to `next`, which is not yet taken; none if it does not settle.
+    /// Tries a step to `next` without committing it; `None` if it does not converge.
     fn step(&self, scratch: &mut Scratch, next: f64, paths: &dyn Paths, report: &mut Report) -> Option<Outcome> {
         let free = self.bodies.iter().filter(|body| body.is_free());
         let (sum, count) = free.fold((DVec3::ZERO, 0.0), |(sum, n), body| (sum + body.centre, n + 1.0));
@@ -281,7 +281,7 @@ impl Island {
         for sweep in 0..MOST_SWEEPS {
             self.evaluate(scratch, &span, usize::from(sweep > 0), parallel);
             report.sweeps += 1;
-            // how far the vertices moved by that, over what will do
+            // how far the vertices moved in this correction, over the tolerance
             let follow = |((body, course), places): ((&Body, &mut Course), &mut [Place; 5])| {
                 let rounding = 4e-15 * (places[0].centre.length() + body.shape.extent);
                 course.follow(body, &span, 1..4, places) / f64::max(SETTLED * wanted(body), rounding)
@@ -297,7 +297,7 @@ impl Island {
                 return None;
             }
             let rate = if sweep > 0 { change / before } else { 1.0 };
-            // what is left is the rest of a geometric series
+            // the remainder is the rest of a geometric series
             let left = if rate < 0.9 { change * rate / (1.0 - rate) } else { change };
             if sweep > 0 && left <= 1.0 {
                 return Some(self.judge(scratch, &span));
@@ -311,7 +311,7 @@ impl Island {
         None
     }
 
-    /// What acts on all bodies, at the nodes from `first` on, given where they are.
+    /// Evaluates what acts on all bodies, at the nodes from `first` on, for their current estimated positions.
     fn evaluate(&self, scratch: &mut Scratch, span: &Span, first: usize, parallel: bool) {
         let Scratch { courses, acting, places, pairs_of, .. } = scratch;
         let evaluate = |(i, (course, acting)): (usize, (&mut Course, &mut Acting))| {
@@ -325,7 +325,7 @@ impl Island {
         } else {
             courses.iter_mut().zip(acting.iter_mut()).enumerate().for_each(evaluate);
         }
-        // action and reaction
+        // reactions equal actions
         for i in 0..courses.len() {
             let Course { pieces, .. } = &courses[i];
             let on_spheres = pieces.iter().filter_map(|piece| {
@@ -352,7 +352,7 @@ impl Island {
         }
     }
 
-    /// What follows from the forces at a look.
+    /// Updates all bodies for the forces at a sample.
     fn drive(&self, scratch: &mut Scratch, span: &Span, look: usize) {
         let Scratch { courses, places, reactions, .. } = scratch;
         reactions.clear();
@@ -365,7 +365,7 @@ impl Island {
         }
     }
 
-    /// The error that a step makes, from what is found in its middle.
+    /// Estimates the error of a step from the residual in its middle.
     fn judge(&self, scratch: &mut Scratch, span: &Span) -> Outcome {
         let Scratch { courses, acting, places, pairs_of, .. } = scratch;
         for (i, body) in self.bodies.iter().enumerate() {
@@ -383,14 +383,15 @@ impl Island {
             let (course, h) = (&courses[i], span.h);
             let bends = course.bends(body);
             let Oscillator { omega, damping } = body.oscillator;
-            // What a quartic has beyond the cubic Lobatto's weights see, and a slow oscillator does, too; left of a bend is
-            // what is of the next orders in what passes in the step.
+            // Lobatto quadrature integrates the quartic part of the residual exactly, so it does not affect a slow
+            // oscillator; the part of a bend that counts is of higher order in the ratio of the step to the time scales
+            // involved.
             let planes = self.field.planes.iter().map(|plane| plane.stiffness).sum::<f64>();
             let rate = (course.stiffness + planes).sqrt() + omega + 2.0 * damping;
             let rough = f64::min(1.0, 0.5 * rate * h);
             let left = rough * rough;
-            // what an error of the force is in the displacement, now or after the oscillator has taken the velocity up;
-            // that of a centre nothing takes up: within a second
+            // effect of a force error on the displacement, now or after the oscillator has converted the velocity;
+            // nothing bounds that of a centre, so count one second
             let swing = 1.0 / omega.max(2.0 * damping).max(1.0);
             let constant = f64::min(0.5 * h * h, 2.0 / (omega * omega));
             let vertex = 0.2 * (constant + h * swing) * left * bends.force;
@@ -407,7 +408,8 @@ impl Island {
         worst
     }
 
-    /// The levels of q at which something about a pair changes: whether it is by falling, by rising or either, and to what.
+    /// The levels of q at which a pair changes: whether the crossing must fall, rise or either, and the new phase if
+    /// any.
     fn levels(pair: &Pair) -> impl Iterator<Item = (f64, Option<bool>, Option<Phase>)> {
         let ends = pair.law.rim(pair.phase).into_iter().flat_map(|rim| rim.ends());
         let ends = ends.filter(|&level| level > 0.0).map(|level| (level, None, None));
@@ -415,7 +417,7 @@ impl Island {
         ways.map(|way| (way.level, Some(way.falling), Some(way.to))).chain(ends)
     }
 
-    /// The first instant of the step that was just tried at which something about a pair changes.
+    /// The first instant of the step just tried at which a pair changes.
     fn first_crossing(&self, scratch: &Scratch, h: f64) -> Option<Crossing> {
         let mut first: Option<Crossing> = None;
         for (index, pair) in self.pairs.iter().enumerate() {
@@ -452,7 +454,7 @@ impl Island {
         first
     }
 
-    /// Takes the step again so that it ends where the pair is at the level.
+    /// Retries the step so that it ends where the pair reaches the level.
     fn end_at(
         &self,
         scratch: &mut Scratch,
@@ -486,7 +488,7 @@ impl Island {
         end
     }
 
-    /// Changes the phases of pairs that are beyond a way out of theirs, or on it and going there.
+    /// Changes the phases of pairs that are beyond a threshold of their phase, or on it and moving across it.
     fn leave_phases(&mut self, scratch: &mut Scratch, paths: &dyn Paths, report: &mut Report) -> Result<(), Failure> {
         for (i, body) in self.bodies.iter().enumerate() {
             scratch.places[i][3] = if body.is_free() {

@@ -1,15 +1,17 @@
-//! One step of bodies that depend on each other: exponential collocation.
+//! One step of coupled bodies: exponential collocation.
 //!
-//! What acts on a vertex beyond its oscillator is taken as the cubic through its values at the four Lobatto nodes, and so
-//! are the acceleration of a centre, the torque on a body and the rate of a frame. Against the exact oscillator that is
-//! exponential collocation (Hochbruck & Ostermann 2005); the spring is in none of what is approximated. All of it depends
-//! on all of it: corrected until it has settled.
+//! The acceleration of a vertex beyond its oscillator is interpolated by the cubic through its values at the four
+//! Lobatto nodes, and so are the acceleration of a centre, the torque on a body and the angular velocity of a frame.
+//! Against the exact oscillator that is exponential collocation (Hochbruck & Ostermann 2005); the spring is not part of
+//! what is approximated. All these quantities depend on each other and are corrected until they converge.
 //!
-//! What has a kink in the step, because a vertex crosses the rim of a sphere or of a plane, is two smooth forces, of which
-//! one ends and another begins at that instant: the cubic through the smooth one counts for a part of the step, exactly.
+//! A force with a kink in the step, because a vertex crosses the rim of a sphere or of a plane, is split into two
+//! smooth forces, of which one ends and the other begins at that instant: the cubic through each smooth force is
+//! integrated exactly over its part of the step.
 //!
-//! Angular momentum is a quantity of its own, with the torque as its rate, and the rate of a frame follows from it. So
-//! where action is reaction at every node, momentum and angular momentum are kept to rounding, whatever the step's error is.
+//! Angular momentum is a state variable of its own, with the torque as its rate, and determines the angular velocity of
+//! a frame. So where reactions equal actions at every node, momentum and angular momentum are conserved to rounding,
+//! whatever the step's error.
 
 use std::mem::take;
 
@@ -26,112 +28,112 @@ use crate::model::{
     shape_matching::{Inner, cross_matrix, frame_drive, resistance, rotation_by, rotation_vector_rate, solve},
 };
 
-/// The look in the middle of it.
+/// Index of the sample in the middle of the step.
 pub const MIDDLE: usize = 4;
 
-/// Where a frame is at an instant of a step, for others to see.
+/// Position and velocity of a frame at an instant of a step, as other bodies see it.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Place {
-    /// c [scene unit]
+    /// Position c of the centre [scene unit].
     pub centre: DVec3,
-    /// c′ [scene unit/s]
+    /// Velocity c′ of the centre [scene unit/s].
     pub velocity: DVec3,
 }
 
-/// A frame at an instant of a step.
+/// A body's frame at an instant of a step.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Frame {
-    /// Q.
+    /// Rotation Q.
     pub rotation: DQuat,
-    /// Q.
+    /// Rotation Q as a matrix.
     pub axes: DMat3,
-    /// From the rotation at the start, Q = exp(v) Q₀ [rad].
+    /// Rotation vector v since the start, Q = exp(v) Q₀ [rad].
     pub turned: DVec3,
-    /// S about the centre.
+    /// Angular momentum S about the centre.
     pub momentum: DVec3,
-    /// Ω_Q [rad/s].
+    /// Angular velocity Ω_Q of the frame [rad/s].
     pub frame_spin: DVec3,
-    /// Ω [rad/s].
+    /// Angular velocity Ω of the rigid rotation [rad/s].
     pub spin: DVec3,
-    /// Sums over the vertices.
+    /// Sums over the vertices that do not depend on the frame.
     pub sums: Sums,
-    /// With the axes.
+    /// Sums over the vertices for these axes.
     pub inner: Inner,
-    /// The largest |s| [scene unit] …
+    /// The largest |s| of any vertex [scene unit].
     pub extent: f64,
-    /// … and |s′| of any vertex, or more [scene unit/s].
+    /// An upper bound of |s′| of any vertex [scene unit/s].
     pub speed: f64,
 
-    /// f̄ without what begins or ends in the step [scene unit/s²].
+    /// Mean acceleration f̄ without the pieces that begin or end in the step [scene unit/s²].
     pub mean: DVec3,
-    /// Σ m a×f, likewise.
+    /// Σ m a×f, without these pieces.
     pub turning: DVec3,
-    /// Σ m s×f, likewise.
+    /// Σ m s×f, without these pieces.
     pub spinning: DVec3,
-    /// Acceleration of the centre, likewise [scene unit/s²].
+    /// Acceleration of the centre, without these pieces [scene unit/s²].
     pub acceleration: DVec3,
-    /// Torque about the island's origin, likewise.
+    /// Torque about the island's origin, without these pieces.
     pub torque: DVec3,
-    /// What all vertices feel: −f̄, or −carry [scene unit/s²].
+    /// Acceleration that all vertices share: −f̄, or −carry [scene unit/s²].
     pub common: DVec3,
-    /// What they feel by their rest position [1/s²].
+    /// Matrix D of the acceleration D l that depends on a vertex's rest position l [1/s²].
     pub drive: DMat3,
 }
 
-/// Displacement and velocity of the vertices at an instant of a step, and what acts on them.
+/// Displacements and velocities of the vertices at an instant of a step, and what acts on them.
 #[derive(Clone, Debug, Default)]
 pub struct Vertices {
     pub x: Vec<DVec3>,
     pub u: Vec<DVec3>,
-    /// Without what begins or ends in the step, and without what they have in common [scene unit/s²].
+    /// Accelerations without those that begin or end in the step, and without the shared one [scene unit/s²].
     pub f: Vec<DVec3>,
 }
 
-/// A force that begins (or, with the other sign, ends) to act at an instant of the step.
+/// A force that begins to act at an instant of the step, or, with sign −1, ends.
 #[derive(Clone, Copy, Debug)]
 pub struct Piece {
-    /// As a part of the step.
+    /// Time at which it begins, as a fraction of the step.
     pub from: f64,
-    /// 1 or −1.
+    /// 1 if the force begins, −1 if it ends.
     pub sign: f64,
-    /// What it adds to the acceleration of the centre, at the nodes [scene unit/s²] …
+    /// Contribution to the acceleration of the centre, at the nodes [scene unit/s²].
     pub acceleration: [DVec3; 4],
-    /// … and to the torque about the island's origin.
+    /// Contribution to the torque about the island's origin, at the nodes.
     pub torque: [DVec3; 4],
-    /// On which vertex it acts; none if it is a reaction.
+    /// The vertex on which it acts; `None` for a reaction.
     pub own: Option<Own>,
 }
 
-/// What a [`Piece`] does to the vertex on which it acts.
+/// The effect of a [`Piece`] on the vertex on which it acts.
 #[derive(Clone, Copy, Debug)]
 pub struct Own {
     pub vertex: u32,
-    /// Whose sphere it is, if it is one's.
+    /// The body whose sphere it is, if it is a sphere's.
     pub source: Option<u32>,
     /// Its acceleration at the nodes [scene unit/s²].
     pub g: [DVec3; 4],
-    /// What it adds to Ω_Q′, at the nodes [rad/s²].
+    /// Contribution to Ω_Q′, at the nodes [rad/s²].
     pub turn: [DVec3; 4],
 }
 
-/// What a sphere feels of the vertices that it acts on, without what begins or ends in the step: the mass times
-/// acceleration at each look.
+/// The reaction on a sphere by the vertices that it acts on, without the pieces that begin or end in the step: mass
+/// times acceleration at each sample.
 #[derive(Clone, Copy, Debug)]
 pub struct Reaction {
     pub source: u32,
     pub force: [DVec3; 5],
 }
 
-/// What a plane does to a vertex.
+/// The force of a plane on a vertex.
 #[derive(Clone, Copy, Debug)]
 pub struct Held {
     pub plane: u32,
     pub vertex: u32,
-    /// Its acceleration at the nodes, had it no kink there [scene unit/s²].
+    /// Its acceleration at the nodes, without a kink [scene unit/s²].
     pub g: [DVec3; 4],
 }
 
-/// A body's way through a step.
+/// The motion of a body during a step.
 #[derive(Clone, Debug, Default)]
 pub struct Course {
     pub frames: [Frame; 5],
@@ -140,28 +142,28 @@ pub struct Course {
     pub reactions: Vec<Reaction>,
     weights: [Stage; 4],
     known: (Oscillator, f64),
-    /// What pieces do by each look after the start.
+    /// Effect of the pieces by each sample after the start.
     late: [LateSum; 4],
-    /// To which vertices they do something by themselves.
+    /// Vertices that pieces act on directly, with the effect at each sample after the start.
     own: Vec<(u32, [(DVec3, DVec3); 4])>,
     own_before: Vec<(u32, [(DVec3, DVec3); 4])>,
-    /// Where a path is at each look.
+    /// State of the path at each sample.
     driven: [Driven; 5],
-    /// Σ |s| of the spheres that act on the body [1/s²].
+    /// Σ |s| over the spheres that act on the body [1/s²].
     pub stiffness: f64,
-    /// What planes did to vertices when they were last looked at, by plane and vertex.
+    /// Plane forces of the last evaluation, by plane and vertex.
     pub held: Vec<Held>,
-    /// The same before that.
+    /// Plane forces of the evaluation before that.
     pub held_before: Vec<Held>,
 }
 
-/// See [`Course::late`].
+/// Effect of all pieces up to a sample, see [`Course::late`].
 #[derive(Clone, Copy, Debug)]
 struct LateSum {
     centre: DVec3,
     velocity: DVec3,
     momentum: DVec3,
-    /// By how much the frame is turned beyond what the cubic through its rates at the nodes says [rad].
+    /// Rotation of the frame beyond the integral of the cubic through its rates at the nodes [rad].
     turned: DVec3,
     x: DVec3,
     u: DVec3,
@@ -172,7 +174,7 @@ struct LateSum {
 impl Default for LateSum {
     fn default() -> LateSum {
         let none = DVec3::ZERO;
-        let by_rest = DMat3::ZERO; // a matrix is the identity by default
+        let by_rest = DMat3::ZERO; // the default of a matrix is the identity
         LateSum {
             centre: none,
             velocity: none,
@@ -186,18 +188,18 @@ impl Default for LateSum {
     }
 }
 
-/// What a step of all bodies has in common.
+/// The parameters of a step that all bodies share.
 #[derive(Clone, Debug, Default)]
 pub struct Span {
-    /// When it starts [s].
+    /// Start of the step [s].
     pub start: f64,
-    /// How long it is [s].
+    /// Length of the step [s].
     pub h: f64,
-    /// When it ends [s].
+    /// End of the step [s].
     pub end: f64,
-    /// About which angular momentum is counted [scene unit].
+    /// Reference point of angular momentum [scene unit].
     pub origin: DVec3,
-    /// How centres move.
+    /// Weights for the motion of centres.
     pub ballistic: [Stage; 4],
 }
 
@@ -207,7 +209,7 @@ impl Span {
         Span { start, h, end, origin, ballistic: Stage::looks(BALLISTIC, h) }
     }
 
-    /// When the step looks for the n-th time [s].
+    /// Time of sample number `look` [s].
     pub fn time(&self, look: usize) -> f64 {
         match look {
             0 => self.start,
@@ -217,7 +219,7 @@ impl Span {
     }
 }
 
-/// Σ wᵢ vᵢ
+/// Σ wᵢ vᵢ.
 #[inline]
 pub fn combine(w: &[f64; 4], v: [DVec3; 4]) -> DVec3 {
     (w[0] * v[0] + w[1] * v[1]) + (w[2] * v[2] + w[3] * v[3])
@@ -229,7 +231,7 @@ fn combine_matrices(w: &[f64; 4], v: [DMat3; 4]) -> DMat3 {
 }
 
 impl Course {
-    /// Sets out from the body's state; everything at the nodes is to be what it is at the start.
+    /// Starts a step from the body's state; all nodes are initialised with the values at the start.
     pub fn begin(&mut self, index: usize, body: &Body, span: &Span, paths: &dyn Paths, places: &mut [Place; 5]) {
         if self.known != (body.oscillator, span.h) {
             self.known = (body.oscillator, span.h);
@@ -271,7 +273,7 @@ impl Course {
         self.orient(body, 0);
     }
 
-    /// Where the centre is at the nodes, and the vertices, if what acts at the nodes is what was found last.
+    /// Updates the centre and the vertices at the samples from the forces last found at the nodes.
     pub fn follow(&mut self, body: &Body, span: &Span, looks: std::ops::Range<usize>, places: &mut [Place; 5]) -> f64 {
         let mut change: f64 = 0.0;
         std::mem::swap(&mut self.own, &mut self.own_before);
@@ -296,7 +298,7 @@ impl Course {
                 places[look] = place;
                 self.frames[look].momentum = momentum + (combine(&b.u, torque) + late.momentum) - orbital(&place);
             }
-            // what single vertices do by themselves is added below; what changes by the rest is looked at without it
+            // single-vertex effects are added below; the change of the rest is measured without them
             for (vertex, late) in &self.own_before {
                 self.vertices[look].x[*vertex as usize] -= late[look - 1].0;
             }
@@ -340,8 +342,8 @@ impl Course {
         change
     }
 
-    /// The rotations at looks and the rates of the frame there: each follows from the other. Returns by how far that moves
-    /// what is on the frame [scene unit].
+    /// Computes the rotations at samples and the frame's angular velocities there, which depend on each other. Returns
+    /// how far this moves points on the frame [scene unit].
     fn turn(&mut self, body: &Body, span: &Span, looks: std::ops::Range<usize>) -> f64 {
         const ROUNDS: usize = 3;
         let mut change: f64 = 0.0;
@@ -361,7 +363,7 @@ impl Course {
         change
     }
 
-    /// Sums over the vertices at a look.
+    /// Computes the sums over the vertices at a sample.
     fn sum_up(&mut self, body: &Body, look: usize) {
         let (frame, Vertices { x, u, .. }) = (&mut self.frames[look], &self.vertices[look]);
         frame.sums = Sums::of(&body.shape, x, u);
@@ -370,7 +372,7 @@ impl Course {
         frame.speed = largest(u);
     }
 
-    /// What follows from the rotation at a look.
+    /// Updates what depends on the rotation at a sample.
     fn orient(&mut self, body: &Body, look: usize) {
         let frame = &mut self.frames[look];
         frame.axes = DMat3::from_quat(frame.rotation);
@@ -381,7 +383,7 @@ impl Course {
         }
     }
 
-    /// What follows for the body at a look from the forces on its vertices, and from `reaction`, what its sphere feels.
+    /// Updates the body at a sample for the forces on its vertices and for `reaction`, the force on its sphere.
     pub fn drive(&mut self, body: &Body, look: usize, gravity: DVec3, reaction: DVec3, place: &Place, origin: DVec3) {
         let mass = body.mass();
         let frame = &mut self.frames[look];
@@ -400,7 +402,7 @@ impl Course {
         }
     }
 
-    /// The first guess: nothing acts but gravity and what a path says.
+    /// The initial guess: gravity and the path alone.
     pub fn guess(&mut self, body: &Body, gravity: DVec3) {
         for look in 0..4 {
             self.vertices[look].f.fill(DVec3::ZERO);
@@ -419,7 +421,7 @@ impl Course {
         }
     }
 
-    /// What pieces do by each look.
+    /// Adds the effects of pieces at each sample.
     fn add_pieces(&mut self, body: &Body, span: &Span) {
         self.late = Default::default();
         self.own.clear();
@@ -467,8 +469,8 @@ impl Course {
         }
     }
 
-    /// How what acts on a vertex at node 1 + j moves it at node 1 + i, `[i][j]`: in x [s²] and in u [s]. It acts from the start
-    /// if it `starts`, and begins and ends to act at each of `crossings`.
+    /// Response at node 1 + i to an acceleration of a vertex at node 1 + j, `[i][j]`: in x [s²] and in u [s]. The
+    /// acceleration acts from the start if `starts` is set, and toggles at each of `crossings`.
     pub fn responses(&self, oscillator: Oscillator, h: f64, starts: bool, crossings: &[f64]) -> [[(f64, f64); 3]; 3] {
         std::array::from_fn(|i| {
             let stage = &self.weights[i];
@@ -492,7 +494,7 @@ impl Course {
         solve(resistance(self.frames[node].inner.as_), moment)
     }
 
-    /// How much what is found in the middle of the step differs from the cubics through the nodes.
+    /// The residuals of the cubics through the nodes in the middle of the step.
     pub fn bends(&self, body: &Body) -> Bends {
         let w = cubic(0.5);
         let nodes: [&Frame; 4] = std::array::from_fn(|node| &self.frames[node]);
@@ -532,7 +534,7 @@ impl Course {
         Bends { force, acceleration: acceleration.length(), spin: spin.length() }
     }
 
-    /// Makes the end of the step the body's state.
+    /// Commits the end of the step as the body's state.
     pub fn end(&mut self, body: &mut Body, places: &[Place; 5]) {
         let frame = &self.frames[3];
         body.centre = places[3].centre;
@@ -547,18 +549,18 @@ impl Course {
     }
 }
 
-/// See [`Course::bends`].
+/// Residuals in the middle of a step, see [`Course::bends`].
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Bends {
-    /// Of the force on any vertex [scene unit/s²].
+    /// Largest residual of the force on any vertex [scene unit/s²].
     pub force: f64,
-    /// Of the acceleration of the centre [scene unit/s²].
+    /// Residual of the acceleration of the centre [scene unit/s²].
     pub acceleration: f64,
-    /// Of the rate of the frame [rad/s].
+    /// Residual of the frame's angular velocity [rad/s].
     pub spin: f64,
 }
 
-/// The larger; NaN is larger than anything.
+/// The larger of two numbers; NaN if either is NaN.
 #[inline]
 pub fn larger(a: f64, b: f64) -> f64 {
     if b > a || b.is_nan() { b } else { a }

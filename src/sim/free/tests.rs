@@ -1,4 +1,4 @@
-//! Free bodies against closed forms, against what has to be kept, and against themselves.
+//! Free bodies: tests against closed forms, against conservation laws, and for self-consistency.
 
 use std::sync::Arc;
 
@@ -53,7 +53,7 @@ fn pair(a: u32, b: u32, phase: Phase, law: PairLaw) -> Pair {
     Pair { a, b, phase, law }
 }
 
-/// Two of different size that meet off-centre.
+/// Two bodies of different size that meet off-centre.
 fn two(oscillator: Oscillator, law: PairLaw, tolerance: f64) -> Island {
     let a = body(1.0, oscillator, DVec3::new(-1.6, 0.1, 0.0), DVec3::new(1.2, 0.0, 0.0), DVec3::new(0.2, 0.0, 0.5));
     let b = body(0.8, oscillator, DVec3::new(1.2, -0.1, 0.05), DVec3::new(-1.0, 0.0, 0.0), DVec3::ZERO);
@@ -69,7 +69,7 @@ fn run(island: &mut Island, duration: f64, dt: f64) -> Report {
     report
 }
 
-/// The largest distance between the same vertices.
+/// The largest distance between corresponding vertices.
 fn difference(a: &Island, b: &Island) -> f64 {
     let all = a.bodies().iter().zip(b.bodies());
     all.flat_map(|(a, b)| (0..a.x.len()).map(|i| a.position(i).distance(b.position(i)))).fold(0.0, f64::max)
@@ -130,7 +130,7 @@ fn a_stiff_body_turns_as_a_top() {
     let expected = DVec3::new(start.x * cn, second * sn, start.z * dn);
     let top = &island.bodies()[0];
     let found = top.rotation.inverse() * top.frame_spin();
-    // either way round, as the axes are
+    // either orientation, like the axes
     let error = found.distance(expected).min(found.distance(expected * DVec3::new(1.0, -1.0, 1.0)));
     assert!(error < 1e-7, "{found} {expected}");
 }
@@ -148,7 +148,7 @@ fn momentum_and_angular_momentum_are_kept_and_energy_is_accounted_for() {
     assert!((last.energy() - first.energy() - brought).abs() < 1e-6 * first.energy().abs());
 }
 
-/// The spring is no stiff coupling between vertices and frame.
+/// Stiffness is no problem: the spring causes no stiff coupling between vertices and frame.
 #[test]
 fn any_stiffness_will_do() {
     for omega in [3.0, 12.0, 100.0, 1e3, 1e4] {
@@ -160,7 +160,7 @@ fn any_stiffness_will_do() {
             let error = difference(&island, &exact);
             assert!(error < 7e-7, "{omega} {damping}: {error:e}");
             assert!((report.changes[0].time - close.changes[0].time).abs() < 1e-8);
-            assert!(report.steps < 400, "{omega} {damping}: {}", report.steps); // 42 are the least
+            assert!(report.steps < 400, "{omega} {damping}: {}", report.steps); // 42 are the minimum
         }
     }
 }
@@ -183,7 +183,7 @@ fn steps_become_shorter_as_of_a_method_of_high_order() {
     }
 }
 
-/// The model page's table of what comes of two that are thrown at each other.
+/// The outcomes of head-on encounters, as in the model page's table.
 #[test]
 fn slow_ones_bounce_off_and_fast_ones_pass() {
     let o = Oscillator { omega: 12.0, damping: 1.5 };
@@ -206,7 +206,7 @@ fn slow_ones_bounce_off_and_fast_ones_pass() {
     }
 }
 
-/// Turned as a whole, it comes to the same, turned.
+/// Rotating the whole setup rotates the result.
 #[test]
 fn no_direction_is_special() {
     let o = Oscillator { omega: 12.0, damping: 1.5 };
@@ -228,7 +228,7 @@ fn no_direction_is_special() {
     }
 }
 
-/// Four vertices in a square, which does not turn: what a plane does to it is what it does to a point.
+/// Four vertices in a square that does not rotate: a plane acts on it as on a point.
 fn slab(omega: f64, from: DVec3, velocity: DVec3) -> Body {
     let rest = vec![DVec3::X, DVec3::Y, -DVec3::X, -DVec3::Y];
     let shape = Arc::new(Shape::new(rest, vec![0.25; 4]));
@@ -243,7 +243,7 @@ fn a_slab_bounces_from_a_plane_as_a_spring_does() {
     let thrown = slab(30.0, DVec3::new(0.0, 0.0, 0.33), DVec3::new(0.2, 0.0, -1.5));
     let mut island = Island::new(vec![thrown], vec![], Field { planes: vec![plane], ..Field::default() }, 1e-6);
     run(&mut island, 0.5, 1.0 / 60.0);
-    // there at 0.22 s, and away again after half a swing
+    // contact at 0.22 s, and separation half a period later
     let away = 0.22 + std::f64::consts::PI / 4000f64.sqrt();
     let expected = DVec3::new(0.1, 0.0, 1.5 * (0.5 - away));
     let found = &island.bodies()[0];
@@ -266,7 +266,7 @@ fn a_slab_slides_as_far_as_friction_lets_it() {
     assert!(found.velocity.length() < 1e-7);
 }
 
-/// Two on a rough plane, which takes the swing out of them, where attraction turns into repulsion.
+/// Two bodies on a rough plane, which damps their motion, where attraction turns into repulsion.
 #[test]
 fn chatter_is_told_and_a_wide_core_ends_it() {
     let plane = Plane { normal: DVec3::Z, offset: 0.0, stiffness: 4000.0, friction: 0.5, slip: 0.01 };
@@ -285,7 +285,8 @@ fn chatter_is_told_and_a_wide_core_ends_it() {
     assert_eq!(outcome(0.3), Ok(()));
 }
 
-/// A body on a path pulls a free one, which by its sphere pulls back at the vertices of the one on the path, and those at it.
+/// A body on a path pulls a free one; the free body's sphere pulls back at the vertices of the prescribed body, and
+/// those pull on the free body.
 #[test]
 fn the_lighter_one_follows_the_one_on_a_path() {
     let o = Oscillator { omega: 12.0, damping: 1.5 };

@@ -1,4 +1,5 @@
-//! What forces at the nodes of a step do to an oscillator at any instant of it; also forces that act from some instant on.
+//! The response of an oscillator, at any instant of a step, to forces at its nodes; also to forces that begin within
+//! the step.
 
 use std::sync::LazyLock;
 
@@ -8,7 +9,7 @@ use super::super::{
 };
 use crate::model::oscillator::Oscillator;
 
-/// No spring and no damping: how a centre moves.
+/// An oscillator without spring and damping: the motion of a centre.
 pub const BALLISTIC: Oscillator = Oscillator { omega: 0.0, damping: 0.0 };
 
 /// `CUBIC[i]` holds the coefficients of the cubic that is 1 at node i and 0 at the others.
@@ -27,53 +28,53 @@ static CUBIC: LazyLock<[[f64; 4]; 4]> = LazyLock::new(|| {
     })
 });
 
-/// The weight at `theta` of what is known at each node, in the cubic through them.
+/// Weights at `theta` of the values at each node, in the cubic through them.
 pub fn cubic(theta: f64) -> [f64; 4] {
     CUBIC.map(|[a, b, c, d]| a + theta * (b + theta * (c + theta * d)))
 }
 
-/// How the state at an instant of a step follows from that at its start and the forces at the nodes.
+/// Weights that give the state at an instant of a step from the state at its start and the forces at the nodes.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Stage {
-    /// The flow: ∂x/∂x₀ [–] …
+    /// Flow: ∂x/∂x₀ [–].
     pub xx: f64,
-    /// … ∂x/∂u₀ [s] …
+    /// Flow: ∂x/∂u₀ [s].
     pub xu: f64,
-    /// … ∂u/∂x₀ [1/s] …
+    /// Flow: ∂u/∂x₀ [1/s].
     pub ux: f64,
-    /// … ∂u/∂u₀ [–].
+    /// Flow: ∂u/∂u₀ [–].
     pub uu: f64,
-    /// Weights of the forces in x [s²] …
+    /// Weights of the forces in x [s²].
     pub x: [f64; 4],
-    /// … and in u [s].
+    /// Weights of the forces in u [s].
     pub u: [f64; 4],
 }
 
 impl Stage {
-    /// At `theta` > 0 of a step of length `h` [s].
+    /// The weights at `theta` > 0 of a step of length `h` [s].
     pub fn new(oscillator: Oscillator, h: f64, theta: f64) -> Stage {
         let Dense { xx, xu, ux, uu, x, u, .. } = Dense::new(oscillator, h, theta);
         Stage { xx, xu, ux, uu, x, u }
     }
 
-    /// At each of the looks after the start: the three other nodes, and the middle.
+    /// The weights at each sample after the start: the three other nodes, and the middle.
     pub fn looks(oscillator: Oscillator, h: f64) -> [Stage; 4] {
         std::array::from_fn(|look| Stage::new(oscillator, h, SAMPLES[look + 1]))
     }
 }
 
-/// What forces that act from an instant within the step on do by another: weights of their values at the four nodes,
-/// between which they are the cubic.
+/// Weights of forces that begin within the step, in the state at a later instant: weights of their values at the four
+/// nodes, which the cubic interpolates.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Late {
-    /// In x [s²].
+    /// Weights in x [s²].
     pub x: [f64; 4],
-    /// In u [s].
+    /// Weights in u [s].
     pub u: [f64; 4],
 }
 
 impl Late {
-    /// By `theta`, of forces that act from `from` on, in a step of length `h` [s].
+    /// The weights at `theta` of forces that act from `from` on, in a step of length `h` [s].
     pub fn new(oscillator: Oscillator, h: f64, from: f64, theta: f64) -> Late {
         let length = theta - from;
         if length <= 0.0 {

@@ -1,4 +1,4 @@
-//! The explicit schemes: the thesis's own, what it builds on, and what a programmer would try next.
+//! The explicit schemes: the thesis's own, the one it builds on, and common alternatives.
 
 use glam::DVec3;
 
@@ -12,20 +12,20 @@ use crate::{
 /// The explicit schemes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scheme {
-    /// [`thesis`]
+    /// The thesis's scheme as printed, [`thesis`].
     Thesis,
-    /// [`mps`]
+    /// The consistent scheme that the thesis builds on, [`mps`].
     Mps,
-    /// [`euler`]
+    /// Semi-implicit Euler, [`euler`].
     Euler,
-    /// [`verlet`]
+    /// Velocity Verlet, [`verlet`].
     Verlet,
-    /// [`rk4`]
+    /// Classical Runge–Kutta, [`rk4`].
     Rk4,
 }
 
 impl Scheme {
-    /// The scheme of an integrator, if it is an explicit one.
+    /// The scheme of an integrator, if it is explicit.
     pub fn of(integrator: Integrator) -> Option<Scheme> {
         match integrator {
             Integrator::Thesis => Some(Scheme::Thesis),
@@ -37,7 +37,7 @@ impl Scheme {
         }
     }
 
-    /// Whether it looks at the middle and at the end of the interval.
+    /// Whether the scheme evaluates forces in the middle and at the end of the interval.
     pub fn looks_at(self) -> (bool, bool) {
         match self {
             Scheme::Thesis | Scheme::Mps | Scheme::Euler => (false, false),
@@ -47,7 +47,7 @@ impl Scheme {
     }
 }
 
-/// An interval of time and what acts on a body in it; the same for all vertices of the body.
+/// A time interval and what acts on a body in it; common to all vertices of the body.
 #[derive(Clone, Debug, Default)]
 pub struct Interval {
     /// Its length Δt [s].
@@ -58,21 +58,21 @@ pub struct Interval {
     pub weight: Weight,
     /// What acts at its start.
     pub start: Surroundings,
-    /// What acts in its middle; only for [`Scheme::Rk4`].
+    /// What acts in its middle; used by [`Scheme::Rk4`] only.
     pub middle: Surroundings,
-    /// What acts at its end; only for the schemes that look there.
+    /// What acts at its end; used only by schemes that evaluate forces there.
     pub end: Surroundings,
 }
 
 impl Interval {
-    /// Whether nothing acts at the instants at which `scheme` looks: a body at rest stays at rest.
+    /// Whether nothing acts at the instants at which `scheme` evaluates forces: a body at rest stays at rest.
     pub fn is_idle(&self, scheme: Scheme) -> bool {
         let (middle, end) = scheme.looks_at();
         self.start.is_idle() && (!middle || self.middle.is_idle()) && (!end || self.end.is_idle())
     }
 }
 
-/// A vertex in its interval, and what acts on it, as the schemes want to write it.
+/// A vertex in its interval, with the accelerations that the schemes need.
 #[derive(Clone, Copy, Debug)]
 pub struct Vertex<'a> {
     interval: &'a Interval,
@@ -81,7 +81,8 @@ pub struct Vertex<'a> {
 }
 
 impl Vertex<'_> {
-    /// F: all that acts but the vertex's own oscillator, at one of the instants of the interval, for displacement `x` [scene unit/s²].
+    /// F: all accelerations except the vertex's own oscillator, at one of the interval's instants, for displacement `x`
+    /// [scene unit/s²].
     #[inline]
     fn force(&self, surroundings: &Surroundings, x: DVec3) -> DVec3 {
         surroundings.acceleration(self.interval.weight, self.rest, self.facing, x)
@@ -101,7 +102,8 @@ impl Vertex<'_> {
     }
 }
 
-/// Advances all vertices of a body over the interval, in place, unless `work` is over; all of them are in the active set.
+/// Advances all vertices of a body over the interval, in place, until the budget of `work` is exhausted; all of them
+/// are in the active set.
 pub fn advance(scheme: Scheme, interval: &Interval, rest: Rest<'_>, active_set: &mut ActiveSet, work: &Tally<'_>) {
     match scheme {
         Scheme::Thesis => each(interval, rest, active_set, work, thesis),
@@ -133,8 +135,9 @@ fn each(
 
 /// (3.6)–(3.10) exactly as printed.
 ///
-/// The position is advanced twice a step, in (3.7) and (3.10), the velocity once. So this is no consistent scheme for
-/// (3.2): as Δt → 0 it converges to x″ = −2ω²x − 2κx′, an oscillator √2 times too fast. Kept as the baseline.
+/// The scheme advances the position twice per step, in (3.7) and (3.10), but the velocity once. So it is not consistent
+/// with (3.2): as Δt → 0 it converges to x″ = −2ω²x − 2κx′, an oscillator √2 times too fast. It is kept as the
+/// baseline.
 pub fn thesis(vertex: &Vertex<'_>, State { x, u }: State) -> State {
     let dt = vertex.interval.h;
     let force = vertex.force(&vertex.interval.start, x);
@@ -146,7 +149,7 @@ pub fn thesis(vertex: &Vertex<'_>, State { x, u }: State) -> State {
     State { x: x_next, u: u_next }
 }
 
-/// The MPS method's prediction and correction, on which (3.6)–(3.10) build: (3.10) starts from r, not from r*.
+/// The prediction and correction of the MPS method, which (3.6)–(3.10) build on: (3.10) starts from r, not from r*.
 pub fn mps(vertex: &Vertex<'_>, State { x, u }: State) -> State {
     let dt = vertex.interval.h;
     let u_star = u + vertex.force(&vertex.interval.start, x) * dt;

@@ -47,8 +47,8 @@ macro_rules! terms {
             }
         }
 
-        /// The acceleration that all vertices of body `index` share at an instant, given the body's motion [scene
-        /// unit/s²].
+        /// The acceleration that all vertices of body `index` share at an instant, given the body's motion
+        /// [scene unit/s²].
         pub(super) fn uniform(scene: &Scene, index: usize, motion: &Kinematics) -> DVec3 {
             let mut sum = DVec3::ZERO;
             $(sum += $module::$Term::uniform(scene, index, motion).map_or(DVec3::ZERO, |(_, force)| force);)*
@@ -129,8 +129,8 @@ trait Term {
         None
     }
 
-    /// Adds the other contributions at an instant; no vertex is farther from the body's centre than `farthest` [scene
-    /// unit].
+    /// Adds the other contributions at an instant; no vertex is farther from the body's centre than `farthest`
+    /// [scene unit].
     fn at<P: Phases>(_: &On<'_, P>, _: Moment, _motion: &Kinematics, _farthest: f64, _: &mut Surroundings) {}
 
     /// Adds the same contributions for a whole part of a step without jumps, considering the neighbours `near`.
@@ -209,8 +209,8 @@ impl Surroundings {
         self.sources.clear();
     }
 
-    /// The acceleration of the vertex with rest position `rest`, direction `facing` and displacement `x` [scene
-    /// unit/s²].
+    /// The acceleration of the vertex with rest position `rest`, direction `facing` and displacement `x`
+    /// [scene unit/s²].
     #[inline]
     pub fn acceleration(&self, weight: Weight, rest: DVec3, facing: DVec3, x: DVec3) -> DVec3 {
         let mut acceleration = DVec3::ZERO;

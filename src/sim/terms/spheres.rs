@@ -117,8 +117,8 @@ pub(in crate::sim) fn neighbour(scene: &Scene, this: u32, other: u32, pair: u32)
     Neighbour { other, pair, pull: strongest_pull(scene, this, other) }
 }
 
-/// A bound on the acceleration of any vertex of body `this` by the sphere of body `source`, in any phase [scene
-/// unit/s²].
+/// A bound on the acceleration of any vertex of body `this` by the sphere of body `source`, in any phase
+/// [scene unit/s²].
 fn strongest_pull(scene: &Scene, this: u32, source: u32) -> f64 {
     let influence = &scene.influence;
     let [this, source] = [this, source].map(|index| scene.bodies[index as usize].radius);

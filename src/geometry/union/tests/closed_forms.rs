@@ -1,4 +1,4 @@
-//! Unions that are known.
+//! Unions with known volume, area or Euler characteristic.
 
 use std::f64::consts::PI;
 
@@ -51,7 +51,7 @@ fn boxes_that_cross_have_the_volume_of_inclusion_and_exclusion() {
     assert!((cross.volume - 56.0).abs() < 1e-6, "{}", cross.volume);
     assert_eq!(cross.eulers(), [2]);
     assert!((cross.area - (6.0 * 4.0 + 12.0 * 2.0 * 4.0)).abs() < 1e-6, "{}", cross.area);
-    // Through a plate: two seams, a handle less than nothing.
+    // Through a plate: two seams, and no handle.
     let mut plate = cube().scaled(2.0);
     plate.positions.iter_mut().for_each(|p| p.z *= 0.1);
     let pierced = unite(&[plate, long(2)]);

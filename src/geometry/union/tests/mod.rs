@@ -12,7 +12,7 @@ use glam::DVec3;
 use super::*;
 use shapes::Shape;
 
-/// Their union, as a mesh that has been looked over.
+/// The union of the shapes, as a mesh that has been checked.
 fn unite(shapes: &[Shape]) -> Checked {
     try_unite(shapes, &Budget::default()).unwrap()
 }
@@ -25,14 +25,14 @@ fn try_unite(shapes: &[Shape], budget: &Budget) -> Result<Checked, UnionError> {
     let mesh = union.mesh();
     look_over(&mesh);
 
-    // Vertices keep their places to the bit.
+    // Vertices keep their positions to the bit.
     for (position, origin) in mesh.positions.iter().zip(&mesh.origins) {
         if let Origin::Vertex { body, vertex } = *origin {
             let given = shapes[body as usize].positions[vertex as usize];
             assert_eq!(position.to_array().map(f64::to_bits), given.to_array().map(f64::to_bits));
         }
     }
-    // What was computed from the difference is what the mesh has.
+    // Values computed from the difference match those of the mesh.
     let components = mesh.components();
     let size = bodies.iter().map(|b| b.area()).sum::<f64>();
     let extent =
@@ -68,7 +68,7 @@ impl Checked {
     }
 }
 
-/// Fails unless every edge has one triangle to either side and every vertex one fan.
+/// Fails unless every edge has one triangle on either side and every vertex one fan.
 fn look_over(mesh: &UnionMesh) {
     let mut next: HashMap<(u32, u32), u32> = HashMap::new();
     let mut count = vec![0; mesh.positions.len()];
@@ -115,7 +115,7 @@ fn winding_number(positions: &[DVec3], triangles: &[[u32; 3]], point: DVec3) -> 
     triangles.iter().map(angle).sum::<f64>() / (4.0 * std::f64::consts::PI)
 }
 
-/// Fails where the mesh winds otherwise than the bodies say, at points near and far.
+/// Fails where the winding number of the mesh differs from what the bodies imply, at points near and far.
 fn compare_inside(shapes: &[Shape], union: &Checked, seed: u64, samples: usize) {
     let mut random = shapes::Random::new(seed);
     let bounds = Aabb::of(shapes.iter().flat_map(|s| s.positions.iter().copied()));
@@ -128,7 +128,7 @@ fn compare_inside(shapes: &[Shape], union: &Checked, seed: u64, samples: usize) 
             at = a + (b - a) * random.next() * 0.3 + 1e-3 * a.distance(b) * random.in_cube();
         }
         let windings: Vec<f64> = shapes.iter().map(|s| winding_number(&s.positions, &s.triangles, at)).collect();
-        // On a surface there is nothing to compare.
+        // On a surface the winding number is undefined.
         if windings.iter().any(|w| (w - w.round()).abs() > 1e-6) {
             continue;
         }

@@ -1,11 +1,11 @@
-//! Random bodies, of every kind that is hard.
+//! Random bodies, including every degenerate kind.
 
 use proptest::prelude::*;
 
 use super::{shapes::*, *};
 
-/// Bodies in one of many ways at once: alike or not, on a lattice or not, flat or not; boxes, rings, several components,
-/// inside out; shaken until they intersect themselves; an ulp apart; turned and far away.
+/// Bodies with many combinations of properties: alike or not, on a lattice or not, flat or not; boxes, rings, several
+/// components, inside out; shaken until they intersect themselves; an ulp apart; rotated and far away.
 fn scene(seed: u64) -> Vec<Shape> {
     let mut random = Random::new(seed);
     let sizes = [(2, 3), (3, 5), (4, 4), (6, 12), (12, 24)];
@@ -61,7 +61,7 @@ proptest! {
         compare_inside(&shapes, &union, seed, 24);
     }
 
-    /// Coordinates that are anything at all: no panic, and what comes out is closed.
+    /// Arbitrary coordinates: no panic, and any result is closed.
     #[test]
     fn any_numbers_are_taken_or_refused(
         coordinates in prop::collection::vec(prop_oneof![any::<f64>(), -2.0..2.0, Just(0.0), Just(f64::NAN)], 36),

@@ -36,7 +36,7 @@ impl Shape {
         self
     }
 
-    /// One mesh of two.
+    /// Combines two meshes into one.
     pub fn and(mut self, other: Shape) -> Shape {
         let first = self.positions.len() as u32;
         self.positions.extend(other.positions);
@@ -45,7 +45,7 @@ impl Shape {
     }
 }
 
-/// As the scene's spheres: poles, and rings between them.
+/// A sphere as in scenes: poles, and rings between them.
 pub fn sphere(stacks: u32, slices: u32) -> Shape {
     let mut positions = vec![DVec3::Z];
     for i in 1..stacks {
@@ -83,7 +83,7 @@ pub fn cube() -> Shape {
     Shape { positions, triangles }
 }
 
-/// About z.
+/// A torus about the z axis.
 pub fn torus(major: f64, minor: f64, around: u32, across: u32) -> Shape {
     let mut positions = Vec::new();
     for i in 0..around {
@@ -105,7 +105,7 @@ pub fn torus(major: f64, minor: f64, around: u32, across: u32) -> Shape {
     Shape { positions, triangles }
 }
 
-/// Of a sphere of radius 1 whose centre is `distance` away from another's, the volume of both.
+/// Volume of the intersection of two unit spheres whose centres are `distance` apart.
 pub fn lens_volume(distance: f64) -> f64 {
     PI * (2.0 - distance).powi(2) * (distance * distance + 4.0 * distance) / (12.0 * distance)
 }
@@ -115,14 +115,14 @@ pub struct Random(u64);
 impl Random {
     pub fn new(seed: u64) -> Random {
         let mut random = Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
-        // Small seeds start with small numbers.
+        // Discard the first outputs, which are small for small seeds.
         for _ in 0..10 {
             random.next();
         }
         random
     }
 
-    /// In [0, 1).
+    /// A random number in [0, 1).
     pub fn next(&mut self) -> f64 {
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;
@@ -134,7 +134,7 @@ impl Random {
         (self.next() * n as f64) as usize
     }
 
-    /// In [−½, ½)³.
+    /// A random vector in [−½, ½)³.
     pub fn in_cube(&mut self) -> DVec3 {
         DVec3::new(self.next(), self.next(), self.next()) - DVec3::splat(0.5)
     }

@@ -1,4 +1,5 @@
-//! Contact, coincidence, alignment; bodies inside out, through themselves, too small; and what does not change a union.
+//! Contact, coincidence and alignment; bodies that are inside out, self-intersecting or too small; and invariances of a
+//! union.
 
 use super::{shapes::*, *};
 
@@ -217,7 +218,7 @@ fn rigid_motions_move_the_union() {
 
 #[test]
 fn the_cost_follows_the_overlap() {
-    // Both spheres fine all over, or fine only where they meet … the same overlap of ten times the vertices.
+    // Both spheres fine everywhere, or fine only where they meet: the same overlap with ten times the vertices.
     let work = |stacks: u32| {
         let far: Vec<Shape> = vec![
             sphere(12, 24),
@@ -252,7 +253,7 @@ fn origins_say_where_vertices_are() {
                     assert_eq!(*position, a + (b - a) * at);
                     assert!(off_plane(*position, [through, triangle]) < 1e-7);
                 }
-                // Three planes at a small angle meet anywhere near; this one is on all of them.
+                // Three planes at a small angle have an ill-conditioned intersection; this point is on all of them.
                 Origin::Triangles(all) => assert!(all.iter().all(|of| off_plane(*position, *of) < 1e-6)),
                 Origin::Within { body, triangle } => assert!(off_plane(*position, [body, triangle]) < 1e-6),
             }

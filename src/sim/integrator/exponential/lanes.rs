@@ -1,7 +1,7 @@
-//! Numbers and vectors of several vertices side by side: one operation is one instruction for all of them.
+//! SIMD scalars and vectors for several vertices side by side: one operation is one instruction for all of them.
 //!
-//! Every operation is that of its lanes, each with the rounding of IEEE 754 and none fused with another: a vertex comes to
-//! the same bits on whatever instruction set, in whatever company.
+//! Every operation acts per lane, with IEEE 754 rounding and without fusing. A vertex's result is bit-identical on
+//! every instruction set and does not depend on the other lanes.
 
 use std::ops::{Add, Div, Mul, Sub};
 
@@ -14,7 +14,7 @@ use crate::sim::arrays::{self, Vectors};
 #[cfg(test)]
 mod tests;
 
-/// A number per lane: `W` registers of them, which don't wait for each other.
+/// A number per lane, in `W` independent registers.
 #[derive(Clone, Copy)]
 pub struct Reals<S: Simd, const W: usize> {
     simd: S,
@@ -22,7 +22,7 @@ pub struct Reals<S: Simd, const W: usize> {
 }
 
 impl<S: Simd, const W: usize> Reals<S, W> {
-    /// How many lanes there are.
+    /// Number of lanes.
     pub const COUNT: usize = W * S::F64_LANES;
 
     /// The same number in all lanes.
@@ -31,7 +31,7 @@ impl<S: Simd, const W: usize> Reals<S, W> {
         Reals { simd, v: [simd.splat_f64s(value); W] }
     }
 
-    /// The numbers of an array from `first` on, which has enough of them.
+    /// Loads numbers from an array, from `first` on; the array must be long enough.
     #[inline(always)]
     pub fn load(simd: S, array: &[f64], first: usize) -> Reals<S, W> {
         let mut v = [simd.splat_f64s(0.0); W];
@@ -40,14 +40,14 @@ impl<S: Simd, const W: usize> Reals<S, W> {
         Reals { simd, v }
     }
 
-    /// Puts them into an array from `first` on.
+    /// Stores the numbers into an array, from `first` on.
     #[inline(always)]
     pub fn store(self, array: &mut [f64], first: usize) {
         let (full, _) = S::as_mut_simd_f64s(&mut array[first..first + W * S::F64_LANES]);
         full[..W].copy_from_slice(&self.v);
     }
 
-    /// √
+    /// Square root of each lane.
     #[inline(always)]
     pub fn sqrt(self) -> Reals<S, W> {
         let mut v = self.v;
@@ -57,7 +57,7 @@ impl<S: Simd, const W: usize> Reals<S, W> {
         Reals { v, ..self }
     }
 
-    /// | |
+    /// Absolute value of each lane.
     #[inline(always)]
     pub fn abs(self) -> Reals<S, W> {
         let mut v = self.v;
@@ -67,7 +67,7 @@ impl<S: Simd, const W: usize> Reals<S, W> {
         Reals { v, ..self }
     }
 
-    /// Where it is below another; false where either is NaN.
+    /// True in lanes that are less than those of `other`; false where either is NaN.
     #[inline(always)]
     pub fn below(self, other: Reals<S, W>) -> Mask<S, W> {
         let mut m = [self.simd.less_than_f64s(self.v[0], other.v[0]); W];
@@ -77,7 +77,7 @@ impl<S: Simd, const W: usize> Reals<S, W> {
         Mask { simd: self.simd, m }
     }
 
-    /// Where it is below another or equal to it; false where either is NaN.
+    /// True in lanes that are less than or equal to those of `other`; false where either is NaN.
     #[inline(always)]
     pub fn at_most(self, other: Reals<S, W>) -> Mask<S, W> {
         let mut m = [self.simd.less_than_or_equal_f64s(self.v[0], other.v[0]); W];
@@ -168,7 +168,7 @@ impl<S: Simd, const W: usize> Div for Reals<S, W> {
     }
 }
 
-/// Yes or no per lane.
+/// A boolean per lane.
 #[derive(Clone, Copy)]
 pub struct Mask<S: Simd, const W: usize> {
     simd: S,
@@ -176,14 +176,14 @@ pub struct Mask<S: Simd, const W: usize> {
 }
 
 impl<S: Simd, const W: usize> Mask<S, W> {
-    /// No in all lanes.
+    /// False in all lanes.
     #[inline(always)]
     pub fn none(simd: S) -> Mask<S, W> {
         let zero = Reals::splat(simd, 0.0);
         zero.below(zero)
     }
 
-    /// The one where yes, the other where no.
+    /// Takes `yes` in lanes that are true, `no` in the others.
     #[inline(always)]
     pub fn select(self, yes: Reals<S, W>, no: Reals<S, W>) -> Reals<S, W> {
         let mut v = no.v;
@@ -193,13 +193,13 @@ impl<S: Simd, const W: usize> Mask<S, W> {
         Reals { simd: self.simd, v }
     }
 
-    /// The one where yes, the other where no.
+    /// Takes `yes` in lanes that are true, `no` in the others.
     #[inline(always)]
     pub fn select_vector(self, yes: Vector<S, W>, no: Vector<S, W>) -> Vector<S, W> {
         Vector { x: self.select(yes.x, no.x), y: self.select(yes.y, no.y), z: self.select(yes.z, no.z) }
     }
 
-    /// Where either is.
+    /// True where either mask is.
     #[inline(always)]
     pub fn or(self, other: Mask<S, W>) -> Mask<S, W> {
         let mut m = self.m;
@@ -209,7 +209,7 @@ impl<S: Simd, const W: usize> Mask<S, W> {
         Mask { m, ..self }
     }
 
-    /// Where both are.
+    /// True where both masks are.
     #[inline(always)]
     pub fn and(self, other: Mask<S, W>) -> Mask<S, W> {
         let mut m = self.m;
@@ -219,7 +219,7 @@ impl<S: Simd, const W: usize> Mask<S, W> {
         Mask { m, ..self }
     }
 
-    /// Where it is not.
+    /// True where the mask is false.
     #[inline(always)]
     pub fn negated(self) -> Mask<S, W> {
         let mut m = self.m;
@@ -229,7 +229,7 @@ impl<S: Simd, const W: usize> Mask<S, W> {
         Mask { m, ..self }
     }
 
-    /// Whether it is anywhere.
+    /// Whether any lane is true.
     #[inline(always)]
     pub fn any(self) -> bool {
         let mut any = false;
@@ -243,11 +243,11 @@ impl<S: Simd, const W: usize> Mask<S, W> {
 /// A vector per lane.
 #[derive(Clone, Copy)]
 pub struct Vector<S: Simd, const W: usize> {
-    /// First coordinates.
+    /// The x coordinates.
     pub x: Reals<S, W>,
-    /// Second coordinates.
+    /// The y coordinates.
     pub y: Reals<S, W>,
-    /// Third coordinates.
+    /// The z coordinates.
     pub z: Reals<S, W>,
 }
 
@@ -258,21 +258,21 @@ impl<S: Simd, const W: usize> Vector<S, W> {
         Vector { x: Reals::splat(simd, x), y: Reals::splat(simd, y), z: Reals::splat(simd, z) }
     }
 
-    /// The vectors of an array from `first` on, which has enough of them.
+    /// Loads vectors from an array, from `first` on; the array must be long enough.
     #[inline(always)]
     pub fn load(simd: S, array: &Vectors, first: usize) -> Vector<S, W> {
         let load = |axis: &[f64]| Reals::load(simd, axis, first);
         Vector { x: load(&array.x), y: load(&array.y), z: load(&array.z) }
     }
 
-    /// The vectors of a block from `lane` on.
+    /// Loads vectors from a block, from `lane` on.
     #[inline(always)]
     pub fn of_block(simd: S, [x, y, z]: &arrays::Lanes, lane: usize) -> Vector<S, W> {
         let load = |axis: &[f64]| Reals::load(simd, axis, lane);
         Vector { x: load(x), y: load(y), z: load(z) }
     }
 
-    /// Puts them into a block from `lane` on.
+    /// Stores the vectors into a block, from `lane` on.
     #[inline(always)]
     pub fn into_block(self, [x, y, z]: &mut arrays::Lanes, lane: usize) {
         self.x.store(x, lane);
@@ -280,7 +280,7 @@ impl<S: Simd, const W: usize> Vector<S, W> {
         self.z.store(z, lane);
     }
 
-    /// Puts them into an array from `first` on.
+    /// Stores the vectors into an array, from `first` on.
     #[inline(always)]
     pub fn store(self, array: &mut Vectors, first: usize) {
         self.x.store(&mut array.x, first);
@@ -288,7 +288,7 @@ impl<S: Simd, const W: usize> Vector<S, W> {
         self.z.store(&mut array.z, first);
     }
 
-    /// |v|²
+    /// |v|² of each lane.
     #[inline(always)]
     pub fn length_squared(self) -> Reals<S, W> {
         self.x * self.x + self.y * self.y + self.z * self.z

@@ -1,17 +1,17 @@
-//! The exponential integrator: the oscillator's flow is exact, only the force is approximated, as closely as wanted.
+//! The exponential integrator: the oscillator's flow is exact; only the force is approximated, to a given tolerance.
 //!
 //! | what | where |
 //! | --- | --- |
-//! | what acts on a body over an interval of time, and what all its vertices do alike | [`course`] |
+//! | what acts on a body over an interval, and the motion that all its vertices share | [`course`] |
 //! | the weights of a step, from the oscillator's φ-functions | [`weights`] |
-//! | one step of a few vertices side by side, and the error it makes | [`step`], [`lanes`] |
+//! | one step of several vertices side by side, and its error | [`step`], [`lanes`] |
 //! | a step of all vertices near a sphere | [`together`] |
 //! | a vertex that crosses a rim or needs shorter steps | [`single`], [`rim`] |
 //!
-//! [`advance`] takes a body over an interval in which nothing jumps. What its own motion and pushes do to all vertices alike
-//! is a few numbers. A vertex near a sphere takes a step, and takes it again in halves as long as it would make too large
-//! an error; where it crosses a rim, at which the linear weight has a kink, its step ends and another begins. All other
-//! vertices are left to the exact flow, which takes them to wherever they are next wanted.
+//! [`advance`] takes a body over an interval without jumps. The effect of its own motion and of pushes on all vertices
+//! is a few numbers. A vertex near a sphere takes one step; if the error is too large, the step is repeated in halves.
+//! Where a vertex crosses a rim, at which the linear weight has a kink, its step ends and another begins. All other
+//! vertices are left to the exact flow, which advances them to the time at which they are next needed.
 
 pub mod course;
 pub mod lanes;
@@ -35,10 +35,10 @@ use step::{Outcome, Pull, Step, Vertex};
 use together::{Outcomes, Together};
 use weights::KnownWeights;
 
-/// Halvings of a body's interval for the sake of its own motion.
+/// Largest number of halvings of a body's interval needed to resolve its own motion.
 const MOST_HALVINGS: u32 = 10;
 
-/// Reused from step to step.
+/// Buffers, reused from step to step.
 #[derive(Default)]
 pub struct Scratch {
     whole: Step,
@@ -48,38 +48,38 @@ pub struct Scratch {
     single: single::Scratch,
 }
 
-/// What it took.
+/// Statistics of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StepStatistics {
-    /// Steps: one a body and interval, and those that single vertices took beyond it.
+    /// Number of steps: one per body and interval, plus the substeps of single vertices.
     pub substeps: u64,
-    /// The largest sum of estimated errors of a vertex [scene unit].
+    /// The largest, over all vertices, of the sum of a vertex's estimated errors [scene unit].
     pub error: f64,
-    /// In units of [`crate::sim::work`] …
+    /// Work done, in units of [`crate::sim::work`].
     pub work: u64,
-    /// … and what one step of all would have been.
+    /// Work that a single step of all vertices would have taken, in the same units.
     pub base: u64,
 }
 
-/// The kernels' instruction set, the error that will do, and what it may take.
+/// Step control: the kernels' instruction set, the tolerance, and the work budget.
 #[derive(Clone, Copy)]
 pub struct StepControl<'a> {
-    /// Which instructions there are; the result is the same with any.
+    /// The instruction set; results are the same with any.
     pub arch: Arch,
-    /// The largest error that will do, per time [scene unit/s].
+    /// The largest acceptable error per unit of time [scene unit/s].
     pub tolerance: f64,
-    /// When it is over, what is left is not done.
+    /// The work budget; once it is exhausted, the rest of the step is not computed.
     pub work: &'a Tally<'a>,
 }
 
-/// The work of a step of so many vertices under so many spheres.
+/// The work of a step of `vertices` vertices under `spheres` spheres.
 pub fn work_of(vertices: usize, spheres: usize) -> u64 {
-    /// Forces are found at the four nodes, corrected at three of them, and found in the middle.
+    /// Forces are evaluated at four nodes, corrected at three of them, and evaluated in the middle.
     const FORCES: u64 = 12;
     FORCES * vertices as u64 * (1 + spheres as u64)
 }
 
-/// Advances what the vertices of a body do alike, and those in its active set, over `course`.
+/// Advances the shared motion of a body's vertices, and the vertices in its active set, over `course`.
 pub fn advance(
     course: &Course<'_>,
     control: StepControl<'_>,
@@ -92,7 +92,7 @@ pub fn advance(
     statistics
 }
 
-/// [`advance`], in halves as long as the body's own motion is not resolved.
+/// Like [`advance`], halving the interval while the body's own motion is not resolved.
 fn halve(
     course: &Course<'_>,
     control: StepControl<'_>,
@@ -127,8 +127,8 @@ fn halve(
     scratch.whole.advance_common(course, common);
 }
 
-/// A step of the vertices of the active set, together, and of those for which that will not do one by one. Returns the largest
-/// estimated error of one [scene unit].
+/// One step of the active set: all vertices together, then one by one those for which that is not accurate enough.
+/// Returns the largest estimated error of a vertex [scene unit].
 fn take(
     course: &Course<'_>,
     control: StepControl<'_>,
@@ -158,13 +158,13 @@ fn take(
             let end = active_set.state(i);
             let outcome = Outcome { end, forces, bend: outcomes.bend.get(i), error: outcomes.error[i] };
             let start = State { x: outcomes.displacement.get(i), u: outcomes.velocity.get(i) };
-            outcomes.error[i] = 0.0; // what it makes of it counts instead
+            outcomes.error[i] = 0.0; // the error of its substeps counts instead
             let end = alone.take(vertex, start, outcome, known, single);
             active_set.set_state(i, end);
         }
     }
     if !outcomes.groups.is_empty() {
-        active_set.pad_again(); // what a step came to there was not looked at
+        active_set.pad_again(); // the padding has not been updated
     }
     statistics.substeps += alone.substeps;
     outcomes.error[..count].iter().fold(alone.error, |largest, &error| largest.max(error))

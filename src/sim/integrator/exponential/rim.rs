@@ -1,4 +1,4 @@
-//! When a vertex crosses the rim of an influence sphere within a step.
+//! Locates the time at which a vertex crosses the rim of an influence sphere within a step.
 
 use std::cell::Cell;
 
@@ -10,16 +10,16 @@ use super::{
 };
 use crate::sim::state::State;
 
-/// Looks for the crossing of a rim in a step: more are needed where a vertex swings many times in it, or its bounds are
-/// far too wide.
+/// Largest number of samples in the search for a rim crossing. More would be needed only if a vertex oscillates many
+/// times in a step, or if its bounds are far too wide.
 pub const MOST_SAMPLES: u32 = 4096;
 
-/// Not found out in so many looks.
+/// The crossing was not resolved within the allowed number of samples.
 #[derive(Clone, Copy, Debug)]
 pub struct Unresolved;
 
-/// The motion of a vertex over a step that has been taken, between its two ends: the quintic that has its displacement,
-/// velocity and acceleration at both.
+/// The motion of a vertex over a completed step, interpolated by the quintic that matches displacement, velocity and
+/// acceleration at both ends.
 pub struct Motion<'a> {
     vertex: &'a Vertex,
     start: f64,
@@ -31,7 +31,7 @@ pub struct Motion<'a> {
 }
 
 impl<'a> Motion<'a> {
-    /// Of a vertex from `state` to the step's outcome.
+    /// The motion of a vertex from `state` to the step's outcome.
     pub fn new(course: &Course<'_>, step: &Step, vertex: &'a Vertex, state: State, outcome: &Outcome) -> Motion<'a> {
         let h = step.h;
         let (omega, damping) = (course.body().material.omega, course.body().material.damping);
@@ -61,11 +61,12 @@ impl<'a> Motion<'a> {
         }
     }
 
-    /// The first time in the step, which is the one that the motion is of, at which the vertex crosses the rim of
-    /// `sphere`: outwards if it is `inside` now, inwards otherwise. It may take so many `looks`, of which it leaves the rest.
+    /// The first time in the step at which the vertex crosses the rim of `sphere`: outwards if it is `inside` now,
+    /// inwards otherwise. The step must be the one that this motion belongs to. `looks` is the number of samples that
+    /// may still be taken; the search decrements it.
     ///
     /// # Errors
-    /// If that takes too many looks.
+    /// If the search needs too many samples.
     pub fn crossing(
         &self,
         look: LookUp<'_>,
@@ -79,12 +80,12 @@ impl<'a> Motion<'a> {
         if !look.whole.smooth {
             bounds = look.bounds(self.vertex, bounds);
         }
-        // in units of the step
+        // in units of the step length
         let speed = (self.speed + bounds.speed) * self.h;
         let acceleration = (self.acceleration + bounds.acceleration) * self.h * self.h;
 
-        // distance² − r_e² is on the same side at both ends, and too far to have been on the other in between:
-        // it differs from the straight line between them by no more than its curvature/8
+        // distance² − r_e² has the same sign at both ends and is too large for a zero in between: it differs from
+        // linear interpolation by at most curvature/8
         let last = self.coefficients.iter().sum::<DVec3>();
         let [d0, d1] = [(0, self.coefficients[0]), (3, last)].map(|(node, displacement)| {
             let moment = &step.moments[node];
@@ -101,13 +102,13 @@ impl<'a> Motion<'a> {
             return Ok(None);
         }
 
-        // a crossing is a fall of it, times the sign, through zero
+        // a crossing is where it falls through zero, after multiplication by the sign
         let [a, b, c, d, e, f] = self.coefficients;
         let theta = match look.apart(self.vertex, sphere, self.start, self.h) {
             Apart::Quartic([p, q, r, s, t]) => {
-                // its centre relative to the vertex: one polynomial
+                // the sphere's centre relative to the vertex, as one polynomial
                 let (a, b, c, d, e) = (p - a, q - b, r - c, s - d, t - e);
-                // whose own bounds are most often tighter
+                // the polynomial's own bounds are usually tighter
                 let [c2, d2, e2, f2] = [c, d, e, f].map(DVec3::length);
                 let speed = b.length() + 2.0 * c2 + 3.0 * d2 + 4.0 * e2 + 5.0 * f2;
                 let acceleration = 2.0 * c2 + 6.0 * d2 + 12.0 * e2 + 20.0 * f2;
@@ -134,14 +135,14 @@ impl<'a> Motion<'a> {
     }
 }
 
-/// `distance² − r_e²` of a vertex and a sphere over a step, times a sign so that the crossing looked for is a fall through
-/// zero; the step lasts from 0 to 1.
+/// `distance² − r_e²` of a vertex and a sphere over a step, with a sign such that the crossing is a fall through zero.
+/// Time runs from 0 to 1 over the step.
 struct Gap {
-    /// How often it may still be looked at.
+    /// Number of samples that may still be taken.
     looks: Cell<u32>,
     sign: f64,
     rim: f64,
-    /// Bound of its second derivative.
+    /// Bound on its second derivative.
     curvature: f64,
 }
 
@@ -156,8 +157,8 @@ impl Gap {
         (self.sign * (apart.length_squared() - self.rim * self.rim), self.sign * (2.0 * apart.dot(velocity)))
     }
 
-    /// The first root of a function that falls through zero there, given its value and its slope. Stretches that can hold
-    /// no root are passed over whole; those on which the function is monotone are searched; others are halved.
+    /// The first root at which a function falls through zero, given its value and slope. The search skips intervals
+    /// that cannot contain a root, solves on those where the function is monotone, and bisects the others.
     fn first_fall(&self, gap: &impl Fn(f64) -> (f64, f64)) -> Option<f64> {
         self.first_fall_within(gap, 0.0, 1.0)
     }
@@ -169,14 +170,14 @@ impl Gap {
         let middle = start + half;
         let (g, slope) = gap(middle);
         let range = slope.abs() * half + 0.5 * self.curvature * half * half;
-        let close = 1e-13 * self.rim * self.rim; // nearer to zero, only rounding is seen
+        let close = 1e-13 * self.rim * self.rim; // nearer to zero, there is only rounding error
         if g.abs() > range + close {
-            return (g < 0.0).then_some(start); // no root; but if it has fallen already, that is seen now
+            return (g < 0.0).then_some(start); // no root; if it has fallen already, the crossing is here
         }
         let ends = || (gap(start).0, gap(end).0);
         if range <= close || middle <= start || middle >= end {
             let (before, after) = ends();
-            return (before > 0.0 && after <= 0.0).then_some(end); // too short to tell more
+            return (before > 0.0 && after <= 0.0).then_some(end); // too short to resolve further
         }
         if slope.abs() > self.curvature * half {
             if slope > 0.0 {
@@ -185,19 +186,20 @@ impl Gap {
             return match ends() {
                 (_, after) if after > 0.0 => None,
                 (before, _) if before > 0.0 => Some(root(gap, start, end, middle - g / slope)),
-                _ => Some(start), // it stands on the rim
+                _ => Some(start), // it lies on the rim
             };
         }
         self.first_fall_within(gap, start, middle).or_else(|| self.first_fall_within(gap, middle, end))
     }
 }
 
-/// The root of a function that falls throughout `[low, high]` from above zero to below, from a first `guess` on: Newton's
-/// steps, bisection where they leave the bracket.
+/// The root of a function that falls throughout `[low, high]` from positive to negative, starting at `guess`: Newton's
+/// method with bisection where a step leaves the bracket.
 fn root(gap: &impl Fn(f64) -> (f64, f64), mut low: f64, mut high: f64, guess: f64) -> f64 {
-    // Newton's error after a step is about the square of the step: the last one is below rounding.
+    // Newton's error after a step is about the square of the step, so after a step this small it is below rounding.
     const LAST_STEP: f64 = 1e-8;
-    // On the stairs of rounded positions, far from the origin, Newton's steps are too small: so many, then bisection.
+    // Far from the origin positions are rounded to a coarse grid and Newton steps become too small: after this many,
+    // bisect.
     const MOST_NEWTON: u32 = 32;
     let mut tries = 0;
     let mut t = if guess > low && guess < high { guess } else { low + 0.5 * (high - low) };

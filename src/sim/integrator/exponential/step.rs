@@ -1,4 +1,4 @@
-//! One step: what acts at its nodes, and exponential collocation of a few vertices side by side.
+//! One step: what acts at its nodes, and exponential collocation of several vertices side by side.
 
 use glam::DVec3;
 use pulp::Simd;
@@ -18,79 +18,81 @@ use crate::{
     },
 };
 
-/// Corrections after which a step that has not settled is given up.
+/// A step that has not converged after this many corrections is rejected.
 const MOST_SWEEPS: usize = 6;
-/// Paths are taken as the quartic through a step's looks only if the cubic through its nodes is as near as this in the
-/// middle [radii]; see [`Step::smooth`].
+/// Paths are interpolated by the quartic through a step's samples only if the cubic through its nodes is this accurate
+/// in the middle [radii]; see [`Step::smooth`].
 const SMOOTH: f64 = 1e-7;
-/// Most spheres whose rims are located; those beyond are cut off where they are found.
+/// The number of spheres whose rims are located; for further spheres the weight is cut off wherever the vertex is
+/// sampled.
 pub const RIMS: usize = 64;
 
 /// An instant of a step.
 #[derive(Clone, Debug, Default)]
 pub struct Moment {
-    /// Centres of the spheres relative to the centre of the body, shifted by what carries all vertices alike
-    /// [scene unit]: what is left of a vertex there is its own.
+    /// Centres of the spheres relative to the centre of the body, shifted by the shared motion of all vertices
+    /// [scene unit], so that a vertex's remaining displacement is its own.
     pub centres: Vec<DVec3>,
-    /// What is the same for all vertices [scene unit/s²].
+    /// Acceleration that all vertices share [scene unit/s²].
     pub uniform: DVec3,
-    /// Response of all vertices to that.
+    /// Shared response of all vertices to that acceleration.
     pub carried: DVec3,
-    /// Response to each push [scene unit].
+    /// Response to each push, for a vertex that faces it squarely [scene unit].
     pub pushed: Vec<f64>,
 }
 
 /// A step: its weights, and what acts at its nodes and in its middle.
 #[derive(Clone, Debug, Default)]
 pub struct Step {
-    /// Where it starts [s].
+    /// Start of the step [s].
     pub start: f64,
-    /// How long it is [s].
+    /// Length of the step [s].
     pub h: f64,
-    /// Of that length.
+    /// Weights for this length.
     pub weights: Weights,
-    /// At the four nodes, and in the middle.
+    /// What acts at the four nodes, and in the middle.
     pub moments: [Moment; 5],
-    /// Bounds of the motion of the centre of each sphere relative to the vertices' common motion.
+    /// Bounds on the motion of each sphere's centre relative to the shared motion of the vertices.
     pub relative: Vec<Bounds>,
-    /// Whether the quartic through the five moments is as good as the paths themselves: what it leaves out makes a force
-    /// of which the displacement does not see what counts. It leaves out less than the cubic does, by as much as the
-    /// step is short for the oscillator.
+    /// Whether the quartic through the five moments is as good as the paths themselves. The quartic's residual then
+    /// causes a force whose effect on the displacement is negligible: it is smaller than the cubic's residual by the
+    /// ratio of the step length to the oscillator's time scale.
     pub smooth: bool,
-    /// What rounding of times and positions does to the force at any of the moments [scene unit/s²]: of a smaller
-    /// difference nothing can be told, and halving the step does not make it smaller.
+    /// Effect of rounding of times and positions on the force at any of the moments [scene unit/s²]. Smaller
+    /// differences carry no information, and halving the step does not reduce them.
     pub noise: f64,
 }
 
-/// How much of its time passes in a step in which a force may change by itself, see [`Group::roughness`].
+/// Factor from the number of the force's time scales that pass in a step to the fraction of the residual that counts,
+/// see [`Group::roughness`].
 const SMOOTHNESS: f64 = 0.5;
-/// What is left of a number after a few roundings, of its size.
+/// Relative error after a few roundings.
 const ROUNDING: f64 = 8.0 * f64::EPSILON;
 
-/// The influence of a sphere on vertices side by side.
+/// The influence of a sphere on several vertices side by side.
 #[derive(Clone, Copy, Debug)]
 pub struct Pull {
     /// Index of the sphere in the course.
     pub sphere: usize,
     /// Its strength on each vertex [1/s²]; 0 where the vertex is outside of it.
     pub strength: [f64; LANES],
-    /// Whether the weight ends at the rim wherever the vertex is found. Otherwise the vertex is inside throughout, and the
-    /// linear weight goes on smoothly beyond the rim: the step then has no kink in it.
+    /// Whether the weight is cut off at the rim wherever the vertex is sampled. Otherwise the vertex is inside
+    /// throughout and the linear weight continues smoothly beyond the rim, so that the step has no kink.
     pub cut: bool,
 }
 
-/// A vertex, and what acts on it all through a step.
+/// A vertex, and what acts on it throughout a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Vertex {
     /// Rest position l [scene unit].
     pub rest: DVec3,
-    /// Which spheres it is inside of, a bit each, if that is known and is to be taken as it is throughout the step;
-    /// otherwise the weight is cut off at the rim where the vertex is found.
+    /// The spheres that contain it throughout the step, one bit each, if known and to be kept fixed. Otherwise the
+    /// weight is cut off at the rim wherever the vertex is sampled.
     pub inside: Option<u64>,
 }
 
 impl Vertex {
-    /// Where it rests, moved by what pushes have done to it, given the responses to them [scene unit].
+    /// Its rest position moved by the responses to pushes, given as `pushed` [scene unit].
     pub fn rest_at(&self, course: &Course<'_>, pushed: &[f64]) -> DVec3 {
         let moved = course
             .weighted
@@ -101,21 +103,21 @@ impl Vertex {
     }
 }
 
-/// Where a step leads a vertex.
+/// The result of a step for a vertex.
 #[derive(Clone, Copy, Debug)]
 pub struct Outcome {
     /// State at the end.
     pub end: State,
     /// Forces at the four nodes [scene unit/s²].
     pub forces: [DVec3; 4],
-    /// By how much the force in the middle differs from the cubic through those [scene unit/s²].
+    /// Difference of the force in the middle from the cubic through the forces at the nodes [scene unit/s²].
     pub bend: DVec3,
-    /// Estimate of the error of the displacement that the step makes [scene unit].
+    /// Estimated error of the displacement caused by the step [scene unit].
     pub error: f64,
 }
 
-/// Vertices that take a step together, and what acts on them. Their rest positions are `SAMPLES`: one if they stay where they
-/// are, five, at each look, if pushes move them.
+/// Vertices that take a step together, and what acts on them. `SAMPLES` is the number of their rest positions: one if
+/// these are constant, five (one per sample) if pushes move them.
 pub struct Group<'a, S: Simd, const W: usize, const SAMPLES: usize> {
     /// The instruction set.
     pub simd: S,
@@ -125,11 +127,11 @@ pub struct Group<'a, S: Simd, const W: usize, const SAMPLES: usize> {
     pub step: &'a Step,
     /// Rest positions, moved by the response to pushes.
     rest: [Vector<S, W>; SAMPLES],
-    /// The spheres that they are inside of.
+    /// The spheres that contain them.
     pub pulls: &'a [Pull],
 }
 
-/// Where a step leads.
+/// The result of a step for several vertices.
 #[derive(Clone, Copy)]
 pub struct Collocated<S: Simd, const W: usize> {
     /// Displacement at the end.
@@ -138,20 +140,20 @@ pub struct Collocated<S: Simd, const W: usize> {
     pub u: Vector<S, W>,
     /// Forces at the four nodes [scene unit/s²].
     pub forces: [Vector<S, W>; 4],
-    /// By how much the force in the middle differs from the cubic through those [scene unit/s²].
+    /// Difference of the force in the middle from the cubic through the forces at the nodes [scene unit/s²].
     pub bend: Vector<S, W>,
-    /// Estimate of the error of the displacement that the step makes [scene unit].
+    /// Estimated error of the displacement caused by the step [scene unit].
     pub error: Reals<S, W>,
 }
 
-/// `flow + Σ wᵢ fᵢ`.
+/// `flow + Σ wᵢ fᵢ`, the response to forces at the nodes.
 #[inline(always)]
 fn respond<S: Simd, const W: usize>(flow: Vector<S, W>, w: &[f64; 4], f: &[Vector<S, W>; 4]) -> Vector<S, W> {
     flow + ((f[0] * w[0] + f[1] * w[1]) + (f[2] * w[2] + f[3] * w[3]))
 }
 
 impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES> {
-    /// With rest positions `rest`, moved by what pushes have done to each vertex by how squarely it faces them.
+    /// Vertices with rest positions `rest`, each moved by pushes in proportion to how squarely it faces them.
     #[inline(always)]
     pub fn new(
         simd: S,
@@ -163,7 +165,7 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
         let mut group = Group { simd, course, step, rest: [rest; SAMPLES], pulls };
         if SAMPLES > 1 {
             let none = Reals::splat(simd, 0.0);
-            // the length of a rest position is the radius of a round body; it is computed for others only
+            // on a round body the length of a rest position is the radius; it is computed only for other shapes
             let per_length = if course.mesh.is_round() {
                 Reals::splat(simd, 1.0 / course.body().radius)
             } else {
@@ -172,7 +174,7 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
             for (p, push) in course.weighted.iter().enumerate() {
                 let d = Vector::splat(simd, push.direction);
                 let facing = none - (rest.x * d.x + rest.y * d.y + rest.z * d.z) * per_length;
-                let along = d * none.larger(facing); // none of a vertex at the centre, where that is NaN
+                let along = d * none.larger(facing); // zero for a vertex at the centre, where it would be NaN
                 for (look, rest) in group.rest.iter_mut().enumerate() {
                     *rest = *rest + along * step.moments[look].pushed[p];
                 }
@@ -181,13 +183,13 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
         group
     }
 
-    /// Rest positions at a look, moved by the response to pushes.
+    /// Rest positions at sample `look`, moved by the responses to pushes.
     #[inline(always)]
     pub fn rest_at(&self, look: usize) -> Vector<S, W> {
         self.rest[look.min(SAMPLES - 1)]
     }
 
-    /// F of each vertex for its displacement `x` at one of the step's moments [scene unit/s²].
+    /// F of each vertex for displacement `x` at one of the step's moments [scene unit/s²].
     #[inline(always)]
     fn force(&self, look: usize, x: Vector<S, W>) -> Vector<S, W> {
         let moment = &self.step.moments[look];
@@ -212,11 +214,13 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
         force
     }
 
-    /// How much of what a cubic leaves out of the force on each vertex counts [–], which goes from `start` to `end` in the step.
+    /// The fraction of the cubic's residual in the force that counts as error, per vertex [–], for a vertex that moves
+    /// from `start` to `end` in the step.
     ///
-    /// What a quartic has beyond the cubic, Lobatto quadrature sees: to a slow oscillator it makes no difference. What is
-    /// left is of the next order in what passes in the step: of the oscillator, of the influence's own oscillation,
-    /// of a sphere that the vertex passes through. So only what a force that is not smooth has beyond it counts in full.
+    /// Lobatto quadrature integrates the quartic part of the residual exactly, so it does not affect a slow oscillator.
+    /// The rest is of higher order in the ratio of the step to the time scales involved: of the oscillator, of the
+    /// influence's own oscillation, and of a sphere that the vertex passes through. So the residual counts in full only
+    /// where the force is not smooth.
     #[inline(always)]
     fn roughness(&self, start: Vector<S, W>, end: Vector<S, W>) -> Reals<S, W> {
         let (simd, step) = (self.simd, self.step);
@@ -230,27 +234,27 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
             let way = Vector::splat(simd, moved) - travelled;
             let way = (way.x.abs() + way.y.abs() + way.z.abs()) * sphere.inverse_radius;
             let strength = Reals::load(simd, &pull.strength, 0).abs();
-            passed = passed.larger(zero.below(strength).select(way, zero)); // of the vertex' own spheres only
+            passed = passed.larger(zero.below(strength).select(way, zero)); // only the spheres that act on the vertex
             stiffness = stiffness + strength;
         }
         let rate = stiffness.sqrt() + Reals::splat(simd, material.omega + 2.0 * material.damping);
         ((passed + rate * step.h) * SMOOTHNESS).smaller(Reals::splat(simd, 1.0))
     }
 
-    /// Takes the step with all of them, so exactly that the errors it estimates are below `wanted` [scene unit] if
-    /// corrections can do that.
+    /// Takes the step with all vertices of the group, such that the estimated errors are below `wanted` [scene unit] if
+    /// corrections can achieve that.
     ///
-    /// The force is taken as the cubic through its values at the four Lobatto nodes; against the exact oscillator that
-    /// is exponential collocation (Hochbruck & Ostermann 2005). The forces depend on the displacements at the nodes and
-    /// these on the forces: predicted from the nodes before, then corrected (Picard), once at least, which makes it of
-    /// order five; corrected to the end it is of order six. Each correction leaves of the last change at most the part
-    /// that the stiffness of the influence lets through. A vertex is corrected until it has settled, and no more,
-    /// whatever the others need: it does not depend on its company.
+    /// The force is the cubic through its values at the four Lobatto nodes; against the exact oscillator that is
+    /// exponential collocation (Hochbruck & Ostermann 2005). The forces depend on the displacements at the nodes and
+    /// vice versa: they are predicted from the preceding nodes, then corrected (Picard iteration) at least once, which
+    /// gives order five; iterated to convergence, the order is six. Each correction reduces the last change at least by
+    /// a factor that depends on the stiffness of the influence. Each vertex is corrected until it has converged and no
+    /// further, so its result does not depend on the other lanes.
     #[inline(always)]
     pub fn collocate(&self, x: Vector<S, W>, u: Vector<S, W>, wanted: f64) -> Collocated<S, W> {
         let (simd, weights) = (self.simd, &self.step.weights);
         let zero = Vector::splat(simd, DVec3::ZERO);
-        // Loops, not closures: a closure is compiled for the least instruction set.
+        // Loops, not closures: a closure is compiled for the baseline instruction set.
         let mut flow = [zero; 4];
         for look in 1..5 {
             let stage = weights.stage(look);
@@ -265,7 +269,7 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
         for pull in self.pulls {
             stiffness = stiffness + Reals::load(simd, &pull.strength, 0).abs();
         }
-        // What an error of the force is in the displacement, now or after the oscillator has taken the velocity up.
+        // Effect of a force error on the displacement, now or after the oscillator has converted the velocity.
         let gain = weights.gain();
         let left = stiffness * (weights.constant.abs() * gain);
         let enough = Reals::splat(simd, 0.25 * wanted);
@@ -286,7 +290,7 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
             }
         }
 
-        // How far the true force in the middle is from the cubic says how much a cubic leaves out.
+        // The residual of the cubic in the middle estimates the error of the cubic.
         let found = self.force(4, respond(flow[3], &weights.middle.force, &forces));
         let bend = found - respond(zero, &weights.polynomial, &forces);
         let noise = Reals::splat(simd, self.step.noise);
@@ -304,7 +308,8 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
 }
 
 impl Step {
-    /// Sets the step up over a whole interval, with `common` at its start; an error of `wanted` [scene unit] will do.
+    /// Prepares the step over a whole interval, with `common` at its start and an acceptable error of `wanted`
+    /// [scene unit].
     pub fn prepare(&mut self, course: &Course<'_>, weights: &Weights, common: &Common, wanted: f64) {
         let h = weights.h;
         self.start = course.start;
@@ -355,7 +360,7 @@ impl Step {
         self.noise = self.rounding(course);
     }
 
-    /// How far the cubics may be off in the middle [scene unit], see [`Step::smooth`].
+    /// Acceptable residual of the cubics in the middle [scene unit], see [`Step::smooth`].
     fn largest_left_out(&self, course: &Course<'_>, wanted: f64) -> f64 {
         let Material { omega, damping, .. } = course.body().material;
         let stiffness: f64 = course.spheres.iter().map(|sphere| sphere.strength.abs()).sum();
@@ -381,21 +386,21 @@ impl Step {
         ROUNDING * (of_times + course.spheres.iter().map(of_sphere).sum::<f64>())
     }
 
-    /// What all vertices do alike at the end of the step, from what they did at its start.
+    /// Advances the shared motion of all vertices from the start to the end of the step.
     pub fn advance_common(&self, course: &Course<'_>, common: &mut Common) {
         let Weights { ux, uu, velocity, nodes, .. } = &self.weights;
         let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
         let State { x, u } = common.carried;
         common.carried = State { x: self.moments[3].carried, u: *ux * x + *uu * u + combine(velocity, &forces) };
         for (p, (pushed, push)) in common.pushed.iter_mut().zip(course.weighted).enumerate() {
-            // a constant unit force adds S(h) to the velocity, as a unit of velocity does to the displacement
+            // a constant unit force adds S(h) to the velocity, as a unit velocity adds to the displacement
             let u = ux * pushed.x + uu * pushed.u + nodes[3].xu * push.strength;
             *pushed = Pushed { x: self.moments[3].pushed[p], u };
         }
     }
 
-    /// Bounds of the speed and the acceleration that vertices have by what all do alike within the step, if they are
-    /// `facing` pushes so squarely.
+    /// Bounds on the speed and the acceleration of the shared motion within the step, for vertices that face pushes as
+    /// squarely as `facing` says.
     fn common_bounds(&self, course: &Course<'_>, common: &Common, facing: impl Fn(&Weighted) -> f64) -> Bounds {
         let material = course.body().material;
         let uniform = self.moments.iter().map(|moment| moment.uniform.length()).fold(0.0, f64::max);
@@ -405,18 +410,18 @@ impl Step {
         Bounds { speed, acceleration: (material.omega + 2.0 * material.damping) * speed + uniform + weighted }
     }
 
-    /// The error that taking what is the same for all vertices as a cubic makes [scene unit]; see [`Group::collocate`].
+    /// The error caused by interpolating the shared acceleration by a cubic [scene unit]; see [`Group::collocate`].
     pub fn uniform_error(&self) -> f64 {
         let weights = &self.weights;
         let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
         let gain = weights.gain();
         let left_out = (self.moments[4].uniform - combine(&weights.polynomial, &forces)).length();
-        // not `f64::max`, which would lose NaN
+        // not `f64::max`, which would drop NaN
         let beyond = if left_out <= self.noise { 0.0 } else { left_out - self.noise };
         0.1 * beyond * gain
     }
 
-    /// Sets the step up over a part of an interval, of which `whole` is the step.
+    /// Prepares the step over a part of an interval, of which `whole` is the step.
     pub fn prepare_part(&mut self, course: &Course<'_>, whole: &Step, common: &Common, start: f64, weights: &Weights) {
         self.start = start;
         self.set_weights(weights);
@@ -427,7 +432,7 @@ impl Step {
         self.noise = whole.noise;
     }
 
-    /// Most often it has them from before, and they are many.
+    /// Usually the weights are already set, and copying them is expensive.
     fn set_weights(&mut self, weights: &Weights) {
         self.h = weights.h;
         if self.weights.h != weights.h || self.weights.oscillator != weights.oscillator {
@@ -435,7 +440,8 @@ impl Step {
         }
     }
 
-    /// The same for a vertex on which nothing acts: only where the spheres are at the start and at the end.
+    /// Like [`Step::prepare_part`], for a vertex on which nothing acts: only the positions of the spheres at the start
+    /// and at the end.
     pub fn prepare_ends(&mut self, course: &Course<'_>, whole: &Step, common: &Common, start: f64, h: f64) {
         self.start = start;
         self.h = h;
@@ -462,7 +468,8 @@ impl Step {
         }
     }
 
-    /// Where spheres are and what pushes have done at `theta` of this step, by the quartics through its five moments.
+    /// Sphere positions and push responses at `theta` of this step, interpolated by the quartics through its five
+    /// moments.
     fn interpolate(&self, theta: f64, moment: &mut Moment) {
         let [w0, w1, w2, w3, w4] = quartic(theta);
         let [m0, m1, m2, m3, m4] = &self.moments;
@@ -487,7 +494,7 @@ impl Step {
         let (start, end) = (self.start, self.start + self.h);
         let over_whole = |j| course.relative_bounds(j, whole.start, whole.end());
         self.relative.extend((0..course.spheres.len()).map(|j| {
-            // what the whole step's bounds have beyond the paths' is the common motion's
+            // the excess of the whole step's bounds over those of the paths is due to the shared motion
             let (paths, all, own) = (over_whole(j), whole.relative[j], course.relative_bounds(j, start, end));
             Bounds {
                 speed: own.speed + (all.speed - paths.speed).max(0.0),
@@ -496,47 +503,47 @@ impl Step {
         }));
     }
 
-    /// Where the step ends [s].
+    /// End of the step [s].
     pub fn end(&self) -> f64 {
         self.start + self.h
     }
 }
 
-/// When a step looks for the n-th time [s].
+/// Time of sample number `look` of a step [s].
 fn time_of(look: usize, start: f64, h: f64) -> f64 {
     if look == 3 { start + h } else { start + nodes::SAMPLES[look] * h }
 }
 
-/// `Σ wᵢ vᵢ`
+/// `Σ wᵢ vᵢ`.
 fn combine(w: &[f64; 4], v: &[DVec3; 4]) -> DVec3 {
     (w[0] * v[0] + w[1] * v[1]) + (w[2] * v[2] + w[3] * v[3])
 }
 
-/// Whether the weight has a kink at the rim that has to be stepped around.
+/// Whether the weight has a kink at the rim, at which a step must end.
 pub fn has_kink(weight: Weight) -> bool {
     weight == Weight::Linear
 }
 
-/// Where spheres are relative to vertices at any instant of an interval, and what it takes to tell.
+/// Positions of spheres relative to vertices at any instant of an interval, and the data for computing them.
 #[derive(Clone, Copy)]
 pub struct LookUp<'a> {
     /// The body's course.
     pub course: &'a Course<'a>,
     /// The step over all of the interval.
     pub whole: &'a Step,
-    /// What all vertices do alike at its start.
+    /// The shared motion of all vertices at the interval's start.
     pub common: &'a Common,
 }
 
-/// Where a sphere is relative to a vertex without its own displacement, in the course of a step.
+/// Position of a sphere during a step relative to a vertex, without the vertex's own displacement.
 pub enum Apart<'a> {
-    /// The coefficients of a polynomial in the time since the step's start over its length.
+    /// Coefficients of a polynomial in the time since the step's start over the step's length.
     Quartic([DVec3; 5]),
-    /// By the paths.
+    /// Evaluated from the paths.
     Exact(ExactPath<'a>),
 }
 
-/// [`Apart`] where no polynomial will do.
+/// [`Apart`] where a polynomial is not accurate enough.
 pub struct ExactPath<'a> {
     look: LookUp<'a>,
     vertex: &'a Vertex,
@@ -544,7 +551,7 @@ pub struct ExactPath<'a> {
 }
 
 impl<'a> LookUp<'a> {
-    /// Of the course's sphere number `sphere` and a vertex, in the course of a part of the interval.
+    /// The relative position of sphere number `sphere` and a vertex, over a part of the interval.
     pub fn apart(self, vertex: &'a Vertex, sphere: usize, start: f64, h: f64) -> Apart<'a> {
         let whole = self.whole;
         if !whole.smooth {
@@ -556,7 +563,7 @@ impl<'a> LookUp<'a> {
         });
         let mut c = quartic_through(&known);
         if start != whole.start || h != whole.h {
-            // the same polynomial in the part's time: from theta₀ on (Horner), and slower
+            // the same polynomial in the time of the part: shifted by theta₀ (Horner) and rescaled
             let (from, slower) = ((start - whole.start) / whole.h, h / whole.h);
             for low in 0..4 {
                 for k in (low..4).rev() {
@@ -572,13 +579,13 @@ impl<'a> LookUp<'a> {
         Apart::Quartic(c)
     }
 
-    /// Bounds of the motion of a sphere's centre relative to a vertex, without its own displacement: tighter than those
-    /// for all vertices by what pushes do to those that face them more squarely.
+    /// Bounds on the motion of a sphere's centre relative to a vertex, without its own displacement. They are tighter
+    /// than those for all vertices, which must cover vertices that face pushes more squarely.
     pub fn bounds(&self, vertex: &Vertex, all: Bounds) -> Bounds {
         let LookUp { course, whole, common } = *self;
         let squarely = whole.common_bounds(course, common, |_| 1.0);
         let own = whole.common_bounds(course, common, |push| course.facing(push.direction, vertex.rest));
-        // with room for the rounding of what is taken off
+        // with a margin for the rounding of the subtracted terms
         let less = |all: f64, squarely: f64, own: f64| all - (squarely - own) + 1e-9 * squarely;
         Bounds {
             speed: all.speed.min(less(all.speed, squarely.speed, own.speed)),
@@ -586,7 +593,7 @@ impl<'a> LookUp<'a> {
         }
     }
 
-    /// What all vertices do alike at `t` [s], and the velocities of the responses to pushes.
+    /// The shared motion of all vertices at `t` [s], with the velocities of the responses to pushes.
     fn common_at(&self, t: f64) -> Common {
         let LookUp { course, whole, common } = *self;
         if t <= whole.start {

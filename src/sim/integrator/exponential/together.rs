@@ -1,4 +1,4 @@
-//! The vertices of an active set take a step side by side, and those are found that have to be looked at one by one.
+//! Steps the vertices of an active set side by side, and finds those that must be treated individually.
 
 use std::ops::Range;
 
@@ -17,11 +17,11 @@ use crate::sim::{
     work::Tally,
 };
 
-/// Below this |x|² + |u|², in scene units and seconds, a vertex is at rest.
+/// A vertex with |x|² + |u|² below this, in scene units and seconds, is at rest.
 const REST_SQUARED: f64 = 1e-300;
 
-/// What is left to know of a step that the vertices of an active set have taken, for those that need attention; arrays padded
-/// like the active set's.
+/// Data kept from a step of the active set for the vertices that need attention; the arrays are padded like the active
+/// set's.
 #[derive(Clone, Debug, Default)]
 pub struct Outcomes {
     /// Displacements at the start [scene unit].
@@ -30,15 +30,16 @@ pub struct Outcomes {
     pub velocity: Vectors,
     /// Forces at the four nodes [scene unit/s²].
     pub forces: [Vectors; 4],
-    /// By how much the forces in the middle differ from the cubics through those [scene unit/s²].
+    /// Differences of the forces in the middle from the cubics through those at the nodes [scene unit/s²].
     pub bend: Vectors,
-    /// Estimated errors of the displacements [scene unit]; of all.
+    /// Estimated errors of the displacements [scene unit], for all vertices.
     pub error: Vec<f64>,
-    /// Spheres that each is inside of at the start, a bit each; only for a weight with a kink.
+    /// Bit sets of the spheres that contain each vertex at the start; only for a weight with a kink.
     pub inside: Vec<u64>,
-    /// 1 for those for which this step will not do, or that may cross a rim; otherwise 0. Of all.
+    /// 1 for vertices for which this step is not accurate enough or that may cross a rim, otherwise 0; for all
+    /// vertices.
     pub attention: Vec<f64>,
-    /// The groups of which any needs it.
+    /// The groups with at least one vertex that needs attention.
     pub groups: Vec<Range<usize>>,
 }
 
@@ -60,21 +61,21 @@ impl Outcomes {
 pub struct Together<'a> {
     /// The body's course.
     pub course: &'a Course<'a>,
-    /// The step, over all of it.
+    /// The step over the whole course.
     pub step: &'a Step,
     /// The vertices; their states become those at the end.
     pub active_set: &'a mut ActiveSet,
-    /// The largest error that will do [scene unit].
+    /// The largest acceptable error [scene unit].
     pub wanted: f64,
-    /// Bound of the acceleration of a vertex by anything but its oscillator [scene unit/s²].
+    /// Bound on the acceleration of a vertex by anything but its oscillator [scene unit/s²].
     pub force: f64,
-    /// Whether the step is too long to see a vertex swing.
+    /// Whether the step is too long to resolve the oscillation of a vertex.
     pub stiff: bool,
-    /// When it is over, what is left is not done.
+    /// The work budget; once it is exhausted, the rest of the step is not computed.
     pub work: &'a Tally<'a>,
-    /// Reused.
+    /// Buffer, reused.
     pub pulls: &'a mut Vec<Pull>,
-    /// What is left to know.
+    /// Results for the vertices that need attention.
     pub outcomes: &'a mut Outcomes,
 }
 
@@ -103,7 +104,7 @@ impl WithSimd for Together<'_> {
 }
 
 impl Together<'_> {
-    /// The step of the vertices from `first` on, as many as are taken side by side.
+    /// Steps one group of vertices, from `first` on.
     #[inline(always)]
     fn take<S: Simd, const W: usize, const SAMPLES: usize>(&mut self, simd: S, first: usize) {
         let Together { course, step, ref active_set, .. } = *self;
@@ -115,7 +116,7 @@ impl Together<'_> {
         let rest = Vector::<S, W>::of_block(simd, rest, lane);
         let [x, u] = [x, u].map(|vectors| Vector::of_block(simd, vectors, lane));
 
-        // How far each can get by itself: √(|u|² + ω²|x|²) bounds its speed, and over ω how far from rest it gets.
+        // How far each vertex can move: √(|u|² + ω²|x|²) bounds its speed, and divided by ω its distance from rest.
         let swing = (u.length_squared() + x.length_squared() * (material.omega * material.omega)).sqrt();
         let speed = swing + Reals::splat(simd, self.force * h);
         let travel = (speed * h).smaller(speed * (2.0 / material.omega));
@@ -146,8 +147,8 @@ impl Together<'_> {
             (end.x, end.u, end.error.at_most(Reals::splat(simd, self.wanted)).negated())
         };
         let mut attention = short.or(passing);
-        // Nothing is felt of a vertex that swings by less, and smaller numbers still are slow to compute with.
-        // (NaN stays to be found.)
+        // A vertex with a smaller oscillation has no noticeable effect, and subnormal numbers are slow to compute with.
+        // (NaN is kept, to be detected.)
         let rests = (u1.length_squared() + x1.length_squared()).below(Reals::splat(simd, REST_SQUARED));
         let zero = Vector::splat(simd, DVec3::ZERO);
         let (x1, u1) = (rests.select_vector(zero, x1), rests.select_vector(zero, u1));
@@ -171,7 +172,8 @@ impl Together<'_> {
         u1.into_block(u, lane);
     }
 
-    /// Finds the spheres that vertices at `position` are inside of, and which vertices may come to others in the step.
+    /// Finds the spheres that contain the vertices at `position`, and the vertices that may enter other spheres in the
+    /// step.
     #[inline(always)]
     fn find_pulls<S: Simd, const W: usize>(
         &mut self,
@@ -189,7 +191,7 @@ impl Together<'_> {
             let centre = Vector::splat(simd, step.moments[0].centres[j]);
             let distance = (centre - position).length_squared().sqrt();
             let reach = travel + Reals::splat(simd, step.relative[j].speed * step.h);
-            // written so that NaN is near
+            // written so that NaN counts as near
             let close = reach.below((distance - rim).abs()).negated();
             let mut pull = Pull { sphere: j, strength: [0.0; LANES], cut: true };
             if has_kink(course.weight()) && j < RIMS {
@@ -217,17 +219,17 @@ impl Together<'_> {
     }
 }
 
-/// Which vertices may come to spheres that they are not in.
+/// The vertices that may enter spheres that do not contain them.
 struct Near<S: Simd, const W: usize> {
-    /// May cross a rim at which the force has a kink.
+    /// Vertices that may cross a rim at which the force has a kink.
     rims: Mask<S, W>,
-    /// May be in a sphere between the nodes of the step and at none of them.
+    /// Vertices that may be inside a sphere between the nodes of the step but at none of them.
     passing: Mask<S, W>,
 }
 
-/// Which vertices may cross a rim between two positions, at the ends of a step. The square of the distance to a centre
-/// less r_e² differs from the straight line between its values at the ends by no more than its curvature times h²/8: if
-/// those are on the same side of zero and farther from it, there is no crossing.
+/// The vertices that may cross a rim between two positions, at the ends of a step. The squared distance to a centre
+/// less r_e² differs from linear interpolation between its end values by at most its curvature times h²/8: if both end
+/// values have the same sign and are larger than that, there is no crossing.
 #[inline(always)]
 fn may_cross<S: Simd, const W: usize>(
     simd: S,
@@ -262,7 +264,7 @@ fn may_cross<S: Simd, const W: usize>(
     crossing
 }
 
-/// The largest |x|² and |u|² + ω²|x|² of an active set; NaN if any is not.
+/// The largest |x|² and |u|² + ω²|x|² of an active set; NaN if any value is NaN.
 pub struct Largest<'a> {
     /// The vertices.
     pub active_set: &'a ActiveSet,
@@ -279,7 +281,7 @@ impl WithSimd for Largest<'_> {
         let (mut x2, mut m2) = (zero, zero);
         let ActiveSet { vertices, blocks } = self.active_set;
         for (Block([x, u, _]), vertices) in blocks.all().iter().zip(vertices.chunks(LANES)) {
-            // what is beyond them was not advanced
+            // the lanes beyond them were not advanced
             for lane in (0..vertices.len()).step_by(Reals::<S, 2>::COUNT) {
                 let x = Vector::<S, 2>::of_block(simd, x, lane).length_squared();
                 let u = Vector::<S, 2>::of_block(simd, u, lane).length_squared();

@@ -1,4 +1,4 @@
-//! Collocation weights: what forces at four instants of a step do to the oscillator, exactly.
+//! Collocation weights: the exact response of the oscillator to forces at four instants of a step.
 
 use std::sync::LazyLock;
 
@@ -12,7 +12,8 @@ use crate::{
     },
 };
 
-/// `LAGRANGE[n][i]` holds the coefficients of the polynomial that is 1 at node i and 0 at the other nodes before node n.
+/// `LAGRANGE[n][i]` holds the coefficients of the polynomial that is 1 at node i and 0 at the other nodes before node
+/// n.
 static LAGRANGE: LazyLock<[[[f64; 4]; 4]; 5]> = LazyLock::new(|| {
     let mut all = [[[0.0; 4]; 4]; 5];
     for (n, basis) in all.iter_mut().enumerate().skip(1) {
@@ -31,7 +32,8 @@ static LAGRANGE: LazyLock<[[[f64; 4]; 4]; 5]> = LazyLock::new(|| {
     all
 });
 
-/// How the displacement at an instant of the step follows from the state at its start and the forces at the nodes.
+/// Weights that give the displacement at an instant of the step from the state at its start and the forces at the
+/// nodes.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Stage {
     /// Weight of the displacement at the start [–].
@@ -40,7 +42,7 @@ pub struct Stage {
     pub xu: f64,
     /// Weight of the force at each node [s²].
     pub force: [f64; 4],
-    /// The same from the nodes before this one only [s²].
+    /// Weights of the forces at the preceding nodes only, for prediction [s²].
     pub predict: [f64; 4],
 }
 
@@ -51,21 +53,21 @@ pub struct Weights {
     pub oscillator: Oscillator,
     /// The length h of the step [s].
     pub h: f64,
-    /// Displacement at each node; the first is the start and is not used.
+    /// Weights for the displacement at each node; the first node is the start and is not used.
     pub nodes: [Stage; 4],
-    /// Displacement in the middle.
+    /// Weights for the displacement in the middle.
     pub middle: Stage,
     /// Weight of each node's force in the polynomial's value in the middle [–].
     pub polynomial: [f64; 4],
-    /// Velocity at the end: weights of the state at the start [1/s], [–] …
+    /// Weight of the displacement at the start in the velocity at the end [1/s].
     pub ux: f64,
-    /// …
+    /// Weight of the velocity at the start in the velocity at the end [–].
     pub uu: f64,
-    /// … and of the forces [s].
+    /// Weights of the forces in the velocity at the end [s].
     pub velocity: [f64; 4],
-    /// What a constant unit force adds to the displacement at the end [s²].
+    /// Displacement at the end caused by a constant unit force [s²].
     pub constant: f64,
-    /// What an error of the velocity becomes in the displacement, at most, once the oscillator has taken it up [s].
+    /// Largest displacement per error in the velocity, once the oscillator has converted it [s].
     pub swing: f64,
 }
 
@@ -101,15 +103,15 @@ impl Weights {
     }
 }
 
-/// Lengths of step whose weights are kept.
+/// Number of step lengths whose weights are cached.
 const MOST_WEIGHTS: usize = 24;
 
-/// Weights of steps of a few lengths, kept for the next who needs them.
+/// A cache of weights for a few step lengths.
 #[derive(Default)]
 pub struct KnownWeights(Vec<Weights>);
 
 impl KnownWeights {
-    /// Those of a step of length `h` [s].
+    /// The weights for a step of length `h` [s].
     pub fn get(&mut self, oscillator: Oscillator, h: f64) -> &Weights {
         let known = self.0.iter().position(|known| known.h == h && known.oscillator == oscillator);
         let place = known.unwrap_or_else(|| {
@@ -123,28 +125,28 @@ impl KnownWeights {
     }
 }
 
-/// How the state at any instant of a step follows from that at its start and the forces at its nodes: the collocation
-/// polynomial's dense output.
+/// Dense output of the collocation polynomial: weights that give the state at any instant of a step from the state at
+/// its start and the forces at its nodes.
 #[derive(Clone, Copy, Debug)]
 pub struct Dense {
-    /// The flow to that instant: ∂x/∂x₀ [–] …
+    /// Flow to that instant: ∂x/∂x₀ [–].
     pub xx: f64,
-    /// … ∂x/∂u₀ [s] …
+    /// Flow to that instant: ∂x/∂u₀ [s].
     pub xu: f64,
-    /// … ∂u/∂x₀ [1/s] …
+    /// Flow to that instant: ∂u/∂x₀ [1/s].
     pub ux: f64,
-    /// … ∂u/∂u₀ [–].
+    /// Flow to that instant: ∂u/∂u₀ [–].
     pub uu: f64,
-    /// Weight of each node's force in the displacement [s²] …
+    /// Weight of each node's force in the displacement [s²].
     pub x: [f64; 4],
-    /// … and in the velocity [s] …
+    /// Weight of each node's force in the velocity [s].
     pub u: [f64; 4],
-    /// … where that of a bend of the force, which is 0 at the nodes and 1 in the middle, counts, too [s].
+    /// Weight in the velocity of a bend of the force, which is 0 at the nodes and 1 in the middle [s].
     pub bend: f64,
 }
 
 impl Dense {
-    /// At `theta` h of a step of length `h` [s]; `theta` > 0.
+    /// The dense output at time `theta` h of a step of length `h` [s]; `theta` > 0.
     pub fn new(oscillator: Oscillator, h: f64, theta: f64) -> Dense {
         let p = oscillator.propagator(theta * h);
         let basis = &LAGRANGE[4];
@@ -156,7 +158,7 @@ impl Dense {
         Dense { xx: p.xx, xu: p.xu, ux: p.ux, uu: p.uu, x, u, bend }
     }
 
-    /// The state at that instant, given the forces at the nodes and their bend between them.
+    /// The state at that instant, given the forces at the nodes and the bend of the force.
     pub fn state(&self, State { x, u }: State, forces: &[DVec3; 4], bend: DVec3) -> State {
         let response = |w: &[f64; 4]| (w[0] * forces[0] + w[1] * forces[1]) + (w[2] * forces[2] + w[3] * forces[3]);
         State {
@@ -166,7 +168,7 @@ impl Dense {
     }
 }
 
-/// `QUARTIC[i]` holds the coefficients of the polynomial that is 1 at look i and 0 at the other four.
+/// `QUARTIC[i]` holds the coefficients of the polynomial that is 1 at sample i and 0 at the other four.
 static QUARTIC: LazyLock<[[f64; 5]; 5]> = LazyLock::new(|| {
     let mut all = [[0.0; 5]; 5];
     for (i, coefficients) in all.iter_mut().enumerate() {
@@ -183,7 +185,7 @@ static QUARTIC: LazyLock<[[f64; 5]; 5]> = LazyLock::new(|| {
     all
 });
 
-/// Weight at `theta` of what is known at each of [`SAMPLES`], in the quartic through them.
+/// Weights at `theta` of the values at each of [`SAMPLES`], in the quartic through them.
 pub fn quartic(theta: f64) -> [f64; 5] {
     QUARTIC.map(|[a, b, c, d, e]| a + theta * (b + theta * (c + theta * (d + theta * e))))
 }
@@ -195,20 +197,20 @@ pub fn quartic_through(known: &[DVec3; 5]) -> [DVec3; 5] {
 }
 
 impl Weights {
-    /// What an error of the force is in the displacement, now or after the oscillator has taken the velocity up [s²].
+    /// Displacement per error of the force, now or after the oscillator has converted the velocity [s²].
     #[inline(always)]
     pub fn gain(&self) -> f64 {
         self.constant.abs() + self.h * self.swing
     }
 
-    /// How the displacement at a look of the step follows: 1 … 3 are its nodes, 4 is its middle.
+    /// Weights for the displacement at sample `look`: 1 … 3 are the nodes, 4 is the middle.
     #[inline(always)]
     pub fn stage(&self, look: usize) -> &Stage {
         if look == 4 { &self.middle } else { &self.nodes[look] }
     }
 }
 
-/// The response at `theta` h to each of the polynomials, from that to the powers of time.
+/// The response at `theta` h to each polynomial, given the response to the powers of time.
 fn responses(basis: &[[f64; 4]; 4], theta: f64, powers: &[f64; 4]) -> [f64; 4] {
     let [p0, p1, p2, p3] = *powers;
     basis.map(|[a, b, c, d]| a * p0 + theta * (b * p1 + theta * (c * p2 + theta * (d * p3))))

@@ -1,11 +1,11 @@
-//! Every operation, lane by lane, on every instruction set that this machine has, against the same on single numbers.
+//! Compares every operation, lane by lane, on every instruction set of this machine, with the scalar operation.
 
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{LANES, Mask, Reals, Vector};
 use crate::sim::arrays::Vectors;
 
-/// Numbers at which instruction sets might differ: of no size, of all sizes, too small for the usual format, not at all.
+/// Numbers at which instruction sets might differ: zeros, all magnitudes, subnormals, infinities and NaN.
 const NUMBERS: [f64; 20] = [
     0.0,
     -0.0,
@@ -31,7 +31,7 @@ const NUMBERS: [f64; 20] = [
 
 type Lanes = [f64; LANES];
 
-/// What came of each operation.
+/// The result of each operation.
 type Results = Vec<(&'static str, Lanes)>;
 
 /// All operations on these lanes, `W` registers at a time.
@@ -94,7 +94,7 @@ impl<const W: usize> WithSimd for Every<'_, W> {
     }
 }
 
-/// The same, one number at a time; `any` for so many lanes together.
+/// The expected results, computed one number at a time; `together` is the number of lanes that `any` reduces.
 fn expected(a: &Lanes, b: &Lanes, c: &Lanes, name: &str, together: usize) -> Lanes {
     let flag = |yes: bool| f64::from(u8::from(yes));
     std::array::from_fn(|i| {
@@ -190,7 +190,7 @@ fn instruction_sets() -> Vec<(&'static str, Arch, usize)> {
     vec![("one by one", Arch::Scalar, 1)]
 }
 
-/// One bit pattern, or no number either of them.
+/// Identical bits, or both NaN.
 fn same(x: f64, y: f64) -> bool {
     x.to_bits() == y.to_bits() || x.is_nan() && y.is_nan()
 }
@@ -218,7 +218,7 @@ fn check<const W: usize>(a: &Lanes, b: &Lanes, c: &Lanes) {
 
 #[test]
 fn every_operation_is_that_of_its_lanes() {
-    // all pairs of numbers, beside others each time
+    // all pairs of numbers, in varying positions
     let n = NUMBERS.len();
     for shift in 0..n {
         for start in 0..n {
@@ -230,7 +230,7 @@ fn every_operation_is_that_of_its_lanes() {
     }
 }
 
-/// What is loaded comes from where it was asked for, and is stored there.
+/// Vectors are loaded from the requested place, and stored there.
 #[test]
 fn vectors_are_loaded_and_stored_in_place() {
     struct Double<'a>(&'a mut Vectors);
