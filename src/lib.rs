@@ -1,27 +1,34 @@
 //! A visual debugger for soft bodies that merge and split.
 //!
-//! A 2006 thesis (海上 一徳, 「リアルタイム 3DCG における融合・分裂を考慮したソフトボディ表現」) shows soft bodies that merge and split in real time: every
-//! vertex is a damped oscillator about its remembered rest position; each body carries an *influence sphere*, which
-//! attracts or repels the vertices of other bodies, switched by distance. This crate steps that simulation and streams
-//! it to the [Rerun](https://rerun.io) viewer, so that the merge and split thresholds can be inspected frame by frame.
+//! A 2006 thesis (海上 一徳, 「リアルタイム 3DCG における融合・分裂を考慮したソフトボディ表現」) describes soft bodies that merge and split in real
+//! time. Every vertex is a damped oscillator about its rest position. Each body carries an *influence sphere*, which
+//! attracts or repels the vertices of other bodies; distance thresholds switch between the two. This crate runs that
+//! simulation and streams it to the [Rerun](https://rerun.io) viewer, where the merge and split thresholds can be
+//! inspected frame by frame.
 //!
-//! # The map of the house
+//! # Modules
 //!
-//! | module | what | knows |
-//! | --- | --- | --- |
-//! | [`model`] | the equations, scalar and readable, each with its number | nothing |
-//! | [`geometry`] | rest shapes: positions, normals, triangles, masses | nothing |
-//! | [`scene`] | the scene file: parse, validate, centre paths | `model`, `geometry` |
-//! | [`observe`] | what an instrument may know of a simulation, anybody's | `geometry` |
-//! | [`sim`] | the world, the step, integrators, events, reach | `scene`, `observe` |
-//! | [`stream`] | frames as Rerun data: entities, blueprint, sinks | `observe` |
-//! | [`recording`] | recordings read back: replay, check, diff | `stream` |
-//! | [`bench`] | benchmarks: error against run time; the independent reference solution | `sim` |
-//! | [`cli`] | one file a subcommand | all |
+//! | module | contents | imports | feature |
+//! | --- | --- | --- | --- |
+//! | [`model`] | the equations, scalar and readable, each with its number | | |
+//! | [`geometry`] | rest shapes (positions, normals, triangles, masses) and the union of overlapping surfaces | | |
+//! | `text` | formatting of numbers and text for output | | |
+//! | [`scene`] | scene files: parsing, validation, centre paths | `model`, `geometry`, `text` | |
+//! | [`observe`] | what an instrument sees of any simulation: schema, frames, events | `geometry` | |
+//! | [`sim`] | the world and its step: forces, integrators, events, solver of free bodies | all above | |
+//! | [`stream`] | frames as Rerun data: entities, blueprint, sinks | `observe`, `geometry`, `text` | `viewer` |
+//! | [`recording`] | reading recordings: replay, check, diff | all above | `viewer` |
+//! | [`bench`] | benchmarks, and an independent reference solution | all above | `cli` |
+//! | [`cli`] | the command line, one file per subcommand | all above | `cli` |
 //!
-//! Imports point one way, upwards in this table. Nothing in `model`, `geometry`, `scene`, `observe` or `sim` knows Rerun: they are
-//! what `default-features = false` leaves, a few dozen small crates. The feature `viewer` adds `stream` and `recording`,
-//! `cli` (the default) all of it. A program that wants the simulation alone needs no more than this:
+//! A module imports only from modules above it in this table. `stream` draws any simulation that implements
+//! [`observe::Simulation`]; all it uses of `sim` is a helper for checksums.
+//!
+//! # Features
+//!
+//! With `default-features = false`, the crate is the simulation alone, without Rerun: a few dozen small dependencies.
+//! The feature `viewer` adds `stream` and `recording`; `cli`, the default, adds `viewer`, `bench` and the program. A
+//! program that needs only the simulation looks like this:
 //!
 //! ```
 //! use meldscope::{Scene, World};
@@ -65,7 +72,7 @@
 //! # }
 //! ```
 
-// No input may bring the program down.
+// No input may crash the program.
 #![cfg_attr(not(test), warn(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 #[cfg(feature = "cli")]

@@ -1,4 +1,4 @@
-//! The program: all of it is in [`meldscope::cli`].
+//! The `meldscope` program; see [`meldscope::cli`].
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;

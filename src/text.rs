@@ -1,10 +1,10 @@
-//! Words and figures for people.
+//! Formatting of numbers and text for output.
 
 use std::borrow::Cow;
 
 use unit_prefix::NumberPrefix;
 
-/// Bytes as "512 B" or "1.5 GiB".
+/// A size in bytes, as "512 B" or "1.5 GiB".
 pub fn bytes(n: u64) -> String {
     match NumberPrefix::binary(n as f64) {
         NumberPrefix::Standalone(n) => format!("{n} B"),
@@ -12,13 +12,13 @@ pub fn bytes(n: u64) -> String {
     }
 }
 
-/// `1234567` as "1,234,567".
+/// A number with thousands separators: `1234567` as "1,234,567".
 #[cfg(feature = "viewer")]
 pub fn thousands(n: u64) -> String {
     indicatif::HumanCount(n).to_string()
 }
 
-/// `1` as "1 step", `1234` as "1,234 steps".
+/// A count with its noun: `1` as "1 step", `1234` as "1,234 steps".
 #[cfg(feature = "viewer")]
 pub fn counted(n: u64, noun: &str) -> String {
     let plural = match noun {
@@ -30,7 +30,7 @@ pub fn counted(n: u64, noun: &str) -> String {
     format!("{} {plural}", thousands(n))
 }
 
-/// `list` as "a", "a and b", "a, b and c".
+/// A list in prose: "a", "a and b", "a, b and c".
 #[cfg(feature = "viewer")]
 pub fn listed(list: &[String]) -> String {
     match list {
@@ -40,38 +40,39 @@ pub fn listed(list: &[String]) -> String {
     }
 }
 
-/// Three significant digits.
+/// A number with three significant digits.
 #[cfg(feature = "cli")]
 pub fn significant(x: f64) -> String {
     let digits = 2 - x.abs().log10().floor().clamp(-9.0, 2.0) as i32;
     format!("{x:.*}", digits as usize)
 }
 
-/// Three digits at least, and no fractions of large numbers.
+/// A number with at least three digits; large numbers have no fraction.
 #[cfg(feature = "cli")]
 pub fn number(x: f64) -> String {
     if x >= 100.0 { thousands(x.round() as u64) } else { significant(x) }
 }
 
-/// `; did you mean "…"?` with the nearest of the `known` words, or nothing if none is near.
+/// `; did you mean "…"?` with the closest of the `known` words, or nothing if none is close.
 pub fn did_you_mean<'k>(word: &str, known: impl Iterator<Item = &'k str>) -> String {
     let plain = |text: &str| text.to_lowercase().replace(['-', ' '], "_");
-    let word: String = plain(&word.chars().take(64).collect::<String>()); // the distance takes time ∝ length²
+    let word: String = plain(&word.chars().take(64).collect::<String>()); // the distance takes O(length²) time
     let near = known.filter_map(|candidate| {
         let plain = plain(candidate);
         let abbreviated = word.len() >= 3 && plain.starts_with(&word);
         let distance = usize::min(strsim::osa_distance(&word, &plain), if abbreviated { 1 } else { usize::MAX });
-        // a third of the letters, but never all of a short word
+        // a third of the letters, but never all letters of a short word
         let most = usize::min((word.chars().count().max(candidate.chars().count()) + 1) / 3, 3);
         (distance <= most).then_some((distance, candidate))
     });
     near.min_by_key(|(distance, _)| *distance).map_or(String::new(), |(_, word)| format!("; did you mean \"{word}\"?"))
 }
 
-/// `text` on one line, with everything escaped that could do more to a terminal than be shown: control characters (C0, C1
-/// and DEL: they move the cursor, set titles, erase), those that turn the direction of writing or end a line.
+/// Escapes `text` for output on one line. Escaped is every character that a terminal would act on instead of showing:
+/// control characters (C0, C1 and DEL: they move the cursor, set titles, erase), and characters that change the text
+/// direction or end a line.
 ///
-/// Texts of files go through here, names and paths too: whoever made the file chose them.
+/// All text that comes from files is escaped with this, names and paths included: its author is not trusted.
 pub fn printable(text: &str) -> Cow<'_, str> {
     if !text.contains(is_unsafe) {
         return Cow::Borrowed(text);
@@ -87,16 +88,16 @@ pub fn printable(text: &str) -> Cow<'_, str> {
     Cow::Owned(escaped)
 }
 
-/// Whether a character does more than to be shown.
+/// Whether a terminal does more than show this character.
 fn is_unsafe(c: char) -> bool {
     c.is_control()
         || matches!(c,
-            '\u{61c}' | '\u{200e}' | '\u{200f}'         // marks of direction
+            '\u{61c}' | '\u{200e}' | '\u{200f}'         // direction marks
             | '\u{2028}' | '\u{2029}'                   // line and paragraph separators
             | '\u{202a}'..='\u{202e}'                   // embeddings and overrides
             | '\u{2066}'..='\u{2069}'                   // isolates
             | '\u{fff9}'..='\u{fffb}'                   // annotations
-            | '\u{e0000}'..='\u{e007f}'                 // tags, which are not seen
+            | '\u{e0000}'..='\u{e007f}'                 // tags, which are invisible
         )
 }
 
@@ -147,7 +148,7 @@ mod tests {
         }
     }
 
-    /// Independent of the list above: what Unicode calls a control character, a separator of lines, or bidirectional.
+    /// Independent of the list above: Unicode's control characters, line separators and bidirectional controls.
     fn is_obeyed(c: char) -> bool {
         let code = u32::from(c);
         code < 0x20

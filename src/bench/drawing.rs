@@ -1,4 +1,4 @@
-//! What the diagrams have in common: a sheet, logarithmic axes, lines with markers and labels beside their ends.
+//! Shared parts of the diagrams: a sheet, logarithmic axes, lines with markers and with labels at their ends.
 
 use std::{io, ops::Range};
 
@@ -8,16 +8,16 @@ use plotters::{
     style::text_anchor::{HPos, Pos, VPos},
 };
 
-/// Above the axes without a title, and below them [px].
+/// Space above axes without a title, and below them [px].
 pub const TOP: u32 = 16;
 const BOTTOM: u32 = 66;
-/// Left of the axes, and left of the title of the vertical one [px].
+/// Space left of the axes, and left of the title of the vertical axis [px].
 pub const LEFT: u32 = 84;
 const MARGIN: u32 = 14;
-/// What is written above the panels, and a line of what is written below them [px].
+/// Height of the heading above the panels, and of a line of the notes below them [px].
 const HEADER: u32 = 108;
 const NOTE: u32 = 24;
-/// Between labels [px].
+/// Vertical distance between labels [px].
 const LABEL_HEIGHT: f64 = 20.0;
 const FONT: &str = "sans-serif";
 pub const INK: RGBColor = RGBColor(34, 34, 34);
@@ -26,9 +26,9 @@ pub const GREY: RGBColor = RGBColor(110, 110, 110);
 pub type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 pub type Failure = DrawingAreaErrorKind<io::Error>;
 
-/// A diagram with what is written around it.
+/// A diagram with its heading and notes.
 pub struct Sheet<'t> {
-    /// Of what is between heading and notes [px].
+    /// Size of the area between heading and notes [px].
     pub size: (u32, u32),
     pub title: &'t str,
     pub heading: [&'t str; 2],
@@ -36,10 +36,10 @@ pub struct Sheet<'t> {
 }
 
 impl Sheet<'_> {
-    /// The diagram as an SVG file.
+    /// Renders the diagram as an SVG file.
     ///
     /// # Errors
-    /// What the drawing library says; none is known.
+    /// Errors of the drawing library; none is known to occur.
     pub fn svg(&self, draw: impl FnOnce(&Area<'_>) -> Result<(), Failure>) -> Result<String, String> {
         let mut text = String::new();
         let (width, height) = self.size;
@@ -66,18 +66,19 @@ impl Sheet<'_> {
     }
 }
 
-/// One of the two axes of a panel, logarithmic.
+/// A logarithmic axis of a panel.
 pub struct Axis<'t> {
     pub name: &'t str,
     pub range: Range<f64>,
-    /// Where there are numbers, and lines …
+    /// Numbered ticks, with grid lines.
     pub ticks: Vec<f64>,
-    /// … and where there are lines only.
+    /// Grid lines without a number.
     pub grid: Vec<f64>,
     pub number: fn(&f64) -> String,
 }
 
-/// Draws two axes, so far below the top and so far left of the right end of `panel` [px]; tells where on the panel a point is.
+/// Draws two axes, inset from the top and the right end of `panel` [px]. Returns the mapping from a data point to its
+/// place on the panel.
 pub fn draw_axes(
     panel: &Area<'_>,
     top: u32,
@@ -112,21 +113,21 @@ pub fn draw_axes(
     })
 }
 
-/// A line of a diagram, on its panel [px].
+/// A line of a diagram, in panel coordinates [px].
 pub struct Line {
     pub name: String,
     pub style: Style,
     pub points: Vec<(i32, i32)>,
 }
 
-/// How a line is drawn.
+/// The style of a line.
 #[derive(Clone, Copy)]
 pub struct Style {
-    /// Of line and markers.
+    /// Colour of the line and its markers.
     pub color: RGBColor,
-    /// At each point.
+    /// Shape of the marker at each point.
     pub marker: Marker,
-    /// Of the line [px].
+    /// Width of the line [px].
     pub width: u32,
 }
 
@@ -134,19 +135,19 @@ pub struct Style {
 pub enum Marker {
     Cross,
     Disc,
-    /// Corners at these angles [eighths of a turn], from the top clockwise.
+    /// A polygon with corners at these angles [eighths of a turn], clockwise from the top.
     Polygon(&'static [f64]),
 }
 
-/// 10⁰, 10¹ …, or what of 1, 2 and 5 times that lies in the range too if it is short.
+/// The ticks of an axis: the given multiples (1, or 1, 2 and 5 for a short range) of powers of ten within `range`.
 pub fn ticks(range: &Range<f64>, multiples: &[f64]) -> Vec<f64> {
     let decades = range.start.log10().floor() as i32..=range.end.log10().ceil() as i32;
     let all = decades.flat_map(|decade| multiples.iter().map(move |multiple| multiple * 10f64.powi(decade)));
     all.filter(|&tick| tick >= 0.999 * range.start && tick <= 1.001 * range.end).collect()
 }
 
-/// Draws lines with markers, and their names in a column right of the axes, which end at `right`; each name as near to the
-/// height of the end of its line as the others let it.
+/// Draws lines with markers, and their names in a column right of the axes, which end at `right`. Each name is placed
+/// as close to the end of its line as the other names allow.
 pub fn draw_lines(panel: &Area<'_>, top: u32, right: i32, mut lines: Vec<Line>) -> Result<(), Failure> {
     lines.retain(|line| !line.points.is_empty());
     for Line { points, style, .. } in &lines {
@@ -167,9 +168,9 @@ pub fn draw_lines(panel: &Area<'_>, top: u32, right: i32, mut lines: Vec<Line>) 
     Ok(())
 }
 
-/// Heights, at least a label's height from each other, close to those `wanted` (ascending), within `limits`.
+/// Heights close to those `wanted` (ascending), within `limits`, and at least a label's height apart.
 fn spread(wanted: &[f64], limits: (f64, f64)) -> Vec<f64> {
-    // clusters of labels that touch, each as (sum of what its first label would want, labels)
+    // clusters of touching labels, each as (sum of the heights its first label would want, labels)
     let mut clusters: Vec<(f64, usize)> = vec![];
     let first = |&(sum, labels): &(f64, usize)| {
         let height = LABEL_HEIGHT * (labels - 1) as f64;
@@ -217,15 +218,15 @@ fn draw_marker(panel: &Area<'_>, style: Style, (x, y): (i32, i32)) -> Result<(),
     }
 }
 
-/// Writes a line that begins at a point, in its middle.
+/// Writes a line of text that starts at a point and is vertically centred on it.
 pub fn write(area: &Area<'_>, text: &str, at: (i32, i32), size: f64, color: RGBColor) -> Result<(), Failure> {
-    // what XML has no place for
+    // characters that XML does not allow
     let text: String = text.chars().map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect();
     let style = (FONT, size).into_font().color(&color).pos(Pos::new(HPos::Left, VPos::Center));
     area.draw(&Text::new(text, at, style))
 }
 
-/// "10⁻³", or the power above
+/// A power of ten as "10⁻³".
 pub fn power_of_ten(x: f64) -> String {
     let exponent = (x.log10() - 1e-6).ceil() as i32;
     let raised = |c: char| match c {

@@ -1,8 +1,8 @@
 //! Error against run time: every integrator, over a range of steps, on one scene.
 //!
-//! The error is the largest distance of any vertex from where it is in an independent [`Reference`], at every step of a
-//! run that is a step of the scene's, in radii of the vertex's body. The run time is that of the steps alone, on one
-//! thread; cases take turns, so that whatever else the machine does meanwhile falls on all of them alike.
+//! The error is the largest distance of any vertex from its position in an independent [`Reference`], in radii of the
+//! vertex's body, over all steps of the run that coincide with a step of the scene. The run time covers the steps
+//! alone, on one thread. Cases take turns, so that other load on the machine affects all of them alike.
 
 pub mod csv;
 pub mod diagram;
@@ -23,23 +23,23 @@ use crate::{
     sim::{TooLarge, World},
 };
 
-/// What is measured.
+/// What to measure.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
-    /// These, in this order.
+    /// The integrators, in this order.
     pub integrators: Vec<Integrator>,
-    /// Steps Δt, in steps of the scene, descending; those that do not divide its duration are left out.
+    /// Step sizes Δt, in steps of the scene, descending. Those that do not divide the scene's duration are skipped.
     pub factors: Vec<f64>,
-    /// Tolerances of [`Integrator::Exponential`] with error control, at the scene's step, descending [1/s].
+    /// Tolerances of [`Integrator::Exponential`] with error control, at the scene's step size, descending [1/s].
     pub tolerances: Vec<f64>,
-    /// Run times are medians of at least so many runs …
+    /// A run time is the median of at least this many runs …
     pub runs: usize,
-    /// … that took at least this together.
+    /// … that took at least this long in total.
     pub shortest: Duration,
 }
 
 impl Settings {
-    /// What a scene is measured with: steps from 4 to 1/16 of its own, tolerances from 1e-3 to 1e-11 and its own.
+    /// The default for a scene: step sizes from 4 to 1/16 of its own, tolerances from 1e-3 to 1e-11 and its own.
     pub fn of(scene: &Scene) -> Settings {
         let mut tolerances: Vec<f64> = (3..=11).map(|digits| 10f64.powi(-digits)).collect();
         if !tolerances.iter().any(|tolerance| (tolerance / scene.tolerance - 1.0).abs() < 1e-9) {
@@ -56,21 +56,21 @@ impl Settings {
     }
 }
 
-/// More rounds than one are for runs that take less than this altogether.
+/// A case is not timed again once its runs have taken this long in total.
 const LONGEST: Duration = Duration::from_secs(10);
-/// A tolerance that lets every step pass.
+/// A tolerance that every step meets.
 const NO_CONTROL: f64 = 1e15;
-/// A vertex so many radii off is nowhere.
+/// A vertex farther off than this has diverged [radii].
 const DIVERGED: f64 = 1e3;
-/// More instants than this are not looked at.
+/// The reference is compared at no more instants than this.
 const MOST_INSTANTS: u64 = 1024;
 
-/// An integrator, and what decides how long its steps are.
+/// An integrator and its step control.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Scheme {
-    /// Steps as long as they are said to be, but for events.
+    /// Fixed steps, divided only at events.
     Fixed(Integrator),
-    /// [`Integrator::Exponential`], which divides its steps to keep to a tolerance [1/s].
+    /// [`Integrator::Exponential`] with error control: steps are subdivided to meet a tolerance [1/s].
     Controlled {
         /// In radii per unit of scene time.
         tolerance: f64,
@@ -86,7 +86,7 @@ impl Scheme {
         }
     }
 
-    /// What cases that differ in nothing but step or tolerance are called together.
+    /// The common name of cases that differ only in step size or tolerance.
     pub fn family(self) -> &'static str {
         match self {
             Scheme::Fixed(integrator) => integrator.name(),
@@ -104,33 +104,33 @@ impl fmt::Display for Scheme {
     }
 }
 
-/// One integrator with one step.
+/// One integrator with one step size.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Measurement {
-    /// Which.
+    /// The integrator and its step control.
     pub scheme: Scheme,
-    /// Δt [s].
+    /// Step size Δt [s].
     pub dt: f64,
-    /// How many of them.
+    /// Number of steps.
     pub steps: u64,
     /// The largest error over time and vertices [radii]; `None` if the run diverged.
     pub error: Option<f64>,
-    /// The order that this error shows against that with the step before [–], where both can be told from none.
+    /// The convergence order between this error and that of the previous step size [–], if both errors are resolved.
     pub order: Option<f64>,
     /// Run time [s], median.
     pub seconds: f64,
-    /// Of so many runs.
+    /// Number of runs timed.
     pub runs: usize,
 }
 
-/// What was measured on one scene.
+/// The measurements of one scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Report {
     /// Name of the scene.
     pub scene: String,
-    /// Its step [s].
+    /// Step size of the scene [s].
     pub dt: f64,
-    /// Its tolerance [1/s].
+    /// Tolerance of the scene [1/s].
     pub tolerance: f64,
     /// Simulated time [s].
     pub duration: f64,
@@ -138,34 +138,34 @@ pub struct Report {
     pub bodies: usize,
     /// Number of vertices.
     pub vertices: u64,
-    /// How far the reference is from one of ten times its accuracy [radii].
+    /// Distance of the reference from a solution ten times as accurate [radii].
     pub agreement: f64,
-    /// By integrator, then by step or tolerance, descending.
+    /// Ordered by integrator, then by step size or tolerance, descending.
     pub measurements: Vec<Measurement>,
 }
 
 impl Report {
-    /// Errors below this cannot be told from those of the reference [radii].
+    /// Errors below this cannot be distinguished from those of the reference [radii].
     pub fn resolution(&self) -> f64 {
         f64::max(1e-13, 10.0 * self.agreement)
     }
 
-    /// Vertices times steps by run time [1/s].
+    /// Vertices times steps per run time [1/s].
     pub fn vertex_steps_per_second(&self, measurement: &Measurement) -> f64 {
         (self.vertices * measurement.steps) as f64 / measurement.seconds
     }
 
-    /// Whether a measurement was made with the scene's step.
+    /// Whether a measurement used the scene's own step size.
     pub fn is_at_own_step(&self, measurement: &Measurement) -> bool {
         (measurement.dt / self.dt - 1.0).abs() < 1e-9
     }
 }
 
-/// A run that is measured.
+/// One run to measure.
 struct Case {
     scene: Scene,
     scheme: Scheme,
-    /// Δt in steps of the scene.
+    /// Step size Δt in steps of the scene.
     factor: f64,
     steps: u64,
     error: Option<f64>,
@@ -173,10 +173,10 @@ struct Case {
     run_times: Vec<f64>,
 }
 
-/// Measures one scene; tells `progress` what share of the work is done.
+/// Measures one scene. Reports the completed fraction of the work to `progress`.
 ///
 /// # Errors
-/// [`MeasureError`], before anything has been measured.
+/// [`MeasureError`], before anything is measured.
 pub fn measure(scene: &Scene, settings: &Settings, progress: &mut dyn FnMut(f64)) -> Result<Report, MeasureError> {
     try_out(scene)?;
     let judge = Judge::new(scene)?;
@@ -236,7 +236,7 @@ fn cases(scene: &Scene, settings: &Settings) -> Vec<Case> {
 }
 
 impl Case {
-    /// Some runs, as many as it takes to fill one round's share of the time that is asked for.
+    /// Performs as many runs as fit into one round's share of the requested time.
     fn take_times(&mut self, round: usize, settings: &Settings) -> Result<(), TooLarge> {
         if self.run_times.iter().sum::<f64>() > LONGEST.as_secs_f64() {
             return Ok(());
@@ -287,7 +287,7 @@ fn fill_in_orders(report: &mut Report) {
     }
 }
 
-/// Runs the scene as it is: what it cannot come to the end of would keep the reference busy for ever.
+/// Runs the scene once as it is: a scene that cannot finish would keep the reference busy forever.
 fn try_out(scene: &Scene) -> Result<(), MeasureError> {
     let mut world = World::new(scene.clone())?;
     for _ in 0..scene.steps() {
@@ -300,11 +300,11 @@ fn try_out(scene: &Scene) -> Result<(), MeasureError> {
     Ok(())
 }
 
-/// The reference, and how well it is known.
+/// The reference, and its accuracy.
 struct Judge {
     reference: Reference,
     agreement: f64,
-    /// Instants are so many of the scene's steps apart.
+    /// Number of scene steps between instants.
     stride: u64,
 }
 
@@ -318,14 +318,14 @@ impl Judge {
         Ok(Judge { agreement: usual.largest_difference(&reference, scene), reference, stride })
     }
 
-    /// Which instant of the reference comes after `step` steps of a case.
+    /// The index of the reference instant that coincides with `step` steps of a case, if there is one.
     fn instant(&self, case: &Case, step: u64) -> Option<usize> {
         let instant = step as f64 * case.factor / self.stride as f64;
         let whole = instant.round();
         ((instant - whole).abs() < 1e-9 * f64::max(1.0, whole)).then_some(whole as usize)
     }
 
-    /// The largest error over time and vertices [radii], `None` if it is beyond all bounds.
+    /// The largest error over time and vertices [radii]; `None` if the run diverged.
     fn error(&self, case: &Case) -> Result<Option<f64>, TooLarge> {
         let mut world = World::new(case.scene.clone())?;
         let mut largest = 0.0;

@@ -1,13 +1,13 @@
 //! The Gragg–Bulirsch–Stoer method: one step of Gragg's modified midpoint rule, taken with 2, 4, 6 … divisions and
-//! extrapolated to infinitely many of them (Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I,
-//! section II.9). Its order is as high as a step needs, and nothing in it is shared with the integrators that it judges.
+//! extrapolated to infinitely many (Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I, section II.9).
+//! The order adapts to the step, and no code is shared with the integrators that are judged by it.
 
-/// Most divisions of a step are twice this; the order is then 20.
+/// A step has at most twice this many divisions; the order is then 20.
 const COLUMNS: usize = 10;
 /// A step that needs no more columns than this could have been longer.
 const FEW_COLUMNS: usize = 5;
 
-/// A right-hand side y′ = f(t, y) of `N` coordinates.
+/// A right-hand side y′ = f(t, y) with `N` coordinates.
 pub trait Slope<const N: usize> {
     /// f(t, y).
     fn at(&self, t: f64, y: &[f64; N]) -> [f64; N];
@@ -19,32 +19,33 @@ impl<const N: usize, F: Fn(f64, &[f64; N]) -> [f64; N]> Slope<N> for F {
     }
 }
 
-/// What a step led to.
+/// The result of a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Step<const N: usize> {
-    /// y at its end.
+    /// y at the end of the step.
     pub end: [f64; N],
-    /// The largest estimated error of a coordinate over its tolerance; above 1 the step was too long.
+    /// The largest ratio of a coordinate's estimated error to its tolerance; above 1 the step was too long.
     pub error: f64,
-    /// How many midpoint solutions went into it.
+    /// Number of midpoint solutions used.
     pub columns: usize,
 }
 
 impl<const N: usize> Step<N> {
-    /// Whether the step is as accurate as it was to be.
+    /// Whether the step meets its tolerance.
     pub fn is_accurate(&self) -> bool {
         self.error <= 1.0
     }
 
-    /// Whether a longer step would have been as accurate.
+    /// Whether a longer step would also have met it.
     pub fn is_easy(&self) -> bool {
         self.is_accurate() && self.columns <= FEW_COLUMNS
     }
 }
 
-/// One step from `(t, y)` over `h`; `slope` is f(t, y), and `tolerance` what each coordinate may be off.
+/// Takes one step from `(t, y)` over `h`; `slope` is f(t, y), and `tolerance` the permitted error of each coordinate.
 ///
-/// All but the last addition is done on the increment y(t + h) − y(t), so that rounding grows with what changes.
+/// All but the last addition act on the increment y(t + h) − y(t), so rounding errors scale with the change, not with
+/// y.
 pub fn step<const N: usize>(
     f: &impl Slope<N>,
     t: f64,
@@ -71,7 +72,7 @@ pub fn step<const N: usize>(
         row[k] = entry;
         if k >= 2 {
             let errors = change.iter().zip(tolerance).map(|(change, tolerance)| change.abs() / tolerance);
-            // not `f64::max`, which would lose NaN
+            // not `f64::max`, which would discard NaN
             let error = errors.fold(0.0, |a: f64, b| if a.is_nan() || b <= a { a } else { b });
             result = Step { end: std::array::from_fn(|i| y[i] + entry[i]), error, columns: k + 1 };
             if result.is_accurate() {

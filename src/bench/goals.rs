@@ -1,27 +1,27 @@
-//! Goals, and what was measured beside each.
+//! Performance goals, each with the value measured for it.
 
 use super::tables;
 use crate::text::number;
 
-/// A goal, and what became of it.
+/// A goal and its measured value.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Goal {
-    /// Of what.
+    /// The quantity.
     pub what: String,
-    /// In words.
+    /// The goal, as text.
     pub goal: String,
-    /// In words.
+    /// The measured value, as text.
     pub measured: String,
-    /// Whether it was reached.
+    /// Whether the goal was met.
     pub is_met: bool,
 }
 
-/// A goal for what should be large.
+/// A lower bound on a measured value.
 pub(super) fn at_least(what: &str, goal: f64, unit: &str, measured: f64) -> Goal {
     goal_of(what, "≥", goal, unit, measured, measured >= goal)
 }
 
-/// A goal for what should be small.
+/// An upper bound on a measured value.
 pub(super) fn at_most(what: &str, goal: f64, unit: &str, measured: f64) -> Goal {
     goal_of(what, "≤", goal, unit, measured, measured <= goal)
 }
@@ -36,7 +36,7 @@ fn goal_of(what: &str, relation: &str, goal: f64, unit: &str, measured: f64, is_
     }
 }
 
-/// Goals as a table.
+/// Formats goals as a table.
 pub fn table(goals: &[Goal]) -> String {
     tables::table(
         ["goals", "wanted", "measured", ""],

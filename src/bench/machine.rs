@@ -1,22 +1,22 @@
-//! The machine that a run time belongs to.
+//! The machine on which run times were measured.
 
 use std::fmt;
 
 use crate::stream::machine;
 
-/// Which machine, and which program on it.
+/// The machine and the version of the program that ran on it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Machine {
-    /// What the processor calls itself.
+    /// The processor's name for itself.
     pub cpu: String,
-    /// How many cores the program may use.
+    /// Number of cores available to the program.
     pub cores: usize,
-    /// Version of this program.
+    /// Version of the program.
     pub version: &'static str,
 }
 
 impl Machine {
-    /// This one.
+    /// The current machine.
     pub fn detect() -> Machine {
         Machine {
             cpu: machine::processor(),
@@ -33,7 +33,7 @@ impl fmt::Display for Machine {
 }
 
 impl Machine {
-    /// It, for what was run on all cores.
+    /// A description for measurements that use all cores.
     pub fn at_full_load(&self) -> impl fmt::Display + '_ {
         std::fmt::from_fn(|f| self.describe(f, self.cores))
     }

@@ -1,21 +1,22 @@
-//! Benchmarks: each one measures, and says beside every speed which error, which machine.
+//! Benchmarks. Each reports every speed together with the error it was reached at and the machine.
 //!
 //! | what | where |
 //! | --- | --- |
-//! | error against run time, for every integrator and a range of steps | [`mod@error`] |
+//! | error against run time, for every integrator and a range of step sizes | [`mod@error`] |
 //! | cost against the number of bodies, and the goals for it | [`scale`] |
 //! | the independent solution that errors are measured against | [`reference`], by [`extrapolation`] |
-//! | what the diagrams have in common, and the tables | `drawing`, `tables` |
-//! | goals beside measurements | [`goals`] |
-//! | the machine that a run time belongs to | [`machine`] |
+//! | shared parts of diagrams and tables | `drawing`, `tables` |
+//! | goals and measured values | [`goals`] |
+//! | the machine that run times were measured on | [`machine`] |
 //! | a stress sweep of every integrator, and bodies of very different sizes | [`stability`] |
-//! | what recording costs, by detail and destination; what verifying costs; the goals for both | [`record`] |
-//! | files that are written when everything has been measured | [`output`] |
+//! | recording cost by detail and destination, verification cost, and the goals for both | [`record`] |
+//! | output files, checked before and written after measuring | [`output`] |
 //!
-//! # Measured
-//! **Error against run time** (`bench error`): every integrator over a range of steps, against an independent solution by
-//! extrapolation that shares no code with them. Largest error over time and vertices at the scene's own Δt, in radii, against
-//! a solution good to 1e-13 (`bench error tests/reference/*.toml`):
+//! # Results
+//! **Error against run time** (`bench error`): every integrator over a range of step sizes, compared with an
+//! independent solution by extrapolation that shares no code with the integrators. The table shows the largest error
+//! over time and vertices at the scene's own Δt, in radii, against a solution accurate to 1e-13 (`bench error
+//! tests/reference/*.toml`):
 //!
 //! | scene (`tests/reference/`) | thesis | mps | euler | verlet | rk4 | exponential |
 //! | --- | --- | --- | --- | --- | --- | --- |
@@ -24,11 +25,12 @@
 //! | three | 2.0e-1 | 9.5e-2 | 1.4e-2 | 2.2e-2 | 2.2e-2 | 6e-10 |
 //! | size_ratio | 4.3e-1 | 3.8e-1 | 1.1e-2 | 6.8e-3 | 7.1e-3 | 1.5e-12 |
 //!
-//! **Stability** (`bench stability`): thousands of small scenes at the limits of every setting (steps of 1e-6 to 10 s, ω and κ
-//! up to 1e6, sizes 1:1 to 1:1e4, coincident centres, hundreds of bodies in one place, resonances). It counts by integrator how
-//! many stayed finite and within twice what energy allows; `exponential` must besides be as close to an exact solution as its
-//! tolerance promises, where there is one (2,278 of the runs). It takes three minutes; its status is 1 if `exponential` fails a
-//! case. `--case N` runs one again, `--write F.toml` makes a scene file of it.
+//! **Stability** (`bench stability`): thousands of small scenes at the limits of every setting (step sizes of 1e-6 to
+//! 10 s, ω and κ up to 1e6, size ratios 1:1 to 1:1e4, coincident centres, hundreds of bodies in one place, resonances).
+//! For each integrator it counts the runs that stayed finite and within twice the energy bound. `exponential` must also
+//! match an exact solution to within its tolerance where one exists (2,278 of the runs). The sweep takes three minutes
+//! and exits with status 1 if `exponential` fails a case. `--case N` runs a single case again; `--write F.toml` saves
+//! it as a scene file.
 //!
 //! | integrator | cases | passed | beyond bound | energy drift over a million undamped steps |
 //! | --- | --- | --- | --- | --- |
@@ -39,12 +41,13 @@
 //! | `rk4` | 4,000 | 2,815 | 1,185 | 13 % |
 //! | `exponential` | 4,000 | 4,000 | 0 | 1.1e-6 |
 //!
-//! **Speed** (`bench scale`): 2 to 100,000 bodies of 266 vertices, in pairs as in `two`, which approach, merge, hold and part;
-//! resting bodies stand between them as close as they can. The naive baseline is the thesis's scheme: every vertex of every body
-//! that is not at rest, all pairs, one number at a time. On a VM with two cores of an Intel Xeon, whose memory others share (10,000
-//! bodies in contact: 44 to 55 steps/s); best of 9 blocks of steps, or of 3 that take long:
+//! **Speed** (`bench scale`): 2 to 100,000 bodies of 266 vertices, in pairs as in `two`, which approach, merge, hold
+//! and separate; resting bodies stand between them as close as possible. The naive baseline is the thesis's scheme:
+//! every vertex of every body that is not at rest, all pairs, one number at a time. Measured on a VM with two cores of
+//! an Intel Xeon and memory shared with other guests (10,000 bodies in contact: 44 to 55 steps/s); best of 9 blocks of
+//! steps, or of 3 for long blocks:
 //!
-//! | scene | bodies | steps/s | on two cores | M vertex-steps/s | ns | memory per body | error | naive baseline, steps/s |
+//! | scene | bodies | steps/s | on two cores | M vertex-steps/s | ns | memory per body | error | baseline, steps/s |
 //! | --- | --- | --- | --- | --- | --- | --- | --- | --- |
 //! | all in contact | 2 | 246,706 | 233,787 | 131 | 133 | 6.7 KiB | 9e-10 | 36,255 |
 //! | | 100 | 4,034 | 4,714 | 107 | 163 | 6.5 KiB | 1e-9 | 94.2 |
@@ -58,13 +61,15 @@
 //! | | 1,000 | 214,082 | 201,778 | 56,946 | 154 | 373 B | 9e-10 | 61.3 |
 //! | | 100,000 | 213,808 | 201,395 | 5,687,301 | 154 | 370 B | 9e-10 | |
 //!
-//! ns: step time per vertex inside a sphere. Error: the largest of any vertex, in radii; that of the naive baseline is 0.4.
+//! ns: step time per vertex inside a sphere. Error: the largest of any vertex, in radii; that of the naive baseline is
+//! 0.4.
 //!
-//! **Recording** (`bench record`): frames per second and bytes per frame by detail and destination, with and without the
-//! simulation, beside the payload's own bytes and a plain `log()` of the same data, one entity at a time. On two cores, every step of
-//! `two` saved with its surfaces: 24,000 frames a second, 2.6 kB each of 10.7 kB of payload (plain `log()` without simulating:
-//! 11,000); with all forces 12,000 (5,100), 7.4 kB of 14.3. While two bodies are saved at 60 frames a second, a step takes 0.1 %
-//! longer. A checksum takes 2 to 3 % of a step of `two`, a replay 1.0 to 1.2 times as long as the run.
+//! **Recording** (`bench record`): frames per second and bytes per frame by detail and destination, with and without
+//! simulating, compared with the size of the payload and with a plain `log()` of the same data, one entity at a time.
+//! On two cores, saving every step of `two` with its surfaces: 24,000 frames/s at 2.6 kB each, for 10.7 kB of payload
+//! (plain `log()` without simulating: 11,000 frames/s). With all forces: 12,000 frames/s (5,100) at 7.4 kB, for 14.3
+//! kB. Saving two bodies at 60 frames/s makes a step 0.1 % slower. A checksum costs 2 to 3 % of a step of `two`; a
+//! replay takes 1.0 to 1.2 times as long as the run.
 
 mod drawing;
 pub mod error;
@@ -87,22 +92,22 @@ use reference::NoReference;
 /// Why something cannot be measured.
 #[derive(Debug, thiserror::Error)]
 pub enum MeasureError {
-    /// There is no scene to make others from.
+    /// The built-in scene that others are derived from is missing.
     #[error("the built-in scene \"two\" is missing")]
     NoScene,
-    /// A scene that was made from others is none.
+    /// A derived scene is not valid.
     #[error("a case is no scene: {0}")]
     Scene(#[from] SceneError),
-    /// There is no reference.
+    /// No reference solution is available.
     #[error(transparent)]
     NoReference(#[from] NoReference),
-    /// There is no memory.
+    /// The scene needs more memory than there is.
     #[error(transparent)]
     TooLarge(#[from] TooLarge),
-    /// The scene's own run does not come to its end.
+    /// The scene's own run fails before its end.
     #[error(transparent)]
     Failed(#[from] sim::Failure),
-    /// There are no threads to measure on.
+    /// Worker threads could not be started.
     #[error("cannot start threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
 }

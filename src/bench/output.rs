@@ -1,4 +1,5 @@
-//! Files that are written in the end, and checked in the beginning: nobody should wait minutes for "permission denied".
+//! Output files, checked before measuring and written after it, so that "permission denied" is reported at once rather
+//! than after minutes.
 
 use std::{
     fs::{self, File, OpenOptions},
@@ -6,26 +7,26 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// A file that can be written, as far as that can be known before.
+/// A file that can be written, as far as that can be checked in advance.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Output {
-    /// Symbolic links followed.
+    /// The path, with symbolic links resolved.
     path: PathBuf,
-    /// A device or a pipe is written to, everything else is replaced.
+    /// Whether the file is replaced; devices and pipes are written to instead.
     is_replaced: bool,
 }
 
 impl Output {
-    /// Finds out whether `path` can be written; leaves everything as it is.
+    /// Checks whether `path` can be written, without changing anything.
     ///
     /// # Errors
-    /// The operating system's answer.
+    /// The operating system's error.
     pub fn claim(path: &Path) -> io::Result<Output> {
         let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
         match fs::metadata(&path) {
             Ok(there) if there.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
             Ok(there) => {
-                // a rename would replace even a file that is write-protected
+                // a rename would replace even a write-protected file
                 OpenOptions::new().write(true).open(&path)?;
                 if !there.is_file() {
                     return Ok(Output { path, is_replaced: false });
@@ -38,27 +39,27 @@ impl Output {
             return Err(io::ErrorKind::IsADirectory.into());
         }
         let output = Output { path, is_replaced: true };
-        File::create_new(output.partial())?; // through no link
+        File::create_new(output.partial())?; // does not follow links
         fs::remove_file(output.partial())?;
         Ok(output)
     }
 
-    /// Where it is.
+    /// The path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The name under which it is written.
+    /// The temporary name that it is written under.
     fn partial(&self) -> PathBuf {
         let mut name = self.path.file_name().unwrap_or_default().to_owned();
         name.push(format!(".{}.partial", std::process::id()));
         self.path.with_file_name(name)
     }
 
-    /// Makes `text` what is in the file: all of it, or the file stays as it was.
+    /// Replaces the file's content with `text` atomically: on failure the file stays as it was.
     ///
     /// # Errors
-    /// The operating system's answer.
+    /// The operating system's error.
     pub fn write(&self, text: &str) -> io::Result<()> {
         if !self.is_replaced {
             return OpenOptions::new().write(true).open(&self.path)?.write_all(text.as_bytes());

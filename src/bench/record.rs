@@ -1,5 +1,6 @@
-//! What recording costs: frames per second and bytes per frame, by detail and destination, beside the payload itself and
-//! a plain `log()` of the same data an entity at a time; what it costs steps, and what verifying does.
+//! Recording cost: frames per second and bytes per frame, by detail and destination, compared with the payload itself
+//! and with a plain `log()` of the same data one entity at a time; the slow-down of steps, and the cost of
+//! verification.
 
 pub mod csv;
 pub mod goals;
@@ -37,30 +38,30 @@ use crate::{
     },
 };
 
-/// A measurement goes on for at least this long, scene after scene …
+/// A measurement lasts at least this long; the scene is repeated as often as necessary.
 const LEAST: Duration = Duration::from_millis(600);
-/// … and frames that are recorded without simulating are kept up to this size [bytes].
+/// Frames recorded without simulating are kept in memory up to this size [bytes].
 const KEPT: usize = 256 << 20;
 
-/// Where frames go.
+/// Where frames are sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Destination {
-    /// Nowhere: simulated only, or made and dropped.
+    /// Nowhere: frames are simulated only, or recorded and dropped.
     None,
     /// A file.
     File,
     /// A gRPC server on this machine.
     Server,
-    /// A file, by the SDK's `log()` for each entity.
+    /// A file, written with the SDK's `log()` for each entity.
     PlainLog,
 }
 
 impl Destination {
-    /// All of them.
+    /// All destinations.
     pub const ALL: [Destination; 4] =
         [Destination::None, Destination::File, Destination::Server, Destination::PlainLog];
 
-    /// The name in tables.
+    /// The name used in tables.
     pub fn name(self) -> &'static str {
         match self {
             Destination::None => "none",
@@ -71,28 +72,28 @@ impl Destination {
     }
 }
 
-/// What one way of recording a scene costs.
+/// The cost of recording a scene in one way.
 #[derive(Clone, Debug)]
 pub struct Measurement {
     /// Name of the scene.
     pub scene: String,
-    /// How many bodies it has.
+    /// Number of bodies.
     pub bodies: usize,
-    /// How much was recorded.
+    /// Level of detail.
     pub detail: Detail,
-    /// Where to.
+    /// Destination of the frames.
     pub destination: Destination,
-    /// Whether the scene was simulated meanwhile, or its states were there already.
+    /// Whether the scene was simulated during the measurement; otherwise its states were computed beforehand.
     pub is_simulated: bool,
-    /// How many frames were made …
+    /// Number of frames made …
     pub frames: u64,
-    /// … in how long [s].
+    /// … and the time taken [s].
     pub seconds: f64,
     /// Size of the file [bytes].
     pub bytes: Option<u64>,
-    /// Positions, normals and arrows in it [bytes].
+    /// Size of the positions, normals and arrows in it [bytes].
     pub payload: u64,
-    /// How many entities it has.
+    /// Number of entities in the recording.
     pub entities: Option<usize>,
 }
 
@@ -103,28 +104,29 @@ impl Measurement {
     }
 }
 
-/// What there is besides frames and bytes.
+/// Costs other than frames and bytes.
 #[derive(Clone, Debug)]
 pub struct Costs {
-    /// What saving costs steps.
+    /// How much saving slows down steps.
     pub saving: Vec<Saving>,
-    /// What checksums and replays cost.
+    /// The cost of checksums and replays.
     pub verifying: Verifying,
 }
 
-/// All that was measured.
+/// All measurements.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
-    /// By scene.
+    /// One entry per scene and way of recording.
     pub measurements: Vec<Measurement>,
-    /// If they were measured.
+    /// The other costs, if measured.
     pub costs: Option<Costs>,
 }
 
-/// Measures what recording costs steps, and what verifying costs; files are written to `folder` and removed again.
+/// Measures how much recording slows down steps, and the cost of verification. Temporary files go to `folder` and are
+/// removed.
 ///
 /// # Errors
-/// What went wrong, in words.
+/// A description of what failed.
 pub fn measure_costs(folder: &Path) -> Result<Costs, String> {
     let file = file(folder);
     let saving = Way::ALL.into_iter().map(|way| saving::measure(way, &file)).collect::<Result<_, _>>()?;
@@ -135,10 +137,10 @@ fn file(folder: &Path) -> PathBuf {
     folder.join(format!("meldscope-bench-{}.rrd", std::process::id()))
 }
 
-/// Measures a scene in every way; files are written to `folder` and removed again.
+/// Measures a scene in every way. Temporary files go to `folder` and are removed.
 ///
 /// # Errors
-/// What went wrong, in words.
+/// A description of what failed.
 pub fn measure(scene: &Scene, folder: &Path) -> Result<Vec<Measurement>, String> {
     let mut all = Vec::new();
     for detail in [Detail::Surface, Detail::Forces] {
@@ -155,13 +157,13 @@ pub fn measure(scene: &Scene, folder: &Path) -> Result<Vec<Measurement>, String>
     Ok(all)
 }
 
-/// A scene, and its states.
+/// A scene and its precomputed states.
 struct Bench<'a> {
     scene: &'a Scene,
     settings: Settings,
     schema: Schema,
     frames: Vec<(StepRecord, Frame)>,
-    /// Of those frames [bytes].
+    /// Payload of those frames [bytes].
     payload: u64,
     file: PathBuf,
 }
@@ -234,7 +236,7 @@ impl Bench<'_> {
         Ok(Measurement { scene, bodies, detail, destination, is_simulated, frames, seconds, bytes, payload, entities })
     }
 
-    /// As `run` does, until all of it is with the operating system.
+    /// Simulates and records as `run` does, until the operating system has all the data.
     fn simulate(&self, world: &mut World, sinks: Sinks) -> Result<Sinks, String> {
         let recorder = Recorder::new(world, self.settings.clone());
         let mut pipeline = Pipeline::start(world, recorder, sinks).map_err(|error| error.to_string())?;
@@ -248,7 +250,7 @@ impl Bench<'_> {
         Ok(recorded.sinks)
     }
 
-    /// The states that are there already.
+    /// Records the precomputed states.
     fn record(&self, world: &World, mut sinks: Option<&mut Sinks>) -> Result<(), String> {
         let mut recorder = Recorder::new(world, self.settings.clone());
         for (step, frame) in &self.frames {
@@ -269,7 +271,7 @@ impl Bench<'_> {
         sinks.flush().map_err(|error| error.to_string())
     }
 
-    /// The same by the SDK's own means; returns the size of the file [bytes].
+    /// Records the same with the SDK's own functions; returns the size of the file [bytes].
     fn log_plainly(&self) -> Result<u64, String> {
         let (mut extractor, mut surface, mut origins) = (Extractor::default(), Surface::default(), Vec::new());
         let words = |error: rerun::RecordingStreamError| error.to_string();
@@ -319,7 +321,7 @@ impl Bench<'_> {
     }
 }
 
-/// f32 positions and normals of what moves, arrows that are not zero [bytes].
+/// Size of the f32 positions and normals of what moves, and of non-zero arrows [bytes].
 fn payload_of(frame: &Frame) -> u64 {
     let of_body = |now: &BodyFrame| {
         let arrows = now.terms.iter().flat_map(|term| term.accelerations.iter()).filter(|force| *force != DVec3::ZERO);
@@ -328,7 +330,7 @@ fn payload_of(frame: &Frame) -> u64 {
     12 * frame.bodies.iter().map(of_body).sum::<u64>()
 }
 
-/// How many entities a recording has.
+/// Number of entities in a recording.
 fn entities_in(file: &Path) -> Result<usize, String> {
     let entities = RefCell::new(HashSet::new());
     let note = |entity: &str| {

@@ -1,12 +1,13 @@
-//! An independent solution of a scene, to judge the integrators by.
+//! An independent solution of a scene, for judging the integrators.
 //!
-//! Nothing of [`crate::sim`] is used: the equation of motion is written down here once more, from the model alone; pair
-//! phases are found by a scan of the distances and bisection; every vertex is integrated for itself by
-//! [extrapolation](super::extrapolation), restarted wherever the right-hand side jumps (pair phases, pushes,
-//! keyframes), and at every instant asked for. The weight has a kink at the rim of an influence sphere: within a step a
-//! vertex that is inside of a sphere feels the law of the inside even where the step takes it out, and the other way
-//! round, so that the law of each step is smooth; the time of the crossing is then found by root finding, and the step
-//! ends there.
+//! It uses nothing of [`crate::sim`]. The equation of motion is implemented here a second time, from the model alone.
+//! Pair phases are found by scanning the distances and bisecting. Each vertex is integrated separately by
+//! [extrapolation](super::extrapolation), restarted wherever the right-hand side jumps (pair phases, pushes, keyframes)
+//! and at every requested instant.
+//!
+//! The weight has a kink at the rim of an influence sphere. Within a step, a vertex inside a sphere keeps the inside
+//! law even where the step takes it out, and vice versa, so the law is smooth over each step. Root finding then locates
+//! the crossing, and the step ends there.
 
 use std::sync::OnceLock;
 
@@ -22,37 +23,37 @@ use crate::{
     scene::{Body, Path, Push, Response, Scene, path::Kinematics},
 };
 
-/// How exact a reference is to be.
+/// The accuracy of a reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Accuracy {
-    /// The error that a step may make, in radii of the body for a displacement, and as much times the largest rate of
-    /// the scene for a velocity [–].
+    /// Permitted error of a step: for a displacement in radii of the body; for a velocity, the same times the largest
+    /// rate of the scene [–].
     pub tolerance: f64,
     /// The longest step, in units of the inverse of that rate [–]: short enough that a vertex cannot turn twice in it.
     pub longest_step: f64,
 }
 
 impl Accuracy {
-    /// What gives the 1e-11 of a radius that is [claimed](Reference::ACCURACY).
+    /// Gives the [stated](Reference::ACCURACY) accuracy of 1e-11 of a radius.
     pub const DEFAULT: Accuracy = Accuracy { tolerance: 1e-13, longest_step: 0.25 };
-    /// Ten times as exact, to see how exact that is.
+    /// Ten times as accurate, for measuring the accuracy of the default.
     pub const TIGHTER: Accuracy = Accuracy { tolerance: 1e-14, longest_step: 0.125 };
 }
 
-/// Why there is no reference for a scene.
+/// Why a scene has no reference solution.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum NoReference {
-    /// It would take too long.
+    /// The solution would take too long.
     #[error(
         "a reference solution would take {evaluations:.0e} evaluations of the equation of motion, more than \
          {MOST_EVALUATIONS:.0e}: its explicit method follows the fastest motion (omega, damping, alpha, beta), for every \
          vertex and the whole duration; make the scene softer, smaller or shorter"
     )]
     TooLong {
-        /// An estimate of them.
+        /// The estimated number of evaluations.
         evaluations: f64,
     },
-    /// When a pair changes its phase cannot be told.
+    /// The time of a pair's phase change is ambiguous.
     #[error(
         "no reference solution can be had: bodies {a} and {b} (counted from 0) come so often, so fast or for so long close \
          to merge_at, split_at or core_at that it cannot be told when they pass it, from {time:e} s on; move the thresholds \
@@ -63,41 +64,41 @@ pub enum NoReference {
         a: usize,
         /// … and the other.
         b: usize,
-        /// From when on [s].
+        /// From this time on [s].
         time: f64,
     },
-    /// The solution for a vertex does not get on.
+    /// The solution for a vertex makes no progress.
     #[error(
         "no reference solution can be had: a vertex of body {body} (counted from 0) takes too many steps to be followed \
          beyond {time:e} s; make the scene softer or shorter"
     )]
     Stuck {
-        /// Its body.
+        /// The vertex's body.
         body: usize,
-        /// Where [s].
+        /// At this time [s].
         time: f64,
     },
-    /// The solution for a vertex has numbers in it that are too large to calculate with.
+    /// The solution for a vertex overflows.
     #[error(
         "no reference solution can be had: the numbers of a vertex of body {body} (counted from 0) get too large at \
          {time:e} s; make the scene softer or smaller"
     )]
     TooLarge {
-        /// Its body.
+        /// The vertex's body.
         body: usize,
-        /// Where [s].
+        /// At this time [s].
         time: f64,
     },
 }
 
-/// A few minutes.
+/// Takes a few minutes.
 const MOST_EVALUATIONS: f64 = 5e9;
-/// Of a typical step.
+/// For a typical step.
 const EVALUATIONS_PER_STEP: f64 = 40.0;
-/// What is left of a coordinate after a few roundings, of its size.
+/// Relative rounding error of a coordinate after a few operations.
 const ROUNDING: f64 = 8.0 * f64::EPSILON;
 
-/// Where every vertex is at given instants.
+/// The positions of all vertices at given instants.
 pub struct Reference {
     times: Vec<f64>,
     /// `[body][vertex][time]`; empty for a vertex that has stayed at rest.
@@ -105,10 +106,10 @@ pub struct Reference {
     events: Vec<PhaseChange>,
 }
 
-/// A pair changes its phase.
+/// A phase change of a pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PhaseChange {
-    /// When [s].
+    /// When it happens [s].
     pub time: f64,
     /// One body of the pair …
     pub a: usize,
@@ -119,13 +120,13 @@ pub struct PhaseChange {
 }
 
 impl Reference {
-    /// How far [`Accuracy::DEFAULT`] may be off, in radii of a vertex's body.
+    /// The largest error of [`Accuracy::DEFAULT`], in radii of the vertex's body.
     pub const ACCURACY: f64 = 1e-11;
 
-    /// Solves `scene` for the displacements at `times` [s], ascending, none negative.
+    /// Solves `scene` for the displacements at `times` [s], which must be ascending and non-negative.
     ///
     /// # Errors
-    /// [`NoReference`] if the scene is too stiff, too large or too long for that, or the solution cannot be told.
+    /// [`NoReference`] if the scene is too stiff, too large or too long, or if its solution is ambiguous.
     pub fn solve(scene: &Scene, times: &[f64], accuracy: Accuracy) -> Result<Reference, NoReference> {
         let end = times.last().copied().unwrap_or(0.0);
         let evaluations = EVALUATIONS_PER_STEP
@@ -152,12 +153,12 @@ impl Reference {
         Ok(Reference { times: times.to_vec(), tracks, events })
     }
 
-    /// The instants [s].
+    /// The requested instants [s].
     pub fn times(&self) -> &[f64] {
         &self.times
     }
 
-    /// The phase changes up to the last instant, by time.
+    /// The phase changes up to the last instant, in order of time.
     pub fn events(&self) -> &[PhaseChange] {
         &self.events
     }
@@ -167,15 +168,16 @@ impl Reference {
         self.tracks[body][vertex].get(k).copied().unwrap_or(DVec3::ZERO)
     }
 
-    /// The largest distance of a vertex of a body from where it is at instant `k`, if its vertices are displaced as `found`
-    /// [scene unit]; NaN if one of those isn't.
+    /// The largest distance between a body's vertices in this solution at instant `k` and the vertices with the
+    /// displacements `found` [scene unit]; NaN if any of those is NaN.
     pub fn distance(&self, body: usize, k: usize, found: impl Iterator<Item = DVec3>) -> f64 {
         let distances = found.enumerate().map(|(vertex, x)| x.distance(self.displacement(body, vertex, k)));
         distances
             .fold(0.0, |largest, distance| if distance <= largest || largest.is_nan() { largest } else { distance })
     }
 
-    /// The largest distance of a vertex from where it is in another solution of the same scene at the same times [radii].
+    /// The largest distance of a vertex from its position in another solution of the same scene at the same times
+    /// [radii].
     pub fn largest_difference(&self, other: &Reference, scene: &Scene) -> f64 {
         let places = (0..self.tracks.len()).flat_map(|body| (0..self.times.len()).map(move |k| (body, k)));
         let apart = places.map(|(body, k)| {
@@ -186,7 +188,7 @@ impl Reference {
     }
 }
 
-/// The rate of the fastest motion of a scene [1/s]: of its oscillators, of its influence, of its paths.
+/// The rate of the fastest motion of a scene [1/s]: of its oscillators, its influence, or its paths.
 fn fastest_rate(scene: &Scene) -> f64 {
     let body = |body: &Body| {
         let path = match body.path {
@@ -195,18 +197,18 @@ fn fastest_rate(scene: &Scene) -> f64 {
         };
         body.material.omega.max(body.material.damping).max(path)
     };
-    // a few sources on one vertex
+    // allows for a few sources acting on one vertex
     let influence = (3.0 * f64::max(scene.influence.alpha.abs(), scene.influence.beta.abs())).sqrt();
     scene.bodies.iter().map(body).fold(influence, f64::max)
 }
 
-// --- pair phases -------------------------------------------------------------------------------------------------------
+// --- pair phases ----------------------------------------------------------------------------------------------------
 
-/// The phases of a pair that is not apart all the time.
+/// The phases of a pair that is not apart throughout.
 struct History {
     a: usize,
     b: usize,
-    /// At t = 0.
+    /// The phase at t = 0.
     first: Phase,
     changes: Vec<PhaseChange>,
 }
@@ -219,12 +221,12 @@ impl History {
 
 /// A visit to another phase that is shorter than this can be missed [s] …
 const SHORTEST_VISIT: f64 = 1e-6;
-/// … if q changes by less than this in it [–].
+/// … if q changes by less than this during it [–].
 const SHORTEST_WAY: f64 = 1e-4;
-/// A pair is looked at no more often than this: a second or so.
+/// The largest number of times that a pair is sampled; takes about a second.
 const MOST_LOOKS: u64 = 10_000_000;
 
-/// Those of all pairs that are ever anything else than apart, ascending.
+/// The histories of all pairs that are ever in another phase than apart, ascending.
 fn histories(scene: &Scene, end: f64) -> Result<Vec<History>, NoReference> {
     let pairs = |a| (a + 1..scene.bodies.len()).map(move |b| (a, b));
     let all = (0..scene.bodies.len()).into_par_iter().flat_map_iter(pairs);
@@ -248,7 +250,7 @@ fn history(scene: &Scene, a: usize, b: usize, end: f64) -> Result<History, NoRef
     }
     let mut history = History { a, b, first: phase, changes: vec![] };
     if one.path.relative_bounds(&other.path, 0.0, end).speed == 0.0 {
-        return Ok(history); // it neither falls nor rises to a threshold, even if it stands on one, or on two
+        return Ok(history); // never falls or rises to a threshold, even if it stands on one or two of them
     }
     let mut t = 0.0;
     let mut watch = Watch::default();
@@ -264,7 +266,7 @@ fn history(scene: &Scene, a: usize, b: usize, end: f64) -> Result<History, NoRef
         let shortest = f64::min(SHORTEST_VISIT, SHORTEST_WAY * radii / speed);
         let mut later = f64::min(end, t + f64::max(safe, shortest));
         if later <= t {
-            break; // too fast for times to tell where it is
+            break; // too fast for its position to be resolved in time
         }
         let places = [one, other].map(|body| body.path.position(0.0).length() + body.path.position(later).length());
         let doubt = ROUNDING * (1.0 + places.iter().sum::<f64>() / radii);
@@ -286,24 +288,24 @@ fn history(scene: &Scene, a: usize, b: usize, end: f64) -> Result<History, NoRef
     Err(NoReference::Undecided { a, b, time: t })
 }
 
-/// A way out of a phase: beyond a level of q, by falling or by rising.
+/// A transition out of a phase: q passes a level, falling or rising.
 #[derive(Clone, Copy)]
 struct Way {
     level: f64,
     falls: bool,
-    /// Whether standing on the level is enough.
+    /// Whether reaching the level is enough, without passing it.
     on_level: bool,
     to: Phase,
 }
 
 impl Way {
-    /// How far q is from having gone it [–]: zero on the level, negative beyond.
+    /// Distance of q from completing the transition [–]: zero on the level, negative beyond.
     fn gap(self, q: f64) -> f64 {
         if self.falls { q - self.level } else { self.level - q }
     }
 }
 
-/// Those out of `phase`.
+/// The transitions out of `phase`.
 fn ways(phase: Phase, thresholds: &crate::model::phase::Thresholds) -> Vec<Way> {
     let crate::model::phase::Thresholds { merge_at, split_at, core_at } = *thresholds;
     match phase {
@@ -316,17 +318,17 @@ fn ways(phase: Phase, thresholds: &crate::model::phase::Thresholds) -> Vec<Way> 
     }
 }
 
-/// A pair in a phase, watched for the end of it.
+/// Watches a pair for the end of its current phase.
 ///
-/// Two levels may be one: a pair on it is as well merged as apart, and rounding alone would have it change for ever. It
-/// changes if it comes to the level from a clear distance, or is clearly beyond.
+/// Two levels may coincide. A pair on such a level is as well merged as apart, and rounding alone would make it change
+/// forever. It therefore changes only if it reaches the level from a clear distance, or is clearly beyond it.
 #[derive(Default)]
 struct Watch {
-    /// Whether the pair has been at a clear distance from each level since the phase began.
+    /// For each level, whether the pair has been at a clear distance from it since the phase began.
     was_clear: [bool; 2],
 }
 
-/// A level has been passed, or come to within so much of it.
+/// A level has been passed, or approached to within the tolerance.
 struct Fall {
     way: Way,
     within: f64,
@@ -340,13 +342,13 @@ impl Fall {
 }
 
 impl Watch {
-    /// Looks at q at two times in turn, at which it is known up to `doubt`.
+    /// Checks q at two successive times, with an uncertainty of `doubt`.
     fn look(&mut self, ways: &[Way], before: f64, now: f64, doubt: f64) -> Option<Fall> {
         for (&way, was_clear) in ways.iter().zip(&mut self.was_clear) {
             *was_clear |= way.gap(before) > doubt;
             let gap = way.gap(now);
             if gap < -doubt || *was_clear && way.on_level && gap <= doubt {
-                // the level itself, unless the pair comes to stand just short of it
+                // the level itself, unless the pair comes to rest just short of it
                 return Some(Fall { way, within: f64::max(0.0, gap) });
             }
         }
@@ -354,21 +356,21 @@ impl Watch {
     }
 }
 
-// --- what acts on a body ---------------------------------------------------------------------------------------------
+// --- influences on a body -------------------------------------------------------------------------------------------
 
-/// A stretch of time in which what acts on a body does not jump, and that no instant asked for divides.
+/// A time interval over which the influences on a body do not jump; requested instants are interval ends too.
 struct Chunk<'a> {
     start: f64,
     end: f64,
-    /// Which instant its end is.
+    /// The index of the instant at its end.
     sample: Option<usize>,
     sources: Vec<Source<'a>>,
     pushes: Vec<&'a Push>,
-    /// Whether the body feels no motion of its own.
+    /// Whether the body's own motion has no effect on it.
     is_carried: bool,
 }
 
-/// An influence sphere that acts and that can reach the body.
+/// An active influence sphere that can reach the body.
 #[derive(Clone, Copy)]
 struct Source<'a> {
     body: usize,
@@ -386,11 +388,11 @@ struct Problem<'a> {
     index: usize,
     body: &'a Body,
     longest_step: f64,
-    /// Of x and of u.
+    /// Tolerances of x and of u.
     tolerance: [f64; 6],
     /// For vertices that stay within [`Problem::leash`] of rest.
     chunks: Vec<Chunk<'a>>,
-    /// For all others: every source everywhere.
+    /// For all others: includes every source throughout.
     all_chunks: OnceLock<Vec<Chunk<'a>>>,
 }
 
@@ -404,7 +406,7 @@ impl<'a> Problem<'a> {
     ) -> Problem<'a> {
         let body = &scene.bodies[index];
         let rate = fastest_rate(scene).max(1e-3);
-        // far from the origin positions are rounded more coarsely than a small tolerance allows
+        // far from the origin, positions are rounded more coarsely than a small tolerance allows
         let end = times.last().copied().unwrap_or(0.0);
         let far = times.iter().map(|&t| body.path.position(t).length()).fold(0.0, f64::max);
         let rounding = ROUNDING * (far + body.path.bounds(0.0, end).speed * end);
@@ -425,12 +427,12 @@ impl<'a> Problem<'a> {
         problem
     }
 
-    /// How far from rest a vertex can be for the sources of [`Problem::chunks`] to be all [scene unit].
+    /// The displacement up to which the sources of [`Problem::chunks`] are complete [scene unit].
     fn leash(&self) -> f64 {
         self.body.radius
     }
 
-    /// Divides the time where something jumps and at the instants asked for.
+    /// Splits the time span where something jumps and at the requested instants.
     fn divide(&self, leash: f64) -> Vec<Chunk<'a>> {
         let Problem { scene, histories, times, index, body, .. } = *self;
         let Some(&end) = times.last() else { return vec![] };
@@ -477,7 +479,8 @@ impl<'a> Problem<'a> {
         chunks
     }
 
-    /// x of the vertex at `rest`, whose direction is `facing`, at every instant asked for; empty if it stays 0.
+    /// The displacement x of the vertex at `rest`, whose direction is `facing`, at every requested instant; empty if it
+    /// stays 0.
     fn track(&self, rest: DVec3, facing: DVec3) -> Result<Vec<DVec3>, NoReference> {
         if let Some(track) = self.track_within([rest, facing], &self.chunks, self.leash())? {
             return Ok(track);
@@ -486,7 +489,7 @@ impl<'a> Problem<'a> {
         Ok(self.track_within([rest, facing], all, f64::INFINITY)?.unwrap_or_default())
     }
 
-    /// As [`Problem::track`]; `None` if the vertex gets farther from rest than `leash`.
+    /// Like [`Problem::track`]; `None` if the vertex moves farther from rest than `leash`.
     fn track_within(
         &self,
         [rest, facing]: [DVec3; 2],
@@ -522,7 +525,7 @@ impl<'a> Problem<'a> {
     }
 }
 
-/// What a source does to a body `size` times as large as its own: α attracts, β repels [1/s²].
+/// Strength of a source on a body `size` times as large as its own: α attracts, β repels [1/s²].
 fn strength(scene: &Scene, phase: Phase, size: f64) -> f64 {
     let law = &scene.influence;
     let full = match phase {
@@ -541,15 +544,15 @@ fn strength(scene: &Scene, phase: Phase, size: f64) -> f64 {
 
 // --- one vertex ------------------------------------------------------------------------------------------------------
 
-/// A step that is as short as this, over t or 1 s, is taken as it is: rounding is all that is left to see.
+/// A step no longer than this, relative to t or 1 s, is always accepted: beyond this only rounding is left.
 const SHORTEST_STEP: f64 = 1e-12;
-/// A vertex may try so many steps, of whatever length, for each of the longest: far more than crossings and halvings take.
+/// Trial steps allowed per longest step, of any length: far more than crossings and halvings need.
 const TRIALS_PER_STEP: f64 = 200.0;
 
-/// A vertex whose [`Gap`] is this part of the square of the radius can be on either side of a rim [–].
+/// A vertex whose [`Gap`] is this fraction of the squared radius may be on either side of a rim [–].
 const AT_RIM: f64 = 1e-9;
 
-/// One vertex on its way.
+/// The state of one vertex during integration.
 struct Vertex<'p, 'a> {
     problem: &'p Problem<'a>,
     /// Rest position l [scene unit] …
@@ -558,11 +561,11 @@ struct Vertex<'p, 'a> {
     facing: DVec3,
     /// x, then u.
     state: [f64; 6],
-    /// The next step, if nothing comes in between [s].
+    /// The next step size, unless something intervenes [s].
     step: f64,
-    /// On which side of the rims of the sources of the current chunk the vertex is.
+    /// The side of each rim of the current chunk's sources that the vertex is on.
     sides: Vec<Side>,
-    /// Steps that it may still try.
+    /// Remaining trial steps.
     trials: u64,
 }
 
@@ -572,7 +575,7 @@ struct Side {
     is_inside: bool,
 }
 
-/// The equation of motion of one vertex within a chunk, as long as it crosses no rim.
+/// The equation of motion of one vertex within a chunk while it crosses no rim.
 struct Law<'a> {
     body: &'a Body,
     weight: Weight,
@@ -583,7 +586,7 @@ struct Law<'a> {
 }
 
 impl Vertex<'_, '_> {
-    /// Through one chunk.
+    /// Integrates through one chunk.
     fn advance(&mut self, chunk: &Chunk<'_>) -> Result<(), NoReference> {
         let push = |push: &&Push| push.strength * f64::max(0.0, -self.facing.dot(push.direction)) * push.direction;
         let push: DVec3 = chunk.pushes.iter().map(push).sum();
@@ -597,7 +600,7 @@ impl Vertex<'_, '_> {
         let mut t = chunk.start;
         let mut turns = 0;
         while t < chunk.end {
-            // The one bound that holds whatever happens: crossings a rounding apart, steps that never get longer.
+            // A bound that always holds: it catches crossings that are a rounding apart and steps that never grow.
             self.trials = self.trials.checked_sub(1).ok_or(NoReference::Stuck { body: self.problem.index, time: t })?;
             let left = chunk.end - t;
             let h = if self.step < left { self.step } else { left };
@@ -629,8 +632,9 @@ impl Vertex<'_, '_> {
                 self.step = f64::min(f64::max(self.step, 2.0 * h), self.problem.longest_step);
             }
             if turns > 2 * sides.len() {
-                // It has gone in and out without getting on: it touches a rim, or the rim moves along with it. Where it
-                // is a little later, it has been all the time, but for where the force is too weak to matter.
+                // The vertex has gone in and out without progress: it touches a rim, or the rim moves along with it. It
+                // is treated as having been all the time where it is a little later, except where the force is too weak
+                // to matter.
                 let little = h / 1024.0;
                 let end = trial.step(little).end;
                 let touches = |(source, side): (usize, &Side)| {
@@ -665,11 +669,11 @@ impl Vertex<'_, '_> {
         Ok(())
     }
 
-    /// On which side of a rim the vertex is at the start of a chunk.
+    /// The side of a rim that the vertex is on at the start of a chunk.
     fn side(&self, source: &Source<'_>, chunk: &Chunk<'_>, known: &[Side], rest: DVec3) -> Side {
         let gap = gap(self.problem.body, source, chunk, rest, chunk.start, &self.state);
         let known = known.iter().find(|side| side.body == source.body);
-        // at the very rim, which it may just have crossed, or where it may be about to
+        // on the rim itself, which it may just have crossed or be about to cross
         let is_inside = if gap.value.abs() > AT_RIM * source.radius * source.radius {
             gap.value < 0.0
         } else {
@@ -679,7 +683,7 @@ impl Vertex<'_, '_> {
     }
 }
 
-/// Where the centre is, within a chunk: at its end, as it comes to it.
+/// The centre within a chunk; at the chunk's end, its limit from the left.
 fn centre(path: &Path, chunk: &Chunk<'_>, t: f64) -> Kinematics {
     if t < chunk.end { path.at(t) } else { path.before(chunk.end) }
 }
@@ -697,7 +701,7 @@ impl Law<'_> {
             if side.is_inside {
                 let to_centre = centre(source.path, self.chunk, t).position - (own.position + self.rest + x);
                 let z = to_centre.length() / source.radius;
-                // beyond the rim, where a step may look before it is shortened, as it is inside
+                // beyond the rim, where a step may sample before it is shortened, the inside law continues
                 let weight = match self.weight {
                     Weight::Linear => 1.0 - z,
                     Weight::Wendland => (1.0 - z).powi(4) * (4.0 * z + 1.0),
@@ -715,7 +719,7 @@ impl Law<'_> {
     }
 }
 
-/// How far outside of a rim a vertex is: distance² − radius² [scene unit²], and its rate [scene unit²/s].
+/// How far a vertex is outside a rim: distance² − radius² [scene unit²], and its rate [scene unit²/s].
 #[derive(Clone, Copy)]
 struct Gap {
     value: f64,
@@ -731,7 +735,7 @@ fn gap(body: &Body, source: &Source<'_>, chunk: &Chunk<'_>, rest: DVec3, t: f64,
     Gap { value: (distance - source.radius) * (distance + source.radius), rate: 2.0 * to_centre.dot(approach) }
 }
 
-/// A step that is being tried, of any length.
+/// A trial step of any length.
 struct Trial<'a> {
     law: &'a Law<'a>,
     tolerance: &'a [f64; 6],
@@ -744,7 +748,7 @@ struct Trial<'a> {
 struct Crossing {
     /// The start of the step [s].
     after: f64,
-    /// The state then.
+    /// The state at its start.
     end: [f64; 6],
     /// Index into the sources of the chunk.
     source: usize,
@@ -763,7 +767,7 @@ impl Trial<'_> {
         if sides[source].is_inside { Gap { value: -value, rate: -rate } } else { Gap { value, rate } }
     }
 
-    /// The first rim that the vertex reaches in the step over `h`, which leads to `end`.
+    /// The first rim that the vertex reaches in the step over `h` that leads to `end`.
     fn first_crossing(&self, mut h: f64, mut end: [f64; 6]) -> Option<Crossing> {
         let mut first = None;
         for source in 0..self.law.chunk.sources.len() {
@@ -774,7 +778,7 @@ impl Trial<'_> {
         first.map(|source| Crossing { after: h, end, source })
     }
 
-    /// When the vertex first reaches the rim of a source in the step over `h`, which leads to `end`, and its state then.
+    /// When the vertex first reaches the rim of a source in the step over `h` that leads to `end`, and its state then.
     fn crossing(&self, source: usize, h: f64, end: &[f64; 6]) -> Option<(f64, [f64; 6])> {
         let start = (0.0, self.margin(source, 0.0, self.state));
         let mut last = (h, self.margin(source, h, end));
@@ -785,7 +789,8 @@ impl Trial<'_> {
         };
         let mut inside = start;
         if last.1.value >= 0.0 {
-            // Still on its side, but it may have been beyond: that takes a turn, and one that is close enough.
+            // Still on its side, but it may have been beyond in between. That takes a turning point close enough to the
+            // rim.
             let nearest = f64::min(start.1.value, last.1.value);
             let is_turning = start.1.rate < 0.0 && last.1.rate > 0.0;
             if !is_turning || nearest > 2.0 * h * f64::max(-start.1.rate, last.1.rate) {
@@ -797,11 +802,11 @@ impl Trial<'_> {
             }
         }
         if start.1.value <= 0.0 {
-            // It starts at the rim. Either it comes to its side first, and then it must have turned …
+            // It starts at the rim. Either it first moves to its own side, and then it must have turned …
             if start.1.rate > 0.0 && last.1.rate < 0.0 {
                 inside = turn(last);
             }
-            // … or it was taken for being on the wrong side.
+            // … or it was assigned to the wrong side.
             if inside.1.value <= 0.0 {
                 return Some((0.0, *self.state));
             }
@@ -810,7 +815,7 @@ impl Trial<'_> {
         Some(self.root((inside.0, inside.1.value), (last.0, last.1.value), value))
     }
 
-    /// The root of `f` between two times in the step, at which its values have opposite signs, and the state there:
+    /// The root of `f` between two times in the step at which its values have opposite signs, and the state there, by
     /// regula falsi, Illinois variant (Dahlquist & Björck, Numerical Methods, section 6.2).
     fn root(&self, low: (f64, f64), high: (f64, f64), f: impl Fn(f64, &[f64; 6]) -> f64) -> (f64, [f64; 6]) {
         let ((mut low, mut f_low), (mut high, mut f_high)) = (low, high);
@@ -830,7 +835,7 @@ impl Trial<'_> {
             }
             let is_low = |value: f64| (value > 0.0) == (f_low > 0.0);
             if off <= CROSSING {
-                // if the secant is right; what lies far beyond the rim may be steep
+                // valid if the secant is accurate; far beyond the rim the function may be steep
                 let probe = if is_low(value) { middle + CROSSING } else { middle - CROSSING };
                 if probe <= low || probe >= high {
                     break;
@@ -862,5 +867,5 @@ impl Trial<'_> {
     }
 }
 
-/// Being so early or late [s] at a kink, where the force does not jump, changes a velocity by the square of it.
+/// A timing error of this size [s] at a kink, where the force does not jump, changes a velocity by its square.
 const CROSSING: f64 = 1e-11;

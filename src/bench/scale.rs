@@ -1,9 +1,10 @@
-//! Cost against size: steps of scenes of 2 to 100,000 bodies, of which all, a hundredth or two touch.
+//! Cost against scene size: step time of scenes with 2 to 100,000 bodies, of which all, one in a hundred, or two are in
+//! contact.
 //!
-//! Every scene is made of the same pairs ([`scenes`]), so that one reference of these pairs judges all of them. A world
-//! is stepped on one core and on all in turns, so that whatever else the machine does meanwhile falls on both alike, for
-//! whole periods of the pairs' motion where that doesn't take too long; beside it the naive baseline: the thesis's scheme, every
-//! vertex, all pairs, one number at a time.
+//! Every scene is built from the same pairs ([`scenes`]), so one reference solution of these pairs serves all scenes. A
+//! world is stepped on one core and on all cores in turns, so that other load on the machine affects both alike. Blocks
+//! cover whole periods of the pairs' motion where that does not take too long. For comparison, the naive baseline is
+//! measured: the thesis's scheme with every vertex and all pairs, one number at a time.
 
 pub mod csv;
 pub mod decay;
@@ -31,14 +32,14 @@ use decay::Decay;
 use free_oscillation::FreeOscillation;
 use scenes::{Family, Layout, PERIOD, PHASES};
 
-/// What is measured.
+/// What to measure.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     /// Numbers of bodies, ascending.
     pub bodies: Vec<usize>,
-    /// Steps are timed for about so long, for each number of bodies, family and number of threads.
+    /// Approximate duration of timed steps, for each number of bodies, family and number of threads.
     pub time: Duration,
-    /// Over so many steps a scene is followed that decays to nothing.
+    /// Number of steps for which a decaying scene is followed.
     pub decay: u64,
 }
 
@@ -52,122 +53,122 @@ impl Default for Settings {
     }
 }
 
-/// Steps before any is timed: what began at rest has met its neighbour by then.
+/// Warm-up steps: bodies that start at rest have met their neighbours by then.
 const WARM: u64 = 60;
-/// Run times are the best of so many blocks of steps: what else the machine does only ever adds to them.
+/// The best of this many blocks of steps counts, because other load only ever adds to run times.
 const BLOCKS: usize = 9;
-/// Of blocks that take longer than all of these should.
+/// The number of blocks if that many would take too long.
 const LONG_BLOCKS: usize = 3;
-/// The naive baseline is followed up to scenes of which a step is expected to take longer.
+/// The naive baseline is skipped in scenes where a step of it is expected to take longer.
 const LONGEST_PLAIN_STEP: Duration = Duration::from_secs(4);
-/// Errors are looked at when so many steps have been taken since the last time, up to a period.
+/// Errors are checked every so many steps, for up to a period.
 const JUDGED_EVERY: u64 = 20;
-/// In so many pairs at most, spread over the scene.
+/// The most pairs that are checked, spread over the scene.
 const MOST_JUDGED: usize = 64;
-/// Vertices inside of a sphere are counted so often in a period.
+/// How many times per period the vertices inside spheres are counted.
 const COUNTS: u64 = 24;
 
-/// Steps that were timed.
+/// Timed steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Run {
-    /// On so many threads.
+    /// Number of threads.
     pub threads: usize,
-    /// How many.
+    /// Number of steps.
     pub steps: u64,
-    /// Time a step [s], in the best of some blocks of them.
+    /// Time per step in the best block [s].
     pub seconds: f64,
-    /// Share of each stage in it [–].
+    /// Fraction of each stage in it [–].
     pub stages: [f64; Stage::ALL.len()],
 }
 
 impl Run {
-    /// [1/s]
+    /// Steps per second [1/s].
     pub fn steps_per_second(&self) -> f64 {
         1.0 / self.seconds
     }
 }
 
-/// How far off vertices were.
+/// The error of vertex positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Judged {
     /// The largest error of a vertex [radii] …
     pub error: f64,
-    /// … at any time that was looked at, up to this step.
+    /// … at any time checked, up to this step.
     pub steps: u64,
 }
 
-/// The naive baseline.
+/// Measurements of the naive baseline.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plain {
-    /// On one thread.
+    /// Timing on one thread.
     pub run: Run,
-    /// If it got as far as that can be told.
+    /// The error, if the run got far enough for one to be determined.
     pub judged: Option<Judged>,
 }
 
-/// What was measured on one scene.
+/// The measurements of one scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Point {
-    /// Which of its bodies touch.
+    /// Which bodies are in contact.
     pub family: Family,
-    /// How many bodies.
+    /// Number of bodies.
     pub bodies: usize,
-    /// How many of them touch another.
+    /// Number of bodies in contact with another.
     pub touching: usize,
-    /// How many vertices.
+    /// Number of vertices.
     pub vertices: u64,
-    /// Vertices inside of a sphere, the mean of some steps.
+    /// Number of vertices inside a sphere, averaged over some steps.
     pub reached: f64,
-    /// Bodies that take steps, or whose state is kept.
+    /// Number of bodies that take steps or have stored state.
     pub active: usize,
-    /// Memory that the world has allocated [bytes].
+    /// Memory allocated by the world [bytes].
     pub memory: usize,
-    /// On one core.
+    /// Timing on one core.
     pub one: Run,
-    /// On all cores; `None` if there is but one.
+    /// Timing on all cores; `None` on a single-core machine.
     pub all: Option<Run>,
-    /// How far off it was.
+    /// The error, if determined.
     pub judged: Option<Judged>,
-    /// The naive baseline, if a step of it doesn't take too long.
+    /// The naive baseline, unless a step of it takes too long.
     pub plain: Option<Plain>,
 }
 
 impl Point {
-    /// On one core, and on all if there are more.
+    /// The timings on one core and, if there are more, on all cores.
     pub fn runs(&self) -> impl Iterator<Item = &Run> {
         std::iter::once(&self.one).chain(&self.all)
     }
 
-    /// On as many cores as there are.
+    /// The timing on all available cores.
     pub fn best(&self) -> &Run {
         self.all.as_ref().unwrap_or(&self.one)
     }
 
-    /// Time of a step on one core by vertices inside of a sphere [s].
+    /// Step time on one core per vertex inside a sphere [s].
     pub fn seconds_per_reached(&self) -> f64 {
         self.one.seconds / self.reached
     }
 
-    /// How many times faster it is on all cores than on one [–].
+    /// Speed-up on all cores over one core [–].
     pub fn speed_up(&self) -> Option<f64> {
         self.all.as_ref().map(|all| self.one.seconds / all.seconds)
     }
 }
 
-/// What was measured.
+/// All measurements.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Report {
-    /// By family, then by number of bodies, ascending.
+    /// Ordered by family, then by number of bodies, ascending.
     pub points: Vec<Point>,
     /// The built-in scene `two`, on one core.
     pub two: Run,
-    /// Bodies whose vertices all swing freely, every frame wanted.
+    /// Bodies whose vertices all oscillate freely, with every frame requested.
     pub free_oscillation: Vec<FreeOscillation>,
     /// Bodies that come to rest.
     pub decay: Vec<Decay>,
     /// Scenes that need more memory than there is.
     pub too_large: Vec<TooLarge>,
-    /// Threads that all cores take.
+    /// Number of threads used for all cores.
     pub threads: usize,
 }
 
@@ -177,12 +178,12 @@ impl Report {
         self.points.iter().filter(move |point| point.family == family)
     }
 
-    /// The point of a family with so many bodies.
+    /// The point of a family with this many bodies.
     pub fn at(&self, family: Family, bodies: usize) -> Option<&Point> {
         self.of(family).find(|point| point.bodies == bodies)
     }
 
-    /// The exponent with which the time of a step grows with the number of bodies from 100 on, by least squares of the
+    /// The exponent with which step time grows with the number of bodies from 100 on, by least squares of the
     /// logarithms [–]; `None` with fewer than two such points.
     pub fn slope(&self, family: Family, run: impl Fn(&Point) -> Option<&Run>) -> Option<f64> {
         let points = self.of(family).filter(|point| point.bodies >= 100);
@@ -196,10 +197,10 @@ impl Report {
     }
 }
 
-/// The threads that worlds are stepped on.
+/// The thread pools that worlds are stepped on.
 pub(super) struct Pools {
     one: ThreadPool,
-    /// If there are more cores than one.
+    /// Present if there is more than one core.
     all: Option<ThreadPool>,
 }
 
@@ -219,10 +220,10 @@ impl Pools {
     }
 }
 
-/// Measures all families at all sizes; tells `progress` what share of the work is done.
+/// Measures all families at all sizes. Reports the completed fraction of the work to `progress`.
 ///
 /// # Errors
-/// [`MeasureError`]; a scene that needs too much memory is left out instead.
+/// [`MeasureError`]. A scene that needs too much memory is skipped instead.
 pub fn measure(settings: &Settings, progress: &mut dyn FnMut(f64)) -> Result<Report, MeasureError> {
     let pair = Scene::builtin("two").ok_or(MeasureError::NoScene)?;
     let pools = Pools::new()?;
@@ -240,7 +241,7 @@ pub fn measure(settings: &Settings, progress: &mut dyn FnMut(f64)) -> Result<Rep
             let scene = layout.scene(&pair);
             match measure_point(&layout, scene.clone(), &judge, &pools, settings.time) {
                 Ok(mut point) => {
-                    // a step of all pairs and every vertex
+                    // a step over all pairs and every vertex
                     let expected = plain_step * (bodies as f64 / before as f64).powi(2);
                     if before == 0 || expected <= LONGEST_PLAIN_STEP.as_secs_f64() {
                         let plain = measure_plain(&layout, scene, &judge, &pools, settings.time)?;
@@ -262,7 +263,7 @@ pub fn measure(settings: &Settings, progress: &mut dyn FnMut(f64)) -> Result<Rep
     Ok(Report { points, two, free_oscillation, decay, too_large, threads })
 }
 
-/// The whole of `two`, again and again.
+/// Steps the whole of `two` repeatedly.
 fn take_two(two: &Scene, pools: &Pools, time: Duration) -> Result<Run, TooLarge> {
     let steps = two.steps();
     let mut clock = Clock::new(1);
@@ -297,7 +298,7 @@ fn measure_point(
         reached.add(world.energy().reached_vertices as f64);
     }
     if steps.is_multiple_of(PERIOD) {
-        // blocks end where they began: look at what happens in between
+        // blocks end at the phase that they began at: also sample within them
         reached = Mean::default();
         for _ in 0..COUNTS {
             run(&mut world, PERIOD / COUNTS);
@@ -343,8 +344,8 @@ fn measure_plain(
     Ok(Plain { run: clock.run(), judged: judging.judged })
 }
 
-/// So many steps that they take about `share` [s] or more, a step taking about `estimate` [s]: whole periods, or at least
-/// from phase to phase, so that every block has the same to do.
+/// The number of steps that take about `share` [s] or more, given about `estimate` [s] per step: whole periods, or at
+/// least a multiple of the phase offset, so that every block does the same work.
 fn block(estimate: f64, share: f64) -> u64 {
     let steps = (share / estimate) as u64;
     let unit = if steps >= PERIOD / 2 { PERIOD } else { PERIOD / PHASES as u64 };
@@ -361,7 +362,7 @@ fn run(world: &mut World, steps: u64) {
 struct Clock {
     threads: usize,
     steps: u64,
-    /// Time a step of each block [s].
+    /// Time per step of each block [s].
     blocks: Vec<f64>,
     stages: [Duration; Stage::ALL.len()],
     all: Duration,
@@ -424,20 +425,20 @@ impl Mean {
     }
 }
 
-/// What the pairs of all scenes do, exactly.
+/// The exact motion of the pairs of all scenes.
 struct Judge {
     reference: Reference,
 }
 
 impl Judge {
-    /// For scenes of up to so many bodies.
+    /// Valid for scenes with up to this many bodies.
     fn new(two: &Scene, bodies: usize) -> Result<Judge, NoReference> {
         let scene = scenes::every_phase(two, (bodies / 2).clamp(1, PHASES));
         let times: Vec<f64> = (0..=PERIOD / JUDGED_EVERY).map(|k| (k * JUDGED_EVERY) as f64 * scene.dt).collect();
         Ok(Judge { reference: Reference::solve(&scene, &times, Accuracy::DEFAULT)? })
     }
 
-    /// The largest error of a vertex [radii], if it can be told now.
+    /// The largest error of a vertex [radii], if it can be determined at this time.
     fn error(&self, world: &World, layout: &Layout) -> Option<f64> {
         let step = world.steps_taken();
         if !step.is_multiple_of(JUDGED_EVERY) || step > PERIOD {
@@ -459,7 +460,7 @@ impl Judge {
     }
 }
 
-/// A world on its way, looked at now and then.
+/// A world whose errors are checked now and then while it is stepped.
 struct Judging<'a> {
     judge: &'a Judge,
     layout: &'a Layout,
@@ -467,7 +468,7 @@ struct Judging<'a> {
 }
 
 impl Judging<'_> {
-    /// So many steps, by `take`, which is interrupted when it is time to look.
+    /// Takes this many steps with `take`, interrupted whenever errors are due to be checked.
     fn advance(&mut self, world: &mut World, steps: u64, take: &mut dyn FnMut(&mut World, u64)) {
         let end = world.steps_taken() + steps;
         while world.steps_taken() < end {
@@ -481,7 +482,7 @@ impl Judging<'_> {
         }
     }
 
-    /// A block of steps, of which the clock tells how long they take.
+    /// Takes a block of steps and times it with the clock.
     fn advance_timed(&mut self, world: &mut World, steps: u64, clock: &mut Clock) {
         let mut block = Duration::ZERO;
         self.advance(world, steps, &mut |world, steps| block += clock.part(world, steps));

@@ -1,17 +1,17 @@
-//! A stress sweep: thousands of small scenes at the limits of every setting, by every integrator.
+//! A stress sweep: thousands of small scenes at the limits of every setting, run with every integrator.
 //!
 //! | what | where |
 //! | --- | --- |
-//! | the cases, each made from its number | [`cases`] |
-//! | what energy allows | [`bound`] |
-//! | the closed form where there is no influence | [`exact`] |
+//! | the cases, each generated from its number | [`cases`] |
+//! | the energy bound | [`bound`] |
+//! | the closed form without influence | [`exact`] |
 //! | a million steps without damping | [`drift`] |
 //! | bodies of very different sizes | [`sizes`] |
 //! | tables and CSV | [`table`] |
 //!
-//! A run passes if its state is finite after every step and within [`MARGIN`] of what energy allows; the exponential
-//! integrator, which has a tolerance to keep, also has to be as near the exact solution as that promises, where there is
-//! a closed form or a [`Reference`].
+//! A run passes if its state is finite after every step and within [`MARGIN`] of the energy bound. The exponential
+//! integrator, which has a tolerance to meet, must also be as close to the exact solution as that tolerance promises,
+//! where there is a closed form or a [`Reference`].
 
 pub mod bound;
 pub mod cases;
@@ -40,28 +40,28 @@ use crate::{
 use bound::Allowance;
 use cases::{Axis, Case};
 
-/// A state that takes up more than so many times what energy allows is no solution, not even an inaccurate one.
+/// A state that exceeds the energy bound by more than this factor is not a solution, not even an inaccurate one.
 pub const MARGIN: f64 = 2.0;
-/// A reference is made where it takes no more evaluations of the equation of motion than this.
+/// A reference is computed if it takes at most this many evaluations of the equation of motion.
 const MOST_EVALUATIONS: f64 = 3e6;
-/// What is left of a number after some roundings, of its size.
+/// Relative rounding error of a number after some operations.
 const ROUNDING: f64 = 16.0 * f64::EPSILON;
 /// Instants at which a run is compared with the exact solution.
 const INSTANTS: u64 = 32;
-/// Where neighbouring solutions part faster than this, [`Outcome::allowed`] would allow anything.
+/// Where neighbouring solutions diverge faster than this, [`Outcome::allowed`] would permit anything.
 const LARGEST_GROWTH: f64 = 1e4;
 
-/// There are no more cases than this.
+/// The largest number of cases.
 pub const MOST_CASES: u64 = 1_000_000;
 
-/// What is swept.
+/// What to sweep.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
-    /// So many cases, from the first on.
+    /// Number of cases, counted from the first.
     pub cases: u64,
-    /// By these integrators.
+    /// The integrators to run.
     pub integrators: Vec<Integrator>,
-    /// No more steps a case than this.
+    /// The most steps per case.
     pub most_steps: u64,
 }
 
@@ -71,19 +71,19 @@ impl Default for Settings {
     }
 }
 
-/// What is wrong with a run.
+/// Why a run failed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Failure {
-    /// It has a number in it that is none, or infinity.
+    /// Its state contains NaN or infinity.
     NotFinite,
-    /// It takes up more than [`MARGIN`] of what energy allows.
+    /// It exceeds the energy bound by more than [`MARGIN`].
     BeyondBound,
     /// It is farther from the exact solution than [`Outcome::allowed`].
     Error,
 }
 
 impl Failure {
-    /// What it is called in tables.
+    /// The name used in tables.
     pub fn name(self) -> &'static str {
         match self {
             Failure::NotFinite => "not finite",
@@ -93,24 +93,24 @@ impl Failure {
     }
 }
 
-/// A case, run by an integrator.
+/// The result of running a case with one integrator.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// Which.
+    /// The integrator.
     pub integrator: Integrator,
     /// Steps taken; a run ends where it fails.
     pub steps: u64,
-    /// Whether it was ended early because it took too many steps of the integrator.
+    /// Whether the run was stopped early because it took too many integrator steps.
     pub is_cut: bool,
-    /// What is wrong, if anything.
+    /// Why it failed, if it did.
     pub failure: Option<Failure>,
-    /// The largest part of what energy allows that a vertex took up [–].
+    /// The largest ratio of a vertex's state to the energy bound [–].
     pub used: f64,
-    /// The largest distance from the exact solution [radii], if that is known.
+    /// The largest distance from the exact solution [radii], if known.
     pub error: Option<f64>,
-    /// How large that may be, if there is anything to say about it [radii].
+    /// The permitted distance from the exact solution, if one applies [radii].
     pub allowed: Option<f64>,
-    /// Steps of the integrator, over all vertices …
+    /// Integrator steps, over all vertices …
     pub substeps: u64,
     /// … and the most in one step.
     pub most_substeps: u64,
@@ -121,22 +121,22 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    /// Whether this is a failure of the one integrator that is to pass every case.
+    /// Whether this is a failure of the one integrator that must pass every case.
     pub fn is_defect(&self) -> bool {
         self.integrator == Integrator::Exponential && self.failure.is_some()
     }
 }
 
-/// A case, run by all integrators.
+/// The results of a case for all integrators.
 #[derive(Clone, Debug)]
 pub struct Row {
-    /// Which.
+    /// The case.
     pub case: Case,
     /// In the order of [`Settings::integrators`].
     pub outcomes: Vec<Outcome>,
 }
 
-/// Runs the cases, on all cores; tells `progress` how many are done.
+/// Runs the cases on all cores. Reports the number of completed cases to `progress`.
 ///
 /// # Errors
 /// [`MeasureError`]
@@ -161,11 +161,11 @@ pub fn run(case: Case, settings: &Settings) -> Result<Row, MeasureError> {
     Ok(Row { case, outcomes })
 }
 
-/// What the runs of a case are judged by.
+/// The criteria for the runs of a case.
 struct Judge<'a> {
     case: &'a Case,
     steps: u64,
-    /// Every so many steps a run is compared with the exact solution.
+    /// Number of steps between comparisons with the exact solution.
     stride: u64,
     reference: Option<Reference>,
 }
@@ -224,7 +224,7 @@ impl Judge<'_> {
             for (index, (body, allowance)) in world.bodies().zip(&mut allowances).enumerate() {
                 allowance.advance(world.scene(), index, world.time());
                 let used = allowance.used(&body);
-                // written so that NaN stays
+                // written so that NaN propagates
                 if !(used <= outcome.used) {
                     outcome.used = used;
                 }
@@ -241,7 +241,7 @@ impl Judge<'_> {
         Ok(outcome)
     }
 
-    /// Compares the state with the exact solution; `doubt` is [`doubt_of`] all events so far, by body.
+    /// Compares the state with the exact solution; `doubt` is the sum of [`doubt_of`] over all events so far, per body.
     fn compare(&self, world: &World, doubt: &[f64], outcome: &mut Outcome) {
         let instant = (outcome.steps / self.stride) as usize;
         for (index, body) in world.bodies().enumerate() {
@@ -271,7 +271,7 @@ impl Judge<'_> {
     }
 }
 
-/// Strengths of all that can act on a body [1/s²]: a bound of |∂F/∂x|.
+/// The combined strength of everything that can act on a body [1/s²]: a bound of |∂F/∂x|.
 fn stiffness(scene: &Scene, index: usize) -> f64 {
     let radius = scene.bodies[index].radius;
     let strongest = |source: f64| {
@@ -282,8 +282,8 @@ fn stiffness(scene: &Scene, index: usize) -> f64 {
     others.map(|(_, body)| strongest(body.radius)).sum()
 }
 
-/// What an event does to the velocities of a body that may be early or late by what rounding of the centres does to their
-/// distance [scene unit/s].
+/// The effect on a body's velocities of the timing error of an event, which comes from the rounding of the distance
+/// between centres [scene unit/s].
 fn doubt_of(event: &Event, scene: &Scene, index: usize, other: usize) -> f64 {
     let (body, source) = (&scene.bodies[index], &scene.bodies[other]);
     let (a, b) = (body.path.at(event.time), source.path.at(event.time));
@@ -297,9 +297,9 @@ fn doubt_of(event: &Event, scene: &Scene, index: usize, other: usize) -> f64 {
     if jump == 0.0 { 0.0 } else { jump * (ROUNDING * far / speed) }
 }
 
-/// The error that a run with the scene's tolerance may have by now [radii]: ten times what the tolerance promises, for
-/// errors of speed, what the coordinates are rounded to, and what the events are in `doubt` by; as much as neighbouring
-/// solutions can part. `None` if they part too far.
+/// The permitted error at the current time of a run with the scene's tolerance [radii]. It is ten times the tolerance
+/// for velocity errors, plus the rounding of coordinates, plus the `doubt` of the events, amplified by the divergence
+/// of neighbouring solutions. `None` if they diverge too far.
 fn allowed(world: &World, index: usize, doubt: f64) -> Option<f64> {
     let (scene, t) = (world.scene(), world.time());
     let body = &scene.bodies[index];
@@ -312,7 +312,7 @@ fn allowed(world: &World, index: usize, doubt: f64) -> Option<f64> {
     (growth <= LARGEST_GROWTH).then_some(growth * (10.0 * scene.tolerance * t + rounding) + 1e-9)
 }
 
-/// What rounding can do to a free oscillation by now, relative to its size [–].
+/// The accumulated effect of rounding on a free oscillation, relative to its amplitude [–].
 fn rounding(world: &World, index: usize) -> f64 {
     let (scene, t) = (world.scene(), world.time());
     let body = &scene.bodies[index];
@@ -323,7 +323,7 @@ fn rounding(world: &World, index: usize) -> f64 {
     ROUNDING * (world.steps_taken() as f64 + (body.material.omega + rate) * t)
 }
 
-/// About how often a reference evaluates the equation of motion.
+/// Estimates how often a reference evaluates the equation of motion.
 fn evaluations(scene: &Scene, instants: &[f64]) -> f64 {
     let end = instants.last().copied().unwrap_or(0.0);
     let rate = |index: usize| {

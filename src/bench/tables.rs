@@ -1,9 +1,9 @@
-//! Measurements as tables for people, and as comma-separated values for programs.
+//! Measurements as tables for the terminal and as CSV.
 
 use comfy_table::{CellAlignment, Row, presets};
 use serde::Serialize;
 
-/// Columns side by side: the first flush left, the others flush right.
+/// A table with the first column left-aligned and the others right-aligned.
 pub(super) fn table(heading: impl Into<Row>, rows: impl IntoIterator<Item: Into<Row>>) -> String {
     let mut table = comfy_table::Table::new();
     table.load_preset(presets::NOTHING).add_row(heading).add_rows(rows);
@@ -14,15 +14,15 @@ pub(super) fn table(heading: impl Into<Row>, rows: impl IntoIterator<Item: Into<
     table.trim_fmt()
 }
 
-/// What does not apply.
+/// The text for values that do not apply.
 pub(super) fn missing() -> String {
     "–".to_owned()
 }
 
-/// A heading, and a line for each row, complete in itself; what does not apply is empty.
+/// A header, then one self-contained line per row; fields that do not apply are empty.
 ///
 /// # Errors
-/// None is known.
+/// None is known to occur.
 pub(super) fn csv(rows: impl IntoIterator<Item: Serialize>) -> Result<String, String> {
     let mut writer = ::csv::Writer::from_writer(vec![]);
     rows.into_iter().try_for_each(|row| writer.serialize(row)).map_err(|error| error.to_string())?;

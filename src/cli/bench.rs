@@ -1,4 +1,4 @@
-//! `meldscope bench`: what it costs, and what it is worth.
+//! `meldscope bench`: performance and accuracy benchmarks.
 
 mod record;
 mod scale;
@@ -31,16 +31,16 @@ pub struct Arguments {
     what: What,
 }
 
-// A benchmark is a variant here, a function below, and a module of `bench`.
+// To add a benchmark: a variant here, a function below, and a module in `bench`.
 #[derive(clap::Subcommand)]
 enum What {
-    /// Error against run time: every integrator, over a range of steps, against an independent solution.
+    /// Error against run time: every integrator, over a range of step sizes, against an independent solution.
     Error(ErrorArguments),
-    /// Cost against size: scenes of 2 to 100,000 bodies, of which all, one in a hundred or two touch.
+    /// Step cost against scene size: 2 to 100,000 bodies, of which all, one in a hundred, or two are in contact.
     Scale(scale::Arguments),
-    /// What recording costs: frames per second, bytes per frame, what it takes from steps, what verifying takes.
+    /// Recording cost: frames per second, bytes per frame, slow-down of the simulation, cost of verification.
     Record(record::Arguments),
-    /// A stress sweep: thousands of small scenes at the limits of every setting, by every integrator.
+    /// Stress sweep: thousands of small scenes at the limits of every setting, with every integrator.
     Stability(StabilityArguments),
 }
 
@@ -53,19 +53,19 @@ struct ErrorArguments {
     files: Files,
 }
 
-/// Where measurements go besides standard output.
+/// Where measurements are written besides standard output.
 #[derive(clap::Args)]
 struct Files {
-    /// Write the measurements to a file.
+    /// Write the measurements to a CSV file.
     #[arg(long, value_name = "F.csv")]
     csv: Option<PathBuf>,
-    /// Draw them as a diagram.
+    /// Draw the measurements as an SVG diagram.
     #[arg(long, value_name = "F.svg")]
     svg: Option<PathBuf>,
 }
 
 impl Files {
-    /// Both, as far as they are wanted.
+    /// Claims both files, as far as they are requested.
     fn claim(&self, csv_mark: &str, svg_mark: &str) -> Result<[Option<Output>; 2], Failure> {
         let [csv, svg] = [claim(self.csv.as_deref(), csv_mark)?, claim(self.svg.as_deref(), svg_mark)?];
         if csv.is_some() && csv == svg {
@@ -77,21 +77,21 @@ impl Files {
 
 #[derive(clap::Args)]
 struct StabilityArguments {
-    /// How many cases.
+    /// Number of cases to run.
     #[arg(long, value_name = "N", default_value_t = stability::Settings::default().cases,
           value_parser = clap::value_parser!(u64).range(1..=stability::MOST_CASES))]
     cases: u64,
-    /// This integrator only.
+    /// Run this integrator only.
     #[arg(long, value_parser = super::run::parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential")]
     integrator: Option<Integrator>,
-    /// One case only, in detail.
+    /// Run a single case and show its details.
     #[arg(long, value_name = "N", conflicts_with_all = ["cases", "csv"],
           value_parser = clap::value_parser!(u64).range(0..stability::MOST_CASES))]
     case: Option<u64>,
     /// Write the scene of that case to a file, for `meldscope run`.
     #[arg(long, value_name = "F.toml", requires = "case")]
     write: Option<PathBuf>,
-    /// Write the outcome of every case to a file.
+    /// Write the outcome of every case to a CSV file.
     #[arg(long, value_name = "F.csv")]
     csv: Option<PathBuf>,
 }
@@ -170,7 +170,7 @@ fn stability(arguments: StabilityArguments) -> Result<(), Failure> {
     verdict(&rows)
 }
 
-/// The default integrator is to pass every case; what becomes of the others is shown.
+/// The default integrator must pass every case; failures of the others are reported only.
 fn verdict(rows: &[stability::Row]) -> Result<(), Failure> {
     let is_defective = |row: &&stability::Row| row.outcomes.iter().any(stability::Outcome::is_defect);
     let failed: Vec<_> = rows.iter().filter(is_defective).map(|row| row.case.index.to_string()).collect();
@@ -191,7 +191,7 @@ fn one_case(index: u64, file: Option<&Path>, settings: &stability::Settings) -> 
     verdict(&[row])
 }
 
-/// Shows on a terminal how far the measurements are, and nothing where standard error is no terminal.
+/// A progress bar on the terminal; hidden if standard error is not a terminal.
 fn progress_bar(scene: &str) -> ProgressBar {
     let bar = ProgressBar::new(1000).with_message(format!("measuring {scene}"));
     if let Ok(style) = ProgressStyle::with_template("{msg} {bar:40} {percent} %, {eta} left") {
@@ -201,13 +201,13 @@ fn progress_bar(scene: &str) -> ProgressBar {
     bar
 }
 
-/// How a scene begins that a benchmark has written.
+/// How scene files written by a benchmark begin.
 const WRITTEN: &str = "# Written by `meldscope bench";
-/// Files of benchmarks can be told within so many bytes.
+/// Files written by benchmarks are recognised by their first bytes, up to this many.
 const HEAD: u64 = 4096;
 
-/// Refuses what cannot be written before anything is measured, and to replace what no benchmark has written: what has not
-/// `mark` near its beginning.
+/// Checks the output path before anything is measured. Refuses a path that cannot be written, and an existing file that
+/// no benchmark has written: one without `mark` near its beginning.
 fn claim(path: Option<&Path>, mark: &str) -> Result<Option<Output>, Failure> {
     let Some(path) = path else { return Ok(None) };
     let output = Output::claim(path).map_err(|error| unwritable(path, &error))?;

@@ -1,4 +1,4 @@
-//! `meldscope check`: scripted scenes against their golden recordings.
+//! `meldscope check`: compares scripted scenes with their golden recordings.
 
 use std::{
     fs,
@@ -20,9 +20,9 @@ use crate::{
     text::{bytes, counted, thousands},
 };
 
-/// What is checked if nothing is named.
+/// The folder to check if no path is given.
 const DEFAULT: &str = "recordings";
-/// More vertices or events than this are counted, not listed.
+/// At most this many vertices or events are listed; the rest are counted.
 const LISTED: usize = 8;
 
 #[derive(clap::Args)]
@@ -30,16 +30,17 @@ pub struct Arguments {
     /// Scene files, or folders of them [default: recordings]. The golden recording of SCENE.toml is SCENE.rrd.
     #[arg(value_name = "PATH")]
     paths: Vec<PathBuf>,
-    /// Make the golden recordings of scenes that differ, or have none, anew; the reason is kept in them and in BLESSED.md.
+    /// Bless: replace golden recordings that differ and create missing ones. The reason is stored in them and in
+    /// BLESSED.md.
     #[arg(long, value_name = "REASON", value_parser = parse_reason)]
     bless: Option<String>,
-    /// Accept other bits where values are within the scene's tolerance and events are the same.
+    /// Accept results that are not bit-identical if values are within the scene's tolerance and events are the same.
     #[arg(long, conflicts_with = "bless")]
     tolerant: bool,
-    /// The folder for recordings of what differs, SCENE.check.rrd [default: the current one].
+    /// The folder for recordings of failed checks, SCENE.check.rrd [default: the current one].
     #[arg(long, value_name = "DIR", conflicts_with = "bless")]
     save: Option<PathBuf>,
-    /// Threads to use [default: as many as there are cores].
+    /// Number of threads [default: one per core].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
 }
@@ -49,15 +50,15 @@ fn parse_reason(text: &str) -> Result<String, String> {
     if reason.is_empty() { Err("expected the reason why they may differ".to_owned()) } else { Ok(reason) }
 }
 
-/// A scene and where its golden recording is.
+/// A scene and the path of its golden recording.
 struct Script {
     scene: Scene,
     golden: PathBuf,
-    /// As it is called here.
+    /// The name used in reports.
     name: String,
 }
 
-/// Checks, or blesses.
+/// Checks the scenes, or blesses them.
 pub fn check(arguments: Arguments) -> Result<(), Failure> {
     if let Some(threads) = arguments.threads {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build_global();
@@ -80,7 +81,7 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
         .enumerate()
         .map(|(i, script)| match script.golden.exists() {
             true => {
-                // scenes of several folders may have one name
+                // scenes in different folders may have the same name
                 let number = scripts.iter().take(i).filter(|other| other.name == script.name).count();
                 let number = if number > 0 { format!("-{}", number + 1) } else { String::new() };
                 let comparison = folder.join(format!("{}{number}.check.rrd", script.name));
@@ -136,7 +137,7 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// One line for what it comes to, and below it where and by how much.
+/// Prints one line with the result and, below it, where and by how much the recording differs.
 fn report(name: &str, difference: &GoldenDifference, is_accepted: bool) {
     let verdict = match (is_accepted, difference.is_tolerable()) {
         (true, _) => "other bits, accepted: values within tolerance, events the same",
@@ -266,7 +267,7 @@ fn bless(scripts: &[Script], reason: &str) -> Result<(), Failure> {
     failure.map_or(Ok(()), |failure| Err(Failure::Run(failure)))
 }
 
-/// The scenes that paths lead to, by name.
+/// The scenes found under `paths`, sorted by name.
 fn scripts(paths: &[PathBuf]) -> Result<Vec<Script>, Failure> {
     let default = [PathBuf::from(DEFAULT)];
     let paths = if paths.is_empty() { &default } else { paths };
@@ -287,7 +288,7 @@ fn scripts(paths: &[PathBuf]) -> Result<Vec<Script>, Failure> {
             found.sort();
             files.extend(found);
         } else if path.extension().is_some_and(|extension| extension == "rrd") {
-            // the golden recording is named, its scene is meant
+            // given the golden recording, check its scene
             files.push(path.with_extension("toml"));
         } else {
             files.push(path.clone());

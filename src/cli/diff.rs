@@ -1,4 +1,4 @@
-//! `meldscope diff`: two recordings of a scene, side by side.
+//! `meldscope diff`: compares two recordings of a scene.
 
 use std::path::PathBuf;
 
@@ -8,26 +8,26 @@ use crate::{
     text::{bytes, counted, thousands},
 };
 
-/// More bodies or events than this are counted, not listed.
+/// At most this many bodies or events are listed; the rest are counted.
 const LISTED: usize = 8;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// A recording of the scene …
+    /// A recording of the scene.
     #[arg(value_name = "A.rrd")]
     first: PathBuf,
-    /// … and another one: with another integrator, step, or version of the program.
+    /// Another recording of it, made with another integrator, step size, or version of the program.
     #[arg(value_name = "B.rrd")]
     second: PathBuf,
-    /// Record both side by side, with arrows between them and their distances.
+    /// Record both side by side, with arrows between corresponding vertices and their distances.
     #[arg(long, value_name = "D.rrd")]
     save: Option<PathBuf>,
-    /// What does not matter, radii [default: the larger tolerance of the two scenes].
+    /// Differences up to this are ignored, in radii [default: the larger tolerance of the two scenes].
     #[arg(long, value_name = "R", value_parser = parse_tolerance)]
     tolerance: Option<f64>,
 }
 
-/// Compares: exit status 0 if nothing differs by more than the tolerance, 1 if something does.
+/// Compares two recordings. The exit status is 0 if no difference exceeds the tolerance, 1 otherwise.
 pub fn diff(arguments: Arguments) -> Result<(), Failure> {
     [&arguments.first, &arguments.second].into_iter().try_for_each(|path| may_print(path))?;
     let [a, b] = [Recorded::open(&arguments.first), Recorded::open(&arguments.second)];

@@ -1,7 +1,7 @@
-//! The command line: one file a subcommand.
+//! The command line: one file per subcommand.
 //!
-//! Results go to standard output, everything else to standard error. Exit status: 0 done; 1 the run failed or what
-//! was checked differs; 2 bad input or usage.
+//! Results go to standard output, everything else to standard error. Exit status: 0 success; 1 the run failed, or a
+//! check found a difference; 2 bad input or usage.
 
 mod bench;
 mod check;
@@ -48,22 +48,22 @@ struct Arguments {
 enum Command {
     /// Simulate a scene and record it.
     Run(Box<run::Arguments>),
-    /// Run what a recording holds again, and verify it step by step.
+    /// Simulate a recording's scene again and verify every step.
     Replay(replay::Arguments),
     /// Run scripted scenes and compare them with their golden recordings.
     Check(check::Arguments),
-    /// Compare two recordings of a scene, run in two ways.
+    /// Compare two recordings of the same scene.
     Diff(diff::Arguments),
-    /// List the scenes that come with the program, and what to look at in each.
+    /// List the built-in scenes and what to look for in each.
     Scenes,
-    /// Measure: error against run time, cost against size, what recording costs, what integrators endure.
+    /// Run benchmarks: accuracy against run time, cost against scene size, recording cost, integrator stability.
     Bench(bench::Arguments),
 }
 
-/// How a command ended badly.
+/// Why a command failed.
 #[derive(Debug)]
 enum Failure {
-    /// The run failed, or what was checked differs: exit status 1.
+    /// The run failed, or a check found a difference: exit status 1.
     Run(String),
     /// Bad input or usage: exit status 2.
     Input(String),
@@ -91,9 +91,9 @@ impl Failure {
     }
 }
 
-/// The program.
+/// The program's entry point.
 pub fn main() -> ExitCode {
-    // A damaged recording is an error with a line of its own, even where the decoder panics over it.
+    // The decoder may panic on a damaged recording. That is reported as an ordinary error on one line.
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
         if !expects_panics() {
@@ -102,7 +102,7 @@ pub fn main() -> ExitCode {
     }));
     let result = match Arguments::try_parse() {
         Ok(arguments) => run(arguments.command),
-        // help and version are results, the rest is usage
+        // help and version are results; everything else is a usage error
         Err(error) => {
             let printed = error.print();
             if error.use_stderr() {
@@ -141,10 +141,10 @@ fn run(command: Command) -> Result<(), Failure> {
     }
 }
 
-/// Why results are not where they should be.
+/// The first error in writing results to standard output.
 static UNPRINTED: Mutex<Option<io::Error>> = Mutex::new(None);
 
-/// A reader that went away is no error: there is nobody left to tell.
+/// A closed pipe is not an error: nobody is reading any more.
 fn note_unprinted(printed: io::Result<()>) {
     if let Err(error) = printed
         && error.kind() != io::ErrorKind::BrokenPipe
@@ -154,22 +154,22 @@ fn note_unprinted(printed: io::Result<()>) {
     }
 }
 
-/// A line on standard output, whatever is in it. If it cannot be written, the program ends with status 1.
+/// Prints a line to standard output, escaped. If it cannot be written, the program ends with status 1.
 fn print(line: &str) {
     note_unprinted(writeln!(io::stdout(), "{}", printable(line)));
 }
 
-/// Lines on standard output: a table, a scene.
+/// Prints several lines to standard output, such as a table or a scene.
 fn print_lines(text: &str) {
     text.split('\n').for_each(print);
 }
 
-/// A line on standard error, whatever is in it.
+/// Prints a line to standard error, escaped.
 fn say(line: &str) {
     let _ = writeln!(io::stderr(), "{}", printable(line));
 }
 
-/// An argument that is one of these by its name; the help lists them.
+/// A parser for an argument that takes one of `all` by name; the help lists the names.
 fn one_of<T: Copy + Send + Sync + 'static>(
     all: &'static [T],
     name: fn(T) -> &'static str,
@@ -178,7 +178,7 @@ fn one_of<T: Copy + Send + Sync + 'static>(
     names.try_map(move |text| all.iter().copied().find(|&one| name(one) == text).ok_or("there is none of that name"))
 }
 
-/// Refuses to save a recording over what it is made from, or over what is not its to replace.
+/// Refuses to overwrite an input of the recording, or a file that the program must not replace.
 fn may_save(path: &Path, inputs: &[(&Path, &str)], new: &Existing) -> Result<(), Failure> {
     let mut partial = path.as_os_str().to_owned();
     partial.push(".partial");
@@ -196,7 +196,7 @@ fn may_save(path: &Path, inputs: &[(&Path, &str)], new: &Existing) -> Result<(),
     existing::replace(path, new).map(drop).map_err(sink_failure)
 }
 
-/// Refuses to print results into a file that is read.
+/// Refuses to print results into a file that is also read.
 fn may_print(input: &Path) -> Result<(), Failure> {
     let is_stdout = || Ok::<_, io::Error>(same_file::Handle::stdout()? == same_file::Handle::from_path(input)?);
     match input.is_file() && is_stdout().unwrap_or(false) {
@@ -207,7 +207,8 @@ fn may_print(input: &Path) -> Result<(), Failure> {
     }
 }
 
-/// Says what is replaced, if it is something else than what comes; once the place is claimed, so that this is true.
+/// Reports that a file of another kind or scene is replaced. Called once the path is claimed, so that the note is
+/// accurate.
 fn announce(path: &Path, new: &Existing) -> Result<(), Failure> {
     if let Some(note) = existing::replace(path, new).map_err(sink_failure)? {
         say(&format!("note: {note}"));
@@ -219,14 +220,14 @@ fn sink_failure(error: SinkError) -> Failure {
     if error.is_usage() { Failure::input(error) } else { Failure::Run(error.to_string()) }
 }
 
-/// Whether two paths lead to one file.
+/// Whether two paths refer to the same file.
 fn is_same_file(a: &Path, b: &Path) -> bool {
-    // to open a pipe could take for ever
+    // opening a pipe could block forever
     let are_files = [a, b].into_iter().all(|path| path.is_file());
     are_files && same_file::is_same_file(a, b).unwrap_or(false)
 }
 
-/// A vector in full.
+/// A vector in full precision.
 fn vector(v: glam::DVec3) -> String {
     format!("({:?}, {:?}, {:?})", v.x, v.y, v.z)
 }

@@ -1,4 +1,4 @@
-//! `meldscope replay`: what a recording holds is run again, and verified step by step.
+//! `meldscope replay`: simulates a recording's scene again and verifies every step.
 
 use std::path::PathBuf;
 
@@ -28,14 +28,14 @@ use crate::{
     text::{bytes, counted, thousands},
 };
 
-/// Messages are taken from the recorder every so many frames.
+/// Messages are taken from the recorder after this many frames.
 const FRAMES_PER_CHUNK: u64 = 64;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// The recording: of `run`, `run --thin`, `replay --save`, or what a killed run left (F.rrd.partial).
+    /// The recording: from `run`, `run --thin` or `replay --save`, or left by a killed run (F.rrd.partial).
     recording: PathBuf,
-    /// Record the replay: every frame, whatever the recording has.
+    /// Record the replay, with every frame, even those that the original recording lacks.
     #[arg(long, value_name = "G.rrd")]
     save: Option<PathBuf>,
     /// The first step to record [default: 0].
@@ -44,19 +44,20 @@ pub struct Arguments {
     /// The last step to record [default: the last].
     #[arg(long, value_name = "STEP", requires = "save")]
     to: Option<u64>,
-    /// How much to record of a frame.
+    /// Level of detail of each frame.
     #[arg(long, default_value = Detail::Forces.name(), value_parser = one_of(&Detail::ALL, Detail::name), requires = "save")]
     detail: Detail,
-    /// Accept a recording that is cut short, as that of a killed run is [default for F.rrd.partial].
+    /// Accept a truncated recording, such as that of a killed run [default for F.rrd.partial].
     #[arg(long)]
     partial: bool,
-    /// Ask what another integrator makes of it; then nothing is verified.
+    /// Use another integrator to see how the result changes; nothing is verified then.
     #[arg(long, value_parser = parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential")]
     integrator: Option<Integrator>,
-    /// The same for another step, s.
+    /// Use another step size, in seconds; nothing is verified then.
     #[arg(long, value_name = "S", value_parser = parse_step)]
     dt: Option<f64>,
-    /// The same for another error that the exponential integrator may make, radii per unit of scene time.
+    /// Use another error tolerance of the exponential integrator, in radii per unit of scene time; nothing is verified
+    /// then.
     #[arg(long, value_name = "R", value_parser = parse_tolerance)]
     tolerance: Option<f64>,
 }
@@ -67,7 +68,7 @@ impl Arguments {
     }
 }
 
-/// Runs it again.
+/// Replays and verifies a recording.
 pub fn replay(arguments: Arguments) -> Result<(), Failure> {
     may_print(&arguments.recording)?;
     let recorded = Recorded::open(&arguments.recording).map_err(Failure::input)?;
@@ -157,7 +158,7 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
     }
 }
 
-/// A recording that ends before its end is only taken as it is where that is expected.
+/// Refuses a truncated recording unless that is expected.
 fn cut_short(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
     if recorded.end == End::Whole {
         return Ok(());
@@ -176,7 +177,8 @@ fn cut_short(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> 
     Err(Failure::Input(format!("{what}; --partial takes what is there")))
 }
 
-/// "Does it go away?": the scene with something else, beside the events and surfaces that were recorded.
+/// Answers "does it go away?": runs the scene with changed settings and compares it with the recorded events and
+/// surfaces.
 fn ask(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
     let mut run = recorded.run.clone();
     if let Some(integrator) = arguments.integrator {
@@ -250,7 +252,7 @@ fn ask(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
     }
 }
 
-/// The steps to record.
+/// The range of steps to record.
 fn range(arguments: &Arguments, last: u64) -> Result<(u64, u64), Failure> {
     let (from, to) = (arguments.from.unwrap_or(0), arguments.to.unwrap_or(last));
     if from > last || to > last {
@@ -262,7 +264,7 @@ fn range(arguments: &Arguments, last: u64) -> Result<(u64, u64), Failure> {
     Ok((from, to))
 }
 
-/// Records a stretch of a replay, if that is wanted.
+/// Records a range of steps of a replay, if requested.
 struct Saver {
     sinks: Option<Sinks>,
     recorder: Option<Recorder>,
@@ -288,7 +290,7 @@ impl Saver {
         if let Some(save) = &arguments.save {
             announce(save, &new)?;
         }
-        // a step is looked into from the one before it
+        // stages of a step are recorded starting from the step before it
         let steps = match arguments.detail {
             Detail::Stages { .. } => steps.start().saturating_sub(1)..=*steps.end(),
             Detail::Surface | Detail::Forces => steps,
@@ -302,7 +304,7 @@ impl Saver {
         Ok(Saver { sinks, recorder: None, settings, steps, sent: 0, failure: None })
     }
 
-    /// Looks at a step; `false` if there is no point in going on.
+    /// Records a step; returns `false` if the replay need not continue.
     fn observe(&mut self, simulation: &dyn Simulation) -> bool {
         let Some(sinks) = &mut self.sinks else { return true };
         if !self.steps.contains(&simulation.steps_taken()) {
@@ -336,7 +338,7 @@ impl Saver {
         let (Some(mut sinks), recorder) = (self.sinks.take(), self.recorder.take()) else { return Ok(()) };
         let frames = recorder.as_ref().map_or(0, Recorder::written);
         if let Some(mut recorder) = recorder {
-            // ended before its last step
+            // the replay ended before the last step
             self.failure = self.failure.take().or(send(&mut sinks, recorder.take()));
         }
         let finished = sinks.finish().map_err(sink_failure)?;

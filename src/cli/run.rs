@@ -1,4 +1,4 @@
-//! `meldscope run`: a scene file becomes a recording.
+//! `meldscope run`: simulates a scene and records it.
 
 use std::{
     fs::File,
@@ -27,12 +27,13 @@ use crate::{
 };
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// The progress bar moves and a watched file is looked at this often, but only every so many steps.
+/// The progress bar is updated, and a watched file is checked, at this interval, but only every few steps.
 const LOOK_INTERVAL: Duration = Duration::from_millis(50);
 const STEPS_BETWEEN_LOOKS: u64 = 16;
-/// Interrupts within this are one: `timeout`, `cargo run` and others signal a program and its process group.
+/// Interrupts within this interval count as one: `timeout`, `cargo run` and others signal both a program and its
+/// process group.
 const SAME_INTERRUPT: Duration = Duration::from_secs(1);
-/// More events than this are counted, not listed.
+/// At most this many events are listed; the rest are counted.
 const LISTED_EVENTS: usize = 20;
 
 #[derive(clap::Args)]
@@ -46,83 +47,91 @@ pub struct Arguments {
     /// Start the Rerun viewer and stream to it.
     #[arg(long, help_heading = "Destinations")]
     spawn: bool,
-    /// Stream to a viewer that is running.
+    /// Stream to a running viewer.
     #[arg(long, value_name = "URL", num_args = 0..=1, default_missing_value = rerun::DEFAULT_CONNECT_URL, help_heading = "Destinations")]
     connect: Option<String>,
-    /// Serve a web viewer with the recording: nothing to install. Stays up until Ctrl-C.
+    /// Serve the recording with a web viewer; nothing to install. Runs until Ctrl-C.
     #[arg(long, help_heading = "Destinations")]
     serve: bool,
     /// Write the recording to standard output.
     #[arg(long, help_heading = "Destinations")]
     stdout: bool,
-    /// The address on which --serve listens.
-    #[arg(long, value_name = "IP", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST), requires = "serve", help_heading = "Destinations")]
+    /// The address that --serve listens on.
+    #[arg(long, value_name = "IP", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST), requires = "serve",
+          help_heading = "Destinations")]
     bind: IpAddr,
-    /// The port of the web viewer of --serve; 0 for any that is free.
+    /// The port of the web viewer for --serve; 0 for any free port.
     #[arg(long, value_name = "PORT", default_value_t = 9090, requires = "serve", help_heading = "Destinations")]
     web_port: u16,
-    /// The port of the data of --serve; 0 for any that is free.
-    #[arg(long, value_name = "PORT", default_value_t = rerun::DEFAULT_SERVER_PORT, requires = "serve", help_heading = "Destinations")]
+    /// The port of the data for --serve; 0 for any free port.
+    #[arg(long, value_name = "PORT", default_value_t = rerun::DEFAULT_SERVER_PORT, requires = "serve",
+          help_heading = "Destinations")]
     grpc_port: u16,
-    /// Let viewers ask --serve under this name or address too, not under this machine's own only; may be repeated.
+    /// Also accept requests to --serve under this host name or address, not only this machine's own; may be repeated.
     #[arg(long, value_name = "HOST", requires = "serve", help_heading = "Destinations")]
     allow_host: Vec<Host>,
 
-    /// How steps are taken, instead of what the scene says.
-    #[arg(long, value_parser = parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential")]
+    /// Override the scene's integrator.
+    #[arg(long, value_parser = parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential",
+          help_heading = "Scene")]
     integrator: Option<Integrator>,
-    /// The step, s, instead of the scene's.
-    #[arg(long, value_name = "S", value_parser = parse_step)]
+    /// Override the scene's step size, in seconds.
+    #[arg(long, value_name = "S", value_parser = parse_step, help_heading = "Scene")]
     dt: Option<f64>,
-    /// The error that the exponential integrator may make, radii per unit of scene time, instead of the scene's.
-    #[arg(long, value_name = "R", value_parser = parse_tolerance)]
+    /// Override the scene's error tolerance for the exponential integrator, in radii per unit of scene time.
+    #[arg(long, value_name = "R", value_parser = parse_tolerance, help_heading = "Scene")]
     tolerance: Option<f64>,
-    /// The number of steps, instead of the scene's duration; 0: until Ctrl-C.
-    #[arg(long, value_name = "N")]
+    /// Number of steps, instead of the scene's duration; 0: run until Ctrl-C.
+    #[arg(long, value_name = "N", help_heading = "Scene")]
     steps: Option<u64>,
     /// Record every Nth step.
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..),
+          help_heading = "What to record")]
     every: u64,
-    /// How much to record of a frame; stages, the inside of steps, goes neither with --thin nor with --keep.
-    #[arg(long, default_value = Detail::Forces.name(), value_parser = one_of(&Detail::ALL, Detail::name))]
+    /// Level of detail of each frame. `stages` also records what happens within a step; it cannot be combined with
+    /// --thin or --keep.
+    #[arg(long, default_value = Detail::Forces.name(), value_parser = one_of(&Detail::ALL, Detail::name),
+          help_heading = "What to record")]
     detail: Detail,
-    /// The first step that --detail stages looks into [default: the first].
-    #[arg(long, value_name = "STEP")]
+    /// The first step that --detail stages records [default: the first].
+    #[arg(long, value_name = "STEP", help_heading = "What to record")]
     from: Option<u64>,
-    /// The last step that --detail stages looks into [default: the last].
-    #[arg(long, value_name = "STEP")]
+    /// The last step that --detail stages records [default: the last].
+    #[arg(long, value_name = "STEP", help_heading = "What to record")]
     to: Option<u64>,
-    /// One entity a body, or all bodies in a few [default: batch beyond 64 bodies].
-    #[arg(long, value_parser = one_of(&Entities::ALL, Entities::name))]
+    /// Log one entity per body, or batch all bodies into a few entities [default: batch above 64 bodies].
+    #[arg(long, value_parser = one_of(&Entities::ALL, Entities::name), help_heading = "What to record")]
     entities: Option<Entities>,
-    /// So many pairs at most have plots, lanes and lines of their own: of those within reach the closest [default: 16, or 5
-    /// of more than 64 bodies].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(..=1000))]
+    /// The most pairs with plots, lanes and lines of their own; the closest within reach are chosen [default: 16, or 5
+    /// above 64 bodies].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(..=1000),
+          help_heading = "What to record")]
     pairs: Option<u64>,
-    /// Record the scene and checksums only: some ten bytes a step, from which `replay --save` makes the rest.
-    #[arg(long, conflicts_with_all = ["every", "detail", "entities", "keep"])]
+    /// Record only the scene and checksums, about ten bytes per step; `replay --save` restores the frames.
+    #[arg(long, conflicts_with_all = ["every", "detail", "entities", "keep"], help_heading = "What to record")]
     thin: bool,
-    /// A flight recorder: hold the last N frames in memory, and write them at the end or when --on says so.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    /// Flight recorder: keep the last N frames in memory; write them at the end, or when an --on event occurs.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "Flight recorder")]
     keep: Option<u64>,
-    /// Write what --keep holds whenever one of these happens, instead of at the end.
+    /// Write the frames held by --keep whenever one of these events occurs, instead of at the end.
     #[arg(long, requires = "keep", value_delimiter = ',', value_name = "merge,split,core,diverge",
-          value_parser = one_of(&Trigger::ALL, Trigger::name))]
+          value_parser = one_of(&Trigger::ALL, Trigger::name), help_heading = "Flight recorder")]
     on: Vec<Trigger>,
-    /// Do not simulate faster than real time.
-    #[arg(long)]
+    /// Run no faster than real time.
+    #[arg(long, help_heading = "Viewer")]
     realtime: bool,
-    /// Start again in the same viewer whenever the scene's file changes; needs --spawn, --connect or --serve.
-    #[arg(long, conflicts_with_all = ["save", "stdout"])]
+    /// Restart in the same viewer whenever the scene file changes; requires --spawn, --connect or --serve.
+    #[arg(long, conflicts_with_all = ["save", "stdout"], help_heading = "Viewer")]
     watch: bool,
-    /// The tab with which the viewer opens.
-    #[arg(long, default_value = Tab::Scene.name(), value_parser = one_of(&Tab::ALL, Tab::name), help_heading = "Destinations")]
+    /// The tab that the viewer opens with.
+    #[arg(long, default_value = Tab::Scene.name(), value_parser = one_of(&Tab::ALL, Tab::name),
+          help_heading = "Viewer")]
     tab: Tab,
-    /// Threads to use [default: as many as there are cores].
+    /// Number of threads [default: one per core].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
-    /// Look at every pair and every vertex in every step, also where nothing happens: slower, and the same but for rounding.
-    #[arg(long)]
+    /// Process every pair and every vertex in every step, active or not. Slower; results are the same up to rounding.
+    #[arg(long, help_heading = "Scene")]
     no_skip: bool,
     /// Print errors only.
     #[arg(long)]
@@ -142,7 +151,7 @@ pub(super) fn parse_tolerance(text: &str) -> Result<f64, String> {
     parse_positive(text, "radii per unit of scene time")
 }
 
-/// A number in the range that scene files have for positive ones.
+/// Parses a number in the range that scene files allow for positive numbers.
 fn parse_positive(text: &str, unit: &str) -> Result<f64, String> {
     let range = Scene::POSITIVE;
     match text.parse::<f64>() {
@@ -151,7 +160,7 @@ fn parse_positive(text: &str, unit: &str) -> Result<f64, String> {
     }
 }
 
-/// Simulates and records.
+/// Simulates a scene and records it.
 pub fn run(arguments: Arguments) -> Result<(), Failure> {
     check(&arguments)?;
     may_print(Path::new(&arguments.scene))?;
@@ -161,7 +170,7 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
         pool.map_err(|error| Failure::Run(format!("cannot start {threads} threads: {error}")))?;
     }
     let destinations = destinations(&arguments, &scene);
-    // First what can refuse the scene, then what can refuse the destinations, and only then any work.
+    // Check the scene first, then the destinations; only then start any work.
     let simulation = start(&arguments, scene)?;
     let schema = simulation.schema();
     let settings = settings(&arguments, &schema);
@@ -174,7 +183,7 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     if let Some(save) = &destinations.save {
         may_save(save, &[(Path::new(&arguments.scene), "the scene to be run")], &new)?;
     }
-    listen_for_interrupts()?; // until now there is nothing to be saved
+    listen_for_interrupts()?; // there is nothing to save before this point
     let sinks = Sinks::open(&destinations).map_err(sink_failure)?;
     if let Some(save) = &destinations.save {
         announce(save, &new)?;
@@ -201,7 +210,7 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Refuses what makes no sense together.
+/// Rejects contradictory options.
 fn check(arguments: &Arguments) -> Result<(), Failure> {
     let is_viewed = arguments.spawn || arguments.connect.is_some() || arguments.serve;
     let has_range = arguments.from.is_some() || arguments.to.is_some();
@@ -234,27 +243,27 @@ fn start(arguments: &Arguments, scene: Scene) -> Result<Box<dyn Simulation>, Fai
     SceneRun { scene, options }.start().map_err(Failure::Input)
 }
 
-/// What a run came to.
+/// The result of a run.
 struct Outcome {
     simulation: Box<dyn Simulation>,
     schema: Schema,
     settings: Settings,
     finished: Finished,
-    /// Frames in the recording.
+    /// Number of frames in the recording.
     frames: u64,
     events: Events,
-    /// What simulating and recording took [s].
+    /// Wall time of simulating and recording [s].
     seconds: f64,
 }
 
-/// The events of a run: the first [`LISTED_EVENTS`] of them, and how many there were.
+/// The events of a run: the first [`LISTED_EVENTS`] of them and the total count.
 #[derive(Default)]
 struct Events {
     first: Vec<PairEvent>,
     count: u64,
 }
 
-/// A run whose recording is complete, and whose destinations are still open.
+/// A run whose recording is complete and whose destinations are still open.
 struct Simulated {
     simulation: Box<dyn Simulation>,
     schema: Schema,
@@ -264,12 +273,12 @@ struct Simulated {
     events: Events,
     seconds: f64,
     failure: Option<String>,
-    /// What the scene has become meanwhile.
+    /// The edited scene that ended the run, if any.
     next: Option<Scene>,
 }
 
 impl Simulated {
-    /// Brings every destination to its end.
+    /// Finishes every destination.
     fn conclude(self, console: &mut Console) -> Result<Outcome, Failure> {
         let Simulated { simulation, schema, settings, sinks, frames, events, seconds, failure, .. } = self;
         let finished = sinks.finish();
@@ -289,7 +298,7 @@ impl Simulated {
     }
 }
 
-/// The loop: step, observe. Ends early when `changes` come.
+/// The main loop: step, then record. Ends early when `changes` reports an edited scene.
 fn simulate(
     mut simulation: Box<dyn Simulation>,
     mut sinks: Sinks,
@@ -301,16 +310,16 @@ fn simulate(
     let is_live = destined_live(arguments);
     let schema = simulation.schema();
     let settings = settings(arguments, &schema);
-    // a viewer takes what has the id of an earlier run for more of that
+    // a viewer would append a run with the id of an earlier one to that recording
     let number = changes.as_mut().map_or(0, |changes| changes.next_run());
     let mut recorder = Recorder::numbered(&*simulation, settings.clone(), number);
-    // what it takes to run it again comes before everything else: a run may be killed at once
+    // what a replay needs is written first: the run may be killed at any moment
     let mut first = recorder.take();
     let rest = first.split_off(Recorder::HEAD.min(first.len()));
     let layout = recorder.blueprint_at(&*simulation, arguments.tab);
     let mut failure = send(&mut sinks, first.into_iter().chain(layout).chain(rest));
     if arguments.save.is_some() && !is_live {
-        // what the recording is of is in the file before anything can happen to the run
+        // flush, so that a killed run leaves a file that names its scene
         failure = failure.or(sinks.flush().err().map(|error| error.to_string()));
     }
     let mut pipeline = Pipeline::start(&*simulation, recorder, sinks).map_err(sink_failure)?;
@@ -346,7 +355,7 @@ fn simulate(
         }
     }
 
-    // However it ended: what was simulated is saved.
+    // Whatever ended the run, the steps simulated so far are saved.
     let mut end = pipeline.finish().map_err(Failure::Run)?;
     let seconds = start.elapsed().as_secs_f64();
     let failed =
@@ -365,7 +374,7 @@ fn simulate(
     Ok(Simulated { frames: recorder.written(), simulation, schema, settings, sinks, events, seconds, failure, next })
 }
 
-/// Runs the scene, and again whenever its file changes, until Ctrl-C.
+/// Runs the scene, and restarts whenever its file changes, until Ctrl-C.
 fn watch(
     simulation: Box<dyn Simulation>,
     sinks: Sinks,
@@ -398,21 +407,21 @@ fn watch(
     }
 }
 
-/// A scene's file that is watched.
+/// A watched scene file.
 struct Changes {
-    /// As it was last seen.
+    /// Its content when last read.
     text: String,
-    /// What was last said of it.
+    /// The last error reported about it.
     said: String,
-    /// Runs begun.
+    /// Number of runs started.
     runs: u64,
 }
 
 impl Changes {
-    /// The scene, if its file has changed and is one; what is wrong with it is said once.
+    /// Returns the new scene if the file has changed and is valid. An error in it is reported once.
     fn scene(&mut self, arguments: &Arguments, console: &Console) -> Option<Scene> {
         let path = Path::new(&arguments.scene);
-        // a file that is not there may be being written; what is none may have no end, or keep one waiting for ever
+        // a missing file may be about to be written; anything but a file may be endless or block forever
         let there = std::fs::metadata(path).ok()?;
         let scene = if !there.is_file() {
             Err(format!("{} is no file any more", path.display()))
@@ -422,7 +431,7 @@ impl Changes {
             let mut bytes = Vec::new();
             File::open(path).ok()?.take(Scene::LARGEST_TEXT).read_to_end(&mut bytes).ok()?;
             let text = String::from_utf8(bytes).ok()?;
-            // an editor may empty a file before it writes it
+            // an editor may truncate a file before writing it
             if text == self.text || text.is_empty() {
                 return None;
             }
@@ -445,7 +454,7 @@ impl Changes {
         }
     }
 
-    /// The number of the run that begins, from 0.
+    /// The number of the run that is about to start, from 0.
     fn next_run(&mut self) -> u64 {
         self.runs += 1;
         self.runs - 1
@@ -463,7 +472,7 @@ fn wait_until(due: Instant, stop: &AtomicBool) {
     }
 }
 
-/// The scene, with what the command line says instead.
+/// Loads the scene and applies the command line's overrides.
 fn load(arguments: &Arguments) -> Result<Scene, Failure> {
     Ok(with_overrides(arguments, scene(&arguments.scene)?))
 }
@@ -481,7 +490,7 @@ fn with_overrides(arguments: &Arguments, mut scene: Scene) -> Scene {
     scene
 }
 
-/// The built-in scene of that name, or the scene in that file.
+/// The built-in scene with this name, or the scene in this file.
 pub(super) fn scene(name: &str) -> Result<Scene, Failure> {
     match Scene::builtin(name) {
         Some(scene) => Ok(scene),
@@ -552,10 +561,10 @@ fn destinations(arguments: &Arguments, scene: &Scene) -> Destinations {
     }
 }
 
-/// Raised by Ctrl-C, or a request to terminate: what runs comes to its end.
+/// Set by Ctrl-C or a termination request; the run then finishes cleanly.
 static STOP: AtomicBool = AtomicBool::new(false);
 
-/// From here on the first of these raises [`STOP`], and a second one ends the program at once.
+/// From here on, the first interrupt sets [`STOP`] and a second one ends the program at once.
 fn listen_for_interrupts() -> Result<(), Failure> {
     let mut first: Option<Instant> = None;
     ctrlc::set_handler(move || match first {
@@ -569,7 +578,7 @@ fn listen_for_interrupts() -> Result<(), Failure> {
     .map_err(|error| Failure::Run(format!("cannot listen for Ctrl-C: {error}")))
 }
 
-/// What the run did, and how to open what it wrote.
+/// Prints what the run did, and how to open what it wrote.
 fn summarize(console: &Console, outcome: &Outcome) {
     let Outcome { simulation, schema, settings, finished, frames, events, seconds } = outcome;
     let Events { first: events, count: event_count } = events;
@@ -581,7 +590,7 @@ fn summarize(console: &Console, outcome: &Outcome) {
         counted(bodies, "body"),
         counted(schema.vertex_count(), "vertex"),
         counted(steps, "step"),
-        // six digits are enough to know a step by
+        // six digits are enough to recognise a step size
         if schema.dt >= 1e-4 { format!("{:.6}", schema.dt) } else { format!("{:e}", schema.dt) },
         schema.integrator,
         simulation.time(),
@@ -620,7 +629,7 @@ fn summarize(console: &Console, outcome: &Outcome) {
     }
 }
 
-/// A path as a shell takes it.
+/// Quotes a path for a shell, if necessary.
 fn shell_word(path: &str) -> String {
     let is_plain = |c: char| c.is_alphanumeric() || "/._-+@%:,".contains(c);
     match path.starts_with('-') {
@@ -630,17 +639,17 @@ fn shell_word(path: &str) -> String {
     }
 }
 
-/// Where a run tells what it does: a progress bar on a terminal, lines everywhere.
+/// Reports the progress of a run: a progress bar on a terminal, lines everywhere.
 struct Console {
     bar: ProgressBar,
     quiet: bool,
-    /// Standard output is the recording: results go to standard error.
+    /// Standard output carries the recording, so results go to standard error.
     piped: bool,
 }
 
 impl Console {
     fn new(arguments: &Arguments, steps: Option<u64>) -> Console {
-        // Draws on standard error, and nothing where that is no terminal.
+        // Draws on standard error; hidden if that is not a terminal.
         let bar = match (arguments.quiet, steps) {
             (true, _) => ProgressBar::hidden(),
             (false, Some(steps)) => ProgressBar::new(steps),
@@ -661,7 +670,7 @@ impl Console {
         self.notes(&notes);
     }
 
-    /// What happened to a destination is no chatter: said even when quiet.
+    /// What happened to a destination is always reported, even with --quiet.
     fn notes(&self, notes: &[String]) {
         for note in notes {
             self.bar.suspend(|| say(note));

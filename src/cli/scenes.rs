@@ -1,4 +1,4 @@
-//! `meldscope scenes`: what comes with the program.
+//! `meldscope scenes`: lists the built-in scenes.
 
 use super::print;
 use crate::{
@@ -6,7 +6,7 @@ use crate::{
     text::counted,
 };
 
-/// Lists the built-in scenes: name, bodies, vertices, what to look at.
+/// Lists the built-in scenes: name, number of bodies and vertices, what to look for.
 pub fn list() {
     for builtin in builtin::ALL {
         let Some(scene) = Scene::builtin(builtin.name) else { continue };

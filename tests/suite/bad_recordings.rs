@@ -1,7 +1,6 @@
-//! Recordings and scenes that are broken in any way: an error or a result, never a panic, never more memory than they
-//! are worth.
+//! Corrupt recordings and scenes lead to an error or a result, never to a panic or to excessive memory use.
 //!
-//! Real recordings are changed at random: for three seconds each here, longer with `MELDSCOPE_FUZZ_SECONDS`.
+//! Fuzzes real recordings: for three seconds per test, or longer with `MELDSCOPE_FUZZ_SECONDS`.
 
 use std::{
     fs,
@@ -60,7 +59,7 @@ fn program(dir: &Dir, arguments: &[&str]) -> (i32, String) {
     (output.status.code().expect("a status"), said)
 }
 
-/// Recordings of all kinds, small ones.
+/// Small recordings of every kind.
 fn corpus(dir: &Dir) -> Vec<Vec<u8>> {
     fs::write(dir.file("small.toml"), SCENE).expect("room");
     for (name, options) in [
@@ -80,7 +79,7 @@ fn corpus(dir: &Dir) -> Vec<Vec<u8>> {
     files.map(|name| fs::read(dir.file(&format!("{name}.rrd"))).expect("a file")).into()
 }
 
-/// xorshift64*.
+/// A xorshift64* generator.
 struct Random(u64);
 
 impl Random {
@@ -96,7 +95,7 @@ impl Random {
     }
 }
 
-/// Changes bytes in one of many ways.
+/// Corrupts bytes in one of many ways.
 fn mutate(bytes: &mut Vec<u8>, random: &mut Random) {
     for _ in 0..=random.below(3) {
         let length = bytes.len();
@@ -110,7 +109,7 @@ fn mutate(bytes: &mut Vec<u8>, random: &mut Random) {
                 bytes.splice(to..to, piece);
             }
             3 if at + 8 < length => {
-                // a length, or something that is taken for one
+                // a length, or bytes that are interpreted as one
                 let value = [u64::MAX, 1 << 62, 1 << 40, 3 << 30, 0][random.below(5)];
                 bytes[at..at + 8].copy_from_slice(&value.to_le_bytes());
             }
@@ -134,7 +133,7 @@ fn seconds() -> f64 {
     std::env::var("MELDSCOPE_FUZZ_SECONDS").ok().and_then(|text| text.parse().ok()).unwrap_or(3.0)
 }
 
-/// What a user's command would do with a file.
+/// Does what a user's command would do with a file.
 fn use_it(path: &Path, scene: &Scene) -> Result<(), ReadError> {
     let recorded = Recorded::open(path)?;
     let mut frames = FrameReader::open(&recorded)?;
@@ -204,7 +203,7 @@ fn no_broken_scene_brings_the_parser_down() {
     assert!(runs > 100 && refused > runs / 4, "{runs} {refused}");
 }
 
-/// A flipped bit is found wherever it matters: no recording that was finished is said to differ because of it.
+/// A flipped bit is detected wherever it matters: no finished recording is reported as differing because of it.
 #[test]
 fn a_flipped_bit_is_no_divergence() {
     let dir = Dir::new();
@@ -233,7 +232,7 @@ fn broken_recordings_are_refused_with_what_is_wrong() {
         {
             let (status, said) = program(&dir, command);
             if command[0] == "diff" && what == "cut short" {
-                continue; // what is there is compared
+                continue; // existing data is compared
             }
             assert_eq!(status, 2, "{command:?}: {said}");
             assert!(said.starts_with("error: ") && said.contains("bad.rrd") && said.contains(what), "{what}: {said}");
@@ -270,7 +269,7 @@ fn broken_recordings_are_refused_with_what_is_wrong() {
     refused(&encoded(other), "no properties of one");
 }
 
-/// A recording of these, as a file has it.
+/// These chunks as a recording file.
 pub fn encoded(mut chunks: chunks::Chunks) -> Vec<u8> {
     let mut bytes = Vec::new();
     let (messages, options) = (chunks.take(), EncodingOptions::PROTOBUF_COMPRESSED);
@@ -278,7 +277,7 @@ pub fn encoded(mut chunks: chunks::Chunks) -> Vec<u8> {
     bytes
 }
 
-/// What a header claims is not believed: with 3 GiB of address space, the program says no, and does not die.
+/// Claims in a header are not trusted: with 3 GiB of address space, the program reports an error instead of dying.
 #[cfg(target_os = "linux")]
 #[test]
 fn claims_take_no_memory() {
@@ -294,7 +293,7 @@ fn claims_take_no_memory() {
     }
 }
 
-/// A format that is not ours yet, or no longer.
+/// A format version that is not supported yet, or no longer.
 #[test]
 fn other_formats_are_named() {
     let dir = Dir::new();
@@ -317,16 +316,17 @@ fn other_formats_are_named() {
     }
 }
 
-// ---- chunks that lie ---------------------------------------------------------------------------------------------------
+// ---- forged chunks
+// -----------------------------------------------------------------------------------------------------
 
-/// A message as it is in a file: its kind, and what is in it.
+/// A message as stored in a file: its kind and its body.
 #[derive(Clone)]
 pub struct Message {
     pub kind: u64,
     pub body: Vec<u8>,
 }
 
-/// The messages of a whole recording, but for its end.
+/// The messages of a whole recording, except its end.
 fn messages(bytes: &[u8]) -> Vec<Message> {
     let mut rest = &bytes[12..];
     let mut messages = Vec::new();
@@ -342,7 +342,7 @@ fn messages(bytes: &[u8]) -> Vec<Message> {
     messages
 }
 
-/// The file that these are, without a footer.
+/// These messages as a file without a footer.
 pub fn file(messages: &[Message]) -> Vec<u8> {
     let mut bytes = b"RRF2\x00\x24\x03\x00\x01\x02\x00\x00".to_vec();
     for Message { kind, body } in messages {
@@ -413,7 +413,7 @@ fn unfields(fields: &Fields) -> Vec<u8> {
     bytes
 }
 
-/// `data` and then so many zeros, as LZ4 packs it.
+/// `data` followed by this many zeros, compressed with LZ4.
 fn packed(data: &[u8], zeros: usize) -> Vec<u8> {
     if zeros == 0 {
         return lz4_flex::block::compress(data);
@@ -425,7 +425,7 @@ fn packed(data: &[u8], zeros: usize) -> Vec<u8> {
         }
         bytes.push(rest as u8);
     }
-    // literals, one zero more than there is; then that zero over and over; then the literals that must be at the end
+    // literals, including one zero more than requested; then that zero repeated; then the literals required at the end
     let mut bytes = vec![0xff];
     length(&mut bytes, (data.len() + 1).max(15) - 15);
     bytes.extend(data.iter().chain(std::iter::repeat_n(&0, 1 + 15usize.saturating_sub(data.len() + 1))));
@@ -436,10 +436,10 @@ fn packed(data: &[u8], zeros: usize) -> Vec<u8> {
     bytes
 }
 
-/// More than this is not unpacked to be distorted further [bytes].
+/// Larger data is not unpacked for further corruption [bytes].
 const MOST_UNPACKED: usize = 32 << 20;
 
-/// What is packed in a message, and its envelope.
+/// The uncompressed payload of a message, and its envelope.
 fn unpacked(message: &Message) -> (Fields, Vec<u8>) {
     let envelope = fields(&message.body);
     let number = |field: u64| envelope.iter().find_map(|(f, value)| value.as_ref().ok().filter(|_| *f == field));
@@ -455,7 +455,7 @@ fn unpacked(message: &Message) -> (Fields, Vec<u8>) {
     (envelope, data)
 }
 
-/// The same with other data, and more zeros than that.
+/// The same message with other data, followed by this many zeros.
 fn repacked(message: &Message, data: &[u8], zeros: usize) -> Message {
     let (mut envelope, _) = unpacked_or_empty(message);
     let payload = packed(data, zeros);
@@ -465,14 +465,14 @@ fn repacked(message: &Message, data: &[u8], zeros: usize) -> Message {
     Message { kind: message.kind, body: unfields(&envelope) }
 }
 
-/// The ranges of the metadata of an Arrow stream.
+/// The ranges of the metadata in an Arrow stream.
 fn metadata(data: &[u8]) -> Vec<std::ops::Range<usize>> {
     let word =
         |at: usize| data.get(at..at.saturating_add(4)).map(|word| u32::from_le_bytes(word.try_into().expect("4")));
     let (mut at, mut ranges) = (0, Vec::new());
     while let (Some(u32::MAX), Some(length @ 1..)) = (word(at), word(at + 4)) {
         let range = at + 8..at + 8 + length as usize;
-        // it may have been distorted before
+        // it may have been corrupted before
         let Some(Ok(message)) = data.get(range.clone()).map(root_as_message) else { break };
         at = range.end.saturating_add(message.bodyLength().unsigned_abs() as usize);
         ranges.push(range);
@@ -480,7 +480,7 @@ fn metadata(data: &[u8]) -> Vec<std::ops::Range<usize>> {
     ranges
 }
 
-/// A number to lie with.
+/// A forged number.
 fn lie(random: &mut Random, truth: u64) -> u64 {
     let lies =
         [0, 1, truth.wrapping_sub(1), truth + 1, 2 * truth, 255 * truth, 1 << 20, 1 << 28, 1 << 30, 1 << 31, 1 << 40];
@@ -489,7 +489,7 @@ fn lie(random: &mut Random, truth: u64) -> u64 {
     lies[random.below(lies.len())]
 }
 
-/// Chunks of what a recording has, and of what it has not, of any size.
+/// Chunks with known and unknown content, of any size.
 fn strange(random: &mut Random, id: &str) -> Vec<Message> {
     let mut chunks = chunks::Chunks::new(StoreId::new(StoreKind::Recording, "meldscope_small", id));
     let many = [0, 1, 7, 1000, 100_000, 3_000_000][random.below(6)];
@@ -539,13 +539,13 @@ fn strange(random: &mut Random, id: &str) -> Vec<Message> {
     messages(&encoded(chunks))
 }
 
-/// Lies in one of many ways.
+/// Forges messages in one of many ways.
 fn distort(messages: &mut Vec<Message>, random: &mut Random) {
     let of_chunks: Vec<usize> = (0..messages.len()).filter(|&i| messages[i].kind == 2).collect();
     let Some(&chosen) = of_chunks.get(random.below(of_chunks.len())) else { return };
     let (envelope, mut data) = unpacked_or_empty(&messages[chosen]);
     match random.below(12) {
-        // what it unpacks to, how it is packed, whose it is
+        // uncompressed size, compression, and recording id
         0 => {
             let mut envelope = envelope;
             let field = random.below(envelope.len());
@@ -561,7 +561,7 @@ fn distort(messages: &mut Vec<Message>, random: &mut Random) {
             let zeros = [1 << 10, 1 << 20, 1 << 24, 1 << 27, 3 << 28][random.below(5)];
             messages[chosen] = repacked(&messages[chosen], &data, zeros);
         }
-        // Arrow's own numbers, with all around them in order
+        // Arrow's own numbers, inside an intact envelope
         2..=5 => {
             let ranges = metadata(&data);
             if let Some(range) = ranges.get(random.below(ranges.len())) {
@@ -575,7 +575,7 @@ fn distort(messages: &mut Vec<Message>, random: &mut Random) {
             }
             messages[chosen] = repacked(&messages[chosen], &data, 0);
         }
-        // what they are about: offsets, ids, times, values
+        // the payload: offsets, ids, times, values
         6 | 7 => {
             let from = metadata(&data).last().map_or(0, |range| range.end);
             for _ in 0..=random.below(3) {
@@ -590,7 +590,7 @@ fn distort(messages: &mut Vec<Message>, random: &mut Random) {
             mutate(&mut data, random);
             messages[chosen] = repacked(&messages[chosen], &data, 0);
         }
-        // the order, the number, and the kind of messages
+        // the order, number and kind of messages
         9 => match random.below(4) {
             0 => {
                 let other = random.below(messages.len());
@@ -604,7 +604,7 @@ fn distort(messages: &mut Vec<Message>, random: &mut Random) {
             }
             _ => messages[chosen].kind = random.next() % 5,
         },
-        // what another program could have put there
+        // what another program could have written
         _ => {
             let (envelope, _) = unpacked_or_empty(&messages[chosen]);
             let store = envelope.iter().find_map(|(field, value)| value.as_ref().err().filter(|_| *field == 1));
@@ -629,12 +629,12 @@ fn fields_or_none(bytes: &[u8]) -> Option<Fields> {
     quietly(move || fields(&bytes))
 }
 
-/// Nothing, if it panics.
+/// Runs `work`; `None` if it panics.
 fn quietly<T>(work: impl FnOnce() -> T) -> Option<T> {
     std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).ok()
 }
 
-/// The most memory that reading a recording may take, and the longest that it may last.
+/// The most memory and time that reading a recording may take.
 const MOST_MEMORY: u64 = 1 << 30;
 const MOST_TIME: Duration = Duration::from_secs(10);
 
@@ -685,7 +685,7 @@ fn no_broken_structure_brings_the_reader_down() {
     assert!(runs > 20 && refused > runs / 4, "{runs} {refused}");
 }
 
-/// What packs well is no claim to memory: checksums that are all zeros, a scene of nothing, texts without end.
+/// Highly compressible data does not justify a claim to memory: all-zero checksums, an empty scene, endless texts.
 #[test]
 fn what_a_recording_claims_is_measured_by_its_size() {
     let dir = Dir::new();
@@ -724,13 +724,13 @@ fn what_a_recording_claims_is_measured_by_its_size() {
         let error = with(chunks);
         assert!(error.contains(what), "{error}");
     }
-    // a scene that is longer than a file of one may be, and one that is longer than the recording has room for
+    // a scene longer than a scene file may be, and one longer than the recording has room for
     for (length, what) in [(33 << 20, "more than the 33554432"), (25 << 20, "more than the")] {
         let mut chunks = store();
         let mut text = String::from(SCENE);
         text.extend(std::iter::repeat_n('#', length));
         if length > 32 << 20 {
-            // packs badly
+            // compresses badly
             let mut random = Random(3);
             text.extend((0..1 << 21).map(|_| char::from(b'!' + (random.next() % 64) as u8)));
         }

@@ -1,4 +1,4 @@
-//! Broken scene files: what is refused, with which words, and that nothing makes the parser panic.
+//! Broken scene files: what is rejected, with which message, and that nothing makes the parser panic.
 
 use std::path::PathBuf;
 
@@ -7,10 +7,10 @@ use proptest::prelude::*;
 
 use crate::scene_format::{REFERENCES, assert_valid};
 
-/// Broken files and what is said about them. A block is `PART: what is wrong`, lines of the file, `> message`.
+/// Broken files and the expected messages. A block is `PART: what is wrong`, lines of the file, `> message`.
 ///
-/// `Whole` is the file as it stands; for the other parts the lines stand in a file that is good but for them, at its top
-/// (from line 1), or first below the header of that part (from line 3, or line 7 for `Push`).
+/// `Whole` is the complete file. For the other parts, the lines are inserted into an otherwise valid file: at its top
+/// (from line 1), or directly below the header of that part (from line 3, or line 7 for `Push`).
 const BROKEN: &str = r##"
 Whole: only a comment
 # nothing here
@@ -659,7 +659,7 @@ motion = { fixed = [0, 0, 0] }
 > bad.toml:2:12: duration: expected at most 1e12 steps of dt (0.001 s), found 1e10; shorten duration or raise dt
 "##;
 
-/// The same for what is easier to see escaped: part, lines, message.
+/// More cases, which are easier to read escaped: part, lines, message.
 const BROKEN_ESCAPED: &[(&str, &str, &str)] = &[
     ("Whole", "", "bad.toml:1:1: body: missing, expected at least one [[body]]"),
     (
@@ -668,7 +668,7 @@ const BROKEN_ESCAPED: &[(&str, &str, &str)] = &[
         "bad.toml:1:10: name: not valid TOML: invalid basic string, expected non-double-quote visible characters, `\\`, \
          found \"\\u{1b}\"",
     ),
-    // a byte order mark is no character, and a character of two bytes is one
+    // a byte order mark does not count as a character; a two-byte character counts as one
     (
         "Whole",
         "\u{feff}\"größe\" = 1\n",
@@ -694,7 +694,7 @@ const BROKEN_ESCAPED: &[(&str, &str, &str)] = &[
     ),
 ];
 
-/// A scene file with `lines` in its `part` and nothing else wrong with it.
+/// An otherwise valid scene file with `lines` in its `part`.
 fn file_with(part: &str, lines: &str) -> String {
     const BODY: &str = "name = \"ball\"\nradius = 1\nmotion = { fixed = [0, 0, 0] }\n";
     const PUSH: &str = "body = \"ball\"\ndirection = [1, 0, 0]\nstrength = 60\nstart = 0.2\nduration = 0.1\n";
@@ -735,7 +735,7 @@ fn every_broken_file_is_refused_in_these_words() {
     }
 }
 
-/// The parts that [`file_with`] adds are good: a case is refused for its own lines.
+/// The files that [`file_with`] builds around a case are valid, so a case is rejected for its own lines.
 #[test]
 fn the_files_around_the_broken_lines_are_good() {
     for (part, lines) in [
@@ -787,7 +787,7 @@ fn the_nearest_of_many_bodies_is_offered() {
     );
 }
 
-/// Neither to parse what nests deeply nor to drop it takes more stack than there is.
+/// Deep nesting overflows the stack neither in parsing nor in dropping.
 #[test]
 fn deep_nesting_is_survived() {
     let deep = 100_000;
@@ -802,14 +802,14 @@ fn deep_nesting_is_survived() {
     refusal(&"[".repeat(deep));
     refusal(&format!("[{dotted}]"));
 
-    // the deepest that the TOML parser lets through: dotted keys in inline tables, 6,000 tables in each other
+    // the deepest nesting that the TOML parser accepts: dotted keys in inline tables, 6,000 nested tables
     let dotted = vec!["a"; 79].join(".");
     let nest = |n: usize| format!("[{dotted}]\n{dotted} = {}1{}\n", format!("{{ {dotted} = ").repeat(n), "}".repeat(n));
     assert!(refusal(&nest(78)).to_string().starts_with("bad.toml:1:2: a: unknown key"));
     refusal(&format!("{}x = y", nest(78)));
 }
 
-/// A file in the folder for temporary files that is gone when the test ends.
+/// A file in the temporary folder, removed when the test ends.
 struct Temporary(PathBuf);
 
 impl Temporary {
@@ -868,7 +868,7 @@ fn a_file_without_measure_is_refused() {
     }
 }
 
-/// What must hold of any text: no panic; a valid scene, or one line about a place that the text has.
+/// Holds for any text: no panic; a valid scene, or a one-line error about a place that exists in the text.
 fn assert_sane(text: &str) {
     match Scene::parse(text, "some.toml") {
         Ok(scene) => assert_valid(&scene),
@@ -884,14 +884,14 @@ fn assert_sane(text: &str) {
     }
 }
 
-/// What scene files are made of, and what breaks readers of tables.
+/// Words that scene files consist of, and words that break table parsers.
 const WORDS: &str =
     "name dt duration integrator tolerance material influence body push omega damping response alpha merge_at
     split_at core_at radius shape sphere stacks slices motion fixed line sine keyframes from center direction strength
     start [ ] [[ ]] { } = . , \" \"\"\" ' \\ # [body] [[body]] [[push]] [0,0,0] {fixed=[0,0,0]} \"a\" \"rk4\" 1979-05-27
     true ä \u{feff} \u{0} \u{202e}";
 
-/// Numbers at the ends of what a type or the scene's limits can hold, and what is none.
+/// Numbers at the limits of a type or of scene values, and malformed numbers.
 const EXTREMES: &str =
     "0 -0.0 1 -1 1.05 1e15 -1e15 1.0000000000000002e15 1e-12 9e-13 1e-15 1e308 -1e308 1e309 5e-324 nan
     -nan inf -inf 65535 65536 4294967296 9223372036854775807 99999999999999999999 0xffffffffffffffff 0b1
@@ -908,7 +908,7 @@ fn extreme() -> impl Strategy<Value = &'static str> {
     prop::sample::select(EXTREMES.split_whitespace().collect::<Vec<_>>())
 }
 
-/// One way to damage a text; the numbers say where.
+/// A way to damage a text; the numbers say where.
 #[derive(Clone, Debug)]
 enum Damage {
     FlipBit(usize, u8),
@@ -1004,7 +1004,7 @@ proptest! {
         assert_sane(&damages.iter().fold(text.to_owned(), |text, damage| damage.apply(&text)));
     }
 
-    /// Number by number, so that the limits are met often without anything else being wrong.
+    /// Number by number, so that limits are hit often in otherwise valid scenes.
     #[test]
     fn extreme_numbers_are_refused_or_harmless(
         (_, text) in prop::sample::select(REFERENCES),

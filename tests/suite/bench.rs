@@ -1,4 +1,4 @@
-//! The benchmarks: the reference that errors are measured against, and what is made of the measurements.
+//! The benchmarks: the reference solution that errors are measured against, and the reports made from measurements.
 
 use std::{
     collections::BTreeMap,
@@ -27,12 +27,12 @@ use meldscope::{
 
 const SCENES: [&str; 4] = ["push", "two", "three", "size_ratio"];
 
-/// A scene of the reference solutions in files.
+/// A scene whose reference solution is stored in a file.
 fn scene(name: &str) -> Scene {
     Scene::load(&PathBuf::from(format!("tests/reference/{name}.toml"))).expect("a valid scene")
 }
 
-/// Every step of the scene's.
+/// The times of all steps of a scene.
 fn instants(scene: &Scene) -> Vec<f64> {
     (0..=scene.steps()).map(|step| step as f64 * scene.dt).collect()
 }
@@ -66,7 +66,7 @@ fn the_reference_agrees_with_itself_at_ten_times_the_accuracy() {
         let times = instants(&scene);
         let solve = |accuracy| Reference::solve(&scene, &times, accuracy).expect("quick");
         let off = solve(Accuracy::DEFAULT).largest_difference(&solve(Accuracy::TIGHTER), &scene);
-        // Measured: 1.4e-14, 1.9e-14, 1.8e-14, 5.7e-15; what is claimed is 1e-11.
+        // Measured: 1.4e-14, 1.9e-14, 1.8e-14, 5.7e-15; the stated accuracy is 1e-11.
         assert!(off <= 0.01 * Reference::ACCURACY, "{name}: {off:e}");
     }
 }
@@ -104,8 +104,9 @@ fn the_reference_agrees_with_the_files() {
                 worst = f64::max(worst, position.distance(expected) / body.radius);
             }
         }
-        // Measured: 1.5e-14, 1.1e-9, 6.8e-10, 1.6e-10. That is the accuracy of the files, which were made with short steps
-        // and no regard for the rims; where no vertex crosses one, in push, they have all their digits.
+        // Measured: 1.5e-14, 1.1e-9, 6.8e-10, 1.6e-10. That is the accuracy of the files, which were computed with
+        // short steps and without locating rim crossings. In `push`, where no vertex crosses a rim, all their digits
+        // are correct.
         assert!(worst <= 2e-9, "{name}: {worst:e}");
         assert_eq!(reference.events().len(), events.len());
         for (change, event) in reference.events().iter().zip(&events) {
@@ -117,7 +118,7 @@ fn the_reference_agrees_with_the_files() {
     }
 }
 
-/// Laws, paths, responses and places that the files do not have: two programs that share no equation agree.
+/// Laws, paths, responses and places that the files do not cover: two programs that share no equation agree.
 #[test]
 fn the_reference_agrees_with_the_simulation_where_there_are_no_files() {
     let scene = |influence: &str, place: f64| {
@@ -162,7 +163,7 @@ fn the_reference_agrees_with_the_simulation_where_there_are_no_files() {
         Scene::parse(&text, "laws").expect("a valid scene")
     };
     for (influence, place, bound) in [
-        // Measured: 4.1e-13, 6.7e-12, 4.1e-13, 4.1e-13; far from the origin positions are rounded more, 1.8e-10.
+        // Measured: 4.1e-13, 6.7e-12, 4.1e-13, 4.1e-13; far from the origin rounding is coarser, 1.8e-10.
         ("weight = \"linear\"", 0.0, 2e-10),
         ("weight = \"wendland\"", 0.0, 2e-10),
         ("scaling = \"absolute\"", 0.0, 2e-10),
@@ -188,7 +189,7 @@ fn a_stiff_scene_has_no_reference() {
     assert!(matches!(refused, NoReference::TooLong { evaluations } if evaluations > 1e12), "{refused}");
 }
 
-/// Two spheres of few vertices that merge and part within a second.
+/// Two spheres of few vertices that merge and separate within a second.
 fn tiny(name: &str) -> Scene {
     let text = format!(
         r#"
@@ -215,7 +216,7 @@ fn tiny(name: &str) -> Scene {
     Scene::parse(&text, "tiny").expect("a valid scene")
 }
 
-/// One run each, no matter how short.
+/// One run each, however short.
 fn quick(scene: &Scene) -> Settings {
     Settings { tolerances: vec![1e-3, 1e-6], runs: 1, shortest: Duration::ZERO, ..Settings::of(scene) }
 }
@@ -290,7 +291,7 @@ fn the_cheapest_is_interpolated_between_measurements() {
     report.measurements.truncate(3);
     let seconds = |target| report.cheapest(target).first().map(|cost| cost.seconds);
     assert_eq!(seconds(1.0), Some(1.0));
-    assert!((seconds(1e-2).expect("reached") - 2.0).abs() < 1e-12); // halfway from 1 to 4: the one at 2 is inferior
+    assert!((seconds(1e-2).expect("reached") - 2.0).abs() < 1e-12); // halfway from 1 to 4: the one at 2 is dominated
     assert_eq!(seconds(1e-4), None);
 }
 
@@ -325,7 +326,7 @@ fn csv_has_a_row_for_each_measurement() {
     assert_eq!((rows[1][0].as_str(), rows[rows.len() - 1][0].as_str()), ("one, \"two\"", "tiny"));
 }
 
-/// The fields of a line of comma-separated values.
+/// The fields of a CSV line.
 fn fields(line: &str) -> Vec<String> {
     let (mut fields, mut is_quoted) = (vec![String::new()], false);
     let mut letters = line.chars().peekable();
@@ -359,8 +360,7 @@ fn the_diagram_is_well_formed_and_names_every_integrator() {
     }
 }
 
-/// The texts between the tags of an XML document, as they are written; fails if tags, attributes or entities are not as
-/// they have to be.
+/// The raw texts between the tags of an XML document. Fails if tags, attributes or entities are malformed.
 fn texts_of_well_formed(xml: &str) -> Vec<String> {
     let (mut open, mut texts, mut rest) = (vec![], vec![], xml);
     while let Some(start) = rest.find('<') {
@@ -387,7 +387,7 @@ fn texts_of_well_formed(xml: &str) -> Vec<String> {
     texts
 }
 
-/// An empty directory of this test.
+/// An empty directory for this test.
 fn directory(name: &str) -> PathBuf {
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("bench-{name}-{}", std::process::id()));
     std::fs::remove_dir_all(&path).ok();
@@ -415,7 +415,7 @@ fn files_are_checked_first_and_replaced_last() {
     std::fs::remove_dir_all(&directory).ok();
 }
 
-/// Runs `meldscope bench error` in `directory`; exit status, standard output, standard error.
+/// Runs `meldscope bench error` in `directory`; returns exit status, standard output, standard error.
 fn bench_error(directory: &Path, arguments: &[&str]) -> (i32, String, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
     let output = command.args(["bench", "error"]).args(arguments).current_dir(directory).output().expect("started");

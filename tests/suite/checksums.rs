@@ -1,4 +1,4 @@
-//! One number for the exact state: what it depends on. (What it costs, `meldscope bench record` measures.)
+//! The checksum of the exact state: what it depends on. (`meldscope bench record` measures its cost.)
 
 use meldscope::{Scene, World, bench::record::scenes, scene::builtin};
 
@@ -40,7 +40,7 @@ fn a_checksum_is_that_of_the_state_alone() {
     assert_ne!(world.checksum(), plain[200], "one bit of the law is enough");
 }
 
-/// Every scene under 1, 2, 3 and 8 threads, with the kernels that this machine has.
+/// Every scene with 1, 2, 3 and 8 threads, with the kernels that this machine supports.
 #[test]
 fn checksums_do_not_depend_on_threads() {
     for builtin in builtin::ALL {
@@ -63,7 +63,7 @@ fn checksums_do_not_depend_on_threads() {
     }
 }
 
-/// Bodies that rest, and bodies that swing from a push of their own, count as well as those that feel a sphere.
+/// Resting bodies and bodies that oscillate after a push contribute to the checksum, as do bodies affected by a sphere.
 #[test]
 fn a_checksum_is_of_all_bodies() {
     let text = scenes::pair_among(40);

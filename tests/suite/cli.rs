@@ -1,4 +1,4 @@
-//! The program as its users run it: what it prints and where, what it writes, with which status it ends.
+//! The program as users run it: what it prints and where, what it writes, and its exit status.
 
 use std::{
     ffi::OsStr,
@@ -19,12 +19,12 @@ use crate::{
     recording::{Dir, Recording, content},
 };
 
-/// A program that has not ended by then never will.
+/// A program that runs longer than this is considered hung.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 // ---- running -------------------------------------------------------------------------------------------------------
 
-/// What a run of the program came to.
+/// The result of running the program.
 #[derive(Debug)]
 struct Ran {
     status: i32,
@@ -41,13 +41,13 @@ impl Ran {
         Ran { status, out, err, bytes: output.stdout }
     }
 
-    /// Ended well and said nothing but results.
+    /// Asserts success, with nothing but results in the output.
     fn succeeded(self) -> Ran {
         assert_eq!((self.status, self.err.as_str()), (0, ""), "{}", self.out);
         self
     }
 
-    /// Ended with this status, said why in one line and printed nothing.
+    /// Asserts this exit status, with a one-line error and no results; returns the error.
     fn failed(self, status: i32) -> String {
         assert_eq!((self.status, self.out.as_str()), (status, ""), "{}", self.err);
         let lines: Vec<&str> = self.err.lines().filter(|line| !line.is_empty()).collect();
@@ -68,7 +68,7 @@ fn run(dir: &Dir, arguments: &[&str]) -> Ran {
     Running::start(dir, arguments).end()
 }
 
-/// The program while it runs; it does not outlive its test.
+/// A running program, killed when its test ends.
 struct Running(Option<Child>);
 
 impl Running {
@@ -80,7 +80,7 @@ impl Running {
         self.0.as_mut().expect("it has not ended")
     }
 
-    /// Waits for its end.
+    /// Waits for it to end.
     fn end(mut self) -> Ran {
         let child = self.0.take().expect("it has not ended");
         let id = child.id();
@@ -97,7 +97,7 @@ impl Running {
         signal(self.child().id(), name);
     }
 
-    /// Waits for what it does.
+    /// Waits until a condition holds.
     fn eventually(&mut self, mut is_so: impl FnMut() -> bool) {
         let started = Instant::now();
         while !is_so() {
@@ -109,24 +109,24 @@ impl Running {
         }
     }
 
-    /// Waits for a line on standard error that starts with `beginning`, and gives its rest.
+    /// Waits for a line on standard error that starts with `beginning`; returns the rest of it.
     #[cfg(unix)]
     fn says(&mut self, beginning: &str) -> String {
         said(&self.lines(), beginning)
     }
 
-    /// What it says on standard error.
+    /// Its standard error.
     #[cfg(unix)]
     fn lines(&mut self) -> mpsc::Receiver<String> {
         let stderr = BufReader::new(self.child().stderr.take().expect("a pipe"));
         let (sender, receiver) = mpsc::channel();
-        // reads on when nobody listens any more: what else it says must go somewhere
+        // keeps reading when nobody listens any more, because further output must go somewhere
         std::thread::spawn(move || stderr.lines().map_while(Result::ok).for_each(|line| drop(sender.send(line))));
         receiver
     }
 }
 
-/// Waits for a line that starts with `beginning`, and gives its rest.
+/// Waits for a line that starts with `beginning`; returns the rest of it.
 #[cfg(unix)]
 fn said(lines: &mpsc::Receiver<String>, beginning: &str) -> String {
     loop {
@@ -245,7 +245,7 @@ fn a_quiet_run_prints_nothing() {
     let ran = run(&dir, &["run", "small.toml", "--quiet"]).succeeded();
     assert_eq!(ran.out, "");
     assert_eq!(dir.names(), ["small.rrd", "small.toml"]);
-    // but errors
+    // except errors
     run(&dir, &["run", "smll.toml", "--quiet"]).failed(2);
 }
 
@@ -335,7 +335,7 @@ fn help_and_version_are_results() {
     assert_eq!(dir.names(), [""; 0]);
 }
 
-// ---- what is refused -----------------------------------------------------------------------------------------------
+// ---- rejected input ------------------------------------------------------------------------------------------------
 
 #[test]
 fn usage_errors_have_status_2_and_leave_nothing() {
@@ -431,7 +431,7 @@ fn a_broken_file_is_refused_with_the_place_and_nothing_is_written() {
     assert_eq!(dir.names(), ["bad.toml", "kept.rrd"]);
 }
 
-/// A scene with one thing changed that is likely to break it.
+/// A scene with one change that is likely to break it.
 fn broken_scene() -> impl Strategy<Value = String> {
     let lines = SCENE.lines().count();
     let values = [
@@ -489,13 +489,13 @@ proptest! {
 #[test]
 fn what_cannot_be_written_is_known_before_the_run() {
     let dir = scene_dir();
-    // these would never end if they began
+    // these would never end if they started
     let said = run(&dir, &["run", "small.toml", "--steps", "0", "--save", "no/such/x.rrd"]).failed(1);
     assert!(said.contains("no/such"), "{said}");
     run(&dir, &["run", "small.toml", "--steps", "0", "--save", "."]).failed(1);
     assert_eq!(dir.names(), ["small.toml"]);
 
-    // a port that is taken: the file that was there stays
+    // an occupied port: the existing file stays
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
     let port = taken.local_addr().expect("an address").port().to_string();
     fs::write(dir.file("kept.rrd"), "RRF2: precious").expect("room");
@@ -505,7 +505,7 @@ fn what_cannot_be_written_is_known_before_the_run() {
     assert_eq!(dir.names(), ["kept.rrd", "small.toml"]);
     assert_eq!(fs::read_to_string(dir.file("kept.rrd")).expect("it is there"), "RRF2: precious");
 
-    // and a run that goes well replaces it
+    // and a successful run replaces it
     run(&dir, &["run", "small.toml", "--save", "kept.rrd"]).succeeded();
     assert_eq!(Recording::open(&dir.file("kept.rrd")).steps(), 120.0);
 }
@@ -519,7 +519,7 @@ fn a_full_disk_ends_the_run() {
     assert_eq!(dir.names(), ["small.toml"]);
 }
 
-/// Runs with little memory to be had, so that a program that asks for the scene's would be ended by that.
+/// Runs with limited memory: a program that allocated what the scene asks for would be killed.
 #[cfg(unix)]
 #[test]
 fn a_scene_that_is_too_large_is_refused_and_not_begun() {
@@ -590,7 +590,7 @@ fn options_do_what_they_say() {
     let (recording, _) = recorded("--entities batch");
     assert!(recording.entities().iter().any(|entity| entity.to_string() == "/world/resting/sphere_6x8"));
 
-    // what was recorded does not depend on the number of threads
+    // the recording does not depend on the number of threads
     let (one, _) = recorded("--threads 1");
     let (two, _) = recorded("--threads 2");
     assert!(content(&one) == content(&two));
@@ -686,13 +686,13 @@ fn an_interrupted_run_is_saved() {
     {
         let dir = scene_dir();
         run(&dir, &["run", "small.toml", "--steps", "1", "--save", "x.rrd"]).succeeded();
-        // longer than what there is before the first steps
+        // longer than what is written before the first steps
         let length = size(&dir.file("x.rrd")) * 2;
         let mut running = Running::start(&dir, &["run", "small.toml", "--steps", "0", "--save", "x.rrd", pace]);
         running.eventually(|| size(&dir.file("x.rrd.partial")) > length);
         running.signal(name);
         if twice {
-            // at once, as `timeout` does, which signals a program and its process group
+            // twice at once, like `timeout`, which signals a program and its process group
             signal(running.child().id(), name);
         }
         let ran = running.end();
@@ -704,7 +704,7 @@ fn an_interrupted_run_is_saved() {
         assert!(steps > 0.0);
         let said: String = ran.out.chars().filter(|&c| c != ',').collect();
         assert!(said.contains(&format!("small: 2 bodies {vertices} vertices; {steps} steps")), "{}", ran.out);
-        // all of it is there
+        // the recording is complete
         let last = recording.changes("/timings/log").last().expect("frames").step;
         assert_eq!(last, if pace == every_step { steps as i64 } else { steps as i64 / 1000 * 1000 });
     }
@@ -749,7 +749,7 @@ fn a_browser_can_look_until_the_run_is_ended() {
         stream.read_to_end(&mut answer).expect("it answers");
         assert!(answer.starts_with(b"HTTP/1.1 200 OK\r\n"), "{}", String::from_utf8_lossy(&answer));
 
-        // after the run the file is complete and the server still there
+        // after the run the file is complete and the server is still running
         if steps != "0" {
             running.eventually(|| dir.names().contains(&"x.rrd".to_owned()));
             assert_eq!(Recording::open(&dir.file("x.rrd")).steps(), 30.0);
@@ -842,7 +842,7 @@ fn memory_stays_bounded_over_a_hundred_thousand_frames() {
         line.split_whitespace().nth(1)?.parse::<u64>().ok()
     };
     let size = || fs::metadata(dir.file("x.rrd.partial")).map_or(0, |file| file.len());
-    // in the first third all buffers come into use; from then on nothing grows
+    // buffers reach their full size in the first third; from then on nothing grows
     let (mut first, mut most) = (0, 0);
     while running.child().try_wait().expect("a child").is_none() {
         let now = resident().unwrap_or(0);
@@ -855,11 +855,11 @@ fn memory_stays_bounded_over_a_hundred_thousand_frames() {
     running.end().succeeded();
     let recording = Recording::open(&dir.file("x.rrd"));
     assert_eq!(recording.steps(), 120_000.0);
-    // the file's footer takes some of it
+    // the file's footer takes up some of it
     assert!(first > 0 && most < first + (48 << 10), "{first} kB, then {most} kB");
 }
 
-/// What the help offers is what the recorder knows.
+/// The values that the help lists are those that the recorder accepts.
 #[test]
 fn the_help_lists_the_names_that_are_taken() {
     let help = |command: &str| {
@@ -875,7 +875,7 @@ fn the_help_lists_the_names_that_are_taken() {
     assert!(help("replay").contains(details));
 }
 
-/// What a viewer has been sent, as a file: a scene's recordings without their ends.
+/// The messages sent to a viewer, as a file: a scene's recordings without their ends.
 fn seen(port: u16) -> Vec<Message> {
     let arrow = |frame: Vec<u8>| {
         let inner = fields(&frame).into_iter().find_map(|(_, value)| value.err())?;
@@ -885,7 +885,7 @@ fn seen(port: u16) -> Vec<Message> {
     crate::sinks::watch_all(port).into_iter().filter_map(arrow).collect()
 }
 
-/// The recording that a message belongs to; `None` for that of a layout.
+/// The recording that a message belongs to; `None` for that of a blueprint.
 fn recording_of(message: &Message) -> Option<String> {
     let store = fields(&message.body).into_iter().find(|(field, _)| *field == 1)?.1.err()?;
     let store = fields(&store);
@@ -906,7 +906,7 @@ fn a_viewer_beside_a_file_gets_every_row_once() {
     let rows = |name: &str| {
         let mut reader = Reader::open(&dir.file(name)).expect("a recording");
         let mut ids = Vec::new();
-        // checksums go where they can be verified
+        // checksums are sent only where they can be verified
         while let Some(chunk) = reader.next(|entity| entity != "/checksum").expect("a recording") {
             ids.extend(chunk.row_ids().map(|id| (chunk.entity_path().to_string(), id)));
         }

@@ -1,5 +1,5 @@
-//! When pairs merge, split, enter and leave their core: exact times against closed forms and brute force, and the hard
-//! cases, on the threshold and beside it.
+//! When pairs merge, split, enter and leave their core: exact times against closed forms and brute force, including
+//! hard cases on and near the threshold.
 
 use glam::{DVec3, dvec3};
 use meldscope::model::phase::{Phase, Thresholds};
@@ -64,7 +64,7 @@ fn two(a: Path, b: Path, thresholds: Thresholds, dt: f64, duration: f64) -> Scen
     scene
 }
 
-/// All events of a scene; each belongs to the step whose end is the first that is not before it.
+/// All events of a scene; each belongs to the first step whose end is not before it.
 fn events(scene: Scene) -> Vec<Event> {
     let mut world = World::new(scene).expect("fits");
     let mut all = vec![];
@@ -125,7 +125,7 @@ proptest! {
             }
             expected.push((root(merge_at + more, 1.0).expect("the way out"), Apart));
         }
-        // a graze is a matter of rounding
+        // rounding decides whether a graze counts
         let distances = p.cross(v).length() / v.length() / radii;
         prop_assume!((distances - merge_at).abs() > 1e-3 && (distances - core_at).abs() > 1e-3);
         for found in [
@@ -168,7 +168,7 @@ proptest! {
             (theta + TAU * turns - phase) / rate
         };
         loop {
-            // just past the crossing, or it is found again
+            // just past the crossing, to avoid finding it again
             let ways = thresholds.transitions(now).filter(|way| way.level > lowest);
             let ways = ways.map(|way| (next(way.level, way.falling, t + 1e-9), way.to));
             let Some((time, to)) = ways.min_by(|x, y| x.0.total_cmp(&y.0)).filter(|way| way.0 <= 5.0) else { break };
@@ -195,7 +195,7 @@ proptest! {
 fn one_switching_distance_without_core_alternates() {
     let b = sine(dvec3(1.0, 0.0, 0.0), dvec3(0.5, 0.0, 0.0), 5.0, 0.0);
     let paths = PairTracks { a: (&ORIGIN).into(), b: (&b).into(), radii: 1.0 };
-    // q = 1 + sin(10πt)/2 rises through 1 at n/5, falls at n/5 + 1/10; at t = 0 it stands there and rises.
+    // q = 1 + sin(10πt)/2 rises through 1 at n/5, falls at n/5 + 1/10; at t = 0 it is at 1 and rising.
     for found in [
         changes(&paths, &thresholds(0.0, 1.0, 1.0), Merged, 0.0, 2.05),
         changes_by_steps(&paths, &thresholds(0.0, 1.0, 1.0), Merged, 2.05 / 300.0, 300),
@@ -229,7 +229,7 @@ fn a_pair_that_merges_and_splits_within_a_step_does_both() {
     }
 }
 
-/// Visits of a ten-millionth of a second, to the inside of each threshold, somewhere in a step.
+/// Visits of 1e-7 s to the inside of each threshold, at some moment in a step.
 #[test]
 fn a_visit_of_a_ten_millionth_of_a_second_is_found() {
     let (speed, half) = (1e4, 0.5e-7);
@@ -256,7 +256,7 @@ fn a_visit_of_a_ten_millionth_of_a_second_is_found() {
     }
 }
 
-/// A line that passes at exactly the distance of merging, and nearer and farther by next to nothing.
+/// A line that passes at exactly the merge distance, or slightly nearer or farther.
 #[test]
 fn a_graze_is_both_events_or_none() {
     for speed in [1.0, 7.3] {
@@ -267,7 +267,7 @@ fn a_graze_is_both_events_or_none() {
                 let paths = PairTracks { a: (&ORIGIN).into(), b: (&b).into(), radii: 1.0 };
                 let at_once = changes(&paths, &thresholds, Apart, 0.0, 6.0);
                 let by_steps = changes_by_steps(&paths, &thresholds, Apart, 1.0 / 64.0, 384);
-                // Exactly on it rounding decides, but a pair that merges splits as well.
+                // At exactly that distance rounding decides, but a pair that merges also splits.
                 assert!([0, 2].contains(&at_once.len()), "{at_once:?}");
                 assert!([0, 2].contains(&by_steps.len()), "{by_steps:?}");
                 if (height - 1.5).abs() > 1e-13 {
@@ -275,12 +275,12 @@ fn a_graze_is_both_events_or_none() {
                 }
                 at_once
             };
-            // Nearer by a part in 10¹²: merges and splits again.
+            // Nearer by one part in 10¹²: merges and splits again.
             for nearer in [1e-3, 1e-6, 1e-9, 1e-12] {
                 let found = graze(1.5 - nearer);
                 assert_eq!(found.iter().map(|change| change.1).collect::<Vec<_>>(), [Merged, Apart], "{nearer:e}");
                 let half = ((3.0 - nearer) * nearer).sqrt() / speed;
-                // Near the closest approach the distance changes by rounding only, and the time is as uncertain.
+                // Near the closest approach the distance changes only by rounding, and the time is as uncertain.
                 let bound = 1e-15 / (half * speed * speed) + 1e-14;
                 assert!((found[0].0 - (3.0 / speed - half)).abs() <= bound, "{nearer:e}: {found:?}");
                 if split_at == 1.5 {
@@ -303,7 +303,7 @@ fn a_graze_is_both_events_or_none() {
 // ---------------------------------------------------------------------------------------------------------------------
 // On the threshold
 
-/// Bodies that move alike keep their distance; that it is the one of merging is no reason to merge and split.
+/// Bodies that move in parallel keep their distance. Even at the merge distance they neither merge nor split.
 #[test]
 fn bodies_in_formation_at_exactly_the_threshold_do_nothing() {
     let keys = |offset: DVec3| {
@@ -342,8 +342,8 @@ fn bodies_in_formation_at_exactly_the_threshold_do_nothing() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Whatever merge_at and the reach of influence: a pair that stands on merge_at has merged, one that stands beyond
-    /// has not, and it stays so.
+    /// For any merge_at and reach of influence: a pair exactly at merge_at is merged, a pair beyond it is not, and both
+    /// stay so.
     #[test]
     fn a_still_pair_on_the_threshold_is_merged_from_the_start(
         (a, b) in (random_vector(5.0), random_vector(5.0)),
@@ -376,7 +376,7 @@ proptest! {
 
 #[test]
 fn a_pair_that_starts_on_its_threshold_and_moves_across_changes_at_once() {
-    // at a speed, and from a stop
+    // at constant speed, and from a standstill
     let movers = |from: f64, way: f64| {
         [
             line(dvec3(from, 0.0, 0.0), dvec3(way, 0.0, 0.0)),
@@ -397,13 +397,13 @@ fn a_pair_that_starts_on_its_threshold_and_moves_across_changes_at_once() {
             let found = events(two(ORIGIN, b.clone(), law, 1.0 / 60.0, 0.5));
             assert_eq!(found.len(), 1, "{b:?}: {found:?}");
             assert_eq!((found[0].from, found[0].to, found[0].step), (first, to, 1), "{b:?}");
-            // From a stop, q stays within a rounding of the threshold for a while.
+            // From a standstill, q stays within a rounding error of the threshold for a while.
             assert!((found[0].q - 1.25).abs() <= 1e-12, "{b:?}: {found:?}");
             if matches!(b, Path::Line { .. }) {
                 assert_eq!(found[0].time, 0.0);
             }
         }
-        // The other way nothing happens.
+        // In the other direction nothing happens.
         for b in movers(1.25, -way) {
             let found = events(two(ORIGIN, b.clone(), law, 1.0 / 60.0, 0.5));
             assert!(found.is_empty(), "{b:?}: {found:?}");
@@ -411,7 +411,7 @@ fn a_pair_that_starts_on_its_threshold_and_moves_across_changes_at_once() {
     }
 }
 
-/// A pair that comes to stand exactly on its threshold has reached it, once.
+/// A pair that comes to rest exactly on its threshold reaches it once.
 #[test]
 fn a_pair_that_comes_to_stand_on_its_threshold_has_reached_it() {
     let keys = |keys: &[(f64, f64)]| {
@@ -431,11 +431,12 @@ fn a_pair_that_comes_to_stand_on_its_threshold_has_reached_it() {
             events(two(ORIGIN, stops.clone(), law, 0.1, 4.0)).iter().map(|e| (e.time, e.to)).collect(),
         ] {
             assert_eq!(found.iter().map(|change| change.1).collect::<Vec<_>>(), [to], "{law:?}");
-            // it is that near for the last instants
+            // it is that close for the last instants
             assert!((0.9999..=1.0).contains(&found[0].0) && (paths.q(found[0].0) - 1.5).abs() <= 1e-12, "{found:?}");
         }
     }
-    // And one that turns back there has touched it or not; if it has, and one distance switches both ways, it splits.
+    // A pair that turns back on the threshold may or may not touch it. If it does, and one distance switches both ways,
+    // it splits.
     let turns = keys(&[(0.0, 3.0), (1.0, 1.5), (2.0, 3.0)]);
     let paths = PairTracks { a: (&ORIGIN).into(), b: (&turns).into(), radii: 1.0 };
     for found in [
@@ -449,7 +450,7 @@ fn a_pair_that_comes_to_stand_on_its_threshold_has_reached_it() {
 // ---------------------------------------------------------------------------------------------------------------------
 // Brute force
 
-/// The changes of phase that dense samples show, times by bisection.
+/// The phase changes found by dense sampling, with times by bisection.
 fn brute_force(
     paths: &PairTracks<'_>,
     law: &Thresholds,
@@ -503,7 +504,7 @@ proptest! {
         let (end, samples) = (4.0, 8000);
         let found = changes(&paths, &law, first, 0.0, end);
 
-        // Every event is one that the state machine knows, at its threshold.
+        // Every event is a valid transition of the state machine, at its threshold.
         let (mut phase, mut time) = (first, 0.0);
         for &(t, to) in &found {
             let way = law.transitions(phase).find(|way| way.to == to);
@@ -513,7 +514,7 @@ proptest! {
             prop_assert!(t >= time && t <= end);
             (phase, time) = (to, t);
         }
-        // In between, no threshold is crossed unnoticed.
+        // Between events, no threshold is crossed unnoticed.
         let phase_at = |t: f64| found.iter().rev().find(|change| change.0 <= t).map_or(first, |change| change.1);
         for k in 0..=samples {
             let t = end * f64::from(k) / f64::from(samples);
@@ -525,21 +526,22 @@ proptest! {
             };
             prop_assert!(*range.start() - 1e-12 <= q && q <= *range.end() + 1e-12, "{} at {}, {}", q, t, phase_at(t));
         }
-        // Samples see all of it but what happens between two of them.
+        // Samples show everything except what happens between two of them.
         let brute = brute_force(&paths, &law, first, end, samples);
         let short = found.windows(2).any(|pair| pair[1].0 - pair[0].0 < 2.0 * end / f64::from(samples));
         prop_assert!(found.len() == brute.len() || short, "{:?} {:?}", found, brute);
         if found.len() == brute.len() {
             for (found, brute) in found.iter().zip(&brute) {
                 prop_assert_eq!(found.1, brute.1);
-                // Both are where q is on the threshold within rounding: the slower it is, the longer. Measured: 2.5e-15.
+                // Both are where q is on the threshold within rounding, which lasts longer the slower q is. Measured:
+                // 2.5e-15.
                 let slope = (paths.q(found.0 + 1e-6) - paths.q(found.0 - 1e-6)).abs() / 2e-6;
-                // And neither is known better than to a rounding of its own.
+                // Each is also uncertain by its own rounding.
                 let rounding = f64::EPSILON * found.0 * slope;
                 prop_assert!((found.0 - brute.0).abs() * slope <= 3.7e-15 + rounding, "{:?} {:?}", found, brute);
             }
         }
-        // And they are the same when looked for step by step.
+        // The search step by step finds the same events.
         let by_steps = changes_by_steps(&paths, &law, first, end / 240.0, 240);
         prop_assert_eq!(by_steps.len(), found.len(), "{:?} {:?}", found, by_steps);
         for (one, other) in found.iter().zip(&by_steps) {
@@ -554,7 +556,7 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 100, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// A world watches the pairs that can touch only; none is overlooked, fast or large as the bodies and steps may be.
+    /// A world tracks only pairs that can touch. It misses none, however fast or large the bodies and steps are.
     #[test]
     fn a_world_has_the_events_of_all_its_pairs(
         movers in prop::collection::vec((random_vector(4.0), random_vector(4.0), 0.1..1.0, 0.0..1.5, any::<bool>()), 2..12),
@@ -582,7 +584,7 @@ proptest! {
         }
         expected.sort_by(|x, y| x.0.total_cmp(&y.0));
         let found: Vec<_> = events(scene).iter().map(|e| (e.time, e.a as usize, e.b as usize, e.to)).collect();
-        // The world looks for events some steps ahead: times are the same to rounding.
+        // The world searches for events some steps ahead: times agree up to rounding.
         let same = |found: &(f64, usize, usize, Phase), expected: &(f64, usize, usize, Phase)| {
             (found.0 - expected.0).abs() <= 1e-13 && (found.1, found.2, found.3) == (expected.1, expected.2, expected.3)
         };
@@ -594,10 +596,10 @@ proptest! {
 // ---------------------------------------------------------------------------------------------------------------------
 // Steps
 
-/// An event at the very end of a step belongs to it, and not to the next one, too.
+/// An event at the very end of a step belongs to that step, not also to the next.
 #[test]
 fn an_event_on_a_step_boundary_happens_once() {
-    // q = 4 − t falls to 1.5 at 2.5 and through 1 at 3; q = t − 2 rises to … in binary fractions all exact
+    // q = 4 − t falls to 1.5 at 2.5 and through 1 at 3; q = t − 2 rises to … all exact in binary fractions
     let in_and_out = Path::Keyframes(Spline::new(&[(0.0, dvec3(4.0, 0.0, 0.0)), (4.0, dvec3(0.5, 0.0, 0.0))]));
     let b = line(dvec3(4.0, 0.0, 0.0), dvec3(-1.0, 0.0, 0.0));
     for dt in [1.0 / 64.0, 0.25, 0.5] {
@@ -614,7 +616,7 @@ fn an_event_on_a_step_boundary_happens_once() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Where the crossing is a step boundary but for rounding: once, in the first step whose end is not before it.
+    /// A crossing at a step boundary, up to rounding: found once, in the first step whose end is not before it.
     #[test]
     fn an_event_beside_a_step_boundary_happens_once(
         step in 1..40_u32,
@@ -634,7 +636,7 @@ proptest! {
         let law = if outwards { thresholds(0.0, level, level) } else { thresholds(0.0, level, 2.0 * level) };
         let mut scene = two(ORIGIN, b, law, dt, 1.0);
         scene.duration = f64::from(step + 3) * dt;
-        let found = events(scene); // which looks at the step of each
+        let found = events(scene); // checks the step of each
         prop_assert_eq!(found.len(), 1, "{:?}", found);
         // Measured: 1.7e-15.
         prop_assert!((found[0].time - time).abs() * speed <= 2.6e-15, "{:?} {}", found, time);

@@ -1,4 +1,4 @@
-//! What is left when a run is killed, the disk is full, or two want the same file.
+//! What remains when a run is killed, the disk is full, or two runs write the same file.
 #![cfg(unix)]
 
 use std::{
@@ -19,7 +19,7 @@ fn program(dir: &Dir, arguments: &[&str]) -> Command {
     command
 }
 
-/// A program that does not outlive its test.
+/// A running program, killed when its test ends.
 struct Running(Child);
 
 impl Drop for Running {
@@ -32,7 +32,7 @@ fn said(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned() + &String::from_utf8_lossy(&output.stdout)
 }
 
-/// Waits until the run has begun to write.
+/// Waits until the run has started to write.
 fn begun(path: &Path) {
     let start = Instant::now();
     while fs::metadata(path).map_or(0, |file| file.len()) == 0 {
@@ -41,7 +41,8 @@ fn begun(path: &Path) {
     }
 }
 
-/// A hundred runs of several kinds, killed at some moment; each leaves a recording that is replayed up to where it ends.
+/// A hundred runs of several kinds, killed at various moments. Each leaves a recording that replays up to where it
+/// ends.
 #[test]
 fn what_a_killed_run_leaves_is_replayed() {
     let number = AtomicU32::new(0);
@@ -102,14 +103,14 @@ fn no_more_than_half_a_second_is_lost() {
         drop(run);
         let recorded = Recorded::open(&dir.file("k.rrd.partial")).expect("a recording");
         let saved = recorded.last() as f64 * recorded.schema.dt;
-        // on a busy machine the run itself may lag
+        // on a busy machine the run itself may lag behind
         assert!(simulated - saved < 0.5 + 0.3, "{kind:?}: {saved} s of {simulated} s");
         fs::remove_file(dir.file("k.rrd.partial")).expect("it is there");
     }
 }
 
-/// `ulimit -f` is a disk that is full as soon as the file has some size; the shell's own limit is in blocks of 512 or
-/// 1024 bytes.
+/// `ulimit -f` acts like a disk that is full once the file reaches a size; the shell counts in blocks of 512 or 1024
+/// bytes.
 #[test]
 fn a_disk_that_fills_up_ends_the_run_and_leaves_what_was_written() {
     let dir = Dir::new();

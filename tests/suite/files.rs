@@ -1,5 +1,5 @@
-//! What is there stays there: which files the program replaces, which it refuses, and that what a file holds does nothing to
-//! the terminal on which it is shown.
+//! Existing files are safe: which files the program replaces, which it refuses to replace, and that content of a file
+//! never controls the terminal on which it is shown.
 
 use std::{
     fs,
@@ -27,7 +27,7 @@ use crate::{
     recording::{Dir, Recording},
 };
 
-/// Status, standard output, standard error.
+/// Returns exit status, standard output, standard error.
 fn meldscope(dir: &Dir, arguments: &[&str]) -> (i32, String, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
     let output = command.args(arguments).current_dir(dir.path()).stdin(Stdio::null()).output().expect("it starts");
@@ -42,7 +42,7 @@ fn succeeds(dir: &Dir, arguments: &[&str]) -> (String, String) {
     (out, err)
 }
 
-/// Refused as bad input in one line, with every file as it was.
+/// Rejected as bad input with a one-line message; every file is unchanged.
 #[track_caller]
 fn refused(dir: &Dir, arguments: &[&str]) -> String {
     let before = content(dir);
@@ -53,7 +53,7 @@ fn refused(dir: &Dir, arguments: &[&str]) -> String {
     err
 }
 
-/// Every file by its name.
+/// The content of every file, by name.
 fn content(dir: &Dir) -> Vec<(String, Vec<u8>)> {
     let read = |name: String| {
         let path = dir.file(&name);
@@ -70,7 +70,7 @@ fn scene_dir() -> Dir {
     dir
 }
 
-// ---- what is replaced ------------------------------------------------------------------------------------------------
+// ---- overwriting ---------------------------------------------------------------------------------------------------
 
 #[test]
 fn a_scene_is_never_replaced_by_its_recording() {
@@ -133,7 +133,7 @@ fn only_recordings_are_replaced() {
         let said = refused(&dir, &["run", "s.toml", "--save", name]);
         assert!(said.contains("it is no recording") && said.contains("remove it"), "{said}");
     }
-    // what mktemp makes, and what an earlier run has made
+    // files as created by mktemp, and by an earlier run
     fs::write(dir.file("empty.rrd"), "").expect("room");
     for _ in 0..2 {
         let (_, err) = succeeds(&dir, &["run", "s.toml", "--quiet", "--save", "empty.rrd"]);
@@ -141,7 +141,7 @@ fn only_recordings_are_replaced() {
         let (_, err) = succeeds(&dir, &["run", "s.toml"]);
         assert_eq!(err, "");
     }
-    // a recording, but not this program's
+    // a recording, but of another program
     let mut chunks = Chunks::new(StoreId::new(StoreKind::Recording, "flight_logs", "1"));
     chunks.log_static("/text", &TextDocument::new("precious"));
     fs::write(dir.file("foreign.rrd"), encoded(chunks)).expect("room");
@@ -190,19 +190,19 @@ fn golden_recordings_are_replaced_by_bless_alone() {
             assert!(said.contains("golden recording") && said.contains("check --bless"), "{said}");
         }
     }
-    // the default destination: a scene that is called as its file is
+    // the default destination for a scene that is named like its file
     succeeds(&dir, &["check", "small.toml", "--bless", "a test"]);
     let said = refused(&dir, &["run", "small.toml"]);
     assert!(said.contains("small.rrd") && said.contains("golden recording"), "{said}");
 
-    // what `check` takes for golden is, even if it cannot be read
+    // a file that `check` treats as golden, even if it cannot be read
     fs::write(dir.file("s.rrd"), "RRF2 and nothing else").expect("room");
     let said = refused(&dir, &["run", "s.toml", "--save", "s.rrd"]);
     assert!(said.contains("golden recording"), "{said}");
     succeeds(&dir, &["check", "s.toml", "--bless", "it was damaged"]);
     succeeds(&dir, &["check", "s.toml"]);
 
-    // nor does the comparison that `check` writes replace one
+    // the comparison that `check` writes does not replace one either
     fs::write(dir.file("s.check.toml"), SCENE).expect("room");
     succeeds(&dir, &["check", "s.check.toml", "--bless", "a trap"]);
     let golden = fs::read(dir.file("s.check.rrd")).expect("a file");
@@ -212,7 +212,7 @@ fn golden_recordings_are_replaced_by_bless_alone() {
     assert!(fs::read(dir.file("s.check.rrd")).expect("a file") == golden);
 }
 
-/// Scenes of one name in two folders: of each that differs there is something to look at.
+/// Scenes with the same name in two folders: each one that differs gets its own comparison.
 #[test]
 fn comparisons_do_not_replace_each_other() {
     let dir = Dir::new();
@@ -255,7 +255,8 @@ fn benchmarks_replace_only_what_they_have_written() {
     }
 }
 
-// ---- where it is written first ---------------------------------------------------------------------------------------
+// ---- partial files
+// -----------------------------------------------------------------------------------------------------
 
 #[cfg(unix)]
 #[test]
@@ -277,7 +278,7 @@ fn no_link_is_followed_to_where_a_recording_is_written_first() {
         assert!(!dir.file("not-there").exists());
     }
     fs::remove_file(dir.file("x.rrd.partial")).expect("it is there");
-    // nor anything else that is there
+    // nor any other existing file
     fs::create_dir(dir.file("x.rrd.partial")).expect("room");
     refused(&dir, &["run", "s.toml", "--save", "x.rrd"]);
     fs::remove_dir(dir.file("x.rrd.partial")).expect("it is there");
@@ -290,7 +291,7 @@ fn no_link_is_followed_to_where_a_recording_is_written_first() {
     assert!(said.contains("is no recording"), "{said}");
     fs::remove_file(dir.file("x.rrd.partial")).expect("it is there");
 
-    // what a killed run left goes, its other names stay
+    // what a killed run left is replaced; its hard links keep their content
     let bytes = fs::read(dir.file("mine.rrd")).expect("a file");
     fs::hard_link(dir.file("mine.rrd"), dir.file("x.rrd.partial")).expect("a link");
     let (_, err) = succeeds(&dir, &["run", "s.toml", "--save", "x.rrd"]);
@@ -298,7 +299,7 @@ fn no_link_is_followed_to_where_a_recording_is_written_first() {
     assert!(fs::read(dir.file("mine.rrd")).expect("a file") == bytes);
     assert!(!dir.file("x.rrd.partial").exists());
 
-    // the place itself: a link to a recording stays one, a link to nothing is refused
+    // the destination itself: a link to a recording is kept, a dangling link is refused
     link("mine.rrd", "l.rrd");
     succeeds(&dir, &["run", "s.toml", "--steps", "3", "--save", "l.rrd"]);
     assert!(fs::symlink_metadata(dir.file("l.rrd")).expect("a link").is_symlink());
@@ -318,18 +319,18 @@ fn of_two_runs_that_save_to_one_file_the_second_is_refused() {
     let first = Sinks::open(&to_file(&dir.file("x.rrd"))).expect("a file");
     let (status, _, err) = meldscope(&dir, &["run", "s.toml", "--save", "x.rrd"]);
     assert!(status == 1 && err.contains("another run is writing"), "{err}");
-    // nor by the name under which the first is writing
+    // nor through the name under which the first run is writing
     let said = refused(&dir, &["run", "s.toml", "--save", "x.rrd.partial"]);
     assert!(said.contains(".partial"), "{said}");
     drop(first);
-    // what a killed run left, claimed twice
+    // the remains of a killed run, claimed twice
     fs::write(dir.file("x.rrd.partial"), "RRF2").expect("room");
     let first = Sinks::open(&to_file(&dir.file("x.rrd"))).expect("a file");
     assert!(matches!(Sinks::open(&to_file(&dir.file("x.rrd"))), Err(SinkError::Busy { .. })));
     drop(first);
 }
 
-/// Whoever takes the file away from under a run is told of, and loses nothing.
+/// A run whose file is taken away reports it and loses no data.
 #[cfg(unix)]
 #[test]
 fn what_comes_in_between_is_not_replaced() {
@@ -351,7 +352,7 @@ fn what_comes_in_between_is_not_replaced() {
     assert!(!path.exists());
 }
 
-/// A killed run's recording is not written over while it is read.
+/// A killed run's recording is not overwritten while it is being read.
 #[test]
 fn what_is_replayed_is_not_where_the_replay_is_written_first() {
     let dir = scene_dir();
@@ -378,14 +379,14 @@ fn devices_and_pipes_are_written_as_they_are() {
     assert_eq!(dir.names(), ["pipe", "s.toml"]);
 }
 
-// ---- settings ---------------------------------------------------------------------------------------------------------
+// ---- settings ------------------------------------------------------------------------------------------------------
 
 fn count() -> impl Strategy<Value = u64> {
     let edges = [1, 2, 3, 7, (1 << 63) - 1, 1 << 63, (1 << 63) + 1, u64::MAX - 1, u64::MAX];
     prop_oneof![3 => prop::sample::select(edges.to_vec()), 1 => 1u64..100, 1 => 1u64..]
 }
 
-/// Settings, and Δt, tolerance and whether to skip.
+/// Settings, Δt, tolerance and whether to skip.
 fn settings() -> impl Strategy<Value = (Settings, (f64, f64, bool))> {
     let detail = prop_oneof![
         Just(Detail::Surface),
@@ -409,7 +410,7 @@ fn settings() -> impl Strategy<Value = (Settings, (f64, f64, bool))> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// What is written of settings is what is read of them.
+    /// Settings survive a round trip through their text form.
     #[test]
     fn settings_are_read_as_they_were_written((settings, _) in settings()) {
         let text = settings.to_toml();
@@ -421,7 +422,7 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// A recording with any settings is read, and verified.
+    /// A recording with any settings can be read and verified.
     #[test]
     fn every_setting_replays((settings, (dt, tolerance, skip)) in settings(), taken in 0u64..12) {
         let dir = Dir::new();
@@ -499,7 +500,7 @@ fn a_run_of_more_steps_than_can_be_is_replayed_as_far_as_it_came() {
     }
 }
 
-/// Recordings of the versions that wrote numbers that TOML does not have.
+/// Recordings of versions that wrote numbers that TOML does not allow.
 #[test]
 fn settings_of_old_recordings_with_large_numbers_are_read() {
     let scene = Scene::parse(SCENE, "small").expect("a scene");
@@ -511,9 +512,9 @@ fn settings_of_old_recordings_with_large_numbers_are_read() {
     assert_eq!(Settings::from_toml(&old, scene.bodies.len()), Ok(settings));
 }
 
-// ---- terminals ---------------------------------------------------------------------------------------------------------
+// ---- terminals -----------------------------------------------------------------------------------------------------
 
-/// What does more to a terminal than to be shown, but for the end of a line.
+/// Characters that a terminal acts on, except line ends.
 fn is_obeyed(c: char) -> bool {
     c != '\n' && (c.is_control() || "\u{202e}\u{2066}\u{2028}".contains(c))
 }
@@ -556,7 +557,7 @@ fn no_control_character_of_a_recording_reaches_a_terminal() {
     fs::copy(dir.file("x.rrd"), dir.file("s.rrd")).expect("room");
     plain(&["check", "s.toml"]);
 
-    // texts from which nothing can be made: they are named in the refusal
+    // texts that cannot be used: they are quoted in the error message
     for (settings, version) in [
         (Settings::of(&scene).to_toml().replace("exponential", "\\u001b[2Jevil\\u202e\\n"), "1"),
         (Settings::of(&scene).to_toml(), EVIL),
@@ -615,7 +616,7 @@ fn no_control_character_of_a_name_reaches_a_terminal() {
     assert_eq!(plain(&["check", &toml]), 2);
 }
 
-// ---- standard output ---------------------------------------------------------------------------------------------------
+// ---- standard output -----------------------------------------------------------------------------------------------
 
 #[cfg(target_os = "linux")]
 #[test]
@@ -645,12 +646,12 @@ fn results_that_cannot_be_printed_are_an_error() {
         let (status, said) = run(full.into());
         assert_eq!(status, Some(1), "{arguments:?}: {said}");
         assert!(said.contains("standard output") && said.contains("No space left"), "{arguments:?}: {said}");
-        // nobody listens: nothing to say
+        // nobody listens, so nothing is reported
         let (reader, writer) = std::io::pipe().expect("a pipe");
         drop(reader);
         assert_eq!(run(writer.into()), (Some(0), String::new()), "{arguments:?}");
     }
-    // what was the matter otherwise is still said, with its status
+    // other errors are still reported, with their exit status
     let full = fs::OpenOptions::new().write(true).open("/dev/full").expect("a device");
     fs::write(dir.file("s.toml"), SCENE.replace("[-2, 0, 0]", "[-2.5, 0, 0]")).expect("room");
     let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));

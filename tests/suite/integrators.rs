@@ -1,5 +1,5 @@
-//! Each scheme against its equations written out, its order, the exact flow in 100 digits; and what holds for all:
-//! the number of threads, sleep and looking change nothing.
+//! Each scheme against its equations written out, its order of convergence, and the exact flow in 100 digits. For all
+//! schemes, the number of threads, sleeping and observation change nothing.
 
 use glam::{DVec3, dvec3};
 use meldscope::model::{
@@ -28,7 +28,7 @@ fn state(world: &World) -> Vec<[[f64; 3]; 2]> {
     (0..world.body_count()).flat_map(|b| -> Vec<_> { body(b) }).collect()
 }
 
-/// The state's bits.
+/// The bits of the state.
 fn bits(world: &World) -> Vec<u64> {
     state(world).iter().flatten().flatten().map(|x| x.to_bits()).collect()
 }
@@ -42,7 +42,7 @@ fn map(f: impl Fn(usize) -> f64) -> V {
     std::array::from_fn(f)
 }
 
-/// A pair that merges and splits, of which vertices of `a` are followed; Δt is a power of two, so that k Δt is exact.
+/// A pair that merges and splits; vertices of `a` are tracked. Δt is a power of two, so that k Δt is exact.
 fn pair(integrator: Integrator) -> Scene {
     scene(&format!(
         r#"
@@ -71,7 +71,7 @@ motion = {{ sine = {{ center = [2.0, 0.3, 0.1], amplitude = [0.5, -0.1, 0.2], fr
     ))
 }
 
-/// (3.6)–(3.10) to the bit. In displacement coordinates, x = r − c − l: r − c = l + x, and in (3.8) l − r* = −x*.
+/// (3.6)–(3.10), bit for bit. In displacement coordinates, x = r − c − l: r − c = l + x, and in (3.8) l − r* = −x*.
 #[test]
 fn thesis_is_what_is_printed_to_the_bit() {
     let scene = pair(Integrator::Thesis);
@@ -112,12 +112,12 @@ fn thesis_is_what_is_printed_to_the_bit() {
     assert!(merged > 50 && merged < 200 && reached > 1000, "{merged} {reached}");
 }
 
-/// What the thesis's scheme converges to: x′ = 2u, u′ = F − ω²x − 2κu, which is x″ = 2F − 2ω²x − 2κx′.
+/// The thesis's scheme converges to x′ = 2u, u′ = F − ω²x − 2κu, which is x″ = 2F − 2ω²x − 2κx′.
 #[test]
 fn thesis_converges_to_an_oscillator_too_fast_by_root_two() {
     let (omega, kappa, dt0) = (12.0f64, 1.5f64, 1.0 / 64.0);
     let errors = [1.0, 2.0, 4.0, 8.0].map(|divided| {
-        // one kick of 1/s, the size of a push over one step, and free from there
+        // one kick of 1/s, like a push over one step, then free motion
         let dt = dt0 / divided;
         let mut world = pushed_sphere(Integrator::Thesis, omega, kappa, dt, 3.0, dt);
         let nu = (2.0 * omega * omega - kappa * kappa).sqrt();
@@ -149,7 +149,7 @@ fn pushed_sphere(integrator: Integrator, omega: f64, damping: f64, dt: f64, dura
     World::new(scene).expect("fits")
 }
 
-/// What acts in [`busy_pair`] on a vertex of body 0, with its own formulas.
+/// The force on a vertex of body 0 in [`busy_pair`], implemented independently.
 struct Busy {
     scene: Scene,
     omega: f64,
@@ -157,7 +157,7 @@ struct Busy {
 }
 
 impl Busy {
-    /// F of the vertex with unit rest position `unit` and displacement `x` at time `t`, `s` being the strength.
+    /// F of the vertex with unit rest position `unit` and displacement `x` at time `t`, with strength `s`.
     fn force(&self, t: f64, s: f64, unit: V, x: V) -> V {
         let at = |i: usize| self.scene.bodies[i].path.at(t);
         let (own, other) = (at(0), at(1));
@@ -183,7 +183,7 @@ impl Busy {
         map(|i| f[i] - self.omega * self.omega * x[i] - 2.0 * self.kappa * u[i])
     }
 
-    /// One step of a scheme from t to t + h, from its textbook.
+    /// One step of a scheme from t to t + h, as in textbooks.
     fn step(&self, integrator: Integrator, t: f64, h: f64, s: f64, unit: V, (x, u): (V, V)) -> (V, V) {
         let (w2, k2) = (self.omega * self.omega, 2.0 * self.kappa);
         match integrator {
@@ -201,7 +201,7 @@ impl Busy {
                 (map(|i| x[i] + h * next[i]), next)
             }
             Integrator::Verlet => {
-                // x⁺ = x + hu + h²/2 a;  u⁺ = u + h/2 (a + a⁺), where a⁺ contains u⁺: iterate until it stands
+                // x⁺ = x + hu + h²/2 a;  u⁺ = u + h/2 (a + a⁺), where a⁺ contains u⁺: iterate to a fixed point
                 let a = self.acceleration(t, s, unit, x, u);
                 let moved: V = map(|i| x[i] + h * u[i] + 0.5 * h * h * a[i]);
                 let mut next = u;
@@ -272,7 +272,7 @@ fn the_explicit_schemes_are_those_of_the_textbooks() {
     }
 }
 
-/// x and x′ at t of the force-free oscillator from (x0, u0): the formulas of the textbooks.
+/// x and x′ at t of the force-free oscillator from (x0, u0), by the textbook formulas.
 fn free(omega: f64, kappa: f64, t: f64, x0: f64, u0: f64) -> (f64, f64) {
     if kappa < omega {
         let nu = ((omega - kappa) * (omega + kappa)).sqrt();
@@ -283,7 +283,7 @@ fn free(omega: f64, kappa: f64, t: f64, x0: f64, u0: f64) -> (f64, f64) {
         let (b, decay) = (u0 + kappa * x0, (-kappa * t).exp());
         (decay * (x0 + b * t), decay * (u0 - kappa * b * t))
     } else if kappa < 1.1 * omega {
-        // the two modes are nearly one, and their difference would cancel
+        // the two modes nearly coincide, and their difference would cancel
         let mu = ((kappa - omega) * (kappa + omega)).sqrt();
         let ((sinh, cosh), decay) = (((mu * t).sinh(), (mu * t).cosh()), (-kappa * t).exp());
         let b = (u0 + kappa * x0) / mu;
@@ -334,8 +334,8 @@ motion = {{ fixed = [1.3, 0.3, 0.2] }}
         states
     };
     let exact = smooth(Integrator::Rk4, 64);
-    // Errors measured with steps of dt and dt/4, in radii, and the order to be seen. Measured: 0.97, 1.01, 2.00, 4.01, and
-    // 3.2 for the exponential scheme, whose second error is that of the solution compared with.
+    // Errors measured with steps of dt and dt/4, in radii, and the expected order. Measured orders: 0.97, 1.01, 2.00,
+    // 4.01, and 3.2 for the exponential scheme, whose second error is that of the solution compared with.
     let measured = [
         (Integrator::Mps, [4.184e-2, 1.085e-2], 0.95),
         (Integrator::Euler, [1.289e-2, 3.161e-3], 0.99),
@@ -359,12 +359,12 @@ motion = {{ fixed = [1.3, 0.3, 0.2] }}
 // ---------------------------------------------------------------------------------------------------------------------
 // The exact flow
 
-/// Displaced by a push and let go, a vertex moves as the formula says, through critical damping and far beyond.
+/// A vertex displaced by a push and released follows the formula, through critical damping and far beyond.
 #[test]
 fn exponential_is_exact_for_a_body_let_go() {
     let omega = 12.0;
-    // Measured after 1000 steps, in radii: 4.3e-14 without damping, 200 rad on; 2.4e-15 with little; 4.4e-16 around the
-    // critical; 1.8e-14 where heavy damping leaves the last of a displacement standing.
+    // Measured after 1000 steps, in radii: 4.3e-14 undamped, 200 rad on; 2.4e-15 with light damping; 4.4e-16 near
+    // critical damping; 1.8e-14 where heavy damping leaves a residual displacement.
     for (ratio, bound) in [
         (0.0, 6e-14),
         (0.1, 3.6e-15),
@@ -377,7 +377,7 @@ fn exponential_is_exact_for_a_body_let_go() {
     ] {
         let kappa = ratio * omega;
         let mut world = pushed_sphere(Integrator::Exponential, omega, kappa, 1.0 / 60.0, 1001.0 / 60.0, 1.0 / 60.0);
-        // a displacement of the size of the radius, whatever resists it
+        // a displacement about as large as the radius, whatever the damping
         world = {
             let mut scene = world.scene().clone();
             scene.pushes[0].strength *= f64::max(omega, kappa);
@@ -399,20 +399,20 @@ fn exponential_is_exact_for_a_body_let_go() {
     }
 }
 
-/// However stiff: a vertex is nowhere farther from rest than what acts on it would hold it, overshoot included.
+/// However stiff the spring, a vertex is never farther from rest than its static displacement, overshoot included.
 #[test]
 fn exponential_does_not_blow_up_when_stiff() {
     let reference = scene(include_str!("../reference/two.toml"));
     for phase in [1.0, 10.0, 100.0, 1e3, 1e4] {
-        // Measured: 2.099, 1.578, and from critical damping on what is held. Undamped, a jump from repulsion to attraction
-        // swings over by both.
+        // Measured: 2.099, 1.578, and from critical damping on the static displacement. Undamped, a jump from repulsion
+        // to attraction overshoots by both.
         for (ratio, bound) in [(0.0, 2.2), (0.1, 1.7), (1.0, 1.0), (1e3, 1.0)] {
             let mut scene = reference.clone();
             let omega = phase / scene.dt;
             for body in &mut scene.bodies {
                 (body.material.omega, body.material.damping) = (omega, ratio * omega);
             }
-            // α r_e/4 is the most that the other sphere pulls
+            // α r_e/4 is the maximum pull of the other sphere
             let held = 100.0 * std::f64::consts::SQRT_2 / 4.0 / (omega * omega);
             let mut world = World::new(scene).expect("fits");
             let mut largest = 0.0;
@@ -428,18 +428,18 @@ fn exponential_does_not_blow_up_when_stiff() {
     }
 }
 
-/// The rows of a table of numbers with a line of headings.
+/// The rows of a table of numbers with a header line.
 fn table(text: &str) -> Vec<Vec<f64>> {
     let row = |line: &str| line.split(',').map(|field| field.parse().expect("a number")).collect();
     text.lines().skip(1).map(row).collect()
 }
 
-/// Against 300 digits, by `tests/reference/propagator.py`.
+/// Against values with 300 digits from `tests/reference/propagator.py`.
 #[test]
 fn the_propagator_is_accurate() {
     let rows = table(include_str!("../reference/propagator.csv"));
     assert!(rows.len() > 200);
-    // In roundings, that is 2.2e-16 times what the error is relative to, times 1 and the exponent of the flow. Measured:
+    // In units of 2.2e-16 times the reference magnitude of the error, times 1 and the exponent of the flow. Measured:
     // 1.0, 0.9, 1.2, 18.9; 3.8, 3.8, 18.1, 114.1; 0.9, 4.0, 3.7, 18.4: the largest, of x₃, is 2.5e-14.
     const BOUNDS: [f64; 12] = [1.5, 1.3, 1.8, 28.0, 5.5, 5.5, 27.0, 170.0, 1.3, 6.0, 5.5, 27.0];
     for row in rows {
@@ -447,8 +447,8 @@ fn the_propagator_is_accurate() {
         let found = fields(&Oscillator { omega, damping: kappa }.propagator(h));
         let expected: [f64; 12] = row[3..].try_into().expect("twelve");
         let [xx, xu, _, uu, ..] = expected;
-        // What an error is relative to: the number itself; where it oscillates, and through critical damping, the most
-        // that it comes to in an oscillation.
+        // The reference magnitude of an error: the number itself; for oscillations, and through critical damping, the
+        // largest value during an oscillation.
         let envelope = xx.abs().max(uu.abs()).max(omega * xu.abs());
         let mut sizes = expected.map(f64::abs);
         if kappa < 1.1 * omega {
@@ -458,7 +458,7 @@ fn the_propagator_is_accurate() {
             sizes[8] = envelope / omega;
             sizes[9] = sizes[4] / h;
         }
-        // The exponents of the modes, which are rounded before their exponential is taken.
+        // The exponents of the modes, which are rounded before exponentiation.
         let mu = ((kappa - omega) * (kappa + omega)).max(0.0).sqrt();
         let exponent = if kappa < omega {
             omega * h
@@ -486,7 +486,7 @@ fn fields(p: &Propagator) -> [f64; 12] {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Two half steps are one step, for the flow and for what constant and rising forces add.
+    /// Two half steps equal one step, for the flow and for the effect of constant and rising forces.
     #[test]
     fn two_half_steps_are_one(
         log_phase in -4.0..3.0,
@@ -516,12 +516,12 @@ proptest! {
             of_two_u(0), of_two_u(1), of_two_u(2), of_two_u(3),
         ];
         let of_one = fields(&oscillator.propagator(h));
-        // the most that these come to
+        // the largest values of these
         let kappa = oscillator.damping;
         let u = h.min(1.0 / omega).min(1.0 / kappa);
         let x = (h * h).min(1.0 / (omega * omega)).min(h / kappa);
         let sizes = [1.0, u, omega * omega * u, 1.0, x, x, x, x, u, u, u, u];
-        // Measured over 100,000 cases, the largest: 3.0, 2.9, 3.1, 2.5; 2.0, 1.3, 3.7, 14.7; 2.8, 1.7, 2.5, 10.9.
+        // Largest values measured over 100,000 cases: 3.0, 2.9, 3.1, 2.5; 2.0, 1.3, 3.7, 14.7; 2.8, 1.7, 2.5, 10.9.
         let bounds = [4.5, 4.5, 4.6, 3.8, 3.0, 2.0, 5.6, 22.0, 4.5, 2.6, 3.8, 16.0];
         for i in 0..12 {
             let error = (of_two[i] - of_one[i]).abs() / sizes[i] / f64::EPSILON / (1.0 + omega * h);
@@ -533,7 +533,7 @@ proptest! {
 // ---------------------------------------------------------------------------------------------------------------------
 // What changes nothing
 
-/// A carpet of bodies that touch their neighbours, some of them moving, more vertices than one thread is kept for.
+/// A carpet of touching bodies, some of them moving, with more vertices than are kept on one thread.
 fn carpet() -> Scene {
     let mut text = String::from("duration = 0.5\n[influence]\ncore_at = 0.5\n");
     for i in 0..7 {
@@ -620,7 +620,8 @@ start = 1.01
 duration = 0.1
 "#
         ));
-        // `comes` is reached, or reaches, from 3 − t = 1 + √2/2 or √2 + 1/2 on; `passes` keeps 2.42 > 1/2 + √2 away from a
+        // `comes` is reached, or reaches, from 3 − t = 1 + √2/2 or √2 + 1/2 on; `passes` stays 2.42 > 1/2 + √2 away
+        // from a
         let reached = 3.0 - (std::f64::consts::SQRT_2 + 0.5);
         for _ in 0..world.scene().steps() {
             let before = world.time();
@@ -629,7 +630,7 @@ duration = 0.1
             let now = world.time();
             let resting: Vec<bool> = world.bodies().map(|body| body.is_at_rest()).collect();
             let expected_sleepers = resting.iter().filter(|&&rests| rests).count() as u64;
-            // `exponential` computes nothing for `later`, either, once its push is over: it swings by the exact flow
+            // `exponential` does not compute `later` either once its push is over: it follows the exact flow
             let left_alone = u64::from(integrator == Integrator::Exponential && before > 1.11);
             assert_eq!(sleeping, expected_sleepers + left_alone, "{integrator} at {now}");
             for body in world.bodies().filter(|body| body.is_at_rest()) {

@@ -1,4 +1,4 @@
-//! Tests of the library and the program from outside, in one binary.
+//! Integration tests of the library and the program, in one binary.
 
 mod bad_recordings;
 mod bad_scenes;

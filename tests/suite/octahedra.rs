@@ -1,5 +1,5 @@
-//! A simulation that shares nothing with this crate's: two octahedra pass each other, each corner pulled back to its place,
-//! and towards the other octahedron while they grip.
+//! A simulation that shares nothing with this crate's. Two octahedra pass each other; each corner is pulled back to its
+//! rest position and, while the octahedra grip, towards the other octahedron.
 
 use std::{sync::Arc, time::Duration};
 
@@ -20,7 +20,7 @@ const FACES: [[u32; 3]; 8] = [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0,
 const GRIP: f64 = 0.8;
 const SLIP: f64 = 1.1;
 
-/// How hard they grip [1/s²].
+/// Strength of the grip [1/s²].
 #[derive(Clone, Debug)]
 pub struct Octahedra(pub f64);
 

@@ -1,5 +1,5 @@
-//! The terms of the equation of motion, the energy, and what a body feels of its own motion and of pushes: against their
-//! potentials, against sums written out by hand, against closed forms.
+//! The terms of the equation of motion, the energy, and the effect of a body's own motion and of pushes, tested against
+//! their potentials, against sums written out by hand, and against closed forms.
 
 use glam::{DVec3, dvec3};
 use meldscope::model::{
@@ -27,7 +27,7 @@ fn descent(f: impl Fn(DVec3) -> f64, p: DVec3, h: f64) -> DVec3 {
     DVec3::from_array(DVec3::AXES.map(|axis| (f(p - h * axis) - f(p + h * axis)) / (2.0 * h)))
 }
 
-/// A direction.
+/// A unit vector.
 fn direction() -> impl Strategy<Value = DVec3> {
     (-1.0..1.0f64, 0.0..std::f64::consts::TAU).prop_map(|(z, azimuth)| {
         let (sin, cos) = azimuth.sin_cos();
@@ -59,7 +59,7 @@ proptest! {
                 |r: DVec3| strength * energy::influence_potential(weight, sphere_radius, (centre - r).length());
             let force = influence::acceleration(weight, strength, sphere_radius, centre - vertex);
             let error = (force - descent(potential, vertex, h)).length() / (strength.abs() * sphere_radius);
-            // The linear weight's force has a kink at the rim, which a difference over 2h rounds by h/4 = 2.5e-6.
+            // The linear weight's force has a kink at the rim, which a difference over 2h smooths by h/4 = 2.5e-6.
             // Measured over 100,000 cases: 2.2e-6 there, 9.7e-11 elsewhere.
             let bound = if f64::abs(z - 1.0) <= 1.1e-5 && weight == Weight::Linear { 2.6e-6 } else { 1.4e-10 };
             prop_assert!(error <= bound, "{weight:?}: {error:e}");
@@ -69,7 +69,7 @@ proptest! {
         }
     }
 
-    /// The restoring force −ω²x is −∇(½ω²|x|²), exactly so for differences of a square.
+    /// The restoring force −ω²x is −∇(½ω²|x|²); central differences of a square are exact.
     #[test]
     fn restoring_is_the_descent_of_the_elastic_energy(x in prop::array::uniform3(-3.0..3.0), omega in 0.0..50.0) {
         let x = DVec3::from_array(x);
@@ -79,7 +79,7 @@ proptest! {
         prop_assert!(error <= 1.4e-15 || omega == 0.0, "{error:e}");
     }
 
-    /// Relative scaling bounds what one source does to a vertex by s · reach/4 · min(R_i, R_j).
+    /// Relative scaling limits the force of one source on a vertex to s · reach/4 · min(R_i, R_j).
     #[test]
     fn relative_scaling_bounds_the_force_by_the_smaller_radius(
         towards in direction(),
@@ -112,7 +112,7 @@ fn the_potential_outside_is_constant() {
             let outside: f64 = sphere_radius * sphere_radius / part;
             for z in [1.0 - 1e-9, 1.0, 1.5, 1e6] {
                 let potential = energy::influence_potential(weight, sphere_radius, z * sphere_radius);
-                // Measured: 2.2e-16 of it for the linear weight, 3.7e-15 for the polynomial of Wendland's.
+                // Measured, relative to the value: 2.2e-16 for the linear weight, 3.7e-15 for Wendland's polynomial.
                 assert!((potential - outside).abs() <= 5e-15 * outside, "{weight:?}, {z}: {potential} {outside}");
             }
             assert_eq!(energy::influence_potential(weight, sphere_radius, 0.0), 0.0);
@@ -125,7 +125,7 @@ fn the_largest_pull_is_the_largest() {
     for weight in WEIGHTS {
         let pulls = (0..=100_000).map(|i| f64::from(i) / 1e5).map(|z| z * weight.at(z));
         let largest = pulls.fold(0.0, f64::max);
-        // Measured: 1.5e-10 below, the grid being what it is.
+        // Measured: 1.5e-10 below, because of the grid.
         assert!(largest <= weight.max_pull() && largest >= weight.max_pull() - 2e-10, "{weight:?}");
     }
 }
@@ -133,8 +133,8 @@ fn the_largest_pull_is_the_largest() {
 // ---------------------------------------------------------------------------------------------------------------------
 // Forces by cause, and energy, against sums over all pairs
 
-/// Five bodies of different sizes: `a` and `b` are merged, `c` is in the core of `a`, `d` is apart from `a` and near,
-/// `far` is out of everyone's reach; pushes, motion and damping, so that every cause acts.
+/// Five bodies of different sizes: `a` and `b` are merged, `c` is in the core of `a`, `d` is apart from `a` but near,
+/// `far` is out of everyone's reach. Pushes, motion and damping are included, so that every cause acts.
 fn company(law: &str) -> String {
     format!(
         r#"
@@ -199,7 +199,7 @@ duration = 1.0
     )
 }
 
-/// Every law that a scene can have.
+/// Every law that a scene can specify.
 fn laws() -> impl Iterator<Item = String> {
     let choices = [0, 1].into_iter().flat_map(|w| [0, 1].map(|s| (w, s))).flat_map(|(w, s)| [0, 1].map(|a| (w, s, a)));
     choices.flat_map(|(w, s, a)| {
@@ -226,7 +226,7 @@ fn expected_phase(i: usize, j: usize) -> Phase {
     }
 }
 
-/// The strength of source j on body i, as model and scene file say it.
+/// The strength of source j on body i, as defined by the model and the scene file.
 fn strength(scene: &Scene, i: usize, j: usize) -> f64 {
     let law = scene.influence;
     let s = match expected_phase(i, j) {
@@ -314,7 +314,7 @@ fn forces_by_cause_are_those_written_out_by_hand() {
     }
 }
 
-/// The energy of a world by the formula: all pairs, however far, near or merged.
+/// The energy of a world by the formula, summed over all pairs in any phase and at any distance.
 fn energy_of_all_pairs(world: &World) -> Energy {
     let (scene, t) = (world.scene(), world.time());
     let mut sum = Energy::default();
@@ -375,7 +375,7 @@ fn energy_is_the_sum_over_all_pairs() {
 // ---------------------------------------------------------------------------------------------------------------------
 // Conservation
 
-/// Four bodies of different sizes that stay where they are: merged, core and apart pairs, all in reach of each other.
+/// Four bodies of different sizes that stay in place: merged, core and apart pairs, all within reach of each other.
 fn still_company(weight: &str, damping: f64, divided: f64) -> World {
     let text = format!(
         r#"
@@ -414,8 +414,8 @@ motion = {{ fixed = [-0.2, 0.6, -0.3] }}
     world
 }
 
-/// The largest distance of the energy from its first value, and the largest rise from one step to the next, both over
-/// the energy that was set free: the largest kinetic energy.
+/// The largest deviation of the energy from its initial value, and the largest rise from one step to the next, both
+/// relative to the energy released: the largest kinetic energy.
 fn drift_and_rise(world: &mut World) -> (f64, f64) {
     let (first, mut before) = (world.energy().total(), world.energy().total());
     let (mut drift, mut rise, mut kinetic) = (0.0, 0.0, 0.0);
@@ -433,7 +433,7 @@ fn drift_and_rise(world: &mut World) -> (f64, f64) {
 
 #[test]
 fn energy_is_constant_without_damping() {
-    // Measured with steps of dt, dt/2, dt/4, dt/8, in parts of the largest kinetic energy: fourth order or better, down
+    // Measured with steps of dt, dt/2, dt/4, dt/8, relative to the largest kinetic energy: fourth order or better, down
     // to the rounding of the sum.
     for (weight, measured) in
         [("linear", [1.6e-9, 2.2e-11, 6.3e-13, 2.3e-13]), ("wendland", [3.6e-9, 1.1e-10, 3.3e-12, 4.5e-13])]
@@ -446,8 +446,8 @@ fn energy_is_constant_without_damping() {
     }
 }
 
-/// Whether each error is smaller than the one before by a factor of at least `by`, as at second order, as long as there
-/// is more of it than `rounding`.
+/// Whether each error is smaller than the previous one by a factor of at least `by`, as at second order, until it falls
+/// below `rounding`.
 fn shrinks(errors: &[f64], by: f64, rounding: f64) -> bool {
     errors.windows(2).all(|pair| pair[0] >= by * pair[1] || pair[1] <= rounding)
 }
@@ -457,7 +457,7 @@ fn energy_never_grows_with_damping() {
     for weight in ["linear", "wendland"] {
         for damping in [0.1, 1.5, 12.0, 100.0] {
             let (_, rise) = drift_and_rise(&mut still_company(weight, damping, 1.0));
-            // Measured: 0 but for Wendland's weight with damping 12, 9.3e-13, once it rests: the rounding of the sum.
+            // Measured: 0, except 9.3e-13 for Wendland's weight with damping 12 once it rests: the rounding of the sum.
             assert!(rise <= 1.4e-12, "{weight}, {damping}: {rise:e}");
         }
     }
@@ -466,7 +466,7 @@ fn energy_never_grows_with_damping() {
 // ---------------------------------------------------------------------------------------------------------------------
 // A body's own motion
 
-/// A lone body with the given further lines, simulated for 3 s with steps of dt / `divided`.
+/// A single body with the given further lines, simulated for 3 s with steps of dt / `divided`.
 fn lone(lines: &str, divided: u64) -> World {
     let mut scene = scene(&format!(
         "duration = 3.0\n[[body]]\nname = \"a\"\nradius = 0.7\nshape = {{ sphere = {{ stacks = 3, slices = 4 }} }}\n{lines}\n"
@@ -475,7 +475,7 @@ fn lone(lines: &str, divided: u64) -> World {
     World::new(scene).expect("fits")
 }
 
-/// Steps to the end and returns the largest distance of any displacement from `expected(t)` at the end of any step.
+/// Steps to the end; returns the largest distance of any displacement from `expected(t)` at the end of any step.
 fn worst_displacement(world: &mut World, expected: impl Fn(f64) -> DVec3) -> f64 {
     let mut worst = 0.0;
     for _ in 0..world.scene().steps() {
@@ -490,7 +490,7 @@ fn worst_displacement(world: &mut World, expected: impl Fn(f64) -> DVec3) -> f64
     worst
 }
 
-/// x and x′ at t of the force-free oscillator from (x0, u0), underdamped: the formula of the textbooks.
+/// x and x′ at t of the force-free oscillator from (x0, u0), underdamped, by the textbook formula.
 fn free(omega: f64, kappa: f64, t: f64, x0: f64, u0: f64) -> (f64, f64) {
     let nu = (omega * omega - kappa * kappa).sqrt();
     let (sin, cos) = (nu * t).sin_cos();
@@ -536,13 +536,13 @@ fn an_inertial_body_wobbles_as_a_driven_oscillator() {
     // Measured: 5.6e-12, 8.7e-14, 1.3e-15; the largest displacement is 0.15.
     assert!(errors[0] <= 8e-12 && shrinks(&errors, 3.9, 1e-15), "{errors:?}");
 
-    // Steady motion is not felt, and wakes nobody.
+    // Steady motion has no effect and wakes nothing.
     let mut world = lone(LINE, 1);
     assert_eq!(worst_displacement(&mut world, |_| DVec3::ZERO), 0.0);
     assert!(world.body(0).is_at_rest());
 }
 
-/// Between keys the acceleration is linear in time, and so is the force: the steps, divided at the keys, are exact.
+/// Between keys the acceleration, and hence the force, is linear in time: steps, divided at the keys, are exact.
 #[test]
 fn an_inertial_body_on_keyframes_is_exact() {
     let (omega, kappa) = (12.0, 1.5);
@@ -577,7 +577,7 @@ fn an_inertial_body_on_keyframes_is_exact() {
     }
 }
 
-/// A body that moves steadily and feels the drag of the world lags by 2κv/ω² in the end.
+/// A body that moves steadily through a world with drag ends up lagging by 2κv/ω².
 #[test]
 fn a_body_of_the_world_lags_behind_its_steady_motion() {
     let (omega, kappa, v) = (12.0, 1.5, dvec3(0.5, -0.2, 0.1));
@@ -587,7 +587,7 @@ fn a_body_of_the_world_lags_behind_its_steady_motion() {
     // Measured: 1.9e-17, of a lag of 0.011.
     assert!(error <= 2.9e-17, "{error:e}");
 
-    // The drag is constant, so the step's size does not matter: a hundred seconds in 7 steps.
+    // The drag is constant, so the step size does not matter: a hundred seconds in 7 steps.
     let mut scene = scene(&format!("duration = 100\n[[body]]\nname = \"a\"\nradius = 1\n{lines}"));
     scene.dt = 100.0 / 7.0;
     let mut world = World::new(scene).expect("fits");
@@ -615,8 +615,8 @@ fn a_body_of_the_world_wobbles_as_an_oscillator_driven_by_acceleration_and_drag(
 // ---------------------------------------------------------------------------------------------------------------------
 // Pushes
 
-/// Windows that begin and end inside of steps, on their ends, within one step, over one another, before and after the
-/// end of the run.
+/// Time windows that begin and end within steps, at step ends, within one step, overlapping each other, before and
+/// after the end of the run.
 #[test]
 fn pushes_have_their_closed_form_whatever_their_window() {
     let windows = [
@@ -651,7 +651,7 @@ fn pushes_have_their_closed_form_whatever_their_window() {
         for _ in 0..world.scene().steps() {
             world.step();
             let (t, body) = (world.time(), world.body(0));
-            // a constant force from t₀ on: x = F/ω² (1 − the oscillator let go at 1)
+            // a constant force from t₀ on: x = F/ω² (1 − the oscillator released at 1)
             let since = |t0: f64| if t > t0 { (1.0 - free(12.0, kappa, t - t0, 1.0, 0.0).0) / 144.0 } else { 0.0 };
             let felt: Vec<f64> = pushes.iter().map(|push| since(push.start) - since(push.end())).collect();
             for v in 0..body.vertex_count() {
@@ -669,8 +669,8 @@ fn pushes_have_their_closed_form_whatever_their_window() {
 // ---------------------------------------------------------------------------------------------------------------------
 // Far from the origin
 
-/// The position of a centre is rounded to 1.2e-10 a million units from the origin, and so is the distance of two. A
-/// vertex feels that times s/ω² ≈ 0.7; an event is displaced by it over the speed of approach.
+/// A million units from the origin, the position of a centre is rounded to 1.2e-10, and so is the distance of two. The
+/// effect on a vertex is that times s/ω² ≈ 0.7; an event is shifted by it divided by the speed of approach.
 #[test]
 fn a_scene_far_from_the_origin_is_the_same_scene() {
     let keys = [(0.0, dvec3(0.5, 2.5, 0.0)), (1.0, dvec3(0.4, 1.6, 0.2)), (2.2, dvec3(0.0, 2.6, 0.0))];

@@ -1,5 +1,5 @@
-//! Recordings read back through the SDK's dataframe API and compared with the state in memory, entity by entity: a
-//! second world that nobody records takes the same steps beside.
+//! Recordings are read back through the SDK's dataframe API and compared entity by entity with the state in memory: a
+//! second, unrecorded world takes the same steps alongside.
 
 use std::{
     collections::{BTreeMap, BTreeSet, HashSet},
@@ -51,7 +51,7 @@ pub struct Recording {
     engine: QueryEngine<StorageEngine>,
 }
 
-/// What an entity has at an instant.
+/// The values of an entity at an instant.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Row {
     /// On the timeline `step`.
@@ -63,13 +63,13 @@ pub struct Row {
 }
 
 impl Recording {
-    /// The recording in a file, which must hold that one and its blueprint.
+    /// Opens the recording in a file, which must hold exactly one recording and its blueprint.
     pub fn open(path: &Path) -> Recording {
         let file = File::open(path).expect("a file");
         Recording::read(file)
     }
 
-    /// The same from anything that can be read.
+    /// The same from any reader.
     pub fn read(bytes: impl std::io::Read) -> Recording {
         let stores = ChunkStore::handle_from_rrd_reader(&ChunkStoreConfig::ALL_DISABLED, bytes).expect("a recording");
         let (mut recordings, blueprints): (Vec<_>, Vec<_>) = stores.into_iter().partition(|(id, _)| id.is_recording());
@@ -79,12 +79,12 @@ impl Recording {
         Recording { id, engine: QueryEngine::from_store(store.clone()), store }
     }
 
-    /// Every entity.
+    /// All entities.
     pub fn entities(&self) -> BTreeSet<EntityPath> {
         self.store.read().all_entities_sorted()
     }
 
-    /// Every timeline, and whether it is a sequence or a duration.
+    /// All timelines, each with its kind: sequence or duration.
     fn timelines(&self) -> BTreeSet<String> {
         let timelines = self.store.read().schema().timelines();
         timelines.values().map(|timeline| format!("{} {}", timeline.name(), timeline.typ())).collect()
@@ -126,7 +126,7 @@ impl Recording {
         rows
     }
 
-    /// What an entity has for all times.
+    /// The static values of an entity.
     pub fn fixed(&self, entity: &str) -> Row {
         let include_static_columns = StaticColumnSelection::StaticOnly;
         let mut rows = self.query(entity, QueryExpression { include_static_columns, ..QueryExpression::default() });
@@ -134,7 +134,7 @@ impl Recording {
         rows.pop().unwrap_or_default()
     }
 
-    /// What an entity was logged at the steps at which it was, nothing filled in.
+    /// The values of an entity at the steps at which it was logged, without filling in.
     pub fn changes(&self, entity: &str) -> Vec<Row> {
         let expression = QueryExpression {
             include_static_columns: StaticColumnSelection::NonStaticOnly,
@@ -144,7 +144,7 @@ impl Recording {
         self.query(entity, expression)
     }
 
-    /// What an entity has at each of the steps, as the viewer shows it: its latest values, static ones included.
+    /// The values of an entity at each of the steps, as the viewer shows them: the latest, static ones included.
     pub fn held(&self, entity: &str, steps: impl IntoIterator<Item = u64>) -> Vec<Row> {
         let expression = QueryExpression {
             filtered_index: Some(TimelineName::from("step")),
@@ -155,7 +155,7 @@ impl Recording {
         self.query(entity, expression)
     }
 
-    /// Every row of an entity that is not static, by row id: what a dataframe has one row an instant of.
+    /// Every non-static row of an entity, by row id; a dataframe shows one row per instant.
     pub fn rows(&self, entity: &EntityPath) -> Vec<(RowId, Row)> {
         let mut rows = Vec::new();
         let store = self.store.read();
@@ -176,12 +176,12 @@ impl Recording {
         rows
     }
 
-    /// The text of a property of the recording.
+    /// A text property of the recording.
     pub fn property(&self, name: &str) -> String {
         self.fixed("/__properties/meldscope").text(name)
     }
 
-    /// The number of steps in the recording's properties.
+    /// The number of steps, from the recording's properties.
     pub fn steps(&self) -> f64 {
         self.fixed("/__properties/meldscope").get::<Float64>("steps")[0].0
     }
@@ -199,7 +199,7 @@ impl From<&ArrayRef> for TimeTicks {
 }
 
 impl Row {
-    /// A component as the SDK reads it; nothing if there is none, or none of it.
+    /// A component, deserialised by the SDK; empty if there is none.
     pub fn get<T: Loggable>(&self, component: &str) -> Vec<T> {
         self.cells.get(component).map_or_else(Vec::new, |cell| T::from_arrow(cell).expect("what its archetype says"))
     }
@@ -234,7 +234,7 @@ impl Row {
 
 // ---- making --------------------------------------------------------------------------------------------------------
 
-/// A directory that goes away again.
+/// A temporary directory, removed on drop.
 pub struct Dir(PathBuf);
 
 impl Dir {
@@ -269,7 +269,7 @@ impl Drop for Dir {
     }
 }
 
-/// A run and what was recorded of it.
+/// A run and its recording.
 struct Run {
     scene: Scene,
     settings: Settings,
@@ -281,7 +281,7 @@ impl Run {
         Run::with(scene, Settings::of(scene), 64)
     }
 
-    /// Records into a file; messages are taken every so many steps.
+    /// Records into a file; messages are taken at this interval of steps.
     fn with(scene: &Scene, settings: Settings, taken_every: u64) -> Run {
         let dir = Dir::new();
         let path = dir.file("run.rrd");
@@ -308,12 +308,12 @@ impl Run {
         self.settings.steps.expect("an end")
     }
 
-    /// The steps of which there are frames.
+    /// The steps that have frames.
     fn frames(&self) -> Vec<u64> {
         (0..=self.steps()).filter(|step| step % self.settings.every == 0).collect()
     }
 
-    /// A world of the same scene that nobody records, at every step.
+    /// Visits every step of an unrecorded world of the same scene.
     fn walk(&self, mut look: impl FnMut(&World)) {
         let mut world = World::new(self.scene.clone()).expect("it fits");
         look(&world);
@@ -323,7 +323,7 @@ impl Run {
         }
     }
 
-    /// The same at the frames only, with their number.
+    /// The same, at frames only, with their index.
     fn walk_frames(&self, mut look: impl FnMut(usize, &World)) {
         let mut frame = 0;
         self.walk(|world| {
@@ -342,7 +342,7 @@ impl Run {
         events
     }
 
-    /// What an entity has at each frame, and the frames at which it was logged.
+    /// The values of an entity at each frame, and the frames at which it was logged.
     fn track(&self, entity: &str) -> Track {
         let held = self.recording.held(entity, self.frames());
         assert_eq!(held.len(), self.frames().len(), "{entity}");
@@ -356,7 +356,7 @@ impl Run {
         self.walk(|world| {
             let changed = world.report().events.iter().map(|event| (event.a as usize, event.b as usize));
             let mut seen: Vec<_> = world.pairs().filter(|_| self.is_frame(world)).collect();
-            seen.sort_by(|x, y| x.q.total_cmp(&y.q)); // of those that come together the closest first
+            seen.sort_by(|x, y| x.q.total_cmp(&y.q)); // of those that appear together, the closest first
             let seen = seen.into_iter().map(|pair| (pair.a, pair.b));
             for pair in changed.chain(seen) {
                 if pairs.len() < self.settings.pairs && !pairs.contains(&pair) {
@@ -379,14 +379,14 @@ impl Run {
 /// An entity at every frame.
 struct Track {
     entity: String,
-    /// What the viewer shows, by frame.
+    /// The values that the viewer shows, by frame.
     held: Vec<Row>,
-    /// What was logged, by step.
+    /// The values that were logged, by step.
     changes: BTreeMap<u64, Row>,
 }
 
 impl Track {
-    /// Whether any of these components was logged at a step; all of them were, then.
+    /// Whether any of these components was logged at a step; if so, all of them must have been.
     fn logged(&self, step: u64, components: &[&str]) -> bool {
         let has = |component: &&str| self.changes.get(&step).is_some_and(|row| row.has(component));
         let any = components.iter().any(has);
@@ -395,7 +395,7 @@ impl Track {
     }
 }
 
-/// A time as recordings have it.
+/// A time in the units of a recording.
 fn nanoseconds(time: f64) -> i64 {
     (time * 1e9).round() as i64
 }
@@ -408,10 +408,10 @@ fn color([r, g, b]: palette::Rgb) -> Rgba32 {
     Rgba32::from_rgb(r, g, b)
 }
 
-// ---- what is compared ----------------------------------------------------------------------------------------------
+// ---- comparison ----------------------------------------------------------------------------------------------------
 
 impl Run {
-    /// All of it.
+    /// Verifies everything.
     fn verify(&self) {
         self.verify_entities();
         self.verify_rows();
@@ -434,7 +434,7 @@ impl Run {
         self.verify_timings();
     }
 
-    /// The entities of the contract, and no others.
+    /// Exactly the specified entities exist.
     fn verify_entities(&self) {
         let mut entities = vec!["/__properties".to_owned(), "/__properties/meldscope".to_owned()];
         entities.extend(["/about", "/checksum", "/world", "/world/influence"].map(str::to_owned));
@@ -474,7 +474,7 @@ impl Run {
         assert!(about.contains(&self.scene.name), "{about}");
     }
 
-    /// Rows are at the frames, and at the exact times of events where events are told of; none hides another.
+    /// Rows are at the frames and, for events, at their exact times; no row hides another.
     fn verify_rows(&self) {
         let timelines = ["sim_time duration", "step sequence"].map(str::to_owned);
         assert_eq!(self.recording.timelines(), timelines.into());
@@ -484,7 +484,7 @@ impl Run {
             for (_, row) in self.recording.rows(&entity) {
                 if path == "/checksum" || path == "/events" || (path.starts_with("/pairs/") && path.ends_with("/phase"))
                 {
-                    continue; // below
+                    continue; // checked below
                 }
                 assert!(
                     (row.step as u64).is_multiple_of(self.settings.every) && row.step as u64 <= self.steps(),
@@ -529,7 +529,7 @@ impl Run {
         }
     }
 
-    /// One for every step, recorded or not.
+    /// A checksum for every step, recorded or not.
     fn verify_checksums(&self) {
         let mut found = self.recording.rows(&EntityPath::from("/checksum")).into_iter();
         self.walk(|world| {
@@ -541,7 +541,7 @@ impl Run {
         assert!(found.next().is_none());
     }
 
-    /// One transform and one mesh a body.
+    /// One transform and one mesh per body.
     fn verify_bodies(&self) {
         for (index, scene) in self.scene.bodies.iter().enumerate() {
             let transform = self.track(&format!("/world/bodies/{}", scene.name));
@@ -577,7 +577,7 @@ impl Run {
         }
     }
 
-    /// Resting bodies as instances of their shapes, deformed ones in one mesh; each body is there once.
+    /// Resting bodies are instances of their shapes, deformed ones are in one mesh; each body appears once.
     fn verify_batches(&self) {
         let instances: Vec<_> =
             self.shapes().iter().map(|shape| (shape.clone(), self.track(&resting(shape)))).collect();
@@ -656,7 +656,7 @@ impl Run {
         });
     }
 
-    /// Influence spheres: each coloured by the deepest phase that it is in with a body within reach.
+    /// Influence spheres, each coloured by its body's deepest phase with any body within reach.
     fn verify_spheres(&self) {
         const CENTERS: &str = "Ellipsoids3D:centers";
         const COLORS: &str = "Ellipsoids3D:colors";
@@ -692,7 +692,7 @@ impl Run {
         });
     }
 
-    /// In a batch, the influence spheres of bodies within reach of another, with the pairs.
+    /// In a batch, the influence spheres of bodies within reach of another are with the pairs.
     fn verify_reaching_spheres(&self) {
         let track = self.track("/world/pairs");
         self.walk_frames(|frame, world| {
@@ -716,7 +716,7 @@ impl Run {
         });
     }
 
-    /// Arrows for exactly the vertices that feel a force.
+    /// Arrows for exactly the vertices that a force acts on.
     fn verify_forces(&self) {
         const ORIGINS: &str = "Arrows3D:origins";
         const VECTORS: &str = "Arrows3D:vectors";
@@ -730,7 +730,7 @@ impl Run {
                 world.forces(index, &mut forces);
                 for (cause, (origins, vectors)) in Cause::ALL.into_iter().zip(&mut arrows) {
                     for (vertex, force) in forces.of(cause).iter().enumerate() {
-                        // a force that single precision cannot tell from none gives no arrow
+                        // a force that vanishes in single precision has no arrow
                         let vector = (scale * force).as_vec3();
                         if vector != Vec3::ZERO {
                             origins.push(body.position(vertex).as_vec3());
@@ -750,7 +750,7 @@ impl Run {
         });
     }
 
-    /// What each vertex says of itself: its displacement, the force on it, what reaches it.
+    /// The values of each vertex: its displacement, the force on it, the influence that reaches it.
     fn verify_vertices(&self) {
         if self.settings.entities == Entities::Batch {
             return;
@@ -788,7 +788,7 @@ impl Run {
         }
     }
 
-    /// Lines between the centres of pairs within reach, the closest, labelled and coloured.
+    /// Labelled and coloured lines between the centres of the closest pairs within reach.
     fn verify_lines(&self) {
         let track = self.track("/world/pairs");
         self.walk_frames(|frame, world| {
@@ -859,7 +859,7 @@ impl Run {
         }
     }
 
-    /// Each event once, in order, at its exact time and at the step that felt it.
+    /// Each event once, in order, at its exact time and at the step that it affects.
     fn verify_events(&self) {
         let events = self.events();
         let rows = self.recording.rows(&EntityPath::from("/events"));
@@ -902,7 +902,7 @@ impl Run {
 
     fn verify_diagnostics(&self) {
         let mut lines = DIAGNOSTICS.map(|_| BTreeMap::new());
-        // what the integrator reports is that of all steps since the last frame
+        // integrator statistics cover all steps since the last frame
         let (mut substeps, mut error) = (0, 0.0);
         self.walk(|world| {
             substeps += world.report().substeps;
@@ -933,7 +933,7 @@ impl Run {
         }
     }
 
-    /// A number for each stage at every frame after the first.
+    /// A value for each stage at every frame after the first.
     fn verify_timings(&self) {
         for stage in TIMINGS {
             let rows = self.recording.changes(&format!("/timings/{stage}"));
@@ -953,8 +953,8 @@ impl Run {
         assert!(speed.iter().all(|row| row.scalar().is_some_and(|speed| speed > 0.0)));
     }
 
-    /// A line of a plot that should have these values at these steps: it has them at every one of them, repeats a value
-    /// only where the line needs that, and breaks off at frames without a value.
+    /// Verifies a plot line that should have these values at these steps: it has every one of them, repeats a value
+    /// only where the line needs it, and is interrupted at frames without a value.
     fn verify_line(&self, entity: &str, line: Line, values: &BTreeMap<u64, f64>) {
         let track = self.track(entity);
         let (frames, mut rows) = (self.frames(), track.changes.len());
@@ -992,7 +992,7 @@ impl Run {
         assert_eq!(rows, 0, "{entity} is logged at frames only");
     }
 
-    /// Every shape once.
+    /// Every distinct shape.
     fn shapes(&self) -> Vec<Shape> {
         let mut shapes: Vec<Shape> = Vec::new();
         for body in &self.scene.bodies {
@@ -1013,14 +1013,14 @@ const TRANSLATION: &str = "Transform3D:translation";
 const POSITIONS: &str = "Mesh3D:vertex_positions";
 const NORMALS: &str = "Mesh3D:vertex_normals";
 
-/// How a line of a plot runs from one value to the next.
+/// The interpolation of a plot line between values.
 #[derive(Clone, Copy, PartialEq)]
 enum Line {
-    /// Straight.
+    /// Linear.
     Straight,
-    /// Level until the next value.
+    /// Constant until the next value.
     Level,
-    /// Level, and never anything new: repeated now and then, so that it keeps up with a plot that is looked at live.
+    /// Constant throughout: repeated now and then, so that it keeps up with a live plot.
     Threshold,
 }
 
@@ -1033,7 +1033,7 @@ fn triangles(mesh: &Row) -> Vec<[u32; 3]> {
     mesh.get::<UVec3D>("Mesh3D:triangle_indices").into_iter().map(|triangle| triangle.0).collect()
 }
 
-/// The same values; says where they first differ, not all of them.
+/// Asserts equality; reports only the first difference.
 fn assert_same<T: PartialEq + std::fmt::Debug>(found: &[T], expected: &[T], at: &str) {
     assert_eq!(found.len(), expected.len(), "{at}");
     let differs = found.iter().zip(expected).position(|(found, expected)| found != expected);
@@ -1042,7 +1042,7 @@ fn assert_same<T: PartialEq + std::fmt::Debug>(found: &[T], expected: &[T], at: 
     }
 }
 
-/// The sums of the areas of the triangles around each vertex, normalised.
+/// The normalised sums of the area vectors of the triangles around each vertex.
 fn area_normals(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<DVec3> {
     let mut areas = vec![DVec3::ZERO; positions.len()];
     for corners in triangles {
@@ -1053,7 +1053,7 @@ fn area_normals(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<DVec3> {
     areas.into_iter().map(DVec3::normalize).collect()
 }
 
-/// Normals are of unit length, and those of the area around each vertex.
+/// Normals have unit length and are area-weighted.
 fn verify_normals(body: &BodyView<'_>, normals: &[Vec3], at: &str) {
     let positions: Vec<DVec3> = (0..body.vertex_count()).map(|i| body.local_position(i)).collect();
     let expected = area_normals(&positions, body.mesh().triangles());
@@ -1086,7 +1086,8 @@ fn size_ratio_is_recorded_as_it_is() {
     Run::new(&builtin("size_ratio")).verify();
 }
 
-/// Two bodies that pass through each other, so through every phase, and one that is never touched; names of all kinds.
+/// Two bodies that pass through each other, and hence through every phase, and one that is never touched; unusual
+/// names.
 fn crossing() -> Scene {
     let text = r#"
         name = "crossing/../[x]"
@@ -1146,7 +1147,7 @@ fn forces_are_left_out_when_not_wanted() {
     assert!(run.recording.entities().iter().all(|entity| !entity.to_string().contains("forces")));
 }
 
-/// A body that passes through a lattice of others, which are back at rest soon after.
+/// A body that passes through a lattice of others, which soon come back to rest.
 fn lattice(spacing: f64) -> Scene {
     let mut text = r#"
         name = "lattice"
@@ -1183,7 +1184,7 @@ fn many_bodies_are_recorded_in_few_entities() {
     let pair_entities = run.recording.entities().iter().filter(|e| e.to_string().starts_with("/pairs/")).count();
     assert!(run.recording.entities().len() - pair_entities <= 60);
 
-    // bodies are touched, deform and come to rest again
+    // bodies are touched, deform, and come to rest again
     let mut deformed = Vec::new();
     for row in run.recording.changes("/world/deforming/surface").iter().filter(|row| row.has("body")) {
         deformed.push(row.texts("body").iter().collect::<BTreeSet<_>>().len());
@@ -1234,7 +1235,7 @@ pub fn content(recording: &Recording) -> BTreeMap<EntityPath, (Row, Vec<(RowId, 
 #[test]
 fn equal_runs_give_equal_data() {
     for scene in [crossing(), Scene { duration: 1.0, ..lattice(2.6) }] {
-        // how often a run sends what it has depends on the machine
+        // how often a run sends its data depends on the machine
         let [one, other] = [64, 5].map(|taken_every| Run::with(&scene, Settings::of(&scene), taken_every).recording);
         assert_eq!(one.id, other.id);
         let (one_content, other_content) = (content(&one), content(&other));
@@ -1247,7 +1248,7 @@ fn equal_runs_give_equal_data() {
     }
 }
 
-/// The stages of steps are on a timeline of their own, from the state before to the state after.
+/// The stages of steps are on their own timeline, from the state before the step to the state after it.
 #[test]
 fn the_inside_of_steps_is_recorded_beside_them() {
     let scene = builtin("two");
@@ -1278,7 +1279,7 @@ fn the_inside_of_steps_is_recorded_beside_them() {
         assert_eq!(names[..3], ["start", "influence forces", "after the flow alone"]);
         assert_eq!(names[names.len() - 1], "end");
         assert_eq!(names.iter().any(|name| name.starts_with("merge a~b")), step == 84, "{names:?}");
-        // what is held at the first stage and at the last are the frames before and after
+        // the values at the first stage and at the last are the frames before and after
         for (stage, frame) in [(of_step[0].0, step - 1), (of_step[of_step.len() - 1].0, step)] {
             let held = positions.range(..=stage).next_back().expect("a surface").1;
             let frame = run.recording.held("/world/bodies/b/surface", [frame]);
@@ -1287,7 +1288,7 @@ fn the_inside_of_steps_is_recorded_beside_them() {
     }
 }
 
-/// Plots of times get their ranges when it is known what is typical; the layout is then made active again.
+/// Plots of timings get their ranges once typical values are known; the blueprint is then made active again.
 #[test]
 fn a_file_ends_with_the_ranges_of_its_plots_of_times() {
     let scene = builtin("two");
@@ -1311,7 +1312,7 @@ fn a_file_ends_with_the_ranges_of_its_plots_of_times() {
         assert!(chunk.components().keys().any(|component| component.as_str() == "ScalarAxis:range"), "{chunk:?}");
         assert!(views.insert(chunk.entity_path().to_string()));
     }
-    // those of what the simulation does, of what it costs to look, of recording, and the one in the first tab
+    // the plots of simulation, observation and recording costs, and the one in the first tab
     assert!((3..=4).contains(&views.len()), "{views:?}"); // nothing is waited for here
 
     let thin = Settings { frames: Frames::Thin, ..settings };

@@ -1,5 +1,5 @@
 //! Positions and event times against independent solutions: SciPy's DOP853 in double precision, restarted at every
-//! jump, accurate to 1e-9 of a radius.
+//! discontinuity, accurate to 1e-9 of a radius.
 
 use std::{collections::BTreeMap, path::PathBuf};
 
@@ -75,11 +75,11 @@ impl Reference {
 /// Errors with steps of dt, dt/2, dt/4, dt/8.
 type Errors = [f64; 4];
 
-/// The errors measured. Results are a function of the scene alone, to the bit, so the bound is tight: a twentieth above
-/// what is written here.
+/// The measured errors. Results depend on the scene alone, to the bit, so the bound is tight: 5 % above these values.
 const MEASURED: [(&str, [(Integrator, Errors); 5]); 4] = [
-    // A push begins and ends inside of steps: whoever doesn't divide the step there is off by up to a step's worth of
-    // it, in Verlet and Runge-Kutta as in Euler, and irregularly, by where in the step the edges fall.
+    // A push begins and ends within steps. An integrator that does not divide the step there is off by up to one step's
+    // share of the push. This holds for Verlet and Runge-Kutta as for Euler, and varies irregularly with where in the
+    // step the edges fall.
     (
         "push",
         [
@@ -90,7 +90,7 @@ const MEASURED: [(&str, [(Integrator, Errors); 5]); 4] = [
             (Integrator::Rk4, [4.473e-3, 6.489e-3, 1.117e-3, 1.631e-3]),
         ],
     ),
-    // A merge and a split inside of steps, the same.
+    // Likewise, a merge and a split within steps.
     (
         "two",
         [
@@ -123,13 +123,12 @@ const MEASURED: [(&str, [(Integrator, Errors); 5]); 4] = [
     ),
 ];
 
-/// The order of convergence that errors with steps of dt, dt/2, dt/4, dt/8 show from the first to the last.
+/// The order of convergence, from the first to the last of the errors with steps of dt, dt/2, dt/4, dt/8.
 fn order(errors: Errors) -> f64 {
     (errors[0] / errors[3]).log2() / 3.0
 }
 
-/// With the scene's step and with shorter ones: down to the accuracy of the reference, so that no order is left to see
-/// here.
+/// With the scene's step size and smaller: down to the accuracy of the reference, so that no order can be observed.
 #[test]
 fn exponential_has_the_accuracy_of_the_reference() {
     // Measured: 1.06e-9, 1.07e-9, 1.08e-9, 1.08e-9; 6.9e-10, 6.9e-10, 6.8e-10, 6.8e-10; four times 1.63e-10.
@@ -139,7 +138,7 @@ fn exponential_has_the_accuracy_of_the_reference() {
     }
 }
 
-/// Pushes are constant in time between their edges, and steps are divided there: nothing is approximated.
+/// Pushes are constant between their edges, and steps are divided there, so nothing is approximated.
 #[test]
 fn exponential_is_exact_for_pushes() {
     // Measured: 5.1e-15, 5.3e-15, 5.1e-15, 7.7e-15; the reference itself has 15 digits.
@@ -168,11 +167,11 @@ fn the_explicit_schemes_err_as_measured() {
     }
 }
 
-/// (3.6)–(3.10) as printed are no scheme for (3.2): smaller steps lead to something else.
+/// (3.6)–(3.10) as printed are not consistent with (3.2): smaller steps converge to something else.
 #[test]
 fn the_thesis_scheme_does_not_converge() {
-    // Measured, dt/8 against dt: push 0.946, two 0.883, three 0.996, size_ratio 1.22; against dt/2: 0.985, 0.983, 0.976,
-    // 1.093. What is left at dt/8 is the error of the equation that it converges to.
+    // Measured, dt/8 relative to dt: push 0.946, two 0.883, three 0.996, size_ratio 1.22; relative to dt/2: 0.985,
+    // 0.983, 0.976, 1.093. The rest at dt/8 is the error of the equation that it converges to.
     for name in ["push", "two", "three", "size_ratio"] {
         let errors = Reference::load(name).errors(Integrator::Thesis);
         assert!(errors[3] >= 0.88 * errors[0] && errors[3] >= 0.97 * errors[1], "{name}: {errors:?}");

@@ -1,4 +1,4 @@
-//! Recordings that are run again, scenes that are checked, recordings that are compared: as a library and as a program.
+//! Replay, check and diff, as a library and as a program.
 
 use std::{
     fs,
@@ -24,7 +24,7 @@ use meldscope::{
 
 use crate::recording::{Dir, Recording};
 
-/// Records `played`, whatever its text says: as another version of the program would have.
+/// Records `played` under whatever scene text it carries, as another version of the program would have.
 fn record(path: &Path, played: &Scene, settings: Settings) {
     record_with(path, played, Options::default(), settings);
 }
@@ -52,7 +52,7 @@ fn two() -> Scene {
     Scene::builtin("two").expect("built in")
 }
 
-/// The program: its status, and what it printed on both.
+/// Runs the program; returns its status, standard output and standard error.
 fn meldscope(dir: &Dir, arguments: &[&str]) -> (i32, String, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_meldscope"))
         .args(arguments)
@@ -116,7 +116,7 @@ fn a_divergence_is_named_with_step_body_vertex_and_both_values() {
         [("body", meldscope::stream::settings::Entities::Body), ("batch", meldscope::stream::settings::Entities::Batch)]
     {
         let mut played = two();
-        played.influence.alpha *= 1.01; // felt from the merge in step 84 on
+        played.influence.alpha *= 1.01; // in effect from the merge in step 84 on
         let settings = Settings { entities, ..Settings::of(&played) };
         record(&path, &played, settings);
         let recorded = Recorded::open(&path).expect("a recording");
@@ -127,7 +127,7 @@ fn a_divergence_is_named_with_step_body_vertex_and_both_values() {
         let worst = divergence.worst(&recorded).expect("it can be read").expect("it shows");
         assert_eq!(worst.step, 84, "{name}");
 
-        // by hand
+        // computed by hand
         let (mut was, mut is) = (World::new(played).expect("it fits"), World::new(two()).expect("it fits"));
         for _ in 0..84 {
             was.step();
@@ -222,13 +222,13 @@ fn replay_usage_errors_have_status_2() {
     assert_eq!(dir.names(), ["a.rrd"]);
 }
 
-/// Thousands of steps, whose checksums come in many rows, and hundreds of bodies. (What a replay costs,
-/// `meldscope bench record` measures.)
+/// Thousands of steps, with checksums in many rows, and hundreds of bodies. (`meldscope bench record` measures the cost
+/// of a replay.)
 #[test]
 fn long_and_crowded_thin_recordings_are_replayed() {
     let dir = Dir::new();
     let path = dir.file("thin.rrd");
-    // in this one two bodies meet and part every four seconds
+    // in this scene two bodies meet and separate every four seconds
     let two = Scene::load(&project().join("tests/reference/two.toml")).expect("a scene");
     let two = Scene { duration: 100.0, ..two };
     for scene in [two, Scene::builtin("crowd").expect("built in")] {
@@ -269,14 +269,14 @@ fn a_flight_recorder_holds_the_frames_before_what_happens() {
     assert!(said.contains("saved three.rrd: 13 frames"), "each window once: steps 80, 81, 170, 178, 185: {said}");
 }
 
-/// Stages are of steps, and a flight recorder holds frames.
+/// Stages describe steps, but a flight recorder holds frames.
 #[test]
 fn a_flight_recorder_refuses_stages_and_says_how_to_get_them() {
     let dir = Dir::new();
     let said = fails(&dir, 2, &["run", "two", "--keep", "10", "--on", "split", "--detail", "stages"]);
     assert!(said.contains("--keep") && said.contains("meldscope replay F.rrd --save G.rrd --from STEP"), "{said}");
     assert!(dir.names().is_empty());
-    // as it says
+    // as the error message suggests
     succeeds(&dir, &["run", "two", "--keep", "10", "--on", "split", "--save", "split.rrd"]);
     let range = ["--from", "198", "--to", "199", "--detail", "stages"];
     succeeds(&dir, &[&["replay", "split.rrd", "--save", "inside.rrd"] as &[_], &range].concat());
@@ -289,7 +289,7 @@ fn project() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// The golden recordings of this repository, on every number of threads.
+/// The golden recordings of this repository, with any number of threads.
 #[test]
 fn the_scenes_of_this_repository_are_as_they_were() {
     let dir = Dir::new();
@@ -328,7 +328,7 @@ fn a_planted_bit_is_found_and_named() {
     };
     assert!(difference.is_tolerable() && difference.is_within_tolerance && difference.events.is_empty());
 
-    // the first state that differs, by hand
+    // the first state that differs, computed by hand
     let (mut was, mut is) = (World::new(two()).expect("it fits"), World::new(planted).expect("it fits"));
     let state = |world: &World| {
         let bodies = world.bodies();
@@ -453,7 +453,7 @@ fn two_ways_to_run_a_scene_are_compared() {
     }
 }
 
-/// Every line has a point in every frame that was kept, and none from one window to the next.
+/// Every line has a point in every frame that was kept, and no line connects one window to the next.
 #[test]
 fn a_flight_recorder_keeps_whole_lines() {
     let dir = Dir::new();
@@ -481,12 +481,12 @@ fn a_flight_recorder_keeps_whole_lines() {
             assert_eq!((&points, &ends[..]), (&windows, &gaps[..]), "{line}");
         }
         assert!(points.iter().all(|step| windows.contains(step)), "{line}: {points:?}");
-        // a pair that is within reach at the end of a window is no more after it
+        // a pair within reach at the end of a window is no longer within reach after it
         for (last, gap) in [(81, 82), (170, 171), (178, 179), (185, 186)] {
             assert!(!points.contains(&last) || ends.contains(&gap), "{line}: {points:?} {ends:?}");
         }
     }
-    // thresholds beside the distance, wherever there is one
+    // thresholds accompany the distance wherever there is one
     let steps = |entity: &str| kept.changes(entity).iter().map(|row| row.step).collect::<Vec<_>>();
     for pair in ["a~b", "b~c"] {
         assert_eq!(steps(&format!("/pairs/{pair}/merge_at")), steps(&format!("/pairs/{pair}/distance")), "{pair}");
@@ -498,7 +498,7 @@ fn a_flight_recorder_keeps_whole_lines() {
     while let Some(frame) = frames.next().expect("a recording") {
         seen.push(frame.step as i64);
     }
-    // what holds since the beginning has kept its time
+    // static values since the start keep their time
     assert_eq!((seen[0], &seen[1..]), (0, &windows[..]));
 }
 

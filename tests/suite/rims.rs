@@ -1,11 +1,11 @@
 //! Vertices that cross the rim of an influence sphere within a step, where the linear weight has a kink.
 //!
-//! Each scene is run at a coarse step and compared with itself at a step 256 times smaller, at which every crossing has
-//! many steps on either side.
+//! Each scene is run with a coarse step and compared with itself at a step size 256 times smaller, where many steps lie
+//! on either side of every crossing.
 
 use meldscope::{Scene, World};
 
-/// The largest distance of any vertex at any time of the coarse run between the two, in radii of body `a`.
+/// The largest distance of any vertex between the two runs, over all times of the coarse run, in radii of body `a`.
 fn error(motion: &str, dt: f64, alpha: f64) -> (f64, u64) {
     let text = format!(
         r#"
@@ -51,8 +51,8 @@ fn error(motion: &str, dt: f64, alpha: f64) -> (f64, u64) {
     (worst, substeps)
 }
 
-/// A sphere passes so fast that vertices enter and leave it within one step, between any two instants at which the
-/// step looks: 2 units in 1/50 of it.
+/// A sphere passes so fast that vertices enter and leave it within one step, between any two times at which the step
+/// samples it: 2 units in 1/50 of the step.
 #[test]
 fn a_vertex_that_enters_and_leaves_within_a_step() {
     let (error, substeps) = error("line = { from = [1.7, -40, 0], velocity = [0, 1000, 0] }", 0.1, 100.0);
@@ -60,7 +60,7 @@ fn a_vertex_that_enters_and_leaves_within_a_step() {
     assert!(error < 1e-8, "{error:e}");
 }
 
-/// Slow enough that the crossings of a step are of different vertices.
+/// Slow enough that the crossings within a step belong to different vertices.
 #[test]
 fn vertices_that_enter_one_by_one() {
     for speed in [0.5, 3.0, 20.0] {
@@ -70,8 +70,8 @@ fn vertices_that_enter_one_by_one() {
     }
 }
 
-/// The rim comes as near to a vertex as `gap`, touches it, or takes it in by that much, and goes away again: vertex 0 of
-/// the sphere is at (0, 0, 1), the sphere's centre passes above it at a distance of 1 + gap.
+/// The rim approaches a vertex to within `gap`, touches it, or encloses it by that much, and recedes: vertex 0 of the
+/// sphere is at (0, 0, 1), and the sphere's centre passes above it at a distance of 1 + gap.
 #[test]
 fn a_vertex_that_grazes_the_rim() {
     for gap in [1e-3, 1e-6, 1e-9, 0.0, -1e-9, -1e-6, -1e-3] {
@@ -91,7 +91,7 @@ fn a_vertex_that_starts_on_the_rim() {
     }
 }
 
-/// The attraction itself is stiff: α Δt² = 100, at which the vertices swing within a step.
+/// The attraction itself is stiff: α Δt² = 100, where the vertices oscillate within a step.
 #[test]
 fn a_stiff_attraction() {
     let (error, substeps) = error("fixed = [1.6, 0, 0]", 0.1, 1e4);

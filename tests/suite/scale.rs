@@ -1,4 +1,4 @@
-//! Cost against size: that the scenes are what they are said to be, and what is made of the measurements.
+//! Cost against scene size: the scenes are as described, and reports are made from measurements.
 
 use std::{collections::HashSet, path::PathBuf, process::Command, time::Duration};
 
@@ -18,7 +18,7 @@ fn two() -> Scene {
     Scene::builtin("two").expect("a built-in scene")
 }
 
-/// Only those move that are said to touch, in every family, and each touches its partner alone.
+/// In every family, exactly the bodies that are in contact move, and each touches only its partner.
 #[test]
 fn the_bodies_that_touch_are_those_of_the_layout() {
     for (family, bodies, pairs) in [(Family::Contact, 40, 20), (Family::Hundredth, 600, 3), (Family::Rest, 41, 1)] {

@@ -1,4 +1,4 @@
-//! The scene file as it is meant to be written, and the centre paths that it describes.
+//! The scene file format, and the centre paths that it describes.
 
 use std::f64::consts::{FRAC_PI_2, PI, SQRT_2, TAU};
 
@@ -18,7 +18,7 @@ pub const REFERENCES: &[(&str, &str)] = &[
     ("size_ratio", include_str!("../reference/size_ratio.toml")),
 ];
 
-/// Everything that a scene file can say, said.
+/// Every key that a scene file can contain.
 const EVERYTHING: &str = r#"
 name = "two"                  # [file stem]
 dt = 0.01                     # step, s [1/60]
@@ -58,7 +58,7 @@ start = 0.2                   # s
 duration = 0.1                # s
 "#;
 
-/// As little as a scene file can say.
+/// The smallest scene file.
 const LITTLE: &str = "
 duration = 4
 [[body]]
@@ -67,26 +67,26 @@ radius = 1
 motion = { fixed = [0, 0, 0] }
 ";
 
-/// The scene that `text` describes.
+/// The scene described by `text`.
 fn scene(text: &str) -> Scene {
     let scene = Scene::parse(text, "folder/file.toml").unwrap_or_else(|error| panic!("{error}\n{text}"));
     assert_valid(&scene);
     scene
 }
 
-/// The scene of one body with the given further keys.
+/// The single body of a scene with the given further keys.
 fn body(lines: &str) -> Body {
     let motion = if lines.contains("motion") { "" } else { "motion = { fixed = [0, 0, 0] }" };
     let text = format!("duration = 4\n[[body]]\nname = \"a\"\nradius = 1\n{motion}\n{lines}\n");
     scene(&text).bodies.remove(0)
 }
 
-/// The path that `motion` describes.
+/// The path described by `motion`.
 fn path(motion: &str) -> Path {
     body(&format!("motion = {motion}")).path
 }
 
-/// What every scene promises to the rest of the program.
+/// The invariants that every scene guarantees to the rest of the program.
 pub fn assert_valid(scene: &Scene) {
     let finite = |x: f64| x.abs() <= 1e15; // false for NaN
     let positive = |x: f64| finite(x) && x >= 1e-12;
@@ -447,7 +447,7 @@ fn keys_may_be_close_far_and_before_the_start() {
     }
 }
 
-/// A spline through two to seven keys, and its keys.
+/// A spline through two to seven keys, with its keys.
 fn spline() -> impl Strategy<Value = (Path, Vec<(f64, DVec3)>)> {
     let key = (0.05..2.0, -5.0..5.0, -5.0..5.0, -5.0..5.0);
     (-1.0..1.0, prop::collection::vec(key, 2..8)).prop_map(|(start, steps)| {
@@ -479,7 +479,7 @@ fn any_path() -> impl Strategy<Value = Path> {
     ]
 }
 
-/// Largest magnitude of anything that [`any_path`] does, for tolerances: a quick spline.
+/// Largest magnitude of any value that [`any_path`] produces, for tolerances: a fast spline.
 fn scale(path: &Path) -> f64 {
     let bounds = path.bounds(-10.0, 20.0);
     1.0 + bounds.speed + bounds.acceleration
@@ -488,11 +488,11 @@ fn scale(path: &Path) -> f64 {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// These four hold of one function only, the clamped cubic spline.
+    /// These four conditions hold for one function only, the clamped cubic spline.
     #[test]
     fn keyframes_make_the_clamped_cubic_spline((path, keys) in spline()) {
         let tolerance = 1e-12 * scale(&path);
-        // through the keys
+        // passes through the keys
         for &(t, position) in &keys {
             prop_assert!((path.position(t) - position).length() < tolerance);
         }
@@ -504,15 +504,15 @@ proptest! {
             let at = path.at(t);
             prop_assert_eq!((at.position, at.velocity, at.acceleration), (position, DVec3::ZERO, DVec3::ZERO));
         }
-        // position, velocity and acceleration go on at every key between
+        // position, velocity and acceleration are continuous at every inner key
         for &(t, _) in &keys[1..keys.len() - 1] {
             let [before, after] = [path.at(t.next_down()), path.at(t)];
             prop_assert!((before.position - after.position).length() < tolerance);
             prop_assert!((before.velocity - after.velocity).length() < tolerance);
-            // a step back in time of one part in 2⁵² changes the acceleration by that much of the jerk
+            // stepping back in time by one part in 2⁵² changes the acceleration by that fraction of the jerk
             prop_assert!((before.acceleration - after.acceleration).length() < 100.0 * tolerance);
         }
-        // a cubic between keys: the acceleration is linear
+        // cubic between keys: the acceleration is linear
         for pair in keys.windows(2) {
             let [from, to] = [pair[0].0, pair[1].0];
             let at = |s: f64| path.at(from + s * (to - from)).acceleration;
@@ -532,7 +532,7 @@ proptest! {
         prop_assert!((at.acceleration - acceleration).length() < tolerance, "{} {}", at.acceleration, acceleration);
     }
 
-    /// What holds just before an instant differs from what holds at it at the ends of a key path only.
+    /// The limit from before an instant differs from the value at it only at the ends of a key path.
     #[test]
     fn only_the_ends_of_a_key_path_have_two_sides(path in any_path(), t in -2.0..15.0) {
         prop_assert_eq!(path.before(t), path.at(t));
@@ -549,7 +549,7 @@ proptest! {
         }
     }
 
-    /// Nowhere in an interval is a path faster than its bounds, whether that holds keys, ends or nothing of the motion.
+    /// A path never exceeds its speed bounds in an interval, whether the interval holds keys, ends or no motion.
     #[test]
     fn bounds_bound(path in any_path(), start in -3.0..15.0, length in prop_oneof![Just(0.0), 0.0..0.1, 0.0..20.0]) {
         let end = start + length;
@@ -564,7 +564,7 @@ proptest! {
         }
     }
 
-    /// Bounds of a key path are good for root finding: over an instant they are what the path does then.
+    /// Bounds of a key path suit root finding: over an instant, they equal the path's values there.
     #[test]
     fn bounds_of_keyframes_are_tight((path, keys) in spline(), s in 0.0..1.0) {
         let [first, last] = [keys[0].0, keys[keys.len() - 1].0];

@@ -1,4 +1,4 @@
-//! `--serve` as somebody hostile uses it: who may read, who may write, and what nobody can do to the run.
+//! `--serve` against hostile clients: who may read, who may write, and what no client can do to the run.
 
 use std::io::{Read as _, Write as _};
 use std::net::{Ipv4Addr, SocketAddr, TcpStream};
@@ -18,7 +18,7 @@ const SERVICE: &str = "/rerun.sdk_comms.v1alpha1.MessageProxyService";
 
 // ---- tools ----
 
-/// Both servers within this process; the recording is one of `opening()` and 20 steps.
+/// Both servers in this process, serving `opening()` and 20 steps.
 fn serve(options: Serve) -> (Sinks, u16, u16) {
     let destinations =
         Destinations { serve: Some(Serve { web_port: 0, grpc_port: 0, ..options }), ..Destinations::default() };
@@ -41,10 +41,10 @@ fn connect(port: u16) -> TcpStream {
     stream
 }
 
-/// The head of what is answered to `request`, as far as it comes.
+/// The head of the response to `request`, as far as it arrives.
 fn ask(port: u16, request: &[u8]) -> String {
     let mut stream = connect(port);
-    // the answer may come before the whole request is taken
+    // the response may arrive before the whole request is read
     stream.write_all(request).ok();
     let (mut answer, mut bytes) = (Vec::new(), [0; 1024]);
     while !answer.windows(4).any(|end| end == b"\r\n\r\n") {
@@ -56,7 +56,7 @@ fn ask(port: u16, request: &[u8]) -> String {
     String::from_utf8_lossy(&answer).into_owned()
 }
 
-/// The status that is answered to a request with these headers; 0 if none is.
+/// The status of the response to a request with these headers; 0 if there is no response.
 fn status(port: u16, line: &str, headers: &str, body: &[u8]) -> u16 {
     let head = format!("{line} HTTP/1.1\r\n{headers}content-length: {}\r\n\r\n", body.len());
     let answer = ask(port, &[head.as_bytes(), body].concat());
@@ -65,7 +65,7 @@ fn status(port: u16, line: &str, headers: &str, body: &[u8]) -> u16 {
 
 const GRPC_WEB: &str = "content-type: application/grpc-web+proto\r\n";
 
-/// Asks for the whole run, of which `watch` makes messages.
+/// Requests the whole run, as `watch` does.
 fn read_messages(port: u16, headers: &str) -> u16 {
     status(port, &format!("POST {SERVICE}/ReadMessages"), &format!("{GRPC_WEB}{headers}"), &[0; 5])
 }
@@ -151,7 +151,7 @@ fn a_page_of_the_other_port_may_call_and_is_told_so() {
 #[test]
 fn nobody_else_writes_into_the_run() {
     let (sinks, _web, data) = serve(Serve::default());
-    // as a browser would, or anything else
+    // from a browser or anything else
     for method in ["WriteMessages", "WriteTable"] {
         for kind in ["application/grpc-web+proto", "application/grpc", "application/grpc-web-text", "text/plain"] {
             let headers = format!("host: localhost\r\ncontent-type: {kind}\r\n");
@@ -161,7 +161,7 @@ fn nobody_else_writes_into_the_run() {
             assert!(answer.starts_with("HTTP/1.1 403 ") && answer.contains("grpc-status: 7\r\n"), "{kind}: {answer}");
         }
     }
-    // as the SDK does
+    // from the SDK
     let sink = GrpcSink::new(format!("rerun+http://127.0.0.1:{data}/proxy").parse().expect("an address"));
     let written: Vec<LogMsg> = opening();
     sink.send_all(written);
@@ -173,7 +173,7 @@ fn nobody_else_writes_into_the_run() {
             ask(data, format!("{line} HTTP/1.1\r\nhost: localhost\r\n{GRPC_WEB}content-length: 0\r\n\r\n").as_bytes());
         assert!(answer.contains("grpc-status: 12\r\n"), "{answer}");
     }
-    // readers have the run and nothing else
+    // readers receive the run and nothing else
     let serving = sinks.finish().expect("the server takes everything").serving.expect("it stays up");
     let end = std::thread::spawn(move || frames_until_the_end(data));
     std::thread::sleep(Duration::from_millis(300));
@@ -183,7 +183,7 @@ fn nobody_else_writes_into_the_run() {
     assert!(said.contains("to write"), "{said}");
 }
 
-/// The messages that a native viewer gets, over HTTP/2, until the server says that it is the end.
+/// The messages that a native viewer receives over HTTP/2 until the server signals the end.
 fn frames_until_the_end(port: u16) -> Vec<Vec<u8>> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
     let work = async {

@@ -1,6 +1,6 @@
-//! Where a recording goes, and what happens when a destination fails.
+//! Destinations of a recording, and what happens when one fails.
 //!
-//! Each test has a directory and ports of its own; nothing is left behind.
+//! Each test has its own directory and ports; nothing is left behind.
 
 use std::fs;
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
@@ -16,7 +16,7 @@ use rerun::grpc_server::GrpcServerSink;
 use rerun::log::{Chunk, LogMsg, RowId};
 use rerun::{StoreId, StoreKind, TimePoint, Timeline};
 
-// ---- what is sent ----
+// ---- messages ----
 
 fn store() -> StoreId {
     StoreId::new(StoreKind::Recording, "sinks_test", "one")
@@ -26,7 +26,7 @@ fn arrow(chunk: &Chunk) -> LogMsg {
     LogMsg::ArrowMsg(store(), chunk.to_arrow_msg().expect("a chunk of one row encodes"))
 }
 
-/// What begins every recording, and a static component.
+/// The messages that begin every recording, and a static component.
 pub fn opening() -> Vec<LogMsg> {
     let info = rerun::external::re_log_types::StoreInfo::new_unversioned(
         store(),
@@ -40,7 +40,7 @@ pub fn opening() -> Vec<LogMsg> {
     vec![store_info, arrow(&up.expect("a valid chunk"))]
 }
 
-/// One step with `points` points, which no compression makes smaller.
+/// One step with `points` points, which do not compress.
 fn step(step: i64, points: usize) -> LogMsg {
     let mut seed = step as u64 * 0x9e37_79b9_7f4a_7c15 + 1;
     let mut random = || {
@@ -62,7 +62,7 @@ pub fn recording(steps: i64) -> Vec<LogMsg> {
 
 // ---- tools ----
 
-/// A directory that goes away again.
+/// A temporary directory, removed on drop.
 struct Dir(PathBuf);
 
 impl Dir {
@@ -97,7 +97,7 @@ fn to_file(path: &Path) -> Destinations {
     Destinations { save: Some(path.to_owned()), patience: Duration::from_secs(1), ..Destinations::default() }
 }
 
-/// The error of something that has no `Debug`.
+/// Unwraps the error of a result whose value has no `Debug`.
 fn refused<T>(result: Result<T, SinkError>) -> SinkError {
     match result {
         Ok(_) => panic!("this should have been refused"),
@@ -115,12 +115,13 @@ fn decode(reader: impl std::io::BufRead) -> Vec<LogMsg> {
     DecoderApp::decode_lazy(reader).map_while(Result::ok).collect()
 }
 
-/// The messages of a file up to its end or the first that is cut.
+/// The messages of a file up to its end or the first truncated message.
 fn read(path: &Path) -> Vec<LogMsg> {
     decode(BufReader::new(fs::File::open(path).expect("a file")))
 }
 
-/// The same rows and store infos; decoding adds metadata of its own, so chunks are compared by identity and content.
+/// Asserts the same rows and store infos. Decoding adds its own metadata, so chunks are compared by identity and
+/// content.
 fn assert_same(read: &[LogMsg], sent: &[LogMsg]) {
     assert_eq!(read.len(), sent.len());
     for (read, sent) in read.iter().zip(sent) {
@@ -165,7 +166,7 @@ fn answers(port: u16) -> bool {
     TcpStream::connect_timeout(&SocketAddr::from((Ipv4Addr::LOCALHOST, port)), Duration::from_secs(1)).is_ok()
 }
 
-/// A server as a viewer has one inside.
+/// A server like the one inside a viewer.
 pub fn viewer() -> (GrpcServerSink, u16) {
     let port = free_port();
     let server = GrpcServerSink::new("127.0.0.1", port, rerun::ServerOptions::default()).expect("a valid address");
@@ -173,15 +174,15 @@ pub fn viewer() -> (GrpcServerSink, u16) {
     (server, port)
 }
 
-/// The first `count` messages that the server at `port` has for a new viewer, asked for as a browser does: gRPC-web,
-/// that is frames of a byte, a length and a message, in HTTP chunks.
+/// The first `count` messages that the server at `port` has for a new viewer, requested as a browser does: with
+/// gRPC-web, that is, frames of a byte, a length and a message, in HTTP chunks.
 pub fn watch(port: u16, count: usize) -> Vec<Vec<u8>> {
     let frames = watch_all_of(port, count);
     assert_eq!(frames.len(), count);
     frames
 }
 
-/// All of them: until nothing comes for a second.
+/// All of them, until nothing arrives for a second.
 pub fn watch_all(port: u16) -> Vec<Vec<u8>> {
     watch_all_of(port, usize::MAX)
 }
@@ -258,7 +259,7 @@ fn until_a_run_is_finished_the_file_is_as_it_was() {
     assert_same(&read(&partial), &sent);
     assert!(has_footer(&partial));
 
-    // opened in vain: something else cannot be opened, and what the dropped run left is not touched either
+    // opened, but another destination cannot be: the remains of the dropped run are not touched either
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
     let port = taken.local_addr().expect("an address").port();
     let serve = Serve { web_port: 0, grpc_port: port, ..Serve::default() };
@@ -266,7 +267,7 @@ fn until_a_run_is_finished_the_file_is_as_it_was() {
     assert_eq!(fs::read(&path).expect("a file"), b"RRF2: what was there");
     assert_same(&read(&partial), &sent);
 
-    // the next run says that it overwrites that
+    // the next run reports that it overwrites them
     let mut sinks = Sinks::open(&to_file(&path)).expect("a file that can be written");
     let notes = sinks.notes();
     assert!(
@@ -302,11 +303,11 @@ fn a_killed_run_can_be_read_up_to_its_last_flush() {
     send_all(&mut sinks, &sent[..10]);
     sinks.flush().expect("a disk with room");
     assert_same(&read(&partial), &sent[..10]);
-    // and without asking, after a while
+    // and after a while, without being requested
     send_all(&mut sinks, &sent[10..]);
     eventually("everything is flushed", || read(&partial).len() == sent.len());
 
-    // cut in the middle of a message
+    // truncated in the middle of a message
     let bytes = fs::read(&partial).expect("a file");
     let cut = dir.file("cut.rrd");
     fs::write(&cut, &bytes[..bytes.len() - 100]).expect("a file");
@@ -324,7 +325,7 @@ fn a_second_writer_is_refused() {
     assert!(matches!(err, SinkError::Busy { .. }) && !err.is_usage(), "{err}");
     assert!(err.to_string().contains("another run is writing"), "{err}");
     first.finish().expect("a disk with room");
-    // free again
+    // available again
     drop(Sinks::open(&to_file(&path)).expect("a file that can be written"));
     assert_eq!(read(&path).len(), 3);
 }
@@ -379,10 +380,10 @@ fn a_full_disk_is_an_error_and_says_so() {
     assert!(err.to_string().contains("cannot write /dev/full: No space left on device"), "{err}");
     assert!(err.to_string().contains("the disk is full: make room or save elsewhere"), "{err}");
     assert!(!err.is_usage());
-    // and once more at the end, for a caller that only looks there
+    // and once more at the end, for a caller that only checks there
     assert_eq!(refused(sinks.finish()).to_string(), err.to_string());
 
-    // a short run notices it at its end
+    // a short run notices it at the end
     let mut sinks = Sinks::open(&to_file(Path::new("/dev/full"))).expect("a device can be opened");
     send_all(&mut sinks, &recording(1));
     assert!(refused(sinks.finish()).to_string().contains("the disk is full"));
@@ -410,10 +411,10 @@ fn a_pipe_whose_reader_goes_away_is_an_error() {
 
 // ---- standard output ----
 
-/// Names the test below to the process that it starts.
+/// Environment variable that names the test below to the process that it starts.
 const CHILD: &str = "MELDSCOPE_TEST_STDOUT_STEPS";
 
-/// Not a test by itself: what `standard_output_*` run, as a process whose standard output is theirs.
+/// Not a test of its own: `standard_output_*` run it as a process whose standard output is theirs.
 #[test]
 fn child_that_writes_to_standard_output() {
     let Ok(steps) = std::env::var(CHILD) else { return };
@@ -424,7 +425,7 @@ fn child_that_writes_to_standard_output() {
             std::process::exit(7);
         }
     }
-    // not back to the test harness, which would write there too
+    // do not return to the test harness, which would write there too
     std::process::exit(sinks.finish().map_or(8, |finished| i32::from(finished.stdout.is_none())));
 }
 
@@ -443,7 +444,7 @@ fn child(steps: u32) -> Command {
 fn standard_output_gets_the_same_recording() {
     let output = child(50).output().expect("this test's program runs");
     assert!(output.status.success(), "{output:?}");
-    // the test harness has announced itself there before
+    // the test harness has already printed there
     let start = output.stdout.windows(4).position(|bytes| bytes == b"RRF2").expect("a recording");
     assert_eq!(decode(&output.stdout[start..]).len(), 52);
 }
@@ -510,12 +511,12 @@ fn what_is_no_address_is_refused_as_usage() {
     assert!(matches!(err, SinkError::Nowhere) && err.is_usage());
 }
 
-/// A program that lets itself be connected to and then does not read.
+/// A program that accepts connections but does not read.
 fn stuck_viewer() -> (TcpListener, u16, std::thread::JoinHandle<Option<TcpStream>>) {
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
     let port = listener.local_addr().expect("an address").port();
     let accepting = listener.try_clone().expect("a handle");
-    // the first connection is only a look whether somebody is there
+    // the first connection only checks whether anybody listens
     let thread = std::thread::spawn(move || accepting.incoming().filter_map(Result::ok).nth(1));
     (listener, port, thread)
 }
@@ -527,7 +528,7 @@ fn a_viewer_that_does_not_read_holds_nothing_up() {
     let (_listener, port, _connection) = stuck_viewer();
     let destinations = Destinations { connect: Some(url(port)), ..to_file(&path) };
     let mut sinks = Sinks::open(&destinations).expect("a viewer and a file");
-    // 360 MB for the viewer, of which it may hold up 128 MiB; a message is there once, so that it costs no memory
+    // 360 MB for the viewer, which may delay up to 128 MiB; each message exists once, so it costs no memory
     let bulk = [step(0, 100_000), step(1, 100_000)];
     let sent: Vec<LogMsg> =
         opening().into_iter().chain((0..300).map(|i| bulk[i % 2].clone())).chain([step(2, 10)]).collect();
@@ -549,7 +550,7 @@ fn a_viewer_that_does_not_read_holds_nothing_up() {
 fn a_viewer_that_goes_away_is_missed_once_and_the_file_is_complete() {
     let dir = Dir::new();
     let path = dir.file("run.rrd");
-    // as a process that ends: its connections are closed with it
+    // like a process that ends: its connections are closed with it
     let (listener, port, connection) = stuck_viewer();
     let destinations = Destinations { connect: Some(url(port)), ..to_file(&path) };
     let mut sinks = Sinks::open(&destinations).expect("a viewer and a file");
@@ -659,7 +660,7 @@ fn a_viewer_that_is_there_is_not_started_again() {
     sinks.finish().expect("a viewer");
     assert_eq!(watch(port, 5).len(), 5);
 
-    // nor is it sent everything twice
+    // nor is everything sent to it twice
     let destinations = Destinations { connect: Some(url(port)), ..spawning(Path::new("no-such-viewer"), port) };
     let finished = Sinks::open(&destinations).and_then(Sinks::finish).expect("a viewer");
     assert_eq!(finished.viewers.len(), 1);
@@ -697,7 +698,7 @@ fn a_browser_finds_the_viewer_and_the_whole_run_and_nothing_once_it_is_closed() 
 
     let sent = recording(300);
     send_all(&mut sinks, &sent[..200]);
-    // while the run goes on
+    // during the run
     let early = std::thread::spawn(move || watch(grpc_port, 302));
     std::thread::sleep(Duration::from_millis(100));
     send_all(&mut sinks, &sent[200..]);
@@ -738,7 +739,7 @@ fn a_port_in_use_is_refused_with_the_option_that_changes_it() {
 fn a_browser_that_does_not_read_does_not_keep_the_servers_up() {
     let (web_port, grpc_port) = (free_port(), free_port());
     let mut sinks = Sinks::open(&serving(web_port, grpc_port)).expect("free ports");
-    // 41 MB of viewer, of which it takes nothing
+    // 41 MB of viewer files, none of which it reads
     let mut page = TcpStream::connect((Ipv4Addr::LOCALHOST, web_port)).expect("the web server listens");
     page.write_all(b"GET /re_viewer_bg.wasm HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n").expect("the request is taken");
     send_all(&mut sinks, &recording(3));
@@ -750,7 +751,7 @@ fn a_browser_that_does_not_read_does_not_keep_the_servers_up() {
     drop(page);
 }
 
-/// Asks for the run as a browser does, and reads nothing of it.
+/// Requests the run as a browser does, and reads none of it.
 fn stuck_browser(port: u16) -> TcpStream {
     let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, port)).expect("the server listens");
     let head = "POST /rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages HTTP/1.1\r\nhost: 127.0.0.1\r\n\
@@ -767,7 +768,7 @@ fn browsers_that_do_not_read_hold_nothing_up_and_take_nothing_from_others() {
     let serve = serving(web_port, grpc_port).serve;
     let mut sinks = Sinks::open(&Destinations { serve, ..to_file(&path) }).expect("free ports");
     let browsers: Vec<TcpStream> = (0..50).map(|_| stuck_browser(grpc_port)).collect();
-    // far more than a connection holds
+    // far more than a connection buffers
     let bulk = [step(0, 10_000), step(1, 10_000)];
     let sent: Vec<LogMsg> = opening().into_iter().chain((0..4_000).map(|i| bulk[i % 2].clone())).collect();
     let started = Instant::now();

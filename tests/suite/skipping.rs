@@ -1,4 +1,4 @@
-//! What is skipped, on how many threads, by which instructions: none of it changes what comes out.
+//! What is skipped, the number of threads and the instruction set do not change the results.
 
 use std::path::PathBuf;
 
@@ -14,7 +14,7 @@ fn reference(name: &str) -> Scene {
     Scene::load(&PathBuf::from(format!("tests/reference/{name}.toml"))).expect("a valid scene")
 }
 
-/// Scenes in which much happens, in no more than 60 steps.
+/// Scenes in which much happens in at most 60 steps.
 fn scenes() -> Vec<Scene> {
     let names = ["push", "two", "three", "size_ratio", "crowd"];
     let mut scenes: Vec<Scene> = names.map(|name| Scene::builtin(name).expect("a built-in scene")).into();
@@ -23,7 +23,8 @@ fn scenes() -> Vec<Scene> {
     scenes
 }
 
-/// A pair that comes to stand on both its thresholds, at a keyframe: far ahead it is the same as within the step.
+/// A pair that comes to rest on both its thresholds, at a keyframe: found far ahead or within the step, the result is
+/// the same.
 fn arrival() -> Scene {
     let text = r#"
         name = "arrival"
@@ -43,8 +44,8 @@ fn arrival() -> Scene {
     Scene::parse(text, "arrival.toml").expect("a valid scene")
 }
 
-/// A body that swings after a push into a sphere that never moves: as its vertices pass where they rest, none is within
-/// reach in that step.
+/// A body that oscillates after a push, into a sphere that never moves. As its vertices pass their rest positions, none
+/// is within reach in that step.
 fn pendulum() -> Scene {
     let text = r#"
         name = "pendulum"
@@ -70,7 +71,7 @@ fn pendulum() -> Scene {
     Scene::parse(text, "pendulum.toml").expect("a valid scene")
 }
 
-/// A company of bodies that move in every way, some of them pushed while others touch them.
+/// Bodies with every kind of motion, some of them pushed while others touch them.
 fn company(weight: &str, response: &str) -> Scene {
     let text = format!(
         r#"
@@ -130,7 +131,7 @@ fn companies() -> Vec<Scene> {
     kinds.map(|(weight, response)| company(weight, response)).into()
 }
 
-/// Every bit of the state, and what happened.
+/// Every bit of the state, and the events.
 #[derive(Debug, PartialEq)]
 struct Outcome {
     bits: Vec<u64>,
@@ -159,12 +160,12 @@ fn run(scene: &Scene, options: Options, mut look: impl FnMut(&World)) -> Outcome
     outcome
 }
 
-/// The naive baseline looks at every pair and every vertex in every step, and lets a body's own motion and pushes act on each
-/// vertex by itself.
+/// The naive baseline processes every pair and every vertex in every step, and applies a body's own motion and pushes
+/// to each vertex separately.
 #[test]
 fn skipping_changes_nothing_but_rounding() {
     for scene in scenes().into_iter().chain(companies()) {
-        // Measured: 4e-11 of a radius at most, where rounding grows as a vertex grazes a rim.
+        // Measured: at most 4e-11 of a radius, where rounding grows as a vertex grazes a rim.
         assert_same_as_plain(&scene, 400, 1e-10);
     }
 }
@@ -198,7 +199,7 @@ fn instruction_sets_agree_to_the_bit() {
     }
 }
 
-/// Looking at every vertex after every step is not felt, lazily as states may be kept.
+/// Observing every vertex after every step changes nothing, even though states are computed lazily.
 #[test]
 fn looking_changes_nothing() {
     for scene in scenes().into_iter().chain(companies()) {
@@ -206,13 +207,13 @@ fn looking_changes_nothing() {
         let seen = run(&scene, Options::default(), |world| {
             let sum: f64 = world.bodies().flat_map(|body| body.positions()).map(|position| position.x).sum();
             assert!(sum.is_finite() && world.energy().total().is_finite());
-            world.checksum(); // also of bodies that have gone to sleep since
+            world.checksum(); // also covers bodies that have gone to sleep since
         });
         assert!(unseen == seen, "{}", scene.name);
     }
 }
 
-/// One state, whether it is asked for vertex by vertex or all at once.
+/// The state is the same whether read vertex by vertex or all at once.
 #[test]
 fn states_are_the_same_one_by_one_and_at_once() {
     let mut world = World::new(company("linear", "inertial")).expect("fits");
@@ -228,7 +229,7 @@ fn states_are_the_same_one_by_one_and_at_once() {
     }
 }
 
-/// A body that nothing acts on any more takes no steps, and still swings as its equation says.
+/// A body that nothing acts on any more takes no steps, but still follows its equation of motion.
 #[test]
 fn a_body_left_alone_costs_nothing_and_swings_on() {
     let scene = Scene { duration: 4.0, ..reference("push") };
@@ -248,11 +249,11 @@ fn a_body_left_alone_costs_nothing_and_swings_on() {
     assert!(idle >= world.scene().steps() - pushed.sum::<u64>(), "{idle} of {}", world.scene().steps());
 }
 
-/// Once every array has the length that it needs, steps take no memory.
+/// Once every array has reached its size, steps allocate no memory.
 #[test]
 fn a_warm_step_allocates_nothing() {
     for integrator in [Integrator::Exponential, Integrator::Rk4] {
-        // four times the same: two bodies meet and part in 4 s
+        // four identical periods: two bodies meet and separate in 4 s
         let scene = Scene { integrator, duration: 16.0, ..reference("two") };
         let half = scene.steps() as usize / 2;
         let mut world = World::new(scene).expect("fits");
@@ -263,13 +264,14 @@ fn a_warm_step_allocates_nothing() {
             });
             allocations.push(taken.count_total);
         }
-        // Not quite the same with the ripples that are left of the time before: a few more vertices may be in it.
+        // Not exactly identical, because of residual oscillations from the period before: a few more vertices may be
+        // involved.
         let (warming, warm) = allocations.split_at(half);
         assert!(warm.iter().all(|&count| count == 0), "{integrator}: {warming:?} {warm:?}");
     }
 }
 
-/// What decays for as long as it likes does so to exactly nothing, and not through numbers that are slow to compute with.
+/// However long a decay takes, it ends at exactly zero, without passing through subnormal numbers.
 #[test]
 fn decay_ends_at_rest() {
     let scene = company("linear", "rigid");
@@ -290,7 +292,7 @@ fn decay_ends_at_rest() {
     }
 }
 
-/// Without a spring a body comes to rest where it is, and not where it rests: however little it moves in the end.
+/// Without a spring a body comes to rest where it is, not at its rest position, however little it moves at the end.
 #[test]
 fn without_a_spring_what_was_pushed_stays_where_it_is() {
     let mut scene = company("linear", "rigid");
@@ -308,7 +310,7 @@ fn without_a_spring_what_was_pushed_stays_where_it_is() {
             }
             let then = world.body(0).max_displacement();
             for _ in 0..900 {
-                world.step(); // by then it moves by less than any number can tell
+                world.step(); // by then it moves less than a float can resolve
             }
             assert!(then > 1e-3, "{integrator}, skip {skip}: {then:e}");
             let now = world.body(0).max_displacement();
@@ -317,8 +319,8 @@ fn without_a_spring_what_was_pushed_stays_where_it_is() {
     }
 }
 
-/// A body between still ones: pushed, it swings freely through its rest shape and far out again, into spheres that nothing
-/// moves. And one that swings where another comes by later.
+/// A pushed body between still ones oscillates freely through its rest shape and far out again, into spheres that do
+/// not move. Another oscillates where a third body passes later.
 #[test]
 fn whoever_swings_freely_is_reached_again() {
     let text = r#"
@@ -361,7 +363,7 @@ fn whoever_swings_freely_is_reached_again() {
     // Measured: 1.1e-10, where a vertex grazes a rim.
     assert_same_as_plain(&scene, u64::MAX, 1e-9);
 
-    // or nothing would have been tested: the still spheres are felt, and later the one that comes
+    // otherwise the test would be void: the still spheres have an effect, and later the one that passes
     let mut alone = scene.clone();
     alone.bodies.truncate(1);
     let [mut among, mut alone] = [scene, alone].map(|scene| World::new(scene).expect("fits"));
@@ -376,8 +378,8 @@ fn whoever_swings_freely_is_reached_again() {
     assert!(before > 0.05 && after > 1.2 * before, "{before} {after}");
 }
 
-/// Takes `steps` of the scene both ways, or all if it has fewer, and compares every vertex after every step, in radii, and
-/// the events.
+/// Takes `steps` steps of the scene both ways, or all if it has fewer, and compares every vertex after every step, in
+/// radii, as well as the events.
 fn assert_same_as_plain(scene: &Scene, steps: u64, tolerance: f64) {
     let plain = Options { skip: false, ..Options::default() };
     let mut worlds = [Options::default(), plain].map(|o| World::with_options(scene.clone(), o).expect("fits"));
@@ -386,7 +388,7 @@ fn assert_same_as_plain(scene: &Scene, steps: u64, tolerance: f64) {
         let [skipping, plain] = &mut worlds;
         let (events, expected) = (&skipping.step().events, &plain.step().events);
         assert_eq!(events.len(), expected.len(), "{}, step {step}", scene.name);
-        // events at one time may be listed in another order
+        // simultaneous events may be listed in another order
         for event in events {
             let same = |e: &&Event| (e.a, e.b, e.to) == (event.a, event.b, event.to);
             let expected = expected.iter().find(same).map(|expected| (expected.time - event.time).abs() < 1e-12);
@@ -406,15 +408,15 @@ fn assert_same_as_plain(scene: &Scene, steps: u64, tolerance: f64) {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
-    /// Bodies of sizes from 1 to 1,000 on their ways through each other: the grid finds what all pairs find, and whoever is
-    /// reached wakes.
+    /// Bodies of sizes from 1 to 1,000 cross each other's paths: the grid finds the same pairs as a search over all
+    /// pairs, and every body that is reached wakes.
     #[test]
     fn bodies_of_all_sizes_find_each_other(
         bodies in prop::collection::vec((0.0..3.0_f64, prop::array::uniform3(-1.0..1.0_f64), prop::array::uniform3(-1.0..1.0_f64), 0..3), 3..12),
     ) {
         let mut text = String::from("duration = 0.5\n[material]\nresponse = \"rigid\"\n");
         for (i, (size, place, way, motion)) in bodies.iter().enumerate() {
-            // large ones farther out, so that not all is one heap
+            // large ones farther out, so that they do not all overlap
             let radius = 10f64.powf(*size);
             let [x, y, z] = place.map(|p| 2.5 * p * radius.max(4.0));
             let [u, v, w] = way.map(|v| 3.0 * v * radius.max(4.0));

@@ -1,4 +1,4 @@
-//! A short slice of the stress sweep of `bench stability`, and the cases of it that once failed.
+//! A short slice of the stress sweep of `bench stability`, and its cases that once failed.
 
 use meldscope::{
     Scene, World,
@@ -18,7 +18,7 @@ fn sweep(cases: u64, integrator: Integrator) -> Vec<stability::Row> {
     stability::sweep(&settings(cases, integrator), &|_| ()).expect("every case is a valid scene that fits")
 }
 
-/// The first 40 cases have every axis of the sweep among them.
+/// The first 40 cases cover every axis of the sweep.
 #[test]
 fn exponential_passes_every_case() {
     for row in sweep(40, Integrator::Exponential) {
@@ -28,7 +28,7 @@ fn exponential_passes_every_case() {
     }
 }
 
-/// What failed, by what it was that failed.
+/// Cases that once failed, by cause.
 #[test]
 fn exponential_passes_the_cases_that_it_failed() {
     let once = [
@@ -55,7 +55,7 @@ fn exponential_passes_the_cases_that_it_failed() {
     }
 }
 
-/// Failures are found and shown: explicit schemes do not survive the stiff cases.
+/// Failures are detected and shown: explicit schemes fail the stiff cases.
 #[test]
 fn explicit_schemes_fail_where_they_must() {
     let integrators = vec![Integrator::Thesis, Integrator::Rk4];
@@ -67,7 +67,7 @@ fn explicit_schemes_fail_where_they_must() {
     }
 }
 
-/// A case is a function of its number.
+/// A case depends only on its number.
 #[test]
 fn cases_are_the_same_every_time() {
     for index in 0..200 {
@@ -76,7 +76,7 @@ fn cases_are_the_same_every_time() {
     }
 }
 
-// --- the reference ends ------------------------------------------------------------------------------------------------
+// --- the reference ends ---------------------------------------------------------------------------------------------
 
 fn pair(thresholds: &str, motion: &str) -> Scene {
     let text = format!(
@@ -92,7 +92,7 @@ fn solve(scene: &Scene) -> Result<Reference, NoReference> {
     Reference::solve(scene, &instants, Accuracy::DEFAULT)
 }
 
-/// Case 302: a pair that stands where it merges and splits does neither.
+/// Case 302: a pair that stands still exactly at its merge and split distance does neither.
 #[test]
 fn the_reference_ends_where_a_pair_stands_on_two_thresholds() {
     let case = Case::new(302).expect("a valid scene");
@@ -112,7 +112,7 @@ fn the_reference_ends_where_a_pair_stands_on_two_thresholds() {
     }
 }
 
-/// From where it stands, or to where it comes to stand, a pair changes its phase once, as the world has it.
+/// A pair that starts from the threshold, or comes to rest on it, changes its phase once, as in the world.
 #[test]
 fn the_reference_knows_thresholds_that_are_left_and_reached() {
     let on_both = "merge_at = 0.6666666666666666\nsplit_at = 0.6666666666666666";
@@ -135,7 +135,7 @@ fn the_reference_knows_thresholds_that_are_left_and_reached() {
     }
 }
 
-/// Where it cannot tell, it says so.
+/// An ambiguous case is reported as such.
 #[test]
 fn the_reference_gives_up_on_what_it_cannot_tell() {
     let motion = "{ sine = { center = [1, 0, 0], amplitude = [1e12, 0, 0], frequency = 1.0 } }";

@@ -1,5 +1,5 @@
-//! Anybody's simulation gets all instruments of this crate: one that shares nothing with its own is recorded, with its terms,
-//! thresholds, phases, events, stages and numbers, replayed, compared, checked, and kept by the flight recorder.
+//! Any simulation can use all instruments of this crate. One that shares nothing with this crate's is recorded with its
+//! terms, thresholds, phases, events, stages and scalars, replayed, compared, checked, and kept by the flight recorder.
 
 use std::path::Path;
 
@@ -22,7 +22,7 @@ use crate::{
     recording::{Dir, Recording},
 };
 
-/// Records, on a thread of its own, and reads it back; and how many frames it has.
+/// Records on a separate thread and reads the recording back; also returns the number of frames.
 fn record(path: &Path, pull: f64, settings: Settings) -> (Recorded, u64) {
     let mut simulation = Octahedra(pull).start().expect("it fits");
     let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };

@@ -1,5 +1,5 @@
-//! Work in a step is bounded: what would not end is ended, at the same place in every run, and what is interrupted ends
-//! at once.
+//! Work per step is bounded: an endless step is ended, at the same point in every run, and an interrupted step ends at
+//! once.
 
 use std::{
     fs,
@@ -19,7 +19,7 @@ use meldscope::{
 
 use crate::recording::Dir;
 
-/// Of a processor, for what ends by itself [s]; other programs may make it longer.
+/// CPU time limit for work that ends by itself [s]; other programs may extend it.
 const LIMIT: Duration = Duration::from_secs(10);
 /// A mesh of five vertices.
 const SMALL: &str = "shape = { sphere = { stacks = 2, slices = 3 } }";
@@ -34,19 +34,19 @@ fn sine(center: f64, amplitude: [f64; 3], frequency: f64, phase: f64) -> String 
     )
 }
 
-/// A body at rest, and one that swings beside it.
+/// A body at rest, and one that oscillates beside it.
 fn swinging(frequency: f64, center: f64, amplitude: f64) -> String {
     let moves = sine(center, [amplitude, 0.0, 0.0], frequency, 0.0);
     format!("duration = 4.0\n{}{}", body("a", "", "fixed = [0, 0, 0]"), body("b", "", &moves))
 }
 
-/// So many bodies in one place.
+/// This many bodies in one place.
 fn pile(count: usize, more: &str) -> String {
     let bodies = (0..count).map(|i| body(&format!("b{i}"), more, "fixed = [0, 0, 0]"));
     format!("duration = 1.0\n{}", bodies.collect::<String>())
 }
 
-/// Takes steps until something ends them: how many there were, and what it was.
+/// Takes steps until something ends them; returns their number and the cause.
 fn steps(scene: &str, most: u64, options: Options) -> (u64, Option<Failure>) {
     let scene = Scene::parse(scene, "work.toml").expect("a scene");
     let mut world = World::with_options(scene, options).expect("fits");
@@ -58,8 +58,7 @@ fn steps(scene: &str, most: u64, options: Options) -> (u64, Option<Failure>) {
     (most, None)
 }
 
-/// What would be endless ends with a step that is not taken, and says which and what to do; the same with any number of
-/// threads.
+/// An endless step is not taken; the error says which and what to do. The result is the same for any number of threads.
 #[test]
 fn endless_work_ends_with_a_failure() {
     let cases = [
@@ -84,7 +83,7 @@ fn endless_work_ends_with_a_failure() {
     }
 }
 
-/// After a step that could not be taken none is.
+/// After a step that could not be taken, no further step is.
 #[test]
 fn no_step_follows_one_that_was_not_taken() {
     let scene = Scene::parse(&swinging(1e9, 2.1, 1.5), "work.toml").expect("a scene");
@@ -95,7 +94,7 @@ fn no_step_follows_one_that_was_not_taken() {
     assert_eq!(world.steps_taken(), 0);
 }
 
-/// Two bodies a quarter turn apart stand on the threshold for ever: nothing happens, and that is seen at once.
+/// Two bodies rest on the threshold forever, a quarter turn apart: nothing happens, and that is detected at once.
 #[test]
 fn what_only_looks_endless_is_none() {
     let standing = |amplitude: f64| {
@@ -114,7 +113,7 @@ fn what_only_looks_endless_is_none() {
     }
 }
 
-/// A flag ends a long step, and the world says so.
+/// A flag interrupts a long step, and the world reports it.
 #[test]
 fn an_interrupt_ends_a_step() {
     let stop: &'static AtomicBool = Box::leak(Box::default());
@@ -131,7 +130,7 @@ fn an_interrupt_ends_a_step() {
     assert!(raised.elapsed() < Duration::from_secs(1), "{:?}", raised.elapsed());
 }
 
-/// Pairs are counted before they take memory.
+/// Pairs are counted before memory is allocated for them.
 #[test]
 fn too_many_pairs_are_refused() {
     let scene = Scene::parse(&pile(10_000, SMALL), "pile.toml").expect("a scene");
@@ -144,7 +143,7 @@ fn too_many_pairs_are_refused() {
     }
 }
 
-/// A run that is ended so has a recording up to there, which replays, and fails as it did.
+/// The recording of an interrupted run extends up to the interruption; it replays, and fails as the run did.
 #[test]
 fn the_recording_of_a_run_that_failed_replays_to_the_same_failure() {
     let dir = Dir::new();

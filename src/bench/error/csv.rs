@@ -1,4 +1,4 @@
-//! Measurements for programs.
+//! Measurements as CSV.
 
 use serde::Serialize;
 
@@ -22,10 +22,10 @@ struct Row<'a> {
     version: &'a str,
 }
 
-/// All measurements. `error_radii` is `inf` for a run that diverged; what does not apply is empty.
+/// All measurements. `error_radii` is `inf` for a run that diverged; fields that do not apply are empty.
 ///
 /// # Errors
-/// None is known.
+/// None is known to occur.
 pub fn csv(reports: &[Report], machine: &Machine) -> Result<String, String> {
     let all = reports.iter().flat_map(|report| report.measurements.iter().map(move |measured| (report, measured)));
     tables::csv(all.map(|(report, measured)| Row {

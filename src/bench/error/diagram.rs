@@ -1,4 +1,4 @@
-//! The work-precision diagram: error against run time, a line an integrator, a panel a scene.
+//! The work-precision diagram: error against run time, one line per integrator, one panel per scene.
 
 use std::ops::Range;
 
@@ -19,15 +19,15 @@ use crate::{
     scene::Integrator,
 };
 
-/// A panel, labels included [px].
+/// Size of a panel, labels included [px].
 const PANEL: (u32, u32) = (900, 620);
-/// Around the axes of a panel [px].
+/// Margins around the axes of a panel [px].
 const TOP: u32 = 46;
 const RIGHT: u32 = 246;
-/// Errors are drawn down to this, or to what the reference resolves [radii].
+/// The smallest error drawn, unless the reference resolves less [radii].
 const FLOOR: f64 = 1e-12;
 
-/// Colours that the colour-blind can tell too (Okabe & Ito 2008), and shapes.
+/// A style per scheme: colours that are safe for colour-blind readers (Okabe & Ito 2008), and distinct markers.
 fn style(scheme: Scheme) -> Style {
     let (color, marker, width) = match scheme {
         Scheme::Fixed(Integrator::Thesis) => (RGBColor(213, 94, 0), Marker::Cross, 3),
@@ -43,10 +43,10 @@ fn style(scheme: Scheme) -> Style {
     Style { color, marker, width }
 }
 
-/// The diagram as an SVG file.
+/// Renders the diagram as an SVG file.
 ///
 /// # Errors
-/// What the drawing library says; none is known.
+/// Errors of the drawing library; none is known to occur.
 pub fn svg(reports: &[Report], machine: &Machine) -> Result<String, String> {
     let columns = if reports.len() > 1 { 2 } else { 1 };
     let rows = reports.len().div_ceil(columns);
@@ -75,12 +75,12 @@ pub fn svg(reports: &[Report], machine: &Machine) -> Result<String, String> {
     })
 }
 
-/// Errors that are smaller are drawn here [radii].
+/// Smaller errors are drawn at this value [radii].
 fn floor(report: &Report) -> f64 {
     f64::max(FLOOR, report.resolution())
 }
 
-/// The same for all panels, so that they can be compared.
+/// The same range for all panels, so that they can be compared.
 fn error_range(reports: &[Report]) -> Range<f64> {
     let errors = |report: &Report| {
         let floor = floor(report);
@@ -92,7 +92,7 @@ fn error_range(reports: &[Report]) -> Range<f64> {
     smallest / 4.0..largest * 2.5
 }
 
-/// In ms, half as much again on either side.
+/// Run times in ms, with a margin of a factor of 1.5 on either side.
 fn time_range(report: &Report) -> Range<f64> {
     let times = || report.measurements.iter().map(|it| 1e3 * it.seconds).filter(|time| *time > 0.0);
     let (least, most) = (times().fold(f64::INFINITY, f64::min), times().fold(0.0, f64::max));

@@ -1,4 +1,4 @@
-//! Measurements as a table for people.
+//! Measurements as tables for the terminal.
 
 use super::{Measurement, Report};
 use crate::{
@@ -42,14 +42,14 @@ fn row(report: &Report, measurement: &Measurement) -> [String; 7] {
             Some(error) if error < resolution => format!("< {resolution:.0e}"),
             Some(error) => format!("{error:.2e}"),
         },
-        // rounded first, so that no zero is negative
+        // rounded first, to avoid a negative zero
         measurement.order.map_or_else(missing, |order| format!("{:.2}", (100.0 * order).round() / 100.0 + 0.0)),
         significant(1e3 * measurement.seconds),
         format!("{:.1}", 1e-6 * report.vertex_steps_per_second(measurement)),
     ]
 }
 
-/// What the numbers of all tables mean, and where they were measured.
+/// What the columns of all tables mean, and the machine they were measured on.
 pub fn footer(machine: &Machine) -> String {
     format!(
         "error: the largest over time and vertices, in radii; order: against the step before; \

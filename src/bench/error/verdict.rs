@@ -1,12 +1,12 @@
-//! What the measurements of a scene come to.
+//! Conclusions from the measurements of a scene.
 
 use super::{Measurement, Report, Scheme};
 use crate::{scene::Integrator, text::significant};
 
-/// How long a scheme takes for an error, and for no more than that error.
+/// The run time that a scheme needs to stay within an error.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cost {
-    /// Which integrator.
+    /// The integrator and its step control.
     pub integrator: Integrator,
     /// See [`Scheme::family`].
     pub family: &'static str,
@@ -15,10 +15,10 @@ pub struct Cost {
 }
 
 impl Report {
-    /// The integrators that reach an error of at most `target` [radii], the fastest first, each in its fastest way.
+    /// The integrators that reach an error of at most `target` [radii], fastest first, each with its fastest setting.
     ///
-    /// Between the measurements of a family of which none is both faster and better, run times are interpolated, linear
-    /// in the logarithms; never beyond them.
+    /// Run times are interpolated between the measurements on a family's Pareto front, linearly in the logarithms, and
+    /// never extrapolated.
     pub fn cheapest(&self, target: f64) -> Vec<Cost> {
         let families = self.measurements.chunk_by(|a, b| a.scheme.family() == b.scheme.family());
         let cost = |measurements: &[Measurement]| {
@@ -48,7 +48,7 @@ impl Report {
         Some(seconds_before * (seconds / seconds_before).powf(share))
     }
 
-    /// `(run time [s], error [radii])` of those measurements to which no other is superior, by time.
+    /// The Pareto front as `(run time [s], error [radii])`, sorted by time.
     fn front(&self, measurements: &[Measurement]) -> Vec<(f64, f64)> {
         let point = |it: &Measurement| it.error.map(|error| (it.seconds, error.max(self.resolution())));
         let mut points: Vec<_> = measurements.iter().filter_map(point).collect();
@@ -62,12 +62,12 @@ impl Report {
         points
     }
 
-    /// The measurement of a scheme at the scene's step.
+    /// A scheme's measurement at the scene's own step size.
     fn at_own_step(&self, scheme: Scheme) -> Option<&Measurement> {
         self.measurements.iter().find(|measurement| self.is_at_own_step(measurement) && measurement.scheme == scheme)
     }
 
-    /// A few lines for people.
+    /// The verdict in a few lines of text.
     pub fn verdict(&self) -> Vec<String> {
         let mut lines = vec!["fastest for an error of at most".to_owned()];
         for digits in 2..=8 {
@@ -112,7 +112,7 @@ impl Report {
         lines
     }
 
-    /// "error ÷ 350, time × 1.4"
+    /// A comparison such as "error ÷ 350, time × 1.4".
     fn compared(&self, this: &Measurement, other: &Measurement) -> String {
         let ratio = |of: f64| match of {
             ..1e-4 => format!("÷ {:.0e}", 1.0 / of),
@@ -129,7 +129,7 @@ impl Report {
         format!("error {error}, time {}", ratio(this.seconds / other.seconds))
     }
 
-    /// Whether the scheme as printed converges.
+    /// A sentence on whether the scheme as printed in the thesis converges.
     fn thesis_verdict(&self) -> Option<String> {
         let (factor, share) = self.thesis_stands_still()?;
         Some(format!(
@@ -138,8 +138,8 @@ impl Report {
         ))
     }
 
-    /// How many times the smallest step of the scheme as printed goes into the largest, and what share of the error is
-    /// left with it, if that is so much that it cannot be said to converge.
+    /// The ratio of the largest to the smallest step size of the scheme as printed, and the fraction of the error that
+    /// remains at the smallest, if that is too much to call it convergent.
     pub(super) fn thesis_stands_still(&self) -> Option<(f64, f64)> {
         let of_thesis = || self.measurements.iter().filter(|it| it.scheme == Scheme::Fixed(Integrator::Thesis));
         let (largest, smallest) = (of_thesis().next()?, of_thesis().next_back()?);

@@ -1,4 +1,4 @@
-//! Frames and bytes for programs.
+//! Frame rates and sizes as CSV.
 
 use serde::Serialize;
 
@@ -20,10 +20,10 @@ struct Row<'a> {
     machine: &'a str,
 }
 
-/// A line for each measurement.
+/// One row per measurement.
 ///
 /// # Errors
-/// None is known.
+/// None is known to occur.
 pub fn csv(measurements: &[Measurement], machine: &Machine) -> Result<String, String> {
     let machine = machine.to_string();
     tables::csv(measurements.iter().map(|measured| Row {

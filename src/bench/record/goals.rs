@@ -1,4 +1,4 @@
-//! The goals, and what was measured beside each.
+//! The goals for recording, each with the value measured for it.
 
 use super::{Destination, Measurement, Report, saving::Way};
 use crate::{
@@ -6,11 +6,11 @@ use crate::{
     stream::settings::Detail,
 };
 
-/// A scene of so many bodies is in this many entities at most.
+/// Scenes with at least this many bodies have a goal for their number of entities.
 const CROWD: usize = 1000;
 
-/// The goals for which there is a measurement. (That a checksum follows the influence, not the number of bodies, was not
-/// given as a number: 10 is a choice made here.)
+/// The goals for which there is a measurement. (The requirement that a checksum's cost follows the influence, not the
+/// number of bodies, came without a number; the factor of 10 was chosen here.)
 pub fn goals(report: &Report) -> Vec<Goal> {
     let saved = |scene: &str, detail: Detail| {
         let is_it = |m: &&Measurement| {

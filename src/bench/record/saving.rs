@@ -1,11 +1,11 @@
-//! How much slower steps are while frames are saved at the rate of a screen.
+//! How much slower steps are while frames are saved at display rate.
 //!
-//! A scene that goes on for ever is stepped as fast as it goes, for a moment without and for a moment with a recorder beside
-//! it, in turns: what else the machine does, and how fast it runs, changes by more than what is looked for, so that each
-//! moment is compared with the one next to it, and of these ratios the middle one counts. Only the thread that steps is timed:
-//! what recording takes on its own thread costs the simulation as much as it takes from it, of caches, memory and cores.
-//! Where all cores are busy with something else, that thread takes the core of the other, which shows in the wall clock; the
-//! time that the stepping thread was on a core, where the system tells it, is compared as well.
+//! An endless scene is stepped as fast as possible in alternating blocks, without and with a recorder. Other load and
+//! clock speed vary by more than the effect measured, so each block is compared with its neighbours, and the median of
+//! these ratios counts. Only the stepping thread is timed; the recording thread's cost shows in what it takes from the
+//! simulation: caches, memory bandwidth and cores. If all cores are busy with other work, the recording thread takes
+//! the stepping thread's core, which shows in wall time. The CPU time of the stepping thread is therefore compared as
+//! well, where the system reports it.
 
 use std::{
     path::Path,
@@ -21,13 +21,13 @@ use crate::{
     },
 };
 
-/// Frames a second of wall time.
+/// Frames per second of wall time.
 pub const RATE: f64 = 60.0;
-/// So many blocks of each kind.
+/// Number of blocks of each kind.
 const BLOCKS: usize = 60;
-/// How long one takes: some hundred periods of the scene, and 6 frames.
+/// Duration of a block: some hundred periods of the scene, and 6 frames.
 const BLOCK: Duration = Duration::from_millis(100);
-/// The clock is looked at after so many steps.
+/// The clock is checked after this many steps.
 const STEPS: u64 = 8;
 
 /// What is saved.
@@ -35,39 +35,40 @@ const STEPS: u64 = 8;
 pub enum Way {
     /// A frame every 1/60 s of wall time, and nothing of the steps in between.
     Frames,
-    /// A frame every so many steps that it comes to as many, and the checksum of every step, as `run --every N` does.
+    /// A frame every N steps, with N chosen for the same frame rate, and the checksum of every step, as `run --every N`
+    /// does.
     EveryStep,
 }
 
 impl Way {
-    /// Both.
+    /// Both ways.
     pub const ALL: [Way; 2] = [Way::Frames, Way::EveryStep];
 }
 
-/// What was measured.
+/// The measured slow-down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Saving {
     /// What was saved.
     pub way: Way,
-    /// Steps per second without …
+    /// Steps per second without saving, in the median block …
     pub plain: f64,
-    /// … and with it, in the middle one of the blocks.
+    /// … and with it.
     pub saving: f64,
-    /// By how much longer a step takes [–]: in the middle one of the comparisons, and in those a quarter from either end.
+    /// Relative increase of the step time by saving [–]: lower quartile, median and upper quartile of the comparisons.
     pub slow_down: [f64; 3],
-    /// The middle one of the same by the time that the thread was on a core, if the system tells it.
+    /// The median of the same by CPU time of the thread, if the system reports it.
     pub on_core: Option<f64>,
-    /// Frames per second that were saved.
+    /// Frames saved per second.
     pub frames: f64,
 }
 
-/// What is a quarter, a half and three quarters of the way from the least to the largest.
+/// The quartiles.
 fn quartiles(mut numbers: Vec<f64>) -> [f64; 3] {
     numbers.sort_unstable_by(f64::total_cmp);
     [1, 2, 3].map(|k| numbers.get(k * numbers.len() / 4).copied().unwrap_or(f64::NAN))
 }
 
-/// Measures one way; the recording goes to `file`, which is removed again.
+/// Measures one way. The recording goes to `file`, which is removed.
 pub(super) fn measure(way: Way, file: &Path) -> Result<Saving, String> {
     let scene = scenes::pair().map_err(|error| error.to_string())?;
     let mut world = World::new(scene).map_err(|error| error.to_string())?;
@@ -110,7 +111,7 @@ pub(super) fn measure(way: Way, file: &Path) -> Result<Saving, String> {
     std::fs::remove_file(file).ok();
 
     let slow_downs = |of: fn(&Block) -> f64| {
-        // each with the block before it and the one after it, so that what gets faster or slower all the time cancels out
+        // each with the block before and the block after it, so that a steady drift in speed cancels out
         let around = |i: usize| 0.5 * (of(&plain[i]) + of(plain.get(i + 1).unwrap_or(&plain[i])));
         quartiles(saving.iter().enumerate().map(|(i, saving)| of(saving) / around(i) - 1.0).collect())
     };
@@ -126,12 +127,12 @@ pub(super) fn measure(way: Way, file: &Path) -> Result<Saving, String> {
     })
 }
 
-/// Steps that were taken together.
+/// Steps timed together.
 struct Block {
     steps: u64,
     /// [s]
     seconds: f64,
-    /// Time that the thread was on a core [s]; 0 where the system does not tell.
+    /// CPU time of the thread [s]; 0 where the system does not report it.
     on_core: f64,
 }
 
@@ -141,7 +142,7 @@ impl Block {
     }
 }
 
-/// Time that this thread has been on a core [s], as Linux counts it: to a tick of some milliseconds.
+/// CPU time of this thread [s], as Linux counts it: in ticks of some milliseconds.
 fn on_core() -> f64 {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
     let nanoseconds = text.split(' ').next().and_then(|number| number.parse::<f64>().ok());
@@ -150,7 +151,7 @@ fn on_core() -> f64 {
 
 type Look<'a> = &'a mut dyn FnMut(&World, Duration) -> Result<(), String>;
 
-/// Steps for the time of a block, and looks now and then.
+/// Takes steps for the duration of a block, and records a frame now and then.
 fn block(world: &mut World, look: Look<'_>) -> Result<Block, String> {
     take(world, |world, elapsed| {
         (0..STEPS).for_each(|_| _ = world.step());
@@ -158,7 +159,7 @@ fn block(world: &mut World, look: Look<'_>) -> Result<Block, String> {
     })
 }
 
-/// The same, and every step is looked at.
+/// The same, and every step is recorded.
 fn block_of_every_step(world: &mut World, look: Look<'_>) -> Result<Block, String> {
     take(world, |world, elapsed| {
         for _ in 0..STEPS {

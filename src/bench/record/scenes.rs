@@ -1,11 +1,11 @@
-//! The scenes that are measured beside those that the user names.
+//! The scenes that are measured in addition to those that the user names.
 
 use std::fmt::Write as _;
 
 use crate::scene::{Scene, SceneError};
 
-/// Two bodies that meet and part every four seconds, for ever, as the pairs of `bench scale` do; as a text, which is what a
-/// recording is replayed from.
+/// Two bodies that meet and separate every four seconds, forever, like the pairs of `bench scale`. Stored as text,
+/// because a recording is replayed from its scene text.
 const PAIR: &str = r#"name = "pair"
 duration = 100.0
 
@@ -31,7 +31,7 @@ pub fn pair() -> Result<Scene, SceneError> {
     Scene::parse(PAIR, "pair")
 }
 
-/// The pair and so many bodies that feel nothing of it; every other one swings from a push of its own.
+/// The pair and this many bodies that it does not affect; every other one oscillates after a push of its own.
 ///
 /// # Errors
 /// Never: the text is made here.
@@ -54,10 +54,10 @@ pub fn pair_among(others: usize) -> Result<Scene, SceneError> {
     Scene::parse(&text, "pair")
 }
 
-/// A scene file of so many bodies in the manner of the built-in `crowd`: a field at rest, in which one body in fifty drifts
-/// to its neighbours and back.
+/// A scene file with this many bodies in the style of the built-in `crowd`: a field at rest, in which one body in fifty
+/// drifts to its neighbours and back.
 pub fn crowd(bodies: usize) -> String {
-    /// From body to body [radii]: they don't touch.
+    /// Distance between bodies [radii]: they don't touch.
     const PITCH: f64 = 2.6;
     let columns = ((1.6 * bodies as f64).sqrt().ceil() as usize).max(1);
     let rows = bodies.div_ceil(columns);

@@ -1,4 +1,4 @@
-//! Measurements as tables for people.
+//! Measurements as tables for the terminal.
 
 use super::{
     Costs, Measurement,
@@ -9,7 +9,7 @@ use crate::{
     text::{number, significant, thousands},
 };
 
-/// Frames and bytes.
+/// Frame rates and sizes.
 pub fn table(measurements: &[Measurement]) -> String {
     let heading = [
         "scene",
@@ -40,7 +40,7 @@ pub fn table(measurements: &[Measurement]) -> String {
     tables::table(heading, measurements.iter().map(row))
 }
 
-/// What recording costs steps, and what verifying does.
+/// The slow-down of steps by recording, and the cost of verification.
 pub fn costs(costs: &Costs) -> String {
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
     let micro = |seconds: f64| format!("{} µs", significant(1e6 * seconds));

@@ -1,4 +1,4 @@
-//! What verifying costs: the checksum of a step beside the step, and a replay beside the run.
+//! Verification cost: the checksum of a step relative to the step, and a replay relative to the run.
 
 use std::{hint::black_box, path::Path, time::Instant};
 
@@ -17,22 +17,22 @@ use crate::{
     },
 };
 
-/// Of so many runs the best counts, as what else the machine does only ever slows them down.
+/// The best of this many runs counts, because other load only ever slows them down.
 const RUNS: usize = 20;
-/// So many bodies that have nothing to do with a pair stand beside it.
+/// Number of unaffected bodies beside a pair.
 const OTHERS: usize = 4000;
-/// What the pushes begin with is over by then; so many steps are measured after that.
+/// Steps before measuring starts; the initial effect of the pushes is over by then.
 const WARM: u64 = 10;
 const STEPS: u64 = 50;
 
-/// The steps of a scene, and the checksum after each.
+/// The cost of checksums in a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Hashing {
     /// Name of the scene.
     pub scene: String,
     /// Time of a step [s].
     pub step: f64,
-    /// What it takes longer with its checksum [s].
+    /// Additional time of a step with its checksum [s].
     pub checksum: f64,
 }
 
@@ -41,29 +41,29 @@ pub struct Hashing {
 pub struct Replaying {
     /// Name of the scene.
     pub scene: String,
-    /// How many steps.
+    /// Number of steps.
     pub steps: u64,
-    /// What reading the scene and simulating it takes [s].
+    /// Time to read the scene and simulate it [s].
     pub plain: f64,
-    /// What it takes to read the recording, simulate, and compare all checksums [s].
+    /// Time to read the recording, simulate, and compare all checksums [s].
     pub replay: f64,
 }
 
 impl Replaying {
-    /// Of the two [–].
+    /// Ratio of replay to run time [–].
     pub fn ratio(&self) -> f64 {
         self.replay / self.plain
     }
 }
 
-/// What was measured.
+/// The measured costs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Verifying {
-    /// Of some scenes.
+    /// One entry per scene.
     pub hashing: Vec<Hashing>,
-    /// Time of a checksum of a pair of bodies [s], and of the same among many that have nothing to do with it.
+    /// Time of a checksum of a pair of bodies [s]: alone, and among many unaffected bodies.
     pub pair: [f64; 2],
-    /// Of some scenes.
+    /// One entry per scene.
     pub replaying: Vec<Replaying>,
 }
 
@@ -74,7 +74,7 @@ impl Verifying {
     }
 }
 
-/// Measures all of it on built-in scenes; a recording goes to `file`, which is removed again.
+/// Measures the costs on built-in scenes. A recording goes to `file`, which is removed.
 pub(super) fn measure(file: &Path) -> Result<Verifying, String> {
     let builtin = |name: &str| Scene::builtin(name).ok_or_else(|| format!("the built-in scene \"{name}\" is missing"));
     let pair = scenes::pair().map_err(|error| error.to_string())?;
@@ -88,8 +88,8 @@ fn world(scene: &Scene) -> Result<World, String> {
     World::new(scene.clone()).map_err(|error| error.to_string())
 }
 
-/// Runs with checksums and without, in turns; of each step the best time counts, for a whole run is never undisturbed. Both
-/// times have the clock in them, and what is between them has not.
+/// Runs with and without checksums in turns. The best time of each step counts, because no whole run is ever
+/// undisturbed. Both times include the cost of reading the clock, which cancels out in their difference.
 fn hash(scene: &Scene) -> Result<Hashing, String> {
     let mut best = vec![[f64::INFINITY; 2]; scene.steps() as usize];
     for _ in 0..RUNS {
@@ -110,7 +110,7 @@ fn hash(scene: &Scene) -> Result<Hashing, String> {
     Ok(Hashing { scene: scene.name.clone(), step, checksum: both - step })
 }
 
-/// The checksum alone, step after step.
+/// Times the checksum alone, step after step.
 fn hash_among_many() -> Result<[f64; 2], String> {
     let scenes = [0, OTHERS].map(scenes::pair_among);
     let mut best = [f64::INFINITY; 2];

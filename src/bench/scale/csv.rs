@@ -1,4 +1,4 @@
-//! Measurements for programs.
+//! Measurements as CSV.
 
 use serde::Serialize;
 
@@ -32,10 +32,10 @@ struct Row<'a> {
     version: &'a str,
 }
 
-/// A row for each scene, number of threads and way. What does not apply is empty.
+/// One row per scene, number of threads and method. Fields that do not apply are empty.
 ///
 /// # Errors
-/// None is known.
+/// None is known to occur.
 pub fn csv(report: &Report, machine: &Machine) -> Result<String, String> {
     let row = |point: &Point, way, run: &Run, judged: Option<Judged>, memory_bytes| {
         let [reach_share, events_share, integrate_share] = Stage::ALL.map(|stage| run.stages[stage as usize]);

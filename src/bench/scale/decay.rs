@@ -1,8 +1,7 @@
-//! A scene that decays to nothing: numbers too small for the usual format of a float would be slow to compute with, so none
-//! may come up on the way.
+//! A scene that decays to zero. Arithmetic on subnormal floats is slow, so none may occur on the way.
 //!
-//! Two bodies are torn apart and left alone. The time of steps is followed while their vertices swing, through all sizes
-//! that a number can have, and long after they have come to rest.
+//! Two bodies are torn apart and left alone. Step times are followed while their vertices oscillate with amplitudes of
+//! every magnitude that a float can have, and long after they have come to rest.
 
 use std::time::Instant;
 
@@ -13,28 +12,28 @@ use crate::{
     sim::{Options, world::States},
 };
 
-/// What was measured.
+/// The measured step times.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Decay {
-    /// Whether what need not be computed was skipped.
+    /// Whether inactive parts were skipped.
     pub skip: bool,
-    /// How many steps were taken.
+    /// Number of steps taken.
     pub steps: u64,
-    /// Time of a step and of looking at all vertices [s], in the beginning …
+    /// Time of a step and of reading all vertices [s], at the start …
     pub early: f64,
-    /// … where it took longest …
+    /// … at its slowest …
     pub slowest: f64,
-    /// … and in the end.
+    /// … and at the end.
     pub late: f64,
 }
 
-/// Steps are timed together by so many; of so many such blocks the best counts: what else the machine does only adds to
-/// them (medians were seen to differ by four between runs, never at the same step), numbers that are slow to compute with
-/// would add to all of them: such sizes take thousands of steps to pass.
+/// Number of steps timed together. The best of several such blocks counts, because other load only adds to them
+/// (medians differed by a factor of four between runs, never at the same step). Subnormal floats would slow down all of
+/// these blocks, because amplitudes of such sizes take thousands of steps to pass.
 const STEPS: u64 = 200;
 const BLOCKS: usize = 10;
 
-/// Follows the decay both ways, skipping over `steps` steps, the naive baseline over a twentieth of that.
+/// Follows the decay both ways: with skipping over `steps` steps, and the naive baseline over a twentieth of that.
 pub(super) fn measure(two: &Scene, steps: u64) -> Result<Vec<Decay>, MeasureError> {
     [(true, steps), (false, steps / 20)].into_iter().map(|(skip, steps)| follow(two, skip, steps)).collect()
 }

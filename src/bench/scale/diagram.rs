@@ -1,4 +1,4 @@
-//! Cost against size: time of a step against the number of bodies, a line a family.
+//! Cost against scene size: step time against the number of bodies, one line per family.
 
 use std::ops::Range;
 
@@ -10,10 +10,11 @@ use crate::bench::{
     machine::Machine,
 };
 
-/// Right of the axes [px].
+/// Space right of the axes [px].
 const RIGHT: u32 = 330;
 
-/// Colours that the colour-blind can tell too (Okabe & Ito 2008), and shapes; the naive baseline is drawn in its family's colour.
+/// A style per family: colours that are safe for colour-blind readers (Okabe & Ito 2008), and distinct markers. The
+/// naive baseline is drawn in the colour of its family.
 fn style(family: Family, is_plain: bool) -> Style {
     let (color, marker) = match family {
         Family::Contact => (RGBColor(213, 94, 0), Marker::Polygon(&[0.0, 2.67, 5.33])),
@@ -23,10 +24,10 @@ fn style(family: Family, is_plain: bool) -> Style {
     if is_plain { Style { color, marker: Marker::Cross, width: 1 } } else { Style { color, marker, width: 3 } }
 }
 
-/// The diagram as an SVG file.
+/// Renders the diagram as an SVG file.
 ///
 /// # Errors
-/// What the drawing library says; none is known.
+/// Errors of the drawing library; none is known to occur.
 pub fn svg(report: &Report, machine: &Machine) -> Result<String, String> {
     let machine = format!("{}, 1 of {} cores used; meldscope {}", machine.cpu, machine.cores, machine.version);
     let sheet = Sheet {
@@ -60,11 +61,11 @@ pub fn svg(report: &Report, machine: &Machine) -> Result<String, String> {
     })
 }
 
-/// A family, skipping or the naive baseline.
+/// A family, with skipping or as the naive baseline.
 struct Curve {
     family: Family,
     is_plain: bool,
-    /// Numbers of bodies, and time of a step [ms].
+    /// Numbers of bodies, and step time [ms].
     points: Vec<(f64, f64)>,
 }
 
@@ -83,7 +84,7 @@ fn curves(report: &Report) -> Vec<Curve> {
     Family::ALL.into_iter().flat_map(|family| [curve(family, false), curve(family, true)]).collect()
 }
 
-/// From the least to the largest, and as much again on either side.
+/// The range of the values, widened by the factor `room` on either side.
 fn range(values: impl Iterator<Item = f64> + Clone, room: f64) -> Range<f64> {
     let (least, most) = (values.clone().fold(f64::INFINITY, f64::min), values.fold(0.0, f64::max));
     if least <= most { least / room..most * room } else { 1.0..10.0 }

@@ -1,8 +1,8 @@
-//! Bodies whose vertices all swing freely, when every frame of them is wanted.
+//! Bodies whose vertices all oscillate freely, with every frame requested.
 //!
-//! Nothing acts, so steps cost nothing; what is timed is a step and the states of all vertices after it, as a recording
-//! would ask for them. Vertices that a sphere has touched have a state of their own each, 48 bytes, which has to come from
-//! memory; those that a push has moved follow from one number a body.
+//! No force acts, so steps are nearly free. What is timed is a step and reading the states of all vertices after it, as
+//! a recording would. Vertices that a sphere has touched each have a state of 48 bytes, which must be read from memory;
+//! vertices moved by a push only are computed from one number per body.
 
 use std::time::{Duration, Instant};
 
@@ -17,17 +17,17 @@ use crate::{
     sim::world::States,
 };
 
-/// Why they swing.
+/// Why the vertices oscillate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
-    /// A sphere was there, all around each of them.
+    /// An influence sphere surrounded each body.
     Sphere,
-    /// They were pushed.
+    /// The bodies were pushed.
     Push,
 }
 
 impl Cause {
-    /// What tables call it.
+    /// The name used in tables.
     pub fn name(self) -> &'static str {
         match self {
             Cause::Sphere => "each vertex by itself",
@@ -36,27 +36,27 @@ impl Cause {
     }
 }
 
-/// What was measured.
+/// The measured frame rates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FreeOscillation {
-    /// Why they swing.
+    /// Why the vertices oscillate.
     pub cause: Cause,
-    /// How many vertices.
+    /// Number of vertices.
     pub vertices: u64,
-    /// Memory that the world has allocated, by vertex [bytes].
+    /// Memory allocated by the world, per vertex [bytes].
     pub memory: f64,
-    /// Vertices times frames by time, on one core [1/s] …
+    /// Vertices times frames per time, on one core [1/s] …
     pub one: f64,
-    /// … and on all.
+    /// … and on all cores.
     pub all: Option<f64>,
 }
 
-/// So many bodies swing, if the scenes have as many: their states fill no cache.
+/// The most bodies that oscillate; their states exceed every cache.
 const BODIES: usize = 4000;
-/// By then nothing acts any more [s].
+/// No force acts after this time [s].
 pub(super) const LEFT_ALONE: f64 = 1.0;
 
-/// Measures both.
+/// Measures both causes.
 pub(super) fn measure(
     two: &Scene,
     pools: &Pools,
@@ -90,7 +90,7 @@ fn measure_one(
     Ok(FreeOscillation { cause, vertices, memory, one, all: rates.next().flatten() })
 }
 
-/// Takes frames for so long; how long one takes [s].
+/// Takes frames for this long; returns the time per frame [s].
 fn block(world: &mut World, share: f64) -> f64 {
     let start = Instant::now();
     for frames in 1.. {
@@ -110,7 +110,7 @@ fn block(world: &mut World, share: f64) -> f64 {
     f64::NAN
 }
 
-/// Pairs of bodies like those of `two` that stand inside of each other and are torn apart, or that are pushed.
+/// Pairs of bodies like those of `two` that are pushed, or that start inside each other and are torn apart.
 pub fn scene(cause: Cause, two: &Scene, pairs: usize) -> Scene {
     let side = (1..).find(|side| side * side * side >= pairs).unwrap_or(1);
     let corner = |pair: usize| {

@@ -1,14 +1,14 @@
-//! The goals, and what was measured beside each.
+//! The goals for step cost, each with the value measured for it.
 
 use super::{Point, Report, Run, free_oscillation::Cause, scenes::Family};
 use crate::bench::goals::{Goal, at_least, at_most};
 
-/// Vertex-steps a second that a plain loop over damped oscillators makes from memory on one core of the machine for which the
-/// goals were set: what free oscillation is compared with.
+/// Vertex-steps per second of a plain loop over damped oscillators, limited by memory bandwidth, on one core of the
+/// machine that the goals were set for. Free oscillation is compared with this.
 const MEMORY_BOUND: f64 = 0.85e9;
 
-/// The goals for which there is a measurement. (How little threads may slow small scenes down was not given as a number:
-/// 0.95 is a choice made here.)
+/// The goals for which there is a measurement. (How much threads may slow down small scenes was not specified; 0.95 was
+/// chosen here.)
 pub fn goals(report: &Report) -> Vec<Goal> {
     let mut goals = vec![at_least("two, one core", 300_000.0, " steps/s", report.two.steps_per_second())];
     let contact = report.at(Family::Contact, 10_000);
@@ -49,7 +49,7 @@ pub fn goals(report: &Report) -> Vec<Goal> {
         goals.push(at_most("memory of a body at rest", 1024.0, " B", point.memory as f64 / point.bodies as f64));
     }
     for decay in &report.decay {
-        // numbers that are slow to compute with take a hundred times as long: 2 is a choice made here
+        // subnormal floats take a hundred times as long; the factor of 2 was chosen here
         let how = if decay.skip { "" } else { ", nothing skipped" };
         let what = format!("a scene that decays to nothing{how}: slowest steps against the first");
         goals.push(at_most(&what, 2.0, " ×", decay.slowest / decay.early));
@@ -57,7 +57,7 @@ pub fn goals(report: &Report) -> Vec<Goal> {
     for point in report.of(Family::Contact) {
         let Some(speed_up) = point.speed_up() else { continue };
         let bodies = point.bodies;
-        // with two cores; where there are more, two of them can do no less
+        // specified for two cores; with more cores the result can be no worse
         let (what, goal) = if bodies >= 1000 { ("in contact", 1.8) } else { ("in contact: not slowed down", 0.95) };
         goals.push(at_least(&format!("all cores against one, {bodies} bodies {what}"), goal, " ×", speed_up));
     }

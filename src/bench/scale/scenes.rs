@@ -1,9 +1,10 @@
-//! The scenes: a grid of cells, each with two bodies that touch or with two at rest.
+//! The benchmark scenes: a grid of cells, each with two bodies that are in contact or two at rest.
 //!
-//! The bodies of a pair are those of the built-in `two`, with the same material and the same law. One stands still, the other
-//! swings towards it and away: in a period the two approach, merge, hold, part and split, and are out of each other's reach
-//! for a moment only. The pairs of a scene are at different phases of that, so that all of them together do
-//! the same work in every step. Bodies at rest stand as close as they can without touching, as in the built-in `crowd`.
+//! The bodies of a pair are those of the built-in `two`, with the same material and the same law. One stands still; the
+//! other oscillates towards it and away. In each period the two approach, merge, hold, separate and split, and are out
+//! of each other's reach only for a moment. The pairs of a scene run at different phases, so that all of them together
+//! do the same work in every step. Bodies at rest stand as close as they can without touching, as in the built-in
+//! `crowd`.
 
 use std::f64::consts::TAU;
 
@@ -11,33 +12,34 @@ use glam::DVec3;
 
 use crate::scene::{Body, Path, Scene};
 
-/// Steps that the motion of a pair takes.
+/// Steps per period of a pair's motion.
 pub const PERIOD: u64 = 240;
-/// Pairs begin at so many different phases of it.
+/// Number of different phases at which pairs start.
 pub const PHASES: usize = 8;
-/// The distance of the bodies of a pair, and by how much it changes [radii]: q from 0.98 to 1.22, merging at 1.05, splitting at 1.2.
+/// The distance of the bodies of a pair, and its amplitude [radii]: q from 0.98 to 1.22, merging at 1.05, splitting at
+/// 1.2.
 const DISTANCE: f64 = 2.2;
 const SWING: f64 = 0.24;
-/// From cell to cell [radii]; across, and along the line of a pair.
+/// Distance between cells [radii]: across, and along the line of a pair.
 const PITCH: f64 = 2.6;
 const LONG_PITCH: f64 = 2.0 * PITCH;
 
-/// Which bodies touch.
+/// Which bodies are in contact.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Family {
     /// All of them, in pairs.
     Contact,
-    /// One pair in a hundred; one pair at least.
+    /// One pair in a hundred, and at least one.
     Hundredth,
     /// One pair.
     Rest,
 }
 
 impl Family {
-    /// All, from the most expensive on.
+    /// All families, most expensive first.
     pub const ALL: [Family; 3] = [Family::Contact, Family::Hundredth, Family::Rest];
 
-    /// What tables call it.
+    /// The name used in tables.
     pub fn name(self) -> &'static str {
         match self {
             Family::Contact => "all in contact",
@@ -47,30 +49,30 @@ impl Family {
     }
 }
 
-/// Where the bodies of a scene are.
+/// The placement of the bodies of a scene.
 #[derive(Clone, Debug)]
 pub struct Layout {
-    /// Which of them touch.
+    /// Which bodies are in contact.
     pub family: Family,
-    /// How many.
+    /// Number of bodies.
     pub bodies: usize,
-    /// Those that touch.
+    /// The pairs in contact.
     pub pairs: Vec<Pair>,
 }
 
-/// Two bodies that touch, by their indices in the scene.
+/// Two bodies in contact, by their indices in the scene.
 #[derive(Clone, Copy, Debug)]
 pub struct Pair {
-    /// The one that stands still.
+    /// The body that stands still.
     pub still: usize,
-    /// The one that moves.
+    /// The body that moves.
     pub moving: usize,
-    /// Where in the period it begins.
+    /// The phase at which it starts.
     pub phase: usize,
 }
 
 impl Layout {
-    /// So many bodies, two at least.
+    /// A layout of this many bodies, at least two.
     pub fn new(family: Family, bodies: usize) -> Layout {
         let cells = bodies / 2;
         let pairs = match family {
@@ -85,7 +87,7 @@ impl Layout {
         Layout { family, bodies, pairs: (0..pairs).map(pair).collect() }
     }
 
-    /// The scene, made from `two`.
+    /// The scene, derived from `two`.
     pub fn scene(&self, two: &Scene) -> Scene {
         let cells = self.bodies.div_ceil(2);
         let side = (1..).find(|side| side * side * side >= cells).unwrap_or(1);
@@ -103,14 +105,14 @@ impl Layout {
     }
 }
 
-/// The pairs of all phases up to `count`, too far from each other to matter, for a reference of them.
+/// The pairs of up to `count` phases, placed too far apart to interact, for a common reference solution.
 pub fn every_phase(two: &Scene, count: usize) -> Scene {
     let corner = |pair: usize| DVec3::Y * (100.0 * pair as f64);
     let paths = (0..count).flat_map(|phase| [Path::Fixed(corner(phase)), swing(corner(phase), phase, two.dt)]);
     scene(two, paths.collect())
 }
 
-/// The path of the body that moves, the other standing at `corner`.
+/// The path of the moving body; the other stands at `corner`.
 fn swing(corner: DVec3, phase: usize, dt: f64) -> Path {
     Path::Sine {
         center: corner + DVec3::X * DISTANCE,

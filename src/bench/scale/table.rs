@@ -1,4 +1,4 @@
-//! Measurements as tables for people.
+//! Measurements as tables for the terminal.
 
 use super::{Judged, Point, Report, Run, scenes::Family};
 use crate::{
@@ -10,7 +10,7 @@ use crate::{
     text::{bytes, number, significant, thousands},
 };
 
-/// All measurements, a table a family.
+/// All measurements, one table per family.
 pub fn table(report: &Report) -> String {
     let mut parts = vec![];
     let mut add = |what: String, table: String| parts.push(format!("{what}\n\n{table}"));
@@ -85,7 +85,7 @@ fn shares(point: &Point, run: &Run) -> [String; 6] {
     [name, thousands(point.bodies as u64), run.threads.to_string(), reach, events, integrate]
 }
 
-/// What the numbers mean, and where they were measured.
+/// What the columns mean, and the machine they were measured on.
 pub fn footer(report: &Report, machine: &Machine) -> String {
     let threads = report.threads;
     format!(

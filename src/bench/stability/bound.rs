@@ -1,8 +1,8 @@
-//! What energy allows: how far from rest and how fast a vertex can be, whatever happened so far.
+//! The energy bound: how far from rest and how fast a vertex can be, given the forces so far.
 //!
-//! From rest, `x(t) = ∫ S(t − s) F(s) ds` with the impulse response S of the oscillator, so bounds of F and of S bound x
-//! and x′; and `√(|u|² + ω²|x|²)` grows by no more than |F|. If besides nothing about the body ever moves or changes,
-//! then E of [`energy`](crate::model::energy) never grows.
+//! Starting from rest, `x(t) = ∫ S(t − s) F(s) ds` with the impulse response S of the oscillator, so bounds of F and S
+//! bound x and x′; and `√(|u|² + ω²|x|²)` grows at a rate of at most |F|. If, in addition, nothing about the body ever
+//! moves or changes, then E of [`energy`](crate::model::energy) never grows.
 
 use std::f64::consts::PI;
 
@@ -14,22 +14,22 @@ use crate::{
     sim::BodyView,
 };
 
-/// What is known of one body.
+/// The bounds of one body.
 pub struct Allowance {
     omega: f64,
     damping: f64,
     /// ∫|F| dt so far [scene unit/s], and the largest |F| [scene unit/s²].
     impulse: f64,
     force: f64,
-    /// √(2 (E(0) − min V)) of each vertex [scene unit/s]; empty if energy can come in.
+    /// √(2 (E(0) − min V)) of each vertex [scene unit/s]; empty if energy can enter the system.
     energy: Vec<f64>,
-    /// Strongest pull by all others, in whatever phase they are or will be [scene unit/s²].
+    /// The strongest pull by all others, in any phase they may ever be in [scene unit/s²].
     pull: f64,
     time: f64,
 }
 
 impl Allowance {
-    /// Of body `index` at t = 0.
+    /// The bounds of body `index` at t = 0.
     pub fn new(scene: &Scene, index: usize) -> Allowance {
         let body = &scene.bodies[index];
         let others = || (0..scene.bodies.len()).filter(move |&other| other != index);
@@ -50,7 +50,7 @@ impl Allowance {
 
         let is_still =
             scene.bodies.iter().all(|body| body.path.is_fixed()) && scene.pushes.iter().all(|push| push.body != index);
-        // Positions are rounded, and so is the energy.
+        // Positions are rounded, and therefore the energy is too.
         let far = scene.bodies.iter().map(|body| body.path.position(0.0).length()).fold(0.0, f64::max);
         let rounding = 8.0 * f64::EPSILON * (far + body.radius);
         let omega = body.material.omega;
@@ -68,8 +68,8 @@ impl Allowance {
                 force += influence::acceleration(weight, strength, sphere, to_centre);
                 stiffness += strength.abs();
             }
-            // With |x| ≤ M/ω and V(x) ≥ V(0) − |F||x|: M²/2 ≤ |F| M/ω. F is nowhere more than the pull, nor than
-            // |F(0)| + L|x|.
+            // With |x| ≤ M/ω and V(x) ≥ V(0) − |F||x|: M²/2 ≤ |F| M/ω. Nowhere does F exceed the pull, nor |F(0)| +
+            // L|x|.
             let force = force.length() + stiffness * rounding;
             let softening = 1.0 - stiffness / (omega * omega);
             let local = if softening > 0.0 { 2.0 * force / (omega * softening) } else { f64::INFINITY };
@@ -88,12 +88,12 @@ impl Allowance {
         }
     }
 
-    /// By how much the energy of all vertices is above the least that it can be [scene unit²/s²].
+    /// The energy of all vertices above its minimum [scene unit²/s²].
     pub fn energy(&self) -> f64 {
         self.energy.iter().map(|momentum| 0.5 * momentum * momentum).sum()
     }
 
-    /// Goes on to time `end` [s].
+    /// Advances to time `end` [s].
     pub fn advance(&mut self, scene: &Scene, index: usize, end: f64) {
         let start = self.time;
         let body = &scene.bodies[index];
@@ -111,8 +111,8 @@ impl Allowance {
         self.time = end;
     }
 
-    /// The largest part of what energy allows that a vertex takes up [–]: more than 1 cannot be. Not a number if the
-    /// state isn't.
+    /// The largest ratio of a vertex's state to the energy bound [–]; more than 1 is impossible for an exact solution.
+    /// NaN if the state contains NaN.
     pub fn used(&self, body: &BodyView<'_>) -> f64 {
         let (furthest, fastest) = self.response();
         let mut used = 0.0;
@@ -121,7 +121,7 @@ impl Allowance {
             let momentum = u.hypot(self.omega * x);
             let most = f64::min(self.impulse, self.energy.get(i).copied().unwrap_or(f64::INFINITY));
             for part in [part(momentum, most), part(x, furthest), part(u, fastest)] {
-                // written so that NaN stays
+                // written so that NaN propagates
                 if !(part <= used) {
                     used = part;
                 }
@@ -130,10 +130,11 @@ impl Allowance {
         used
     }
 
-    /// How far and how fast a vertex can be by the forces so far [scene unit, scene unit/s].
+    /// Bounds of displacement and velocity of a vertex by the forces so far [scene unit, scene unit/s].
     fn response(&self) -> (f64, f64) {
         let Allowance { omega, damping, impulse, force, time, .. } = *self;
-        // |S| ≤ t, 1/ω, 1/2κ; and ∫|S|, ∫|S′| over all time: lobes of an oscillation that decays by e^(−κπ/ν) each
+        // |S| ≤ t, 1/ω, 1/2κ; and ∫|S|, ∫|S′| over all time: each lobe of the oscillation is smaller by a factor of
+        // e^(−κπ/ν)
         let highest = time.min(1.0 / omega).min(0.5 / damping);
         let (area, variation) = if damping >= omega {
             (1.0 / (omega * omega), 2.0 * highest)
@@ -145,7 +146,7 @@ impl Allowance {
     }
 }
 
-/// `value` over `most`, where nothing is no part of nothing.
+/// `value` / `most`, where 0/0 is 0.
 fn part(value: f64, most: f64) -> f64 {
     if value == 0.0 { 0.0 } else { value / most }
 }

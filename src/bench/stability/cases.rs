@@ -1,13 +1,13 @@
-//! The cases of the sweep: each a small scene, made from its number alone.
+//! The cases of the sweep: small scenes, each generated from its number alone.
 
 use std::{f64::consts::PI, fmt, fmt::Write as _};
 
 use crate::{Scene, SceneError};
 
-/// Changing it changes every case.
+/// Changing the seed changes every case.
 pub const SEED: u64 = 2006;
 
-/// What a case goes to the limits of.
+/// The setting that a case takes to its limits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Axis {
     /// Δt from 1e-6 to 10 s.
@@ -20,24 +20,24 @@ pub enum Axis {
     Influence,
     /// Radii from 1:1 to 1:1e4, both scalings.
     Sizes,
-    /// Centres in one place, or passing through each other; vertices at centres and on rims.
+    /// Coincident centres, or centres passing through each other; vertices at centres and on rims.
     Coincident,
-    /// Hundreds of bodies, all overlapping.
+    /// Hundreds of overlapping bodies.
     Crowd,
     /// Positions up to 1e9.
     Far,
-    /// ωΔt around every multiple of π up to 10π, no damping, inside an influence sphere at rest.
+    /// ωΔt around every multiple of π up to 10π, undamped, inside an influence sphere at rest.
     Resonance,
-    /// No influence: pushes, and the body's own motion. There is a closed form.
+    /// No influence: pushes and the body's own motion, which have a closed form.
     Free,
-    /// Many events a step, fast bodies.
+    /// Many events per step, fast bodies.
     Events,
-    /// All of it at once.
+    /// Everything combined.
     Mixed,
 }
 
 impl Axis {
-    /// How many cases of each there are in every [`Axis::CYCLE`].
+    /// Number of cases of each axis in one [`Axis::CYCLE`].
     pub const SHARES: [(Axis, u64); 12] = [
         (Axis::Step, 4),
         (Axis::Omega, 4),
@@ -52,10 +52,10 @@ impl Axis {
         (Axis::Events, 2),
         (Axis::Mixed, 4),
     ];
-    /// After so many cases the axes begin anew.
+    /// The axes repeat after this many cases.
     pub const CYCLE: u64 = 40;
 
-    /// The axis of a case, and its number on it.
+    /// The axis of a case, and its number on that axis.
     pub fn of(index: u64) -> (Axis, u64) {
         let (cycle, mut place) = (index / Axis::CYCLE, index % Axis::CYCLE);
         for (axis, share) in Axis::SHARES {
@@ -64,15 +64,15 @@ impl Axis {
             }
             place -= share;
         }
-        (Axis::Mixed, index) // no place is left over
+        (Axis::Mixed, index) // unreachable: the counts add up to the cycle
     }
 
-    /// A run ends after so many steps of the integrator, all vertices taken together: no case takes for ever.
+    /// A run ends after this many integrator steps over all vertices, so that every case terminates.
     pub fn most_substeps(self) -> u64 {
         if self == Axis::Resonance { 1_000_000 } else { 100_000 }
     }
 
-    /// What it is called in tables.
+    /// The name used in tables.
     pub fn name(self) -> &'static str {
         match self {
             Axis::Step => "step",
@@ -97,24 +97,24 @@ impl fmt::Display for Axis {
     }
 }
 
-/// A scene that is hard on integrators.
+/// A scene that is hard for integrators.
 #[derive(Clone, Debug)]
 pub struct Case {
-    /// It is made from this.
+    /// The number it is generated from.
     pub index: u64,
-    /// What it is about.
+    /// The setting it takes to its limits.
     pub axis: Axis,
-    /// In short, with the numbers that matter.
+    /// A short description with the relevant numbers.
     pub what: String,
-    /// The scene; its source is a scene file.
+    /// The scene; its source is the text of a scene file.
     pub scene: Scene,
 }
 
 impl Case {
-    /// The case of this number.
+    /// Generates the case with this number.
     ///
     /// # Errors
-    /// A scene that is none: there are no such cases.
+    /// The scene is invalid; no such case exists.
     pub fn new(index: u64) -> Result<Case, SceneError> {
         let (axis, number) = Axis::of(index);
         let mut dice = Dice::new(index);
@@ -123,15 +123,16 @@ impl Case {
         Ok(Case { index, axis, what: draft.what, scene })
     }
 
-    /// A case that is not part of the sweep.
+    /// Wraps a scene that is not part of the sweep.
     pub fn of(scene: Scene) -> Case {
         Case { index: u64::MAX, axis: Axis::Mixed, what: scene.name.clone(), scene }
     }
 }
 
-// --- chance ------------------------------------------------------------------------------------------------------------
+// --- random numbers
+// ----------------------------------------------------------------------------------------------------
 
-/// SplitMix64 (Steele, Lea & Flood 2014): the same numbers everywhere, for ever.
+/// SplitMix64 (Steele, Lea & Flood 2014): the same numbers on every machine.
 struct Dice(u64);
 
 impl Dice {
@@ -149,7 +150,7 @@ impl Dice {
         z ^ (z >> 31)
     }
 
-    /// In [0, 1).
+    /// Uniform in [0, 1).
     fn unit(&mut self) -> f64 {
         (self.next() >> 11) as f64 / (1u64 << 53) as f64
     }
@@ -170,7 +171,7 @@ impl Dice {
         self.below(one_in) == 0
     }
 
-    /// Any order of magnitude, and the limits themselves now and then.
+    /// Log-uniform over the range, and occasionally one of the limits themselves.
     fn scale(&mut self, low: f64, high: f64) -> f64 {
         match self.below(10) {
             0 => low,
@@ -189,16 +190,16 @@ impl Dice {
     }
 }
 
-/// To four significant digits: scenes that people can read.
+/// Rounds to four significant digits, to keep scenes readable.
 fn rounded(x: f64) -> f64 {
     format!("{x:.3e}").parse().unwrap_or(x)
 }
 
-// --- scenes ------------------------------------------------------------------------------------------------------------
+// --- scenes ---------------------------------------------------------------------------------------------------------
 
 type Place = [f64; 3];
 
-/// A scene file to be.
+/// A scene file under construction.
 struct Draft {
     what: String,
     dt: f64,
@@ -304,9 +305,9 @@ impl Draft {
         }
     }
 
-    /// A path by which a body comes near the origin, in units of `reach`.
+    /// A path that takes a body near the origin, in units of `reach`.
     fn passing(&self, dice: &mut Dice, reach: f64) -> Motion {
-        // over the whole run, or in human time
+        // over the whole run, or on a scale of seconds
         let time = if dice.chance(2) { self.duration() } else { f64::max(self.duration(), 2.0) };
         let side = [0.0, dice.between(-0.5, 0.5) * reach, dice.between(-0.5, 0.5) * reach];
         let at = |x: f64| [x * reach, side[1], side[2]].map(rounded);
@@ -354,7 +355,7 @@ impl Draft {
 
     fn text(&self, index: u64) -> String {
         let mut text = String::new();
-        // into a string: cannot fail
+        // writing to a string cannot fail
         let _ = write!(
             text,
             "# {}\nname = \"case-{index}\"\ndt = {:?}\nduration = {:?}\n{}\n\
@@ -416,7 +417,7 @@ fn draft(axis: Axis, number: u64, dice: &mut Dice) -> Draft {
             draft.damping = if dice.chance(2) {
                 dice.scale_or_zero(1e-3, 1e6)
             } else {
-                // a little more and a little less than critical
+                // slightly above or below critical damping
                 draft.omega * (1.0 + dice.of(&[0.0, 1e-15, 1e-12, 1e-8, 1e-4, 1e-2]) * dice.of(&[-1.0, 1.0]))
             };
             draft.neighbours(dice);
@@ -446,7 +447,7 @@ fn draft(axis: Axis, number: u64, dice: &mut Dice) -> Draft {
             draft.what = format!("radii 1:{ratio:.0}, {}", draft.scaling);
         }
         Axis::Coincident => {
-            // Vertices on the x axis: the centre of one body is to be at a vertex, or on a rim, of another.
+            // Vertices on the x axis: the centre of one body should meet a vertex, or a rim, of another.
             let place = dice.of(&[0.0, 0.0, 1e-300, 1e-15, 1.0, 2f64.sqrt(), 2f64.sqrt() - 1.0, 1.0 + 2f64.sqrt()]);
             let radius = dice.of(&[1.0, 1.0, 0.5]);
             draft.body(dice, 1.0, Motion::Fixed([0.0; 3]));
@@ -469,7 +470,7 @@ fn draft(axis: Axis, number: u64, dice: &mut Dice) -> Draft {
                 draft.body(dice, 1.0, Motion::Fixed([0.0; 3]));
             }
             draft.damping = dice.of(&[0.0, 1.5]);
-            // a pair may stand exactly on a threshold, too
+            // a pair may also stand exactly on a threshold
             (draft.merge_at, draft.split_at) =
                 dice.of(&[(1.05, 1.15), (place.max(0.5) / (1.0 + radius), place.max(0.5) / (1.0 + radius))]);
             draft.core_at = dice.of(&[0.0, 0.25 / (1.0 + radius)]);
@@ -495,7 +496,7 @@ fn draft(axis: Axis, number: u64, dice: &mut Dice) -> Draft {
             draft.neighbours(dice);
             draft.shift(dice.of(&[[far, 0.0, 0.0], [far, -far, far], [-far, 0.0, far]]));
             if dice.chance(4) {
-                // one that comes from afar, another that goes there
+                // one that arrives from afar, and another that leaves for there
                 let speed = rounded(far / draft.duration());
                 for (from, velocity) in [(-2.0 * far, speed), (far, -speed)] {
                     let [from, velocity] = [[from, 0.0, 0.5], [velocity, 0.0, 0.0]];
@@ -515,7 +516,7 @@ fn draft(axis: Axis, number: u64, dice: &mut Dice) -> Draft {
             draft.tolerance = Some(1e-6 * draft.omega);
             let part = dice.between(0.05, 0.5);
             (draft.alpha, draft.beta) = (part * draft.omega * draft.omega, part * draft.omega * draft.omega);
-            // one vertex of each, the poles, is in the other's sphere
+            // one vertex of each body, a pole, is inside the other's sphere
             (draft.merge_at, draft.split_at) = dice.of(&[(1.05, 1.15), (0.5, 0.5)]);
             draft.core_at = 0.0;
             draft.apart = "repel";

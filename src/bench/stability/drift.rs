@@ -1,34 +1,34 @@
-//! The energy of two merged bodies at rest, without damping, over a million steps: it should not change.
+//! Energy drift of two merged, undamped bodies at rest over a million steps. The exact energy is constant.
 
 use std::time::Instant;
 
 use super::bound::Allowance;
 use crate::{Scene, World, bench::MeasureError, scene::Integrator};
 
-/// So many steps.
+/// Number of steps.
 pub const STEPS: u64 = 1_000_000;
-/// The exponential integrator may change the energy by so much of what there is to move about [–].
+/// Permitted energy drift of the exponential integrator, as a fraction of the available energy [–].
 pub const MOST: f64 = 1e-3;
-/// Steps from one look at the energy to the next.
+/// Steps between energy measurements.
 const STRIDE: u64 = 10;
-/// A run whose energy has changed so much is over [–].
+/// A run is stopped once its energy has drifted by this factor [–].
 const HOPELESS: f64 = 1e3;
 
-/// What became of the energy.
+/// The measured energy drift.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Drift {
-    /// How steps were taken.
+    /// The integrator.
     pub integrator: Integrator,
-    /// How many.
+    /// Number of steps.
     pub steps: u64,
-    /// The largest |E(t) − E(0)|, over what E(0) is above the least that E can be [–].
+    /// The largest |E(t) − E(0)|, relative to the excess of E(0) over the minimum of E [–].
     pub largest: f64,
-    /// [s]
+    /// Run time [s].
     pub seconds: f64,
 }
 
 impl Drift {
-    /// Whether the energy was kept.
+    /// Whether the energy was conserved.
     pub fn is_small(&self) -> bool {
         self.largest <= MOST
     }
@@ -55,7 +55,7 @@ shape = { sphere = { stacks = 2, slices = 3 } }
 motion = { fixed = [1.3, 0.2, 0.4] }
 "#;
 
-/// Steps the scene and watches its energy.
+/// Runs the scene and tracks its energy.
 ///
 /// # Errors
 /// [`MeasureError`]
@@ -73,7 +73,7 @@ pub fn measure(integrator: Integrator, steps: u64) -> Result<Drift, MeasureError
             continue;
         }
         let change = (world.energy().total() - start).abs() / available;
-        // written so that NaN stays
+        // written so that NaN propagates
         if !(change <= drift.largest) {
             drift.largest = change;
         }

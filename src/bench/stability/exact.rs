@@ -1,6 +1,6 @@
-//! The closed form of a vertex that no influence reaches: pushes, and the body's own motion on a line or a sine.
+//! The closed form of a vertex outside all influence: pushes, and the body's own motion on a line or a sine.
 //!
-//! Written down from the characteristic roots, apart from [`oscillator`](crate::model::oscillator).
+//! Derived from the characteristic roots, independently of [`oscillator`](crate::model::oscillator).
 
 use std::f64::consts::TAU;
 
@@ -8,17 +8,17 @@ use glam::DVec3;
 
 use crate::scene::{Body, Path, Response, Scene};
 
-/// A displacement [scene unit], and how large the terms were that it is the sum of [scene unit].
+/// A displacement [scene unit], and the size of the terms that it is the sum of [scene unit].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exact {
     /// x
     pub x: DVec3,
-    /// Rounding is relative to this.
+    /// Magnitude that rounding errors are relative to.
     pub terms: f64,
 }
 
-/// The displacement at time `t` [s] of the vertex of `body` whose rest position has the direction `facing`; `None` if there is no closed
-/// form.
+/// The displacement at time `t` [s] of the vertex of `body` whose rest position has the direction `facing`; `None` if
+/// there is no closed form.
 pub fn displacement(scene: &Scene, index: usize, facing: DVec3, t: f64) -> Option<Exact> {
     let body = &scene.bodies[index];
     let (omega, damping) = (body.material.omega, body.material.damping);
@@ -43,12 +43,13 @@ pub fn displacement(scene: &Scene, index: usize, facing: DVec3, t: f64) -> Optio
     Some(exact)
 }
 
-/// The response to the body's own motion on a sine: x = Im(Z e^(i(Ωt + φ))) and what makes it start from rest.
+/// The response to the body's own motion on a sine: x = Im(Z e^(i(Ωt + φ))), plus the transient that makes it start
+/// from rest.
 fn swing(body: &Body, t: f64, add: &mut impl FnMut(DVec3)) -> Option<()> {
     let Path::Sine { amplitude, frequency, phase, .. } = body.path else { return None };
     let (omega, damping) = (body.material.omega, body.material.damping);
     let rate = TAU * frequency;
-    // Z (ω² − Ω² + 2iκΩ) = Ω² − 2iκΩ, the latter with damping in the world only
+    // Z (ω² − Ω² + 2iκΩ) = Ω² − 2iκΩ, the last term only if damping is relative to the world
     let carried = if body.material.response == Response::World { -2.0 * damping * rate } else { 0.0 };
     let (a, b) = ((omega - rate) * (omega + rate), 2.0 * damping * rate);
     let size = a * a + b * b;

@@ -1,41 +1,42 @@
-//! Bodies of very different sizes (thesis, 4.3): a small one passes a large one that stands still.
+//! Bodies of very different sizes (thesis, 4.3): a small body passes a large one that stands still.
 //!
-//! The path is that of `recordings/size_ratio.toml`, scaled with the sum of the radii: q goes from 1.37 to 0.96 and out
-//! again. The settings are the defaults; the small body's response is `rigid`, so that what it does is done by influence.
+//! The path is that of `recordings/size_ratio.toml`, scaled with the sum of the radii: q goes from 1.37 to 0.96 and
+//! back. Settings are the defaults, except that the small body's response is `rigid`, so that only influence deforms
+//! it.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::{Scene, World, bench::MeasureError, model::influence::Scaling, sim::BodyView};
 
-/// How much smaller the small body is [–].
+/// Radius of the large body over that of the small one [–].
 pub const RATIOS: [f64; 8] = [1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 300.0, 1000.0];
-/// What a body may be displaced by and still be itself [radii].
+/// The displacement up to which a body keeps its shape [radii].
 pub const MOST: f64 = 0.5;
 
-/// What happened to one body.
+/// The deformation of one body.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Harm {
     /// The largest displacement [radii].
     pub displacement: f64,
-    /// Most triangles that faced inwards at the same time.
+    /// The most triangles that faced inwards at the same time.
     pub inverted: usize,
 }
 
-/// One passage.
+/// One passage of a small body past a large one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Passage {
     /// Radius of the large body over that of the small one [–].
     pub ratio: f64,
-    /// The law.
+    /// The scaling law.
     pub scaling: Scaling,
-    /// Of the large body …
+    /// Deformation of the large body …
     pub large: Harm,
     /// … and of the small one.
     pub small: Harm,
 }
 
-/// The scene of a passage, as a file.
+/// The scene of a passage, as a scene file.
 pub fn scene(ratio: f64, scaling: Scaling) -> String {
     let radius = 1.0 / ratio;
     let key = |[t, x, y, z]: [f64; 4]| {
@@ -73,7 +74,7 @@ motion = {{ keyframes = {keys:?} }}
     )
 }
 
-/// All ratios under both laws.
+/// Measures all ratios under both laws.
 ///
 /// # Errors
 /// [`MeasureError`]
@@ -98,7 +99,7 @@ fn passage(ratio: f64, scaling: Scaling) -> Result<Passage, MeasureError> {
     Ok(Passage { ratio, scaling, large, small })
 }
 
-/// Triangles whose normal points the other way than at rest.
+/// Number of triangles whose normal points opposite to its rest direction.
 fn inverted(body: &BodyView<'_>, triangles: &[[u32; 3]]) -> usize {
     let normal = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a);
     let is_inverted = |triangle: &&[u32; 3]| {

@@ -1,4 +1,4 @@
-//! What the sweep found, for people and for programs.
+//! Results of the sweep as tables and CSV.
 
 use serde::Serialize;
 
@@ -28,7 +28,7 @@ fn integrators(rows: &[Row]) -> impl Iterator<Item = Integrator> {
     Integrator::ALL.into_iter().filter(is_there).collect::<Vec<_>>().into_iter()
 }
 
-/// By integrator: how many passed, what became of the others, and the worst.
+/// Per integrator: the number of passed cases, the failures by kind, and the worst case.
 pub fn by_integrator(rows: &[Row]) -> String {
     let heading = ["integrator", "cases", "passed", "not finite", "beyond bound", "error", "median error [R]"];
     let row = |integrator| {
@@ -55,7 +55,7 @@ pub fn by_integrator(rows: &[Row]) -> String {
     tables::table(heading, integrators(rows).map(row))
 }
 
-/// By integrator: the worst case, and the command that runs it again.
+/// Per integrator: the worst case, and the command that runs it again.
 pub fn worst_cases(rows: &[Row]) -> String {
     let of_integrator = |integrator| {
         let (row, outcome) = worst(rows, integrator)?;
@@ -69,7 +69,7 @@ pub fn worst_cases(rows: &[Row]) -> String {
     format!("worst case of each\n{}", integrators(rows).filter_map(of_integrator).collect::<Vec<_>>().join("\n"))
 }
 
-/// One case: what became of it.
+/// The results of one case.
 pub fn one_case(row: &Row) -> String {
     let heading =
         ["integrator", "steps", "outcome", "of bound", "error [R]", "allowed [R]", "sub-steps", "run time [s]"];
@@ -90,7 +90,7 @@ pub fn one_case(row: &Row) -> String {
     tables::table(heading, row.outcomes.iter().map(line))
 }
 
-/// The worst outcome of an integrator: the one that is farthest beyond what is allowed.
+/// The worst outcome of an integrator: the one that exceeds its limit the most.
 fn worst(rows: &[Row], integrator: Integrator) -> Option<(&Row, &Outcome)> {
     of(rows, integrator).min_by(|(_, a), (_, b)| b.badness().total_cmp(&a.badness()))
 }
@@ -107,7 +107,7 @@ fn described(outcome: &Outcome) -> String {
 }
 
 impl Outcome {
-    /// How bad it is: over 1 for what failed [–].
+    /// How bad it is: above 1 for a failure [–].
     pub fn badness(&self) -> f64 {
         let error = match (self.error, self.allowed) {
             (Some(error), Some(allowed)) if self.integrator == Integrator::Exponential => error / allowed,
@@ -120,7 +120,7 @@ impl Outcome {
     }
 }
 
-/// By axis and integrator: how many passed.
+/// Per axis and integrator: the number of passed cases.
 pub fn by_axis(rows: &[Row]) -> String {
     let heading = ["axis", "cases"].into_iter().chain(integrators(rows).map(Integrator::name));
     let line = |(axis, _): (Axis, u64)| {
@@ -136,7 +136,7 @@ pub fn by_axis(rows: &[Row]) -> String {
     tables::table(heading, Axis::SHARES.into_iter().filter_map(line))
 }
 
-/// What the exponential integrator's runs came nearest to failing at, and took.
+/// The closest calls of the exponential integrator, and its cost.
 pub fn extremes(rows: &[Row]) -> String {
     let mut lines = vec![];
     let mut say = |what: &str, key: &dyn Fn(&Outcome) -> f64, show: &dyn Fn(&Outcome) -> String| {
@@ -163,7 +163,7 @@ pub fn extremes(rows: &[Row]) -> String {
     lines.join("\n")
 }
 
-/// What the numbers mean.
+/// What the columns mean.
 pub fn footer() -> String {
     format!(
         "passed: finite after every step, and within {MARGIN} times what energy allows; exponential: and as near the exact \
@@ -173,7 +173,7 @@ pub fn footer() -> String {
     )
 }
 
-/// The energy over a million steps.
+/// The energy drift over a million steps.
 pub fn energy(drifts: &[Drift]) -> String {
     let heading = ["integrator", "steps", "energy changes by", "run time [s]"];
     let rows = drifts.iter().map(|drift| {
@@ -233,10 +233,10 @@ struct Line<'a> {
     seconds: f64,
 }
 
-/// All outcomes; what does not apply is empty.
+/// All outcomes; fields that do not apply are empty.
 ///
 /// # Errors
-/// None is known.
+/// None is known to occur.
 pub fn csv(rows: &[Row]) -> Result<String, String> {
     let all = rows.iter().flat_map(|row| row.outcomes.iter().map(move |outcome| (&row.case, outcome)));
     tables::csv(all.map(|(case, outcome)| Line {

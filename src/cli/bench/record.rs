@@ -13,25 +13,25 @@ use crate::{
     sim::memory,
 };
 
-/// What is measured if nothing is named.
+/// The scenes to measure if none is named.
 const SCENES: [&str; 2] = ["two", "crowd"];
 const CROWD: u32 = 1000;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Scene files, or names of built-in scenes [default: two, crowd, a crowd of 1000, and what there is besides scenes:
-    /// what saving takes from steps, what checksums and replays take].
+    /// Scene files, or names of built-in scenes [default: two, crowd, a crowd of 1000, and the costs beyond frames: the
+    /// slow-down of steps by saving, the cost of checksums and replays].
     scene: Vec<String>,
-    /// A crowd of so many bodies as well.
+    /// Also measure a crowd of this many bodies.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     crowd: Option<u32>,
     /// Write the scene of that crowd to a file, for `meldscope run`, and measure nothing.
     #[arg(long, value_name = "F.toml", requires = "crowd", conflicts_with_all = ["scene", "csv", "folder"])]
     write: Option<PathBuf>,
-    /// Write frames and bytes to a file.
+    /// Write frame rates and sizes to a CSV file.
     #[arg(long, value_name = "F.csv")]
     csv: Option<PathBuf>,
-    /// Where recordings are written while they are measured [default: the system's place for temporary files].
+    /// Folder for recordings while they are measured [default: the system's temporary folder].
     #[arg(long, value_name = "DIR")]
     folder: Option<PathBuf>,
 }

@@ -1,4 +1,4 @@
-//! What nobody can do to a process that serves; its memory and descriptors are what the system says.
+//! What no client can do to a serving process; memory and descriptors are measured by the operating system.
 
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::{Ipv4Addr, TcpStream};
@@ -9,7 +9,7 @@ use super::{GRPC_WEB, SERVICE, ask, connect};
 use crate::recording::Dir;
 use crate::sinks::watch;
 
-/// `run --serve` as a process of its own, for what is counted by the process.
+/// `run --serve` as a separate process, because the limits are per process.
 struct Server {
     child: Child,
     web: u16,
@@ -18,7 +18,7 @@ struct Server {
 }
 
 impl Server {
-    /// Serves the scene `two`; with `--steps 0` it goes on.
+    /// Serves the scene `two`; with `--steps 0` it never ends.
     fn start(dir: &Dir, options: &[&str]) -> Server {
         let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
         command.args(["run", "two", "--serve", "--web-port", "0", "--grpc-port", "0"]).args(options);
@@ -39,7 +39,7 @@ impl Server {
         server
     }
 
-    /// The first line from now on that contains `part`.
+    /// The next line that contains `part`.
     fn says(&self, part: &str) -> String {
         loop {
             let line =
@@ -51,7 +51,7 @@ impl Server {
         }
     }
 
-    /// Ends it as Ctrl-C does, until it says what it refused, if that is a lot.
+    /// Ends it as Ctrl-C does; waits until it reports refused requests, if there are many.
     fn end(mut self, part: &str) -> String {
         let interrupt = || Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().expect("a shell");
         interrupt();
@@ -69,7 +69,7 @@ impl Server {
         std::fs::read_dir(format!("/proc/{}/fd", self.child.id())).expect("it runs").count()
     }
 
-    /// In memory [KiB].
+    /// Resident memory [KiB].
     fn memory(&self) -> u64 {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).expect("it runs");
         let line = status.lines().find(|line| line.starts_with("VmRSS:")).expect("a process has memory");
@@ -84,7 +84,7 @@ impl Drop for Server {
     }
 }
 
-/// Everything of a file of the page.
+/// The whole content of a file of the page.
 fn get(port: u16, path: &str) -> Vec<u8> {
     let mut stream = connect(port);
     let request = format!("GET {path} HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n\r\n");
@@ -96,7 +96,7 @@ fn get(port: u16, path: &str) -> Vec<u8> {
     answer.split_off(head)
 }
 
-/// The page and the run are there as if nothing had happened.
+/// Asserts that the page and the run are still served.
 fn assert_serves(web: u16, data: u16) {
     let page = get(web, "/?url=x");
     assert!(String::from_utf8_lossy(&page).contains("<html"), "{} bytes", page.len());
@@ -132,7 +132,7 @@ fn no_request_ends_it_or_makes_it_large_and_none_leaves_anything_behind() {
                 ask(port, &[call.as_bytes(), &[0; 8192]].concat());
             }
         }
-        // heads without end: a line, a header's value, many headers, and an HTTP/2 one
+        // endless heads: a line, a header value, many headers, and an HTTP/2 one
         let endless: [(&[u8], &[u8]); 4] = [
             (b"GET /", b"aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa"),
             (b"GET / HTTP/1.1\r\nhost: localhost\r\nx: ", b"aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa"),
@@ -152,7 +152,7 @@ fn no_request_ends_it_or_makes_it_large_and_none_leaves_anything_behind() {
                     Err(_) => break,
                 }
             }
-            // what the system has under way, and what it takes to say no
+            // what the system buffers, and what the refusal takes
             assert!(taken < 32 << 20, "{taken} bytes of a head were taken");
         }
         for garbage in [
@@ -196,7 +196,7 @@ fn no_request_ends_it_or_makes_it_large_and_none_leaves_anything_behind() {
     assert!(said.contains("closed ") && said.contains("without a whole request"), "{said}");
 }
 
-/// What hostile clients do, each a connection of its own that stays open.
+/// Behaviours of hostile clients, each on a connection of its own that stays open.
 fn bad_client(port: u16, kind: usize) -> Option<TcpStream> {
     let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, port)).ok()?;
     let call =
@@ -224,9 +224,9 @@ fn bad_client(port: u16, kind: usize) -> Option<TcpStream> {
 
 #[test]
 fn three_hundred_bad_clients_a_port_keep_nobody_out_and_cost_nothing() {
-    // all that stay as they are; those that only read nothing; those that say nothing
+    // all kinds that keep their connection; only those that never read; only those that send nothing
     let crowds: [&dyn Fn(usize) -> usize; 4] = [&|i| i, &|_| 9, &|_| 1, &|_| 0];
-    // while the run goes on and when it is over
+    // during the run and after it
     for options in [["--steps", "0", "--realtime"], ["--steps", "300", "--quiet"]] {
         let dir = Dir::new();
         let server = Server::start(&dir, &[&options[..], &["--save", "x.rrd"]].concat());
