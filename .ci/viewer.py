@@ -104,11 +104,11 @@ def main():
     try:
         until(deadline, lambda: viewer.tool("connect", endpoint=f"http://127.0.0.1:{viewer.port}") or True)
         until(deadline, lambda: any(r["timelines"] for r in json.loads(viewer.tool("viewer_state"))["recordings"]))
-        viewer.tool("set_time", timeline=timeline, time=int(value))
-
         missing = wanted
         def complete():
             nonlocal missing
+            # again each time: while a file loads, the cursor does not get beyond what has been read
+            viewer.tool("set_time", timeline=timeline, time=int(value))
             shown = viewer.texts()
             missing = [text for text in wanted if not any(text in line for line in shown)]
             return not missing
