@@ -6,23 +6,23 @@
 //!
 //! # Method
 //!
-//! 1. Predicates see the bodies in general position ([`placement`]): displaced by some 1e-9 of their size, such that
+//! 1. Predicates see the bodies in general position (`placement`): displaced by some 1e-9 of their size, such that
 //!    bodies in contact are apart. The result has the true positions. Displacing numbers in place of symbols
 //!    (Edelsbrunner and Mücke, *Simulation of Simplicity*, 1990; Smith, *Towards Robust Inexact Geometric Computation*,
 //!    2009, and the library Manifold, which displace along normals) leaves every predicate an ordinary polynomial.
 //! 2. The sign of a polynomial is that of its f64 value where an error bound allows, otherwise that of its exact value
-//!    ([`exact`]; Shewchuk 1997). The intersection of an edge and a triangle is never rounded: it stays the pair (edge,
+//!    (`exact`; Shewchuk 1997). The intersection of an edge and a triangle is never rounded: it stays the pair (edge,
 //!    triangle), like the implicit points of Attene (*Indirect Predicates for Geometric Constructions*, 2020) and of
 //!    Cherchi et al. (*Fast and Robust Mesh Arrangements*, 2020; *Interactive and Robust Mesh Booleans*, 2022).
-//! 3. Boxes of bodies, of blocks of triangles and of triangles find candidates ([`candidates`]); signs determine which
+//! 3. Boxes of bodies, of blocks of triangles and of triangles find candidates (`candidates`); signs determine which
 //! of
-//!    them intersect ([`arrangement`]).
+//!    them intersect (`arrangement`).
 //! 4. Winding numbers (Zhou et al., *Mesh Arrangements for Solid Geometry*, 2016) are flood-filled from where they are
-//!    known ([`winding`]), and checked at the end of every edge and segment. A side of a triangle bounds the union if
+//!    known (`winding`), and checked at the end of every edge and segment. A side of a triangle bounds the union if
 //!    nothing is in front of it and something behind it.
-//! 5. Cut triangles are triangulated again ([`faces`], [`triangulate`]), whole ones kept; a final check verifies that
+//! 5. Cut triangles are triangulated again (`faces`, `triangulate`), whole ones kept; a final check verifies that
 //! the
-//!    surface is closed ([`surface`]).
+//!    surface is closed (`surface`).
 //!
 //! Bodies are first put into a canonical order, and each loop that may run on several threads has a fixed order of
 //! results: the surface depends neither on the order in which bodies are given nor on the number of threads.

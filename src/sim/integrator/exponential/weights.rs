@@ -185,12 +185,12 @@ static QUARTIC: LazyLock<[[f64; 5]; 5]> = LazyLock::new(|| {
     all
 });
 
-/// Weights at `theta` of the values at each of [`SAMPLES`], in the quartic through them.
+/// Weights at `theta` of the values at each of `SAMPLES`, in the quartic through them.
 pub fn quartic(theta: f64) -> [f64; 5] {
     QUARTIC.map(|[a, b, c, d, e]| a + theta * (b + theta * (c + theta * (d + theta * e))))
 }
 
-/// The coefficients of the quartic through vectors at [`SAMPLES`].
+/// The coefficients of the quartic through vectors at `SAMPLES`.
 pub fn quartic_through(known: &[DVec3; 5]) -> [DVec3; 5] {
     let all = &*QUARTIC;
     std::array::from_fn(|k| (0..5).map(|look| all[look][k] * known[look]).sum())
