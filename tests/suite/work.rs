@@ -1,9 +1,13 @@
 //! Work per step is bounded: an endless step is ended, at the same point in every run, and an interrupted step ends at
 //! once.
+//!
+//! A fuzzer of scenes looks for excessive time and memory: for three seconds here, longer with
+//! `MELDSCOPE_FUZZ_SECONDS`.
 
 use std::{
+    fmt::Write as _,
     fs,
-    process::Command,
+    process::{Command, Stdio},
     sync::atomic::{AtomicBool, Ordering},
     time::{Duration, Instant},
 };
@@ -167,4 +171,184 @@ fn the_recording_of_a_run_that_failed_replays_to_the_same_failure() {
     let (status, printed, said) = program(&["replay", "endless.rrd"]);
     assert_eq!(status, Some(0), "{said}");
     assert!(printed.contains(&format!("and it fails as it did: {failure}")), "{printed}");
+}
+
+/// Numbers of no statistical merit.
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        self.0
+    }
+
+    fn below(&mut self, n: usize) -> usize {
+        (self.next() % n as u64) as usize
+    }
+
+    fn one_in(&mut self, n: usize) -> bool {
+        self.below(n) == 0
+    }
+
+    /// From 0 to 1.
+    fn share(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// Of any size between two powers of ten, most often of an ordinary one.
+    fn size(&mut self, low: f64, high: f64) -> f64 {
+        let exponent = if self.one_in(3) { low + (high - low) * self.share() } else { -1.0 + 2.0 * self.share() };
+        10f64.powf(exponent.clamp(low, high))
+    }
+
+    fn number(&mut self, low: f64, high: f64) -> f64 {
+        match self.below(6) {
+            0 => 0.0,
+            1 => -self.size(low, high),
+            _ => self.size(low, high),
+        }
+    }
+
+    fn vector(&mut self, low: f64, high: f64) -> String {
+        format!("{:?}", [(); 3].map(|()| self.number(low, high)))
+    }
+}
+
+/// A scene at the ends of what scenes can be.
+fn extreme_scene(random: &mut Random) -> String {
+    let mut text = String::new();
+    let dt = if random.one_in(3) { random.size(-9.0, 9.0) } else { 1.0 / 60.0 };
+    let count = match random.below(8) {
+        0 => 1 + random.below(400),
+        1 => 1 + random.below(60),
+        _ => 1 + random.below(6),
+    };
+    let _ = writeln!(text, "dt = {dt:?}\nduration = {:?}", 20.0 * dt);
+    if random.one_in(4) {
+        let all = ["thesis", "mps", "euler", "verlet", "rk4"];
+        let _ = writeln!(text, "integrator = \"{}\"", all[random.below(all.len())]);
+    }
+    if random.one_in(4) {
+        let _ = writeln!(text, "tolerance = {:?}", random.size(-12.0, 3.0));
+    }
+    let response = ["rigid", "inertial", "world"][random.below(3)];
+    let (omega, damping) = (random.number(-9.0, 9.0).abs(), random.number(-9.0, 9.0).abs());
+    let _ =
+        writeln!(text, "[material]\nomega = {omega:?}\ndamping = {damping:?}\nresponse = \"{response}\"\n[influence]");
+    let merge_at = random.size(-3.0, 3.0);
+    let split_at = if random.one_in(2) { merge_at } else { merge_at * (1.0 + random.size(-12.0, 2.0)) };
+    let core_at = if random.one_in(3) { merge_at * 0.5 } else { 0.0 };
+    let _ = writeln!(text, "merge_at = {merge_at:?}\nsplit_at = {split_at:?}\ncore_at = {core_at:?}");
+    for key in ["alpha", "beta"] {
+        let _ = writeln!(text, "{key} = {:?}", 100.0 * random.number(-9.0, 9.0).abs());
+    }
+    if random.one_in(2) {
+        let _ = writeln!(text, "reach = {:?}", random.size(-6.0, 6.0));
+    }
+    let _ = writeln!(text, "weight = \"{}\"", ["linear", "wendland"][random.below(2)]);
+    let _ = writeln!(text, "scaling = \"{}\"", ["relative", "absolute"][random.below(2)]);
+    let _ = writeln!(text, "apart = \"{}\"", ["repel", "none"][random.below(2)]);
+    let (is_alike, frequency) = (random.one_in(2), random.size(-3.0, 10.0));
+    let spread = if random.one_in(3) { 0.0 } else { random.size(-9.0, 4.0) };
+    for i in 0..count {
+        let radius = if is_alike { 1.0 } else { random.size(-6.0, 6.0) };
+        let rings = if count > 60 || random.one_in(2) { [2, 3] } else { [2 + random.below(20), 3 + random.below(30)] };
+        let _ = writeln!(text, "[[body]]\nname = \"b{i}\"\nradius = {radius:?}");
+        let _ = writeln!(text, "shape = {{ sphere = {{ stacks = {}, slices = {} }} }}", rings[0], rings[1]);
+        let place = format!("{:?}", [(); 3].map(|()| spread * (random.share() - 0.5)));
+        let kinds = if count > 60 { 6 } else { 4 };
+        let motion = match random.below(kinds) {
+            0 => format!("line = {{ from = {place}, velocity = {} }}", random.vector(-6.0, 6.0)),
+            1 | 2 => {
+                let frequency = if random.one_in(2) { frequency } else { random.size(-3.0, 10.0) };
+                let phase = [0.0, 1.5707963267948966, 3.0][random.below(3)];
+                let amplitude = if random.one_in(2) { "[2.1, 0, 0]".to_owned() } else { random.vector(-3.0, 4.0) };
+                format!(
+                    "sine = {{ center = {place}, amplitude = {amplitude}, frequency = {frequency:?}, phase = {phase:?} }}"
+                )
+            }
+            3 if random.one_in(2) => {
+                let most = if random.one_in(4) { 3000 } else { 30 };
+                let keys = 2 + random.below(most);
+                let length = 10.0 * dt * random.size(-2.0, 1.0);
+                let key = |k: usize, random: &mut Random| {
+                    let [x, y, z] = [(); 3].map(|()| random.number(-3.0, 1.0));
+                    format!("[{:?}, {x:?}, {y:?}, {z:?}]", (k as f64 * length / keys as f64).max(k as f64 * 1e-11))
+                };
+                let keys: Vec<String> = (0..keys).map(|k| key(k, random)).collect();
+                format!("keyframes = [{}]", keys.join(", "))
+            }
+            _ => format!("fixed = {place}"),
+        };
+        let _ = writeln!(text, "motion = {{ {motion} }}");
+    }
+    let pushes = match random.below(8) {
+        0 => random.below(2000),
+        1 | 2 => random.below(10),
+        _ => 0,
+    };
+    let one = random.below(count);
+    for _ in 0..pushes {
+        let on = if random.one_in(4) { random.below(count) } else { one };
+        let (start, lasts) = (20.0 * dt * random.share(), 20.0 * dt * random.share() * random.size(-6.0, 1.0));
+        let direction = format!("{:?}", [1.0, random.share(), random.share()]);
+        let strength = random.number(-6.0, 9.0);
+        let _ = writeln!(
+            text,
+            "[[push]]\nbody = \"b{on}\"\ndirection = {direction}\nstrength = {strength:?}\nstart = {start:?}\nduration = {lasts:?}"
+        );
+    }
+    text
+}
+
+/// What a process took: of a processor, and of memory at its peak [KiB]; where the system tells.
+fn taken(id: u32) -> Option<(Duration, u64)> {
+    let stat = fs::read_to_string(format!("/proc/{id}/stat")).ok()?;
+    let ticks: u64 =
+        stat.rsplit(')').next()?.split_whitespace().skip(11).take(2).filter_map(|n| n.parse::<u64>().ok()).sum();
+    let status = fs::read_to_string(format!("/proc/{id}/status")).ok()?;
+    let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?.split_whitespace().next()?.parse().ok()?;
+    Some((Duration::from_millis(10 * ticks), peak))
+}
+
+/// Every scene ends by itself, whatever its numbers, within ten seconds of a processor and 1 GiB.
+#[test]
+fn no_extreme_scene_runs_for_ever() {
+    let seconds = std::env::var("MELDSCOPE_FUZZ_SECONDS").ok().and_then(|text| text.parse().ok()).unwrap_or(3.0);
+    let dir = Dir::new();
+    let (mut random, start) = (Random(0x9e37_79b9_7f4a_7c15), Instant::now());
+    let (mut runs, mut failed, mut longest) = (0u64, 0u64, Duration::ZERO);
+    while start.elapsed().as_secs_f64() < seconds {
+        let text = extreme_scene(&mut random);
+        fs::write(dir.file("extreme.toml"), &text).expect("room");
+        let mut program = Command::new(env!("CARGO_BIN_EXE_meldscope"));
+        program.args(["run", "extreme.toml", "--quiet", "--thin", "--threads", "1", "--save", "extreme.rrd"]);
+        program.current_dir(dir.path()).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+        let mut child = program.spawn().expect("the program starts");
+        let begin = Instant::now();
+        let status = loop {
+            let (time, memory) = taken(child.id()).unwrap_or_default();
+            longest = longest.max(time);
+            // no processor may be had for a while
+            if time > LIMIT || memory > 1 << 20 || begin.elapsed() > 12 * LIMIT {
+                child.kill().and_then(|()| child.wait()).ok();
+                let kept = std::env::temp_dir().join("meldscope-extreme.toml");
+                fs::write(&kept, &text).ok();
+                panic!("scene {runs} ({}): {time:?}, {memory} KiB", kept.display());
+            }
+            if let Some(status) = child.try_wait().expect("a child") {
+                break status;
+            }
+            std::thread::sleep(Duration::from_millis(2));
+        };
+        let said = std::io::read_to_string(child.stderr.take().expect("a pipe")).expect("text");
+        assert!(matches!(status.code(), Some(0..=2)) && !said.contains("panicked"), "{status}: {said}\n{text}");
+        assert!(status.success() || said.starts_with("error: "), "{said}");
+        runs += 1;
+        failed += u64::from(!status.success());
+    }
+    println!("{runs} extreme scenes, {failed} of them ended with a failure or were refused");
+    println!("the longest took {longest:?}");
 }
