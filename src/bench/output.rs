@@ -7,6 +7,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use crate::stream::unfinished;
+
 /// A file that can be written, as far as that can be checked in advance.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Output {
@@ -65,12 +67,13 @@ impl Output {
             return OpenOptions::new().write(true).open(&self.path)?.write_all(text.as_bytes());
         }
         let partial = self.partial();
-        let written = File::create_new(&partial)
+        let written = unfinished::create_new(&partial)
             .and_then(|mut file| file.write_all(text.as_bytes()).and_then(|()| file.sync_all()))
             .and_then(|()| fs::rename(&partial, &self.path));
         if written.as_ref().is_err_and(|error| error.kind() != io::ErrorKind::AlreadyExists) {
             fs::remove_file(&partial).ok();
         }
+        unfinished::forget(&partial);
         written
     }
 }

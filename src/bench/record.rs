@@ -35,6 +35,7 @@ use crate::{
         settings::Detail,
         sinks::{Destinations, Serve, Sinks},
         step::{StepRecord, StepWatch},
+        unfinished,
     },
 };
 
@@ -134,7 +135,9 @@ pub fn measure_costs(folder: &Path) -> Result<Costs, String> {
 }
 
 fn file(folder: &Path) -> PathBuf {
-    folder.join(format!("meldscope-bench-{}.rrd", std::process::id()))
+    let file = folder.join(format!("meldscope-bench-{}.rrd", std::process::id()));
+    unfinished::add(&file);
+    file
 }
 
 /// Measures a scene in every way. Temporary files go to `folder` and are removed.

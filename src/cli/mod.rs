@@ -1,11 +1,12 @@
 //! The command line: one file per subcommand.
 //!
 //! Results go to standard output, everything else to standard error. Exit status: 0 success; 1 the run failed, or a
-//! check found a difference; 2 bad input or usage.
+//! check found a difference; 2 bad input or usage; 130 interrupted before the end.
 
 mod bench;
 mod check;
 mod diff;
+mod interrupt;
 mod replay;
 mod run;
 mod scenes;
@@ -134,10 +135,10 @@ fn run(command: Command) -> Result<(), Failure> {
             scenes::list();
             Ok(())
         }
-        Command::Replay(arguments) => replay::replay(arguments),
-        Command::Check(arguments) => check::check(arguments),
-        Command::Diff(arguments) => diff::diff(arguments),
-        Command::Bench(arguments) => bench::bench(arguments),
+        Command::Replay(arguments) => interrupt::end().and_then(|()| replay::replay(arguments)),
+        Command::Check(arguments) => interrupt::end().and_then(|()| check::check(arguments)),
+        Command::Diff(arguments) => interrupt::end().and_then(|()| diff::diff(arguments)),
+        Command::Bench(arguments) => interrupt::end().and_then(|()| bench::bench(arguments)),
     }
 }
 

@@ -9,7 +9,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{Failure, announce, may_print, may_save, one_of, print, say, sink_failure};
+use super::{
+    Failure, announce,
+    interrupt::{self, STOP},
+    may_print, may_save, one_of, print, say, sink_failure,
+};
 use crate::{
     observe::{Experiment as _, PairEvent, Schema, Simulation, StepFailure, StepSummary},
     recording::existing::{Existing, Kind},
@@ -30,9 +34,6 @@ use indicatif::{ProgressBar, ProgressStyle};
 /// The progress bar is updated, and a watched file is checked, at this interval, but only every few steps.
 const LOOK_INTERVAL: Duration = Duration::from_millis(50);
 const STEPS_BETWEEN_LOOKS: u64 = 16;
-/// Interrupts within this interval count as one: `timeout`, `cargo run` and others signal both a program and its
-/// process group.
-const SAME_INTERRUPT: Duration = Duration::from_secs(1);
 /// At most this many events are listed; the rest are counted.
 const LISTED_EVENTS: usize = 20;
 
@@ -183,7 +184,7 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     if let Some(save) = &destinations.save {
         may_save(save, &[(Path::new(&arguments.scene), "the scene to be run")], &new)?;
     }
-    listen_for_interrupts()?; // there is nothing to save before this point
+    interrupt::raise_stop()?; // there is nothing to save before this point
     let sinks = Sinks::open(&destinations).map_err(sink_failure)?;
     if let Some(save) = &destinations.save {
         announce(save, &new)?;
@@ -559,23 +560,6 @@ fn destinations(arguments: &Arguments, scene: &Scene) -> Destinations {
         }),
         ..Destinations::default()
     }
-}
-
-/// Set by Ctrl-C or a termination request; the run then finishes cleanly.
-static STOP: AtomicBool = AtomicBool::new(false);
-
-/// From here on, the first interrupt sets [`STOP`] and a second one ends the program at once.
-fn listen_for_interrupts() -> Result<(), Failure> {
-    let mut first: Option<Instant> = None;
-    ctrlc::set_handler(move || match first {
-        None => {
-            first = Some(Instant::now());
-            STOP.store(true, Ordering::Relaxed);
-        }
-        Some(first) if first.elapsed() < SAME_INTERRUPT => {}
-        Some(_) => std::process::exit(130),
-    })
-    .map_err(|error| Failure::Run(format!("cannot listen for Ctrl-C: {error}")))
 }
 
 /// Prints what the run did, and how to open what it wrote.

@@ -18,6 +18,7 @@
 //! | the layout that the viewer opens with | [`blueprint`] |
 //! | colours and their meaning | [`palette`] |
 //! | destinations of messages: files, viewers, servers | [`sinks`] |
+//! | files that an interrupt removes | [`unfinished`] |
 //!
 //! Nothing here depends on a particular simulation: see [`observe`](crate::observe).
 //!
@@ -59,6 +60,7 @@ pub mod series;
 pub mod settings;
 pub mod sinks;
 pub mod step;
+pub mod unfinished;
 
 pub use pipeline::Pipeline;
 pub use recorder::Recorder;

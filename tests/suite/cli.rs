@@ -710,6 +710,32 @@ fn an_interrupted_run_is_saved() {
     }
 }
 
+/// What is of no use before its end: ends at once, and no file is left.
+#[cfg(unix)]
+#[test]
+fn an_interrupted_check_leaves_nothing() {
+    let dir = scene_dir();
+    run(&dir, &["run", "small.toml", "--quiet", "--save", "x.rrd"]).succeeded();
+    fs::write(dir.file("long.toml"), SCENE.replace("duration = 2.0", "duration = 1e6")).expect("room");
+    let names = dir.names();
+    let cases: [(&str, &[&str]); 4] = [
+        ("INT", &["replay", "x.rrd", "--dt", "1e-8", "--save", "y.rrd"]),
+        ("TERM", &["replay", "x.rrd", "--dt", "1e-8", "--save", "y.rrd"]),
+        ("INT", &["check", "long.toml", "--bless", "a test"]),
+        ("TERM", &["bench", "record", "small.toml", "--folder", "."]),
+    ];
+    for (name, arguments) in cases {
+        let mut running = Running::start(&dir, arguments);
+        running.eventually(|| dir.names().iter().any(|name| name.ends_with(".partial")));
+        running.signal(name);
+        let start = Instant::now();
+        let said = running.end().failed(130);
+        assert_eq!(said, "error: interrupted\n", "{arguments:?}");
+        assert!(start.elapsed() < Duration::from_secs(1), "{arguments:?}: {:?}", start.elapsed());
+        assert_eq!(dir.names(), names, "{arguments:?}");
+    }
+}
+
 // ---- viewers -------------------------------------------------------------------------------------------------------
 
 #[test]

@@ -17,6 +17,7 @@ use same_file::Handle;
 use super::SinkError;
 use super::error::file_help;
 use super::queue::{Parcel, Queue, WhenFull};
+use crate::stream::unfinished;
 
 /// Upper limit on data waiting to be written [bytes]; beyond it the run waits for the disk. A larger queue would not be
 /// faster: data would have left the processor's caches by the time it is written.
@@ -56,6 +57,7 @@ impl Drop for Partial {
         if !self.is_kept {
             std::fs::remove_file(&self.path).ok();
         }
+        unfinished::forget(&self.path);
     }
 }
 
@@ -117,12 +119,15 @@ impl Claim {
         let in_the_way = |what: &str| taken(&format!("{}, where it is written first, {what}", partial.display()));
         loop {
             // never follow a link, whoever created it
-            match OpenOptions::new().write(true).create_new(true).open(&partial) {
+            match unfinished::create_new(&partial) {
                 Ok(file) => {
-                    if lock(&file, path)?.is_none() || leads_to(&partial, &file) {
+                    let locked = lock(&file, path);
+                    if matches!(locked, Ok(None)) || locked.is_ok() && leads_to(&partial, &file) {
                         let partial = Some(Partial { path: partial, is_kept: false });
                         return Ok(Claim { path: path.clone(), file, partial, is_stale: false, there });
                     }
+                    unfinished::forget(&partial); // another run's
+                    locked?;
                     continue;
                 }
                 Err(err) if err.kind() == io::ErrorKind::AlreadyExists => {}
@@ -177,7 +182,7 @@ impl Claim {
                 // not truncated: the file may have another hard link under which it is wanted
                 std::fs::remove_file(&partial.path).map_err(create)?;
                 drop(file);
-                file = match OpenOptions::new().write(true).create_new(true).open(&partial.path) {
+                file = match unfinished::create_new(&partial.path) {
                     Err(err) if err.kind() == io::ErrorKind::AlreadyExists => return Err(SinkError::Busy { path }),
                     other => other.map_err(create)?,
                 };
