@@ -134,6 +134,15 @@ impl Path {
         }
     }
 
+    /// How far apart two places of the path can be at the most [scene unit].
+    pub fn extent(&self) -> f64 {
+        match self {
+            Path::Fixed(_) => 0.0,
+            Path::Sine { amplitude, .. } => 2.0 * amplitude.length() * (1.0 + 1e-12),
+            Path::Line { .. } | Path::Keyframes(_) => f64::INFINITY,
+        }
+    }
+
     /// c at time `t` [s].
     pub fn position(&self, t: f64) -> DVec3 {
         self.at(t).position

@@ -78,6 +78,13 @@ impl<'a> Track<'a> {
         }
     }
 
+    /// How far apart two places of the centre can be at the most [scene unit].
+    pub fn extent(self) -> f64 {
+        match self {
+            Track::Prescribed(path) => path.extent(),
+        }
+    }
+
     /// The path that it follows exactly for ever, if it does.
     pub fn path(self) -> Option<&'a Path> {
         match self {

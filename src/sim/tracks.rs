@@ -28,7 +28,7 @@ pub struct Tracks {
 pub struct MotionBounds {
     /// Its centre at the start of the step [scene unit].
     pub centre: DVec3,
-    /// Bound of its speed in the step [scene unit/s].
+    /// Bound of how far it gets from there within the step, over the step [scene unit/s].
     pub speed: f64,
     /// Its radius [scene unit].
     pub radius: f64,
@@ -53,6 +53,8 @@ pub struct Mover {
     /// Whether something may happen between the body and its neighbours in the step, for [`Tracks::watch`].
     pub is_watched: bool,
     turns: Turns,
+    /// How far it can ever get from anywhere on its way [scene unit].
+    extent: f64,
     /// Whether the body stands still in the step …
     stands_still: bool,
     /// … and did so in the one before: to its neighbours it is what it was.
@@ -86,6 +88,7 @@ impl Tracks {
                     body,
                     is_watched: false,
                     turns,
+                    extent: path.extent(),
                     stands_still: false,
                     is_idle: false,
                     kinematics,
@@ -110,10 +113,13 @@ impl Tracks {
             track.bounds = path.bounds(span.start, span.end);
         };
         each(&mut self.movers, follow);
+        let h = span.length();
         for track in &self.movers {
             let motion_bounds = &mut self.motion_bounds[track.body as usize];
             motion_bounds.centre = track.kinematics[0].position;
-            motion_bounds.speed = track.bounds.speed;
+            let (speed, extent) = (track.bounds.speed, track.extent);
+            // who swings many times in a step gets nowhere
+            motion_bounds.speed = if speed * h > extent { extent / h } else { speed };
         }
     }
 

@@ -117,6 +117,17 @@ fn what_only_looks_endless_is_none() {
     }
 }
 
+/// A body that swings many times in a step stays where it swings, however fast it is.
+#[test]
+fn what_swings_fast_far_away_costs_nothing() {
+    for (response, frequency) in [("rigid", 1e5), ("rigid", 1e9)] {
+        let text = swinging(frequency, 6.0, 0.5) + &format!("[material]\nresponse = \"{response}\"\n");
+        let start = Instant::now();
+        assert_eq!(steps(&text, 240, Options::default()), (240, None), "{text}");
+        assert!(start.elapsed() < Duration::from_secs(2), "{:?}: {text}", start.elapsed());
+    }
+}
+
 /// A flag interrupts a long step, and the world reports it.
 #[test]
 fn an_interrupt_ends_a_step() {
