@@ -271,7 +271,8 @@ impl<'a> Context<'a> {
         self.find_breaks(active.body, contributing, span, breaks, work);
         let tolerance = scene.tolerance * scene.bodies[index].radius;
         let control = StepControl { arch: self.arch, tolerance, work };
-        let base = exponential::work_of(active.state.deformation.active_set.vertices.len(), contributing.len());
+        let vertices = active.state.deformation.active_set.vertices.len();
+        let base = exponential::work_of(vertices, contributing.len(), self.body(active.body).pushes.len());
         let mut total = StepStatistics { base, ..StepStatistics::default() };
         for ends in breaks.windows(2) {
             let part = Span { start: ends[0], end: ends[1] };

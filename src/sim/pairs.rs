@@ -24,7 +24,7 @@ use super::{
     terms::spheres,
     track::Track,
     tracks::Tracks,
-    work::{EVENT, LOOK_AT_PATHS, NEW_PAIR, Stop, Tally, Work},
+    work::{EVENT, LOOK_AT_PATHS, NEAR_ENOUGH, NEW_PAIR, Stop, Tally, Work},
 };
 use crate::{
     model::phase::{Phase, Thresholds},
@@ -193,7 +193,7 @@ impl Pairs {
         self.found.clear();
         self.grid.touching(i as u32, &mut self.found);
         let grid = &self.grid;
-        if of.work.spend(self.found.len() as u64) {
+        if of.work.spend(NEAR_ENOUGH * self.found.len() as u64) {
             self.found.retain(|&j| are_near(of.scene, of.bodies, grid, i as u32, j));
             self.meet(of, i, t);
         }
@@ -432,6 +432,9 @@ fn stay(track: Track<'_>, skin: f64, t: f64, dt: f64) -> (f64, f64) {
         return (0.0, f64::INFINITY);
     }
     let moved = |steps: f64| track.bounds(t, t + steps * dt).speed * steps * dt;
+    if moved(1.0) > track.extent() {
+        return (skin.max(track.extent()), t + LONGEST_STAY * dt);
+    }
     let skin = skin.max(moved(1.0));
     let mut steps = LONGEST_STAY;
     while steps > 1.0 && moved(steps) > skin {

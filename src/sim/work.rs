@@ -12,7 +12,7 @@ use std::{
 };
 
 /// What a run may owe [units].
-const MOST_OWED: u64 = 300_000_000;
+const MOST_OWED: u64 = 1_200_000_000;
 /// What every step may take, …
 const FREE: u64 = 500_000;
 /// … what it may take for each vertex of the scene that takes steps, …
@@ -25,11 +25,13 @@ const GRAIN: u64 = 1 << 15;
 const LITTLE: u64 = 1 << 10;
 
 /// An evaluation of the distance of two centres.
-pub(super) const LOOK_AT_PATHS: u64 = 20;
+pub(super) const LOOK_AT_PATHS: u64 = 80;
 /// A change of phase: to be found, kept, looked up and recorded.
-pub(super) const EVENT: u64 = 500;
+pub(super) const EVENT: u64 = 2000;
+/// Two bodies whose zones may overlap.
+pub(super) const NEAR_ENOUGH: u64 = 8;
 /// A pair that is not known yet: to be found, and kept.
-pub(super) const NEW_PAIR: u64 = 150;
+pub(super) const NEW_PAIR: u64 = 600;
 
 /// The work of a step.
 #[derive(Default)]

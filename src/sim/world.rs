@@ -132,8 +132,9 @@ impl World {
         if !start(pairs, scene, bodies, tracks, most_pairs, work) {
             return false;
         }
-        let first_step =
-            bodies.iter().map(|body| exponential::work_of(body.mesh.vertex_count(), body.neighbours.len()));
+        let first_step = bodies
+            .iter()
+            .map(|body| exponential::work_of(body.mesh.vertex_count(), body.neighbours.len(), body.pushes.len()));
         self.work.expect(first_step.fold(0, u64::saturating_add));
         // A body with neighbours may be reached from the start; those that aren't go back to sleep in the first step.
         for index in 0..self.bodies.len() {

@@ -72,11 +72,11 @@ pub struct StepControl<'a> {
     pub work: &'a Tally<'a>,
 }
 
-/// The work of a step of `vertices` vertices under `spheres` spheres.
-pub fn work_of(vertices: usize, spheres: usize) -> u64 {
+/// The work of a step of `vertices` vertices under `spheres` spheres and `pushes` pushes, acting or not.
+pub fn work_of(vertices: usize, spheres: usize, pushes: usize) -> u64 {
     /// Forces are evaluated at four nodes, corrected at three of them, and evaluated in the middle.
     const FORCES: u64 = 12;
-    FORCES * vertices as u64 * (1 + spheres as u64)
+    vertices as u64 * (FORCES * (1 + spheres as u64) + pushes as u64)
 }
 
 /// Advances the shared motion of a body's vertices, and the vertices in its active set, over `course`.

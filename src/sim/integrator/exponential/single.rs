@@ -29,6 +29,8 @@ const PATIENCE: u32 = 64;
 const STEP: u64 = 60;
 /// … the same by the paths, …
 const STEP_EXACTLY: u64 = 400;
+/// … of a force on it, which is not found for several side by side, …
+const ALONE: u64 = 8;
 /// … of looking where it is relative to a rim, by polynomials, …
 const LOOK: u64 = 4;
 /// … and by the paths.
@@ -115,7 +117,8 @@ impl Single<'_> {
 
             let Some(next) = left.pop() else { break };
             let prepare = if self.whole.smooth { STEP } else { STEP_EXACTLY };
-            if !self.work.spend(prepare + 2 * work_of(1, course.spheres.len()) + course.weighted.len() as u64) {
+            let forces = ALONE * work_of(1, course.spheres.len(), course.weighted.len());
+            if !self.work.spend(prepare + forces) {
                 break;
             }
             (start, h) = next;

@@ -87,11 +87,10 @@ impl WithSimd for Together<'_> {
         let count = self.active_set.vertices.len();
         self.outcomes.resize(count.next_multiple_of(LANES));
         let is_pushed = !self.course.weighted.is_empty();
+        let of_vertex = work_of(1, self.course.spheres.len(), self.course.weighted.len());
         for first in (0..count).step_by(Reals::<S, 2>::COUNT) {
             // by blocks, so that it is the same for all instruction sets
-            if first.is_multiple_of(LANES)
-                && !self.work.spend(work_of(LANES.min(count - first), self.course.spheres.len()))
-            {
+            if first.is_multiple_of(LANES) && !self.work.spend(of_vertex * LANES.min(count - first) as u64) {
                 return;
             }
             if is_pushed {
