@@ -193,7 +193,14 @@ pub fn quartic(theta: f64) -> [f64; 5] {
 /// The coefficients of the quartic through vectors at `SAMPLES`.
 pub fn quartic_through(known: &[DVec3; 5]) -> [DVec3; 5] {
     let all = &*QUARTIC;
-    std::array::from_fn(|k| (0..5).map(|look| all[look][k] * known[look]).sum())
+    let mut coefficients = [DVec3::ZERO; 5];
+    // loops of known length, which are unrolled wherever this is compiled
+    for (k, coefficient) in coefficients.iter_mut().enumerate() {
+        for (row, &known) in all.iter().zip(known) {
+            *coefficient += row[k] * known;
+        }
+    }
+    coefficients
 }
 
 impl Weights {
