@@ -14,15 +14,13 @@
 //!    (`exact`; Shewchuk 1997). The intersection of an edge and a triangle is never rounded: it stays the pair (edge,
 //!    triangle), like the implicit points of Attene (*Indirect Predicates for Geometric Constructions*, 2020) and of
 //!    Cherchi et al. (*Fast and Robust Mesh Arrangements*, 2020; *Interactive and Robust Mesh Booleans*, 2022).
-//! 3. Boxes of bodies, of blocks of triangles and of triangles find candidates (`candidates`); signs determine which
-//! of
-//!    them intersect (`arrangement`).
+//! 3. Boxes of bodies, of blocks of triangles and of triangles find candidates (`candidates`); signs determine
+//!    which of them intersect (`arrangement`).
 //! 4. Winding numbers (Zhou et al., *Mesh Arrangements for Solid Geometry*, 2016) are flood-filled from where they are
 //!    known (`winding`), and checked at the end of every edge and segment. A side of a triangle bounds the union if
 //!    nothing is in front of it and something behind it.
-//! 5. Cut triangles are triangulated again (`faces`, `triangulate`), whole ones kept; a final check verifies that
-//! the
-//!    surface is closed (`surface`).
+//! 5. Cut triangles are triangulated again (`faces`, `triangulate`), whole ones kept; a final check verifies
+//!    that the surface is closed (`surface`).
 //!
 //! Bodies are first put into a canonical order, and each loop that may run on several threads has a fixed order of
 //! results: the surface depends neither on the order in which bodies are given nor on the number of threads.
