@@ -274,7 +274,7 @@ fn extreme_scene(random: &mut Random) -> String {
             0 => format!("line = {{ from = {place}, velocity = {} }}", random.vector(-6.0, 6.0)),
             1 | 2 => {
                 let frequency = if random.one_in(2) { frequency } else { random.size(-3.0, 10.0) };
-                let phase = [0.0, 1.5707963267948966, 3.0][random.below(3)];
+                let phase = [0.0, std::f64::consts::FRAC_PI_2, 3.0][random.below(3)];
                 let amplitude = if random.one_in(2) { "[2.1, 0, 0]".to_owned() } else { random.vector(-3.0, 4.0) };
                 format!(
                     "sine = {{ center = {place}, amplitude = {amplitude}, frequency = {frequency:?}, phase = {phase:?} }}"
