@@ -28,7 +28,7 @@ const LITTLE: u64 = 1 << 10;
 pub(super) const LOOK_AT_PATHS: u64 = 80;
 /// A change of phase: to be found, kept, looked up and recorded.
 pub(super) const EVENT: u64 = 2000;
-/// Two bodies whose zones may overlap.
+/// Two bodies whose fat bounds may overlap.
 pub(super) const NEAR_ENOUGH: u64 = 8;
 /// A pair that is not known yet: to be found, and kept.
 pub(super) const NEW_PAIR: u64 = 600;
