@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::simulation::Instant;
+use super::event::Instant;
 use crate::geometry::{Rest, Vectors};
 
 /// Optional contents of a frame. Bodies, vertices and pairs are always included; nothing else is computed unless it is

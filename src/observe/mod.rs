@@ -4,6 +4,7 @@
 //! | --- | --- |
 //! | what does not change during a run: bodies, force terms, scalars, thresholds | [`schema`] |
 //! | the state at an instant; only what is requested is computed | [`frame`] |
+//! | points in time, events | [`event`] |
 //! | the traits of a simulation that can be stepped and observed, and of the experiment that creates it |
 //! [`simulation`] |
 //! | the largest difference between two states | [`worst`] |
@@ -13,12 +14,14 @@
 //! particular simulation.
 
 pub mod colors;
+pub mod event;
 pub mod frame;
 pub mod schema;
 pub mod simulation;
 pub mod worst;
 
+pub use event::{Instant, PairEvent};
 pub use frame::{BodyFrame, Frame, PairFrame, Want};
 pub use schema::Schema;
-pub use simulation::{Experiment, Instant, PairEvent, Refusal, Simulation, StageFrame, StepFailure, StepSummary};
+pub use simulation::{Experiment, Refusal, Simulation, StageFrame, StepFailure, StepSummary};
 pub use worst::Worst;

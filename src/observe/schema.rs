@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use super::{colors::Rgb, simulation::PairEvent};
+use super::{colors::Rgb, event::PairEvent};
 use crate::geometry::{Mesh, Rest};
 
 /// The schema of a simulation, which does not change during a run. Frames refer to its entries by index.

@@ -5,6 +5,7 @@ use std::{fmt::Debug, sync::Arc, time::Duration};
 use glam::DVec3;
 
 use super::{
+    event::{Instant, PairEvent},
     frame::{Frame, Want},
     schema::Schema,
 };
@@ -87,36 +88,6 @@ pub enum Refusal {
     Source(String),
     /// The settings of the run are not supported here.
     Run(String),
-}
-
-/// A point in time of a run.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Instant {
-    /// Number of the step.
-    pub step: u64,
-    /// Simulated time [s].
-    pub time: f64,
-}
-
-/// A phase change of a pair, at its exact time.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PairEvent {
-    /// Kind of event: `merge`, `split`, …
-    pub name: &'static str,
-    /// Exact time of the event [s].
-    pub time: f64,
-    /// The first step whose state is affected by the event.
-    pub step: u64,
-    /// Index of the first body of the pair.
-    pub a: usize,
-    /// Index of the second body of the pair; a < b.
-    pub b: usize,
-    /// Centre distance over the sum of the radii at that time [–].
-    pub q: f64,
-    /// The previous phase, as an index into the schema's phases.
-    pub from: usize,
-    /// The new phase, as an index into the schema's phases.
-    pub to: usize,
 }
 
 /// Summary of a step. Reused from one step to the next.

@@ -6,7 +6,6 @@ use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{
-    Span,
     arrays::{Block, LANES},
     body::{Active, Body, Seen, StateBounds},
     deformation::{self, ActiveSet, REST},
@@ -16,6 +15,7 @@ use super::{
     },
     neighbours::Neighbour,
     pairs::Pairs,
+    span::Span,
     state::Common,
     terms::{Acting, Moment, On, Phases, Surroundings},
     tracks::Tracks,

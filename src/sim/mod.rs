@@ -44,6 +44,7 @@ mod body;
 pub mod checksum;
 mod deformation;
 pub mod events;
+mod frames;
 pub mod free;
 pub mod integrator;
 pub mod memory;
@@ -54,6 +55,7 @@ mod pairs;
 pub mod reach;
 pub mod report;
 pub mod simulation;
+mod span;
 pub mod stages;
 mod state;
 pub mod terms;
@@ -69,21 +71,3 @@ pub use observe::{BodyForces, Energy};
 pub use report::{Diverged, Failure, Overworked, Stage, StepReport, Toil};
 pub use terms::Cause;
 pub use world::{BodyView, Options, PairView, States, World};
-
-/// An interval of time [s].
-#[derive(Clone, Copy, Debug)]
-struct Span {
-    start: f64,
-    end: f64,
-}
-
-impl Span {
-    fn length(&self) -> f64 {
-        self.end - self.start
-    }
-
-    /// Whether `t` [s] is inside the interval.
-    fn holds(&self, t: f64) -> bool {
-        self.start < t && t < self.end
-    }
-}

@@ -3,10 +3,9 @@
 use glam::DVec3;
 
 use super::{
-    World,
     arrays::Vectors,
     terms::{Cause, Source, Surroundings, oscillator, spheres},
-    world::States,
+    world::{States, World},
 };
 use crate::{
     geometry::Rest,

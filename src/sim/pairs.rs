@@ -15,12 +15,12 @@ use std::{
 use rayon::prelude::*;
 
 use super::{
-    Span,
     body::Body,
     events::{Event, PairTracks},
     neighbours::{FatBounds, Neighbour},
     reach::{Ball, Grid},
     report::StepReport,
+    span::Span,
     terms::spheres,
     track::Track,
     tracks::Tracks,

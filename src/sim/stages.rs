@@ -7,19 +7,19 @@
 use glam::DVec3;
 
 use super::{
-    Span, World,
     body::Body,
     deformation::Deformation,
+    frames::{add_forces, pair_frame},
     integrator::{
         explicit::Scheme,
         exponential::{self, StepControl, course::Course},
     },
     neighbours::Neighbour,
-    simulation::{add_forces, pair_frame},
+    span::Span,
     state::{Common, Pushed, State},
     terms::{Acting, Cause, Moment, On, Phases, Surroundings},
     work::Tally,
-    world::{PairView, States},
+    world::{PairView, States, World},
 };
 use crate::{
     model::{oscillator::Oscillator, phase::Phase},

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{Span, events::PairTracks, nodes::SAMPLES, track::Track};
+use super::{events::PairTracks, nodes::SAMPLES, span::Span, track::Track};
 use crate::scene::{
     Scene,
     path::{Bounds, Kinematics, Turns},

@@ -13,7 +13,6 @@ use pulp::Arch;
 use rayon::prelude::*;
 
 use super::{
-    Span,
     active_set::ActiveSet,
     advance::Context,
     arrays::Vectors,
@@ -24,6 +23,7 @@ use super::{
     memory::{self, TooLarge},
     pairs::{Pair, Pairs, Surrounded},
     report::{Diverged, Failure, Overworked, Stage, StepReport, Toil},
+    span::Span,
     state::State,
     terms::{self, Moment, Surroundings},
     track::Track,

@@ -36,6 +36,7 @@ mod placement;
 mod report;
 mod seams;
 mod surface;
+mod sweep;
 #[cfg(test)]
 mod tests;
 mod topology;

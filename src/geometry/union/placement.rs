@@ -10,7 +10,7 @@ use glam::DVec3;
 
 use super::{
     body::{Aabb, Body},
-    candidates::body_pairs,
+    sweep::body_pairs,
 };
 
 /// Largest random displacement, relative to a body's scale.

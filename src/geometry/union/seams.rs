@@ -2,14 +2,12 @@
 
 use glam::DVec3;
 
-use super::surface::Union;
-
 /// A line along which the surfaces of two bodies meet.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Seam {
     /// The two bodies, ascending.
     pub bodies: [u32; 2],
-    /// Vertices along the seam, numbered as in [`Union::first_vertex`]; on the first body's surface the union is on the
+    /// Vertices along the seam, numbered as in [`super::Union::first_vertex`]; on the first body's surface the union is on the
     /// left.
     pub vertices: Vec<u32>,
     /// Whether the seam returns to its first vertex. A seam that ends on a third body does not.
@@ -21,8 +19,8 @@ pub struct Seam {
     pub vector_area: DVec3,
 }
 
-/// Joins edges into seams.
-pub(super) fn seams(union: &Union, mut edges: Vec<([u32; 2], u32, u32)>) -> Vec<Seam> {
+/// Joins edges between vertices at `position` [scene unit] into seams.
+pub(super) fn seams(position: impl Fn(u32) -> DVec3, mut edges: Vec<([u32; 2], u32, u32)>) -> Vec<Seam> {
     edges.sort_unstable();
     let mut seams = Vec::new();
     for pair in edges.chunk_by(|a, b| a.0 == b.0) {
@@ -52,19 +50,19 @@ pub(super) fn seams(union: &Union, mut edges: Vec<([u32; 2], u32, u32)>) -> Vec<
             if !is_closed {
                 vertices.push(last);
             }
-            seams.push(measured(union, pair[0].0, vertices, is_closed));
+            seams.push(measured(&position, pair[0].0, vertices, is_closed));
         }
     }
     seams
 }
 
-fn measured(union: &Union, bodies: [u32; 2], vertices: Vec<u32>, is_closed: bool) -> Seam {
-    let origin = union.position(vertices[0]);
+fn measured(position: &impl Fn(u32) -> DVec3, bodies: [u32; 2], vertices: Vec<u32>, is_closed: bool) -> Seam {
+    let origin = position(vertices[0]);
     let (mut length, mut vector_area) = (0.0, DVec3::ZERO);
     let mut from = DVec3::ZERO;
     let closing = is_closed.then_some(vertices[0]);
     for &v in vertices[1..].iter().chain(&closing) {
-        let to = union.position(v) - origin;
+        let to = position(v) - origin;
         length += from.distance(to);
         vector_area += 0.5 * from.cross(to);
         from = to;

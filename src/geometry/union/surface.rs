@@ -271,7 +271,7 @@ impl<'a, 'b> Union<'a, 'b> {
         if placement.folds.contains(&true) {
             self.split_touching_fans()?;
         }
-        self.seams = seams(&self, seam_edges);
+        self.seams = seams(|vertex| self.position(vertex), seam_edges);
         Ok(self)
     }
 

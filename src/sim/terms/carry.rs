@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::{Cause, On, Term};
 use crate::{
     scene::{Response, Scene, path::Kinematics},
-    sim::Span,
+    sim::span::Span,
 };
 
 pub struct Carry;

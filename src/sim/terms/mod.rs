@@ -13,7 +13,7 @@ pub(super) mod spheres;
 
 use glam::DVec3;
 
-use super::{Span, neighbours::Neighbour, tracks::Tracks};
+use super::{neighbours::Neighbour, span::Span, tracks::Tracks};
 use crate::{
     model::{
         influence::{self, Weight},

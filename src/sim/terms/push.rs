@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::{Acting, Cause, Moment, On, Phases, Surroundings, Term};
 use crate::{
     scene::{self, Scene, path::Kinematics},
-    sim::{Span, neighbours::Neighbour},
+    sim::{neighbours::Neighbour, span::Span},
 };
 
 /// An acceleration that acts on each vertex in proportion to how squarely the vertex faces it.

@@ -11,7 +11,7 @@ use crate::{
         phase::Phase,
     },
     scene::{Body, Scene, path::Kinematics},
-    sim::{Span, arrays::Vectors, neighbours::Neighbour},
+    sim::{arrays::Vectors, neighbours::Neighbour, span::Span},
 };
 
 /// An influence sphere of another body that can reach this body in a part of a step.

@@ -3,6 +3,7 @@
 use std::net::IpAddr;
 use std::pin::pin;
 use std::sync::atomic::Ordering;
+use std::task::{Context, Poll, ready};
 
 use hyper::body::{Body, Bytes, Frame, Incoming};
 use hyper::header::{self, HeaderMap, HeaderName, HeaderValue};
@@ -11,8 +12,7 @@ use re_protos::sdk_comms::v1alpha1::message_proxy_service_server::SERVICE_NAME;
 use re_web_viewer_server::WebViewerData;
 
 use super::guard::Guard;
-use super::history::History;
-use super::port::Content;
+use super::history::{History, Reader};
 
 /// Upper limit on the body of a gRPC request: an empty message, in its frame [bytes].
 const REQUEST: usize = 4 << 10;
@@ -21,6 +21,31 @@ const GRPC_STATUS: HeaderName = HeaderName::from_static("grpc-status");
 const GRPC_MESSAGE: HeaderName = HeaderName::from_static("grpc-message");
 const PERMISSION_DENIED: HeaderValue = HeaderValue::from_static("7");
 const UNIMPLEMENTED: HeaderValue = HeaderValue::from_static("12");
+
+/// Largest part of a response that is sent at once, and the amount that a client must read for it to count as activity
+/// [bytes].
+pub(super) const SHARE: usize = 64 << 10;
+
+/// The body of a response.
+pub(super) enum Content {
+    Whole(Bytes),
+    /// The messages of the run, followed by a final frame.
+    Stream(Reader, Option<Frame<Bytes>>),
+}
+
+impl Content {
+    /// The next part of the response.
+    pub fn poll_frame(&mut self, context: &mut Context<'_>) -> Poll<Option<Frame<Bytes>>> {
+        match self {
+            Content::Whole(rest) if rest.is_empty() => Poll::Ready(None),
+            Content::Whole(rest) => Poll::Ready(Some(Frame::data(rest.split_to(rest.len().min(SHARE))))),
+            Content::Stream(reader, end) => match ready!(reader.poll_next(context)) {
+                Some(message) => Poll::Ready(Some(Frame::data(message))),
+                None => Poll::Ready(end.take()),
+            },
+        }
+    }
+}
 
 /// The content that a port serves.
 pub(super) enum Site {

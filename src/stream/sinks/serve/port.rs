@@ -12,7 +12,7 @@ use std::convert::Infallible;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::task::{Context, Poll, ready};
+use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
 use hyper::body::{Body, Bytes, Frame, SizeHint};
@@ -22,9 +22,8 @@ use hyper_util::server::conn::auto;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Notify;
 
-use super::answer::Site;
+use super::answer::{Content, SHARE, Site};
 use super::guard::Guard;
-use super::history::Reader;
 
 /// Upper limit on the number of connections. Two ports with this many, plus the other files of a run, stay below the
 /// default limits per process: 1,024 files, 256 on macOS.
@@ -41,8 +40,6 @@ const SWEEP: Duration = Duration::from_millis(500);
 const BUFFER: usize = 32 << 10;
 /// HTTP/2 streams per connection; a viewer uses one.
 const STREAMS: u32 = 8;
-/// Amount that a client must read for it to count as activity [bytes].
-const SHARE: usize = 64 << 10;
 /// Interval of HTTP/2 pings.
 const PING: Duration = Duration::from_secs(10);
 /// Timeout of the response to a ping.
@@ -233,13 +230,6 @@ impl Client {
     }
 }
 
-/// The body of a response.
-pub(super) enum Content {
-    Whole(Bytes),
-    /// The messages of the run, followed by a final frame.
-    Stream(Reader, Option<Frame<Bytes>>),
-}
-
 /// A response body that records how much of it is read.
 struct Answer {
     content: Content,
@@ -264,19 +254,6 @@ impl Drop for Answer {
         let mut doing = self.client.doing();
         doing.answers -= 1;
         doing.quiet_since = Instant::now();
-    }
-}
-
-impl Content {
-    fn poll_frame(&mut self, context: &mut Context<'_>) -> Poll<Option<Frame<Bytes>>> {
-        match self {
-            Content::Whole(rest) if rest.is_empty() => Poll::Ready(None),
-            Content::Whole(rest) => Poll::Ready(Some(Frame::data(rest.split_to(rest.len().min(SHARE))))),
-            Content::Stream(reader, end) => match ready!(reader.poll_next(context)) {
-                Some(message) => Poll::Ready(Some(Frame::data(message))),
-                None => Poll::Ready(end.take()),
-            },
-        }
     }
 }
 

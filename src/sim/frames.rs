@@ -1,0 +1,46 @@
+//! Parts of the world as frames represent them.
+
+use std::mem::take;
+
+use glam::DVec3;
+
+use super::{
+    observe::Seen,
+    terms::{Cause, Surroundings},
+    world::{PairView, World},
+};
+use crate::observe::{BodyFrame, PairFrame};
+
+/// A pair, as frames represent it.
+pub(super) fn pair_frame(pair: PairView) -> PairFrame {
+    PairFrame { a: pair.a, b: pair.b, q: pair.q, phase: pair.phase as usize }
+}
+
+/// Adds the forces on a body in a frame's state, and the labels of its vertices.
+pub(super) fn add_forces(world: &World, index: usize, surroundings: &Surroundings, now: &mut BodyFrame) {
+    now.has_forces = true;
+    now.terms.resize_with(Cause::ALL.len(), Default::default);
+    let mut by_cause = std::array::from_fn(|cause| take(&mut now.terms[cause].accelerations));
+    let seen: Seen<'_> = world.seen(index, [&now.displacements, &now.velocities], surroundings);
+    seen.forces(world.scene().influence.weight, &mut by_cause);
+    let contributing = [Cause::Attraction, Cause::Repulsion, Cause::Core].map(|cause| &by_cause[cause as usize]);
+    now.labels.clear();
+    now.labels.extend((0..seen.rest.len()).map(|i| {
+        let feels = contributing.map(|forces| !forces.is_empty() && forces.get(i) != DVec3::ZERO);
+        match feels {
+            [false, false, false] => 0,
+            [true, false, false] => 1,
+            [false, true, false] => 2,
+            [true, true, false] => 3,
+            [_, _, true] => 4,
+        }
+    }));
+    for ((cause, term), accelerations) in Cause::ALL.into_iter().zip(&mut now.terms).zip(by_cause) {
+        let mut sources = surroundings.sources.iter().filter(|source| source.cause() == cause);
+        term.source = match (sources.next(), sources.next()) {
+            (Some(source), None) => Some(source.body),
+            _ => None,
+        };
+        term.accelerations = accelerations;
+    }
+}
