@@ -1,6 +1,7 @@
 //! `meldscope run`: simulates a scene and records it.
 
 use std::{
+    collections::HashMap,
     fs::File,
     io::Read as _,
     net::{IpAddr, Ipv4Addr},
@@ -24,6 +25,7 @@ use crate::{
         blueprint::Tab,
         chunks::Audience,
         pipeline::{PipelineEnd, send},
+        recorder::MOST_APPROACHES,
         settings::{Detail, Entities, Frames, Settings, Trigger, application, file_stem},
         sinks::{Destinations, Finished, Host, Serve, Serving, Sinks, Spawn},
     },
@@ -253,6 +255,8 @@ struct Outcome {
     /// Number of frames in the recording.
     frames: u64,
     events: Events,
+    /// How near pairs came that did not change their phase.
+    approaches: Vec<String>,
     /// Wall time of simulating and recording [s].
     seconds: f64,
 }
@@ -272,6 +276,7 @@ struct Simulated {
     sinks: Sinks,
     frames: u64,
     events: Events,
+    approaches: Vec<String>,
     seconds: f64,
     failure: Option<String>,
     /// The edited scene that ended the run, if any.
@@ -281,11 +286,13 @@ struct Simulated {
 impl Simulated {
     /// Finishes every destination.
     fn conclude(self, console: &mut Console) -> Result<Outcome, Failure> {
-        let Simulated { simulation, schema, settings, sinks, frames, events, seconds, failure, .. } = self;
+        let Simulated { simulation, schema, settings, sinks, frames, events, approaches, seconds, failure, .. } = self;
         let finished = sinks.finish();
         console.clear();
         match (failure, finished) {
-            (None, Ok(finished)) => Ok(Outcome { simulation, schema, settings, finished, frames, events, seconds }),
+            (None, Ok(finished)) => {
+                Ok(Outcome { simulation, schema, settings, finished, frames, events, approaches, seconds })
+            }
             (Some(failure), finished) => {
                 let finished = finished.ok();
                 let serving = finished.as_ref().and_then(|finished| finished.serving.as_ref());
@@ -372,7 +379,8 @@ fn simulate(
     let failure = failure.or(unsent.map(|error| error.to_string()));
     notes.append(&mut sinks.notes());
     console.progress(simulation.steps_taken(), notes);
-    Ok(Simulated { frames: recorder.written(), simulation, schema, settings, sinks, events, seconds, failure, next })
+    let (frames, approaches) = (recorder.written(), recorder.approaches());
+    Ok(Simulated { simulation, schema, settings, sinks, frames, events, approaches, seconds, failure, next })
 }
 
 /// Runs the scene, and restarts whenever its file changes, until Ctrl-C.
@@ -564,7 +572,7 @@ fn destinations(arguments: &Arguments, scene: &Scene) -> Destinations {
 
 /// Prints what the run did, and how to open what it wrote.
 fn summarize(console: &Console, outcome: &Outcome) {
-    let Outcome { simulation, schema, settings, finished, frames, events, seconds } = outcome;
+    let Outcome { simulation, schema, settings, finished, frames, events, approaches, seconds } = outcome;
     let Events { first: events, count: event_count } = events;
     console.notes(&finished.notes);
     let (bodies, steps) = (schema.bodies.len() as u64, simulation.steps_taken());
@@ -584,12 +592,20 @@ fn summarize(console: &Console, outcome: &Outcome) {
         0 => console.print("no events"),
         n => console.print(&format!("{}:", counted(*n, "event"))),
     }
+    let mut begun = HashMap::new();
     for event in events {
-        console.print(&format!("  {}", schema.describe(event)));
+        let (direction, pair) = (if event.rate < 0.0 { "falling" } else { "rising" }, (event.a, event.b));
+        let lasted = event.time - begun.insert(pair, event.time).unwrap_or(0.0);
+        let (rate, phase) = (event.rate.abs(), schema.phases[event.from].name);
+        let line = schema.describe(event);
+        console.print(&format!("  {line}; q {direction} by {rate:.3}/s after {lasted:.3} s {phase}"));
     }
     if *event_count > events.len() as u64 {
         let more = thousands(event_count - events.len() as u64);
         console.print(&format!("  … and {more} more, in the recording's event log"));
+    }
+    for approach in approaches.iter().take(MOST_APPROACHES) {
+        console.print(&format!("  {approach}"));
     }
     if let Some(saved) = &finished.save {
         let path = saved.path.display();

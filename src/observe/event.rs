@@ -24,6 +24,8 @@ pub struct PairEvent {
     pub b: usize,
     /// Centre distance over the sum of the radii at that time [–].
     pub q: f64,
+    /// How fast that changes at that time [1/s].
+    pub rate: f64,
     /// The previous phase, as an index into the schema's phases.
     pub from: usize,
     /// The new phase, as an index into the schema's phases.

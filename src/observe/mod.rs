@@ -7,12 +7,14 @@
 //! | points in time, events | [`event`] |
 //! | the traits of a simulation that can be stepped and observed, and of the experiment that creates it |
 //! [`simulation`] |
+//! | how near pairs came that did not change their phase | [`approach`] |
 //! | the largest difference between two states | [`worst`] |
 //! | colours | [`colors`] |
 //!
 //! The recorder, `replay`, `check` and `diff` depend on nothing else. Nothing here depends on Rerun, on files or on a
 //! particular simulation.
 
+pub mod approach;
 pub mod colors;
 pub mod event;
 pub mod frame;
@@ -20,6 +22,7 @@ pub mod schema;
 pub mod simulation;
 pub mod worst;
 
+pub use approach::{Approach, Approaches};
 pub use event::{Instant, PairEvent};
 pub use frame::{BodyFrame, Frame, PairFrame, Want};
 pub use schema::Schema;

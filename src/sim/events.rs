@@ -34,6 +34,8 @@ pub struct Event {
     pub b: u32,
     /// Centre distance over the sum of the radii at that time [–].
     pub q: f64,
+    /// How fast q changes at that time [1/s].
+    pub rate: f64,
     /// The phase that ended.
     pub from: Phase,
     /// The phase that began.
@@ -71,6 +73,13 @@ impl PairTracks<'_> {
     /// Centre distance over the sum of the radii at time `t` [–].
     pub fn q(&self, t: f64) -> f64 {
         (self.a.position(t) - self.b.position(t)).length() / self.radii
+    }
+
+    /// How fast that changes at time `t` [1/s].
+    pub fn rate(&self, t: f64) -> f64 {
+        let (a, b) = (self.a.at(t), self.b.at(t));
+        let apart = a.position - b.position;
+        apart.dot(a.velocity - b.velocity) / (apart.length() * self.radii)
     }
 
     /// Until when both are known [s].

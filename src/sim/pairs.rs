@@ -298,7 +298,7 @@ impl Pairs {
                 let (a, b, before) = (pair.a, pair.b, tally.done());
                 pair.advance(&both, &scene.thresholds, span, horizon, &tally, |time, to| {
                     self.changes.push((time, to));
-                    events.push(Event { time, step, a, b, q: both.q(time), from, to });
+                    events.push(Event { time, step, a, b, q: both.q(time), rate: both.rate(time), from, to });
                     from = to;
                 });
                 busiest = busiest.max((tally.done() - before, [a, b]));

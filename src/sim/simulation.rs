@@ -141,6 +141,7 @@ impl Simulation for World {
             a: event.a as usize,
             b: event.b as usize,
             q: event.q,
+            rate: event.rate,
             from: event.from as usize,
             to: event.to as usize,
         }));

@@ -34,7 +34,10 @@ pub use super::{
     parts::batch::{DEFORMED, resting_entity},
     settings::{Detail, Entities, MOST_PAIRS, Settings, file_stem},
 };
-use crate::observe::{Frame, Schema, Simulation, StageFrame, StepFailure, StepSummary};
+use crate::observe::{Approaches, Frame, Schema, Simulation, StageFrame, StepFailure, StepSummary};
+
+/// Number of near misses that are listed.
+pub const MOST_APPROACHES: usize = 5;
 
 /// Converts a simulation, step by step, to the messages of a recording.
 pub struct Recorder {
@@ -47,6 +50,8 @@ pub struct Recorder {
     parts: Option<FrameParts>,
     /// Number of frames made.
     frames: u64,
+    /// Step of the initial state.
+    first: u64,
     /// Number of those frames that are in the recording.
     written: u64,
     /// The parts that show stages inside steps.
@@ -65,6 +70,7 @@ struct FrameParts {
     pairs: PairPlots,
     numbers: FrameNumbers,
     series: Series,
+    approaches: Approaches,
 }
 
 /// The parts that show the state.
@@ -104,8 +110,7 @@ impl Recorder {
         let mut chunks = Chunks::new(StoreId::new(StoreKind::Recording, application, id));
         log_properties(&schema, &run, &simulation.overrides(settings.steps), &settings, &mut chunks);
         chunks.log_static("/world", &ViewCoordinates::RIGHT_HAND_Z_UP());
-        let about = TextDocument::new(blueprint::about(&schema, &settings, simulation.steps_taken()));
-        chunks.log_static("/about", &about.with_media_type(MediaType::MARKDOWN));
+        log_about(blueprint::about(&schema, &settings, simulation.steps_taken()), &mut chunks);
         let mut recorder = Recorder {
             checksums: match settings.frames {
                 Frames::Thin => Checksums::packed(schema.vertex_count()),
@@ -117,6 +122,7 @@ impl Recorder {
             },
             parts: (settings.frames != Frames::Thin).then(|| FrameParts::new(&schema, &settings, &mut chunks)),
             frames: 0,
+            first: simulation.steps_taken(),
             written: 0,
             stages: matches!(settings.detail, Detail::Stages { .. })
                 .then(|| StateParts::new(&schema, &settings, &mut chunks)),
@@ -234,6 +240,7 @@ impl Recorder {
         parts.numbers.add(step);
         for event in &step.summary.events {
             parts.pairs.log_event(&self.schema, event, &mut parts.series, &mut self.chunks);
+            parts.approaches.change(event);
         }
         parts.numbers.add_recording(Duration::ZERO, start.elapsed());
         self.log_stages(&step.stages, at);
@@ -318,7 +325,13 @@ impl Recorder {
         }
     }
 
-    /// Ends the recording: extends plot lines to its end, and logs the final number of steps.
+    /// How near the pairs came that stayed in their first phase, in words, the nearest first.
+    pub fn approaches(&self) -> Vec<String> {
+        let closest = self.parts.as_ref().map(|parts| parts.approaches.closest()).unwrap_or_default();
+        closest.iter().map(|approach| approach.describe(&self.schema)).collect()
+    }
+
+    /// Ends the recording: extends plot lines to its end, and logs the final number of steps and near misses.
     pub fn finish(&mut self, simulation: &dyn Simulation) {
         let mut summary = StepSummary::default();
         simulation.summary(&mut summary);
@@ -336,6 +349,15 @@ impl Recorder {
                 parts.series.extend_all(&mut self.chunks);
             }
         }
+        let approaches = self.approaches();
+        if !approaches.is_empty() {
+            let about = blueprint::about(&self.schema, &self.settings, self.first);
+            let lines = approaches.iter().take(MOST_APPROACHES).map(|line| format!("- {line}\n"));
+            log_about(
+                format!("{about}\nNearest without a change of phase:\n{}", lines.collect::<String>()),
+                &mut self.chunks,
+            );
+        }
         self.checksums.log(&mut self.chunks, true);
         self.log_property("digest", &format!("{:016x}", self.checksums.digest()));
         log_steps(Some(simulation.steps_taken()), &mut self.chunks);
@@ -349,13 +371,14 @@ impl FrameParts {
             if matches!(settings.frames, Frames::Last { .. }) { Series::whole() } else { Series::default() };
         let state = StateParts::new(schema, settings, chunks);
         let numbers = FrameNumbers::new(schema, &mut series, chunks);
-        FrameParts { state, pairs: PairPlots::new(settings.pairs), numbers, series }
+        FrameParts { state, pairs: PairPlots::new(settings.pairs), numbers, series, approaches: Approaches::default() }
     }
 
     /// Logs what has changed; `number` is the number of the frame.
     fn log(&mut self, look: Look<'_>, number: u64, chunks: &mut Chunks) {
         let start = Clock::now();
-        let FrameParts { state, pairs, numbers, series } = self;
+        let FrameParts { state, pairs, numbers, series, approaches } = self;
+        approaches.add(look.frame);
         let extracting = state.log(look, chunks);
         pairs.log(look, number, series, chunks);
         numbers.log_scalars(look, series, chunks);
@@ -399,6 +422,10 @@ impl StateParts {
         lines.log(look, chunks);
         extracting
     }
+}
+
+fn log_about(text: String, chunks: &mut Chunks) {
+    chunks.log_static("/about", &TextDocument::new(text).with_media_type(MediaType::MARKDOWN));
 }
 
 fn log_properties(schema: &Schema, run: &str, overrides: &str, settings: &Settings, chunks: &mut Chunks) {

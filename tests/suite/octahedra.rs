@@ -65,7 +65,8 @@ impl Simulation for Projected {
         self.step += 1;
         let (from, q, time, step) = (self.phase, self.centre(1).length() / 2.0, self.time(), self.step);
         self.phase = usize::from(q < if from == 1 { SLIP } else { GRIP });
-        let event = PairEvent { name: ["split", "merge"][self.phase], time, step, a: 0, b: 1, q, from, to: self.phase };
+        let name = ["split", "merge"][self.phase];
+        let event = PairEvent { name, time, step, a: 0, b: 1, q, rate: 0.0, from, to: self.phase };
         self.events = if from == self.phase { Vec::new() } else { vec![event] };
     }
     fn summary(&self, summary: &mut StepSummary) {

@@ -156,6 +156,8 @@ pub mod event {
     pub const TIME: &str = "time";
     /// Centre distance over the sum of the radii [–].
     pub const Q: &str = "q";
+    /// How fast q changes at that time [1/s].
+    pub const RATE: &str = "rate";
 }
 
 /// Logs the line of an event, with its components in the same row.
@@ -168,7 +170,8 @@ pub fn log_event_line(schema: &Schema, event: &PairEvent, chunks: &mut Chunks) {
         .with_component::<Text>(event::BODIES, [event.a, event.b].map(|body| schema.bodies[body].name.as_str()))
         .with_component::<Text>(event::PHASES, [before, after])
         .with_component::<Scalar>(event::TIME, [event.time])
-        .with_component::<Scalar>(event::Q, [event.q]);
+        .with_component::<Scalar>(event::Q, [event.q])
+        .with_component::<Scalar>(event::RATE, [event.rate]);
     chunks.log("/events", at, &Together(&[&line, &typed]));
 }
 
