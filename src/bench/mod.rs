@@ -88,6 +88,7 @@ mod tables;
 
 use crate::{
     SceneError,
+    scene::{Body, Path},
     sim::{self, TooLarge},
 };
 use reference::NoReference;
@@ -113,4 +114,10 @@ pub enum MeasureError {
     /// Worker threads could not be started.
     #[error("cannot start threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
+}
+
+/// The path of a body whose motion is prescribed, as that of all bodies is in these measurements.
+fn path(body: &Body) -> &Path {
+    static NONE: Path = Path::Fixed(glam::DVec3::ZERO);
+    body.path().unwrap_or(&NONE)
 }

@@ -14,7 +14,10 @@ use std::sync::OnceLock;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::extrapolation::{self, Step};
+use super::{
+    extrapolation::{self, Step},
+    path,
+};
 use crate::{
     model::{
         influence::{Scaling, Weight},
@@ -191,7 +194,7 @@ impl Reference {
 /// The rate of the fastest motion of a scene [1/s]: of its oscillators, its influence, or its paths.
 fn fastest_rate(scene: &Scene) -> f64 {
     let body = |body: &Body| {
-        let path = match body.path {
+        let path = match *path(body) {
             Path::Sine { frequency, .. } => std::f64::consts::TAU * frequency.abs(),
             _ => 0.0,
         };
@@ -238,7 +241,7 @@ fn histories(scene: &Scene, end: f64) -> Result<Vec<History>, NoReference> {
 fn history(scene: &Scene, a: usize, b: usize, end: f64) -> Result<History, NoReference> {
     let (one, other) = (&scene.bodies[a], &scene.bodies[b]);
     let radii = one.radius + other.radius;
-    let q = |t| (one.path.position(t) - other.path.position(t)).length() / radii;
+    let q = |t| (path(one).position(t) - path(other).position(t)).length() / radii;
     let crate::model::phase::Thresholds { merge_at, split_at, core_at } = scene.thresholds;
 
     let mut phase = Phase::Apart;
@@ -249,7 +252,7 @@ fn history(scene: &Scene, a: usize, b: usize, end: f64) -> Result<History, NoRef
         phase = Phase::Core;
     }
     let mut history = History { a, b, first: phase, changes: vec![] };
-    if one.path.relative_bounds(&other.path, 0.0, end).speed == 0.0 {
+    if path(one).relative_bounds(path(other), 0.0, end).speed == 0.0 {
         return Ok(history); // never falls or rises to a threshold, even if it stands on one or two of them
     }
     let mut t = 0.0;
@@ -261,14 +264,14 @@ fn history(scene: &Scene, a: usize, b: usize, end: f64) -> Result<History, NoRef
         // no threshold can be reached before the centres have moved that far
         let far = [merge_at, split_at, core_at].map(|level| (q(t) - level).abs()).into_iter().fold(f64::MAX, f64::min);
         let stretch = f64::min(end - t, 0.1);
-        let speed = one.path.relative_bounds(&other.path, t, t + stretch).speed;
+        let speed = path(one).relative_bounds(path(other), t, t + stretch).speed;
         let safe = if far * radii >= speed * stretch { stretch } else { far * radii / speed };
         let shortest = f64::min(SHORTEST_VISIT, SHORTEST_WAY * radii / speed);
         let mut later = f64::min(end, t + f64::max(safe, shortest));
         if later <= t {
             break; // too fast for its position to be resolved in time
         }
-        let places = [one, other].map(|body| body.path.position(0.0).length() + body.path.position(later).length());
+        let places = [one, other].map(|body| path(body).position(0.0).length() + path(body).position(later).length());
         let doubt = ROUNDING * (1.0 + places.iter().sum::<f64>() / radii);
         if let Some(fall) = watch.look(&ways(phase, &scene.thresholds), q(t), q(later), doubt) {
             let mut earlier = t;
@@ -408,8 +411,8 @@ impl<'a> Problem<'a> {
         let rate = fastest_rate(scene).max(1e-3);
         // far from the origin, positions are rounded more coarsely than a small tolerance allows
         let end = times.last().copied().unwrap_or(0.0);
-        let far = times.iter().map(|&t| body.path.position(t).length()).fold(0.0, f64::max);
-        let rounding = ROUNDING * (far + body.path.bounds(0.0, end).speed * end);
+        let far = times.iter().map(|&t| path(body).position(t).length()).fold(0.0, f64::max);
+        let rounding = ROUNDING * (far + path(body).bounds(0.0, end).speed * end);
         let x = f64::max(accuracy.tolerance * body.radius, rounding);
         let u = x * rate;
         let mut problem = Problem {
@@ -441,7 +444,7 @@ impl<'a> Problem<'a> {
         let mut ends: Vec<f64> = times.to_vec();
         ends.extend(own().flat_map(|history| history.changes.iter().map(|change| change.time)));
         ends.extend(pushes().flat_map(|push| [push.start, push.start + push.duration]));
-        ends.extend(scene.bodies.iter().flat_map(|body| body.path.knots().iter().copied()));
+        ends.extend(scene.bodies.iter().flat_map(|body| path(body).knots().iter().copied()));
         ends.retain(|&t| 0.0 < t && t <= end);
         ends.sort_by(f64::total_cmp);
         ends.dedup();
@@ -454,17 +457,17 @@ impl<'a> Problem<'a> {
                 let pair = (index.min(other), index.max(other));
                 own().find(|history| (history.a, history.b) == pair).map_or(Phase::Apart, |it| it.phase_at(middle))
             };
-            let own_speed = body.path.bounds(start, end).speed;
+            let own_speed = path(body).bounds(start, end).speed;
             let source = |(other, source): (usize, &'a Body)| {
                 let radius = scene.influence.reach * source.radius;
                 let near = radius + body.radius + leash;
-                let speed = own_speed + source.path.bounds(start, end).speed;
-                let distance = body.path.position(start).distance(source.path.position(start));
+                let speed = own_speed + path(source).bounds(start, end).speed;
+                let distance = path(body).position(start).distance(path(source).position(start));
                 if other == index || distance - speed * (end - start) > near {
                     return None;
                 }
                 let strength = strength(scene, phase(other), body.radius / source.radius);
-                (strength != 0.0).then_some(Source { body: other, path: &source.path, radius, strength })
+                (strength != 0.0).then_some(Source { body: other, path: path(source), radius, strength })
             };
             chunks.push(Chunk {
                 start,
@@ -472,7 +475,7 @@ impl<'a> Problem<'a> {
                 sample: times.binary_search_by(|t| t.total_cmp(&end)).ok(),
                 sources: scene.bodies.iter().enumerate().filter_map(source).collect(),
                 pushes: pushes().filter(|push| push.start <= middle && middle < push.start + push.duration).collect(),
-                is_carried: body.material.response == Response::Rigid || body.path.is_fixed(),
+                is_carried: body.material.response == Response::Rigid || path(body).is_fixed(),
             });
             start = end;
         }
@@ -694,7 +697,7 @@ impl Law<'_> {
         let &[x, y, z, ux, uy, uz] = state;
         let (x, u) = (DVec3::new(x, y, z), DVec3::new(ux, uy, uz));
         let material = &self.body.material;
-        let own = centre(&self.body.path, self.chunk, t);
+        let own = centre(path(self.body), self.chunk, t);
 
         let mut acceleration = -(material.omega * material.omega) * x - (2.0 * material.damping) * u;
         for (source, side) in self.chunk.sources.iter().zip(self.sides) {
@@ -728,7 +731,7 @@ struct Gap {
 
 fn gap(body: &Body, source: &Source<'_>, chunk: &Chunk<'_>, rest: DVec3, t: f64, state: &[f64; 6]) -> Gap {
     let &[x, y, z, ux, uy, uz] = state;
-    let (own, other) = (centre(&body.path, chunk, t), centre(source.path, chunk, t));
+    let (own, other) = (centre(path(body), chunk, t), centre(source.path, chunk, t));
     let to_centre = other.position - (own.position + rest + DVec3::new(x, y, z));
     let approach = other.velocity - (own.velocity + DVec3::new(ux, uy, uz));
     let distance = to_centre.length();

@@ -28,7 +28,7 @@ use std::{
 use rayon::prelude::*;
 
 use super::{
-    MeasureError,
+    MeasureError, path,
     reference::{Accuracy, Reference},
 };
 use crate::{
@@ -286,10 +286,10 @@ fn stiffness(scene: &Scene, index: usize) -> f64 {
 /// between centres [scene unit/s].
 fn doubt_of(event: &Event, scene: &Scene, index: usize, other: usize) -> f64 {
     let (body, source) = (&scene.bodies[index], &scene.bodies[other]);
-    let (a, b) = (body.path.at(event.time), source.path.at(event.time));
+    let (a, b) = (path(body).at(event.time), path(source).at(event.time));
     let apart = a.position - b.position;
     let speed = (apart.dot(a.velocity - b.velocity) / apart.length()).abs();
-    let far = a.position.length() + b.position.length() + body.path.position(0.0).length();
+    let far = a.position.length() + b.position.length() + path(body).position(0.0).length();
     let strength = |phase| scene.influence.strength(phase, body.radius, source.radius);
     let jump = (strength(event.from) - strength(event.to)).abs()
         * scene.influence.sphere_radius(source.radius)
@@ -304,7 +304,7 @@ fn allowed(world: &World, index: usize, doubt: f64) -> Option<f64> {
     let (scene, t) = (world.scene(), world.time());
     let body = &scene.bodies[index];
     let omega = body.material.omega;
-    let far = scene.bodies.iter().map(|body| body.path.position(t).length() + body.path.position(0.0).length());
+    let far = scene.bodies.iter().map(|body| path(body).position(t).length() + path(body).position(0.0).length());
     let rounding = (ROUNDING * far.fold(0.0, f64::max) + doubt * t.min(1.0 / omega)) / body.radius;
     let stiffness = stiffness(scene, index);
     let unstable = f64::max(0.0, stiffness - omega * omega).sqrt();
@@ -316,7 +316,7 @@ fn allowed(world: &World, index: usize, doubt: f64) -> Option<f64> {
 fn rounding(world: &World, index: usize) -> f64 {
     let (scene, t) = (world.scene(), world.time());
     let body = &scene.bodies[index];
-    let rate = match body.path {
+    let rate = match *path(body) {
         Path::Sine { frequency, .. } => std::f64::consts::TAU * frequency,
         _ => 0.0,
     };
@@ -328,7 +328,7 @@ fn evaluations(scene: &Scene, instants: &[f64]) -> f64 {
     let end = instants.last().copied().unwrap_or(0.0);
     let rate = |index: usize| {
         let body = &scene.bodies[index];
-        let path = match body.path {
+        let path = match *path(body) {
             Path::Sine { frequency, .. } => std::f64::consts::TAU * frequency,
             _ => 0.0,
         };

@@ -46,6 +46,7 @@
 //! | (3.2) damped oscillator about the rest position, its exact flow | [`oscillator`] |
 //! | (3.3) weight, (3.4) attraction, (3.5) repulsion | [`influence`] |
 //! | which of (3.4) and (3.5) acts: pair phases | [`phase`] |
+//! | strengths and thresholds of a pair | [`pair_law`] |
 //! | free bodies: shape matching, planes | [`shape_matching`] |
 //! | energy and potentials | [`energy`] |
 //!
@@ -55,5 +56,8 @@
 pub mod energy;
 pub mod influence;
 pub mod oscillator;
+pub mod pair_law;
 pub mod phase;
 pub mod shape_matching;
+
+pub use pair_law::PairLaw;

@@ -245,6 +245,15 @@ pub fn frame_drive(axes: DMat3, damping: f64, spin: DVec3, frame_spin: DVec3, fr
     (turn + centrifugal) * axes
 }
 
+/// Whether a free body rotates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rotation {
+    /// The rest shape rotates with the vertices.
+    Free,
+    /// Its rest shape keeps its orientation.
+    Fixed,
+}
+
 /// A plane that keeps vertices on the side that its normal points to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plane {

@@ -52,6 +52,7 @@
 //! ```
 
 pub mod builtin;
+pub mod pairs;
 pub mod parse;
 pub mod path;
 
@@ -61,13 +62,15 @@ use glam::DVec3;
 
 use crate::{
     geometry::Shape,
-    model::{influence::Influence, phase::Thresholds},
+    model::{PairLaw, influence::Influence, phase::Thresholds},
 };
 
+pub use crate::model::shape_matching::{Plane, Rotation};
+pub use pairs::{Members, PairLaws};
 pub use parse::SceneError;
 pub use path::Path;
 
-/// A scene as its file describes it: bodies on prescribed paths, the law between them, pushes.
+/// A scene as its file describes it: bodies, the law between them, planes, pushes.
 #[derive(Clone, Debug)]
 pub struct Scene {
     /// Name of the scene, of its recording and of its default output file.
@@ -85,6 +88,14 @@ pub struct Scene {
     pub influence: Influence,
     /// When pairs merge, split and enter their core.
     pub thresholds: Thresholds,
+    /// Width in q of the change of strength at the rim of the core [–]; 0 for a jump.
+    pub core_width: f64,
+    /// The laws of pairs that have their own; see [`Scene::law`].
+    pub pairs: PairLaws,
+    /// Acceleration of free bodies [scene unit/s²].
+    pub gravity: DVec3,
+    /// The planes, in the order of the file. They act on every vertex of every body.
+    pub planes: Vec<Plane>,
     /// The bodies: at least one, with unique names.
     pub bodies: Vec<Body>,
     /// The pushes, in the order of the file.
@@ -93,7 +104,7 @@ pub struct Scene {
     pub source: String,
 }
 
-/// A soft body: a shape whose vertices are damped oscillators about their rest positions, on a prescribed path.
+/// A soft body: a shape whose vertices are damped oscillators about their rest positions.
 #[derive(Clone, Debug)]
 pub struct Body {
     /// Name of the body, unique in the scene; letters, digits, `-` and `_`.
@@ -104,8 +115,52 @@ pub struct Body {
     pub material: Material,
     /// The rest shape, of unit radius.
     pub shape: Shape,
-    /// Position of the centre over time.
-    pub path: Path,
+    /// Mass of all vertices together, > 0: each has its share of the surface. Any unit; only ratios matter.
+    pub mass: f64,
+    /// The group that the body is in: pairs of groups can have their own law.
+    pub group: Option<String>,
+    /// Its colour, if the scene gives one: red, green, blue.
+    pub color: Option<[u8; 3]>,
+    /// What moves the centre.
+    pub motion: Motion,
+}
+
+impl Body {
+    /// The path of the centre, if it is prescribed.
+    pub fn path(&self) -> Option<&Path> {
+        match &self.motion {
+            Motion::Prescribed(path) => Some(path),
+            Motion::Free(_) => None,
+        }
+    }
+}
+
+/// What moves the centre of a body.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Motion {
+    /// A path, whatever acts on the body.
+    Prescribed(Path),
+    /// The forces that act on the body.
+    Free(FreeMotion),
+}
+
+impl From<Path> for Motion {
+    fn from(path: Path) -> Motion {
+        Motion::Prescribed(path)
+    }
+}
+
+/// How a free body starts, and whether it rotates. Its response is [`Response::Inertial`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FreeMotion {
+    /// Mass centre at t = 0 [scene unit].
+    pub from: DVec3,
+    /// Velocity of the mass centre at t = 0 [scene unit/s].
+    pub velocity: DVec3,
+    /// Angular velocity at t = 0 [rad/s].
+    pub spin: DVec3,
+    /// Whether the rest shape rotates with the vertices.
+    pub rotation: Rotation,
 }
 
 /// Constants of the damped oscillator (3.2), and the response of a body to its own motion.
@@ -206,6 +261,30 @@ impl Scene {
     /// Number of steps: `round(duration / dt)`.
     pub fn steps(&self) -> u64 {
         (self.duration / self.dt).round() as u64 // saturates
+    }
+
+    /// The law of the pair of bodies `a` and `b`, in either order.
+    pub fn law(&self, a: usize, b: usize) -> PairLaw {
+        self.pairs.of(a, b).unwrap_or_else(|| self.common_law())
+    }
+
+    /// The law of all pairs that do not have their own.
+    pub fn common_law(&self) -> PairLaw {
+        let Influence { alpha, beta, apart_repels, .. } = self.influence;
+        PairLaw { alpha, beta, apart_repels, thresholds: self.thresholds, core_width: self.core_width }
+    }
+
+    /// Every law that a pair can have, the common one first.
+    pub fn laws(&self) -> impl Iterator<Item = PairLaw> + '_ {
+        std::iter::once(self.common_law()).chain(self.pairs.laws().iter().copied())
+    }
+
+    /// Whether bodies act on each other's motion or need more than spheres: there is a free body, a plane, or a core
+    /// with a gradual rim.
+    pub fn is_coupled(&self) -> bool {
+        !self.planes.is_empty()
+            || self.laws().any(|law| law.core_width > 0.0)
+            || self.bodies.iter().any(|body| body.path().is_none())
     }
 
     /// Total number of vertices of all bodies.

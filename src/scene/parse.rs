@@ -10,6 +10,7 @@
 //! 32 MiB.
 
 mod error;
+mod pairs;
 mod reader;
 
 use std::ops::RangeInclusive;
@@ -17,10 +18,13 @@ use std::{collections::HashMap, fs::File, io, io::Read as _};
 
 use glam::DVec3;
 
-use super::{Body, Integrator, Material, Path, Push, Response, Scene, path::Spline};
+use super::{
+    Body, FreeMotion, Integrator, Material, Motion, Path, Plane, Push, Response, Rotation, Scene, path::Spline,
+};
 use crate::{
     geometry::{Shape, shape::Parameter},
     model::{
+        PairLaw,
         influence::{Influence, Scaling, Weight},
         phase::Thresholds,
     },
@@ -45,19 +49,42 @@ const FINITE: Number = Number { min: f64::MIN, max: f64::MAX };
 static SCENE: Keys = Keys {
     home: "at the top of the file",
     form: "a table",
-    names: &["name", "dt", "duration", "integrator", "tolerance", "material", "influence", "body", "push"],
+    names: &[
+        "name",
+        "dt",
+        "duration",
+        "integrator",
+        "tolerance",
+        "gravity",
+        "material",
+        "influence",
+        "body",
+        "pair",
+        "plane",
+        "push",
+    ],
 };
 static MATERIAL: Keys =
     Keys { home: "in [material]", form: "a table, written [material]", names: &["omega", "damping", "response"] };
 static INFLUENCE: Keys = Keys {
     home: "in [influence]",
     form: "a table, written [influence]",
-    names: &["alpha", "beta", "reach", "weight", "scaling", "merge_at", "split_at", "core_at", "apart"],
+    names: &["alpha", "beta", "reach", "weight", "scaling", "merge_at", "split_at", "core_at", "core_width", "apart"],
 };
 static BODY: Keys = Keys {
     home: "in a [[body]]",
     form: "a table, written [[body]]",
-    names: &["name", "radius", "shape", "motion", "omega", "damping", "response"],
+    names: &["name", "radius", "shape", "motion", "mass", "group", "color", "omega", "damping", "response"],
+};
+static PAIR: Keys = Keys {
+    home: "in a [[pair]]",
+    form: "a table, written [[pair]]",
+    names: &["bodies", "merge_at", "split_at", "core_at", "core_width", "alpha", "beta", "apart"],
+};
+static PLANE: Keys = Keys {
+    home: "in a [[plane]]",
+    form: "a table, written [[plane]]",
+    names: &["normal", "offset", "stiffness", "friction", "slip"],
 };
 static PUSH: Keys = Keys {
     home: "in a [[push]]",
@@ -83,7 +110,7 @@ static SHAPES: [Keys; Shape::KINDS.len()] = {
 static MOTION: Keys = Keys {
     home: "in the motion of a body",
     form: "a table such as { fixed = [0, 0, 0] }",
-    names: &["fixed", "line", "sine", "keyframes"],
+    names: &["fixed", "line", "sine", "keyframes", "free"],
 };
 static LINE: Keys = Keys {
     home: "in motion = { line = { … } }",
@@ -96,10 +123,16 @@ static SINE: Keys = Keys {
     names: &["center", "amplitude", "frequency", "phase"],
 };
 
+static FREE: Keys = Keys {
+    home: "in motion = { free = { … } }",
+    form: "a table such as { from = [0, 0, 1], velocity = [1, 0, 0] }",
+    names: &["from", "velocity", "spin", "rotation"],
+};
+
 /// Every table, to find where a misplaced key belongs.
 fn all_keys() -> impl Iterator<Item = &'static Keys> {
-    let bodies = [&SCENE, &MATERIAL, &INFLUENCE, &BODY, &PUSH, &SHAPE];
-    bodies.into_iter().chain(&SHAPES).chain([&MOTION, &LINE, &SINE])
+    let bodies = [&SCENE, &MATERIAL, &INFLUENCE, &BODY, &PAIR, &PLANE, &PUSH, &SHAPE];
+    bodies.into_iter().chain(&SHAPES).chain([&MOTION, &LINE, &SINE, &FREE])
 }
 
 const RESPONSE: Choice<Response, 3> =
@@ -108,8 +141,12 @@ const WEIGHT: Choice<Weight, 2> = Choice([("linear", Weight::Linear), ("wendland
 const SCALING: Choice<Scaling, 2> = Choice([("relative", Scaling::Relative), ("absolute", Scaling::Absolute)]);
 const APART_REPELS: Choice<bool, 2> = Choice([("repel", true), ("none", false)]);
 
+const ROTATION: Choice<Rotation, 2> = Choice([("free", Rotation::Free), ("fixed", Rotation::Fixed)]);
+
 const SCENE_NAME: Text = Text { form: "a name of 1 to 200 characters on one line", accepts: is_scene_name };
 const BODY_NAME: Text = Text { form: "a name of 1 to 64 letters, digits, - and _", accepts: is_body_name };
+const GROUP_NAME: Text = Text { form: "a name of 1 to 64 letters, digits, - and _", accepts: is_body_name };
+const COLOR: Text = Text { form: "a color \"#rrggbb\"", accepts: |text| color(text).is_some() };
 
 impl Scene {
     /// The numbers that a scene can have where one must be positive: radii, steps, tolerances, and so on.
@@ -152,7 +189,9 @@ impl Scene {
     /// The first thing that is wrong: not TOML, an unknown, missing or repeated key, a value of the wrong type or out
     /// of range (see the [limits](self#limits)), values that do not fit together.
     pub fn parse(text: &str, file: &str) -> Result<Scene, SceneError> {
-        on_deep_stack(|| read_scene(&Source { text, file }))
+        let scene = on_deep_stack(|| read_scene(&Source { text, file }))?;
+        refuse_what_is_coupled(&scene, file)?;
+        Ok(scene)
     }
 }
 
@@ -185,8 +224,10 @@ fn read_scene(source: &Source<'_>) -> Result<Scene, SceneError> {
     let influence = root.table("influence", &INFLUENCE)?;
     let body_array = root.present("body", "at least one [[body]]")?;
     let body_tables = body_array.tables(&BODY)?;
-    let push_array = root.get("push");
-    let push_tables = push_array.as_ref().map_or(Ok(Vec::new()), |pushes| pushes.tables(&PUSH))?;
+    let [pair_array, plane_array, push_array] = ["pair", "plane", "push"].map(|name| root.get(name));
+    let pair_tables = tables(&pair_array, &PAIR)?;
+    let plane_tables = tables(&plane_array, &PLANE)?;
+    let push_tables = tables(&push_array, &PUSH)?;
 
     let name = root.optional("name", SCENE_NAME)?.unwrap_or_else(|| name_from(source.file));
     let dt = root.optional("dt", POSITIVE)?.unwrap_or(1.0 / 60.0);
@@ -201,15 +242,47 @@ fn read_scene(source: &Source<'_>) -> Result<Scene, SceneError> {
 
     let tolerance = root.optional("tolerance", POSITIVE)?.unwrap_or(Scene::DEFAULT_TOLERANCE);
 
+    let gravity = root.optional("gravity", Vector(ANY))?.unwrap_or(DVec3::ZERO);
+
     let thesis = Material { omega: 12.0, damping: 1.5, response: Response::Inertial };
     let material = read_material(&material, thesis)?;
-    let thresholds = read_thresholds(&influence)?;
-    let influence = read_influence(&influence)?;
+    let (law, influence) = (read_law(&influence, PairLaw::DEFAULT)?, read_influence(&influence)?);
+    let influence = Influence { alpha: law.alpha, beta: law.beta, apart_repels: law.apart_repels, ..influence };
     let bodies = read_bodies(&body_array, &body_tables, material)?;
-    let indices = bodies.iter().enumerate().map(|(index, body)| (body.name.as_str(), index)).collect();
-    let pushes = push_tables.iter().map(|push| read_push(push, &bodies, &indices)).collect::<Result<_, _>>()?;
-    let source = source.text.to_owned();
-    Ok(Scene { name, dt, duration, integrator, tolerance, influence, thresholds, bodies, pushes, source })
+    let names = Names::of(&bodies, &body_tables)?;
+    let pairs = pairs::read(&pair_tables, &bodies, &names, law)?;
+    let planes = plane_tables.iter().map(read_plane).collect::<Result<_, _>>()?;
+    let pushes = push_tables.iter().map(|push| read_push(push, &bodies, &names)).collect::<Result<_, _>>()?;
+    Ok(Scene {
+        name,
+        dt,
+        duration,
+        integrator,
+        tolerance,
+        influence,
+        thresholds: law.thresholds,
+        core_width: law.core_width,
+        pairs,
+        gravity,
+        planes,
+        bodies,
+        pushes,
+        source: source.text.to_owned(),
+    })
+}
+
+/// An array of tables, which may be missing.
+fn tables<'a>(array: &'a Option<Value<'_>>, keys: &Keys) -> Result<Vec<Table<'a>>, SceneError> {
+    array.as_ref().map_or(Ok(Vec::new()), |array| array.tables(keys))
+}
+
+/// What is read but not stepped yet.
+fn refuse_what_is_coupled(scene: &Scene, file: &str) -> Result<(), SceneError> {
+    if !scene.is_coupled() {
+        return Ok(());
+    }
+    let message = "free bodies, planes and core_width are not available yet".to_owned();
+    Err(SceneError { file: file.to_owned(), place: None, key: String::new(), message, help: None })
 }
 
 /// The `[material]` table, or a body: what it does not give is as in `default`.
@@ -221,23 +294,28 @@ fn read_material(table: &Table<'_>, default: Material) -> Result<Material, Scene
     })
 }
 
+/// The `[influence]` table without what pairs can have of their own.
 fn read_influence(table: &Table<'_>) -> Result<Influence, SceneError> {
     Ok(Influence {
-        alpha: table.optional("alpha", NON_NEGATIVE)?.unwrap_or(100.0),
-        beta: table.optional("beta", NON_NEGATIVE)?.unwrap_or(60.0),
+        alpha: PairLaw::DEFAULT.alpha,
+        beta: PairLaw::DEFAULT.beta,
         reach: table.optional("reach", POSITIVE)?.unwrap_or(std::f64::consts::SQRT_2),
         weight: table.optional("weight", WEIGHT)?.unwrap_or(Weight::Linear),
         scaling: table.optional("scaling", SCALING)?.unwrap_or(Scaling::Relative),
-        apart_repels: table.optional("apart", APART_REPELS)?.unwrap_or(true),
+        apart_repels: PairLaw::DEFAULT.apart_repels,
     })
 }
 
-fn read_thresholds(table: &Table<'_>) -> Result<Thresholds, SceneError> {
-    const MERGE_AT: f64 = 1.05;
-    const SPLIT_AT: f64 = 1.15;
-    let merge_at = table.optional("merge_at", POSITIVE)?.unwrap_or(MERGE_AT);
-    let split_at = table.optional("split_at", POSITIVE)?.unwrap_or(SPLIT_AT);
-    let core_at = table.optional("core_at", NON_NEGATIVE)?.unwrap_or(0.0);
+/// The `[influence]` table, or a `[[pair]]`: what it does not give is as in `default`.
+fn read_law(table: &Table<'_>, default: PairLaw) -> Result<PairLaw, SceneError> {
+    let Thresholds { merge_at, split_at, core_at } = default.thresholds;
+    let alpha = table.optional("alpha", NON_NEGATIVE)?.unwrap_or(default.alpha);
+    let beta = table.optional("beta", NON_NEGATIVE)?.unwrap_or(default.beta);
+    let apart_repels = table.optional("apart", APART_REPELS)?.unwrap_or(default.apart_repels);
+    let merge_at = table.optional("merge_at", POSITIVE)?.unwrap_or(merge_at);
+    let split_at = table.optional("split_at", POSITIVE)?.unwrap_or(split_at);
+    let core_at = table.optional("core_at", NON_NEGATIVE)?.unwrap_or(core_at);
+    let core_width = table.optional("core_width", NON_NEGATIVE)?;
 
     let by_default = |name| if table.get(name).is_some() { "" } else { " by default" };
     let merge_at_is = format!("merge_at ({merge_at:?}{})", by_default("merge_at"));
@@ -250,9 +328,42 @@ fn read_thresholds(table: &Table<'_>) -> Result<Thresholds, SceneError> {
             return Err(value.unexpected(expected).with_help("give split_at, too"));
         }
     }
-    match table.get("core_at") {
-        Some(value) if core_at >= merge_at => Err(value.unexpected(format_args!("a number below {merge_at_is}"))),
-        _ => Ok(Thresholds { merge_at, split_at, core_at }),
+    if core_at >= merge_at {
+        if let Some(value) = table.get("core_at") {
+            return Err(value.unexpected(format_args!("a number below {merge_at_is}")));
+        }
+        if let Some(value) = table.get("merge_at") {
+            let expected = format_args!("a number above core_at ({core_at:?} by default)").to_string();
+            return Err(value.unexpected(expected).with_help("give core_at, too"));
+        }
+    }
+    if core_at == 0.0
+        && let (Some(value), Some(true)) = (table.get("core_width"), core_width.map(|width| width > 0.0))
+    {
+        return Err(value.unexpected("0 where there is no core").with_help("give core_at, too"));
+    }
+    let core_width = if core_at == 0.0 { 0.0 } else { core_width.unwrap_or(default.core_width) };
+    Ok(PairLaw { alpha, beta, apart_repels, thresholds: Thresholds { merge_at, split_at, core_at }, core_width })
+}
+
+fn read_plane(table: &Table<'_>) -> Result<Plane, SceneError> {
+    Ok(Plane {
+        normal: read_direction(table, "normal")?,
+        offset: table.optional("offset", ANY)?.unwrap_or(0.0),
+        stiffness: table.optional("stiffness", NON_NEGATIVE)?.unwrap_or(4000.0),
+        friction: table.optional("friction", NON_NEGATIVE)?.unwrap_or(0.0),
+        slip: table.optional("slip", POSITIVE)?.unwrap_or(0.01),
+    })
+}
+
+/// A vector of any length but 0, as a unit vector.
+fn read_direction(table: &Table<'_>, name: &'static str) -> Result<DVec3, SceneError> {
+    let direction = table.required(name, Vector(FINITE))?;
+    match table.get(name) {
+        Some(value) if direction == DVec3::ZERO => {
+            Err(value.error("expected a direction, found the zero vector".to_owned()))
+        }
+        _ => Ok(unit(direction)),
     }
 }
 
@@ -260,25 +371,64 @@ fn read_bodies(array: &Value<'_>, tables: &[Table<'_>], material: Material) -> R
     if tables.is_empty() {
         return Err(array.unexpected("at least one [[body]]"));
     }
-    let mut named: HashMap<String, &Table<'_>> = HashMap::with_capacity(tables.len());
     let mut bodies = Vec::with_capacity(tables.len());
     for table in tables {
-        let name = table.required("name", BODY_NAME)?;
-        if let Some(first) = named.insert(name.clone(), table)
-            && let (Some(first), Some(again)) = (first.get("name"), table.get("name"))
-        {
-            let expected = format!("a name that no other body has (the body at line {} has this one)", first.line());
-            return Err(again.unexpected(expected));
-        }
+        let radius = table.required("radius", POSITIVE)?;
+        let material = read_material(table, material)?;
         bodies.push(Body {
-            name,
-            radius: table.required("radius", POSITIVE)?,
-            material: read_material(table, material)?,
+            name: table.required("name", BODY_NAME)?,
+            radius,
+            material,
             shape: read_shape(table)?,
-            path: read_path(table)?,
+            mass: table.optional("mass", POSITIVE)?.unwrap_or(radius * radius * radius),
+            group: table.optional("group", GROUP_NAME)?,
+            color: table.optional("color", COLOR)?.as_deref().and_then(color),
+            motion: read_motion(table, &material)?,
         });
     }
     Ok(bodies)
+}
+
+/// `#rrggbb`
+fn color(text: &str) -> Option<[u8; 3]> {
+    let digits =
+        text.strip_prefix('#').filter(|digits| digits.len() == 6 && digits.bytes().all(|b| b.is_ascii_hexdigit()))?;
+    let [_, red, green, blue] = u32::from_str_radix(digits, 16).ok()?.to_be_bytes();
+    Some([red, green, blue])
+}
+
+/// What a scene's names stand for.
+struct Names {
+    bodies: HashMap<String, u32>,
+    groups: HashMap<String, u32>,
+}
+
+impl Names {
+    /// # Errors
+    /// Two bodies have one name, or a body has that of a group.
+    fn of(bodies: &[Body], tables: &[Table<'_>]) -> Result<Names, SceneError> {
+        let mut names = Names { bodies: HashMap::with_capacity(bodies.len()), groups: HashMap::new() };
+        for (index, (body, table)) in (0..).zip(bodies.iter().zip(tables)) {
+            let Some(first) = names.bodies.insert(body.name.clone(), index) else { continue };
+            if let (Some(first), Some(again)) = (tables[first as usize].get("name"), table.get("name")) {
+                let expected =
+                    format!("a name that no other body has (the body at line {} has this one)", first.line());
+                return Err(again.unexpected(expected));
+            }
+        }
+        for (body, table) in bodies.iter().zip(tables) {
+            let Some(group) = &body.group else { continue };
+            if let (Some(&other), Some(value)) = (names.bodies.get(group), table.get("group")) {
+                let line = tables[other as usize].get("name").map_or(0, |name| name.line());
+                return Err(
+                    value.unexpected(format_args!("a name that no body has (the body at line {line} has this one)"))
+                );
+            }
+            let next = names.groups.len() as u32;
+            names.groups.entry(group.clone()).or_insert(next);
+        }
+        Ok(names)
+    }
 }
 
 fn read_shape(body: &Table<'_>) -> Result<Shape, SceneError> {
@@ -298,33 +448,59 @@ fn read_shape(body: &Table<'_>) -> Result<Shape, SceneError> {
     Ok((kind.make)(&parameters.collect::<Result<Vec<_>, SceneError>>()?))
 }
 
-fn read_path(body: &Table<'_>) -> Result<Path, SceneError> {
+fn read_motion(body: &Table<'_>, material: &Material) -> Result<Motion, SceneError> {
     let motion = body.present("motion", MOTION.form)?;
     let table = motion.clone().into_table(&MOTION)?;
-    match (table.get("fixed"), table.get("line"), table.get("sine"), table.get("keyframes")) {
-        (Some(fixed), None, None, None) => Ok(Path::Fixed(Vector(ANY).read(&fixed)?)),
-        (None, Some(line), None, None) => {
-            let line = line.into_table(&LINE)?;
-            Ok(Path::Line {
-                from: line.required("from", Vector(ANY))?,
-                velocity: line.required("velocity", Vector(ANY))?,
-            })
+    let given: Vec<_> = MOTION.names.iter().copied().filter(|name| table.get(name).is_some()).collect();
+    let [kind] = given[..] else {
+        let found = if given.is_empty() { "none".to_owned() } else { given.join(" and ") };
+        return Err(motion.error(format!("expected exactly one of {}, found {found}", MOTION.names.join(", "))));
+    };
+    let value = table.present(kind, MOTION.form)?;
+    Ok(match kind {
+        "fixed" => Path::Fixed(Vector(ANY).read(&value)?).into(),
+        "line" => {
+            let line = value.into_table(&LINE)?;
+            let (from, velocity) = (line.required("from", Vector(ANY))?, line.required("velocity", Vector(ANY))?);
+            Path::Line { from, velocity }.into()
         }
-        (None, None, Some(sine), None) => {
-            let sine = sine.into_table(&SINE)?;
-            Ok(Path::Sine {
+        "sine" => {
+            let sine = value.into_table(&SINE)?;
+            let path = Path::Sine {
                 center: sine.required("center", Vector(ANY))?,
                 amplitude: sine.required("amplitude", Vector(ANY))?,
                 frequency: sine.required("frequency", NON_NEGATIVE)?,
                 phase: sine.optional("phase", ANY)?.unwrap_or(0.0),
-            })
+            };
+            path.into()
         }
-        (None, None, None, Some(keyframes)) => Ok(Path::Keyframes(read_spline(&keyframes)?)),
+        "keyframes" => Path::Keyframes(read_spline(&value)?).into(),
         _ => {
-            let given: Vec<_> = MOTION.names.iter().copied().filter(|name| table.get(name).is_some()).collect();
-            let found = if given.is_empty() { "none".to_owned() } else { given.join(" and ") };
-            Err(motion.error(format!("expected exactly one of {}, found {found}", MOTION.names.join(", "))))
+            check_response(body, &value, material)?;
+            Motion::Free(read_free(&value.into_table(&FREE)?)?)
         }
+    })
+}
+
+fn read_free(table: &Table<'_>) -> Result<FreeMotion, SceneError> {
+    Ok(FreeMotion {
+        from: table.required("from", Vector(ANY))?,
+        velocity: table.optional("velocity", Vector(ANY))?.unwrap_or(DVec3::ZERO),
+        spin: table.optional("spin", Vector(ANY))?.unwrap_or(DVec3::ZERO),
+        rotation: table.optional("rotation", ROTATION)?.unwrap_or(Rotation::Free),
+    })
+}
+
+/// A free body is moved by forces, which its vertices feel themselves: there is no other response to that.
+fn check_response(body: &Table<'_>, motion: &Value<'_>, material: &Material) -> Result<(), SceneError> {
+    if material.response == Response::Inertial {
+        return Ok(());
+    }
+    match body.get("response") {
+        Some(value) => Err(value.unexpected("\"inertial\", the response of every free body")),
+        None => Err(motion
+            .error("expected a body whose response is \"inertial\", found another one in [material]".to_owned())
+            .with_help("give the body response = \"inertial\", the response of every free body")),
     }
 }
 
@@ -347,27 +523,32 @@ fn read_spline(value: &Value<'_>) -> Result<Spline, SceneError> {
     Ok(Spline::new(&keys))
 }
 
-fn read_push(table: &Table<'_>, bodies: &[Body], indices: &HashMap<&str, usize>) -> Result<Push, SceneError> {
+fn read_push(table: &Table<'_>, bodies: &[Body], names: &Names) -> Result<Push, SceneError> {
     let body = table.present("body", "the name of a body")?;
-    let index = body.text().and_then(|name| indices.get(name)).ok_or_else(|| {
-        let names = || bodies.iter().map(|body| body.name.as_str());
-        let hint = body.text().map_or(String::new(), |name| did_you_mean(name, names()));
-        let listed: Vec<&str> = names().take(8).collect();
-        let more = if bodies.len() > listed.len() { ", …" } else { "" };
-        let found = body.found();
-        body.error(format!("expected the name of a body, found {found}{hint} (bodies: {}{more})", listed.join(", ")))
+    let index = body.text().and_then(|name| names.bodies.get(name)).ok_or_else(|| {
+        let known = || bodies.iter().map(|body| body.name.as_str());
+        unknown_name(&body, "the name of a body", known)
     })?;
-    let direction = table.required("direction", Vector(FINITE))?;
-    if let Some(value) = table.get("direction").filter(|_| direction == DVec3::ZERO) {
-        return Err(value.error("expected a direction, found the zero vector".to_owned()));
-    }
     Ok(Push {
-        body: *index,
-        direction: unit(direction),
+        body: *index as usize,
+        direction: read_direction(table, "direction")?,
         strength: table.required("strength", ANY)?,
         start: table.required("start", NON_NEGATIVE)?,
         duration: table.required("duration", NON_NEGATIVE)?,
     })
+}
+
+/// The error that a value is none of the `known` names.
+fn unknown_name<'n, I: Iterator<Item = &'n str>>(
+    value: &Value<'_>,
+    expected: &str,
+    known: impl Fn() -> I,
+) -> SceneError {
+    let hint = value.text().map_or(String::new(), |name| did_you_mean(name, known()));
+    let listed: Vec<&str> = known().take(8).collect();
+    let more = if known().nth(8).is_some() { ", …" } else { "" };
+    let found = value.found();
+    value.error(format!("expected {expected}, found {found}{hint} (bodies: {}{more})", listed.join(", ")))
 }
 
 /// `vector` / |`vector`| for any finite `vector` but 0: brought near 1 by a power of two, which is exact, before its

@@ -1,6 +1,6 @@
 //! Centre paths: where the centre of a body is, prescribed for all t ≥ 0.
 
-use std::{f64::consts::TAU, hash::Hasher, ops::Range};
+use std::{f64::consts::TAU, hash::Hasher, ops::Range, sync::Arc};
 
 use glam::DVec3;
 use rustc_hash::FxHasher;
@@ -196,7 +196,7 @@ impl Path {
     /// What was allocated for it [bytes].
     pub fn memory(&self) -> usize {
         let Path::Keyframes(spline) = self else { return 0 };
-        spline.times.capacity() * size_of::<f64>() + spline.segments.capacity() * size_of::<Segment>()
+        size_of_val(&*spline.times) + size_of_val(&*spline.segments)
     }
 
     /// Whether the centre does not move within `[start, end]` [s], nor anything about its motion changes there.
@@ -217,14 +217,14 @@ impl Path {
     }
 }
 
-/// C² cubic spline per coordinate, zero velocity at the first and last key, held still outside them.
+/// C² cubic spline per coordinate, zero velocity at the first and last key, held still outside them. Copies share the keys.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spline {
-    times: Vec<f64>,
+    times: Arc<[f64]>,
     /// A hash of the times: splines with other times are told apart by it without looking at all of them.
     times_hash: u64,
     /// `[keys − 1]`
-    segments: Vec<Segment>,
+    segments: Arc<[Segment]>,
     first: DVec3,
     last: DVec3,
 }
@@ -274,7 +274,7 @@ impl Spline {
                 jerk: (m[k + 1] - m[k]) / width(k),
             })
             .collect();
-        let times: Vec<f64> = keys.iter().map(|key| key.0).collect();
+        let times: Arc<[f64]> = keys.iter().map(|key| key.0).collect();
         let mut hasher = FxHasher::default();
         times.iter().for_each(|time| hasher.write_u64(time.to_bits()));
         Spline { times, times_hash: hasher.finish(), segments, first: keys[0].1, last: keys[n - 1].1 }

@@ -319,7 +319,7 @@ impl<'a> Context<'a> {
         breaks.clear();
         breaks.push(span.start);
         let mut knots = |body: u32| {
-            let knots = self.tracks.track(self.scene, body as usize).breaks();
+            let knots = self.tracks.track(body as usize).breaks();
             let first = knots.partition_point(|&knot| knot <= span.start);
             breaks.extend(knots[first..].iter().take_while(|&&t| span.holds(t)));
         };

@@ -83,8 +83,12 @@ pub fn needed(scene: &Scene) -> u64 {
 
 /// What the scene of a world holds of its bodies, by what was allocated for it [bytes].
 pub fn of_bodies(scene: &Scene) -> usize {
-    let names: usize = scene.bodies.iter().map(|body| body.name.capacity() + body.path.memory()).sum();
+    let names: usize = scene.bodies.iter().map(|body| body.name.capacity() + of_motion(body)).sum();
     names + scene.bodies.capacity() * size_of::<crate::scene::Body>()
+}
+
+fn of_motion(body: &crate::scene::Body) -> usize {
+    body.path().map_or(0, crate::scene::Path::memory)
 }
 
 /// Memory that this process may still take, by the machine and by its control group [bytes].

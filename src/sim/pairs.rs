@@ -178,7 +178,7 @@ impl Pairs {
 
     fn place(&mut self, of: &mut Surrounded<'_>, i: usize, vertices: f64, t: f64) {
         let scene = of.scene;
-        let (this, track) = (&scene.bodies[i], of.tracks.track(scene, i));
+        let (this, track) = (&scene.bodies[i], of.tracks.track(i));
         let (skin, until) = stay(track, SKIN * this.radius, t, scene.dt);
         let merging = scene.thresholds.merge_at * this.radius;
         let reach = scene.influence.sphere_radius(this.radius).max(vertices).max(merging) + skin;
@@ -225,7 +225,7 @@ impl Pairs {
             }
             let neighbour = known.next_if(|neighbour| neighbour.other == other).unwrap_or_else(|| {
                 work.spend(NEW_PAIR);
-                let pair = self.add(tracks.pair(scene, i as u32, other), [i as u32, other], scene, t);
+                let pair = self.add(tracks.pair(i as u32, other), [i as u32, other], scene, t);
                 let others = &mut bodies[other as usize].neighbours;
                 let place = others.partition_point(|neighbour| neighbour.other < i as u32);
                 others.insert(place, spheres::neighbour(scene, other, i as u32, pair));
@@ -287,7 +287,7 @@ impl Pairs {
                 }
                 let first = self.changes.len();
                 let pair = &mut self.pairs[index];
-                let both = tracks.pair(scene, pair.a, pair.b);
+                let both = tracks.pair(pair.a, pair.b);
                 let rests = || [both.a, both.b].into_iter().all(|track| track.is_still(span.start, f64::INFINITY));
                 let horizon = match self.plain {
                     true => span.end,

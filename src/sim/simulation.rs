@@ -22,7 +22,7 @@ use crate::{
         colors::{self, Rgb},
         schema::{self, BodySchema, PhaseSchema, ScalarOf, ScalarSchema, TermSchema, Threshold},
     },
-    scene::{Integrator, Scene},
+    scene::{Body, Integrator, Motion, Scene},
 };
 
 /// All phases in order of depth, the deepest last.
@@ -383,11 +383,19 @@ fn instants(scene: &Scene) -> impl Iterator<Item = f64> {
     (0..=32).map(move |k| duration * f64::from(k) / 32.0)
 }
 
+/// Where a body is at a time, as far as the scene says: a free body where it starts.
+fn place(body: &Body, time: f64) -> DVec3 {
+    match &body.motion {
+        Motion::Prescribed(path) => path.position(time),
+        Motion::Free(free) => free.from,
+    }
+}
+
 /// Every influence sphere along its path.
 fn all_there_is(scene: &Scene) -> Vec<(DVec3, f64)> {
     let spheres = scene.bodies.iter().flat_map(|body| {
         let radius = scene.influence.sphere_radius(body.radius).min(2.0 * body.radius);
-        instants(scene).map(move |time| (body.path.position(time), radius))
+        instants(scene).map(move |time| (place(body, time), radius))
     });
     spheres.collect()
 }
@@ -405,13 +413,13 @@ fn what_happens(scene: &Scene) -> Vec<(DVec3, f64)> {
     let mut acted_on = Vec::new();
     for push in &scene.pushes {
         let body = &bodies[push.body];
-        acted_on.push((body.path.position(push.start), ROOM * body.radius));
+        acted_on.push((place(body, push.start), ROOM * body.radius));
     }
     let pairs_of = if bodies.len() > MOST { 0 } else { bodies.len() };
-    let movers: Vec<usize> = (0..pairs_of).filter(|&i| !bodies[i].path.is_fixed()).collect();
+    let movers: Vec<usize> = (0..pairs_of).filter(|&i| bodies[i].path().is_none_or(|path| !path.is_fixed())).collect();
     let all: Vec<usize> = (0..pairs_of).collect();
     for (k, time) in instants(scene).enumerate() {
-        let centres: Vec<DVec3> = bodies[..pairs_of].iter().map(|body| body.path.position(time)).collect();
+        let centres: Vec<DVec3> = bodies[..pairs_of].iter().map(|body| place(body, time)).collect();
         // bodies that do not move are as at the first instant
         for &b in if k == 0 { &all } else { &movers } {
             for a in (0..pairs_of).filter(|&a| a != b) {

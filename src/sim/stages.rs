@@ -135,7 +135,7 @@ impl Again<'_> {
         let scene = self.world.scene();
         let span = Span { start: self.before.at.time, end: self.world.time() };
         let tracks = self.world.reading().tracks;
-        let knots = (0..scene.bodies.len()).flat_map(|body| tracks.track(scene, body).breaks().iter().copied());
+        let knots = (0..scene.bodies.len()).flat_map(|body| tracks.track(body).breaks().iter().copied());
         let mut breaks: Vec<f64> = knots.filter(|&t| span.holds(t)).chain([span.start, span.end]).collect();
         for index in 0..self.world.body_count() {
             self.on(index).jumps(&self.body(index).neighbours, span, &mut breaks);

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::{events::PairTracks, nodes::SAMPLES, span::Span, track::Track};
 use crate::scene::{
-    Scene,
+    Body, Motion, Path, Scene,
     path::{Bounds, Kinematics, Turns},
 };
 
@@ -16,6 +16,8 @@ const STILL: u32 = u32::MAX;
 
 /// The tracks of all bodies that move.
 pub struct Tracks {
+    /// Of every body.
+    paths: Vec<Path>,
     movers: Vec<Mover>,
     /// Of every body, close together: neighbours look each other up in every step.
     motion_bounds: Vec<MotionBounds>,
@@ -66,19 +68,25 @@ pub struct Mover {
 }
 
 impl Tracks {
-    /// Of all bodies of a scene that move, before the first step.
+    /// Of all bodies of a scene that move, before the first step. What is free stands still here: forces on a body are
+    /// none of a track's business.
     pub fn new(scene: &Scene) -> Tracks {
+        let path = |body: &Body| match &body.motion {
+            Motion::Prescribed(path) => path.clone(),
+            Motion::Free(free) => Path::Fixed(free.from),
+        };
+        let paths: Vec<Path> = scene.bodies.iter().map(path).collect();
         let mut of_body = vec![STILL; scene.bodies.len()];
         let mut movers = Vec::new();
-        let motion_bounds = scene.bodies.iter().map(|body| MotionBounds {
-            centre: body.path.position(0.0),
+        let motion_bounds = scene.bodies.iter().zip(&paths).map(|(body, path)| MotionBounds {
+            centre: path.position(0.0),
             speed: 0.0,
             radius: body.radius,
             sphere: scene.influence.sphere_radius(body.radius),
         });
         let motion_bounds = motion_bounds.collect();
         for (body, place) in (0..).zip(&mut of_body) {
-            let path = &scene.bodies[body as usize].path;
+            let path = &paths[body as usize];
             if !path.is_fixed() {
                 *place = movers.len() as u32;
                 let turns = path.turns(&SAMPLES.map(|theta| theta * scene.dt));
@@ -96,13 +104,14 @@ impl Tracks {
                 });
             }
         }
-        Tracks { movers, motion_bounds, of_body }
+        Tracks { paths, movers, motion_bounds, of_body }
     }
 
     /// Follows all of them over a step.
-    pub(super) fn follow(&mut self, scene: &Scene, span: Span) {
+    pub(super) fn follow(&mut self, span: Span) {
+        let paths = &self.paths;
         let follow = |track: &mut Mover| {
-            let path = &scene.bodies[track.body as usize].path;
+            let path = &paths[track.body as usize];
             let stands_still = path.is_still(span.start, span.end);
             track.is_idle = stands_still && track.stands_still;
             track.stands_still = stands_still;
@@ -144,6 +153,7 @@ impl Tracks {
         self.movers.capacity() * size_of::<Mover>()
             + self.motion_bounds.capacity() * size_of::<MotionBounds>()
             + self.of_body.capacity() * size_of::<u32>()
+            + self.paths.capacity() * size_of::<Path>()
     }
 
     /// The tracks, in the order of their bodies.
@@ -157,22 +167,22 @@ impl Tracks {
     }
 
     /// The frame of a body.
-    pub fn track<'a>(&'a self, scene: &'a Scene, body: usize) -> Track<'a> {
-        Track::Prescribed(&scene.bodies[body].path)
+    pub fn track(&self, body: usize) -> Track<'_> {
+        Track::Prescribed(&self.paths[body])
     }
 
     /// Those of a pair of bodies, that of lower index first.
-    pub fn pair<'a>(&'a self, scene: &'a Scene, i: u32, j: u32) -> PairTracks<'a> {
+    pub fn pair(&self, i: u32, j: u32) -> PairTracks<'_> {
         let [a, b] = [i.min(j), i.max(j)].map(|body| body as usize);
-        let radii = scene.bodies[a].radius + scene.bodies[b].radius;
-        PairTracks { a: self.track(scene, a), b: self.track(scene, b), radii }
+        let radii = self.motion_bounds[a].radius + self.motion_bounds[b].radius;
+        PairTracks { a: self.track(a), b: self.track(b), radii }
     }
 
     /// A body's centre and its motion at one of the five looks of the step.
-    pub fn kinematics(&self, scene: &Scene, body: usize, look: usize) -> Kinematics {
+    pub fn kinematics(&self, body: usize, look: usize) -> Kinematics {
         match self.of(body) {
             Some(track) => track.kinematics[look],
-            None => self.track(scene, body).at(0.0),
+            None => self.track(body).at(0.0),
         }
     }
 
@@ -203,9 +213,9 @@ mod tests {
             let mut tracks = Tracks::new(&scene);
             for step in 0..scene.steps() {
                 let span = Span { start: step as f64 * scene.dt, end: (step + 1) as f64 * scene.dt };
-                tracks.follow(&scene, span);
+                tracks.follow(span);
                 for track in tracks.all() {
-                    let path = &scene.bodies[track.body as usize].path;
+                    let path = scene.bodies[track.body as usize].path().unwrap();
                     for (look, theta) in SAMPLES.into_iter().enumerate() {
                         let t = if theta == 1.0 { span.end } else { span.start + theta * scene.dt };
                         let (seen, exact) = (track.kinematics[look], path.at(t));

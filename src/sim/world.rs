@@ -186,7 +186,7 @@ impl World {
     /// Finds where moving bodies go and which bodies they come near.
     fn broad_phase(&mut self, span: Span) -> Result<(), Failure> {
         let World { scene, bodies, tracks, pairs, work, .. } = self;
-        tracks.follow(scene, span);
+        tracks.follow(span);
         let followed = pairs.follow(scene, bodies, tracks, span, work);
         followed.map_err(|(stop, body)| self.neighbours_failure(stop, body))
     }
@@ -533,7 +533,7 @@ impl World {
 
     /// The frame of body `index`.
     pub(super) fn track(&self, index: usize) -> Track<'_> {
-        self.tracks.track(&self.scene, index)
+        self.tracks.track(index)
     }
 
     fn active(&self, index: usize) -> Option<&Active> {
@@ -567,7 +567,7 @@ impl World {
         let time = self.time();
         self.known_pairs()
             .map(move |pair| {
-                let q = self.tracks.pair(&self.scene, pair.a, pair.b).q(time);
+                let q = self.tracks.pair(pair.a, pair.b).q(time);
                 PairView { a: pair.a as usize, b: pair.b as usize, q, phase: pair.phase }
             })
             .filter(|pair| pair.phase != Phase::Apart || pair.q <= self.reach_of(pair.a, pair.b))

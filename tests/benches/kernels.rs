@@ -59,7 +59,7 @@ fn oscillator(c: &mut Criterion) {
 fn collocation(c: &mut Criterion) {
     let mut scene = two();
     for (body, x) in scene.bodies.iter_mut().zip([0.0, 0.2]) {
-        body.path = Path::Fixed(DVec3::X * x);
+        body.motion = Path::Fixed(DVec3::X * x).into();
     }
     let mut group = c.benchmark_group("collocation");
     group.throughput(Throughput::Elements(scene.vertex_count()));
@@ -74,9 +74,9 @@ fn collocation(c: &mut Criterion) {
 /// Steps of a pair that swings so fast that vertices cross rims in most of them: these are taken one by one.
 fn single(c: &mut Criterion) {
     let mut scene = two();
-    scene.bodies[0].path = Path::Fixed(DVec3::ZERO);
-    scene.bodies[1].path =
-        Path::Sine { center: DVec3::X * 2.1, amplitude: DVec3::X * 0.25, frequency: 4.0, phase: 0.0 };
+    scene.bodies[0].motion = Path::Fixed(DVec3::ZERO).into();
+    scene.bodies[1].motion =
+        Path::Sine { center: DVec3::X * 2.1, amplitude: DVec3::X * 0.25, frequency: 4.0, phase: 0.0 }.into();
     let mut world = World::new(scene).expect("fits");
     (0..600).for_each(|_| _ = world.step());
     // 15 steps a period

@@ -59,7 +59,7 @@ fn two(a: Path, b: Path, thresholds: Thresholds, dt: f64, duration: f64) -> Scen
          [[body]]\nname = \"a\"\nradius = 0.4\nshape = { sphere = { stacks = 2, slices = 3 } }\nmotion = { fixed = [0, 0, 0] }\n\
          [[body]]\nname = \"b\"\nradius = 0.6\nshape = { sphere = { stacks = 2, slices = 3 } }\nmotion = { fixed = [0, 0, 0] }\n",
     );
-    (scene.bodies[0].path, scene.bodies[1].path) = (a, b);
+    (scene.bodies[0].motion, scene.bodies[1].motion) = (a.into(), b.into());
     (scene.thresholds, scene.dt, scene.duration) = (thresholds, dt, duration);
     scene
 }
@@ -569,14 +569,14 @@ proptest! {
         let body = scene.bodies.remove(0);
         scene.bodies = movers.iter().map(|&(centre, motion, radius, frequency, straight)| {
             let path = if straight { line(centre, motion) } else { sine(centre, motion, frequency, 0.3) };
-            meldscope::scene::Body { name: format!("{centre}"), radius, path, ..body.clone() }
+            meldscope::scene::Body { name: format!("{centre}"), radius, motion: path.into(), ..body.clone() }
         }).collect();
         let steps = scene.steps() as u32;
         let mut expected = vec![];
         for a in 0..scene.bodies.len() {
             for b in a + 1..scene.bodies.len() {
                 let (one, other) = (&scene.bodies[a], &scene.bodies[b]);
-                let paths = PairTracks { a: (&one.path).into(), b: (&other.path).into(), radii: one.radius + other.radius };
+                let paths = PairTracks { a: one.path().unwrap().into(), b: other.path().unwrap().into(), radii: one.radius + other.radius };
                 let first = scene.thresholds.initial(paths.q(0.0));
                 let changes = changes_by_steps(&paths, &scene.thresholds, first, dt, steps);
                 expected.extend(changes.into_iter().map(|(time, to)| (time, a, b, to)));

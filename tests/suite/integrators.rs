@@ -85,7 +85,7 @@ fn thesis_is_what_is_printed_to_the_bit() {
     let (mut merged, mut reached) = (0, 0);
     for step in 0..world.scene().steps() {
         let t = step as f64 * dt;
-        let c = (scene.bodies[1].path.position(t) - scene.bodies[0].path.position(t)).to_array();
+        let c = (scene.bodies[1].path().unwrap().position(t) - scene.bodies[0].path().unwrap().position(t)).to_array();
         let s = if world.phase(0, 1) == Phase::Merged { alpha } else { -beta };
         merged += u64::from(s > 0.0);
         for v in 0..count {
@@ -159,7 +159,7 @@ struct Busy {
 impl Busy {
     /// F of the vertex with unit rest position `unit` and displacement `x` at time `t`, with strength `s`.
     fn force(&self, t: f64, s: f64, unit: V, x: V) -> V {
-        let at = |i: usize| self.scene.bodies[i].path.at(t);
+        let at = |i: usize| self.scene.bodies[i].path().unwrap().at(t);
         let (own, other) = (at(0), at(1));
         let radius = self.scene.bodies[0].radius;
         let r: V = map(|i| own.position[i] + radius * unit[i] + x[i]);
@@ -231,8 +231,9 @@ fn busy_pair(integrator: Integrator) -> Scene {
     let mut scene = pair(integrator);
     scene.duration = 2.0;
     scene.bodies[0].material.response = Response::World;
-    scene.bodies[0].path =
-        Path::Sine { center: dvec3(0.1, -0.2, 0.3), amplitude: dvec3(0.05, 0.1, -0.1), frequency: 0.7, phase: 0.2 };
+    scene.bodies[0].motion =
+        Path::Sine { center: dvec3(0.1, -0.2, 0.3), amplitude: dvec3(0.05, 0.1, -0.1), frequency: 0.7, phase: 0.2 }
+            .into();
     let push = |direction: DVec3, start, duration| Push {
         body: 0,
         direction: direction.normalize(),

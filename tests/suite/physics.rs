@@ -7,7 +7,7 @@ use meldscope::model::{
     influence::{self, Influence, Scaling, Weight},
     phase::Phase,
 };
-use meldscope::scene::{Path, Push, Response, path::Spline};
+use meldscope::scene::{Motion, Path, Push, Response, path::Spline};
 use meldscope::sim::{BodyForces, Cause, Energy};
 use meldscope::{Scene, World};
 use proptest::prelude::*;
@@ -253,7 +253,7 @@ fn forces_by_cause_are_those_written_out_by_hand() {
                 continue;
             }
             let t = world.time();
-            let centres: Vec<DVec3> = scene.bodies.iter().map(|body| body.path.position(t)).collect();
+            let centres: Vec<DVec3> = scene.bodies.iter().map(|body| body.path().unwrap().position(t)).collect();
             for i in 0..scene.bodies.len() {
                 assert!((0..5).filter(|&j| j != i).all(|j| world.phase(i, j) == expected_phase(i, j)));
                 world.forces(i, &mut forces);
@@ -282,7 +282,7 @@ fn forces_by_cause_are_those_written_out_by_hand() {
                             push += each.strength * f64::max(0.0, -unit.dot(each.direction)) * each.direction;
                         }
                     }
-                    let (c1, c2) = (this.path.at(t).velocity, this.path.at(t).acceleration);
+                    let (c1, c2) = (this.path().unwrap().at(t).velocity, this.path().unwrap().at(t).acceleration);
                     let carry = match material.response {
                         Response::Rigid => DVec3::ZERO,
                         Response::Inertial => -c2,
@@ -326,7 +326,7 @@ fn energy_of_all_pairs(world: &World) -> Energy {
             let mut reached = false;
             for j in (0..scene.bodies.len()).filter(|&j| j != i) {
                 let sphere = scene.influence.reach * scene.bodies[j].radius;
-                let distance = (scene.bodies[j].path.position(t) - r).length();
+                let distance = (scene.bodies[j].path().unwrap().position(t) - r).length();
                 let z = f64::min(distance / sphere, 1.0);
                 // r²/2 − r³/(3 r_e); and the integral of z (1 − z)⁴ (4z + 1), by parts from the rim
                 let potential = match scene.influence.weight {
@@ -547,7 +547,7 @@ fn an_inertial_body_wobbles_as_a_driven_oscillator() {
 fn an_inertial_body_on_keyframes_is_exact() {
     let (omega, kappa) = (12.0, 1.5);
     let world = lone(KEYS, 1);
-    let path = &world.scene().bodies[0].path;
+    let path = world.scene().bodies[0].path().unwrap();
     let keys = [0.0, 0.21, 0.8, 1.11, 2.0, f64::INFINITY];
     // From key to key: f = −c″ = f₀ + f₁ s has the particular solution f₀/ω² − 2κ f₁/ω⁴ + f₁ s/ω².
     let expected = |t: f64| {
@@ -697,9 +697,10 @@ response = "world"
 {LINE}
 "#
         ));
-        scene.bodies[2].path = Path::Keyframes(Spline::new(&keys.map(|(t, p)| (t, p + offset))));
+        scene.bodies[2].motion = Path::Keyframes(Spline::new(&keys.map(|(t, p)| (t, p + offset)))).into();
         for body in &mut scene.bodies {
-            match &mut body.path {
+            let Motion::Prescribed(path) = &mut body.motion else { continue };
+            match path {
                 Path::Fixed(position) => *position += offset,
                 Path::Line { from, .. } => *from += offset,
                 Path::Sine { center, .. } => *center += offset,

@@ -571,7 +571,7 @@ impl Run {
                 assert_eq!(surface.logged(step, &[POSITIONS, NORMALS]), changed, "{at}");
                 last = (Some(centre), positions, normals);
             });
-            if matches!(scene.path, meldscope::scene::Path::Fixed(_)) {
+            if scene.path().unwrap().is_fixed() {
                 assert_eq!(transform.changes.len(), 1, "{}", transform.entity);
             }
         }
@@ -890,7 +890,7 @@ impl Run {
             let (end, dt) = (row.step as f64 * self.scene.dt, self.scene.dt);
             assert!(time > end - dt - 1e-9 && time < end + 1e-9, "{text}");
             let [a, b] = [event.a, event.b].map(|i| &self.scene.bodies[i as usize]);
-            let q = a.path.position(time).distance(b.path.position(time)) / (a.radius + b.radius);
+            let q = a.path().unwrap().position(time).distance(b.path().unwrap().position(time)) / (a.radius + b.radius);
             let level = match (event.from, event.to) {
                 (Phase::Apart, Phase::Merged) => thresholds.merge_at,
                 (Phase::Merged, Phase::Apart) => thresholds.split_at,

@@ -83,7 +83,7 @@ fn body(lines: &str) -> Body {
 
 /// The path described by `motion`.
 fn path(motion: &str) -> Path {
-    body(&format!("motion = {motion}")).path
+    body(&format!("motion = {motion}")).path().cloned().expect("a path")
 }
 
 /// The invariants that every scene guarantees to the rest of the program.
@@ -112,23 +112,26 @@ pub fn assert_valid(scene: &Scene) {
         let Shape::Sphere(Sphere { stacks, slices }) = body.shape;
         assert!((2..=65_535).contains(&stacks) && (3..=65_535).contains(&slices));
         assert!(body.shape.vertex_count() <= u64::from(u32::MAX));
-        match &body.path {
+        match body.path().expect("a path") {
             Path::Fixed(position) => assert!(vector(*position)),
             Path::Line { from, velocity } => assert!(vector(*from) && vector(*velocity)),
             Path::Sine { center, amplitude, frequency, phase } => {
                 assert!(vector(*center) && vector(*amplitude) && non_negative(*frequency) && finite(*phase));
             }
             Path::Keyframes(_) => {
-                assert!(body.path.knots().len() >= 2 && body.path.knots().iter().copied().all(finite));
-                assert!(body.path.knots().is_sorted_by(|a, b| a < b));
+                assert!(
+                    body.path().expect("a path").knots().len() >= 2
+                        && body.path().expect("a path").knots().iter().copied().all(finite)
+                );
+                assert!(body.path().expect("a path").knots().is_sorted_by(|a, b| a < b));
             }
         }
-        let knots = body.path.knots().iter().copied();
+        let knots = body.path().expect("a path").knots().iter().copied();
         for t in [0.0, scene.dt, 0.3 * scene.duration, scene.duration].into_iter().chain(knots) {
-            let at = body.path.at(t);
+            let at = body.path().expect("a path").at(t);
             assert!(at.position.is_finite() && at.velocity.is_finite() && at.acceleration.is_finite(), "{t}: {at:?}");
         }
-        let bounds = body.path.bounds(0.0, scene.duration);
+        let bounds = body.path().expect("a path").bounds(0.0, scene.duration);
         assert!(bounds.speed.is_finite() && bounds.acceleration.is_finite());
     }
     for push in &scene.pushes {
@@ -354,12 +357,12 @@ fn the_references_are_read() {
     let two = reference("two");
     assert_eq!((two.steps(), two.vertex_count()), (240, 532));
     assert!(two.bodies.iter().all(|body| body.material.response == Response::Rigid));
-    assert!((two.bodies[1].path.position(0.0) - dvec3(2.7, 0.1, 0.05)).length() < 1e-15);
-    assert!((two.bodies[1].path.position(2.0) - dvec3(1.3, 0.1, 0.05)).length() < 1e-15);
+    assert!((two.bodies[1].path().expect("a path").position(0.0) - dvec3(2.7, 0.1, 0.05)).length() < 1e-15);
+    assert!((two.bodies[1].path().expect("a path").position(2.0) - dvec3(1.3, 0.1, 0.05)).length() < 1e-15);
 
     let three = reference("three");
     assert_eq!((three.vertex_count(), three.bodies[2].radius), (798, 0.8));
-    assert_eq!(three.bodies[1].path.position(1.5), dvec3(1.6, 0.2, 0.1));
+    assert_eq!(three.bodies[1].path().expect("a path").position(1.5), dvec3(1.6, 0.2, 0.1));
 
     let size_ratio = reference("size_ratio");
     assert_eq!((size_ratio.steps(), size_ratio.thresholds.core_at), (240, 0.95));

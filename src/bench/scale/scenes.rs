@@ -99,7 +99,7 @@ impl Layout {
         let mut scene = scene(two, (0..self.bodies).map(fixed).collect());
         scene.name = format!("{} {}", self.bodies, self.family.name());
         for pair in &self.pairs {
-            scene.bodies[pair.moving].path = swing(corner(pair.still / 2), pair.phase, scene.dt);
+            scene.bodies[pair.moving].motion = swing(corner(pair.still / 2), pair.phase, scene.dt).into();
         }
         scene
     }
@@ -124,7 +124,8 @@ fn swing(corner: DVec3, phase: usize, dt: f64) -> Path {
 
 /// Bodies like those of `two` on these paths.
 pub(super) fn scene(two: &Scene, paths: Vec<Path>) -> Scene {
-    let body = |(index, path): (usize, Path)| Body { name: format!("b{index}"), path, ..two.bodies[0].clone() };
+    let body =
+        |(index, path): (usize, Path)| Body { name: format!("b{index}"), motion: path.into(), ..two.bodies[0].clone() };
     let bodies = paths.into_iter().enumerate().map(body).collect();
     Scene { bodies, pushes: vec![], source: String::new(), ..two.clone() }
 }

@@ -9,6 +9,7 @@ use std::f64::consts::PI;
 use glam::DVec3;
 
 use crate::{
+    bench::path,
     model::{energy::influence_potential, influence, phase::Phase},
     scene::{Response, Scene},
     sim::BodyView,
@@ -35,8 +36,8 @@ impl Allowance {
         let others = || (0..scene.bodies.len()).filter(move |&other| other != index);
         let phases = |other: usize| {
             let other = &scene.bodies[other];
-            let q = (other.path.position(0.0) - body.path.position(0.0)).length() / (other.radius + body.radius);
-            let moves = body.path.relative_bounds(&other.path, 0.0, f64::MAX).speed != 0.0;
+            let q = (path(other).position(0.0) - path(body).position(0.0)).length() / (other.radius + body.radius);
+            let moves = path(body).relative_bounds(path(other), 0.0, f64::MAX).speed != 0.0;
             if moves { vec![Phase::Merged, Phase::Apart, Phase::Core] } else { vec![scene.thresholds.initial(q)] }
         };
         let strength = |phase, other: usize| scene.influence.strength(phase, body.radius, scene.bodies[other].radius);
@@ -49,19 +50,19 @@ impl Allowance {
             .sum();
 
         let is_still =
-            scene.bodies.iter().all(|body| body.path.is_fixed()) && scene.pushes.iter().all(|push| push.body != index);
+            scene.bodies.iter().all(|body| path(body).is_fixed()) && scene.pushes.iter().all(|push| push.body != index);
         // Positions are rounded, and therefore the energy is too.
-        let far = scene.bodies.iter().map(|body| body.path.position(0.0).length()).fold(0.0, f64::max);
+        let far = scene.bodies.iter().map(|body| path(body).position(0.0).length()).fold(0.0, f64::max);
         let rounding = 8.0 * f64::EPSILON * (far + body.radius);
         let omega = body.material.omega;
         let ceiling = |rest: DVec3| {
-            let vertex = body.path.position(0.0) + rest;
+            let vertex = path(body).position(0.0) + rest;
             let (mut available, mut force, mut stiffness) = (pull * rounding, DVec3::ZERO, 0.0);
             for other in others() {
                 let source = &scene.bodies[other];
                 let (weight, sphere) = (scene.influence.weight, scene.influence.sphere_radius(source.radius));
                 let strength: f64 = phases(other).into_iter().map(|phase| strength(phase, other)).sum();
-                let to_centre = source.path.position(0.0) - vertex;
+                let to_centre = path(source).position(0.0) - vertex;
                 let phi = |r: f64| influence_potential(weight, sphere, r);
                 let least = if strength > 0.0 { 0.0 } else { phi(sphere) };
                 available += strength * (phi(to_centre.length()) - least);
@@ -97,7 +98,7 @@ impl Allowance {
     pub fn advance(&mut self, scene: &Scene, index: usize, end: f64) {
         let start = self.time;
         let body = &scene.bodies[index];
-        let motion = body.path.bounds(start, end);
+        let motion = path(body).bounds(start, end);
         let carry = match body.material.response {
             Response::Rigid => 0.0,
             Response::Inertial => motion.acceleration,

@@ -6,7 +6,10 @@ use std::f64::consts::TAU;
 
 use glam::DVec3;
 
-use crate::scene::{Body, Path, Response, Scene};
+use crate::{
+    bench::path,
+    scene::{Body, Path, Response, Scene},
+};
 
 /// A displacement [scene unit], and the size of the terms that it is the sum of [scene unit].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,7 +35,7 @@ pub fn displacement(scene: &Scene, index: usize, facing: DVec3, t: f64) -> Optio
         add(force * step_response(omega, damping, t - push.start));
         add(-force * step_response(omega, damping, t - push.end()));
     }
-    match (&body.path, body.material.response) {
+    match (path(body), body.material.response) {
         (Path::Fixed(_), _) | (_, Response::Rigid) | (Path::Line { .. }, Response::Inertial) => {}
         (Path::Line { velocity, .. }, Response::World) => {
             add(-2.0 * damping * *velocity * step_response(omega, damping, t));
@@ -46,7 +49,7 @@ pub fn displacement(scene: &Scene, index: usize, facing: DVec3, t: f64) -> Optio
 /// The response to the body's own motion on a sine: x = Im(Z e^(i(Ωt + φ))), plus the transient that makes it start
 /// from rest.
 fn swing(body: &Body, t: f64, add: &mut impl FnMut(DVec3)) -> Option<()> {
-    let Path::Sine { amplitude, frequency, phase, .. } = body.path else { return None };
+    let Path::Sine { amplitude, frequency, phase, .. } = *path(body) else { return None };
     let (omega, damping) = (body.material.omega, body.material.damping);
     let rate = TAU * frequency;
     // Z (ω² − Ω² + 2iκΩ) = Ω² − 2iκΩ, the last term only if damping is relative to the world

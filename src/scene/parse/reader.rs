@@ -175,6 +175,17 @@ impl<'a> Table<'a> {
         })
     }
 
+    /// An error at the value of `name`, or at the table if that is missing.
+    pub fn error(&self, name: &'static str, message: String) -> SceneError {
+        let offset = self.get(name).map_or(self.span.start, |value| value.span.start);
+        self.source.error(offset, &Key::Field(&self.key, name), message)
+    }
+
+    /// Line of the table, from 1.
+    pub fn line(&self) -> u32 {
+        Place::of(self.source.text, self.span.start).line
+    }
+
     /// The table `name`; empty if it is missing.
     ///
     /// # Errors

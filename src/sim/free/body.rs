@@ -6,7 +6,7 @@ use glam::{DMat3, DQuat, DVec3};
 
 use crate::model::{
     oscillator::Oscillator,
-    shape_matching::{Inner, best_rotation, outer, resistance},
+    shape_matching::{Inner, Rotation, best_rotation, outer, resistance},
 };
 
 /// A rest shape, relative to its mass centre.
@@ -51,15 +51,6 @@ impl Shape {
     pub fn masses(&self) -> &[f64] {
         &self.masses
     }
-}
-
-/// Whether a free body rotates.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Rotation {
-    /// The rest shape rotates with the vertices.
-    Free,
-    /// Its rest shape keeps its orientation.
-    Fixed,
 }
 
 /// What moves a body.

@@ -44,9 +44,10 @@ pub mod island;
 mod step;
 pub mod weights;
 
-pub use body::{Body, Motion, Rotation, Shape};
+pub use crate::model::{PairLaw, shape_matching::Rotation};
+pub use body::{Body, Motion, Shape};
 pub use conserved::Conserved;
-pub use field::{Driven, Field, NoPaths, Pair, PairLaw, Paths, Push};
+pub use field::{Driven, Field, NoPaths, Pair, Paths, Push};
 pub use island::{Change, Failure, Island, Report};
 
 #[cfg(test)]

@@ -59,7 +59,7 @@ macro_rules! terms {
             /// Collects what acts on the body at an instant; no vertex is farther from its centre than `farthest`
             /// [scene unit].
             pub fn surroundings_into(&self, moment: Moment, farthest: f64, surroundings: &mut Surroundings) {
-                let motion = self.tracks.track(self.scene, self.index as usize).at(moment.time);
+                let motion = self.tracks.track(self.index as usize).at(moment.time);
                 surroundings.clear();
                 $(surroundings.uniform.extend($module::$Term::uniform(self.scene, self.index as usize, &motion));)*
                 $($module::$Term::at(self, moment, &motion, farthest, surroundings);)*

@@ -70,7 +70,7 @@ impl Term for Spheres {
             if strength == 0.0 {
                 continue;
             }
-            let centre = on.tracks.track(on.scene, neighbour.other as usize).position(moment.time) - motion.position;
+            let centre = on.tracks.track(neighbour.other as usize).position(moment.time) - motion.position;
             if centre.length() <= sphere_radius + farthest {
                 surroundings.sources.push(Source { body: neighbour.other, centre, sphere_radius, strength, phase });
             }

@@ -67,7 +67,7 @@ impl Course<'_> {
 
     /// The frame of a body.
     pub fn track(&self, body: usize) -> Track<'_> {
-        self.tracks.track(self.scene, body)
+        self.tracks.track(body)
     }
 
     /// The frame that a sphere's centre is of.
@@ -88,8 +88,8 @@ impl Course<'_> {
     /// [`Course::look`] at one of the five looks of a whole step.
     pub fn look_whole(&self, look: usize, centres: &mut Vec<DVec3>) -> DVec3 {
         let tracks = self.tracks;
-        let own = tracks.kinematics(self.scene, self.index, look);
-        let position = |sphere: &Sphere| tracks.kinematics(self.scene, sphere.body as usize, look).position;
+        let own = tracks.kinematics(self.index, look);
+        let position = |sphere: &Sphere| tracks.kinematics(sphere.body as usize, look).position;
         centres.clear();
         centres.extend(self.spheres.iter().map(|sphere| position(sphere) - own.position));
         terms::uniform(self.scene, self.index, &own)

@@ -377,7 +377,7 @@ impl Step {
         }
         let of_times = force(0).length() + changes.length() * (1.0 + self.end() / self.h);
         let place = |body: usize| match course.is_whole {
-            true => course.tracks.kinematics(course.scene, body, 0).position,
+            true => course.tracks.kinematics(body, 0).position,
             false => course.track(body).position(self.start),
         };
         let place = |body: usize| place(body).abs().element_sum();

@@ -1,0 +1,50 @@
+//! The law of a pair: its strengths and thresholds.
+
+use super::{
+    phase::{Phase, Thresholds},
+    shape_matching::CoreRim,
+};
+
+/// The law of a pair: strengths by phase, and the thresholds between the phases.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PairLaw {
+    /// Strength α of attraction [1/s²].
+    pub alpha: f64,
+    /// Strength β of repulsion [1/s²].
+    pub beta: f64,
+    /// Whether the pair repels while it is apart.
+    pub apart_repels: bool,
+    /// The thresholds at which the phase changes.
+    pub thresholds: Thresholds,
+    /// Width in q of the change of strength at the rim of the core [–]; 0 for a jump.
+    pub core_width: f64,
+}
+
+impl PairLaw {
+    /// The law of scenes that give none.
+    pub const DEFAULT: PairLaw = PairLaw {
+        alpha: 100.0,
+        beta: 60.0,
+        apart_repels: true,
+        thresholds: Thresholds { merge_at: 1.05, split_at: 1.15, core_at: 0.0 },
+        core_width: 0.0,
+    };
+
+    /// The gradual change of strength at the rim of the core in a phase, if there is one.
+    pub fn rim(&self, phase: Phase) -> Option<CoreRim> {
+        let PairLaw { alpha, beta, thresholds, core_width: width, .. } = *self;
+        let is_gradual = width > 0.0 && phase != Phase::Apart;
+        is_gradual.then_some(CoreRim { alpha, beta, core_at: thresholds.core_at, width })
+    }
+
+    /// The strength between bodies of equal size at distance `q` [1/s²].
+    pub fn strength(&self, phase: Phase, q: f64) -> f64 {
+        match (self.rim(phase), phase) {
+            (Some(rim), _) => rim.strength(q),
+            (None, Phase::Merged) => self.alpha,
+            (None, Phase::Core) => -self.beta,
+            (None, Phase::Apart) if self.apart_repels => -self.beta,
+            (None, Phase::Apart) => 0.0,
+        }
+    }
+}

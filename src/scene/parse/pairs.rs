@@ -1,0 +1,61 @@
+//! `[[pair]]`: laws of pairs of bodies or groups.
+
+use super::{Names, SceneError, read_law, reader::Table, reader::Value, unknown_name};
+use crate::{
+    model::PairLaw,
+    scene::{
+        Body,
+        pairs::{Members, PairLaws},
+    },
+};
+
+const BODIES: &str = "an array of two names of bodies or groups";
+
+/// The laws that these tables give to pairs; what they leave out is as in `common`.
+pub(super) fn read(
+    tables: &[Table<'_>],
+    bodies: &[Body],
+    names: &Names,
+    common: PairLaw,
+) -> Result<PairLaws, SceneError> {
+    if tables.is_empty() {
+        return Ok(PairLaws::default());
+    }
+    let mut rules = Vec::with_capacity(tables.len());
+    for table in tables {
+        rules.push((read_sides(table, bodies, names)?, read_law(table, common)?));
+    }
+    let group_of = bodies.iter().map(|body| names.groups.get(body.group.as_ref()?).copied()).collect();
+    PairLaws::new(group_of, &rules).map_err(|contradiction| {
+        let [earlier, later] = [contradiction.earlier, contradiction.later].map(|index| &tables[index]);
+        let line = earlier.line();
+        let message = format!(
+            "expected pairs without a law of their own, found some that the [[pair]] at line {line} gives another"
+        );
+        later.error("bodies", message)
+    })
+}
+
+fn read_sides(table: &Table<'_>, bodies: &[Body], names: &Names) -> Result<[Members; 2], SceneError> {
+    let value = table.present("bodies", BODIES)?;
+    let sides = value.items().filter(|items| items.len() == 2).ok_or_else(|| value.unexpected(BODIES))?;
+    let sides = sides.map(|side| read_side(&side, bodies, names)).collect::<Result<Vec<_>, _>>()?;
+    match sides[..] {
+        [Members::Body(a), Members::Body(b)] if a == b => Err(value
+            .error("expected two bodies, found one twice".to_owned())
+            .with_help("name the body and another one")),
+        [a, b] => Ok([a, b]),
+        _ => Err(value.unexpected(BODIES)),
+    }
+}
+
+fn read_side(value: &Value<'_>, bodies: &[Body], names: &Names) -> Result<Members, SceneError> {
+    let name = value.text().ok_or_else(|| value.unexpected("the name of a body or a group"))?;
+    let body = names.bodies.get(name).map(|&index| Members::Body(index));
+    let found = body.or_else(|| names.groups.get(name).map(|&group| Members::Group(group)));
+    found.ok_or_else(|| {
+        let groups: std::collections::BTreeSet<&str> = names.groups.keys().map(String::as_str).collect();
+        let known = || groups.iter().copied().chain(bodies.iter().map(|body| body.name.as_str()));
+        unknown_name(value, "the name of a body or a group", known)
+    })
+}
