@@ -23,6 +23,16 @@ pub enum Scaling {
     Absolute,
 }
 
+impl Scaling {
+    /// The factor on the strength of a source of radius `source` on a body of radius `radius` [–].
+    pub fn factor(self, radius: f64, source: f64) -> f64 {
+        match self {
+            Scaling::Absolute => 1.0,
+            Scaling::Relative => f64::min(1.0, radius / source),
+        }
+    }
+}
+
 /// The influence law of a scene: all parameters of (3.3)–(3.5) that are common to all bodies.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Influence {

@@ -190,7 +190,6 @@ impl Scene {
     /// of range (see the [limits](self#limits)), values that do not fit together.
     pub fn parse(text: &str, file: &str) -> Result<Scene, SceneError> {
         let scene = on_deep_stack(|| read_scene(&Source { text, file }))?;
-        refuse_what_is_coupled(&scene, file)?;
         Ok(scene)
     }
 }
@@ -274,15 +273,6 @@ fn read_scene(source: &Source<'_>) -> Result<Scene, SceneError> {
 /// An array of tables, which may be missing.
 fn tables<'a>(array: &'a Option<Value<'_>>, keys: &Keys) -> Result<Vec<Table<'a>>, SceneError> {
     array.as_ref().map_or(Ok(Vec::new()), |array| array.tables(keys))
-}
-
-/// What is read but not stepped yet.
-fn refuse_what_is_coupled(scene: &Scene, file: &str) -> Result<(), SceneError> {
-    if !scene.is_coupled() {
-        return Ok(());
-    }
-    let message = "free bodies, planes and core_width are not available yet".to_owned();
-    Err(SceneError { file: file.to_owned(), place: None, key: String::new(), message, help: None })
 }
 
 /// The `[material]` table, or a body: what it does not give is as in `default`.

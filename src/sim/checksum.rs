@@ -11,6 +11,7 @@ use super::{
     arrays::LANES,
     body::Active,
     deformation::{DISPLACEMENT, Deformation, FreeVertices, VELOCITY},
+    free::Body,
     pairs::Pair,
     state::State,
 };
@@ -40,6 +41,49 @@ impl WithSimd for Bodies<'_> {
             sum = sum.wrapping_add(active.hash(simd));
         }
         sum
+    }
+}
+
+/// A hash of a pair in a phase; 0 if it is apart, like pairs that are not listed.
+pub(super) fn of_pair(a: u32, b: u32, phase: Phase) -> u64 {
+    let phase = match phase {
+        Phase::Apart => return 0,
+        Phase::Merged => 1,
+        Phase::Core => 2,
+    };
+    mix(mix(u64::from(a) << 32 | u64::from(b)).wrapping_add(phase))
+}
+
+/// A hash of the state of a body of a coupled scene, and of other numbers that belong to it.
+pub(super) fn of_body(arch: Arch, index: u32, body: &Body, others: [u64; 3]) -> u64 {
+    arch.dispatch(Coupled { index, body, others })
+}
+
+struct Coupled<'a> {
+    index: u32,
+    body: &'a Body,
+    others: [u64; 3],
+}
+
+impl WithSimd for Coupled<'_> {
+    type Output = u64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> u64 {
+        let Coupled { index, body, others: [first, second, third] } = self;
+        let Body { centre, velocity, rotation, spin, x, u, .. } = body;
+        let mut lanes = Lanes::new(simd);
+        lanes.add(&[x.len() as u64, first, second, third], |word| word);
+        for vector in [centre, velocity, spin] {
+            lanes.add(&vector.to_array(), bits);
+        }
+        lanes.add(&rotation.to_array(), bits);
+        for vectors in [x, u] {
+            for axis in 0..3 {
+                lanes.add(vectors, |vector| bits(vector[axis]));
+            }
+        }
+        mix(lanes.hash().wrapping_add(mix(SEED.wrapping_add(u64::from(index)))))
     }
 }
 
@@ -101,12 +145,7 @@ impl Deformation {
 impl Pair {
     /// A hash of the pair and its phase; 0 if it is apart, like pairs that are not listed.
     pub fn hash(&self) -> u64 {
-        let phase = match self.phase {
-            Phase::Apart => return 0,
-            Phase::Merged => 1,
-            Phase::Core => 2,
-        };
-        mix(mix(u64::from(self.a) << 32 | u64::from(self.b)).wrapping_add(phase))
+        of_pair(self.a, self.b, self.phase)
     }
 }
 

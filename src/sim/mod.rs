@@ -12,6 +12,7 @@
 //! | when pairs merge, split, enter and leave their core | [`events`] |
 //! | how a vertex is advanced | [`integrator`] |
 //! | free bodies: a self-contained solver | [`free`] |
+//! | scenes with free bodies or planes: their step | `coupled` |
 //! | observation: forces by cause, energy | [`observe`] |
 //! | the interface to instruments | [`simulation`] |
 //! | the stages inside a step, on request | [`stages`] |
@@ -42,6 +43,7 @@ mod advance;
 pub mod arrays;
 mod body;
 pub mod checksum;
+mod coupled;
 mod deformation;
 pub mod events;
 mod frames;

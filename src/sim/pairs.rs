@@ -298,7 +298,8 @@ impl Pairs {
                 let (a, b, before) = (pair.a, pair.b, tally.done());
                 pair.advance(&both, &scene.thresholds, span, horizon, &tally, |time, to| {
                     self.changes.push((time, to));
-                    events.push(Event { time, step, a, b, q: both.q(time), rate: both.rate(time), from, to });
+                    let (q, rate) = (both.q(time), both.rate(time));
+                    events.push(Event { time, step, a, b, q, rate, from, to, energy: 0.0 });
                     from = to;
                 });
                 busiest = busiest.max((tally.done() - before, [a, b]));

@@ -101,6 +101,28 @@ pub enum Toil {
         /// Number of influence spheres that can reach it.
         spheres: usize,
     },
+    /// A pair that changes its phase over and over.
+    #[error(
+        "bodies \"{a}\" and \"{b}\" chatter: they change their phase without end where attraction turns into repulsion at \
+         once; set core_width, or move merge_at, split_at and core_at apart"
+    )]
+    Chatter {
+        /// Name of one body of the pair.
+        a: String,
+        /// Name of the other body of the pair.
+        b: String,
+    },
+    /// A body that cannot be followed within the tolerance.
+    #[error(
+        "body \"{body}\" cannot be followed within the tolerance by steps of {length:e} s; raise tolerance, or make what acts on \
+         it smoother: set core_width, raise a plane's slip, lower its stiffness or friction, lower spins"
+    )]
+    Unresolved {
+        /// Name of the body.
+        body: String,
+        /// Length of the last steps tried [s].
+        length: f64,
+    },
     /// Bodies that come near each other.
     #[error(
         "too many bodies come near body \"{body}\" and others, {pairs} pairs in all; lower reach or dt, or use fewer or slower bodies"

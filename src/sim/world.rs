@@ -2,7 +2,7 @@
 
 use std::{
     sync::{
-        OnceLock,
+        Arc, OnceLock,
         atomic::{AtomicBool, Ordering},
     },
     time::Instant,
@@ -18,6 +18,7 @@ use super::{
     arrays::Vectors,
     body::{Active, Body},
     checksum,
+    coupled::{Coupled, member::Member},
     deformation::Now,
     integrator::exponential,
     memory::{self, TooLarge},
@@ -82,6 +83,8 @@ pub struct World {
     vertices: u64,
     work: Work,
     report: StepReport,
+    /// The bodies of a coupled scene, in place of `actives`, `tracks` and `pairs`.
+    pub(super) coupled: Option<Coupled>,
     /// Computed when the energy is first requested.
     pub(super) energy_of_distant_pairs: OnceLock<f64>,
 }
@@ -103,6 +106,7 @@ impl World {
         let room = memory::check(&scene)?;
         let bodies: Vec<Body> = (0..scene.bodies.len()).map(|index| Body::new(&scene, index)).collect();
         let mut world = World {
+            coupled: None,
             energy_of_distant_pairs: OnceLock::new(),
             step: 0,
             bodies,
@@ -127,6 +131,12 @@ impl World {
 
     /// Finds the initial pairs; false if there are more than `most_pairs`.
     fn start(&mut self, most_pairs: u64) -> bool {
+        if self.scene.is_coupled() {
+            let meshes: Vec<Arc<Mesh>> = self.bodies.iter().map(|body| Arc::clone(&body.mesh)).collect();
+            self.coupled =
+                Coupled::new(&self.scene, &meshes, (self.options.skip, self.options.arch), most_pairs, &self.work);
+            return self.coupled.is_some();
+        }
         let World { scene, bodies, tracks, pairs, work, .. } = self;
         let start = if self.options.skip { Pairs::start } else { Pairs::start_with_all };
         if !start(pairs, scene, bodies, tracks, most_pairs, work) {
@@ -163,6 +173,12 @@ impl World {
     }
 
     fn take_step(&mut self, span: Span) -> Result<(), Failure> {
+        if let Some(coupled) = &mut self.coupled {
+            let diverged = coupled.step(&self.scene, span, &mut self.work, &mut self.report)?;
+            self.step += 1;
+            self.report.failure = diverged.map(|body| self.divergence(body).into());
+            return Ok(());
+        }
         let start = Instant::now();
         self.broad_phase(span)?;
         let followed = Instant::now();
@@ -503,6 +519,9 @@ impl World {
     /// checksum; others do so only by coincidence. Without skipping ([`super::Options::skip`]) the world stores more
     /// state for the same motion, so its checksums differ.
     pub fn checksum(&self) -> u64 {
+        if let Some(coupled) = &self.coupled {
+            return checksum::of_world(self.step, coupled.hash());
+        }
         checksum::of_world(self.step, self.actives.hash().wrapping_add(self.pairs.hash()))
     }
 
@@ -521,13 +540,15 @@ impl World {
             oscillator: active.map(|active| active.state.oscillator).unwrap_or_default(),
             arch: self.options.arch,
         };
+        let member = self.coupled.as_ref().map(|coupled| coupled.member(index));
         BodyView {
             body,
             fixed: &self.bodies[index],
             active,
+            member,
             now,
             track: self.track(index),
-            centre: self.track(index).position(self.time()),
+            centre: member.map_or_else(|| self.track(index).position(self.time()), |member| member.body.centre),
         }
     }
 
@@ -552,6 +573,7 @@ impl World {
             + self.bodies.capacity() * size_of::<Body>()
             + self.pairs.memory()
             + self.tracks.memory()
+            + self.coupled.as_ref().map_or(0, Coupled::memory)
             + memory::of_bodies(&self.scene)
     }
 
@@ -565,12 +587,23 @@ impl World {
     /// do not interact.
     pub fn pairs(&self) -> impl Iterator<Item = PairView> + '_ {
         let time = self.time();
+        let coupled = self.coupled.iter().flat_map(Coupled::pairs).map(|pair| {
+            let (a, b) = (pair.a as usize, pair.b as usize);
+            PairView { a, b, q: self.q_of(a, b), phase: pair.phase }
+        });
         self.known_pairs()
             .map(move |pair| {
                 let q = self.tracks.pair(pair.a, pair.b).q(time);
                 PairView { a: pair.a as usize, b: pair.b as usize, q, phase: pair.phase }
             })
+            .chain(coupled)
             .filter(|pair| pair.phase != Phase::Apart || pair.q <= self.reach_of(pair.a, pair.b))
+    }
+
+    /// Centre distance over the sum of the radii [–].
+    fn q_of(&self, a: usize, b: usize) -> f64 {
+        let (a, b) = (self.body(a), self.body(b));
+        a.centre().distance(b.centre()) / (a.scene().radius + b.scene().radius)
     }
 
     /// All pairs that are near each other or not apart, in ascending order of their bodies.
@@ -589,15 +622,21 @@ impl World {
     /// The q up to which one of two bodies can have vertices inside the other's influence sphere, or the two can merge
     /// [–].
     fn reach_of(&self, a: usize, b: usize) -> f64 {
-        let vertices = |i: usize| self.scene.bodies[i].radius + self.active(i).map_or(0.0, Active::amplitude);
+        let vertices = |i: usize| match &self.coupled {
+            Some(coupled) => coupled.member(i).extent,
+            None => self.scene.bodies[i].radius + self.active(i).map_or(0.0, Active::amplitude),
+        };
         let sphere = |i: usize| self.scene.influence.sphere_radius(self.scene.bodies[i].radius);
         let touching = f64::max(sphere(a) + vertices(b), sphere(b) + vertices(a));
         let radii = self.scene.bodies[a].radius + self.scene.bodies[b].radius;
-        (touching / radii).max(self.scene.thresholds.merge_at)
+        (touching / radii).max(self.scene.law(a, b).thresholds.merge_at)
     }
 
     /// The phase of the pair of bodies `a` and `b`.
     pub fn phase(&self, a: usize, b: usize) -> Phase {
+        if let Some(coupled) = &self.coupled {
+            return coupled.phase(a, b);
+        }
         let neighbours = &self.bodies[a].neighbours;
         let found = neighbours.binary_search_by_key(&(b as u32), |neighbour| neighbour.other);
         found.map_or(Phase::Apart, |place| self.pairs.get(neighbours[place].pair).phase)
@@ -612,6 +651,10 @@ impl World {
 
     /// Like [`World::surroundings`], into an existing value (reused).
     pub(super) fn surroundings_into(&self, index: usize, surroundings: &mut Surroundings) {
+        if let Some(coupled) = &self.coupled {
+            coupled.surroundings_into(&self.scene, index, self.time(), surroundings);
+            return;
+        }
         let time = self.time();
         let farthest = self.scene.bodies[index].radius + self.active(index).map_or(0.0, Active::amplitude);
         self.reading().on(index as u32).surroundings_into(Moment { time, phases_at: time }, farthest, surroundings);
@@ -624,6 +667,8 @@ pub struct BodyView<'a> {
     body: &'a scene::Body,
     fixed: &'a Body,
     active: Option<&'a Active>,
+    /// The body of a coupled scene.
+    member: Option<&'a Member>,
     now: Now,
     track: Track<'a>,
     centre: DVec3,
@@ -656,12 +701,28 @@ impl<'a> BodyView<'a> {
 
     /// Rotation of its rest shape.
     pub fn rotation(&self) -> DQuat {
-        self.track.rotation(self.now.step as f64 * self.now.dt)
+        match self.member {
+            Some(member) => member.body.rotation,
+            None => self.track.rotation(self.now.step as f64 * self.now.dt),
+        }
+    }
+
+    /// Velocity of its centre [scene unit/s].
+    pub fn centre_velocity(&self) -> DVec3 {
+        match self.member {
+            Some(member) => member.body.velocity,
+            None => self.track.at(self.now.step as f64 * self.now.dt).velocity,
+        }
+    }
+
+    /// Angular velocity of its rest shape [rad/s].
+    pub fn angular_velocity(&self) -> DVec3 {
+        self.member.map_or(DVec3::ZERO, |member| member.spin())
     }
 
     /// Whether nothing has acted on it yet: every displacement and velocity is exactly zero.
     pub fn is_at_rest(&self) -> bool {
-        self.active.is_none_or(Active::is_at_rest)
+        self.active.is_none_or(Active::is_at_rest) && !self.member.is_some_and(Member::is_deformed)
     }
 
     /// Number of vertices.
@@ -674,12 +735,13 @@ impl<'a> BodyView<'a> {
         &self.fixed.mesh
     }
 
-    /// Rest position l of vertex `i`, from the centre [scene unit]; panics beyond the last, like a slice.
+    /// Rest position l of vertex `i` from the centre, in the axes of the body [scene unit]; panics beyond the last, like a
+    /// slice.
     pub fn rest(&self, i: usize) -> DVec3 {
         self.fixed.rest().position(i)
     }
 
-    /// Direction l̂ = l/|l| of the rest position of vertex `i` [–]; panics beyond the last, like a slice.
+    /// Direction l̂ = l/|l| of the rest position of vertex `i`, in the axes of the body [–]; panics beyond the last, like a slice.
     pub fn direction(&self, i: usize) -> DVec3 {
         self.fixed.rest().direction(i)
     }
@@ -694,6 +756,10 @@ impl<'a> BodyView<'a> {
     /// Like [`BodyView::states`], into an existing value (reused).
     pub fn states_into(&self, states: &mut States) {
         let States { displacement, velocity } = states;
+        if let Some(member) = self.member {
+            member.states_into(displacement, velocity);
+            return;
+        }
         if let Some(active) = self.active.filter(|active| active.state.common.is_zero() && !active.is_at_rest()) {
             displacement.resize(self.vertex_count());
             velocity.resize(self.vertex_count());
@@ -710,13 +776,17 @@ impl<'a> BodyView<'a> {
 
     /// Displacement x and velocity x′ of vertex `i`.
     fn state_of(&self, i: usize) -> State {
+        if let Some(member) = self.member {
+            let of = |vectors: &[DVec3]| vectors.get(i).copied().unwrap_or_default();
+            return State { x: of(&member.body.x), u: of(&member.body.u) };
+        }
         let Some(active) = self.active else { return State::default() };
         let alike = active.common_at(self.now).of(self.fixed.rest().direction(i), &self.fixed.pushes);
         let own = active.state.deformation.state(i, self.now);
         State { x: alike.x + own.x, u: alike.u + own.u }
     }
 
-    /// Displacement x of vertex `i` from rest [scene unit].
+    /// Displacement x of vertex `i` from rest, in the axes of the world [scene unit].
     pub fn displacement(&self, i: usize) -> DVec3 {
         self.state_of(i).x
     }
@@ -726,12 +796,17 @@ impl<'a> BodyView<'a> {
         self.state_of(i).u
     }
 
-    /// Position of vertex `i` relative to the centre, l + x [scene unit].
+    /// Position of vertex `i` relative to the centre, Q l + x, in the axes of the world [scene unit].
     pub fn local_position(&self, i: usize) -> DVec3 {
-        self.rest(i) + self.displacement(i)
+        self.turned(self.rest(i)) + self.displacement(i)
     }
 
-    /// World position r = c + l + x of vertex `i` [scene unit].
+    /// Q l.
+    fn turned(&self, rest: DVec3) -> DVec3 {
+        if self.member.is_some() { self.rotation() * rest } else { rest }
+    }
+
+    /// World position r = c + Q l + x of vertex `i` [scene unit].
     pub fn position(&self, i: usize) -> DVec3 {
         self.centre + self.local_position(i)
     }
@@ -739,7 +814,7 @@ impl<'a> BodyView<'a> {
     /// World positions of all vertices [scene unit].
     pub fn positions(self) -> impl ExactSizeIterator<Item = DVec3> + 'a {
         let states = self.states();
-        (0..self.vertex_count()).map(move |i| self.centre + (self.rest(i) + states.displacement.get(i)))
+        (0..self.vertex_count()).map(move |i| self.centre + (self.turned(self.rest(i)) + states.displacement.get(i)))
     }
 
     /// The largest |x| of its vertices [scene unit].

@@ -11,6 +11,8 @@ struct Reference {
     scene: Scene,
     /// (step, body) → positions.
     positions: BTreeMap<(u64, String), Vec<DVec3>>,
+    /// (step, body) → centre, in scenes with free bodies.
+    centres: BTreeMap<(u64, String), DVec3>,
     /// (pair, time, new phase)
     events: Vec<(String, f64, String)>,
 }
@@ -20,7 +22,7 @@ impl Reference {
         let file = |ending: &str| PathBuf::from(format!("tests/reference/{name}.{ending}"));
         let scene = Scene::load(&file("toml")).expect("a valid scene");
         let text = std::fs::read_to_string(file("csv")).expect("a reference solution");
-        let (mut positions, mut events) = (BTreeMap::<_, Vec<DVec3>>::new(), vec![]);
+        let (mut positions, mut centres, mut events) = (BTreeMap::<_, Vec<DVec3>>::new(), BTreeMap::new(), vec![]);
         for line in text.lines().filter(|line| !line.starts_with("t,")) {
             if let Some(event) = line.strip_prefix("# event ") {
                 let mut words = event.split(' ').map(str::to_owned);
@@ -31,11 +33,16 @@ impl Reference {
             let fields: Vec<&str> = line.split(',').collect();
             let number = |i: usize| fields[i].parse::<f64>().expect("a number");
             let step = (number(0) / scene.dt).round() as u64;
-            let vertices = positions.entry((step, fields[1].to_owned())).or_default();
+            let (key, position) = ((step, fields[1].to_owned()), DVec3::new(number(3), number(4), number(5)));
+            if fields[2] == "-1" {
+                centres.insert(key, position);
+                continue;
+            }
+            let vertices = positions.entry(key).or_default();
             assert_eq!(vertices.len(), number(2) as usize);
-            vertices.push(DVec3::new(number(3), number(4), number(5)));
+            vertices.push(position);
         }
-        Reference { scene, positions, events }
+        Reference { scene, positions, centres, events }
     }
 
     /// The errors of `integrator` with steps of dt, dt/2, dt/4, dt/8.
@@ -44,7 +51,7 @@ impl Reference {
         [1, 2, 4, 8].map(|divided| self.error(divided))
     }
 
-    /// Largest distance of any vertex at any sampled time, in radii of its body, with steps of dt / `divided`.
+    /// Largest distance of any vertex or centre at any sampled time, in radii of its body, with steps of dt / `divided`.
     fn error(&self, divided: u64) -> f64 {
         let scene = Scene { dt: self.scene.dt / divided as f64, ..self.scene.clone() };
         let steps = scene.steps();
@@ -63,6 +70,9 @@ impl Reference {
                 for (position, expected) in body.positions().zip(expected) {
                     assert!(position.is_finite());
                     worst = f64::max(worst, position.distance(*expected) / body.scene().radius);
+                }
+                if let Some(expected) = self.centres.get(&(step / divided, body.name().to_owned())) {
+                    worst = f64::max(worst, body.centre().distance(*expected) / body.scene().radius);
                 }
                 compared += 1;
             }
@@ -198,6 +208,59 @@ fn events_are_those_of_the_reference_for_every_integrator() {
                 // The reference gives 12 digits after the point. Measured: 5e-13.
                 assert!((event.time - time).abs() <= 1e-12, "{name}, {integrator}: {event:?}, expected {time}");
             }
+        }
+    }
+}
+
+/// Free bodies: error against tolerance, with the scene's own step.
+#[test]
+fn free_bodies_are_where_the_reference_has_them() {
+    // Measured with tolerances of 1e-4, 1e-6 and 1e-8. The reference is accurate to 1e-9.
+    for (name, measured) in [
+        ("free_bounce", [1.96e-6, 1.16e-7, 1.6e-8]),
+        ("free_fall", [2.89e-5, 1.07e-7, 5.8e-9]),
+        ("free_settle", [3.63e-6, 8.95e-8, 2.6e-9]),
+        ("free_tug", [1.92e-5, 2.40e-7, 6.0e-8]),
+    ] {
+        let mut reference = Reference::load(name);
+        let errors = [1e-4, 1e-6, 1e-8].map(|tolerance| {
+            reference.scene.tolerance = tolerance;
+            reference.error(1)
+        });
+        for (error, measured) in errors.into_iter().zip(measured) {
+            assert!(error <= 1.1 * measured, "{name}: {errors:?}");
+        }
+    }
+}
+
+/// With a tolerance that never divides a step, the error falls with the step.
+#[test]
+fn free_bodies_converge_with_high_order() {
+    for name in ["free_bounce", "free_settle", "free_tug"] {
+        let mut reference = Reference::load(name);
+        reference.scene.tolerance = 1.0;
+        let errors = [1, 2, 4].map(|divided| reference.error(divided));
+        let order = (errors[0] / errors[2]).log2() / 2.0;
+        assert!(order > 3.0 || errors[2] < 1e-8, "{name}: order {order} of {errors:?}");
+    }
+}
+
+#[test]
+fn events_of_free_bodies_are_those_of_the_reference() {
+    for name in ["free_bounce", "free_fall", "free_settle", "free_tug"] {
+        let reference = Reference::load(name);
+        let names: Vec<String> = reference.scene.bodies.iter().map(|body| body.name.clone()).collect();
+        let mut world = World::new(reference.scene).expect("fits");
+        let mut events = vec![];
+        for _ in 0..world.scene().steps() {
+            events.extend(world.step().events.iter().copied());
+        }
+        assert_eq!(events.len(), reference.events.len(), "{name}: {events:?}");
+        for (event, (pair, time, phase)) in events.iter().zip(&reference.events) {
+            assert_eq!(&format!("{}~{}", names[event.a as usize], names[event.b as usize]), pair);
+            assert_eq!(event.to.name(), phase);
+            // Measured: 3.0e-8.
+            assert!((event.time - time).abs() <= 4e-8, "{name}: {event:?}, expected {time}");
         }
     }
 }

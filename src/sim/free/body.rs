@@ -37,9 +37,19 @@ impl Shape {
         Shape { rest, masses, mass, spread, extent }
     }
 
+    /// The shape of a body that only acts on others: it has no vertices.
+    pub fn none() -> Shape {
+        Shape { rest: Vec::new(), masses: Vec::new(), mass: 0.0, spread: DMat3::ZERO, extent: 0.0 }
+    }
+
     /// Total mass M.
     pub fn mass(&self) -> f64 {
         self.mass
+    }
+
+    /// The largest |l| [scene unit].
+    pub fn extent(&self) -> f64 {
+        self.extent
     }
 
     /// Rest positions l about the mass centre [scene unit].

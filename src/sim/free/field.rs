@@ -73,10 +73,7 @@ pub struct Pair {
 impl Field {
     /// The factor on a pair's strength for a body of size `radius` when the other is of size `source`.
     pub fn scale(&self, radius: f64, source: f64) -> f64 {
-        match self.scaling {
-            Scaling::Absolute => 1.0,
-            Scaling::Relative => f64::min(1.0, radius / source),
-        }
+        self.scaling.factor(radius, source)
     }
 
     /// The next instant after `t` at which something jumps, regardless of the bodies' motion [s].

@@ -4,6 +4,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{
+    super::work::Tally,
     body::Body,
     conserved::{self, Conserved},
     crossing::Course as Polynomial,
@@ -40,6 +41,8 @@ pub struct Change {
     pub pair: usize,
     /// Centre distance over the sum of the radii [–].
     pub q: f64,
+    /// Its rate q′ [1/s].
+    pub rate: f64,
     /// The phase that ended.
     pub from: Phase,
     /// The phase that began.
@@ -93,6 +96,16 @@ pub enum Failure {
         /// Length of the last step tried [s].
         step: f64,
     },
+    /// It has taken more work than it may, or is interrupted.
+    #[error("stopped at t = {time:.9} s")]
+    Stopped {
+        /// Index of the body with the most vertices.
+        body: usize,
+        /// Time of the failure [s].
+        time: f64,
+        /// Length of the last step tried [s].
+        step: f64,
+    },
 }
 
 /// Free bodies, and the bodies on prescribed paths near them.
@@ -105,12 +118,29 @@ pub struct Island {
     time: f64,
     /// The step length that last met the tolerance [s].
     pace: f64,
+    /// How far each body got so far.
+    ways: Vec<Way>,
     scratch: Scratch,
 }
 
-/// Buffers, reused from step to step.
+/// How far a body got in the steps since the island was made.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Way {
+    /// Where its centre was at first [scene unit].
+    pub from: DVec3,
+    /// The largest distance of its centre from there [scene unit].
+    pub centre: f64,
+    /// The largest distance of a vertex from the centre [scene unit].
+    pub extent: f64,
+    /// The largest |x| in the end [scene unit].
+    pub displacement: f64,
+    /// The largest |u| in the end [scene unit/s].
+    pub speed: f64,
+}
+
+/// Buffers, reused from step to step, by any island.
 #[derive(Clone, Debug, Default)]
-struct Scratch {
+pub(in crate::sim) struct Scratch {
     courses: Vec<Course>,
     acting: Vec<Acting>,
     places: Vec<[Place; 5]>,
@@ -149,7 +179,36 @@ impl Island {
     /// An island that keeps an error of `tolerance` [radii/s], at t = 0; pairs start in the phases that they are given
     /// with. Bodies on prescribed paths must be at the start of their paths.
     pub fn new(bodies: Vec<Body>, pairs: Vec<Pair>, field: Field, tolerance: f64) -> Island {
-        Island { bodies, pairs, field, tolerance, time: 0.0, pace: f64::INFINITY, scratch: Scratch::default() }
+        Island::resume(bodies, pairs, field, tolerance, 0.0, f64::INFINITY)
+    }
+
+    /// The same at `time` [s], with steps of at most `pace` [s] to begin with.
+    pub(in crate::sim) fn resume(
+        bodies: Vec<Body>,
+        pairs: Vec<Pair>,
+        field: Field,
+        tolerance: f64,
+        time: f64,
+        pace: f64,
+    ) -> Island {
+        let way = |body: &Body| Way { from: body.centre, extent: body.shape.extent, ..Way::default() };
+        let ways = bodies.iter().map(way).collect();
+        Island { bodies, pairs, field, tolerance, time, pace, ways, scratch: Scratch::default() }
+    }
+
+    /// The bodies and pairs.
+    pub(in crate::sim) fn into_parts(self) -> (Vec<Body>, Vec<Pair>) {
+        (self.bodies, self.pairs)
+    }
+
+    /// The step length that last met the tolerance [s].
+    pub(in crate::sim) fn pace(&self) -> f64 {
+        self.pace
+    }
+
+    /// How far each body got.
+    pub(in crate::sim) fn ways(&self) -> &[Way] {
+        &self.ways
     }
 
     /// The bodies.
@@ -184,16 +243,18 @@ impl Island {
     /// instant reached.
     pub fn advance(&mut self, end: f64, paths: &dyn Paths, report: &mut Report) -> Result<(), Failure> {
         let mut scratch = std::mem::take(&mut self.scratch);
-        let done = self.advance_with(&mut scratch, end, paths, report);
+        let done = self.advance_with(&mut scratch, end, paths, &Tally::unlimited(), report);
         self.scratch = scratch;
         done
     }
 
-    fn advance_with(
+    /// The same with buffers of the caller's, and as long as `work` allows.
+    pub(in crate::sim) fn advance_with(
         &mut self,
         scratch: &mut Scratch,
         end: f64,
         paths: &dyn Paths,
+        work: &Tally<'_>,
         report: &mut Report,
     ) -> Result<(), Failure> {
         let whole = end - self.time;
@@ -219,7 +280,10 @@ impl Island {
             let outcome = loop {
                 let h = next - self.time;
                 steps += 1;
-                let outcome = self.step(scratch, next, paths, report);
+                let outcome = self.step(scratch, next, paths, work, report);
+                if work.is_over() {
+                    return Err(self.stopped());
+                }
                 let factor = match &outcome {
                     Some(outcome) if outcome.error <= 1.0 => break *outcome,
                     Some(outcome) => (0.85 * libm::pow(outcome.error, -0.2)).clamp(0.1, 0.7),
@@ -242,7 +306,10 @@ impl Island {
 
             let crossing = self.first_crossing(scratch, h);
             if let Some(crossing) = crossing {
-                next = self.end_at(scratch, next, crossing, paths, report);
+                next = self.end_at(scratch, next, crossing, paths, work, report);
+                if work.is_over() {
+                    return Err(self.stopped());
+                }
                 if next > self.time {
                     self.commit(scratch, next);
                 }
@@ -257,18 +324,40 @@ impl Island {
     }
 
     fn commit(&mut self, scratch: &mut Scratch, next: f64) {
-        for ((body, course), places) in self.bodies.iter_mut().zip(&mut scratch.courses).zip(&scratch.places) {
+        for (i, body) in self.bodies.iter_mut().enumerate() {
+            let (course, places, way) = (&mut scratch.courses[i], &scratch.places[i], &mut self.ways[i]);
+            for (place, frame) in places.iter().zip(&course.frames) {
+                way.centre = larger(way.centre, place.centre.distance(way.from));
+                way.extent = larger(way.extent, frame.extent);
+            }
+            way.displacement = course.frames[3].extent - body.shape.extent;
+            way.speed = course.frames[3].speed;
             course.end(body, places);
         }
         self.time = next;
     }
 
+    fn stopped(&self) -> Failure {
+        let body = (0..self.bodies.len()).max_by_key(|&i| self.bodies[i].x.len()).unwrap_or(0);
+        Failure::Stopped { body, time: self.time, step: self.pace }
+    }
+
     /// Tries a step to `next` without committing it; `None` if it does not converge.
-    fn step(&self, scratch: &mut Scratch, next: f64, paths: &dyn Paths, report: &mut Report) -> Option<Outcome> {
+    fn step(
+        &self,
+        scratch: &mut Scratch,
+        next: f64,
+        paths: &dyn Paths,
+        work: &Tally<'_>,
+        report: &mut Report,
+    ) -> Option<Outcome> {
         let free = self.bodies.iter().filter(|body| body.is_free());
         let (sum, count) = free.fold((DVec3::ZERO, 0.0), |(sum, n), body| (sum + body.centre, n + 1.0));
         let span = Span::new(self.time, next, sum / f64::max(count, 1.0));
-        let parallel = self.bodies.iter().map(|body| body.x.len()).sum::<usize>() >= PARALLEL_VERTICES;
+        let vertices = self.bodies.iter().map(|body| body.x.len()).sum::<usize>();
+        let parallel = vertices >= PARALLEL_VERTICES;
+        // a sweep: every vertex at four nodes, and every pair
+        let sweep_work = 4 * (vertices + self.bodies.len() + self.pairs.len()) as u64;
         for (i, body) in self.bodies.iter().enumerate() {
             let (course, places) = (&mut scratch.courses[i], &mut scratch.places[i]);
             course.begin(i, body, &span, paths, places);
@@ -279,6 +368,9 @@ impl Island {
         let mut before = f64::INFINITY;
         let mut growing = 0;
         for sweep in 0..MOST_SWEEPS {
+            if !work.spend(sweep_work) {
+                return None;
+            }
             self.evaluate(scratch, &span, usize::from(sweep > 0), parallel);
             report.sweeps += 1;
             // how far the vertices moved in this correction, over the tolerance
@@ -461,6 +553,7 @@ impl Island {
         next: f64,
         crossing: Crossing,
         paths: &dyn Paths,
+        work: &Tally<'_>,
         report: &mut Report,
     ) -> f64 {
         let Crossing { theta, pair, level, .. } = crossing;
@@ -472,7 +565,7 @@ impl Island {
             if end <= self.time {
                 return self.time;
             }
-            if self.step(scratch, end, paths, report).is_none() {
+            if self.step(scratch, end, paths, work, report).is_none() {
                 break;
             }
             let (a, b) = (scratch.places[a][3], scratch.places[b][3]);
@@ -521,14 +614,17 @@ impl Island {
         let pair = self.pairs[index];
         for i in [pair.a as usize, pair.b as usize] {
             if !self.bodies[i].is_free() {
-                self.bodies[i].centre = scratch.places[i][3].centre;
+                let Place { centre, velocity } = scratch.places[i][3];
+                (self.bodies[i].centre, self.bodies[i].velocity) = (centre, velocity);
             }
         }
         let (a, b) = (&self.bodies[pair.a as usize], &self.bodies[pair.b as usize]);
-        let q = a.centre.distance(b.centre) / (a.radius + b.radius);
+        let (apart, radii) = (a.centre - b.centre, a.radius + b.radius);
+        let q = apart.length() / radii;
+        let rate = apart.normalize_or_zero().dot(a.velocity - b.velocity) / radii;
         let jump = pair.law.strength(to, q) - pair.law.strength(pair.phase, q);
         let energy = conserved::influence(&self.bodies, &pair, &self.field, jump);
-        report.changes.push(Change { time: self.time, pair: index, q, from: pair.phase, to, energy });
+        report.changes.push(Change { time: self.time, pair: index, q, rate, from: pair.phase, to, energy });
         self.pairs[index].phase = to;
         scratch.changes[index] += 1;
         if scratch.changes[index] > MOST_CHANGES {

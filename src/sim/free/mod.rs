@@ -48,7 +48,8 @@ pub use crate::model::{PairLaw, shape_matching::Rotation};
 pub use body::{Body, Motion, Shape};
 pub use conserved::Conserved;
 pub use field::{Driven, Field, NoPaths, Pair, Paths, Push};
-pub use island::{Change, Failure, Island, Report};
+pub(super) use island::Scratch;
+pub use island::{Change, Failure, Island, Report, Way};
 
 #[cfg(test)]
 mod tests;

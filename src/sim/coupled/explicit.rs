@@ -1,0 +1,370 @@
+//! The explicit schemes in coupled scenes, as their authors would: vertices as particles, and every step of the scene's
+//! length; phases change at the ends of steps.
+//!
+//! The rest shape that the springs pull to is found anew for each evaluation (shape matching, Müller et al. 2005). A
+//! scheme is that of [`integrator::explicit`](crate::sim::integrator::explicit), for all vertices together because
+//! they act on each other here.
+
+use glam::{DMat3, DQuat, DVec3};
+use rayon::prelude::*;
+
+use super::{
+    member::{Member, driven},
+    near::Near,
+};
+pub(super) use crate::sim::integrator::explicit::Scheme;
+use crate::{
+    model::{
+        influence,
+        shape_matching::{best_rotation, outer, resistance, solve},
+    },
+    scene::Scene,
+    sim::{
+        Event,
+        deformation::larger,
+        free::{self, Body},
+        report::StepReport,
+        span::Span,
+    },
+};
+
+/// A displacement of so many radii has diverged.
+const FAR: f64 = 1e6;
+
+/// Positions and velocities of the vertices of a body: in the world of a free one, relative to the centre of one on a
+/// path.
+#[derive(Clone, Debug, Default)]
+struct Particles {
+    r: Vec<DVec3>,
+    v: Vec<DVec3>,
+}
+
+/// Accelerations of the vertices of a body.
+struct Forces {
+    /// F: of spheres, planes, pushes, gravity, and the reactions to the body's sphere.
+    outer: Vec<DVec3>,
+    /// T: of springs and damping.
+    inner: Vec<DVec3>,
+    /// Forces on other bodies' spheres.
+    reactions: Vec<(u32, DVec3)>,
+}
+
+/// Where a body is and how it turns.
+#[derive(Clone, Copy)]
+struct Frame {
+    centre: DVec3,
+    velocity: DVec3,
+    rotation: DQuat,
+    spin: DVec3,
+    carry: DVec3,
+}
+
+impl Frame {
+    fn of(scene: &Scene, index: usize, body: &Body, particles: &Particles, t: f64) -> Frame {
+        if !body.is_free() {
+            let now = driven(scene, index as u32, t, false);
+            return Frame {
+                centre: now.position,
+                velocity: now.velocity,
+                rotation: DQuat::IDENTITY,
+                spin: DVec3::ZERO,
+                carry: now.carry,
+            };
+        }
+        let (masses, rest) = (body.shape.masses(), body.shape.rest());
+        let mean = |v: &[DVec3]| v.iter().zip(masses).map(|(&v, &m)| m * v).sum::<DVec3>() / body.mass();
+        let (centre, velocity) = (mean(&particles.r), mean(&particles.v));
+        let (mut rotation, mut spin) = (body.rotation, DVec3::ZERO);
+        if body.turns() {
+            let (mut fit, mut spread, mut momentum) = (DMat3::ZERO, DMat3::ZERO, DVec3::ZERO);
+            for (((&r, &v), &m), &l) in particles.r.iter().zip(&particles.v).zip(masses).zip(rest) {
+                let s = r - centre;
+                fit += outer(m * s, l);
+                spread += outer(m * s, s);
+                momentum += m * s.cross(v - velocity);
+            }
+            rotation = best_rotation(fit, body.rotation);
+            spin = solve(resistance(spread), momentum);
+        }
+        Frame { centre, velocity, rotation, spin, carry: DVec3::ZERO }
+    }
+}
+
+/// What evaluations have in common in a step.
+struct Step<'a> {
+    scene: &'a Scene,
+    members: &'a [Member],
+    near: &'a Near,
+}
+
+impl Step<'_> {
+    fn frames(&self, all: &[Particles], t: f64) -> Vec<Frame> {
+        let of = |(index, particles): (usize, &Particles)| {
+            Frame::of(self.scene, index, &self.members[index].body, particles, t)
+        };
+        all.par_iter().enumerate().map(of).collect()
+    }
+
+    /// The forces at an instant; without damping if it is left to the caller.
+    fn forces(&self, all: &[Particles], t: f64, is_damped: bool) -> Vec<Forces> {
+        let frames = self.frames(all, t);
+        let indexed = all.par_iter().enumerate();
+        let mut forces: Vec<Forces> =
+            indexed.map(|(index, particles)| self.forces_on(index, particles, &frames, t, is_damped)).collect();
+        let mut reactions = vec![DVec3::ZERO; all.len()];
+        for &(source, force) in forces.iter().flat_map(|forces| &forces.reactions) {
+            reactions[source as usize] += force;
+        }
+        for ((forces, member), reaction) in forces.iter_mut().zip(self.members).zip(reactions) {
+            if member.body.is_free() {
+                let shared = self.scene.gravity + reaction / member.body.mass();
+                forces.outer.iter_mut().for_each(|force| *force += shared);
+            }
+        }
+        forces
+    }
+
+    fn forces_on(&self, index: usize, particles: &Particles, frames: &[Frame], t: f64, is_damped: bool) -> Forces {
+        let Step { scene, members, near } = *self;
+        let (member, frame) = (&members[index], &frames[index]);
+        let (body, is_free) = (&member.body, member.body.is_free());
+        let axes = DMat3::from_quat(frame.rotation);
+        let sources: Vec<(u32, f64, f64, DVec3)> = member
+            .neighbours
+            .iter()
+            .filter_map(|neighbour| {
+                let (pair, source) = (near.pair(neighbour.pair), &members[neighbour.other as usize].body);
+                let apart = frames[neighbour.other as usize].centre - frame.centre;
+                let q = apart.length() / (body.radius + source.radius);
+                let scale = scene.influence.scaling.factor(body.radius, source.radius);
+                let strength = scale * pair.law.strength(pair.phase, q);
+                let radius = scene.influence.sphere_radius(source.radius);
+                (strength != 0.0).then_some((neighbour.other, strength, radius, apart))
+            })
+            .collect();
+        let mut reactions: Vec<(u32, DVec3)> = sources.iter().map(|source| (source.0, DVec3::ZERO)).collect();
+        let (mut outer, mut inner) = (Vec::with_capacity(particles.r.len()), Vec::with_capacity(particles.r.len()));
+        let (omega, damping) = (body.oscillator.omega, if is_damped { body.oscillator.damping } else { 0.0 });
+        for (i, (&r, &v)) in particles.r.iter().zip(&particles.v).enumerate() {
+            let (s, rate) = if is_free { (r - frame.centre, v - frame.velocity) } else { (r, v) };
+            let a = axes * body.shape.rest()[i];
+            let mut force = -frame.carry;
+            for ((_, strength, radius, apart), reaction) in sources.iter().zip(&mut reactions) {
+                let pull = influence::acceleration(scene.influence.weight, *strength, *radius, *apart - s);
+                force += pull;
+                reaction.1 -= body.shape.masses()[i] * pull;
+            }
+            for plane in &scene.planes {
+                let depth = plane.depth(frame.centre + s);
+                if depth > 0.0 {
+                    force += plane.acceleration(depth, frame.velocity + rate);
+                }
+            }
+            for push in member.pushes.iter().filter(|push| push.start <= t && t < push.end) {
+                let facing = -a.normalize_or_zero().dot(push.direction);
+                force += push.direction * (push.strength * f64::max(0.0, facing));
+            }
+            outer.push(force);
+            inner.push(-(omega * omega) * (s - a) - 2.0 * damping * (rate - frame.spin.cross(s)));
+        }
+        Forces { outer, inner, reactions }
+    }
+
+    /// One step of `dt` [s] from `t` [s].
+    fn advance(&self, scheme: Scheme, all: &[Particles], t: f64, dt: f64) -> Vec<Particles> {
+        match scheme {
+            Scheme::Thesis | Scheme::Mps => {
+                let mut next = all.to_vec();
+                for (body, forces) in next.iter_mut().zip(self.forces(all, t, true)) {
+                    add(&mut body.v, dt, &forces.outer); // (3.6)
+                    for (r, &v) in body.r.iter_mut().zip(&body.v) {
+                        *r += dt * v; // (3.7)
+                    }
+                }
+                let predicted = self.forces(&next, t, true);
+                for ((body, forces), before) in next.iter_mut().zip(predicted).zip(all) {
+                    add(&mut body.v, dt, &forces.inner); // (3.8), (3.9)
+                    if scheme == Scheme::Mps {
+                        body.r.copy_from_slice(&before.r);
+                    }
+                    for (r, &v) in body.r.iter_mut().zip(&body.v) {
+                        *r += dt * v; // (3.10)
+                    }
+                }
+                next
+            }
+            Scheme::Euler => {
+                let mut next = all.to_vec();
+                for (body, forces) in next.iter_mut().zip(self.forces(all, t, true)) {
+                    add(&mut body.v, dt, &forces.outer);
+                    add(&mut body.v, dt, &forces.inner);
+                    for (r, &v) in body.r.iter_mut().zip(&body.v) {
+                        *r += dt * v;
+                    }
+                }
+                next
+            }
+            Scheme::Verlet => self.verlet(all, t, dt),
+            Scheme::Rk4 => self.rk4(all, t, dt),
+        }
+    }
+
+    /// Velocity Verlet. Damping leaves the rigid motion alone, so the second half kick is implicit in what is beyond it.
+    fn verlet(&self, all: &[Particles], t: f64, dt: f64) -> Vec<Particles> {
+        let mut next = all.to_vec();
+        for (body, forces) in next.iter_mut().zip(self.forces(all, t, true)) {
+            add(&mut body.v, 0.5 * dt, &forces.outer);
+            add(&mut body.v, 0.5 * dt, &forces.inner);
+            for (r, &v) in body.r.iter_mut().zip(&body.v) {
+                *r += dt * v;
+            }
+        }
+        let forces = self.forces(&next, t + dt, false);
+        for (body, forces) in next.iter_mut().zip(forces) {
+            add(&mut body.v, 0.5 * dt, &forces.outer);
+            add(&mut body.v, 0.5 * dt, &forces.inner);
+        }
+        let frames = self.frames(&next, t + dt);
+        for ((particles, frame), member) in next.iter_mut().zip(frames).zip(self.members) {
+            let slowed = 1.0 / (1.0 + member.body.oscillator.damping * dt);
+            for (&r, v) in particles.r.iter().zip(&mut particles.v) {
+                let rigid = match member.body.is_free() {
+                    true => frame.velocity + frame.spin.cross(r - frame.centre),
+                    false => DVec3::ZERO,
+                };
+                *v = rigid + slowed * (*v - rigid);
+            }
+        }
+        next
+    }
+
+    fn rk4(&self, all: &[Particles], t: f64, dt: f64) -> Vec<Particles> {
+        let slope = |at: &[Particles], t: f64| -> Vec<Particles> {
+            let sum = |(body, mut forces): (&Particles, Forces)| {
+                add(&mut forces.outer, 1.0, &forces.inner);
+                Particles { r: body.v.clone(), v: forces.outer }
+            };
+            at.iter().zip(self.forces(at, t, true)).map(sum).collect()
+        };
+        let moved = |k: &[Particles], dt: f64| -> Vec<Particles> {
+            let mut moved = all.to_vec();
+            for (body, k) in moved.iter_mut().zip(k) {
+                add(&mut body.r, dt, &k.r);
+                add(&mut body.v, dt, &k.v);
+            }
+            moved
+        };
+        let k1 = slope(all, t);
+        let k2 = slope(&moved(&k1, 0.5 * dt), t + 0.5 * dt);
+        let k3 = slope(&moved(&k2, 0.5 * dt), t + 0.5 * dt);
+        let k4 = slope(&moved(&k3, dt), t + dt);
+        let mut next = all.to_vec();
+        for (i, body) in next.iter_mut().enumerate() {
+            for (k, weight) in [(&k1, 1.0), (&k2, 2.0), (&k3, 2.0), (&k4, 1.0)] {
+                add(&mut body.r, weight * dt / 6.0, &k[i].r);
+                add(&mut body.v, weight * dt / 6.0, &k[i].v);
+            }
+        }
+        next
+    }
+}
+
+fn add(to: &mut [DVec3], factor: f64, what: &[DVec3]) {
+    to.iter_mut().zip(what).for_each(|(to, &what)| *to += factor * what);
+}
+
+impl Particles {
+    fn of(body: &Body) -> Particles {
+        let axes = DMat3::from_quat(body.rotation);
+        let (from, velocity) = if body.is_free() { (body.centre, body.velocity) } else { Default::default() };
+        let spin = body.frame_spin();
+        let of = |vectors: &[DVec3], i: usize| vectors.get(i).copied().unwrap_or_default();
+        let rest = body.shape.rest().iter().enumerate();
+        let (r, v) = rest
+            .map(|(i, &l)| {
+                let a = axes * l;
+                (from + (a + of(&body.x, i)), velocity + (spin.cross(a) + of(&body.u, i)))
+            })
+            .unzip();
+        Particles { r, v }
+    }
+
+    /// Makes them the state of a body.
+    fn end(&self, frame: &Frame, body: &mut Body) {
+        (body.centre, body.velocity, body.rotation) = (frame.centre, frame.velocity, frame.rotation);
+        let axes = DMat3::from_quat(frame.rotation);
+        let is_free = body.is_free();
+        let relative = |i: usize| match is_free {
+            true => (self.r[i] - frame.centre, self.v[i] - frame.velocity),
+            false => (self.r[i], self.v[i]),
+        };
+        let mut frame_spin = DVec3::ZERO;
+        if body.turns() {
+            let (mut stretched, mut turning) = (DMat3::ZERO, DVec3::ZERO);
+            body.spin = DVec3::ZERO;
+            for (i, (&l, &m)) in body.shape.rest().iter().zip(body.shape.masses()).enumerate() {
+                let (a, (s, rate)) = (axes * l, relative(i));
+                stretched += outer(m * a, s);
+                turning += m * a.cross(rate);
+                body.spin += m * s.cross(rate);
+            }
+            frame_spin = solve(resistance(stretched), turning);
+        }
+        let rest = body.shape.rest().iter().enumerate();
+        let states = rest.map(|(i, &l)| {
+            let (a, (s, rate)) = (axes * l, relative(i));
+            (s - a, rate - frame_spin.cross(a))
+        });
+        (body.x, body.u) = states.unzip();
+    }
+}
+
+/// Takes one step; returns a body that is in an invalid state then.
+pub(super) fn step(
+    scheme: Scheme,
+    scene: &Scene,
+    members: &mut [Member],
+    near: &mut Near,
+    span: Span,
+    report: &mut StepReport,
+) -> Option<usize> {
+    let before: Vec<Particles> = members.par_iter().map(|member| Particles::of(&member.body)).collect();
+    let step = Step { scene, members: &*members, near: &*near };
+    let after = step.advance(scheme, &before, span.start, span.length());
+    let frames = step.frames(&after, span.end);
+    let mut diverged = None;
+    for (i, ((member, particles), frame)) in members.iter_mut().zip(&after).zip(&frames).enumerate() {
+        particles.end(frame, &mut member.body);
+        let largest = |vectors: &[DVec3]| vectors.iter().map(|v| v.length_squared()).fold(0.0, larger).sqrt();
+        let (x, u) = (largest(&member.body.x), largest(&member.body.u));
+        (member.extent, member.speed) = (member.body.shape.extent() + x, u);
+        if !(x < FAR * member.body.radius && u.is_finite()) && diverged.is_none() {
+            diverged = Some(i);
+        }
+    }
+    report.substeps = members.len() as u64;
+    enter_phases(members, near, span.end, report);
+    diverged
+}
+
+/// Changes the phases of pairs that have passed a threshold, at the end of the step.
+fn enter_phases(members: &[Member], near: &mut Near, time: f64, report: &mut StepReport) {
+    for (i, member) in (0..).zip(members) {
+        for neighbour in member.neighbours.iter().filter(|neighbour| neighbour.other > i) {
+            let (a, b) = (&member.body, &members[neighbour.other as usize].body);
+            let (apart, radii) = (a.centre - b.centre, a.radius + b.radius);
+            let q = apart.length() / radii;
+            let rate = apart.normalize_or_zero().dot(a.velocity - b.velocity) / radii;
+            for _ in 0..2 {
+                let pair = *near.pair(neighbour.pair);
+                let passed = pair.law.thresholds.transitions(pair.phase);
+                let mut passed = passed.filter(|way| if way.falling { q < way.level } else { q > way.level });
+                let Some(way) = passed.next() else { break };
+                let free::Pair { a, b, phase: from, .. } = pair;
+                let event = Event { time, step: report.step, a, b, q, rate, from, to: way.to, energy: 0.0 };
+                report.events.push(event);
+                near.enter(neighbour.pair, way.to);
+            }
+        }
+    }
+}

@@ -1,0 +1,182 @@
+//! Islands: bodies that can act on each other within a step, and how these are advanced.
+
+use std::sync::{Mutex, PoisonError};
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::{
+    member::{Member, driven},
+    near::Near,
+};
+use crate::{
+    scene::Scene,
+    sim::{
+        free::{self, Body, Field, Island, Report, Scratch, Shape, Way},
+        span::Span,
+        work::{Tally, Work},
+    },
+};
+
+/// With fewer vertices than this to step, a second thread does not pay off.
+const PARALLEL_VERTICES: usize = 512;
+
+/// Which bodies act on each other: a forest of bodies, each tree an island.
+#[derive(Default)]
+pub(super) struct Forest {
+    leader: Vec<u32>,
+    /// The pairs that couple their bodies, by their index.
+    pub coupled: Vec<u32>,
+}
+
+impl Forest {
+    pub fn clear(&mut self, bodies: usize) {
+        self.leader.resize(bodies, 0);
+        self.coupled.clear();
+    }
+
+    /// A body that may become part of an island.
+    pub fn plant(&mut self, body: u32) {
+        self.leader[body as usize] = body;
+    }
+
+    pub fn root(&mut self, body: u32) -> u32 {
+        let mut at = body as usize;
+        while self.leader[at] as usize != at {
+            self.leader[at] = self.leader[self.leader[at] as usize];
+            at = self.leader[at] as usize;
+        }
+        at as u32
+    }
+
+    pub fn join(&mut self, a: u32, b: u32) {
+        let (a, b) = (self.root(a), self.root(b));
+        self.leader[a.max(b) as usize] = a.min(b);
+    }
+}
+
+/// The bodies and pairs of an island, by their indices, in ascending order.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Group {
+    pub bodies: Vec<u32>,
+    /// Bodies on paths that only act on those of the island, and are advanced elsewhere.
+    pub sources: Vec<u32>,
+    /// With whether the phase of the pair is this island's to tell.
+    pub pairs: Vec<(u32, bool)>,
+}
+
+/// An island in a step.
+#[derive(Default)]
+pub(super) struct Job {
+    pub group: Group,
+    pub is_done: bool,
+    /// The bodies as they are at the end of the step.
+    pub bodies: Vec<Body>,
+    pub pairs: Vec<free::Pair>,
+    pub ways: Vec<Way>,
+    pub pace: f64,
+    pub report: Report,
+    pub failure: Option<free::Failure>,
+    pub work: u64,
+}
+
+/// What islands are advanced with.
+pub(super) struct Conditions<'a> {
+    pub scene: &'a Scene,
+    pub members: &'a [Member],
+    pub near: &'a Near,
+    pub span: Span,
+    pub work: &'a Work,
+    pub scratches: &'a Mutex<Vec<Scratch>>,
+}
+
+/// Advances the islands that are not done, side by side.
+pub(super) fn advance(jobs: &mut [Job], conditions: &Conditions<'_>) {
+    let vertices = |job: &Job| {
+        let of = |&body: &u32| conditions.members[body as usize].body.shape.rest().len();
+        if job.is_done { 0 } else { job.group.bodies.iter().map(of).sum::<usize>() }
+    };
+    let advance = |(turn, job): (usize, &mut Job)| {
+        if !job.is_done {
+            let pooled = conditions.scratches.lock().unwrap_or_else(PoisonError::into_inner).pop();
+            let mut scratch = pooled.unwrap_or_default();
+            job.advance(turn, conditions, &mut scratch);
+            conditions.scratches.lock().unwrap_or_else(PoisonError::into_inner).push(scratch);
+        }
+    };
+    if jobs.len() > 1 && jobs.iter().map(vertices).sum::<usize>() >= PARALLEL_VERTICES {
+        jobs.par_iter_mut().enumerate().for_each(advance);
+    } else {
+        jobs.iter_mut().enumerate().for_each(advance);
+    }
+}
+
+impl Job {
+    fn advance(&mut self, turn: usize, conditions: &Conditions<'_>, scratch: &mut Scratch) {
+        let Conditions { scene, members, near, span, work, .. } = *conditions;
+        let Group { bodies, sources, pairs } = &self.group;
+        let all: Vec<u32> = bodies.iter().chain(sources).copied().collect();
+        let place = |body: u32| match bodies.binary_search(&body) {
+            Ok(place) => place as u32,
+            Err(_) => (bodies.len() + sources.binary_search(&body).unwrap_or_default()) as u32,
+        };
+        let mut pace = f64::INFINITY;
+        let mut field = Field {
+            gravity: scene.gravity,
+            planes: scene.planes.clone(),
+            reach: scene.influence.reach,
+            weight: scene.influence.weight,
+            scaling: scene.influence.scaling,
+            ..Field::default()
+        };
+        let mut copies = Vec::with_capacity(all.len());
+        for (index, &body) in all.iter().enumerate() {
+            let member = &members[body as usize];
+            if let Some(path) = scene.bodies[body as usize].path() {
+                let knots = path.knots();
+                let first = knots.partition_point(|&knot| knot <= span.start);
+                field.breaks.extend(knots[first..].iter().take_while(|&&knot| knot < span.end));
+            }
+            if index >= bodies.len() {
+                copies.push(source(&member.body));
+                continue;
+            }
+            pace = pace.min(member.pace);
+            let pushes = member.pushes.iter().take_while(|push| push.start < span.end);
+            let pushes = pushes.filter(|push| push.end > span.start);
+            field.pushes.extend(pushes.map(|&push| free::Push { body: index as u32, ..push }));
+            let mut copy = member.body.clone();
+            let count = copy.shape.rest().len();
+            copy.x.resize(count, DVec3::ZERO);
+            copy.u.resize(count, DVec3::ZERO);
+            copies.push(copy);
+        }
+        field.breaks.sort_by(f64::total_cmp);
+        let local = |&(pair, _): &(u32, bool)| {
+            let pair = near.pair(pair);
+            free::Pair { a: place(pair.a), b: place(pair.b), ..*pair }
+        };
+        let pairs = pairs.iter().map(local).collect();
+        let paths = |body: usize, t: f64, before: bool| driven(scene, all[body], t, before);
+        let tally = Tally::new(work, Some(turn));
+        let mut island = Island::resume(copies, pairs, field, scene.tolerance, span.start, pace);
+        self.report = Report::default();
+        self.failure = island.advance_with(scratch, span.end, &paths, &tally, &mut self.report).err();
+        self.work = tally.done();
+        self.pace = island.pace();
+        self.ways.clear();
+        self.ways.extend_from_slice(&island.ways()[..bodies.len()]);
+        (self.bodies, self.pairs) = island.into_parts();
+        self.is_done = true;
+    }
+}
+
+/// A body on a path that only acts on others.
+fn source(body: &Body) -> Body {
+    thread_local! {
+        static NONE: std::sync::Arc<Shape> = std::sync::Arc::new(Shape::none());
+    }
+    let mut source = Body::prescribed(NONE.with(std::sync::Arc::clone), body.radius, body.oscillator);
+    (source.centre, source.velocity) = (body.centre, body.velocity);
+    source
+}

@@ -1,0 +1,581 @@
+//! Coupled scenes: free bodies, planes, and pairs whose strength changes gradually at the rim of the core.
+//!
+//! | what | where |
+//! | --- | --- |
+//! | the step | here |
+//! | a body, how far it may get in a step, when it rests | [`member`] |
+//! | broad phase, pairs and their phases | [`near`], [`neighbours`] |
+//! | which bodies act on each other in a step, and advancing them | [`islands`] |
+//! | the schemes with steps of fixed length | [`explicit`] |
+//!
+//! A body acts on others whose motion it depends on, so unlike in other scenes bodies cannot be stepped one by one, nor
+//! events be found beforehand. In each step, bodies that can act on each other form an island, which [`free`] advances
+//! with steps of its own that end at its events; a body on a path does not couple bodies by its mere presence, because
+//! its centre is known.
+//!
+//! How far a free body gets is known only afterwards. Islands are made for what can be expected; those with a body that
+//! got farther are made again and advanced again from the start of the step.
+//!
+//! # What a step skips
+//! - A body that nothing reaches and that is not deformed flies on in closed form.
+//! - A body rests when it and its whole island hardly move ([`member::Member::is_calm`]), and costs nothing until
+//!   something that moves comes near it, or a push begins. Its island then wakes as a whole.
+
+mod explicit;
+mod islands;
+pub(super) mod member;
+mod near;
+mod neighbours;
+
+use std::{
+    mem::take,
+    sync::{Arc, Mutex},
+    time::Instant,
+};
+
+use glam::DVec3;
+use pulp::Arch;
+
+use self::{
+    explicit::Scheme,
+    islands::{Conditions, Forest, Group, Job},
+    member::{CALM_STEPS, Member, Shapes, driven},
+    near::Near,
+    neighbours::Neighbour,
+};
+use super::{
+    Event,
+    free::{self, Scratch},
+    report::{Failure, Overworked, Stage, StepReport, Toil},
+    span::Span,
+    terms::{Cause, Source, Surroundings, Weighted},
+    work::{Stop, Tally, Work},
+};
+use crate::{
+    geometry::Mesh,
+    model::{phase::Phase, shape_matching::Plane},
+    scene::{Response, Scene},
+};
+
+/// Most times that a step is taken again because bodies got farther than was expected.
+const MOST_ROUNDS: u32 = 40;
+
+/// What steps ordinarily take of each vertex: a few sweeps of a few steps, at four nodes.
+const ORDINARY: u64 = 200;
+
+/// The bodies of a coupled scene.
+pub(super) struct Coupled {
+    members: Vec<Member>,
+    near: Near,
+    /// The bodies that take steps, ascending.
+    awake: Vec<u32>,
+    /// Sum of the hashes of all others.
+    resting_hash: u64,
+    /// When pushes begin, by time, with their bodies; and how many have begun.
+    starts: Vec<(f64, u32)>,
+    started: usize,
+    arch: Arch,
+    skip: bool,
+    forest: Forest,
+    jobs: Vec<Job>,
+    /// Index of a body's island in the step, by its root.
+    job_of: Vec<u32>,
+    scratches: Mutex<Vec<Scratch>>,
+}
+
+impl Coupled {
+    /// The bodies at t = 0; `None` if more than `most_pairs` are near each other.
+    pub fn new(
+        scene: &Scene,
+        meshes: &[Arc<Mesh>],
+        (skip, arch): (bool, Arch),
+        most_pairs: u64,
+        work: &Work,
+    ) -> Option<Coupled> {
+        let mut shapes = Shapes::default();
+        let members = meshes.iter().enumerate().map(|(index, mesh)| Member::new(scene, index, mesh, &mut shapes));
+        let mut starts: Vec<(f64, u32)> = scene.pushes.iter().map(|push| (push.start, push.body as u32)).collect();
+        starts.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut coupled = Coupled {
+            members: members.collect(),
+            near: Near::new(scene, !skip),
+            awake: Vec::new(),
+            resting_hash: 0,
+            starts,
+            started: 0,
+            arch,
+            skip,
+            forest: Forest::default(),
+            jobs: Vec::new(),
+            job_of: vec![0; scene.bodies.len()],
+            scratches: Mutex::default(),
+        };
+        let first = Span { start: 0.0, end: scene.dt };
+        for (member, body) in coupled.members.iter_mut().zip(&scene.bodies) {
+            member.expect(body, scene.gravity, first);
+        }
+        if !coupled.near.start(scene, &mut coupled.members, most_pairs, &Tally::new(work, None)) {
+            return None;
+        }
+        for body in 0..coupled.members.len() as u32 {
+            coupled.members[body as usize].is_awake = true;
+            coupled.awake.push(body);
+        }
+        Some(coupled)
+    }
+
+    /// Advances all bodies over `span`.
+    ///
+    /// # Errors
+    /// The step could not be completed. A body in an invalid state is no error: its index is returned.
+    pub fn step(
+        &mut self,
+        scene: &Scene,
+        span: Span,
+        work: &mut Work,
+        report: &mut StepReport,
+    ) -> Result<Option<usize>, Failure> {
+        let start = Instant::now();
+        self.wake_pushed(span);
+        self.look_ahead(scene, span, work);
+        if let Some(scheme) = Scheme::of(scene.integrator) {
+            let tally = Tally::new(work, None);
+            tally.spend(self.members.iter().map(Member::size).sum());
+            drop(tally);
+            self.check(scene, span, work, report)?;
+            let ready = Instant::now();
+            let diverged = explicit::step(scheme, scene, &mut self.members, &mut self.near, span, report);
+            report.timings[Stage::Reach as usize] = ready - start;
+            report.timings[Stage::Integrate as usize] = ready.elapsed();
+            return Ok(diverged);
+        }
+        let mut rounds = 0;
+        let mut integrating = std::time::Duration::ZERO;
+        loop {
+            self.find_islands(scene, span, work);
+            self.check(scene, span, work, report)?;
+            let ready = Instant::now();
+            self.advance(scene, span, work, report)?;
+            integrating += ready.elapsed();
+            let mut any = false;
+            for job in &mut self.jobs {
+                for (&body, way) in job.group.bodies.iter().zip(&job.ways) {
+                    if self.skip && self.members[body as usize].strayed(way) {
+                        (any, job.is_done) = (true, false);
+                    }
+                }
+            }
+            if !any {
+                break;
+            }
+            rounds += 1;
+            if rounds >= MOST_ROUNDS {
+                let body = self.jobs.iter().find(|job| !job.is_done).map_or(0, |job| job.group.bodies[0]);
+                return Err(self.overworked(scene, span, report, body));
+            }
+        }
+        self.end(scene, span, report);
+        report.timings[Stage::Reach as usize] = start.elapsed() - integrating;
+        report.timings[Stage::Integrate as usize] = integrating;
+        Ok(None)
+    }
+
+    /// Wakes the bodies on which a push begins before the end of `span`.
+    fn wake_pushed(&mut self, span: Span) {
+        while let Some(&(start, body)) = self.starts.get(self.started).filter(|start| start.0 < span.end) {
+            self.started += 1;
+            if !self.members[body as usize].is_awake && start < span.end {
+                self.wake(body);
+            }
+        }
+        self.awake.sort_unstable();
+    }
+
+    fn wake(&mut self, body: u32) {
+        let member = &mut self.members[body as usize];
+        self.resting_hash = self.resting_hash.wrapping_sub(member.resting_hash);
+        (member.is_awake, member.calm) = (true, 0);
+        self.awake.push(body);
+    }
+
+    /// Finds how far bodies may get, and what they may come near.
+    fn look_ahead(&mut self, scene: &Scene, span: Span, work: &Work) {
+        for &body in &self.awake {
+            let member = &mut self.members[body as usize];
+            if let Some(path) = scene.bodies[body as usize].path() {
+                let motion = path.at(span.start);
+                (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
+            }
+            member.expect(&scene.bodies[body as usize], scene.gravity, span);
+        }
+        let tally = Tally::new(work, None);
+        for &body in &self.awake {
+            self.near.follow(scene, &mut self.members, body as usize, span.start, &tally);
+        }
+    }
+
+    /// Finds the islands of the step, and wakes bodies at rest that become part of one.
+    fn find_islands(&mut self, scene: &Scene, span: Span, work: &Work) {
+        let Coupled { members, awake, forest, .. } = self;
+        forest.clear(members.len());
+        awake.iter().for_each(|&body| forest.plant(body));
+        let tally = Tally::new(work, None);
+        let mut next = 0;
+        while next < self.awake.len() {
+            let body = self.awake[next];
+            next += 1;
+            self.near.follow(scene, &mut self.members, body as usize, span.start, &tally);
+            for place in 0..self.members[body as usize].neighbours.len() {
+                let Neighbour { other, pair } = self.members[body as usize].neighbours[place];
+                let is_awake = self.members[other as usize].is_awake;
+                if (is_awake && other < body) || !self.near.is_coupled(scene, pair, &self.members) {
+                    continue;
+                }
+                if !is_awake {
+                    self.wake(other);
+                    self.members[other as usize].expect(&scene.bodies[other as usize], scene.gravity, span);
+                    self.forest.plant(other);
+                }
+            }
+        }
+        self.awake.sort_unstable();
+        for &body in &self.awake {
+            for &Neighbour { other, pair } in &self.members[body as usize].neighbours {
+                if other > body
+                    && self.members[other as usize].is_awake
+                    && self.near.is_coupled(scene, pair, &self.members)
+                {
+                    self.forest.coupled.push(pair);
+                    if self.is_free(body) || self.is_free(other) {
+                        self.forest.join(body, other);
+                    }
+                }
+            }
+        }
+        self.group(scene, span);
+    }
+
+    fn is_free(&self, body: u32) -> bool {
+        self.members[body as usize].body.is_free()
+    }
+
+    /// Makes the islands' lists of bodies and pairs; an island that is the same as before keeps its result.
+    fn group(&mut self, scene: &Scene, span: Span) {
+        let mut groups: Vec<Group> = Vec::new();
+        for &body in &self.awake {
+            let root = self.forest.root(body);
+            if root == body {
+                self.job_of[root as usize] = groups.len() as u32;
+                groups.push(Group::default());
+            }
+            groups[self.job_of[root as usize] as usize].bodies.push(body);
+        }
+        for index in 0..self.forest.coupled.len() {
+            let pair = self.forest.coupled[index];
+            let free::Pair { a, b, .. } = *self.near.pair(pair);
+            let [of_a, of_b] = [a, b].map(|body| self.job_of[self.forest.root(body) as usize] as usize);
+            groups[of_a].pairs.push((pair, true));
+            if of_a != of_b {
+                groups[of_a].sources.push(b);
+                groups[of_b].sources.push(a);
+                groups[of_b].pairs.push((pair, false));
+            }
+        }
+        let before = take(&mut self.jobs);
+        let mut before = before.into_iter().filter(|job| job.is_done).peekable();
+        for mut group in groups {
+            if !self.needs_steps(scene, span, &group) {
+                continue;
+            }
+            group.sources.sort_unstable();
+            group.sources.dedup();
+            while before.next_if(|job| job.group.bodies[0] < group.bodies[0]).is_some() {}
+            let same = before.next_if(|job| job.group == group);
+            self.jobs.push(match same {
+                Some(job) => Job { work: 0, ..job },
+                None => Job { group, ..Job::default() },
+            });
+        }
+    }
+
+    /// Whether something acts on the bodies of an island, or they are deformed.
+    fn needs_steps(&self, scene: &Scene, span: Span, group: &Group) -> bool {
+        if !self.skip || group.bodies.len() > 1 || !group.pairs.is_empty() {
+            return true;
+        }
+        let index = group.bodies[0] as usize;
+        let member = &self.members[index];
+        let is_pushed = member.pushes.iter().any(|push| push.start < span.end && push.end > span.start);
+        let body = &member.body;
+        let touches = |plane: &Plane| plane.depth(body.centre) + member.bounds.extent + member.bounds.way > 0.0;
+        if member.is_deformed() || is_pushed || scene.planes.iter().any(touches) {
+            return true;
+        }
+        match scene.bodies[index].path() {
+            None => body.turns() && body.spin != DVec3::ZERO,
+            Some(path) => {
+                let bounds = path.bounds(span.start, span.end);
+                match scene.bodies[index].material.response {
+                    Response::Rigid => false,
+                    Response::Inertial => bounds.acceleration != 0.0,
+                    Response::World => bounds.acceleration != 0.0 || bounds.speed != 0.0,
+                }
+            }
+        }
+    }
+
+    /// Advances the islands to the end of `span`, in results of their own.
+    fn advance(&mut self, scene: &Scene, span: Span, work: &mut Work, report: &StepReport) -> Result<(), Failure> {
+        work.begin_turns(self.jobs.len());
+        let Coupled { members, near, scratches, jobs, .. } = self;
+        islands::advance(jobs, &Conditions { scene, members, near, span, work, scratches });
+        if work.is_interrupted() {
+            return Err(Failure::Interrupted { step: report.step });
+        }
+        let all = self.jobs.iter().map(|job| job.work).sum();
+        if let Some(turn) = work.busiest(all, self.jobs.iter().map(|job| job.work)) {
+            let bodies = &self.jobs[turn].group.bodies;
+            let most = bodies.iter().max_by_key(|&&body| self.members[body as usize].body.shape.rest().len());
+            return Err(self.overworked(scene, span, report, most.copied().unwrap_or_default()));
+        }
+        match self.jobs.iter().find_map(|job| Some((job, job.failure.as_ref()?))) {
+            Some((job, failure)) => Err(self.failure(scene, report, job, failure)),
+            None => {
+                let vertices = |job: &Job| job.bodies.iter().map(|body| body.x.len() as u64).sum::<u64>();
+                let vertices = self.jobs.iter().map(vertices).sum();
+                work.end(all, ORDINARY * vertices, vertices);
+                Ok(())
+            }
+        }
+    }
+
+    /// The results become the state.
+    fn end(&mut self, scene: &Scene, span: Span, report: &mut StepReport) {
+        let mut jobs = take(&mut self.jobs);
+        let mut stepped = 0;
+        for job in &mut jobs {
+            self.tell(job, report);
+            let bodies = job.group.bodies.len() as u64;
+            report.substeps += bodies * job.report.steps;
+            report.error = report.error.max(job.report.error);
+            stepped += bodies;
+            for ((&index, body), way) in job.group.bodies.iter().zip(job.bodies.drain(..)).zip(&job.ways) {
+                let member = &mut self.members[index as usize];
+                member.body = body;
+                member.pace = job.pace;
+                member.extent = member.body.shape.extent() + way.displacement;
+                member.speed = way.speed;
+            }
+        }
+        self.fly(scene, span, &jobs);
+        report.sleeping_bodies = self.members.len() as u64 - stepped;
+        report.events.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
+        if self.skip {
+            self.rest(scene, span, &jobs);
+        }
+        jobs.clear();
+        self.jobs = jobs;
+        let Coupled { awake, members, .. } = self;
+        awake.retain(|&body| members[body as usize].is_awake);
+    }
+
+    /// Reports the events of an island.
+    fn tell(&mut self, job: &Job, report: &mut StepReport) {
+        for change in &job.report.changes {
+            let (pair, is_own) = job.group.pairs[change.pair];
+            let free::Change { time, q, rate, from, to, energy, .. } = *change;
+            let free::Pair { a, b, .. } = *self.near.pair(pair);
+            if is_own {
+                report.events.push(Event { time, step: report.step, a, b, q, rate, from, to, energy });
+                self.near.enter(pair, to);
+            }
+        }
+    }
+
+    /// Moves the bodies that nothing acts on.
+    fn fly(&mut self, scene: &Scene, span: Span, jobs: &[Job]) {
+        let mut stepped = jobs.iter().flat_map(|job| &job.group.bodies).copied().collect::<Vec<_>>();
+        stepped.sort_unstable();
+        let h = span.length();
+        let mut others = self.awake.clone();
+        others.retain(|body| stepped.binary_search(body).is_err());
+        for body in others {
+            let (member, path) = (&mut self.members[body as usize], scene.bodies[body as usize].path());
+            if let Some(path) = path {
+                let motion = path.at(span.end);
+                (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
+                if path.is_still(span.end, f64::INFINITY) {
+                    self.settle(body);
+                }
+                continue;
+            }
+            let free::Body { centre, velocity, .. } = &mut member.body;
+            *centre += h * (*velocity + 0.5 * h * scene.gravity);
+            *velocity += h * scene.gravity;
+            member.pace = f64::INFINITY;
+            if scene.gravity == DVec3::ZERO && member.body.velocity == DVec3::ZERO {
+                self.settle(body);
+            }
+        }
+    }
+
+    /// Lets islands rest that are calm, and straightens bodies that nothing acts on any more.
+    fn rest(&mut self, scene: &Scene, span: Span, jobs: &[Job]) {
+        for job in jobs {
+            let Group { bodies, sources, pairs } = &job.group;
+            let is_still = |body: &u32| {
+                let path = scene.bodies[*body as usize].path();
+                path.is_none_or(|path| path.is_still(span.end, f64::INFINITY))
+            };
+            let is_calm = |body: &u32| {
+                let member = &self.members[*body as usize];
+                let is_pushed = member.pushes.iter().any(|push| push.start <= span.end && push.end > span.end);
+                !is_pushed && is_still(body) && member.is_calm(scene.tolerance)
+            };
+            if sources.iter().all(is_still) && bodies.iter().all(is_calm) {
+                let calm = bodies.iter().map(|&body| self.members[body as usize].calm).min().unwrap_or(0) + 1;
+                bodies.iter().for_each(|&body| self.members[body as usize].calm = calm);
+                if calm >= CALM_STEPS {
+                    for &body in bodies {
+                        self.members[body as usize].halt();
+                        self.settle(body);
+                    }
+                }
+            } else {
+                bodies.iter().for_each(|&body| self.members[body as usize].calm = 0);
+            }
+            if let (&[body], []) = (&bodies[..], &pairs[..]) {
+                let member = &mut self.members[body as usize];
+                let touches =
+                    |plane: &Plane| plane.depth(member.body.centre) + member.bounds.extent + member.bounds.way > 0.0;
+                let is_turning = member.body.turns() && member.body.spin != DVec3::ZERO;
+                if !is_turning && !scene.planes.iter().any(touches) && member.is_nearly_straight(scene.tolerance) {
+                    member.straighten();
+                }
+            }
+        }
+    }
+
+    /// Lets a body rest.
+    fn settle(&mut self, body: u32) {
+        let arch = self.arch;
+        let member = &mut self.members[body as usize];
+        member.is_awake = false;
+        member.resting_hash = member.hash(arch, body);
+        self.resting_hash = self.resting_hash.wrapping_add(member.resting_hash);
+    }
+}
+
+/// Failures.
+impl Coupled {
+    fn check(&self, scene: &Scene, span: Span, work: &Work, report: &StepReport) -> Result<(), Failure> {
+        work.check().map_err(|stop| match stop {
+            Stop::Interrupted => Failure::Interrupted { step: report.step },
+            Stop::Overworked => {
+                let busiest = self.awake.iter().max_by_key(|&&body| self.members[body as usize].neighbours.len());
+                let body = scene.bodies[busiest.copied().unwrap_or_default() as usize].name.clone();
+                let toil = Toil::Neighbours { body, pairs: self.near.count() };
+                Overworked { step: report.step, time: span.start, toil }.into()
+            }
+        })
+    }
+
+    fn overworked(&self, scene: &Scene, span: Span, report: &StepReport, body: u32) -> Failure {
+        let member = &self.members[body as usize];
+        let body = scene.bodies[body as usize].name.clone();
+        let toil = Toil::Forces { body, vertices: member.body.shape.rest().len(), spheres: member.neighbours.len() };
+        Overworked { step: report.step, time: span.start, toil }.into()
+    }
+
+    fn failure(&self, scene: &Scene, report: &StepReport, job: &Job, failure: &free::Failure) -> Failure {
+        let name = |body: usize| {
+            let all = job.group.bodies.iter().chain(&job.group.sources);
+            all.copied().nth(body).map_or_else(String::new, |body| scene.bodies[body as usize].name.clone())
+        };
+        let (time, toil) = match *failure {
+            free::Failure::Chatter { a, b, time } => (time, Toil::Chatter { a: name(a as usize), b: name(b as usize) }),
+            free::Failure::Unresolved { body, time, step } | free::Failure::Stopped { body, time, step } => {
+                (time, Toil::Unresolved { body: name(body), length: step })
+            }
+        };
+        Overworked { step: report.step, time, toil }.into()
+    }
+}
+
+/// Access to the state.
+impl Coupled {
+    /// A body.
+    pub fn member(&self, index: usize) -> &Member {
+        &self.members[index]
+    }
+
+    /// A hash of the exact state.
+    pub fn hash(&self) -> u64 {
+        let awake = self.awake.iter().map(|&body| self.members[body as usize].hash(self.arch, body));
+        awake.fold(self.resting_hash.wrapping_add(self.near.hash()), u64::wrapping_add)
+    }
+
+    /// All pairs that are near each other or not apart, in ascending order of their bodies.
+    pub fn pairs(&self) -> impl Iterator<Item = &free::Pair> + '_ {
+        (0..).zip(&self.members).flat_map(|(index, member)| {
+            let later = member.neighbours.iter().filter(move |neighbour| neighbour.other > index);
+            later.map(|neighbour| self.near.pair(neighbour.pair))
+        })
+    }
+
+    /// The pairs of a body, with the other body's index.
+    pub fn pairs_of(&self, index: usize) -> impl Iterator<Item = (u32, &free::Pair)> + '_ {
+        self.members[index].neighbours.iter().map(|neighbour| (neighbour.other, self.near.pair(neighbour.pair)))
+    }
+
+    /// How many bodies do not rest.
+    #[cfg(test)]
+    fn awake_count(&self) -> usize {
+        self.awake.len()
+    }
+
+    /// The phase of a pair.
+    pub fn phase(&self, a: usize, b: usize) -> Phase {
+        let found = self.pairs_of(a).find(|(other, _)| *other as usize == b);
+        found.map_or(Phase::Apart, |(_, pair)| pair.phase)
+    }
+
+    /// What acts on a body at `time` [s], except its own oscillators and planes: gravity, carry, spheres in reach, pushes.
+    pub fn surroundings_into(&self, scene: &Scene, index: usize, time: f64, surroundings: &mut Surroundings) {
+        let Surroundings { uniform, weighted, sources } = surroundings;
+        (uniform.clear(), weighted.clear(), sources.clear());
+        let member = &self.members[index];
+        let carry = driven(scene, index as u32, time, false).carry;
+        if carry != DVec3::ZERO {
+            uniform.push((Cause::Carry, -carry));
+        }
+        let acting = member.pushes.iter().filter(|push| push.start <= time && time < push.end);
+        weighted.extend(acting.map(|push| Weighted {
+            cause: Cause::Push,
+            direction: push.direction,
+            strength: push.strength,
+        }));
+        for (other, pair) in self.pairs_of(index) {
+            let (own, source) = (&member.body, &self.members[other as usize].body);
+            let centre = source.centre - own.centre;
+            let q = centre.length() / (own.radius + source.radius);
+            let scaling = scene.influence.scaling.factor(own.radius, source.radius);
+            let (strength, phase) = (scaling * pair.law.strength(pair.phase, q), pair.phase);
+            let sphere_radius = scene.influence.sphere_radius(source.radius);
+            if strength != 0.0 && centre.length() <= sphere_radius + member.extent {
+                sources.push(Source { body: other, centre, sphere_radius, strength, phase });
+            }
+        }
+    }
+
+    /// Memory allocated [bytes].
+    pub fn memory(&self) -> usize {
+        self.members.capacity() * size_of::<Member>()
+            + self.members.iter().map(Member::memory).sum::<usize>()
+            + self.near.memory()
+            + (self.awake.capacity() + self.job_of.capacity()) * size_of::<u32>()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,204 @@
+//! Which bodies of a coupled scene are near each other, and the phases of their pairs.
+//!
+//! As for prescribed bodies, a body's fat bounds hold everything that it can touch, or be touched at, until it has moved
+//! by more than was allowed for. But how far a free body gets is known only afterwards.
+
+use super::{
+    member::Member,
+    neighbours::{FatBounds, Neighbour},
+};
+use crate::{
+    model::phase::Phase,
+    scene::Scene,
+    sim::{
+        checksum,
+        free::Pair,
+        reach::{Ball, Grid},
+        work::{NEAR_ENOUGH, NEW_PAIR, Tally},
+    },
+};
+
+/// How far a body may move before its neighbours are looked for again [radii].
+const SKIN: f64 = 0.3;
+
+/// All pairs of bodies that are near each other.
+#[derive(Default)]
+pub(in crate::sim) struct Near {
+    pairs: Vec<Pair>,
+    /// Places in `pairs` that are free.
+    free: Vec<u32>,
+    grid: Grid,
+    /// The largest merge_at of any law [–].
+    merge_at: f64,
+    /// Sum of the hashes of pairs that are not apart.
+    hash: u64,
+    found: Vec<u32>,
+    kept: Vec<Neighbour>,
+    /// Whether all bodies are neighbours of all others.
+    pub all: bool,
+}
+
+impl Near {
+    pub fn new(scene: &Scene, all: bool) -> Near {
+        let merge_at = scene.laws().map(|law| law.thresholds.merge_at).fold(0.0, f64::max);
+        Near { merge_at, all, ..Near::default() }
+    }
+
+    /// The pairs of all bodies at the start; false if there are more than `most`.
+    pub fn start(&mut self, scene: &Scene, members: &mut [Member], most: u64, work: &Tally<'_>) -> bool {
+        if self.all {
+            let n = members.len() as u64;
+            if n * n.saturating_sub(1) / 2 > most {
+                return false;
+            }
+        }
+        for i in 0..members.len() {
+            self.place(scene, members, i);
+        }
+        for i in 0..members.len() {
+            self.find(scene, members, i, 0.0, work);
+            if self.count() as u64 > most {
+                return false;
+            }
+            if work.is_over() {
+                break;
+            }
+        }
+        true
+    }
+
+    /// Finds the neighbours of a body again if it may leave the bounds that they were found for.
+    pub fn follow(&mut self, scene: &Scene, members: &mut [Member], i: usize, t: f64, work: &Tally<'_>) {
+        if self.all {
+            return;
+        }
+        let Member { body, bounds, fat, .. } = &members[i];
+        if body.centre.distance(fat.centre) + bounds.way > fat.skin || bounds.extent > fat.extent {
+            self.place(scene, members, i);
+            self.find(scene, members, i, t, work);
+        }
+    }
+
+    fn place(&mut self, scene: &Scene, members: &mut [Member], i: usize) {
+        let Member { body, bounds, extent, fat, .. } = &mut members[i];
+        let skin = (SKIN * body.radius).max(4.0 * bounds.way);
+        let extent = bounds.extent.max(*extent) + SKIN * body.radius;
+        *fat = FatBounds { centre: body.centre, skin, extent };
+        let reach = scene.influence.sphere_radius(body.radius).max(extent).max(self.merge_at * body.radius) + skin;
+        let rounding = 16.0 * f64::EPSILON * (body.centre.abs().max_element() + reach);
+        self.grid.place(i as u32, Ball { centre: body.centre, radius: reach + rounding });
+    }
+
+    /// Makes the bodies whose bounds touch those of body `i` its neighbours. A pair that was known keeps its phase; one
+    /// that is not apart stays known however far it is.
+    fn find(&mut self, scene: &Scene, members: &mut [Member], i: usize, t: f64, work: &Tally<'_>) {
+        let (mut found, mut kept) = (std::mem::take(&mut self.found), std::mem::take(&mut self.kept));
+        found.clear();
+        if self.all {
+            found.extend((0..members.len() as u32).filter(|&j| j as usize != i));
+        } else {
+            self.grid.touching(i as u32, &mut found);
+        }
+        work.spend(NEAR_ENOUGH * found.len() as u64);
+        kept.clear();
+        kept.append(&mut members[i].neighbours);
+        let mut known = kept.drain(..).peekable();
+        for &other in &found {
+            while let Some(gone) = known.next_if(|neighbour| neighbour.other < other) {
+                self.leave(members, i, gone);
+            }
+            let neighbour = known.next_if(|neighbour| neighbour.other == other).unwrap_or_else(|| {
+                work.spend(NEW_PAIR);
+                let pair = self.add(scene, members, i, other as usize, t);
+                let others = &mut members[other as usize].neighbours;
+                let place = others.partition_point(|neighbour| neighbour.other < i as u32);
+                others.insert(place, Neighbour { other: i as u32, pair });
+                Neighbour { other, pair }
+            });
+            members[i].neighbours.push(neighbour);
+            if work.is_over() {
+                break;
+            }
+        }
+        for gone in known {
+            self.leave(members, i, gone);
+        }
+        (self.found, self.kept) = (found, kept);
+    }
+
+    fn leave(&mut self, members: &mut [Member], i: usize, neighbour: Neighbour) {
+        if self.pairs[neighbour.pair as usize].phase != Phase::Apart {
+            members[i].neighbours.push(neighbour);
+            return;
+        }
+        let others = &mut members[neighbour.other as usize].neighbours;
+        if let Ok(place) = others.binary_search_by_key(&(i as u32), |other| other.other) {
+            others.remove(place);
+        }
+        self.free.push(neighbour.pair);
+    }
+
+    fn add(&mut self, scene: &Scene, members: &[Member], i: usize, j: usize, t: f64) -> u32 {
+        let (a, b) = (i.min(j), i.max(j));
+        let law = scene.law(a, b);
+        let (first, second) = (&members[a].body, &members[b].body);
+        let q = first.centre.distance(second.centre) / (first.radius + second.radius);
+        let phase = if t == 0.0 { law.thresholds.initial(q) } else { Phase::Apart };
+        let pair = Pair { a: a as u32, b: b as u32, phase, law };
+        self.hash = self.hash.wrapping_add(checksum::of_pair(pair.a, pair.b, phase));
+        if let Some(place) = self.free.pop() {
+            self.pairs[place as usize] = pair;
+            return place;
+        }
+        self.pairs.push(pair);
+        self.pairs.len() as u32 - 1
+    }
+
+    /// A pair; its bodies are those of the scene.
+    pub fn pair(&self, index: u32) -> &Pair {
+        &self.pairs[index as usize]
+    }
+
+    /// A pair enters a phase.
+    pub fn enter(&mut self, index: u32, phase: Phase) {
+        let pair = &mut self.pairs[index as usize];
+        let (before, after) = (pair.phase, phase);
+        pair.phase = after;
+        let [before, after] = [before, after].map(|phase| checksum::of_pair(pair.a, pair.b, phase));
+        self.hash = self.hash.wrapping_sub(before).wrapping_add(after);
+    }
+
+    /// Whether, within the step, one of two bodies can have vertices inside the other's sphere, or their pair can change
+    /// its phase.
+    pub fn is_coupled(&self, scene: &Scene, index: u32, members: &[Member]) -> bool {
+        let pair = &self.pairs[index as usize];
+        let (a, b) = (&members[pair.a as usize], &members[pair.b as usize]);
+        if pair.phase != Phase::Apart || self.all {
+            return true;
+        }
+        let sphere = |member: &Member| scene.influence.sphere_radius(member.body.radius);
+        let touching = match pair.law.strength(Phase::Apart, f64::INFINITY) {
+            0.0 => 0.0,
+            _ => f64::max(sphere(a) + b.bounds.extent, sphere(b) + a.bounds.extent),
+        };
+        let near = touching.max(pair.law.thresholds.merge_at * (a.body.radius + b.body.radius));
+        let (from, to) = (a.body.centre, b.body.centre);
+        let rounding = 16.0 * f64::EPSILON * (from.abs().max_element() + to.abs().max_element());
+        !(from.distance(to) > near + a.bounds.way + b.bounds.way + rounding)
+    }
+
+    /// How many pairs there are.
+    pub fn count(&self) -> usize {
+        self.pairs.len() - self.free.len()
+    }
+
+    /// The sum of the hashes of all pairs that are not apart.
+    pub fn hash(&self) -> u64 {
+        self.hash
+    }
+
+    /// Memory allocated [bytes].
+    pub fn memory(&self) -> usize {
+        self.pairs.capacity() * size_of::<Pair>() + self.free.capacity() * size_of::<u32>() + self.grid.memory()
+    }
+}

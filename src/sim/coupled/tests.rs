@@ -1,0 +1,237 @@
+//! Coupled scenes: what is skipped changes nothing, nothing hangs, and rest is rest.
+
+use glam::DVec3;
+
+use crate::{
+    Scene, World,
+    model::phase::Phase,
+    scene::Integrator,
+    sim::{Failure, Options, report::Toil},
+};
+
+fn scene(text: &str) -> Scene {
+    Scene::parse(&format!("duration = 100.0\n{text}"), "test.toml").unwrap()
+}
+
+/// A small sphere.
+fn ball(name: &str, motion: &str) -> String {
+    format!(
+        "[[body]]\nname = \"{name}\"\nradius = 1.0\nshape = {{ sphere = {{ stacks = 6, slices = 8 }} }}\nmotion = {motion}\n"
+    )
+}
+
+fn free(name: &str, from: [f64; 3], velocity: [f64; 3]) -> String {
+    ball(name, &format!("{{ free = {{ from = {from:?}, velocity = {velocity:?} }} }}"))
+}
+
+const FLOOR: &str = "[[plane]]\nnormal = [0, 0, 1]\noffset = -1.0\nfriction = 0.5\nslip = 0.05\n";
+
+fn run(world: &mut World, steps: u32) {
+    for _ in 0..steps {
+        let report = world.step();
+        assert!(report.failure.is_none(), "{:?}", report.failure);
+    }
+}
+
+/// The largest distance between corresponding vertices.
+fn difference(a: &World, b: &World) -> f64 {
+    let all = a.bodies().zip(b.bodies());
+    all.flat_map(|(a, b)| a.positions().zip(b.positions())).map(|(a, b)| a.distance(b)).fold(0.0, f64::max)
+}
+
+#[test]
+fn a_body_that_nothing_reaches_flies_in_closed_form() {
+    let text = format!("gravity = [0, 0, -9.81]\n{}", free("a", [1.0, 0.0, 5.0], [2.0, 0.0, 3.0]));
+    let mut world = World::new(scene(&text)).unwrap();
+    for _ in 0..60 {
+        assert_eq!(world.step().substeps, 0);
+    }
+    let t = world.time();
+    let expected = DVec3::new(1.0 + 2.0 * t, 0.0, 5.0 + 3.0 * t - 0.5 * 9.81 * t * t);
+    assert!(world.body(0).centre().distance(expected) < 1e-13, "{}", world.body(0).centre());
+    assert!(world.body(0).is_at_rest());
+}
+
+/// Bodies that fall on a plane and on each other come to rest, cost nothing then, and wake when another falls on them.
+#[test]
+fn what_rests_costs_nothing_until_it_is_touched() {
+    let text = format!(
+        "gravity = [0, 0, -9.81]\ntolerance = 1e-3\n[material]\nomega = 20.0\ndamping = 8.0\n[influence]\ncore_at = 0.9\ncore_width = 0.3\n{FLOOR}{}{}{}",
+        ball("a", "{ free = { from = [0, 0, 0.02], rotation = \"fixed\" } }"),
+        ball("far", "{ free = { from = [50, 0, 0.02], rotation = \"fixed\" } }"),
+        free("late", [0.3, 0.1, 500.0], [0.0; 3]),
+    );
+    let mut world = World::new(scene(&text)).unwrap();
+    run(&mut world, 720);
+    assert_eq!(world.report().sleeping_bodies, 3, "{:?}", world.report());
+    assert_eq!(world.coupled.as_ref().unwrap().awake_count(), 1);
+    let before = world.body(1).position(3);
+    run(&mut world, 60);
+    let centre = world.body(0).centre();
+    let settled = world.body(0).position(0);
+    while world.body(2).centre().z > 6.0 {
+        run(&mut world, 1);
+    }
+    assert_eq!(world.body(0).position(0), settled);
+    run(&mut world, 30);
+    assert!(world.body(0).centre().distance(centre) > 0.1);
+    assert_eq!(world.body(1).position(3), before);
+}
+
+#[test]
+fn what_is_skipped_makes_no_difference() {
+    let text = format!(
+        "gravity = [0, 0, -3]\n[material]\ndamping = 3.0\n[influence]\ncore_at = 0.6\ncore_width = 0.3\n{FLOOR}{}{}{}{}{}{}[[push]]\nbody = \"e\"\ndirection = [1, 0, 1]\nstrength = 20.0\nstart = 0.71\nduration = 0.2\n",
+        free("a", [0.0, 0.0, 1.2], [0.5, 0.0, 0.0]),
+        free("b", [2.5, 0.2, 0.6], [-0.5, 0.0, 0.0]),
+        ball("c", "{ sine = { center = [0, 4, 0.2], amplitude = [0, 0.8, 0], frequency = 0.4 } }"),
+        ball("d", "{ fixed = [0, 7, 0.2] }"),
+        free("e", [-9.0, 0.0, 0.0], [0.0; 3]),
+        ball("f", "{ fixed = [20, 0, 3] }"),
+    );
+    let mut skipping = World::new(scene(&text)).unwrap();
+    let mut naive = World::with_options(scene(&text), Options { skip: false, ..Options::default() }).unwrap();
+    let mut events = [vec![], vec![]];
+    for _ in 0..90 {
+        for (world, events) in [&mut skipping, &mut naive].into_iter().zip(&mut events) {
+            run(world, 1);
+            events.extend(world.report().events.iter().map(|event| (event.a, event.b, event.to, event.time)));
+        }
+        assert_eq!(naive.report().sleeping_bodies, 0);
+        let error = difference(&skipping, &naive);
+        assert!(error < 2e-6 * skipping.time().max(0.1), "{}: {error:e}", skipping.time());
+    }
+    assert!(!events[0].is_empty());
+    assert_eq!(events[0].len(), events[1].len());
+    for (a, b) in events[0].iter().zip(&events[1]) {
+        assert_eq!((a.0, a.1, a.2), (b.0, b.1, b.2));
+        assert!((a.3 - b.3).abs() < 1e-7);
+    }
+}
+
+/// With a plane that nothing reaches, the coupled engine steps a scene of prescribed paths: two engines, one result.
+#[test]
+fn both_engines_agree_about_prescribed_paths() {
+    for name in ["two", "three", "size_ratio", "push"] {
+        let alone = Scene::builtin(name).unwrap();
+        let mut coupled = alone.clone();
+        let mut floor = scene(&format!("{FLOOR}{}", ball("a", "{ fixed = [0, 0, 0] }"))).planes[0];
+        floor.offset = -100.0;
+        coupled.planes.push(floor);
+        let (mut alone, mut coupled) = (World::new(alone).unwrap(), World::new(coupled).unwrap());
+        for _ in 0..120 {
+            run(&mut alone, 1);
+            run(&mut coupled, 1);
+            let error = difference(&alone, &coupled);
+            assert!(error < 1e-6, "{name}: {error:e}");
+            assert_eq!(alone.report().events.len(), coupled.report().events.len());
+            for (a, b) in alone.report().events.iter().zip(&coupled.report().events) {
+                assert_eq!((a.a, a.b, a.from, a.to), (b.a, b.b, b.from, b.to));
+                assert!((a.time - b.time).abs() < 1e-9);
+            }
+            let pairs = |world: &World| {
+                world
+                    .pairs()
+                    .filter(|pair| pair.phase != Phase::Apart)
+                    .map(|pair| (pair.a, pair.b, pair.phase))
+                    .collect::<Vec<_>>()
+            };
+            assert_eq!(pairs(&alone), pairs(&coupled), "{name}");
+        }
+    }
+}
+
+fn crowd() -> Scene {
+    let mut text = format!("gravity = [0, 0, -5]\ntolerance = 1e-4\n{FLOOR}");
+    for i in 0..36 {
+        let at = DVec3::new(f64::from(i % 6) * 2.3, f64::from(i / 6) * 2.9, f64::from(i * 7 % 5) * 0.4);
+        text += &free(&format!("b{i}"), at.to_array(), [0.1 * f64::from(i % 3), 0.0, 0.0]);
+    }
+    scene(&text)
+}
+
+#[test]
+fn the_number_of_threads_makes_no_difference() {
+    let checksums = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut world = World::new(crowd()).unwrap();
+            (0..20).map(|_| (run(&mut world, 1), world.checksum()).1).collect::<Vec<_>>()
+        })
+    };
+    assert_eq!(checksums(1), checksums(3));
+}
+
+/// Whatever a scene asks for, a step ends, with a state or a reason.
+#[test]
+fn no_input_is_endless() {
+    let fast = |spin: f64| ball("a", &format!("{{ free = {{ from = [0, 0, 0.4], spin = [0, {spin:e}, 0] }} }}"));
+    let light = "[[body]]\nname = \"light\"\nradius = 1.0\nmass = 1e-6\nshape = { sphere = { stacks = 6, slices = 8 } }\nmotion = { free = { from = [0.9, 0, 0] } }\n";
+    let deep = |k: f64| {
+        format!("[[plane]]\nnormal = [0, 0, 1]\noffset = 0.0\nstiffness = {k:e}\nfriction = 0.9\nslip = 1e-6\n")
+    };
+    let cases = [
+        ("stiff", format!("{}{}", deep(1e12), free("a", [0.0, 0.0, 1.01], [0.0, 0.0, -1.0]))),
+        ("deep and stiff", format!("{}{}", deep(1e12), free("a", [0.0; 3], [0.0; 3]))),
+        ("spin", fast(1e4)),
+        ("spin on a plane", format!("{}{}", deep(4000.0), fast(1e4))),
+        ("mass ratio", free("a", [0.0; 3], [0.0; 3]) + light),
+        ("deep overlap", free("a", [0.0; 3], [0.0; 3]) + &free("b", [1e-9, 0.0, 0.0], [0.0; 3])),
+        ("same place", free("a", [0.0; 3], [0.0; 3]) + &free("b", [0.0; 3], [0.0; 3])),
+        ("fast", free("a", [0.0; 3], [1e9, 0.0, 0.0]) + &free("b", [1e7, 0.0, 0.0], [0.0; 3])),
+    ];
+    for (name, text) in cases {
+        for integrator in [Integrator::Exponential, Integrator::Rk4, Integrator::Thesis] {
+            let start = std::time::Instant::now();
+            let mut world = World::new(Scene { integrator, ..scene(&text) }).unwrap();
+            let mut outcome = String::new();
+            for _ in 0..10 {
+                if let Some(failure) = &world.step().failure {
+                    outcome = failure.to_string();
+                    break;
+                }
+            }
+            let took = start.elapsed().as_secs_f64();
+            assert!(took < 60.0, "{name} {integrator}: {took} s, {outcome}");
+        }
+    }
+}
+
+#[test]
+fn a_pair_that_chatters_is_named() {
+    let text = format!(
+        "gravity = [0, 0, -9.81]\n[material]\nomega = 30.0\ndamping = 5.0\n[influence]\ncore_at = 0.7\n{FLOOR}{}{}",
+        free("left", [-0.71, 0.0, 0.0], [0.0; 3]),
+        free("right", [0.71, 0.0, 0.0], [0.0; 3]),
+    );
+    let mut world = World::new(scene(&text)).unwrap();
+    let failure = (0..600).find_map(|_| world.step().failure.clone());
+    let Some(Failure::Overworked(overworked)) = failure else { panic!("{failure:?}") };
+    assert!(matches!(&overworked.toil, Toil::Chatter { a, b } if a == "left" && b == "right"), "{overworked}");
+    assert!(overworked.to_string().contains("core_width"));
+}
+
+/// The explicit schemes converge to the same motion, each by its order; that of the thesis to another.
+#[test]
+fn explicit_schemes_converge() {
+    let text = free("a", [0.0; 3], [0.6, 0.0, 0.0])
+        + &ball("b", "{ free = { from = [1.6, 0.3, 0.1], velocity = [-0.6, 0.0, 0.0], spin = [0.0, 0.3, 1.0] } }");
+    let text = format!("[influence]\nmerge_at = 1.05\n{text}");
+    let end = |integrator: Integrator, divided: u32| {
+        let own = scene(&text);
+        let mut world = World::new(Scene { integrator, dt: own.dt / f64::from(divided), ..own }).unwrap();
+        run(&mut world, 30 * divided);
+        world
+    };
+    let exact = end(Integrator::Exponential, 1);
+    let errors = |integrator| [2, 4, 8].map(|divided| difference(&end(integrator, divided), &exact));
+    for (integrator, order) in
+        [(Integrator::Mps, 1.0), (Integrator::Euler, 1.0), (Integrator::Verlet, 2.0), (Integrator::Rk4, 4.0)]
+    {
+        let errors = errors(integrator);
+        let seen = (errors[0] / errors[2]).log2() / 2.0;
+        assert!(seen > 0.75 * f64::min(order, 2.0), "{integrator}: order {seen} of {errors:?}");
+    }
+    let errors = errors(Integrator::Thesis);
+    assert!(errors[2] > 1e-3, "{errors:?}");
+}
