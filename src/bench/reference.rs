@@ -20,6 +20,7 @@ use super::{
 };
 use crate::{
     model::{
+        PairLaw,
         influence::{Scaling, Weight},
         phase::Phase,
     },
@@ -201,7 +202,8 @@ fn fastest_rate(scene: &Scene) -> f64 {
         body.material.omega.max(body.material.damping).max(path)
     };
     // allows for a few sources acting on one vertex
-    let influence = (3.0 * f64::max(scene.influence.alpha.abs(), scene.influence.beta.abs())).sqrt();
+    let strongest = scene.laws().map(|law| f64::max(law.alpha, law.beta)).fold(0.0, f64::max);
+    let influence = (3.0 * strongest).sqrt();
     scene.bodies.iter().map(body).fold(influence, f64::max)
 }
 
@@ -242,7 +244,8 @@ fn history(scene: &Scene, a: usize, b: usize, end: f64) -> Result<History, NoRef
     let (one, other) = (&scene.bodies[a], &scene.bodies[b]);
     let radii = one.radius + other.radius;
     let q = |t| (path(one).position(t) - path(other).position(t)).length() / radii;
-    let crate::model::phase::Thresholds { merge_at, split_at, core_at } = scene.thresholds;
+    let thresholds = scene.law(a, b).thresholds;
+    let crate::model::phase::Thresholds { merge_at, split_at, core_at } = thresholds;
 
     let mut phase = Phase::Apart;
     if q(0.0) <= merge_at {
@@ -273,7 +276,7 @@ fn history(scene: &Scene, a: usize, b: usize, end: f64) -> Result<History, NoRef
         }
         let places = [one, other].map(|body| path(body).position(0.0).length() + path(body).position(later).length());
         let doubt = ROUNDING * (1.0 + places.iter().sum::<f64>() / radii);
-        if let Some(fall) = watch.look(&ways(phase, &scene.thresholds), q(t), q(later), doubt) {
+        if let Some(fall) = watch.look(&ways(phase, &thresholds), q(t), q(later), doubt) {
             let mut earlier = t;
             loop {
                 let middle = 0.5 * (earlier + later);
@@ -466,7 +469,8 @@ impl<'a> Problem<'a> {
                 if other == index || distance - speed * (end - start) > near {
                     return None;
                 }
-                let strength = strength(scene, phase(other), body.radius / source.radius);
+                let law = scene.law(index, other);
+                let strength = strength(scene, &law, phase(other), body.radius / source.radius);
                 (strength != 0.0).then_some(Source { body: other, path: path(source), radius, strength })
             };
             chunks.push(Chunk {
@@ -529,8 +533,7 @@ impl<'a> Problem<'a> {
 }
 
 /// Strength of a source on a body `size` times as large as its own: α attracts, β repels [1/s²].
-fn strength(scene: &Scene, phase: Phase, size: f64) -> f64 {
-    let law = &scene.influence;
+fn strength(scene: &Scene, law: &PairLaw, phase: Phase, size: f64) -> f64 {
     let full = match phase {
         Phase::Merged => law.alpha,
         Phase::Core => -law.beta,
@@ -542,7 +545,7 @@ fn strength(scene: &Scene, phase: Phase, size: f64) -> f64 {
             }
         }
     };
-    if law.scaling == Scaling::Relative && size < 1.0 { full * size } else { full }
+    if scene.influence.scaling == Scaling::Relative && size < 1.0 { full * size } else { full }
 }
 
 // --- one vertex ------------------------------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ use super::{
 use crate::{
     Scene,
     model::phase::Phase,
-    scene::{Integrator, Path},
+    scene::{Body, Integrator, Path},
     sim::{Event, TooLarge, World},
 };
 use bound::Allowance;
@@ -274,12 +274,11 @@ impl Judge<'_> {
 /// The combined strength of everything that can act on a body [1/s²]: a bound of |∂F/∂x|.
 fn stiffness(scene: &Scene, index: usize) -> f64 {
     let radius = scene.bodies[index].radius;
-    let strongest = |source: f64| {
-        let phases = [Phase::Merged, Phase::Apart, Phase::Core];
-        phases.map(|phase| scene.influence.strength(phase, radius, source).abs()).into_iter().fold(0.0, f64::max)
+    let strongest = |(other, source): (usize, &Body)| {
+        let (phases, law) = ([Phase::Merged, Phase::Apart, Phase::Core], scene.law(index, other));
+        phases.map(|phase| scene.strength(&law, phase, radius, source.radius).abs()).into_iter().fold(0.0, f64::max)
     };
-    let others = scene.bodies.iter().enumerate().filter(|&(other, _)| other != index);
-    others.map(|(_, body)| strongest(body.radius)).sum()
+    scene.bodies.iter().enumerate().filter(|&(other, _)| other != index).map(strongest).sum()
 }
 
 /// The effect on a body's velocities of the timing error of an event, which comes from the rounding of the distance
@@ -290,7 +289,8 @@ fn doubt_of(event: &Event, scene: &Scene, index: usize, other: usize) -> f64 {
     let apart = a.position - b.position;
     let speed = (apart.dot(a.velocity - b.velocity) / apart.length()).abs();
     let far = a.position.length() + b.position.length() + path(body).position(0.0).length();
-    let strength = |phase| scene.influence.strength(phase, body.radius, source.radius);
+    let law = scene.law(index, other);
+    let strength = |phase| scene.strength(&law, phase, body.radius, source.radius);
     let jump = (strength(event.from) - strength(event.to)).abs()
         * scene.influence.sphere_radius(source.radius)
         * scene.influence.weight.max_pull();

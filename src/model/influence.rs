@@ -2,8 +2,6 @@
 
 use glam::DVec3;
 
-use super::phase::Phase;
-
 /// The weight W of a vertex at distance z·r_e from the centre of an influence sphere, by its shape inside the sphere.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Weight {
@@ -51,19 +49,12 @@ pub struct Influence {
 }
 
 impl Influence {
-    /// The signed strength s of a source on a body [1/s²]: positive attracts (3.4), negative repels (3.5).
-    ///
-    /// `radius` is the radius of the body acted on and `source_radius` that of the source [scene unit].
-    pub fn strength(&self, phase: Phase, radius: f64, source_radius: f64) -> f64 {
-        let s = match phase {
-            Phase::Merged => self.alpha,
-            Phase::Core => -self.beta,
-            Phase::Apart if self.apart_repels => -self.beta,
-            Phase::Apart => 0.0,
-        };
+    /// The factor on the strength of a source by the sizes of the two [–]: of the body acted on and of the source
+    /// [scene unit].
+    pub fn scale(&self, radius: f64, source_radius: f64) -> f64 {
         match self.scaling {
-            Scaling::Absolute => s,
-            Scaling::Relative => s * f64::min(1.0, radius / source_radius),
+            Scaling::Absolute => 1.0,
+            Scaling::Relative => f64::min(1.0, radius / source_radius),
         }
     }
 
@@ -103,7 +94,7 @@ impl Weight {
 /// (3.4) and (3.5): the acceleration of a vertex by one influence sphere [scene unit/s²].
 ///
 /// `to_centre` is c_j − r_i, from the vertex to the centre of the sphere; `sphere_radius` its r_e; `strength` is
-/// signed, see [`Influence::strength`]. Zero outside the sphere and at its very centre.
+/// signed: see [`PairLaw::strength`](super::PairLaw::strength). Zero outside the sphere and at its very centre.
 #[inline]
 pub fn acceleration(weight: Weight, strength: f64, sphere_radius: f64, to_centre: DVec3) -> DVec3 {
     let z = to_centre.length() / sphere_radius;

@@ -1,6 +1,6 @@
 //! The schema of a simulation: everything about it that does not change during a run.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{collections::BTreeMap, fmt, sync::Arc};
 
 use super::{colors::Rgb, event::PairEvent};
 use crate::geometry::{Mesh, Rest};
@@ -36,6 +36,8 @@ pub struct Schema {
     pub phases: Vec<PhaseSchema>,
     /// Levels of q at which a pair changes phase.
     pub thresholds: Vec<Threshold>,
+    /// The levels of pairs that have their own.
+    pub own_levels: OwnLevels,
     /// Scalars plotted over time.
     pub scalars: Vec<ScalarSchema>,
     /// Stages of a step whose duration is measured, in order.
@@ -90,10 +92,31 @@ pub struct Threshold {
     pub name: &'static str,
     /// Display name.
     pub label: &'static str,
-    /// Level of q [–].
+    /// Level of q [–]; see [`Schema::level`].
     pub level: f64,
+    /// The lowest and the highest level of any pair [–].
+    pub range: [f64; 2],
     /// Colour of its line.
     pub color: Rgb,
+}
+
+/// Levels of q of pairs that have their own, by threshold and pair; by default none has.
+#[derive(Clone, Default)]
+pub struct OwnLevels(Option<Arc<LevelOf>>);
+
+type LevelOf = dyn Fn(usize, usize, usize) -> Option<f64> + Send + Sync;
+
+impl OwnLevels {
+    /// The level of a threshold, given its index and the indices of two bodies: `None` if the pair does not have it.
+    pub fn new(of: impl Fn(usize, usize, usize) -> Option<f64> + Send + Sync + 'static) -> OwnLevels {
+        OwnLevels(Some(Arc::new(of)))
+    }
+}
+
+impl fmt::Debug for OwnLevels {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(if self.0.is_some() { "OwnLevels(…)" } else { "OwnLevels" })
+    }
 }
 
 /// A scalar plotted over time.
@@ -140,6 +163,7 @@ impl Default for Schema {
             arrow_scale: 0.01,
             phases: Vec::new(),
             thresholds: Vec::new(),
+            own_levels: OwnLevels::default(),
             scalars: Vec::new(),
             stages: Vec::new(),
         }
@@ -161,7 +185,7 @@ impl From<(&'static str, Rgb)> for PhaseSchema {
 
 impl From<(&'static str, f64, Rgb)> for Threshold {
     fn from((name, level, color): (&'static str, f64, Rgb)) -> Threshold {
-        Threshold { name, label: name, level, color }
+        Threshold { name, label: name, level, range: [level; 2], color }
     }
 }
 
@@ -188,6 +212,11 @@ impl Schema {
     /// Name of a pair: `A~B`, in the order of the bodies.
     pub fn pair_name(&self, a: usize, b: usize) -> String {
         format!("{}~{}", self.bodies[a].name, self.bodies[b].name)
+    }
+
+    /// The level of threshold `index` for a pair [–]; `None` if the pair does not have this threshold.
+    pub fn level(&self, index: usize, a: usize, b: usize) -> Option<f64> {
+        self.own_levels.0.as_ref().map_or(Some(self.thresholds[index].level), |own| own(index, a, b))
     }
 
     /// Describes an event in words: its kind, its pair, its exact time, its q, and the first step affected.

@@ -62,7 +62,11 @@ use glam::DVec3;
 
 use crate::{
     geometry::Shape,
-    model::{PairLaw, influence::Influence, phase::Thresholds},
+    model::{
+        PairLaw,
+        influence::Influence,
+        phase::{Phase, Thresholds},
+    },
 };
 
 pub use crate::model::shape_matching::{Plane, Rotation};
@@ -277,6 +281,26 @@ impl Scene {
     /// Every law that a pair can have, the common one first.
     pub fn laws(&self) -> impl Iterator<Item = PairLaw> + '_ {
         std::iter::once(self.common_law()).chain(self.pairs.laws().iter().copied())
+    }
+
+    /// Where the law of a pair is among [`Scene::laws`].
+    pub fn law_index(&self, a: usize, b: usize) -> u32 {
+        self.pairs.index(a, b).map_or(0, |index| index as u32 + 1)
+    }
+
+    /// The law at a place among [`Scene::laws`].
+    #[inline]
+    pub fn law_at(&self, index: u32) -> PairLaw {
+        index.checked_sub(1).map_or_else(|| self.common_law(), |own| self.pairs.laws()[own as usize])
+    }
+
+    /// The signed strength s of a source on a body in a phase of their pair [1/s²]: positive attracts (3.4), negative
+    /// repels (3.5).
+    ///
+    /// `radius` is the radius of the body acted on and `source_radius` that of the source [scene unit]. The core has no
+    /// gradual rim: it has in no scene that is not coupled.
+    pub fn strength(&self, law: &PairLaw, phase: Phase, radius: f64, source_radius: f64) -> f64 {
+        law.strength(phase, law.thresholds.merge_at) * self.influence.scale(radius, source_radius)
     }
 
     /// Whether bodies act on each other's motion or need more than spheres: there is a free body, a plane, or a core

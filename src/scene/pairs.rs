@@ -1,6 +1,6 @@
 //! The laws of pairs that have their own: `[[pair]]`.
 
-use std::collections::{HashMap, hash_map::Entry};
+use std::collections::HashMap;
 
 use rustc_hash::FxBuildHasher;
 
@@ -26,9 +26,9 @@ pub struct PairLaws {
     group_of: Vec<Option<u32>>,
 }
 
-/// Two `[[pair]]`s that give a pair different laws, by their index.
+/// Two `[[pair]]`s that are of the same pair, by their index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Contradiction {
+pub struct Overlap {
     /// The one that comes first.
     pub earlier: usize,
     /// The other.
@@ -40,54 +40,56 @@ impl PairLaws {
     /// body.
     ///
     /// # Errors
-    /// Two rules give some pair different laws.
-    pub fn new(group_of: Vec<Option<u32>>, rules: &[([Members; 2], PairLaw)]) -> Result<PairLaws, Contradiction> {
+    /// Two rules are of the same pair.
+    pub fn new(group_of: Vec<Option<u32>>, rules: &[([Members; 2], PairLaw)]) -> Result<PairLaws, Overlap> {
+        let overlap = |one: usize, other: usize| Overlap { earlier: one.min(other), later: one.max(other) };
         let mut laws = PairLaws { laws: rules.iter().map(|rule| rule.1).collect(), group_of, ..PairLaws::default() };
-        for (index, &(sides, law)) in rules.iter().enumerate() {
-            match laws.by_members.entry(sorted(sides)) {
-                Entry::Vacant(place) => _ = place.insert(index as u32),
-                Entry::Occupied(found) => differ(rules, *found.get() as usize, index, law)?,
+        for (index, &(sides, _)) in rules.iter().enumerate() {
+            if let Some(found) = laws.by_members.insert(sorted(sides), index as u32) {
+                return Err(overlap(found as usize, index));
             }
         }
-        laws.check(rules)?;
+        // Rules of a body and a group, by the groups of both: each of those that name a body of one group shares a pair
+        // with each of those that name a body of the other.
+        let mut mixed: HashMap<[u32; 2], [Option<usize>; 2], FxBuildHasher> = HashMap::default();
+        for (index, &(sides, _)) in rules.iter().enumerate() {
+            let [a, b] = sorted(sides);
+            let [wide_a, wide_b] = [laws.wider(a), laws.wider(b)];
+            for wider in [(wide_a, Some(b)), (Some(a), wide_b), (wide_a, wide_b)] {
+                if let (Some(a), Some(b)) = wider
+                    && let Some(&other) = laws.by_members.get(&sorted([a, b]))
+                {
+                    return Err(overlap(other as usize, index));
+                }
+            }
+            if let ([Members::Body(_), Members::Group(group)], Some(Members::Group(own))) = ([a, b], wide_a) {
+                let side = usize::from(own > group);
+                let seen = mixed.entry([own.min(group), own.max(group)]).or_default();
+                if let Some(other) = seen[if own == group { side } else { 1 - side }] {
+                    return Err(overlap(other, index));
+                }
+                seen[side].get_or_insert(index);
+            }
+        }
         Ok(laws)
     }
 
-    /// Looks for pairs that two rules with different sides are of.
-    fn check(&self, rules: &[([Members; 2], PairLaw)]) -> Result<(), Contradiction> {
-        // Rules of a body and a group, by the groups of both: each of those that name a body of one shares a pair with
-        // each of those that name a body of the other. For either side, one rule, and one with another law.
-        let mut mixed: HashMap<[u32; 2], [[Option<usize>; 2]; 2], FxBuildHasher> = HashMap::default();
-        for (index, &(sides, law)) in rules.iter().enumerate() {
-            let wider = |side| match side {
-                Members::Body(body) => self.group_of[body as usize].map(Members::Group),
-                Members::Group(_) => None,
-            };
-            let [a, b] = sides;
-            let all = [[wider(a), Some(b)], [Some(a), wider(b)], [wider(a), wider(b)]];
-            for sides in all.into_iter().filter_map(|[a, b]| Some(sorted([a?, b?]))) {
-                if let Some(&other) = self.by_members.get(&sides) {
-                    differ(rules, other as usize, index, law)?;
-                }
-            }
-            let [Members::Body(body), Members::Group(group)] = sorted(sides) else { continue };
-            let Some(own) = self.group_of[body as usize] else { continue };
-            let [this, others] = match own.cmp(&group) {
-                std::cmp::Ordering::Less => [0, 1],
-                std::cmp::Ordering::Equal => [0, 0],
-                std::cmp::Ordering::Greater => [1, 0],
-            };
-            let seen = mixed.entry([own.min(group), own.max(group)]).or_default();
-            for other in seen[others].into_iter().flatten() {
-                differ(rules, other, index, law)?;
-            }
-            match seen[this] {
-                [None, _] => seen[this][0] = Some(index),
-                [Some(first), None] if rules[first].1 != law => seen[this][1] = Some(index),
-                _ => {}
-            }
+    /// The group of a body.
+    fn wider(&self, side: Members) -> Option<Members> {
+        match side {
+            Members::Body(body) => self.group_of[body as usize].map(Members::Group),
+            Members::Group(_) => None,
         }
-        Ok(())
+    }
+
+    /// Each of the laws, with the sides that it is for.
+    pub fn rules(&self) -> impl Iterator<Item = ([Members; 2], PairLaw)> + '_ {
+        self.by_members.iter().map(|(&sides, &index)| (sides, self.laws[index as usize]))
+    }
+
+    /// The group of a body, if it is in one that has a law.
+    pub fn group_of(&self, body: usize) -> Option<u32> {
+        self.group_of.get(body).copied().flatten()
     }
 
     /// Whether all pairs have the scene's law.
@@ -117,8 +119,7 @@ impl PairLaws {
 
     /// What a body can be named by.
     fn sides(&self, body: usize) -> [Option<Members>; 2] {
-        let group = self.group_of.get(body).copied().flatten();
-        [Some(Members::Body(body as u32)), group.map(Members::Group)]
+        [Some(Members::Body(body as u32)), self.group_of(body).map(Members::Group)]
     }
 
     /// What was allocated for them [bytes].
@@ -129,12 +130,60 @@ impl PairLaws {
     }
 }
 
-fn differ(rules: &[([Members; 2], PairLaw)], one: usize, other: usize, law: PairLaw) -> Result<(), Contradiction> {
-    let (earlier, later) = (one.min(other), one.max(other));
-    if rules[one].1 == law { Ok(()) } else { Err(Contradiction { earlier, later }) }
-}
-
 /// Bodies before groups.
 fn sorted([a, b]: [Members; 2]) -> [Members; 2] {
     if a <= b { [a, b] } else { [b, a] }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn law(alpha: f64) -> PairLaw {
+        PairLaw { alpha, ..PairLaw::DEFAULT }
+    }
+
+    /// Six bodies: two in group 0, two in group 1, two in none.
+    const GROUPS: [Option<u32>; 6] = [Some(0), Some(0), Some(1), Some(1), None, None];
+
+    fn members(side: Members) -> Vec<usize> {
+        match side {
+            Members::Body(body) => vec![body as usize],
+            Members::Group(group) => (0..6).filter(|&body| GROUPS[body] == Some(group)).collect(),
+        }
+    }
+
+    fn pairs(sides: [Members; 2]) -> std::collections::BTreeSet<(usize, usize)> {
+        let [a, b] = sides.map(members);
+        let all = a.iter().flat_map(|&a| b.iter().map(move |&b| (a.min(b), a.max(b))));
+        all.filter(|(a, b)| a != b).collect()
+    }
+
+    fn side() -> impl Strategy<Value = Members> {
+        prop_oneof![(0..6u32).prop_map(Members::Body), (0..2u32).prop_map(Members::Group)]
+    }
+
+    proptest! {
+        /// Compared with writing out every pair.
+        #[test]
+        fn every_pair_has_at_most_one_law(rules in prop::collection::vec([side(), side()], 0..4)) {
+            let rules: Vec<_> = rules.into_iter().filter(|sides| !pairs(*sides).is_empty()).collect();
+            let numbered: Vec<_> = (1..).map(f64::from).map(law).zip(&rules).map(|(law, &sides)| (sides, law)).collect();
+            let is_twice = |&(i, j): &(usize, usize)| !pairs(rules[i]).is_disjoint(&pairs(rules[j]));
+            let twice: Vec<_> = (0..rules.len()).flat_map(|j| (0..j).map(move |i| (i, j))).filter(is_twice).collect();
+            match PairLaws::new(GROUPS.to_vec(), &numbered) {
+                Err(Overlap { earlier, later }) => prop_assert!(twice.contains(&(earlier, later)), "{earlier} {later}"),
+                Ok(laws) => {
+                    prop_assert!(twice.is_empty(), "{twice:?}");
+                    for a in 0..6 {
+                        for b in (0..6).filter(|&b| b != a) {
+                            let expected = rules.iter().position(|&sides| pairs(sides).contains(&(a.min(b), a.max(b))));
+                            prop_assert_eq!(laws.index(a, b), expected);
+                        }
+                    }
+                }
+            }
+        }
+    }
 }

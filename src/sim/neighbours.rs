@@ -7,6 +7,8 @@ pub(super) struct Neighbour {
     pub other: u32,
     /// Index of the pair.
     pub pair: u32,
+    /// Where the law of the pair is among those of the scene.
+    pub law: u32,
     /// A bound of the acceleration of any vertex of this body by the other's sphere, in any phase [scene unit/s²].
     pub pull: f64,
 }

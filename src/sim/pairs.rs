@@ -47,6 +47,8 @@ pub(super) struct Pair {
     pub a: u32,
     /// … and of the other, a < b.
     pub b: u32,
+    /// Where its law is among those of the scene.
+    law: u32,
     /// At the start of the step, and at its end once it is done.
     pub phase: Phase,
     /// The next change of phase, if there is one before `known_until`.
@@ -78,6 +80,8 @@ pub(super) struct Pairs {
     changed: Vec<u32>,
     /// Sum of their hashes, once it was asked for.
     hash: OnceLock<u64>,
+    /// The largest q at which a pair can merge [–].
+    most_merge_at: f64,
     /// Whether these are all pairs, each looked at in every step.
     plain: bool,
     /// Reused.
@@ -90,6 +94,7 @@ impl Pairs {
     /// interrupted, those found until then.
     pub fn start(&mut self, scene: &Scene, bodies: &mut [Body], tracks: &Tracks, most: u64, work: &Work) -> bool {
         let mut of = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
+        self.most_merge_at = scene.laws().map(|law| law.thresholds.merge_at).fold(0.0, f64::max);
         for i in 0..of.bodies.len() {
             let radius = scene.bodies[i].radius;
             self.place(&mut of, i, radius, 0.0);
@@ -135,6 +140,7 @@ impl Pairs {
         }
         let mut of = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
         self.plain = true;
+        self.most_merge_at = scene.laws().map(|law| law.thresholds.merge_at).fold(0.0, f64::max);
         for body in of.bodies.iter_mut() {
             body.fat_bounds = FatBounds { vertices: f64::INFINITY, skin: 0.0, until: f64::INFINITY };
         }
@@ -180,7 +186,7 @@ impl Pairs {
         let scene = of.scene;
         let (this, track) = (&scene.bodies[i], of.tracks.track(i));
         let (skin, until) = stay(track, SKIN * this.radius, t, scene.dt);
-        let merging = scene.thresholds.merge_at * this.radius;
+        let merging = self.most_merge_at * this.radius;
         let reach = scene.influence.sphere_radius(this.radius).max(vertices).max(merging) + skin;
         let centre = track.position(t);
         // a pair that stands exactly on a threshold is not lost to rounding of the centres
@@ -244,8 +250,9 @@ impl Pairs {
 
     fn add(&mut self, tracks: PairTracks<'_>, [i, j]: [u32; 2], scene: &Scene, t: f64) -> u32 {
         let (a, b) = (i.min(j), i.max(j));
-        let phase = if t == 0.0 { scene.thresholds.initial(tracks.q(0.0)) } else { Phase::Apart };
-        let pair = Pair { a, b, phase, upcoming: None, known_until: t, changes: 0..0 };
+        let law = scene.law_index(a as usize, b as usize);
+        let phase = if t == 0.0 { scene.law_at(law).thresholds.initial(tracks.q(0.0)) } else { Phase::Apart };
+        let pair = Pair { a, b, law, phase, upcoming: None, known_until: t, changes: 0..0 };
         if let Some(place) = self.free.pop() {
             self.pairs[place as usize] = pair;
             return place;
@@ -296,7 +303,7 @@ impl Pairs {
                 };
                 let mut from = pair.phase;
                 let (a, b, before) = (pair.a, pair.b, tally.done());
-                pair.advance(&both, &scene.thresholds, span, horizon, &tally, |time, to| {
+                pair.advance(&both, &scene.law_at(pair.law).thresholds, span, horizon, &tally, |time, to| {
                     self.changes.push((time, to));
                     let (q, rate) = (both.q(time), both.rate(time));
                     events.push(Event { time, step, a, b, q, rate, from, to, energy: 0.0 });
@@ -423,7 +430,8 @@ fn are_near(scene: &Scene, bodies: &[Body], grid: &Grid, i: u32, j: u32) -> bool
     let [a, b] = [i, j].map(|k| (&bodies[k as usize].fat_bounds, scene.bodies[k as usize].radius));
     let sphere = |radius| scene.influence.sphere_radius(radius);
     let touching = f64::max(sphere(a.1) + b.0.vertices, sphere(b.1) + a.0.vertices);
-    let near = touching.max(scene.thresholds.merge_at * (a.1 + b.1)) + a.0.skin + b.0.skin;
+    let merge_at = scene.law(i as usize, j as usize).thresholds.merge_at;
+    let near = touching.max(merge_at * (a.1 + b.1)) + a.0.skin + b.0.skin;
     !(grid.ball(i).centre.distance(grid.ball(j).centre) > near)
 }
 
@@ -442,4 +450,43 @@ fn stay(track: Track<'_>, skin: f64, t: f64, dt: f64) -> (f64, f64) {
         steps /= 2.0;
     }
     (skin, t + steps * dt)
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{Scene, World};
+
+    /// A pair with its own law does what it would do if that were the law of the scene, to the bit.
+    #[test]
+    fn a_pair_can_have_its_own_law() {
+        let law = "merge_at = 0.9\nsplit_at = 1.0\ncore_at = 0.7\nalpha = 70.0\nbeta = 90.0\napart = \"none\"\n";
+        let pair = |at: f64, names: [&str; 2]| {
+            let body = |name: &str, motion: &str| {
+                format!("[[body]]\nname = \"{name}\"\nradius = 1.0\ngroup = \"{name}s\"\nmotion = {{ {motion} }}\n")
+            };
+            body(names[0], &format!("fixed = [{at}, 0, 0]"))
+                + &body(names[1], &format!("line = {{ from = [{at}, 2.4, 0], velocity = [0, -1, 0] }}"))
+        };
+        let run = |text: &str| {
+            let mut world = World::new(Scene::parse(text, "laws.toml").unwrap()).unwrap();
+            let mut events = vec![];
+            for _ in 0..world.scene().steps() {
+                events.extend(world.step().events.iter().map(|event| (event.time, event.q, event.from, event.to)));
+            }
+            let at: Vec<_> = world.bodies().map(|body| body.positions().collect::<Vec<_>>()).collect();
+            (events, at)
+        };
+        let head = "duration = 4.0\n";
+        let both = head.to_owned() + &pair(0.0, ["a", "b"]) + &pair(100.0, ["c", "d"]);
+        let (alone, alone_at) = run(&(head.to_owned() + "[influence]\n" + law + &pair(100.0, ["c", "d"])));
+        let (plain, plain_at) = run(&(head.to_owned() + &pair(0.0, ["a", "b"])));
+        assert_ne!(alone, plain);
+        for named in ["[\"c\", \"d\"]", "[\"ds\", \"cs\"]", "[\"cs\", \"d\"]"] {
+            let (events, at) = run(&format!("{both}[[pair]]\nbodies = {named}\n{law}"));
+            let mut expected = [plain.clone(), alone.clone()].concat();
+            expected.sort_by(|x, y| x.0.total_cmp(&y.0));
+            assert_eq!(events, expected, "{named}");
+            assert_eq!(at, [plain_at.clone(), alone_at.clone()].concat(), "{named}");
+        }
+    }
 }

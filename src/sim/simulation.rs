@@ -15,12 +15,15 @@ use super::{
     world::States,
 };
 use crate::{
-    model::phase::{Phase, Thresholds},
+    model::{
+        PairLaw,
+        phase::{Phase, Thresholds},
+    },
     observe::{
         BodyFrame, Experiment, Frame, Instant, PairEvent, Refusal, Schema, Simulation, StageFrame, StepFailure,
         StepSummary, Want,
         colors::{self, Rgb},
-        schema::{self, BodySchema, PhaseSchema, ScalarOf, ScalarSchema, TermSchema, Threshold},
+        schema::{self, BodySchema, OwnLevels, PhaseSchema, ScalarOf, ScalarSchema, TermSchema, Threshold},
     },
     scene::{Body, Integrator, Motion, Scene},
 };
@@ -292,13 +295,27 @@ fn schema(scene: &Scene, options: Options) -> Schema {
         mesh: body.shape.mesh(),
     });
     let bodies = bodies.collect();
-    let Thresholds { merge_at, split_at, core_at } = scene.thresholds;
     let thresholds = [
-        ("merge_at", "merge at", merge_at, Phase::Merged),
-        ("split_at", "split at", split_at, Phase::Apart),
-        ("core_at", "core at", core_at, Phase::Core),
+        ("merge_at", "merge at", Phase::Merged),
+        ("split_at", "split at", Phase::Apart),
+        ("core_at", "core at", Phase::Core),
     ];
-    let thresholds = thresholds.into_iter().filter(|&(.., phase)| phase != Phase::Core || core_at > 0.0);
+    let thresholds = thresholds.into_iter().filter_map(|(name, label, phase)| {
+        let levels = scene.laws().filter_map(|law| level(&law, phase));
+        let ends = levels.fold([f64::INFINITY, 0.0], |[low, high], level| [low.min(level), high.max(level)]);
+        let level = level(&scene.common_law(), phase).unwrap_or(ends[0]);
+        let color = phase_color(phase);
+        (ends[0] <= ends[1]).then_some(Threshold { name, label, level, range: ends, color })
+    });
+    let own_levels = if scene.pairs.is_empty() {
+        OwnLevels::default()
+    } else {
+        let (pairs, common) = (scene.pairs.clone(), scene.common_law());
+        OwnLevels::new(move |threshold, a, b| {
+            let law = pairs.of(a, b).unwrap_or(common);
+            level(&law, *[Phase::Merged, Phase::Apart, Phase::Core].get(threshold)?)
+        })
+    };
     Schema {
         name: scene.name.clone(),
         source: scene.source.clone(),
@@ -319,9 +336,8 @@ fn schema(scene: &Scene, options: Options) -> Schema {
         labels: LABELS.into(),
         arrow_scale: arrow_scale(scene),
         phases: PHASES.map(|phase| PhaseSchema { name: phase.name(), color: phase_color(phase) }).into(),
-        thresholds: thresholds
-            .map(|(name, label, level, phase)| Threshold { name, label, level, color: phase_color(phase) })
-            .collect(),
+        thresholds: thresholds.collect(),
+        own_levels,
         scalars: SCALARS
             .iter()
             .map(|&Scalar { name, label, plot, ref value, is_smooth }| {
@@ -337,13 +353,24 @@ fn schema(scene: &Scene, options: Options) -> Schema {
     }
 }
 
+/// The q at which a pair enters a phase [–], if there is one.
+fn level(law: &PairLaw, phase: Phase) -> Option<f64> {
+    let Thresholds { merge_at, split_at, core_at } = law.thresholds;
+    match phase {
+        Phase::Merged => Some(merge_at),
+        Phase::Apart => Some(split_at),
+        Phase::Core => (core_at > 0.0).then_some(core_at),
+    }
+}
+
 fn term(scene: &Scene, cause: Cause) -> TermSchema {
     let has_pairs = scene.bodies.len() > 1;
+    let has_core = scene.laws().any(|law| law.thresholds.core_at > 0.0);
     #[allow(unreachable_patterns)] // a term without its own line gets the defaults
     let (label, color, can_act, is_shown) = match cause {
         Cause::Attraction => ("Attraction", colors::ORANGE, has_pairs, true),
         Cause::Repulsion => ("Repulsion of bodies apart", colors::SKY_BLUE, has_pairs, true),
-        Cause::Core => ("Repulsion in the core", colors::PURPLE, has_pairs && scene.thresholds.core_at > 0.0, true),
+        Cause::Core => ("Repulsion in the core", colors::PURPLE, has_pairs && has_core, true),
         Cause::Restoring => ("Restoring", colors::GREEN, true, false),
         Cause::Damping => ("Damping", colors::YELLOW, true, false),
         Cause::Push => ("Push", colors::VERMILION, !scene.pushes.is_empty(), !scene.pushes.is_empty()),
@@ -358,13 +385,18 @@ fn term(scene: &Scene, cause: Cause) -> TermSchema {
 fn law(scene: &Scene) -> String {
     let (influence, thresholds) = (&scene.influence, &scene.thresholds);
     format!(
-        "α = {}/s², β = {}/s², spheres {:.3} R. Merge at q = {}, split at {}{}; q: centre distance over the sum of the radii.",
+        "α = {}/s², β = {}/s², spheres {:.3} R. Merge at q = {}, split at {}{}; q: centre distance over the sum of the radii.{}",
         influence.alpha,
         influence.beta,
         influence.reach,
         thresholds.merge_at,
         thresholds.split_at,
         if thresholds.core_at > 0.0 { format!(", core below {}", thresholds.core_at) } else { String::new() },
+        match scene.pairs.laws().len() {
+            0 => String::new(),
+            1 => " One `[[pair]]` has another law.".to_owned(),
+            n => format!(" {n} `[[pair]]`s have other laws."),
+        },
     )
 }
 
@@ -372,7 +404,7 @@ fn law(scene: &Scene) -> String {
 /// body gets an arrow of about 0.4 of its radius.
 pub fn arrow_scale(scene: &Scene) -> f64 {
     let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
-    let strength = scene.influence.alpha.max(scene.influence.beta);
+    let strength = scene.laws().map(|law| law.alpha.max(law.beta)).fold(0.0, f64::max);
     let pull = strength * scene.influence.sphere_radius(radius) * scene.influence.weight.max_pull();
     schema::arrow_scale(radius, scene.pushes.iter().map(|push| push.strength.abs()).fold(pull, f64::max))
 }

@@ -509,7 +509,7 @@ fn camera_on(spheres: &[(DVec3, f64)]) -> EyeControls3D {
 
 /// The interesting range of q: the thresholds with a margin.
 fn q_range(schema: &Schema) -> [f64; 2] {
-    let levels = || schema.thresholds.iter().map(|threshold| threshold.level);
+    let levels = || schema.thresholds.iter().flat_map(|threshold| threshold.range);
     [levels().reduce(f64::min).unwrap_or(0.5) - 0.25, levels().reduce(f64::max).unwrap_or(1.5) + 0.25]
 }
 

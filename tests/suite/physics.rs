@@ -2,6 +2,7 @@
 //! their potentials, against sums written out by hand, and against closed forms.
 
 use glam::{DVec3, dvec3};
+use meldscope::model::PairLaw;
 use meldscope::model::{
     energy,
     influence::{self, Influence, Scaling, Weight},
@@ -97,7 +98,7 @@ proptest! {
         };
         for (phase, s) in [(Phase::Merged, 100.0), (Phase::Apart, 60.0), (Phase::Core, 60.0)] {
             let sphere = influence.sphere_radius(source);
-            let strength = influence.strength(phase, radius, source);
+            let strength = PairLaw::DEFAULT.strength(phase, 0.0) * influence.scale(radius, source);
             let force = influence::acceleration(Weight::Linear, strength, sphere, z * sphere * towards).length();
             prop_assert!(force <= s * reach / 4.0 * f64::min(radius, source) * (1.0 + 1e-15));
         }

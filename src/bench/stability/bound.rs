@@ -34,13 +34,15 @@ impl Allowance {
     pub fn new(scene: &Scene, index: usize) -> Allowance {
         let body = &scene.bodies[index];
         let others = || (0..scene.bodies.len()).filter(move |&other| other != index);
+        let law = |other: usize| scene.law(index, other);
         let phases = |other: usize| {
-            let other = &scene.bodies[other];
-            let q = (path(other).position(0.0) - path(body).position(0.0)).length() / (other.radius + body.radius);
-            let moves = path(body).relative_bounds(path(other), 0.0, f64::MAX).speed != 0.0;
-            if moves { vec![Phase::Merged, Phase::Apart, Phase::Core] } else { vec![scene.thresholds.initial(q)] }
+            let source = &scene.bodies[other];
+            let q = (path(source).position(0.0) - path(body).position(0.0)).length() / (source.radius + body.radius);
+            let moves = path(body).relative_bounds(path(source), 0.0, f64::MAX).speed != 0.0;
+            if moves { vec![Phase::Merged, Phase::Apart, Phase::Core] } else { vec![law(other).thresholds.initial(q)] }
         };
-        let strength = |phase, other: usize| scene.influence.strength(phase, body.radius, scene.bodies[other].radius);
+        let strength =
+            |phase, other: usize| scene.strength(&law(other), phase, body.radius, scene.bodies[other].radius);
         let pull: f64 = others()
             .map(|other| {
                 let strongest = phases(other).into_iter().map(|phase| strength(phase, other).abs()).fold(0.0, f64::max);

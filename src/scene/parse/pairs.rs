@@ -9,6 +9,9 @@ use crate::{
     },
 };
 
+/// More are groups that were not given a name.
+const MOST: usize = 10_000;
+
 const BODIES: &str = "an array of two names of bodies or groups";
 
 /// The laws that these tables give to pairs; what they leave out is as in `common`.
@@ -21,18 +24,22 @@ pub(super) fn read(
     if tables.is_empty() {
         return Ok(PairLaws::default());
     }
+    if let Some(table) = tables.get(MOST) {
+        let message = format!("expected at most {MOST} [[pair]]s, found {}", tables.len());
+        return Err(table.error("bodies", message).with_help("give bodies a group, and the law to the group"));
+    }
     let mut rules = Vec::with_capacity(tables.len());
     for table in tables {
         rules.push((read_sides(table, bodies, names)?, read_law(table, common)?));
     }
     let group_of = bodies.iter().map(|body| names.groups.get(body.group.as_ref()?).copied()).collect();
-    PairLaws::new(group_of, &rules).map_err(|contradiction| {
-        let [earlier, later] = [contradiction.earlier, contradiction.later].map(|index| &tables[index]);
+    PairLaws::new(group_of, &rules).map_err(|overlap| {
+        let [earlier, later] = [overlap.earlier, overlap.later].map(|index| &tables[index]);
         let line = earlier.line();
-        let message = format!(
-            "expected pairs without a law of their own, found some that the [[pair]] at line {line} gives another"
-        );
-        later.error("bodies", message)
+        let message = format!("expected pairs that have no law yet, found some of the [[pair]] at line {line}");
+        later
+            .error("bodies", message)
+            .with_help("each pair of bodies can have one [[pair]]: join the two, or divide the groups")
     })
 }
 

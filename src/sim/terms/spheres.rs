@@ -1,16 +1,14 @@
 //! Influence spheres of other bodies: attraction (3.4), repulsion (3.5), and repulsion in the core.
 
+use std::collections::BTreeMap;
+
 use glam::DVec3;
 
 use super::{Acting, Cause, Moment, On, Phases, Surroundings, Term};
 use crate::{
     geometry::Rest,
-    model::{
-        energy,
-        influence::{Influence, Weight},
-        phase::Phase,
-    },
-    scene::{Body, Scene, path::Kinematics},
+    model::{PairLaw, energy, influence::Weight, phase::Phase},
+    scene::{Body, Members, Scene, path::Kinematics},
     sim::{arrays::Vectors, neighbours::Neighbour, span::Span},
 };
 
@@ -108,21 +106,22 @@ impl<P> On<'_, P> {
     /// The strength of a neighbour's sphere on the body in a phase of their pair [1/s²].
     pub fn strength(&self, neighbour: &Neighbour, phase: Phase) -> f64 {
         let [this, other] = [self.index, neighbour.other].map(|body| self.tracks.motion_bounds(body).radius);
-        self.scene.influence.strength(phase, this, other)
+        self.scene.strength(&self.scene.law_at(neighbour.law), phase, this, other)
     }
 }
 
 /// The neighbour entry for body `other`, in pair `pair`, as seen from `this`.
 pub(in crate::sim) fn neighbour(scene: &Scene, this: u32, other: u32, pair: u32) -> Neighbour {
-    Neighbour { other, pair, pull: strongest_pull(scene, this, other) }
+    let law = scene.law_index(this as usize, other as usize);
+    Neighbour { other, pair, law, pull: strongest_pull(scene, &scene.law_at(law), this, other) }
 }
 
 /// A bound on the acceleration of any vertex of body `this` by the sphere of body `source`, in any phase
 /// [scene unit/s²].
-fn strongest_pull(scene: &Scene, this: u32, source: u32) -> f64 {
+fn strongest_pull(scene: &Scene, law: &PairLaw, this: u32, source: u32) -> f64 {
     let influence = &scene.influence;
     let [this, source] = [this, source].map(|index| scene.bodies[index as usize].radius);
-    let strength = |phase| influence.strength(phase, this, source).abs();
+    let strength = |phase| scene.strength(law, phase, this, source).abs();
     let strongest = [Phase::Merged, Phase::Apart, Phase::Core].map(strength).into_iter().fold(0.0, f64::max);
     strongest * influence.sphere_radius(source) * influence.weight.max_pull()
 }
@@ -181,26 +180,110 @@ fn find_distances(rest: Rest<'_>, displacement: &Vectors, centre: DVec3, first: 
 
 /// Σ s Φ over the vertices of body `index` if all of them were outside the sphere of body `source` [scene unit²/s²].
 pub fn energy_outside(scene: &Scene, index: usize, source: usize, phase: Phase) -> f64 {
+    let law = scene.law(index, source);
     let (body, source) = (&scene.bodies[index], scene.bodies[source].radius);
-    outside_per_vertex(&scene.influence, body.radius, source, phase) * body.shape.vertex_count() as f64
+    outside_per_vertex(scene, &law, body.radius, source, phase) * body.shape.vertex_count() as f64
 }
 
-fn outside_per_vertex(influence: &Influence, radius: f64, source: f64, phase: Phase) -> f64 {
-    let sphere = influence.sphere_radius(source);
-    influence.strength(phase, radius, source) * energy::influence_potential(influence.weight, sphere, sphere)
+fn outside_per_vertex(scene: &Scene, law: &PairLaw, radius: f64, source: f64, phase: Phase) -> f64 {
+    let sphere = scene.influence.sphere_radius(source);
+    scene.strength(law, phase, radius, source) * energy::influence_potential(scene.influence.weight, sphere, sphere)
 }
 
 /// Σ [`energy_outside`] over all ordered pairs of bodies as if all were apart: a constant of the scene, computed in
 /// O(bodies · distinct radii).
 pub fn energy_of_distant_pairs(scene: &Scene) -> f64 {
+    let common = scene.common_law();
     let mut radii: Vec<f64> = scene.bodies.iter().map(|body| body.radius).collect();
     radii.sort_by(f64::total_cmp);
     let sources = radii.chunk_by(|a, b| a == b);
-    let per_vertex = |radius, source| outside_per_vertex(&scene.influence, radius, source, Phase::Apart);
+    let per_vertex = |radius, source| outside_per_vertex(scene, &common, radius, source, Phase::Apart);
     let all_of = |radius| sources.clone().map(|same| same.len() as f64 * per_vertex(radius, same[0])).sum::<f64>();
     let energy = |body: &Body| {
         let others = all_of(body.radius) - per_vertex(body.radius, body.radius);
         others * body.shape.vertex_count() as f64
     };
-    scene.bodies.iter().map(energy).sum()
+    let sum: f64 = scene.bodies.iter().map(energy).sum();
+    if scene.pairs.is_empty() { sum } else { sum + more_of_own_laws(scene, &common) }
+}
+
+/// Some bodies of one radius.
+#[derive(Clone, Copy, Default)]
+struct Alike {
+    radius: f64,
+    bodies: f64,
+    /// Of all of them.
+    vertices: f64,
+}
+
+/// What pairs with laws of their own have more than by the common law, in O(laws · distinct radii²) of their groups.
+fn more_of_own_laws(scene: &Scene, common: &PairLaw) -> f64 {
+    let mut groups: BTreeMap<u32, BTreeMap<u64, Alike>> = BTreeMap::new();
+    for (index, body) in scene.bodies.iter().enumerate() {
+        let Some(group) = scene.pairs.group_of(index) else { continue };
+        let alike = groups.entry(group).or_default().entry(body.radius.to_bits()).or_default();
+        alike.radius = body.radius;
+        alike.bodies += 1.0;
+        alike.vertices += body.shape.vertex_count() as f64;
+    }
+    let one = |body: u32| {
+        let Body { radius, shape, .. } = &scene.bodies[body as usize];
+        Alike { radius: *radius, bodies: 1.0, vertices: shape.vertex_count() as f64 }
+    };
+    let members = |side| match side {
+        Members::Body(body) => vec![one(body)],
+        Members::Group(group) => groups.get(&group).map_or(vec![], |group| group.values().copied().collect()),
+    };
+    let mut rules: Vec<_> = scene.pairs.rules().collect();
+    rules.sort_by_key(|&(sides, _)| sides); // a sum has an order
+    let more = |(sides, law): ([Members; 2], PairLaw)| {
+        let of = |radius, source| {
+            outside_per_vertex(scene, &law, radius, source, Phase::Apart)
+                - outside_per_vertex(scene, common, radius, source, Phase::Apart)
+        };
+        let on = |these: &[Alike], others: &[Alike]| -> f64 {
+            let each = |this: &Alike| -> f64 {
+                this.vertices * others.iter().map(|other| other.bodies * of(this.radius, other.radius)).sum::<f64>()
+            };
+            these.iter().map(each).sum()
+        };
+        let itself = |these: &[Alike]| -> f64 { these.iter().map(|a| a.vertices * of(a.radius, a.radius)).sum() };
+        let [a, b] = sides.map(members);
+        match sides {
+            [Members::Group(x), Members::Group(y)] if x == y => on(&a, &a) - itself(&a),
+            [Members::Body(x), Members::Group(y)] if scene.pairs.group_of(x as usize) == Some(y) => {
+                on(&a, &b) + on(&b, &a) - 2.0 * itself(&a)
+            }
+            _ => on(&a, &b) + on(&b, &a),
+        }
+    };
+    rules.into_iter().map(more).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Compared with the sum over all pairs, for laws of bodies, of groups, within a group and across.
+    #[test]
+    fn pairs_with_laws_of_their_own_count() {
+        let mut text = "duration = 1.0\n[influence]\nbeta = 40.0\n".to_owned();
+        for (k, group) in ["", "g", "g", "h", "h", "h", "", ""].into_iter().enumerate() {
+            let group = if group.is_empty() { String::new() } else { format!("group = \"{group}\"\n") };
+            let radius = 1.0 + 0.25 * f64::from(k as u32 % 3);
+            text +=
+                &format!("[[body]]\nname = \"b{k}\"\nradius = {radius}\n{group}motion = {{ fixed = [{k}, 0, 0] }}\n");
+        }
+        for (k, (a, b)) in [("g", "g"), ("g", "h"), ("b0", "h"), ("b6", "b7"), ("b3", "h")].into_iter().enumerate() {
+            let apart = if k == 1 { "none" } else { "repel" };
+            let beta = 50 + k;
+            text += &format!("[[pair]]\nbodies = [\"{a}\", \"{b}\"]\nbeta = {beta}\napart = \"{apart}\"\n");
+        }
+        let scene = Scene::parse(&text, "laws.toml").unwrap();
+        let n = scene.bodies.len();
+        let all = (0..n).flat_map(|i| (0..n).filter(move |&j| j != i).map(move |j| (i, j)));
+        let expected: f64 = all.map(|(i, j)| energy_outside(&scene, i, j, Phase::Apart)).sum();
+        let found = energy_of_distant_pairs(&scene);
+        assert!((found / expected - 1.0).abs() < 1e-13, "{found} {expected}");
+    }
 }

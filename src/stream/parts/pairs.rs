@@ -129,10 +129,11 @@ impl PairPlot {
         let name = schema.pair_name(a, b);
         let entity = |part: &str| format!("/pairs/{name}/{part}");
         Series::style(chunks, &entity("distance"), &format!("q {name}"), rgb, 2.0, Interpolation::Linear);
-        let thresholds = schema.thresholds.iter().map(|threshold| {
-            let (entity, name) = (entity(threshold.name), format!("{} {}", threshold.label, threshold.level));
+        let thresholds = schema.thresholds.iter().enumerate().filter_map(|(index, threshold)| {
+            let level = schema.level(index, a, b)?;
+            let (entity, name) = (entity(threshold.name), format!("{} {level}", threshold.label));
             Series::style(chunks, &entity, &name, threshold.color, 1.0, Interpolation::Step);
-            (series.line(chunks, &entity, Interpolation::Step), threshold.level)
+            Some((series.line(chunks, &entity, Interpolation::Step), level))
         });
         let thresholds = thresholds.collect();
         let names = || schema.phases.iter().map(|phase| phase.name);
