@@ -57,7 +57,7 @@ impl ActiveSet {
     pub fn wake(&mut self, scene: &Scene, bodies: &mut [Body], index: usize, step: u64) {
         let slot = bodies[index].active.map_or(self.states.len(), |slot| slot as usize);
         if slot == self.states.len() {
-            self.states.push(Active::new(scene, index, bodies[index].pushes.len(), step));
+            self.states.push(Active::new(scene, index, bodies[index].pushes.shared().len(), step));
             bodies[index].active = Some(slot as u32);
         }
         if slot >= self.awake {

@@ -6,18 +6,21 @@ use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{
-    arrays::{Block, LANES},
-    body::{Active, Body, Seen, StateBounds},
+    arrays::{Block, LANES, Vectors},
+    body::{Active, Body, BodyState, Seen, StateBounds},
     deformation::{self, ActiveSet, REST},
     integrator::{
         explicit::{self, Interval, Scheme},
-        exponential::{self, StepControl, StepStatistics, course::Course},
+        exponential::{
+            self, StepControl, StepStatistics,
+            course::{Course, Local},
+        },
     },
     neighbours::Neighbour,
     pairs::Pairs,
     span::Span,
     state::Common,
-    terms::{Acting, Moment, On, Phases, Surroundings},
+    terms::{Acting, Moment, On, Phases, Steady, Surroundings},
     tracks::Tracks,
     work::{Tally, Work},
 };
@@ -40,6 +43,7 @@ struct Scratch {
     margins: Vec<Margin>,
     contributing: Vec<Neighbour>,
     acting: Acting,
+    local: Vectors,
     gaps: Vec<f64>,
     centres: Vec<(DVec3, f64)>,
     moved: Vec<DVec3>,
@@ -70,6 +74,17 @@ pub(super) struct Margin {
     gap: f64,
     /// [scene unit/s²]
     pull: f64,
+}
+
+/// How far from the centre a body can have vertices [scene unit].
+#[derive(Clone, Copy, Debug)]
+struct Farthest {
+    /// In the step.
+    distance: f64,
+    /// A bound of the acceleration of any by spheres in the step [scene unit/s²].
+    pull: f64,
+    /// In the step, or later if nothing else acts.
+    later: f64,
 }
 
 impl Phases for &Pairs {
@@ -148,14 +163,13 @@ impl<'a> Context<'a> {
         let mut reachable = std::mem::take(&mut active.bounds.reachable);
         SCRATCH.with_borrow_mut(|scratch| {
             let margins = &mut scratch.margins;
-            (active.bounds.farthest, active.bounds.pull) = self.farthest(active, span, margins);
+            let Farthest { distance, pull, later } = self.farthest(active, span, margins);
+            (active.bounds.farthest, active.bounds.pull, active.bounds.max_reach) = (distance, pull, later);
             let neighbours = self.body(active.body).neighbours.iter().zip(&*margins);
             reachable.clear();
             reachable.extend(
                 neighbours.filter(|(_, margin)| margin.gap <= active.bounds.farthest).map(|(source, _)| source),
             );
-            active.bounds.max_reach =
-                active.bounds.farthest.max(self.tracks.motion_bounds(active.body).radius + active.amplitude());
             active.bounds.may_sleep = !margins.iter().any(|margin| margin.gap <= active.bounds.max_reach);
         });
         reachable.retain(|source| self.acts(source, active.body));
@@ -168,9 +182,8 @@ impl<'a> Context<'a> {
         active.bounds.max_reach > self.body(active.body).fat_bounds.vertices
     }
 
-    /// How far from the centre a body can have vertices in the step [scene unit], and a bound of the acceleration of any by
-    /// spheres [scene unit/s²].
-    fn farthest(&self, active: &Active, span: Span, margins: &mut Vec<Margin>) -> (f64, f64) {
+    /// How far from the centre a body can have vertices.
+    fn farthest(&self, active: &Active, span: Span, margins: &mut Vec<Margin>) -> Farthest {
         let index = active.body;
         let own = *self.tracks.motion_bounds(index);
         let own_force = self.own_force(index, span);
@@ -179,16 +192,33 @@ impl<'a> Context<'a> {
             let other = self.tracks.motion_bounds(neighbour.other);
             Margin { gap: own.nearest(other, span.length()) - other.sphere, pull: neighbour.pull }
         }));
+        if let Some(farthest) = self.farthest_of_steady(active, span)
+            && !margins.iter().any(|margin| margin.gap <= farthest)
+        {
+            return Farthest { distance: farthest, pull: 0.0, later: farthest }; // it does not stop by itself
+        }
         let mut pull = 0.0;
         loop {
             let farthest = own.radius + active.farthest(own_force, pull, span.length());
             let next = margins.iter().filter(|margin| margin.gap <= farthest).map(|margin| margin.pull).sum();
             // written so that NaN ends it
             if !(next > pull) {
-                return (farthest, pull);
+                return Farthest { distance: farthest, pull, later: farthest.max(own.radius + active.amplitude()) };
             }
             pull = next;
         }
+    }
+
+    /// How far from its centre a body that follows a sine can have vertices in the step [scene unit], if no sphere acts on
+    /// it and the sine is too fast for bounds of its motion to say anything.
+    fn farthest_of_steady(&self, active: &Active, span: Span) -> Option<f64> {
+        if !self.skip || !active.can_sleep() || Scheme::of(self.scene.integrator).is_some() {
+            return None;
+        }
+        let index = active.body as usize;
+        let steady = Steady::of(self.scene, index, self.tracks.track(index), self.scene.dt)?;
+        let pushes = self.body(active.body).pushes.bound(span);
+        Some(self.body(active.body).radius + active.farthest_of_steady(&steady, pushes, span.start, span.length()))
     }
 
     /// One step, with the phases as they are at its start.
@@ -241,12 +271,15 @@ impl<'a> Context<'a> {
         let scene = self.scene;
         let index = active.body as usize;
         let now = active.now(self.step, scene.dt, self.arch);
+        // Something acts on each vertex: all are stepped.
+        let all = self.body(active.body).pushes.many_act(span);
         if !self.skip {
             active.state.deformation.wake_all(self.body(active.body).rest());
-        } else if active.bounds.reachable.is_empty() {
+        } else if active.bounds.reachable.is_empty() && !all {
             if active.can_sleep() {
                 active.state.deformation.release(self.body(active.body).rest().len(), now, &mut scratch.deformation);
                 active.chosen.seen.clear();
+                active.chosen.all = false;
             }
             let is_idle = self.own_force(active.body, span) == 0.0;
             if is_idle && active.can_sleep() {
@@ -259,30 +292,37 @@ impl<'a> Context<'a> {
         active.state.common_as_of = self.step + 1;
 
         scratch.contributing.clear();
-        if self.skip && !(active.bounds.reachable.is_empty() && active.can_sleep()) {
-            self.choose_active_set(active, span, scratch);
+        if self.skip && (all || !(active.bounds.reachable.is_empty() && active.can_sleep())) {
+            self.choose_active_set(active, span, all, scratch);
             if active.is_at_rest() && self.own_force(active.body, span) == 0.0 {
                 return StepStatistics::default();
             }
         } else {
             scratch.contributing.extend(&active.bounds.reachable);
         }
-        let Scratch { breaks, contributing, acting, exponential, .. } = scratch;
+        let Scratch { breaks, contributing, acting, local, exponential, .. } = scratch;
         self.find_breaks(active.body, contributing, span, breaks, work);
         let tolerance = scene.tolerance * scene.bodies[index].radius;
         let control = StepControl { arch: self.arch, tolerance, work };
         let vertices = active.state.deformation.active_set.vertices.len();
-        let base = exponential::work_of(vertices, contributing.len(), self.body(active.body).pushes.len());
+        let base = exponential::work_of(vertices, contributing.len(), self.body(active.body).pushes.shared().len());
         let mut total = StepStatistics { base, ..StepStatistics::default() };
         for ends in breaks.windows(2) {
             let part = Span { start: ends[0], end: ends[1] };
-            work.spend((contributing.len() + self.body(active.body).pushes.len()) as u64);
+            let body = self.body(active.body);
+            work.spend((contributing.len() + body.pushes.shared().len()) as u64);
             self.on(active.body).over(contributing, part, acting);
             let is_whole = breaks.len() == 2;
+            let field = body.pushes.many_act(part).then(|| {
+                let BodyState { push_field, deformation, .. } = &mut active.state;
+                let summed = push_field.advance(&body.pushes, body.mesh.directions(), part.start + 0.5 * part.length());
+                work.spend((summed * body.mesh.directions().len()) as u64);
+                push_field.of(&deformation.active_set.vertices, LANES, local)
+            });
             let course = Course {
                 scene,
                 index,
-                mesh: &self.body(active.body).mesh,
+                mesh: &body.mesh,
                 start: part.start,
                 // All whole steps have the same length to the bit, so that weights are computed once.
                 length: if is_whole { scene.dt } else { part.length() },
@@ -290,13 +330,13 @@ impl<'a> Context<'a> {
                 is_whole,
                 spheres: &acting.spheres,
                 weighted: &acting.weighted,
+                local: field.map(|largest| Local { accelerations: local, largest }),
             };
             let active_set = &mut active.state.deformation.active_set;
             let statistics = exponential::advance(&course, control, &mut active.state.common, active_set, exponential);
             if !self.skip {
                 // the naive baseline: every vertex has a state of its own, and nothing in common with others
-                let body = self.body(active.body);
-                active.state.deformation.absorb(&mut active.state.common, body.rest(), &body.pushes);
+                active.state.deformation.absorb(&mut active.state.common, body.rest(), body.pushes.shared());
             }
             total.substeps += statistics.substeps;
             total.error += statistics.error;
@@ -335,8 +375,8 @@ impl<'a> Context<'a> {
     }
 
     /// Sees to it that the active set has every vertex that a sphere can reach within the step, and finds the spheres that can
-    /// reach any of it.
-    fn choose_active_set(&self, active: &mut Active, span: Span, scratch: &mut Scratch) {
+    /// reach any of it. It has every vertex if `all`.
+    fn choose_active_set(&self, active: &mut Active, span: Span, all: bool, scratch: &mut Scratch) {
         let Scratch { gaps, centres, moved, deformation, contributing, .. } = scratch;
         let reachable = &active.bounds.reachable;
         let this = self.tracks.motion_bounds(active.body);
@@ -363,7 +403,8 @@ impl<'a> Context<'a> {
         let contributes = |clear: f64, moved: f64| !(clear - moved > swings);
         let mut seen = active.chosen.seen.iter();
         contributing.clear();
-        let is_good = !active.chosen.seen.is_empty()
+        let is_good = active.chosen.all == all
+            && (all || !active.chosen.seen.is_empty())
             && reachable.iter().zip(&*centres).all(|(source, &(centre, _))| {
                 // both are in the order of the bodies
                 let found = seen.find(|seen| seen.body >= source.other);
@@ -389,12 +430,15 @@ impl<'a> Context<'a> {
         gaps.resize(rest.len(), f64::INFINITY);
         moved.clear();
         if pushed.iter().any(|pushed| pushed.x != 0.0) {
-            let pushes = &self.body(active.body).pushes;
+            let pushes = self.body(active.body).pushes.shared();
             moved.extend(rest.mesh.directions().iter().map(|facing| active.state.common.moved(facing, pushes)));
         }
         self.arch.dispatch(FindGaps { rest, moved, centres, gaps });
         let now = active.now(self.step, self.scene.dt, self.arch);
-        active.state.deformation.choose_active_set(rest, gaps, active.chosen.skin, now, deformation);
+        // no gap is too large where all are chosen
+        let skin = if all { f64::INFINITY } else { active.chosen.skin };
+        active.chosen.all = all;
+        active.state.deformation.choose_active_set(rest, gaps, skin, now, deformation);
 
         active.chosen.seen.clear();
         contributing.clear();

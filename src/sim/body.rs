@@ -10,7 +10,9 @@ use super::{
     deformation::{Deformation, Now, REST, larger},
     integrator::exponential::{StepStatistics, together::Largest},
     neighbours::{FatBounds, Neighbour},
+    push_list::{PushField, PushList},
     state::{Common, Pushed, State},
+    terms::Steady,
 };
 use crate::{
     geometry::{Mesh, Rest},
@@ -25,7 +27,7 @@ pub(super) struct Body {
     /// Its radius [scene unit].
     pub radius: f64,
     /// The scene's pushes on this body.
-    pub pushes: Box<[scene::Push]>,
+    pub pushes: PushList,
     /// Its index among the active bodies; `None` if it is at rest.
     pub active: Option<u32>,
     /// Nearby bodies, ascending.
@@ -35,12 +37,12 @@ pub(super) struct Body {
 }
 
 impl Body {
-    /// Body `index` of the scene, at rest.
-    pub fn new(scene: &Scene, index: usize) -> Body {
+    /// Body `index` of the scene, at rest, with the scene's pushes on it.
+    pub fn new(scene: &Scene, index: usize, pushes: Vec<scene::Push>) -> Body {
         Body {
             mesh: scene.bodies[index].shape.mesh(),
             radius: scene.bodies[index].radius,
-            pushes: scene.pushes.iter().filter(|push| push.body == index).copied().collect(),
+            pushes: PushList::new(pushes),
             active: None,
             neighbours: Vec::new(),
             fat_bounds: FatBounds::NONE,
@@ -56,7 +58,7 @@ impl Body {
 
     /// Memory allocated for the body [bytes].
     pub fn memory(&self) -> usize {
-        self.neighbours.capacity() * size_of::<Neighbour>() + size_of_val(&*self.pushes)
+        self.neighbours.capacity() * size_of::<Neighbour>() + self.pushes.memory()
     }
 }
 
@@ -85,6 +87,8 @@ pub(super) struct BodyState {
     pub common_as_of: u64,
     /// The motion of single vertices beyond that.
     pub deformation: Deformation,
+    /// What many pushes do to its vertices.
+    pub push_field: PushField,
     /// Bounds over both.
     pub state_bounds: StateBounds,
     /// An upper bound of √(|u|² + ω²|x|²) of every vertex, whatever has happened so far: it grows by no more than the
@@ -101,6 +105,8 @@ pub(super) struct Chosen {
     pub pushed: Vec<f64>,
     /// How far the spheres may move before it is selected again [scene unit].
     pub skin: f64,
+    /// Whether it has all vertices, because something acts on each of them.
+    pub all: bool,
 }
 
 /// Bounds on what can happen to a body in a step.
@@ -139,6 +145,7 @@ impl Active {
                 common: Common { carried: State::default(), pushed: vec![Pushed::default(); pushes] },
                 common_as_of: step,
                 deformation: Deformation::default(),
+                push_field: PushField::default(),
                 state_bounds: StateBounds::default(),
                 bound: 0.0,
             },
@@ -151,6 +158,7 @@ impl Active {
     /// Memory allocated for the body's state [bytes].
     pub fn memory(&self) -> usize {
         self.state.deformation.memory()
+            + self.state.push_field.memory()
             + self.state.common.pushed.capacity() * size_of::<Pushed>()
             + self.chosen.seen.capacity() * size_of::<Seen>()
             + self.chosen.pushed.capacity() * size_of::<f64>()
@@ -231,6 +239,24 @@ impl Active {
     /// The largest distance of its vertices from rest within `h` [s] if accelerations of at most `common` and `single`
     /// [scene unit/s²] act on all vertices and on single ones.
     pub fn farthest(&self, common: f64, single: f64, h: f64) -> f64 {
+        let [alike, own] = self.bounds_now();
+        alike.after(self.state.oscillator, common, h) + own.after(self.state.oscillator, single, h)
+    }
+
+    /// The same for a body that follows a sine with the steady response `steady` from time `t` [s] on, if no sphere acts
+    /// on it; `pushes` bounds the accelerations by pushes [scene unit/s²].
+    pub fn farthest_of_steady(&self, steady: &Steady, pushes: f64, t: f64, h: f64) -> f64 {
+        let (oscillator, from) = (self.state.oscillator, steady.at(t));
+        let State { x, u } = self.state.common.carried;
+        let free = Common { carried: State { x: x - from.x, u: u - from.u }, pushed: self.state.common.pushed.clone() };
+        let (displacement, momentum) = free.bounds(oscillator.omega);
+        let [_, own] = self.bounds_now();
+        let alike = StateBounds { displacement, momentum };
+        steady.largest() + alike.after(oscillator, pushes, h) + own.after(oscillator, 0.0, h)
+    }
+
+    /// The bounds of what all vertices share and of what they do not, at the end of the last step.
+    fn bounds_now(&self) -> [StateBounds; 2] {
         let omega = self.state.oscillator.omega;
         let (displacement, momentum) = self.state.common.bounds(omega);
         let (mut alike, mut own) = (StateBounds { displacement, momentum }, self.state.state_bounds);
@@ -240,7 +266,7 @@ impl Active {
                 state_bounds.displacement = state_bounds.momentum / omega;
             }
         }
-        alike.after(self.state.oscillator, common, h) + own.after(self.state.oscillator, single, h)
+        [alike, own]
     }
 
     /// Whether its state is one that the equation of motion cannot lead to: not finite, or far beyond the bound

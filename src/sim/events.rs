@@ -10,6 +10,7 @@ use std::f64::consts::TAU;
 use glam::DVec3;
 
 use super::{
+    roots::{self, Falling, Look},
     track::Track,
     work::{LOOK_AT_PATHS, Tally},
 };
@@ -56,10 +57,6 @@ impl Event {
         }
     }
 }
-
-/// Far from the origin the distance of rounded positions has stairs, on which Newton's steps are too small: so many of
-/// them, then bisection.
-const MOST_NEWTON: u32 = 32;
 
 /// Two tracks whose distance is watched.
 #[derive(Clone, Copy, Debug)]
@@ -159,9 +156,9 @@ impl PairTracks<'_> {
         thresholds
             .transitions(phase)
             .filter_map(|way| {
-                let gap = Gap { pair: self, level: way.level * self.radii, swing, work };
                 let sign = if way.falling { 1.0 } else { -1.0 };
-                gap.first_fall(sign, start, end).map(|time| (time, way.to))
+                let mut gap = Gap { pair: self, level: way.level * self.radii, sign, swing, was_above: false, work };
+                gap.first_fall(start, end).map(|time| (time, way.to))
             })
             .min_by(|x, y| x.0.total_cmp(&y.0))
     }
@@ -170,7 +167,7 @@ impl PairTracks<'_> {
     ///
     /// With Δc = D + S sin θ + C cos θ, θ = ωt, it is
     /// `D² + (S² + C²)/2 + 2 D·S sin θ + 2 D·C cos θ + (C² − S²)/2 cos 2θ + S·C sin 2θ`.
-    fn swing(&self) -> Option<FreeVertex> {
+    fn swing(&self) -> Option<Swing> {
         let still = |frequency| (DVec3::ZERO, frequency, 0.0);
         let of = |path: &Path, frequency| match path {
             Path::Fixed(position) => Some((*position, still(frequency))),
@@ -195,7 +192,7 @@ impl PairTracks<'_> {
         let twice = length(0.5 * (c2 - s2), s.dot(c));
         let rounding = 16.0 * f64::EPSILON * (d2 + s2 + c2);
         let rate = TAU * frequency;
-        Some(FreeVertex {
+        Some(Swing {
             mean: (d2 + 0.5 * (s2 + c2)).sqrt(),
             by: once + twice + rounding,
             curvature: rate * rate * (once + 4.0 * twice + rounding),
@@ -205,7 +202,7 @@ impl PairTracks<'_> {
 
 /// How the square of a distance swings.
 #[derive(Clone, Copy, Debug)]
-struct FreeVertex {
+struct Swing {
     /// The root of its mean [scene unit].
     mean: f64,
     /// By how much it differs from the mean, at most [scene unit²].
@@ -218,26 +215,25 @@ struct FreeVertex {
 struct Gap<'a> {
     pair: &'a PairTracks<'a>,
     level: f64,
-    swing: Option<FreeVertex>,
+    /// 1 if the pair crosses the threshold by coming nearer, otherwise −1.
+    sign: f64,
+    swing: Option<Swing>,
+    /// Whether it was above zero by more than rounding when the search began.
+    was_above: bool,
     work: &'a Tally<'a>,
 }
 
 impl Gap<'_> {
-    /// g and g′ at `t`.
-    fn at(&self, t: f64) -> (f64, f64) {
-        self.of(&self.pair.a.at(t), &self.pair.b.at(t))
-    }
-
-    /// g and g′ from the motion of the two centres.
+    /// g and g′ from the motion of the two centres, times the sign.
     fn of(&self, a: &Kinematics, b: &Kinematics) -> (f64, f64) {
         let (apart, relative) = (a.position - b.position, a.velocity - b.velocity);
         // (d − L)(d + L): no cancellation where it matters, at d ≈ L
         let d = apart.length();
-        ((d - self.level) * (d + self.level), 2.0 * apart.dot(relative))
+        (self.sign * ((d - self.level) * (d + self.level)), self.sign * (2.0 * apart.dot(relative)))
     }
 
     /// g in the mean.
-    fn mean(&self, swing: &FreeVertex) -> f64 {
+    fn mean(&self, swing: &Swing) -> f64 {
         (swing.mean - self.level) * (swing.mean + self.level)
     }
 
@@ -261,28 +257,39 @@ impl Gap<'_> {
         8.0 * f64::EPSILON * self.level * (self.level + far)
     }
 
-    /// The first time in `[start, end]` at which `sign · g` falls through zero, being above at `start` or on it.
-    fn first_fall(&self, sign: f64, start: f64, end: f64) -> Option<f64> {
+    /// The first time in `[start, end]` at which it falls through zero, being above at `start` or on it.
+    fn first_fall(&mut self, start: f64, end: f64) -> Option<f64> {
         let (a, b) = (self.pair.a.at(start), self.pair.b.at(start));
         let (g, rounding) = (self.of(&a, &b).0, self.rounding(&a, &b));
-        let is_clear = sign * g > rounding;
-        // no more than rounding moves it: as below, where an interval is too close to the threshold to tell more
+        self.was_above = g > rounding;
+        // no more than rounding moves it: as where an interval is too close to the threshold to tell more
         if self.swing.is_some_and(|swing| self.mean(&swing).abs() + swing.by <= 8.0 * rounding) {
             let (a, b) = (self.pair.a.at(end), self.pair.b.at(end));
-            return (is_clear && sign * self.of(&a, &b).0 <= rounding).then_some(end);
+            return (self.was_above && self.of(&a, &b).0 <= rounding).then_some(end);
         }
-        self.first_fall_within(sign, start, end, is_clear)
+        if start < end { roots::first_fall(self, start, end) } else { None }
+    }
+}
+
+impl Falling for Gap<'_> {
+    const LAST_STEP: f64 = 0.0;
+
+    /// g and g′ at `t`, times the sign.
+    fn at(&self, t: f64) -> (f64, f64) {
+        self.work.spend(LOOK_AT_PATHS);
+        self.of(&self.pair.a.at(t), &self.pair.b.at(t))
     }
 
-    /// The same in a part of it, into which the pair comes without having fallen; it `is_clear` if it was above zero by
-    /// more than rounding before.
-    fn first_fall_within(&self, sign: f64, start: f64, end: f64, is_clear: bool) -> Option<f64> {
-        if start >= end || !self.work.spend(LOOK_AT_PATHS) {
+    fn was_above(&self) -> bool {
+        self.was_above
+    }
+
+    fn look(&self, start: f64, middle: f64, end: f64) -> Option<Look> {
+        if !self.work.spend(LOOK_AT_PATHS) {
             return None;
         }
         let half = 0.5 * (end - start);
-        let m = start + half;
-        let (a, b) = (self.pair.a.at(m), self.pair.b.at(m));
+        let (a, b) = (self.pair.a.at(middle), self.pair.b.at(middle));
         let (g, slope) = self.of(&a, &b);
         let apart = (a.position - b.position).length();
 
@@ -300,52 +307,14 @@ impl Gap<'_> {
             is_out_of_reach = self.mean(swing).abs() > swing.by + close;
         }
         is_out_of_reach |= self.is_restless(end - start) && self.is_out_of_reach(start, end);
-        if g.abs() > tighter + close || is_out_of_reach {
-            return (sign * g < 0.0).then_some(start);
-        }
-        // All of it too close to the threshold to tell more, or too short: does it come to stand on it, from above?
-        if g.abs() + tighter <= close || m <= start || m >= end {
-            let (before, after) = (sign * self.at(start).0, sign * self.at(end).0);
-            return ((is_clear || before > rounding) && after <= rounding).then_some(end);
-        }
-        // g′ keeps its sign: at most one root, and only if it falls
-        if slope.abs() > curvature * half {
-            return if sign * slope < 0.0 { self.root_of_fall(sign, start, end) } else { None };
-        }
-        self.first_fall_within(sign, start, m, is_clear).or_else(|| self.first_fall_within(sign, m, end, is_clear))
-    }
-
-    /// The root of `sign · g`, which falls throughout `[low, high]`: Newton's steps, bisection where they leave the
-    /// bracket. `low` itself only if it has fallen already there (a pair that stands on its threshold).
-    fn root_of_fall(&self, sign: f64, mut low: f64, mut high: f64) -> Option<f64> {
-        if sign * self.at(high).0 > 0.0 {
-            return None;
-        }
-        if sign * self.at(low).0 <= 0.0 {
-            return Some(low);
-        }
-        let mut t = low + 0.5 * (high - low);
-        let mut tries = 0;
-        while low < t && t < high {
-            tries += 1;
-            self.work.spend(LOOK_AT_PATHS);
-            let (g, slope) = self.at(t);
-            if g == 0.0 {
-                return Some(t);
-            }
-            if sign * g > 0.0 {
-                low = t;
-            } else {
-                high = t;
-            }
-            let newton = t - g / slope;
-            if newton == t {
-                // as near as the time can be told: the first instant after the fall
-                return Some(if t == low { t.next_up() } else { t });
-            }
-            let is_newton = newton > low && newton < high && tries < MOST_NEWTON;
-            t = if is_newton { newton } else { low + 0.5 * (high - low) };
-        }
-        Some(high)
+        Some(Look {
+            value: g,
+            slope,
+            curvature,
+            is_clear: g.abs() > tighter + close || is_out_of_reach,
+            is_unresolved: g.abs() + tighter <= close,
+            rounding,
+            guess: middle,
+        })
     }
 }

@@ -7,14 +7,19 @@
 use glam::DVec3;
 
 use super::{
+    arrays::{LANES, Vectors},
     body::Body,
     deformation::Deformation,
     frames::{add_forces, pair_frame},
     integrator::{
         explicit::Scheme,
-        exponential::{self, StepControl, course::Course},
+        exponential::{
+            self, StepControl,
+            course::{Course, Local},
+        },
     },
     neighbours::Neighbour,
+    push_list::PushField,
     span::Span,
     state::{Common, Pushed, State},
     terms::{Acting, Cause, Moment, On, Phases, Surroundings},
@@ -204,7 +209,7 @@ impl Again<'_> {
             });
         let velocity = states.velocity.iter().zip(acting).map(|(u, force)| u + h * force).collect();
         let moved = |(x, u): (DVec3, DVec3)| x + h * u;
-        let velocity: super::Vectors = velocity;
+        let velocity: Vectors = velocity;
         let displacement = states.displacement.iter().zip(velocity.iter()).map(moved).collect();
         States { displacement, velocity }
     }
@@ -222,6 +227,12 @@ impl Again<'_> {
         if is_still && spheres.is_empty() && surroundings.is_idle() && self.world.track(index).is_fixed() {
             return;
         }
+        let (mut push_field, mut local) = (PushField::default(), Vectors::default());
+        let field = body.pushes.many_act(Span { start: from, end: to }).then(|| {
+            let every: Vec<u32> = (0..body.rest().len() as u32).collect();
+            push_field.advance(&body.pushes, body.mesh.directions(), from + 0.5 * (to - from));
+            push_field.of(&every, LANES, &mut local)
+        });
         let tracks = self.world.reading().tracks;
         let course = Course {
             scene,
@@ -233,6 +244,7 @@ impl Again<'_> {
             is_whole: false,
             spheres,
             weighted,
+            local: field.map(|largest| Local { accelerations: &local, largest }),
         };
         let mut deformation = Deformation::default();
         deformation.wake_all(body.rest());
@@ -241,12 +253,12 @@ impl Again<'_> {
             active_set.set_state(i, State { x: states.displacement.get(i), u: states.velocity.get(i) });
         }
         active_set.pad_again();
-        let mut common = Common { carried: State::default(), pushed: vec![Pushed::default(); body.pushes.len()] };
+        let mut common = Common { carried: State::default(), pushed: vec![Pushed::default(); weighted.len()] };
         let tolerance = scene.tolerance * this.radius;
         let control = StepControl { arch: self.world.options().arch, tolerance, work: &Tally::unlimited() };
         exponential::advance(&course, control, &mut common, active_set, &mut exponential::Scratch::default());
         for (i, facing) in body.mesh.directions().iter().enumerate() {
-            let (alike, own) = (common.of(facing, &body.pushes), active_set.state(i));
+            let (alike, own) = (common.of(facing, body.pushes.shared()), active_set.state(i));
             states.displacement.set(i, alike.x + own.x);
             states.velocity.set(i, alike.u + own.u);
         }

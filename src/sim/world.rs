@@ -104,7 +104,9 @@ impl World {
     /// [`TooLarge`], as for [`World::new`].
     pub fn with_options(scene: Scene, options: Options) -> Result<World, TooLarge> {
         let room = memory::check(&scene)?;
-        let bodies: Vec<Body> = (0..scene.bodies.len()).map(|index| Body::new(&scene, index)).collect();
+        let mut pushes = vec![Vec::new(); scene.bodies.len()];
+        scene.pushes.iter().for_each(|push| pushes[push.body].push(*push));
+        let bodies = pushes.into_iter().enumerate().map(|(index, pushes)| Body::new(&scene, index, pushes)).collect();
         let mut world = World {
             coupled: None,
             energy_of_distant_pairs: OnceLock::new(),
@@ -142,9 +144,9 @@ impl World {
         if !start(pairs, scene, bodies, tracks, most_pairs, work) {
             return false;
         }
-        let first_step = bodies
-            .iter()
-            .map(|body| exponential::work_of(body.mesh.vertex_count(), body.neighbours.len(), body.pushes.len()));
+        let first_step = bodies.iter().map(|body| {
+            exponential::work_of(body.mesh.vertex_count(), body.neighbours.len(), body.pushes.shared().len())
+        });
         self.work.expect(first_step.fold(0, u64::saturating_add));
         // A body with neighbours may be reached from the start; those that aren't go back to sleep in the first step.
         for index in 0..self.bodies.len() {
@@ -770,7 +772,7 @@ impl<'a> BodyView<'a> {
         displacement.reset(self.vertex_count());
         velocity.reset(self.vertex_count());
         let Some(active) = self.active.filter(|active| !active.is_at_rest()) else { return };
-        active.add_common_to(&self.fixed.mesh, &self.fixed.pushes, displacement, velocity, self.now);
+        active.add_common_to(&self.fixed.mesh, self.fixed.pushes.shared(), displacement, velocity, self.now);
         active.state.deformation.add_to(displacement, velocity, self.now);
     }
 
@@ -781,7 +783,7 @@ impl<'a> BodyView<'a> {
             return State { x: of(&member.body.x), u: of(&member.body.u) };
         }
         let Some(active) = self.active else { return State::default() };
-        let alike = active.common_at(self.now).of(self.fixed.rest().direction(i), &self.fixed.pushes);
+        let alike = active.common_at(self.now).of(self.fixed.rest().direction(i), self.fixed.pushes.shared());
         let own = active.state.deformation.state(i, self.now);
         State { x: alike.x + own.x, u: alike.u + own.u }
     }

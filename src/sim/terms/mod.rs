@@ -13,14 +13,15 @@ pub(super) mod spheres;
 
 use glam::DVec3;
 
-use super::{neighbours::Neighbour, span::Span, tracks::Tracks};
+use super::{neighbours::Neighbour, push_list::PushList, span::Span, tracks::Tracks};
 use crate::{
     model::{
         influence::{self, Weight},
         phase::Phase,
     },
-    scene::{self, Scene, path::Kinematics},
+    scene::{Scene, path::Kinematics},
 };
+pub(super) use carry::Steady;
 pub use push::Weighted;
 pub use spheres::{Source, Sphere};
 
@@ -158,7 +159,7 @@ pub(super) struct On<'a, P> {
     /// Nearby bodies.
     pub neighbours: &'a [Neighbour],
     /// The scene's pushes on it.
-    pub pushes: &'a [scene::Push],
+    pub pushes: &'a PushList,
     pub tracks: &'a Tracks,
     /// The phases of its pairs.
     pub phases: P,
@@ -240,7 +241,9 @@ impl Surroundings {
 /// [`uniform`].
 #[derive(Clone, Debug, Default)]
 pub(super) struct Acting {
-    /// The body's weighted terms; one that does not act now has strength zero.
+    /// The body's weighted terms; one that does not act now has strength zero. Many pushes are a [`PushField`] instead.
+    ///
+    /// [`PushField`]: super::push_list::PushField
     pub weighted: Vec<Weighted>,
     /// The influence spheres that can reach the body.
     pub spheres: Vec<Sphere>,

@@ -29,34 +29,28 @@ impl Weighted {
 
 pub struct Pushes;
 
-fn acts(push: &scene::Push, t: f64) -> bool {
-    push.start <= t && t < push.end()
-}
-
 fn weighted(push: &scene::Push, strength: f64) -> Weighted {
     Weighted { cause: Cause::Push, direction: push.direction, strength }
 }
 
 impl Term for Pushes {
     fn at<P: Phases>(on: &On<'_, P>, moment: Moment, _: &Kinematics, _: f64, surroundings: &mut Surroundings) {
-        let acting = on.pushes.iter().filter(|push| acts(push, moment.time));
-        surroundings.weighted.extend(acting.map(|push| weighted(push, push.strength)));
+        surroundings.weighted.extend(on.pushes.acting(moment.time).map(|push| weighted(push, push.strength)));
     }
 
     fn over<P: Phases>(on: &On<'_, P>, _: &[Neighbour], part: Span, acting: &mut Acting) {
         let inside = part.start + 0.5 * part.length();
-        let strength = |push: &scene::Push| if acts(push, inside) { push.strength } else { 0.0 };
-        acting.weighted.extend(on.pushes.iter().map(|push| weighted(push, strength(push))));
+        let acts = |push: &scene::Push| push.start <= inside && inside < push.end();
+        let strength = |push: &scene::Push| if acts(push) { push.strength } else { 0.0 };
+        acting.weighted.extend(on.pushes.shared().iter().map(|push| weighted(push, strength(push))));
     }
 
     fn own_bound<P>(on: &On<'_, P>, span: Span) -> f64 {
-        let acting = on.pushes.iter().filter(|push| push.start < span.end && span.start < push.end());
-        acting.map(|push| push.strength.abs()).sum()
+        on.pushes.bound(span)
     }
 
     fn jumps<P: Phases>(on: &On<'_, P>, _: &[Neighbour], span: Span, jumps: &mut Vec<f64>) {
-        let edges = on.pushes.iter().flat_map(|push| [push.start, push.end()]);
-        jumps.extend(edges.filter(|&t| span.holds(t)));
+        on.pushes.jumps(span, jumps);
     }
 
     fn starts(scene: &Scene, starts: &mut Vec<(f64, u32)>) {

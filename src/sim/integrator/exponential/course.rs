@@ -7,7 +7,9 @@ use crate::{
     model::{influence::Weight, oscillator::Oscillator},
     scene::{self, Scene, path::Bounds},
     sim::{
-        terms::{self, Sphere, Weighted},
+        arrays::Vectors,
+        state::State,
+        terms::{self, Sphere, Steady, Weighted},
         track::Track,
         tracks::Tracks,
     },
@@ -34,6 +36,17 @@ pub struct Course<'a> {
     pub spheres: &'a [Sphere],
     /// The body's weighted terms.
     pub weighted: &'a [Weighted],
+    /// Constant accelerations of single vertices; `None` if there are none.
+    pub local: Option<Local<'a>>,
+}
+
+/// Constant accelerations of single vertices.
+#[derive(Clone, Copy)]
+pub struct Local<'a> {
+    /// In the order of the active set, padded like it [scene unit/s²].
+    pub accelerations: &'a Vectors,
+    /// The largest of them [scene unit/s²].
+    pub largest: f64,
 }
 
 impl Course<'_> {
@@ -85,6 +98,18 @@ impl Course<'_> {
         terms::uniform(self.scene, self.index, &own)
     }
 
+    /// The response to the body's own motion at the end of the interval if it is `carried` at its start, where that is
+    /// known in closed form because steps would not resolve the motion.
+    pub fn carried_over(&self, carried: State) -> Option<State> {
+        let steady = Steady::of(self.scene, self.index, self.track(self.index), self.length)?;
+        // the next step starts there to the bit, which matters for who swings a million times in between
+        let end = if self.is_whole { ((self.start / self.length).round() + 1.0) * self.length } else { self.end() };
+        let (from, to) = (steady.at(self.start), steady.at(end));
+        let (x, u) = (carried.x - from.x, carried.u - from.u);
+        let [xx, xu, ux, uu] = self.oscillator().flow(self.length);
+        Some(State { x: xx * x + xu * u + to.x, u: ux * x + uu * u + to.u })
+    }
+
     /// [`Course::look`] at one of the five looks of a whole step.
     pub fn look_whole(&self, look: usize, centres: &mut Vec<DVec3>) -> DVec3 {
         let tracks = self.tracks;
@@ -107,9 +132,15 @@ impl Course<'_> {
         }
     }
 
-    /// The largest acceleration by influence [scene unit/s²].
+    /// The constant acceleration of vertex number `i` of the active set [scene unit/s²].
+    pub fn local(&self, i: usize) -> DVec3 {
+        self.local.map_or(DVec3::ZERO, |local| local.accelerations.get(i))
+    }
+
+    /// The largest acceleration of a vertex by influence and by what acts on it alone [scene unit/s²].
     pub fn strongest_pull(&self) -> f64 {
         let max_pull = self.weight().max_pull();
-        self.spheres.iter().map(|sphere| sphere.strength.abs() * sphere.radius * max_pull).sum()
+        let spheres: f64 = self.spheres.iter().map(|sphere| sphere.strength.abs() * sphere.radius * max_pull).sum();
+        spheres + self.local.map_or(0.0, |local| local.largest)
     }
 }

@@ -103,13 +103,15 @@ fn halve(
     statistics: &mut StepStatistics,
 ) {
     let h = course.length;
-    if !control.work.spend((16 + 8 * course.spheres.len() + 5 * course.weighted.len()) as u64) {
+    if !control.work.spend((64 + 32 * course.spheres.len() + 5 * course.weighted.len()) as u64) {
         return;
     }
     let weights = scratch.known.get(course.oscillator(), h);
     let wanted = control.tolerance * h;
     scratch.whole.prepare(course, weights, common, wanted);
-    let uniform_error = scratch.whole.uniform_error();
+    // vertices near a sphere need to know where it is in between
+    let carried = if active_set.vertices.is_empty() { course.carried_over(common.carried) } else { None };
+    let uniform_error = if carried.is_some() { 0.0 } else { scratch.whole.uniform_error() };
     let middle = course.start + 0.5 * h;
     if uniform_error > wanted && halvings > 0 && course.start < middle {
         for start in [course.start, middle] {
@@ -125,6 +127,7 @@ fn halve(
     }
     statistics.error += uniform_error.max(error);
     scratch.whole.advance_common(course, common);
+    common.carried = carried.unwrap_or(common.carried);
 }
 
 /// One step of the active set: all vertices together, then one by one those for which that is not accurate enough.
@@ -142,7 +145,18 @@ fn take(
     let wanted = control.tolerance * course.length;
     let stiff = single::is_stiff(course, course.length);
     let work = control.work;
-    control.arch.dispatch(Together { course, step: whole, active_set, wanted, force, stiff, work, pulls, outcomes });
+    control.arch.dispatch(Together {
+        course,
+        step: whole,
+        active_set,
+        wanted,
+        force,
+        stiff,
+        work,
+        uncounted: 0,
+        pulls,
+        outcomes,
+    });
 
     let tolerance = control.tolerance;
     let mut alone = Single { course, whole, common, tolerance, force, work, substeps: 0, error: 0.0 };
@@ -153,7 +167,8 @@ fn take(
             if outcomes.attention[i] == 0.0 || work.is_over() {
                 continue;
             }
-            let vertex = Vertex { rest: active_set.rest(i), inside: has_kink.then_some(outcomes.inside[i]) };
+            let inside = has_kink.then_some(outcomes.inside[i]);
+            let vertex = Vertex { rest: active_set.rest(i), inside, local: course.local(i) };
             let forces: [DVec3; 4] = std::array::from_fn(|node| outcomes.forces[node].get(i));
             let end = active_set.state(i);
             let outcome = Outcome { end, forces, bend: outcomes.bend.get(i), error: outcomes.error[i] };

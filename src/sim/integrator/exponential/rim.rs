@@ -8,7 +8,10 @@ use super::{
     course::Course,
     step::{Apart, LookUp, Outcome, Step, Vertex},
 };
-use crate::sim::state::State;
+use crate::sim::{
+    roots::{self, Falling, Look},
+    state::State,
+};
 
 /// Largest number of samples in the search for a rim crossing. More would be needed only if a vertex oscillates many
 /// times in a step, or if its bounds are far too wide.
@@ -114,13 +117,13 @@ impl<'a> Motion<'a> {
                 let acceleration = 2.0 * c2 + 6.0 * d2 + 12.0 * e2 + 20.0 * f2;
                 let curvature = 2.0 * speed * speed + 2.0 * (d0 + speed) * acceleration;
                 gap.curvature = gap.curvature.min(curvature);
-                gap.first_fall(&|s| {
+                first_fall(&gap, |s| {
                     let position = a + s * (b + s * (c + s * (d + s * (e - s * f))));
                     let velocity = b + s * (2.0 * c + s * (3.0 * d + s * (4.0 * e - s * (5.0 * f))));
                     gap.at(position, velocity)
                 })
             }
-            Apart::Exact(path) => gap.first_fall(&|s| {
+            Apart::Exact(path) => first_fall(&gap, |s| {
                 let displacement = a + s * (b + s * (c + s * (d + s * (e + s * f))));
                 let velocity = b + s * (2.0 * c + s * (3.0 * d + s * (4.0 * e + s * (5.0 * f))));
                 let (position, motion) = path.at(self.start + s * self.h);
@@ -156,68 +159,43 @@ impl Gap {
     fn at(&self, apart: DVec3, velocity: DVec3) -> (f64, f64) {
         (self.sign * (apart.length_squared() - self.rim * self.rim), self.sign * (2.0 * apart.dot(velocity)))
     }
-
-    /// The first root at which a function falls through zero, given its value and slope. The search skips intervals
-    /// that cannot contain a root, solves on those where the function is monotone, and bisects the others.
-    fn first_fall(&self, gap: &impl Fn(f64) -> (f64, f64)) -> Option<f64> {
-        self.first_fall_within(gap, 0.0, 1.0)
-    }
-
-    fn first_fall_within(&self, gap: &impl Fn(f64) -> (f64, f64), start: f64, end: f64) -> Option<f64> {
-        let looks = self.looks.get().checked_sub(1)?;
-        self.looks.set(looks);
-        let half = 0.5 * (end - start);
-        let middle = start + half;
-        let (g, slope) = gap(middle);
-        let range = slope.abs() * half + 0.5 * self.curvature * half * half;
-        let close = 1e-13 * self.rim * self.rim; // nearer to zero, there is only rounding error
-        if g.abs() > range + close {
-            return (g < 0.0).then_some(start); // no root; if it has fallen already, the crossing is here
-        }
-        let ends = || (gap(start).0, gap(end).0);
-        if range <= close || middle <= start || middle >= end {
-            let (before, after) = ends();
-            return (before > 0.0 && after <= 0.0).then_some(end); // too short to resolve further
-        }
-        if slope.abs() > self.curvature * half {
-            if slope > 0.0 {
-                return None;
-            }
-            return match ends() {
-                (_, after) if after > 0.0 => None,
-                (before, _) if before > 0.0 => Some(root(gap, start, end, middle - g / slope)),
-                _ => Some(start), // it lies on the rim
-            };
-        }
-        self.first_fall_within(gap, start, middle).or_else(|| self.first_fall_within(gap, middle, end))
-    }
 }
 
-/// The root of a function that falls throughout `[low, high]` from positive to negative, starting at `guess`: Newton's
-/// method with bisection where a step leaves the bracket.
-fn root(gap: &impl Fn(f64) -> (f64, f64), mut low: f64, mut high: f64, guess: f64) -> f64 {
-    // Newton's error after a step is about the square of the step, so after a step this small it is below rounding.
+/// The first fall of a [`Gap`] through zero, given its value and slope.
+fn first_fall(gap: &Gap, at: impl Fn(f64) -> (f64, f64)) -> Option<f64> {
+    roots::first_fall(&Fall { gap, at }, 0.0, 1.0)
+}
+
+/// A [`Gap`] as a function of time, given its value and slope.
+struct Fall<'a, F> {
+    gap: &'a Gap,
+    at: F,
+}
+
+impl<F: Fn(f64) -> (f64, f64)> Falling for Fall<'_, F> {
+    /// Newton's error after a step is about the square of the step, so after a step this small it is below rounding.
     const LAST_STEP: f64 = 1e-8;
-    // Far from the origin positions are rounded to a coarse grid and Newton steps become too small: after this many,
-    // bisect.
-    const MOST_NEWTON: u32 = 32;
-    let mut tries = 0;
-    let mut t = if guess > low && guess < high { guess } else { low + 0.5 * (high - low) };
-    while low < t && t < high {
-        tries += 1;
-        let (g, slope) = gap(t);
-        if g > 0.0 {
-            low = t;
-        } else {
-            high = t;
-        }
-        let newton = t - g / slope;
-        let inside = newton > low && newton < high && tries < MOST_NEWTON;
-        let next = if inside { newton } else { low + 0.5 * (high - low) };
-        if (newton - t).abs() <= LAST_STEP {
-            return newton.clamp(low, high);
-        }
-        t = next;
+
+    #[inline(always)]
+    fn at(&self, t: f64) -> (f64, f64) {
+        (self.at)(t)
     }
-    high
+
+    fn look(&self, start: f64, middle: f64, end: f64) -> Option<Look> {
+        let Gap { looks, rim, curvature, .. } = self.gap;
+        looks.set(looks.get().checked_sub(1)?);
+        let half = 0.5 * (end - start);
+        let (value, slope) = self.at(middle);
+        let range = slope.abs() * half + 0.5 * curvature * half * half;
+        let close = 1e-13 * rim * rim; // nearer to zero, there is only rounding error
+        Some(Look {
+            value,
+            slope,
+            curvature: *curvature,
+            is_clear: value.abs() > range + close,
+            is_unresolved: range <= close,
+            rounding: 0.0,
+            guess: middle - value / slope,
+        })
+    }
 }

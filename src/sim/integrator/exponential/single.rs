@@ -132,7 +132,7 @@ impl Single<'_> {
                 state = held;
                 break;
             }
-            outcome = if vertex.inside == Some(0) {
+            outcome = if vertex.inside == Some(0) && vertex.local == DVec3::ZERO {
                 part.prepare_ends(course, self.whole, self.common, start, h);
                 free(course, state, h)
             } else {
@@ -263,7 +263,7 @@ fn hold(course: &Course<'_>, step: &Step, vertex: &Vertex, state: State) -> Stat
     let pull = |(sphere, to_centre): (&Sphere, DVec3)| {
         influence::acceleration(course.weight(), sphere.strength, sphere.radius, to_centre)
     };
-    let force: DVec3 = course.spheres.iter().zip(to_centres(state.x)).map(pull).sum();
+    let force = vertex.local + course.spheres.iter().zip(to_centres(state.x)).map(pull).sum::<DVec3>();
     let end = State { x: xx * state.x + xu * state.u + constant * force, u: ux * state.x + uu * state.u + xu * force };
 
     if step.relative.iter().any(|bounds| bounds.speed != 0.0) {
@@ -274,7 +274,7 @@ fn hold(course: &Course<'_>, step: &Step, vertex: &Vertex, state: State) -> Stat
             sphere.strength * energy::influence_potential(course.weight(), sphere.radius, to_centre.length())
         };
         let of_spheres: f64 = course.spheres.iter().zip(to_centres(x)).map(of_sphere).sum();
-        energy::elastic(course.oscillator().omega, x.length_squared()) + of_spheres
+        energy::elastic(course.oscillator().omega, x.length_squared()) + of_spheres - vertex.local.dot(x)
     };
     let kinetic = energy::kinetic(state.u.length_squared()) + potential(state.x) - potential(end.x);
     // written so that NaN is not enough
@@ -313,11 +313,11 @@ fn collocate(
         }
     }
     let simd = Scalar;
-    let [rest, x, u] = [vertex.rest, state.x, state.u].map(|vector| Vector::splat(simd, vector));
+    let [rest, local, x, u] = [vertex.rest, vertex.local, state.x, state.u].map(|vector| Vector::splat(simd, vector));
     let end = if course.weighted.is_empty() {
-        Group::<_, 1, 1>::new(simd, course, step, rest, pulls).collocate(x, u, wanted)
+        Group::<_, 1, 1>::new(simd, course, step, rest, local, pulls).collocate(x, u, wanted)
     } else {
-        Group::<_, 1, 5>::new(simd, course, step, rest, pulls).collocate(x, u, wanted)
+        Group::<_, 1, 5>::new(simd, course, step, rest, local, pulls).collocate(x, u, wanted)
     };
     let Collocated { x, u, forces, bend, error } = end;
     Outcome {

@@ -89,6 +89,8 @@ pub struct Vertex {
     /// The spheres that contain it throughout the step, one bit each, if known and to be kept fixed. Otherwise the
     /// weight is cut off at the rim wherever the vertex is sampled.
     pub inside: Option<u64>,
+    /// Its constant acceleration [scene unit/s²].
+    pub local: DVec3,
 }
 
 impl Vertex {
@@ -127,6 +129,8 @@ pub struct Group<'a, S: Simd, const W: usize, const SAMPLES: usize> {
     pub step: &'a Step,
     /// Rest positions, moved by the response to pushes.
     rest: [Vector<S, W>; SAMPLES],
+    /// Their constant accelerations.
+    local: Vector<S, W>,
     /// The spheres that contain them.
     pub pulls: &'a [Pull],
 }
@@ -153,16 +157,18 @@ fn respond<S: Simd, const W: usize>(flow: Vector<S, W>, w: &[f64; 4], f: &[Vecto
 }
 
 impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES> {
-    /// Vertices with rest positions `rest`, each moved by pushes in proportion to how squarely it faces them.
+    /// Vertices with rest positions `rest`, each moved by pushes in proportion to how squarely it faces them, and with
+    /// constant accelerations `local`.
     #[inline(always)]
     pub fn new(
         simd: S,
         course: &'a Course<'a>,
         step: &'a Step,
         rest: Vector<S, W>,
+        local: Vector<S, W>,
         pulls: &'a [Pull],
     ) -> Group<'a, S, W, SAMPLES> {
-        let mut group = Group { simd, course, step, rest: [rest; SAMPLES], pulls };
+        let mut group = Group { simd, course, step, rest: [rest; SAMPLES], local, pulls };
         if SAMPLES > 1 {
             let none = Reals::splat(simd, 0.0);
             // on a round body the length of a rest position is the radius; it is computed only for other shapes
@@ -194,7 +200,7 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
     fn force(&self, look: usize, x: Vector<S, W>) -> Vector<S, W> {
         let moment = &self.step.moments[look];
         let (one, position) = (Reals::splat(self.simd, 1.0), self.rest_at(look) + x);
-        let mut force = Vector::splat(self.simd, DVec3::ZERO);
+        let mut force = self.local;
         for pull in self.pulls {
             let to_centre = Vector::splat(self.simd, moment.centres[pull.sphere]) - position;
             let z = to_centre.length_squared().sqrt() * self.course.spheres[pull.sphere].inverse_radius;

@@ -9,7 +9,6 @@ use super::{
     course::Course,
     lanes::{LANES, Mask, Reals, Vector},
     step::{Group, Pull, RIMS, Step, has_kink},
-    work_of,
 };
 use crate::sim::{
     arrays::{Block, Vectors},
@@ -19,6 +18,11 @@ use crate::sim::{
 
 /// A vertex with |x|² + |u|² below this, in scene units and seconds, is at rest.
 const REST_SQUARED: f64 = 1e-300;
+
+/// The work of a step of a vertex and of finding how far it is from a sphere, each, …
+const LOOK: u64 = 2;
+/// … and of a sphere that contains it.
+const PULL: u64 = 24;
 
 /// Data kept from a step of the active set for the vertices that need attention; the arrays are padded like the active
 /// set's.
@@ -73,6 +77,8 @@ pub struct Together<'a> {
     pub stiff: bool,
     /// The work budget; once it is exhausted, the rest of the step is not computed.
     pub work: &'a Tally<'a>,
+    /// Work that was done but not counted yet.
+    pub uncounted: u64,
     /// Buffer, reused.
     pub pulls: &'a mut Vec<Pull>,
     /// Results for the vertices that need attention.
@@ -87,11 +93,14 @@ impl WithSimd for Together<'_> {
         let count = self.active_set.vertices.len();
         self.outcomes.resize(count.next_multiple_of(LANES));
         let is_pushed = !self.course.weighted.is_empty();
-        let of_vertex = work_of(1, self.course.spheres.len(), self.course.weighted.len());
+        let of_vertex = LOOK * (1 + self.course.spheres.len() + self.course.weighted.len()) as u64;
         for first in (0..count).step_by(Reals::<S, 2>::COUNT) {
-            // by blocks, so that it is the same for all instruction sets
-            if first.is_multiple_of(LANES) && !self.work.spend(of_vertex * LANES.min(count - first) as u64) {
-                return;
+            // by blocks and single lanes, so that it is the same for all instruction sets
+            if first.is_multiple_of(LANES) {
+                let pulled = std::mem::take(&mut self.uncounted);
+                if !self.work.spend(pulled + of_vertex * LANES.min(count - first) as u64) {
+                    return;
+                }
             }
             if is_pushed {
                 self.take::<S, 2, 5>(simd, first);
@@ -99,6 +108,7 @@ impl WithSimd for Together<'_> {
                 self.take::<S, 2, 1>(simd, first);
             }
         }
+        self.work.spend(self.uncounted);
     }
 }
 
@@ -119,7 +129,11 @@ impl Together<'_> {
         let swing = (u.length_squared() + x.length_squared() * (material.omega * material.omega)).sqrt();
         let speed = swing + Reals::splat(simd, self.force * h);
         let travel = (speed * h).smaller(speed * (2.0 / material.omega));
-        let group = Group::<S, W, SAMPLES>::new(simd, course, step, rest, &[]);
+        let local = match course.local {
+            Some(local) => Vector::load(simd, local.accelerations, first),
+            None => Vector::splat(simd, DVec3::ZERO),
+        };
+        let group = Group::<S, W, SAMPLES>::new(simd, course, step, rest, local, &[]);
         let ends_at_rest = [group.rest_at(0), group.rest_at(3)];
         let Near { rims: near, passing } = self.find_pulls(simd, first, ends_at_rest[0] + x, travel);
 
@@ -129,14 +143,19 @@ impl Together<'_> {
             let last = &weights.nodes[3];
             Reals::<S, W>::splat(simd, 0.0).store(&mut outcomes.error, first);
             if near.any() {
-                let zero = Vector::<S, W>::splat(simd, DVec3::ZERO);
-                for forces in outcomes.forces.iter_mut().chain([&mut outcomes.bend]) {
-                    zero.store(forces, first);
+                for forces in &mut outcomes.forces {
+                    local.store(forces, first);
                 }
+                Vector::<S, W>::splat(simd, DVec3::ZERO).store(&mut outcomes.bend, first);
             }
-            (x * last.xx + u * last.xu, x * weights.ux + u * weights.uu, Mask::none(simd))
+            let (mut x1, mut u1) = (x * last.xx + u * last.xu, x * weights.ux + u * weights.uu);
+            if course.local.is_some() {
+                // a constant unit force adds S(h) to the velocity, as a unit velocity adds to the displacement
+                (x1, u1) = (x1 + local * weights.constant, u1 + local * last.xu);
+            }
+            (x1, u1, Mask::none(simd))
         } else {
-            let group = Group::<S, W, SAMPLES>::new(simd, course, step, rest, &*self.pulls);
+            let group = Group::<S, W, SAMPLES>::new(simd, course, step, rest, local, &*self.pulls);
             let end = group.collocate(x, u, self.wanted);
             end.error.store(&mut outcomes.error, first);
             end.bend.store(&mut outcomes.bend, first);
@@ -212,6 +231,9 @@ impl Together<'_> {
                 reached.select(Reals::splat(simd, sphere.strength), zero).store(&mut pull.strength, 0);
                 passing = passing.or(reach.at_most(rim).negated().and(reached));
             }
+            // without the padding, of which there may be more with wider registers
+            let lanes = pull.strength.iter().take(Reals::<S, W>::COUNT).take(self.active_set.vertices.len() - first);
+            self.uncounted += PULL * lanes.map(|&strength| u64::from(strength != 0.0)).sum::<u64>();
             self.pulls.push(pull);
         }
         Near { rims: near, passing }
