@@ -289,11 +289,11 @@ impl Bench<'_> {
             let mut arrows: Vec<Arrows> = self.schema.terms.iter().map(|_| Arrows::default()).collect();
             for (body, now) in self.schema.bodies.iter().zip(&frame.bodies) {
                 let entity = format!("world/bodies/{}", body.name);
-                let transform = Transform3D::from_translation(now.centre.as_vec3());
+                let transform = Transform3D::from_translation_rotation(now.centre.as_vec3(), now.rotation.as_quat());
                 recording.log(entity.as_str(), &transform).map_err(words)?;
                 if !now.is_at_rest {
                     surface.clear();
-                    surface.append(body, now, DVec3::ZERO, &mut extractor);
+                    surface.append_in_body(body, now, &mut extractor);
                     let mesh = Mesh3D::update_fields()
                         .with_vertex_positions(surface.positions.iter().copied())
                         .with_vertex_normals(surface.normals.iter().copied());

@@ -1,6 +1,6 @@
 //! The state of a simulation at an instant.
 
-use glam::DVec3;
+use glam::{DMat3, DQuat, DVec3};
 
 use super::event::Instant;
 use crate::geometry::{Rest, Vectors};
@@ -38,9 +38,11 @@ pub struct Frame {
 pub struct BodyFrame {
     /// Position of its centre [scene unit].
     pub centre: DVec3,
+    /// Rotation Q of its rest shape: a vertex at rest is at centre + Q l. The identity for a body that does not rotate.
+    pub rotation: DQuat,
     /// Whether every displacement and velocity is exactly zero. If so, the vectors are empty.
     pub is_at_rest: bool,
-    /// Displacements of the vertices from rest, x [scene unit], `[vertex_count]`.
+    /// Displacements of the vertices from Q l, x, in world axes like all vectors here [scene unit], `[vertex_count]`.
     pub displacements: Vectors,
     /// Velocities x′ of the vertices [scene unit/s], `[vertex_count]`.
     pub velocities: Vectors,
@@ -91,15 +93,12 @@ impl BodyFrame {
         self.max_displacement = 0.0;
     }
 
-    /// Computes positions and |x| from the displacements.
+    /// Computes positions and |x| from the displacements and the rotation.
     pub fn displaced(&mut self, rest: Rest<'_>) {
-        let BodyFrame { displacements, positions, lengths, .. } = self;
+        let BodyFrame { rotation, displacements, positions, lengths, .. } = self;
         self.is_at_rest = false;
-        positions.copy_from(rest.mesh.positions());
-        let axes = [(&mut positions.x, &displacements.x), (&mut positions.y, &displacements.y)];
-        for (axis, moved) in axes.into_iter().chain([(&mut positions.z, &displacements.z)]) {
-            axis.iter_mut().zip(moved).for_each(|(l, x)| *l = *l * rest.radius + x);
-        }
+        rest_positions(rest, *rotation, positions);
+        positions.add_times(1.0, displacements);
         lengths.clear();
         let xy = displacements.x.iter().zip(&displacements.y);
         lengths.extend(xy.zip(&displacements.z).map(|((x, y), z)| (x * x + y * y + z * z).sqrt()));
@@ -115,13 +114,25 @@ impl BodyFrame {
 
     /// Writes the vertex positions relative to the centre [scene unit] to `positions` (reused), whether at rest or not.
     pub fn local_positions(&self, rest: Rest<'_>, positions: &mut Vectors) {
-        if !self.is_at_rest {
+        if self.is_at_rest {
+            rest_positions(rest, self.rotation, positions);
+        } else {
             positions.copy_from(&self.positions);
-            return;
         }
-        positions.copy_from(rest.mesh.positions());
-        for axis in [&mut positions.x, &mut positions.y, &mut positions.z] {
-            axis.iter_mut().for_each(|l| *l *= rest.radius);
+    }
+
+    /// Writes the vertex positions in body axes, l + Q⁻¹ x [scene unit], to `positions` (reused). Where the body is not
+    /// deformed they are exactly those of its rest shape, however it is rotated.
+    pub fn body_positions(&self, rest: Rest<'_>, positions: &mut Vectors) {
+        if self.rotation == DQuat::IDENTITY {
+            return self.local_positions(rest, positions);
+        }
+        rest_positions(rest, DQuat::IDENTITY, positions);
+        if !self.is_at_rest {
+            let back = DMat3::from_quat(self.rotation.inverse());
+            for i in 0..positions.len() {
+                positions.set(i, positions.get(i) + back * self.displacements.get(i));
+            }
         }
     }
 
@@ -138,6 +149,20 @@ impl BodyFrame {
             + self.lengths.capacity() * size_of::<f64>()
             + self.labels.capacity()
             + terms
+    }
+}
+
+/// Writes the rotated rest positions Q l [scene unit] to `positions` (reused).
+fn rest_positions(rest: Rest<'_>, rotation: DQuat, positions: &mut Vectors) {
+    positions.copy_from(rest.mesh.positions());
+    for axis in [&mut positions.x, &mut positions.y, &mut positions.z] {
+        axis.iter_mut().for_each(|l| *l *= rest.radius);
+    }
+    if rotation != DQuat::IDENTITY {
+        let axes = DMat3::from_quat(rotation);
+        for i in 0..positions.len() {
+            positions.set(i, axes * positions.get(i));
+        }
     }
 }
 

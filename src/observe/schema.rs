@@ -57,6 +57,10 @@ pub struct BodySchema {
     pub shape: String,
     /// Mesh at rest, scaled to radius 1.
     pub mesh: Arc<Mesh>,
+    /// Whether forces move and rotate it; otherwise its path is known before the run.
+    pub is_free: bool,
+    /// Colour of its surface, if it has one of its own.
+    pub color: Option<Rgb>,
 }
 
 /// A force term: one cause of acceleration.
@@ -171,9 +175,11 @@ impl Default for Schema {
 }
 
 impl BodySchema {
-    /// A body whose farthest vertex is at distance `radius` and which acts on others within `reach` [scene unit].
+    /// A body on a known path, whose farthest vertex is at distance `radius` and which acts on others within `reach`
+    /// [scene unit].
     pub fn new(name: &str, shape: &str, mesh: Arc<Mesh>, radius: f64, reach: f64) -> BodySchema {
-        BodySchema { name: name.to_owned(), radius, reach, shape: shape.to_owned(), mesh }
+        let (name, shape) = (name.to_owned(), shape.to_owned());
+        BodySchema { name, radius, reach, shape, mesh, is_free: false, color: None }
     }
 }
 

@@ -6,9 +6,9 @@ use std::{
     sync::Arc,
 };
 
-use glam::{DVec3, Vec3};
+use glam::{DQuat, DVec3, Quat, Vec3};
 use rerun::{
-    datatypes::{Float64, Utf8, Vec3D},
+    datatypes::{Float64, Quaternion, Utf8, Vec3D},
     external::re_chunk_store::external::re_chunk::Chunk,
 };
 
@@ -43,11 +43,11 @@ pub struct RecordedSurface {
 /// How a surface was recorded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SurfaceKind {
-    /// Relative to the centre of the body.
+    /// Relative to the centre of the body, in body axes.
     Local,
     /// In world coordinates, in one mesh with other bodies.
     World,
-    /// As an instance of its shape, relative to the centre: its displacement is too small to be drawn.
+    /// As an instance of its shape, in body axes: its displacement is too small to be drawn.
     Resting,
 }
 
@@ -62,6 +62,8 @@ pub struct RecordedFrame {
     pub surfaces: Vec<Option<RecordedSurface>>,
     /// Centres of the bodies [scene unit].
     pub centres: Vec<Vec3>,
+    /// Rotations of the bodies, from body axes to world axes; not of those in a mesh in world coordinates.
+    pub rotations: Vec<Quat>,
 }
 
 impl RecordedFrame {
@@ -69,12 +71,13 @@ impl RecordedFrame {
     pub fn of(schema: &Schema, frame: &Frame) -> RecordedFrame {
         let mut positions = Vectors::default();
         let surfaces = schema.bodies.iter().zip(&frame.bodies).map(|(body, now)| {
-            now.local_positions(body.rest(), &mut positions);
+            now.body_positions(body.rest(), &mut positions);
             let positions = positions.iter().map(|position| position.as_vec3()).collect();
             Some(RecordedSurface { positions, kind: SurfaceKind::Local })
         });
         let centres = frame.bodies.iter().map(|body| body.centre.as_vec3()).collect();
-        RecordedFrame { step: frame.at.step, time: frame.at.time, surfaces: surfaces.collect(), centres }
+        let rotations = frame.bodies.iter().map(|body| body.rotation.as_quat()).collect();
+        RecordedFrame { step: frame.at.step, time: frame.at.time, surfaces: surfaces.collect(), centres, rotations }
     }
 
     /// The worst vertex compared with another state at the same step, both in the precision of the recording; `None` if
@@ -87,16 +90,29 @@ impl RecordedFrame {
             if surface.kind == SurfaceKind::Resting && now.max_displacement <= DEFORMED * body.radius {
                 continue;
             }
-            let (origin, shift) = match surface.kind {
-                SurfaceKind::World => (now.centre, Vec3::ZERO),
-                SurfaceKind::Local | SurfaceKind::Resting => (DVec3::ZERO, self.centres[index] - now.centre.as_vec3()),
+            let here = if surface.kind == SurfaceKind::World {
+                now.local_positions(body.rest(), &mut local);
+                let places = surface.positions.iter().zip(local.iter()).map(|(&recorded, found)| {
+                    let found = (found + now.centre).as_vec3();
+                    (recorded.as_dvec3() - now.centre, found.as_dvec3() - now.centre)
+                });
+                Worst::of(self.at(), body, 0.0, places)
+            } else {
+                now.body_positions(body.rest(), &mut local);
+                let shift = self.centres[index] - now.centre.as_vec3();
+                let turns = [self.rotations[index], now.rotation.as_quat()];
+                let places = surface.positions.iter().zip(local.iter()).map(|(&recorded, found)| {
+                    let [recorded, found] = if turns == [Quat::IDENTITY; 2] {
+                        [recorded + shift, found.as_vec3()].map(Vec3::as_dvec3)
+                    } else {
+                        let [then, now] = turns.map(Quat::as_dquat);
+                        [then * recorded.as_dvec3() + shift.as_dvec3(), now * found.as_vec3().as_dvec3()]
+                    };
+                    (recorded, found)
+                });
+                Worst::of(self.at(), body, 0.0, places)
             };
-            now.local_positions(body.rest(), &mut local);
-            let places = surface.positions.iter().zip(local.iter()).map(|(&recorded, found)| {
-                let [recorded, found] = [recorded + shift, (found + origin).as_vec3()];
-                (recorded.as_dvec3() - origin, found.as_dvec3() - origin)
-            });
-            worst = Worst::and(worst, Worst::of(self.at(), body, 0.0, places));
+            worst = Worst::and(worst, here);
         }
         worst
     }
@@ -109,15 +125,32 @@ impl RecordedFrame {
     /// World positions of the vertices of a body [scene unit].
     pub fn world_positions(&self, body: usize) -> Option<Vec<DVec3>> {
         let surface = self.surfaces.get(body)?.as_ref()?;
-        let origin = if surface.kind == SurfaceKind::World { DVec3::ZERO } else { self.centres[body].as_dvec3() };
-        Some(surface.positions.iter().map(|position| position.as_dvec3() + origin).collect())
+        let centre = self.centres[body].as_dvec3();
+        Some(match surface.kind {
+            SurfaceKind::World => surface.positions.iter().map(|position| position.as_dvec3()).collect(),
+            SurfaceKind::Local | SurfaceKind::Resting => {
+                self.turned(body, surface).map(|position| position + centre).collect()
+            }
+        })
     }
 
-    /// Vertex positions of a body relative to its centre [scene unit].
+    /// Vertex positions of a body relative to its centre, in world axes [scene unit].
     pub fn local_positions(&self, body: usize) -> Option<Vec<DVec3>> {
         let surface = self.surfaces.get(body)?.as_ref()?;
-        let origin = if surface.kind == SurfaceKind::World { self.centres[body].as_dvec3() } else { DVec3::ZERO };
-        Some(surface.positions.iter().map(|position| position.as_dvec3() - origin).collect())
+        let centre = self.centres[body].as_dvec3();
+        Some(match surface.kind {
+            SurfaceKind::World => surface.positions.iter().map(|position| position.as_dvec3() - centre).collect(),
+            SurfaceKind::Local | SurfaceKind::Resting => self.turned(body, surface).collect(),
+        })
+    }
+
+    /// The vertices of a surface in body axes, in world axes.
+    fn turned<'a>(&self, body: usize, surface: &'a RecordedSurface) -> impl Iterator<Item = DVec3> + 'a {
+        let rotation = self.rotations[body].as_dquat();
+        surface.positions.iter().map(move |position| {
+            let position = position.as_dvec3();
+            if rotation == DQuat::IDENTITY { position } else { rotation * position }
+        })
     }
 
     /// Rounding error of a body's surface due to how it was recorded, in addition to its own single precision
@@ -153,6 +186,9 @@ pub struct FrameReader {
     ready: std::collections::VecDeque<i64>,
     surfaces: Vec<Option<RecordedSurface>>,
     centres: Vec<Vec3>,
+    rotations: Vec<Quat>,
+    /// The instances of each shape, by entity.
+    resting: HashMap<String, Vec<usize>>,
     /// Bodies in the shared mesh of deformed bodies, with the number of vertices of each.
     deforming: Vec<(usize, usize)>,
     has_given: bool,
@@ -182,6 +218,8 @@ impl FrameReader {
             ready: std::collections::VecDeque::new(),
             surfaces: vec![None; schema.bodies.len()],
             centres: vec![Vec3::ZERO; schema.bodies.len()],
+            rotations: vec![Quat::IDENTITY; schema.bodies.len()],
+            resting: HashMap::new(),
             deforming: Vec::new(),
             has_given: false,
             is_over: false,
@@ -200,9 +238,10 @@ impl FrameReader {
                 let path = self.path.clone();
                 self.apply(step).map_err(|what| ReadError::Damaged { path, at: None, what })?;
                 let number = u64::try_from(step).unwrap_or(0);
-                let (surfaces, centres) = (self.surfaces.clone(), self.centres.clone());
+                let (surfaces, centres, rotations) =
+                    (self.surfaces.clone(), self.centres.clone(), self.rotations.clone());
                 let time = number as f64 * self.schema.dt;
-                return Ok(Some(RecordedFrame { step: number, time, surfaces, centres }));
+                return Ok(Some(RecordedFrame { step: number, time, surfaces, centres, rotations }));
             }
             if self.is_over {
                 return Ok(None);
@@ -301,6 +340,9 @@ impl FrameReader {
         let vectors = |component| -> Vec<Vec3> {
             cell::<Vec3D>(chunk, component, row).into_iter().map(|v| Vec3::from(v.0)).collect()
         };
+        let quaternions = |component| -> Vec<Quat> {
+            cell::<Quaternion>(chunk, component, row).into_iter().map(|q| Quat::from_array(q.0)).collect()
+        };
         let bodies = || -> Result<Vec<usize>, String> {
             let names = cell::<Utf8>(chunk, "body", row);
             let index = |name: &Utf8| self.names.get(name.as_str()).copied();
@@ -313,8 +355,13 @@ impl FrameReader {
             if is_naming {
                 return Ok(());
             }
-            if let Some(name) = rest.strip_suffix("/surface") {
-                let index = *self.names.get(name).ok_or_else(|| format!("{entity} is no body of its scene"))?;
+            let name = rest.strip_suffix("/surface").unwrap_or(rest);
+            let index = *self.names.get(name).ok_or_else(|| format!("{entity} is no body of its scene"))?;
+            if name == rest {
+                if let Some(&rotation) = quaternions("Transform3D:quaternion").first() {
+                    self.rotations[index] = rotation;
+                }
+            } else {
                 let positions = vectors("Mesh3D:vertex_positions");
                 if !positions.is_empty() {
                     self.surfaces[index] = Some(RecordedSurface { positions, kind: SurfaceKind::Local });
@@ -342,8 +389,12 @@ impl FrameReader {
                 }
             }
         } else if let Some(mesh) = self.shapes.get(&entity) {
-            // the influence spheres give the positions; only the identity of the bodies matters here
-            if is_naming && super::recorded::raw(chunk, "body", row).is_some() {
+            // the influence spheres give the positions; only the identity and rotation of the bodies matter here
+            if !is_naming {
+                let rotations = quaternions("InstancePoses3D:quaternions");
+                let bodies = self.resting.get(&entity).map(Vec::as_slice).unwrap_or_default();
+                bodies.iter().zip(rotations).for_each(|(&body, rotation)| self.rotations[body] = rotation);
+            } else if super::recorded::raw(chunk, "body", row).is_some() {
                 let resting = bodies()?;
                 let surface = |body: usize| {
                     let rest = mesh.at(self.schema.bodies[body].radius);
@@ -353,6 +404,7 @@ impl FrameReader {
                 for (body, positions) in surfaces {
                     self.surfaces[body] = Some(RecordedSurface { positions, kind: SurfaceKind::Resting });
                 }
+                self.resting.insert(entity, resting);
             }
         }
         Ok(())

@@ -10,7 +10,7 @@ use std::{
     sync::Arc,
 };
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use rerun::{
     AnyValues,
     external::arrow::{
@@ -29,7 +29,7 @@ use super::{
 };
 use crate::{
     geometry::Vectors,
-    observe::{BodyFrame, Experiment, Frame, Schema, Simulation, StepSummary, Want, Worst},
+    observe::{BodyFrame, Experiment, Frame, Schema, Simulation, StepSummary, Want, Worst, schema::BodySchema},
     sim::checksum,
     stream::{
         Recorder,
@@ -38,11 +38,12 @@ use crate::{
     },
 };
 
-/// Entity with a two-byte hash for every vertex of every body that is not at rest, at every step: components `bodies`
-/// and `hashes`.
+/// Entity with a two-byte hash for every vertex of every body that is free or not at rest, at every step: components
+/// `bodies` and `hashes`.
 pub const VERTICES: &str = "/golden/vertices";
-/// Entity with the displacements of every body that is not at rest, every [`STATE_EVERY`] steps: components `bodies`
-/// and `displacements`, the latter x, y and z of each vertex [scene unit].
+/// Entity with the displacements of every body that is free or not at rest, every [`STATE_EVERY`] steps: components
+/// `bodies` and `displacements`, the latter x, y and z of each vertex [scene unit], and, if there are free bodies,
+/// `frames`, the centre and the rotation (x, y, z, w) of each of these.
 pub const STATES: &str = "/golden/states";
 /// Steps between recorded states: a third of a second in most scenes.
 pub const STATE_EVERY: u64 = 20;
@@ -90,7 +91,7 @@ pub fn bless(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<Blesse
         recorder.log_events(&summary);
         checksums.push(simulation.checksum());
         simulation.observe(Want::default(), &mut frame);
-        let awake: Vec<usize> = (0..frame.bodies.len()).filter(|&index| !frame.bodies[index].is_at_rest).collect();
+        let awake: Vec<usize> = (0..frame.bodies.len()).filter(|&index| is_kept(&schema, &frame, index)).collect();
         let bodies = |field: ArrayRef, name: &'static str| {
             let bodies: UInt32Array = awake.iter().map(|&index| index as u32).collect::<Vec<_>>().into();
             AnyValues::default()
@@ -98,13 +99,23 @@ pub fn bless(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<Blesse
                 .with_component_from_data(name, field)
         };
         if !awake.is_empty() {
-            let hashes: Vec<u16> = awake.iter().flat_map(|&index| vertex_hashes(&frame.bodies[index])).collect();
+            let hashes = |&i: &usize| vertex_hashes(&schema.bodies[i], &frame.bodies[i]);
+            let hashes: Vec<u16> = awake.iter().flat_map(hashes).collect();
             recorder.log(VERTICES, &*simulation, &bodies(Arc::new(UInt16Array::from(hashes)), "hashes"));
         }
         if !awake.is_empty() && (step % STATE_EVERY == 0 || step == schema.steps) {
-            let displacements: Vec<f64> =
-                awake.iter().flat_map(|&i| frame.bodies[i].displacements.iter()).flat_map(|x| x.to_array()).collect();
-            recorder.log(STATES, &*simulation, &bodies(Arc::new(Float64Array::from(displacements)), "displacements"));
+            let displacements = |&i: &usize| {
+                let now = &frame.bodies[i];
+                (0..schema.bodies[i].vertex_count()).flat_map(|vertex| now.displacement(vertex).to_array())
+            };
+            let displacements: Vec<f64> = awake.iter().flat_map(displacements).collect();
+            let mut state = bodies(Arc::new(Float64Array::from(displacements)), "displacements");
+            let free = awake.iter().filter(|&&index| schema.bodies[index].is_free);
+            let frames: Vec<f64> = free.flat_map(|&i| BodyPlace::of(&frame.bodies[i]).to_array()).collect();
+            if !frames.is_empty() {
+                state = state.with_component_from_data("frames", Arc::new(Float64Array::from(frames)));
+            }
+            recorder.log(STATES, &*simulation, &state);
         }
         if step % 256 == 0 {
             recorder.take().into_iter().try_for_each(|message| sinks.send(message))?;
@@ -126,11 +137,49 @@ fn counts(schema: &Schema) -> String {
     format!("{} vertices, {triangles} triangles", schema.vertex_count())
 }
 
-/// A two-byte hash of the state of each vertex of a body.
-fn vertex_hashes(now: &BodyFrame) -> Vec<u16> {
-    let hash =
-        |(x, u): (DVec3, DVec3)| checksum::sequence([x, u].into_iter().flat_map(|v| v.to_array()).map(checksum::bits));
-    now.displacements.iter().zip(now.velocities.iter()).map(|state| hash(state) as u16).collect()
+/// Whether a golden recording has details of a body in this state.
+fn is_kept(schema: &Schema, frame: &Frame, index: usize) -> bool {
+    schema.bodies[index].is_free || !frame.bodies[index].is_at_rest
+}
+
+/// A two-byte hash of the state of each vertex of a body; of a free body, with its centre and rotation.
+fn vertex_hashes(body: &BodySchema, now: &BodyFrame) -> Vec<u16> {
+    let place = body.is_free.then(|| BodyPlace::of(now).to_array());
+    let hash = |vertex: usize| {
+        let velocity = if now.is_at_rest { DVec3::ZERO } else { now.velocities.get(vertex) };
+        let state = [now.displacement(vertex), velocity].into_iter().flat_map(|v| v.to_array());
+        checksum::sequence(place.into_iter().flatten().chain(state).map(checksum::bits)) as u16
+    };
+    (0..body.vertex_count()).map(hash).collect()
+}
+
+/// Centre and rotation of a body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct BodyPlace {
+    centre: DVec3,
+    rotation: DQuat,
+}
+
+impl BodyPlace {
+    const NUMBERS: usize = 7;
+
+    fn of(now: &BodyFrame) -> BodyPlace {
+        BodyPlace { centre: now.centre, rotation: now.rotation }
+    }
+
+    fn from_array([x, y, z, i, j, k, w]: [f64; BodyPlace::NUMBERS]) -> BodyPlace {
+        BodyPlace { centre: DVec3::new(x, y, z), rotation: DQuat::from_xyzw(i, j, k, w) }
+    }
+
+    fn to_array(self) -> [f64; BodyPlace::NUMBERS] {
+        let ([x, y, z], [i, j, k, w]) = (self.centre.to_array(), self.rotation.to_array());
+        [x, y, z, i, j, k, w]
+    }
+
+    /// World position of a vertex at rest [scene unit].
+    fn at_rest(self, l: DVec3) -> DVec3 {
+        self.centre + self.rotation * l
+    }
 }
 
 /// The result of comparing a scene with its golden recording.
@@ -162,7 +211,8 @@ pub struct GoldenDifference {
     pub is_rewritten: bool,
     /// The first step whose checksums differ.
     pub first: Option<First>,
-    /// The worst vertex of all later states of the golden recording; its positions are displacements from rest.
+    /// The worst vertex of all later states of the golden recording; its positions are displacements from rest, or world
+    /// positions if the body is free.
     pub worst: Option<Worst>,
     /// Whether no vertex of those states differs by more than the scene's tolerance.
     pub is_within_tolerance: bool,
@@ -329,7 +379,8 @@ fn show(
             let (body, now) = (&schema.bodies[index], &frame.bodies[index]);
             now.local_positions(body.rest(), &mut local);
             let found = local.iter().map(|position| now.centre + position).collect();
-            let rest = |vertex| now.centre + body.rest().position(vertex);
+            let place = state.places.get(&index).copied().unwrap_or(BodyPlace::of(now));
+            let rest = |vertex| place.at_rest(body.rest().position(vertex));
             let then =
                 (0..body.vertex_count()).map(|vertex| rest(vertex) + state.displacement(index, vertex)).collect();
             [Some(then), Some(found)]
@@ -341,8 +392,10 @@ fn show(
 /// A state as stored in a golden recording.
 #[derive(Clone, Debug, Default)]
 struct GoldenState {
-    /// Displacements of the vertices of bodies that are not at rest [scene unit].
+    /// Displacements of the vertices of bodies that are free or not at rest [scene unit].
     bodies: BTreeMap<usize, Vec<DVec3>>,
+    /// Centres and rotations of free bodies.
+    places: BTreeMap<usize, BodyPlace>,
 }
 
 impl GoldenState {
@@ -355,9 +408,14 @@ impl GoldenState {
         let bodies = schema.bodies.iter().zip(&frame.bodies).enumerate();
         let moved = bodies.filter(|(index, (_, now))| self.bodies.contains_key(index) || !now.is_at_rest);
         let worst = moved.map(|(index, (body, now))| {
-            let vertices = 0..body.vertex_count();
-            let places = vertices.map(|vertex| (self.displacement(index, vertex), now.displacement(vertex)));
-            Worst::of(frame.at, body, 0.0, places)
+            let places = self.places.get(&index).map(|&then| (then, BodyPlace::of(now)));
+            let states = (0..body.vertex_count()).map(|vertex| {
+                let [then, found] = [self.displacement(index, vertex), now.displacement(vertex)];
+                let Some((place, place_now)) = places else { return (then, found) };
+                let l = body.rest().position(vertex);
+                (place.at_rest(l) + then, place_now.at_rest(l) + found)
+            });
+            Worst::of(frame.at, body, 0.0, states)
         });
         worst.fold(None, Worst::and)
     }
@@ -404,7 +462,13 @@ impl Details {
                     let values = raw(&chunk, "displacements", row);
                     let values = values.as_ref().and_then(|values| values.as_primitive_opt::<Float64Type>());
                     let values = values.map(|values| values.values().as_ref()).unwrap_or_default();
+                    let frames = raw(&chunk, "frames", row);
+                    let frames = frames.as_ref().and_then(|frames| frames.as_primitive_opt::<Float64Type>());
+                    let frames = frames.map(|frames| frames.values().as_ref()).unwrap_or_default();
                     let state = details.states.entry(at).or_default();
+                    let free = sizes.clone().map(|(index, _)| index).filter(|&index| schema.bodies[index].is_free);
+                    let places = frames.as_chunks::<{ BodyPlace::NUMBERS }>().0;
+                    state.places.extend(free.zip(places.iter().copied().map(BodyPlace::from_array)));
                     for (index, count) in sizes {
                         let own: &[f64] = values.get(3 * first..3 * (first + count)).unwrap_or_default();
                         let vectors = own.as_chunks::<3>().0.iter().map(|&x| DVec3::from_array(x));
@@ -430,10 +494,10 @@ impl Details {
     fn part(&self, schema: &Schema, frame: &Frame, [golden, found]: [u64; 2]) -> First {
         let differing = |(index, now): (usize, &BodyFrame)| {
             let all = 0..schema.bodies[index].vertex_count();
-            let vertices: Vec<usize> = match (self.hashes.get(&index), now.is_at_rest) {
-                (None, true) => Vec::new(),
-                (Some(then), false) => {
-                    let now = vertex_hashes(now);
+            let vertices: Vec<usize> = match (self.hashes.get(&index), is_kept(schema, frame, index)) {
+                (None, false) => Vec::new(),
+                (Some(then), true) => {
+                    let now = vertex_hashes(&schema.bodies[index], now);
                     all.filter(|&vertex| then.get(vertex) != now.get(vertex)).collect()
                 }
                 _ => all.collect(),

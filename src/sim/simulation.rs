@@ -3,7 +3,7 @@
 
 use std::{mem::take, sync::Arc};
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 
 use super::{
     Options, StepReport, World,
@@ -175,7 +175,7 @@ impl Simulation for World {
         let mut energy = want.scalars.then(|| EnergySum::new(scene, self.energy_of_distant_pairs(), self.phases()));
         let mut surroundings = Surroundings::default();
         for ((index, body), now) in self.bodies().enumerate().zip(&mut frame.bodies) {
-            now.centre = body.centre();
+            (now.centre, now.rotation) = (body.centre(), DQuat::IDENTITY);
             if body.is_at_rest() {
                 now.rest();
             } else {
@@ -293,6 +293,8 @@ fn schema(scene: &Scene, options: Options) -> Schema {
         reach: scene.influence.sphere_radius(body.radius),
         shape: body.shape.label(),
         mesh: body.shape.mesh(),
+        is_free: false,
+        color: None,
     });
     let bodies = bodies.collect();
     let thresholds = [

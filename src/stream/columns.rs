@@ -33,6 +33,8 @@ const CHUNK_ROWS: usize = 4096;
 pub enum Cell<'a> {
     /// Positions or directions.
     Vectors(&'a [Float3]),
+    /// Rotations: x, y, z, w.
+    Quaternions(&'a [[f32; 4]]),
     /// Scalars of a plot.
     Scalars(&'a [f64]),
     /// Scalars of vertices.
@@ -73,6 +75,7 @@ struct Column {
 enum Values {
     Empty,
     Vectors(Vec<Float3>),
+    Quaternions(Vec<[f32; 4]>),
     Scalars(Vec<f64>),
     Floats(Vec<f32>),
     Colors(Vec<u32>),
@@ -191,6 +194,7 @@ impl Values {
     fn extend(&mut self, cell: Cell<'_>) -> usize {
         match (self, cell) {
             (Values::Vectors(values), Cell::Vectors(cell)) => append(values, cell),
+            (Values::Quaternions(values), Cell::Quaternions(cell)) => append(values, cell),
             (Values::Scalars(values), Cell::Scalars(cell)) => append(values, cell),
             (Values::Floats(values), Cell::Floats(cell)) => append(values, cell),
             (Values::Colors(values), Cell::Colors(cell)) => append(values, cell),
@@ -202,6 +206,7 @@ impl Values {
                 // the first row determines the type of the column
                 *values = match cell {
                     Cell::Vectors(cell) => Values::Vectors(cell.to_vec()),
+                    Cell::Quaternions(cell) => Values::Quaternions(cell.to_vec()),
                     Cell::Scalars(cell) => Values::Scalars(cell.to_vec()),
                     Cell::Floats(cell) => Values::Floats(cell.to_vec()),
                     Cell::Colors(cell) => Values::Colors(cell.to_vec()),
@@ -219,6 +224,7 @@ impl Values {
         match self {
             Values::Empty => 0,
             Values::Vectors(values) => size_of_val(values.as_slice()),
+            Values::Quaternions(values) => size_of_val(values.as_slice()),
             Values::Scalars(values) => size_of_val(values.as_slice()),
             Values::Floats(values) => size_of_val(values.as_slice()),
             Values::Colors(values) => size_of_val(values.as_slice()),
@@ -234,6 +240,7 @@ impl Values {
         match self {
             Values::Empty => Values::Empty,
             Values::Vectors(values) => Values::Vectors(Vec::with_capacity(values.len())),
+            Values::Quaternions(values) => Values::Quaternions(Vec::with_capacity(values.len())),
             Values::Scalars(values) => Values::Scalars(Vec::with_capacity(values.len())),
             Values::Floats(values) => Values::Floats(Vec::with_capacity(values.len())),
             Values::Colors(values) => Values::Colors(Vec::with_capacity(values.len())),
@@ -249,6 +256,7 @@ impl Values {
         match self {
             Values::Empty => Values::Empty,
             Values::Vectors(values) => Values::Vectors(values[first..].to_vec()),
+            Values::Quaternions(values) => Values::Quaternions(values[first..].to_vec()),
             Values::Scalars(values) => Values::Scalars(values[first..].to_vec()),
             Values::Floats(values) => Values::Floats(values[first..].to_vec()),
             Values::Colors(values) => Values::Colors(values[first..].to_vec()),
@@ -262,14 +270,15 @@ impl Values {
     fn into_array(self) -> Result<ArrayRef, ArrowError> {
         Ok(match self {
             Values::Empty => Arc::new(Float64Array::from(Vec::<f64>::new())),
-            Values::Vectors(values) => vectors(values)?,
+            Values::Vectors(values) => tuples(values)?,
+            Values::Quaternions(values) => tuples(values)?,
             Values::Scalars(values) => Arc::new(Float64Array::from(values)),
             Values::Floats(values) => Arc::new(Float32Array::from(values)),
             Values::Colors(values) => Arc::new(UInt32Array::from(values)),
             Values::Classes(values) => Arc::new(UInt16Array::from(values)),
             Values::Segments(values) => {
                 let offsets = OffsetBuffer::from_lengths(values.iter().map(|_| 2));
-                let points = vectors(values.into_flattened())?;
+                let points = tuples(values.into_flattened())?;
                 let item = Field::new("item", points.data_type().clone(), false);
                 Arc::new(ListArray::try_new(item.into(), offsets, points, None)?)
             }
@@ -279,10 +288,10 @@ impl Values {
     }
 }
 
-fn vectors(values: Vec<Float3>) -> Result<ArrayRef, ArrowError> {
+fn tuples<const N: usize>(values: Vec<[f32; N]>) -> Result<ArrayRef, ArrowError> {
     let coordinates = Arc::new(Float32Array::from(values.into_flattened()));
     let item = Field::new("item", DataType::Float32, false);
-    Ok(Arc::new(FixedSizeListArray::try_new(item.into(), 3, coordinates, None)?))
+    Ok(Arc::new(FixedSizeListArray::try_new(item.into(), N as i32, coordinates, None)?))
 }
 
 fn append<T: Clone>(values: &mut Vec<T>, cell: &[T]) -> usize {
@@ -294,6 +303,7 @@ impl Cell<'_> {
     fn len(&self) -> usize {
         match self {
             Cell::Vectors(cell) => cell.len(),
+            Cell::Quaternions(cell) => cell.len(),
             Cell::Scalars(cell) => cell.len(),
             Cell::Floats(cell) => cell.len(),
             Cell::Colors(cell) => cell.len(),

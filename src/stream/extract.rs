@@ -1,6 +1,6 @@
 //! Converts states to meshes and arrows, in the single precision of the viewer.
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use pulp::Arch;
 
 use super::normals::{self, Float3};
@@ -18,7 +18,7 @@ pub struct Extractor {
 }
 
 impl Extractor {
-    /// Vertex positions of a body relative to its centre [scene unit].
+    /// Vertex positions of a body relative to its centre, in world axes [scene unit].
     fn local<'a>(&'a mut self, body: &BodySchema, now: &'a BodyFrame) -> &'a Vectors {
         if !now.is_at_rest {
             return &now.positions;
@@ -51,14 +51,26 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// Appends the surface of a body; `offset` [scene unit] is added to its vertex positions in body coordinates.
-    pub fn append(&mut self, body: &BodySchema, now: &BodyFrame, offset: DVec3, extractor: &mut Extractor) {
-        let local = extractor.local(body, now);
-        append_moved(local, offset, &mut self.positions);
-        // Normals are computed in body coordinates: an offset would cost precision.
+    /// Appends the surface of a body in world coordinates.
+    pub fn append_in_world(&mut self, body: &BodySchema, now: &BodyFrame, extractor: &mut Extractor) {
+        append_moved(extractor.local(body, now), now.centre, &mut self.positions);
+        // Normals are computed relative to the centre: its position would cost precision.
         let Extractor { arch, rest, normals } = extractor;
         let local = if now.is_at_rest { rest } else { &now.positions };
         normals::append(*arch, &body.mesh, local, normals, &mut self.normals);
+    }
+
+    /// Appends the surface of a body relative to its centre, in body axes.
+    pub fn append_in_body(&mut self, body: &BodySchema, now: &BodyFrame, extractor: &mut Extractor) {
+        let Extractor { arch, rest, normals } = extractor;
+        let positions = if now.is_at_rest || now.rotation != DQuat::IDENTITY {
+            now.body_positions(body.rest(), rest);
+            rest
+        } else {
+            &now.positions
+        };
+        append_moved(positions, DVec3::ZERO, &mut self.positions);
+        normals::append(*arch, &body.mesh, positions, normals, &mut self.normals);
     }
 
     /// Removes all vertices and keeps the allocation.

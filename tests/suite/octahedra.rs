@@ -1,9 +1,9 @@
 //! A simulation that shares nothing with this crate's. Two octahedra pass each other; each corner is pulled back to its
-//! rest position and, while the octahedra grip, towards the other octahedron.
+//! rest position and, while the octahedra grip, towards the other octahedron. The second one rotates about z.
 
 use std::{sync::Arc, time::Duration};
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use meldscope::{
     geometry::{Mesh, Vectors},
     observe::{
@@ -37,6 +37,10 @@ struct Projected {
 impl Projected {
     fn centre(&self, body: usize) -> DVec3 {
         if body == 0 { DVec3::ZERO } else { DVec3::new(4.0 * self.time() - 4.0, 1.2, 0.0) }
+    }
+
+    fn rotation(&self, body: usize) -> DQuat {
+        if body == 0 { DQuat::IDENTITY } else { DQuat::from_rotation_z(1.3 * self.time()) }
     }
 
     fn forces(&self, body: usize, i: usize) -> [DVec3; 2] {
@@ -82,7 +86,7 @@ impl Simulation for Projected {
         frame.pairs = vec![PairFrame { a: 0, b: 1, q: self.centre(1).length() / 2.0, phase: self.phase }];
         frame.bodies.resize_with(2, BodyFrame::default);
         for (body, now) in frame.bodies.iter_mut().enumerate() {
-            now.centre = self.centre(body);
+            (now.centre, now.rotation) = (self.centre(body), self.rotation(body));
             (now.displacements, now.velocities) = (self.moved[body].clone(), self.velocity[body].clone());
             now.displaced(self.schema.bodies[body].rest());
             if want.forces {
@@ -111,7 +115,7 @@ impl Experiment for Octahedra {
             source: format!("pull = {:?}", self.0),
             dt: 0.02,
             steps: 100,
-            bodies: vec![body("a"), body("b")],
+            bodies: vec![body("a"), BodySchema { is_free: true, ..body("b") }],
             terms: terms.into(),
             labels: vec!["free", "held"],
             phases: [("loose", colors::SILVER), ("gripped", colors::ORANGE)].map(Into::into).into(),

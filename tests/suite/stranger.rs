@@ -3,10 +3,13 @@
 
 use std::path::Path;
 
+use glam::DQuat;
 use meldscope::{
-    observe::Experiment as _,
+    geometry::Vectors,
+    observe::{Experiment as _, Frame, Want},
     recording::{
         Recorded, diff,
+        frames::FrameReader,
         golden::{self, GoldenOutcome},
         replay::{self, Verdict},
     },
@@ -74,4 +77,39 @@ fn anybodys_simulation_is_recorded_replayed_compared_and_checked() {
     assert!(
         matches!(check(3.1), GoldenOutcome::Different(found) if found.first.as_ref().is_some_and(|at| at.step == first))
     );
+}
+
+/// A body that rotates is recorded in its own axes and read back in those of the world, as an entity of its own and in a
+/// batch, at rest and deformed.
+#[test]
+fn rotations_are_recorded_and_read_back() {
+    let (dir, own) = (Dir::new(), Settings::of(&Octahedra(3.0)));
+    for (name, entities) in [("body", Entities::Body), ("batch", Entities::Batch)] {
+        let (recorded, _) = record(&dir.file(name), 3.0, Settings { entities, ..own.clone() });
+        let mut frames = FrameReader::open(&recorded).expect("a recording");
+        let mut simulation = Octahedra(3.0).start().expect("it fits");
+        let (schema, mut now, mut expected) = (simulation.schema(), Frame::default(), Vectors::default());
+        let mut count = 0;
+        while let Some(frame) = frames.next().expect("frames") {
+            simulation.observe(Want::default(), &mut now);
+            assert_eq!(frame.compare(&schema, &now), None, "{name}, step {}", frame.step);
+            for (index, body) in now.bodies.iter().enumerate() {
+                body.local_positions(schema.bodies[index].rest(), &mut expected);
+                let local = frame.local_positions(index).expect("a surface");
+                let world = frame.world_positions(index).expect("a surface");
+                for ((local, world), expected) in local.into_iter().zip(world).zip(expected.iter()) {
+                    assert!(local.distance(expected) < 2e-6, "{name}: {local} {expected}");
+                    assert!(world.distance(body.centre + expected) < 2e-6, "{name}: {world} {expected}");
+                }
+            }
+            count += 1;
+            simulation.step();
+        }
+        assert_eq!(count, 101);
+        assert!(now.bodies[1].rotation.angle_between(DQuat::IDENTITY) > 2.0);
+
+        let entities = Recording::open(&dir.file(name)).entities();
+        let has = |entity: &str| entities.contains(&entity.into());
+        assert_eq!([has("world/bodies/b"), has("world/resting/octahedron")], [name == "body", name == "batch"]);
+    }
 }

@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use rerun::{AnyValues, InstancePoses3D, Mesh3D, components::Text, external::arrow::array::UInt32Array};
+use glam::DQuat;
+use rerun::{AnyValues, InstancePoses3D, Mesh3D, Quaternion, components::Text, external::arrow::array::UInt32Array};
 
 use super::{
     Look,
@@ -23,6 +24,9 @@ use crate::{
 /// Displacement above which a body counts as deformed [radii]; below it, the body is drawn as an instance of its shape.
 pub const DEFORMED: f64 = 1e-6;
 
+/// An undeformed body: its index, centre and rotation.
+type Instance = (usize, Float3, [f32; 4]);
+
 const DEFORMING: &str = "/world/deforming/surface";
 
 /// All bodies in shared entities, with what was last logged of them.
@@ -31,7 +35,9 @@ pub struct BatchedBodies {
     deforming: Vec<usize>,
     last: Surface,
     next: Surface,
-    resting: Option<Vec<(usize, Float3)>>,
+    resting: Option<Vec<Instance>>,
+    /// Whether any body has rotated yet: until then, instances have no rotations.
+    has_turned: bool,
     /// Values of single vertices, only if forces are recorded.
     vertices: Option<Vertices>,
     numbers: vertices::VertexNumbers,
@@ -51,7 +57,7 @@ impl BatchedBodies {
             chunks.track(DEFORMING, [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals()]);
         let vertices = (detail != Detail::Surface).then(|| Vertices::new(DEFORMING, chunks));
         let (last, next, numbers) = Default::default();
-        BatchedBodies { track, deforming: Vec::new(), last, next, resting: None, vertices, numbers }
+        BatchedBodies { track, deforming: Vec::new(), last, next, resting: None, has_turned: false, vertices, numbers }
     }
 
     /// Logs what has changed; `numbers` are the values of each body's vertices, if they are recorded.
@@ -67,7 +73,7 @@ impl BatchedBodies {
             (0..now.len()).partition(|&i| now[i].max_displacement > DEFORMED * bodies[i].radius);
         self.next.clear();
         for &i in &deforming {
-            self.next.append(&bodies[i], &now[i], now[i].centre, extractor);
+            self.next.append_in_world(&bodies[i], &now[i], extractor);
         }
         if let Some(vertices) = &mut self.vertices {
             self.numbers.clear();
@@ -83,7 +89,9 @@ impl BatchedBodies {
             let Surface { positions, normals } = &self.last;
             chunks.push(self.track, look.at, &[Cell::Vectors(positions), Cell::Vectors(normals)]);
         }
-        let resting = resting.into_iter().map(|i| (i, now[i].centre.as_vec3().to_array())).collect();
+        self.has_turned |= resting.iter().any(|&i| now[i].rotation != DQuat::IDENTITY);
+        let instance = |i: usize| (i, now[i].centre.as_vec3().to_array(), now[i].rotation.as_quat().to_array());
+        let resting = resting.into_iter().map(instance).collect();
         if self.resting.as_ref() != Some(&resting) {
             self.log_resting(look, &resting, chunks);
             self.resting = Some(resting);
@@ -109,19 +117,22 @@ impl BatchedBodies {
     }
 
     /// Logs the instances of the shapes whose instances have changed.
-    fn log_resting(&self, look: Look<'_>, resting: &[(usize, Float3)], chunks: &mut Chunks) {
+    fn log_resting(&self, look: Look<'_>, resting: &[Instance], chunks: &mut Chunks) {
         for shape in look.schema.shapes().keys() {
-            let of_shape = |list: &[(usize, Float3)]| -> Vec<(usize, Float3)> {
-                list.iter().copied().filter(|&(i, _)| look.schema.bodies[i].shape == *shape).collect()
+            let of_shape = |list: &[Instance]| -> Vec<Instance> {
+                list.iter().copied().filter(|&(i, ..)| look.schema.bodies[i].shape == *shape).collect()
             };
             let instances = of_shape(resting);
             if self.resting.as_ref().is_some_and(|last| of_shape(last) == instances) {
                 continue;
             }
-            let bodies = || instances.iter().map(|&(i, _)| &look.schema.bodies[i]);
-            let poses = InstancePoses3D::update_fields()
-                .with_translations(instances.iter().map(|&(_, centre)| centre))
+            let bodies = || instances.iter().map(|&(i, ..)| &look.schema.bodies[i]);
+            let mut poses = InstancePoses3D::update_fields()
+                .with_translations(instances.iter().map(|&(_, centre, _)| centre))
                 .with_scales(bodies().map(|body| [body.radius as f32; 3]));
+            if self.has_turned {
+                poses = poses.with_quaternions(instances.iter().map(|&(.., rotation)| Quaternion::from_xyzw(rotation)));
+            }
             let names: Vec<&str> = bodies().map(|body| body.name.as_str()).collect();
             chunks.log(&resting_entity(shape), look.at, &poses);
             chunks.log(&resting_entity(shape), look.at, &body_names(&names));

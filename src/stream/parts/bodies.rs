@@ -1,6 +1,6 @@
 //! One transform and one mesh per body.
 
-use glam::DVec3;
+use glam::DQuat;
 use rerun::{Mesh3D, Transform3D};
 
 use super::{
@@ -8,7 +8,7 @@ use super::{
     vertices::{self, Vertices, identity},
 };
 use crate::{
-    observe::Schema,
+    observe::{BodyFrame, Schema},
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,
@@ -27,12 +27,47 @@ pub struct SeparateBodies {
 
 /// The last logged values of a body.
 struct Logged {
-    transform: TrackId,
+    transform: Transform,
     surface: TrackId,
-    centre: Option<Float3>,
     last: Surface,
+    /// Whether that is the shape at rest.
+    is_at_rest: bool,
     /// Values of single vertices, only if forces are recorded.
     vertices: Option<Vertices>,
+}
+
+/// Where a body is and, once it has rotated, how.
+struct Transform {
+    entity: String,
+    translation: TrackId,
+    /// Translation and rotation: the viewer resets a transform to the identity where a row does not give it. A body that
+    /// never rotates has none.
+    both: Option<TrackId>,
+    last: Option<(Float3, [f32; 4])>,
+}
+
+impl Transform {
+    fn new(entity: String, chunks: &mut Chunks) -> Transform {
+        let translation = chunks.track(&entity, [Transform3D::descriptor_translation()]);
+        Transform { entity, translation, both: None, last: None }
+    }
+
+    fn log(&mut self, look: Look<'_>, now: &BodyFrame, chunks: &mut Chunks) {
+        let next = (now.centre.as_vec3().to_array(), now.rotation.as_quat().to_array());
+        if self.last == Some(next) {
+            return;
+        }
+        if self.both.is_none() && now.rotation != DQuat::IDENTITY {
+            let components = [Transform3D::descriptor_translation(), Transform3D::descriptor_quaternion()];
+            self.both = Some(chunks.track(&self.entity, components));
+        }
+        let (centre, rotation) = next;
+        match self.both {
+            Some(both) => chunks.push(both, look.at, &[Cell::Vectors(&[centre]), Cell::Quaternions(&[rotation])]),
+            None => chunks.push(self.translation, look.at, &[Cell::Vectors(&[centre])]),
+        }
+        self.last = Some(next);
+    }
 }
 
 impl SeparateBodies {
@@ -50,11 +85,11 @@ impl SeparateBodies {
                 Vertices::new(&surface, chunks)
             });
             Logged {
-                transform: chunks.track(&entity, [Transform3D::descriptor_translation()]),
+                transform: Transform::new(entity, chunks),
                 surface: chunks
                     .track(&surface, [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals()]),
-                centre: None,
                 last: Surface::default(),
+                is_at_rest: false,
                 vertices,
             }
         });
@@ -75,16 +110,12 @@ impl SeparateBodies {
             }
         }
         for ((body, now), track) in look.bodies().zip(&mut self.bodies) {
-            let centre = now.centre.as_vec3().to_array();
-            if track.centre != Some(centre) {
-                chunks.push(track.transform, look.at, &[Cell::Vectors(&[centre])]);
-                track.centre = Some(centre);
-            }
-            if now.is_at_rest && !track.last.positions.is_empty() {
+            track.transform.log(look, now, chunks);
+            if std::mem::replace(&mut track.is_at_rest, now.is_at_rest) && now.is_at_rest {
                 continue;
             }
             self.next.clear();
-            self.next.append(body, now, DVec3::ZERO, extractor);
+            self.next.append_in_body(body, now, extractor);
             if self.next != track.last {
                 std::mem::swap(&mut self.next, &mut track.last);
                 let Surface { positions, normals } = &track.last;
