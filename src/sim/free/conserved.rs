@@ -38,7 +38,7 @@ impl Conserved {
     }
 
     /// The conserved quantities of bodies in their current state. Bodies on prescribed paths contribute only the energy
-    /// of the influence on them.
+    /// of the influence between them and free bodies.
     pub fn of(bodies: &[Body], pairs: &[Pair], field: &Field) -> Conserved {
         let mut sum = Conserved::default();
         for body in bodies.iter().filter(|body| body.is_free()) {
@@ -76,19 +76,25 @@ impl Conserved {
 
 /// The energy of a pair's influence at a given strength [mass · scene unit²/s²].
 pub(super) fn influence(bodies: &[Body], pair: &Pair, field: &Field, strength: f64) -> f64 {
-    if strength == 0.0 {
+    let (a, b) = (&bodies[pair.a as usize], &bodies[pair.b as usize]);
+    if strength == 0.0 || !(a.is_free() || b.is_free()) {
         return 0.0;
     }
-    let (a, b) = (&bodies[pair.a as usize], &bodies[pair.b as usize]);
     let of = |own: &Body, source: &Body| {
-        let r_e = field.reach * source.radius;
         let axes = DMat3::from_quat(own.rotation);
-        let apart = source.centre - own.centre;
-        let potential = (0..own.x.len()).map(|i| {
-            let s = axes * own.shape.rest[i] + own.x[i];
-            own.shape.masses[i] * influence_potential(field.weight, r_e, (apart - s).length())
-        });
-        strength * field.scale(own.radius, source.radius) * potential.sum::<f64>()
+        strength * potential(own, axes, &own.x, source.centre - own.centre, source, field)
     };
     of(a, b) + of(b, a)
+}
+
+/// Σ m Φ of the vertices of a body in the sphere of `source`, with the factor for their sizes [mass · scene unit²]. The
+/// vertices are displaced by `x` in a frame with these axes, `to_source` is from their centre to that of the sphere.
+pub(super) fn potential(own: &Body, axes: DMat3, x: &[DVec3], to_source: DVec3, source: &Body, field: &Field) -> f64 {
+    let r_e = field.reach * source.radius;
+    let vertices = own.shape.rest.iter().zip(&own.shape.masses).zip(x);
+    let sum = vertices.map(|((&l, &m), &x)| {
+        let s = axes * l + x;
+        m * influence_potential(field.weight, r_e, (to_source - s).length())
+    });
+    field.scale(own.radius, source.radius) * sum.sum::<f64>()
 }

@@ -45,7 +45,7 @@ pub struct View<'a> {
 enum Contact<'a> {
     Sphere(&'a Sphere),
     Plane(u32, &'a Plane),
-    Push(&'a Push),
+    Push(u32, &'a Push),
 }
 
 /// A vertex at a sample, both relative to the centre and with the centre's motion.
@@ -70,7 +70,7 @@ impl Contact<'_> {
                 ((sphere.radius - distance) * (sphere.radius + distance), -2.0 * d.dot(v))
             }
             Contact::Plane(_, plane) => (plane.depth(place.centre + s), -plane.normal.dot(place.velocity + rate)),
-            Contact::Push(push) => (-push.direction.dot(unit(a)), -push.direction.dot(turning.cross(unit(a)))),
+            Contact::Push(_, push) => (-push.direction.dot(unit(a)), -push.direction.dot(turning.cross(unit(a)))),
         }
     }
 
@@ -89,7 +89,7 @@ impl Contact<'_> {
                 d * (sphere.strength[look] * w)
             }
             Contact::Plane(_, plane) => plane.acceleration(plane.depth(place.centre + s), place.velocity + rate),
-            Contact::Push(push) => push.direction * (-push.strength * push.direction.dot(unit(a))),
+            Contact::Push(_, push) => push.direction * (-push.strength * push.direction.dot(unit(a))),
         }
     }
 }
@@ -145,6 +145,7 @@ impl Acting {
         course.reactions.clear();
         std::mem::swap(&mut course.held, &mut course.held_before);
         course.held.clear();
+        course.pushed.clear();
         course.stiffness = self.spheres.iter().map(|sphere| sphere.strength[0].abs()).sum();
         for look in first..4 {
             course.vertices[look].f.fill(DVec3::ZERO);
@@ -163,7 +164,7 @@ impl Acting {
             if nearest > sphere.radius + extent + band {
                 continue;
             }
-            let mut reaction = Reaction { source: sphere.source, force: [DVec3::ZERO; 5] };
+            let mut reaction = Reaction { source: sphere.source, force: [DVec3::ZERO; 5], power: [0.0; 4] };
             let (inner, outer) = ((sphere.radius - band).max(0.0), sphere.radius + band);
             let (inner, outer) = (inner * inner, outer * outer);
             for i in 0..body.x.len() {
@@ -200,9 +201,9 @@ impl Acting {
                 view.touch(Contact::Plane(number, plane), inside, course, i, None);
             }
         }
-        for push in &self.pushes {
+        for (number, push) in (0..).zip(&self.pushes) {
             for i in 0..body.x.len() {
-                view.touch(Contact::Push(push), false, course, i, None);
+                view.touch(Contact::Push(number, push), false, course, i, None);
             }
         }
         for look in first..4 {
@@ -234,7 +235,8 @@ impl Acting {
             }
         }
         let planes = (0..).zip(&field.planes).map(|(number, plane)| Contact::Plane(number, plane));
-        for contact in planes.chain(self.pushes.iter().map(Contact::Push)) {
+        let pushes = (0..).zip(&self.pushes).map(|(number, push)| Contact::Push(number, push));
+        for contact in planes.chain(pushes) {
             if let Contact::Plane(_, plane) = contact
                 && plane.depth(places[look].centre) + extent < 0.0
             {
@@ -276,21 +278,25 @@ impl View<'_> {
                 polynomial = Some(Polynomial::new(&values, &rates));
             }
         }
-        let crossings = polynomial.map(|p| p.crossings()).unwrap_or_default();
-        let crossings = crossings.as_slice();
+        let toggles = polynomial.map(|p| p.crossings()).unwrap_or_default();
+        let crossings = toggles.as_slice();
         if !starts_inside && crossings.is_empty() {
             return;
         }
         let mass = body.shape.masses[i];
         let mut g: [DVec3; 4] = std::array::from_fn(|look| contact.acceleration(field.weight, look, &seen[look]));
+        let held = |contact: u32, g| Held { contact, vertex: i as u32, g, starts_inside, crossings: toggles };
+        if let Contact::Push(number, _) = contact {
+            course.pushed.push(held(number, g));
+        }
         if let Contact::Plane(number, plane) = contact {
             let key = (number, i as u32);
-            let known = course.held_before.binary_search_by_key(&key, |held| (held.plane, held.vertex));
+            let known = course.held_before.binary_search_by_key(&key, |held| (held.contact, held.vertex));
             if let Ok(known) = known {
                 let responses = course.responses(body.oscillator, span.h, starts_inside, crossings);
                 g = hold(plane, &course.held_before[known].g, &g, &seen, &responses);
             }
-            course.held.push(Held { plane: number, vertex: i as u32, g });
+            course.held.push(held(number, g));
         }
         let mut source = None;
         if let Some(reaction) = reaction {
@@ -298,6 +304,9 @@ impl View<'_> {
             if starts_inside {
                 for look in 0..4 {
                     reaction.force[look] -= mass * g[look];
+                    if !body.is_free() {
+                        reaction.power[look] -= (mass * g[look]).dot(seen[look].place.velocity + seen[look].rate);
+                    }
                 }
             }
         }

@@ -10,6 +10,7 @@ use super::{
     crossing::Course as Polynomial,
     field::{Field, Pair, Paths},
     force::{Acting, View},
+    ledger::{Done, Ledger},
     step::{Course, MIDDLE, Piece, Place, Span, larger},
 };
 use crate::model::{oscillator::Oscillator, phase::Phase};
@@ -64,6 +65,8 @@ pub struct Report {
     pub sweeps: u64,
     /// Sum over the steps of the largest estimated error [radii].
     pub error: f64,
+    /// What changed the energy of the bodies.
+    pub ledger: Ledger,
 }
 
 /// Why an island cannot be advanced any further.
@@ -311,19 +314,22 @@ impl Island {
                     return Err(self.stopped());
                 }
                 if next > self.time {
-                    self.commit(scratch, next);
+                    self.commit(scratch, next, report);
                 }
                 if let Some(to) = crossing.to {
                     self.change(crossing.pair, to, scratch, report)?;
                 }
             } else {
-                self.commit(scratch, next);
+                self.commit(scratch, next, report);
             }
         }
         Ok(())
     }
 
-    fn commit(&mut self, scratch: &mut Scratch, next: f64) {
+    fn commit(&mut self, scratch: &mut Scratch, next: f64, report: &mut Report) {
+        let Scratch { courses, places, .. } = &*scratch;
+        let (bodies, pairs, field, h) = (&self.bodies, &self.pairs, &self.field, next - self.time);
+        report.ledger += Done { bodies, pairs, field, courses, places, h }.ledger();
         for (i, body) in self.bodies.iter_mut().enumerate() {
             let (course, places, way) = (&mut scratch.courses[i], &scratch.places[i], &mut self.ways[i]);
             for (place, frame) in places.iter().zip(&course.frames) {
@@ -624,6 +630,7 @@ impl Island {
         let rate = apart.normalize_or_zero().dot(a.velocity - b.velocity) / radii;
         let jump = pair.law.strength(to, q) - pair.law.strength(pair.phase, q);
         let energy = conserved::influence(&self.bodies, &pair, &self.field, jump);
+        report.ledger.events += energy;
         report.changes.push(Change { time: self.time, pair: index, q, rate, from: pair.phase, to, energy });
         self.pairs[index].phase = to;
         scratch.changes[index] += 1;

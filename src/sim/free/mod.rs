@@ -9,6 +9,7 @@
 //! | where something passes zero within a step: rims and thresholds | [`crossing`] |
 //! | what forces do to an oscillator and to a centre | [`weights`] |
 //! | momentum, angular momentum, energy | [`conserved`] |
+//! | what changed the energy | [`ledger`] |
 //!
 //! It takes plain data and knows nothing of a world or a scene file:
 //!
@@ -41,6 +42,7 @@ pub mod crossing;
 pub mod field;
 mod force;
 pub mod island;
+pub mod ledger;
 mod step;
 pub mod weights;
 
@@ -50,6 +52,7 @@ pub use conserved::Conserved;
 pub use field::{Driven, Field, NoPaths, Pair, Paths, Push};
 pub(super) use island::Scratch;
 pub use island::{Change, Failure, Island, Report, Way};
+pub use ledger::Ledger;
 
 #[cfg(test)]
 mod tests;

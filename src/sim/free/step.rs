@@ -20,6 +20,7 @@ use glam::{DMat3, DQuat, DVec3};
 use super::{
     super::nodes::SAMPLES,
     body::{Body, Sums},
+    crossing::Crossings,
     field::{Driven, Paths},
     weights::{BALLISTIC, Late, Stage, cubic},
 };
@@ -122,15 +123,23 @@ pub struct Own {
 pub struct Reaction {
     pub source: u32,
     pub force: [DVec3; 5],
+    /// The power of the reaction if it moved with the vertices instead, at the nodes; for the ledger, and only of bodies
+    /// on paths.
+    pub power: [f64; 4],
 }
 
-/// The force of a plane on a vertex.
+/// The force of a plane or a push on a vertex.
 #[derive(Clone, Copy, Debug)]
 pub struct Held {
-    pub plane: u32,
+    /// Number of the plane or push.
+    pub contact: u32,
     pub vertex: u32,
     /// Its acceleration at the nodes, without a kink [scene unit/s²].
     pub g: [DVec3; 4],
+    /// Whether it acts at the start of the step.
+    pub starts_inside: bool,
+    /// When it begins and ends.
+    pub crossings: Crossings,
 }
 
 /// The motion of a body during a step.
@@ -155,6 +164,8 @@ pub struct Course {
     pub held: Vec<Held>,
     /// Plane forces of the evaluation before that.
     pub held_before: Vec<Held>,
+    /// Pushes of the last evaluation.
+    pub pushed: Vec<Held>,
 }
 
 /// Effect of all pieces up to a sample, see [`Course::late`].
@@ -251,6 +262,7 @@ impl Course {
         self.own.clear();
         self.own_before.clear();
         self.held.clear();
+        self.pushed.clear();
         self.late = Default::default();
         let first = &mut self.frames[0];
         *first = Frame {

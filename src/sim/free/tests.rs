@@ -330,3 +330,64 @@ fn the_number_of_threads_makes_no_difference() {
         assert_eq!((a.centre, a.velocity, a.rotation, &a.x, &a.u), (b.centre, b.velocity, b.rotation, &b.x, &b.u));
     }
 }
+
+/// How far the energy of an island is from what its ledger says after a run, relative to the energy that came and went.
+fn unexplained(mut island: Island, paths: &dyn Paths, duration: f64) -> (f64, Ledger) {
+    let before = island.conserved().energy();
+    let (mut report, mut worst, mut scale) = (Report::default(), 0.0, before.abs());
+    for step in 1..=(duration * 60.0).round() as u32 {
+        island.advance(f64::from(step) / 60.0, paths, &mut report).expect("can be followed");
+        let now = island.conserved();
+        worst = f64::max(worst, (now.energy() - before - report.ledger.total()).abs());
+        scale = f64::max(scale, now.kinetic + now.spin + now.vibration + now.elastic);
+    }
+    (worst / scale, report.ledger)
+}
+
+#[test]
+fn the_ledger_accounts_for_damping_events_and_the_rim_of_the_core() {
+    for (damping, core_at, core_width) in [(0.0, 0.0, 0.0), (1.5, 0.0, 0.0), (0.0, 0.6, 0.3), (1.5, 0.6, 0.3)] {
+        let law = PairLaw { thresholds: Thresholds { core_at, ..LAW.thresholds }, core_width, ..LAW };
+        let (error, ledger) = unexplained(two(Oscillator { omega: 12.0, damping }, law, 1e-6), &NoPaths, 6.0);
+        assert!(error < 1e-6, "{damping} {core_width}: {error:e} {ledger:?}");
+        assert!(ledger.events != 0.0);
+        assert_eq!((ledger.damping < 0.0, ledger.core != 0.0), (damping > 0.0, core_width > 0.0));
+        assert_eq!((ledger.friction, ledger.pushes, ledger.prescribed), (0.0, 0.0, 0.0));
+    }
+}
+
+#[test]
+fn the_ledger_accounts_for_friction_and_pushes() {
+    let plane = Plane { normal: DVec3::Z, offset: 0.0, stiffness: 4000.0, friction: 0.4, slip: 0.05 };
+    let push = Push { body: 0, direction: DVec3::Y, strength: 30.0, start: 0.21, end: 0.4 };
+    let gravity = -9.81 * DVec3::Z;
+    for (damping, pushes) in [(0.0, vec![]), (1.0, vec![push])] {
+        let o = Oscillator { omega: 12.0, damping };
+        let thrown = body(1.0, o, 1.2 * DVec3::Z, DVec3::new(2.0, 0.5, 0.0), DVec3::new(0.0, 3.0, 1.0));
+        let field = Field { gravity, planes: vec![plane], pushes, ..Field::default() };
+        let (error, ledger) = unexplained(Island::new(vec![thrown], vec![], field, 1e-6), &NoPaths, 1.5);
+        assert!(error < 1e-6, "{damping}: {error:e} {ledger:?}");
+        assert!(ledger.friction < 0.0 && (ledger.pushes > 0.0) == (damping > 0.0));
+    }
+}
+
+#[test]
+fn the_ledger_accounts_for_bodies_on_paths() {
+    let o = Oscillator { omega: 12.0, damping: 0.5 };
+    let path = |body: usize, t: f64, _: bool| match body {
+        0 => Driven {
+            position: DVec3::new(0.6 * libm::sin(t), 0.1, 0.0),
+            velocity: DVec3::new(0.6 * libm::cos(t), 0.0, 0.0),
+            carry: DVec3::new(-0.6 * libm::sin(t), 0.0, 0.0),
+        },
+        _ => Driven::default(),
+    };
+    let led = body(0.7, o, DVec3::new(1.6, 0.0, 0.0), DVec3::ZERO, DVec3::Z);
+    let mut leads = Body::prescribed(sphere(1.0, 1.0), 1.0, o);
+    leads.centre = 0.1 * DVec3::Y;
+    let law = PairLaw { thresholds: Thresholds { core_at: 0.6, ..LAW.thresholds }, core_width: 0.3, ..LAW };
+    let pairs = vec![pair(0, 1, Phase::Merged, law)];
+    let (error, ledger) = unexplained(Island::new(vec![leads, led], pairs, Field::default(), 1e-6), &path, 6.0);
+    assert!(error < 1e-6, "{error:e} {ledger:?}");
+    assert!(ledger.prescribed != 0.0);
+}

@@ -1,0 +1,214 @@
+//! What changes the energy of free bodies: every step adds what was done in it.
+//!
+//! Powers are known at the nodes of a step, from the motion that the step found, and are integrated as the forces are:
+//! by Lobatto quadrature, and from the instant of a kink on where a force begins or ends within the step. So the energy
+//! of [`Conserved`](super::Conserved) minus [`Ledger::total`] is constant to the error of the steps.
+
+use std::ops::AddAssign;
+
+use glam::DVec3;
+
+use super::{
+    body::Body,
+    conserved::potential,
+    field::{Field, Pair},
+    step::{Course, Held, Place},
+    weights::{BALLISTIC, Late},
+};
+
+/// The energy that each cause has brought to free bodies; negative if it took some [mass · scene unit²/s²].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Ledger {
+    /// Phase changes of pairs, whose influence jumps: Σ m Δs Φ.
+    pub events: f64,
+    /// Gradual changes of a pair's strength at the rim of its core: ∫ Σ m (ds/dt) Φ dt.
+    pub core: f64,
+    /// Damping of vertices, −∫ 2κ Σ m |s′ − Ω×s|² dt.
+    pub damping: f64,
+    /// Friction on planes, ∫ Σ m f·r′ dt.
+    pub friction: f64,
+    /// Pushes, ∫ Σ m f·r′ dt.
+    pub pushes: f64,
+    /// Bodies on prescribed paths: the work of their spheres' motion, and that of their vertices on free spheres.
+    pub prescribed: f64,
+}
+
+impl Ledger {
+    /// The energy that all causes together have brought [mass · scene unit²/s²].
+    pub fn total(&self) -> f64 {
+        self.events + self.core + self.damping + self.friction + self.pushes + self.prescribed
+    }
+}
+
+impl AddAssign for Ledger {
+    fn add_assign(&mut self, other: Ledger) {
+        self.events += other.events;
+        self.core += other.core;
+        self.damping += other.damping;
+        self.friction += other.friction;
+        self.pushes += other.pushes;
+        self.prescribed += other.prescribed;
+    }
+}
+
+/// The bodies of an island and the step that they have just made.
+#[derive(Clone, Copy)]
+pub(super) struct Done<'a> {
+    pub bodies: &'a [Body],
+    pub pairs: &'a [Pair],
+    pub field: &'a Field,
+    pub courses: &'a [Course],
+    pub places: &'a [[Place; 5]],
+    /// Length of the step [s].
+    pub h: f64,
+}
+
+impl Done<'_> {
+    /// What was done in the step.
+    pub fn ledger(self) -> Ledger {
+        let mut ledger = Ledger::default();
+        for (i, body) in self.bodies.iter().enumerate() {
+            if body.is_free() {
+                ledger.damping += self.damping(i);
+                ledger.friction += self.friction(i);
+                ledger.pushes += self.pushes(i);
+            }
+            ledger.prescribed += self.prescribed(i);
+        }
+        ledger.core = self.pairs.iter().map(|pair| self.core(pair)).sum();
+        ledger
+    }
+
+    /// ∫ P dt over the step, of a power without kinks.
+    fn over(self, power: [f64; 4]) -> f64 {
+        self.h / 12.0 * ((power[0] + power[3]) + 5.0 * (power[1] + power[2]))
+    }
+
+    /// ∫ P dt from `from` on, which is a fraction of the step.
+    fn from(self, from: f64, power: [f64; 4]) -> f64 {
+        let Late { u, .. } = Late::new(BALLISTIC, self.h, from, 1.0);
+        (u[0] * power[0] + u[1] * power[1]) + (u[2] * power[2] + u[3] * power[3])
+    }
+
+    /// Velocity r′ of a vertex at a node [scene unit/s].
+    fn velocity(self, body: usize, node: usize, vertex: usize) -> DVec3 {
+        let (frame, vertices) = (&self.courses[body].frames[node], &self.courses[body].vertices[node]);
+        let a = frame.axes * self.bodies[body].shape.rest[vertex];
+        self.places[body][node].velocity + (frame.frame_spin.cross(a) + vertices.u[vertex])
+    }
+
+    fn damping(self, index: usize) -> f64 {
+        let (body, course) = (&self.bodies[index], &self.courses[index]);
+        let rate = 2.0 * body.oscillator.damping;
+        if rate == 0.0 {
+            return 0.0;
+        }
+        let shape = &*body.shape;
+        self.over(std::array::from_fn(|node| {
+            let (frame, vertices) = (&course.frames[node], &course.vertices[node]);
+            // s′ − Ω×s = u − Ω×x + (Ω_Q − Ω)×a
+            let slip = frame.frame_spin - frame.spin;
+            let vertices = vertices.x.iter().zip(&vertices.u).zip(shape.rest.iter().zip(&shape.masses));
+            let sum = vertices.map(|((&x, &u), (&l, &m))| {
+                m * (u - frame.spin.cross(x) + slip.cross(frame.axes * l)).length_squared()
+            });
+            -rate * sum.sum::<f64>()
+        }))
+    }
+
+    /// The work of a contact that begins and ends at rims.
+    fn contact(self, held: &Held, power: [f64; 4]) -> f64 {
+        let mut work = if held.starts_inside { self.over(power) } else { 0.0 };
+        let mut sign = if held.starts_inside { -1.0 } else { 1.0 };
+        for &from in held.crossings.as_slice() {
+            work += sign * self.from(from, power);
+            sign = -sign;
+        }
+        work
+    }
+
+    fn friction(self, index: usize) -> f64 {
+        let (body, planes) = (&self.bodies[index], &self.field.planes);
+        let rough = self.courses[index].held.iter().filter(|held| planes[held.contact as usize].friction != 0.0);
+        let work = rough.map(|held| {
+            let (n, vertex) = (planes[held.contact as usize].normal, held.vertex as usize);
+            let power = std::array::from_fn(|node| {
+                let g = held.g[node];
+                body.shape.masses[vertex] * (g - n.dot(g) * n).dot(self.velocity(index, node, vertex))
+            });
+            self.contact(held, power)
+        });
+        work.sum()
+    }
+
+    fn pushes(self, index: usize) -> f64 {
+        let body = &self.bodies[index];
+        let work = self.courses[index].pushed.iter().map(|held| {
+            let vertex = held.vertex as usize;
+            let power = std::array::from_fn(|node| {
+                body.shape.masses[vertex] * held.g[node].dot(self.velocity(index, node, vertex))
+            });
+            self.contact(held, power)
+        });
+        work.sum()
+    }
+
+    /// The work of pairs of a free body and one on a path, through the forces on the vertices of body `index`.
+    fn prescribed(self, index: usize) -> f64 {
+        let (body, course) = (&self.bodies[index], &self.courses[index]);
+        let counts = |source: u32| self.bodies[source as usize].is_free() != body.is_free();
+        let mut work = 0.0;
+        for reaction in course.reactions.iter().filter(|reaction| counts(reaction.source)) {
+            work += self.over(std::array::from_fn(|node| {
+                if body.is_free() {
+                    -reaction.force[node].dot(self.places[reaction.source as usize][node].velocity)
+                } else {
+                    reaction.power[node]
+                }
+            }));
+        }
+        for piece in &course.pieces {
+            let Some(own) = &piece.own else { continue };
+            let Some(source) = own.source.filter(|&source| counts(source)) else { continue };
+            let vertex = own.vertex as usize;
+            let mass = body.shape.masses[vertex];
+            let power = std::array::from_fn(|node| {
+                if body.is_free() {
+                    mass * own.g[node].dot(self.places[source as usize][node].velocity)
+                } else {
+                    -mass * own.g[node].dot(self.velocity(index, node, vertex))
+                }
+            });
+            work += piece.sign * self.from(piece.from, power);
+        }
+        work
+    }
+
+    fn core(self, pair: &Pair) -> f64 {
+        let Some(rim) = pair.law.rim(pair.phase) else { return 0.0 };
+        let (a, b) = (pair.a as usize, pair.b as usize);
+        if !(self.bodies[a].is_free() || self.bodies[b].is_free()) {
+            return 0.0;
+        }
+        let radii = self.bodies[a].radius + self.bodies[b].radius;
+        self.over(std::array::from_fn(|node| {
+            let (at, to) = (self.places[a][node], self.places[b][node]);
+            let apart = to.centre - at.centre;
+            let distance = apart.length();
+            let slope = rim.slope(distance / radii);
+            if slope == 0.0 {
+                return 0.0;
+            }
+            // q′ of the pair, [1/s]
+            let rate = apart.dot(to.velocity - at.velocity) / (distance * radii);
+            let of = |own: usize, source: usize| {
+                let (course, place) = (&self.courses[own], &self.places[own][node]);
+                let to_source = self.places[source][node].centre - place.centre;
+                let own = &self.bodies[own];
+                let (frame, vertices) = (&course.frames[node], &course.vertices[node]);
+                potential(own, frame.axes, &vertices.x, to_source, &self.bodies[source], self.field)
+            };
+            slope * rate * (of(a, b) + of(b, a))
+        }))
+    }
+}
