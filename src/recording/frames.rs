@@ -103,9 +103,9 @@ impl RecordedFrame {
                 let turns = [self.rotations[index], now.rotation.as_quat()];
                 let places = surface.positions.iter().zip(local.iter()).map(|(&recorded, found)| {
                     let [recorded, found] = if turns == [Quat::IDENTITY; 2] {
-                        [recorded + shift, found.as_vec3()].map(Vec3::as_dvec3)
+                        [recorded + shift, found.as_vec3()].map(|v| v.as_dvec3())
                     } else {
-                        let [then, now] = turns.map(Quat::as_dquat);
+                        let [then, now] = turns.map(|turn| turn.as_dquat());
                         [then * recorded.as_dvec3() + shift.as_dvec3(), now * found.as_vec3().as_dvec3()]
                     };
                     (recorded, found)

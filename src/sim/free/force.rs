@@ -42,7 +42,7 @@ pub struct View<'a> {
 
 /// One sphere, plane or push that acts on a body.
 #[derive(Clone, Copy)]
-enum Contact<'a> {
+pub(super) enum Contact<'a> {
     Sphere(&'a Sphere),
     Plane(u32, &'a Plane),
     Push(u32, &'a Push),
@@ -50,17 +50,22 @@ enum Contact<'a> {
 
 /// A vertex at a sample, both relative to the centre and with the centre's motion.
 #[derive(Clone, Copy)]
-struct Seen {
-    a: DVec3,
-    s: DVec3,
-    rate: DVec3,
-    place: Place,
-    turning: DVec3,
+pub(super) struct Seen {
+    /// Q l [scene unit].
+    pub a: DVec3,
+    /// Q l + x [scene unit].
+    pub s: DVec3,
+    /// s′ [scene unit/s].
+    pub rate: DVec3,
+    /// The centre.
+    pub place: Place,
+    /// Angular velocity of the frame [rad/s].
+    pub turning: DVec3,
 }
 
 impl Contact<'_> {
     /// Depth, positive where the contact acts, and its rate [1/s].
-    fn depth(&self, look: usize, seen: &Seen) -> (f64, f64) {
+    pub(super) fn depth(&self, look: usize, seen: &Seen) -> (f64, f64) {
         let Seen { a, s, rate, place, turning } = *seen;
         match self {
             Contact::Sphere(sphere) => {
@@ -75,7 +80,7 @@ impl Contact<'_> {
     }
 
     /// The acceleration, continued smoothly to where the contact does not act [scene unit/s²].
-    fn acceleration(&self, weight: Weight, look: usize, seen: &Seen) -> DVec3 {
+    pub(super) fn acceleration(&self, weight: Weight, look: usize, seen: &Seen) -> DVec3 {
         let Seen { a, s, rate, place, .. } = *seen;
         match self {
             Contact::Sphere(sphere) => {

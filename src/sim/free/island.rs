@@ -11,6 +11,7 @@ use super::{
     field::{Field, Pair, Paths},
     force::{Acting, View},
     ledger::{Done, Ledger},
+    observed::Snapshot,
     step::{Course, MIDDLE, Piece, Place, Span, larger},
 };
 use crate::model::{oscillator::Oscillator, phase::Phase};
@@ -237,6 +238,11 @@ impl Island {
     /// Momentum, angular momentum and energy.
     pub fn conserved(&self) -> Conserved {
         Conserved::of(&self.bodies, &self.pairs, &self.field)
+    }
+
+    /// The bodies as they are, for the forces on them.
+    pub fn snapshot(&self) -> Snapshot<'_> {
+        Snapshot::new(&self.bodies, &self.pairs, &self.field, self.time)
     }
 
     /// Advances the island to `end` [s].

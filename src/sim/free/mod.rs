@@ -10,6 +10,7 @@
 //! | what forces do to an oscillator and to a centre | [`weights`] |
 //! | momentum, angular momentum, energy | [`conserved`] |
 //! | what changed the energy | [`ledger`] |
+//! | forces in the current state, by cause | [`observed`] |
 //!
 //! It takes plain data and knows nothing of a world or a scene file:
 //!
@@ -43,6 +44,7 @@ pub mod field;
 mod force;
 pub mod island;
 pub mod ledger;
+pub mod observed;
 mod step;
 pub mod weights;
 
@@ -53,6 +55,7 @@ pub use field::{Driven, Field, NoPaths, Pair, Paths, Push};
 pub(super) use island::Scratch;
 pub use island::{Change, Failure, Island, Report, Way};
 pub use ledger::Ledger;
+pub use observed::{Forces, Snapshot};
 
 #[cfg(test)]
 mod tests;

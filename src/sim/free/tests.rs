@@ -391,3 +391,68 @@ fn the_ledger_accounts_for_bodies_on_paths() {
     assert!(error < 1e-6, "{error:e} {ledger:?}");
     assert!(ledger.prescribed != 0.0);
 }
+
+/// Forces by cause, in the middle of an encounter on a plane: their sum is what accelerates vertices, centres and frames
+/// (by finite differences of the run), and actions equal reactions to the last bit.
+#[test]
+fn observed_forces_are_those_that_move_the_bodies() {
+    use crate::sim::Cause;
+    let plane = Plane { normal: DVec3::Z, offset: -0.9, stiffness: 400.0, friction: 0.4, slip: 0.05 };
+    let field = Field { gravity: -2.0 * DVec3::Z, planes: vec![plane], ..Field::default() };
+    let law = PairLaw { thresholds: Thresholds { core_at: 0.8, ..LAW.thresholds }, core_width: 0.3, ..LAW };
+    let o = Oscillator { omega: 12.0, damping: 1.5 };
+    let a = body(1.0, o, DVec3::new(-0.9, 0.1, 0.0), DVec3::new(1.2, 0.0, 0.0), DVec3::new(0.2, 0.0, 2.5));
+    let b = body(0.8, o, DVec3::new(0.7, -0.1, 0.05), DVec3::new(-1.0, 0.0, 0.0), DVec3::ZERO);
+    let pairs = vec![pair(0, 1, Phase::Merged, law)];
+    let mut island = Island::new(vec![a, b], pairs, field, 1e-9);
+    let mut report = Report::default();
+    island.advance(0.2, &NoPaths, &mut report).expect("can be followed");
+
+    let snapshot = island.snapshot();
+    let forces: Vec<Forces> = (0..2)
+        .map(|index| {
+            let mut forces = Forces::default();
+            snapshot.forces(index, DVec3::ZERO, &mut forces);
+            forces
+        })
+        .collect();
+    let h = 1e-4;
+    let mut after = island.clone();
+    let mut at = |island: &mut Island, t: f64| {
+        island.advance(t, &NoPaths, &mut report).expect("can be followed");
+        let of = |body: &Body| (body.velocity, body.spin, body.velocities().collect::<Vec<_>>());
+        island.bodies().iter().map(of).collect::<Vec<_>>()
+    };
+    let states =
+        [0.2, 0.2 + h, 0.2 + 2.0 * h].map(|t| if t == 0.2 { at(&mut island.clone(), t) } else { at(&mut after, t) });
+    // the derivative at the start, of second order
+    let rate = |v: [DVec3; 3]| (-3.0 * v[0] + 4.0 * v[1] - v[2]) / (2.0 * h);
+    for (index, forces) in forces.iter().enumerate() {
+        let body = &island.bodies()[index];
+        let of = |what: fn(&(DVec3, DVec3, Vec<DVec3>)) -> DVec3| std::array::from_fn(|k| what(&states[k][index]));
+        let (force, torque) = (body.mass() * rate(of(|s| s.0)), rate(of(|s| s.1)));
+        assert!(forces.force.distance(force) < 1e-4 * force.length(), "{} {force}", forces.force);
+        assert!(forces.torque.distance(torque) < 1e-4 * force.length(), "{} {torque}", forces.torque);
+        let net = &forces.by_cause[Cause::Net as usize];
+        for i in 0..net.len() {
+            let expected = rate(std::array::from_fn(|k| states[k][index].2[i]));
+            assert!(
+                net.get(i).distance(expected) < 2e-3 * expected.length().max(1.0),
+                "{i}: {} {expected}",
+                net.get(i)
+            );
+        }
+        for cause in [Cause::Gravity, Cause::Plane, Cause::Reaction, Cause::Core] {
+            assert!(!forces.by_cause[cause as usize].is_empty(), "{cause:?}");
+        }
+    }
+    let pulls = [snapshot.pull(0, 1), snapshot.pull(1, 0)];
+    let gravity = |i: usize| island.bodies()[i].mass() * -2.0 * DVec3::Z;
+    for (i, forces) in forces.iter().enumerate() {
+        let reaction = forces.by_cause[Cause::Reaction as usize].get(0);
+        assert_eq!(reaction, -pulls[1 - i] / island.bodies()[i].mass());
+        let of_plane = &forces.by_cause[Cause::Plane as usize];
+        let plane: DVec3 = of_plane.iter().zip(island.bodies()[i].shape.masses()).map(|(f, &m)| m * f).sum();
+        assert!((forces.force - (pulls[i] - pulls[1 - i] + plane + gravity(i))).length() < 1e-13);
+    }
+}

@@ -7,6 +7,7 @@
 //! table below. A new term is a file beside this one and its line there.
 
 mod carry;
+mod free;
 pub(super) mod oscillator;
 mod push;
 pub(super) mod spheres;
@@ -120,6 +121,14 @@ terms! {
     carry::Carry => [
         /// −carry: the body's own motion.
         Carry: "carry"
+    ];
+    free::Coupled => [
+        /// Gravity, of free bodies.
+        Gravity: "gravity",
+        /// Planes: their pressure and friction.
+        Plane: "plane",
+        /// Of free bodies: the reaction to what their spheres do to the vertices of others.
+        Reaction: "reaction"
     ];
 }
 

@@ -1,0 +1,190 @@
+//! Forces in the current state, by cause, for observation: by the formulas that the solver uses.
+
+use glam::{DMat3, DVec3};
+
+use super::{
+    super::terms::Cause,
+    body::Body,
+    field::{Field, Pair},
+    force::{Acting, Contact, Seen},
+    step::{Place, Span},
+};
+use crate::{geometry::Vectors, model::phase::Phase};
+
+/// What acts on a body, by cause.
+#[derive(Clone, Debug, Default)]
+pub struct Forces {
+    /// Accelerations of the vertices [scene unit/s²], `[vertex_count]`, by [`Cause`]; empty where a cause does not act.
+    /// Those of [`Cause::Net`] are their sum.
+    pub by_cause: [Vectors; Cause::ALL.len()],
+    /// The body whose sphere it is, for each cause that a single other body has.
+    pub sources: [Option<u32>; Cause::ALL.len()],
+    /// Force at the centre, M c″ [mass · scene unit/s²]; zero for a body on a path.
+    pub force: DVec3,
+    /// Torque about the centre, Σ m s×f [mass · scene unit²/s²]; zero for a body on a path or of fixed rotation.
+    pub torque: DVec3,
+}
+
+/// Bodies at an instant.
+#[derive(Clone, Debug)]
+pub struct Snapshot<'a> {
+    bodies: &'a [Body],
+    pairs: &'a [Pair],
+    field: &'a Field,
+    span: Span,
+    places: Vec<[Place; 5]>,
+    pairs_of: Vec<Vec<u32>>,
+}
+
+impl<'a> Snapshot<'a> {
+    /// The bodies in their current state, at `time` [s].
+    pub fn new(bodies: &'a [Body], pairs: &'a [Pair], field: &'a Field, time: f64) -> Snapshot<'a> {
+        let place = |body: &Body| [Place { centre: body.centre, velocity: body.velocity }; 5];
+        let mut pairs_of = vec![Vec::new(); bodies.len()];
+        for (index, pair) in (0..).zip(pairs) {
+            pairs_of[pair.a as usize].push(index);
+            pairs_of[pair.b as usize].push(index);
+        }
+        let span = Span { start: time, end: time, ..Span::default() };
+        Snapshot { bodies, pairs, field, span, places: bodies.iter().map(place).collect(), pairs_of }
+    }
+
+    /// The force on the vertices of body `index` by the sphere of `source`, Σ m f [mass · scene unit/s²]; on the source
+    /// acts its opposite.
+    pub fn pull(&self, index: usize, source: usize) -> DVec3 {
+        let pairs = self.pairs_of[index].iter().map(|&pair| self.pairs[pair as usize]);
+        let of_source = pairs.filter(|pair| pair.a as usize == source || pair.b as usize == source);
+        of_source.fold(DVec3::ZERO, |sum, pair| sum + self.sphere(index, &pair, |_, _| ()))
+    }
+
+    /// Computes what acts on body `index`, into `forces` (reused). `carry` is the inertial response to its own motion, of
+    /// a body on a path [scene unit/s²].
+    pub fn forces(&self, index: usize, carry: DVec3, forces: &mut Forces) {
+        let body = &self.bodies[index];
+        let (shape, n) = (&*body.shape, body.x.len());
+        let Forces { by_cause, sources, force, torque } = forces;
+        by_cause.iter_mut().for_each(Vectors::clear);
+        *sources = Default::default();
+        let (mut several, mut reaction) = ([false; Cause::ALL.len()], DVec3::ZERO);
+        for &pair in &self.pairs_of[index] {
+            let pair = &self.pairs[pair as usize];
+            let other = if pair.a as usize == index { pair.b } else { pair.a };
+            let cause = self.cause(pair) as usize;
+            let own = &mut by_cause[cause];
+            let mut acts = false;
+            self.sphere(index, pair, |i, g| {
+                own.resize(n);
+                own.set(i, own.get(i) + g);
+                acts = true;
+            });
+            if acts {
+                several[cause] |= sources[cause].is_some();
+                sources[cause] = Some(other);
+            }
+            reaction -= self.sphere(other as usize, pair, |_, _| ());
+        }
+        for (source, several) in sources.iter_mut().zip(several) {
+            *source = source.filter(|_| !several);
+        }
+        self.contacts(index, by_cause);
+        let axes = DMat3::from_quat(body.rotation);
+        // Σ m f of what is not internal, and its moment
+        let (mut sum, mut moment) = (DVec3::ZERO, DVec3::ZERO);
+        for cause in [Cause::Attraction, Cause::Repulsion, Cause::Core, Cause::Push, Cause::Plane] {
+            for (i, f) in by_cause[cause as usize].iter().enumerate() {
+                let pull = shape.masses[i] * f;
+                sum += pull;
+                moment += (axes * shape.rest[i] + body.x[i]).cross(pull);
+            }
+        }
+        (*force, *torque) = (DVec3::ZERO, DVec3::ZERO);
+        let mut uniform = |cause: Cause, acceleration: DVec3| {
+            if acceleration != DVec3::ZERO {
+                by_cause[cause as usize].resize(n);
+                by_cause[cause as usize].fill(acceleration);
+            }
+        };
+        if body.is_free() {
+            uniform(Cause::Gravity, self.field.gravity);
+            uniform(Cause::Reaction, reaction / body.mass());
+            *force = sum + body.mass() * self.field.gravity + reaction;
+            *torque = if body.turns() { moment } else { DVec3::ZERO };
+        } else {
+            uniform(Cause::Carry, -carry);
+        }
+        let (omega, damping) = (body.oscillator.omega, body.oscillator.damping);
+        let (frame_spin, spin) = if body.turns() {
+            let inner = body.inner(body.rotation);
+            (inner.frame_spin(body.spin), inner.spin(body.spin))
+        } else {
+            (DVec3::ZERO, DVec3::ZERO)
+        };
+        for i in 0..n {
+            by_cause[Cause::Restoring as usize].push(-(omega * omega) * body.x[i]);
+            // s′ − Ω×s = u − Ω×x + (Ω_Q − Ω)×a
+            let slip = (frame_spin - spin).cross(axes * shape.rest[i]) - spin.cross(body.x[i]) + body.u[i];
+            by_cause[Cause::Damping as usize].push(-2.0 * damping * slip);
+        }
+        let [terms @ .., net] = by_cause;
+        net.reset(n);
+        terms.iter().filter(|term| !term.is_empty()).for_each(|term| net.add_times(1.0, term));
+    }
+
+    /// The cause that the force of a pair's spheres counts as.
+    fn cause(&self, pair: &Pair) -> Cause {
+        let (a, b) = (&self.bodies[pair.a as usize], &self.bodies[pair.b as usize]);
+        let q = a.centre.distance(b.centre) / (a.radius + b.radius);
+        match (pair.phase, pair.law.strength(pair.phase, q) > 0.0) {
+            (_, true) => Cause::Attraction,
+            (Phase::Apart, false) => Cause::Repulsion,
+            (Phase::Merged | Phase::Core, false) => Cause::Core,
+        }
+    }
+
+    /// Calls `each` with the vertices of body `index` that the other body's sphere acts on and their accelerations, and
+    /// returns Σ m f.
+    fn sphere(&self, index: usize, pair: &Pair, mut each: impl FnMut(usize, DVec3)) -> DVec3 {
+        let (mut acting, mut sum) = (Acting::default(), DVec3::ZERO);
+        acting.find(index, self.bodies, std::iter::once(pair), self.field, &self.span, &self.places);
+        let masses = &self.bodies[index].shape.masses;
+        for contact in acting.spheres.iter().map(Contact::Sphere) {
+            self.touched(index, contact, |i, g| {
+                sum += masses[i] * g;
+                each(i, g);
+            });
+        }
+        sum
+    }
+
+    /// Planes and pushes.
+    fn contacts(&self, index: usize, by_cause: &mut [Vectors; Cause::ALL.len()]) {
+        let (field, n) = (self.field, self.bodies[index].x.len());
+        let mut add = |cause: Cause, i: usize, g: DVec3| {
+            let own = &mut by_cause[cause as usize];
+            own.resize(n);
+            own.set(i, own.get(i) + g);
+        };
+        for (number, plane) in (0..).zip(&field.planes) {
+            self.touched(index, Contact::Plane(number, plane), |i, g| add(Cause::Plane, i, g));
+        }
+        let acts = |start: f64, end: f64| start <= self.span.start && self.span.start < end;
+        for (number, push) in (0..).zip(&field.pushes) {
+            if push.body as usize == index && acts(push.start, push.end) {
+                self.touched(index, Contact::Push(number, push), |i, g| add(Cause::Push, i, g));
+            }
+        }
+    }
+
+    /// Calls `each` with the vertices on which a contact acts, and their accelerations.
+    fn touched(&self, index: usize, contact: Contact<'_>, mut each: impl FnMut(usize, DVec3)) {
+        let (body, place) = (&self.bodies[index], self.places[index][0]);
+        let (axes, turning) = (DMat3::from_quat(body.rotation), body.frame_spin());
+        for i in 0..body.x.len() {
+            let a = axes * body.shape.rest[i];
+            let seen = Seen { a, s: a + body.x[i], rate: turning.cross(a) + body.u[i], place, turning };
+            if contact.depth(0, &seen).0 > 0.0 {
+                each(i, contact.acceleration(self.field.weight, 0, &seen));
+            }
+        }
+    }
+}
