@@ -17,6 +17,8 @@ pub const VERMILION: Rgb = [0xD5, 0x5E, 0x00];
 pub const PURPLE: Rgb = [0xCC, 0x79, 0xA7];
 /// A lighter variant of Okabe and Ito's blue.
 pub const BLUE: Rgb = [0x3D, 0x8B, 0xD9];
+/// A pale red.
+pub const PINK: Rgb = [0xE8, 0xA0, 0x9A];
 /// A light grey.
 pub const SILVER: Rgb = [0x9A, 0xA4, 0xB0];
 /// Nearly white.
@@ -33,6 +35,7 @@ pub fn name(rgb: Rgb) -> &'static str {
         YELLOW => "yellow",
         VERMILION => "red",
         PURPLE => "purple",
+        PINK => "pink",
         SILVER | GREY => "grey",
         WHITE => "white",
         _ => "",

@@ -9,18 +9,24 @@ use super::{
     terms::{Cause, Surroundings},
     world::{PairView, World},
 };
-use crate::observe::{BodyFrame, PairFrame};
+use crate::{
+    geometry::Vectors,
+    observe::{BodyFrame, PairFrame},
+};
 
 /// A pair, as frames represent it.
 pub(super) fn pair_frame(pair: PairView) -> PairFrame {
     PairFrame { a: pair.a, b: pair.b, q: pair.q, phase: pair.phase as usize }
 }
 
-/// Adds the forces on a body in a frame's state, and the labels of its vertices.
+/// Adds the forces on a body of a scene that is not coupled in a frame's state, and the labels of its vertices.
 pub(super) fn add_forces(world: &World, index: usize, surroundings: &Surroundings, now: &mut BodyFrame) {
     now.has_forces = true;
-    now.terms.resize_with(Cause::ALL.len(), Default::default);
-    let mut by_cause = std::array::from_fn(|cause| take(&mut now.terms[cause].accelerations));
+    now.terms.resize_with(Cause::of(false).count(), Default::default);
+    let mut by_cause: [Vectors; Cause::ALL.len()] = Default::default();
+    for (cause, term) in Cause::of(false).zip(&mut now.terms) {
+        by_cause[cause as usize] = take(&mut term.accelerations);
+    }
     let seen: Seen<'_> = world.seen(index, [&now.displacements, &now.velocities], surroundings);
     seen.forces(world.scene().influence.weight, &mut by_cause);
     let contributing = [Cause::Attraction, Cause::Repulsion, Cause::Core].map(|cause| &by_cause[cause as usize]);
@@ -35,12 +41,12 @@ pub(super) fn add_forces(world: &World, index: usize, surroundings: &Surrounding
             [_, _, true] => 4,
         }
     }));
-    for ((cause, term), accelerations) in Cause::ALL.into_iter().zip(&mut now.terms).zip(by_cause) {
+    for (cause, term) in Cause::of(false).zip(&mut now.terms) {
         let mut sources = surroundings.sources.iter().filter(|source| source.cause() == cause);
         term.source = match (sources.next(), sources.next()) {
             (Some(source), None) => Some(source.body),
             _ => None,
         };
-        term.accelerations = accelerations;
+        term.accelerations = take(&mut by_cause[cause as usize]);
     }
 }

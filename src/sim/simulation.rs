@@ -293,8 +293,8 @@ fn schema(scene: &Scene, options: Options) -> Schema {
         reach: scene.influence.sphere_radius(body.radius),
         shape: body.shape.label(),
         mesh: body.shape.mesh(),
-        is_free: false,
-        color: None,
+        is_free: body.path().is_none(),
+        color: body.color,
     });
     let bodies = bodies.collect();
     let thresholds = [
@@ -334,7 +334,7 @@ fn schema(scene: &Scene, options: Options) -> Schema {
         tolerance: scene.tolerance,
         law: law(scene),
         bodies,
-        terms: Cause::ALL.map(|cause| term(scene, cause)).into(),
+        terms: Cause::of(scene.is_coupled()).map(|cause| term(scene, cause)).collect(),
         labels: LABELS.into(),
         arrow_scale: arrow_scale(scene),
         phases: PHASES.map(|phase| PhaseSchema { name: phase.name(), color: phase_color(phase) }).into(),
@@ -366,8 +366,8 @@ fn level(law: &PairLaw, phase: Phase) -> Option<f64> {
 }
 
 fn term(scene: &Scene, cause: Cause) -> TermSchema {
-    let has_pairs = scene.bodies.len() > 1;
-    let has_core = scene.laws().any(|law| law.thresholds.core_at > 0.0);
+    let (has_pairs, has_free) = (scene.bodies.len() > 1, scene.bodies.iter().any(|body| body.path().is_none()));
+    let has_core = scene.laws().any(|law| level(&law, Phase::Core).is_some());
     #[allow(unreachable_patterns)] // a term without its own line gets the defaults
     let (label, color, can_act, is_shown) = match cause {
         Cause::Attraction => ("Attraction", colors::ORANGE, has_pairs, true),
@@ -377,6 +377,9 @@ fn term(scene: &Scene, cause: Cause) -> TermSchema {
         Cause::Damping => ("Damping", colors::YELLOW, true, false),
         Cause::Push => ("Push", colors::VERMILION, !scene.pushes.is_empty(), !scene.pushes.is_empty()),
         Cause::Carry => ("Carry: its own motion", colors::SILVER, true, false),
+        Cause::Gravity => ("Gravity", colors::GREY, scene.gravity != DVec3::ZERO, false),
+        Cause::Plane => ("Planes: pressure and friction", colors::BLUE, !scene.planes.is_empty(), true),
+        Cause::Reaction => ("Reaction to its sphere", colors::PINK, has_free && has_pairs, false),
         Cause::Net => ("Net", colors::WHITE, true, false),
         _ => (cause.name(), colors::BLUE, true, true),
     };

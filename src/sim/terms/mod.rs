@@ -49,6 +49,14 @@ macro_rules! terms {
             }
         }
 
+        impl Cause {
+            /// The causes that there can be in a scene, in the order of [`Cause::ALL`]: more of them if it is coupled.
+            pub fn of(is_coupled: bool) -> impl Iterator<Item = Cause> {
+                let needs = |cause: &Cause| matches!(cause, Cause::Gravity | Cause::Plane | Cause::Reaction);
+                Cause::ALL.into_iter().filter(move |cause| is_coupled || !needs(cause))
+            }
+        }
+
         /// The acceleration that all vertices of body `index` share at an instant, given the body's motion
         /// [scene unit/s²].
         pub(super) fn uniform(scene: &Scene, index: usize, motion: &Kinematics) -> DVec3 {
