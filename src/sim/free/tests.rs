@@ -397,7 +397,7 @@ fn the_ledger_accounts_for_bodies_on_paths() {
 #[test]
 fn observed_forces_are_those_that_move_the_bodies() {
     use crate::sim::Cause;
-    let plane = Plane { normal: DVec3::Z, offset: -0.9, stiffness: 400.0, friction: 0.4, slip: 0.05 };
+    let plane = Plane { normal: DVec3::Z, offset: -0.74, stiffness: 400.0, friction: 0.4, slip: 0.05 };
     let field = Field { gravity: -2.0 * DVec3::Z, planes: vec![plane], ..Field::default() };
     let law = PairLaw { thresholds: Thresholds { core_at: 0.8, ..LAW.thresholds }, core_width: 0.3, ..LAW };
     let o = Oscillator { omega: 12.0, damping: 1.5 };
