@@ -16,19 +16,20 @@ use rerun::{
                     ViewContents, ViewportBlueprint, VisualizerInstruction,
                 },
                 components::{
-                    BackgroundKind, ContainerKind, Corner2D, Eye3DKind, PanelState, TimelineColumn,
-                    VisualizerInstructionId,
+                    AbsoluteTimeRange, BackgroundKind, ContainerKind, Corner2D, Eye3DKind, LoopMode, PanelState,
+                    PlayState, TimelineColumn, VisualizerInstructionId,
                 },
                 datatypes::{ComponentSourceKind, TextLogColumn, TextLogColumnKind, VisualizerComponentMapping},
             },
             components::{Position3D, Range1D, Vector3D},
-            datatypes::Uuid,
+            datatypes::{self, Uuid},
         },
     },
 };
 
 use super::{
     chunks::{Chunks, blueprint_time},
+    focus::Focus,
     palette,
     parts::{
         forces,
@@ -56,9 +57,20 @@ pub fn messages(subject: &Subject<'_>, tab: Tab, recording: &StoreId) -> Vec<Log
     layout.finish(root)
 }
 
-/// The changes to those messages once typical stage durations are known: the axes of timing plots exclude rare
-/// outliers.
-pub fn ranges(subject: &Subject<'_>, tab: Tab, recording: &StoreId, typical: &[(&str, f64)]) -> Vec<LogMsg> {
+/// What is known of a run only at its end.
+#[derive(Clone, Debug, Default)]
+pub struct Measured<'a> {
+    /// Duration of the run [s].
+    pub duration: f64,
+    /// Stages and their typical durations [ms].
+    pub timings: Vec<(&'static str, f64)>,
+    /// What to look at first.
+    pub focus: Option<&'a Focus>,
+}
+
+/// The changes to those messages once the run is over. The axes of timing plots exclude rare outliers. The viewer opens
+/// with the first event: playing it in a loop is the only way that a layout has of moving the time cursor there.
+pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: &Measured<'_>) -> Vec<LogMsg> {
     /// Ratio of a plot's upper end to the typical value.
     const HEADROOM: f64 = 1.3;
 
@@ -66,11 +78,22 @@ pub fn ranges(subject: &Subject<'_>, tab: Tab, recording: &StoreId, typical: &[(
     let root = layout.root(subject, tab);
     layout.finish(root); // already sent; ids of what follows continue after it
     for (plot, stages) in std::mem::take(&mut layout.timings) {
-        let shown = typical.iter().filter(|(stage, _)| stages.contains(stage));
+        let shown = measured.timings.iter().filter(|(stage, _)| stages.contains(stage));
         let highest = shown.map(|(_, typical)| *typical).fold(0.0, f64::max);
         if highest > 0.0 {
             let axis = ScalarAxis::new().with_range(Range1D::new(-0.02 * highest, HEADROOM * highest));
             layout.log(&format!("{plot}/ScalarAxis"), &axis);
+        }
+    }
+    if let Some(focus) = measured.focus.filter(|_| tab != Tab::Stages) {
+        let [start, end] = focus.interval(measured.duration).map(|time| ((1e9 * time) as i64).into());
+        let time_panel = TimePanelBlueprint::update_fields()
+            .with_time_selection(AbsoluteTimeRange::from(datatypes::AbsoluteTimeRange { min: start, max: end }))
+            .with_loop_mode(LoopMode::Selection)
+            .with_play_state(PlayState::Playing);
+        layout.log("time_panel", &time_panel);
+        if let Some(scene) = layout.scene.take() {
+            layout.log(&format!("{scene}/EyeControls3D"), &camera_on(&focus.spheres));
         }
     }
     let messages = layout.chunks.take();
@@ -156,6 +179,8 @@ struct Layout {
     next_id: u64,
     /// The timing plots, and the stages in each.
     timings: Vec<(String, Vec<&'static str>)>,
+    /// The overview in 3D.
+    scene: Option<String>,
 }
 
 impl Layout {
@@ -163,7 +188,7 @@ impl Layout {
     fn of(recording: &StoreId) -> Layout {
         let id = format!("blueprint-{}", recording.recording_id().as_str());
         let store = StoreId::new(StoreKind::Blueprint, recording.application_id().clone(), id);
-        Layout { chunks: Chunks::new(store), next_id: 0, timings: Vec::new() }
+        Layout { chunks: Chunks::new(store), next_id: 0, timings: Vec::new(), scene: None }
     }
 
     /// Makes `root` the content of the whole window.
@@ -198,7 +223,7 @@ impl Layout {
             tabs.push((Tab::Displacement, self.displacement_tab(&close, schema, settings)));
         }
         if schema.bodies.len() > 1 {
-            let parts = self.pair_views(schema);
+            let parts = self.pair_views();
             tabs.push((Tab::Pairs, self.container(ContainerKind::Vertical, "Pairs", parts, &[2.0, 1.0, 0.8])));
         }
         tabs.push((Tab::Timings, self.timings_tab(schema)));
@@ -234,10 +259,11 @@ impl Layout {
     /// An overview of everything.
     fn scene_tab(&mut self, camera: &EyeControls3D, schema: &Schema, settings: &Settings) -> Part {
         let scene_view = self.scene_view(camera, schema, "Bodies, influence spheres, forces", settings);
+        self.scene = Some(scene_view.path.clone());
         let about = self.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
         let left = self.container(ContainerKind::Vertical, "Space", vec![scene_view, about], &[2.6, 1.0]);
         let right = if schema.bodies.len() > 1 {
-            let mut parts = self.pair_views(schema);
+            let mut parts = self.pair_views();
             parts.push(self.timings(schema));
             self.container(ContainerKind::Vertical, "Time", parts, &[1.4, 0.75, 0.75, 1.0])
         } else {
@@ -295,16 +321,14 @@ impl Layout {
     }
 
     /// Views of pair distances, phases and events.
-    fn pair_views(&mut self, schema: &Schema) -> Vec<Part> {
+    fn pair_views(&mut self) -> Vec<Part> {
         let legend = PlotLegend::new().with_corner(Corner2D::RightBottom);
-        let [low, high] = q_range(schema);
-        let axis = ScalarAxis::new().with_range(Range1D::new(low, high));
         let distances = self.view(
             "TimeSeries",
             "Pair distances q and their thresholds",
             "/pairs",
             &["+ /pairs/**", "- /pairs/*/phase"],
-            &[("PlotLegend", &legend), ("ScalarAxis", &axis)],
+            &[("PlotLegend", &legend)],
         );
         let phases = self.view("StateTimeline", "Pair phases", "/pairs", &["+ /pairs/**"], &[]);
         let events = self.lines("Events", "/events");
@@ -505,12 +529,6 @@ fn camera_on(spheres: &[(DVec3, f64)]) -> EyeControls3D {
         .with_position(Position3D::from(eye.as_vec3()))
         .with_look_target(Position3D::from(middle.as_vec3()))
         .with_eye_up(Vector3D::from(glam::Vec3::Z))
-}
-
-/// The interesting range of q: the thresholds with a margin.
-fn q_range(schema: &Schema) -> [f64; 2] {
-    let levels = || schema.thresholds.iter().flat_map(|threshold| threshold.range);
-    [levels().reduce(f64::min).unwrap_or(0.5) - 0.25, levels().reduce(f64::max).unwrap_or(1.5) + 0.25]
 }
 
 /// The text of the panel: what the colours mean, the scene, integrator, step and settings. The recording begins with

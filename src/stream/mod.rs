@@ -49,6 +49,7 @@ pub mod chunks;
 pub mod columns;
 pub mod extract;
 mod flight;
+mod focus;
 pub mod instant;
 pub mod machine;
 pub mod normals;

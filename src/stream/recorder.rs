@@ -15,11 +15,12 @@ use rerun::{
 };
 
 use super::{
-    blueprint::{self, Subject, Tab},
+    blueprint::{self, Measured, Subject, Tab},
     checksums::Checksums,
     chunks::{Audience, Chunks},
     extract::Extractor,
     flight::FlightRecorder,
+    focus::FocusFinder,
     instant::Instant,
     machine,
     parts::{
@@ -71,6 +72,7 @@ struct FrameParts {
     numbers: FrameNumbers,
     series: Series,
     approaches: Approaches,
+    focus: FocusFinder,
 }
 
 /// The parts that show the state.
@@ -188,12 +190,17 @@ impl Recorder {
         }
     }
 
-    /// Layout changes, for the end of a file, that scale timing plots to typical values: the first frames and every
-    /// wait for a disk take so long that they would dwarf everything else. Not for open viewers: they would lose the
-    /// user's arrangement.
+    /// Layout changes for the end of a file: it opens with its first event, and timing plots are scaled to typical
+    /// values, because the first frames and every wait for a disk take so long that they would dwarf everything else.
+    /// Not for open viewers: they would lose the user's arrangement.
     pub fn measured_layout(&self, simulation: &dyn Simulation, tab: Tab) -> Vec<LogMsg> {
         let Some(parts) = &self.parts else { return Vec::new() };
-        blueprint::ranges(&self.subject(simulation), tab, self.chunks.store(), &parts.numbers.typical_timings())
+        let measured = Measured {
+            duration: simulation.time(),
+            timings: parts.numbers.typical_timings(),
+            focus: parts.focus.focus().filter(|_| self.flight.is_none()), // a flight recorder may have dropped it
+        };
+        blueprint::measured(&self.subject(simulation), tab, self.chunks.store(), &measured)
     }
 
     fn subject<'a>(&'a self, simulation: &'a dyn Simulation) -> Subject<'a> {
@@ -241,6 +248,7 @@ impl Recorder {
         for event in &step.summary.events {
             parts.pairs.log_event(&self.schema, event, &mut parts.series, &mut self.chunks);
             parts.approaches.change(event);
+            parts.focus.event(event);
         }
         parts.numbers.add_recording(Duration::ZERO, start.elapsed());
         self.log_stages(&step.stages, at);
@@ -371,14 +379,22 @@ impl FrameParts {
             if matches!(settings.frames, Frames::Last { .. }) { Series::whole() } else { Series::default() };
         let state = StateParts::new(schema, settings, chunks);
         let numbers = FrameNumbers::new(schema, &mut series, chunks);
-        FrameParts { state, pairs: PairPlots::new(settings.pairs), numbers, series, approaches: Approaches::default() }
+        FrameParts {
+            state,
+            pairs: PairPlots::new(settings.pairs),
+            numbers,
+            series,
+            approaches: Approaches::default(),
+            focus: FocusFinder::default(),
+        }
     }
 
     /// Logs what has changed; `number` is the number of the frame.
     fn log(&mut self, look: Look<'_>, number: u64, chunks: &mut Chunks) {
         let start = Clock::now();
-        let FrameParts { state, pairs, numbers, series, approaches } = self;
+        let FrameParts { state, pairs, numbers, series, approaches, focus } = self;
         approaches.add(look.frame);
+        focus.frame(look);
         let extracting = state.log(look, chunks);
         pairs.log(look, number, series, chunks);
         numbers.log_scalars(look, series, chunks);

@@ -1,0 +1,77 @@
+//! The instant that a recording opens with: its first event, or else the nearest that two bodies come.
+
+use glam::DVec3;
+
+use super::parts::Look;
+use crate::observe::{Frame, PairEvent, Schema};
+
+/// Upper limit on the number of bodies that are all in view.
+const MOST_BODIES: usize = 8;
+
+/// An instant of a run, and what there is to see.
+#[derive(Clone, Debug)]
+pub struct Focus {
+    /// Time of the instant [s].
+    pub time: f64,
+    /// Spheres (centre and radius) to have in view.
+    pub spheres: Vec<(DVec3, f64)>,
+}
+
+impl Focus {
+    /// The interval around the instant in a run of `duration` [s] that is played in a loop [s].
+    pub fn interval(&self, duration: f64) -> [f64; 2] {
+        let [before, after] = [(0.5, 0.125), (1.0, 0.25)].map(|(most, share)| f64::min(most, share * duration));
+        [f64::max(0.0, self.time - before), f64::min(duration, self.time + after)]
+    }
+
+    fn on(frame: &Frame, schema: &Schema, time: f64, pair: [usize; 2]) -> Focus {
+        let bodies = frame.bodies.iter().zip(&schema.bodies).enumerate();
+        let seen = bodies.filter(|(index, _)| schema.bodies.len() <= MOST_BODIES || pair.contains(index));
+        let spheres = seen.map(|(index, (now, body))| {
+            let radius = if pair.contains(&index) { f64::max(body.reach, body.radius) } else { body.radius };
+            (now.centre, radius)
+        });
+        Focus { time, spheres: spheres.collect() }
+    }
+}
+
+/// Finds the focus of a run while it goes on.
+#[derive(Debug, Default)]
+pub struct FocusFinder {
+    /// Time and pair of the first event.
+    first_event: Option<(f64, [usize; 2])>,
+    /// The smallest q so far, if there was no event yet.
+    nearest: Option<f64>,
+    focus: Option<Focus>,
+}
+
+impl FocusFinder {
+    /// Takes note of an event, before the first frame that it affects.
+    pub fn event(&mut self, event: &PairEvent) {
+        if self.first_event.is_none() {
+            self.first_event = Some((event.time, [event.a, event.b]));
+            self.focus = None;
+        }
+    }
+
+    /// Takes note of a frame.
+    pub fn frame(&mut self, look: Look<'_>) {
+        let Look { schema, frame, at } = look;
+        match self.first_event {
+            Some(_) if self.focus.is_some() => {}
+            Some((time, pair)) => self.focus = Some(Focus::on(frame, schema, time, pair)),
+            None => {
+                let Some(pair) = frame.pairs.iter().min_by(|x, y| x.q.total_cmp(&y.q)) else { return };
+                if self.nearest.is_none_or(|nearest| pair.q < nearest) {
+                    self.nearest = Some(pair.q);
+                    self.focus = Some(Focus::on(frame, schema, at.time, [pair.a, pair.b]));
+                }
+            }
+        }
+    }
+
+    /// The focus of the run so far, if bodies came near each other.
+    pub fn focus(&self) -> Option<&Focus> {
+        self.focus.as_ref()
+    }
+}
