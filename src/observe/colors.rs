@@ -13,8 +13,8 @@ pub const GREEN: Rgb = [0x00, 0x9E, 0x73];
 pub const YELLOW: Rgb = [0xF0, 0xE4, 0x42];
 /// Okabe and Ito's vermilion.
 pub const VERMILION: Rgb = [0xD5, 0x5E, 0x00];
-/// Okabe and Ito's reddish purple.
-pub const PURPLE: Rgb = [0xCC, 0x79, 0xA7];
+/// A clear purple: Okabe and Ito's is nearly pink.
+pub const PURPLE: Rgb = [0xA0, 0x70, 0xE8];
 /// A lighter variant of Okabe and Ito's blue.
 pub const BLUE: Rgb = [0x3D, 0x8B, 0xD9];
 /// A pale red.

@@ -64,6 +64,8 @@ pub struct Measured<'a> {
     pub duration: f64,
     /// Stages and their typical durations [ms].
     pub timings: Vec<(&'static str, f64)>,
+    /// The least and the greatest q that was plotted, if any was [–].
+    pub distances: Option<[f64; 2]>,
     /// What to look at first.
     pub focus: Option<&'a Focus>,
 }
@@ -82,6 +84,13 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         let highest = shown.map(|(_, typical)| *typical).fold(0.0, f64::max);
         if highest > 0.0 {
             let axis = ScalarAxis::new().with_range(Range1D::new(-0.02 * highest, HEADROOM * highest));
+            layout.log(&format!("{plot}/ScalarAxis"), &axis);
+        }
+    }
+    if let Some([low, high]) = measured.distances {
+        // a plot that chooses its own axis begins at 0
+        let axis = ScalarAxis::new().with_range(Range1D::new(low - 0.05 * (high - low), high + 0.05 * (high - low)));
+        for plot in std::mem::take(&mut layout.distances) {
             layout.log(&format!("{plot}/ScalarAxis"), &axis);
         }
     }
@@ -179,6 +188,8 @@ struct Layout {
     next_id: u64,
     /// The timing plots, and the stages in each.
     timings: Vec<(String, Vec<&'static str>)>,
+    /// The plots of q.
+    distances: Vec<String>,
     /// The overview in 3D.
     scene: Option<String>,
 }
@@ -188,7 +199,7 @@ impl Layout {
     fn of(recording: &StoreId) -> Layout {
         let id = format!("blueprint-{}", recording.recording_id().as_str());
         let store = StoreId::new(StoreKind::Blueprint, recording.application_id().clone(), id);
-        Layout { chunks: Chunks::new(store), next_id: 0, timings: Vec::new(), scene: None }
+        Layout { chunks: Chunks::new(store), next_id: 0, timings: Vec::new(), distances: Vec::new(), scene: None }
     }
 
     /// Makes `root` the content of the whole window.
@@ -265,7 +276,7 @@ impl Layout {
         let right = if schema.bodies.len() > 1 {
             let mut parts = self.pair_views();
             parts.push(self.timings(schema));
-            self.container(ContainerKind::Vertical, "Time", parts, &[1.4, 0.75, 0.75, 1.0])
+            self.container(ContainerKind::Vertical, "Time", parts, &[2.0, 0.6, 0.7, 0.8])
         } else {
             // a single body: show its motion and its timings
             let mut parts = self.diagnostics(schema);
@@ -330,6 +341,7 @@ impl Layout {
             &["+ /pairs/**", "- /pairs/*/phase"],
             &[("PlotLegend", &legend)],
         );
+        self.distances.push(distances.path.clone());
         let phases = self.view("StateTimeline", "Pair phases", "/pairs", &["+ /pairs/**"], &[]);
         let events = self.lines("Events", "/events");
         vec![distances, phases, events]

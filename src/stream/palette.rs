@@ -18,22 +18,28 @@ pub const IDLE_SPHERE_OF_MANY: Rgb = [0x26, 0x2B, 0x33];
 /// Colour of resting bodies in a batched scene.
 pub const RESTING: Rgb = GREY;
 
-/// Colours of q lines, in order. None is a threshold colour; all are legible on dark and light backgrounds.
+/// Colours of q lines, in order: hues a golden angle apart, none like another. Legible on dark and light backgrounds.
 pub fn distance(index: usize) -> Rgb {
-    [SILVER, GREEN, VERMILION, BLUE][index % 4]
+    const GOLDEN: f64 = 0.618_033_988_749_894_8;
+    let hue = 6.0 * (0.25 + index as f64 * GOLDEN).fract();
+    std::array::from_fn(|channel| {
+        let wave = (hue + [0.0, 4.0, 2.0][channel]) % 6.0;
+        let pure = ((wave - 3.0).abs() - 1.0).clamp(0.0, 1.0);
+        (96.0 + 112.0 * pure) as u8
+    })
 }
 
-/// Muted colours of bodies, so that arrows and spheres stand out against them.
+/// Neutral colours of bodies: hue is for phases and forces.
 pub fn body(index: usize) -> Rgb {
     const BODIES: [Rgb; 8] = [
-        [0x5B, 0x84, 0xB1],
-        [0xB5, 0x8A, 0x5A],
-        [0x6F, 0x9E, 0x7B],
-        [0x9C, 0x77, 0xA6],
-        [0xA8, 0x9F, 0x5F],
-        [0x5F, 0x9D, 0xA3],
-        [0xB0, 0x74, 0x70],
-        [0x8A, 0x8F, 0x98],
+        [0x9B, 0xAA, 0xBD],
+        [0xDA, 0xCE, 0xBA],
+        [0x82, 0x94, 0x88],
+        [0xC9, 0xBC, 0xD2],
+        [0x86, 0x80, 0x90],
+        [0xB7, 0xC8, 0xBC],
+        [0xA4, 0x94, 0x86],
+        [0xD6, 0xDA, 0xE0],
     ];
     BODIES[index % BODIES.len()]
 }

@@ -198,6 +198,7 @@ impl Recorder {
         let measured = Measured {
             duration: simulation.time(),
             timings: parts.numbers.typical_timings(),
+            distances: parts.pairs.plotted(),
             focus: parts.focus.focus().filter(|_| self.flight.is_none()), // a flight recorder may have dropped it
         };
         blueprint::measured(&self.subject(simulation), tab, self.chunks.store(), &measured)

@@ -30,6 +30,12 @@ pub struct PairPlots {
     /// Scratch storage, reused.
     next_in_reach: BTreeSet<(usize, usize)>,
     new: Vec<PairFrame>,
+    /// The least and the greatest number in any plot.
+    plotted: Option<[f64; 2]>,
+}
+
+fn extended(range: Option<[f64; 2]>, number: f64) -> [f64; 2] {
+    range.map_or([number; 2], |[low, high]| [low.min(number), high.max(number)])
 }
 
 struct PairPlot {
@@ -47,7 +53,13 @@ impl PairPlots {
             in_reach: BTreeSet::new(),
             next_in_reach: BTreeSet::new(),
             new: Vec::new(),
+            plotted: None,
         }
+    }
+
+    /// The least and the greatest number in any plot, q or threshold.
+    pub fn plotted(&self) -> Option<[f64; 2]> {
+        self.plotted
     }
 
     /// Logs the q of pairs within reach; `frame` is the number of the frame.
@@ -66,8 +78,10 @@ impl PairPlots {
         for pair in &now.pairs {
             let Some(known) = self.known.get(&(pair.a, pair.b)) else { continue };
             series.log(chunks, known.distance, pair.q, at);
+            self.plotted = Some(extended(self.plotted, pair.q));
             for &(line, level) in &known.thresholds {
                 series.log(chunks, line, level, at);
+                self.plotted = Some(extended(self.plotted, level));
                 // A constant line has no new values, but should keep up with a live plot.
                 if frame.is_multiple_of(THRESHOLD_FRAMES) {
                     series.extend(chunks, line);
