@@ -1288,9 +1288,10 @@ fn the_inside_of_steps_is_recorded_beside_them() {
     }
 }
 
-/// Plots of timings get their ranges once typical values are known; the blueprint is then made active again.
+/// Plots get their ranges once their values are known, and the first event is what the file opens with; the blueprint is
+/// then made active again.
 #[test]
-fn a_file_ends_with_the_ranges_of_its_plots_of_times() {
+fn a_file_ends_with_the_ranges_of_its_plots_and_opens_with_its_first_event() {
     let scene = builtin("two");
     let mut world = World::new(scene.clone()).expect("it fits");
     let settings = Settings::of(&scene);
@@ -1305,15 +1306,21 @@ fn a_file_ends_with_the_ranges_of_its_plots_of_times() {
     let ranges = recorder.measured_layout(&world, Tab::Timings);
     assert_eq!(store_of(&ranges), store_of(&layout), "it is the same layout");
     assert!(matches!(ranges.last(), Some(LogMsg::BlueprintActivationCommand(_))));
-    let mut views = BTreeSet::new();
+    let (mut views, mut opening) = (BTreeSet::new(), Vec::new());
     for message in &ranges[..ranges.len() - 1] {
         let LogMsg::ArrowMsg(_, message) = message else { panic!("{message:?}") };
         let chunk = Chunk::from_arrow_msg(message).expect("a chunk");
-        assert!(chunk.components().keys().any(|component| component.as_str() == "ScalarAxis:range"), "{chunk:?}");
-        assert!(views.insert(chunk.entity_path().to_string()));
+        if chunk.components().keys().any(|component| component.as_str() == "ScalarAxis:range") {
+            assert!(views.insert(chunk.entity_path().to_string()));
+        } else {
+            opening.extend(chunk.components().keys().map(|component| component.to_string()));
+        }
     }
-    // the plots of simulation, observation and recording costs, and the one in the first tab
-    assert!((3..=4).contains(&views.len()), "{views:?}"); // nothing is waited for here
+    // the plots of simulation, observation and recording costs, the one in the first tab, and two of q
+    assert!((5..=6).contains(&views.len()), "{views:?}"); // nothing is waited for here
+    for component in ["TimePanelBlueprint:time_selection", "TimePanelBlueprint:play_state", "EyeControls3D:position"] {
+        assert!(opening.iter().any(|logged| logged == component), "{opening:?}");
+    }
 
     let thin = Settings { frames: Frames::Thin, ..settings };
     assert!(Recorder::new(&world, thin).measured_layout(&world, Tab::Scene).is_empty());
