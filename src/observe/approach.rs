@@ -92,11 +92,10 @@ impl Approaches {
 impl Approach {
     /// Describes the approach in words: how near, when, and by how much it missed which threshold.
     pub fn describe(&self, schema: &Schema) -> String {
-        let levels = schema.thresholds.iter().enumerate();
-        let levels = levels.filter_map(|(index, it)| Some((it.name, schema.level(index, self.a, self.b)?)));
-        let missed = levels.filter(|&(_, level)| level < self.q).max_by(|x, y| x.1.total_cmp(&y.1));
-        let missed =
-            missed.map_or(String::new(), |(name, level)| format!(", {:.4} short of {name} = {level}", self.q - level));
+        let first = schema.thresholds.first().zip(schema.level(0, self.a, self.b));
+        let missed = first.map_or(String::new(), |(threshold, level)| {
+            format!(", {:.4} short of {} = {level}", self.q - level, threshold.name)
+        });
         let (pair, Approach { q, time, .. }) = (schema.pair_name(self.a, self.b), self);
         format!("{pair} came to q = {q:.4} at t = {time:.4} s{missed}")
     }

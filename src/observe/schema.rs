@@ -34,7 +34,7 @@ pub struct Schema {
     pub arrow_scale: f64,
     /// Phases of a pair, from the weakest interaction to the strongest.
     pub phases: Vec<PhaseSchema>,
-    /// Levels of q at which a pair changes phase.
+    /// Levels of q at which a pair changes phase; the first is that at which it leaves its first phase.
     pub thresholds: Vec<Threshold>,
     /// The levels of pairs that have their own.
     pub own_levels: OwnLevels,
@@ -98,8 +98,6 @@ pub struct Threshold {
     pub label: &'static str,
     /// Level of q [–]; see [`Schema::level`].
     pub level: f64,
-    /// The lowest and the highest level of any pair [–].
-    pub range: [f64; 2],
     /// Colour of its line.
     pub color: Rgb,
 }
@@ -191,7 +189,7 @@ impl From<(&'static str, Rgb)> for PhaseSchema {
 
 impl From<(&'static str, f64, Rgb)> for Threshold {
     fn from((name, level, color): (&'static str, f64, Rgb)) -> Threshold {
-        Threshold { name, label: name, level, range: [level; 2], color }
+        Threshold { name, label: name, level, color }
     }
 }
 

@@ -303,11 +303,9 @@ fn schema(scene: &Scene, options: Options) -> Schema {
         ("core_at", "core at", Phase::Core),
     ];
     let thresholds = thresholds.into_iter().filter_map(|(name, label, phase)| {
-        let levels = scene.laws().filter_map(|law| level(&law, phase));
-        let ends = levels.fold([f64::INFINITY, 0.0], |[low, high], level| [low.min(level), high.max(level)]);
-        let level = level(&scene.common_law(), phase).unwrap_or(ends[0]);
-        let color = phase_color(phase);
-        (ends[0] <= ends[1]).then_some(Threshold { name, label, level, range: ends, color })
+        let lowest = scene.laws().filter_map(|law| level(&law, phase)).reduce(f64::min)?;
+        let level = level(&scene.common_law(), phase).unwrap_or(lowest);
+        Some(Threshold { name, label, level, color: phase_color(phase) })
     });
     let own_levels = if scene.pairs.is_empty() {
         OwnLevels::default()

@@ -7,6 +7,8 @@ use crate::observe::{Frame, PairEvent, Schema};
 
 /// Upper limit on the number of bodies that are all in view.
 const MOST_BODIES: usize = 8;
+/// With more of them, this factor of the pair's spheres shows what surrounds the two.
+const AROUND: f64 = 2.0;
 
 /// An instant of a run, and what there is to see.
 #[derive(Clone, Debug)]
@@ -25,11 +27,12 @@ impl Focus {
     }
 
     fn on(frame: &Frame, schema: &Schema, time: f64, pair: [usize; 2]) -> Focus {
+        let is_crowd = schema.bodies.len() > MOST_BODIES;
         let bodies = frame.bodies.iter().zip(&schema.bodies).enumerate();
-        let seen = bodies.filter(|(index, _)| schema.bodies.len() <= MOST_BODIES || pair.contains(index));
+        let seen = bodies.filter(|(index, _)| !is_crowd || pair.contains(index));
         let spheres = seen.map(|(index, (now, body))| {
             let radius = if pair.contains(&index) { f64::max(body.reach, body.radius) } else { body.radius };
-            (now.centre, radius)
+            (now.centre, if is_crowd { AROUND * radius } else { radius })
         });
         Focus { time, spheres: spheres.collect() }
     }
