@@ -6,6 +6,7 @@
 mod bench;
 mod check;
 mod diff;
+mod export;
 mod interrupt;
 mod replay;
 mod run;
@@ -55,6 +56,8 @@ enum Command {
     Check(check::Arguments),
     /// Compare two recordings of the same scene.
     Diff(diff::Arguments),
+    /// Write the surfaces of a run to mesh files, for other programs.
+    Export(export::Arguments),
     /// List the built-in scenes and what to look for in each.
     Scenes,
     /// Run benchmarks: accuracy against run time, cost against scene size, recording cost, integrator stability.
@@ -138,6 +141,7 @@ fn run(command: Command) -> Result<(), Failure> {
         Command::Replay(arguments) => interrupt::end().and_then(|()| replay::replay(arguments)),
         Command::Check(arguments) => interrupt::end().and_then(|()| check::check(arguments)),
         Command::Diff(arguments) => interrupt::end().and_then(|()| diff::diff(arguments)),
+        Command::Export(arguments) => interrupt::end().and_then(|()| export::export(arguments)),
         Command::Bench(arguments) => interrupt::end().and_then(|()| bench::bench(arguments)),
     }
 }

@@ -6,11 +6,13 @@
 //! | the parameters of a shape, and its mesh shared by all bodies | [`shape`] |
 //! | one file per shape | [`sphere`] |
 //! | arrays of vectors | [`vectors`] |
+//! | a smooth seam in place of the crease where surfaces meet | [`fairing`] |
 //! | the union of overlapping meshes, and geometric measures of a pair | [`union`] |
 //!
 //! A new shape is a file that implements [`shape::Solid`] and its lines in the table below. This module does not depend
 //! on bodies, scenes or time.
 
+pub mod fairing;
 pub mod mesh;
 pub mod shape;
 pub mod sphere;

@@ -9,6 +9,7 @@
 //! [`simulation`] |
 //! | how near pairs came that did not change their phase | [`approach`] |
 //! | the largest difference between two states | [`worst`] |
+//! | the merged surface of groups of bodies, and geometric measures of pairs | [`surface`] |
 //! | colours | [`colors`] |
 //!
 //! The recorder, `replay`, `check` and `diff` depend on nothing else. Nothing here depends on Rerun, on files or on a
@@ -20,6 +21,7 @@ pub mod event;
 pub mod frame;
 pub mod schema;
 pub mod simulation;
+pub mod surface;
 pub mod worst;
 
 pub use approach::{Approach, Approaches};

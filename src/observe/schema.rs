@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, fmt, sync::Arc};
 
 use super::{colors::Rgb, event::PairEvent};
-use crate::geometry::{Mesh, Rest};
+use crate::geometry::{Mesh, Rest, fairing};
 
 /// The schema of a simulation, which does not change during a run. Frames refer to its entries by index.
 #[derive(Clone, Debug)]
@@ -24,6 +24,8 @@ pub struct Schema {
     pub tolerance: f64,
     /// Description of the interaction between bodies, as Markdown.
     pub law: String,
+    /// Distance from a seam within which merged surfaces are smoothed [radii of the smaller body]; 0: sharp.
+    pub blend: f64,
     /// The bodies: at least one, with unique names.
     pub bodies: Vec<BodySchema>,
     /// Force terms that accelerate vertices. The last one is the sum of all others.
@@ -87,6 +89,8 @@ pub struct PhaseSchema {
     pub name: &'static str,
     /// Colour of its lanes, lines and spheres.
     pub color: Rgb,
+    /// Whether two bodies in this phase count as one: bodies that such pairs connect are a group, with one surface.
+    pub is_joined: bool,
 }
 
 /// A level of q at which a pair changes phase.
@@ -159,6 +163,7 @@ impl Default for Schema {
             steps: 0,
             tolerance: 1e-6,
             law: String::new(),
+            blend: fairing::BLEND,
             bodies: Vec::new(),
             terms: Vec::new(),
             labels: Vec::new(),
@@ -182,8 +187,9 @@ impl BodySchema {
 }
 
 impl From<(&'static str, Rgb)> for PhaseSchema {
+    /// A phase in which bodies remain two.
     fn from((name, color): (&'static str, Rgb)) -> PhaseSchema {
-        PhaseSchema { name, color }
+        PhaseSchema { name, color, is_joined: false }
     }
 }
 

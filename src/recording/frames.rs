@@ -273,8 +273,11 @@ impl FrameReader {
         self.pending = kept;
         self.entities.clear();
 
-        let is_wanted =
-            |entity: &str| entity == MARKER || (entity.starts_with("/world/") && !entity.starts_with("/world/forces/"));
+        let is_of_frames = |entity: &str| {
+            let others = ["/world/forces/", "/world/merged"];
+            entity.starts_with("/world/") && !others.iter().any(|other| entity.starts_with(other))
+        };
+        let is_wanted = |entity: &str| entity == MARKER || is_of_frames(entity);
         loop {
             let chunk = match self.next_chunk.take() {
                 Some(chunk) => chunk,

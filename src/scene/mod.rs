@@ -100,6 +100,8 @@ pub struct Scene {
     pub gravity: DVec3,
     /// The planes, in the order of the file. They act on every vertex of every body.
     pub planes: Vec<Plane>,
+    /// Distance from a seam within which merged surfaces are smoothed [radii of the smaller body]; 0: sharp.
+    pub blend: f64,
     /// The bodies: at least one, with unique names.
     pub bodies: Vec<Body>,
     /// The pushes, in the order of the file.

@@ -22,7 +22,7 @@ use super::{
     Body, FreeMotion, Integrator, Material, Motion, Path, Plane, Push, Response, Rotation, Scene, path::Spline,
 };
 use crate::{
-    geometry::{Shape, shape::Parameter},
+    geometry::{Shape, fairing, shape::Parameter},
     model::{
         PairLaw,
         influence::{Influence, Scaling, Weight},
@@ -43,6 +43,8 @@ const LARGEST_FILE: u64 = 32 << 20;
 const POSITIVE: Number = Number { min: SMALLEST, max: LARGEST };
 const NON_NEGATIVE: Number = Number { min: 0.0, max: LARGEST };
 const ANY: Number = Number { min: -LARGEST, max: LARGEST };
+/// Up to half a radius, what is not near the seam stays as it is.
+const BLEND: Number = Number { min: 0.0, max: 0.5 };
 /// Of a direction only the direction matters.
 const FINITE: Number = Number { min: f64::MIN, max: f64::MAX };
 
@@ -58,6 +60,7 @@ static SCENE: Keys = Keys {
         "gravity",
         "material",
         "influence",
+        "surface",
         "body",
         "pair",
         "plane",
@@ -71,6 +74,7 @@ static INFLUENCE: Keys = Keys {
     form: "a table, written [influence]",
     names: &["alpha", "beta", "reach", "weight", "scaling", "merge_at", "split_at", "core_at", "core_width", "apart"],
 };
+static SURFACE: Keys = Keys { home: "in [surface]", form: "a table, written [surface]", names: &["blend"] };
 static BODY: Keys = Keys {
     home: "in a [[body]]",
     form: "a table, written [[body]]",
@@ -131,7 +135,7 @@ static FREE: Keys = Keys {
 
 /// Every table, to find where a misplaced key belongs.
 fn all_keys() -> impl Iterator<Item = &'static Keys> {
-    let bodies = [&SCENE, &MATERIAL, &INFLUENCE, &BODY, &PAIR, &PLANE, &PUSH, &SHAPE];
+    let bodies = [&SCENE, &MATERIAL, &INFLUENCE, &SURFACE, &BODY, &PAIR, &PLANE, &PUSH, &SHAPE];
     bodies.into_iter().chain(&SHAPES).chain([&MOTION, &LINE, &SINE, &FREE])
 }
 
@@ -221,6 +225,7 @@ fn read_scene(source: &Source<'_>) -> Result<Scene, SceneError> {
     // The tables first: a key below the wrong header is then reported as that, not as missing where it belongs.
     let material = root.table("material", &MATERIAL)?;
     let influence = root.table("influence", &INFLUENCE)?;
+    let surface = root.table("surface", &SURFACE)?;
     let body_array = root.present("body", "at least one [[body]]")?;
     let body_tables = body_array.tables(&BODY)?;
     let [pair_array, plane_array, push_array] = ["pair", "plane", "push"].map(|name| root.get(name));
@@ -243,6 +248,8 @@ fn read_scene(source: &Source<'_>) -> Result<Scene, SceneError> {
 
     let gravity = root.optional("gravity", Vector(ANY))?.unwrap_or(DVec3::ZERO);
 
+    let blend = surface.optional("blend", BLEND)?.unwrap_or(fairing::BLEND);
+
     let thesis = Material { omega: 12.0, damping: 1.5, response: Response::Inertial };
     let material = read_material(&material, thesis)?;
     let (law, influence) = (read_law(&influence, PairLaw::DEFAULT)?, read_influence(&influence)?);
@@ -264,6 +271,7 @@ fn read_scene(source: &Source<'_>) -> Result<Scene, SceneError> {
         pairs,
         gravity,
         planes,
+        blend,
         bodies,
         pushes,
         source: source.text.to_owned(),

@@ -331,11 +331,18 @@ fn schema(scene: &Scene, options: Options) -> Schema {
         steps: scene.steps(),
         tolerance: scene.tolerance,
         law: law(scene),
+        blend: scene.blend,
         bodies,
         terms: Cause::of(scene.is_coupled()).map(|cause| term(scene, cause)).collect(),
         labels: LABELS.into(),
         arrow_scale: arrow_scale(scene),
-        phases: PHASES.map(|phase| PhaseSchema { name: phase.name(), color: phase_color(phase) }).into(),
+        phases: PHASES
+            .map(|phase| PhaseSchema {
+                name: phase.name(),
+                color: phase_color(phase),
+                is_joined: phase != Phase::Apart,
+            })
+            .into(),
         thresholds: thresholds.collect(),
         own_levels,
         scalars: SCALARS

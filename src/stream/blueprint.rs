@@ -33,7 +33,9 @@ use super::{
     palette,
     parts::{
         forces,
+        merged::{self, DRAWN},
         numbers::{LAG, OBSERVING, RECORDING, SPEED},
+        pairs::{self, CONTACT, MEASURES},
         vertices::HOTTEST,
     },
     settings::{Detail, Entities, Frames, Settings},
@@ -147,6 +149,8 @@ pub enum Tab {
     Forces,
     /// Surfaces coloured by displacement, with selectable vertices.
     Displacement,
+    /// The surfaces of groups, and what geometry says of pairs beside their phases.
+    Surface,
     /// Distances, phases and events of pairs.
     Pairs,
     /// Durations of stages.
@@ -159,8 +163,8 @@ pub enum Tab {
 
 impl Tab {
     /// All tabs, in the order of the viewer.
-    pub const ALL: [Tab; 7] =
-        [Tab::Scene, Tab::Forces, Tab::Displacement, Tab::Pairs, Tab::Timings, Tab::Energy, Tab::Stages];
+    pub const ALL: [Tab; 8] =
+        [Tab::Scene, Tab::Surface, Tab::Forces, Tab::Displacement, Tab::Pairs, Tab::Timings, Tab::Energy, Tab::Stages];
 
     /// The name of the tab on the command line.
     pub fn name(self) -> &'static str {
@@ -168,6 +172,7 @@ impl Tab {
             Tab::Scene => "scene",
             Tab::Forces => "forces",
             Tab::Displacement => "displacement",
+            Tab::Surface => "surface",
             Tab::Pairs => "pairs",
             Tab::Timings => "timings",
             Tab::Energy => "energy",
@@ -228,13 +233,17 @@ impl Layout {
         let Subject { simulation, schema, settings } = *subject;
         let camera = camera_on(&simulation.framing(false));
         let mut tabs = vec![(Tab::Scene, self.scene_tab(&camera, schema, settings))];
+        if schema.bodies.len() > 1 {
+            let close = camera_on(&simulation.framing(true));
+            tabs.push((Tab::Surface, self.surface_tab(&close, schema, settings)));
+        }
         if settings.detail != Detail::Surface {
             let close = camera_on(&simulation.framing(true));
             tabs.push((Tab::Forces, self.forces_tab(&close, schema, settings)));
             tabs.push((Tab::Displacement, self.displacement_tab(&close, schema, settings)));
         }
         if schema.bodies.len() > 1 {
-            let parts = self.pair_views();
+            let parts = self.pair_views(schema);
             tabs.push((Tab::Pairs, self.container(ContainerKind::Vertical, "Pairs", parts, &[2.0, 1.0, 0.8])));
         }
         tabs.push((Tab::Timings, self.timings_tab(schema)));
@@ -274,7 +283,7 @@ impl Layout {
         let about = self.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
         let left = self.container(ContainerKind::Vertical, "Space", vec![scene_view, about], &[2.6, 1.0]);
         let right = if schema.bodies.len() > 1 {
-            let mut parts = self.pair_views();
+            let mut parts = self.pair_views(schema);
             parts.push(self.timings(schema));
             self.container(ContainerKind::Vertical, "Time", parts, &[2.0, 0.6, 0.7, 0.8])
         } else {
@@ -286,6 +295,35 @@ impl Layout {
             self.container(ContainerKind::Vertical, "Time", parts, &shares)
         };
         self.container(ContainerKind::Horizontal, "Scene", vec![left, right], &[1.6, 1.0])
+    }
+
+    /// The surfaces of groups, and the gap and overlap of pairs above their phases.
+    fn surface_tab(&mut self, camera: &EyeControls3D, schema: &Schema, settings: &Settings) -> Part {
+        let contents = ["+ /world/bodies/**", "+ /world/deforming/**", "+ /world/resting/**", "+ /world/merged/**"];
+        let view = self.space(camera, "One surface per group", &contents);
+        for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
+            // a batch has a colour per vertex
+            let rgb = if settings.entities == Entities::Batch { [0xFF; 3] } else { palette::body(index) };
+            self.draw_unmerged(&view, &surface, &Mesh3D::update_fields().with_albedo_factor(palette::opaque(rgb)));
+        }
+        let opaque = Mesh3D::update_fields().with_albedo_factor(rerun::Rgba32::WHITE);
+        self.visualize(&view, merged::SURFACE.trim_start_matches('/'), &[("Mesh3D", None, &opaque)]);
+        let mut parts = Vec::new();
+        if pairs::has_named_pairs(schema) {
+            let titles = ["Gap and neck [radii of the smaller body]", "Overlap [its radius cubed]"];
+            for (title, measures) in titles.into_iter().zip([["gap", "neck"].as_slice(), &["overlap"]]) {
+                let lines = measures.iter().flat_map(|measure| pairs::named(schema, measure));
+                let contents: Vec<String> = lines.map(|line| format!("+ {line}")).collect();
+                let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
+                parts.push(self.plot(title, "/pairs", &contents, Corner2D::LeftTop));
+            }
+        }
+        let title = "Phases, and whether the surfaces touch (red, yellow: the two disagree)";
+        parts.push(self.view("StateTimeline", title, "/pairs", &["+ /pairs/**"], &[]));
+        parts.push(self.plot("Groups: volume, genus, bodies", "/groups", &["+ /groups/**"], Corner2D::LeftTop));
+        let shares = vec![1.0; parts.len()];
+        let right = self.container(ContainerKind::Vertical, "Measures", parts, &shares);
+        self.container(ContainerKind::Horizontal, "Surface", vec![view, right], &[1.6, 1.0])
     }
 
     /// One view for each force term that can act in the scene, all with the same initial camera. Afterwards each view
@@ -332,17 +370,26 @@ impl Layout {
     }
 
     /// Views of pair distances, phases and events.
-    fn pair_views(&mut self) -> Vec<Part> {
+    fn pair_views(&mut self, schema: &Schema) -> Vec<Part> {
         let legend = PlotLegend::new().with_corner(Corner2D::RightBottom);
+        // a pattern cannot have its wildcard in the middle
+        let without = |parts: &[&str]| -> Vec<String> {
+            let left_out = parts.iter().flat_map(|part| pairs::named(schema, part)).map(|line| format!("- {line}"));
+            std::iter::once("+ /pairs/**".to_owned()).chain(left_out).collect()
+        };
+        let contents = without(&MEASURES.map(|(measure, ..)| measure));
+        let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
         let distances = self.view(
             "TimeSeries",
             "Pair distances q and their thresholds",
             "/pairs",
-            &["+ /pairs/**", "- /pairs/*/phase"],
+            &contents,
             &[("PlotLegend", &legend)],
         );
         self.distances.push(distances.path.clone());
-        let phases = self.view("StateTimeline", "Pair phases", "/pairs", &["+ /pairs/**"], &[]);
+        let contents = without(&[CONTACT]);
+        let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
+        let phases = self.view("StateTimeline", "Pair phases", "/pairs", &contents, &[]);
         let events = self.lines("Events", "/events");
         vec![distances, phases, events]
     }
@@ -405,6 +452,11 @@ impl Layout {
     /// A 3D view of everything, with the forces that make bodies merge and split.
     fn scene_view(&mut self, camera: &EyeControls3D, schema: &Schema, name: &str, settings: &Settings) -> Part {
         let view = self.space(camera, name, &["+ /world/**"]);
+        if schema.bodies.len() > 1 {
+            for surface in surfaces(schema, settings) {
+                self.draw_unmerged(&view, &surface, &Mesh3D::update_fields());
+            }
+        }
         let mut hide = |entity: &str| {
             let path = format!("{}/ViewContents/overrides{entity}/visualizers", view.path);
             self.log(&path, &EntityBehavior::new().with_visible(false));
@@ -428,6 +480,12 @@ impl Layout {
         let properties: [(&str, &dyn AsComponents); 3] =
             [("EyeControls3D", camera), ("LineGrid3D", &grid), ("Background", &background)];
         self.view("3D", name, "/world", contents, &properties)
+    }
+
+    /// Draws a body by its own surface only while it is not part of a merged one.
+    fn draw_unmerged(&mut self, view: &Part, surface: &str, overrides: &dyn AsComponents) {
+        let drawn = Mapping { target: "Mesh3D:triangle_indices", source: DRAWN };
+        self.visualize(view, surface, &[("Mesh3D", Some(drawn), overrides)]);
     }
 
     /// Replaces the default visualizers of an entity in a view.

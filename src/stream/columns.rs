@@ -45,6 +45,12 @@ pub enum Cell<'a> {
     Classes(&'a [u16]),
     /// Line segments.
     Segments(&'a [[Float3; 2]]),
+    /// Vertex indices of triangles.
+    Triangles(&'a [[u32; 3]]),
+    /// Numbers of vertices.
+    Indices(&'a [u32]),
+    /// Line strips.
+    Strips(&'a [Vec<Float3>]),
     /// Labels.
     Texts(&'a [String]),
     /// Strings from a small fixed set.
@@ -81,6 +87,9 @@ enum Values {
     Colors(Vec<u32>),
     Classes(Vec<u16>),
     Segments(Vec<[Float3; 2]>),
+    Triangles(Vec<[u32; 3]>),
+    Indices(Vec<u32>),
+    Strips(Vec<Vec<Float3>>),
     Texts(Vec<String>),
     Names(Vec<&'static str>),
 }
@@ -200,6 +209,9 @@ impl Values {
             (Values::Colors(values), Cell::Colors(cell)) => append(values, cell),
             (Values::Classes(values), Cell::Classes(cell)) => append(values, cell),
             (Values::Segments(values), Cell::Segments(cell)) => append(values, cell),
+            (Values::Triangles(values), Cell::Triangles(cell)) => append(values, cell),
+            (Values::Indices(values), Cell::Indices(cell)) => append(values, cell),
+            (Values::Strips(values), Cell::Strips(cell)) => append(values, cell),
             (Values::Texts(values), Cell::Texts(cell)) => append(values, cell),
             (Values::Names(values), Cell::Names(cell)) => append(values, cell),
             (values, cell) => {
@@ -212,6 +224,9 @@ impl Values {
                     Cell::Colors(cell) => Values::Colors(cell.to_vec()),
                     Cell::Classes(cell) => Values::Classes(cell.to_vec()),
                     Cell::Segments(cell) => Values::Segments(cell.to_vec()),
+                    Cell::Triangles(cell) => Values::Triangles(cell.to_vec()),
+                    Cell::Indices(cell) => Values::Indices(cell.to_vec()),
+                    Cell::Strips(cell) => Values::Strips(cell.to_vec()),
                     Cell::Texts(cell) => Values::Texts(cell.to_vec()),
                     Cell::Names(cell) => Values::Names(cell.to_vec()),
                 };
@@ -230,6 +245,9 @@ impl Values {
             Values::Colors(values) => size_of_val(values.as_slice()),
             Values::Classes(values) => size_of_val(values.as_slice()),
             Values::Segments(values) => size_of_val(values.as_slice()),
+            Values::Triangles(values) => size_of_val(values.as_slice()),
+            Values::Indices(values) => size_of_val(values.as_slice()),
+            Values::Strips(values) => values.iter().map(|strip| size_of_val(strip.as_slice())).sum(),
             Values::Texts(values) => size_of_val(values.as_slice()),
             Values::Names(values) => size_of_val(values.as_slice()),
         }
@@ -246,6 +264,9 @@ impl Values {
             Values::Colors(values) => Values::Colors(Vec::with_capacity(values.len())),
             Values::Classes(values) => Values::Classes(Vec::with_capacity(values.len())),
             Values::Segments(values) => Values::Segments(Vec::with_capacity(values.len())),
+            Values::Triangles(values) => Values::Triangles(Vec::with_capacity(values.len())),
+            Values::Indices(values) => Values::Indices(Vec::with_capacity(values.len())),
+            Values::Strips(values) => Values::Strips(Vec::with_capacity(values.len())),
             Values::Texts(values) => Values::Texts(Vec::with_capacity(values.len())),
             Values::Names(values) => Values::Names(Vec::with_capacity(values.len())),
         }
@@ -262,6 +283,9 @@ impl Values {
             Values::Colors(values) => Values::Colors(values[first..].to_vec()),
             Values::Classes(values) => Values::Classes(values[first..].to_vec()),
             Values::Segments(values) => Values::Segments(values[first..].to_vec()),
+            Values::Triangles(values) => Values::Triangles(values[first..].to_vec()),
+            Values::Indices(values) => Values::Indices(values[first..].to_vec()),
+            Values::Strips(values) => Values::Strips(values[first..].to_vec()),
             Values::Texts(values) => Values::Texts(values[first..].to_vec()),
             Values::Names(values) => Values::Names(values[first..].to_vec()),
         }
@@ -276,12 +300,14 @@ impl Values {
             Values::Floats(values) => Arc::new(Float32Array::from(values)),
             Values::Colors(values) => Arc::new(UInt32Array::from(values)),
             Values::Classes(values) => Arc::new(UInt16Array::from(values)),
-            Values::Segments(values) => {
-                let offsets = OffsetBuffer::from_lengths(values.iter().map(|_| 2));
-                let points = tuples(values.into_flattened())?;
-                let item = Field::new("item", points.data_type().clone(), false);
-                Arc::new(ListArray::try_new(item.into(), offsets, points, None)?)
+            Values::Segments(values) => strips(values.iter().map(|_| 2), values.as_flattened().to_vec())?,
+            Values::Strips(values) => strips(values.iter().map(Vec::len), values.concat())?,
+            Values::Triangles(values) => {
+                let indices = Arc::new(UInt32Array::from(values.into_flattened()));
+                let item = Field::new("item", DataType::UInt32, false);
+                Arc::new(FixedSizeListArray::try_new(item.into(), 3, indices, None)?)
             }
+            Values::Indices(values) => Arc::new(UInt32Array::from(values)),
             Values::Texts(values) => Arc::new(StringArray::from(values)),
             Values::Names(values) => Arc::new(StringArray::from(values)),
         })
@@ -292,6 +318,13 @@ fn tuples<const N: usize>(values: Vec<[f32; N]>) -> Result<ArrayRef, ArrowError>
     let coordinates = Arc::new(Float32Array::from(values.into_flattened()));
     let item = Field::new("item", DataType::Float32, false);
     Ok(Arc::new(FixedSizeListArray::try_new(item.into(), N as i32, coordinates, None)?))
+}
+
+/// Line strips of some lengths.
+fn strips(lengths: impl Iterator<Item = usize>, points: Vec<Float3>) -> Result<ArrayRef, ArrowError> {
+    let points = tuples(points)?;
+    let item = Field::new("item", points.data_type().clone(), false);
+    Ok(Arc::new(ListArray::try_new(item.into(), OffsetBuffer::from_lengths(lengths), points, None)?))
 }
 
 fn append<T: Clone>(values: &mut Vec<T>, cell: &[T]) -> usize {
@@ -309,6 +342,9 @@ impl Cell<'_> {
             Cell::Colors(cell) => cell.len(),
             Cell::Classes(cell) => cell.len(),
             Cell::Segments(cell) => cell.len(),
+            Cell::Triangles(cell) => cell.len(),
+            Cell::Indices(cell) => cell.len(),
+            Cell::Strips(cell) => cell.len(),
             Cell::Texts(cell) => cell.len(),
             Cell::Names(cell) => cell.len(),
         }

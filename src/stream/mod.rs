@@ -31,11 +31,14 @@
 //! | --- | --- |
 //! | `/world/bodies/NAME`, `…/surface` | transform to the centre; mesh in body coordinates |
 //! | `/world/resting/SHAPE`, `/world/deforming/surface` | replace the above for more than 64 bodies: undeformed ones as instances, the others as one mesh in world coordinates |
+//! | `/world/merged/surface`, `…/seams` | the surfaces of all groups (two or more bodies connected by joined pairs) as one mesh in world coordinates, with class ids that name the body of each vertex and `vertex`, its number there; the lines along which bodies meet. A body in a group keeps its own surface, whose component `drawn_triangles` is empty then: the layout draws it by those |
+//! | `/groups/A/volume`, `…/genus`, `…/bodies` | of the group whose first body is A; as many groups as pairs have plots. `/diagnostics/overlapping_groups`: the number of groups that could not be united in time, and are drawn as overlapping meshes |
 //! | `/world/influence` | all influence spheres |
 //! | `/world/pairs` | lines between the centres of pairs within reach, labelled with q: the closest 16, or 5 in a batched scene (`--pairs N`); in a batched scene also the influence spheres that reach another body |
 //! | `/world/forces/CAUSE` | arrows of `attraction`, `repulsion` (of bodies apart), `core` (of bodies in their core), `restoring`, `damping`, `push`, `carry`, `net`: accelerations times the arrow scale given in the panel; classes, named at `/world/forces`, identify the two bodies between which an arrow acts |
 //! | on a surface, with forces | for each vertex: `body`, `vertex`, `displacement_in_radii`, `net_force`, `reach`, and its colour in the heat map |
 //! | `/pairs/A~B/distance`, `…/merge_at`, `…/split_at`, `…/core_at`, `…/phase` | q, its thresholds and the phase, for the first 16 pairs within reach, or 5 in a batched scene (`--pairs N`); of pairs that come within reach together, the closest |
+//! | `/pairs/A~B/gap`, `…/overlap`, `…/neck`, `…/contact` | of the same pairs: least distance of the surfaces or minus the greatest depth, volume of the intersection, radius of the seam (in radii of the smaller body); where these and the phase disagree |
 //! | `/events` | one line per merge, split and core event, with the components `bodies`, `phases` (before and after), `time` (s, exact) and `q` |
 //! | `/timings/STAGE`, `/timings/speed`, `/timings/lag`, `/diagnostics/…` | scalars over time |
 //! | `/stages` | on the timeline `stage`: one line per stage of the steps recorded in detail; the entities under `/world` have this timeline too |

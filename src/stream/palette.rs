@@ -5,6 +5,7 @@ use rerun::{Color, Rgba32};
 
 pub use crate::observe::colors::Rgb;
 use crate::observe::colors::{BLUE, GREEN, GREY, ORANGE, PURPLE, SILVER, SKY_BLUE, VERMILION};
+use crate::observe::surface::VertexOrigin;
 
 /// Background colour of 3D views.
 pub const BACKGROUND: Rgb = [0x10, 0x13, 0x18];
@@ -12,7 +13,10 @@ pub const BACKGROUND: Rgb = [0x10, 0x13, 0x18];
 /// Colour of an influence sphere that reaches no other body.
 pub const IDLE_SPHERE: Rgb = GREY;
 
-/// The same for batched scenes, darker, as many spheres would hide everything else.
+/// Colour of the lines along which surfaces meet.
+pub const SEAM: Rgb = [0xE8, 0xEA, 0xEE];
+
+/// Colour of an influence sphere that reaches no other body in a batched scene: darker, as many spheres would hide everything else.
 pub const IDLE_SPHERE_OF_MANY: Rgb = [0x26, 0x2B, 0x33];
 
 /// Colour of resting bodies in a batched scene.
@@ -42,6 +46,12 @@ pub fn body(index: usize) -> Rgb {
         [0xD6, 0xDA, 0xE0],
     ];
     BODIES[index % BODIES.len()]
+}
+
+/// Colour of a vertex of a merged surface: its body's, blended with that of the body that it meets.
+pub fn blended(origin: &VertexOrigin) -> Rgb {
+    let [a, b] = origin.bodies.map(|index| body(index as usize).map(f32::from));
+    std::array::from_fn(|i| (a[i] + (b[i] - a[i]) * origin.share).round() as u8)
 }
 
 /// Colours of plot lines without other meaning, in order.

@@ -24,8 +24,8 @@ use super::{
     instant::Instant,
     machine,
     parts::{
-        Look, batch::BatchedBodies, bodies::SeparateBodies, forces::Forces, lines::Lines, numbers::FrameNumbers, pairs,
-        pairs::PairPlots, spheres::SphereEntities,
+        Look, batch::BatchedBodies, bodies::SeparateBodies, forces::Forces, groups::GroupPlots, lines::Lines,
+        merged::MergedEntities, numbers::FrameNumbers, pairs, pairs::PairPlots, spheres::SphereEntities,
     },
     series::Series,
     settings::{FORMAT, Frames, Trigger, application, recording_id},
@@ -69,6 +69,7 @@ pub struct Recorder {
 struct FrameParts {
     state: StateParts,
     pairs: PairPlots,
+    groups: GroupPlots,
     numbers: FrameNumbers,
     series: Series,
     approaches: Approaches,
@@ -78,6 +79,7 @@ struct FrameParts {
 /// The parts that show the state.
 struct StateParts {
     extractor: Extractor,
+    merged: MergedEntities,
     surfaces: Surfaces,
     spheres: SphereEntities,
     forces: Option<Forces>,
@@ -266,7 +268,7 @@ impl Recorder {
             self.stage_count += 1;
             let line = format!("step {}: {}", at.step, stage.name);
             self.chunks.log("/stages", at, &TextLog::new(line).with_level("stage"));
-            state.log(Look { schema: &self.schema, frame: &stage.frame, at }, &mut self.chunks);
+            state.log(Look { schema: &self.schema, frame: &stage.frame, at }, &[], &mut self.chunks);
         }
         self.chunks.set_stage(None);
     }
@@ -383,6 +385,7 @@ impl FrameParts {
         FrameParts {
             state,
             pairs: PairPlots::new(settings.pairs),
+            groups: GroupPlots::new(settings.pairs),
             numbers,
             series,
             approaches: Approaches::default(),
@@ -393,11 +396,13 @@ impl FrameParts {
     /// Logs what has changed; `number` is the number of the frame.
     fn log(&mut self, look: Look<'_>, number: u64, chunks: &mut Chunks) {
         let start = Clock::now();
-        let FrameParts { state, pairs, numbers, series, approaches, focus } = self;
+        let FrameParts { state, pairs, groups, numbers, series, approaches, focus } = self;
         approaches.add(look.frame);
         focus.frame(look);
-        let extracting = state.log(look, chunks);
-        pairs.log(look, number, series, chunks);
+        let extracting = state.log(look, pairs.choose(look, series, chunks), chunks);
+        let merged = state.merged.merged();
+        pairs.log(look, &merged.pairs, number, series, chunks);
+        groups.log(look, merged, series, chunks);
         numbers.log_scalars(look, series, chunks);
         numbers.add_recording(extracting, start.elapsed().saturating_sub(extracting));
         numbers.log_timings(look.at, chunks);
@@ -416,20 +421,23 @@ impl StateParts {
         };
         let forces = (detail != Detail::Surface).then(|| Forces::new(schema, settings.entities, chunks));
         let lines = Lines::new(schema, settings.pairs, chunks);
-        StateParts { extractor, surfaces, spheres, forces, lines }
+        let merged = MergedEntities::new(schema, chunks);
+        StateParts { extractor, merged, surfaces, spheres, forces, lines }
     }
 
-    /// Logs what has changed; returns the time spent on extraction.
-    fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) -> Duration {
+    /// Logs what has changed, and measures `pairs`; returns the time spent on extraction.
+    fn log(&mut self, look: Look<'_>, pairs: &[[usize; 2]], chunks: &mut Chunks) -> Duration {
         let start = Clock::now();
-        let StateParts { extractor, surfaces, spheres, forces, lines } = self;
+        let StateParts { extractor, merged, surfaces, spheres, forces, lines } = self;
         if let Some(forces) = forces {
             forces.extract(look, extractor);
         }
         let vertices = forces.as_ref().map_or(&[] as &[_], |forces| &forces.vertices);
+        merged.log(look, pairs, chunks);
+        let is_merged = &merged.merged().is_merged;
         match surfaces {
-            Surfaces::Bodies(bodies) => bodies.log(look, vertices, extractor, chunks),
-            Surfaces::Batch(batch) => batch.log(look, vertices, extractor, chunks),
+            Surfaces::Bodies(bodies) => bodies.log(look, is_merged, vertices, extractor, chunks),
+            Surfaces::Batch(batch) => batch.log(look, is_merged, vertices, extractor, chunks),
         }
         let extracting = start.elapsed();
         if let Some(forces) = forces {

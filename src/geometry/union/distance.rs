@@ -76,13 +76,20 @@ impl<'t, 'a> Tree<'t, 'a> {
         self.body.topology.triangles[triangle as usize].map(|v| self.body.position(v))
     }
 
-    /// The nearest point of the surface; `None` for a body without triangles.
-    pub fn nearest(&self, point: DVec3) -> Option<Nearest> {
-        let mut best: Option<Nearest> = None;
+    /// The nearest point of the surface; `None` for a body without triangles, and if it is known to be no farther than
+    /// `least` [scene unit]. The search starts at triangle `first`.
+    fn nearest_beyond(&self, point: DVec3, least: f64, first: u32) -> Option<Nearest> {
+        let least_squared = least * least;
+        let corners = self.body.topology.triangles.get(first as usize).map(|_| self.corners(first))?;
+        let (position, feature) = nearest_of_triangle(point, corners);
+        let distance_squared = point.distance_squared(position);
+        let mut best = Nearest { distance_squared, position, triangle: first, feature };
         let mut queue = if self.nodes.is_empty() { vec![] } else { vec![(0, 0.0)] };
         while let Some((branch, bound)) = queue.pop() {
-            let limit = best.map_or(f64::INFINITY, |b| b.distance_squared);
-            if bound >= limit {
+            if best.distance_squared <= least_squared {
+                return None;
+            }
+            if bound >= best.distance_squared {
                 continue;
             }
             let Branch { parts, is_block, .. } = self.nodes[branch as usize];
@@ -97,19 +104,21 @@ impl<'t, 'a> Tree<'t, 'a> {
             for &triangle in self.body.topology.block(parts[0] as usize) {
                 let (position, feature) = nearest_of_triangle(point, self.corners(triangle));
                 let distance_squared = point.distance_squared(position);
-                if best.is_none_or(|b| distance_squared < b.distance_squared) {
-                    best = Some(Nearest { distance_squared, position, triangle, feature });
+                if distance_squared < best.distance_squared {
+                    best = Nearest { distance_squared, position, triangle, feature };
                 }
             }
         }
-        best
+        (best.distance_squared > least_squared).then_some(best)
     }
 
-    /// Depth of a point inside, < 0 outside [scene unit], by the side of the normal at the nearest point; a corner's
+    /// Depth of a point inside [scene unit] if it is more than `least` ≥ 0, by the side of the normal at the nearest point; a corner's
     /// normal is weighted by angles (Bærentzen and Aanæs, *Signed Distance Computation Using the Angle Weighted
-    /// Pseudonormal*, 2005).
-    pub fn depth(&self, point: DVec3) -> f64 {
-        let Some(nearest) = self.nearest(point) else { return f64::NEG_INFINITY };
+    /// Pseudonormal*, 2005). The search starts at triangle `hint`, which becomes
+    /// the nearest one: of points that are near each other, the nearest triangles are, too.
+    pub fn depth_beyond(&self, point: DVec3, least: f64, hint: &mut u32) -> Option<f64> {
+        let nearest = self.nearest_beyond(point, least, *hint)?;
+        *hint = nearest.triangle;
         let topology = self.body.topology;
         let normal_of = |t: u32| {
             let [a, b, c] = self.corners(t);
@@ -133,8 +142,7 @@ impl<'t, 'a> Tree<'t, 'a> {
                 around.sum()
             }
         };
-        let distance = nearest.distance_squared.sqrt();
-        if (point - nearest.position).dot(normal) <= 0.0 { distance } else { -distance }
+        ((point - nearest.position).dot(normal) <= 0.0).then(|| nearest.distance_squared.sqrt())
     }
 
     /// The smallest distance to another surface that does not intersect this one [scene unit].

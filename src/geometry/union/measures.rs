@@ -35,7 +35,16 @@ pub struct PairMeasures {
 /// Those of [`union`], from which the measures are computed.
 pub fn pair_measures(a: &Body, b: &Body, budget: &Budget) -> Result<PairMeasures, UnionError> {
     let bodies = [a.clone(), b.clone()];
-    let united = union(&bodies, budget)?;
+    measures_of(&union(&bodies, budget)?, budget)
+}
+
+/// [`pair_measures`] of two bodies whose union is known. A union of another number of bodies has an infinite gap.
+///
+/// # Errors
+///
+/// Those of [`union`], which measures each body that intersects itself.
+pub fn measures_of(united: &Union, budget: &Budget) -> Result<PairMeasures, UnionError> {
+    let bodies = united.bodies;
     let volume = |body: usize| -> Result<f64, UnionError> {
         if bodies[body].slack > 0.0 {
             return Ok(bodies[body].volume());
@@ -43,15 +52,20 @@ pub fn pair_measures(a: &Body, b: &Body, budget: &Budget) -> Result<PairMeasures
         // Volume that is inside twice counts once.
         Ok(union(&bodies[body..=body], budget)?.volume)
     };
-    let overlap =
-        if bodies.iter().all(|body| body.slack > 0.0) { united.taken } else { volume(0)? + volume(1)? - united.volume };
+    let overlap = if bodies.len() != 2 {
+        0.0
+    } else if bodies.iter().all(|body| body.slack > 0.0) {
+        united.taken
+    } else {
+        volume(0)? + volume(1)? - united.volume
+    };
     let vector_area: DVec3 = united.seams.iter().map(|seam| seam.vector_area).sum();
     Ok(PairMeasures {
-        gap: gap_of(&united),
+        gap: gap_of(united),
         overlap: overlap.max(0.0),
         neck: (vector_area.length() / std::f64::consts::PI).sqrt(),
         perimeter: united.seams.iter().map(|seam| seam.length).sum(),
-        seams: united.seams,
+        seams: united.seams.clone(),
     })
 }
 
@@ -83,18 +97,29 @@ fn gap_of(united: &Union) -> f64 {
 /// Raises `deepest` to the greatest depth in `other` of the part of a body's surface that the union leaves out.
 fn deepen(united: &Union, body: usize, other: &Tree, deepest: &mut f64) {
     let mesh = &united.bodies[body];
-    // Between two points the depth changes by no more than their distance.
-    let mut last: Option<(DVec3, f64)> = None;
+    let topology = mesh.topology;
+    let mut hint = 0;
     let mut sample = |at: DVec3| {
-        if last.is_none_or(|(other, depth)| depth + other.distance(at) > *deepest) {
-            let depth = other.depth(at);
-            last = Some((at, depth));
+        if let Some(depth) = other.depth_beyond(at, *deepest, &mut hint) {
             *deepest = deepest.max(depth);
         }
     };
-    for &t in &united.removed[body] {
-        let [a, b, c] = mesh.topology.triangles[t as usize].map(|v| mesh.position(v));
-        [a, b, c, (a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0, (a + b + c) / 3.0].into_iter().for_each(&mut sample);
+    let removed = &united.removed[body];
+    // Vertices first: they find most of the depth, and what is known not to be deeper costs little.
+    let mut vertices: Vec<u32> = removed.iter().flat_map(|&t| topology.triangles[t as usize]).collect();
+    vertices.sort_unstable();
+    vertices.dedup();
+    vertices.iter().for_each(|&v| sample(mesh.position(v)));
+    let mut edges: Vec<u32> = removed.iter().flat_map(|&t| topology.triangle_edges[t as usize]).collect();
+    edges.sort_unstable();
+    edges.dedup();
+    for edge in edges {
+        let [a, b] = topology.edges[edge as usize].map(|v| mesh.position(v));
+        sample((a + b) / 2.0);
+    }
+    for &t in removed {
+        let [a, b, c] = topology.triangles[t as usize].map(|v| mesh.position(v));
+        sample((a + b + c) / 3.0);
     }
     // Between one cut of an edge and the next, or the edge's ends.
     let mut cuts: Vec<([u32; 2], f64)> = (united.new_vertices.iter())

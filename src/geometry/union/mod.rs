@@ -44,7 +44,7 @@ mod triangulate;
 mod winding;
 
 pub use body::{Aabb, Body, BodyError};
-pub use measures::{PairMeasures, gap, pair_measures};
+pub use measures::{PairMeasures, gap, measures_of, pair_measures};
 pub use report::{Budget, UnionError};
 pub use seams::Seam;
 pub use surface::{Component, NewTriangle, NewVertex, Origin, Statistics, Union, UnionMesh};

@@ -475,6 +475,11 @@ impl<'a, 'b> Union<'a, 'b> {
             .collect()
     }
 
+    /// The united bodies.
+    pub fn bodies(&self) -> &'b [Body<'a>] {
+        self.bodies
+    }
+
     /// Origin of a vertex.
     pub fn origin(&self, vertex: u32) -> Origin {
         let body = self.body_of(vertex);

@@ -7,6 +7,7 @@ use rerun::{AnyValues, InstancePoses3D, Mesh3D, Quaternion, components::Text, ex
 
 use super::{
     Look,
+    merged::{HIDDEN, drawn},
     vertices::{self, Vertices},
 };
 use crate::{
@@ -33,6 +34,8 @@ const DEFORMING: &str = "/world/deforming/surface";
 pub struct BatchedBodies {
     track: TrackId,
     deforming: Vec<usize>,
+    /// Those of them that are not part of a merged surface; `None` if nothing was logged of that.
+    drawn: Option<Vec<usize>>,
     last: Surface,
     next: Surface,
     resting: Option<Vec<Instance>>,
@@ -57,20 +60,24 @@ impl BatchedBodies {
             chunks.track(DEFORMING, [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals()]);
         let vertices = (detail != Detail::Surface).then(|| Vertices::new(DEFORMING, chunks));
         let (last, next, numbers) = Default::default();
-        BatchedBodies { track, deforming: Vec::new(), last, next, resting: None, has_turned: false, vertices, numbers }
+        let (drawn, resting, has_turned) = (None, None, false);
+        BatchedBodies { track, deforming: Vec::new(), drawn, last, next, resting, has_turned, vertices, numbers }
     }
 
-    /// Logs what has changed; `numbers` are the values of each body's vertices, if they are recorded.
+    /// Logs what has changed; `numbers` are the values of each body's vertices, if they are recorded. Bodies that are
+    /// part of a merged surface count as deformed, and are not drawn by their own.
     pub fn log(
         &mut self,
         look: Look<'_>,
+        is_merged: &[bool],
         numbers: &[vertices::VertexNumbers],
         extractor: &mut Extractor,
         chunks: &mut Chunks,
     ) {
         let (bodies, now) = (&look.schema.bodies, &look.frame.bodies);
+        let is_merged = |i: usize| is_merged.get(i).copied().unwrap_or(false);
         let (deforming, resting): (Vec<usize>, Vec<usize>) =
-            (0..now.len()).partition(|&i| now[i].max_displacement > DEFORMED * bodies[i].radius);
+            (0..now.len()).partition(|&i| is_merged(i) || now[i].max_displacement > DEFORMED * bodies[i].radius);
         self.next.clear();
         for &i in &deforming {
             self.next.append_in_world(&bodies[i], &now[i], extractor);
@@ -83,6 +90,14 @@ impl BatchedBodies {
         if deforming != self.deforming {
             self.log_layout(look, &deforming, chunks);
             self.deforming = deforming;
+            self.drawn = None;
+        }
+        if !self.deforming.is_empty() {
+            let now_drawn: Vec<usize> = self.deforming.iter().copied().filter(|&i| !is_merged(i)).collect();
+            if self.drawn.as_ref() != Some(&now_drawn) {
+                self.log_drawn(look, &is_merged, chunks);
+                self.drawn = Some(now_drawn);
+            }
         }
         if self.next != self.last {
             std::mem::swap(&mut self.next, &mut self.last);
@@ -114,6 +129,19 @@ impl BatchedBodies {
         chunks.log(DEFORMING, look.at, &mesh);
         let identity = body_names(&names).with_component_from_data("vertex", Arc::new(UInt32Array::from(indices)));
         chunks.log(DEFORMING, look.at, &identity);
+    }
+
+    /// Logs the triangles that are drawn.
+    fn log_drawn(&self, look: Look<'_>, is_merged: impl Fn(usize) -> bool, chunks: &mut Chunks) {
+        let (mut first, mut triangles) = (0, HIDDEN.to_vec());
+        for &i in &self.deforming {
+            let mesh = &look.schema.bodies[i].mesh;
+            if !is_merged(i) {
+                triangles.extend(mesh.triangles().iter().map(|t| t.map(|v| v + first)));
+            }
+            first += mesh.vertex_count() as u32;
+        }
+        chunks.log(DEFORMING, look.at, &drawn(&triangles));
     }
 
     /// Logs the instances of the shapes whose instances have changed.

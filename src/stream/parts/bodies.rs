@@ -5,6 +5,7 @@ use rerun::{Mesh3D, Transform3D};
 
 use super::{
     Look,
+    merged::{HIDDEN, drawn},
     vertices::{self, Vertices, identity},
 };
 use crate::{
@@ -29,9 +30,12 @@ pub struct SeparateBodies {
 struct Logged {
     transform: Transform,
     surface: TrackId,
+    entity: String,
     last: Surface,
     /// Whether that is the shape at rest.
     is_at_rest: bool,
+    /// Whether the body is drawn by its own mesh; `None` if nothing was logged of that.
+    is_drawn: Option<bool>,
     /// Values of single vertices, only if forces are recorded.
     vertices: Option<Vertices>,
 }
@@ -88,18 +92,22 @@ impl SeparateBodies {
                 transform: Transform::new(entity, chunks),
                 surface: chunks
                     .track(&surface, [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals()]),
+                entity: surface,
                 last: Surface::default(),
                 is_at_rest: false,
+                is_drawn: None,
                 vertices,
             }
         });
         SeparateBodies { bodies: bodies.collect(), next: Surface::default() }
     }
 
-    /// Logs what has changed; `numbers` are the values of each body's vertices, if they are recorded.
+    /// Logs what has changed; `numbers` are the values of each body's vertices, if they are recorded. Bodies that are
+    /// part of a merged surface are not drawn by their own.
     pub fn log(
         &mut self,
         look: Look<'_>,
+        is_merged: &[bool],
         numbers: &[vertices::VertexNumbers],
         extractor: &mut Extractor,
         chunks: &mut Chunks,
@@ -109,7 +117,13 @@ impl SeparateBodies {
                 vertices.log(look.at, numbers, chunks);
             }
         }
-        for ((body, now), track) in look.bodies().zip(&mut self.bodies) {
+        for (index, ((body, now), track)) in look.bodies().zip(&mut self.bodies).enumerate() {
+            let is_drawn = !is_merged.get(index).copied().unwrap_or(false);
+            if track.is_drawn != Some(is_drawn) {
+                let triangles = if is_drawn { body.mesh.triangles() } else { HIDDEN.as_slice() };
+                chunks.log(&track.entity, look.at, &drawn(triangles));
+                track.is_drawn = Some(is_drawn);
+            }
             track.transform.log(look, now, chunks);
             if std::mem::replace(&mut track.is_at_rest, now.is_at_rest) && now.is_at_rest {
                 continue;

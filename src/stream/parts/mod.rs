@@ -7,6 +7,8 @@
 //! | `/world/resting/SHAPE`, `/world/deforming/surface` | [`batch`] |
 //! | `/world/influence` | [`spheres`] |
 //! | `/world/forces/TERM` | [`forces`] |
+//! | `/world/merged/surface`, `/world/merged/seams` | [`merged`] |
+//! | `/groups/A/…` | [`groups`] |
 //! | `/pairs/A~B/…`, `/events` | [`pairs`] |
 //! | `/world/pairs` | [`lines`] |
 //! | values of single vertices, on the entities of their surfaces | [`vertices`] |
@@ -15,7 +17,9 @@
 pub mod batch;
 pub mod bodies;
 pub mod forces;
+pub mod groups;
 pub mod lines;
+pub mod merged;
 pub mod numbers;
 pub mod pairs;
 pub mod spheres;

@@ -1,15 +1,15 @@
-//! Plots of pairs: q and its thresholds, the phase, and events.
+//! Plots of pairs: q and its thresholds, the phase, events, and what geometry says: gap, overlap and neck.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use rerun::{
-    AnyValues, AsComponents, SerializedComponentBatch, StateChange, StateConfiguration, TextLog,
+    AnyValues, AsComponents, SerializedComponentBatch, SeriesLines, StateChange, StateConfiguration, TextLog,
     components::{Scalar, Text},
 };
 
 use super::Look;
 use crate::{
-    observe::{PairEvent, PairFrame, Schema},
+    observe::{PairEvent, PairFrame, Schema, colors, surface::PairMeasures},
     stream::{
         chunks::Chunks,
         instant::Instant,
@@ -32,6 +32,8 @@ pub struct PairPlots {
     new: Vec<PairFrame>,
     /// The least and the greatest number in any plot.
     plotted: Option<[f64; 2]>,
+    /// The pairs of the current frame that have their own entities.
+    shown: Vec<[usize; 2]>,
 }
 
 fn extended(range: Option<[f64; 2]>, number: f64) -> [f64; 2] {
@@ -42,7 +44,65 @@ struct PairPlot {
     phase: String,
     distance: LineId,
     thresholds: Vec<(LineId, f64)>,
+    /// Lines of gap, overlap and neck.
+    measures: [LineId; 3],
+    /// The lane that compares phase and surfaces, and the state that was last logged.
+    contact: String,
+    last_contact: Option<Contact>,
 }
+
+/// Whether two bodies are one, by their phase and by their surfaces.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Contact {
+    Apart,
+    Together,
+    JoinedOnly,
+    TouchingOnly,
+}
+
+impl Contact {
+    const ALL: [Contact; 4] = [Contact::Apart, Contact::Together, Contact::JoinedOnly, Contact::TouchingOnly];
+
+    fn of(is_joined: bool, is_touching: bool) -> Contact {
+        match (is_joined, is_touching) {
+            (false, false) => Contact::Apart,
+            (true, true) => Contact::Together,
+            (true, false) => Contact::JoinedOnly,
+            (false, true) => Contact::TouchingOnly,
+        }
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Contact::Apart => "apart",
+            Contact::Together => "joined and touching",
+            Contact::JoinedOnly => "joined, not touching",
+            Contact::TouchingOnly => "touching, not joined",
+        }
+    }
+
+    fn color(self) -> palette::Rgb {
+        match self {
+            Contact::Apart => colors::GREY,
+            Contact::Together => colors::GREEN,
+            Contact::JoinedOnly => colors::VERMILION,
+            Contact::TouchingOnly => colors::YELLOW,
+        }
+    }
+}
+
+/// The geometric measures of a pair: their entities, names with units, and colours.
+pub const MEASURES: [(&str, &str, palette::Rgb); 3] = [
+    ("gap", "gap [R]", colors::SKY_BLUE),
+    ("overlap", "overlap [R³]", colors::ORANGE),
+    ("neck", "neck [R]", colors::GREEN),
+];
+
+/// The lane that shows where phase and surfaces disagree.
+pub const CONTACT: &str = "contact";
+
+/// Scenes with more pairs than this hide the lines of measures at first: the layout cannot name them all.
+pub const MOST_NAMED: usize = 120;
 
 impl PairPlots {
     /// Starts without pairs; at most `most` are added.
@@ -54,16 +114,17 @@ impl PairPlots {
             next_in_reach: BTreeSet::new(),
             new: Vec::new(),
             plotted: None,
+            shown: Vec::new(),
         }
     }
 
-    /// The least and the greatest number in any plot, q or threshold.
+    /// The least and the greatest number in any plot of distances, q or threshold.
     pub fn plotted(&self) -> Option<[f64; 2]> {
         self.plotted
     }
 
-    /// Logs the q of pairs within reach; `frame` is the number of the frame.
-    pub fn log(&mut self, look: Look<'_>, frame: u64, series: &mut Series, chunks: &mut Chunks) {
+    /// Chooses the pairs of a frame that have their own entities, and creates those of new ones.
+    pub fn choose(&mut self, look: Look<'_>, series: &mut Series, chunks: &mut Chunks) -> &[[usize; 2]] {
         let Look { schema, frame: now, at } = look;
         if self.known.len() < self.most {
             // of pairs that come within reach in the same frame, take the closest first
@@ -74,9 +135,35 @@ impl PairPlots {
                 self.track(schema, pair, at, series, chunks);
             }
         }
+        self.shown.clear();
+        let is_known = |pair: &&PairFrame| self.known.contains_key(&(pair.a, pair.b));
+        self.shown.extend(now.pairs.iter().filter(is_known).map(|pair| [pair.a, pair.b]));
+        &self.shown
+    }
+
+    /// Logs the q and the measures of the chosen pairs; `frame` is the number of the frame.
+    pub fn log(
+        &mut self,
+        look: Look<'_>,
+        measures: &[Option<PairMeasures>],
+        frame: u64,
+        series: &mut Series,
+        chunks: &mut Chunks,
+    ) {
+        let Look { frame: now, at, .. } = look;
         self.next_in_reach.clear();
+        let mut measures = measures.iter();
         for pair in &now.pairs {
-            let Some(known) = self.known.get(&(pair.a, pair.b)) else { continue };
+            let Some(known) = self.known.get_mut(&(pair.a, pair.b)) else { continue };
+            if let Some(Some(PairMeasures { gap, overlap, neck, .. })) = measures.next() {
+                let contact = Contact::of(look.schema.phases[pair.phase].is_joined, *gap <= 0.0);
+                if known.last_contact.replace(contact) != Some(contact) {
+                    chunks.log(&known.contact, at, &StateChange::single(contact.name()));
+                }
+                for (line, value) in known.measures.into_iter().zip([*gap, *overlap, *neck]) {
+                    series.log(chunks, line, value, at);
+                }
+            }
             series.log(chunks, known.distance, pair.q, at);
             self.plotted = Some(extended(self.plotted, pair.q));
             for &(line, level) in &known.thresholds {
@@ -90,8 +177,10 @@ impl PairPlots {
             self.next_in_reach.insert((pair.a, pair.b));
         }
         for left in self.in_reach.difference(&self.next_in_reach) {
-            let PairPlot { distance, thresholds, .. } = &self.known[left];
-            series.interrupt(chunks, *distance, at);
+            let PairPlot { distance, thresholds, measures, .. } = &self.known[left];
+            for line in measures.iter().chain([distance]) {
+                series.interrupt(chunks, *line, at);
+            }
             for &(line, _) in thresholds {
                 series.interrupt(chunks, line, at);
             }
@@ -131,6 +220,20 @@ impl PairPlots {
     }
 }
 
+/// Whether the layout names every pair of the scene.
+pub fn has_named_pairs(schema: &Schema) -> bool {
+    let bodies = schema.bodies.len();
+    bodies * bodies.saturating_sub(1) / 2 <= MOST_NAMED
+}
+
+/// The entities of this part of every pair of the scene, if the layout names them.
+pub fn named<'a>(schema: &'a Schema, part: &'a str) -> impl Iterator<Item = String> + 'a {
+    let bodies = if has_named_pairs(schema) { schema.bodies.len() } else { 0 };
+    (0..bodies)
+        .flat_map(move |a| (a + 1..bodies).map(move |b| (a, b)))
+        .map(move |(a, b)| format!("/pairs/{}/{part}", schema.pair_name(a, b)))
+}
+
 impl PairPlot {
     fn new(
         schema: &Schema,
@@ -157,7 +260,20 @@ impl PairPlot {
             .with_colors(schema.phases.iter().map(|phase| color(phase.color)));
         chunks.log_static(&entity("phase"), &lane);
         let distance = series.line(chunks, &entity("distance"), Interpolation::Linear);
-        PairPlot { phase: entity("phase"), distance, thresholds }
+        let measures = MEASURES.map(|(measure, label, rgb)| {
+            Series::style(chunks, &entity(measure), &format!("{label} {name}"), rgb, 1.5, Interpolation::Linear);
+            if !has_named_pairs(schema) {
+                chunks.log_static(&entity(measure), &SeriesLines::update_fields().with_visible_series([false]));
+            }
+            series.line(chunks, &entity(measure), Interpolation::Linear)
+        });
+        let lane = StateConfiguration::new()
+            .with_values(Contact::ALL.map(Contact::name))
+            .with_labels(Contact::ALL.map(Contact::name))
+            .with_colors(Contact::ALL.map(|contact| color(contact.color())));
+        chunks.log_static(&entity(CONTACT), &lane);
+        let (phase, contact) = (entity("phase"), entity(CONTACT));
+        PairPlot { phase, distance, thresholds, measures, contact, last_contact: None }
     }
 }
 

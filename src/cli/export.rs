@@ -1,0 +1,187 @@
+//! `meldscope export`: writes what a run shows to files that other programs read.
+
+mod formats;
+mod parts;
+
+use std::{
+    fs,
+    io::{BufWriter, Read as _, Write as _},
+    path::{Path, PathBuf},
+};
+
+use super::{Failure, one_of, print, run, say};
+use crate::{
+    observe::{Experiment as _, Frame, Simulation, StepSummary, Want, surface::Merger},
+    recording::{Recorded, existing::Existing},
+    sim::{Options, simulation::SceneRun},
+    stream::{settings::file_stem, unfinished},
+    text::{bytes, counted},
+};
+use formats::{Format, GENERATOR};
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// A scene file, the name of a built-in scene, or a recording.
+    scene: String,
+    /// Write the surfaces to this folder, a file for every step: a closed mesh for every group of merged bodies, and one
+    /// for every other body.
+    #[arg(long, value_name = "DIR")]
+    mesh: PathBuf,
+    /// The format of the files.
+    #[arg(long, default_value = Format::Glb.name(), value_parser = one_of(&Format::ALL, Format::name))]
+    format: Format,
+    /// The first step to write [default: 0].
+    #[arg(long, value_name = "STEP")]
+    from: Option<u64>,
+    /// The last step to write [default: the last].
+    #[arg(long, value_name = "STEP")]
+    to: Option<u64>,
+    /// Write every Nth step, from the first.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
+    every: u64,
+}
+
+/// A run to be exported: its start, its last step, and the recording that it has to reproduce, if there is one.
+struct Source {
+    simulation: Box<dyn Simulation>,
+    last: u64,
+    recorded: Option<Recorded>,
+}
+
+/// Writes the surfaces of a run.
+pub fn export(arguments: Arguments) -> Result<(), Failure> {
+    let Source { mut simulation, last, recorded } = source(&arguments)?;
+    let (from, to) = (arguments.from.unwrap_or(0), arguments.to.unwrap_or(last));
+    if from > to {
+        return Err(Failure::Input(format!("there are no steps from {from} to {to}: the last is {last}")));
+    }
+    let schema = simulation.schema();
+    let folder = Folder { path: &arguments.mesh, stem: file_stem(&schema.name), format: arguments.format };
+    folder.prepare(|step| (from..=to).contains(&step) && (step - from).is_multiple_of(arguments.every))?;
+
+    let (mut merger, mut frame, mut summary) = (Merger::new(&schema), Frame::default(), StepSummary::default());
+    let (mut files, mut size, mut overlapping) = (0, 0, 0);
+    loop {
+        let step = simulation.steps_taken();
+        if let Some(recorded) = &recorded
+            && recorded.checksum(step).is_some_and(|checksum| checksum != simulation.checksum())
+        {
+            let path = recorded.path.display();
+            return Err(Failure::Run(format!("{path} is not reproduced from step {step} on: see `meldscope replay`")));
+        }
+        if step >= from && (step - from).is_multiple_of(arguments.every) {
+            simulation.observe(Want::default(), &mut frame);
+            let merged = merger.merge(&schema, &frame, &[]);
+            overlapping += u64::from(merged.overlapping > 0);
+            size += folder.write(step, &parts::parts(&schema, &frame, merged))?;
+            files += 1;
+        }
+        if step >= to {
+            break;
+        }
+        simulation.step();
+        simulation.summary(&mut summary);
+        if let Some(failure) = &summary.failure {
+            return Err(Failure::Run(format!("{failure}; {} has the steps up to here", arguments.mesh.display())));
+        }
+    }
+    if overlapping > 0 {
+        say(&format!(
+            "note: in {} a group of bodies could not be united, and its meshes overlap",
+            counted(overlapping, "file")
+        ));
+    }
+    print(&format!("wrote {} to {}, {}", counted(files, "file"), arguments.mesh.display(), bytes(size)));
+    Ok(())
+}
+
+fn source(arguments: &Arguments) -> Result<Source, Failure> {
+    let path = Path::new(&arguments.scene);
+    if Existing::is_recording(path) {
+        let recorded = Recorded::open(path).map_err(Failure::input)?;
+        let simulation = recorded.start()?;
+        return Ok(Source { simulation, last: recorded.last(), recorded: Some(recorded) });
+    }
+    let scene = run::scene(&arguments.scene)?;
+    let last = scene.steps();
+    let simulation = SceneRun { scene, options: Options::default() }.start().map_err(Failure::Input)?;
+    Ok(Source { simulation, last, recorded: None })
+}
+
+/// Where the files go.
+struct Folder<'a> {
+    path: &'a Path,
+    stem: String,
+    format: Format,
+}
+
+impl Folder<'_> {
+    fn file(&self, step: u64) -> PathBuf {
+        self.path.join(format!("{}-{step:06}.{}", self.stem, self.format.name()))
+    }
+
+    /// Creates the folder, and refuses it if files that are not this program's are in the way.
+    fn prepare(&self, is_wanted: impl Fn(u64) -> bool) -> Result<(), Failure> {
+        let failed = |what: &str, error: std::io::Error| {
+            Failure::Input(format!("cannot {what} the folder {}: {error}", self.path.display()))
+        };
+        fs::create_dir_all(self.path).map_err(|error| failed("create", error))?;
+        for entry in fs::read_dir(self.path).map_err(|error| failed("read", error))? {
+            let path = entry.map_err(|error| failed("read", error))?.path();
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let name = name.strip_suffix(PARTIAL).unwrap_or(&name);
+            let step = name.strip_prefix(&self.stem).and_then(|rest| rest.strip_prefix('-'));
+            let step = step.and_then(|rest| rest.strip_suffix(&format!(".{}", self.format.name())));
+            let step = step.and_then(|digits| digits.parse().ok());
+            if step.is_some_and(&is_wanted) && !is_ours(&path) {
+                let path = path.display();
+                return Err(Failure::Input(format!(
+                    "{path} was not written by meldscope and is not replaced: choose another folder"
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes a file, which is there as a whole or not at all; returns its size [bytes].
+    fn write(&self, step: u64, parts: &[parts::Part]) -> Result<u64, Failure> {
+        let path = self.file(step);
+        let mut partial = path.clone().into_os_string();
+        partial.push(PARTIAL);
+        let partial = PathBuf::from(partial);
+        let failed = |error| Failure::Run(format!("cannot write {}: {error}", path.display()));
+        let replaces = [&path, &partial].into_iter().find(|path| path.symlink_metadata().is_ok() && !is_ours(path));
+        if let Some(other) = replaces {
+            let other = other.display();
+            return Err(Failure::Run(format!("{other} was not written by meldscope and is not replaced")));
+        }
+        fs::remove_file(&partial).ok(); // left by a run that was killed
+        let file = unfinished::create_new(&partial).map_err(failed)?;
+        let written = || {
+            let mut file = BufWriter::new(file);
+            self.format.write(parts, &mut file)?;
+            file.flush()?;
+            let size = file.get_ref().metadata()?.len();
+            fs::rename(&partial, &path)?;
+            Ok(size)
+        };
+        let written = written();
+        if written.is_err() {
+            fs::remove_file(&partial).ok();
+        }
+        unfinished::forget(&partial);
+        written.map_err(failed)
+    }
+}
+
+const PARTIAL: &str = ".partial";
+
+/// Whether a file was written by this program: it says so at its beginning, unless it is empty.
+fn is_ours(path: &Path) -> bool {
+    let mut head = Vec::new();
+    let is_file = path.symlink_metadata().is_ok_and(|metadata| metadata.is_file());
+    let mut is_read = || fs::File::open(path)?.take(256).read_to_end(&mut head);
+    is_file
+        && is_read().is_ok()
+        && (head.is_empty() || head.windows(GENERATOR.len()).any(|part| part == GENERATOR.as_bytes()))
+}

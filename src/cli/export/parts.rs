@@ -1,0 +1,65 @@
+//! The surfaces of a frame: closed meshes in the world.
+
+use glam::DVec3;
+
+use crate::{
+    geometry::Vectors,
+    observe::{Frame, Schema, surface::Merged},
+    stream::palette,
+};
+
+/// A closed mesh.
+pub struct Part {
+    /// Name: that of its body, or those of its group's bodies, joined by `+`.
+    pub name: String,
+    /// Positions of the vertices in the world [scene unit], `[vertex_count]`.
+    pub positions: Vec<[f32; 3]>,
+    /// Unit normals, `[vertex_count]`.
+    pub normals: Vec<[f32; 3]>,
+    /// Colours in sRGB, `[vertex_count]`.
+    pub colors: Vec<[u8; 3]>,
+    /// Vertices of each triangle, counter-clockwise from outside.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// Names of groups with more bodies than this only say how many there are.
+const MOST_NAMES: usize = 8;
+
+/// The surfaces of a frame: those of groups, then those of other bodies.
+pub fn parts(schema: &Schema, frame: &Frame, merged: &Merged) -> Vec<Part> {
+    let mut parts = Vec::new();
+    for group in &merged.groups {
+        let names: Vec<&str> = group.bodies.iter().map(|&body| schema.bodies[body].name.as_str()).collect();
+        let name = match names.as_slice() {
+            [first, rest @ ..] if names.len() > MOST_NAMES => format!("{first}+{}", rest.len()),
+            names => names.join("+"),
+        };
+        let colors = group.origins.iter().map(palette::blended).collect();
+        parts.push(Part::new(name, &group.positions, colors, group.triangles.clone()));
+    }
+    let mut local = Vectors::default();
+    for (index, (body, now)) in schema.bodies.iter().zip(&frame.bodies).enumerate() {
+        if merged.is_merged.get(index).copied().unwrap_or(false) {
+            continue;
+        }
+        now.local_positions(body.rest(), &mut local);
+        let positions: Vec<DVec3> = local.iter().map(|position| position + now.centre).collect();
+        let colors = vec![palette::body(index); positions.len()];
+        parts.push(Part::new(body.name.clone(), &positions, colors, body.mesh.triangles().to_vec()));
+    }
+    parts
+}
+
+impl Part {
+    fn new(name: String, positions: &[DVec3], colors: Vec<[u8; 3]>, triangles: Vec<[u32; 3]>) -> Part {
+        let mut areas = vec![DVec3::ZERO; positions.len()];
+        for corners in &triangles {
+            let [a, b, c] = corners.map(|v| positions[v as usize]);
+            let area = (b - a).cross(c - a);
+            corners.iter().for_each(|&v| areas[v as usize] += area);
+        }
+        let normals = areas.iter().map(|area| area.normalize_or(DVec3::Z).as_vec3().to_array()).collect();
+        let positions = positions.iter().map(|position| position.as_vec3().to_array()).collect();
+        Part { name, positions, normals, colors, triangles }
+    }
+}

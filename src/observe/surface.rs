@@ -1,0 +1,462 @@
+//! The merged surface of a frame: one closed mesh for every group of bodies, and geometric measures of pairs.
+//!
+//! A group is a set of at least two bodies connected by pairs in a joined phase
+//! ([`PhaseSchema::is_joined`](super::schema::PhaseSchema::is_joined)). Everything here is a function of a frame: a
+//! simulation need not know of it, and no simulation pays for it unless somebody looks.
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::{Frame, Schema};
+use crate::geometry::{
+    Mesh, Vectors,
+    fairing::{Near, Seamed},
+    union::{self, Body, Budget, Origin, Topology, Union},
+};
+
+/// Work steps that the unions of one frame may take, see [`Budget`]: a few tenths of a second. A count, not a time, so
+/// that equal frames give equal surfaces on every machine.
+pub const FRAME_WORK: u64 = 10_000_000;
+
+/// Distance from a seam within which the colours of two bodies blend [radii], unless the surface is smoothed farther.
+const COLORS_BLEND: f64 = 0.35;
+
+/// The merged surfaces of a frame, and the measures of the pairs that were asked for. Reused.
+#[derive(Clone, Debug, Default)]
+pub struct Merged {
+    /// The groups with a surface, in ascending order of their first body.
+    pub groups: Vec<Arc<Group>>,
+    /// Measures of pairs, in the order in which they were asked for; `None` if they could not be computed.
+    pub pairs: Vec<Option<PairMeasures>>,
+    /// Whether the surface of each body is part of a group's, `[body_count]`.
+    pub is_merged: Vec<bool>,
+    /// Number of groups without a surface: its computation was too expensive or failed, and their bodies overlap.
+    pub overlapping: usize,
+}
+
+/// A group of bodies and its surface.
+#[derive(Clone, Debug, Default)]
+pub struct Group {
+    /// Indices of its bodies, ascending; at least two.
+    pub bodies: Vec<usize>,
+    /// Positions of the vertices in the world [scene unit], `[vertex_count]`.
+    pub positions: Vec<DVec3>,
+    /// Where each vertex is from, `[vertex_count]`.
+    pub origins: Vec<VertexOrigin>,
+    /// Vertices of each triangle, counter-clockwise from outside.
+    pub triangles: Vec<[u32; 3]>,
+    /// Where the surfaces of two bodies meet.
+    pub seams: Vec<SeamLine>,
+    /// Number of connected components of the surface.
+    pub components: usize,
+    /// Euler characteristic: vertices − edges + triangles.
+    pub euler: i64,
+    /// Number of handles of all components.
+    pub genus: i64,
+    /// Volume [scene unit³].
+    pub volume: f64,
+    /// Area [scene unit²].
+    pub area: f64,
+}
+
+/// Where a vertex of a merged surface is from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VertexOrigin {
+    /// The body it belongs to, and the one that it meets at the nearest seam; the same twice far from any.
+    pub bodies: [u32; 2],
+    /// Share of the second body in the colour of the vertex: ½ on the seam, 0 far from it.
+    pub share: f32,
+    /// Index of the vertex in its body; `None` for a vertex that arose where surfaces meet.
+    pub vertex: Option<u32>,
+}
+
+/// A line along which the surfaces of two bodies meet.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SeamLine {
+    /// The two bodies, ascending.
+    pub bodies: [usize; 2],
+    /// Positions along the seam, before the surface is smoothed [scene unit]; the first one again at the end, if the
+    /// seam is closed.
+    pub positions: Vec<DVec3>,
+}
+
+/// What geometry says of a pair, whatever its phase.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PairMeasures {
+    /// Smallest distance of the surfaces; where they overlap, minus the greatest depth [radii of the smaller body].
+    pub gap: f64,
+    /// Volume of the intersection [radius³ of the smaller body].
+    pub overlap: f64,
+    /// Volume of the intersection as a fraction of the smaller body's volume.
+    pub share: f64,
+    /// Radius of the circle that has the area of the seam [radii of the smaller body]; 0 without a seam.
+    pub neck: f64,
+    /// Length of the seam [radii of the smaller body].
+    pub perimeter: f64,
+}
+
+/// Computes merged surfaces, frame after frame. Keeps what it has computed for bodies that do not move.
+pub struct Merger {
+    /// Topology of each body's shape; `None` if the shape is not a closed mesh.
+    topologies: Vec<Option<Arc<Topology>>>,
+    bodies: Vec<Placed>,
+    /// The groups of the last frame; `None` for those without a surface.
+    groups: BTreeMap<Vec<usize>, Option<Arc<Group>>>,
+    /// The measures of the last frame.
+    pairs: BTreeMap<[usize; 2], Option<PairMeasures>>,
+    merged: Merged,
+    /// Number of the current frame, from 1.
+    frame: u64,
+    /// Scratch storage, reused.
+    local: Vectors,
+}
+
+/// A body in the world.
+#[derive(Default)]
+struct Placed {
+    positions: Vec<DVec3>,
+    /// Number of the frame that the positions are of; 0 for none.
+    frame: u64,
+    /// Whether they differ from those of the frame before, or those are unknown.
+    has_moved: bool,
+}
+
+impl Merger {
+    /// For the frames of a simulation.
+    pub fn new(schema: &Schema) -> Merger {
+        let mut shapes: Vec<(Arc<Mesh>, Option<Arc<Topology>>)> = Vec::new();
+        let topologies = schema.bodies.iter().map(|body| {
+            if let Some((_, topology)) = shapes.iter().find(|(mesh, _)| Arc::ptr_eq(mesh, &body.mesh)) {
+                return topology.clone();
+            }
+            let topology = Topology::new(body.mesh.vertex_count(), body.mesh.triangles()).ok().map(Arc::new);
+            shapes.push((Arc::clone(&body.mesh), topology.clone()));
+            topology
+        });
+        Merger {
+            topologies: topologies.collect(),
+            bodies: schema.bodies.iter().map(|_| Placed::default()).collect(),
+            groups: BTreeMap::new(),
+            pairs: BTreeMap::new(),
+            merged: Merged::default(),
+            frame: 0,
+            local: Vectors::default(),
+        }
+    }
+
+    /// Computes the surfaces of a frame's groups, and the measures of some pairs.
+    pub fn merge(&mut self, schema: &Schema, frame: &Frame, pairs: &[[usize; 2]]) -> &Merged {
+        let groups = groups(schema, frame);
+        self.frame += 1;
+        for &body in groups.iter().flatten().chain(pairs.iter().flatten()) {
+            self.place(schema, frame, body);
+        }
+        let Merger { topologies, bodies, groups: last_groups, pairs: last_pairs, merged, .. } = self;
+        let scene = Scene { schema, topologies, bodies };
+
+        let budget = Budget { work: FRAME_WORK / groups.len().max(1) as u64, time: None };
+        let united: Vec<(Option<Arc<Group>>, Option<PairMeasures>)> = for_all(&groups, |group| {
+            let is_asked_for = || pairs.iter().any(|pair| pair[..] == group[..]);
+            match last_groups.get(group) {
+                Some(known) if !group.iter().any(|&body| bodies[body].has_moved) => {
+                    (known.clone(), if is_asked_for() { last_pairs.get(&group[..]).copied().flatten() } else { None })
+                }
+                _ => {
+                    let (group, measures) = scene.unite(group, &budget, is_asked_for());
+                    (group.map(Arc::new), measures)
+                }
+            }
+        });
+        let of_groups: BTreeMap<&[usize], PairMeasures> = (groups.iter().zip(&united))
+            .filter_map(|(group, (_, measures))| Some((group.as_slice(), (*measures)?)))
+            .collect();
+        let budget = Budget { work: FRAME_WORK / pairs.len().max(1) as u64, time: None };
+        merged.pairs = for_all(pairs, |pair| {
+            if let Some(measures) = of_groups.get(&pair[..]) {
+                return Some(*measures);
+            }
+            match last_pairs.get(pair) {
+                Some(known) if !pair.iter().any(|&body| bodies[body].has_moved) => *known,
+                _ => scene.measure(*pair, &budget),
+            }
+        });
+        *last_pairs = pairs.iter().copied().zip(merged.pairs.iter().copied()).collect();
+        drop(of_groups);
+
+        merged.groups.clear();
+        merged.overlapping = 0;
+        merged.is_merged.clear();
+        merged.is_merged.resize(schema.bodies.len(), false);
+        for (group, _) in &united {
+            let Some(group) = group else {
+                merged.overlapping += 1;
+                continue;
+            };
+            group.bodies.iter().for_each(|&body| merged.is_merged[body] = true);
+            merged.groups.push(Arc::clone(group));
+        }
+        *last_groups = groups.into_iter().zip(united.into_iter().map(|(group, _)| group)).collect();
+        &self.merged
+    }
+
+    /// The result of the last frame.
+    pub fn merged(&self) -> &Merged {
+        &self.merged
+    }
+
+    /// Brings the positions of a body to those of a frame.
+    fn place(&mut self, schema: &Schema, frame: &Frame, body: usize) {
+        let placed = &mut self.bodies[body];
+        if placed.frame == self.frame {
+            return;
+        }
+        let now = &frame.bodies[body];
+        now.local_positions(schema.bodies[body].rest(), &mut self.local);
+        let bits = |position: DVec3| position.to_array().map(f64::to_bits);
+        let is_same = placed.positions.len() == self.local.len()
+            && (placed.positions.iter().zip(self.local.iter())).all(|(old, new)| bits(*old) == bits(new + now.centre));
+        placed.has_moved = !is_same || placed.frame + 1 != self.frame;
+        placed.frame = self.frame;
+        if !is_same {
+            placed.positions.clear();
+            placed.positions.extend(self.local.iter().map(|position| position + now.centre));
+        }
+    }
+}
+
+/// The bodies of a frame, ready to be united.
+#[derive(Clone, Copy)]
+struct Scene<'a> {
+    schema: &'a Schema,
+    topologies: &'a [Option<Arc<Topology>>],
+    bodies: &'a [Placed],
+}
+
+impl<'a> Scene<'a> {
+    /// `None` if one of the bodies is not closed, or is where nothing can be computed.
+    fn bodies(self, indices: &[usize]) -> Option<Vec<Body<'a>>> {
+        let body = |&index: &usize| Body::new(self.topologies[index].as_deref()?, &self.bodies[index].positions).ok();
+        indices.iter().map(body).collect()
+    }
+
+    /// The surface of a group, and the measures of a group of two if they are wanted.
+    fn unite(self, group: &[usize], budget: &Budget, has_measures: bool) -> (Option<Group>, Option<PairMeasures>) {
+        let Some(bodies) = self.bodies(group) else { return (None, None) };
+        let Ok(united) = union::union(&bodies, budget) else { return (None, None) };
+        let measures = match *group {
+            [a, b] if has_measures => self.measures([a, b], &united, budget),
+            _ => None,
+        };
+        (Some(Group::new(self.schema, group, &united)), measures)
+    }
+
+    /// The measures of a pair.
+    fn measure(self, pair: [usize; 2], budget: &Budget) -> Option<PairMeasures> {
+        let bodies = self.bodies(&pair)?;
+        self.measures(pair, &union::union(&bodies, budget).ok()?, budget)
+    }
+
+    fn measures(self, pair: [usize; 2], united: &Union, budget: &Budget) -> Option<PairMeasures> {
+        let radius = pair.map(|body| self.schema.bodies[body].radius).into_iter().fold(f64::INFINITY, f64::min);
+        let volume = united.bodies().iter().map(Body::volume).fold(f64::INFINITY, f64::min);
+        let measures = union::measures_of(united, budget).ok()?;
+        Some(PairMeasures {
+            gap: measures.gap / radius,
+            overlap: measures.overlap / (radius * radius * radius),
+            share: if volume > 0.0 { measures.overlap / volume } else { 0.0 },
+            neck: measures.neck / radius,
+            perimeter: measures.perimeter / radius,
+        })
+    }
+}
+
+impl Group {
+    /// The group of bodies whose union is given.
+    fn new(schema: &Schema, bodies: &[usize], united: &Union) -> Group {
+        let mesh = united.mesh();
+        let components = mesh.components();
+        let number = |body: u32| bodies[body as usize] as u32;
+        let origin = |origin: &Origin| {
+            let (body, vertex) = match *origin {
+                Origin::Vertex { body, vertex } => (body, Some(vertex)),
+                Origin::Edge { body, .. } | Origin::Within { body, .. } | Origin::Triangles([[body, _], ..]) => {
+                    (body, None)
+                }
+            };
+            VertexOrigin { bodies: [number(body); 2], share: 0.0, vertex }
+        };
+        let mut on_seam = vec![None; mesh.positions.len()];
+        let pairs: Vec<[usize; 2]> = united.seams.iter().map(|seam| seam.bodies.map(|b| bodies[b as usize])).collect();
+        for (seam, index) in united.seams.iter().zip(0..) {
+            seam.vertices.iter().for_each(|&v| on_seam[mesh.names[v as usize] as usize] = Some(index));
+        }
+        let seams = united.seams.iter().zip(&pairs).map(|(seam, pair)| {
+            let closing = seam.vertices.first().filter(|_| seam.is_closed);
+            let vertices = seam.vertices.iter().chain(closing);
+            SeamLine { bodies: *pair, positions: vertices.map(|&v| united.position(v)).collect() }
+        });
+        let seams = seams.collect();
+        let radius = |pair: &[usize; 2]| f64::min(schema.bodies[pair[0]].radius, schema.bodies[pair[1]].radius);
+        let radii: Vec<f64> = pairs.iter().map(radius).collect();
+        let mut seamed = Seamed {
+            labels: mesh.origins.iter().map(origin).collect(),
+            positions: mesh.positions,
+            triangles: mesh.triangles,
+            on_seam,
+        };
+        seamed.fair(schema.blend, &radii, |origin| VertexOrigin { vertex: None, ..origin });
+
+        let blend = f64::max(COLORS_BLEND, schema.blend);
+        let near = seamed.distances(None, blend * radii.iter().copied().fold(0.0, f64::max));
+        for (origin, near) in seamed.labels.iter_mut().zip(near) {
+            let Some(Near { seam, distance }) = near else { continue };
+            let (pair, share) = (pairs[seam as usize], 1.0 - distance / (blend * radii[seam as usize]));
+            if share > 0.0 {
+                let other = if origin.bodies[0] == pair[0] as u32 { pair[1] } else { pair[0] };
+                origin.bodies[1] = other as u32;
+                origin.share = (0.5 * share * share * (3.0 - 2.0 * share)) as f32;
+            }
+        }
+        Group {
+            bodies: bodies.to_vec(),
+            seams,
+            components: components.len(),
+            euler: united.euler,
+            genus: components.iter().map(|component| component.genus()).sum(),
+            volume: united.volume,
+            area: united.area,
+            positions: seamed.positions,
+            origins: seamed.labels,
+            triangles: seamed.triangles,
+        }
+    }
+}
+
+/// The groups of at least two bodies that joined pairs connect, in ascending order of their first body.
+fn groups(schema: &Schema, frame: &Frame) -> Vec<Vec<usize>> {
+    // the root of a body is the first body known to be in its group
+    fn root(roots: &mut [usize], mut body: usize) -> usize {
+        while roots[body] != body {
+            roots[body] = roots[roots[body]];
+            body = roots[body];
+        }
+        body
+    }
+    let joined = || frame.pairs.iter().filter(|pair| schema.phases[pair.phase].is_joined);
+    if joined().next().is_none() {
+        return Vec::new();
+    }
+    let mut roots: Vec<usize> = (0..schema.bodies.len()).collect();
+    for pair in joined() {
+        let (a, b) = (root(&mut roots, pair.a), root(&mut roots, pair.b));
+        roots[a.max(b)] = a.min(b);
+    }
+    let mut groups: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for body in 0..roots.len() {
+        groups.entry(root(&mut roots, body)).or_default().push(body);
+    }
+    groups.into_values().filter(|group| group.len() > 1).collect()
+}
+
+/// Maps all items, on several threads if there are several.
+fn for_all<T: Sync, R: Send>(items: &[T], map: impl Fn(&T) -> R + Sync + Send) -> Vec<R> {
+    if items.len() > 1 { items.par_iter().map(map).collect() } else { items.iter().map(map).collect() }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashSet;
+
+    use super::*;
+    use crate::{
+        World,
+        observe::{Simulation as _, Want},
+        scene,
+    };
+
+    /// The schema, and the frame after some steps, of a built-in scene.
+    fn after(name: &str, steps: u64) -> (Schema, Frame) {
+        let mut world = World::new(scene::Scene::builtin(name).unwrap()).unwrap();
+        (0..steps).for_each(|_| drop(world.step().time));
+        let mut frame = Frame::default();
+        world.observe(Want::default(), &mut frame);
+        (world.schema(), frame)
+    }
+
+    fn volume(group: &Group) -> f64 {
+        let of = |corners: &[u32; 3]| {
+            let [a, b, c] = corners.map(|v| group.positions[v as usize]);
+            a.dot(b.cross(c)) / 6.0
+        };
+        group.triangles.iter().map(of).sum()
+    }
+
+    #[test]
+    fn merged_bodies_have_one_closed_surface() {
+        for (name, steps) in
+            [("two", 86), ("two", 100), ("two", 150), ("two", 195), ("three", 150), ("size_ratio", 180)]
+        {
+            let (mut schema, frame) = after(name, steps);
+            for blend in [0.0, 0.1, 0.25, 0.5] {
+                schema.blend = blend;
+                let mut merger = Merger::new(&schema);
+                let merged = merger.merge(&schema, &frame, &[]);
+                assert_eq!(merged.overlapping, 0);
+                for group in &merged.groups {
+                    let edges = || group.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
+                    let directed: HashSet<[u32; 2]> = edges().collect();
+                    assert_eq!(directed.len(), edges().count(), "an edge has two triangles on one side");
+                    assert!(edges().all(|[a, b]| directed.contains(&[b, a])), "an edge is open");
+                    let used: HashSet<u32> = group.triangles.iter().flatten().copied().collect();
+                    assert_eq!(used.len(), group.positions.len());
+                    let euler = used.len() as i64 - group.triangles.len() as i64 / 2;
+                    assert_eq!(euler, group.euler, "{name}, {steps} steps, blend {blend}");
+                    let change = volume(group) / group.volume - 1.0;
+                    assert!(change.abs() < if blend == 0.0 { 1e-9 } else { 5e-3 }, "{name} {steps} {blend}: {change}");
+                    assert_eq!((group.origins.len(), group.genus), (used.len(), 0));
+                }
+                assert!(!merged.groups.is_empty(), "{name}, {steps} steps");
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_beyond_the_blend_keeps_its_place() {
+        let (mut schema, frame) = after("two", 150);
+        schema.blend = 0.25;
+        let mut merger = Merger::new(&schema);
+        let group = &merger.merge(&schema, &frame, &[]).groups[0];
+        let seam = || group.seams.iter().flat_map(|seam| &seam.positions);
+        let mut kept = 0;
+        for (position, origin) in group.positions.iter().zip(&group.origins) {
+            let Some(vertex) = origin.vertex else { continue };
+            let body = &frame.bodies[origin.bodies[0] as usize];
+            let original = body.positions.get(vertex as usize) + body.centre;
+            if seam().all(|at| at.distance(original) > 0.25) {
+                assert_eq!(*position, original);
+                kept += 1;
+            }
+        }
+        assert!(kept > 400, "{kept}");
+    }
+
+    #[test]
+    fn what_does_not_move_is_not_computed_again() {
+        let (schema, frame) = after("two", 150);
+        let mut merger = Merger::new(&schema);
+        let first = merger.merge(&schema, &frame, &[[0, 1]]).clone();
+        let second = merger.merge(&schema, &frame, &[[0, 1]]);
+        assert!(Arc::ptr_eq(&first.groups[0], &second.groups[0]));
+        assert_eq!(first.pairs, second.pairs);
+        let measures = first.pairs[0].unwrap();
+        assert!(measures.gap < 0.0 && measures.neck > 0.1 && measures.overlap > 0.0, "{measures:?}");
+        // the same alone as in a group
+        let mut apart = schema.clone();
+        apart.phases.iter_mut().for_each(|phase| phase.is_joined = false);
+        let mut merger = Merger::new(&apart);
+        assert_eq!(merger.merge(&apart, &frame, &[[0, 1]]).pairs[0], Some(measures));
+        assert!(merger.merged().groups.is_empty());
+    }
+}

@@ -1,0 +1,166 @@
+//! The surfaces of groups: one mesh in world coordinates, and the lines along which bodies meet.
+
+use std::sync::Arc;
+
+use glam::DVec3;
+use rerun::{AnnotationContext, AnyValues, ComponentDescriptor, LineStrips3D, Mesh3D, components::TriangleIndices};
+
+use super::Look;
+use crate::{
+    observe::{
+        Schema,
+        surface::{Group, Merged, Merger, VertexOrigin},
+    },
+    stream::{
+        chunks::{Chunks, TrackId},
+        columns::Cell,
+        normals::Float3,
+        palette::{self, color},
+    },
+};
+
+/// The entity of the mesh.
+pub const SURFACE: &str = "/world/merged/surface";
+const SEAMS: &str = "/world/merged/seams";
+/// The entity that names the bodies of vertices.
+const CLASSES: &str = "/world/merged";
+
+/// Component of a body's own mesh: the triangles by which it is drawn beside merged surfaces.
+pub const DRAWN: &str = "drawn_triangles";
+/// The triangles of a body that is drawn as part of a merged surface. (A mesh of no triangles would be one whose
+/// triangles are not known.)
+pub const HIDDEN: [[u32; 3]; 1] = [[0; 3]];
+
+/// The component [`DRAWN`].
+pub fn drawn(triangles: &[[u32; 3]]) -> AnyValues {
+    AnyValues::default().with_component::<TriangleIndices>(DRAWN, triangles.iter().copied())
+}
+
+/// Merged surfaces, with what was last logged of them.
+pub struct MergedEntities {
+    merger: Merger,
+    surface: TrackId,
+    seams: TrackId,
+    /// The groups that were last logged.
+    last: Vec<Arc<Group>>,
+    mesh: Mesh,
+}
+
+/// The mesh of all groups. Reused.
+#[derive(Default)]
+struct Mesh {
+    triangles: Vec<[u32; 3]>,
+    positions: Vec<Float3>,
+    normals: Vec<Float3>,
+    colors: Vec<u32>,
+    classes: Vec<u16>,
+    vertices: Vec<u32>,
+    seams: Vec<Vec<Float3>>,
+    names: Vec<String>,
+    /// Scratch storage: sums of the areas beside each vertex.
+    areas: Vec<DVec3>,
+}
+
+impl MergedEntities {
+    /// Logs static data.
+    pub fn new(schema: &Schema, chunks: &mut Chunks) -> MergedEntities {
+        let components = [
+            Mesh3D::descriptor_triangle_indices(),
+            Mesh3D::descriptor_vertex_positions(),
+            Mesh3D::descriptor_vertex_normals(),
+            Mesh3D::descriptor_vertex_colors(),
+            Mesh3D::descriptor_class_ids(),
+            ComponentDescriptor::partial("vertex"),
+        ];
+        if schema.bodies.len() > 1 {
+            let names = schema.bodies.iter().zip(1..u16::MAX).map(|(body, class)| (class, body.name.as_str()));
+            chunks.log_static(CLASSES, &AnnotationContext::new(std::iter::once((0, "seam")).chain(names)));
+            let style = LineStrips3D::update_fields()
+                .with_radii([rerun::Radius::new_ui_points(1.0)])
+                .with_colors([color(palette::SEAM)])
+                .with_show_labels(false);
+            chunks.log_static(SEAMS, &style);
+            let clear = Mesh3D::update_fields().with_albedo_factor(palette::translucent([0xFF; 3]));
+            chunks.log_static(SURFACE, &clear);
+        }
+        MergedEntities {
+            merger: Merger::new(schema),
+            surface: chunks.track(SURFACE, components),
+            seams: chunks.track(SEAMS, [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_labels()]),
+            last: Vec::new(),
+            mesh: Mesh::default(),
+        }
+    }
+
+    /// Computes the surfaces of a frame, measures `pairs`, and logs what has changed.
+    pub fn log(&mut self, look: Look<'_>, pairs: &[[usize; 2]], chunks: &mut Chunks) {
+        let merged = self.merger.merge(look.schema, look.frame, pairs);
+        let is_same = self.last.len() == merged.groups.len()
+            && self.last.iter().zip(&merged.groups).all(|(last, now)| Arc::ptr_eq(last, now));
+        if is_same {
+            return;
+        }
+        self.last.clone_from(&merged.groups);
+        self.mesh.clear();
+        for group in &merged.groups {
+            self.mesh.append(look.schema, group);
+        }
+        let Mesh { triangles, positions, normals, colors, classes, vertices, seams, names, .. } = &self.mesh;
+        let cells = [
+            Cell::Triangles(triangles),
+            Cell::Vectors(positions),
+            Cell::Vectors(normals),
+            Cell::Colors(colors),
+            Cell::Classes(classes),
+            Cell::Indices(vertices),
+        ];
+        chunks.push(self.surface, look.at, &cells);
+        chunks.push(self.seams, look.at, &[Cell::Strips(seams), Cell::Texts(names)]);
+    }
+
+    /// The surfaces and measures of the last frame.
+    pub fn merged(&self) -> &Merged {
+        self.merger.merged()
+    }
+}
+
+impl Mesh {
+    fn clear(&mut self) {
+        let Mesh { triangles, positions, normals, colors, classes, vertices, seams, names, areas } = self;
+        triangles.clear();
+        positions.clear();
+        normals.clear();
+        colors.clear();
+        classes.clear();
+        vertices.clear();
+        seams.clear();
+        names.clear();
+        areas.clear();
+    }
+
+    fn append(&mut self, schema: &Schema, group: &Group) {
+        let first = self.positions.len() as u32;
+        let single = |position: &DVec3| position.as_vec3().to_array();
+        self.positions.extend(group.positions.iter().map(single));
+        self.triangles.extend(group.triangles.iter().map(|corners| corners.map(|v| v + first)));
+        self.areas.clear();
+        self.areas.resize(group.positions.len(), DVec3::ZERO);
+        for corners in &group.triangles {
+            let [a, b, c] = corners.map(|v| group.positions[v as usize]);
+            let area = (b - a).cross(c - a);
+            corners.iter().for_each(|&v| self.areas[v as usize] += area);
+        }
+        self.normals.extend(self.areas.iter().map(|area| area.normalize_or(DVec3::Z).as_vec3().to_array()));
+        self.colors.extend(group.origins.iter().map(|origin| color(palette::blended(origin)).to_u32()));
+        let class = |origin: &VertexOrigin| match origin.vertex {
+            Some(_) => u16::try_from(origin.bodies[0] + 1).unwrap_or(0),
+            None => 0,
+        };
+        self.classes.extend(group.origins.iter().map(class));
+        self.vertices.extend(group.origins.iter().map(|origin| origin.vertex.unwrap_or(u32::MAX)));
+        for seam in &group.seams {
+            self.seams.push(seam.positions.iter().map(single).collect());
+            self.names.push(schema.pair_name(seam.bodies[0], seam.bodies[1]));
+        }
+    }
+}
