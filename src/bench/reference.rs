@@ -517,6 +517,11 @@ impl<'a> Problem<'a> {
         let mut track = vec![DVec3::ZERO; self.times.partition_point(|&t| t <= 0.0)];
         let mut is_at_rest = true;
         for chunk in chunks {
+            if chunk.start > 0.0 && self.body.material.response != Response::Rigid {
+                // where the velocity of the centre jumps, vertices stay in motion as they were
+                let kick = path(self.body).kick(chunk.start);
+                vertex.state[3..].iter_mut().zip(kick.to_array()).for_each(|(u, kick)| *u -= kick);
+            }
             vertex.advance(chunk)?;
             let [x, y, z, ..] = vertex.state;
             let x = DVec3::new(x, y, z);

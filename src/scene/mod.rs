@@ -12,6 +12,7 @@
 //! duration = 4.0                # s
 //! integrator = "exponential"    # thesis | mps | euler | verlet | rk4 | exponential [exponential]
 //! tolerance = 1e-6              # of exponential: error in radii per unit of scene time [1e-6]
+//! gravity = [0, 0, 0]           # acceleration of free bodies, scene unit/s² [0]
 //!
 //! [material]                    # for every body; a body may override each
 //! omega = 12.0                  # restoring force: natural angular frequency, rad/s [12.0]
@@ -27,6 +28,7 @@
 //! merge_at = 1.05               # centre distance over the sum of the radii [1.05]
 //! split_at = 1.15               # [1.15]
 //! core_at = 0.0                 # [0 = none]
+//! core_width = 0.0              # in q: the strength changes gradually about core_at [0 = it jumps]
 //! apart = "repel"               # repel | none [repel]
 //!
 //! [[body]]
@@ -41,7 +43,32 @@
 //! omega = 9.0
 //! motion = { keyframes = [[0, 2.6, 0, 0], [1.5, 1.7, 0, 0], [3.0, 2.6, 0.4, 0]] }
 //! # or:    { line = { from = [2.6, 0, 0], velocity = [-0.4, 0, 0] } }
+//! # or:    { keyframes = { keys = [[0, 2.6, 0, 0], …], interpolation = "spline" } }   # | linear | hold [spline]
 //! # or:    { sine = { center = [2, 0, 0], amplitude = [0.5, 0, 0], frequency = 0.25, phase = 0 } }
+//! # or:    { free = { from = [2, 0, 0], velocity = [0, 0, 0], spin = [0, 0, 0], rotation = "free" } }   # | fixed [free]
+//! mass = 0.512                  # of all its vertices; of free bodies only ratios matter [radius³]
+//! group = "left"                # for [[pair]]; not the name of a body [none]
+//! color = "#ff8800"             # [one of the palette]
+//!
+//! [[grid]]                      # many bodies of one description: all keys of a body, and these
+//! name = "drop"                 # the bodies are drop-0-0-0, drop-1-0-0 …
+//! count = [10, 10, 2]           # along x, y and z; 1,000,000 bodies at the most
+//! spacing = [2.5, 2.5, 3.0]     # between neighbours, scene unit
+//! jitter = 0.1                  # each coordinate moved by up to this, scene unit [0]
+//! seed = 1                      # of the jitter, an integer [0]
+//! radius = 1.0
+//! motion = { fixed = [0, 9, 0] }                        # of the first; every other one is moved by its place
+//!
+//! [[pair]]                      # another law for some pairs; what it leaves out is as in [influence]
+//! bodies = ["still", "left"]    # two names of bodies or groups; no pair is in two of these tables
+//! merge_at = 0.9                # and split_at, core_at, core_width, alpha, beta, apart
+//!
+//! [[plane]]                     # acts on the vertices of all bodies
+//! normal = [0, 0, 1]            # to the free side
+//! offset = 0.0                  # normal · r of its points, scene unit [0]
+//! stiffness = 4000.0            # 1/s² [4000]
+//! friction = 0.0                # [0]
+//! slip = 0.01                   # speed below which friction fades, scene unit/s [0.01]
 //!
 //! [[push]]
 //! body = "still"
@@ -50,6 +77,19 @@
 //! start = 0.2                   # s
 //! duration = 0.1                # s
 //! ```
+//!
+//! # Keyframes
+//! A `spline` is smooth (its acceleration is continuous) and at rest at the first and the last key; therefore it overshoots
+//! where keys change direction. Through 0, 1 and 1 at 0, 1 and 2 s it is at 1 + ¾ s (1 − s)² between the last two, s being
+//! the time since the second: as far as 10/9, at 4/3 s. Where a body must stay within its keys, move it on straight lines
+//! (`linear`) or from place to place (`hold`).
+//!
+//! At a key of straight lines the velocity of the centre jumps by some Δv, an infinite acceleration for an instant. Vertices
+//! of a body whose response is `inertial` or `world` stay in motion as they were: relative to the centre their velocity jumps
+//! by −Δv. Those of a `rigid` body do not feel it. At t = 0 all velocities are zero, however the path begins. A body that
+//! jumps from place to place takes its vertices along, deformed as they are, and they feel nothing of it. Its pairs change
+//! phase at the jump, by the distance after it; a jump from afar into a core is a merge and a core at the same instant.
+//! Scenes with free bodies, planes or a `core_width` do not take paths that jump.
 
 pub mod builtin;
 pub mod pairs;
@@ -148,6 +188,16 @@ pub enum Motion {
     Prescribed(Path),
     /// The forces that act on the body.
     Free(FreeMotion),
+}
+
+impl Motion {
+    /// The same motion, moved by `offset` [scene unit].
+    pub fn moved_by(&self, offset: DVec3) -> Motion {
+        match self {
+            Motion::Prescribed(path) => Motion::Prescribed(path.moved_by(offset)),
+            Motion::Free(free) => Motion::Free(FreeMotion { from: free.from + offset, ..*free }),
+        }
+    }
 }
 
 impl From<Path> for Motion {

@@ -10,6 +10,7 @@
 //! 32 MiB.
 
 mod error;
+mod grid;
 mod pairs;
 mod reader;
 
@@ -62,6 +63,7 @@ static SCENE: Keys = Keys {
         "influence",
         "surface",
         "body",
+        "grid",
         "pair",
         "plane",
         "push",
@@ -79,6 +81,14 @@ static BODY: Keys = Keys {
     home: "in a [[body]]",
     form: "a table, written [[body]]",
     names: &["name", "radius", "shape", "motion", "mass", "group", "color", "omega", "damping", "response"],
+};
+static GRID: Keys = Keys {
+    home: "in a [[grid]]",
+    form: "a table, written [[grid]]",
+    names: &[
+        "name", "count", "spacing", "jitter", "seed", "radius", "shape", "motion", "mass", "group", "color", "omega",
+        "damping", "response",
+    ],
 };
 static PAIR: Keys = Keys {
     home: "in a [[pair]]",
@@ -127,6 +137,11 @@ static SINE: Keys = Keys {
     names: &["center", "amplitude", "frequency", "phase"],
 };
 
+static KEYFRAMES: Keys = Keys {
+    home: "in motion = { keyframes = { … } }",
+    form: "a table such as { keys = [[0, 0, 0, 0], [1, 2, 0, 0]], interpolation = \"linear\" }",
+    names: &["keys", "interpolation"],
+};
 static FREE: Keys = Keys {
     home: "in motion = { free = { … } }",
     form: "a table such as { from = [0, 0, 1], velocity = [1, 0, 0] }",
@@ -135,8 +150,8 @@ static FREE: Keys = Keys {
 
 /// Every table, to find where a misplaced key belongs.
 fn all_keys() -> impl Iterator<Item = &'static Keys> {
-    let bodies = [&SCENE, &MATERIAL, &INFLUENCE, &SURFACE, &BODY, &PAIR, &PLANE, &PUSH, &SHAPE];
-    bodies.into_iter().chain(&SHAPES).chain([&MOTION, &LINE, &SINE, &FREE])
+    let bodies = [&SCENE, &MATERIAL, &INFLUENCE, &SURFACE, &BODY, &GRID, &PAIR, &PLANE, &PUSH, &SHAPE];
+    bodies.into_iter().chain(&SHAPES).chain([&MOTION, &LINE, &SINE, &KEYFRAMES, &FREE])
 }
 
 const RESPONSE: Choice<Response, 3> =
@@ -145,6 +160,10 @@ const WEIGHT: Choice<Weight, 2> = Choice([("linear", Weight::Linear), ("wendland
 const SCALING: Choice<Scaling, 2> = Choice([("relative", Scaling::Relative), ("absolute", Scaling::Absolute)]);
 const APART_REPELS: Choice<bool, 2> = Choice([("repel", true), ("none", false)]);
 
+/// How a path gets from key to key.
+type Interpolation = fn(&[(f64, DVec3)]) -> Spline;
+const INTERPOLATION: Choice<Interpolation, 3> =
+    Choice([("spline", Spline::new), ("linear", Spline::linear), ("hold", Spline::hold)]);
 const ROTATION: Choice<Rotation, 2> = Choice([("free", Rotation::Free), ("fixed", Rotation::Fixed)]);
 
 const SCENE_NAME: Text = Text { form: "a name of 1 to 200 characters on one line", accepts: is_scene_name };
@@ -226,9 +245,13 @@ fn read_scene(source: &Source<'_>) -> Result<Scene, SceneError> {
     let material = root.table("material", &MATERIAL)?;
     let influence = root.table("influence", &INFLUENCE)?;
     let surface = root.table("surface", &SURFACE)?;
-    let body_array = root.present("body", "at least one [[body]]")?;
-    let body_tables = body_array.tables(&BODY)?;
-    let [pair_array, plane_array, push_array] = ["pair", "plane", "push"].map(|name| root.get(name));
+    let [body_array, grid_array, pair_array, plane_array, push_array] =
+        ["body", "grid", "pair", "plane", "push"].map(|name| root.get(name));
+    if body_array.is_none() && grid_array.is_none() {
+        return Err(root.error("body", "missing, expected at least one [[body]]".to_owned()));
+    }
+    let body_tables = tables(&body_array, &BODY)?;
+    let grid_tables = tables(&grid_array, &GRID)?;
     let pair_tables = tables(&pair_array, &PAIR)?;
     let plane_tables = tables(&plane_array, &PLANE)?;
     let push_tables = tables(&push_array, &PUSH)?;
@@ -254,12 +277,19 @@ fn read_scene(source: &Source<'_>) -> Result<Scene, SceneError> {
     let material = read_material(&material, thesis)?;
     let (law, influence) = (read_law(&influence, PairLaw::DEFAULT)?, read_influence(&influence)?);
     let influence = Influence { alpha: law.alpha, beta: law.beta, apart_repels: law.apart_repels, ..influence };
-    let bodies = read_bodies(&body_array, &body_tables, material)?;
-    let names = Names::of(&bodies, &body_tables)?;
+    let bodies = body_tables.iter().map(|table| read_body(table, material)).collect::<Result<Vec<_>, _>>()?;
+    let (mut bodies, mut from) = (bodies, body_tables.iter().collect());
+    grid::read(&grid_tables, material, &mut bodies, &mut from)?;
+    if bodies.is_empty() {
+        let array = body_array.as_ref().or(grid_array.as_ref());
+        let message = "expected at least one [[body]], found an empty array".to_owned();
+        return Err(array.map_or_else(|| root.error("body", message.clone()), |array| array.error(message.clone())));
+    }
+    let names = Names::of(&bodies, &from)?;
     let pairs = pairs::read(&pair_tables, &bodies, &names, law)?;
     let planes = plane_tables.iter().map(read_plane).collect::<Result<_, _>>()?;
     let pushes = push_tables.iter().map(|push| read_push(push, &bodies, &names)).collect::<Result<_, _>>()?;
-    Ok(Scene {
+    let scene = Scene {
         name,
         dt,
         duration,
@@ -275,7 +305,28 @@ fn read_scene(source: &Source<'_>) -> Result<Scene, SceneError> {
         bodies,
         pushes,
         source: source.text.to_owned(),
-    })
+    };
+    if scene.is_coupled() {
+        refuse_jumps(&scene, &from)?;
+    }
+    Ok(scene)
+}
+
+/// Refuses paths whose velocity or position jumps, which the engine of free bodies does not follow.
+fn refuse_jumps(scene: &Scene, from: &[&Table<'_>]) -> Result<(), SceneError> {
+    let jumps = |body: &Body| {
+        let is_kicked = |path: &Path| path.kicks(f64::NEG_INFINITY, f64::INFINITY) > 0.0;
+        body.path().is_some_and(|path| path.is_held() || body.material.response != Response::Rigid && is_kicked(path))
+    };
+    match scene.bodies.iter().position(jumps) {
+        None => Ok(()),
+        Some(index) => Err(from[index]
+            .error(
+                "motion",
+                "expected a path without jumps, in a scene with free bodies, planes or a core_width".to_owned(),
+            )
+            .with_help("leave interpolation at \"spline\"; with response = \"rigid\", \"linear\" is possible, too")),
+    }
 }
 
 /// An array of tables, which may be missing.
@@ -365,26 +416,21 @@ fn read_direction(table: &Table<'_>, name: &'static str) -> Result<DVec3, SceneE
     }
 }
 
-fn read_bodies(array: &Value<'_>, tables: &[Table<'_>], material: Material) -> Result<Vec<Body>, SceneError> {
-    if tables.is_empty() {
-        return Err(array.unexpected("at least one [[body]]"));
-    }
-    let mut bodies = Vec::with_capacity(tables.len());
-    for table in tables {
-        let radius = table.required("radius", POSITIVE)?;
-        let material = read_material(table, material)?;
-        bodies.push(Body {
-            name: table.required("name", BODY_NAME)?,
-            radius,
-            material,
-            shape: read_shape(table)?,
-            mass: table.optional("mass", POSITIVE)?.unwrap_or(radius * radius * radius),
-            group: table.optional("group", GROUP_NAME)?,
-            color: table.optional("color", COLOR)?.as_deref().and_then(color),
-            motion: read_motion(table, &material)?,
-        });
-    }
-    Ok(bodies)
+/// A `[[body]]`, or the description of those of a `[[grid]]`.
+fn read_body(table: &Table<'_>, material: Material) -> Result<Body, SceneError> {
+    let name = table.required("name", BODY_NAME)?;
+    let radius = table.required("radius", POSITIVE)?;
+    let material = read_material(table, material)?;
+    Ok(Body {
+        name,
+        radius,
+        material,
+        shape: read_shape(table)?,
+        mass: table.optional("mass", POSITIVE)?.unwrap_or(radius * radius * radius),
+        group: table.optional("group", GROUP_NAME)?,
+        color: table.optional("color", COLOR)?.as_deref().and_then(color),
+        motion: read_motion(table, &material)?,
+    })
 }
 
 /// `#rrggbb`
@@ -404,7 +450,7 @@ struct Names {
 impl Names {
     /// # Errors
     /// Two bodies have one name, or a body has that of a group.
-    fn of(bodies: &[Body], tables: &[Table<'_>]) -> Result<Names, SceneError> {
+    fn of(bodies: &[Body], tables: &[&Table<'_>]) -> Result<Names, SceneError> {
         let mut names = Names { bodies: HashMap::with_capacity(bodies.len()), groups: HashMap::new() };
         for (index, (body, table)) in (0..).zip(bodies.iter().zip(tables)) {
             let Some(first) = names.bodies.insert(body.name.clone(), index) else { continue };
@@ -472,7 +518,7 @@ fn read_motion(body: &Table<'_>, material: &Material) -> Result<Motion, SceneErr
             };
             path.into()
         }
-        "keyframes" => Path::Keyframes(read_spline(&value)?).into(),
+        "keyframes" => Path::Keyframes(read_keyframes(&value)?).into(),
         _ => {
             check_response(body, &value, material)?;
             Motion::Free(read_free(&value.into_table(&FREE)?)?)
@@ -502,9 +548,21 @@ fn check_response(body: &Table<'_>, motion: &Value<'_>, material: &Material) -> 
     }
 }
 
-fn read_spline(value: &Value<'_>) -> Result<Spline, SceneError> {
+fn read_keyframes(value: &Value<'_>) -> Result<Spline, SceneError> {
+    if !value.is_table() {
+        return Ok(Spline::new(&read_keys(value)?));
+    }
+    let table = value.clone().into_table(&KEYFRAMES)?;
+    let keys = read_keys(&table.present("keys", KEYS)?)?;
+    let interpolation = table.optional("interpolation", INTERPOLATION)?.unwrap_or(Spline::new);
+    Ok(interpolation(&keys))
+}
+
+const KEYS: &str = "an array of two or more keys [t, x, y, z]";
+
+fn read_keys(value: &Value<'_>) -> Result<Vec<(f64, DVec3)>, SceneError> {
     let items = value.items().filter(|items| items.len() >= 2);
-    let items = items.ok_or_else(|| value.unexpected("an array of two or more keys [t, x, y, z]"))?;
+    let items = items.ok_or_else(|| value.unexpected(KEYS))?;
     let mut keys: Vec<(f64, DVec3)> = Vec::with_capacity(items.len());
     for item in items {
         let [t, x, y, z] = item.numbers(ANY, "a key [t, x, y, z]")?;
@@ -518,7 +576,7 @@ fn read_spline(value: &Value<'_>) -> Result<Spline, SceneError> {
         }
         keys.push((t, DVec3::new(x, y, z)));
     }
-    Ok(Spline::new(&keys))
+    Ok(keys)
 }
 
 fn read_push(table: &Table<'_>, bodies: &[Body], names: &Names) -> Result<Push, SceneError> {

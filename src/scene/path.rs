@@ -28,7 +28,7 @@ pub enum Path {
         /// [rad]
         phase: f64,
     },
-    /// A clamped cubic spline through keys.
+    /// Through keys: a clamped cubic spline, straight lines, or from place to place.
     Keyframes(Spline),
 }
 
@@ -193,6 +193,48 @@ impl Path {
         }
     }
 
+    /// By how much the velocity jumps at time `t` [scene unit/s]: at the keys of straight lines.
+    pub fn kick(&self, t: f64) -> DVec3 {
+        match self {
+            Path::Keyframes(spline)
+                if spline.jumps == Jumps::Velocity
+                    && spline.times.binary_search_by(|key| key.total_cmp(&t)).is_ok() =>
+            {
+                self.at(t).velocity - self.before(t).velocity
+            }
+            _ => DVec3::ZERO,
+        }
+    }
+
+    /// A bound of the sum of these jumps in `[start, end)` [scene unit/s].
+    pub fn kicks(&self, start: f64, end: f64) -> f64 {
+        match self {
+            Path::Keyframes(spline) if spline.jumps == Jumps::Velocity => {
+                let first = spline.times.partition_point(|&key| key < start);
+                let keys = spline.times[first..].iter().take_while(|&&key| key < end);
+                keys.map(|&key| self.kick(key).length()).sum()
+            }
+            _ => 0.0,
+        }
+    }
+
+    /// Whether the centre jumps from place to place.
+    pub fn is_held(&self) -> bool {
+        matches!(self, Path::Keyframes(Spline { jumps: Jumps::Position, .. }))
+    }
+
+    /// The same path, moved by `offset` [scene unit].
+    pub fn moved_by(&self, offset: DVec3) -> Path {
+        match self {
+            Path::Fixed(position) => Path::Fixed(*position + offset),
+            Path::Line { from, velocity } => Path::Line { from: *from + offset, velocity: *velocity },
+            Path::Sine { center, amplitude, frequency, phase } => {
+                Path::Sine { center: *center + offset, amplitude: *amplitude, frequency: *frequency, phase: *phase }
+            }
+            Path::Keyframes(spline) => Path::Keyframes(spline.moved_by(offset)),
+        }
+    }
+
     /// What was allocated for it [bytes].
     pub fn memory(&self) -> usize {
         let Path::Keyframes(spline) = self else { return 0 };
@@ -217,7 +259,7 @@ impl Path {
     }
 }
 
-/// C² cubic spline per coordinate, zero velocity at the first and last key, held still outside them. Copies share the keys.
+/// A piecewise polynomial per coordinate through keys, held still outside of them. Copies share the keys.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spline {
     times: Arc<[f64]>,
@@ -227,6 +269,15 @@ pub struct Spline {
     segments: Arc<[Segment]>,
     first: DVec3,
     last: DVec3,
+    jumps: Jumps,
+}
+
+/// What of a spline jumps at its keys, beside its third derivative.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Jumps {
+    Nothing,
+    Velocity,
+    Position,
 }
 
 /// `p + s (v + s (a/2 + s j/6))`, s = t − start of the segment.
@@ -239,7 +290,8 @@ struct Segment {
 }
 
 impl Spline {
-    /// The spline through `keys` (time [s], position [scene unit]), two or more, times strictly increasing.
+    /// The C² cubic spline through `keys` (time [s], position [scene unit]), two or more, times strictly increasing, with
+    /// zero velocity at the first and the last.
     ///
     /// The accelerations M_k at the keys solve the tridiagonal system of the clamped spline,
     /// `h₋ M₋ + 2 (h₋ + h₊) M + h₊ M₊ = 6 (Δ₊ − Δ₋)`, with Δ the slope of a segment and 0 that beyond the ends
@@ -274,10 +326,53 @@ impl Spline {
                 jerk: (m[k + 1] - m[k]) / width(k),
             })
             .collect();
+        Spline::of(keys, segments, Jumps::Nothing)
+    }
+
+    /// Straight lines between `keys`, each at constant speed: the velocity jumps at the keys.
+    pub fn linear(keys: &[(f64, DVec3)]) -> Spline {
+        let line = |ends: &[(f64, DVec3)]| Segment {
+            position: ends[0].1,
+            velocity: (ends[1].1 - ends[0].1) / (ends[1].0 - ends[0].0),
+            acceleration: DVec3::ZERO,
+            jerk: DVec3::ZERO,
+        };
+        Spline::of(keys, keys.windows(2).map(line).collect(), Jumps::Velocity)
+    }
+
+    /// At the place of a key until the next: the position jumps at the keys.
+    pub fn hold(keys: &[(f64, DVec3)]) -> Spline {
+        let still = |ends: &[(f64, DVec3)]| Segment {
+            position: ends[0].1,
+            velocity: DVec3::ZERO,
+            acceleration: DVec3::ZERO,
+            jerk: DVec3::ZERO,
+        };
+        Spline::of(keys, keys.windows(2).map(still).collect(), Jumps::Position)
+    }
+
+    fn of(keys: &[(f64, DVec3)], segments: Arc<[Segment]>, jumps: Jumps) -> Spline {
         let times: Arc<[f64]> = keys.iter().map(|key| key.0).collect();
         let mut hasher = FxHasher::default();
         times.iter().for_each(|time| hasher.write_u64(time.to_bits()));
-        Spline { times, times_hash: hasher.finish(), segments, first: keys[0].1, last: keys[n - 1].1 }
+        let (first, last) =
+            (keys.first().map_or(DVec3::ZERO, |key| key.1), keys.last().map_or(DVec3::ZERO, |key| key.1));
+        Spline { times, times_hash: hasher.finish(), segments, first, last, jumps }
+    }
+
+    /// Number of keys.
+    pub fn key_count(&self) -> usize {
+        self.times.len()
+    }
+
+    fn moved_by(&self, offset: DVec3) -> Spline {
+        let moved = |segment: &Segment| Segment { position: segment.position + offset, ..*segment };
+        Spline {
+            segments: self.segments.iter().map(moved).collect(),
+            first: self.first + offset,
+            last: self.last + offset,
+            ..self.clone()
+        }
     }
 
     fn at(&self, t: f64) -> Kinematics {
@@ -304,7 +399,21 @@ impl Spline {
 
     fn bounds(&self, start: f64, end: f64) -> Bounds {
         let stretch = self.stretch(start, end);
+        if self.jumps == Jumps::Position {
+            return Bounds { speed: self.jumped(stretch, start, end), acceleration: 0.0 };
+        }
         segment_bounds(&self.times, stretch, |k| self.segments[k], start, end)
+    }
+
+    /// A speed at which half of `(start, end]` is long enough for all jumps in it, at the keys of these segments
+    /// [scene unit/s].
+    fn jumped(&self, stretch: Range<usize>, start: f64, end: f64) -> f64 {
+        let inside = |k: &usize| start < self.times[*k] && self.times[*k] <= end;
+        let place = |k: usize| self.segments.get(k).map_or(self.last, |segment| segment.position);
+        let before = |k: usize| if k == 0 { self.first } else { place(k - 1) };
+        let keys = (stretch.start..stretch.end + 2).filter(|&k| k < self.times.len());
+        let far: f64 = keys.filter(inside).map(|k| place(k).distance(before(k))).sum();
+        if far > 0.0 { 2.0 * far / (end - start) } else { 0.0 }
     }
 
     /// The segments that have a part in `[start, end]`.
@@ -325,7 +434,8 @@ impl Spline {
                 jerk: a.jerk - b.jerk,
             }
         };
-        if self.times_hash != other.times_hash || self.times.len() != other.times.len() {
+        let are_held = [self, other].iter().any(|spline| spline.jumps == Jumps::Position);
+        if are_held || self.times_hash != other.times_hash || self.times.len() != other.times.len() {
             return None;
         }
         // what would be wrong if it were a coincidence is looked at, not all of them
@@ -360,4 +470,44 @@ fn segment_bounds(
         bounds.speed = bounds.speed.max(velocity.length() + largest * (to - from));
     }
     bounds
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn through(values: &[f64]) -> Vec<(f64, DVec3)> {
+        values.iter().enumerate().map(|(t, &x)| (t as f64, DVec3::X * x)).collect()
+    }
+
+    /// The example of the scene file: between the keys at 1 s and 2 s it is at 1 + ¾ s (1 − s)², s the time since the first.
+    #[test]
+    fn a_spline_overshoots_as_documented() {
+        let path = Path::Keyframes(Spline::new(&through(&[0.0, 1.0, 1.0])));
+        for k in 0..=100 {
+            let s = f64::from(k) / 100.0;
+            let expected = 1.0 + 0.75 * s * (1.0 - s) * (1.0 - s);
+            assert!((path.position(1.0 + s).x - expected).abs() < 1e-15);
+        }
+        assert!((path.position(4.0 / 3.0).x - 10.0 / 9.0).abs() < 1e-15);
+    }
+
+    #[test]
+    fn lines_and_holds_stay_within_their_keys() {
+        let (lines, holds) = (Spline::linear(&through(&[0.0, 1.0, 1.0])), Spline::hold(&through(&[0.0, 1.0, 5.0])));
+        let (lines, holds) = (Path::Keyframes(lines), Path::Keyframes(holds));
+        assert_eq!([0.25, 1.0, 1.5, 7.0].map(|t| lines.position(t).x), [0.25, 1.0, 1.0, 1.0]);
+        assert_eq!([0.0, 1.0, 2.0].map(|t| lines.kick(t).x), [1.0, -1.0, 0.0]);
+        assert_eq!(lines.kicks(0.5, 2.0), 1.0);
+        assert_eq!([-1.0, 0.5, 1.0, 1.5, 2.0, 3.0].map(|t| holds.position(t).x), [0.0, 0.0, 1.0, 1.0, 5.0, 5.0]);
+        assert_eq!(holds.before(1.0).position.x, 0.0);
+        assert_eq!(holds.bounds(1.0, 1.5).speed, 0.0);
+        for (start, end) in [(0.5, 1.5), (0.5, 1.0), (0.9, 1.1), (0.5, 4.5), (1.5, 2.5)] {
+            let (centre, radius) = holds.ball(start, end);
+            for k in 0..=100 {
+                let t = start + (end - start) * f64::from(k) / 100.0;
+                assert!(holds.position(t).distance(centre) <= radius * (1.0 + 1e-12), "{start} {end} {t}");
+            }
+        }
+    }
 }

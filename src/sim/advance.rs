@@ -19,8 +19,8 @@ use super::{
     neighbours::Neighbour,
     pairs::Pairs,
     span::Span,
-    state::Common,
-    terms::{Acting, Moment, On, Phases, Steady, Surroundings},
+    state::{Common, State},
+    terms::{Acting, Moment, On, Phases, Steady, Surroundings, carry},
     tracks::Tracks,
     work::{Tally, Work},
 };
@@ -249,15 +249,33 @@ impl<'a> Context<'a> {
         if end {
             look(span.end, &mut interval.end);
         }
-        if active.is_at_rest() && interval.is_idle(scheme) {
+        if active.is_at_rest() && interval.is_idle(scheme) && self.kicks(active.body, span) == DVec3::ZERO {
             return StepStatistics::default();
         }
         let rest = self.body(active.body).rest();
         active.state.deformation.wake_all(rest);
         let active_set = &mut active.state.deformation.active_set;
+        // an explicit step knows nothing within itself: it feels jumps of the velocity at its start
+        let kicks = self.kicks(active.body, span);
+        if kicks != DVec3::ZERO {
+            for i in 0..rest.len() {
+                let State { x, u } = active_set.state(i);
+                active_set.set_state(i, State { x, u: u + kicks });
+            }
+        }
         explicit::advance(scheme, interval, rest, active_set, work);
         active_set.pad_again();
         StepStatistics { substeps: 1, base: work.done(), ..StepStatistics::default() }
+    }
+
+    /// The sum of the jumps of a body's velocity within `span` [s], that at its start included, as its vertices feel them
+    /// [scene unit/s].
+    fn kicks(&self, body: u32, span: Span) -> DVec3 {
+        let is_kicked = self.tracks.of(body as usize).is_some_and(|mover| mover.kicks > 0.0);
+        let breaks = if is_kicked { self.tracks.track(body as usize).breaks() } else { &[] };
+        let first = breaks.partition_point(|&t| t < span.start);
+        let inside = breaks[first..].iter().take_while(|&&t| t < span.end);
+        inside.map(|&t| carry::kick(self.scene, self.tracks, body as usize, t)).sum()
     }
 
     /// As many intervals as there are jumps in the step, each as exactly as the scene's tolerance asks for.
@@ -309,6 +327,10 @@ impl<'a> Context<'a> {
         let mut total = StepStatistics { base, ..StepStatistics::default() };
         for ends in breaks.windows(2) {
             let part = Span { start: ends[0], end: ends[1] };
+            let kick = carry::kick(scene, self.tracks, index, part.start);
+            if kick != DVec3::ZERO {
+                active.state.common.carried.u += kick;
+            }
             let body = self.body(active.body);
             work.spend((contributing.len() + body.pushes.shared().len()) as u64);
             self.on(active.body).over(contributing, part, acting);

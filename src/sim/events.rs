@@ -122,13 +122,42 @@ impl PairTracks<'_> {
     ) -> Option<(f64, Phase)> {
         // From knot to knot, so that a pair that comes to stand on a threshold is there at an end.
         let mut from = start;
+        let may_jump = self.a.is_held() || self.b.is_held();
+        if may_jump && let Some(to) = self.jump(thresholds, phase, from) {
+            return Some((from, to));
+        }
         loop {
             let to = self.knot_after(from).min(end);
-            let found = self.first_change_between_knots(thresholds, phase, from, to, work);
-            if found.is_some() || to >= end || work.is_over() {
+            let (a, b) = (self.a.between(from, to), self.b.between(from, to));
+            let between = PairTracks { a, b, radii: self.radii };
+            let found = between.first_change_between_knots(thresholds, phase, from, to, work);
+            if found.is_some() || work.is_over() {
                 return found;
             }
+            if may_jump && let Some(phase) = self.jump(thresholds, phase, to) {
+                return Some((to, phase));
+            }
+            if to >= end {
+                return None;
+            }
             from = to;
+        }
+    }
+
+    /// The phase that a pair in `phase` enters at `t` [s] if a centre jumps there: by where the jump ends.
+    pub(super) fn jump(&self, thresholds: &Thresholds, phase: Phase, t: f64) -> Option<Phase> {
+        let jumps =
+            |track: Track<'_>| track.is_held() && track.breaks().binary_search_by(|at| at.total_cmp(&t)).is_ok();
+        if !(jumps(self.a) || jumps(self.b)) {
+            return None;
+        }
+        let q = self.q(t);
+        let Thresholds { merge_at, split_at, core_at } = *thresholds;
+        match phase {
+            Phase::Apart => (q <= merge_at).then_some(Phase::Merged),
+            Phase::Merged if q < core_at => Some(Phase::Core),
+            Phase::Merged => (q >= split_at && q > merge_at).then_some(Phase::Apart),
+            Phase::Core => (q >= core_at).then_some(Phase::Merged),
         }
     }
 

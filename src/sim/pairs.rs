@@ -412,6 +412,11 @@ impl Pair {
                     work.spend(EVENT);
                     found(time, to);
                     (from, phase) = (time, to);
+                    // where a centre jumps from afar into a core
+                    while let Some(next) = tracks.jump(thresholds, phase, time) {
+                        found(time, next);
+                        phase = next;
+                    }
                     self.upcoming = None;
                 }
                 Some((time, _)) => {
@@ -487,6 +492,76 @@ mod tests {
             expected.sort_by(|x, y| x.0.total_cmp(&y.0));
             assert_eq!(events, expected, "{named}");
             assert_eq!(at, [plain_at.clone(), alone_at.clone()].concat(), "{named}");
+        }
+    }
+
+    /// Two centres that jump and hold: what a jump leads to happens at it, whether found ahead or within the step, and a
+    /// jump into a core is a merge and a core at once.
+    #[test]
+    fn phases_change_at_jumps() {
+        let text = |times: [f64; 5]| {
+            let keys: Vec<String> =
+                times.iter().zip([4.0, 1.0, 1.8, 2.2, 4.0]).map(|(t, x)| format!("[{t:?}, {x:?}, 0, 0]")).collect();
+            format!(
+                "duration = 2.0\n[influence]\ncore_at = 0.7\n[[body]]\nname = \"a\"\nradius = 1.0\nmotion = {{ fixed = \
+                 [0, 0, 0] }}\n[[body]]\nname = \"b\"\nradius = 1.0\nmotion = {{ keyframes = {{ interpolation = \"hold\", \
+                 keys = [{}] }} }}\n",
+                keys.join(", ")
+            )
+        };
+        use crate::model::phase::Phase::{Apart, Core, Merged};
+        let steps = [0.25, 0.5, 1.0, 1.25, 1.5].map(|t: f64| (t * 60.0).round() / 60.0);
+        for times in [[0.25, 0.503, 1.001, 1.25, 1.507], steps] {
+            let expected =
+                [(times[1], Merged), (times[1], Core), (times[2], Merged), (times[4], Apart)].map(|(t, to)| (t, to));
+            let run = |skip| {
+                let scene = Scene::parse(&text(times), "jumps.toml").unwrap();
+                let options = crate::sim::Options { skip, ..Default::default() };
+                let mut world = World::with_options(scene, options).unwrap();
+                let (mut events, mut found) = (vec![], vec![]);
+                for _ in 0..world.scene().steps() {
+                    events.extend(world.step().events.iter().map(|event| (event.step, event.time, event.to)));
+                    assert!(world.report().failure.is_none());
+                    found.extend(world.body(0).positions());
+                }
+                (events, found)
+            };
+            let ((events, found), (plain_events, plain)) = (run(true), run(false));
+            assert_eq!(events.iter().map(|&(_, t, to)| (t, to)).collect::<Vec<_>>(), expected);
+            assert_eq!(events, plain_events);
+            let apart = found.iter().zip(&plain).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
+            assert!(apart < 1e-6, "{apart:e}");
+        }
+    }
+
+    /// Where the velocity of a centre jumps, every vertex gets the opposite: x = Δv sin(ω(t − t₀))/ω, whatever the scheme,
+    /// and the whole of it, whether it falls within a step or between two.
+    #[test]
+    fn a_kink_of_a_path_is_an_impulse() {
+        for (at, integrator, accuracy) in [
+            (0.503, "exponential", 1e-12),
+            (30.0 / 60.0, "exponential", 1e-12),
+            (0.503, "rk4", 1e-2),
+            (0.5, "verlet", 1e-2),
+        ] {
+            let text = format!(
+                "duration = 1.0\nintegrator = \"{integrator}\"\n[material]\ndamping = 0.0\n[[body]]\nname = \"a\"\nradius = \
+                 1.0\nmotion = {{ keyframes = {{ interpolation = \"linear\", keys = [[0, 0, 0, 0], [{at:?}, {at:?}, 0, 0], [9, \
+                 {at:?}, 0, 0]] }} }}\n"
+            );
+            let mut world = World::new(Scene::parse(&text, "kink.toml").unwrap()).unwrap();
+            for _ in 0..60 {
+                assert!(world.step().failure.is_none());
+                let t = world.time();
+                let expected = if t <= at { 0.0 } else { (12.0 * (t - at)).sin() / 12.0 };
+                let found = world.body(0).displacement(7);
+                assert!((found.x - expected).abs() < accuracy, "{integrator} {t}: {found} {expected}");
+            }
+            // a rigid body feels nothing
+            let rigid = text.replace("damping = 0.0", "response = \"rigid\"");
+            let mut world = World::new(Scene::parse(&rigid, "kink.toml").unwrap()).unwrap();
+            (0..60).for_each(|_| _ = world.step());
+            assert_eq!(world.body(0).displacement(7), glam::DVec3::ZERO);
         }
     }
 }

@@ -22,7 +22,7 @@ use super::{
     push_list::PushField,
     span::Span,
     state::{Common, Pushed, State},
-    terms::{Acting, Cause, Moment, On, Phases, Surroundings},
+    terms::{Acting, Cause, Moment, On, Phases, Surroundings, carry},
     work::Tally,
     world::{PairView, States, World},
 };
@@ -253,7 +253,8 @@ impl Again<'_> {
             active_set.set_state(i, State { x: states.displacement.get(i), u: states.velocity.get(i) });
         }
         active_set.pad_again();
-        let mut common = Common { carried: State::default(), pushed: vec![Pushed::default(); weighted.len()] };
+        let kicked = State { x: DVec3::ZERO, u: carry::kick(scene, tracks, index, from) };
+        let mut common = Common { carried: kicked, pushed: vec![Pushed::default(); weighted.len()] };
         let tolerance = scene.tolerance * this.radius;
         let control = StepControl { arch: self.world.options().arch, tolerance, work: &Tally::unlimited() };
         exponential::advance(&course, control, &mut common, active_set, &mut exponential::Scratch::default());

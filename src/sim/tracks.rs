@@ -65,6 +65,8 @@ pub struct Mover {
     pub kinematics: [Kinematics; 5],
     /// Over the step.
     pub bounds: Bounds,
+    /// A bound of the jumps of the velocity in it, that at its start included [scene unit/s].
+    pub kicks: f64,
 }
 
 impl Tracks {
@@ -101,6 +103,7 @@ impl Tracks {
                     is_idle: false,
                     kinematics,
                     bounds,
+                    kicks: 0.0,
                 });
             }
         }
@@ -120,6 +123,7 @@ impl Tracks {
             }
             path.kinematics(span.start, span.end, &SAMPLES, &track.turns, &mut track.kinematics);
             track.bounds = path.bounds(span.start, span.end);
+            track.kicks = path.kicks(span.start, span.end);
         };
         each(&mut self.movers, follow);
         let h = span.length();

@@ -78,7 +78,7 @@ motion = { fixed = [0, 0, 0] }
 Whole: columns after characters of several bytes
 name = "größe"
 x = { "ä" = "ö" } # ü
-> bad.toml:2:1: x: unknown key (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
+> bad.toml:2:1: x: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
 
 Whole: body is a single table
 duration = 4
@@ -196,39 +196,39 @@ Whole: the first of several unknown keys
 zeta = 1
 duration = 4
 again = 2
-> bad.toml:1:1: zeta: unknown key (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
+> bad.toml:1:1: zeta: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
 
 Top: unknown key
 colour = 1
-> bad.toml:1:1: colour: unknown key (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
+> bad.toml:1:1: colour: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
 
 Top: unknown key near another
 Integrator = "rk4"
-> bad.toml:1:1: Integrator: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
+> bad.toml:1:1: Integrator: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
 
 Top: unknown key abbreviated
 integ = "rk4"
-> bad.toml:1:1: integ: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
+> bad.toml:1:1: integ: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
 
 Top: unknown key without letters
 "" = 1
-> bad.toml:1:1: "": unknown key (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
+> bad.toml:1:1: "": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
 
 Top: unknown key that is long
 aaaaaaaaaabbbbbbbbbbccccccccccddddddddddeeeeeeeeee = 1
-> bad.toml:1:1: aaaaaaaaaabbbbbbbbbbccccccccccdddddddddd…: unknown key (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
+> bad.toml:1:1: aaaaaaaaaabbbbbbbbbbccccccccccdddddddddd…: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
 
 Top: key of another table
 alpha = 100
-> bad.toml:1:1: alpha: unknown key; "alpha" belongs in [influence] (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
+> bad.toml:1:1: alpha: unknown key; "alpha" belongs in [influence] or in a [[pair]] (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
 
 Top: key of several tables
 response = "rigid"
-> bad.toml:1:1: response: unknown key; "response" belongs in [material] or in a [[body]] (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
+> bad.toml:1:1: response: unknown key; "response" belongs in [material] or in a [[body]] or in a [[grid]] (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
 
 Top: unknown table
 matrial.omega = 1
-> bad.toml:1:1: matrial: unknown key; did you mean "material"? (known keys: name, dt, duration, integrator, tolerance, material, influence, body, push)
+> bad.toml:1:1: matrial: unknown key; did you mean "material"? (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
 
 Top: name is a number
 name = 2
@@ -328,11 +328,11 @@ dampening = 1.5
 
 Influence: influence key misspelled
 aplha = 100
-> bad.toml:3:1: influence.aplha: unknown key; did you mean "alpha"? (known keys: alpha, beta, reach, weight, scaling, merge_at, split_at, core_at, apart)
+> bad.toml:3:1: influence.aplha: unknown key; did you mean "alpha"? (known keys: alpha, beta, reach, weight, scaling, merge_at, split_at, core_at, core_width, apart)
 
 Influence: influence key with a hyphen
 merge-at = 1.05
-> bad.toml:3:1: influence.merge-at: unknown key; did you mean "merge_at"? (known keys: alpha, beta, reach, weight, scaling, merge_at, split_at, core_at, apart)
+> bad.toml:3:1: influence.merge-at: unknown key; did you mean "merge_at"? (known keys: alpha, beta, reach, weight, scaling, merge_at, split_at, core_at, core_width, apart)
 
 Influence: alpha negative
 alpha = -100
@@ -391,11 +391,11 @@ core_at = 1.2
 
 Body: body key misspelled
 raduis = 1
-> bad.toml:3:1: body["ball"].raduis: unknown key; did you mean "radius"? (known keys: name, radius, shape, motion, omega, damping, response)
+> bad.toml:3:1: body["ball"].raduis: unknown key; did you mean "radius"? (known keys: name, radius, shape, motion, mass, group, color, omega, damping, response)
 
 Body: body key of a push
 start = 1
-> bad.toml:3:1: body["ball"].start: unknown key; "start" belongs in a [[push]] (known keys: name, radius, shape, motion, omega, damping, response)
+> bad.toml:3:1: body["ball"].start: unknown key; "start" belongs in a [[push]] (known keys: name, radius, shape, motion, mass, group, color, omega, damping, response)
 
 Body: name with a space
 name = "a b"
@@ -495,19 +495,19 @@ motion = [0, 0, 0]
 
 Body: motion is empty
 motion = {}
-> bad.toml:3:10: body["ball"].motion: expected exactly one of fixed, line, sine, keyframes, found none
+> bad.toml:3:10: body["ball"].motion: expected exactly one of fixed, line, sine, keyframes, free, found none
 
 Body: motion unknown
 motion = { spiral = [0, 0, 0] }
-> bad.toml:3:12: body["ball"].motion.spiral: unknown key (known keys: fixed, line, sine, keyframes)
+> bad.toml:3:12: body["ball"].motion.spiral: unknown key (known keys: fixed, line, sine, keyframes, free)
 
 Body: motion misspelled
 motion = { keyframe = [[0, 0, 0, 0], [1, 0, 0, 0]] }
-> bad.toml:3:12: body["ball"].motion.keyframe: unknown key; did you mean "keyframes"? (known keys: fixed, line, sine, keyframes)
+> bad.toml:3:12: body["ball"].motion.keyframe: unknown key; did you mean "keyframes"? (known keys: fixed, line, sine, keyframes, free)
 
 Body: two motions
 motion = { fixed = [0, 0, 0], line = { from = [0, 0, 0], velocity = [1, 0, 0] } }
-> bad.toml:3:10: body["ball"].motion: expected exactly one of fixed, line, sine, keyframes, found fixed and line
+> bad.toml:3:10: body["ball"].motion: expected exactly one of fixed, line, sine, keyframes, free, found fixed and line
 
 Body: fixed with two numbers
 motion = { fixed = [0, 0] }
@@ -657,6 +657,182 @@ name = "a"
 radius = 1
 motion = { fixed = [0, 0, 0] }
 > bad.toml:2:12: duration: expected at most 1e12 steps of dt (0.001 s), found 1e10; shorten duration or raise dt
+
+Whole: gravity is a number
+gravity = 9.81
+duration = 4
+[[body]]
+name = "a"
+radius = 1
+motion = { fixed = [0, 0, 0] }
+> bad.toml:1:11: gravity: expected an array of 3 numbers [x, y, z], found 9.81
+
+Whole: a free body that responds otherwise
+duration = 4
+[[body]]
+name = "a"
+radius = 1
+response = "world"
+motion = { free = { from = [0, 0, 0] } }
+> bad.toml:5:12: body["a"].response: expected "inertial", the response of every free body, found the string "world"
+
+Whole: a free body among others that respond otherwise
+duration = 4
+material = { response = "rigid" }
+[[body]]
+name = "a"
+radius = 1
+motion = { free = { from = [0, 0, 0] } }
+> bad.toml:6:19: body["a"].motion.free: expected a body whose response is "inertial", found another one in [material] (give the body response = "inertial", the response of every free body)
+
+Whole: a free body that turns somehow
+duration = 4
+[[body]]
+name = "a"
+radius = 1
+motion = { free = { from = [0, 0, 0], rotation = "some" } }
+> bad.toml:5:50: body["a"].motion.free.rotation: expected "free" or "fixed", found the string "some"
+
+Body: no mass
+mass = 0
+> bad.toml:3:8: body["ball"].mass: expected a number between 1e-12 and 1e15, found 0
+
+Body: a color by name
+color = "red"
+> bad.toml:3:9: body["ball"].color: expected a color "#rrggbb", found the string "red"
+
+Body: a group named like a body
+group = "ball"
+> bad.toml:3:9: body["ball"].group: expected a name that no body has (the body at line 2 has this one), found the string "ball"
+
+Whole: a path that jumps, beside a plane
+duration = 4
+[[body]]
+name = "a"
+radius = 1
+motion = { keyframes = { keys = [[0, 0, 0, 0], [1, 1, 0, 0]], interpolation = "linear" } }
+[[plane]]
+normal = [0, 0, 1]
+> bad.toml:5:10: body["a"].motion: expected a path without jumps, in a scene with free bodies, planes or a core_width (leave interpolation at "spline"; with response = "rigid", "linear" is possible, too)
+
+Whole: an interpolation that does not exist
+duration = 4
+[[body]]
+name = "a"
+radius = 1
+motion = { keyframes = { keys = [[0, 0, 0, 0], [1, 1, 0, 0]], interpolation = "cubic" } }
+> bad.toml:5:79: body["a"].motion.keyframes.interpolation: expected "spline", "linear" or "hold", found the string "cubic"
+
+Whole: keyframes without keys
+duration = 4
+[[body]]
+name = "a"
+radius = 1
+motion = { keyframes = { interpolation = "hold" } }
+> bad.toml:5:24: body["a"].motion.keyframes.keys: missing, expected an array of two or more keys [t, x, y, z]
+
+Whole: a plane without a direction
+duration = 4
+plane = [{ normal = [0, 0, 0] }]
+[[body]]
+name = "a"
+radius = 1
+motion = { fixed = [0, 0, 0] }
+> bad.toml:2:21: plane[0].normal: expected a direction, found the zero vector
+
+Whole: a core without a rim
+duration = 4
+influence = { core_width = 0.1 }
+[[body]]
+name = "a"
+radius = 1
+motion = { fixed = [0, 0, 0] }
+> bad.toml:2:28: influence.core_width: expected 0 where there is no core, found 0.1 (give core_at, too)
+
+Whole: a pair of one body
+duration = 4
+[[body]]
+name = "a"
+radius = 1
+motion = { fixed = [0, 0, 0] }
+[[pair]]
+bodies = ["a", "a"]
+> bad.toml:7:10: pair[0].bodies: expected two bodies, found one twice (name the body and another one)
+
+Whole: a pair with nobody
+duration = 4
+[[body]]
+name = "ball"
+group = "balls"
+radius = 1
+motion = { fixed = [0, 0, 0] }
+[[pair]]
+bodies = ["balls", "bell"]
+> bad.toml:8:20: pair[0].bodies[1]: expected the name of a body or a group, found the string "bell"; did you mean "ball"? (bodies: balls, ball)
+
+Whole: a pair that splits before it merges
+duration = 4
+[influence]
+split_at = 1.2
+[[body]]
+name = "a"
+group = "g"
+radius = 1
+motion = { fixed = [0, 0, 0] }
+[[pair]]
+bodies = ["a", "g"]
+merge_at = 1.3
+> bad.toml:11:12: pair[0].merge_at: expected a number of at most split_at (1.2 by default), found 1.3 (give split_at, too)
+
+Whole: two laws for a pair
+duration = 4
+[[grid]]
+name = "a"
+group = "g"
+count = [2, 1, 1]
+spacing = [3, 0, 0]
+radius = 1
+motion = { fixed = [0, 0, 0] }
+[[pair]]
+bodies = ["g", "g"]
+alpha = 50
+[[pair]]
+bodies = ["a-0-0-0", "a-1-0-0"]
+> bad.toml:13:10: pair[1].bodies: expected pairs that have no law yet, found some of the [[pair]] at line 9 (each pair of bodies can have one [[pair]]: join the two, or divide the groups)
+
+Whole: a grid of too many
+duration = 4
+[[grid]]
+name = "a"
+count = [1000, 1000, 2]
+spacing = [3, 3, 3]
+radius = 1
+motion = { fixed = [0, 0, 0] }
+> bad.toml:4:9: grid["a"].count: expected at most 1000000 bodies, or keys of their paths, of all grids together, found 1000 × 1000 × 2 bodies
+
+Whole: a grid of none
+duration = 4
+[[grid]]
+name = "a"
+count = [1, 0, 2]
+spacing = [3, 3, 3]
+radius = 1
+motion = { fixed = [0, 0, 0] }
+> bad.toml:4:13: grid["a"].count[1]: expected an integer from 1 to 1000000, found 0
+
+Whole: a grid with a body's name
+duration = 4
+[[body]]
+name = "a-1-0-0"
+radius = 1
+motion = { fixed = [0, 0, 0] }
+[[grid]]
+name = "a"
+count = [2, 1, 1]
+spacing = [3, 3, 3]
+radius = 1
+motion = { fixed = [0, 0, 0] }
+> bad.toml:7:8: grid["a"].name: expected a name that no other body has (the body at line 3 has this one), found the string "a"
 "##;
 
 /// More cases, which are easier to read escaped: part, lines, message.

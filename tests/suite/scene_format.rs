@@ -7,7 +7,7 @@ use meldscope::Scene;
 use meldscope::geometry::{Shape, Sphere};
 use meldscope::model::influence::{Scaling, Weight};
 use meldscope::scene::path::{Path, Spline};
-use meldscope::scene::{Body, Integrator, Material, Response};
+use meldscope::scene::{Body, Integrator, Material, Motion, Plane, Response, Rotation};
 use proptest::prelude::*;
 
 /// Scenes with known solutions: name, file.
@@ -109,29 +109,37 @@ pub fn assert_valid(scene: &Scene) {
         assert!((1..=64).contains(&body.name.len()) && body.name.chars().all(plain), "{:?}", body.name);
         assert!(scene.bodies[..i].iter().all(|other| other.name != body.name), "two bodies {:?}", body.name);
         assert!(positive(body.radius) && non_negative(body.material.omega) && non_negative(body.material.damping));
-        let Shape::Sphere(Sphere { stacks, slices }) = body.shape;
-        assert!((2..=65_535).contains(&stacks) && (3..=65_535).contains(&slices));
+        #[allow(irrefutable_let_patterns)]
+        if let Shape::Sphere(Sphere { stacks, slices }) = body.shape {
+            assert!((2..=65_535).contains(&stacks) && (3..=65_535).contains(&slices));
+        }
         assert!(body.shape.vertex_count() <= u64::from(u32::MAX));
-        match body.path().expect("a path") {
+        assert!(positive(body.mass));
+        let path = match &body.motion {
+            Motion::Prescribed(path) => path,
+            Motion::Free(free) => {
+                assert!(vector(free.from) && vector(free.velocity) && vector(free.spin));
+                assert_eq!(body.material.response, Response::Inertial);
+                continue;
+            }
+        };
+        match path {
             Path::Fixed(position) => assert!(vector(*position)),
             Path::Line { from, velocity } => assert!(vector(*from) && vector(*velocity)),
             Path::Sine { center, amplitude, frequency, phase } => {
                 assert!(vector(*center) && vector(*amplitude) && non_negative(*frequency) && finite(*phase));
             }
             Path::Keyframes(_) => {
-                assert!(
-                    body.path().expect("a path").knots().len() >= 2
-                        && body.path().expect("a path").knots().iter().copied().all(finite)
-                );
-                assert!(body.path().expect("a path").knots().is_sorted_by(|a, b| a < b));
+                assert!(path.knots().len() >= 2 && path.knots().iter().copied().all(finite));
+                assert!(path.knots().is_sorted_by(|a, b| a < b));
             }
         }
-        let knots = body.path().expect("a path").knots().iter().copied();
+        let knots = path.knots().iter().copied();
         for t in [0.0, scene.dt, 0.3 * scene.duration, scene.duration].into_iter().chain(knots) {
-            let at = body.path().expect("a path").at(t);
+            let at = path.at(t);
             assert!(at.position.is_finite() && at.velocity.is_finite() && at.acceleration.is_finite(), "{t}: {at:?}");
         }
-        let bounds = body.path().expect("a path").bounds(0.0, scene.duration);
+        let bounds = path.bounds(0.0, scene.duration);
         assert!(bounds.speed.is_finite() && bounds.acceleration.is_finite());
     }
     for push in &scene.pushes {
@@ -142,6 +150,63 @@ pub fn assert_valid(scene: &Scene) {
 }
 
 // --- the file ---
+
+#[test]
+fn free_bodies_planes_and_laws_of_pairs_can_be_said() {
+    let file = "duration = 1\ngravity = [0, 0, -9.81]\n[influence]\ncore_at = 0.4\ncore_width = 0.1\n\
+                [[body]]\nname = \"a\"\nradius = 2\ngroup = \"left\"\ncolor = \"#fF8000\"\nmotion.free.from = [0, 0, 3]\n\
+                [[body]]\nname = \"b\"\nradius = 2\nmass = 5\nmotion = { free = { from = [0, 1, 3], velocity = [1, 0, 0], spin \
+                = [0, 0, 2], rotation = \"fixed\" } }\n[[body]]\nname = \"c\"\nradius = 1\ngroup = \"left\"\nmotion = { fixed = \
+                [9, 0, 0] }\n[[plane]]\nnormal = [0, 0, 2]\n[[pair]]\nbodies = [\"left\", \"b\"]\nmerge_at = 0.9\ncore_at = 0\n";
+    let scene = scene(file);
+    assert!(scene.is_coupled());
+    assert_eq!(scene.gravity, dvec3(0.0, 0.0, -9.81));
+    let plane = Plane { normal: DVec3::Z, offset: 0.0, stiffness: 4000.0, friction: 0.0, slip: 0.01 };
+    assert_eq!(scene.planes, [plane]);
+    let [a, b, c] = &scene.bodies[..] else { panic!("three bodies") };
+    assert_eq!((a.mass, b.mass, c.mass), (8.0, 5.0, 1.0));
+    assert_eq!((a.color, a.group.as_deref(), b.group.as_deref()), (Some([0xff, 0x80, 0]), Some("left"), None));
+    let (Motion::Free(a), Motion::Free(b)) = (&a.motion, &b.motion) else { panic!("two free bodies") };
+    assert_eq!(
+        (a.from, a.velocity, a.spin, a.rotation),
+        (dvec3(0.0, 0.0, 3.0), DVec3::ZERO, DVec3::ZERO, Rotation::Free)
+    );
+    assert_eq!((b.velocity, b.spin, b.rotation), (DVec3::X, 2.0 * DVec3::Z, Rotation::Fixed));
+    for (x, y) in [(0, 1), (1, 0), (1, 2)] {
+        let law = scene.law(x, y);
+        let thresholds = law.thresholds;
+        assert_eq!((thresholds.merge_at, thresholds.split_at, thresholds.core_at), (0.9, 1.15, 0.0));
+        assert_eq!((law.alpha, law.core_width), (100.0, 0.0));
+    }
+    assert_eq!((scene.law(0, 2).thresholds.core_at, scene.law(0, 2).core_width), (0.4, 0.1));
+}
+
+#[test]
+fn a_grid_is_many_bodies() {
+    let grid = |more: &str| {
+        scene(&format!(
+            "duration = 1\n[[body]]\nname = \"a\"\nradius = 1\nmotion = {{ fixed = [0, 0, 0] }}\n[[grid]]\nname = \"drop\"\ncount \
+             = [2, 3, 2]\nspacing = [2, 3, -4]\nradius = 0.5\nomega = 9\nmotion = {{ line = {{ from = [1, 1, 1], velocity = [1, 0, \
+             0] }} }}\n{more}"
+        ))
+    };
+    let plain = grid("");
+    assert_eq!(plain.bodies.len(), 13);
+    let names: Vec<&str> = plain.bodies.iter().map(|body| body.name.as_str()).collect();
+    assert_eq!(names[..4], ["a", "drop-0-0-0", "drop-1-0-0", "drop-0-1-0"]);
+    assert_eq!(names[12], "drop-1-2-1");
+    assert_eq!(plain.bodies[12].path().unwrap().position(2.0), dvec3(1.0 + 2.0 + 2.0, 1.0 + 6.0, 1.0 - 4.0));
+    assert!(plain.bodies[1..].iter().all(|body| (body.radius, body.material.omega) == (0.5, 9.0)));
+
+    let places = |scene: &Scene| -> Vec<DVec3> {
+        scene.bodies[1..].iter().map(|body| body.path().unwrap().position(0.0)).collect()
+    };
+    let (exact, moved) = (places(&plain), places(&grid("jitter = 0.25\nseed = 7\n")));
+    assert_eq!(moved, places(&grid("jitter = 0.25\nseed = 7\n")));
+    assert_ne!(moved, places(&grid("jitter = 0.25\nseed = 8\n")));
+    let apart: Vec<DVec3> = exact.iter().zip(&moved).map(|(a, b)| (*b - *a).abs()).collect();
+    assert!(apart.iter().all(|by| by.max_element() <= 0.25) && apart.iter().any(|by| by.max_element() > 0.2));
+}
 
 #[test]
 fn what_is_not_said_has_a_default() {

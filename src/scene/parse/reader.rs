@@ -239,6 +239,11 @@ impl<'a> Value<'a> {
         }
     }
 
+    /// Whether this value is a table.
+    pub fn is_table(&self) -> bool {
+        self.value.is_table()
+    }
+
     /// The string, if this value is one.
     pub fn text(&self) -> Option<&'a str> {
         self.value.as_str()

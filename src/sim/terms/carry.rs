@@ -6,11 +6,24 @@ use glam::DVec3;
 
 use super::{Cause, On, Term};
 use crate::{
-    scene::{Path, Response, Scene, path::Kinematics},
-    sim::{span::Span, state::State, track::Track},
+    scene::{
+        Path, Response, Scene,
+        path::{Bounds, Kinematics},
+    },
+    sim::{span::Span, state::State, track::Track, tracks::Tracks},
 };
 
 pub struct Carry;
+
+/// By how much the velocities of a body's vertices jump at time `t` because that of its centre does [scene unit/s]: the
+/// vertices stay in motion as they were, unless the body is rigid. A body that jumps from place to place takes its
+/// vertices along. At t = 0 every velocity is zero.
+pub fn kick(scene: &Scene, tracks: &Tracks, index: usize, t: f64) -> DVec3 {
+    match scene.bodies[index].material.response {
+        Response::Inertial | Response::World if t > 0.0 => -tracks.track(index).kick(t),
+        _ => DVec3::ZERO,
+    }
+}
 
 impl Term for Carry {
     fn uniform(scene: &Scene, index: usize, motion: &Kinematics) -> Option<(Cause, DVec3)> {
@@ -23,13 +36,17 @@ impl Term for Carry {
         (carry != DVec3::ZERO).then_some((Cause::Carry, -carry))
     }
 
-    fn own_bound<P>(on: &On<'_, P>, _: Span) -> f64 {
+    fn own_bound<P>(on: &On<'_, P>, span: Span) -> f64 {
         let material = &on.scene.bodies[on.index as usize].material;
-        on.tracks.bounds(on.index as usize).map_or(0.0, |motion| match material.response {
+        let Some(mover) = on.tracks.of(on.index as usize) else { return 0.0 };
+        let Bounds { speed, acceleration } = mover.bounds;
+        // a jump of the velocity, spread over the step, changes that of a vertex by as much
+        let kicked = || if mover.kicks > 0.0 { acceleration + mover.kicks / span.length() } else { acceleration };
+        match material.response {
             Response::Rigid => 0.0,
-            Response::Inertial => motion.acceleration,
-            Response::World => motion.acceleration + 2.0 * material.damping * motion.speed,
-        })
+            Response::Inertial => kicked(),
+            Response::World => kicked() + 2.0 * material.damping * speed,
+        }
     }
 }
 

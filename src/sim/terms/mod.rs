@@ -6,7 +6,7 @@
 //! Everything that sums what acts on a body (integrators, motion bounds, arrows, energy, the stages of a step) uses the
 //! table below. A new term is a file beside this one and its line there.
 
-mod carry;
+pub(super) mod carry;
 mod free;
 pub(super) mod oscillator;
 mod push;

@@ -80,7 +80,7 @@ impl Course<'_> {
 
     /// The frame of a body.
     pub fn track(&self, body: usize) -> Track<'_> {
-        self.tracks.track(body)
+        self.tracks.track(body).between(self.start, self.end())
     }
 
     /// The frame that a sphere's centre is of.

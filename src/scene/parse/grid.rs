@@ -1,0 +1,87 @@
+//! `[[grid]]`: many bodies of one description.
+
+use glam::DVec3;
+
+use super::{
+    ANY, Body, Integer, Material, NON_NEGATIVE, SceneError, Table, Value, Vector, is_body_name, reader::Kind as _,
+};
+use crate::scene::{Motion, Path};
+
+/// The most bodies that the grids of a scene have together, and the most keys of paths.
+const MOST: u64 = 1_000_000;
+const COUNT: &str = "an array of 3 integers of at least 1 [nx, ny, nz]";
+
+/// Appends the bodies of these tables, and of each the table that it is from.
+pub(super) fn read<'t, 's>(
+    tables: &'t [Table<'s>],
+    material: Material,
+    bodies: &mut Vec<Body>,
+    from: &mut Vec<&'t Table<'s>>,
+) -> Result<(), SceneError> {
+    let mut room = MOST;
+    for table in tables {
+        let first = super::read_body(table, material)?;
+        let value = table.present("count", COUNT)?;
+        let counts = read_count(&value)?;
+        let keys = match &first.motion {
+            Motion::Prescribed(Path::Keyframes(spline)) => spline.key_count() as u64,
+            _ => 1,
+        };
+        let all = counts.iter().fold(keys, |all, &count| all.saturating_mul(u64::from(count)));
+        room = room.checked_sub(all).ok_or_else(|| {
+            let [x, y, z] = counts;
+            let of_keys = if keys > 1 { format!(", each with {keys} keys") } else { String::new() };
+            value.error(format!(
+                "expected at most {MOST} bodies, or keys of their paths, of all grids together, found {x} × {y} × {z} \
+                 bodies{of_keys}"
+            ))
+        })?;
+        let spacing = table.required("spacing", Vector(ANY))?;
+        let jitter = table.optional("jitter", NON_NEGATIVE)?.unwrap_or(0.0);
+        let seed = table.optional("seed", Integer { min: 0, max: u32::MAX })?.unwrap_or(0);
+        let name = |[x, y, z]: [u32; 3]| format!("{}-{x}-{y}-{z}", first.name);
+        let last = name(counts.map(|count| count - 1));
+        if !is_body_name(&last) {
+            let message =
+                format!("expected a name that leaves room for the places in the grid, found one that makes \"{last}\"");
+            return Err(table.error("name", message).with_help("names have at most 64 characters"));
+        }
+        let mut random = Random(u64::from(seed));
+        for z in 0..counts[2] {
+            for y in 0..counts[1] {
+                for x in 0..counts[0] {
+                    let place = DVec3::new(f64::from(x), f64::from(y), f64::from(z)) * spacing;
+                    let jittered = DVec3::from_array(std::array::from_fn(|_| random.next_signed()));
+                    let motion = first.motion.moved_by(place + jitter * jittered);
+                    bodies.push(Body { name: name([x, y, z]), motion, ..first.clone() });
+                    from.push(table);
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+fn read_count(value: &Value<'_>) -> Result<[u32; 3], SceneError> {
+    let items = value.items().filter(|items| items.len() == 3).ok_or_else(|| value.unexpected(COUNT))?;
+    let mut counts = [0; 3];
+    for (count, item) in counts.iter_mut().zip(items) {
+        *count = Integer { min: 1, max: MOST as u32 }.read(&item)?;
+    }
+    Ok(counts)
+}
+
+/// SplitMix64 (Steele, Lea, Flood: Fast Splittable Pseudorandom Number Generators, 2014).
+struct Random(u64);
+
+impl Random {
+    /// A number in [−1, 1).
+    fn next_signed(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^= z >> 31;
+        (z >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    }
+}
