@@ -320,6 +320,8 @@ fn simulate(
     let settings = settings(arguments, &schema);
     // a viewer would append a run with the id of an earlier one to that recording
     let number = changes.as_mut().map_or(0, |changes| changes.next_run());
+    let warnings: Vec<String> = schema.warnings.iter().map(|warning| format!("warning: {warning}")).collect();
+    console.notes(&warnings);
     let mut recorder = Recorder::numbered(&*simulation, settings.clone(), number);
     // what a replay needs is written first: the run may be killed at any moment
     let mut first = recorder.take();

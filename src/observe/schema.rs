@@ -44,6 +44,8 @@ pub struct Schema {
     pub scalars: Vec<ScalarSchema>,
     /// Stages of a step whose duration is measured, in order.
     pub stages: Vec<&'static str>,
+    /// What is odd about the scene, a sentence each.
+    pub warnings: Vec<String>,
 }
 
 /// A body of a simulation.
@@ -173,6 +175,7 @@ impl Default for Schema {
             own_levels: OwnLevels::default(),
             scalars: Vec::new(),
             stages: Vec::new(),
+            warnings: Vec::new(),
         }
     }
 }

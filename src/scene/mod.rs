@@ -95,6 +95,7 @@ pub mod builtin;
 pub mod pairs;
 pub mod parse;
 pub mod path;
+mod warnings;
 
 use std::fmt;
 

@@ -357,6 +357,7 @@ fn schema(scene: &Scene, options: Options) -> Schema {
             })
             .collect(),
         stages: Stage::ALL.map(Stage::name).into(),
+        warnings: scene.warnings(),
     }
 }
 

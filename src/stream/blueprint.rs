@@ -634,6 +634,8 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
         schema.dt,
         schema.law,
     );
+    let warnings = schema.warnings.iter().map(|warning| format!("**Warning**: {warning}.  \n"));
+    let head = head + &warnings.collect::<String>();
     if settings.frames == Frames::Thin {
         return head;
     }

@@ -1,0 +1,72 @@
+//! Thresholds that are valid, but that nobody can have meant.
+
+use super::Scene;
+
+/// At most this many bodies are compared with each other.
+const MOST_BODIES: usize = 64;
+
+/// How far below or beyond a limit a threshold is noticed, relative to it.
+const MARGIN: f64 = 1e-9;
+
+impl Scene {
+    /// Thresholds that have no effect at their level, in words, with the number that would make sense: a `merge_at` at
+    /// which no sphere reaches the other body, a `split_at` at which the rest shapes still overlap.
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = [Vec::new(), Vec::new()];
+        for b in 0..self.bodies.len().min(MOST_BODIES) {
+            for a in 0..b {
+                let (law, pair) = (self.law(a, b), format!("{}~{}", self.bodies[a].name, self.bodies[b].name));
+                let (merge_at, split_at) = (law.thresholds.merge_at, law.thresholds.split_at);
+                let [one, other] = [a, b].map(|body| self.bodies[body].radius);
+                let reached = |source: f64, other: f64| self.influence.sphere_radius(source) + other;
+                let reach = f64::max(reached(one, other), reached(other, one)) / (one + other);
+                if merge_at > reach * (1.0 + MARGIN) {
+                    warnings[0].push(format!(
+                        "merge_at = {merge_at} is out of reach: at q = {merge_at} neither sphere of {pair} reaches the other \
+                         body, so merging changes nothing before q = {reach:.3}; a merge_at below that does"
+                    ));
+                }
+                if split_at < 1.0 - MARGIN {
+                    warnings[1].push(format!(
+                        "split_at = {split_at} is inside the bodies: {pair} split while their rest shapes overlap; they \
+                         touch at q = 1, so a split_at above 1 separates them"
+                    ));
+                }
+            }
+        }
+        warnings.into_iter().filter_map(summary).collect()
+    }
+}
+
+/// The first of some warnings, and how many more there are.
+fn summary(all: Vec<String>) -> Option<String> {
+    let more = all.len().saturating_sub(1);
+    let first = all.into_iter().next()?;
+    Some(match more {
+        0 => first,
+        1 => format!("{first} (so does one more pair's)"),
+        _ => format!("{first} (so do those of {more} more pairs)"),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::Scene;
+
+    fn warnings(influence: &str) -> Vec<String> {
+        let body = |name: &str, x: f64| {
+            format!("[[body]]\nname = '{name}'\nradius = 1.0\nmotion = {{ fixed = [{x}, 0, 0] }}\n")
+        };
+        let text = format!("duration = 1.0\n[influence]\n{influence}\n{}{}", body("a", 0.0), body("b", 4.0));
+        Scene::parse(&text, "warned.toml").unwrap().warnings()
+    }
+
+    #[test]
+    fn a_threshold_out_of_reach_is_named_with_one_that_makes_sense() {
+        let found = warnings("merge_at = 3.0\nsplit_at = 3.1");
+        assert!(found.len() == 1 && found[0].contains("merge_at = 3 ") && found[0].contains("1.207"), "{found:?}");
+        let found = warnings("merge_at = 0.8\nsplit_at = 0.9");
+        assert!(found.len() == 1 && found[0].contains("split_at = 0.9 "), "{found:?}");
+        assert_eq!(warnings(""), [""; 0]);
+    }
+}
