@@ -37,6 +37,16 @@ impl PairLaw {
         is_gradual.then_some(CoreRim { alpha, beta, core_at: thresholds.core_at, width })
     }
 
+    /// Whether the strength does not jump where one phase follows the other.
+    pub fn is_gradual(&self, from: Phase, to: Phase) -> bool {
+        self.rim(from).is_some() && self.rim(to).is_some()
+    }
+
+    /// The q at which a pair in this phase enters or leaves its core without a jump of the strength [–].
+    pub fn gradual_level(&self, phase: Phase) -> Option<f64> {
+        self.rim(phase).map(|rim| rim.core_at).filter(|&level| level > 0.0)
+    }
+
     /// The strength between bodies of equal size at distance `q` [1/s²].
     pub fn strength(&self, phase: Phase, q: f64) -> f64 {
         match (self.rim(phase), phase) {

@@ -103,6 +103,12 @@ impl Course {
         split(&self.0, theta).0[7]
     }
 
+    /// The rate at `theta`, per step length.
+    pub fn rate_at(&self, theta: f64) -> f64 {
+        let (left, right) = split(&self.0, theta);
+        if theta > 0.5 { 7.0 * (left[7] - left[6]) / theta } else { 7.0 * (right[1] - right[0]) / (1.0 - theta) }
+    }
+
     /// The sign changes. A quantity that starts at zero has the sign that it takes immediately afterwards.
     pub fn crossings(&self) -> Crossings {
         let mut found = Crossings::default();

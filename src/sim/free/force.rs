@@ -65,6 +65,7 @@ pub(super) struct Seen {
 
 impl Contact<'_> {
     /// Depth, positive where the contact acts, and its rate [1/s].
+    #[inline(always)]
     pub(super) fn depth(&self, look: usize, seen: &Seen) -> (f64, f64) {
         let Seen { a, s, rate, place, turning } = *seen;
         match self {
@@ -80,6 +81,7 @@ impl Contact<'_> {
     }
 
     /// The acceleration, continued smoothly to where the contact does not act [scene unit/s²].
+    #[inline(always)]
     pub(super) fn acceleration(&self, weight: Weight, look: usize, seen: &Seen) -> DVec3 {
         let Seen { a, s, rate, place, .. } = *seen;
         match self {
@@ -173,10 +175,11 @@ impl Acting {
             let (inner, outer) = ((sphere.radius - band).max(0.0), sphere.radius + band);
             let (inner, outer) = (inner * inner, outer * outer);
             for i in 0..body.x.len() {
-                let squares: [f64; 4] = std::array::from_fn(|look| {
+                let square = |look: usize| {
                     let s = course.frames[look].axes * body.shape.rest[i] + course.vertices[look].x[i];
                     (apart(look) - s).length_squared()
-                });
+                };
+                let squares = [square(0), square(1), square(2), square(3)];
                 let least = squares[0].min(squares[1]).min(squares[2].min(squares[3]));
                 let most = squares[0].max(squares[1]).max(squares[2].max(squares[3]));
                 if least > outer {
@@ -195,10 +198,11 @@ impl Acting {
                 continue;
             }
             for i in 0..body.x.len() {
-                let depths: [f64; 4] = std::array::from_fn(|look| {
+                let depth = |look: usize| {
                     let s = course.frames[look].axes * body.shape.rest[i] + course.vertices[look].x[i];
                     plane.depth(places[look].centre + s)
-                });
+                };
+                let depths = [depth(0), depth(1), depth(2), depth(3)];
                 if depths.iter().all(|&d| d < -band) {
                     continue;
                 }
@@ -270,10 +274,12 @@ impl View<'_> {
         reaction: Option<&mut Reaction>,
     ) {
         let View { body, field, span, places, first } = *self;
-        let seen: [Seen; 4] = std::array::from_fn(|look| see(body, course, places, look, i));
+        let see = |look: usize| see(body, course, places, look, i);
+        let seen = [see(0), see(1), see(2), see(3)];
         let (mut starts_inside, mut polynomial) = (true, None);
         if !inside {
-            let depths: [(f64, f64); 4] = std::array::from_fn(|look| contact.depth(look, &seen[look]));
+            let depth = |look: usize| contact.depth(look, &seen[look]);
+            let depths = [depth(0), depth(1), depth(2), depth(3)];
             let (values, rates) = (depths.map(|d| d.0), depths.map(|d| span.h * d.1));
             starts_inside = values[0] > 0.0 || (values[0] == 0.0 && rates[0] > 0.0);
             let fastest = rates.iter().fold(0.0, |m: f64, r| m.max(r.abs()));
@@ -289,7 +295,8 @@ impl View<'_> {
             return;
         }
         let mass = body.shape.masses[i];
-        let mut g: [DVec3; 4] = std::array::from_fn(|look| contact.acceleration(field.weight, look, &seen[look]));
+        let pull = |look: usize| contact.acceleration(field.weight, look, &seen[look]);
+        let mut g = [pull(0), pull(1), pull(2), pull(3)];
         let held = |contact: u32, g| Held { contact, vertex: i as u32, g, starts_inside, crossings: toggles };
         if let Contact::Push(number, _) = contact {
             course.pushed.push(held(number, g));
@@ -366,7 +373,7 @@ fn finish(body: &Body, course: &mut Course, look: usize) {
 }
 
 /// The state of a vertex at a sample.
-#[inline]
+#[inline(always)]
 fn see(body: &Body, course: &Course, places: &[Place; 5], look: usize, i: usize) -> Seen {
     let frame = &course.frames[look];
     let a = frame.axes * body.shape.rest[i];

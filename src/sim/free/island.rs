@@ -31,6 +31,9 @@ const SETTLED: f64 = 2.5e-3;
 const STANDING: f64 = 1e-12;
 /// Largest ratio of a step's length to that of the previous step.
 const MOST_GROWTH: f64 = 4.0;
+/// Steps of islands with more bodies than this do not end where a gradual change of strength begins or ends: it is smooth
+/// enough for the error estimate, and others would have to wait for it.
+const MOST_WAITING: usize = 8;
 /// Largest rotation of a body's frame in a step [rad].
 const MOST_TURN: f64 = 1.0;
 
@@ -314,6 +317,7 @@ impl Island {
             report.error += outcome.estimate;
 
             let crossing = self.first_crossing(scratch, h);
+            let start = self.time;
             if let Some(crossing) = crossing {
                 next = self.end_at(scratch, next, crossing, paths, work, report);
                 if work.is_over() {
@@ -321,12 +325,14 @@ impl Island {
                 }
                 if next > self.time {
                     self.commit(scratch, next, report);
+                    self.pass_gradually(scratch, start, report)?;
                 }
                 if let Some(to) = crossing.to {
                     self.change(crossing.pair, to, scratch, report)?;
                 }
             } else {
                 self.commit(scratch, next, report);
+                self.pass_gradually(scratch, start, report)?;
             }
         }
         Ok(())
@@ -512,37 +518,77 @@ impl Island {
         worst
     }
 
-    /// The levels of q at which a pair changes: whether the crossing must fall, rise or either, and the new phase if
-    /// any.
-    fn levels(pair: &Pair) -> impl Iterator<Item = (f64, Option<bool>, Option<Phase>)> {
-        let ends = pair.law.rim(pair.phase).into_iter().flat_map(|rim| rim.ends());
-        let ends = ends.filter(|&level| level > 0.0).map(|level| (level, None, None));
-        let ways = pair.law.thresholds.transitions(pair.phase);
+    /// The levels of q at which a step ends: whether the crossing must fall, rise or either, and the new phase if any.
+    fn levels(&self, pair: &Pair) -> impl Iterator<Item = (f64, Option<bool>, Option<Phase>)> + use<> {
+        let Pair { phase, law, .. } = *pair;
+        let ends = law.rim(phase).into_iter().flat_map(|rim| rim.ends());
+        let are_waited_for = self.bodies.len() <= MOST_WAITING;
+        let ends = ends.filter(move |&level| level > 0.0 && are_waited_for).map(|level| (level, None, None));
+        let ways = law.thresholds.transitions(phase).filter(move |way| !law.is_gradual(phase, way.to));
         ways.map(|way| (way.level, Some(way.falling), Some(way.to))).chain(ends)
+    }
+
+    /// Where a pair's distance passes a level in the step just tried, as a polynomial; `None` if it stays away from it.
+    fn course_of(&self, scratch: &Scratch, pair: &Pair, level: f64, h: f64) -> Option<Polynomial> {
+        let (a, b) = (&scratch.places[pair.a as usize], &scratch.places[pair.b as usize]);
+        let rim = level * (self.bodies[pair.a as usize].radius + self.bodies[pair.b as usize].radius);
+        let distance: [f64; 4] = std::array::from_fn(|node| a[node].centre.distance(b[node].centre));
+        let values = distance.map(|d| (d - rim) * (d + rim));
+        let rates: [f64; 4] = std::array::from_fn(|node| {
+            2.0 * h * (a[node].centre - b[node].centre).dot(a[node].velocity - b[node].velocity)
+        });
+        let fastest = rates.iter().fold(0.0, |m: f64, r| m.max(r.abs()));
+        let alike = values.iter().all(|&v| (v > 0.0) == (values[0] > 0.0));
+        if alike && values.iter().all(|v| v.abs() > fastest) {
+            return None;
+        }
+        let polynomial = Polynomial::new(&values, &rates);
+        let stands = (distance[0] - rim).abs() <= STANDING * rim;
+        Some(if stands { polynomial.starting_at_zero() } else { polynomial })
+    }
+
+    /// Changes the phases of pairs that passed a threshold in the step from `start` to now at which their strength does
+    /// not jump: nothing has to end there.
+    fn pass_gradually(&mut self, scratch: &mut Scratch, start: f64, report: &mut Report) -> Result<(), Failure> {
+        let h = self.time - start;
+        let first = report.changes.len();
+        for index in 0..self.pairs.len() {
+            let pair = self.pairs[index];
+            let radii = self.bodies[pair.a as usize].radius + self.bodies[pair.b as usize].radius;
+            let Some(level) = pair.law.gradual_level(pair.phase) else { continue };
+            let Some(course) = self.course_of(scratch, &pair, level, h) else { continue };
+            let mut positive = course.starts_positive();
+            for &theta in course.crossings().as_slice() {
+                let phase = self.pairs[index].phase;
+                let passed = pair.law.thresholds.transitions(phase).find(|way| way.level == level);
+                let rate = course.rate_at(theta) / (2.0 * h * level * radii * radii);
+                if let Some(way) = passed.filter(|way| way.falling == positive) {
+                    let time = start + theta * h;
+                    report.changes.push(Change {
+                        time,
+                        pair: index,
+                        q: level,
+                        rate,
+                        from: phase,
+                        to: way.to,
+                        energy: 0.0,
+                    });
+                    self.pairs[index].phase = way.to;
+                    self.count(index, time, scratch)?;
+                }
+                positive = !positive;
+            }
+        }
+        report.changes[first..].sort_by(|one, other| one.time.total_cmp(&other.time));
+        Ok(())
     }
 
     /// The first instant of the step just tried at which a pair changes.
     fn first_crossing(&self, scratch: &Scratch, h: f64) -> Option<Crossing> {
         let mut first: Option<Crossing> = None;
         for (index, pair) in self.pairs.iter().enumerate() {
-            let (a, b) = (&scratch.places[pair.a as usize], &scratch.places[pair.b as usize]);
-            let radii = self.bodies[pair.a as usize].radius + self.bodies[pair.b as usize].radius;
-            for (level, falling, to) in Island::levels(pair) {
-                let rim = level * radii;
-                let distance: [f64; 4] = std::array::from_fn(|node| a[node].centre.distance(b[node].centre));
-                let values = distance.map(|d| (d - rim) * (d + rim));
-                let rates: [f64; 4] = std::array::from_fn(|node| {
-                    2.0 * h * (a[node].centre - b[node].centre).dot(a[node].velocity - b[node].velocity)
-                });
-                let fastest = rates.iter().fold(0.0, |m: f64, r| m.max(r.abs()));
-                let alike = values.iter().all(|&v| (v > 0.0) == (values[0] > 0.0));
-                if alike && values.iter().all(|v| v.abs() > fastest) {
-                    continue;
-                }
-                let mut polynomial = Polynomial::new(&values, &rates);
-                if (distance[0] - rim).abs() <= STANDING * rim {
-                    polynomial = polynomial.starting_at_zero();
-                }
+            for (level, falling, to) in self.levels(pair) {
+                let Some(polynomial) = self.course_of(scratch, pair, level, h) else { continue };
                 let mut positive = polynomial.starts_positive();
                 for &theta in polynomial.crossings().as_slice() {
                     if falling.is_none_or(|falling| falling == positive) {
@@ -639,10 +685,13 @@ impl Island {
         report.ledger.events += energy;
         report.changes.push(Change { time: self.time, pair: index, q, rate, from: pair.phase, to, energy });
         self.pairs[index].phase = to;
+        self.count(index, self.time, scratch)
+    }
+
+    /// Counts a change of phase.
+    fn count(&self, index: usize, time: f64, scratch: &mut Scratch) -> Result<(), Failure> {
         scratch.changes[index] += 1;
-        if scratch.changes[index] > MOST_CHANGES {
-            return Err(Failure::Chatter { a: pair.a, b: pair.b, time: self.time });
-        }
-        Ok(())
+        let Pair { a, b, .. } = self.pairs[index];
+        if scratch.changes[index] > MOST_CHANGES { Err(Failure::Chatter { a, b, time }) } else { Ok(()) }
     }
 }

@@ -231,12 +231,12 @@ impl Span {
 }
 
 /// Σ wᵢ vᵢ.
-#[inline]
+#[inline(always)]
 pub fn combine(w: &[f64; 4], v: [DVec3; 4]) -> DVec3 {
     (w[0] * v[0] + w[1] * v[1]) + (w[2] * v[2] + w[3] * v[3])
 }
 
-#[inline]
+#[inline(always)]
 fn combine_matrices(w: &[f64; 4], v: [DMat3; 4]) -> DMat3 {
     (v[0] * w[0] + v[1] * w[1]) + (v[2] * w[2] + v[3] * w[3])
 }
