@@ -16,7 +16,7 @@ use super::{
     may_print, may_save, one_of, print, say, sink_failure,
 };
 use crate::{
-    observe::{Experiment as _, PairEvent, Schema, Simulation, StepFailure, StepSummary},
+    observe::{Experiment as _, PairEvent, Schema, Simulation, StepFailure, StepSummary, SurfaceEvent, touch::Finding},
     recording::existing::{Existing, Kind},
     scene::{Integrator, Scene, builtin},
     sim::{Options, simulation::SceneRun},
@@ -266,6 +266,8 @@ struct Outcome {
 struct Events {
     first: Vec<PairEvent>,
     count: u64,
+    /// What the surfaces are like at the first of them.
+    surfaces: Vec<SurfaceEvent>,
 }
 
 /// A run whose recording is complete and whose destinations are still open.
@@ -353,6 +355,9 @@ fn simulate(
         let due = arguments.realtime.then(|| start + Duration::from_secs_f64(simulation.time().min(1e9)));
         let lag = due.map(|due| Instant::now().saturating_duration_since(due));
         failure = pipeline.observe(&*simulation, lag).err();
+        let is_phase = |event: &SurfaceEvent| matches!(event.what, Finding::Phase { .. });
+        let surfaces = pipeline.surface_events().into_iter().filter(is_phase);
+        events.surfaces.extend(surfaces.take(LISTED_EVENTS.saturating_sub(events.surfaces.len())));
         if let Some(due) = due {
             failure = failure.or(pipeline.hand_over().err());
             wait_until(due, stop);
@@ -575,7 +580,7 @@ fn destinations(arguments: &Arguments, scene: &Scene) -> Destinations {
 /// Prints what the run did, and how to open what it wrote.
 fn summarize(console: &Console, outcome: &Outcome) {
     let Outcome { simulation, schema, settings, finished, frames, events, approaches, seconds } = outcome;
-    let Events { first: events, count: event_count } = events;
+    let Events { first: events, count: event_count, surfaces } = events;
     console.notes(&finished.notes);
     let (bodies, steps) = (schema.bodies.len() as u64, simulation.steps_taken());
     console.print(&format!(
@@ -600,7 +605,10 @@ fn summarize(console: &Console, outcome: &Outcome) {
         let lasted = event.time - begun.insert(pair, event.time).unwrap_or(0.0);
         let (rate, phase) = (event.rate.abs(), schema.phases[event.from].name);
         let line = schema.describe(event);
-        console.print(&format!("  {line}; q {direction} by {rate:.3}/s after {lasted:.3} s {phase}"));
+        let is_it = |found: &&SurfaceEvent| (found.a, found.b, found.time) == (event.a, event.b, event.time);
+        let surfaces = surfaces.iter().find(is_it).and_then(SurfaceEvent::findings);
+        let surfaces = surfaces.map_or(String::new(), |surfaces| format!("; {surfaces}"));
+        console.print(&format!("  {line}; q {direction} by {rate:.3}/s after {lasted:.3} s {phase}{surfaces}"));
     }
     if *event_count > events.len() as u64 {
         let more = thousands(event_count - events.len() as u64);

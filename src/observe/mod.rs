@@ -10,6 +10,7 @@
 //! | how near pairs came that did not change their phase | [`approach`] |
 //! | the largest difference between two states | [`worst`] |
 //! | the merged surface of groups of bodies, and geometric measures of pairs | [`surface`] |
+//! | when surfaces touch and part | [`touch`] |
 //! | colours | [`colors`] |
 //!
 //! The recorder, `replay`, `check` and `diff` depend on nothing else. Nothing here depends on Rerun, on files or on a
@@ -22,11 +23,13 @@ pub mod frame;
 pub mod schema;
 pub mod simulation;
 pub mod surface;
+pub mod touch;
 pub mod worst;
 
 pub use approach::{Approach, Approaches};
 pub use event::{Instant, PairEvent};
 pub use frame::{BodyFrame, Frame, PairFrame, Want};
 pub use schema::Schema;
-pub use simulation::{Experiment, Refusal, Simulation, StageFrame, StepFailure, StepSummary};
+pub use simulation::{Experiment, Refusal, Simulation, StageFrame, StepFailure, StepSummary, between};
+pub use touch::SurfaceEvent;
 pub use worst::Worst;

@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use super::{
     event::{Instant, PairEvent},
-    frame::{Frame, Want},
+    frame::{BodyFrame, Frame, Want},
     schema::Schema,
 };
 
@@ -48,6 +48,15 @@ pub trait Simulation {
         vec![stage("start", before.clone()), stage("end", frame)]
     }
 
+    /// Writes the positions of some bodies' vertices relative to their centres, and the centres, to `frame` (reused), at a
+    /// time within the step that led from `before` to the current state. By default, displacements are cubic in time, and
+    /// centres linear.
+    fn within(&self, before: &Frame, time: f64, bodies: &[usize], frame: &mut Frame) {
+        let mut after = Frame::default();
+        self.observe(Want::default(), &mut after);
+        between(&self.schema(), [before, &after], time, bodies, frame);
+    }
+
     /// Spheres (centre and radius) that a camera should have in view: everything visible in the course of the run, or
     /// only the places where something happens.
     fn framing(&self, only_what_happens: bool) -> Vec<(DVec3, f64)> {
@@ -56,6 +65,37 @@ pub trait Simulation {
         self.observe(Want::default(), &mut frame);
         let bodies = frame.bodies.iter().zip(&schema.bodies);
         bodies.map(|(now, body)| (now.centre, f64::max(body.reach, body.radius))).collect()
+    }
+}
+
+/// The state of some bodies at a time between two frames: displacements as cubics that agree with the velocities, and
+/// centres on lines.
+pub fn between(schema: &Schema, ends: [&Frame; 2], time: f64, bodies: &[usize], frame: &mut Frame) {
+    let length = ends[1].at.time - ends[0].at.time;
+    let z = if length > 0.0 { ((time - ends[0].at.time) / length).clamp(0.0, 1.0) } else { 1.0 };
+    let (value, slope) = ((1.0 - z) * (1.0 - z) * (1.0 + 2.0 * z), z * (1.0 - z) * (1.0 - z) * length);
+    let (next_value, next_slope) = (1.0 - value, -z * z * (1.0 - z) * length);
+    frame.at = Instant { step: ends[1].at.step, time };
+    frame.bodies.resize_with(schema.bodies.len(), BodyFrame::default);
+    for &index in bodies {
+        let [from, to] = ends.map(|end| &end.bodies[index]);
+        let now = &mut frame.bodies[index];
+        now.centre = from.centre.lerp(to.centre, z);
+        now.rotation = from.rotation.slerp(to.rotation, z);
+        if from.is_at_rest && to.is_at_rest {
+            now.rest();
+            continue;
+        }
+        now.displacements.reset(schema.bodies[index].vertex_count());
+        for (factor, vectors) in [
+            (value, &from.displacements),
+            (next_value, &to.displacements),
+            (slope, &from.velocities),
+            (next_slope, &to.velocities),
+        ] {
+            now.displacements.add_times(factor, vectors); // nothing at rest
+        }
+        now.displaced(schema.bodies[index].rest());
     }
 }
 

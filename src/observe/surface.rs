@@ -97,10 +97,37 @@ pub struct PairMeasures {
     pub perimeter: f64,
 }
 
-/// Computes merged surfaces, frame after frame. Keeps what it has computed for bodies that do not move.
-pub struct Merger {
+/// The shapes of a scene's bodies as closed meshes.
+pub struct Closed {
     /// Topology of each body's shape; `None` if the shape is not a closed mesh.
     topologies: Vec<Option<Arc<Topology>>>,
+}
+
+impl Closed {
+    /// The shapes of a simulation's bodies.
+    pub fn new(schema: &Schema) -> Closed {
+        let mut shapes: Vec<(Arc<Mesh>, Option<Arc<Topology>>)> = Vec::new();
+        let topologies = schema.bodies.iter().map(|body| {
+            if let Some((_, topology)) = shapes.iter().find(|(mesh, _)| Arc::ptr_eq(mesh, &body.mesh)) {
+                return topology.clone();
+            }
+            let topology = Topology::new(body.mesh.vertex_count(), body.mesh.triangles()).ok().map(Arc::new);
+            shapes.push((Arc::clone(&body.mesh), topology.clone()));
+            topology
+        });
+        Closed { topologies: topologies.collect() }
+    }
+
+    /// A body with its vertices at these positions [scene unit]; `None` if it is not closed, or where nothing can be
+    /// computed.
+    pub fn body<'a>(&'a self, index: usize, positions: &'a [DVec3]) -> Option<Body<'a>> {
+        Body::new(self.topologies.get(index)?.as_deref()?, positions).ok()
+    }
+}
+
+/// Computes merged surfaces, frame after frame. Keeps what it has computed for bodies that do not move.
+pub struct Merger {
+    closed: Closed,
     bodies: Vec<Placed>,
     /// The groups of the last frame; `None` for those without a surface.
     groups: BTreeMap<Vec<usize>, Option<Arc<Group>>>,
@@ -126,17 +153,8 @@ struct Placed {
 impl Merger {
     /// For the frames of a simulation.
     pub fn new(schema: &Schema) -> Merger {
-        let mut shapes: Vec<(Arc<Mesh>, Option<Arc<Topology>>)> = Vec::new();
-        let topologies = schema.bodies.iter().map(|body| {
-            if let Some((_, topology)) = shapes.iter().find(|(mesh, _)| Arc::ptr_eq(mesh, &body.mesh)) {
-                return topology.clone();
-            }
-            let topology = Topology::new(body.mesh.vertex_count(), body.mesh.triangles()).ok().map(Arc::new);
-            shapes.push((Arc::clone(&body.mesh), topology.clone()));
-            topology
-        });
         Merger {
-            topologies: topologies.collect(),
+            closed: Closed::new(schema),
             bodies: schema.bodies.iter().map(|_| Placed::default()).collect(),
             groups: BTreeMap::new(),
             pairs: BTreeMap::new(),
@@ -153,8 +171,8 @@ impl Merger {
         for &body in groups.iter().flatten().chain(pairs.iter().flatten()) {
             self.place(schema, frame, body);
         }
-        let Merger { topologies, bodies, groups: last_groups, pairs: last_pairs, merged, .. } = self;
-        let scene = Scene { schema, topologies, bodies };
+        let Merger { closed, bodies, groups: last_groups, pairs: last_pairs, merged, .. } = self;
+        let scene = Scene { schema, closed, bodies };
 
         let budget = Budget { work: FRAME_WORK / groups.len().max(1) as u64, time: None };
         let united: Vec<(Option<Arc<Group>>, Option<PairMeasures>)> = for_all(&groups, |group| {
@@ -230,14 +248,14 @@ impl Merger {
 #[derive(Clone, Copy)]
 struct Scene<'a> {
     schema: &'a Schema,
-    topologies: &'a [Option<Arc<Topology>>],
+    closed: &'a Closed,
     bodies: &'a [Placed],
 }
 
 impl<'a> Scene<'a> {
     /// `None` if one of the bodies is not closed, or is where nothing can be computed.
     fn bodies(self, indices: &[usize]) -> Option<Vec<Body<'a>>> {
-        let body = |&index: &usize| Body::new(self.topologies[index].as_deref()?, &self.bodies[index].positions).ok();
+        let body = |&index: &usize| self.closed.body(index, &self.bodies[index].positions);
         indices.iter().map(body).collect()
     }
 

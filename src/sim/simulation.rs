@@ -21,7 +21,7 @@ use crate::{
     },
     observe::{
         BodyFrame, Experiment, Frame, Instant, PairEvent, Refusal, Schema, Simulation, StageFrame, StepFailure,
-        StepSummary, Want,
+        StepSummary, Want, between,
         colors::{self, Rgb},
         schema::{self, BodySchema, OwnLevels, PhaseSchema, ScalarOf, ScalarSchema, TermSchema, Threshold},
     },
@@ -209,6 +209,19 @@ impl Simulation for World {
 
     fn stages(&self, before: &Frame) -> Vec<StageFrame> {
         stages::inside(before, self)
+    }
+
+    fn within(&self, before: &Frame, time: f64, bodies: &[usize], frame: &mut Frame) {
+        let is_coupled = self.scene().is_coupled();
+        if self.scene().integrator == Integrator::Exponential && !is_coupled {
+            return stages::within(before, self, time, bodies, frame);
+        }
+        let mut after = Frame::default();
+        self.observe(Want::default(), &mut after);
+        between(&Simulation::schema(self), [before, &after], time, bodies, frame);
+        for &index in bodies.iter().filter(|_| !is_coupled) {
+            frame.bodies[index].centre = self.track(index).position(time);
+        }
     }
 
     fn framing(&self, only_what_happens: bool) -> Vec<(DVec3, f64)> {

@@ -79,6 +79,27 @@ pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
     stages
 }
 
+/// Writes the state of some bodies at a time within the step that led from `before` to the world as it is, on the same
+/// solution as that of the step. Only for the exponential integrator, on which the others have no dense solution.
+pub fn within(before: &Frame, world: &World, time: f64, bodies: &[usize], frame: &mut Frame) {
+    let again = Again { world, before };
+    let mut breaks = again.breaks();
+    breaks.retain(|&at| at < time);
+    breaks.push(time);
+    frame.at = Instant { step: world.steps_taken(), time };
+    frame.bodies.resize_with(world.body_count(), BodyFrame::default);
+    for &index in bodies {
+        let mut states = again.states_before(index);
+        for ends in breaks.windows(2) {
+            again.advance(index, ends[0], ends[1], &mut states);
+        }
+        let now = &mut frame.bodies[index];
+        now.centre = world.track(index).position(time);
+        (now.displacements, now.velocities) = (states.displacement, states.velocity);
+        now.displaced(again.body(index).rest());
+    }
+}
+
 /// The frame without the forces that do not come from influence spheres.
 fn influence_only(mut frame: Frame) -> Frame {
     let is_influence = |cause: Cause| matches!(cause, Cause::Attraction | Cause::Repulsion | Cause::Core);

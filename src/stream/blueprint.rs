@@ -273,7 +273,7 @@ impl Layout {
         let columns = TextLogColumns::new()
             .with_timeline_columns(Vec::<TimelineColumn>::new())
             .with_text_log_columns([TextLogColumn { kind: TextLogColumnKind::Body, visible: true.into() }]);
-        self.view("TextLog", name, entity, &[&format!("+ {entity}")], &[("TextLogColumns", &columns)])
+        self.view("TextLog", name, entity, &[&format!("+ {entity}/**")], &[("TextLogColumns", &columns)])
     }
 
     /// An overview of everything.

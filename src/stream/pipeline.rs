@@ -22,7 +22,7 @@ use super::{
     sinks::{SinkError, Sinks},
     step::{StepRecord, StepWatch},
 };
-use crate::observe::{Frame, Simulation, StageFrame};
+use crate::observe::{Frame, Simulation, StageFrame, SurfaceEvent};
 
 /// Number of packets: in transit, or being filled.
 const PACKETS: usize = 4;
@@ -47,6 +47,8 @@ pub struct Pipeline {
     handed_over: Clock,
     /// Time spent waiting since the last step.
     waiting: Duration,
+    /// What geometry said of pairs since the last [`Pipeline::surface_events`].
+    surfaces: Vec<SurfaceEvent>,
     full: Option<Sender<Packet>>,
     empty: Receiver<Packet>,
     shared: Arc<Mutex<Shared>>,
@@ -122,6 +124,7 @@ impl Pipeline {
             packet: Packet::default(),
             handed_over: Clock::now(),
             waiting: Duration::ZERO,
+            surfaces: Vec::new(),
             full: Some(full),
             empty,
             shared,
@@ -137,6 +140,7 @@ impl Pipeline {
         let has_frame = self.settings.has_frame(simulation.steps_taken());
         let mut frame = has_frame.then(|| next_of(&mut packet.frames, &mut packet.used));
         self.watch.step(simulation, &self.settings, step, frame.as_deref_mut());
+        self.surfaces.extend_from_slice(&step.surfaces);
         (step.waiting, step.lag) = (take(&mut self.waiting), lag);
         let memory = |stage: &StageFrame| stage.frame.memory();
         packet.bytes += frame.map_or(0, |frame| frame.memory()) + step.stages.iter().map(memory).sum::<usize>();
@@ -161,6 +165,11 @@ impl Pipeline {
             Some(Ok(())) => Ok(()),
             _ => Err(self.lock().failure.clone().unwrap_or_else(broken)),
         }
+    }
+
+    /// What geometry said of pairs since the last call.
+    pub fn surface_events(&mut self) -> Vec<SurfaceEvent> {
+        take(&mut self.surfaces)
     }
 
     /// Notes for the user since the last call.

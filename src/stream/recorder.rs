@@ -253,6 +253,9 @@ impl Recorder {
             parts.approaches.change(event);
             parts.focus.event(event);
         }
+        for event in &step.surfaces {
+            pairs::log_surface_event(&self.schema, event, &mut self.chunks);
+        }
         parts.numbers.add_recording(Duration::ZERO, start.elapsed());
         self.log_stages(&step.stages, at);
         if let Some(frame) = frame {
@@ -306,7 +309,10 @@ impl Recorder {
         let (Some(flight), Frames::Last { on, .. }) = (&mut self.flight, &self.settings.frames) else { return };
         for chunk in self.chunks.drain() {
             let entity = chunk.entity_path().to_string();
-            if entity == "/events" || (entity.starts_with("/pairs/") && entity.ends_with("/phase")) {
+            if entity == "/events"
+                || entity == pairs::SURFACE_EVENTS
+                || (entity.starts_with("/pairs/") && entity.ends_with("/phase"))
+            {
                 self.chunks.send(chunk);
             } else {
                 flight.push(chunk);

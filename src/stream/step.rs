@@ -2,8 +2,8 @@
 
 use std::time::{Duration, Instant as Clock};
 
-use super::settings::Settings;
-use crate::observe::{Frame, Simulation, StageFrame, StepSummary};
+use super::settings::{Frames, Settings};
+use crate::observe::{Frame, Simulation, StageFrame, StepSummary, SurfaceEvent, touch::Touches};
 
 /// The data of a step to be recorded, apart from its frame. Reused.
 #[derive(Clone, Debug, Default)]
@@ -20,6 +20,8 @@ pub struct StepRecord {
     pub lag: Option<Duration>,
     /// When the step was completed.
     pub end: Option<Clock>,
+    /// What geometry says of pairs in the course of the step.
+    pub surfaces: Vec<SurfaceEvent>,
     /// Stages inside the step, if they are recorded.
     pub stages: Vec<StageFrame>,
 }
@@ -28,6 +30,8 @@ pub struct StepRecord {
 #[derive(Default)]
 pub struct StepWatch {
     before: Option<Frame>,
+    /// The surfaces of pairs, if frames are recorded.
+    touches: Option<Touches>,
 }
 
 impl StepWatch {
@@ -35,6 +39,8 @@ impl StepWatch {
     pub fn new(simulation: &dyn Simulation, settings: &Settings) -> StepWatch {
         let mut watch = StepWatch::default();
         watch.stages(simulation, settings);
+        let has_pairs = simulation.schema().bodies.len() > 1;
+        watch.touches = (settings.frames != Frames::Thin && has_pairs).then(|| Touches::new(simulation));
         watch
     }
 
@@ -44,13 +50,16 @@ impl StepWatch {
         simulation: &dyn Simulation,
         settings: &Settings,
         record: &mut StepRecord,
-        frame: Option<&mut Frame>,
+        mut frame: Option<&mut Frame>,
     ) {
         let start = Clock::now();
-        if let Some(frame) = frame {
+        if let Some(frame) = &mut frame {
             simulation.observe(settings.want(), frame);
         }
         simulation.summary(&mut record.summary);
+        if let Some(touches) = &mut self.touches {
+            touches.step(simulation, frame.as_deref(), &record.summary.events, &mut record.surfaces);
+        }
         record.checksum = simulation.checksum();
         record.stages = self.stages(simulation, settings);
         let end = Clock::now();

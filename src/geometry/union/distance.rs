@@ -145,6 +145,32 @@ impl<'t, 'a> Tree<'t, 'a> {
         ((point - nearest.position).dot(normal) <= 0.0).then(|| nearest.distance_squared.sqrt())
     }
 
+    /// The first answer for triangles of this surface and of another whose blocks' boxes meet.
+    pub fn first_of_near<T>(&self, other: &Tree, mut answer: impl FnMut(u32, u32) -> Option<T>) -> Option<T> {
+        let mut queue = if self.nodes.is_empty() || other.nodes.is_empty() { vec![] } else { vec![(0, 0)] };
+        while let Some((a, b)) = queue.pop() {
+            let (first, second) = (&self.nodes[a as usize], &other.nodes[b as usize]);
+            if !first.bounds.meets(&second.bounds) {
+                continue;
+            }
+            let size = |branch: &Branch| (branch.bounds.max - branch.bounds.min).length_squared();
+            if !first.is_block && (second.is_block || size(first) >= size(second)) {
+                queue.extend(first.parts.map(|a| (a, b)));
+            } else if !second.is_block {
+                queue.extend(second.parts.map(|b| (a, b)));
+            } else {
+                for &s in self.body.topology.block(first.parts[0] as usize) {
+                    for &t in other.body.topology.block(second.parts[0] as usize) {
+                        if let Some(answer) = answer(s, t) {
+                            return Some(answer);
+                        }
+                    }
+                }
+            }
+        }
+        None
+    }
+
     /// The smallest distance to another surface that does not intersect this one [scene unit].
     pub fn distance(&self, other: &Tree) -> f64 {
         let mut best = f64::INFINITY;

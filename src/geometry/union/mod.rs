@@ -28,6 +28,7 @@
 mod arrangement;
 mod body;
 mod candidates;
+mod contact;
 mod distance;
 mod exact;
 mod faces;
@@ -44,6 +45,7 @@ mod triangulate;
 mod winding;
 
 pub use body::{Aabb, Body, BodyError};
+pub use contact::{Contact, Crossing, contact};
 pub use measures::{PairMeasures, gap, measures_of, pair_measures};
 pub use report::{Budget, UnionError};
 pub use seams::Seam;

@@ -9,7 +9,7 @@ use rerun::{
 
 use super::Look;
 use crate::{
-    observe::{PairEvent, PairFrame, Schema, colors, surface::PairMeasures},
+    observe::{PairEvent, PairFrame, Schema, SurfaceEvent, colors, surface::PairMeasures, touch::Finding},
     stream::{
         chunks::Chunks,
         instant::Instant,
@@ -304,6 +304,21 @@ pub fn log_event_line(schema: &Schema, event: &PairEvent, chunks: &mut Chunks) {
         .with_component::<Scalar>(event::Q, [event.q])
         .with_component::<Scalar>(event::RATE, [event.rate]);
     chunks.log("/events", at, &Together(&[&line, &typed]));
+}
+
+/// The entity of what geometry says of pairs: apart from the phase changes, which it does not cause.
+pub const SURFACE_EVENTS: &str = "/events/surfaces";
+
+/// Logs the line of a surface event.
+pub fn log_surface_event(schema: &Schema, event: &SurfaceEvent, chunks: &mut Chunks) {
+    let at = Instant { step: event.step, time: event.time };
+    let rgb = match event.what {
+        Finding::Touch => Contact::Together.color(),
+        Finding::Part => Contact::Apart.color(),
+        Finding::Phase { .. } => colors::SILVER,
+    };
+    let line = TextLog::new(event.describe(schema)).with_level(event.name()).with_color(color(rgb));
+    chunks.log(SURFACE_EVENTS, at, &line);
 }
 
 /// Several component batches in one row.

@@ -1,0 +1,93 @@
+//! Whether two surfaces touch: one crossing of an edge and a triangle is enough to know.
+
+use glam::DVec3;
+
+use super::{
+    body::{Aabb, Body},
+    distance::Tree,
+};
+
+/// A volume below this fraction of a product of lengths counts as zero, and a crossing at a corner as one: what this
+/// displaces is far below what can be seen.
+const ZERO: f64 = 1e-12;
+
+/// How two surfaces touch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Contact {
+    /// An edge of one body passes through a triangle of the other.
+    Crossing(Crossing),
+    /// One body is inside the other.
+    Inside,
+}
+
+/// An edge that passes through a triangle, by their vertices.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Crossing {
+    /// Whether the edge is of the second body and the triangle of the first.
+    is_of_second: bool,
+    edge: [u32; 2],
+    triangle: [u32; 3],
+}
+
+impl Crossing {
+    /// Whether the edge passes through the triangle with the vertices of the two bodies at these positions.
+    pub fn is_at(&self, first: &[DVec3], second: &[DVec3]) -> bool {
+        let (edges, triangles) = if self.is_of_second { (second, first) } else { (first, second) };
+        passes(self.edge.map(|v| edges[v as usize]), self.triangle.map(|v| triangles[v as usize]))
+    }
+}
+
+/// How two bodies touch; `None` if they are apart.
+pub fn contact(a: &Body, b: &Body) -> Option<Contact> {
+    if !a.bounds.meets(&b.bounds) {
+        return None;
+    }
+    let trees = [Tree::new(a), Tree::new(b)];
+    let crossing = trees[0].first_of_near(&trees[1], |s, t| {
+        let (first, second) = (a.topology.triangles[s as usize], b.topology.triangles[t as usize]);
+        let (p, q) = (first.map(|v| a.position(v)), second.map(|v| b.position(v)));
+        if !Aabb::of(p).meets(&Aabb::of(q)) {
+            return None;
+        }
+        let place = |body: &Body, vertex: u32| body.topology.place_of(vertex);
+        (0..3).find_map(|k| {
+            let l = (k + 1) % 3;
+            if passes([p[k], p[l]], q) {
+                let (edge, triangle) = ([first[k], first[l]], second);
+                let (edge, triangle) = (edge.map(|v| place(a, v)), triangle.map(|v| place(b, v)));
+                return Some(Crossing { is_of_second: false, edge, triangle });
+            }
+            if passes([q[k], q[l]], p) {
+                let (edge, triangle) = ([second[k], second[l]], first);
+                let (edge, triangle) = (edge.map(|v| place(b, v)), triangle.map(|v| place(a, v)));
+                return Some(Crossing { is_of_second: true, edge, triangle });
+            }
+            None
+        })
+    });
+    if let Some(crossing) = crossing {
+        return Some(Contact::Crossing(crossing));
+    }
+    let is_inside = |inner: &Body, outer: &Tree| {
+        let first = inner.topology.triangles.first().map(|corners| inner.position(corners[0]));
+        first.is_some_and(|at| outer.depth_beyond(at, 0.0, &mut 0).is_some())
+    };
+    (is_inside(a, &trees[1]) || is_inside(b, &trees[0])).then_some(Contact::Inside)
+}
+
+/// Whether an edge passes through a triangle, or touches it.
+fn passes([p, q]: [DVec3; 2], [a, b, c]: [DVec3; 3]) -> bool {
+    let along = q - p;
+    let (pa, pb, pc) = (a - p, b - p, c - p);
+    let normal = (b - a).cross(c - a);
+    let longest = pa.length_squared().max(pb.length_squared()).max(pc.length_squared()).sqrt();
+    let bound = ZERO * normal.length() * longest.max(along.length());
+    let (from, to) = (normal.dot(p - a), normal.dot(q - a));
+    if from > bound && to > bound || from < -bound && to < -bound || from.abs().max(to.abs()) <= bound {
+        return false; // on one side, or in the plane of the triangle, where another edge passes
+    }
+    // the volumes of the edge and each side of the triangle have one sign
+    let bound = ZERO * along.length() * longest * longest;
+    let sides = [along.dot(pa.cross(pb)), along.dot(pb.cross(pc)), along.dot(pc.cross(pa))];
+    sides.iter().all(|&side| side >= -bound) || sides.iter().all(|&side| side <= bound)
+}

@@ -1,0 +1,317 @@
+//! When surfaces touch and part, found in time, and what geometry says of a pair when its phase changes.
+
+use std::collections::BTreeMap;
+
+use glam::DVec3;
+
+use super::{
+    Frame, Schema,
+    event::PairEvent,
+    frame::Want,
+    simulation::Simulation,
+    surface::{Closed, Merger, PairMeasures},
+};
+use crate::geometry::{
+    Vectors,
+    union::{Contact, Crossing, contact},
+};
+
+/// Instants are found to this precision [s].
+const PRECISION: f64 = 1e-7;
+/// Bisections of a step at most, whatever its length.
+const MOST_BISECTIONS: u32 = 60;
+
+/// Something that geometry says of a pair at an instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfaceEvent {
+    /// What it says.
+    pub what: Finding,
+    /// Time of the event [s].
+    pub time: f64,
+    /// The first step whose state is affected by the event.
+    pub step: u64,
+    /// Index of the first body of the pair.
+    pub a: usize,
+    /// Index of the second body of the pair; a < b.
+    pub b: usize,
+    /// Centre distance over the sum of the radii at that time [–].
+    pub q: f64,
+}
+
+/// What geometry says of a pair.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Finding {
+    /// The surfaces touch, and did not before.
+    Touch,
+    /// The surfaces part.
+    Part,
+    /// The phase changes, while the surfaces are like this.
+    Phase {
+        /// Kind of event: `merge`, `split`, …
+        name: &'static str,
+        /// When the surfaces touched last [s], if they still do and that was seen.
+        touched: Option<f64>,
+        /// The measures at that time, if they could be computed.
+        measures: Option<PairMeasures>,
+    },
+}
+
+impl SurfaceEvent {
+    /// Kind of event in one word.
+    pub fn name(&self) -> &'static str {
+        match self.what {
+            Finding::Touch => "touch",
+            Finding::Part => "part",
+            Finding::Phase { name, .. } => name,
+        }
+    }
+
+    /// The event in words.
+    pub fn describe(&self, schema: &Schema) -> String {
+        let pair = schema.pair_name(self.a, self.b);
+        match self.what {
+            Finding::Touch | Finding::Part => {
+                let name = self.name();
+                format!("{name} {pair} at t = {:.7} s, q = {:.6}, step {}", self.time, self.q, self.step)
+            }
+            Finding::Phase { name, .. } => match self.findings() {
+                Some(findings) => format!("{name} {pair}: {findings}"),
+                None => format!("{name} {pair}: the surfaces could not be compared"),
+            },
+        }
+    }
+
+    /// What the surfaces are like when the phase changes, in words.
+    pub fn findings(&self) -> Option<String> {
+        let Finding::Phase { touched, measures, .. } = self.what else { return None };
+        let PairMeasures { gap, share, neck, .. } = measures?;
+        if gap > 0.0 {
+            return Some(format!("surfaces {gap:.3} R apart"));
+        }
+        let touched = match touched {
+            Some(time) => format!("surfaces touched {:.3} s before", self.time - time),
+            None => "surfaces touch".to_owned(),
+        };
+        Some(format!("{touched}; overlap {:.1} %, neck {neck:.2} R", 100.0 * share))
+    }
+}
+
+/// Watches the surfaces of pairs, step after step.
+pub struct Touches {
+    schema: Schema,
+    closed: Closed,
+    merger: Merger,
+    pairs: BTreeMap<[usize; 2], Known>,
+    /// The state before the step, of bodies in pairs.
+    before: Frame,
+    /// Scratch storage, reused.
+    own: Frame,
+    inside: Frame,
+    local: Vectors,
+    placed: BTreeMap<usize, Vec<DVec3>>,
+}
+
+/// What is known of a pair.
+#[derive(Clone, Copy, Default)]
+struct Known {
+    is_touching: bool,
+    /// Where the surfaces were last found to cross.
+    crossing: Option<Crossing>,
+    /// When they touched.
+    touched: Option<f64>,
+}
+
+impl Touches {
+    /// Starts at the simulation's current state.
+    pub fn new(simulation: &dyn Simulation) -> Touches {
+        let schema = simulation.schema();
+        let mut touches = Touches {
+            closed: Closed::new(&schema),
+            merger: Merger::new(&schema),
+            pairs: BTreeMap::new(),
+            before: Frame::default(),
+            own: Frame::default(),
+            inside: Frame::default(),
+            local: Vectors::default(),
+            placed: BTreeMap::new(),
+            schema,
+        };
+        touches.step(simulation, None, &[], &mut Vec::new());
+        touches
+    }
+
+    /// Finds what happened in the last step, whose phase changes are given; `frame` is the state after it, if it has been
+    /// observed. Of a pair that touches and parts within one step, nothing is seen.
+    pub fn step(
+        &mut self,
+        simulation: &dyn Simulation,
+        frame: Option<&Frame>,
+        changes: &[PairEvent],
+        found: &mut Vec<SurfaceEvent>,
+    ) {
+        found.clear();
+        let mut own = std::mem::take(&mut self.own);
+        let now = match frame {
+            Some(frame) => frame,
+            None => {
+                simulation.observe(Want::default(), &mut own);
+                &own
+            }
+        };
+        self.placed.clear();
+        let mut pairs = BTreeMap::new();
+        for pair in &now.pairs {
+            let bodies = [pair.a, pair.b];
+            let before = self.pairs.get(&bodies).copied();
+            let mut known = before.unwrap_or_default();
+            bodies.iter().for_each(|&body| self.place(body, now));
+            self.look(bodies, &mut known);
+            if let Some(before) = before.filter(|before| before.is_touching != known.is_touching) {
+                let (time, q) = self.when(simulation, bodies, before, now.at.time);
+                let what = if known.is_touching { Finding::Touch } else { Finding::Part };
+                known.touched = known.is_touching.then_some(time);
+                found.push(SurfaceEvent { what, time, step: now.at.step, a: pair.a, b: pair.b, q });
+            }
+            pairs.insert(bodies, known);
+        }
+        for change in changes {
+            let bodies = [change.a, change.b];
+            let Some(known) = self.pairs.get(&bodies) else { continue };
+            let is_touch = |event: &&SurfaceEvent| [event.a, event.b] == bodies && event.what == Finding::Touch;
+            let just_touched = found.iter().find(is_touch).map(|event| event.time).filter(|&time| time <= change.time);
+            let touched = just_touched.or(known.touched);
+            simulation.within(&self.before, change.time, &bodies, &mut self.inside);
+            let measures = self.merger.merge(&self.schema, &self.inside, &[bodies]).pairs.first().copied().flatten();
+            let what = Finding::Phase { name: change.name, touched, measures };
+            let PairEvent { time, step, a, b, q, .. } = *change;
+            found.push(SurfaceEvent { what, time, step, a, b, q });
+        }
+        found.sort_by(|x, y| x.time.total_cmp(&y.time));
+        self.pairs = pairs;
+        self.before.at = now.at;
+        self.before.pairs.clone_from(&now.pairs);
+        self.before.bodies.resize_with(now.bodies.len(), Default::default);
+        for &body in self.pairs.keys().flatten() {
+            let (from, to) = (&now.bodies[body], &mut self.before.bodies[body]);
+            (to.centre, to.rotation, to.is_at_rest) = (from.centre, from.rotation, from.is_at_rest);
+            to.displacements.copy_from(&from.displacements);
+            to.velocities.copy_from(&from.velocities);
+        }
+        self.own = own;
+    }
+
+    /// When the surfaces of a pair touched or parted in the step that ends at `end`, and q at that time.
+    fn when(&mut self, simulation: &dyn Simulation, bodies: [usize; 2], before: Known, end: f64) -> (f64, f64) {
+        let (mut low, mut high) = (self.before.at.time, end);
+        let mut inside = std::mem::take(&mut self.inside);
+        let mut known = before;
+        for _ in 0..MOST_BISECTIONS {
+            let middle = 0.5 * (low + high);
+            if high - low <= PRECISION || middle <= low || middle >= high {
+                break;
+            }
+            simulation.within(&self.before, middle, &bodies, &mut inside);
+            for body in bodies {
+                self.placed.remove(&body);
+                self.place(body, &inside);
+            }
+            self.look(bodies, &mut known);
+            if known.is_touching == before.is_touching { low = middle } else { high = middle }
+        }
+        simulation.within(&self.before, high, &bodies, &mut inside);
+        let [a, b] = bodies;
+        let radii = self.schema.bodies[a].radius + self.schema.bodies[b].radius;
+        let q = inside.bodies[a].centre.distance(inside.bodies[b].centre) / radii;
+        self.placed.retain(|body, _| !bodies.contains(body)); // they are of another time
+        self.inside = inside;
+        (high, q)
+    }
+
+    /// Computes the positions of a body in the world, unless they are known.
+    fn place(&mut self, body: usize, frame: &Frame) {
+        let Touches { schema, local, placed, .. } = self;
+        placed.entry(body).or_insert_with(|| {
+            let now = &frame.bodies[body];
+            now.local_positions(schema.bodies[body].rest(), local);
+            local.iter().map(|position| position + now.centre).collect()
+        });
+    }
+
+    /// Finds whether the surfaces of a pair touch where they are placed.
+    fn look(&self, [a, b]: [usize; 2], known: &mut Known) {
+        let (Some(first), Some(second)) = (self.placed.get(&a), self.placed.get(&b)) else { return };
+        if known.crossing.is_some_and(|crossing| crossing.is_at(first, second)) {
+            known.is_touching = true;
+            return;
+        }
+        let bodies = (self.closed.body(a, first), self.closed.body(b, second));
+        let found = if let (Some(a), Some(b)) = bodies { contact(&a, &b) } else { None };
+        known.is_touching = found.is_some();
+        known.crossing = match found {
+            Some(Contact::Crossing(crossing)) => Some(crossing),
+            _ => None,
+        };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{World, scene::Scene};
+
+    fn found(text: &str, dt: f64) -> Vec<SurfaceEvent> {
+        let mut scene = Scene::parse(text, "test").unwrap();
+        scene.dt = dt;
+        let steps = scene.steps();
+        let mut world = World::new(scene).unwrap();
+        let mut touches = Touches::new(&world);
+        let (mut all, mut of_step) = (Vec::new(), Vec::new());
+        let mut summary = crate::observe::StepSummary::default();
+        for _ in 0..steps {
+            world.step();
+            world.summary(&mut summary);
+            touches.step(&world, None, &summary.events, &mut of_step);
+            all.append(&mut of_step);
+        }
+        all
+    }
+
+    #[test]
+    fn spheres_on_paths_touch_and_part_when_they_should() {
+        // poles and equators are vertices, so that along an axis the meshes touch where the spheres do
+        for (along, radius) in [("[1, 0, 0]", 0.5), ("[0, 0, 1]", 0.5), ("[0, 1, 0]", 1.25)] {
+            let from = along.replace('1', "-4");
+            let text = format!(
+                "duration = 8.0\n[influence]\nalpha = 0\nbeta = 0\nreach = 3\n[[body]]\nname = \"a\"\nradius = 1.0\n\
+                 motion = {{ fixed = [0, 0, 0] }}\n[[body]]\nname = \"b\"\nradius = {radius}\n\
+                 motion = {{ line = {{ from = {from}, velocity = {along} }} }}\n"
+            );
+            let events = found(&text, 1.0 / 60.0);
+            let of = |what: Finding| {
+                let times: Vec<f64> =
+                    events.iter().filter(|event| event.what == what).map(|event| event.time).collect();
+                assert_eq!(times.len(), 1, "{events:?}");
+                times[0]
+            };
+            let (touch, part) = (of(Finding::Touch), of(Finding::Part));
+            assert!((touch - (4.0 - 1.0 - radius)).abs() < 1e-6, "{along}: {touch}");
+            assert!((part - (4.0 + 1.0 + radius)).abs() < 1e-6, "{along}: {part}");
+        }
+    }
+
+    #[test]
+    fn deformed_bodies_touch_at_the_same_time_in_shorter_steps() {
+        let text = crate::scene::builtin::ALL.iter().find(|scene| scene.name == "two").unwrap().text;
+        let (coarse, fine) = (found(text, 1.0 / 60.0), found(text, 1.0 / 960.0));
+        let times = |events: &[SurfaceEvent], what: &str| -> Vec<f64> {
+            events.iter().filter(|event| event.name() == what).map(|event| event.time).collect()
+        };
+        for what in ["touch", "part", "merge", "split"] {
+            let (coarse, fine) = (times(&coarse, what), times(&fine, what));
+            assert!(!coarse.is_empty() && coarse.len() == fine.len(), "{what}: {coarse:?} {fine:?}");
+            for (coarse, fine) in coarse.iter().zip(&fine) {
+                assert!((coarse - fine).abs() < 1e-5, "{what}: {coarse} {fine}");
+            }
+        }
+    }
+}
