@@ -10,6 +10,7 @@
 //! | the machine that run times were measured on | [`machine`] |
 //! | a stress sweep of every integrator, and bodies of very different sizes | [`stability`] |
 //! | recording cost by detail and destination, verification cost, and the goals for both | [`record`] |
+//! | unions of many spheres, and a scene with the surface of every frame | [`surface`] |
 //! | output files, checked before and written after measuring | [`output`] |
 //!
 //! # Results
@@ -84,6 +85,7 @@ pub mod record;
 pub mod reference;
 pub mod scale;
 pub mod stability;
+pub mod surface;
 mod tables;
 
 use crate::{

@@ -20,9 +20,11 @@ use crate::{
         machine::Machine,
         output::Output,
         stability::{self, cases::Case, drift, sizes, table as of_stability},
+        surface,
     },
     scene::Integrator,
     sim::memory,
+    text::thousands,
 };
 
 #[derive(clap::Args)]
@@ -40,6 +42,8 @@ enum What {
     Scale(scale::Arguments),
     /// Recording cost: frames per second, bytes per frame, slow-down of the simulation, cost of verification.
     Record(record::Arguments),
+    /// Merged surfaces: time per frame of unions of 2 to 300 bodies, and frames per second of a scene.
+    Surface,
     /// Stress sweep: thousands of small scenes at the limits of every setting, with every integrator.
     Stability(StabilityArguments),
 }
@@ -102,8 +106,24 @@ pub fn bench(arguments: Arguments) -> Result<(), Failure> {
         What::Error(arguments) => error(arguments),
         What::Scale(arguments) => scale::scale(arguments),
         What::Record(arguments) => record::record(arguments),
+        What::Surface => surface(),
         What::Stability(arguments) => stability(arguments),
     }
+}
+
+fn surface() -> Result<(), Failure> {
+    print(&surface::table(&surface::measure()));
+    print("");
+    for name in ["two", "crowd"] {
+        let surface::Run { merged, plain } = surface::run(&scene(name)?).map_err(Failure::Run)?;
+        print(&format!(
+            "{name}, stepped and observed: {} frames/s with surfaces and measures, {} without",
+            thousands(merged as u64),
+            thousands(plain as u64)
+        ));
+    }
+    print(&Machine::detect().to_string());
+    Ok(())
 }
 
 fn error(arguments: ErrorArguments) -> Result<(), Failure> {

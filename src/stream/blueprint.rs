@@ -669,5 +669,18 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
     } else {
         String::new()
     };
-    head + &spheres + &arrows + &bound
+    let merged = if schema.bodies.len() > 1 {
+        let joined = schema.phases.iter().filter(|phase| phase.is_joined).map(|phase| format!("**{}**", phase.name));
+        let smooth = match schema.blend {
+            0.0 => "sharp".to_owned(),
+            blend => format!("smooth within {blend} R"),
+        };
+        format!(
+            "Bodies that are {} share one surface, {smooth} of where they meet (white).  \n",
+            joined.collect::<Vec<_>>().join(" or ")
+        )
+    } else {
+        String::new()
+    };
+    head + &spheres + &merged + &arrows + &bound
 }

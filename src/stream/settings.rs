@@ -6,7 +6,7 @@ use crate::observe::{Experiment, StepSummary, Want};
 pub(super) const MOST_BODY_ENTITIES: usize = 64;
 /// Default limit on the number of pairs with their own plots. Events of all pairs are logged.
 pub const MOST_PAIRS: usize = 16;
-/// The same limit for batched scenes, which then have at most 60 entities if all bodies have one shape.
+/// The same limit for batched scenes, which then have at most 110 entities if all bodies have one shape.
 pub const MOST_PAIRS_OF_MANY: usize = 5;
 
 /// Level of detail of recorded frames.

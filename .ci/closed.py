@@ -1,0 +1,21 @@
+#!/usr/bin/env python3
+"""Whether mesh files hold closed surfaces, as trimesh sees them: closed.py FILE ..."""
+import sys
+
+import trimesh
+
+failed = 0
+for path in sys.argv[1:]:
+    loaded = trimesh.load(path)
+    meshes = list(loaded.geometry.values()) if isinstance(loaded, trimesh.Scene) else [loaded]
+    for mesh in meshes:
+        if not (mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0):
+            print(f"{path}: watertight {mesh.is_watertight}, winding {mesh.is_winding_consistent}, volume {mesh.volume}")
+            failed += 1
+    if path.endswith((".glb", ".ply")):
+        for mesh in meshes:
+            if len({tuple(color) for color in mesh.visual.vertex_colors}) < 1 or mesh.vertex_normals.shape != mesh.vertices.shape:
+                print(f"{path}: colors or normals are missing")
+                failed += 1
+print(f"{len(sys.argv) - 1} files, {failed} surfaces that are not closed")
+sys.exit(failed > 0)

@@ -1,0 +1,181 @@
+//! Speed of merged surfaces: unions of spheres in arrangements from two to hundreds, and a scene with the surface of every
+//! frame.
+
+use std::{sync::Arc, time::Instant};
+
+use glam::DVec3;
+
+use super::tables;
+use crate::{
+    Scene, World,
+    geometry::{
+        Mesh, Sphere,
+        shape::Solid as _,
+        union::{Body, Budget, Topology, UnionError, measures_of, union},
+    },
+    observe::{
+        BodyFrame, Frame, PairFrame, Schema, Simulation as _, Want,
+        schema::{BodySchema, PhaseSchema},
+        surface::Merger,
+    },
+    text::thousands,
+};
+
+/// Each arrangement is computed until it has taken this long in all [s], and at least [`LEAST`] times.
+const SECONDS: f64 = 0.5;
+const LEAST: u32 = 3;
+
+/// The cost of an arrangement of spheres, best of several times.
+#[derive(Clone, Debug)]
+pub struct Row {
+    /// The arrangement.
+    pub name: &'static str,
+    /// Number of bodies.
+    pub bodies: usize,
+    /// Number of vertices of all bodies.
+    pub vertices: usize,
+    /// Time of the union alone [s].
+    pub union: f64,
+    /// Time of the drawn surface: union, mesh, components, fairing [s].
+    pub drawn: f64,
+    /// Time of gap, overlap and neck, beyond the union [s]; only of two bodies.
+    pub measures: Option<f64>,
+    /// Euler characteristic, and further attempts, of the union; why there is none.
+    pub result: Result<(i64, u32), UnionError>,
+}
+
+/// Frames per second of a scene that is stepped, observed and united.
+#[derive(Clone, Copy, Debug)]
+pub struct Run {
+    /// Frames per second with the surface of every frame, and the measures of every pair.
+    pub merged: f64,
+    /// The same without.
+    pub plain: f64,
+}
+
+/// Measures all arrangements.
+pub fn measure() -> Vec<Row> {
+    let coarse = Arc::new(Sphere { stacks: 12, slices: 24 }.mesh());
+    let fine = Arc::new(Sphere { stacks: 72, slices: 141 }.mesh());
+    let line = |count: u32, step: f64| -> Vec<DVec3> {
+        // off the axes, as bodies that move are
+        (0..count).map(|i| f64::from(i) * step * DVec3::new(0.96, 0.224, 0.168)).collect()
+    };
+    let heap = |count: u32| -> Vec<DVec3> {
+        let at = |i: u32, factor: f64| (f64::from(i) * factor).fract() - 0.5;
+        (0..count).map(|i| DVec3::new(at(i, 0.754877666), at(i, 0.569840291), at(i, 0.438579))).collect()
+    };
+    let lattice = |side: u32| -> Vec<DVec3> {
+        let of = |i: u32| DVec3::new(f64::from(i % side), f64::from(i / side % side), f64::from(i / side / side));
+        (0..side.pow(3)).map(|i| 1.61 * of(i) + 0.01 * DVec3::new(0.3, 0.7, 0.1) * f64::from(i % 7)).collect()
+    };
+    vec![
+        row("two of 266 vertices", &coarse, &line(2, 1.6)),
+        row("two of 10,000 vertices", &fine, &line(2, 1.6)),
+        row("a chain of 300", &coarse, &line(300, 1.6)),
+        row("a lattice of 5 × 5 × 5", &coarse, &lattice(5)),
+        row("64 in one place", &coarse, &heap(64)),
+    ]
+}
+
+fn row(name: &'static str, mesh: &Arc<Mesh>, centres: &[DVec3]) -> Row {
+    let (bodies, vertices) = (centres.len(), centres.len() * mesh.vertex_count());
+    let failed = |error| Row { name, bodies, vertices, union: 0.0, drawn: 0.0, measures: None, result: Err(error) };
+    let Ok(topology) = Topology::new(mesh.vertex_count(), mesh.triangles()) else {
+        return failed(UnionError::TooLarge);
+    };
+    let budget = Budget::default();
+    let positions: Vec<Vec<DVec3>> =
+        centres.iter().map(|centre| mesh.positions().iter().map(|position| position + centre).collect()).collect();
+    let placed = || positions.iter().filter_map(|positions| Body::new(&topology, positions).ok()).collect::<Vec<_>>();
+    let all = placed();
+    let united = match union(&all, &budget) {
+        Ok(united) => united,
+        Err(error) => return failed(error),
+    };
+    let measures = (bodies == 2).then(|| best(|| drop(measures_of(&united, &budget))));
+
+    // one group whatever the phases
+    let schema = Schema {
+        bodies: (0..bodies).map(|i| BodySchema::new(&i.to_string(), "sphere", Arc::clone(mesh), 1.0, 0.0)).collect(),
+        phases: vec![PhaseSchema { is_joined: true, ..("merged", [0; 3]).into() }],
+        ..Schema::default()
+    };
+    let at_rest = |&centre: &DVec3| BodyFrame { centre, is_at_rest: true, ..BodyFrame::default() };
+    let frame = Frame {
+        bodies: centres.iter().map(at_rest).collect(),
+        pairs: (1..bodies).map(|b| PairFrame { a: 0, b, q: 1.0, phase: 0 }).collect(),
+        ..Frame::default()
+    };
+    Row {
+        name,
+        bodies,
+        vertices,
+        union: best(|| drop(union(&placed(), &budget))),
+        drawn: best(|| drop(Merger::new(&schema).merge(&schema, &frame, &[]).groups.len().to_string())),
+        measures,
+        result: Ok((united.euler, united.statistics.retries)),
+    }
+}
+
+/// The shortest time of several [s].
+fn best(mut work: impl FnMut()) -> f64 {
+    let (begin, mut best, mut count) = (Instant::now(), f64::INFINITY, 0);
+    while count < LEAST || begin.elapsed().as_secs_f64() < SECONDS {
+        let start = Instant::now();
+        work();
+        best = best.min(start.elapsed().as_secs_f64());
+        count += 1;
+    }
+    best
+}
+
+/// Measures a scene.
+///
+/// # Errors
+/// The scene cannot be run, in words.
+pub fn run(scene: &Scene) -> Result<Run, String> {
+    let mut fastest = [f64::INFINITY; 2];
+    for (has_surface, fastest) in [false, true].into_iter().zip(&mut fastest) {
+        for _ in 0..LEAST {
+            let mut world = World::new(scene.clone()).map_err(|error| error.to_string())?;
+            let schema = world.schema();
+            let (mut merger, mut frame) = (Merger::new(&schema), Frame::default());
+            let start = Instant::now();
+            for _ in 0..scene.steps() {
+                world.step();
+                world.observe(Want { forces: true, scalars: true }, &mut frame);
+                if has_surface {
+                    let pairs: Vec<[usize; 2]> = frame.pairs.iter().map(|pair| [pair.a, pair.b]).collect();
+                    merger.merge(&schema, &frame, &pairs);
+                }
+            }
+            *fastest = fastest.min(start.elapsed().as_secs_f64() / scene.steps() as f64);
+        }
+    }
+    let [plain, merged] = fastest.map(|seconds| 1.0 / seconds);
+    Ok(Run { merged, plain })
+}
+
+/// Formats the measurements.
+pub fn table(rows: &[Row]) -> String {
+    let heading = ["spheres", "bodies", "vertices", "union, ms", "drawn, ms", "measures, ms", "χ", "retries"];
+    let milliseconds = |seconds: f64| format!("{:.3}", 1e3 * seconds);
+    let cells = rows.iter().map(|row| {
+        let (bodies, vertices) = (thousands(row.bodies as u64), thousands(row.vertices as u64));
+        match &row.result {
+            Ok((euler, retries)) => vec![
+                row.name.to_owned(),
+                bodies,
+                vertices,
+                milliseconds(row.union),
+                milliseconds(row.drawn),
+                row.measures.map_or_else(tables::missing, milliseconds),
+                euler.to_string(),
+                retries.to_string(),
+            ],
+            Err(error) => vec![row.name.to_owned(), bodies, vertices, error.to_string()],
+        }
+    });
+    tables::table(heading, cells)
+}
