@@ -31,6 +31,9 @@
 //! core_width = 0.0              # in q: the strength changes gradually about core_at [0 = it jumps]
 //! apart = "repel"               # repel | none [repel]
 //!
+//! [surface]
+//! blend = 0.25                  # distance from a seam within which merged surfaces are smoothed, in radii; 0 = sharp [0.25]
+//!
 //! [[body]]
 //! name = "still"
 //! radius = 1.0

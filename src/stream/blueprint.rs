@@ -672,11 +672,11 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
     let merged = if schema.bodies.len() > 1 {
         let joined = schema.phases.iter().filter(|phase| phase.is_joined).map(|phase| format!("**{}**", phase.name));
         let smooth = match schema.blend {
-            0.0 => "sharp".to_owned(),
-            blend => format!("smooth within {blend} R"),
+            0.0 => "sharp where they meet".to_owned(),
+            blend => format!("smooth within {blend} R of where they meet"),
         };
         format!(
-            "Bodies that are {} share one surface, {smooth} of where they meet (white).  \n",
+            "Bodies that are {} share one surface, {smooth}; white lines: where they meet.  \n",
             joined.collect::<Vec<_>>().join(" or ")
         )
     } else {
