@@ -30,4 +30,7 @@ pub struct PairEvent {
     pub from: usize,
     /// The new phase, as an index into the schema's phases.
     pub to: usize,
+    /// Energy that the event brought to free bodies, negative if it took some [mass · scene unit²/s²]; `None` where
+    /// there are none.
+    pub energy: Option<f64>,
 }

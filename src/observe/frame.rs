@@ -58,6 +58,17 @@ pub struct BodyFrame {
     pub terms: Vec<TermFrame>,
     /// A label for each vertex, as an index into the schema's labels, `[vertex_count]`; empty if no force acts.
     pub labels: Vec<u8>,
+    /// What acts on a free body as a whole; of other bodies, and where forces are not requested, `None`.
+    pub whole: Option<WholeFrame>,
+}
+
+/// What acts on a free body as a whole.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct WholeFrame {
+    /// Force at its centre [mass · scene unit/s²].
+    pub force: DVec3,
+    /// Torque about its centre [mass · scene unit²/s²].
+    pub torque: DVec3,
 }
 
 /// The contribution of one force term to a body.
@@ -110,6 +121,7 @@ impl BodyFrame {
         self.has_forces = false;
         self.terms.iter_mut().for_each(|term| term.accelerations.clear());
         self.labels.clear();
+        self.whole = None;
     }
 
     /// Writes the vertex positions relative to the centre [scene unit] to `positions` (reused), whether at rest or not.

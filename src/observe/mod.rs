@@ -28,7 +28,7 @@ pub mod worst;
 
 pub use approach::{Approach, Approaches};
 pub use event::{Instant, PairEvent};
-pub use frame::{BodyFrame, Frame, PairFrame, Want};
+pub use frame::{BodyFrame, Frame, PairFrame, Want, WholeFrame};
 pub use schema::Schema;
 pub use simulation::{Experiment, Refusal, Simulation, StageFrame, StepFailure, StepSummary, between};
 pub use touch::SurfaceEvent;

@@ -2,6 +2,8 @@
 
 use std::{collections::BTreeMap, fmt, sync::Arc};
 
+use glam::DVec3;
+
 use super::{colors::Rgb, event::PairEvent};
 use crate::geometry::{Mesh, Rest, fairing};
 
@@ -28,6 +30,10 @@ pub struct Schema {
     pub blend: f64,
     /// The bodies: at least one, with unique names.
     pub bodies: Vec<BodySchema>,
+    /// Planes that bodies do not pass.
+    pub planes: Vec<PlaneSchema>,
+    /// Length per acceleration of the arrows that stand for free bodies as a whole [scene unit per scene unit/s²].
+    pub whole_scale: f64,
     /// Force terms that accelerate vertices. The last one is the sum of all others.
     pub terms: Vec<TermSchema>,
     /// Texts of [`BodyFrame::labels`](super::BodyFrame::labels). The first one is for vertices on which no force acts.
@@ -63,8 +69,21 @@ pub struct BodySchema {
     pub mesh: Arc<Mesh>,
     /// Whether forces move and rotate it; otherwise its path is known before the run.
     pub is_free: bool,
+    /// Total mass of its vertices, > 0; only ratios matter.
+    pub mass: f64,
     /// Colour of its surface, if it has one of its own.
     pub color: Option<Rgb>,
+}
+
+/// A plane that bodies do not pass.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaneSchema {
+    /// Unit normal, towards the free side.
+    pub normal: DVec3,
+    /// normal · r of its points [scene unit].
+    pub offset: f64,
+    /// Coefficient of friction [–].
+    pub friction: f64,
 }
 
 /// A force term: one cause of acceleration.
@@ -82,6 +101,8 @@ pub struct TermSchema {
     pub can_act: bool,
     /// Whether its arrows are visible when the recording is opened.
     pub is_shown: bool,
+    /// Whether it accelerates all vertices of a body alike: one arrow at the centre stands for all.
+    pub is_uniform: bool,
 }
 
 /// A phase of a pair of bodies.
@@ -167,6 +188,8 @@ impl Default for Schema {
             law: String::new(),
             blend: fairing::BLEND,
             bodies: Vec::new(),
+            planes: Vec::new(),
+            whole_scale: 0.01,
             terms: Vec::new(),
             labels: Vec::new(),
             arrow_scale: 0.01,
@@ -185,7 +208,7 @@ impl BodySchema {
     /// [scene unit].
     pub fn new(name: &str, shape: &str, mesh: Arc<Mesh>, radius: f64, reach: f64) -> BodySchema {
         let (name, shape) = (name.to_owned(), shape.to_owned());
-        BodySchema { name, radius, reach, shape, mesh, is_free: false, color: None }
+        BodySchema { name, radius, reach, shape, mesh, is_free: false, mass: 1.0, color: None }
     }
 }
 
@@ -205,7 +228,7 @@ impl From<(&'static str, f64, Rgb)> for Threshold {
 impl TermSchema {
     /// A force term that can always act and is visible.
     pub fn new(name: &'static str, label: &'static str, color: Rgb) -> TermSchema {
-        TermSchema { name, label, color, has_source: false, can_act: true, is_shown: true }
+        TermSchema { name, label, color, has_source: false, can_act: true, is_shown: true, is_uniform: false }
     }
 }
 
@@ -235,7 +258,8 @@ impl Schema {
     /// Describes an event in words: its kind, its pair, its exact time, its q, and the first step affected.
     pub fn describe(&self, event: &PairEvent) -> String {
         let pair = self.pair_name(event.a, event.b);
-        format!("{} {pair} at t = {:.9} s, q = {:.6}, step {}", event.name, event.time, event.q, event.step)
+        let energy = event.energy.map_or_else(String::new, |energy| format!(", energy {energy:+.4}"));
+        format!("{} {pair} at t = {:.9} s, q = {:.6}, step {}{energy}", event.name, event.time, event.q, event.step)
     }
 
     /// The distinct shapes, by name.

@@ -5,18 +5,56 @@ use std::mem::take;
 use glam::DVec3;
 
 use super::{
+    free::{Forces, Snapshot},
     observe::Seen,
     terms::{Cause, Surroundings},
     world::{PairView, World},
 };
 use crate::{
     geometry::Vectors,
-    observe::{BodyFrame, PairFrame},
+    observe::{BodyFrame, PairFrame, WholeFrame},
 };
 
 /// A pair, as frames represent it.
 pub(super) fn pair_frame(pair: PairView) -> PairFrame {
     PairFrame { a: pair.a, b: pair.b, q: pair.q, phase: pair.phase as usize }
+}
+
+/// Adds the forces on a body of a coupled scene in its current state, and the labels of its vertices.
+pub(super) fn add_coupled_forces(
+    world: &World,
+    snapshot: &Snapshot<'_>,
+    index: usize,
+    forces: &mut Forces,
+    now: &mut BodyFrame,
+) {
+    snapshot.forces(index, world.carry(index), forces);
+    now.has_forces = true;
+    now.terms.resize_with(Cause::of(true).count(), Default::default);
+    let rest = world.bodies[index].rest();
+    label(rest.len(), &forces.by_cause, now);
+    for (cause, term) in Cause::of(true).zip(&mut now.terms) {
+        term.source = forces.sources[cause as usize];
+        std::mem::swap(&mut term.accelerations, &mut forces.by_cause[cause as usize]);
+    }
+    let is_free = world.scene().bodies[index].path().is_none();
+    now.whole = is_free.then_some(WholeFrame { force: forces.force, torque: forces.torque });
+}
+
+/// Labels the vertices of a body by the spheres that act on them.
+fn label(count: usize, by_cause: &[Vectors; Cause::ALL.len()], now: &mut BodyFrame) {
+    let contributing = [Cause::Attraction, Cause::Repulsion, Cause::Core].map(|cause| &by_cause[cause as usize]);
+    now.labels.clear();
+    now.labels.extend((0..count).map(|i| {
+        let feels = contributing.map(|forces| !forces.is_empty() && forces.get(i) != DVec3::ZERO);
+        match feels {
+            [false, false, false] => 0,
+            [true, false, false] => 1,
+            [false, true, false] => 2,
+            [true, true, false] => 3,
+            [_, _, true] => 4,
+        }
+    }));
 }
 
 /// Adds the forces on a body of a scene that is not coupled in a frame's state, and the labels of its vertices.
@@ -29,18 +67,7 @@ pub(super) fn add_forces(world: &World, index: usize, surroundings: &Surrounding
     }
     let seen: Seen<'_> = world.seen(index, [&now.displacements, &now.velocities], surroundings);
     seen.forces(world.scene().influence.weight, &mut by_cause);
-    let contributing = [Cause::Attraction, Cause::Repulsion, Cause::Core].map(|cause| &by_cause[cause as usize]);
-    now.labels.clear();
-    now.labels.extend((0..seen.rest.len()).map(|i| {
-        let feels = contributing.map(|forces| !forces.is_empty() && forces.get(i) != DVec3::ZERO);
-        match feels {
-            [false, false, false] => 0,
-            [true, false, false] => 1,
-            [false, true, false] => 2,
-            [true, true, false] => 3,
-            [_, _, true] => 4,
-        }
-    }));
+    label(seen.rest.len(), &by_cause, now);
     for (cause, term) in Cause::of(false).zip(&mut now.terms) {
         let mut sources = surroundings.sources.iter().filter(|source| source.cause() == cause);
         term.source = match (sources.next(), sources.next()) {

@@ -4,6 +4,8 @@ use glam::DVec3;
 
 use super::{
     arrays::Vectors,
+    coupled::member::driven,
+    free::{Conserved, Forces, Ledger, Snapshot},
     terms::{Cause, Source, Surroundings, oscillator, spheres},
     world::{States, World},
 };
@@ -18,30 +20,67 @@ use crate::{
 
 /// Accelerations of the vertices of one body by cause [scene unit/s²]; reused for every body.
 #[derive(Clone, Debug, Default)]
-pub struct BodyForces {
-    by_cause: [Vectors; Cause::ALL.len()],
-}
+pub struct BodyForces(Forces);
 
 impl BodyForces {
     /// Acceleration of each vertex by `cause` [scene unit/s²], `[vertex_count]`.
     pub fn of(&self, cause: Cause) -> &Vectors {
-        &self.by_cause[cause as usize]
+        &self.0.by_cause[cause as usize]
+    }
+
+    /// Force at the centre of a free body, M c″ [mass · scene unit/s²]; zero for others.
+    pub fn at_centre(&self) -> DVec3 {
+        self.0.force
+    }
+
+    /// Torque about the centre of a free body [mass · scene unit²/s²]; zero for others.
+    pub fn torque(&self) -> DVec3 {
+        self.0.torque
     }
 }
 
 impl World {
     /// Computes the forces by cause on every vertex of body `index` in the current state, into `forces` (reused).
     pub fn forces(&self, index: usize, forces: &mut BodyForces) {
-        let (states, surroundings) = (self.body(index).states(), self.surroundings(index));
-        let seen = self.seen(index, [&states.displacement, &states.velocity], &surroundings);
-        seen.forces(self.scene().influence.weight, &mut forces.by_cause);
-        for vectors in forces.by_cause.iter_mut().filter(|vectors| vectors.is_empty()) {
-            vectors.reset(seen.rest.len());
+        if let Some(snapshot) = self.snapshot() {
+            snapshot.forces(index, self.carry(index), &mut forces.0);
+        } else {
+            let (states, surroundings) = (self.body(index).states(), self.surroundings(index));
+            let seen = self.seen(index, [&states.displacement, &states.velocity], &surroundings);
+            seen.forces(self.scene().influence.weight, &mut forces.0.by_cause);
+        }
+        for vectors in forces.0.by_cause.iter_mut().filter(|vectors| vectors.is_empty()) {
+            vectors.reset(self.bodies[index].rest().len());
         }
     }
 
-    /// The energy of the current state.
+    /// All bodies of a coupled scene as they are.
+    pub(super) fn snapshot(&self) -> Option<Snapshot<'_>> {
+        Some(self.coupled.as_ref()?.snapshot(self.scene(), self.time()))
+    }
+
+    /// The inertial response of a body on a path to its own motion [scene unit/s²]; zero for a free body.
+    pub(super) fn carry(&self, index: usize) -> DVec3 {
+        driven(self.scene(), index as u32, self.time(), false).carry
+    }
+
+    /// Momentum, angular momentum and energy by kind of the free bodies; `None` if the scene is not coupled.
+    pub fn conserved(&self) -> Option<Conserved> {
+        self.snapshot().map(|snapshot| snapshot.conserved())
+    }
+
+    /// What changed the energy of the free bodies since t = 0: their energy minus [`Ledger::total`] is constant, to the
+    /// integrator's error. Only [`Integrator::Exponential`](crate::scene::Integrator::Exponential) accounts for it.
+    pub fn ledger(&self) -> Ledger {
+        self.ledger
+    }
+
+    /// The energy of the current state. In a coupled scene it is that of the free bodies, in units of mass ·
+    /// scene unit²/s²; see [`World::conserved`].
     pub fn energy(&self) -> Energy {
+        if let Some(snapshot) = self.snapshot() {
+            return Energy::of(&snapshot.conserved(), snapshot.reached());
+        }
         let mut energy = EnergySum::new(self.scene(), self.energy_of_distant_pairs(), self.phases());
         let mut states = States::default();
         for (index, body) in self.bodies().enumerate() {
@@ -129,14 +168,21 @@ pub struct Energy {
     pub elastic: f64,
     /// Σ s Φ of influence spheres on vertices [scene unit²/s²].
     pub influence: f64,
+    /// Gravity and planes, in coupled scenes.
+    pub external: f64,
     /// Vertices inside at least one influence sphere that acts on them.
     pub reached_vertices: u64,
 }
 
 impl Energy {
+    pub(super) fn of(conserved: &Conserved, reached_vertices: u64) -> Energy {
+        let Conserved { kinetic, spin, vibration, elastic, influence, gravity, plane, .. } = *conserved;
+        Energy { kinetic: kinetic + spin + vibration, elastic, influence, external: gravity + plane, reached_vertices }
+    }
+
     /// Total energy E, as defined in [`crate::model::energy`] [scene unit²/s²].
     pub fn total(&self) -> f64 {
-        self.kinetic + self.elastic + self.influence
+        self.kinetic + self.elastic + self.influence + self.external
     }
 }
 

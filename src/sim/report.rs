@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use glam::DVec3;
 
-use super::events::Event;
+use super::{events::Event, free::Ledger};
 use crate::scene::Integrator;
 
 /// The stages of a step, in the order in which they run.
@@ -168,6 +168,9 @@ pub struct StepReport {
     pub time: f64,
     /// Phase changes within the step, by time.
     pub events: Vec<Event>,
+    /// What changed the energy of free bodies in this step; zero in scenes that are not coupled, and for integrators
+    /// without an error estimate.
+    pub ledger: Ledger,
     /// Steps taken by the integrator: one per body and interval without a jump, plus the substeps of single vertices.
     pub substeps: u64,
     /// The largest error of any vertex in this step, as estimated by the integrator [radii of its body]; 0 for

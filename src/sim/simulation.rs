@@ -3,11 +3,12 @@
 
 use std::{mem::take, sync::Arc};
 
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 
 use super::{
     Options, StepReport, World,
-    frames::{add_forces, pair_frame},
+    frames::{add_coupled_forces, add_forces, pair_frame},
+    free::{Conserved, Forces, Ledger, Snapshot},
     observe::{Energy, EnergySum},
     report::{Failure, Stage},
     stages,
@@ -23,9 +24,11 @@ use crate::{
         BodyFrame, Experiment, Frame, Instant, PairEvent, Refusal, Schema, Simulation, StageFrame, StepFailure,
         StepSummary, Want, between,
         colors::{self, Rgb},
-        schema::{self, BodySchema, OwnLevels, PhaseSchema, ScalarOf, ScalarSchema, TermSchema, Threshold},
+        schema::{
+            self, BodySchema, OwnLevels, PhaseSchema, PlaneSchema, ScalarOf, ScalarSchema, TermSchema, Threshold,
+        },
     },
-    scene::{Body, Integrator, Motion, Scene},
+    scene::{Body, Integrator, Motion, Plane, Scene},
 };
 
 /// All phases in order of depth, the deepest last.
@@ -54,7 +57,65 @@ struct StateNumbers<'a> {
     scene: &'a Scene,
     energy: Energy,
     bodies: &'a [BodyFrame],
+    /// Of coupled scenes.
+    conserved: Conserved,
+    ledger: Ledger,
+    /// Energy at t = 0 [mass · scene unit²/s²].
+    first_energy: f64,
 }
+
+/// The scalars of a scene.
+fn scalars(scene: &Scene) -> impl Iterator<Item = &'static Scalar> {
+    let is_coupled = scene.is_coupled();
+    let is_accounted_for = is_coupled && scene.integrator == Integrator::Exponential;
+    let of_coupled = CONSERVED.iter().filter(move |_| is_coupled);
+    SCALARS.iter().chain(of_coupled).chain(LEDGER.iter().filter(move |_| is_accounted_for))
+}
+
+/// A smooth scalar of the state.
+const fn smooth(
+    name: &'static str,
+    label: &'static str,
+    plot: &'static str,
+    value: fn(&StateNumbers<'_>) -> f64,
+) -> Scalar {
+    Scalar { name, label, plot, value: ScalarValue::State(value), is_smooth: true }
+}
+
+/// What free bodies conserve. Energies are in units of mass · scene unit²/s².
+const CONSERVED: &[Scalar] = &[
+    smooth("energy_kinetic", "kinetic", "Energy", |state| state.conserved.kinetic),
+    smooth("energy_spin", "spin", "Energy", |state| state.conserved.spin),
+    smooth("energy_vibration", "vibration", "Energy", |state| state.conserved.vibration),
+    smooth("energy_elastic", "elastic", "Energy", |state| state.conserved.elastic),
+    smooth("energy_influence", "influence", "Energy", |state| state.conserved.influence),
+    smooth("energy_gravity", "gravity", "Energy", |state| state.conserved.gravity),
+    smooth("energy_plane", "planes", "Energy", |state| state.conserved.plane),
+    smooth("momentum_x", "momentum x [mass·unit/s]", "Momentum", |state| state.conserved.momentum.x),
+    smooth("momentum_y", "momentum y", "Momentum", |state| state.conserved.momentum.y),
+    smooth("momentum_z", "momentum z", "Momentum", |state| state.conserved.momentum.z),
+    smooth("angular_momentum_x", "about the origin, x [mass·unit²/s]", "Angular momentum", |state| {
+        state.conserved.angular_momentum.x
+    }),
+    smooth("angular_momentum_y", "y", "Angular momentum", |state| state.conserved.angular_momentum.y),
+    smooth("angular_momentum_z", "z", "Angular momentum", |state| state.conserved.angular_momentum.z),
+];
+
+/// What changed the energy of free bodies since t = 0, and what is left of it when all that is subtracted: the
+/// integrator's error.
+const LEDGER: &[Scalar] = &[
+    smooth("brought_by_events", "by events", BROUGHT, |state| state.ledger.events),
+    smooth("brought_by_cores", "by gradual cores", BROUGHT, |state| state.ledger.core),
+    smooth("brought_by_damping", "by damping", BROUGHT, |state| state.ledger.damping),
+    smooth("brought_by_friction", "by friction", BROUGHT, |state| state.ledger.friction),
+    smooth("brought_by_pushes", "by pushes", BROUGHT, |state| state.ledger.pushes),
+    smooth("brought_by_paths", "by bodies on paths", BROUGHT, |state| state.ledger.prescribed),
+    smooth("unaccounted_energy", "not accounted for [mass·unit²/s²]", "Energy not accounted for", |state| {
+        state.conserved.energy() - state.first_energy - state.ledger.total()
+    }),
+];
+
+const BROUGHT: &str = "Energy brought since t = 0";
 
 const SCALARS: &[Scalar] = &[
     Scalar {
@@ -134,7 +195,7 @@ impl Simulation for World {
     }
 
     fn summary(&self, summary: &mut StepSummary) {
-        let report = self.report();
+        let (report, is_coupled) = (self.report(), self.coupled.is_some());
         summary.at = Instant { step: report.step, time: report.time };
         summary.events.clear();
         summary.events.extend(report.events.iter().map(|event| PairEvent {
@@ -147,11 +208,12 @@ impl Simulation for World {
             rate: event.rate,
             from: event.from as usize,
             to: event.to as usize,
+            energy: is_coupled.then_some(event.energy),
         }));
         summary.timings.clear();
         summary.timings.extend(report.timings);
         summary.scalars.clear();
-        summary.scalars.extend(SCALARS.iter().map(|scalar| match scalar.value {
+        summary.scalars.extend(scalars(self.scene()).map(|scalar| match scalar.value {
             ScalarValue::State(_) => 0.0,
             ScalarValue::SumOfSteps(value) | ScalarValue::MaxOfSteps(value) => value(report),
         }));
@@ -172,10 +234,12 @@ impl Simulation for World {
         frame.pairs.clear();
         frame.pairs.extend(self.pairs().map(pair_frame));
         frame.bodies.resize_with(self.body_count(), BodyFrame::default);
-        let mut energy = want.scalars.then(|| EnergySum::new(scene, self.energy_of_distant_pairs(), self.phases()));
-        let mut surroundings = Surroundings::default();
+        let snapshot = self.snapshot().filter(|_| want.forces || want.scalars);
+        let mut energy = (want.scalars && snapshot.is_none())
+            .then(|| EnergySum::new(scene, self.energy_of_distant_pairs(), self.phases()));
+        let (mut surroundings, mut forces) = (Surroundings::default(), Forces::default());
         for ((index, body), now) in self.bodies().enumerate().zip(&mut frame.bodies) {
-            (now.centre, now.rotation) = (body.centre(), DQuat::IDENTITY);
+            (now.centre, now.rotation) = (body.centre(), body.rotation());
             if body.is_at_rest() {
                 now.rest();
             } else {
@@ -189,6 +253,12 @@ impl Simulation for World {
             if !(want.forces || want.scalars) {
                 continue;
             }
+            if let Some(snapshot) = &snapshot {
+                if want.forces && !(now.is_at_rest && snapshot.is_idle(index)) {
+                    add_coupled_forces(self, snapshot, index, &mut forces, now);
+                }
+                continue;
+            }
             self.surroundings_into(index, &mut surroundings);
             if let Some(energy) = energy.as_mut().filter(|_| !(now.is_at_rest && surroundings.sources.is_empty())) {
                 energy.add(&self.seen(index, [&now.displacements, &now.velocities], &surroundings));
@@ -198,9 +268,18 @@ impl Simulation for World {
             }
         }
         frame.scalars.clear();
-        if let Some(energy) = energy {
-            let state = StateNumbers { scene, energy: energy.sum, bodies: &frame.bodies };
-            frame.scalars.extend(SCALARS.iter().map(|scalar| match scalar.value {
+        if want.scalars {
+            let conserved = snapshot.as_ref().map(Snapshot::conserved).unwrap_or_default();
+            let of_coupled = snapshot.as_ref().map(|snapshot| Energy::of(&conserved, snapshot.reached()));
+            let state = StateNumbers {
+                scene,
+                energy: energy.map(|energy| energy.sum).or(of_coupled).unwrap_or_default(),
+                bodies: &frame.bodies,
+                conserved,
+                ledger: self.ledger(),
+                first_energy: self.first_energy,
+            };
+            frame.scalars.extend(scalars(scene).map(|scalar| match scalar.value {
                 ScalarValue::State(value) => value(&state),
                 ScalarValue::SumOfSteps(_) | ScalarValue::MaxOfSteps(_) => 0.0,
             }));
@@ -307,6 +386,7 @@ fn schema(scene: &Scene, options: Options) -> Schema {
         shape: body.shape.label(),
         mesh: body.shape.mesh(),
         is_free: body.path().is_none(),
+        mass: body.mass,
         color: body.color,
     });
     let bodies = bodies.collect();
@@ -349,6 +429,12 @@ fn schema(scene: &Scene, options: Options) -> Schema {
         terms: Cause::of(scene.is_coupled()).map(|cause| term(scene, cause)).collect(),
         labels: LABELS.into(),
         arrow_scale: arrow_scale(scene),
+        planes: scene
+            .planes
+            .iter()
+            .map(|&Plane { normal, offset, friction, .. }| PlaneSchema { normal, offset, friction })
+            .collect(),
+        whole_scale: whole_scale(scene),
         phases: PHASES
             .map(|phase| PhaseSchema {
                 name: phase.name(),
@@ -358,8 +444,7 @@ fn schema(scene: &Scene, options: Options) -> Schema {
             .into(),
         thresholds: thresholds.collect(),
         own_levels,
-        scalars: SCALARS
-            .iter()
+        scalars: scalars(scene)
             .map(|&Scalar { name, label, plot, ref value, is_smooth }| {
                 let of = match value {
                     ScalarValue::State(_) => ScalarOf::State,
@@ -403,7 +488,8 @@ fn term(scene: &Scene, cause: Cause) -> TermSchema {
         _ => (cause.name(), colors::BLUE, true, true),
     };
     let has_source = matches!(cause, Cause::Attraction | Cause::Repulsion | Cause::Core);
-    TermSchema { name: cause.name(), label, color, has_source, can_act, is_shown }
+    let is_uniform = matches!(cause, Cause::Gravity | Cause::Reaction);
+    TermSchema { name: cause.name(), label, color, has_source, can_act, is_shown, is_uniform }
 }
 
 fn law(scene: &Scene) -> String {
@@ -424,12 +510,24 @@ fn law(scene: &Scene) -> String {
     )
 }
 
+/// Length per acceleration of the arrows for bodies as a whole: about a radius for gravity, or for a quarter of what the
+/// strongest influence does to a vertex.
+fn whole_scale(scene: &Scene) -> f64 {
+    let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+    schema::arrow_scale(2.5 * radius, f64::max(scene.gravity.length(), 0.25 * strongest_pull(scene, radius)))
+}
+
+/// The strongest influence on any vertex [scene unit/s²], for the largest radius.
+fn strongest_pull(scene: &Scene, radius: f64) -> f64 {
+    let strength = scene.laws().map(|law| law.alpha.max(law.beta)).fold(0.0, f64::max);
+    strength * scene.influence.sphere_radius(radius) * scene.influence.weight.max_pull()
+}
+
 /// Length of an arrow per acceleration [scene unit per scene unit/s²]. The strongest influence or push on the largest
 /// body gets an arrow of about 0.4 of its radius.
 pub fn arrow_scale(scene: &Scene) -> f64 {
     let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
-    let strength = scene.laws().map(|law| law.alpha.max(law.beta)).fold(0.0, f64::max);
-    let pull = strength * scene.influence.sphere_radius(radius) * scene.influence.weight.max_pull();
+    let pull = strongest_pull(scene, radius);
     schema::arrow_scale(radius, scene.pushes.iter().map(|push| push.strength.abs()).fold(pull, f64::max))
 }
 
@@ -439,21 +537,42 @@ fn instants(scene: &Scene) -> impl Iterator<Item = f64> {
     (0..=32).map(move |k| duration * f64::from(k) / 32.0)
 }
 
-/// Where a body is at a time, as far as the scene says: a free body where it starts.
-fn place(body: &Body, time: f64) -> DVec3 {
-    match &body.motion {
-        Motion::Prescribed(path) => path.position(time),
-        Motion::Free(free) => free.from,
-    }
+/// Where bodies are at each instant, roughly: free bodies fly until they lie on a plane or come near another body, and
+/// stay there.
+fn places(scene: &Scene) -> Vec<Vec<DVec3>> {
+    /// With more free bodies than this, encounters of two are not looked for.
+    const MOST: usize = 300;
+
+    let bodies = &scene.bodies;
+    let free = bodies.iter().filter(|body| body.path().is_none()).count();
+    let mut stays: Vec<Option<DVec3>> = vec![None; bodies.len()];
+    let mut at = |time: f64| {
+        let place = |(body, stays): (&Body, &Option<DVec3>)| match (&body.motion, stays) {
+            (_, Some(stays)) => *stays,
+            (Motion::Prescribed(path), _) => path.position(time),
+            (Motion::Free(free), _) => free.from + time * (free.velocity + 0.5 * time * scene.gravity),
+        };
+        let places: Vec<DVec3> = bodies.iter().zip(&stays).map(place).collect();
+        for (i, body) in bodies.iter().enumerate().filter(|(_, body)| body.path().is_none()) {
+            let near = |j: usize| i != j && places[i].distance(places[j]) < 0.9 * (body.radius + bodies[j].radius);
+            let lies = |plane: &&Plane| plane.depth(places[i]) > -body.radius;
+            if stays[i].is_none() {
+                let on_plane = scene.planes.iter().find(lies);
+                let lifted = on_plane.map(|plane| places[i] + (plane.depth(places[i]) + body.radius) * plane.normal);
+                let is_near = || free <= MOST && (0..bodies.len()).any(near);
+                stays[i] = lifted.or_else(|| is_near().then_some(places[i]));
+            }
+        }
+        places
+    };
+    instants(scene).map(&mut at).collect()
 }
 
 /// Every influence sphere along its path.
 fn all_there_is(scene: &Scene) -> Vec<(DVec3, f64)> {
-    let spheres = scene.bodies.iter().flat_map(|body| {
-        let radius = scene.influence.sphere_radius(body.radius).min(2.0 * body.radius);
-        instants(scene).map(move |time| (place(body, time), radius))
-    });
-    spheres.collect()
+    let radius = |body: &Body| scene.influence.sphere_radius(body.radius).min(2.0 * body.radius);
+    let of = |places: Vec<DVec3>| places.into_iter().zip(&scene.bodies).map(|(place, body)| (place, radius(body)));
+    places(scene).into_iter().flat_map(|places| of(places).collect::<Vec<_>>()).collect()
 }
 
 /// The bodies that something acts on, while it acts; everything if there are none.
@@ -469,13 +588,16 @@ fn what_happens(scene: &Scene) -> Vec<(DVec3, f64)> {
     let mut acted_on = Vec::new();
     for push in &scene.pushes {
         let body = &bodies[push.body];
-        acted_on.push((place(body, push.start), ROOM * body.radius));
+        let place = match &body.motion {
+            Motion::Prescribed(path) => path.position(push.start),
+            Motion::Free(free) => free.from,
+        };
+        acted_on.push((place, ROOM * body.radius));
     }
     let pairs_of = if bodies.len() > MOST { 0 } else { bodies.len() };
     let movers: Vec<usize> = (0..pairs_of).filter(|&i| bodies[i].path().is_none_or(|path| !path.is_fixed())).collect();
     let all: Vec<usize> = (0..pairs_of).collect();
-    for (k, time) in instants(scene).enumerate() {
-        let centres: Vec<DVec3> = bodies[..pairs_of].iter().map(|body| place(body, time)).collect();
+    for (k, centres) in places(scene).into_iter().enumerate() {
         // bodies that do not move are as at the first instant
         for &b in if k == 0 { &all } else { &movers } {
             for a in (0..pairs_of).filter(|&a| a != b) {

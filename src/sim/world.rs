@@ -20,6 +20,7 @@ use super::{
     checksum,
     coupled::{Coupled, member::Member},
     deformation::Now,
+    free::Ledger,
     integrator::exponential,
     memory::{self, TooLarge},
     pairs::{Pair, Pairs, Surrounded},
@@ -85,6 +86,9 @@ pub struct World {
     report: StepReport,
     /// The bodies of a coupled scene, in place of `actives`, `tracks` and `pairs`.
     pub(super) coupled: Option<Coupled>,
+    /// What changed the energy of free bodies so far, and that energy at t = 0.
+    pub(super) ledger: Ledger,
+    pub(super) first_energy: f64,
     /// Computed when the energy is first requested.
     pub(super) energy_of_distant_pairs: OnceLock<f64>,
 }
@@ -109,6 +113,8 @@ impl World {
         let bodies = pushes.into_iter().enumerate().map(|(index, pushes)| Body::new(&scene, index, pushes)).collect();
         let mut world = World {
             coupled: None,
+            ledger: Ledger::default(),
+            first_energy: 0.0,
             energy_of_distant_pairs: OnceLock::new(),
             step: 0,
             bodies,
@@ -137,6 +143,7 @@ impl World {
             let meshes: Vec<Arc<Mesh>> = self.bodies.iter().map(|body| Arc::clone(&body.mesh)).collect();
             self.coupled =
                 Coupled::new(&self.scene, &meshes, (self.options.skip, self.options.arch), most_pairs, &self.work);
+            self.first_energy = self.conserved().map_or(0.0, |conserved| conserved.energy());
             return self.coupled.is_some();
         }
         let World { scene, bodies, tracks, pairs, work, .. } = self;
@@ -178,6 +185,7 @@ impl World {
         if let Some(coupled) = &mut self.coupled {
             let diverged = coupled.step(&self.scene, span, &mut self.work, &mut self.report)?;
             self.step += 1;
+            self.ledger += self.report.ledger;
             self.report.failure = diverged.map(|body| self.divergence(body).into());
             return Ok(());
         }

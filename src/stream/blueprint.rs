@@ -13,16 +13,16 @@ use rerun::{
                 archetypes::{
                     ActiveVisualizers, Background, ContainerBlueprint, EntityBehavior, EyeControls3D, LineGrid3D,
                     PanelBlueprint, PlotLegend, ScalarAxis, TextLogColumns, TimePanelBlueprint, ViewBlueprint,
-                    ViewContents, ViewportBlueprint, VisualizerInstruction,
+                    ViewContents, ViewportBlueprint, VisibleTimeRanges, VisualizerInstruction,
                 },
                 components::{
                     AbsoluteTimeRange, BackgroundKind, ContainerKind, Corner2D, Eye3DKind, LoopMode, PanelState,
-                    PlayState, TimelineColumn, VisualizerInstructionId,
+                    PlayState, TimelineColumn, VisibleTimeRange, VisualizerInstructionId,
                 },
                 datatypes::{ComponentSourceKind, TextLogColumn, TextLogColumnKind, VisualizerComponentMapping},
             },
             components::{Position3D, Range1D, Vector3D},
-            datatypes::{self, Uuid},
+            datatypes::{self, TimeRange, TimeRangeBoundary, Uuid},
         },
     },
 };
@@ -36,7 +36,9 @@ use super::{
         merged::{self, DRAWN},
         numbers::{LAG, OBSERVING, RECORDING, SPEED},
         pairs::{self, CONTACT, MEASURES},
+        trails,
         vertices::HOTTEST,
+        wholes,
     },
     settings::{Detail, Entities, Frames, Settings},
 };
@@ -336,12 +338,13 @@ impl Layout {
             .filter(|term| term.can_act)
             .map(|term| {
                 let arrows = format!("+ {}", forces::entity(term.name));
-                let contents = ["+ /world/bodies/**", "+ /world/deforming/**", arrows.as_str()];
+                let contents = ["+ /world/bodies/**", "+ /world/deforming/**", "+ /world/planes/**", arrows.as_str()];
                 let view = self.space(camera, &format!("{} ({})", term.label, colors::name(term.color)), &contents);
                 if schema.bodies.len() <= MOST_SHEER || settings.entities == Entities::Batch {
                     for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
                         // a batch has a colour per vertex
-                        let rgb = if settings.entities == Entities::Batch { WHITE } else { palette::body(index) };
+                        let rgb =
+                            if settings.entities == Entities::Batch { WHITE } else { palette::of_body(schema, index) };
                         let sheer = Mesh3D::update_fields().with_albedo_factor(palette::sheer(rgb));
                         self.visualize(&view, &surface, &[("Mesh3D", None, &sheer)]);
                     }
@@ -358,7 +361,8 @@ impl Layout {
             "Displacement: purple 0, green {}, yellow {HOTTEST} radii and more; select a vertex to see its numbers",
             0.6 * HOTTEST
         );
-        let view = self.space(camera, &title, &["+ /world/bodies/**", "+ /world/deforming/**"]);
+        let contents = ["+ /world/bodies/**", "+ /world/deforming/**", "+ /world/planes/**"];
+        let view = self.space(camera, &title, &contents);
         let heat = Mapping { target: "Mesh3D:vertex_colors", source: "Points3D:colors" };
         let positions = Mapping { target: "Points3D:positions", source: "Mesh3D:vertex_positions" };
         let opaque = Mesh3D::update_fields().with_albedo_factor(rerun::Rgba32::WHITE);
@@ -469,6 +473,22 @@ impl Layout {
             for term in schema.terms.iter().filter(|term| !term.is_shown) {
                 hide(&forces::entity(term.name));
             }
+        }
+        if settings.entities == Entities::Body && schema.bodies.iter().any(|body| body.is_free) {
+            let seconds = (-trails::SECONDS * 1e9) as i64;
+            let ranges =
+                [("sim_time", seconds), ("step", (-trails::SECONDS / schema.dt) as i64)].map(|(line, start)| {
+                    VisibleTimeRange(datatypes::VisibleTimeRange {
+                        timeline: line.into(),
+                        range: TimeRange {
+                            start: TimeRangeBoundary::CursorRelative(start.into()),
+                            end: TimeRangeBoundary::CursorRelative(0.into()),
+                        },
+                    })
+                });
+            let path = format!("{}/ViewContents/overrides{}", view.path, trails::TRAILS);
+            self.log(&path, &VisibleTimeRanges::new(ranges.clone()));
+            self.log(&format!("{path}/visualizers"), &VisibleTimeRanges::new(ranges));
         }
         view
     }
@@ -682,5 +702,22 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
     } else {
         String::new()
     };
-    head + &spheres + &merged + &arrows + &bound
+    let is_free = schema.bodies.iter().any(|body| body.is_free);
+    let wholes = match settings.detail {
+        Detail::Forces | Detail::Stages { .. } if is_free => {
+            let of = wholes::KINDS.map(|(name, rgb, _)| format!("{} **{name}**", colors::name(rgb)));
+            format!(
+                "At the centres of free bodies: {}, {} unit long per unit/s² (over M, and over M R).  \n",
+                of.join(", "),
+                schema.whole_scale,
+            )
+        }
+        _ => String::new(),
+    };
+    let trails = if is_free && settings.entities == Entities::Body {
+        format!("Trails: where the centres of free bodies were in the last {} s.  \n", trails::SECONDS)
+    } else {
+        String::new()
+    };
+    head + &spheres + &merged + &arrows + &wholes + &trails + &bound
 }

@@ -116,6 +116,15 @@ impl Arrows {
         }
     }
 
+    /// Appends one arrow at `origin` [scene unit] for an acceleration that all vertices of a body share.
+    pub fn append_one(&mut self, origin: DVec3, acceleration: DVec3, scale: f64) {
+        let vector = (scale * acceleration).as_vec3().to_array();
+        if vector != [0.0; 3] {
+            self.origins.push(origin.as_vec3().to_array());
+            self.vectors.push(vector);
+        }
+    }
+
     /// Removes all arrows and keeps the allocation.
     pub fn clear(&mut self) {
         self.origins.clear();

@@ -4,8 +4,11 @@
 use rerun::{Color, Rgba32};
 
 pub use crate::observe::colors::Rgb;
-use crate::observe::colors::{BLUE, GREEN, GREY, ORANGE, PURPLE, SILVER, SKY_BLUE, VERMILION};
-use crate::observe::surface::VertexOrigin;
+use crate::observe::{
+    Schema,
+    colors::{BLUE, GREEN, GREY, ORANGE, PURPLE, SILVER, SKY_BLUE, VERMILION},
+    surface::VertexOrigin,
+};
 
 /// Background colour of 3D views.
 pub const BACKGROUND: Rgb = [0x10, 0x13, 0x18];
@@ -21,6 +24,9 @@ pub const IDLE_SPHERE_OF_MANY: Rgb = [0x26, 0x2B, 0x33];
 
 /// Colour of resting bodies in a batched scene.
 pub const RESTING: Rgb = GREY;
+
+/// Colour of the grid on planes.
+pub const GRID: Rgb = [0x3A, 0x41, 0x4B];
 
 /// Colours of q lines, in order: hues a golden angle apart, none like another. Legible on dark and light backgrounds.
 pub fn distance(index: usize) -> Rgb {
@@ -54,6 +60,11 @@ pub fn blended(origin: &VertexOrigin) -> Rgb {
     std::array::from_fn(|i| (a[i] + (b[i] - a[i]) * origin.share).round() as u8)
 }
 
+/// The colour of a body: its own, or one of the muted ones.
+pub fn of_body(schema: &Schema, index: usize) -> Rgb {
+    schema.bodies.get(index).and_then(|of| of.color).unwrap_or_else(|| body(index))
+}
+
 /// Colours of plot lines without other meaning, in order.
 pub fn line(index: usize) -> Rgb {
     [SKY_BLUE, ORANGE, GREEN, VERMILION, PURPLE, SILVER, BLUE][index % 7]
@@ -72,6 +83,12 @@ pub fn translucent([r, g, b]: Rgb) -> Rgba32 {
 /// Opaque colour of surfaces without visible inside: thousands of them are drawn twice as fast as translucent ones.
 pub fn opaque([r, g, b]: Rgb) -> Rgba32 {
     Rgba32::from_rgb(r, g, b)
+}
+
+/// Colour of planes: bodies behind them remain visible.
+pub fn sheet() -> Rgba32 {
+    let [r, g, b] = GREY;
+    Rgba32::from_unmultiplied_rgba(r, g, b, 40)
 }
 
 /// Almost transparent colour of surfaces in views of arrows.

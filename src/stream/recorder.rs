@@ -25,7 +25,8 @@ use super::{
     machine,
     parts::{
         Look, batch::BatchedBodies, bodies::SeparateBodies, forces::Forces, groups::GroupPlots, lines::Lines,
-        merged::MergedEntities, numbers::FrameNumbers, pairs, pairs::PairPlots, spheres::SphereEntities,
+        merged::MergedEntities, numbers::FrameNumbers, pairs, pairs::PairPlots, planes, spheres::SphereEntities,
+        trails::Trails, wholes::Wholes,
     },
     series::Series,
     settings::{FORMAT, Frames, Trigger, application, recording_id},
@@ -71,6 +72,8 @@ struct FrameParts {
     pairs: PairPlots,
     groups: GroupPlots,
     numbers: FrameNumbers,
+    /// Paths of free bodies; not in a batch, where they would hide everything.
+    trails: Option<Trails>,
     series: Series,
     approaches: Approaches,
     focus: FocusFinder,
@@ -83,6 +86,7 @@ struct StateParts {
     surfaces: Surfaces,
     spheres: SphereEntities,
     forces: Option<Forces>,
+    wholes: Option<Wholes>,
     lines: Lines,
 }
 
@@ -115,6 +119,9 @@ impl Recorder {
         log_properties(&schema, &run, &simulation.overrides(settings.steps), &settings, &mut chunks);
         chunks.log_static("/world", &ViewCoordinates::RIGHT_HAND_Z_UP());
         log_about(blueprint::about(&schema, &settings, simulation.steps_taken()), &mut chunks);
+        if settings.frames != Frames::Thin && !schema.planes.is_empty() {
+            planes::log(&schema, &simulation.framing(false), &mut chunks);
+        }
         let mut recorder = Recorder {
             checksums: match settings.frames {
                 Frames::Thin => Checksums::packed(schema.vertex_count()),
@@ -388,11 +395,13 @@ impl FrameParts {
             if matches!(settings.frames, Frames::Last { .. }) { Series::whole() } else { Series::default() };
         let state = StateParts::new(schema, settings, chunks);
         let numbers = FrameNumbers::new(schema, &mut series, chunks);
+        let trails = if settings.entities == Entities::Body { Trails::new(schema, chunks) } else { None };
         FrameParts {
             state,
             pairs: PairPlots::new(settings.pairs),
             groups: GroupPlots::new(settings.pairs),
             numbers,
+            trails,
             series,
             approaches: Approaches::default(),
             focus: FocusFinder::default(),
@@ -402,10 +411,13 @@ impl FrameParts {
     /// Logs what has changed; `number` is the number of the frame.
     fn log(&mut self, look: Look<'_>, number: u64, chunks: &mut Chunks) {
         let start = Clock::now();
-        let FrameParts { state, pairs, groups, numbers, series, approaches, focus } = self;
+        let FrameParts { state, pairs, groups, numbers, trails, series, approaches, focus } = self;
         approaches.add(look.frame);
         focus.frame(look);
         let extracting = state.log(look, pairs.choose(look, series, chunks), chunks);
+        if let Some(trails) = trails {
+            trails.log(look, chunks);
+        }
         let merged = state.merged.merged();
         pairs.log(look, &merged.pairs, number, series, chunks);
         groups.log(look, merged, series, chunks);
@@ -426,15 +438,16 @@ impl StateParts {
             Entities::Batch => Surfaces::Batch(BatchedBodies::new(schema, detail, &mut extractor, chunks)),
         };
         let forces = (detail != Detail::Surface).then(|| Forces::new(schema, settings.entities, chunks));
+        let wholes = if detail != Detail::Surface { Wholes::new(schema, chunks) } else { None };
         let lines = Lines::new(schema, settings.pairs, chunks);
         let merged = MergedEntities::new(schema, chunks);
-        StateParts { extractor, merged, surfaces, spheres, forces, lines }
+        StateParts { extractor, merged, surfaces, spheres, forces, wholes, lines }
     }
 
     /// Logs what has changed, and measures `pairs`; returns the time spent on extraction.
     fn log(&mut self, look: Look<'_>, pairs: &[[usize; 2]], chunks: &mut Chunks) -> Duration {
         let start = Clock::now();
-        let StateParts { extractor, merged, surfaces, spheres, forces, lines } = self;
+        let StateParts { extractor, merged, surfaces, spheres, forces, wholes, lines } = self;
         if let Some(forces) = forces {
             forces.extract(look, extractor);
         }
@@ -448,6 +461,9 @@ impl StateParts {
         let extracting = start.elapsed();
         if let Some(forces) = forces {
             forces.log(look, chunks);
+        }
+        if let Some(wholes) = wholes {
+            wholes.log(look, chunks);
         }
         spheres.log(look, chunks);
         lines.log(look, chunks);

@@ -70,7 +70,7 @@ impl Simulation for Projected {
         let (from, q, time, step) = (self.phase, self.centre(1).length() / 2.0, self.time(), self.step);
         self.phase = usize::from(q < if from == 1 { SLIP } else { GRIP });
         let name = ["split", "merge"][self.phase];
-        let event = PairEvent { name, time, step, a: 0, b: 1, q, rate: 0.0, from, to: self.phase };
+        let event = PairEvent { name, time, step, a: 0, b: 1, q, rate: 0.0, from, to: self.phase, energy: None };
         self.events = if from == self.phase { Vec::new() } else { vec![event] };
     }
     fn summary(&self, summary: &mut StepSummary) {

@@ -225,7 +225,7 @@ fn pushed(push: &scene::Push) -> Push {
 }
 
 /// The motion of a body on a path at `t` [s], just before it if `before` is set.
-pub(super) fn driven(scene: &Scene, body: u32, t: f64, before: bool) -> Driven {
+pub(in crate::sim) fn driven(scene: &Scene, body: u32, t: f64, before: bool) -> Driven {
     let body = &scene.bodies[body as usize];
     let Some(path) = body.path() else { return Driven::default() };
     let motion = if before { path.before(t) } else { path.at(t) };

@@ -45,7 +45,7 @@ use self::{
 };
 use super::{
     Event,
-    free::{self, Scratch},
+    free::{self, Field, Scratch, Snapshot},
     report::{Failure, Overworked, Stage, StepReport, Toil},
     span::Span,
     terms::{Cause, Source, Surroundings, Weighted},
@@ -358,6 +358,7 @@ impl Coupled {
             let bodies = job.group.bodies.len() as u64;
             report.substeps += bodies * job.report.steps;
             report.error = report.error.max(job.report.error);
+            report.ledger += job.report.ledger;
             stepped += bodies;
             for ((&index, body), way) in job.group.bodies.iter().zip(job.bodies.drain(..)).zip(&job.ways) {
                 let member = &mut self.members[index as usize];
@@ -377,6 +378,25 @@ impl Coupled {
         self.jobs = jobs;
         let Coupled { awake, members, .. } = self;
         awake.retain(|&body| members[body as usize].is_awake);
+    }
+
+    /// All bodies as they are, for the forces on them and what they conserve.
+    pub fn snapshot(&self, scene: &Scene, time: f64) -> Snapshot<'_> {
+        let pushes = self.members.iter().zip(0..).flat_map(|(member, body)| {
+            let acting = member.pushes.iter().filter(move |push| push.start <= time && time < push.end);
+            acting.map(move |&push| free::Push { body, ..push })
+        });
+        let field = Field {
+            gravity: scene.gravity,
+            planes: scene.planes.clone(),
+            pushes: pushes.collect(),
+            reach: scene.influence.reach,
+            weight: scene.influence.weight,
+            scaling: scene.influence.scaling,
+            ..Field::default()
+        };
+        let bodies = self.members.iter().map(|member| &member.body).collect();
+        Snapshot::new(bodies, self.pairs().copied().collect(), field, time)
     }
 
     /// Reports the events of an island.

@@ -134,6 +134,12 @@ impl Body {
         }
     }
 
+    /// Displacement and velocity of a vertex; zero in a body whose lists are empty because it is not deformed.
+    #[inline]
+    pub(super) fn state(&self, vertex: usize) -> (DVec3, DVec3) {
+        (self.x.get(vertex).copied().unwrap_or_default(), self.u.get(vertex).copied().unwrap_or_default())
+    }
+
     /// Whether its rest shape rotates.
     pub fn turns(&self) -> bool {
         self.motion == Motion::Free(Rotation::Free)

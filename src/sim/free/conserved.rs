@@ -39,7 +39,7 @@ impl Conserved {
 
     /// The conserved quantities of bodies in their current state. Bodies on prescribed paths contribute only the energy
     /// of the influence between them and free bodies.
-    pub fn of(bodies: &[Body], pairs: &[Pair], field: &Field) -> Conserved {
+    pub fn of(bodies: &[&Body], pairs: &[Pair], field: &Field) -> Conserved {
         let mut sum = Conserved::default();
         for body in bodies.iter().filter(|body| body.is_free()) {
             let (shape, mass) = (&*body.shape, body.mass());
@@ -51,12 +51,13 @@ impl Conserved {
             let (mut spin, mut own, mut elastic) = (DVec3::ZERO, 0.0, 0.0);
             for i in 0..shape.rest.len() {
                 let (a, m) = (axes * shape.rest[i], shape.masses[i]);
-                let rate = frame_spin.cross(a) + body.u[i];
-                spin += m * (a + body.x[i]).cross(rate);
+                let (x, u) = body.state(i);
+                let rate = frame_spin.cross(a) + u;
+                spin += m * (a + x).cross(rate);
                 own += 0.5 * m * rate.length_squared();
-                elastic += m * body.x[i].length_squared();
+                elastic += m * x.length_squared();
                 for plane in &field.planes {
-                    sum.plane += m * plane.potential(plane.depth(body.centre + (a + body.x[i])));
+                    sum.plane += m * plane.potential(plane.depth(body.centre + (a + x)));
                 }
             }
             sum.angular_momentum += mass * body.centre.cross(body.velocity) + spin;
@@ -66,17 +67,16 @@ impl Conserved {
             sum.elastic += 0.5 * body.oscillator.omega * body.oscillator.omega * elastic;
         }
         for pair in pairs {
-            let q = bodies[pair.a as usize].centre.distance(bodies[pair.b as usize].centre)
-                / (bodies[pair.a as usize].radius + bodies[pair.b as usize].radius);
-            sum.influence += influence(bodies, pair, field, pair.law.strength(pair.phase, q));
+            let (a, b) = (bodies[pair.a as usize], bodies[pair.b as usize]);
+            let q = a.centre.distance(b.centre) / (a.radius + b.radius);
+            sum.influence += influence(a, b, field, pair.law.strength(pair.phase, q));
         }
         sum
     }
 }
 
 /// The energy of a pair's influence at a given strength [mass · scene unit²/s²].
-pub(super) fn influence(bodies: &[Body], pair: &Pair, field: &Field, strength: f64) -> f64 {
-    let (a, b) = (&bodies[pair.a as usize], &bodies[pair.b as usize]);
+pub(super) fn influence(a: &Body, b: &Body, field: &Field, strength: f64) -> f64 {
     if strength == 0.0 || !(a.is_free() || b.is_free()) {
         return 0.0;
     }
@@ -91,10 +91,9 @@ pub(super) fn influence(bodies: &[Body], pair: &Pair, field: &Field, strength: f
 /// vertices are displaced by `x` in a frame with these axes, `to_source` is from their centre to that of the sphere.
 pub(super) fn potential(own: &Body, axes: DMat3, x: &[DVec3], to_source: DVec3, source: &Body, field: &Field) -> f64 {
     let r_e = field.reach * source.radius;
-    let vertices = own.shape.rest.iter().zip(&own.shape.masses).zip(x);
-    let sum = vertices.map(|((&l, &m), &x)| {
-        let s = axes * l + x;
-        m * influence_potential(field.weight, r_e, (to_source - s).length())
+    let sum = (0..own.shape.rest.len()).map(|i| {
+        let s = axes * own.shape.rest[i] + x.get(i).copied().unwrap_or_default();
+        own.shape.masses[i] * influence_potential(field.weight, r_e, (to_source - s).length())
     });
     field.scale(own.radius, source.radius) * sum.sum::<f64>()
 }

@@ -240,12 +240,12 @@ impl Island {
 
     /// Momentum, angular momentum and energy.
     pub fn conserved(&self) -> Conserved {
-        Conserved::of(&self.bodies, &self.pairs, &self.field)
+        Conserved::of(&self.bodies.iter().collect::<Vec<_>>(), &self.pairs, &self.field)
     }
 
     /// The bodies as they are, for the forces on them.
     pub fn snapshot(&self) -> Snapshot<'_> {
-        Snapshot::new(&self.bodies, &self.pairs, &self.field, self.time)
+        Snapshot::new(self.bodies.iter().collect(), self.pairs.clone(), self.field.clone(), self.time)
     }
 
     /// Advances the island to `end` [s].
@@ -681,7 +681,7 @@ impl Island {
         let q = apart.length() / radii;
         let rate = apart.normalize_or_zero().dot(a.velocity - b.velocity) / radii;
         let jump = pair.law.strength(to, q) - pair.law.strength(pair.phase, q);
-        let energy = conserved::influence(&self.bodies, &pair, &self.field, jump);
+        let energy = conserved::influence(a, b, &self.field, jump);
         report.ledger.events += energy;
         report.changes.push(Change { time: self.time, pair: index, q, rate, from: pair.phase, to, energy });
         self.pairs[index].phase = to;

@@ -5,9 +5,10 @@ use glam::{DMat3, DVec3};
 use super::{
     super::terms::Cause,
     body::Body,
+    conserved::Conserved,
     field::{Field, Pair},
-    force::{Acting, Contact, Seen},
-    step::{Place, Span},
+    force::{Contact, Seen, Sphere},
+    step::Place,
 };
 use crate::{geometry::Vectors, model::phase::Phase};
 
@@ -28,25 +29,50 @@ pub struct Forces {
 /// Bodies at an instant.
 #[derive(Clone, Debug)]
 pub struct Snapshot<'a> {
-    bodies: &'a [Body],
-    pairs: &'a [Pair],
-    field: &'a Field,
-    span: Span,
-    places: Vec<[Place; 5]>,
+    bodies: Vec<&'a Body>,
+    pairs: Vec<Pair>,
+    field: Field,
+    time: f64,
     pairs_of: Vec<Vec<u32>>,
 }
 
 impl<'a> Snapshot<'a> {
     /// The bodies in their current state, at `time` [s].
-    pub fn new(bodies: &'a [Body], pairs: &'a [Pair], field: &'a Field, time: f64) -> Snapshot<'a> {
-        let place = |body: &Body| [Place { centre: body.centre, velocity: body.velocity }; 5];
+    pub fn new(bodies: Vec<&'a Body>, pairs: Vec<Pair>, field: Field, time: f64) -> Snapshot<'a> {
         let mut pairs_of = vec![Vec::new(); bodies.len()];
-        for (index, pair) in (0..).zip(pairs) {
+        for (index, pair) in (0..).zip(&pairs) {
             pairs_of[pair.a as usize].push(index);
             pairs_of[pair.b as usize].push(index);
         }
-        let span = Span { start: time, end: time, ..Span::default() };
-        Snapshot { bodies, pairs, field, span, places: bodies.iter().map(place).collect(), pairs_of }
+        Snapshot { bodies, pairs, field, time, pairs_of }
+    }
+
+    /// Momentum, angular momentum and energy.
+    pub fn conserved(&self) -> Conserved {
+        Conserved::of(&self.bodies, &self.pairs, &self.field)
+    }
+
+    /// Number of vertices inside a sphere that acts on them.
+    pub fn reached(&self) -> u64 {
+        let mut reached = 0;
+        for (index, pairs) in self.pairs_of.iter().enumerate().filter(|(_, pairs)| !pairs.is_empty()) {
+            let mut is_reached = vec![false; self.bodies[index].shape.rest.len()];
+            for &pair in pairs {
+                self.sphere(index, &self.pairs[pair as usize], |i, _| is_reached[i] = true);
+            }
+            reached += is_reached.into_iter().filter(|&reached| reached).count() as u64;
+        }
+        reached
+    }
+
+    /// Whether nothing but its own oscillators acts on a body.
+    pub fn is_idle(&self, index: usize) -> bool {
+        let (body, field) = (self.bodies[index], &self.field);
+        let extent = body.shape.extent + body.x.iter().map(|x| x.length()).fold(0.0, f64::max);
+        self.pairs_of[index].is_empty()
+            && field.planes.iter().all(|plane| plane.depth(body.centre) + extent < 0.0)
+            && !field.pushes.iter().any(|push| push.body as usize == index)
+            && (field.gravity == DVec3::ZERO || !body.is_free())
     }
 
     /// The force on the vertices of body `index` by the sphere of `source`, Σ m f [mass · scene unit/s²]; on the source
@@ -60,8 +86,8 @@ impl<'a> Snapshot<'a> {
     /// Computes what acts on body `index`, into `forces` (reused). `carry` is the inertial response to its own motion, of
     /// a body on a path [scene unit/s²].
     pub fn forces(&self, index: usize, carry: DVec3, forces: &mut Forces) {
-        let body = &self.bodies[index];
-        let (shape, n) = (&*body.shape, body.x.len());
+        let body = self.bodies[index];
+        let (shape, n) = (&*body.shape, body.shape.rest.len());
         let Forces { by_cause, sources, force, torque } = forces;
         by_cause.iter_mut().for_each(Vectors::clear);
         *sources = Default::default();
@@ -94,7 +120,7 @@ impl<'a> Snapshot<'a> {
             for (i, f) in by_cause[cause as usize].iter().enumerate() {
                 let pull = shape.masses[i] * f;
                 sum += pull;
-                moment += (axes * shape.rest[i] + body.x[i]).cross(pull);
+                moment += (axes * shape.rest[i] + body.state(i).0).cross(pull);
             }
         }
         (*force, *torque) = (DVec3::ZERO, DVec3::ZERO);
@@ -120,9 +146,10 @@ impl<'a> Snapshot<'a> {
             (DVec3::ZERO, DVec3::ZERO)
         };
         for i in 0..n {
-            by_cause[Cause::Restoring as usize].push(-(omega * omega) * body.x[i]);
+            let (x, u) = body.state(i);
+            by_cause[Cause::Restoring as usize].push(-(omega * omega) * x);
             // s′ − Ω×s = u − Ω×x + (Ω_Q − Ω)×a
-            let slip = (frame_spin - spin).cross(axes * shape.rest[i]) - spin.cross(body.x[i]) + body.u[i];
+            let slip = (frame_spin - spin).cross(axes * shape.rest[i]) - spin.cross(x) + u;
             by_cause[Cause::Damping as usize].push(-2.0 * damping * slip);
         }
         let [terms @ .., net] = by_cause;
@@ -132,7 +159,7 @@ impl<'a> Snapshot<'a> {
 
     /// The cause that the force of a pair's spheres counts as.
     fn cause(&self, pair: &Pair) -> Cause {
-        let (a, b) = (&self.bodies[pair.a as usize], &self.bodies[pair.b as usize]);
+        let (a, b) = (self.bodies[pair.a as usize], self.bodies[pair.b as usize]);
         let q = a.centre.distance(b.centre) / (a.radius + b.radius);
         match (pair.phase, pair.law.strength(pair.phase, q) > 0.0) {
             (_, true) => Cause::Attraction,
@@ -144,12 +171,16 @@ impl<'a> Snapshot<'a> {
     /// Calls `each` with the vertices of body `index` that the other body's sphere acts on and their accelerations, and
     /// returns Σ m f.
     fn sphere(&self, index: usize, pair: &Pair, mut each: impl FnMut(usize, DVec3)) -> DVec3 {
-        let (mut acting, mut sum) = (Acting::default(), DVec3::ZERO);
-        acting.find(index, self.bodies, std::iter::once(pair), self.field, &self.span, &self.places);
-        let masses = &self.bodies[index].shape.masses;
-        for contact in acting.spheres.iter().map(Contact::Sphere) {
-            self.touched(index, contact, |i, g| {
-                sum += masses[i] * g;
+        let source = if pair.a as usize == index { pair.b } else { pair.a };
+        let (own, other) = (self.bodies[index], self.bodies[source as usize]);
+        let q = own.centre.distance(other.centre) / (own.radius + other.radius);
+        let strength = self.field.scale(own.radius, other.radius) * pair.law.strength(pair.phase, q);
+        let mut sum = DVec3::ZERO;
+        if strength != 0.0 {
+            let places = [Place { centre: other.centre, velocity: other.velocity }; 5];
+            let sphere = Sphere { source, radius: self.field.reach * other.radius, strength: [strength; 5], places };
+            self.touched(index, Contact::Sphere(&sphere), |i, g| {
+                sum += own.shape.masses[i] * g;
                 each(i, g);
             });
         }
@@ -158,7 +189,7 @@ impl<'a> Snapshot<'a> {
 
     /// Planes and pushes.
     fn contacts(&self, index: usize, by_cause: &mut [Vectors; Cause::ALL.len()]) {
-        let (field, n) = (self.field, self.bodies[index].x.len());
+        let (field, n) = (&self.field, self.bodies[index].shape.rest.len());
         let mut add = |cause: Cause, i: usize, g: DVec3| {
             let own = &mut by_cause[cause as usize];
             own.resize(n);
@@ -167,7 +198,7 @@ impl<'a> Snapshot<'a> {
         for (number, plane) in (0..).zip(&field.planes) {
             self.touched(index, Contact::Plane(number, plane), |i, g| add(Cause::Plane, i, g));
         }
-        let acts = |start: f64, end: f64| start <= self.span.start && self.span.start < end;
+        let acts = |start: f64, end: f64| start <= self.time && self.time < end;
         for (number, push) in (0..).zip(&field.pushes) {
             if push.body as usize == index && acts(push.start, push.end) {
                 self.touched(index, Contact::Push(number, push), |i, g| add(Cause::Push, i, g));
@@ -177,11 +208,18 @@ impl<'a> Snapshot<'a> {
 
     /// Calls `each` with the vertices on which a contact acts, and their accelerations.
     fn touched(&self, index: usize, contact: Contact<'_>, mut each: impl FnMut(usize, DVec3)) {
-        let (body, place) = (&self.bodies[index], self.places[index][0]);
+        let body = self.bodies[index];
+        let place = Place { centre: body.centre, velocity: body.velocity };
+        if let Contact::Plane(_, plane) = contact
+            && plane.depth(body.centre) + body.shape.extent + body.x.iter().map(|x| x.length()).fold(0.0, f64::max)
+                < 0.0
+        {
+            return;
+        }
         let (axes, turning) = (DMat3::from_quat(body.rotation), body.frame_spin());
-        for i in 0..body.x.len() {
-            let a = axes * body.shape.rest[i];
-            let seen = Seen { a, s: a + body.x[i], rate: turning.cross(a) + body.u[i], place, turning };
+        for i in 0..body.shape.rest.len() {
+            let (a, (x, u)) = (axes * body.shape.rest[i], body.state(i));
+            let seen = Seen { a, s: a + x, rate: turning.cross(a) + u, place, turning };
             if contact.depth(0, &seen).0 > 0.0 {
                 each(i, contact.acceleration(self.field.weight, 0, &seen));
             }

@@ -120,7 +120,7 @@ impl BatchedBodies {
             let body = &look.schema.bodies[i];
             let count = body.vertex_count();
             triangles.extend(body.mesh.triangles().iter().map(|t| t.map(|v| v + first)));
-            colors.extend(std::iter::repeat_n(color(palette::body(i)), count));
+            colors.extend(std::iter::repeat_n(color(palette::of_body(look.schema, i)), count));
             names.extend(std::iter::repeat_n(body.name.as_str(), count));
             indices.extend(0..count as u32);
             first += count as u32;

@@ -82,7 +82,7 @@ impl SeparateBodies {
             let surface = format!("{entity}/surface");
             let mesh = Mesh3D::update_fields()
                 .with_triangle_indices(body.mesh.triangles().iter().copied())
-                .with_albedo_factor(palette::translucent(palette::body(index)));
+                .with_albedo_factor(palette::translucent(palette::of_body(schema, index)));
             chunks.log_static(&surface, &mesh);
             let vertices = (detail != Detail::Surface).then(|| {
                 chunks.log_static(&surface, &identity(&body.name, body.vertex_count()));

@@ -7,8 +7,11 @@
 //! | `/world/resting/SHAPE`, `/world/deforming/surface` | [`batch`] |
 //! | `/world/influence` | [`spheres`] |
 //! | `/world/forces/TERM` | [`forces`] |
+//! | `/world/forces/net_force`, `…/torque` | [`wholes`] |
 //! | `/world/merged/surface`, `/world/merged/seams` | [`merged`] |
 //! | `/groups/A/…` | [`groups`] |
+//! | `/world/trails` | [`trails`] |
+//! | `/world/planes/N` | [`planes`] |
 //! | `/pairs/A~B/…`, `/events` | [`pairs`] |
 //! | `/world/pairs` | [`lines`] |
 //! | values of single vertices, on the entities of their surfaces | [`vertices`] |
@@ -22,8 +25,11 @@ pub mod lines;
 pub mod merged;
 pub mod numbers;
 pub mod pairs;
+pub mod planes;
 pub mod spheres;
+pub mod trails;
 pub mod vertices;
+pub mod wholes;
 
 use super::instant::Instant;
 use crate::observe::{BodyFrame, Frame, Schema, schema::BodySchema};

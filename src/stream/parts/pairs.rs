@@ -287,6 +287,8 @@ pub mod event {
     pub const TIME: &str = "time";
     /// Centre distance over the sum of the radii [–].
     pub const Q: &str = "q";
+    /// Energy that it brought to free bodies [mass · scene unit²/s²]; only where there are any.
+    pub const ENERGY: &str = "energy";
     /// How fast q changes at that time [1/s].
     pub const RATE: &str = "rate";
 }
@@ -303,6 +305,10 @@ pub fn log_event_line(schema: &Schema, event: &PairEvent, chunks: &mut Chunks) {
         .with_component::<Scalar>(event::TIME, [event.time])
         .with_component::<Scalar>(event::Q, [event.q])
         .with_component::<Scalar>(event::RATE, [event.rate]);
+    let typed = match event.energy {
+        Some(energy) => typed.with_component::<Scalar>(event::ENERGY, [energy]),
+        None => typed,
+    };
     chunks.log("/events", at, &Together(&[&line, &typed]));
 }
 

@@ -1,0 +1,57 @@
+//! Planes that bodies do not pass: a translucent sheet with a grid, as large as the scene.
+
+use glam::DVec3;
+use rerun::{LineStrips3D, Mesh3D};
+
+use crate::{
+    observe::{Schema, schema::PlaneSchema},
+    stream::{
+        chunks::Chunks,
+        palette::{self, color},
+    },
+};
+
+const ENTITY: &str = "/world/planes";
+/// Lines of the grid in each direction.
+const LINES: i32 = 12;
+
+/// Logs the planes, which do not change; `spheres` (centre and radius) are all that there is to see.
+pub fn log(schema: &Schema, spheres: &[(DVec3, f64)], chunks: &mut Chunks) {
+    let low = spheres.iter().fold(DVec3::INFINITY, |low, &(centre, radius)| low.min(centre - radius));
+    let high = spheres.iter().fold(DVec3::NEG_INFINITY, |high, &(centre, radius)| high.max(centre + radius));
+    let (middle, half) = (0.5 * (low + high), 0.5 * (high - low).max_element());
+    if !(half.is_finite() && half > 0.0) {
+        return;
+    }
+    for (number, plane) in schema.planes.iter().enumerate() {
+        let entity = format!("{ENTITY}/{number}");
+        let [centre, along, across] = sheet(plane, middle, half);
+        let corner = |x: f64, y: f64| (centre + x * along + y * across).as_vec3();
+        let corners = [corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)];
+        let mesh = Mesh3D::new(corners)
+            .with_vertex_normals([plane.normal.as_vec3(); 4])
+            .with_triangle_indices([[0, 1, 2], [0, 2, 3]])
+            .with_albedo_factor(palette::sheet());
+        chunks.log_static(&entity, &mesh);
+        let lines = (0..=LINES).flat_map(|k| {
+            let at = 2.0 * f64::from(k) / f64::from(LINES) - 1.0;
+            [[corner(at, -1.0), corner(at, 1.0)], [corner(-1.0, at), corner(1.0, at)]]
+        });
+        let friction = if plane.friction > 0.0 { format!(", friction {}", plane.friction) } else { String::new() };
+        let grid = LineStrips3D::new(lines)
+            .with_radii([rerun::Radius::new_ui_points(0.6)])
+            .with_colors([color(palette::GRID)])
+            .with_labels([format!("plane {number}{friction}")])
+            .with_show_labels(false);
+        chunks.log_static(&format!("{entity}/grid"), &grid);
+    }
+}
+
+/// Centre and half edges of the square in which a plane is drawn.
+fn sheet(plane: &PlaneSchema, middle: DVec3, half: f64) -> [DVec3; 3] {
+    let normal = plane.normal;
+    let centre = middle + (plane.offset - normal.dot(middle)) * normal;
+    let reference = if normal.z.abs() > 0.9 { DVec3::X } else { DVec3::Z };
+    let along = (reference - normal.dot(reference) * normal).normalize_or_zero();
+    [centre, 1.15 * half * along, 1.15 * half * normal.cross(along)]
+}

@@ -1,0 +1,56 @@
+//! Trails: the paths that the centres of free bodies have taken. Every frame adds one segment for each; the viewer shows
+//! those of the last seconds together.
+
+use rerun::LineStrips3D;
+
+use super::Look;
+use crate::{
+    observe::Schema,
+    stream::{
+        chunks::{Chunks, TrackId},
+        columns::Cell,
+        normals::Float3,
+        palette::{self, color},
+    },
+};
+
+/// The entity of the trails.
+pub const TRAILS: &str = "/world/trails";
+/// Length of the trails in the layout [s].
+pub const SECONDS: f64 = 3.0;
+
+/// The trails, with where the bodies were last.
+pub struct Trails {
+    track: TrackId,
+    bodies: Vec<usize>,
+    last: Vec<Float3>,
+    segments: Vec<[Float3; 2]>,
+}
+
+impl Trails {
+    /// The trails of all free bodies; `None` if there are none.
+    pub fn new(schema: &Schema, chunks: &mut Chunks) -> Option<Trails> {
+        let bodies: Vec<usize> = (0..schema.bodies.len()).filter(|&i| schema.bodies[i].is_free).collect();
+        if bodies.is_empty() {
+            return None;
+        }
+        let style = LineStrips3D::update_fields()
+            .with_colors(bodies.iter().map(|&i| color(palette::of_body(schema, i))))
+            .with_radii([rerun::Radius::new_ui_points(1.2)]);
+        chunks.log_static(TRAILS, &style);
+        let track = chunks.track(TRAILS, [LineStrips3D::descriptor_strips()]);
+        Some(Trails { track, bodies, last: Vec::new(), segments: Vec::new() })
+    }
+
+    /// Adds the way since the last frame.
+    pub fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) {
+        let centre = |&i: &usize| look.frame.bodies[i].centre.as_vec3().to_array();
+        let now: Vec<Float3> = self.bodies.iter().map(centre).collect();
+        if !self.last.is_empty() && self.last != now {
+            self.segments.clear();
+            self.segments.extend(self.last.iter().zip(&now).map(|(&from, &to)| [from, to]));
+            chunks.push(self.track, look.at, &[Cell::Segments(&self.segments)]);
+        }
+        self.last = now;
+    }
+}

@@ -1,0 +1,69 @@
+//! What acts on free bodies as a whole: an arrow for the force and one for the torque at each centre.
+
+use glam::DVec3;
+use rerun::Arrows3D;
+
+use super::{Look, forces};
+use crate::{
+    observe::{Schema, WholeFrame, colors, schema::BodySchema},
+    stream::{
+        chunks::{Chunks, TrackId},
+        columns::Cell,
+        normals::Float3,
+        palette::{Rgb, color},
+    },
+};
+
+/// The two kinds of arrows: name of the entity, colour, and what a frame has of it as an acceleration
+/// [scene unit/s²].
+pub const KINDS: [(&str, Rgb, fn(&WholeFrame, &BodySchema) -> DVec3); 2] = [
+    ("net_force", colors::WHITE, |whole, body| whole.force / body.mass),
+    ("torque", colors::YELLOW, |whole, body| whole.torque / (body.mass * body.radius)),
+];
+
+/// The arrows, with what was last logged of them.
+pub struct Wholes {
+    tracks: [TrackId; KINDS.len()],
+    last: [Rows; KINDS.len()],
+}
+
+/// Origins and vectors.
+type Rows = (Vec<Float3>, Vec<Float3>);
+
+impl Wholes {
+    /// Logs static data; `None` if no body is free.
+    pub fn new(schema: &Schema, chunks: &mut Chunks) -> Option<Wholes> {
+        if !schema.bodies.iter().any(|body| body.is_free) {
+            return None;
+        }
+        let tracks = KINDS.map(|(name, rgb, _)| {
+            let entity = forces::entity(name);
+            let style = Arrows3D::update_fields()
+                .with_colors([color(rgb)])
+                .with_radii([rerun::Radius::new_ui_points(2.5)])
+                .with_show_labels(false);
+            chunks.log_static(&entity, &style);
+            chunks.track(&entity, [Arrows3D::descriptor_origins(), Arrows3D::descriptor_vectors()])
+        });
+        Some(Wholes { tracks, last: Default::default() })
+    }
+
+    /// Logs what has changed.
+    pub fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) {
+        for ((track, last), (.., acceleration)) in self.tracks.iter().zip(&mut self.last).zip(KINDS) {
+            let (mut origins, mut vectors) = Rows::default();
+            for (body, now) in look.bodies() {
+                let Some(whole) = &now.whole else { continue };
+                let vector = (look.schema.whole_scale * acceleration(whole, body)).as_vec3().to_array();
+                if vector != [0.0; 3] {
+                    origins.push(now.centre.as_vec3().to_array());
+                    vectors.push(vector);
+                }
+            }
+            if *last != (origins.clone(), vectors.clone()) {
+                chunks.push(*track, look.at, &[Cell::Vectors(&origins), Cell::Vectors(&vectors)]);
+                *last = (origins, vectors);
+            }
+        }
+    }
+}
