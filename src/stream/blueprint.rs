@@ -305,7 +305,7 @@ impl Layout {
         let view = self.space(camera, "One surface per group", &contents);
         for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
             // a batch has a colour per vertex
-            let rgb = if settings.entities == Entities::Batch { [0xFF; 3] } else { palette::body(index) };
+            let rgb = if settings.entities == Entities::Batch { [0xFF; 3] } else { palette::of_body(schema, index) };
             self.draw_unmerged(&view, &surface, &Mesh3D::update_fields().with_albedo_factor(palette::opaque(rgb)));
         }
         let opaque = Mesh3D::update_fields().with_albedo_factor(rerun::Rgba32::WHITE);

@@ -55,8 +55,8 @@ pub fn body(index: usize) -> Rgb {
 }
 
 /// Colour of a vertex of a merged surface: its body's, blended with that of the body that it meets.
-pub fn blended(origin: &VertexOrigin) -> Rgb {
-    let [a, b] = origin.bodies.map(|index| body(index as usize).map(f32::from));
+pub fn blended(schema: &Schema, origin: &VertexOrigin) -> Rgb {
+    let [a, b] = origin.bodies.map(|index| of_body(schema, index as usize).map(f32::from));
     std::array::from_fn(|i| (a[i] + (b[i] - a[i]) * origin.share).round() as u8)
 }
 

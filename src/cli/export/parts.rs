@@ -34,7 +34,7 @@ pub fn parts(schema: &Schema, frame: &Frame, merged: &Merged) -> Vec<Part> {
             [first, rest @ ..] if names.len() > MOST_NAMES => format!("{first}+{}", rest.len()),
             names => names.join("+"),
         };
-        let colors = group.origins.iter().map(palette::blended).collect();
+        let colors = group.origins.iter().map(|origin| palette::blended(schema, origin)).collect();
         parts.push(Part::new(name, &group.positions, colors, group.triangles.clone()));
     }
     let mut local = Vectors::default();
@@ -44,7 +44,7 @@ pub fn parts(schema: &Schema, frame: &Frame, merged: &Merged) -> Vec<Part> {
         }
         now.local_positions(body.rest(), &mut local);
         let positions: Vec<DVec3> = local.iter().map(|position| position + now.centre).collect();
-        let colors = vec![palette::body(index); positions.len()];
+        let colors = vec![palette::of_body(schema, index); positions.len()];
         parts.push(Part::new(body.name.clone(), &positions, colors, body.mesh.triangles().to_vec()));
     }
     parts

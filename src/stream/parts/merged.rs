@@ -151,7 +151,7 @@ impl Mesh {
             corners.iter().for_each(|&v| self.areas[v as usize] += area);
         }
         self.normals.extend(self.areas.iter().map(|area| area.normalize_or(DVec3::Z).as_vec3().to_array()));
-        self.colors.extend(group.origins.iter().map(|origin| color(palette::blended(origin)).to_u32()));
+        self.colors.extend(group.origins.iter().map(|origin| color(palette::blended(schema, origin)).to_u32()));
         let class = |origin: &VertexOrigin| match origin.vertex {
             Some(_) => u16::try_from(origin.bodies[0] + 1).unwrap_or(0),
             None => 0,
