@@ -2,6 +2,7 @@
 
 mod formats;
 mod parts;
+mod tables;
 
 use std::{
     fs,
@@ -18,17 +19,28 @@ use crate::{
     text::{bytes, counted},
 };
 use formats::{Format, GENERATOR};
+use tables::Table;
 
 #[derive(clap::Args)]
+#[command(group = clap::ArgGroup::new("what").required(true).multiple(true))]
 pub struct Arguments {
     /// A scene file, the name of a built-in scene, or a recording.
     scene: String,
     /// Write the surfaces to this folder, a file for every step: a closed mesh for every group of merged bodies, and one
     /// for every other body.
-    #[arg(long, value_name = "DIR")]
-    mesh: PathBuf,
-    /// The format of the files.
-    #[arg(long, default_value = Format::Glb.name(), value_parser = one_of(&Format::ALL, Format::name))]
+    #[arg(long, value_name = "DIR", group = "what")]
+    mesh: Option<PathBuf>,
+    /// Write a table of events: exact time, pair, q and how fast it changed, phases before and after.
+    #[arg(long, value_name = "F.csv", group = "what")]
+    events: Option<PathBuf>,
+    /// Write a table of q and phase of every pair within reach, by step.
+    #[arg(long, value_name = "F.csv", group = "what")]
+    pairs: Option<PathBuf>,
+    /// Write a table of energy, errors, counts and all other scalars, by step.
+    #[arg(long, value_name = "F.csv", group = "what")]
+    scalars: Option<PathBuf>,
+    /// The format of the meshes.
+    #[arg(long, requires = "mesh", default_value = Format::Glb.name(), value_parser = one_of(&Format::ALL, Format::name))]
     format: Format,
     /// The first step to write [default: 0].
     #[arg(long, value_name = "STEP")]
@@ -56,8 +68,15 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
         return Err(Failure::Input(format!("there are no steps from {from} to {to}: the last is {last}")));
     }
     let schema = simulation.schema();
-    let folder = Folder { path: &arguments.mesh, stem: file_stem(&schema.name), format: arguments.format };
-    folder.prepare(|step| (from..=to).contains(&step) && (step - from).is_multiple_of(arguments.every))?;
+    let is_wanted = |step: u64| (from..=to).contains(&step) && (step - from).is_multiple_of(arguments.every);
+    let (stem, format) = (file_stem(&schema.name), arguments.format);
+    let folder = arguments.mesh.as_ref().map(|path| Folder { path, stem, format });
+    folder.iter().try_for_each(|folder| folder.prepare(is_wanted))?;
+    let mut events = arguments.events.as_ref().map(|path| Table::of_events(path)).transpose()?;
+    let mut pairs = arguments.pairs.as_ref().map(|path| Table::of_pairs(path)).transpose()?;
+    let mut scalars = arguments.scalars.as_ref().map(|path| Table::of_scalars(path, &schema)).transpose()?;
+    let want = Want { scalars: scalars.is_some(), ..Want::default() };
+    let needs_frames = folder.is_some() || pairs.is_some() || scalars.is_some();
 
     let (mut merger, mut frame, mut summary) = (Merger::new(&schema), Frame::default(), StepSummary::default());
     let (mut files, mut size, mut overlapping) = (0, 0, 0);
@@ -69,12 +88,20 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
             let path = recorded.path.display();
             return Err(Failure::Run(format!("{path} is not reproduced from step {step} on: see `meldscope replay`")));
         }
-        if step >= from && (step - from).is_multiple_of(arguments.every) {
-            simulation.observe(Want::default(), &mut frame);
+        if is_wanted(step) && needs_frames {
+            simulation.observe(want, &mut frame);
+        }
+        if let Some(folder) = folder.as_ref().filter(|_| is_wanted(step)) {
             let merged = merger.merge(&schema, &frame, &[]);
             overlapping += u64::from(merged.overlapping > 0);
             size += folder.write(step, &parts::parts(&schema, &frame, merged))?;
             files += 1;
+        }
+        if let Some(table) = pairs.as_mut().filter(|_| is_wanted(step)) {
+            table.pairs(&schema, &frame)?;
+        }
+        if let Some(table) = scalars.as_mut().filter(|_| is_wanted(step)) {
+            table.scalars(&schema, &frame, &summary)?;
         }
         if step >= to {
             break;
@@ -82,7 +109,12 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
         simulation.step();
         simulation.summary(&mut summary);
         if let Some(failure) = &summary.failure {
-            return Err(Failure::Run(format!("{failure}; {} has the steps up to here", arguments.mesh.display())));
+            let written = folder.as_ref().map(|folder| format!("; {} has the steps up to here", folder.path.display()));
+            return Err(Failure::Run(format!("{failure}{}", written.unwrap_or_default())));
+        }
+        if let Some(table) = &mut events {
+            let within = summary.events.iter().filter(|event| (from..=to).contains(&event.step));
+            within.into_iter().try_for_each(|event| table.event(&schema, event))?;
         }
     }
     if overlapping > 0 {
@@ -91,7 +123,16 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
             counted(overlapping, "file")
         ));
     }
-    print(&format!("wrote {} to {}, {}", counted(files, "file"), arguments.mesh.display(), bytes(size)));
+    if let Some(folder) = &folder {
+        print(&format!("wrote {} to {}, {}", counted(files, "file"), folder.path.display(), bytes(size)));
+    }
+    let paths = [&arguments.events, &arguments.pairs, &arguments.scalars];
+    for (table, path) in [events, pairs, scalars].into_iter().zip(paths) {
+        if let (Some(table), Some(path)) = (table, path) {
+            let size = table.finish()?;
+            print(&format!("wrote {}, {}", path.display(), bytes(size)));
+        }
+    }
     Ok(())
 }
 

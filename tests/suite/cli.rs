@@ -1019,3 +1019,50 @@ fn what_would_show_nothing_is_refused_with_what_is_missing() {
     let said = run(&dir, &["run", "small.toml", "--steps", "1", "--save", "x.rrd"]).succeeded().out;
     assert!(said.contains("; 1 step of "), "{said}");
 }
+
+// ---- tables --------------------------------------------------------------------------------------------------------
+
+#[test]
+fn exported_tables_are_the_run_to_the_bit() {
+    let dir = Dir::new();
+    let tables = ["--events", "events.csv", "--pairs", "pairs.csv", "--scalars", "scalars.csv"];
+    run(&dir, &[&["export", "two"][..], &tables].concat()).succeeded();
+    let rows = |name: &str| -> Vec<Vec<String>> {
+        let text = fs::read_to_string(dir.path().join(name)).expect("a table");
+        text.lines().skip(1).map(|line| line.split(',').map(str::to_owned).collect()).collect()
+    };
+    let mut world = World::new(Scene::builtin("two").expect("a scene")).expect("it fits");
+    let (mut events, mut pairs) = (Vec::new(), Vec::new());
+    loop {
+        let (step, time) = (world.steps_taken().to_string(), format!("{:?}", world.time()));
+        pairs.extend(world.pairs().map(|pair| {
+            let q = format!("{:?}", pair.q);
+            vec![step.clone(), time.clone(), "a".to_owned(), "b".to_owned(), q, pair.phase.to_string()]
+        }));
+        if world.steps_taken() == world.scene().steps() {
+            break;
+        }
+        events.extend(world.step().events.iter().map(|event| (event.step, event.name(), event.time, event.q)));
+    }
+    let found: Vec<_> = rows("events.csv");
+    assert_eq!(found.len(), events.len());
+    for (row, (step, name, time, q)) in found.iter().zip(events) {
+        assert_eq!(row[..3], [step.to_string(), format!("{time:?}"), name.to_owned()]);
+        assert_eq!(row[5].parse(), Ok(q));
+    }
+    assert_eq!(rows("pairs.csv"), pairs);
+    assert_eq!(rows("scalars.csv").len(), 301);
+
+    // again is fine; a file of somebody else's is not touched
+    run(&dir, &["export", "two", "--events", "events.csv"]).succeeded();
+    fs::write(dir.path().join("mine.csv"), "a,b\n").expect("a file");
+    let error = run(&dir, &["export", "two", "--events", "mine.csv"]).failed(2);
+    assert!(error.contains("mine.csv is not such a table and is not replaced"), "{error}");
+    assert_eq!(fs::read_to_string(dir.path().join("mine.csv")).expect("the file"), "a,b\n");
+    let error = run(&dir, &["export", "two", "--pairs", "pairs.parquet"]).failed(2);
+    assert!(error.contains("ends in .csv"), "{error}");
+    assert!(fs::read_dir(dir.path()).expect("a folder").all(|entry| {
+        let name = entry.expect("an entry").file_name();
+        !name.to_string_lossy().ends_with(".partial")
+    }));
+}
