@@ -23,7 +23,7 @@ use super::{
     span::Span,
     state::{Common, Pushed, State},
     terms::{Acting, Cause, Moment, On, Phases, Surroundings, carry},
-    work::Tally,
+    work::{Tally, Work},
     world::{PairView, States, World},
 };
 use crate::{
@@ -35,9 +35,20 @@ use crate::{
 /// What a stage's frame contains.
 const WANT: Want = Want { forces: true, scalars: false };
 
-/// The stages of the step that led from `before` to the world as it is, in order.
+/// Frames of all stages of a step have no more vertices than this, …
+const MOST_VERTICES: u64 = 1 << 20;
+/// … unless there are fewer stages than these.
+const FEW_STAGES: u64 = 16;
+/// The work that a step may take when it is recomputed [units].
+const MOST_WORK: u64 = 100_000_000;
+
+/// The stages of the step that led from `before` to the world as it is, in order. Where that would be too many, or too
+/// much work, or the world was interrupted, those in between are left out, and the last one says so.
 pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
-    let again = Again { world, before };
+    let work = Work::limited(MOST_WORK, world.options().interrupt);
+    let again = Again { world, before, work: Tally::new(&work, None) };
+    let most = (MOST_VERTICES / world.scene().vertex_count().max(1)).max(FEW_STAGES) as usize;
+    let mut last = "end".to_owned();
     let (start, end) = (before.at.time, world.time());
     let mut stages = vec![
         StageFrame { name: "start".to_owned(), frame: before.clone() },
@@ -52,6 +63,10 @@ pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
             let breaks = again.breaks();
             for (number, ends) in (1..).zip(breaks.windows(2)) {
                 let (from, to) = (ends[0], ends[1]);
+                if stages.len() >= most || again.work.is_over() {
+                    last = format!("end; sub-steps from {number} to {} are left out", breaks.len() - 1);
+                    break;
+                }
                 for (index, states) in states.iter_mut().enumerate() {
                     again.advance(index, from, to, states);
                 }
@@ -59,7 +74,8 @@ pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
                     let name = format!("after sub-step {number}, at t = {to:.9} s");
                     stages.push(StageFrame { name, frame: again.frame(to, from, states.clone()) });
                 }
-                for event in world.report().events.iter().filter(|event| event.time == to) {
+                let events = world.report().events.iter().filter(|event| event.time == to);
+                for event in events.take(most.saturating_sub(stages.len())) {
                     let name = |i: u32| &world.scene().bodies[i as usize].name;
                     let name = format!("{} {}~{}, at t = {to:.9} s", event.name(), name(event.a), name(event.b));
                     stages.push(StageFrame { name, frame: again.frame(to, to, states.clone()) });
@@ -75,7 +91,7 @@ pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
     }
     let mut frame = Frame::default();
     world.observe(WANT, &mut frame);
-    stages.push(StageFrame { name: "end".to_owned(), frame });
+    stages.push(StageFrame { name: last, frame });
     stages
 }
 
@@ -123,6 +139,7 @@ struct Again<'a> {
     /// The world after the step.
     world: &'a World,
     before: &'a Frame,
+    work: Tally<'a>,
 }
 
 impl Again<'_> {
@@ -277,7 +294,7 @@ impl Again<'_> {
         let kicked = State { x: DVec3::ZERO, u: carry::kick(scene, tracks, index, from) };
         let mut common = Common { carried: kicked, pushed: vec![Pushed::default(); weighted.len()] };
         let tolerance = scene.tolerance * this.radius;
-        let control = StepControl { arch: self.world.options().arch, tolerance, work: &Tally::unlimited() };
+        let control = StepControl { arch: self.world.options().arch, tolerance, work: &self.work };
         exponential::advance(&course, control, &mut common, active_set, &mut exponential::Scratch::default());
         for (i, facing) in body.mesh.directions().iter().enumerate() {
             let (alike, own) = (common.of(facing, body.pushes.shared()), active_set.state(i));
@@ -303,6 +320,26 @@ impl Phases for &Again<'_> {
 mod tests {
     use super::*;
     use crate::scene::Scene;
+
+    /// A step with events without number has a bounded number of stages, which say what is missing.
+    #[test]
+    fn a_step_with_very_many_events_has_few_stages() {
+        let text = "duration = 1.0\n[[body]]\nname = \"a\"\nradius = 1.0\nmotion = { fixed = [0, 0, 0] }\n\
+                    [[body]]\nname = \"b\"\nradius = 1.0\nmotion = { sine = { center = [2.1, 0, 0], amplitude = [1.5, 0, 0], frequency = 2e5 } }\n";
+        let mut world = World::new(Scene::parse(text, "events.toml").unwrap()).unwrap();
+        let mut before = Frame::default();
+        world.observe(WANT, &mut before);
+        let report = world.step();
+        assert_eq!(report.failure, None);
+        assert!(report.events.len() > 5000, "{}", report.events.len());
+        let stages = inside(&before, &world);
+        let last = &stages[stages.len() - 1];
+        assert!(
+            stages.len() as u64 <= MOST_VERTICES / 532 + 2 && last.name.starts_with("end; sub-steps from "),
+            "{}",
+            last.name
+        );
+    }
 
     #[test]
     fn the_stages_lead_from_one_state_to_the_next() {

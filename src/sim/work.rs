@@ -12,7 +12,7 @@ use std::{
 };
 
 /// What a run may owe [units].
-const MOST_OWED: u64 = 1_200_000_000;
+const MOST_OWED: u64 = 600_000_000;
 /// What every step may take, …
 const FREE: u64 = 500_000;
 /// … what it may take for each vertex of the scene that takes steps, …
@@ -65,6 +65,11 @@ impl Work {
     /// Before the first step.
     pub fn new(interrupt: Option<&'static AtomicBool>) -> Work {
         Work { interrupt, limit: u64::MAX, ..Work::default() }
+    }
+
+    /// For what takes no more than `limit`.
+    pub fn limited(limit: u64, interrupt: Option<&'static AtomicBool>) -> Work {
+        Work { limit, ..Work::new(interrupt) }
     }
 
     /// What the first step may be expected to take.

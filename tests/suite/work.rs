@@ -132,6 +132,37 @@ fn what_swings_fast_far_away_costs_nothing() {
     }
 }
 
+/// Scenes with very many pushes or keys take as long as what happens in them, and end.
+#[test]
+fn very_many_pushes_and_keys_are_not_too_many() {
+    const COUNT: usize = 100_000;
+    let keys = |from: f64, center: f64| {
+        let key = |k: usize| (from + 4e-5 * k as f64, center + 0.3 * (2e-4 * k as f64).sin());
+        let keys: Vec<String> = (0..COUNT).map(key).map(|(t, x)| format!("[{t:?}, {x:?}, 0, 0]")).collect();
+        format!("keyframes = [{}]", keys.join(", "))
+    };
+    let bodies = |a: &str, b: &str| format!("duration = 4.0\n{}{}", body("a", "", a), body("b", "", b));
+    let pushes = |length: f64| {
+        let push = |i: usize| {
+            let (start, turn) = (4e-5 * i as f64, 0.1 * i as f64);
+            let direction = [turn.cos(), turn.sin(), (1.7 * turn).cos()];
+            format!(
+                "[[push]]\nbody = \"a\"\ndirection = {direction:?}\nstrength = 1.0\nstart = {start:?}\nduration = {length:?}\n"
+            )
+        };
+        bodies("fixed = [0, 0, 0]", "fixed = [2, 0, 0]") + &(0..COUNT).map(push).collect::<String>()
+    };
+    let cases = [
+        ("short pushes", pushes(1e-5)),
+        ("overlapping pushes", pushes(1.0)),
+        ("keys at equal times", bodies(&keys(0.0, 0.0), &keys(0.0, 2.3))),
+        ("keys at times close by", bodies(&keys(0.0, 0.0), &keys(1e-9, 2.3))),
+    ];
+    for (what, text) in cases {
+        assert_eq!(steps(&text, 240, Options::default()), (240, None), "{what}");
+    }
+}
+
 /// A flag interrupts a long step, and the world reports it.
 #[test]
 fn an_interrupt_ends_a_step() {
