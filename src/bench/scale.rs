@@ -26,7 +26,7 @@ use super::{
 use crate::{
     Scene, World,
     scene::Integrator,
-    sim::{Options, TooLarge, report::Stage},
+    sim::{Options, Stage, TooLarge},
 };
 use decay::Decay;
 use free_oscillation::FreeOscillation;

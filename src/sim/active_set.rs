@@ -1,12 +1,10 @@
 //! The bodies that are not at rest: those that are awake, and those that sleep because nothing acts on them.
 
-use std::sync::OnceLock;
-
 use pulp::Arch;
 
 use super::{
     body::{Active, Body},
-    checksum,
+    checksum::{self, Cached},
 };
 use crate::scene::Scene;
 
@@ -18,13 +16,13 @@ pub(super) struct ActiveSet {
     awake: usize,
     arch: Arch,
     /// Sum of the hashes of the sleeping bodies, once it has been requested.
-    hash_of_sleeping: OnceLock<u64>,
+    hash_of_sleeping: Cached,
 }
 
 impl ActiveSet {
     /// An empty set.
     pub fn new(arch: Arch) -> ActiveSet {
-        ActiveSet { states: Vec::new(), awake: 0, arch, hash_of_sleeping: OnceLock::new() }
+        ActiveSet { states: Vec::new(), awake: 0, arch, hash_of_sleeping: Cached::default() }
     }
 
     /// The bodies that are stepped.
@@ -61,9 +59,8 @@ impl ActiveSet {
             bodies[index].active = Some(slot as u32);
         }
         if slot >= self.awake {
-            if let Some(&sum) = self.hash_of_sleeping.get() {
-                self.hash_of_sleeping = OnceLock::from(sum.wrapping_sub(self.hash_of(slot)));
-            }
+            let (arch, state) = (self.arch, &self.states[slot]);
+            self.hash_of_sleeping.exchange(|| hash_of(arch, state), || 0);
             self.swap(bodies, slot, self.awake);
             self.awake += 1;
         }
@@ -82,9 +79,8 @@ impl ActiveSet {
     fn sleep_one(&mut self, bodies: &mut [Body], slot: usize) {
         self.awake -= 1;
         self.swap(bodies, slot, self.awake);
-        if let Some(&sum) = self.hash_of_sleeping.get() {
-            self.hash_of_sleeping = OnceLock::from(sum.wrapping_add(self.hash_of(self.awake)));
-        }
+        let (arch, state) = (self.arch, &self.states[self.awake]);
+        self.hash_of_sleeping.exchange(|| 0, || hash_of(arch, state));
         if self.states[self.awake].is_at_rest() {
             self.swap(bodies, self.awake, self.states.len() - 1);
             if let Some(active) = self.states.pop() {
@@ -103,16 +99,16 @@ impl ActiveSet {
     /// Sum of the hashes of all bodies in the set.
     pub fn hash(&self) -> u64 {
         let (awake, asleep) = self.states.split_at(self.awake);
-        let asleep = self.hash_of_sleeping.get_or_init(|| checksum::of_bodies(self.arch, asleep));
-        checksum::of_bodies(self.arch, awake).wrapping_add(*asleep)
-    }
-
-    fn hash_of(&self, slot: usize) -> u64 {
-        checksum::of_bodies(self.arch, std::slice::from_ref(&self.states[slot]))
+        let asleep = self.hash_of_sleeping.get(|| checksum::of_bodies(self.arch, asleep));
+        checksum::of_bodies(self.arch, awake).wrapping_add(asleep)
     }
 
     /// Memory allocated for the set [bytes].
     pub fn memory(&self) -> usize {
         self.states.iter().map(Active::memory).sum::<usize>() + self.states.capacity() * size_of::<Active>()
     }
+}
+
+fn hash_of(arch: Arch, state: &Active) -> u64 {
+    checksum::of_bodies(arch, std::slice::from_ref(state))
 }

@@ -4,13 +4,14 @@
 //! which holds its state at the end of the last step. One that no sphere reaches any more is free: its state is kept as
 //! of the time it was released, and the exact flow advances it to any later time at once, on request.
 
-use std::{cell::Cell, sync::OnceLock};
+use std::cell::Cell;
 
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     arrays::{Blocks, LANES, Vectors},
+    checksum::Cached,
     state::{Common, Pushed, State},
 };
 use crate::{geometry::Rest, model::oscillator::Oscillator, scene::Push};
@@ -23,7 +24,7 @@ pub struct Deformation {
     /// Those that oscillate freely.
     pub free_vertices: FreeVertices,
     /// Cached hash of everything but the states of the active set; unset when that has changed.
-    pub hash_of_kept: OnceLock<u64>,
+    pub hash_of_kept: Cached,
 }
 
 /// Index of the displacements in a block [scene unit].
@@ -150,7 +151,7 @@ impl Deformation {
         if !self.is_empty() {
             return;
         }
-        self.hash_of_kept.take();
+        self.hash_of_kept.forget();
         let ActiveSet { vertices, blocks } = &mut self.active_set;
         vertices.extend(0..rest.len() as u32);
         blocks.resize(rest.len());
@@ -177,7 +178,7 @@ impl Deformation {
 
     /// Puts all vertices to rest.
     pub fn clear(&mut self) {
-        self.hash_of_kept.take();
+        self.hash_of_kept.forget();
         self.active_set.clear();
         self.free_vertices.clear();
     }
@@ -204,7 +205,7 @@ impl Deformation {
     /// Selects the active set: the vertices whose `gap` [scene unit], the distance of their rest position from the
     /// nearest sphere, is no more than `skin` plus their amplitude. The others are free from now on.
     pub fn choose_active_set(&mut self, rest: Rest<'_>, gap: &[f64], skin: f64, now: Now, scratch: &mut Scratch) {
-        self.hash_of_kept.take();
+        self.hash_of_kept.forget();
         self.gather(rest.len(), now, scratch);
         let Scratch { displacement, velocity, amplitudes, active_set, outside, free_vertices } = scratch;
         for list in [&mut *active_set, &mut *outside, &mut *free_vertices] {

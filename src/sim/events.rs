@@ -108,33 +108,38 @@ impl PairTracks<'_> {
 
     /// The first of these.
     pub fn first_change(&self, thresholds: &Thresholds, phase: Phase, start: f64, end: f64) -> Option<(f64, Phase)> {
-        self.first_change_within(thresholds, phase, start, end, &Tally::unlimited())
+        Search { tracks: *self, thresholds, work: &Tally::unlimited() }.first_change(phase, start, end)
     }
+}
 
-    /// The same, for no more than `work` has left: what is found when that is over means nothing.
-    pub(super) fn first_change_within(
-        &self,
-        thresholds: &Thresholds,
-        phase: Phase,
-        start: f64,
-        end: f64,
-        work: &Tally<'_>,
-    ) -> Option<(f64, Phase)> {
+/// A search for the phase changes of a pair, for no more than `work` has left: what is found when that is over means
+/// nothing.
+#[derive(Clone, Copy)]
+pub(super) struct Search<'a> {
+    pub tracks: PairTracks<'a>,
+    pub thresholds: &'a Thresholds,
+    pub work: &'a Tally<'a>,
+}
+
+impl Search<'_> {
+    /// See [`PairTracks::first_change`].
+    pub fn first_change(&self, phase: Phase, start: f64, end: f64) -> Option<(f64, Phase)> {
         // From knot to knot, so that a pair that comes to stand on a threshold is there at an end.
         let mut from = start;
-        let may_jump = self.a.is_held() || self.b.is_held();
-        if may_jump && let Some(to) = self.jump(thresholds, phase, from) {
+        let Search { tracks, thresholds, work } = self;
+        let may_jump = tracks.a.is_held() || tracks.b.is_held();
+        if may_jump && let Some(to) = tracks.jump(thresholds, phase, from) {
             return Some((from, to));
         }
         loop {
-            let to = self.knot_after(from).min(end);
-            let (a, b) = (self.a.between(from, to), self.b.between(from, to));
-            let between = PairTracks { a, b, radii: self.radii };
-            let found = between.first_change_between_knots(thresholds, phase, from, to, work);
+            let to = tracks.knot_after(from).min(end);
+            let (a, b) = (tracks.a.between(from, to), tracks.b.between(from, to));
+            let between = Search { tracks: PairTracks { a, b, radii: tracks.radii }, ..*self };
+            let found = between.first_change_between_knots(phase, from, to);
             if found.is_some() || work.is_over() {
                 return found;
             }
-            if may_jump && let Some(phase) = self.jump(thresholds, phase, to) {
+            if may_jump && let Some(phase) = tracks.jump(thresholds, phase, to) {
                 return Some((to, phase));
             }
             if to >= end {
@@ -144,6 +149,24 @@ impl PairTracks<'_> {
         }
     }
 
+    fn first_change_between_knots(&self, phase: Phase, start: f64, end: f64) -> Option<(f64, Phase)> {
+        let Search { tracks, thresholds, work } = self;
+        if tracks.a.relative_bounds(tracks.b, start, end).speed == 0.0 {
+            return None; // Still, or in formation: only rounding could change the distance.
+        }
+        let swing = tracks.swing();
+        thresholds
+            .transitions(phase)
+            .filter_map(|way| {
+                let sign = if way.falling { 1.0 } else { -1.0 };
+                let mut gap = Gap { pair: tracks, level: way.level * tracks.radii, sign, swing, was_above: false, work };
+                gap.first_fall(start, end).map(|time| (time, way.to))
+            })
+            .min_by(|x, y| x.0.total_cmp(&y.0))
+    }
+}
+
+impl PairTracks<'_> {
     /// The phase that a pair in `phase` enters at `t` [s] if a centre jumps there: by where the jump ends.
     pub(super) fn jump(&self, thresholds: &Thresholds, phase: Phase, t: f64) -> Option<Phase> {
         let jumps =
@@ -168,28 +191,6 @@ impl PairTracks<'_> {
             knots.get(knots.partition_point(|&knot| knot <= t)).copied().unwrap_or(f64::INFINITY)
         };
         after(self.a).min(after(self.b))
-    }
-
-    fn first_change_between_knots(
-        &self,
-        thresholds: &Thresholds,
-        phase: Phase,
-        start: f64,
-        end: f64,
-        work: &Tally<'_>,
-    ) -> Option<(f64, Phase)> {
-        if self.a.relative_bounds(self.b, start, end).speed == 0.0 {
-            return None; // Still, or in formation: only rounding could change the distance.
-        }
-        let swing = self.swing();
-        thresholds
-            .transitions(phase)
-            .filter_map(|way| {
-                let sign = if way.falling { 1.0 } else { -1.0 };
-                let mut gap = Gap { pair: self, level: way.level * self.radii, sign, swing, was_above: false, work };
-                gap.first_fall(start, end).map(|time| (time, way.to))
-            })
-            .min_by(|x, y| x.0.total_cmp(&y.0))
     }
 
     /// How the square of the distance swings for ever, if both swing at the same frequency, or one stands still.

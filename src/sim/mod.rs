@@ -40,33 +40,38 @@
 
 mod active_set;
 mod advance;
-pub mod arrays;
+mod arrays;
 mod body;
+#[doc(hidden)]
 pub mod checksum;
 mod coupled;
 mod deformation;
+#[doc(hidden)]
 pub mod events;
 mod frames;
+#[doc(hidden)]
 pub mod free;
+#[doc(hidden)]
 pub mod integrator;
-pub mod memory;
+pub(crate) mod memory;
 mod neighbours;
 mod nodes;
-pub mod observe;
+mod observe;
 mod pairs;
 mod push_list;
+#[doc(hidden)]
 pub mod reach;
-pub mod report;
+mod report;
 mod roots;
-pub mod simulation;
+pub(crate) mod simulation;
 mod span;
-pub mod stages;
+mod stages;
 mod state;
-pub mod terms;
-pub mod track;
+mod terms;
+mod track;
 mod tracks;
-pub mod work;
-pub mod world;
+mod work;
+mod world;
 
 pub use arrays::Vectors;
 pub use events::Event;

@@ -6,17 +6,15 @@
 
 use std::{
     ops::Range,
-    sync::{
-        OnceLock,
-        atomic::{AtomicU64, Ordering},
-    },
+    sync::atomic::{AtomicU64, Ordering},
 };
 
 use rayon::prelude::*;
 
 use super::{
     body::Body,
-    events::{Event, PairTracks},
+    checksum::Cached,
+    events::{Event, PairTracks, Search},
     neighbours::{FatBounds, Neighbour},
     reach::{Ball, Grid},
     report::StepReport,
@@ -26,10 +24,7 @@ use super::{
     tracks::Tracks,
     work::{EVENT, LOOK_AT_PATHS, NEAR_ENOUGH, NEW_PAIR, Stop, Tally, Work},
 };
-use crate::{
-    model::phase::{Phase, Thresholds},
-    scene::Scene,
-};
+use crate::{model::phase::Phase, scene::Scene};
 
 /// How far a body may move before its pairs are looked for anew [radii].
 const SKIN: f64 = 0.25;
@@ -67,6 +62,14 @@ pub(super) struct Surrounded<'a> {
     pub work: Tally<'a>,
 }
 
+/// The bodies of a step, and what it may take.
+pub(super) struct Moving<'a> {
+    pub scene: &'a Scene,
+    pub bodies: &'a mut [Body],
+    pub tracks: &'a mut Tracks,
+    pub work: &'a Work,
+}
+
 /// All pairs of bodies that are near each other.
 #[derive(Default)]
 pub(super) struct Pairs {
@@ -79,7 +82,7 @@ pub(super) struct Pairs {
     /// Pairs that have any.
     changed: Vec<u32>,
     /// Sum of their hashes, once it was asked for.
-    hash: OnceLock<u64>,
+    hash: Cached,
     /// The largest q at which a pair can merge [–].
     most_merge_at: f64,
     /// Whether these are all pairs, each looked at in every step.
@@ -156,14 +159,8 @@ impl Pairs {
     ///
     /// # Errors
     /// If they are too many: the body that it ended with.
-    pub fn follow(
-        &mut self,
-        scene: &Scene,
-        bodies: &mut [Body],
-        tracks: &mut Tracks,
-        span: Span,
-        work: &Work,
-    ) -> Result<(), (Stop, u32)> {
+    pub fn follow(&mut self, among: Moving<'_>, span: Span) -> Result<(), (Stop, u32)> {
+        let Moving { scene, bodies, tracks, work } = among;
         tracks.watch(|track| bodies[track.body as usize].fat_bounds.until < span.end);
         let mut of = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
         for body in of.tracks.watched() {
@@ -267,13 +264,11 @@ impl Pairs {
     /// If that takes too much: the pair that took most.
     pub fn find_events(
         &mut self,
-        scene: &Scene,
-        bodies: &[Body],
-        tracks: &mut Tracks,
+        among: Moving<'_>,
         span: Span,
-        work: &Work,
         report: &mut StepReport,
     ) -> Result<(), (Stop, [u32; 2])> {
+        let Moving { scene, bodies, tracks, work } = among;
         let StepReport { events, step, .. } = report;
         let step = *step;
         let tally = Tally::new(work, None);
@@ -303,7 +298,8 @@ impl Pairs {
                 };
                 let mut from = pair.phase;
                 let (a, b, before) = (pair.a, pair.b, tally.done());
-                pair.advance(&both, &scene.law_at(pair.law).thresholds, span, horizon, &tally, |time, to| {
+                let search = Search { tracks: both, thresholds: &scene.law_at(pair.law).thresholds, work: &tally };
+                pair.advance(search, span, horizon, |time, to| {
                     self.changes.push((time, to));
                     let (q, rate) = (both.q(time), both.rate(time));
                     events.push(Event { time, step, a, b, q, rate, from, to, energy: 0.0 });
@@ -330,9 +326,7 @@ impl Pairs {
             let pair = &mut self.pairs[index as usize];
             let before = pair.hash();
             pair.phase = last.unwrap_or(pair.phase);
-            if let Some(sum) = self.hash.get_mut() {
-                *sum = sum.wrapping_sub(before).wrapping_add(pair.hash());
-            }
+            self.hash.exchange(|| before, || pair.hash());
             pair.changes = 0..0;
         }
     }
@@ -349,7 +343,7 @@ impl Pairs {
 
     /// The sum of the hashes of all pairs that are not apart.
     pub fn hash(&self) -> u64 {
-        *self.hash.get_or_init(|| self.pairs.iter().map(Pair::hash).fold(0, u64::wrapping_add))
+        self.hash.get(|| self.pairs.iter().map(Pair::hash).fold(0, u64::wrapping_add))
     }
 
     /// A pair.
@@ -381,15 +375,8 @@ impl Pair {
 
     /// Tells of the changes up to the end of `span`, looking no farther than `horizon` for the next; there is none if that
     /// is infinite.
-    fn advance(
-        &mut self,
-        tracks: &PairTracks<'_>,
-        thresholds: &Thresholds,
-        span: Span,
-        horizon: f64,
-        work: &Tally<'_>,
-        mut found: impl FnMut(f64, Phase),
-    ) {
+    fn advance(&mut self, search: Search<'_>, span: Span, horizon: f64, mut found: impl FnMut(f64, Phase)) {
+        let work = search.work;
         let mut phase = self.phase;
         let mut from = self.known_until.max(span.start);
         loop {
@@ -402,7 +389,7 @@ impl Pair {
                     self.known_until = horizon;
                     return;
                 }
-                self.upcoming = tracks.first_change_within(thresholds, phase, from, horizon, work);
+                self.upcoming = search.first_change(phase, from, horizon);
                 if !work.spend(LOOK_AT_PATHS) {
                     return;
                 }

@@ -23,7 +23,7 @@ use super::{
     free::Ledger,
     integrator::exponential,
     memory::{self, TooLarge},
-    pairs::{Pair, Pairs, Surrounded},
+    pairs::{Moving, Pair, Pairs, Surrounded},
     report::{Diverged, Failure, Overworked, Stage, StepReport, Toil},
     span::Span,
     state::State,
@@ -213,14 +213,14 @@ impl World {
     fn broad_phase(&mut self, span: Span) -> Result<(), Failure> {
         let World { scene, bodies, tracks, pairs, work, .. } = self;
         tracks.follow(span);
-        let followed = pairs.follow(scene, bodies, tracks, span, work);
+        let followed = pairs.follow(Moving { scene, bodies, tracks, work }, span);
         followed.map_err(|(stop, body)| self.neighbours_failure(stop, body))
     }
 
     /// Finds the exact times at which pairs change phase during `span`.
     fn find_events(&mut self, span: Span) -> Result<(), Failure> {
         let World { scene, bodies, tracks, pairs, report, work, .. } = self;
-        let found = pairs.find_events(scene, bodies, tracks, span, work, report);
+        let found = pairs.find_events(Moving { scene, bodies, tracks, work }, span, report);
         found.map_err(|(stop, pair)| {
             let [a, b] = pair.map(|body| self.scene.bodies[body as usize].name.clone());
             self.failure(stop, Toil::Events { a, b, found: self.report.events.len() })

@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::{Judged, Point, Report, Run};
 use crate::{
     bench::{machine::Machine, tables},
-    sim::report::Stage,
+    sim::Stage,
 };
 
 #[derive(Serialize)]

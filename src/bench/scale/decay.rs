@@ -9,7 +9,7 @@ use super::free_oscillation;
 use crate::{
     Scene, World,
     bench::MeasureError,
-    sim::{Options, world::States},
+    sim::{Options, States},
 };
 
 /// The measured step times.

@@ -14,7 +14,7 @@ use crate::{
     Scene, World,
     bench::MeasureError,
     scene::{Path, Push, path::Spline},
-    sim::world::States,
+    sim::States,
 };
 
 /// Why the vertices oscillate.

@@ -6,7 +6,7 @@ use crate::{
         machine::Machine,
         tables::{self, missing},
     },
-    sim::report::Stage,
+    sim::Stage,
     text::{bytes, number, significant, thousands},
 };
 

@@ -18,11 +18,11 @@ use std::mem::take;
 use glam::{DMat3, DQuat, DVec3};
 
 use super::{
-    super::nodes::SAMPLES,
+    super::{integrator::exponential::weights::Dense, nodes::SAMPLES},
     body::{Body, Sums},
     crossing::Crossings,
     field::{Driven, Paths},
-    weights::{BALLISTIC, Late, Stage, cubic},
+    weights::{BALLISTIC, Late, cubic, looks},
 };
 use crate::model::{
     oscillator::Oscillator,
@@ -149,7 +149,7 @@ pub struct Course {
     pub vertices: [Vertices; 5],
     pub pieces: Vec<Piece>,
     pub reactions: Vec<Reaction>,
-    weights: [Stage; 4],
+    weights: [Dense; 4],
     known: (Oscillator, f64),
     /// Effect of the pieces by each sample after the start.
     late: [LateSum; 4],
@@ -211,13 +211,13 @@ pub struct Span {
     /// Reference point of angular momentum [scene unit].
     pub origin: DVec3,
     /// Weights for the motion of centres.
-    pub ballistic: [Stage; 4],
+    pub ballistic: [Dense; 4],
 }
 
 impl Span {
     pub fn new(start: f64, end: f64, origin: DVec3) -> Span {
         let h = end - start;
-        Span { start, h, end, origin, ballistic: Stage::looks(BALLISTIC, h) }
+        Span { start, h, end, origin, ballistic: looks(BALLISTIC, h) }
     }
 
     /// Time of sample number `look` [s].
@@ -246,7 +246,7 @@ impl Course {
     pub fn begin(&mut self, index: usize, body: &Body, span: &Span, paths: &dyn Paths, places: &mut [Place; 5]) {
         if self.known != (body.oscillator, span.h) {
             self.known = (body.oscillator, span.h);
-            self.weights = Stage::looks(body.oscillator, span.h);
+            self.weights = looks(body.oscillator, span.h);
         }
         for frame in &mut self.frames {
             frame.drive = DMat3::ZERO;

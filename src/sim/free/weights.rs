@@ -33,34 +33,9 @@ pub fn cubic(theta: f64) -> [f64; 4] {
     CUBIC.map(|[a, b, c, d]| a + theta * (b + theta * (c + theta * d)))
 }
 
-/// Weights that give the state at an instant of a step from the state at its start and the forces at the nodes.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Stage {
-    /// Flow: ∂x/∂x₀ [–].
-    pub xx: f64,
-    /// Flow: ∂x/∂u₀ [s].
-    pub xu: f64,
-    /// Flow: ∂u/∂x₀ [1/s].
-    pub ux: f64,
-    /// Flow: ∂u/∂u₀ [–].
-    pub uu: f64,
-    /// Weights of the forces in x [s²].
-    pub x: [f64; 4],
-    /// Weights of the forces in u [s].
-    pub u: [f64; 4],
-}
-
-impl Stage {
-    /// The weights at `theta` > 0 of a step of length `h` [s].
-    pub fn new(oscillator: Oscillator, h: f64, theta: f64) -> Stage {
-        let Dense { xx, xu, ux, uu, x, u, .. } = Dense::new(oscillator, h, theta);
-        Stage { xx, xu, ux, uu, x, u }
-    }
-
-    /// The weights at each sample after the start: the three other nodes, and the middle.
-    pub fn looks(oscillator: Oscillator, h: f64) -> [Stage; 4] {
-        std::array::from_fn(|look| Stage::new(oscillator, h, SAMPLES[look + 1]))
-    }
+/// Dense output at each sample after the start of a step of length `h` [s]: the three other nodes, and the middle.
+pub fn looks(oscillator: Oscillator, h: f64) -> [Dense; 4] {
+    std::array::from_fn(|look| Dense::new(oscillator, h, SAMPLES[look + 1]))
 }
 
 /// Weights of forces that begin within the step, in the state at a later instant: weights of their values at the four

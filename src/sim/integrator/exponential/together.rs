@@ -51,13 +51,16 @@ impl Outcomes {
     fn resize(&mut self, count: usize) {
         let Outcomes { displacement, velocity, forces, bend, error, inside, attention, groups } = self;
         groups.clear();
+        inside.clear();
+        inside.resize(count, 0);
+        if error.len() == count {
+            return; // all are as long
+        }
         for vectors in [displacement, velocity, bend].into_iter().chain(forces) {
             vectors.resize(count);
         }
         error.resize(count, 0.0);
         attention.resize(count, 0.0);
-        inside.clear();
-        inside.resize(count, 0);
     }
 }
 
@@ -231,9 +234,13 @@ impl Together<'_> {
                 reached.select(Reals::splat(simd, sphere.strength), zero).store(&mut pull.strength, 0);
                 passing = passing.or(reach.at_most(rim).negated().and(reached));
             }
-            // without the padding, of which there may be more with wider registers
-            let lanes = pull.strength.iter().take(Reals::<S, W>::COUNT).take(self.active_set.vertices.len() - first);
-            self.uncounted += PULL * lanes.map(|&strength| u64::from(strength != 0.0)).sum::<u64>();
+            // without the padding, of which there may be more with wider registers; not a closure, which would not inherit
+            // the target features
+            let mut pulled = 0;
+            for lane in 0..Reals::<S, W>::COUNT.min(self.active_set.vertices.len() - first) {
+                pulled += u64::from(pull.strength[lane] != 0.0);
+            }
+            self.uncounted += PULL * pulled;
             self.pulls.push(pull);
         }
         Near { rims: near, passing }

@@ -127,7 +127,7 @@ impl KnownWeights {
 
 /// Dense output of the collocation polynomial: weights that give the state at any instant of a step from the state at
 /// its start and the forces at its nodes.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Dense {
     /// Flow to that instant: ∂x/∂x₀ [–].
     pub xx: f64,
