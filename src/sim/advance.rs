@@ -7,7 +7,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     arrays::{Block, LANES, Vectors},
-    body::{Active, Body, BodyState, Seen, StateBounds},
+    body::{Active, Body, BodyState, Reference, StateBounds},
     deformation::{self, ActiveSet, REST},
     integrator::{
         explicit::{self, Interval, Scheme},
@@ -230,7 +230,7 @@ impl<'a> Context<'a> {
         interval: &mut Interval,
         work: &Tally<'_>,
     ) -> StepStatistics {
-        let (middle, end) = scheme.looks_at();
+        let (middle, end) = scheme.evaluates_at();
         // A sphere that ends short of every vertex of a body at rest would wake it for nothing; one in motion may get
         // anywhere in an inaccurate step.
         let at_rest = active.is_at_rest();
@@ -296,7 +296,7 @@ impl<'a> Context<'a> {
         } else if active.bounds.reachable.is_empty() && !all {
             if active.can_sleep() {
                 active.state.deformation.release(self.body(active.body).rest().len(), now, &mut scratch.deformation);
-                active.chosen.seen.clear();
+                active.chosen.references.clear();
                 active.chosen.all = false;
             }
             let is_idle = self.own_force(active.body, span) == 0.0;
@@ -423,17 +423,17 @@ impl<'a> Context<'a> {
         // The active set can get as far from rest as any vertex: a sphere that is farther from all of it does not contribute.
         let swings = active.bounds.farthest - radius;
         let contributes = |clear: f64, moved: f64| !(clear - moved > swings);
-        let mut seen = active.chosen.seen.iter();
+        let mut references = active.chosen.references.iter();
         contributing.clear();
         let is_good = active.chosen.all == all
-            && (all || !active.chosen.seen.is_empty())
+            && (all || !active.chosen.references.is_empty())
             && reachable.iter().zip(&*centres).all(|(source, &(centre, _))| {
                 // both are in the order of the bodies
-                let found = seen.find(|seen| seen.body >= source.other);
-                let then = found.filter(|seen| seen.body == source.other);
-                then.is_some_and(|seen| {
-                    let moved = (centre - seen.centre).length() + turned + travel;
-                    if contributes(seen.clear, moved) {
+                let found = references.find(|then| then.body >= source.other);
+                let then = found.filter(|then| then.body == source.other);
+                then.is_some_and(|then| {
+                    let moved = (centre - then.centre).length() + turned + travel;
+                    if contributes(then.clear, moved) {
                         contributing.push(*source);
                     }
                     moved <= active.chosen.skin
@@ -462,12 +462,12 @@ impl<'a> Context<'a> {
         active.chosen.all = all;
         active.state.deformation.choose_active_set(rest, gaps, skin, now, deformation);
 
-        active.chosen.seen.clear();
+        active.chosen.references.clear();
         contributing.clear();
         for (source, &(centre, sphere)) in reachable.iter().zip(&*centres) {
             let active_set = &active.state.deformation.active_set;
             let clear = self.arch.dispatch(Clearance { active_set, moved, centre }) - sphere;
-            active.chosen.seen.push(Seen { body: source.other, centre, clear });
+            active.chosen.references.push(Reference { body: source.other, centre, clear });
             if contributes(clear, travel) {
                 contributing.push(*source);
             }

@@ -100,7 +100,7 @@ pub(super) struct BodyState {
 #[derive(Default)]
 pub(super) struct Chosen {
     /// Where the spheres were when the active set was selected.
-    pub seen: Vec<Seen>,
+    pub references: Vec<Reference>,
     /// The responses to pushes when the active set was selected [scene unit].
     pub pushed: Vec<f64>,
     /// How far the spheres may move before it is selected again [scene unit].
@@ -125,7 +125,7 @@ pub(super) struct StepBounds {
 
 /// Where a sphere was when an active set was selected.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Seen {
+pub(super) struct Reference {
     /// Index of the body that it belongs to.
     pub body: u32,
     /// Its centre relative to the body's, shifted by the motion that all vertices share [scene unit].
@@ -160,7 +160,7 @@ impl Active {
         self.state.deformation.memory()
             + self.state.push_field.memory()
             + self.state.common.pushed.capacity() * size_of::<Pushed>()
-            + self.chosen.seen.capacity() * size_of::<Seen>()
+            + self.chosen.references.capacity() * size_of::<Reference>()
             + self.chosen.pushed.capacity() * size_of::<f64>()
             + self.bounds.reachable.capacity() * size_of::<Neighbour>()
     }

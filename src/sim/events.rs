@@ -10,7 +10,7 @@ use std::f64::consts::TAU;
 use glam::DVec3;
 
 use super::{
-    roots::{self, Falling, Look},
+    roots::{self, Falling, Sample},
     track::Track,
     work::{LOOK_AT_PATHS, Tally},
 };
@@ -314,7 +314,7 @@ impl Falling for Gap<'_> {
         self.was_above
     }
 
-    fn look(&self, start: f64, middle: f64, end: f64) -> Option<Look> {
+    fn sample(&self, start: f64, middle: f64, end: f64) -> Option<Sample> {
         if !self.work.spend(LOOK_AT_PATHS) {
             return None;
         }
@@ -337,7 +337,7 @@ impl Falling for Gap<'_> {
             is_out_of_reach = self.mean(swing).abs() > swing.by + close;
         }
         is_out_of_reach |= self.is_restless(end - start) && self.is_out_of_reach(start, end);
-        Some(Look {
+        Some(Sample {
             value: g,
             slope,
             curvature,

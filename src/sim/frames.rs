@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use super::{
     free::{Forces, Snapshot},
-    observe::Seen,
+    observe::Observed,
     terms::{Cause, Surroundings},
     world::{PairView, World},
 };
@@ -65,7 +65,7 @@ pub(super) fn add_forces(world: &World, index: usize, surroundings: &Surrounding
     for (cause, term) in Cause::of(false).zip(&mut now.terms) {
         by_cause[cause as usize] = take(&mut term.accelerations);
     }
-    let seen: Seen<'_> = world.seen(index, [&now.displacements, &now.velocities], surroundings);
+    let seen: Observed<'_> = world.seen(index, [&now.displacements, &now.velocities], surroundings);
     seen.forces(world.scene().influence.weight, &mut by_cause);
     label(seen.rest.len(), &by_cause, now);
     for (cause, term) in Cause::of(false).zip(&mut now.terms) {

@@ -2,24 +2,24 @@
 //!
 //! | what | where |
 //! | --- | --- |
-//! | the world and its step | [`world`] |
+//! | the world and its step | `world` |
 //! | the state of one body and how a step advances it | `body`, `advance` |
 //! | the bodies that are not at rest | `active_set` |
 //! | per-vertex state beyond the motion that all vertices share | `deformation` |
-//! | what acts on vertices, one file per force term | [`terms`] |
-//! | the frame of a body during a step, and the frames of all moving bodies | [`track`], `tracks` |
+//! | what acts on vertices, one file per force term | `terms` |
+//! | the frame of a body during a step, and the frames of all moving bodies | `track`, `tracks` |
 //! | broad phase: which bodies can touch | `neighbours` of `pairs`, by a grid in [`reach`] |
 //! | when pairs merge, split, enter and leave their core | [`events`] |
 //! | how a vertex is advanced | [`integrator`] |
 //! | free bodies: a self-contained solver | [`free`] |
 //! | scenes with free bodies or planes: their step | `coupled` |
-//! | observation: forces by cause, energy | [`observe`] |
-//! | the interface to instruments | [`simulation`] |
-//! | the stages inside a step, on request | [`stages`] |
-//! | what a step reports | [`report`] |
-//! | how much work a step may do | [`work`] |
+//! | observation: forces by cause, energy | `observe` |
+//! | the interface to instruments | `simulation` |
+//! | the stages inside a step, on request | `stages` |
+//! | what a step reports | `report` |
+//! | how much work a step may do | `work` |
 //! | one number for the exact state | [`checksum`] |
-//! | memory that a scene needs, estimated before it is built | [`memory`] |
+//! | memory that a scene needs, estimated before it is built | `memory` |
 //!
 //! This module does not depend on Rerun or files, nor on clocks other than the step's own timers.
 //!

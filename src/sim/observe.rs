@@ -104,15 +104,15 @@ impl World {
         index: usize,
         [displacement, velocity]: [&'a Vectors; 2],
         surroundings: &'a Surroundings,
-    ) -> Seen<'a> {
+    ) -> Observed<'a> {
         let (body, rest) = (&self.scene().bodies[index], self.bodies[index].rest());
-        Seen { body, rest, displacement, velocity, surroundings }
+        Observed { body, rest, displacement, velocity, surroundings }
     }
 }
 
 /// A body in a state and what acts on it: the input for its forces and its energy.
 #[derive(Clone, Copy)]
-pub(super) struct Seen<'a> {
+pub(super) struct Observed<'a> {
     pub body: &'a Body,
     pub rest: Rest<'a>,
     /// Empty if all are zero, and so are the velocities.
@@ -121,10 +121,10 @@ pub(super) struct Seen<'a> {
     pub surroundings: &'a Surroundings,
 }
 
-impl Seen<'_> {
+impl Observed<'_> {
     /// Computes the forces by cause on every vertex; empty for a cause that does not act.
     pub fn forces(&self, weight: Weight, by_cause: &mut [Vectors; Cause::ALL.len()]) {
-        let Seen { body, rest, displacement, velocity, surroundings } = *self;
+        let Observed { body, rest, displacement, velocity, surroundings } = *self;
         let Surroundings { uniform, weighted, sources } = surroundings;
         by_cause.iter_mut().for_each(Vectors::clear);
         for cause in sources.iter().map(Source::cause).chain(weighted.iter().map(|weighted| weighted.cause)) {
@@ -207,7 +207,7 @@ impl EnergySum {
     }
 
     /// Adds the energy of a body's vertices, including the part due to being inside spheres.
-    pub fn add(&mut self, seen: &Seen<'_>) {
+    pub fn add(&mut self, seen: &Observed<'_>) {
         let [kinetic, elastic] = oscillator::energy(seen.body.material, seen.displacement, seen.velocity);
         self.sum.kinetic += kinetic;
         self.sum.elastic += elastic;

@@ -17,7 +17,7 @@ pub(super) trait Falling {
     fn at(&self, t: f64) -> (f64, f64);
 
     /// What is known of it between `start` and `end` from its value and slope in the `middle`; `None` ends the search.
-    fn look(&self, start: f64, middle: f64, end: f64) -> Option<Look>;
+    fn sample(&self, start: f64, middle: f64, end: f64) -> Option<Sample>;
 
     /// Whether it was above zero by more than rounding before the interval.
     fn was_above(&self) -> bool {
@@ -26,7 +26,7 @@ pub(super) trait Falling {
 }
 
 /// What is known of a function in an interval.
-pub(super) struct Look {
+pub(super) struct Sample {
     /// Its value in the middle.
     pub value: f64,
     /// Its slope there.
@@ -47,18 +47,18 @@ pub(super) struct Look {
 pub(super) fn first_fall<F: Falling>(f: &F, start: f64, end: f64) -> Option<f64> {
     let half = 0.5 * (end - start);
     let middle = start + half;
-    let look = f.look(start, middle, end)?;
-    if look.is_clear {
-        return (look.value < 0.0).then_some(start);
+    let sample = f.sample(start, middle, end)?;
+    if sample.is_clear {
+        return (sample.value < 0.0).then_some(start);
     }
     // too close to zero, or too short: does it come to stand on zero, from above?
-    if look.is_unresolved || middle <= start || middle >= end {
+    if sample.is_unresolved || middle <= start || middle >= end {
         let (before, after) = (f.at(start).0, f.at(end).0);
-        return ((f.was_above() || before > look.rounding) && after <= look.rounding).then_some(end);
+        return ((f.was_above() || before > sample.rounding) && after <= sample.rounding).then_some(end);
     }
     // its slope keeps its sign: at most one root, and only if it falls
-    if look.slope.abs() > look.curvature * half {
-        return if look.slope < 0.0 { root(f, start, end, look.guess) } else { None };
+    if sample.slope.abs() > sample.curvature * half {
+        return if sample.slope < 0.0 { root(f, start, end, sample.guess) } else { None };
     }
     first_fall(f, start, middle).or_else(|| first_fall(f, middle, end))
 }

@@ -46,7 +46,7 @@ const MOST_WORK: u64 = 100_000_000;
 /// much work, or the world was interrupted, those in between are left out, and the last one says so.
 pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
     let work = Work::limited(MOST_WORK, world.options().interrupt);
-    let again = Again { world, before, work: Tally::new(&work, None) };
+    let recomputed = Recomputed { world, before, work: Tally::new(&work, None) };
     let most = (MOST_VERTICES / world.scene().vertex_count().max(1)).max(FEW_STAGES) as usize;
     let mut last = "end".to_owned();
     let (start, end) = (before.at.time, world.time());
@@ -54,38 +54,38 @@ pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
         StageFrame { name: "start".to_owned(), frame: before.clone() },
         StageFrame { name: "influence forces".to_owned(), frame: influence_only(before.clone()) },
     ];
-    let mut states: Vec<States> = (0..world.body_count()).map(|index| again.states_before(index)).collect();
-    let flown = (0..world.body_count()).map(|index| again.flow(index, &states[index])).collect();
-    stages.push(StageFrame { name: "after the flow alone".to_owned(), frame: again.frame(end, start, flown) });
+    let mut states: Vec<States> = (0..world.body_count()).map(|index| recomputed.states_before(index)).collect();
+    let flown = (0..world.body_count()).map(|index| recomputed.flow(index, &states[index])).collect();
+    stages.push(StageFrame { name: "after the flow alone".to_owned(), frame: recomputed.frame(end, start, flown) });
 
     match world.scene().integrator {
         Integrator::Exponential => {
-            let breaks = again.breaks();
+            let breaks = recomputed.breaks();
             for (number, ends) in (1..).zip(breaks.windows(2)) {
                 let (from, to) = (ends[0], ends[1]);
-                if stages.len() >= most || again.work.is_over() {
+                if stages.len() >= most || recomputed.work.is_over() {
                     last = format!("end; sub-steps from {number} to {} are left out", breaks.len() - 1);
                     break;
                 }
                 for (index, states) in states.iter_mut().enumerate() {
-                    again.advance(index, from, to, states);
+                    recomputed.advance(index, from, to, states);
                 }
                 if breaks.len() > 2 {
                     let name = format!("after sub-step {number}, at t = {to:.9} s");
-                    stages.push(StageFrame { name, frame: again.frame(to, from, states.clone()) });
+                    stages.push(StageFrame { name, frame: recomputed.frame(to, from, states.clone()) });
                 }
                 let events = world.report().events.iter().filter(|event| event.time == to);
                 for event in events.take(most.saturating_sub(stages.len())) {
                     let name = |i: u32| &world.scene().bodies[i as usize].name;
                     let name = format!("{} {}~{}, at t = {to:.9} s", event.name(), name(event.a), name(event.b));
-                    stages.push(StageFrame { name, frame: again.frame(to, to, states.clone()) });
+                    stages.push(StageFrame { name, frame: recomputed.frame(to, to, states.clone()) });
                 }
             }
         }
         Integrator::Thesis | Integrator::Mps => {
-            let predicted = (0..world.body_count()).map(|index| again.predict(index, &states[index])).collect();
+            let predicted = (0..world.body_count()).map(|index| recomputed.predict(index, &states[index])).collect();
             let name = "prediction, (3.6) and (3.7)".to_owned();
-            stages.push(StageFrame { name, frame: again.frame(end, start, predicted) });
+            stages.push(StageFrame { name, frame: recomputed.frame(end, start, predicted) });
         }
         Integrator::Euler | Integrator::Verlet | Integrator::Rk4 => {}
     }
@@ -135,14 +135,14 @@ fn influence_only(mut frame: Frame) -> Frame {
 }
 
 /// A step that is recomputed.
-struct Again<'a> {
+struct Recomputed<'a> {
     /// The world after the step.
     world: &'a World,
     before: &'a Frame,
     work: Tally<'a>,
 }
 
-impl Again<'_> {
+impl Recomputed<'_> {
     fn body(&self, index: usize) -> &Body {
         &self.world.bodies[index]
     }
@@ -304,7 +304,7 @@ impl Again<'_> {
     }
 }
 
-impl Phases for &Again<'_> {
+impl Phases for &Recomputed<'_> {
     fn from(&self, index: u32, neighbour: &Neighbour, t: f64) -> Phase {
         self.phase(index as usize, neighbour.other as usize, t)
     }

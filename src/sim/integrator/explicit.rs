@@ -38,7 +38,7 @@ impl Scheme {
     }
 
     /// Whether the scheme evaluates forces in the middle and at the end of the interval.
-    pub fn looks_at(self) -> (bool, bool) {
+    pub fn evaluates_at(self) -> (bool, bool) {
         match self {
             Scheme::Thesis | Scheme::Mps | Scheme::Euler => (false, false),
             Scheme::Verlet => (false, true),
@@ -67,7 +67,7 @@ pub struct Interval {
 impl Interval {
     /// Whether nothing acts at the instants at which `scheme` evaluates forces: a body at rest stays at rest.
     pub fn is_idle(&self, scheme: Scheme) -> bool {
-        let (middle, end) = scheme.looks_at();
+        let (middle, end) = scheme.evaluates_at();
         self.start.is_idle() && (!middle || self.middle.is_idle()) && (!end || self.end.is_idle())
     }
 }

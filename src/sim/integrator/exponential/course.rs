@@ -90,7 +90,7 @@ impl Course<'_> {
 
     /// The centres of the spheres relative to that of the body at time `t` [scene unit], into `centres` (reused), and
     /// what is the same for all vertices [scene unit/s²]. At the end of the interval: just before it.
-    pub fn look(&self, t: f64, centres: &mut Vec<DVec3>) -> DVec3 {
+    pub fn sample(&self, t: f64, centres: &mut Vec<DVec3>) -> DVec3 {
         let track = self.track(self.index);
         let own = if t >= self.end() { track.before(t) } else { track.at(t) };
         centres.clear();
@@ -111,7 +111,7 @@ impl Course<'_> {
     }
 
     /// [`Course::look`] at one of the five looks of a whole step.
-    pub fn look_whole(&self, look: usize, centres: &mut Vec<DVec3>) -> DVec3 {
+    pub fn sample_whole(&self, look: usize, centres: &mut Vec<DVec3>) -> DVec3 {
         let tracks = self.tracks;
         let own = tracks.kinematics(self.index, look);
         let position = |sphere: &Sphere| tracks.kinematics(sphere.body as usize, look).position;

@@ -6,10 +6,10 @@ use glam::DVec3;
 
 use super::{
     course::Course,
-    step::{Apart, LookUp, Outcome, Step, Vertex},
+    step::{Apart, Outcome, Step, Trajectories, Vertex},
 };
 use crate::sim::{
-    roots::{self, Falling, Look},
+    roots::{self, Falling, Sample},
     state::State,
 };
 
@@ -72,16 +72,16 @@ impl<'a> Motion<'a> {
     /// If the search needs too many samples.
     pub fn crossing(
         &self,
-        look: LookUp<'_>,
+        trajectories: Trajectories<'_>,
         step: &Step,
         sphere: usize,
         inside: bool,
         looks: &mut u32,
     ) -> Result<Option<f64>, Unresolved> {
-        let rim = look.course.spheres[sphere].radius;
+        let rim = trajectories.course.spheres[sphere].radius;
         let mut bounds = step.relative[sphere];
-        if !look.whole.smooth {
-            bounds = look.bounds(self.vertex, bounds);
+        if !trajectories.whole.smooth {
+            bounds = trajectories.bounds(self.vertex, bounds);
         }
         // in units of the step length
         let speed = (self.speed + bounds.speed) * self.h;
@@ -92,7 +92,7 @@ impl<'a> Motion<'a> {
         let last = self.coefficients.iter().sum::<DVec3>();
         let [d0, d1] = [(0, self.coefficients[0]), (3, last)].map(|(node, displacement)| {
             let moment = &step.moments[node];
-            (moment.centres[sphere] - self.vertex.rest_at(look.course, &moment.pushed) - displacement).length()
+            (moment.centres[sphere] - self.vertex.rest_at(trajectories.course, &moment.pushed) - displacement).length()
         });
         let mut gap = Gap {
             looks: Cell::new(*looks),
@@ -107,7 +107,7 @@ impl<'a> Motion<'a> {
 
         // a crossing is where it falls through zero, after multiplication by the sign
         let [a, b, c, d, e, f] = self.coefficients;
-        let theta = match look.apart(self.vertex, sphere, self.start, self.h) {
+        let theta = match trajectories.apart(self.vertex, sphere, self.start, self.h) {
             Apart::Quartic([p, q, r, s, t]) => {
                 // the sphere's centre relative to the vertex, as one polynomial
                 let (a, b, c, d, e) = (p - a, q - b, r - c, s - d, t - e);
@@ -181,14 +181,14 @@ impl<F: Fn(f64) -> (f64, f64)> Falling for Fall<'_, F> {
         (self.at)(t)
     }
 
-    fn look(&self, start: f64, middle: f64, end: f64) -> Option<Look> {
+    fn sample(&self, start: f64, middle: f64, end: f64) -> Option<Sample> {
         let Gap { looks, rim, curvature, .. } = self.gap;
         looks.set(looks.get().checked_sub(1)?);
         let half = 0.5 * (end - start);
         let (value, slope) = self.at(middle);
         let range = slope.abs() * half + 0.5 * curvature * half * half;
         let close = 1e-13 * rim * rim; // nearer to zero, there is only rounding error
-        Some(Look {
+        Some(Sample {
             value,
             slope,
             curvature: *curvature,

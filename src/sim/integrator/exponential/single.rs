@@ -7,7 +7,7 @@ use super::{
     course::Course,
     lanes::{LANES, Vector},
     rim::{self, Motion, Unresolved},
-    step::{Collocated, Group, LookUp, Outcome, Pull, RIMS, Step, Vertex},
+    step::{Collocated, Group, Outcome, Pull, RIMS, Step, Trajectories, Vertex},
     weights::{Dense, KnownWeights, Stage, Weights},
     work_of,
 };
@@ -226,11 +226,11 @@ impl Single<'_> {
             return Ok(None);
         }
         let motion = Motion::new(self.course, step, vertex, state, outcome);
-        let look = LookUp { course: self.course, whole: self.whole, common: self.common };
+        let trajectories = Trajectories { course: self.course, whole: self.whole, common: self.common };
         let mut first: Option<(f64, usize)> = None;
         for j in near {
             let mut looks = rim::MOST_SAMPLES;
-            let crossing = motion.crossing(look, step, j, inside >> j & 1 == 1, &mut looks);
+            let crossing = motion.crossing(trajectories, step, j, inside >> j & 1 == 1, &mut looks);
             let looks = u64::from(rim::MOST_SAMPLES - looks);
             let look_takes = if self.whole.smooth { LOOK } else { LOOK_EXACTLY + self.course.weighted.len() as u64 };
             if !self.work.spend(looks * look_takes) {

@@ -322,9 +322,9 @@ impl Step {
         self.set_weights(weights);
         for (look, moment) in self.moments.iter_mut().enumerate() {
             moment.uniform = if course.is_whole {
-                course.look_whole(look, &mut moment.centres)
+                course.sample_whole(look, &mut moment.centres)
             } else {
-                course.look(time_of(look, course.start, h), &mut moment.centres)
+                course.sample(time_of(look, course.start, h), &mut moment.centres)
             };
         }
         let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
@@ -432,7 +432,7 @@ impl Step {
         self.start = start;
         self.set_weights(weights);
         for look in 0..5 {
-            self.look_within(course, whole, common, look);
+            self.sample_within(course, whole, common, look);
         }
         self.bound_within(course, whole);
         self.noise = whole.noise;
@@ -452,20 +452,20 @@ impl Step {
         self.start = start;
         self.h = h;
         for look in [0, 3] {
-            self.look_within(course, whole, common, look);
+            self.sample_within(course, whole, common, look);
         }
         self.bound_within(course, whole);
     }
 
-    fn look_within(&mut self, course: &Course<'_>, whole: &Step, common: &Common, look: usize) {
+    fn sample_within(&mut self, course: &Course<'_>, whole: &Step, common: &Common, look: usize) {
         let t = time_of(look, self.start, self.h);
         let moment = &mut self.moments[look];
         if whole.smooth {
             whole.interpolate((t - whole.start) / whole.h, moment);
             return;
         }
-        course.look(t, &mut moment.centres);
-        let common = LookUp { course, whole, common }.common_at(t);
+        course.sample(t, &mut moment.centres);
+        let common = Trajectories { course, whole, common }.common_at(t);
         moment.carried = common.carried.x;
         moment.pushed.clear();
         moment.pushed.extend(common.pushed.iter().map(|pushed| pushed.x));
@@ -532,7 +532,7 @@ pub fn has_kink(weight: Weight) -> bool {
 
 /// Positions of spheres relative to vertices at any instant of an interval, and the data for computing them.
 #[derive(Clone, Copy)]
-pub struct LookUp<'a> {
+pub struct Trajectories<'a> {
     /// The body's course.
     pub course: &'a Course<'a>,
     /// The step over all of the interval.
@@ -551,17 +551,17 @@ pub enum Apart<'a> {
 
 /// [`Apart`] where a polynomial is not accurate enough.
 pub struct ExactPath<'a> {
-    look: LookUp<'a>,
+    trajectories: Trajectories<'a>,
     vertex: &'a Vertex,
     sphere: usize,
 }
 
-impl<'a> LookUp<'a> {
+impl<'a> Trajectories<'a> {
     /// The relative position of sphere number `sphere` and a vertex, over a part of the interval.
     pub fn apart(self, vertex: &'a Vertex, sphere: usize, start: f64, h: f64) -> Apart<'a> {
         let whole = self.whole;
         if !whole.smooth {
-            return Apart::Exact(ExactPath { look: self, vertex, sphere });
+            return Apart::Exact(ExactPath { trajectories: self, vertex, sphere });
         }
         let known = std::array::from_fn(|look| {
             let moment = &whole.moments[look];
@@ -588,7 +588,7 @@ impl<'a> LookUp<'a> {
     /// Bounds on the motion of a sphere's centre relative to a vertex, without its own displacement. They are tighter
     /// than those for all vertices, which must cover vertices that face pushes more squarely.
     pub fn bounds(&self, vertex: &Vertex, all: Bounds) -> Bounds {
-        let LookUp { course, whole, common } = *self;
+        let Trajectories { course, whole, common } = *self;
         let squarely = whole.common_bounds(course, common, |_| 1.0);
         let own = whole.common_bounds(course, common, |push| course.facing(push.direction, vertex.rest));
         // with a margin for the rounding of the subtracted terms
@@ -601,7 +601,7 @@ impl<'a> LookUp<'a> {
 
     /// The shared motion of all vertices at `t` [s], with the velocities of the responses to pushes.
     fn common_at(&self, t: f64) -> Common {
-        let LookUp { course, whole, common } = *self;
+        let Trajectories { course, whole, common } = *self;
         if t <= whole.start {
             return common.clone();
         }
@@ -623,9 +623,9 @@ impl<'a> LookUp<'a> {
 impl ExactPath<'_> {
     /// Position [scene unit] and velocity [scene unit/s] at `t` [s].
     pub fn at(&self, t: f64) -> (DVec3, DVec3) {
-        let course = self.look.course;
+        let course = self.trajectories.course;
         let (own, other) = (course.track(course.index).at(t), course.sphere_track(self.sphere).at(t));
-        let common = self.look.common_at(t);
+        let common = self.trajectories.common_at(t);
         let (mut x, mut u) = (self.vertex.rest + common.carried.x, common.carried.u);
         for (push, pushed) in course.weighted.iter().zip(&common.pushed) {
             let along = push.direction * course.facing(push.direction, self.vertex.rest);
