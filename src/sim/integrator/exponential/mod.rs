@@ -55,7 +55,7 @@ pub struct StepStatistics {
     pub substeps: u64,
     /// The largest, over all vertices, of the sum of a vertex's estimated errors [scene unit].
     pub error: f64,
-    /// Work done, in units of [`crate::sim::work`].
+    /// Work done, in units of `sim::work`.
     pub work: u64,
     /// Work that a single step of all vertices would have taken, in the same units.
     pub base: u64,
