@@ -159,7 +159,8 @@ impl Search<'_> {
             .transitions(phase)
             .filter_map(|way| {
                 let sign = if way.falling { 1.0 } else { -1.0 };
-                let mut gap = Gap { pair: tracks, level: way.level * tracks.radii, sign, swing, was_above: false, work };
+                let mut gap =
+                    Gap { pair: tracks, level: way.level * tracks.radii, sign, swing, was_above: false, work };
                 gap.first_fall(start, end).map(|time| (time, way.to))
             })
             .min_by(|x, y| x.0.total_cmp(&y.0))

@@ -63,7 +63,8 @@ mod push_list;
 pub mod reach;
 mod report;
 mod roots;
-pub(crate) mod simulation;
+#[doc(hidden)]
+pub mod simulation;
 mod span;
 mod stages;
 mod state;

@@ -400,7 +400,7 @@ impl Pair {
                     found(time, to);
                     (from, phase) = (time, to);
                     // where a centre jumps from afar into a core
-                    while let Some(next) = tracks.jump(thresholds, phase, time) {
+                    while let Some(next) = search.tracks.jump(search.thresholds, phase, time) {
                         found(time, next);
                         phase = next;
                     }

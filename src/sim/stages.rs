@@ -98,21 +98,21 @@ pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
 /// Writes the state of some bodies at a time within the step that led from `before` to the world as it is, on the same
 /// solution as that of the step. Only for the exponential integrator, on which the others have no dense solution.
 pub fn within(before: &Frame, world: &World, time: f64, bodies: &[usize], frame: &mut Frame) {
-    let again = Again { world, before };
-    let mut breaks = again.breaks();
+    let recomputed = Recomputed { world, before, work: Tally::unlimited() };
+    let mut breaks = recomputed.breaks();
     breaks.retain(|&at| at < time);
     breaks.push(time);
     frame.at = Instant { step: world.steps_taken(), time };
     frame.bodies.resize_with(world.body_count(), BodyFrame::default);
     for &index in bodies {
-        let mut states = again.states_before(index);
+        let mut states = recomputed.states_before(index);
         for ends in breaks.windows(2) {
-            again.advance(index, ends[0], ends[1], &mut states);
+            recomputed.advance(index, ends[0], ends[1], &mut states);
         }
         let now = &mut frame.bodies[index];
         now.centre = world.track(index).position(time);
         (now.displacements, now.velocities) = (states.displacement, states.velocity);
-        now.displaced(again.body(index).rest());
+        now.displaced(recomputed.body(index).rest());
     }
 }
 

@@ -23,7 +23,7 @@ fn axis(active: &mut Active, number: usize) -> Vec<&mut f64> {
         blocks.all_mut().iter_mut().flat_map(|block| &mut block.0[v][axis]).take(count).collect()
     }
     let Deformation { active_set, free_vertices, hash_of_kept, .. } = &mut active.state.deformation;
-    hash_of_kept.take();
+    hash_of_kept.forget();
     if number < 6 {
         of(&mut active_set.blocks, number / 3, number % 3, active_set.vertices.len())
     } else {
