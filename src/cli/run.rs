@@ -398,7 +398,8 @@ fn watch(
     stop: &AtomicBool,
     console: &mut Console,
 ) -> Result<Outcome, Failure> {
-    let mut changes = Changes { text: simulation.schema().source, said: String::new(), runs: 0 };
+    let mut changes =
+        Changes { text: Scene::without_meshes(&simulation.schema().source).to_owned(), said: String::new(), runs: 0 };
     let mut run = simulate(simulation, sinks, arguments, stop, Some(&mut changes), console)?;
     loop {
         if let Some(failure) = &run.failure {
@@ -452,7 +453,7 @@ impl Changes {
                 return None;
             }
             self.text = text;
-            let scene = Scene::parse(&self.text, &arguments.scene).map_err(|error| error.to_string());
+            let scene = Scene::parse_beside(&self.text, path).map_err(|error| error.to_string());
             scene.map(|scene| with_overrides(arguments, scene))
         };
         match scene {

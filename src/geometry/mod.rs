@@ -5,6 +5,7 @@
 //! | a closed triangle mesh | [`mesh`] |
 //! | the parameters of a shape, and its mesh shared by all bodies | [`shape`] |
 //! | one file per shape | [`sphere`] |
+//! | closed meshes from files | [`files`] |
 //! | arrays of vectors | [`vectors`] |
 //! | a smooth seam in place of the crease where surfaces meet | [`fairing`] |
 //! | the union of overlapping meshes, and geometric measures of a pair | [`union`] |
@@ -13,12 +14,14 @@
 //! on bodies, scenes or time.
 
 pub mod fairing;
+pub mod files;
 pub mod mesh;
 pub mod shape;
 pub mod sphere;
 pub mod union;
 pub mod vectors;
 
+pub use files::MeshFile;
 pub use mesh::{Mesh, Rest, Rings};
 pub use vectors::Vectors;
 

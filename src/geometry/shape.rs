@@ -68,7 +68,9 @@ macro_rules! shapes {
         /// The rest shape of a body, of radius 1.
         #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub enum Shape {
-            $(#[doc = concat!("`shape = { ", $name, " = { … } }`")] $Kind($Kind)),*
+            $(#[doc = concat!("`shape = { ", $name, " = { … } }`")] $Kind($Kind),)*
+            /// `shape = { mesh = "FILE" }`
+            Mesh($crate::geometry::MeshFile),
         }
 
         impl Shape {
@@ -81,26 +83,38 @@ macro_rules! shapes {
                 parameters: <$Kind as $crate::geometry::shape::Solid>::PARAMETERS,
                 make: |parameters| Shape::$Kind(<$Kind as $crate::geometry::shape::Solid>::new(parameters)),
             }),*];
-            /// The keys of all kinds.
-            pub const NAMES: &'static [&'static str] = &[$($name),*];
+            /// The keys of all kinds, and that of files.
+            pub const NAMES: &'static [&'static str] = &[$($name,)* "mesh"];
 
             /// Number of vertices, computed without creating them.
             pub fn vertex_count(&self) -> u64 {
-                match self { $(Shape::$Kind(solid) => $crate::geometry::shape::Solid::vertex_count(solid)),* }
+                match self {
+                    $(Shape::$Kind(solid) => $crate::geometry::shape::Solid::vertex_count(solid),)*
+                    Shape::Mesh(file) => file.mesh().vertex_count() as u64,
+                }
             }
 
             /// Number of triangles, computed without creating them.
             pub fn triangle_count(&self) -> u64 {
-                match self { $(Shape::$Kind(solid) => $crate::geometry::shape::Solid::triangle_count(solid)),* }
+                match self {
+                    $(Shape::$Kind(solid) => $crate::geometry::shape::Solid::triangle_count(solid),)*
+                    Shape::Mesh(file) => file.mesh().triangles().len() as u64,
+                }
             }
 
             /// A label unique to this shape: letters, digits and `_`.
             pub fn label(&self) -> String {
-                match self { $(Shape::$Kind(solid) => $crate::geometry::shape::label($name, &$crate::geometry::shape::Solid::parameters(solid))),* }
+                match self {
+                    $(Shape::$Kind(solid) => $crate::geometry::shape::label($name, &$crate::geometry::shape::Solid::parameters(solid)),)*
+                    Shape::Mesh(file) => file.label().to_owned(),
+                }
             }
 
-            pub(super) fn build(&self) -> Mesh {
-                match self { $(Shape::$Kind(solid) => $crate::geometry::shape::Solid::mesh(solid)),* }
+            pub(super) fn build(&self) -> std::sync::Arc<Mesh> {
+                match self {
+                    $(Shape::$Kind(solid) => std::sync::Arc::new($crate::geometry::shape::Solid::mesh(solid)),)*
+                    Shape::Mesh(file) => file.mesh().clone(),
+                }
             }
         }
     };
@@ -131,7 +145,7 @@ impl Shape {
         if meshes.len() == meshes.capacity() {
             meshes.retain(|_, mesh| mesh.strong_count() > 0);
         }
-        let mesh = Arc::new(self.build());
+        let mesh = self.build();
         meshes.insert(self.clone(), Arc::downgrade(&mesh));
         mesh
     }

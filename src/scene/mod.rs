@@ -38,6 +38,7 @@
 //! name = "still"
 //! radius = 1.0
 //! shape = { sphere = { stacks = 12, slices = 24 } }     # [that: 266 vertices]
+//! # or:   { mesh = "FILE" }                             # OBJ, STL, PLY, glTF or GLB, relative to this file
 //! motion = { fixed = [0, 0, 0] }
 //!
 //! [[body]]
@@ -79,6 +80,21 @@
 //! strength = 60.0               # scene unit/s²
 //! start = 0.2                   # s
 //! duration = 0.1                # s
+//! ```
+//!
+//! # Shapes from files
+//! A mesh must be the surface of a body: closed, consistently oriented, manifold, its triangles counter-clockwise seen from
+//! outside; [`crate::geometry::files`] says what is read of which format. Vertices at the same place are one. The mesh is
+//! moved to its mass centre (the mass of a vertex is a third of the area of its triangles) and scaled so that its farthest
+//! vertex is `radius` away. Whether parts of the surface cross each other is not checked.
+//!
+//! A file may be anywhere that its user can read: it must be a regular one, of 1 GiB at the most. Recordings read no files.
+//! [`Scene::source`], which they carry, has the meshes in it:
+//!
+//! ```toml
+//! [[mesh]]
+//! file = "blob.obj"             # as the shape of a body names it: no file is read
+//! data = "AQQ…"                 # see crate::geometry::files::embedded
 //! ```
 //!
 //! # Keyframes

@@ -11,6 +11,7 @@
 
 mod error;
 mod grid;
+mod meshes;
 mod pairs;
 mod reader;
 
@@ -62,6 +63,7 @@ static SCENE: Keys = Keys {
         "material",
         "influence",
         "surface",
+        "mesh",
         "body",
         "grid",
         "pair",
@@ -82,6 +84,7 @@ static BODY: Keys = Keys {
     form: "a table, written [[body]]",
     names: &["name", "radius", "shape", "motion", "mass", "group", "color", "omega", "damping", "response"],
 };
+static MESH: Keys = Keys { home: "in a [[mesh]]", form: "a table, written [[mesh]]", names: &["file", "data"] };
 static GRID: Keys = Keys {
     home: "in a [[grid]]",
     form: "a table, written [[grid]]",
@@ -150,7 +153,7 @@ static FREE: Keys = Keys {
 
 /// Every table, to find where a misplaced key belongs.
 fn all_keys() -> impl Iterator<Item = &'static Keys> {
-    let bodies = [&SCENE, &MATERIAL, &INFLUENCE, &SURFACE, &BODY, &GRID, &PAIR, &PLANE, &PUSH, &SHAPE];
+    let bodies = [&SCENE, &MATERIAL, &INFLUENCE, &SURFACE, &MESH, &BODY, &GRID, &PAIR, &PLANE, &PUSH, &SHAPE];
     bodies.into_iter().chain(&SHAPES).chain([&MOTION, &LINE, &SINE, &KEYFRAMES, &FREE])
 }
 
@@ -202,7 +205,23 @@ impl Scene {
             let message = format!("not UTF-8: found the byte 0x{:02x} at offset {offset}", bytes[offset]);
             SceneError { place: Some(Place::of(&valid, offset)), ..refuse(message) }.with_help("save the file as UTF-8")
         })?;
-        Scene::parse(text, &file)
+        Scene::parse_beside(text, path)
+    }
+
+    /// The scene that `text` describes, as [`Scene::load`] would read it from the file at `path`: meshes are read from
+    /// files, relative to its folder.
+    ///
+    /// # Errors
+    /// What [`Scene::parse`] refuses, and meshes that cannot be read or are not the surface of a body.
+    pub fn parse_beside(text: &str, path: &std::path::Path) -> Result<Scene, SceneError> {
+        let file = path.display().to_string();
+        let folder = path.parent().unwrap_or(std::path::Path::new(""));
+        on_deep_stack(|| read_scene(&Source { text, file: &file }, Some(folder)))
+    }
+
+    /// The text of a scene's file, from that of [`Scene::source`]: without the meshes that it was given to carry.
+    pub fn without_meshes(source: &str) -> &str {
+        source.find(meshes::MARK).map_or(source, |end| &source[..end])
     }
 
     /// The scene that `text` describes; `file` is its name in errors, and without its folder and extension the scene's
@@ -210,10 +229,10 @@ impl Scene {
     ///
     /// # Errors
     /// The first thing that is wrong: not TOML, an unknown, missing or repeated key, a value of the wrong type or out
-    /// of range (see the [limits](self#limits)), values that do not fit together.
+    /// of range (see the [limits](self#limits)), values that do not fit together, a mesh that is not in the text: no other
+    /// file is read.
     pub fn parse(text: &str, file: &str) -> Result<Scene, SceneError> {
-        let scene = on_deep_stack(|| read_scene(&Source { text, file }))?;
-        Ok(scene)
+        on_deep_stack(|| read_scene(&Source { text, file }, None))
     }
 }
 
@@ -237,7 +256,7 @@ fn on_deep_stack<T: Send>(work: impl Fn() -> T + Sync) -> T {
     })
 }
 
-fn read_scene(source: &Source<'_>) -> Result<Scene, SceneError> {
+fn read_scene(source: &Source<'_>, folder: Option<&std::path::Path>) -> Result<Scene, SceneError> {
     let document = source.document()?;
     let root = Table::root(source, &document, &SCENE)?;
 
@@ -247,11 +266,13 @@ fn read_scene(source: &Source<'_>) -> Result<Scene, SceneError> {
     let surface = root.table("surface", &SURFACE)?;
     let [body_array, grid_array, pair_array, plane_array, push_array] =
         ["body", "grid", "pair", "plane", "push"].map(|name| root.get(name));
+    let mesh_array = root.get("mesh");
     if body_array.is_none() && grid_array.is_none() {
         return Err(root.error("body", "missing, expected at least one [[body]]".to_owned()));
     }
     let body_tables = tables(&body_array, &BODY)?;
     let grid_tables = tables(&grid_array, &GRID)?;
+    let mesh_tables = tables(&mesh_array, &MESH)?;
     let pair_tables = tables(&pair_array, &PAIR)?;
     let plane_tables = tables(&plane_array, &PLANE)?;
     let push_tables = tables(&push_array, &PUSH)?;
@@ -277,9 +298,11 @@ fn read_scene(source: &Source<'_>) -> Result<Scene, SceneError> {
     let material = read_material(&material, thesis)?;
     let (law, influence) = (read_law(&influence, PairLaw::DEFAULT)?, read_influence(&influence)?);
     let influence = Influence { alpha: law.alpha, beta: law.beta, apart_repels: law.apart_repels, ..influence };
-    let bodies = body_tables.iter().map(|table| read_body(table, material)).collect::<Result<Vec<_>, _>>()?;
+    let mut meshes = meshes::Meshes::new(&mesh_tables, folder)?;
+    let bodies =
+        body_tables.iter().map(|table| read_body(table, material, &mut meshes)).collect::<Result<Vec<_>, _>>()?;
     let (mut bodies, mut from) = (bodies, body_tables.iter().collect());
-    grid::read(&grid_tables, material, &mut bodies, &mut from)?;
+    grid::read(&grid_tables, material, &mut meshes, &mut bodies, &mut from)?;
     if bodies.is_empty() {
         let array = body_array.as_ref().or(grid_array.as_ref());
         let message = "expected at least one [[body]], found an empty array".to_owned();
@@ -304,7 +327,7 @@ fn read_scene(source: &Source<'_>) -> Result<Scene, SceneError> {
         blend,
         bodies,
         pushes,
-        source: source.text.to_owned(),
+        source: meshes.carried_by(source.text),
     };
     if scene.is_coupled() {
         refuse_jumps(&scene, &from)?;
@@ -417,7 +440,7 @@ fn read_direction(table: &Table<'_>, name: &'static str) -> Result<DVec3, SceneE
 }
 
 /// A `[[body]]`, or the description of those of a `[[grid]]`.
-fn read_body(table: &Table<'_>, material: Material) -> Result<Body, SceneError> {
+fn read_body(table: &Table<'_>, material: Material, meshes: &mut meshes::Meshes<'_>) -> Result<Body, SceneError> {
     let name = table.required("name", BODY_NAME)?;
     let radius = table.required("radius", POSITIVE)?;
     let material = read_material(table, material)?;
@@ -425,7 +448,7 @@ fn read_body(table: &Table<'_>, material: Material) -> Result<Body, SceneError> 
         name,
         radius,
         material,
-        shape: read_shape(table)?,
+        shape: read_shape(table, meshes)?,
         mass: table.optional("mass", POSITIVE)?.unwrap_or(radius * radius * radius),
         group: table.optional("group", GROUP_NAME)?,
         color: table.optional("color", COLOR)?.as_deref().and_then(color),
@@ -475,14 +498,19 @@ impl Names {
     }
 }
 
-fn read_shape(body: &Table<'_>) -> Result<Shape, SceneError> {
+fn read_shape(body: &Table<'_>, meshes: &mut meshes::Meshes<'_>) -> Result<Shape, SceneError> {
     let Some(shape) = body.get("shape") else { return Ok(Shape::default()) };
     let table = shape.clone().into_table(&SHAPE)?;
     let mut given = Shape::KINDS.iter().zip(&SHAPES).filter(|(kind, _)| table.get(kind.name).is_some());
-    let (kind, keys) = given.next().unwrap_or((&Shape::KINDS[0], &SHAPES[0]));
-    if given.next().is_some() {
+    let file = table.get("mesh");
+    let kind = given.next();
+    if given.next().is_some() || kind.is_some() && file.is_some() {
         return Err(shape.unexpected(SHAPE.form));
     }
+    if let Some(file) = file {
+        return meshes.shape(&file);
+    }
+    let (kind, keys) = kind.unwrap_or((&Shape::KINDS[0], &SHAPES[0]));
     let table = table.present(kind.name, keys.form)?;
     let table = table.into_table(keys)?;
     let parameters = kind.keys.iter().zip(kind.parameters).map(|(key, parameter)| {

@@ -2,12 +2,14 @@
 
 use std::collections::HashSet;
 
-use crate::{scene::Scene, text::bytes};
+use crate::{geometry::Shape, scene::Scene, text::bytes};
 
 /// State of a vertex: displacement and velocity, three doubles each [bytes].
 const STATE_BYTES: u64 = 48;
 /// A rest shape, shared by all bodies of it, per vertex: a position, two triangles and a share of the mass [bytes].
 const SHAPE_BYTES: u64 = 56;
+/// The same from a file, with directions and normals [bytes].
+const MESH_BYTES: u64 = 104;
 /// What looking at a vertex takes, at most: six forces by cause and their sum, positions, normals, arrows [bytes].
 const OBSERVE_BYTES: u64 = 400;
 /// A body without its vertices: names, path, surroundings [bytes].
@@ -70,7 +72,13 @@ pub fn needed(scene: &Scene) -> u64 {
         .bodies
         .iter()
         .filter(|body| seen.insert(&body.shape))
-        .map(|body| body.shape.vertex_count().saturating_mul(SHAPE_BYTES))
+        .map(|body| {
+            body.shape.vertex_count().saturating_mul(if matches!(body.shape, Shape::Mesh(_)) {
+                MESH_BYTES
+            } else {
+                SHAPE_BYTES
+            })
+        })
         .fold(0, u64::saturating_add);
     let largest = scene.bodies.iter().map(|body| body.shape.vertex_count()).max().unwrap_or(0);
     scene
@@ -79,6 +87,7 @@ pub fn needed(scene: &Scene) -> u64 {
         .saturating_add(largest.saturating_mul(OBSERVE_BYTES))
         .saturating_add((scene.bodies.len() as u64).saturating_mul(BODY_BYTES))
         .saturating_add(shapes)
+        .saturating_add(3 * scene.source.len() as u64) // kept by the scene, by the schema, and for the recording
 }
 
 /// What the scene of a world holds of its bodies, by what was allocated for it [bytes].

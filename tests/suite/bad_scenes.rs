@@ -78,7 +78,7 @@ motion = { fixed = [0, 0, 0] }
 Whole: columns after characters of several bytes
 name = "größe"
 x = { "ä" = "ö" } # ü
-> bad.toml:2:1: x: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
+> bad.toml:2:1: x: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Whole: body is a single table
 duration = 4
@@ -196,39 +196,39 @@ Whole: the first of several unknown keys
 zeta = 1
 duration = 4
 again = 2
-> bad.toml:1:1: zeta: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
+> bad.toml:1:1: zeta: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Top: unknown key
 colour = 1
-> bad.toml:1:1: colour: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
+> bad.toml:1:1: colour: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Top: unknown key near another
 Integrator = "rk4"
-> bad.toml:1:1: Integrator: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
+> bad.toml:1:1: Integrator: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Top: unknown key abbreviated
 integ = "rk4"
-> bad.toml:1:1: integ: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
+> bad.toml:1:1: integ: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Top: unknown key without letters
 "" = 1
-> bad.toml:1:1: "": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
+> bad.toml:1:1: "": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Top: unknown key that is long
 aaaaaaaaaabbbbbbbbbbccccccccccddddddddddeeeeeeeeee = 1
-> bad.toml:1:1: aaaaaaaaaabbbbbbbbbbccccccccccdddddddddd…: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
+> bad.toml:1:1: aaaaaaaaaabbbbbbbbbbccccccccccdddddddddd…: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Top: key of another table
 alpha = 100
-> bad.toml:1:1: alpha: unknown key; "alpha" belongs in [influence] or in a [[pair]] (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
+> bad.toml:1:1: alpha: unknown key; "alpha" belongs in [influence] or in a [[pair]] (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Top: key of several tables
 response = "rigid"
-> bad.toml:1:1: response: unknown key; "response" belongs in [material] or in a [[body]] or in a [[grid]] (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
+> bad.toml:1:1: response: unknown key; "response" belongs in [material] or in a [[body]] or in a [[grid]] (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Top: unknown table
 matrial.omega = 1
-> bad.toml:1:1: matrial: unknown key; did you mean "material"? (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, body, grid, pair, plane, push)
+> bad.toml:1:1: matrial: unknown key; did you mean "material"? (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Top: name is a number
 name = 2
@@ -451,11 +451,11 @@ shape = {}
 
 Body: shape unknown
 shape = { cube = 1 }
-> bad.toml:3:11: body["ball"].shape.cube: unknown key (known keys: sphere)
+> bad.toml:3:11: body["ball"].shape.cube: unknown key (known keys: sphere, mesh)
 
 Body: shape with a misplaced key
 shape = { stacks = 12 }
-> bad.toml:3:11: body["ball"].shape.stacks: unknown key; "stacks" belongs in shape = { sphere = { … } } (known keys: sphere)
+> bad.toml:3:11: body["ball"].shape.stacks: unknown key; "stacks" belongs in shape = { sphere = { … } } (known keys: sphere, mesh)
 
 Body: sphere is a number
 shape = { sphere = 12 }

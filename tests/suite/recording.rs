@@ -1033,7 +1033,7 @@ enum Line {
 }
 
 fn resting(shape: &Shape) -> String {
-    let Shape::Sphere(Sphere { stacks, slices }) = shape;
+    let Shape::Sphere(Sphere { stacks, slices }) = shape else { panic!("a sphere") };
     format!("/world/resting/sphere_{stacks}x{slices}")
 }
 

@@ -109,7 +109,6 @@ pub fn assert_valid(scene: &Scene) {
         assert!((1..=64).contains(&body.name.len()) && body.name.chars().all(plain), "{:?}", body.name);
         assert!(scene.bodies[..i].iter().all(|other| other.name != body.name), "two bodies {:?}", body.name);
         assert!(positive(body.radius) && non_negative(body.material.omega) && non_negative(body.material.damping));
-        #[allow(irrefutable_let_patterns)]
         if let Shape::Sphere(Sphere { stacks, slices }) = body.shape {
             assert!((2..=65_535).contains(&stacks) && (3..=65_535).contains(&slices));
         }

@@ -3,7 +3,8 @@
 use glam::DVec3;
 
 use super::{
-    ANY, Body, Integer, Material, NON_NEGATIVE, SceneError, Table, Value, Vector, is_body_name, reader::Kind as _,
+    ANY, Body, Integer, Material, NON_NEGATIVE, SceneError, Table, Value, Vector, is_body_name, meshes::Meshes,
+    reader::Kind as _,
 };
 use crate::scene::{Motion, Path};
 
@@ -15,12 +16,13 @@ const COUNT: &str = "an array of 3 integers of at least 1 [nx, ny, nz]";
 pub(super) fn read<'t, 's>(
     tables: &'t [Table<'s>],
     material: Material,
+    meshes: &mut Meshes<'_>,
     bodies: &mut Vec<Body>,
     from: &mut Vec<&'t Table<'s>>,
 ) -> Result<(), SceneError> {
     let mut room = MOST;
     for table in tables {
-        let first = super::read_body(table, material)?;
+        let first = super::read_body(table, material, meshes)?;
         let value = table.present("count", COUNT)?;
         let counts = read_count(&value)?;
         let keys = match &first.motion {

@@ -1,0 +1,230 @@
+//! Whether triangles are the surface of a body: closed, consistently oriented, manifold, outward.
+
+use std::collections::{HashMap, hash_map::Entry};
+
+use glam::DVec3;
+use rustc_hash::FxBuildHasher;
+
+use super::Soup;
+
+/// What keeps triangles from being the surface of a body. Positions are those of the file.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Flaw {
+    /// There is nothing.
+    #[error("it has no triangles")]
+    Empty,
+    /// A coordinate is not finite, or too large.
+    #[error("vertex {vertex} (counted from 0) is at {position}: coordinates must be numbers up to 1e15")]
+    NotFinite {
+        /// Its number in the file.
+        vertex: usize,
+        /// Where it is.
+        position: DVec3,
+    },
+    /// Edges of one triangle only.
+    #[error(
+        "it is not closed: {count} edges belong to one triangle only, the first from {from} to {to}; fill its holes"
+    )]
+    Open {
+        /// How many there are.
+        count: usize,
+        /// One end of the first …
+        from: DVec3,
+        /// … and the other.
+        to: DVec3,
+    },
+    /// Edges of two triangles that run along them in the same direction.
+    #[error(
+        "its triangles are not oriented alike: at {count} edges one is inside out, the first from {from} to {to}; make \
+         normals consistent"
+    )]
+    Inconsistent {
+        /// How many there are.
+        count: usize,
+        /// One end of the first …
+        from: DVec3,
+        /// … and the other.
+        to: DVec3,
+    },
+    /// Edges of more than two triangles.
+    #[error(
+        "it touches itself: {count} edges belong to more than two triangles, the first from {from} to {to}; separate the \
+         parts that meet there, or merge them"
+    )]
+    Crowded {
+        /// How many there are.
+        count: usize,
+        /// One end of the first …
+        from: DVec3,
+        /// … and the other.
+        to: DVec3,
+    },
+    /// Vertices at which parts of the surface meet that have no edge in common.
+    #[error("it touches itself: at {count} vertices, the first at {position}; separate the parts that meet there")]
+    Pinched {
+        /// How many there are.
+        count: usize,
+        /// Where the first is.
+        position: DVec3,
+    },
+    /// A vertex whose triangles have no area.
+    #[error("the triangles about {count} vertices have no area, the first at {position}; remove these vertices")]
+    Massless {
+        /// How many there are.
+        count: usize,
+        /// Where the first is.
+        position: DVec3,
+    },
+    /// The triangles wind the wrong way round.
+    #[error("it is inside out: it encloses a volume of {volume:e}; flip its normals")]
+    InsideOut {
+        /// The volume, by the winding of its triangles.
+        volume: f64,
+    },
+}
+
+/// The same surface with vertices at the same place made one, without triangles that vanish by that, and without vertices
+/// that no triangle has.
+///
+/// # Errors
+/// The triangles are not the surface of a body.
+pub fn closed(soup: Soup) -> Result<Soup, Flaw> {
+    let soup = welded(soup)?;
+    check_edges(&soup)?;
+    let mut areas = vec![0.0; soup.positions.len()];
+    let mut volume = 0.0;
+    let origin = soup.positions.first().copied().ok_or(Flaw::Empty)?;
+    for &corners in &soup.triangles {
+        let [a, b, c] = corners.map(|corner| soup.positions[corner as usize] - origin);
+        let area = (b - a).cross(c - a).length();
+        corners.iter().for_each(|&corner| areas[corner as usize] += area);
+        volume += a.dot(b.cross(c)) / 6.0;
+    }
+    let massless = || (0..areas.len()).filter(|&vertex| !(areas[vertex] > 0.0));
+    if let Some(first) = massless().next() {
+        return Err(Flaw::Massless { count: massless().count(), position: soup.positions[first] });
+    }
+    if volume > 0.0 { Ok(soup) } else { Err(Flaw::InsideOut { volume }) }
+}
+
+fn welded(soup: Soup) -> Result<Soup, Flaw> {
+    let mut place_of = vec![u32::MAX; soup.positions.len()];
+    let mut known: HashMap<[u64; 3], u32, FxBuildHasher> = HashMap::default();
+    let mut welded = Soup::default();
+    for corners in soup.triangles {
+        let mut triangle = [0; 3];
+        for (place, corner) in triangle.iter_mut().zip(corners) {
+            let vertex = corner as usize;
+            if place_of[vertex] == u32::MAX {
+                let position = soup.positions[vertex] + DVec3::ZERO; // −0 is 0
+                if !(position.abs().max_element() <= 1e15 && position.is_finite()) {
+                    return Err(Flaw::NotFinite { vertex, position });
+                }
+                place_of[vertex] = match known.entry(position.to_array().map(f64::to_bits)) {
+                    Entry::Occupied(known) => *known.get(),
+                    Entry::Vacant(new) => {
+                        welded.positions.push(position);
+                        *new.insert(welded.positions.len() as u32 - 1)
+                    }
+                };
+            }
+            *place = place_of[vertex];
+        }
+        let [a, b, c] = triangle;
+        if a != b && b != c && c != a {
+            welded.triangles.push(triangle);
+        }
+    }
+    // a vertex can have lost all its triangles: the surface that is left does not need it
+    let mut number = vec![u32::MAX; welded.positions.len()];
+    let mut kept = Soup::default();
+    for triangle in &welded.triangles {
+        kept.triangles.push(triangle.map(|corner| {
+            let number = &mut number[corner as usize];
+            if *number == u32::MAX {
+                kept.positions.push(welded.positions[corner as usize]);
+                *number = kept.positions.len() as u32 - 1;
+            }
+            *number
+        }));
+    }
+    if kept.triangles.is_empty() { Err(Flaw::Empty) } else { Ok(kept) }
+}
+
+/// A side of a triangle: its ends, the lesser first, and where it comes from.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Side {
+    ends: [u32; 2],
+    /// Index of the triangle times four, plus the corner that it begins at.
+    from: u32,
+    is_forward: bool,
+}
+
+fn check_edges(soup: &Soup) -> Result<(), Flaw> {
+    let mut sides = Vec::with_capacity(3 * soup.triangles.len());
+    for (index, triangle) in (0..).zip(&soup.triangles) {
+        for corner in 0..3 {
+            let (from, to) = (triangle[corner], triangle[(corner + 1) % 3]);
+            let ends = [from.min(to), from.max(to)];
+            sides.push(Side { ends, from: 4 * index + corner as u32, is_forward: from < to });
+        }
+    }
+    sides.sort_unstable();
+    let (mut open, mut inconsistent, mut crowded) = ((0, None), (0, None), (0, None));
+    // of each side, by triangle and corner, the one of the other triangle
+    let mut across = vec![u32::MAX; 4 * soup.triangles.len()];
+    for edge in sides.chunk_by(|a, b| a.ends == b.ends) {
+        let found = match edge {
+            [a, b] if a.is_forward != b.is_forward => {
+                (across[a.from as usize], across[b.from as usize]) = (b.from, a.from);
+                continue;
+            }
+            [_] => &mut open,
+            [_, _] => &mut inconsistent,
+            _ => &mut crowded,
+        };
+        found.0 += 1;
+        found.1.get_or_insert(edge[0].ends.map(|end| soup.positions[end as usize]));
+    }
+    drop(sides);
+    if let (count, Some([from, to])) = open {
+        return Err(Flaw::Open { count, from, to });
+    }
+    if let (count, Some([from, to])) = crowded {
+        return Err(Flaw::Crowded { count, from, to });
+    }
+    if let (count, Some([from, to])) = inconsistent {
+        return Err(Flaw::Inconsistent { count, from, to });
+    }
+
+    // Around each vertex from triangle to triangle: all that it has are in one round.
+    let mut valence = vec![0_u32; soup.positions.len()];
+    let mut some = vec![u32::MAX; soup.positions.len()];
+    for (index, triangle) in (0..).zip(&soup.triangles) {
+        for (corner, &vertex) in (0..).zip(triangle) {
+            valence[vertex as usize] += 1;
+            some[vertex as usize] = 4 * index + corner;
+        }
+    }
+    let mut pinched = (0, None);
+    for (vertex, (&first, &count)) in some.iter().zip(&valence).enumerate() {
+        let (mut side, mut round) = (first, 0);
+        loop {
+            round += 1;
+            // the side before, which ends at the vertex; across from it one begins there
+            let before = 4 * (side / 4) + (side % 4 + 2) % 3;
+            side = across[before as usize];
+            if side == first || round > count {
+                break;
+            }
+        }
+        if round != count {
+            pinched.0 += 1;
+            pinched.1.get_or_insert(soup.positions[vertex]);
+        }
+    }
+    match pinched {
+        (count, Some(position)) => Err(Flaw::Pinched { count, position }),
+        _ => Ok(()),
+    }
+}

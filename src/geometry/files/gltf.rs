@@ -1,0 +1,190 @@
+//! glTF 2.0 and its binary form GLB: the triangles of the default scene, with the transforms of its nodes.
+
+use std::path::Path;
+
+use base64::{Engine as _, engine::general_purpose::STANDARD};
+use glam::{DMat4, DQuat, DVec3};
+use serde_json::Value;
+
+use super::Soup;
+
+/// Nodes below nodes, and instances of nodes: more are a file that refers to itself.
+const DEEPEST: u32 = 64;
+const MOST_NODES: u32 = 100_000;
+
+pub fn parse(bytes: &[u8], path: &Path) -> Result<Soup, String> {
+    let (json, binary) = match bytes {
+        [b'g', b'l', b'T', b'F', ..] => chunks(bytes)?,
+        _ => (bytes, None),
+    };
+    let document: Value = serde_json::from_slice(json).map_err(|error| format!("its JSON: {error}"))?;
+    let mut buffers = Vec::new();
+    for (index, buffer) in array(&document["buffers"]).iter().enumerate() {
+        buffers.push(match buffer["uri"].as_str() {
+            Some(uri) => load(uri, path).map_err(|what| format!("buffer {index}: {what}"))?,
+            None => binary.ok_or_else(|| format!("buffer {index} has no uri"))?.to_vec(),
+        });
+    }
+    let mut reader = Reader { document: &document, buffers, soup: Soup::default(), nodes: 0 };
+    let scene = &document["scenes"][document["scene"].as_u64().unwrap_or(0) as usize];
+    // y-up to z-up
+    let upright = DMat4::from_cols_array(&[1., 0., 0., 0., 0., 0., 1., 0., 0., -1., 0., 0., 0., 0., 0., 1.]);
+    for node in array(&scene["nodes"]) {
+        reader.node(node, upright, 0)?;
+    }
+    Ok(reader.soup)
+}
+
+/// The two chunks of a GLB: JSON, and what it refers to.
+fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), String> {
+    let mut rest = bytes.get(12..).ok_or("it ends in its header")?;
+    let mut chunk = |kind: &[u8; 4]| -> Option<&[u8]> {
+        let length = u32::from_le_bytes(rest.get(..4)?.try_into().ok()?) as usize;
+        let data = rest.get(8..8usize.checked_add(length)?).filter(|_| rest[4..8] == *kind)?;
+        rest = &rest[8 + length..];
+        Some(data)
+    };
+    let json = chunk(b"JSON").ok_or("it has no JSON chunk")?;
+    Ok((json, chunk(b"BIN\0")))
+}
+
+/// A buffer inside the file or beside it.
+fn load(uri: &str, path: &Path) -> Result<Vec<u8>, String> {
+    if let Some(data) = uri.strip_prefix("data:") {
+        let (_, data) = data.split_once(";base64,").ok_or("a data URI that is not base64")?;
+        return STANDARD.decode(data).map_err(|error| error.to_string());
+    }
+    if uri.contains("://") {
+        return Err("it is not on this machine".to_owned());
+    }
+    let file = path.parent().unwrap_or(Path::new("")).join(uri);
+    super::read(&file).map_err(|error| format!("{}: {error}", file.display()))
+}
+
+fn array(value: &Value) -> &[Value] {
+    value.as_array().map_or(&[], Vec::as_slice)
+}
+
+struct Reader<'a> {
+    document: &'a Value,
+    buffers: Vec<Vec<u8>>,
+    soup: Soup,
+    nodes: u32,
+}
+
+impl Reader<'_> {
+    fn node(&mut self, index: &Value, above: DMat4, depth: u32) -> Result<(), String> {
+        self.nodes += 1;
+        if depth > DEEPEST || self.nodes > MOST_NODES {
+            return Err("its nodes are too many, or contain themselves".to_owned());
+        }
+        let document = self.document;
+        let node = index.as_u64().map_or(&Value::Null, |index| &document["nodes"][index as usize]);
+        let transform = above * transform(node)?;
+        if let Some(mesh) = node["mesh"].as_u64() {
+            for primitive in array(&document["meshes"][mesh as usize]["primitives"]) {
+                self.primitive(primitive, transform).map_err(|what| format!("mesh {mesh}: {what}"))?;
+            }
+        }
+        for child in array(&node["children"]) {
+            self.node(child, transform, depth + 1)?;
+        }
+        Ok(())
+    }
+
+    fn primitive(&mut self, primitive: &Value, transform: DMat4) -> Result<(), String> {
+        if primitive["mode"].as_u64().unwrap_or(4) != 4 {
+            return Err("it has other primitives than triangles".to_owned());
+        }
+        let first = self.soup.positions.len() as u32;
+        let numbers = self.accessor(&primitive["attributes"]["POSITION"], "VEC3", 3)?;
+        let corners = match primitive.get("indices") {
+            Some(indices) => self.accessor(indices, "SCALAR", 1)?,
+            None => (0..numbers.len() / 3).map(|i| i as f64).collect(),
+        };
+        let count = (numbers.len() / 3) as f64;
+        for position in numbers.chunks_exact(3) {
+            self.soup.positions.push(transform.transform_point3(DVec3::new(position[0], position[1], position[2])));
+        }
+        let mirrored = transform.determinant() < 0.0;
+        for corners in corners.chunks_exact(3) {
+            if let Some(corner) = corners.iter().find(|&&corner| !(0.0..count).contains(&corner)) {
+                return Err(format!("a triangle has vertex {corner} (counted from 0) of {count}"));
+            }
+            let [a, b, c] = [corners[0], corners[1], corners[2]].map(|corner| first + corner as u32);
+            self.soup.polygon(&if mirrored { [a, c, b] } else { [a, b, c] })?;
+        }
+        Ok(())
+    }
+
+    /// The numbers of an accessor, `width` for each element.
+    fn accessor(&self, index: &Value, kind: &str, width: usize) -> Result<Vec<f64>, String> {
+        let index = index.as_u64().ok_or("it has no positions")? as usize;
+        let accessor = &self.document["accessors"][index];
+        let refuse = |what: &str| format!("accessor {index}: {what}");
+        if accessor["type"].as_str() != Some(kind) || accessor.get("sparse").is_some() {
+            return Err(refuse("expected one that is not sparse, of the usual type"));
+        }
+        let size = match (accessor["componentType"].as_u64(), width) {
+            (Some(5126), 3) | (Some(5125), 1) => 4,
+            (Some(5121), 1) => 1,
+            (Some(5123), 1) => 2,
+            _ => return Err(refuse("expected floats for positions and unsigned integers for indices")),
+        };
+        let view = accessor["bufferView"].as_u64().map(|view| &self.document["bufferViews"][view as usize]);
+        let view = view.ok_or_else(|| refuse("it has no view"))?;
+        let buffer = view["buffer"].as_u64().and_then(|buffer| self.buffers.get(buffer as usize));
+        let buffer = buffer.ok_or_else(|| refuse("its buffer is missing"))?;
+        let number = |value: &Value| value.as_u64().unwrap_or(0) as usize;
+        let start = number(&view["byteOffset"]).saturating_add(number(&accessor["byteOffset"]));
+        let stride = match number(&view["byteStride"]) {
+            0 => size * width,
+            stride => stride,
+        };
+        let count = number(&accessor["count"]);
+        let bytes = buffer.get(start..).ok_or_else(|| refuse("it is outside of its buffer"))?;
+        // as many as there are, whatever the file says
+        let room = if bytes.len() < size * width { 0 } else { (bytes.len() - size * width) / stride + 1 };
+        if count > room {
+            return Err(refuse("it is outside of its buffer"));
+        }
+        let mut numbers = Vec::with_capacity(count * width);
+        for element in 0..count {
+            for part in bytes[element * stride..][..size * width].chunks_exact(size) {
+                let mut raw = [0; 4];
+                raw[..size].copy_from_slice(part);
+                let bits = u32::from_le_bytes(raw);
+                numbers.push(if width == 3 { f64::from(f32::from_bits(bits)) } else { f64::from(bits) });
+            }
+        }
+        Ok(numbers)
+    }
+}
+
+/// The transform of a node to the one above it.
+fn transform(node: &Value) -> Result<DMat4, String> {
+    let numbers = |name: &str| -> Result<Option<Vec<f64>>, String> {
+        let Some(value) = node.get(name) else { return Ok(None) };
+        let numbers: Option<Vec<f64>> = array(value).iter().map(Value::as_f64).collect();
+        numbers.map(Some).ok_or_else(|| format!("the {name} of a node is not of numbers"))
+    };
+    let wrong = |name: &str| format!("the {name} of a node has too many or too few numbers");
+    if let Some(matrix) = numbers("matrix")? {
+        let columns: [f64; 16] = matrix.try_into().map_err(|_| wrong("matrix"))?;
+        return Ok(DMat4::from_cols_array(&columns));
+    }
+    let vector = |name: &str, default| match numbers(name)? {
+        None => Ok(default),
+        Some(numbers) => <[f64; 3]>::try_from(numbers).map(DVec3::from_array).map_err(|_| wrong(name)),
+    };
+    let rotation = match numbers("rotation")? {
+        None => DQuat::IDENTITY,
+        Some(numbers) => {
+            let numbers = <[f64; 4]>::try_from(numbers).map_err(|_| wrong("rotation"))?;
+            let rotation = DQuat::from_array(numbers);
+            if rotation.length_squared() > 0.0 { rotation.normalize() } else { return Err(wrong("rotation")) }
+        }
+    };
+    let (scale, translation) = (vector("scale", DVec3::ONE)?, vector("translation", DVec3::ZERO)?);
+    Ok(DMat4::from_scale_rotation_translation(scale, rotation, translation))
+}

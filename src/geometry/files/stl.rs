@@ -1,0 +1,60 @@
+//! STL, binary and ASCII: triangles with corners of their own.
+
+use glam::DVec3;
+
+use super::{MOST_TRIANGLES, Soup, number};
+
+pub fn parse(bytes: &[u8]) -> Result<Soup, String> {
+    // a binary file may begin with "solid", too: its length decides
+    match bytes.get(80..84) {
+        Some(&[a, b, c, d]) if bytes.len() as u64 == 84 + 50 * u64::from(u32::from_le_bytes([a, b, c, d])) => {
+            binary(&bytes[84..])
+        }
+        _ => ascii(bytes),
+    }
+}
+
+fn corner(soup: &mut Soup, position: DVec3) -> Result<(), String> {
+    let index = soup.positions.len() as u32;
+    soup.positions.push(position);
+    if index % 3 == 2 {
+        if soup.triangles.len() == MOST_TRIANGLES {
+            return Err(format!("more than {MOST_TRIANGLES} triangles"));
+        }
+        soup.triangles.push([index - 2, index - 1, index]);
+    }
+    Ok(())
+}
+
+fn binary(bytes: &[u8]) -> Result<Soup, String> {
+    let mut soup = Soup::default();
+    for triangle in bytes.chunks_exact(50) {
+        for position in triangle[12..48].chunks_exact(12) {
+            let axis = |i: usize| {
+                f64::from(f32::from_le_bytes([position[i], position[i + 1], position[i + 2], position[i + 3]]))
+            };
+            corner(&mut soup, DVec3::new(axis(0), axis(4), axis(8)))?;
+        }
+    }
+    Ok(soup)
+}
+
+fn ascii(bytes: &[u8]) -> Result<Soup, String> {
+    if !bytes.trim_ascii_start().starts_with(b"solid") {
+        return Err("neither \"solid\" at its start nor the length of a binary file".to_owned());
+    }
+    let mut soup = Soup::default();
+    for (line, bytes) in (1..).zip(bytes.split(|&byte| byte == b'\n')) {
+        if !bytes.trim_ascii_start().starts_with(b"vertex") {
+            continue;
+        }
+        let mut words =
+            super::text(bytes).map_err(|what| format!("line {line}: {what}"))?.split_ascii_whitespace().skip(1);
+        let mut next = || number(&mut words, line);
+        corner(&mut soup, DVec3::new(next()?, next()?, next()?))?;
+    }
+    if soup.positions.len() % 3 != 0 {
+        return Err("its last triangle has no three corners".to_owned());
+    }
+    Ok(soup)
+}

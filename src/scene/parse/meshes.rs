@@ -1,0 +1,131 @@
+//! `shape = { mesh = "FILE" }`, and the `[[mesh]]`es that a scene carries instead of the files.
+
+use std::{collections::BTreeMap, path::Path};
+
+use super::{LARGEST_FILE, SceneError, Table, Text, Value};
+use crate::geometry::{MeshFile, Shape, files};
+
+/// Where the meshes begin that were added to the text of a scene.
+pub(super) const MARK: &str = "\n# The meshes of this scene, so that it needs no other files:\n";
+
+const FILE: Text = Text { form: "the name of a file, up to 4096 characters", accepts: is_file };
+const DATA: Text = Text { form: "a mesh as text", accepts: |_| true };
+
+fn is_file(name: &str) -> bool {
+    (1..=4096).contains(&name.len()) && !name.contains('\0')
+}
+
+/// The meshes of a scene, by the name of their file.
+pub(super) struct Meshes<'a> {
+    /// Where files are looked for; nowhere if they must be in the text.
+    folder: Option<&'a Path>,
+    known: BTreeMap<String, MeshFile>,
+    /// What the text has to carry of what was read from files.
+    text: String,
+}
+
+impl<'a> Meshes<'a> {
+    /// Those that the text has.
+    pub fn new(tables: &[Table<'_>], folder: Option<&'a Path>) -> Result<Meshes<'a>, SceneError> {
+        let mut meshes = Meshes { folder, known: BTreeMap::new(), text: String::new() };
+        for table in tables {
+            let file = table.required("file", FILE)?;
+            let data = table.required("data", DATA)?;
+            let mesh = files::from_text(&data).map_err(|error| table.error("data", error.to_string()))?;
+            if meshes.known.insert(file, mesh).is_some() {
+                return Err(table.error("file", "expected a file that no other [[mesh]] is of".to_owned()));
+            }
+        }
+        Ok(meshes)
+    }
+
+    /// The shape in the file that `value` names: read once, however many bodies have it.
+    pub fn shape(&mut self, value: &Value<'_>) -> Result<Shape, SceneError> {
+        let name = value.text().filter(|name| is_file(name)).ok_or_else(|| value.unexpected(FILE.form))?;
+        if let Some(mesh) = self.known.get(name) {
+            return Ok(Shape::Mesh(mesh.clone()));
+        }
+        let shown: String = name.escape_debug().take(200).collect();
+        let folder = self.folder.ok_or_else(|| {
+            let message = format!("the mesh \"{shown}\" is not in the text of the scene");
+            value.error(message).with_help("load the scene from its file, or add a [[mesh]] to it")
+        })?;
+        let loaded = files::load(&folder.join(name)).map_err(|error| value.error(format!("\"{shown}\": {error}")))?;
+        let file = toml::Value::String(name.to_owned());
+        self.text.push_str(&format!("[[mesh]]\nfile = {file}\ndata = \"{}\"\n", loaded.text));
+        if self.text.len() as u64 > LARGEST_FILE / 4 * 3 {
+            let limit = (LARGEST_FILE / 4 * 3) >> 20;
+            let message = format!("the meshes of the scene take more than {limit} MiB as text, which recordings carry");
+            return Err(value.error(message).with_help("reduce the number of triangles"));
+        }
+        self.known.insert(name.to_owned(), loaded.mesh.clone());
+        Ok(Shape::Mesh(loaded.mesh))
+    }
+
+    /// The text of a scene with what it has to carry.
+    pub fn carried_by(&self, text: &str) -> String {
+        if self.text.is_empty() { text.to_owned() } else { format!("{text}{MARK}{}", self.text) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{Scene, World, scene::SceneError};
+
+    const TETRAHEDRON: &str = "v 0 0 0\nv 3 0 0\nv 0 3 0\nv 0 0 3\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
+
+    fn scene(file: &str) -> String {
+        format!(
+            "duration = 1\n[[body]]\nname = \"a\"\nradius = 2\nshape = {{ mesh = \"{file}\" }}\nmotion = {{ fixed = [0, 0, 0] \
+             }}\n[[body]]\nname = \"b\"\nradius = 1\nshape.mesh = \"{file}\"\nmotion = {{ fixed = [2, 0, 0] }}\n"
+        )
+    }
+
+    /// Loads the scene from a folder with this mesh beside it.
+    fn load(name: &str, file: &str, mesh: &str) -> Result<Scene, SceneError> {
+        let folder = std::env::temp_dir().join(format!("meldscope-meshes-{name}-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        std::fs::write(folder.join("scene.toml"), scene(file)).unwrap();
+        std::fs::write(folder.join("mesh.obj"), mesh).unwrap();
+        let loaded = Scene::load(&folder.join("scene.toml"));
+        std::fs::remove_dir_all(&folder).unwrap();
+        loaded
+    }
+
+    #[test]
+    fn a_scene_carries_its_meshes() {
+        let loaded = load("carried", "mesh.obj", TETRAHEDRON).unwrap();
+        assert_eq!(loaded.vertex_count(), 8);
+        assert_eq!(Scene::without_meshes(&loaded.source), scene("mesh.obj"));
+        let again = Scene::parse(&loaded.source, "scene.toml").unwrap(); // the file is gone
+        assert_eq!(again.source, loaded.source);
+        assert_eq!(again.bodies[1].shape, loaded.bodies[0].shape);
+        let run = |scene: Scene| {
+            let mut world = World::new(scene).unwrap();
+            (0..60).for_each(|_| _ = world.step());
+            let moved = (0..4).map(|vertex| world.body(1).displacement(vertex).length()).fold(0.0, f64::max);
+            assert!(moved > 0.0);
+            world.checksum()
+        };
+        assert_eq!(run(again), run(loaded));
+    }
+
+    #[test]
+    fn a_mesh_that_is_none_is_refused_with_its_place() {
+        let refused = |name, file, mesh| load(name, file, mesh).unwrap_err().to_string();
+        let open = refused("open", "mesh.obj", "v 0 0 0\nv 3 0 0\nv 0 3 0\nf 1 3 2\n");
+        assert!(
+            open.contains("scene.toml:5:18: body[\"a\"].shape.mesh: \"mesh.obj\": it is not closed: 3 edges"),
+            "{open}"
+        );
+        let missing = refused("missing", "nothing.obj", "");
+        assert!(missing.contains("\"nothing.obj\": cannot read it: "), "{missing}");
+        let bad = refused("bad", "mesh.obj", "v 0 0\n");
+        assert!(bad.contains("not a usable OBJ file: line 1: a number is missing"), "{bad}");
+        let none = Scene::parse(&scene("mesh.obj"), "x.toml").unwrap_err().to_string();
+        assert!(none.contains("the mesh \"mesh.obj\" is not in the text of the scene"), "{none}");
+        let damaged = format!("{}[[mesh]]\nfile = \"mesh.obj\"\ndata = \"AQQBAAAA\"\n", scene("mesh.obj"));
+        let damaged = Scene::parse(&damaged, "x.toml").unwrap_err().to_string();
+        assert!(damaged.contains("mesh[0].data: not a usable embedded mesh file: it ends"), "{damaged}");
+    }
+}
