@@ -244,6 +244,15 @@ impl Touches {
             known.is_touching = true;
             return;
         }
+        let bounds = |of: &[DVec3]| {
+            let low = of.iter().fold(DVec3::INFINITY, |low, position| low.min(*position));
+            (low, of.iter().fold(DVec3::NEG_INFINITY, |high, position| high.max(*position)))
+        };
+        let ((low, high), (other_low, other_high)) = (bounds(first), bounds(second));
+        if !(low.cmple(other_high).all() && other_low.cmple(high).all()) {
+            (known.is_touching, known.crossing) = (false, None);
+            return;
+        }
         let bodies = (self.closed.body(a, first), self.closed.body(b, second));
         let found = if let (Some(a), Some(b)) = bodies { contact(&a, &b) } else { None };
         known.is_touching = found.is_some();

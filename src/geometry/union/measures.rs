@@ -105,17 +105,26 @@ fn deepen(united: &Union, body: usize, other: &Tree, deepest: &mut f64) {
         }
     };
     let removed = &united.removed[body];
+    // What is still on the union is not inside.
+    let first = united.first_vertex[body];
+    let mut kept: Vec<u32> = united.new_triangles.iter().flat_map(|triangle| triangle.corners).collect();
+    kept.sort_unstable();
+    kept.dedup();
+    let is_lost = |v: u32| kept.binary_search(&(v + first)).is_err();
     // Vertices first: they find most of the depth, and what is known not to be deeper costs little.
     let mut vertices: Vec<u32> = removed.iter().flat_map(|&t| topology.triangles[t as usize]).collect();
     vertices.sort_unstable();
     vertices.dedup();
-    vertices.iter().for_each(|&v| sample(mesh.position(v)));
+    vertices.iter().filter(|&&v| is_lost(v)).for_each(|&v| sample(mesh.position(v)));
     let mut edges: Vec<u32> = removed.iter().flat_map(|&t| topology.triangle_edges[t as usize]).collect();
     edges.sort_unstable();
     edges.dedup();
     for edge in edges {
-        let [a, b] = topology.edges[edge as usize].map(|v| mesh.position(v));
-        sample((a + b) / 2.0);
+        let ends = topology.edges[edge as usize];
+        if ends.iter().all(|&v| is_lost(v)) {
+            let [a, b] = ends.map(|v| mesh.position(v));
+            sample((a + b) / 2.0);
+        }
     }
     for &t in removed {
         let [a, b, c] = topology.triangles[t as usize].map(|v| mesh.position(v));
