@@ -618,6 +618,9 @@ fn summarize(console: &Console, outcome: &Outcome) {
     for approach in approaches.iter().take(MOST_APPROACHES) {
         console.print(&format!("  {approach}"));
     }
+    if let Some(account) = simulation.account() {
+        console.print(&account);
+    }
     if let Some(saved) = &finished.save {
         let path = saved.path.display();
         let word = shell_word(&path.to_string());

@@ -258,7 +258,8 @@ impl Schema {
     /// Describes an event in words: its kind, its pair, its exact time, its q, and the first step affected.
     pub fn describe(&self, event: &PairEvent) -> String {
         let pair = self.pair_name(event.a, event.b);
-        let energy = event.energy.map_or_else(String::new, |energy| format!(", energy {energy:+.4}"));
+        let energy = event.energy.filter(|&energy| energy != 0.0);
+        let energy = energy.map_or_else(String::new, |energy| format!(", energy {energy:+.4}"));
         format!("{} {pair} at t = {:.9} s, q = {:.6}, step {}{energy}", event.name, event.time, event.q, event.step)
     }
 

@@ -34,6 +34,11 @@ pub trait Simulation {
     /// Writes a summary of the last step to `summary` (reused).
     fn summary(&self, summary: &mut StepSummary);
 
+    /// What changed the energy since the start, in a few words; `None` if nothing is known of it.
+    fn account(&self) -> Option<String> {
+        None
+    }
+
     /// Hash of the exact state: bit-identical states have equal hashes, all others differ (barring collisions).
     fn checksum(&self) -> u64;
 

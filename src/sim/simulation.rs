@@ -224,6 +224,27 @@ impl Simulation for World {
         });
     }
 
+    fn account(&self) -> Option<String> {
+        let (now, ledger) = (self.conserved()?.energy(), self.ledger());
+        let head = format!("energy of free bodies: {:.4} at the start, {now:.4} at the end", self.first_energy);
+        if self.scene().integrator != Integrator::Exponential {
+            return Some(head);
+        }
+        let brought = [
+            ("events", ledger.events),
+            ("gradual cores", ledger.core),
+            ("damping", ledger.damping),
+            ("friction", ledger.friction),
+            ("pushes", ledger.pushes),
+            ("bodies on paths", ledger.prescribed),
+        ];
+        let brought = brought.into_iter().filter(|&(_, energy)| energy != 0.0);
+        let brought: Vec<String> = brought.map(|(name, energy)| format!("{name} {energy:+.4}")).collect();
+        let left = now - self.first_energy - ledger.total();
+        let brought = if brought.is_empty() { "nothing changed it".to_owned() } else { brought.join(", ") };
+        Some(format!("{head}; {brought}; not accounted for: {left:.1e}"))
+    }
+
     fn checksum(&self) -> u64 {
         World::checksum(self)
     }

@@ -250,8 +250,14 @@ impl Layout {
         }
         tabs.push((Tab::Timings, self.timings_tab(schema)));
         let plots = self.diagnostics(schema);
-        let shares = vec![1.0; plots.len()];
-        tabs.push((Tab::Energy, self.container(ContainerKind::Vertical, "Energy", plots, &shares)));
+        // one below the other as long as there is room
+        let energy = if plots.len() > 5 {
+            self.grid("Energy", plots, 2)
+        } else {
+            let shares = vec![1.0; plots.len()];
+            self.container(ContainerKind::Vertical, "Energy", plots, &shares)
+        };
+        tabs.push((Tab::Energy, energy));
         if matches!(settings.detail, Detail::Stages { .. }) {
             tabs.push((Tab::Stages, self.stages_tab(&camera, schema, settings)));
         }
