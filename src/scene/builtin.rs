@@ -12,12 +12,15 @@ pub struct Builtin {
 }
 
 /// All built-in scenes, in the order in which they are listed to users.
-pub const ALL: [Builtin; 5] = [
+pub const ALL: [Builtin; 8] = [
     Builtin { name: "push", text: include_str!("../../recordings/push.toml") },
     Builtin { name: "two", text: include_str!("../../recordings/two.toml") },
     Builtin { name: "three", text: include_str!("../../recordings/three.toml") },
     Builtin { name: "size_ratio", text: include_str!("../../recordings/size_ratio.toml") },
     Builtin { name: "crowd", text: include_str!("../../recordings/crowd.toml") },
+    Builtin { name: "collide", text: include_str!("../../recordings/collide.toml") },
+    Builtin { name: "orbit", text: include_str!("../../recordings/orbit.toml") },
+    Builtin { name: "drop", text: include_str!("../../recordings/drop.toml") },
 ];
 
 impl Builtin {
@@ -28,7 +31,8 @@ impl Builtin {
 }
 
 impl Scene {
-    /// A built-in scene: `push`, `two`, `three`, `size_ratio` or `crowd`; `None` for other names.
+    /// A built-in scene: `push`, `two`, `three`, `size_ratio`, `crowd`, `collide`, `orbit` or `drop`; `None` for other
+    /// names.
     pub fn builtin(name: &str) -> Option<Scene> {
         let builtin = ALL.iter().find(|builtin| builtin.name == name)?;
         // A test parses every built-in scene, so an error would mean a broken build; the scene is then treated as
