@@ -13,6 +13,7 @@
 //! | how a vertex is advanced | [`integrator`] |
 //! | free bodies: a self-contained solver | [`free`] |
 //! | scenes with free bodies or planes: their step | `coupled` |
+//! | changes between steps | `edit` |
 //! | observation: forces by cause, energy | `observe` |
 //! | the interface to instruments | `simulation` |
 //! | the stages inside a step, on request | `stages` |
@@ -46,6 +47,7 @@ mod body;
 pub mod checksum;
 mod coupled;
 mod deformation;
+mod edit;
 #[doc(hidden)]
 pub mod events;
 mod frames;
@@ -75,6 +77,7 @@ mod work;
 mod world;
 
 pub use arrays::Vectors;
+pub use edit::EditError;
 pub use events::Event;
 pub use memory::TooLarge;
 pub use observe::{BodyForces, Energy};

@@ -20,6 +20,7 @@ use super::{
     checksum,
     coupled::{Coupled, member::Member},
     deformation::Now,
+    edit::EditError,
     free::Ledger,
     integrator::exponential,
     memory::{self, TooLarge},
@@ -135,6 +136,23 @@ impl World {
             return Err(room.refuse(&world.scene, Some(most_pairs)));
         }
         Ok(world)
+    }
+
+    /// Goes on with a changed scene: `kept` has the former index of each body that keeps its state.
+    pub(super) fn restart(&mut self, scene: Scene, kept: &[Option<usize>], wake_all: bool) -> Result<(), EditError> {
+        let mut world = World::with_options(scene, self.options)?;
+        if self.step > 0 {
+            let time = self.time();
+            let (Some(before), Some(coupled)) = (&self.coupled, &mut world.coupled) else {
+                return Err(EditError::Prescribed);
+            };
+            coupled.resume(&world.scene, before, kept, wake_all, time);
+            (world.step, world.ledger) = (self.step, self.ledger);
+            world.report = std::mem::take(&mut self.report);
+            world.work = std::mem::take(&mut self.work);
+        }
+        *self = world;
+        Ok(())
     }
 
     /// Finds the initial pairs; false if there are more than `most_pairs`.

@@ -118,6 +118,14 @@ impl Member {
         member
     }
 
+    /// Takes over the state of another of the same shape.
+    pub fn resume(&mut self, before: &Member) {
+        let Member { body, pace, calm, is_awake, extent, speed, .. } = before;
+        self.body = Body { shape: Arc::clone(&self.body.shape), ..body.clone() };
+        (self.pace, self.calm, self.is_awake) = (*pace, *calm, *is_awake);
+        (self.extent, self.speed) = (*extent, *speed);
+    }
+
     /// Makes it undeformed.
     pub fn straighten(&mut self) {
         (self.body.x, self.body.u) = (Vec::new(), Vec::new());

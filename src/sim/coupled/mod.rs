@@ -124,6 +124,65 @@ impl Coupled {
         Some(coupled)
     }
 
+    /// Takes over the state of others at `time` [s]: `kept` has the former index of each body that keeps its state. Those
+    /// at rest go on resting, unless all are to wake.
+    pub fn resume(&mut self, scene: &Scene, before: &Coupled, kept: &[Option<usize>], wake_all: bool, time: f64) {
+        let span = Span { start: time, end: time + scene.dt };
+        for (index, (member, kept)) in self.members.iter_mut().zip(kept).enumerate() {
+            member.neighbours.clear();
+            match kept {
+                Some(old) => member.resume(&before.members[*old]),
+                None => {
+                    if let Some(path) = scene.bodies[index].path() {
+                        let motion = path.at(time);
+                        (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
+                    }
+                }
+            }
+            if wake_all && !member.is_awake {
+                (member.is_awake, member.calm) = (true, 0);
+            }
+            member.expect(&scene.bodies[index], scene.gravity, span);
+        }
+        let tally = Tally::unlimited();
+        self.near = Near::new(scene, !self.skip);
+        self.near.start(scene, &mut self.members, u64::MAX, &tally);
+        let mut now_at = vec![None; before.members.len()];
+        for (index, kept) in kept.iter().enumerate() {
+            if let Some(old) = *kept {
+                now_at[old] = Some(index);
+            }
+        }
+        // pairs that were not listed were apart
+        let unknown: Vec<(usize, u32, u32)> = (0..self.members.len())
+            .flat_map(|a| self.members[a].neighbours.iter().map(move |neighbour| (a, neighbour.other, neighbour.pair)))
+            .filter(|&(a, other, _)| kept[a].is_some() && kept[other as usize].is_some())
+            .collect();
+        for (_, _, pair) in unknown {
+            self.near.enter(pair, Phase::Apart);
+        }
+        for pair in before.pairs().filter(|pair| pair.phase != Phase::Apart) {
+            if let (Some(a), Some(b)) = (now_at[pair.a as usize], now_at[pair.b as usize]) {
+                self.near.restore(scene, &mut self.members, a, b, pair.phase);
+            }
+        }
+        self.awake = (0..self.members.len() as u32).filter(|&body| self.members[body as usize].is_awake).collect();
+        self.resting_hash = 0;
+        for (body, member) in (0..).zip(&mut self.members).filter(|(_, member)| !member.is_awake) {
+            member.resting_hash = member.hash(self.arch, body);
+            self.resting_hash = self.resting_hash.wrapping_add(member.resting_hash);
+        }
+        self.started = self.starts.partition_point(|start| start.0 < time);
+        for place in 0..self.started {
+            let body = self.starts[place].1;
+            let member = &self.members[body as usize];
+            if !member.is_awake && member.pushes.iter().any(|push| push.start < time && time < push.end) {
+                self.wake(body);
+            }
+        }
+        self.awake.sort_unstable();
+    }
+
     /// Advances all bodies over `span`.
     ///
     /// # Errors

@@ -154,6 +154,24 @@ impl Near {
         self.pairs.len() as u32 - 1
     }
 
+    /// Makes a pair known, in a phase that it entered before.
+    pub fn restore(&mut self, scene: &Scene, members: &mut [Member], a: usize, b: usize, phase: Phase) {
+        let known = members[a].neighbours.binary_search_by_key(&(b as u32), |neighbour| neighbour.other);
+        let pair = match known {
+            Ok(place) => members[a].neighbours[place].pair,
+            Err(_) => {
+                let pair = self.add(scene, members, a, b, 0.0);
+                for (i, j) in [(a, b), (b, a)] {
+                    let others = &mut members[i].neighbours;
+                    let place = others.partition_point(|neighbour| neighbour.other < j as u32);
+                    others.insert(place, Neighbour { other: j as u32, pair });
+                }
+                pair
+            }
+        };
+        self.enter(pair, phase);
+    }
+
     /// A pair; its bodies are those of the scene.
     pub fn pair(&self, index: u32) -> &Pair {
         &self.pairs[index as usize]

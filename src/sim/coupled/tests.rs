@@ -6,7 +6,7 @@ use crate::{
     Scene, World,
     model::phase::Phase,
     scene::Integrator,
-    sim::{Failure, Options, report::Toil},
+    sim::{EditError, Failure, Options, report::Toil},
 };
 
 fn scene(text: &str) -> Scene {
@@ -234,4 +234,42 @@ fn explicit_schemes_converge() {
     }
     let errors = errors(Integrator::Thesis);
     assert!(errors[2] > 1e-3, "{errors:?}");
+}
+
+/// Pushes and bodies that are given between steps, before they matter, lead to the same states as in the scene's file.
+#[test]
+fn changes_between_steps_are_as_if_the_scene_had_said_so() {
+    let text = format!(
+        "gravity = [0, 0, -3]\n[influence]\ncore_at = 0.6\ncore_width = 0.3\n{FLOOR}{}{}",
+        free("a", [0.0, 0.0, 0.3], [0.0; 3]),
+        free("b", [1.8, 0.2, 0.3], [0.0; 3]),
+    );
+    let push = "[[push]]\nbody = \"b\"\ndirection = [1, 0, 0]\nstrength = 9.0\nstart = 0.5\nduration = 0.2\n";
+    let told = scene(&format!("{text}{push}"));
+    let mut known = World::new(told.clone()).unwrap();
+    let mut pushed = World::new(scene(&text)).unwrap();
+    for step in 0..45 {
+        if step == 20 {
+            pushed.push(told.pushes[0]).unwrap();
+        }
+        run(&mut known, 1);
+        run(&mut pushed, 1);
+        assert_eq!(known.checksum(), pushed.checksum(), "step {step}");
+    }
+    // what is added far away and removed again leaves the others as they were
+    let far = scene(&format!("{text}{push}{}", free("far", [90.0, 0.0, 50.0], [0.0; 3]))).bodies[2].clone();
+    assert_eq!(pushed.add(far.clone()), Ok(2));
+    assert!(matches!(pushed.add(far), Err(EditError::Name(_))));
+    run(&mut known, 5);
+    run(&mut pushed, 5);
+    pushed.remove(2).unwrap();
+    run(&mut known, 5);
+    run(&mut pushed, 5);
+    assert_eq!(known.checksum(), pushed.checksum());
+    pushed.set_motion(1, scene(&text).bodies[0].motion.clone()).unwrap();
+    run(&mut pushed, 1);
+    assert_eq!(pushed.remove(7), Err(EditError::NoBody(7)));
+    let mut prescribed = World::new(Scene::builtin("two").unwrap()).unwrap();
+    run(&mut prescribed, 1);
+    assert_eq!(prescribed.remove(0), Err(EditError::Prescribed));
 }

@@ -1,0 +1,94 @@
+//! Changes of a world between steps: bodies are added, removed, pushed, or get another motion.
+//!
+//! The world goes on as if its scene had said so: pushes and bodies that are given before the instant at which they begin to
+//! matter lead to the same states, bit by bit.
+
+use super::{TooLarge, World};
+use crate::scene::{Body, Motion, Push};
+
+/// Why a world cannot be changed.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum EditError {
+    /// There is no such body.
+    #[error("there is no body {0}")]
+    NoBody(usize),
+    /// Another body has the name.
+    #[error("there is a body \"{0}\" already; names are unique")]
+    Name(String),
+    /// It is the only body.
+    #[error("a world has at least one body")]
+    LastBody,
+    /// Bodies of scenes with laws for certain pairs cannot be removed.
+    #[error("a scene with laws of pairs ([[pair]]) keeps its bodies")]
+    Laws,
+    /// After the first step, only coupled worlds can be changed.
+    #[error(
+        "after the first step, a world can be changed only if it has free bodies, planes or a core_width before and after"
+    )]
+    Prescribed,
+    /// The world would become too large.
+    #[error(transparent)]
+    TooLarge(#[from] TooLarge),
+}
+
+impl World {
+    /// Adds a body, and returns its index. A free body starts now as its motion says.
+    ///
+    /// # Errors
+    /// [`EditError`]; the world is then as it was.
+    pub fn add(&mut self, body: Body) -> Result<usize, EditError> {
+        let mut scene = self.scene().clone();
+        if scene.bodies.iter().any(|other| other.name == body.name) {
+            return Err(EditError::Name(body.name));
+        }
+        scene.bodies.push(body);
+        let last = scene.bodies.len() - 1;
+        let kept: Vec<Option<usize>> = (0..last).map(Some).chain([None]).collect();
+        self.restart(scene, &kept, false)?;
+        Ok(last)
+    }
+
+    /// Removes a body and its pushes; those after it move up by one. All others wake.
+    ///
+    /// # Errors
+    /// [`EditError`]; the world is then as it was.
+    pub fn remove(&mut self, index: usize) -> Result<(), EditError> {
+        let mut scene = self.scene().clone();
+        match () {
+            () if index >= scene.bodies.len() => return Err(EditError::NoBody(index)),
+            () if scene.bodies.len() == 1 => return Err(EditError::LastBody),
+            () if !scene.pairs.is_empty() => return Err(EditError::Laws),
+            () => {}
+        }
+        scene.bodies.remove(index);
+        scene.pushes.retain(|push| push.body != index);
+        scene.pushes.iter_mut().filter(|push| push.body > index).for_each(|push| push.body -= 1);
+        let kept: Vec<Option<usize>> = (0..=scene.bodies.len()).filter(|&old| old != index).map(Some).collect();
+        self.restart(scene, &kept, true)
+    }
+
+    /// Pushes a body.
+    ///
+    /// # Errors
+    /// [`EditError`]; the world is then as it was.
+    pub fn push(&mut self, push: Push) -> Result<(), EditError> {
+        let mut scene = self.scene().clone();
+        if push.body >= scene.bodies.len() {
+            return Err(EditError::NoBody(push.body));
+        }
+        scene.pushes.push(push);
+        let kept: Vec<Option<usize>> = (0..scene.bodies.len()).map(Some).collect();
+        self.restart(scene, &kept, false)
+    }
+
+    /// Gives a body another motion from now on: a path, or a throw. It becomes undeformed; all others wake.
+    ///
+    /// # Errors
+    /// [`EditError`]; the world is then as it was.
+    pub fn set_motion(&mut self, index: usize, motion: Motion) -> Result<(), EditError> {
+        let mut scene = self.scene().clone();
+        scene.bodies.get_mut(index).ok_or(EditError::NoBody(index))?.motion = motion;
+        let kept: Vec<Option<usize>> = (0..scene.bodies.len()).map(|old| (old != index).then_some(old)).collect();
+        self.restart(scene, &kept, true)
+    }
+}
