@@ -41,7 +41,7 @@ pub struct Event {
     pub from: Phase,
     /// The phase that began.
     pub to: Phase,
-    /// Energy that the change of strength brought, Σ m Δs Φ [mass · scene unit²/s²]; 0 in scenes where no forces move
+    /// Energy that the change of strength brought, Σ m Δs (Φ − Φ(r_e)) [mass · scene unit²/s²]; 0 in scenes where no forces move
     /// bodies.
     pub energy: f64,
 }

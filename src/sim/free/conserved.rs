@@ -23,7 +23,8 @@ pub struct Conserved {
     pub vibration: f64,
     /// Elastic energy, Σ ½ m ω² |x|² [mass · scene unit²/s²].
     pub elastic: f64,
-    /// Energy of the influence, Σ m s Φ [mass · scene unit²/s²].
+    /// Energy of the influence, Σ m s (Φ − Φ(r_e)) [mass · scene unit²/s²]: zero for vertices that no sphere reaches, so
+    /// that pairs far apart do not count.
     pub influence: f64,
     /// Gravitational energy, −Σ M g·c [mass · scene unit²/s²].
     pub gravity: f64,
@@ -87,13 +88,15 @@ pub(super) fn influence(a: &Body, b: &Body, field: &Field, strength: f64) -> f64
     of(a, b) + of(b, a)
 }
 
-/// Σ m Φ of the vertices of a body in the sphere of `source`, with the factor for their sizes [mass · scene unit²]. The
+/// Σ m (Φ − Φ(r_e)) of the vertices of a body in the sphere of `source`, with the factor for their sizes
+/// [mass · scene unit²]: zero for a vertex out of its reach. The
 /// vertices are displaced by `x` in a frame with these axes, `to_source` is from their centre to that of the sphere.
 pub(super) fn potential(own: &Body, axes: DMat3, x: &[DVec3], to_source: DVec3, source: &Body, field: &Field) -> f64 {
     let r_e = field.reach * source.radius;
+    let outside = influence_potential(field.weight, r_e, r_e);
     let sum = (0..own.shape.rest.len()).map(|i| {
         let s = axes * own.shape.rest[i] + x.get(i).copied().unwrap_or_default();
-        own.shape.masses[i] * influence_potential(field.weight, r_e, (to_source - s).length())
+        own.shape.masses[i] * (influence_potential(field.weight, r_e, (to_source - s).length()) - outside)
     });
     field.scale(own.radius, source.radius) * sum.sum::<f64>()
 }

@@ -52,7 +52,7 @@ pub struct Change {
     pub from: Phase,
     /// The phase that began.
     pub to: Phase,
-    /// Sudden change of the influence's energy, Σ m Δs Φ [mass · scene unit²/s²].
+    /// Sudden change of the influence's energy, Σ m Δs (Φ − Φ(r_e)) [mass · scene unit²/s²].
     pub energy: f64,
 }
 

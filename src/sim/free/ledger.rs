@@ -19,9 +19,9 @@ use super::{
 /// The energy that each cause has brought to free bodies; negative if it took some [mass · scene unit²/s²].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ledger {
-    /// Phase changes of pairs, whose influence jumps: Σ m Δs Φ.
+    /// Phase changes of pairs, whose influence jumps: Σ m Δs (Φ − Φ(r_e)).
     pub events: f64,
-    /// Gradual changes of a pair's strength at the rim of its core: ∫ Σ m (ds/dt) Φ dt.
+    /// Gradual changes of a pair's strength at the rim of its core: ∫ Σ m (ds/dt) (Φ − Φ(r_e)) dt.
     pub core: f64,
     /// Damping of vertices, −∫ 2κ Σ m |s′ − Ω×s|² dt.
     pub damping: f64,
