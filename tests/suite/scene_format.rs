@@ -113,7 +113,7 @@ pub fn assert_valid(scene: &Scene) {
             assert!((2..=65_535).contains(&stacks) && (3..=65_535).contains(&slices));
         }
         assert!(body.shape.vertex_count() <= u64::from(u32::MAX));
-        assert!(positive(body.mass));
+        assert!((1e-37..=1e46).contains(&body.mass)); // radius³ by default
         let path = match &body.motion {
             Motion::Prescribed(path) => path,
             Motion::Free(free) => {
