@@ -273,3 +273,20 @@ fn changes_between_steps_are_as_if_the_scene_had_said_so() {
     run(&mut prescribed, 1);
     assert_eq!(prescribed.remove(0), Err(EditError::Prescribed));
 }
+
+/// The energy of a scene minus its ledger does not change, though its bodies start and end out of each other's reach.
+#[test]
+fn the_ledger_of_a_world_accounts_for_its_energy() {
+    for name in ["collide", "drop"] {
+        let mut world = World::new(Scene::builtin(name).expect("built in")).expect("it fits");
+        let energy = |world: &World| world.conserved().expect("it is coupled").energy();
+        let (first, mut scale) = (energy(&world), 1.0f64);
+        for _ in 0..120 {
+            world.step();
+            let now = world.conserved().expect("it is coupled");
+            scale = scale.max(now.kinetic + now.vibration + now.elastic);
+            let left = now.energy() - first - world.ledger().total();
+            assert!(left.abs() < 1e-5 * scale, "{name}: {left:e} at {} s", world.time());
+        }
+    }
+}
