@@ -7,7 +7,7 @@ use glam::DVec3;
 use super::{
     Frame, Schema,
     event::PairEvent,
-    frame::Want,
+    frame::{PairFrame, Want},
     simulation::Simulation,
     surface::{Closed, Merger, PairMeasures},
 };
@@ -20,6 +20,10 @@ use crate::geometry::{
 const PRECISION: f64 = 1e-7;
 /// Bisections of a step at most, whatever its length.
 const MOST_BISECTIONS: u32 = 60;
+/// Pairs watched at most, those that are closest.
+const MOST_PAIRS: usize = 64;
+/// Phase changes of a step for which the surfaces are compared at most.
+const MOST_CHANGES: usize = 16;
 
 /// Something that geometry says of a pair at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -160,7 +164,12 @@ impl Touches {
         };
         self.placed.clear();
         let mut pairs = BTreeMap::new();
-        for pair in &now.pairs {
+        let mut watched: Vec<PairFrame> = now.pairs.clone();
+        if watched.len() > MOST_PAIRS {
+            watched.sort_by(|x, y| x.q.total_cmp(&y.q).then((x.a, x.b).cmp(&(y.a, y.b))));
+            watched.truncate(MOST_PAIRS);
+        }
+        for pair in &watched {
             let bodies = [pair.a, pair.b];
             let before = self.pairs.get(&bodies).copied();
             let mut known = before.unwrap_or_default();
@@ -174,7 +183,7 @@ impl Touches {
             }
             pairs.insert(bodies, known);
         }
-        for change in changes {
+        for change in changes.iter().take(MOST_CHANGES) {
             let bodies = [change.a, change.b];
             let Some(known) = self.pairs.get(&bodies) else { continue };
             let is_touch = |event: &&SurfaceEvent| [event.a, event.b] == bodies && event.what == Finding::Touch;

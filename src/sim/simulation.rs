@@ -313,8 +313,9 @@ impl Simulation for World {
 
     fn within(&self, before: &Frame, time: f64, bodies: &[usize], frame: &mut Frame) {
         let is_coupled = self.scene().is_coupled();
-        if self.scene().integrator == Integrator::Exponential && !is_coupled {
-            return stages::within(before, self, time, bodies, frame);
+        let is_exact = self.scene().integrator == Integrator::Exponential && !is_coupled;
+        if is_exact && stages::within(before, self, time, bodies, frame) {
+            return;
         }
         let mut after = Frame::default();
         self.observe(Want::default(), &mut after);

@@ -32,6 +32,9 @@ use crate::{
     scene::Integrator,
 };
 
+/// Parts of a step that are recomputed at most to find the state inside of it.
+const MOST_PARTS: usize = 64;
+
 /// What a stage's frame contains.
 const WANT: Want = Want { forces: true, scalars: false };
 
@@ -41,6 +44,8 @@ const MOST_VERTICES: u64 = 1 << 20;
 const FEW_STAGES: u64 = 16;
 /// The work that a step may take when it is recomputed [units].
 const MOST_WORK: u64 = 100_000_000;
+/// The same for the state of a few bodies at one instant inside of it [units].
+const MOST_WORK_WITHIN: u64 = 4_000_000;
 
 /// The stages of the step that led from `before` to the world as it is, in order. Where that would be too many, or too
 /// much work, or the world was interrupted, those in between are left out, and the last one says so.
@@ -96,11 +101,16 @@ pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
 }
 
 /// Writes the state of some bodies at a time within the step that led from `before` to the world as it is, on the same
-/// solution as that of the step. Only for the exponential integrator, on which the others have no dense solution.
-pub fn within(before: &Frame, world: &World, time: f64, bodies: &[usize], frame: &mut Frame) {
-    let recomputed = Recomputed { world, before, work: Tally::unlimited() };
+/// solution as that of the step; false if that is too much work. Only for the exponential integrator: the others have no
+/// dense solution.
+pub fn within(before: &Frame, world: &World, time: f64, bodies: &[usize], frame: &mut Frame) -> bool {
+    let work = Work::limited(MOST_WORK_WITHIN, world.options().interrupt);
+    let recomputed = Recomputed { world, before, work: Tally::new(&work, None) };
     let mut breaks = recomputed.breaks();
     breaks.retain(|&at| at < time);
+    if breaks.len() > MOST_PARTS {
+        return false;
+    }
     breaks.push(time);
     frame.at = Instant { step: world.steps_taken(), time };
     frame.bodies.resize_with(world.body_count(), BodyFrame::default);
@@ -109,11 +119,15 @@ pub fn within(before: &Frame, world: &World, time: f64, bodies: &[usize], frame:
         for ends in breaks.windows(2) {
             recomputed.advance(index, ends[0], ends[1], &mut states);
         }
+        if recomputed.work.is_over() {
+            return false;
+        }
         let now = &mut frame.bodies[index];
         now.centre = world.track(index).position(time);
         (now.displacements, now.velocities) = (states.displacement, states.velocity);
         now.displaced(recomputed.body(index).rest());
     }
+    true
 }
 
 /// The frame without the forces that do not come from influence spheres.
