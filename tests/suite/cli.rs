@@ -894,7 +894,7 @@ fn the_help_lists_the_names_that_are_taken() {
     };
     let details = "[possible values: surface, forces, stages]";
     let run = help("run");
-    for values in [details, "body, batch]", "scene, forces, displacement, pairs, timings, energy, stages]"] {
+    for values in [details, "body, batch]", "scene, surface, forces, displacement, pairs, timings, energy, stages]"] {
         assert!(run.contains(values), "{values}: {run}");
     }
     assert!(run.contains("[possible values: merge, split, core, diverge]"), "{run}");

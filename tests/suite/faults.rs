@@ -116,7 +116,7 @@ fn a_disk_that_fills_up_ends_the_run_and_leaves_what_was_written() {
     let dir = Dir::new();
     fs::write(dir.file("full.rrd"), "RRF2: what was there before").expect("room");
     let script = format!(
-        "trap '' XFSZ; ulimit -f 600; exec '{}' run two --steps 3000 --save full.rrd",
+        "trap '' XFSZ; ulimit -f 2000; exec '{}' run two --steps 3000 --save full.rrd",
         env!("CARGO_BIN_EXE_meldscope")
     );
     let output = Command::new("sh").args(["-c", &script]).current_dir(dir.path()).output().expect("a shell");

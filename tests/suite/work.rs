@@ -391,7 +391,7 @@ fn no_extreme_scene_runs_for_ever() {
         };
         let said = std::io::read_to_string(child.stderr.take().expect("a pipe")).expect("text");
         assert!(matches!(status.code(), Some(0..=2)) && !said.contains("panicked"), "{status}: {said}\n{text}");
-        assert!(status.success() || said.starts_with("error: "), "{said}");
+        assert!(status.success() || said.lines().any(|line| line.starts_with("error: ")), "{said}");
         runs += 1;
         failed += u64::from(!status.success());
     }
