@@ -293,7 +293,7 @@ impl Layout {
         let right = if schema.bodies.len() > 1 {
             let mut parts = self.pair_views(schema);
             parts.push(self.timings(schema));
-            self.container(ContainerKind::Vertical, "Time", parts, &[2.0, 0.6, 0.7, 0.8])
+            self.container(ContainerKind::Vertical, "Time", parts, &[1.5, 0.5, 1.2, 0.7])
         } else {
             // a single body: show its motion and its timings
             let mut parts = self.diagnostics(schema);
