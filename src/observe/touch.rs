@@ -109,7 +109,6 @@ pub struct Touches {
     /// The state before the step, of bodies in pairs.
     before: Frame,
     /// Scratch storage, reused.
-    own: Frame,
     inside: Frame,
     local: Vectors,
     placed: BTreeMap<usize, Vec<DVec3>>,
@@ -134,34 +133,29 @@ impl Touches {
             merger: Merger::new(&schema),
             pairs: BTreeMap::new(),
             before: Frame::default(),
-            own: Frame::default(),
             inside: Frame::default(),
             local: Vectors::default(),
             placed: BTreeMap::new(),
             schema,
         };
-        touches.step(simulation, None, &[], &mut Vec::new());
+        let mut now = Frame::default();
+        simulation.observe(Want::default(), &mut now);
+        touches.step(simulation, &now, &[], &mut Vec::new());
         touches
     }
 
-    /// Finds what happened in the last step, whose phase changes are given; `frame` is the state after it, if it has been
-    /// observed. Of a pair that touches and parts within one step, nothing is seen.
+    /// Finds what happened in the last step, whose phase changes are given; `now` is the state after it. Of a pair that
+    /// touches and parts within one step, nothing is seen. Nor is anything of a step before which there was no frame:
+    /// whoever records few frames does not pay for looking into all steps.
     pub fn step(
         &mut self,
         simulation: &dyn Simulation,
-        frame: Option<&Frame>,
+        now: &Frame,
         changes: &[PairEvent],
         found: &mut Vec<SurfaceEvent>,
     ) {
         found.clear();
-        let mut own = std::mem::take(&mut self.own);
-        let now = match frame {
-            Some(frame) => frame,
-            None => {
-                simulation.observe(Want::default(), &mut own);
-                &own
-            }
-        };
+        let is_next = now.at.step == self.before.at.step + 1;
         self.placed.clear();
         let mut pairs = BTreeMap::new();
         let mut watched: Vec<PairFrame> = now.pairs.clone();
@@ -175,7 +169,10 @@ impl Touches {
             let mut known = before.unwrap_or_default();
             bodies.iter().for_each(|&body| self.place(body, now));
             self.look(bodies, &mut known);
-            if let Some(before) = before.filter(|before| before.is_touching != known.is_touching) {
+            let changed = before.filter(|before| before.is_touching != known.is_touching);
+            if changed.is_some() && !is_next {
+                known.touched = None;
+            } else if let Some(before) = changed {
                 let (time, q) = self.when(simulation, bodies, before, now.at.time);
                 let what = if known.is_touching { Finding::Touch } else { Finding::Part };
                 known.touched = known.is_touching.then_some(time);
@@ -183,7 +180,7 @@ impl Touches {
             }
             pairs.insert(bodies, known);
         }
-        for change in changes.iter().take(MOST_CHANGES) {
+        for change in changes.iter().filter(|_| is_next).take(MOST_CHANGES) {
             let bodies = [change.a, change.b];
             let Some(known) = self.pairs.get(&bodies) else { continue };
             let is_touch = |event: &&SurfaceEvent| [event.a, event.b] == bodies && event.what == Finding::Touch;
@@ -206,7 +203,6 @@ impl Touches {
             to.displacements.copy_from(&from.displacements);
             to.velocities.copy_from(&from.velocities);
         }
-        self.own = own;
     }
 
     /// When the surfaces of a pair touched or parted in the step that ends at `end`, and q at that time.
@@ -284,11 +280,12 @@ mod tests {
         let mut world = World::new(scene).unwrap();
         let mut touches = Touches::new(&world);
         let (mut all, mut of_step) = (Vec::new(), Vec::new());
-        let mut summary = crate::observe::StepSummary::default();
+        let (mut summary, mut frame) = (crate::observe::StepSummary::default(), Frame::default());
         for _ in 0..steps {
             world.step();
             world.summary(&mut summary);
-            touches.step(&world, None, &summary.events, &mut of_step);
+            world.observe(Want::default(), &mut frame);
+            touches.step(&world, &frame, &summary.events, &mut of_step);
             all.append(&mut of_step);
         }
         all

@@ -57,8 +57,9 @@ impl StepWatch {
             simulation.observe(settings.want(), frame);
         }
         simulation.summary(&mut record.summary);
-        if let Some(touches) = &mut self.touches {
-            touches.step(simulation, frame.as_deref(), &record.summary.events, &mut record.surfaces);
+        record.surfaces.clear();
+        if let (Some(touches), Some(frame)) = (&mut self.touches, frame) {
+            touches.step(simulation, frame, &record.summary.events, &mut record.surfaces);
         }
         record.checksum = simulation.checksum();
         record.stages = self.stages(simulation, settings);
