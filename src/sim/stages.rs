@@ -339,8 +339,8 @@ mod tests {
     #[test]
     fn a_step_with_very_many_events_has_few_stages() {
         let text = "duration = 1.0\n[material]\nresponse = \"rigid\"\n[influence]\nreach = 0.01\n\
-                    [[body]]\nname = \"a\"\nradius = 1.0\nmotion = { fixed = [0, 0, 0] }\n\
-                    [[body]]\nname = \"b\"\nradius = 1.0\n\
+                    [[body]]\nname = \"a\"\nradius = 1.0\nshape = { sphere = { stacks = 2, slices = 3 } }\nmotion = { fixed = [0, 0, 0] }\n\
+                    [[body]]\nname = \"b\"\nradius = 1.0\nshape = { sphere = { stacks = 2, slices = 3 } }\n\
                     motion = { sine = { center = [2.1, 0, 0], amplitude = [1.5, 0, 0], frequency = 2e5 } }\n";
         let mut world = World::new(Scene::parse(text, "events.toml").unwrap()).unwrap();
         let mut before = Frame::default();
