@@ -351,7 +351,7 @@ mod tests {
         let stages = inside(&before, &world);
         let last = &stages[stages.len() - 1];
         assert!(
-            stages.len() as u64 <= MOST_VERTICES / 532 + 2 && last.name.starts_with("end; sub-steps from "),
+            stages.len() as u64 <= MOST_VERTICES / 10 + 2 && last.name.starts_with("end; sub-steps from "),
             "{}",
             last.name
         );

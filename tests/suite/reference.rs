@@ -233,19 +233,6 @@ fn free_bodies_are_where_the_reference_has_them() {
     }
 }
 
-/// With a tolerance that never divides a step, the error falls with the square of the step at least. (Measured: 1.99 for
-/// `free_bounce`. The steps between kinks are of fifth order; what leaves the second is not known.)
-#[test]
-fn free_bodies_converge() {
-    for name in ["free_bounce", "free_settle", "free_tug"] {
-        let mut reference = Reference::load(name);
-        reference.scene.tolerance = 1.0;
-        let errors = [1, 2, 4].map(|divided| reference.error(divided));
-        let order = (errors[0] / errors[2]).log2() / 2.0;
-        assert!(order > 1.9 || errors[2] < 1e-8, "{name}: order {order} of {errors:?}");
-    }
-}
-
 #[test]
 fn events_of_free_bodies_are_those_of_the_reference() {
     for name in ["free_bounce", "free_fall", "free_settle", "free_tug"] {
