@@ -151,7 +151,8 @@ pub struct Loaded {
 /// surface of a body.
 pub fn load(path: &Path) -> Result<Loaded, MeshError> {
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
-    let (format, parse): (_, fn(&[u8], &Path) -> Result<Soup, String>) = match extension.as_str() {
+    type Parse = fn(&[u8], &Path) -> Result<Soup, String>;
+    let (format, parse): (_, Parse) = match extension.as_str() {
         "obj" => ("OBJ", |bytes, _| obj::parse(bytes)),
         "stl" => ("STL", |bytes, _| stl::parse(bytes)),
         "ply" => ("PLY", |bytes, _| ply::parse(bytes)),

@@ -622,7 +622,9 @@ impl Coupled {
     /// What acts on a body at `time` [s], except its own oscillators and planes: gravity, carry, spheres in reach, pushes.
     pub fn surroundings_into(&self, scene: &Scene, index: usize, time: f64, surroundings: &mut Surroundings) {
         let Surroundings { uniform, weighted, sources } = surroundings;
-        (uniform.clear(), weighted.clear(), sources.clear());
+        uniform.clear();
+        weighted.clear();
+        sources.clear();
         let member = &self.members[index];
         let carry = driven(scene, index as u32, time, false).carry;
         if carry != DVec3::ZERO {

@@ -95,7 +95,7 @@ impl BatchedBodies {
         if !self.deforming.is_empty() {
             let now_drawn: Vec<usize> = self.deforming.iter().copied().filter(|&i| !is_merged(i)).collect();
             if self.drawn.as_ref() != Some(&now_drawn) {
-                self.log_drawn(look, &is_merged, chunks);
+                self.log_drawn(look, is_merged, chunks);
                 self.drawn = Some(now_drawn);
             }
         }

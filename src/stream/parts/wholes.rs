@@ -14,9 +14,12 @@ use crate::{
     },
 };
 
+/// The arrow of a body [scene unit/s²].
+type Arrow = fn(&WholeFrame, &BodySchema) -> DVec3;
+
 /// The two kinds of arrows: name of the entity, colour, and what a frame has of it as an acceleration
 /// [scene unit/s²].
-pub const KINDS: [(&str, Rgb, fn(&WholeFrame, &BodySchema) -> DVec3); 2] = [
+pub const KINDS: [(&str, Rgb, Arrow); 2] = [
     ("net_force", colors::WHITE, |whole, body| whole.force / body.mass),
     ("torque", colors::YELLOW, |whole, body| whole.torque / (body.mass * body.radius)),
 ];
