@@ -4,7 +4,8 @@ use pulp::Arch;
 
 use super::{
     body::{Active, Body},
-    checksum::{self, Cached},
+    cached::Cached,
+    checksum,
 };
 use crate::scene::Scene;
 

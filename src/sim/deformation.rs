@@ -11,7 +11,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     arrays::{Blocks, LANES, Vectors},
-    checksum::Cached,
+    cached::Cached,
     state::{Common, Pushed, State},
 };
 use crate::{geometry::Rest, model::oscillator::Oscillator, scene::Push};

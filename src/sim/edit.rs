@@ -3,33 +3,8 @@
 //! The world goes on as if its scene had said so: pushes and bodies that are given before the instant at which they begin to
 //! matter lead to the same states, bit by bit.
 
-use super::{TooLarge, World};
+use super::{report::EditError, world::World};
 use crate::scene::{Body, Motion, Push};
-
-/// Why a world cannot be changed.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum EditError {
-    /// There is no such body.
-    #[error("there is no body {0}")]
-    NoBody(usize),
-    /// Another body has the name.
-    #[error("there is a body \"{0}\" already; names are unique")]
-    Name(String),
-    /// It is the only body.
-    #[error("a world has at least one body")]
-    LastBody,
-    /// Bodies of scenes with laws for certain pairs cannot be removed.
-    #[error("a scene with laws of pairs ([[pair]]) keeps its bodies")]
-    Laws,
-    /// After the first step, only coupled worlds can be changed.
-    #[error(
-        "after the first step, a world can be changed only if it has free bodies, planes or a core_width before and after"
-    )]
-    Prescribed,
-    /// The world would become too large.
-    #[error(transparent)]
-    TooLarge(#[from] TooLarge),
-}
 
 impl World {
     /// Adds a body, and returns its index. A free body starts now as its motion says.

@@ -43,6 +43,7 @@ mod active_set;
 mod advance;
 mod arrays;
 mod body;
+mod cached;
 #[doc(hidden)]
 pub mod checksum;
 mod coupled;
@@ -77,10 +78,9 @@ mod work;
 mod world;
 
 pub use arrays::Vectors;
-pub use edit::EditError;
 pub use events::Event;
 pub use memory::TooLarge;
 pub use observe::{BodyForces, Energy};
-pub use report::{Diverged, Failure, Overworked, Stage, StepReport, Toil};
+pub use report::{Diverged, EditError, Failure, Overworked, Stage, StepReport, Toil};
 pub use terms::Cause;
 pub use world::{BodyView, Options, PairView, States, World};

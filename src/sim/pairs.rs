@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use super::{
     body::Body,
-    checksum::Cached,
+    cached::Cached,
     events::{Event, PairTracks, Search},
     neighbours::{FatBounds, Neighbour},
     reach::{Ball, Grid},

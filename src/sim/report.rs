@@ -1,10 +1,10 @@
-//! What a step reports to its observers.
+//! What a step reports to its observers, and why a world cannot be changed.
 
 use std::time::Duration;
 
 use glam::DVec3;
 
-use super::{events::Event, free::Ledger};
+use super::{events::Event, free::Ledger, memory::TooLarge};
 use crate::scene::Integrator;
 
 /// The stages of a step, in the order in which they run.
@@ -192,4 +192,29 @@ impl StepReport {
         events.clear();
         *self = StepReport { step, time, events, ..StepReport::default() };
     }
+}
+
+/// Why a world cannot be changed.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum EditError {
+    /// There is no such body.
+    #[error("there is no body {0}")]
+    NoBody(usize),
+    /// Another body has the name.
+    #[error("there is a body \"{0}\" already; names are unique")]
+    Name(String),
+    /// It is the only body.
+    #[error("a world has at least one body")]
+    LastBody,
+    /// Bodies of scenes with laws for certain pairs cannot be removed.
+    #[error("a scene with laws of pairs ([[pair]]) keeps its bodies")]
+    Laws,
+    /// After the first step, only coupled worlds can be changed.
+    #[error(
+        "after the first step, a world can be changed only if it has free bodies, planes or a core_width before and after"
+    )]
+    Prescribed,
+    /// The world would become too large.
+    #[error(transparent)]
+    TooLarge(#[from] TooLarge),
 }

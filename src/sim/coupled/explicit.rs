@@ -20,8 +20,8 @@ use crate::{
     },
     scene::Scene,
     sim::{
-        Event,
         deformation::larger,
+        events::Event,
         free::{self, Body},
         report::StepReport,
         span::Span,

@@ -44,7 +44,7 @@ use self::{
     neighbours::Neighbour,
 };
 use super::{
-    Event,
+    events::Event,
     free::{self, Field, Scratch, Snapshot},
     report::{Failure, Overworked, Stage, StepReport, Toil},
     span::Span,
