@@ -28,6 +28,9 @@ use crate::observe::{Frame, Simulation, StageFrame, SurfaceEvent};
 const PACKETS: usize = 4;
 /// A packet is full with this many frames.
 const FRAMES: usize = 16;
+/// If the recording thread lets the simulation wait for longer than this, packets have one frame each, so that few frames
+/// are in transit when the run is interrupted.
+const SLOW: Duration = Duration::from_millis(100);
 /// A packet is full with this many steps.
 const STEPS: usize = 4096;
 /// A packet is full with this many bytes.
@@ -44,6 +47,8 @@ pub struct Pipeline {
     settings: Settings,
     watch: StepWatch,
     packet: Packet,
+    /// Number of frames with which a packet is full at present.
+    most_frames: usize,
     handed_over: Clock,
     /// Time spent waiting since the last step.
     waiting: Duration,
@@ -122,6 +127,7 @@ impl Pipeline {
             watch: StepWatch::new(simulation, &settings),
             settings,
             packet: Packet::default(),
+            most_frames: FRAMES,
             handed_over: Clock::now(),
             waiting: Duration::ZERO,
             surfaces: Vec::new(),
@@ -145,7 +151,7 @@ impl Pipeline {
         let memory = |stage: &StageFrame| stage.frame.memory();
         packet.bytes += frame.map_or(0, |frame| frame.memory()) + step.stages.iter().map(memory).sum::<usize>();
         let is_old = step.end.is_some_and(|end| end - self.handed_over >= AGE);
-        if packet.used >= FRAMES || packet.steps_used >= STEPS || packet.bytes >= BYTES || is_old {
+        if packet.used >= self.most_frames || packet.steps_used >= STEPS || packet.bytes >= BYTES || is_old {
             return self.hand_over();
         }
         Ok(())
@@ -159,7 +165,9 @@ impl Pipeline {
         let start = Clock::now();
         let next = self.empty.recv();
         self.handed_over = Clock::now();
-        self.waiting += self.handed_over - start;
+        let waited = self.handed_over - start;
+        self.most_frames = if waited > SLOW { 1 } else { FRAMES };
+        self.waiting += waited;
         let packet = replace(&mut self.packet, next.unwrap_or_default());
         match self.full.as_ref().map(|full| full.send(packet)) {
             Some(Ok(())) => Ok(()),
