@@ -44,8 +44,8 @@ fn summary(all: Vec<String>) -> Option<String> {
     let first = all.into_iter().next()?;
     Some(match more {
         0 => first,
-        1 => format!("{first} (so does one more pair's)"),
-        _ => format!("{first} (so do those of {more} more pairs)"),
+        1 => format!("{first} (and one more pair like it)"),
+        _ => format!("{first} (and {more} more pairs like it)"),
     })
 }
 
