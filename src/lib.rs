@@ -17,6 +17,7 @@
 //! | [`observe`] | what an instrument sees of any simulation: schema, frames, events | `geometry` | |
 //! | [`sim`] | the world and its step: forces, integrators, events, solver of free bodies | all above | |
 //! | [`stream`] | frames as Rerun data: entities, blueprint, sinks | `observe`, `geometry`, `text` | `viewer` |
+//! | [`table`] | tables as CSV, JSON and Parquet files | `stream` | `cli` |
 //! | [`recording`] | reading recordings: replay, check, diff | all above | `viewer` |
 //! | [`bench`] | benchmarks, and an independent reference solution | all above | `cli` |
 //! | [`cli`] | the command line, one file per subcommand | all above | `cli` |
@@ -88,6 +89,8 @@ pub mod scene;
 pub mod sim;
 #[cfg(feature = "viewer")]
 pub mod stream;
+#[cfg(feature = "cli")]
+pub mod table;
 #[doc(hidden)]
 pub mod text;
 

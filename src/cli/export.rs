@@ -19,7 +19,10 @@ use crate::{
     text::{bytes, counted},
 };
 use formats::{Format, GENERATOR};
-use tables::Table;
+use tables::{Events, Pairs, Scalars, States};
+
+/// What a table may be called: its format follows from the name.
+const TABLE: &str = "F.csv|F.json|F.parquet";
 
 #[derive(clap::Args)]
 #[command(group = clap::ArgGroup::new("what").required(true).multiple(true))]
@@ -31,14 +34,17 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", group = "what")]
     mesh: Option<PathBuf>,
     /// Write a table of events: exact time, pair, q and how fast it changed, phases before and after.
-    #[arg(long, value_name = "F.csv", group = "what")]
+    #[arg(long, value_name = TABLE, group = "what")]
     events: Option<PathBuf>,
     /// Write a table of q and phase of every pair within reach, by step.
-    #[arg(long, value_name = "F.csv", group = "what")]
+    #[arg(long, value_name = TABLE, group = "what")]
     pairs: Option<PathBuf>,
     /// Write a table of energy, errors, counts and all other scalars, by step.
-    #[arg(long, value_name = "F.csv", group = "what")]
+    #[arg(long, value_name = TABLE, group = "what")]
     scalars: Option<PathBuf>,
+    /// Write a table of exact states: position, displacement and velocity of every vertex, by step.
+    #[arg(long, value_name = TABLE, group = "what")]
+    states: Option<PathBuf>,
     /// The format of the meshes.
     #[arg(long, requires = "mesh", default_value = Format::Glb.name(), value_parser = one_of(&Format::ALL, Format::name))]
     format: Format,
@@ -60,7 +66,7 @@ struct Source {
     recorded: Option<Recorded>,
 }
 
-/// Writes the surfaces of a run.
+/// Writes the surfaces and tables of a run.
 pub fn export(arguments: Arguments) -> Result<(), Failure> {
     let Source { mut simulation, last, recorded } = source(&arguments)?;
     let (from, to) = (arguments.from.unwrap_or(0), arguments.to.unwrap_or(last));
@@ -72,11 +78,17 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
     let (stem, format) = (file_stem(&schema.name), arguments.format);
     let folder = arguments.mesh.as_ref().map(|path| Folder { path, stem, format });
     folder.iter().try_for_each(|folder| folder.prepare(is_wanted))?;
-    let mut events = arguments.events.as_ref().map(|path| Table::of_events(path)).transpose()?;
-    let mut pairs = arguments.pairs.as_ref().map(|path| Table::of_pairs(path)).transpose()?;
-    let mut scalars = arguments.scalars.as_ref().map(|path| Table::of_scalars(path, &schema)).transpose()?;
+    let paths = [&arguments.events, &arguments.pairs, &arguments.scalars, &arguments.states];
+    let given = || paths.iter().filter_map(|path| path.as_ref());
+    if let Some(twice) = given().enumerate().find_map(|(i, path)| given().take(i).find(|other| *other == path)) {
+        return Err(Failure::Input(format!("two tables cannot both be {}", twice.display())));
+    }
+    let mut events = arguments.events.as_deref().map(Events::create).transpose()?;
+    let mut pairs = arguments.pairs.as_deref().map(Pairs::create).transpose()?;
+    let mut scalars = arguments.scalars.as_deref().map(|path| Scalars::create(path, &schema)).transpose()?;
+    let mut states = arguments.states.as_deref().map(States::create).transpose()?;
     let want = Want { scalars: scalars.is_some(), ..Want::default() };
-    let needs_frames = folder.is_some() || pairs.is_some() || scalars.is_some();
+    let needs_frames = folder.is_some() || pairs.is_some() || scalars.is_some() || states.is_some();
 
     let (mut merger, mut frame, mut summary) = (Merger::new(&schema), Frame::default(), StepSummary::default());
     let (mut files, mut size, mut overlapping) = (0, 0, 0);
@@ -98,10 +110,13 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
             files += 1;
         }
         if let Some(table) = pairs.as_mut().filter(|_| is_wanted(step)) {
-            table.pairs(&schema, &frame)?;
+            table.add(&schema, &frame)?;
         }
         if let Some(table) = scalars.as_mut().filter(|_| is_wanted(step)) {
-            table.scalars(&schema, &frame, &summary)?;
+            table.add(&schema, &frame, &summary)?;
+        }
+        if let Some(table) = states.as_mut().filter(|_| is_wanted(step)) {
+            table.add(&schema, &frame)?;
         }
         if step >= to {
             break;
@@ -114,7 +129,7 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
         }
         if let Some(table) = &mut events {
             let within = summary.events.iter().filter(|event| (from..=to).contains(&event.step));
-            within.into_iter().try_for_each(|event| table.event(&schema, event))?;
+            within.into_iter().try_for_each(|event| table.add(&schema, event))?;
         }
     }
     if overlapping > 0 {
@@ -126,8 +141,13 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
     if let Some(folder) = &folder {
         print(&format!("wrote {} to {}, {}", counted(files, "file"), folder.path.display(), bytes(size)));
     }
-    let paths = [&arguments.events, &arguments.pairs, &arguments.scalars];
-    for (table, path) in [events, pairs, scalars].into_iter().zip(paths) {
+    let tables = [
+        events.map(|events| events.0),
+        pairs.map(|pairs| pairs.0),
+        scalars.map(|scalars| scalars.0),
+        states.map(|states| states.table),
+    ];
+    for (table, path) in tables.into_iter().zip(paths) {
         if let (Some(table), Some(path)) = (table, path) {
             let size = table.finish()?;
             print(&format!("wrote {}, {}", path.display(), bytes(size)));

@@ -1059,10 +1059,80 @@ fn exported_tables_are_the_run_to_the_bit() {
     let error = run(&dir, &["export", "two", "--events", "mine.csv"]).failed(2);
     assert!(error.contains("mine.csv is not such a table and is not replaced"), "{error}");
     assert_eq!(fs::read_to_string(dir.path().join("mine.csv")).expect("the file"), "a,b\n");
-    let error = run(&dir, &["export", "two", "--pairs", "pairs.parquet"]).failed(2);
-    assert!(error.contains("ends in .csv"), "{error}");
+    let error = run(&dir, &["export", "two", "--pairs", "pairs.xlsx"]).failed(2);
+    assert!(error.contains("end it in .csv, .json or .parquet"), "{error}");
+    let error = run(&dir, &["export", "two", "--pairs", "one.csv", "--states", "one.csv"]).failed(2);
+    assert!(error.contains("two tables cannot both be one.csv"), "{error}");
     assert!(fs::read_dir(dir.path()).expect("a folder").all(|entry| {
         let name = entry.expect("an entry").file_name();
         !name.to_string_lossy().ends_with(".partial")
     }));
+}
+
+#[test]
+fn exported_states_are_the_world_to_the_bit() {
+    use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+    use rerun::external::arrow::array::{AsArray as _, Float64Array};
+
+    let dir = Dir::new();
+    // two bodies that merge, and one that turns
+    for scene in ["two", "orbit"] {
+        let range = ["--from", "90", "--to", "92", "--every", "2"];
+        for format in ["csv", "json", "parquet"] {
+            let name = format!("{scene}.{format}");
+            run(&dir, &[&["export", scene, "--states", &name][..], &range].concat()).succeeded();
+        }
+        let mut world = World::new(Scene::builtin(scene).expect("a scene")).expect("it fits");
+        let mut expected = Vec::new();
+        for step in 1..=92 {
+            world.step();
+            for body in world.bodies().filter(|_| step == 90 || step == 92) {
+                expected.extend((0..body.vertex_count()).map(|i| {
+                    let vectors = [body.position(i), body.displacement(i), body.velocity(i)];
+                    (step, body.name().to_owned(), i as u64, vectors.map(|v| v.to_array().map(f64::to_bits)))
+                }));
+            }
+        }
+        let at = |name: String| dir.path().join(name);
+
+        let mut rows = Vec::new();
+        let mut reader = csv::Reader::from_path(at(format!("{scene}.csv"))).expect("a table");
+        for row in reader.records().map(|row| row.expect("a row")) {
+            let number = |i: usize| row[4 + i].parse::<f64>().expect("a number").to_bits();
+            let vectors = [0, 3, 6].map(|first| [0, 1, 2].map(|axis| number(first + axis)));
+            rows.push((row[0].parse().expect("a step"), row[2].to_owned(), row[3].parse().expect("a vertex"), vectors));
+        }
+        // a position of a body that turns is the same but for the last bits
+        let is_same = |found: &[u64; 3], wanted: &[u64; 3]| {
+            let close = |(&x, &y): (&u64, &u64)| (f64::from_bits(x) - f64::from_bits(y)).abs() < 1e-14;
+            found == wanted || (scene == "orbit" && found.iter().zip(wanted).all(close))
+        };
+        assert_eq!(rows.len(), expected.len());
+        for (found, wanted) in rows.iter().zip(&expected) {
+            assert_eq!(
+                (&found.0, &found.1, &found.2, &found.3[1..]),
+                (&wanted.0, &wanted.1, &wanted.2, &wanted.3[1..])
+            );
+            assert!(is_same(&found.3[0], &wanted.3[0]), "{found:?}, {wanted:?}");
+        }
+
+        let file = fs::File::open(at(format!("{scene}.parquet"))).expect("a table");
+        let reader = ParquetRecordBatchReaderBuilder::try_new(file).expect("a Parquet file").build();
+        let mut next = rows.iter();
+        for batch in reader.expect("a reader") {
+            let batch = batch.expect("rows");
+            let columns: Vec<&Float64Array> = (4..13).map(|i| batch.column(i).as_primitive()).collect();
+            for i in 0..batch.num_rows() {
+                let found: Vec<u64> = columns.iter().map(|column| column.value(i).to_bits()).collect();
+                let (_, name, _, vectors) = next.next().expect("as many rows");
+                assert_eq!(
+                    (batch.column(2).as_string::<i32>().value(i), &found[..]),
+                    (&**name, vectors.as_flattened())
+                );
+            }
+        }
+        assert!(next.next().is_none());
+        let json = fs::read_to_string(at(format!("{scene}.json"))).expect("a table");
+        assert_eq!(json.matches("\"step\":").count(), rows.len());
+    }
 }

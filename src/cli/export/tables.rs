@@ -1,143 +1,150 @@
-//! Tables of a run as CSV, a file each. A file is there as a whole or not at all.
+//! What the tables of a run have in their columns.
 
-use std::{
-    fs::{self, File},
-    io::{self, BufRead as _, BufReader, BufWriter, Read as _},
-    path::{Path, PathBuf},
-};
+use std::path::Path;
 
 use crate::{
     cli::Failure,
+    geometry::Vectors,
     observe::{Frame, Instant, PairEvent, Schema, StepSummary, schema::ScalarOf},
-    stream::unfinished,
+    table::{Cell, Column, Kind, Table, TableError},
 };
 
-/// Longest header that is compared with that of a file to be replaced [bytes].
-const LONGEST_HEADER: u64 = 1 << 16;
-
-/// A table that is being written.
-pub struct Table {
-    path: PathBuf,
-    partial: PathBuf,
-    writer: csv::Writer<BufWriter<File>>,
+impl From<TableError> for Failure {
+    fn from(error: TableError) -> Failure {
+        match error {
+            TableError::Refused(why) => Failure::Input(why),
+            TableError::Failed(why) => Failure::Run(why),
+        }
+    }
 }
 
-impl Table {
-    /// Begins a table of events: `step`, `time` [s], `event`, the bodies `a` and `b`, `q` and its `rate` [1/s], the phases
-    /// `from` and `to`.
-    pub fn of_events(path: &Path) -> Result<Table, Failure> {
-        Table::create(path, &["step", "time", "event", "a", "b", "q", "rate", "from", "to"])
-    }
+fn columns(columns: &[(&str, Kind)]) -> Vec<Column> {
+    columns.iter().map(|(name, kind)| Column::new(name, *kind)).collect()
+}
 
-    /// Begins a table of pairs within reach: `step`, `time` [s], the bodies `a` and `b`, `q`, `phase`.
-    pub fn of_pairs(path: &Path) -> Result<Table, Failure> {
-        Table::create(path, &["step", "time", "a", "b", "q", "phase"])
-    }
+/// A table of events.
+pub struct Events(pub Table);
 
-    /// Begins a table of scalars: `step`, `time` [s], and a column for each scalar of the schema.
-    pub fn of_scalars(path: &Path, schema: &Schema) -> Result<Table, Failure> {
-        let names = schema.scalars.iter().map(|scalar| scalar.name);
-        Table::create(path, &["step", "time"].into_iter().chain(names).collect::<Vec<_>>())
-    }
-
-    fn create(path: &Path, header: &[&str]) -> Result<Table, Failure> {
-        if path.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("csv")) {
-            let path = path.display();
-            return Err(Failure::Input(format!("{path}: tables are written as CSV: give a name that ends in .csv")));
-        }
-        let mut partial = path.as_os_str().to_owned();
-        partial.push(super::PARTIAL);
-        let partial = PathBuf::from(partial);
-        for path in [path, &partial] {
-            if path.symlink_metadata().is_ok() && !is_table(path, header) {
-                return Err(Failure::Input(format!(
-                    "{} is not such a table and is not replaced: choose another name",
-                    path.display()
-                )));
-            }
-        }
-        let failed = |error| Failure::Input(format!("cannot write {}: {error}", path.display()));
-        fs::remove_file(&partial).ok(); // left by a run that was killed
-        let file = unfinished::create_new(&partial).map_err(failed)?;
-        let mut table =
-            Table { path: path.to_owned(), partial, writer: csv::Writer::from_writer(BufWriter::new(file)) };
-        table.row(header.iter().map(|name| (*name).to_owned()))?;
-        Ok(table)
+impl Events {
+    /// `step`, `time` [s], `event`, the bodies `a` and `b`, `q` and its `rate` [1/s], the phases `from` and `to`.
+    pub fn create(path: &Path) -> Result<Events, Failure> {
+        use Kind::{Count, Float, Text};
+        let columns = columns(&[
+            ("step", Count),
+            ("time", Float),
+            ("event", Text),
+            ("a", Text),
+            ("b", Text),
+            ("q", Float),
+            ("rate", Float),
+            ("from", Text),
+            ("to", Text),
+        ]);
+        Ok(Events(Table::create(path, columns)?))
     }
 
     /// Adds an event.
-    pub fn event(&mut self, schema: &Schema, event: &PairEvent) -> Result<(), Failure> {
-        let phase = |phase: usize| schema.phases[phase].name.to_owned();
-        let body = |body: usize| schema.bodies[body].name.clone();
-        self.row([
-            event.step.to_string(),
-            number(event.time),
-            event.name.to_owned(),
-            body(event.a),
-            body(event.b),
-            number(event.q),
-            number(event.rate),
+    pub fn add(&mut self, schema: &Schema, event: &PairEvent) -> Result<(), Failure> {
+        let phase = |phase: usize| Cell::Text(schema.phases[phase].name);
+        Ok(self.0.row(&[
+            Cell::Count(event.step),
+            Cell::Float(event.time),
+            Cell::Text(event.name),
+            body(schema, event.a),
+            body(schema, event.b),
+            Cell::Float(event.q),
+            Cell::Float(event.rate),
             phase(event.from),
             phase(event.to),
-        ])
+        ])?)
+    }
+}
+
+/// A table of pairs within reach.
+pub struct Pairs(pub Table);
+
+impl Pairs {
+    /// `step`, `time` [s], the bodies `a` and `b`, `q`, `phase`.
+    pub fn create(path: &Path) -> Result<Pairs, Failure> {
+        use Kind::{Count, Float, Text};
+        let columns =
+            columns(&[("step", Count), ("time", Float), ("a", Text), ("b", Text), ("q", Float), ("phase", Text)]);
+        Ok(Pairs(Table::create(path, columns)?))
     }
 
     /// Adds the pairs of a frame.
-    pub fn pairs(&mut self, schema: &Schema, frame: &Frame) -> Result<(), Failure> {
-        let Instant { step, time } = frame.at;
+    pub fn add(&mut self, schema: &Schema, frame: &Frame) -> Result<(), Failure> {
+        let [step, time] = instant(frame.at);
         frame.pairs.iter().try_for_each(|pair| {
-            let body = |body: usize| schema.bodies[body].name.clone();
-            let phase = schema.phases[pair.phase].name.to_owned();
-            self.row([step.to_string(), number(time), body(pair.a), body(pair.b), number(pair.q), phase])
+            let phase = Cell::Text(schema.phases[pair.phase].name);
+            Ok(self.0.row(&[step, time, body(schema, pair.a), body(schema, pair.b), Cell::Float(pair.q), phase])?)
         })
+    }
+}
+
+/// A table of scalars.
+pub struct Scalars(pub Table);
+
+impl Scalars {
+    /// `step`, `time` [s], and a column for each scalar of the schema.
+    pub fn create(path: &Path, schema: &Schema) -> Result<Scalars, Failure> {
+        let scalars = schema.scalars.iter().map(|scalar| (scalar.name, Kind::Float));
+        let all: Vec<_> = [("step", Kind::Count), ("time", Kind::Float)].into_iter().chain(scalars).collect();
+        Ok(Scalars(Table::create(path, columns(&all))?))
     }
 
     /// Adds the scalars of a frame and of the step that led to it.
-    pub fn scalars(&mut self, schema: &Schema, frame: &Frame, summary: &StepSummary) -> Result<(), Failure> {
+    pub fn add(&mut self, schema: &Schema, frame: &Frame, summary: &StepSummary) -> Result<(), Failure> {
         let scalars = schema.scalars.iter().enumerate().map(|(index, scalar)| {
             let values = if scalar.of == ScalarOf::State { &frame.scalars } else { &summary.scalars };
-            values.get(index).copied().map_or(String::new(), number)
+            values.get(index).map_or(Cell::Null, |&value| Cell::Float(value))
         });
-        self.row([frame.at.step.to_string(), number(frame.at.time)].into_iter().chain(scalars))
-    }
-
-    fn row(&mut self, cells: impl IntoIterator<Item = String>) -> Result<(), Failure> {
-        self.writer.write_record(cells).map_err(|error| self.failed(&error))
-    }
-
-    /// Puts the file in its place; returns its size [bytes].
-    pub fn finish(mut self) -> Result<u64, Failure> {
-        let placed = |table: &mut Table| -> io::Result<u64> {
-            table.writer.flush()?;
-            fs::rename(&table.partial, &table.path)?;
-            Ok(table.path.metadata()?.len())
-        };
-        let size = placed(&mut self).map_err(|error| self.failed(&error))?;
-        Ok(size)
-    }
-
-    fn failed(&self, error: &dyn std::error::Error) -> Failure {
-        Failure::Run(format!("cannot write {}: {error}", self.path.display()))
+        Ok(self.0.row(&instant(frame.at).into_iter().chain(scalars).collect::<Vec<_>>())?)
     }
 }
 
-impl Drop for Table {
-    fn drop(&mut self) {
-        fs::remove_file(&self.partial).ok(); // gone if the table was finished
-        unfinished::forget(&self.partial);
+/// A table of exact states: a row for each vertex.
+pub struct States {
+    /// The file.
+    pub table: Table,
+    /// Positions relative to the centre; scratch storage.
+    local: Vectors,
+}
+
+impl States {
+    /// `step`, `time` [s], the `body`, the number of the `vertex`, its position in the world `x`, `y`, `z`
+    /// [scene unit], its displacement from rest `dx`, `dy`, `dz` [scene unit], and the velocity of that displacement
+    /// `vx`, `vy`, `vz` [scene unit/s]. The last six are the state that is integrated.
+    pub fn create(path: &Path) -> Result<States, Failure> {
+        let head = [("step", Kind::Count), ("time", Kind::Float), ("body", Kind::Text), ("vertex", Kind::Count)];
+        let numbers = ["x", "y", "z", "dx", "dy", "dz", "vx", "vy", "vz"].map(|name| (name, Kind::Float));
+        let columns = columns(&[&head[..], &numbers].concat());
+        Ok(States { table: Table::create(path, columns)?, local: Vectors::default() })
+    }
+
+    /// Adds the vertices of a frame.
+    pub fn add(&mut self, schema: &Schema, frame: &Frame) -> Result<(), Failure> {
+        let [step, time] = instant(frame.at);
+        for (index, (of, now)) in schema.bodies.iter().zip(&frame.bodies).enumerate() {
+            now.local_positions(of.rest(), &mut self.local);
+            for i in 0..of.vertex_count() {
+                let position = now.centre + self.local.get(i);
+                let velocity = if now.is_at_rest { glam::DVec3::ZERO } else { now.velocities.get(i) };
+                let [x, y, z] = position.to_array().map(Cell::Float);
+                let [dx, dy, dz] = now.displacement(i).to_array().map(Cell::Float);
+                let [vx, vy, vz] = velocity.to_array().map(Cell::Float);
+                let vertex = Cell::Count(i as u64);
+                self.table.row(&[step, time, body(schema, index), vertex, x, y, z, dx, dy, dz, vx, vy, vz])?;
+            }
+        }
+        Ok(())
     }
 }
 
-/// The shortest text that is this number, to the last bit.
-fn number(number: f64) -> String {
-    format!("{number:?}")
+fn instant(Instant { step, time }: Instant) -> [Cell<'static>; 2] {
+    [Cell::Count(step), Cell::Float(time)]
 }
 
-/// Whether a file begins with this header, or is empty.
-fn is_table(path: &Path, header: &[&str]) -> bool {
-    let mut line = String::new();
-    let is_file = path.symlink_metadata().is_ok_and(|metadata| metadata.is_file());
-    is_file
-        && File::open(path).is_ok_and(|file| BufReader::new(file.take(LONGEST_HEADER)).read_line(&mut line).is_ok())
-        && (line.is_empty() || line.trim_end() == header.join(","))
+fn body(schema: &Schema, index: usize) -> Cell<'_> {
+    Cell::Text(&schema.bodies[index].name)
 }

@@ -1,0 +1,488 @@
+//! Tables in files that dataframe libraries read: CSV, JSON or Parquet, by the ending of the name. A file is there as a
+//! whole or not at all, and replaces only a table with the same columns.
+//!
+//! Numbers keep every bit: texts have the shortest digits that read back as the same number. JSON knows no number that
+//! is not finite; there it is `null`.
+
+use std::{
+    fs::{self, File},
+    io::{self, BufWriter, Read as _, Seek as _, SeekFrom, Write},
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use parquet::{
+    arrow::ArrowWriter,
+    basic::{Compression, ZstdLevel},
+    file::properties::WriterProperties,
+};
+use rerun::external::arrow::{
+    array::{ArrayRef, Float64Builder, Int64Builder, RecordBatch, StringBuilder, UInt64Builder},
+    datatypes::{DataType, Field, Schema},
+    error::ArrowError,
+};
+
+use crate::stream::unfinished;
+
+/// Who wrote a Parquet file.
+const CREATED_BY: &str = concat!("meldscope ", env!("CARGO_PKG_VERSION"));
+/// A Parquet file begins and ends with this.
+const PARQUET: &[u8] = b"PAR1";
+/// How much is read of each end of a file that is to be replaced [bytes].
+const LONGEST_HEADER: u64 = 1 << 16;
+/// Rows that are collected before they are encoded.
+const BATCH: usize = 8192;
+/// A row group of a Parquet file ends at about this size [bytes]: it is in memory until then.
+const GROUP: usize = 16 << 20;
+const PARTIAL: &str = ".partial";
+
+/// The type of a column. Any value may be missing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// f64.
+    Float,
+    /// u64.
+    Count,
+    /// i64.
+    Integer,
+    /// UTF-8.
+    Text,
+}
+
+/// A column of a table.
+#[derive(Clone, Debug)]
+pub struct Column {
+    name: String,
+    kind: Kind,
+}
+
+impl Column {
+    /// A column of this name and type.
+    pub fn new(name: &str, kind: Kind) -> Column {
+        Column { name: name.to_owned(), kind }
+    }
+}
+
+/// A value of a row; a value of another type than its column's counts as missing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Cell<'a> {
+    /// Of a [`Kind::Float`].
+    Float(f64),
+    /// Of a [`Kind::Count`].
+    Count(u64),
+    /// Of a [`Kind::Integer`].
+    Integer(i64),
+    /// Of a [`Kind::Text`].
+    Text(&'a str),
+    /// Missing.
+    Null,
+}
+
+/// Why a table is not written, in words.
+#[derive(Debug, thiserror::Error)]
+pub enum TableError {
+    /// What was asked for is not possible: nothing has been written.
+    #[error("{0}")]
+    Refused(String),
+    /// Writing failed.
+    #[error("{0}")]
+    Failed(String),
+}
+
+/// The format of a table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Format {
+    Csv,
+    Json,
+    Parquet,
+}
+
+impl Format {
+    const ALL: [(&str, Format); 3] = [("csv", Format::Csv), ("json", Format::Json), ("parquet", Format::Parquet)];
+
+    fn of(path: &Path) -> Option<Format> {
+        let extension = path.extension()?;
+        let format = Format::ALL.into_iter().find(|(name, _)| extension.eq_ignore_ascii_case(name));
+        format.map(|(_, format)| format)
+    }
+}
+
+/// A table that is being written.
+pub struct Table {
+    path: PathBuf,
+    partial: PathBuf,
+    columns: Vec<Column>,
+    /// `None` once it is finished.
+    writer: Option<Writer>,
+}
+
+enum Writer {
+    Csv(csv::Writer<BufWriter<File>>),
+    Json { file: BufWriter<File>, rows: u64 },
+    Parquet(Box<ParquetTable>),
+}
+
+impl Table {
+    /// Begins a table with these columns.
+    ///
+    /// # Errors
+    /// The name ends in something else, the file is there and is not such a table, or it cannot be created.
+    pub fn create(path: &Path, columns: Vec<Column>) -> Result<Table, TableError> {
+        let Some(format) = Format::of(path) else {
+            let path = path.display();
+            return Err(TableError::Refused(format!(
+                "{path}: what a table is written as follows from its name: end it in .csv, .json or .parquet"
+            )));
+        };
+        let mut partial = path.as_os_str().to_owned();
+        partial.push(PARTIAL);
+        let partial = PathBuf::from(partial);
+        for (path, is_whole) in [(path, true), (&partial, false)] {
+            if path.symlink_metadata().is_ok() && !is_table(path, format, &columns, is_whole).unwrap_or(false) {
+                let path = path.display();
+                return Err(TableError::Refused(format!(
+                    "{path} is not such a table and is not replaced: choose another name"
+                )));
+            }
+        }
+        let failed = |error: io::Error| TableError::Refused(format!("cannot write {}: {error}", path.display()));
+        fs::remove_file(&partial).ok(); // left by a run that was killed
+        let file = BufWriter::new(unfinished::create_new(&partial).map_err(failed)?);
+        let mut table = Table { path: path.to_owned(), partial, columns, writer: None };
+        let writer = Writer::new(format, &table.columns, file).map_err(|error| table.failed(&error))?;
+        table.writer = Some(writer);
+        Ok(table)
+    }
+
+    /// Adds a row, a cell for each column.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn row(&mut self, cells: &[Cell<'_>]) -> Result<(), TableError> {
+        let written = match &mut self.writer {
+            Some(writer) => writer.row(&self.columns, cells),
+            None => Ok(()),
+        };
+        written.map_err(|error| self.failed(&error))
+    }
+
+    /// Puts the file in its place; returns its size [bytes].
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn finish(mut self) -> Result<u64, TableError> {
+        let placed = |table: &mut Table| -> io::Result<u64> {
+            table.writer.take().map_or(Ok(()), Writer::finish)?;
+            fs::rename(&table.partial, &table.path)?;
+            Ok(table.path.metadata()?.len())
+        };
+        placed(&mut self).map_err(|error| self.failed(&error))
+    }
+
+    fn failed(&self, error: &dyn std::fmt::Display) -> TableError {
+        TableError::Failed(format!("cannot write {}: {error}", self.path.display()))
+    }
+}
+
+impl Drop for Table {
+    fn drop(&mut self) {
+        fs::remove_file(&self.partial).ok(); // gone if the table was finished
+        unfinished::forget(&self.partial);
+    }
+}
+
+impl Writer {
+    fn new(format: Format, columns: &[Column], mut file: BufWriter<File>) -> io::Result<Writer> {
+        Ok(match format {
+            Format::Csv => {
+                let mut writer = csv::Writer::from_writer(file);
+                writer.write_record(columns.iter().map(|column| &column.name))?;
+                Writer::Csv(writer)
+            }
+            Format::Json => {
+                file.write_all(b"[")?;
+                Writer::Json { file, rows: 0 }
+            }
+            Format::Parquet => Writer::Parquet(Box::new(ParquetTable::new(columns, file)?)),
+        })
+    }
+
+    fn row(&mut self, columns: &[Column], cells: &[Cell<'_>]) -> io::Result<()> {
+        match self {
+            Writer::Csv(writer) => Ok(writer.write_record(cells.iter().map(|cell| match cell {
+                Cell::Null => String::new(),
+                cell => plain(*cell),
+            }))?),
+            Writer::Json { file, rows } => {
+                let mut before = if *rows == 0 { "\n{" } else { ",\n{" };
+                for (column, cell) in columns.iter().zip(cells) {
+                    let text = match *cell {
+                        Cell::Text(text) => quoted(text)?,
+                        Cell::Float(number) if !number.is_finite() => "null".to_owned(),
+                        cell => plain(cell),
+                    };
+                    write!(file, "{before}{}:{text}", quoted(&column.name)?)?;
+                    before = ",";
+                }
+                *rows += 1;
+                file.write_all(b"}")
+            }
+            Writer::Parquet(table) => table.row(cells),
+        }
+    }
+
+    fn finish(self) -> io::Result<()> {
+        match self {
+            Writer::Csv(mut writer) => writer.flush(),
+            Writer::Json { mut file, .. } => {
+                file.write_all(b"\n]\n")?;
+                file.flush()
+            }
+            Writer::Parquet(table) => table.finish(),
+        }
+    }
+}
+
+/// The shortest text of a value, to the last bit.
+fn plain(cell: Cell<'_>) -> String {
+    match cell {
+        Cell::Float(number) => format!("{number:?}"),
+        Cell::Count(number) => number.to_string(),
+        Cell::Integer(number) => number.to_string(),
+        Cell::Text(text) => text.to_owned(),
+        Cell::Null => "null".to_owned(),
+    }
+}
+
+fn quoted(text: &str) -> io::Result<String> {
+    Ok(serde_json::to_string(text)?)
+}
+
+/// Rows on their way to a Parquet file.
+struct ParquetTable {
+    writer: ArrowWriter<BufWriter<File>>,
+    schema: Arc<Schema>,
+    builders: Vec<Builder>,
+    rows: usize,
+}
+
+enum Builder {
+    Float(Float64Builder),
+    Count(UInt64Builder),
+    Integer(Int64Builder),
+    Text(StringBuilder),
+}
+
+impl ParquetTable {
+    fn new(columns: &[Column], file: BufWriter<File>) -> io::Result<ParquetTable> {
+        let field = |column: &Column| {
+            let kind = match column.kind {
+                Kind::Float => DataType::Float64,
+                Kind::Count => DataType::UInt64,
+                Kind::Integer => DataType::Int64,
+                Kind::Text => DataType::Utf8,
+            };
+            Field::new(&column.name, kind, true)
+        };
+        let schema = Arc::new(Schema::new(columns.iter().map(field).collect::<Vec<_>>()));
+        let properties = WriterProperties::builder()
+            .set_created_by(CREATED_BY.to_owned())
+            .set_compression(Compression::ZSTD(ZstdLevel::default()))
+            .build();
+        let builder = |column: &Column| match column.kind {
+            Kind::Float => Builder::Float(Float64Builder::new()),
+            Kind::Count => Builder::Count(UInt64Builder::new()),
+            Kind::Integer => Builder::Integer(Int64Builder::new()),
+            Kind::Text => Builder::Text(StringBuilder::new()),
+        };
+        let builders = columns.iter().map(builder).collect();
+        let writer = ArrowWriter::try_new(file, Arc::clone(&schema), Some(properties)).map_err(io::Error::other)?;
+        Ok(ParquetTable { writer, schema, builders, rows: 0 })
+    }
+
+    fn row(&mut self, cells: &[Cell<'_>]) -> io::Result<()> {
+        for (builder, &cell) in self.builders.iter_mut().zip(cells) {
+            match (builder, cell) {
+                (Builder::Float(builder), Cell::Float(number)) => builder.append_value(number),
+                (Builder::Float(builder), _) => builder.append_null(),
+                (Builder::Count(builder), Cell::Count(number)) => builder.append_value(number),
+                (Builder::Count(builder), _) => builder.append_null(),
+                (Builder::Integer(builder), Cell::Integer(number)) => builder.append_value(number),
+                (Builder::Integer(builder), _) => builder.append_null(),
+                (Builder::Text(builder), Cell::Text(text)) => builder.append_value(text),
+                (Builder::Text(builder), _) => builder.append_null(),
+            }
+        }
+        self.rows += 1;
+        if self.rows == BATCH { self.encode() } else { Ok(()) }
+    }
+
+    fn encode(&mut self) -> io::Result<()> {
+        self.rows = 0;
+        let column = |builder: &mut Builder| -> ArrayRef {
+            match builder {
+                Builder::Float(builder) => Arc::new(builder.finish()),
+                Builder::Count(builder) => Arc::new(builder.finish()),
+                Builder::Integer(builder) => Arc::new(builder.finish()),
+                Builder::Text(builder) => Arc::new(builder.finish()),
+            }
+        };
+        let columns = self.builders.iter_mut().map(column).collect();
+        let batch = RecordBatch::try_new(Arc::clone(&self.schema), columns);
+        self.writer.write(&batch.map_err(|error: ArrowError| io::Error::other(error))?).map_err(io::Error::other)?;
+        if self.writer.in_progress_size() >= GROUP {
+            self.writer.flush().map_err(io::Error::other)?;
+        }
+        Ok(())
+    }
+
+    fn finish(mut self) -> io::Result<()> {
+        self.encode()?;
+        self.writer.into_inner().map_err(io::Error::other)?.flush()
+    }
+}
+
+/// Whether a file is a table with these columns, or is empty; of one that is not whole, whether it can be one.
+fn is_table(path: &Path, format: Format, columns: &[Column], is_whole: bool) -> io::Result<bool> {
+    if !path.symlink_metadata()?.is_file() {
+        return Ok(false);
+    }
+    let mut file = File::open(path)?;
+    let mut head = Vec::new();
+    (&mut file).take(LONGEST_HEADER).read_to_end(&mut head)?;
+    if head.is_empty() {
+        return Ok(true);
+    }
+    let contains = |text: &[u8], name: &[u8]| text.windows(name.len()).any(|part| part == name);
+    Ok(match format {
+        Format::Csv => {
+            let mut header = csv::Writer::from_writer(Vec::new());
+            header.write_record(columns.iter().map(|column| &column.name))?;
+            let header = header.into_inner().map_err(|error| io::Error::other(error.to_string()))?;
+            let line = head.split(|&byte| byte == b'\n').next().unwrap_or_default();
+            line.trim_ascii_end() == header.trim_ascii_end()
+        }
+        Format::Json => {
+            let text = String::from_utf8_lossy(&head);
+            let row = text.strip_prefix('[').unwrap_or_default().trim_start();
+            let mut rest = row.strip_prefix('{').unwrap_or_default();
+            let mut has = |column: &Column| {
+                let key = quoted(&column.name).unwrap_or_default() + ":";
+                let after = rest.find(&key).map(|place| &rest[place + key.len()..]);
+                rest = after.unwrap_or_default();
+                after.is_some()
+            };
+            matches!(text.trim(), "[" | "[]" | "[\n]") || columns.iter().all(&mut has)
+        }
+        Format::Parquet => {
+            let from = file.metadata()?.len().saturating_sub(LONGEST_HEADER);
+            let mut tail = Vec::new();
+            file.seek(SeekFrom::Start(from))?;
+            file.take(LONGEST_HEADER).read_to_end(&mut tail)?;
+            let names = columns.iter().map(|column| column.name.as_bytes());
+            head.starts_with(PARQUET)
+                && (!is_whole
+                    || tail.ends_with(PARQUET) && names.chain([&b"meldscope "[..]]).all(|name| contains(&tail, name)))
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+    use rerun::external::arrow::array::{Array as _, AsArray as _, Float64Array, Int64Array, UInt64Array};
+
+    use super::*;
+
+    fn columns() -> Vec<Column> {
+        [("count", Kind::Count), ("number", Kind::Float), ("integer", Kind::Integer), ("text", Kind::Text)]
+            .map(|(name, kind)| Column::new(name, kind))
+            .into()
+    }
+
+    fn rows() -> Vec<[Cell<'static>; 4]> {
+        let numbers = [0.1, -0.0, 1e-310, f64::MAX, 1.0 / 3.0, f64::NAN];
+        let mut rows: Vec<_> = (0..20_000_u64)
+            .map(|i| {
+                let number = numbers[i as usize % 6] * (1.0 + i as f64 * f64::EPSILON);
+                [Cell::Count(u64::MAX - i), Cell::Float(number), Cell::Integer(-(i as i64)), Cell::Text("a \"b\", c")]
+            })
+            .collect();
+        rows.push([Cell::Null; 4]);
+        rows
+    }
+
+    fn written(name: &str) -> PathBuf {
+        let path = std::env::temp_dir().join(format!("meldscope-table-{}-{name}", std::process::id()));
+        let mut table = Table::create(&path, columns()).unwrap();
+        rows().iter().for_each(|row| table.row(row).unwrap());
+        assert_eq!(table.finish().unwrap(), path.metadata().unwrap().len());
+        path
+    }
+
+    #[test]
+    fn parquet_keeps_every_bit() {
+        let path = written("bits.parquet");
+        let reader = ParquetRecordBatchReaderBuilder::try_new(File::open(&path).unwrap()).unwrap();
+        let mut expected = rows().into_iter();
+        for batch in reader.build().unwrap() {
+            let batch = batch.unwrap();
+            let of = |i: usize| batch.column(i).as_any();
+            let (counts, numbers) =
+                (of(0).downcast_ref::<UInt64Array>().unwrap(), of(1).downcast_ref::<Float64Array>().unwrap());
+            let (integers, texts) = (of(2).downcast_ref::<Int64Array>().unwrap(), batch.column(3).as_string::<i32>());
+            for i in 0..batch.num_rows() {
+                match expected.next().unwrap() {
+                    [Cell::Count(count), Cell::Float(number), Cell::Integer(integer), Cell::Text(text)] => {
+                        assert_eq!(
+                            (counts.value(i), numbers.value(i).to_bits(), integers.value(i), texts.value(i)),
+                            (count, number.to_bits(), integer, text)
+                        );
+                    }
+                    _ => assert!(counts.is_null(i) && numbers.is_null(i) && integers.is_null(i) && texts.is_null(i)),
+                }
+            }
+        }
+        assert!(expected.next().is_none());
+        written("bits.parquet"); // its own table is replaced
+        fs::remove_file(path).unwrap();
+    }
+
+    #[test]
+    fn texts_read_back_as_the_same_numbers() {
+        let (csv, json) = (written("texts.csv"), written("texts.json"));
+        let values: Vec<serde_json::Value> = serde_json::from_slice(&fs::read(&json).unwrap()).unwrap();
+        let mut reader = csv::Reader::from_path(&csv).unwrap();
+        for ((row, value), record) in rows().iter().zip(&values).zip(reader.records()) {
+            let record = record.unwrap();
+            let [Cell::Count(count), Cell::Float(number), Cell::Integer(integer), Cell::Text(text)] = *row else {
+                assert!(record.iter().all(str::is_empty) && value["number"].is_null());
+                continue;
+            };
+            assert_eq!(record[0].parse(), Ok(count));
+            assert_eq!(record[1].parse::<f64>().unwrap().to_bits(), number.to_bits());
+            assert_eq!((record[2].parse(), &record[3]), (Ok(integer), text));
+            assert_eq!((value["count"].as_u64(), value["text"].as_str()), (Some(count), Some(text)));
+            assert_eq!(value["number"].is_null(), number.is_nan());
+        }
+        assert_eq!(values.len(), rows().len());
+        for path in [csv, json] {
+            Table::create(&path, columns()).unwrap(); // dropped unfinished: the table stays
+            let others = Table::create(&path, vec![Column::new("else", Kind::Float)]);
+            assert!(matches!(others, Err(TableError::Refused(_))));
+            fs::remove_file(path).unwrap();
+        }
+    }
+
+    #[test]
+    fn nothing_of_somebody_else_is_replaced() {
+        for (name, content) in [("mine.csv", "a,b\n"), ("mine.json", "[{\"a\":1}]"), ("mine.parquet", "PAR1....PAR1")] {
+            let path = std::env::temp_dir().join(format!("meldscope-{}-{name}", std::process::id()));
+            fs::write(&path, content).unwrap();
+            assert!(matches!(Table::create(&path, columns()), Err(TableError::Refused(_))), "{name}");
+            assert_eq!(fs::read_to_string(&path).unwrap(), content);
+            fs::remove_file(path).unwrap();
+        }
+        assert!(matches!(Table::create(Path::new("t.xlsx"), columns()), Err(TableError::Refused(_))));
+    }
+}
