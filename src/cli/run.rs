@@ -16,7 +16,10 @@ use super::{
     may_print, may_save, one_of, print, say, sink_failure,
 };
 use crate::{
-    observe::{Experiment as _, PairEvent, Schema, Simulation, StepFailure, StepSummary, SurfaceEvent, touch::Finding},
+    observe::{
+        self, Experiment as _, PairEvent, Schema, Shortfall, Simulation, StepFailure, StepSummary, SurfaceEvent,
+        touch::Finding,
+    },
     recording::existing::{Existing, Kind},
     scene::{Integrator, Scene, builtin},
     sim::{Options, simulation::SceneRun},
@@ -268,6 +271,30 @@ struct Events {
     count: u64,
     /// What the surfaces are like at the first of them.
     surfaces: Vec<SurfaceEvent>,
+    /// Number of steps that missed the tolerance, and the first and the worst of them.
+    inaccurate: u64,
+    shortfalls: Option<[(observe::Instant, Shortfall); 2]>,
+}
+
+impl Events {
+    /// Takes note of a step that missed the tolerance.
+    fn missed(&mut self, at: observe::Instant, shortfall: Shortfall) {
+        self.inaccurate += 1;
+        let [first, worst] = self.shortfalls.unwrap_or([(at, shortfall); 2]);
+        let is_worse = shortfall.ratio() > worst.1.ratio();
+        self.shortfalls = Some([first, if is_worse { (at, shortfall) } else { worst }]);
+    }
+
+    /// Says where the tolerance was missed, if it was.
+    fn inaccuracy(&self, schema: &Schema) -> Option<String> {
+        let [(at, first), (worst_at, worst)] = self.shortfalls?;
+        let steps = counted(self.inaccurate, "step");
+        let mut line = format!("warning: the tolerance was not met in {steps}: {}", first.describe(schema, at));
+        if worst_at.step != at.step {
+            line += &format!("; the worst is {}", worst.describe(schema, worst_at));
+        }
+        Some(line + "; lower dt, omega, alpha or beta, or raise tolerance")
+    }
 }
 
 /// A run whose recording is complete and whose destinations are still open.
@@ -350,6 +377,9 @@ fn simulate(
         if failed.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
             break;
         }
+        if let Some(shortfall) = summary.shortfall {
+            events.missed(summary.at, shortfall);
+        }
         events.count += summary.events.len() as u64;
         events.first.extend(summary.events.iter().take(LISTED_EVENTS - events.first.len()));
         let due = arguments.realtime.then(|| start + Duration::from_secs_f64(simulation.time().min(1e9)));
@@ -385,6 +415,7 @@ fn simulate(
     let unsent = layout.into_iter().find_map(|message| sinks.send_to(Audience::Files, message).err());
     let failure = failure.or(unsent.map(|error| error.to_string()));
     notes.append(&mut sinks.notes());
+    notes.extend(events.inaccuracy(&schema));
     console.progress(simulation.steps_taken(), notes);
     let (frames, approaches) = (recorder.written(), recorder.approaches());
     Ok(Simulated { simulation, schema, settings, sinks, frames, events, approaches, seconds, failure, next })
@@ -581,7 +612,7 @@ fn destinations(arguments: &Arguments, scene: &Scene) -> Destinations {
 /// Prints what the run did, and how to open what it wrote.
 fn summarize(console: &Console, outcome: &Outcome) {
     let Outcome { simulation, schema, settings, finished, frames, events, approaches, seconds } = outcome;
-    let Events { first: events, count: event_count, surfaces } = events;
+    let Events { first: events, count: event_count, surfaces, .. } = events;
     console.notes(&finished.notes);
     let (bodies, steps) = (schema.bodies.len() as u64, simulation.steps_taken());
     console.print(&format!(

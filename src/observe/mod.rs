@@ -30,6 +30,6 @@ pub use approach::{Approach, Approaches};
 pub use event::{Instant, PairEvent};
 pub use frame::{BodyFrame, Frame, PairFrame, Want, WholeFrame};
 pub use schema::Schema;
-pub use simulation::{Experiment, Refusal, Simulation, StageFrame, StepFailure, StepSummary, between};
+pub use simulation::{Experiment, Refusal, Shortfall, Simulation, StageFrame, StepFailure, StepSummary, between};
 pub use touch::SurfaceEvent;
 pub use worst::Worst;

@@ -146,8 +146,37 @@ pub struct StepSummary {
     pub timings: Vec<Duration>,
     /// Scalars in the order of the schema; entries of scalars that do not describe a step are ignored.
     pub scalars: Vec<f64>,
+    /// Where the step is less accurate than it was asked to be, if it is.
+    pub shortfall: Option<Shortfall>,
     /// Why the run should end here, if it should.
     pub failure: Option<StepFailure>,
+}
+
+/// A body that could not be followed within the tolerance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shortfall {
+    /// Index of the body: that with the largest ratio of the next two.
+    pub body: usize,
+    /// Estimated error of the step [radii of the body].
+    pub error: f64,
+    /// The error that the tolerance allows in a step [radii of the body].
+    pub allowed: f64,
+}
+
+impl Shortfall {
+    /// How many times too large the error is [–].
+    pub fn ratio(&self) -> f64 {
+        self.error / self.allowed
+    }
+
+    /// Says where it was and how large.
+    pub fn describe(&self, schema: &Schema, Instant { step, time }: Instant) -> String {
+        let Shortfall { body, error, .. } = *self;
+        let (body, ratio) = (&schema.bodies[body].name, self.ratio());
+        format!(
+            "step {step} (t = {time:.6} s): body \"{body}\" may be off by {error:.1e} radii, {ratio:.1} times what the tolerance allows"
+        )
+    }
 }
 
 /// Why a run should end with this step, in words.

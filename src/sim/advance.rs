@@ -362,6 +362,7 @@ impl<'a> Context<'a> {
             }
             total.substeps += statistics.substeps;
             total.error += statistics.error;
+            total.excess += statistics.excess;
             if work.is_over() {
                 break;
             }

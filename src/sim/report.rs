@@ -5,7 +5,7 @@ use std::time::Duration;
 use glam::DVec3;
 
 use super::{events::Event, free::Ledger, memory::TooLarge};
-use crate::scene::Integrator;
+use crate::{observe::Shortfall, scene::Integrator};
 
 /// The stages of a step, in the order in which they run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -176,6 +176,8 @@ pub struct StepReport {
     /// The largest error of any vertex in this step, as estimated by the integrator [radii of its body]; 0 for
     /// integrators without an error estimate.
     pub error: f64,
+    /// Where the error exceeds the tolerance because steps cannot be made shorter, if it does.
+    pub shortfall: Option<Shortfall>,
     /// Why the run should end here, if it should.
     pub failure: Option<Failure>,
     /// Bodies at rest for the whole step, which were skipped.

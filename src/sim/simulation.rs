@@ -217,6 +217,7 @@ impl Simulation for World {
             ScalarValue::State(_) => 0.0,
             ScalarValue::SumOfSteps(value) | ScalarValue::MaxOfSteps(value) => value(report),
         }));
+        summary.shortfall = report.shortfall;
         summary.failure = report.failure.as_ref().map(|failure| match failure {
             Failure::Diverged(_) => StepFailure::Diverged(failure.to_string()),
             Failure::Overworked(_) => StepFailure::NotTaken(failure.to_string()),

@@ -35,6 +35,7 @@ use super::{
 use crate::{
     geometry::Mesh,
     model::phase::Phase,
+    observe::Shortfall,
     scene::{self, Scene},
 };
 
@@ -408,6 +409,7 @@ impl World {
     fn finish(&mut self, sum: &Sum) {
         self.report.substeps = sum.substeps;
         self.report.error = sum.error;
+        self.report.shortfall = sum.shortfall;
         self.report.sleeping_bodies = self.bodies.len() as u64 - sum.stepped;
         self.report.failure = sum.diverged.map(|index| self.divergence(index as usize).into());
     }
@@ -472,6 +474,8 @@ struct Sum {
     stepped: u64,
     substeps: u64,
     error: f64,
+    /// The largest, by its ratio; the first of several.
+    shortfall: Option<Shortfall>,
     work: u64,
     base: u64,
     /// Number of vertices that were stepped.
@@ -490,6 +494,7 @@ impl Sum {
             stepped: u64::from(!is_idle),
             substeps: statistics.substeps,
             error: f64::max(0.0, statistics.error / scene.bodies[active.body as usize].radius),
+            shortfall: shortfall(active, scene),
             work: statistics.work,
             base: statistics.base,
             vertices: active.state.deformation.active_set.vertices.len() as u64,
@@ -503,6 +508,7 @@ impl Sum {
             stepped: self.stepped + other.stepped,
             substeps: self.substeps + other.substeps,
             error: self.error.max(other.error),
+            shortfall: worse(self.shortfall, other.shortfall),
             work: self.work.saturating_add(other.work),
             base: self.base.saturating_add(other.base),
             vertices: self.vertices + other.vertices,
@@ -510,6 +516,20 @@ impl Sum {
             any_idle: self.any_idle || other.any_idle,
         }
     }
+}
+
+/// By how much the error of a body's step exceeds the tolerance, if it had to.
+fn shortfall(active: &Active, scene: &Scene) -> Option<Shortfall> {
+    let body = active.body as usize;
+    let (allowed, excess) = (scene.tolerance * scene.dt, active.statistics.excess / scene.bodies[body].radius);
+    (excess > 0.0).then_some(Shortfall { body, error: allowed + excess, allowed })
+}
+
+/// The one with the larger ratio; of equal ones that of the first body.
+fn worse(a: Option<Shortfall>, b: Option<Shortfall>) -> Option<Shortfall> {
+    let (Some(one), Some(other)) = (a, b) else { return a.or(b) };
+    let is_other = other.error > one.error || other.error == one.error && other.body < one.body;
+    if is_other { b } else { a }
 }
 
 /// Access to the state; nothing here changes it.

@@ -40,6 +40,7 @@
 //! | `/pairs/A~B/distance`, `…/merge_at`, `…/split_at`, `…/core_at`, `…/phase` | q, its thresholds and the phase, for the first 16 pairs within reach, or 5 in a batched scene (`--pairs N`); of pairs that come within reach together, the closest |
 //! | `/pairs/A~B/gap`, `…/overlap`, `…/neck`, `…/contact` | of the same pairs: least distance of the surfaces or minus the greatest depth, volume of the intersection, radius of the seam (in radii of the smaller body); where these and the phase disagree |
 //! | `/events` | one line per merge, split and core event, with the components `bodies`, `phases` (before and after), `time` (s, exact) and `q` |
+//! | `/events/accuracy` | one line per step in which a body could not be followed within the tolerance: which, and by how much |
 //! | `/events/surfaces` | one line when surfaces touch, when they part, and per merge, split and core event what the surfaces are like then |
 //! | `/timings/STAGE`, `/timings/speed`, `/timings/lag`, `/diagnostics/…` | scalars over time |
 //! | `/stages` | on the timeline `stage`: one line per stage of the steps recorded in detail; the entities under `/world` have this timeline too |

@@ -263,6 +263,9 @@ impl Recorder {
         for event in &step.surfaces {
             pairs::log_surface_event(&self.schema, event, &mut self.chunks);
         }
+        if let Some(shortfall) = &step.summary.shortfall {
+            pairs::log_shortfall(&self.schema, shortfall, at, &mut self.chunks);
+        }
         parts.numbers.add_recording(Duration::ZERO, start.elapsed());
         self.log_stages(&step.stages, at);
         if let Some(frame) = frame {
@@ -318,6 +321,7 @@ impl Recorder {
             let entity = chunk.entity_path().to_string();
             if entity == "/events"
                 || entity == pairs::SURFACE_EVENTS
+                || entity == pairs::ACCURACY
                 || (entity.starts_with("/pairs/") && entity.ends_with("/phase"))
             {
                 self.chunks.send(chunk);

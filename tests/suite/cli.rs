@@ -17,6 +17,7 @@ use proptest::prelude::*;
 use crate::{
     bad_recordings::{Message, fields, file},
     recording::{Dir, Recording, content},
+    tolerance,
 };
 
 /// A program that runs longer than this is considered hung.
@@ -657,6 +658,25 @@ fn a_run_that_diverges_says_so_and_is_saved_up_to_there() {
     assert!((1.0..1000.0).contains(&recording.steps()));
     assert!(said.contains(&format!("diverged at step {}", recording.steps())), "{said}");
     assert_eq!(recording.changes("/timings/log").last().map(|row| row.step as f64), Some(recording.steps()));
+}
+
+#[test]
+fn a_tolerance_that_is_not_met_is_said_and_recorded() {
+    let dir = scene_dir();
+    let stiff = tolerance::UNRESOLVED;
+    fs::write(dir.file("stiff.toml"), format!("dt = 0.1\ntolerance = 1e-10\n{stiff}")).expect("writable");
+    let ran = run(&dir, &["run", "stiff.toml"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    let said = "the tolerance was not met in 1 step: step 1 (t = 0.100000 s): body \"";
+    assert!(
+        ran.err.starts_with(&format!("warning: {said}")) && ran.err.contains("times what the tolerance allows"),
+        "{}",
+        ran.err
+    );
+    let lines = Recording::open(&dir.file("stiff.rrd")).changes("/events/accuracy");
+    assert_eq!(lines.iter().map(|row| row.step).collect::<Vec<_>>(), [1]);
+    let line = lines[0].text("TextLog:text");
+    assert!(ran.err.contains(&line), "{line}");
 }
 
 #[test]

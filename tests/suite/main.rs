@@ -22,4 +22,5 @@ mod sinks;
 mod skipping;
 mod stability;
 mod stranger;
+mod tolerance;
 mod work;

@@ -216,7 +216,7 @@ impl Row {
         self.get::<Utf8>(component).iter().map(|text| text.as_str().to_owned()).collect()
     }
 
-    fn text(&self, component: &str) -> String {
+    pub fn text(&self, component: &str) -> String {
         let [text]: [String; 1] = self.texts(component).try_into().expect("one text");
         text
     }

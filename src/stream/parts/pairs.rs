@@ -9,7 +9,7 @@ use rerun::{
 
 use super::Look;
 use crate::{
-    observe::{PairEvent, PairFrame, Schema, SurfaceEvent, colors, surface::PairMeasures, touch::Finding},
+    observe::{PairEvent, PairFrame, Schema, Shortfall, SurfaceEvent, colors, surface::PairMeasures, touch::Finding},
     stream::{
         chunks::Chunks,
         instant::Instant,
@@ -325,6 +325,15 @@ pub fn log_surface_event(schema: &Schema, event: &SurfaceEvent, chunks: &mut Chu
     };
     let line = TextLog::new(event.describe(schema)).with_level(event.name()).with_color(color(rgb));
     chunks.log(SURFACE_EVENTS, at, &line);
+}
+
+/// The entity of what is said about steps that are less accurate than they were asked to be.
+pub const ACCURACY: &str = "/events/accuracy";
+
+/// Logs the line of a step that is not accurate enough.
+pub fn log_shortfall(schema: &Schema, shortfall: &Shortfall, at: Instant, chunks: &mut Chunks) {
+    let line = TextLog::new(shortfall.describe(schema, at)).with_level("warning");
+    chunks.log(ACCURACY, at, &line);
 }
 
 /// Several component batches in one row.

@@ -55,6 +55,8 @@ pub struct StepStatistics {
     pub substeps: u64,
     /// The largest, over all vertices, of the sum of a vertex's estimated errors [scene unit].
     pub error: f64,
+    /// The part of the errors that exceeds the tolerance because steps cannot be made shorter, at most [scene unit].
+    pub excess: f64,
     /// Work done, in units of `sim::work`.
     pub work: u64,
     /// Work that a single step of all vertices would have taken, in the same units.
@@ -106,7 +108,7 @@ fn halve(
     if !control.work.spend((64 + 32 * course.spheres.len() + 5 * course.weighted.len()) as u64) {
         return;
     }
-    let weights = scratch.known.get(course.oscillator(), h);
+    let weights = scratch.known.get(course.oscillator(), h, step::is_quick(course, h));
     let wanted = control.tolerance * h;
     scratch.whole.prepare(course, weights, common, wanted);
     // vertices near a sphere need to know where it is in between
@@ -126,6 +128,9 @@ fn halve(
         error = take(course, control, common, active_set, scratch, statistics);
     }
     statistics.error += uniform_error.max(error);
+    if !(uniform_error <= wanted) {
+        statistics.excess += uniform_error - wanted;
+    }
     scratch.whole.advance_common(course, common);
     common.carried = carried.unwrap_or(common.carried);
 }
@@ -159,7 +164,7 @@ fn take(
     });
 
     let tolerance = control.tolerance;
-    let mut alone = Single { course, whole, common, tolerance, force, work, substeps: 0, error: 0.0 };
+    let mut alone = Single { course, whole, common, tolerance, force, work, substeps: 0, error: 0.0, excess: 0.0 };
     let has_kink = step::has_kink(course.weight());
     let count = active_set.vertices.len();
     for group in &outcomes.groups {
@@ -167,14 +172,14 @@ fn take(
             if outcomes.attention[i] == 0.0 || work.is_over() {
                 continue;
             }
-            let inside = has_kink.then_some(outcomes.inside[i]);
-            let vertex = Vertex { rest: active_set.rest(i), inside, local: course.local(i) };
+            let inside = has_kink.then_some(outcomes.inside(i));
+            let vertex = Vertex { rest: active_set.rest(i), local: course.local(i) };
             let forces: [DVec3; 4] = std::array::from_fn(|node| outcomes.forces[node].get(i));
             let end = active_set.state(i);
             let outcome = Outcome { end, forces, bend: outcomes.bend.get(i), error: outcomes.error[i] };
             let start = State { x: outcomes.displacement.get(i), u: outcomes.velocity.get(i) };
+            let end = alone.take((vertex, inside), start, outcome, known, single);
             outcomes.error[i] = 0.0; // the error of its substeps counts instead
-            let end = alone.take(vertex, start, outcome, known, single);
             active_set.set_state(i, end);
         }
     }
@@ -182,5 +187,6 @@ fn take(
         active_set.pad_again(); // the padding has not been updated
     }
     statistics.substeps += alone.substeps;
+    statistics.excess += alone.excess;
     outcomes.error[..count].iter().fold(alone.error, |largest, &error| largest.max(error))
 }

@@ -7,7 +7,7 @@ use super::{
     course::Course,
     lanes::{LANES, Vector},
     rim::{self, Motion, Unresolved},
-    step::{Collocated, Group, Outcome, Pull, RIMS, Step, Trajectories, Vertex},
+    step::{Collocated, Group, Outcome, Pull, Step, Trajectories, Vertex, is_quick},
     weights::{Dense, KnownWeights, Stage, Weights},
     work_of,
 };
@@ -21,9 +21,13 @@ use crate::{
 };
 
 /// Steps that a vertex may take in one interval; what is left then is taken in one, unchecked but within bounds.
-const MOST_STEPS: u32 = 2048;
-/// After so many steps of a vertex in one interval, and after as many again, twice the error will do.
-const PATIENCE: u32 = 64;
+const MOST_STEPS: u32 = 4096;
+/// A step of half the length has an error this many times smaller, in proportion to its length.
+const SHORTER: f64 = 32.0;
+/// After so many steps of a vertex in one interval, the acceptable error grows …
+const PATIENCE: u32 = 2048;
+/// … by a factor of two with every so many more.
+const HASTE: u32 = 64;
 
 /// The work of preparing a step of one vertex, …
 const STEP: u64 = 60;
@@ -43,6 +47,15 @@ pub struct Scratch {
     /// Parts of the interval that are still to be taken, the next one last: where each starts and how long it is [s].
     left: Vec<(f64, f64)>,
     pulls: Vec<Pull>,
+    inside: Vec<u64>,
+}
+
+/// The spheres that contain a vertex throughout a step, one bit each, if the weight has a kink at their rims. Otherwise the
+/// weight is cut off at the rim wherever the vertex is sampled.
+type Inside<'a> = Option<&'a [u64]>;
+
+fn is_inside(inside: &[u64], sphere: usize) -> bool {
+    inside[sphere / 64] >> (sphere % 64) & 1 == 1
 }
 
 /// One by one through an interval.
@@ -61,42 +74,51 @@ pub struct Single<'a> {
     pub work: &'a Tally<'a>,
     /// Steps that were taken beyond the first of each vertex.
     pub substeps: u64,
-    /// The largest sum of estimated errors of a vertex [scene unit].
+    /// The largest sum of estimated errors of a vertex [scene unit] …
     pub error: f64,
+    /// … and of those beyond the tolerance, where steps could not be made shorter.
+    pub excess: f64,
 }
 
 impl Single<'_> {
     /// Takes a vertex to the end of the interval, in as many steps as it needs; `outcome` is that of the whole step.
     pub fn take(
         &mut self,
-        mut vertex: Vertex,
+        (vertex, inside): (Vertex, Inside<'_>),
         mut state: State,
         mut outcome: Outcome,
         known: &mut KnownWeights,
         scratch: &mut Scratch,
     ) -> State {
         let course = self.course;
-        let Scratch { part, left, pulls } = scratch;
+        let Scratch { part, left, pulls, inside: spheres } = scratch;
+        let has_kink = inside.is_some();
+        spheres.clear();
+        spheres.extend_from_slice(inside.unwrap_or_default());
         let (mut start, mut h) = (course.start, course.length);
-        let (mut is_whole, mut error, mut steps) = (true, 0.0, 1);
+        let (mut is_whole, mut error, mut excess, mut steps) = (true, 0.0, 0.0, 1);
+        // steps longer than this are not worth trying, because one was not accurate enough
+        let mut longest = f64::INFINITY;
         left.clear();
         loop {
             let step = if is_whole { self.whole } else { &*part };
             let (middle, end) = (start + 0.5 * h, start + h);
             let wanted = self.wanted(h, steps);
-            let resolved = self.resolves_spheres(step, &vertex, state);
+            let inside = has_kink.then_some(&**spheres);
+            let resolved = self.resolves_spheres(step, (&vertex, inside), state);
             // written so that NaN is not small enough
             let mut will_do = start >= middle || (outcome.error <= wanted && resolved);
             let mut crossing = None;
             if will_do {
-                match self.first_crossing(step, &vertex, state, &outcome) {
+                match self.first_crossing(step, (&vertex, inside), state, &outcome) {
                     Ok(found) => crossing = found,
                     // a vertex that swings many times in the step is left to where crossings make no difference
                     Err(Unresolved) => will_do = start >= middle || is_stiff(course, h),
                 }
             }
             if !will_do {
-                left.extend([(middle, 0.5 * h), (start, 0.5 * h)]);
+                longest = 0.5 * h;
+                left.push((start, h));
             } else if let Some((t, sphere)) = crossing {
                 // Up to the rim as the step goes, and on from there on its other side.
                 error += outcome.error;
@@ -106,16 +128,26 @@ impl Single<'_> {
                     state =
                         Dense::new(course.oscillator(), h, (t - start) / h).state(state, &outcome.forces, outcome.bend);
                 }
-                vertex.inside = vertex.inside.map(|inside| inside ^ 1 << sphere);
+                spheres[sphere / 64] ^= 1 << (sphere % 64);
                 if t < end {
                     left.push((t, end - t));
                 }
             } else {
                 state = outcome.end;
                 error += outcome.error;
+                // of sixth order: an error of a step that a step of twice the length would not take beyond the tolerance
+                let is_easy = SHORTER * outcome.error <= wanted;
+                longest = if is_easy { longest.max(2.0 * h) } else { longest };
+            }
+            if will_do && !(outcome.error <= self.tolerance * h) {
+                excess += outcome.error - self.tolerance * h;
             }
 
-            let Some(next) = left.pop() else { break };
+            let Some(mut next) = left.pop() else { break };
+            while next.1 > longest && next.0 < next.0 + 0.5 * next.1 {
+                next.1 *= 0.5;
+                left.push((next.0 + next.1, next.1));
+            }
             let prepare = if self.whole.smooth { STEP } else { STEP_EXACTLY };
             let forces = ALONE * work_of(1, course.spheres.len(), course.weighted.len());
             if !self.work.spend(prepare + forces) {
@@ -125,38 +157,43 @@ impl Single<'_> {
             is_whole = false;
             steps += 1;
             if steps == MOST_STEPS {
-                let weights = Weights::new(course.oscillator(), course.end() - start);
+                let weights = Weights::new(course.oscillator(), course.end() - start, false);
                 part.prepare_part(course, self.whole, self.common, start, &weights);
                 let held = hold(course, part, &vertex, state);
                 error += (held.x - state.x).length();
+                excess += (held.x - state.x).length();
                 state = held;
                 break;
             }
-            outcome = if vertex.inside == Some(0) && vertex.local == DVec3::ZERO {
+            let is_outside = has_kink && spheres.iter().all(|&word| word == 0);
+            outcome = if is_outside && vertex.local == DVec3::ZERO {
                 part.prepare_ends(course, self.whole, self.common, start, h);
                 free(course, state, h)
             } else {
                 // what is left beyond a rim is of no other length again
                 let halved = course.length / h == (course.length / h).round();
                 let once;
+                let quick = is_quick(course, h);
                 let weights = if halved {
-                    known.get(course.oscillator(), h)
+                    known.get(course.oscillator(), h, quick)
                 } else {
-                    once = Weights::new(course.oscillator(), h);
+                    once = Weights::new(course.oscillator(), h, quick);
                     &once
                 };
                 part.prepare_part(course, self.whole, self.common, start, weights);
-                collocate(course, part, &vertex, state, self.wanted(h, steps), pulls)
+                let inside = has_kink.then_some(&**spheres);
+                collocate(course, part, (&vertex, inside), state, self.wanted(h, steps), pulls)
             };
         }
         self.substeps += u64::from(steps - 1);
         self.error = self.error.max(error);
+        self.excess = self.excess.max(excess);
         state
     }
 
     /// The error that will do for a step of length `h` after so many others [scene unit].
     fn wanted(&self, h: f64, steps: u32) -> f64 {
-        self.tolerance * h * 2f64.powi((steps / PATIENCE) as i32)
+        self.tolerance * h * 2f64.powi((steps.saturating_sub(PATIENCE) / HASTE) as i32)
     }
 
     /// How far the vertex can get by itself in a step [scene unit].
@@ -173,15 +210,15 @@ impl Single<'_> {
         let position = vertex.rest_at(self.course, &moment.pushed) + state.x;
         let (h, course) = (step.h, self.course);
         let travel = self.travel(h, state);
-        (0..course.spheres.len().min(RIMS)).filter(move |&j| {
+        (0..course.spheres.len()).filter(move |&j| {
             let from_rim = (moment.centres[j] - position).length() - course.spheres[j].radius;
             from_rim.abs() <= travel + step.relative[j].speed * h
         })
     }
 
     /// Whether the step is short enough not to miss a sphere.
-    fn resolves_spheres(&self, step: &Step, vertex: &Vertex, state: State) -> bool {
-        match vertex.inside {
+    fn resolves_spheres(&self, step: &Step, (vertex, inside): (&Vertex, Inside<'_>), state: State) -> bool {
+        match inside {
             Some(_) => self.resolves_rims(step, vertex, state),
             None => self.passes_no_sphere(step, vertex, state),
         }
@@ -216,11 +253,11 @@ impl Single<'_> {
     fn first_crossing(
         &self,
         step: &Step,
-        vertex: &Vertex,
+        (vertex, inside): (&Vertex, Inside<'_>),
         state: State,
         outcome: &Outcome,
     ) -> Result<Option<(f64, usize)>, Unresolved> {
-        let Some(inside) = vertex.inside else { return Ok(None) };
+        let Some(inside) = inside else { return Ok(None) };
         let mut near = self.near_rims(step, vertex, state).peekable();
         if near.peek().is_none() {
             return Ok(None);
@@ -230,7 +267,7 @@ impl Single<'_> {
         let mut first: Option<(f64, usize)> = None;
         for j in near {
             let mut looks = rim::MOST_SAMPLES;
-            let crossing = motion.crossing(trajectories, step, j, inside >> j & 1 == 1, &mut looks);
+            let crossing = motion.crossing(trajectories, step, j, is_inside(inside, j), &mut looks);
             let looks = u64::from(rim::MOST_SAMPLES - looks);
             let look_takes = if self.whole.smooth { LOOK } else { LOOK_EXACTLY + self.course.weighted.len() as u64 };
             if !self.work.spend(looks * look_takes) {
@@ -300,16 +337,15 @@ fn free(course: &Course<'_>, State { x, u }: State, h: f64) -> Outcome {
 fn collocate(
     course: &Course<'_>,
     step: &Step,
-    vertex: &Vertex,
+    (vertex, inside): (&Vertex, Inside<'_>),
     state: State,
     wanted: f64,
     pulls: &mut Vec<Pull>,
 ) -> Outcome {
     pulls.clear();
     for (j, sphere) in course.spheres.iter().enumerate() {
-        let known = vertex.inside.filter(|_| j < RIMS);
-        if known.is_none_or(|inside| inside >> j & 1 == 1) {
-            pulls.push(Pull { sphere: j, strength: [sphere.strength; LANES], cut: known.is_none() });
+        if inside.is_none_or(|inside| is_inside(inside, j)) {
+            pulls.push(Pull { sphere: j, strength: [sphere.strength; LANES], cut: inside.is_none() });
         }
     }
     let simd = Scalar;
@@ -317,7 +353,7 @@ fn collocate(
     let end = if course.weighted.is_empty() {
         Group::<_, 1, 1>::new(simd, course, step, rest, local, pulls).collocate(x, u, wanted)
     } else {
-        Group::<_, 1, 5>::new(simd, course, step, rest, local, pulls).collocate(x, u, wanted)
+        Group::<_, 1, 6>::new(simd, course, step, rest, local, pulls).collocate(x, u, wanted)
     };
     let Collocated { x, u, forces, bend, error } = end;
     Outcome {

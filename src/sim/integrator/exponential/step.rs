@@ -6,7 +6,7 @@ use pulp::Simd;
 use super::{
     course::Course,
     lanes::{LANES, Mask, Reals, Vector},
-    weights::{Dense, Weights, quartic, quartic_through},
+    weights::{ASIDE, Dense, Mode, Weights, quartic, quartic_through},
 };
 use crate::{
     model::influence::Weight,
@@ -23,9 +23,8 @@ const MOST_SWEEPS: usize = 6;
 /// Paths are interpolated by the quartic through a step's samples only if the cubic through its nodes is this accurate
 /// in the middle [radii]; see [`Step::smooth`].
 const SMOOTH: f64 = 1e-7;
-/// The number of spheres whose rims are located; for further spheres the weight is cut off wherever the vertex is
-/// sampled.
-pub const RIMS: usize = 64;
+/// Number of the sample at [`ASIDE`].
+const ASIDE_LOOK: usize = 5;
 
 /// An instant of a step.
 #[derive(Clone, Debug, Default)]
@@ -50,8 +49,8 @@ pub struct Step {
     pub h: f64,
     /// Weights for this length.
     pub weights: Weights,
-    /// What acts at the four nodes, and in the middle.
-    pub moments: [Moment; 5],
+    /// What acts at the four nodes, in the middle, and, in a quick step, at [`ASIDE`].
+    pub moments: [Moment; 6],
     /// Bounds on the motion of each sphere's centre relative to the shared motion of the vertices.
     pub relative: Vec<Bounds>,
     /// Whether the quartic through the five moments is as good as the paths themselves. The quartic's residual then
@@ -61,6 +60,8 @@ pub struct Step {
     /// Effect of rounding of times and positions on the force at any of the moments [scene unit/s²]. Smaller
     /// differences carry no information, and halving the step does not reduce them.
     pub noise: f64,
+    /// Amplitude of the shared motion's own oscillation in a step too long to see it, otherwise 0 [scene unit].
+    pub ringing: f64,
 }
 
 /// Factor from the number of the force's time scales that pass in a step to the fraction of the residual that counts,
@@ -86,9 +87,6 @@ pub struct Pull {
 pub struct Vertex {
     /// Rest position l [scene unit].
     pub rest: DVec3,
-    /// The spheres that contain it throughout the step, one bit each, if known and to be kept fixed. Otherwise the
-    /// weight is cut off at the rim wherever the vertex is sampled.
-    pub inside: Option<u64>,
     /// Its constant acceleration [scene unit/s²].
     pub local: DVec3,
 }
@@ -119,7 +117,7 @@ pub struct Outcome {
 }
 
 /// Vertices that take a step together, and what acts on them. `SAMPLES` is the number of their rest positions: one if
-/// these are constant, five (one per sample) if pushes move them.
+/// these are constant, six (one per sample) if pushes move them.
 pub struct Group<'a, S: Simd, const W: usize, const SAMPLES: usize> {
     /// The instruction set.
     pub simd: S,
@@ -181,7 +179,8 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
                 let d = Vector::splat(simd, push.direction);
                 let facing = none - (rest.x * d.x + rest.y * d.y + rest.z * d.z) * per_length;
                 let along = d * none.larger(facing); // zero for a vertex at the centre, where it would be NaN
-                for (look, rest) in group.rest.iter_mut().enumerate() {
+                let looks = if step.weights.is_quick { SAMPLES } else { SAMPLES - 1 };
+                for (look, rest) in group.rest[..looks].iter_mut().enumerate() {
                     *rest = *rest + along * step.moments[look].pushed[p];
                 }
             }
@@ -300,16 +299,60 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
         let found = self.force(4, respond(flow[3], &weights.middle.force, &forces));
         let bend = found - respond(zero, &weights.polynomial, &forces);
         let noise = Reals::splat(simd, self.step.noise);
-        let left_out = Reals::splat(simd, 0.0).larger_or_nan(bend.length_squared().sqrt() - noise);
+        let none = Reals::splat(simd, 0.0);
+        let left_out = none.larger_or_nan(bend.length_squared().sqrt() - noise);
         let end = respond(flow[2], &weights.nodes[3].force, &forces);
-        let roughness = self.roughness(x, end);
+        let effect = if self.step.weights.is_quick {
+            let stage = &weights.aside;
+            let found = self.force(ASIDE_LOOK, respond(x * stage.xx + u * stage.xu, &stage.force, &forces));
+            let quartic = respond(bend * weights.bend_aside, &weights.polynomial_aside, &forces);
+            let skew = none.larger_or_nan((found - quartic).length_squared().sqrt() - noise);
+            self.quick_effect(stiffness, left_out, skew) + self.ringing([x, u], &forces, stiffness)
+        } else {
+            left_out * self.roughness(x, end) * 0.1
+        };
         Collocated {
             x: end,
             u: respond(x * weights.ux + u * weights.uu, &weights.velocity, &forces),
             forces,
             bend,
-            error: unsettled + left_out * roughness * (0.1 * gain),
+            error: unsettled + effect * gain,
         }
+    }
+
+    /// The mean force that a quick step leaves out [scene unit/s²], given the residual of the cubic in the middle and that of
+    /// the quartic at [`ASIDE`].
+    ///
+    /// With q = 80 θ(θ − 1)(θ² − θ + 1/5) the residual is a q + b (θ − ½) q and higher terms. The weights of the end state
+    /// are S(h − s) and S′(h − s), which are at most 1 after division by the gain: so the two terms count at most as
+    /// ∫|q| = 0.45 and ∫|(θ − ½) q| = 0.14. Both are orthogonal to constants, and q to linear functions: in z time scales
+    /// of the motion they count at most as ½ z² ∫θ² q = 0.02 z² and z ∫θ (θ − ½) q = 0.04 z. Each higher pair of terms is
+    /// smaller by z²/30 but not orthogonal; the last factor is for them.
+    #[inline(always)]
+    fn quick_effect(&self, stiffness: Reals<S, W>, bend: Reals<S, W>, skew: Reals<S, W>) -> Reals<S, W> {
+        let (simd, h) = (self.simd, self.step.h);
+        let material = self.course.body().material;
+        let z = stiffness.sqrt() * h + Reals::splat(simd, (material.omega + 2.0 * material.damping) * h);
+        let even = (z * z * 0.02).smaller(Reals::splat(simd, 0.45));
+        let odd = (z * 0.04).smaller(Reals::splat(simd, 0.14));
+        // q(0.13) (0.13 − ½) = 0.29
+        let both = bend * even + skew * (1.0 / 0.29) * odd;
+        both * (z * z * 0.25 + Reals::splat(simd, 1.0)).smaller(Reals::splat(simd, 2.0))
+    }
+
+    /// A bound of the mean force that a step leaves out because a vertex oscillates too fast for its samples
+    /// [scene unit/s²]; 0 if the step is short enough.
+    ///
+    /// Under the cubic the exact solution is a cubic plus a free oscillation. Its amplitude follows from the state at the
+    /// start; the force oscillates by that times the stiffness, and interpolation makes it up to 2.6 times as much.
+    #[inline(always)]
+    fn ringing(&self, [x, u]: [Vector<S, W>; 2], forces: &[Vector<S, W>; 4], stiffness: Reals<S, W>) -> Reals<S, W> {
+        let Some([one, other]) = &self.step.weights.ringing else {
+            return Reals::splat(self.simd, 0.0);
+        };
+        let one = respond(x * one.x + u * one.u, &one.force, forces).length_squared();
+        let other = respond(x * other.x + u * other.u, &other.force, forces).length_squared();
+        stiffness * 2.6 * ((one + other).sqrt() + Reals::splat(self.simd, self.step.ringing))
     }
 }
 
@@ -320,7 +363,7 @@ impl Step {
         let h = weights.h;
         self.start = course.start;
         self.set_weights(weights);
-        for (look, moment) in self.moments.iter_mut().enumerate() {
+        for (look, moment) in self.moments[..5].iter_mut().enumerate() {
             moment.uniform = if course.is_whole {
                 course.sample_whole(look, &mut moment.centres)
             } else {
@@ -329,7 +372,8 @@ impl Step {
         }
         let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
         let State { x, u } = common.carried;
-        for (look, moment) in self.moments.iter_mut().enumerate() {
+        self.ringing = self.shared_ringing(course, common);
+        for (look, moment) in self.moments[..5].iter_mut().enumerate() {
             moment.pushed.clear();
             if look == 0 {
                 moment.carried = x;
@@ -346,6 +390,11 @@ impl Step {
                 *centre -= moment.carried;
             }
         }
+        if self.weights.is_quick {
+            let mut aside = std::mem::take(&mut self.moments[ASIDE_LOOK]);
+            aside.sample(Trajectories { course, whole: self, common }, self.start + ASIDE * h);
+            self.moments[ASIDE_LOOK] = aside;
+        }
         let own = self.common_bounds(course, common, |_| 1.0);
         self.relative.clear();
         self.relative.extend((0..course.spheres.len()).map(|j| {
@@ -355,13 +404,19 @@ impl Step {
         let limit = self.largest_left_out(course, wanted);
         let spheres_are_smooth = (0..course.spheres.len()).all(|j| {
             let known: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].centres[j]);
-            let cubic = combine(&self.weights.polynomial, &known);
-            (self.moments[4].centres[j] - cubic).length_squared() <= limit * limit
+            let residual = |look: usize, w: &[f64; 4]| self.moments[look].centres[j] - combine(w, &known);
+            let small = |residual: DVec3| residual.length_squared() <= limit * limit;
+            small(residual(4, &self.weights.polynomial))
+                && (!self.weights.is_quick || small(residual(ASIDE_LOOK, &self.weights.polynomial_aside)))
         });
         self.smooth = spheres_are_smooth
             && (0..course.weighted.len()).all(|p| {
-                let known = (0..4).map(|node| self.weights.polynomial[node] * self.moments[node].pushed[p]);
-                (self.moments[4].pushed[p] - known.sum::<f64>()).abs() <= limit
+                let residual = |look: usize, w: &[f64; 4]| {
+                    let known = (0..4).map(|node| w[node] * self.moments[node].pushed[p]);
+                    (self.moments[look].pushed[p] - known.sum::<f64>()).abs()
+                };
+                residual(4, &self.weights.polynomial) <= limit
+                    && (!self.weights.is_quick || residual(ASIDE_LOOK, &self.weights.polynomial_aside) <= limit)
             });
         self.noise = self.rounding(course);
     }
@@ -409,7 +464,7 @@ impl Step {
     /// squarely as `facing` says.
     fn common_bounds(&self, course: &Course<'_>, common: &Common, facing: impl Fn(&Weighted) -> f64) -> Bounds {
         let material = course.body().material;
-        let uniform = self.moments.iter().map(|moment| moment.uniform.length()).fold(0.0, f64::max);
+        let uniform = self.moments[..5].iter().map(|moment| moment.uniform.length()).fold(0.0, f64::max);
         let weighted: f64 = course.weighted.iter().map(|weighted| facing(weighted) * weighted.strength.abs()).sum();
         let momentum = common.momentum(material.omega, course.weighted.iter().map(facing));
         let speed = momentum + (uniform + weighted) * self.h;
@@ -427,11 +482,26 @@ impl Step {
         0.1 * beyond * gain
     }
 
+    /// See [`Step::ringing`].
+    fn shared_ringing(&self, course: &Course<'_>, common: &Common) -> f64 {
+        let Some(modes) = &self.weights.ringing else { return 0.0 };
+        let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
+        let State { x, u } = common.carried;
+        let of_mode = |mode: &Mode| {
+            let constant: f64 = mode.force.iter().sum();
+            let pushed = common.pushed.iter().zip(course.weighted);
+            let pushed = pushed.map(|(p, push)| (mode.x * p.x + mode.u * p.u + constant * push.strength).abs());
+            (mode.x * x + mode.u * u + combine(&mode.force, &forces)).length() + pushed.sum::<f64>()
+        };
+        modes.iter().map(of_mode).sum()
+    }
+
     /// Prepares the step over a part of an interval, of which `whole` is the step.
     pub fn prepare_part(&mut self, course: &Course<'_>, whole: &Step, common: &Common, start: f64, weights: &Weights) {
         self.start = start;
         self.set_weights(weights);
-        for look in 0..5 {
+        self.ringing = if self.weights.ringing.is_some() { whole.ringing } else { 0.0 };
+        for look in 0..if self.weights.is_quick { 6 } else { 5 } {
             self.sample_within(course, whole, common, look);
         }
         self.bound_within(course, whole);
@@ -441,7 +511,8 @@ impl Step {
     /// Usually the weights are already set, and copying them is expensive.
     fn set_weights(&mut self, weights: &Weights) {
         self.h = weights.h;
-        if self.weights.h != weights.h || self.weights.oscillator != weights.oscillator {
+        let of = |weights: &Weights| (weights.h, weights.oscillator, weights.is_quick);
+        if of(&self.weights) != of(weights) {
             self.weights = *weights;
         }
     }
@@ -464,21 +535,14 @@ impl Step {
             whole.interpolate((t - whole.start) / whole.h, moment);
             return;
         }
-        course.sample(t, &mut moment.centres);
-        let common = Trajectories { course, whole, common }.common_at(t);
-        moment.carried = common.carried.x;
-        moment.pushed.clear();
-        moment.pushed.extend(common.pushed.iter().map(|pushed| pushed.x));
-        for centre in &mut moment.centres {
-            *centre -= moment.carried;
-        }
+        moment.sample(Trajectories { course, whole, common }, t);
     }
 
     /// Sphere positions and push responses at `theta` of this step, interpolated by the quartics through its five
     /// moments.
     fn interpolate(&self, theta: f64, moment: &mut Moment) {
         let [w0, w1, w2, w3, w4] = quartic(theta);
-        let [m0, m1, m2, m3, m4] = &self.moments;
+        let [m0, m1, m2, m3, m4, _] = &self.moments;
         moment.centres.clear();
         for j in 0..self.relative.len() {
             let (a, b, c) = (w0 * m0.centres[j], w1 * m1.centres[j], w2 * m2.centres[j]);
@@ -515,9 +579,34 @@ impl Step {
     }
 }
 
+impl Moment {
+    /// What acts at time `t` [s].
+    fn sample(&mut self, trajectories: Trajectories<'_>, t: f64) {
+        self.uniform = trajectories.course.sample(t, &mut self.centres);
+        let common = trajectories.common_at(t);
+        self.carried = common.carried.x;
+        self.pushed.clear();
+        self.pushed.extend(common.pushed.iter().map(|pushed| pushed.x));
+        for centre in &mut self.centres {
+            *centre -= self.carried;
+        }
+    }
+}
+
+/// See [`Weights::is_quick`].
+pub fn is_quick(course: &Course<'_>, h: f64) -> bool {
+    let Material { omega, damping, .. } = course.body().material;
+    let stiffness: f64 = course.spheres.iter().map(|sphere| sphere.strength.abs()).sum();
+    (omega + 2.0 * damping + stiffness.sqrt()) * h > 1.0
+}
+
 /// Time of sample number `look` of a step [s].
 fn time_of(look: usize, start: f64, h: f64) -> f64 {
-    if look == 3 { start + h } else { start + nodes::SAMPLES[look] * h }
+    match look {
+        3 => start + h,
+        ASIDE_LOOK => start + ASIDE * h,
+        _ => start + nodes::SAMPLES[look] * h,
+    }
 }
 
 /// `Σ wᵢ vᵢ`.

@@ -8,7 +8,7 @@ use pulp::{Simd, WithSimd};
 use super::{
     course::Course,
     lanes::{LANES, Mask, Reals, Vector},
-    step::{Group, Pull, RIMS, Step, has_kink},
+    step::{Group, Pull, Step, has_kink},
 };
 use crate::sim::{
     arrays::{Block, Vectors},
@@ -38,8 +38,9 @@ pub struct Outcomes {
     pub bend: Vectors,
     /// Estimated errors of the displacements [scene unit], for all vertices.
     pub error: Vec<f64>,
-    /// Bit sets of the spheres that contain each vertex at the start; only for a weight with a kink.
-    pub inside: Vec<u64>,
+    /// Bit sets of the spheres that contain each vertex at the start, so many words for each; only for a weight with a kink.
+    inside: Vec<u64>,
+    words: usize,
     /// 1 for vertices for which this step is not accurate enough or that may cross a rim, otherwise 0; for all
     /// vertices.
     pub attention: Vec<f64>,
@@ -48,11 +49,12 @@ pub struct Outcomes {
 }
 
 impl Outcomes {
-    fn resize(&mut self, count: usize) {
-        let Outcomes { displacement, velocity, forces, bend, error, inside, attention, groups } = self;
+    fn resize(&mut self, count: usize, spheres: usize) {
+        let Outcomes { displacement, velocity, forces, bend, error, inside, words, attention, groups } = self;
         groups.clear();
+        *words = spheres.div_ceil(64);
         inside.clear();
-        inside.resize(count, 0);
+        inside.resize(count * *words, 0);
         if error.len() == count {
             return; // all are as long
         }
@@ -61,6 +63,11 @@ impl Outcomes {
         }
         error.resize(count, 0.0);
         attention.resize(count, 0.0);
+    }
+
+    /// The spheres that contain vertex `i` at the start, a bit each; only for a weight with a kink.
+    pub fn inside(&self, i: usize) -> &[u64] {
+        &self.inside[i * self.words..][..self.words]
     }
 }
 
@@ -94,7 +101,7 @@ impl WithSimd for Together<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
         let count = self.active_set.vertices.len();
-        self.outcomes.resize(count.next_multiple_of(LANES));
+        self.outcomes.resize(count.next_multiple_of(LANES), self.course.spheres.len());
         let is_pushed = !self.course.weighted.is_empty();
         let of_vertex = LOOK * (1 + self.course.spheres.len() + self.course.weighted.len()) as u64;
         for first in (0..count).step_by(Reals::<S, 2>::COUNT) {
@@ -106,7 +113,7 @@ impl WithSimd for Together<'_> {
                 }
             }
             if is_pushed {
-                self.take::<S, 2, 5>(simd, first);
+                self.take::<S, 2, 6>(simd, first);
             } else {
                 self.take::<S, 2, 1>(simd, first);
             }
@@ -215,7 +222,7 @@ impl Together<'_> {
             // written so that NaN counts as near
             let close = reach.below((distance - rim).abs()).negated();
             let mut pull = Pull { sphere: j, strength: [0.0; LANES], cut: true };
-            if has_kink(course.weight()) && j < RIMS {
+            if has_kink(course.weight()) {
                 let inside = distance.below(rim);
                 near = near.or(close);
                 if !inside.any() {
@@ -224,7 +231,8 @@ impl Together<'_> {
                 pull.cut = false;
                 inside.select(Reals::splat(simd, sphere.strength), zero).store(&mut pull.strength, 0);
                 for lane in 0..Reals::<S, W>::COUNT {
-                    self.outcomes.inside[first + lane] |= u64::from(pull.strength[lane] != 0.0) << j;
+                    let Outcomes { inside, words, .. } = &mut *self.outcomes;
+                    inside[(first + lane) * *words + j / 64] |= u64::from(pull.strength[lane] != 0.0) << (j % 64);
                 }
             } else {
                 let reached = distance.below(rim).or(close);
@@ -277,7 +285,7 @@ fn may_cross<S: Simd, const W: usize>(
     let own_speed = swing + force * h;
     let own_acceleration = own_speed * (material.omega + 2.0 * material.damping) + force;
     let mut crossing = Mask::none(simd);
-    for j in 0..course.spheres.len().min(RIMS) {
+    for j in 0..course.spheres.len() {
         let (rim, relative) = (Reals::splat(simd, course.spheres[j].radius), step.relative[j]);
         let d0 = (Vector::splat(simd, step.moments[0].centres[j]) - start).length_squared().sqrt();
         let d1 = (Vector::splat(simd, step.moments[3].centres[j]) - end).length_squared().sqrt();

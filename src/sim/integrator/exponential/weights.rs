@@ -55,10 +55,19 @@ pub struct Weights {
     pub h: f64,
     /// Weights for the displacement at each node; the first node is the start and is not used.
     pub nodes: [Stage; 4],
-    /// Weights for the displacement in the middle.
+    /// Whether more than one time scale of the oscillator or of the influence passes in the step. Its error is then
+    /// estimated from a sixth sample, too.
+    pub is_quick: bool,
+    /// Weights for the displacement in the middle …
     pub middle: Stage,
+    /// … and, for a quick step, at [`ASIDE`].
+    pub aside: Stage,
     /// Weight of each node's force in the polynomial's value in the middle [–].
     pub polynomial: [f64; 4],
+    /// The same at [`ASIDE`] …
+    pub polynomial_aside: [f64; 4],
+    /// … and the weight there of the bend, which is 1 in the middle and 0 at the nodes [–].
+    pub bend_aside: f64,
     /// Weight of the displacement at the start in the velocity at the end [1/s].
     pub ux: f64,
     /// Weight of the velocity at the start in the velocity at the end [–].
@@ -69,11 +78,72 @@ pub struct Weights {
     pub constant: f64,
     /// Largest displacement per error in the velocity, once the oscillator has converted it [s].
     pub swing: f64,
+    /// Set if more than [`RESOLVED`] time scales of the oscillator pass in the step: samples do not tell its oscillation
+    /// from a polynomial then.
+    pub ringing: Option<Ringing>,
+}
+
+/// Where a step in which many things happen is sampled once more [steps]: near an extremum of the quintic that vanishes at
+/// the nodes and in the middle.
+pub const ASIDE: f64 = 0.13;
+/// See [`Weights::ringing`].
+const RESOLVED: f64 = 2.0;
+
+/// The amplitudes of free oscillation or decay about the motion that is a cubic while the force is one [scene unit]. Two
+/// are needed for a vertex that swings, or decays at two rates.
+pub type Ringing = [Mode; 2];
+
+/// A linear function of a state and of the forces at the nodes.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Mode {
+    /// Weight of the displacement [–].
+    pub x: f64,
+    /// Weight of the velocity [s].
+    pub u: f64,
+    /// Weight of the force at each node [s²].
+    pub force: [f64; 4],
+}
+
+/// `None` if the oscillation is slow enough to be seen in a step of length `h` [s].
+fn ringing(Oscillator { omega, damping }: Oscillator, h: f64) -> Option<Ringing> {
+    if (omega + 2.0 * damping) * h <= RESOLVED {
+        return None;
+    }
+    // the force Σ pₖ sᵏ/k!
+    let derivatives = LAGRANGE[4].map(|[a, b, c, d]| [a, b / h, 2.0 * c / (h * h), 6.0 * d / (h * h * h)]);
+    if damping < 1.1 * omega {
+        // it keeps x = Σ cₖ sᵏ/k! on its way: ω² cₖ = pₖ − 2κ cₖ₊₁ − cₖ₊₂
+        let per_omega2 = 1.0 / (omega * omega);
+        let cubic = derivatives.map(|[p0, p1, p2, p3]| {
+            let c3 = p3 * per_omega2;
+            let c2 = (p2 - 2.0 * damping * c3) * per_omega2;
+            let c1 = (p1 - 2.0 * damping * c2 - c3) * per_omega2;
+            [(p0 - 2.0 * damping * c1 - c2) * per_omega2, c1]
+        });
+        let place = Mode { x: 1.0, u: 0.0, force: cubic.map(|[x, _]| -x) };
+        let speed = Mode { x: 0.0, u: 1.0 / omega, force: cubic.map(|[_, u]| -u / omega) };
+        return Some([place, speed]);
+    }
+    // Two decays: y = u + slow x decays fast, y′ = −fast y + f, and vice versa.
+    let mu = ((damping - omega) * (damping + omega)).sqrt();
+    let fast = damping + mu;
+    let slow = omega * (omega / fast);
+    let mode = |rate: f64, other: f64| {
+        let cubic = derivatives.map(|p| p.into_iter().rev().fold(0.0, |next, p| (p - next) / rate));
+        Mode { x: other, u: 1.0, force: cubic.map(|y| -y) }.times(0.5 / mu)
+    };
+    Some([mode(fast, slow), if slow * h > RESOLVED { mode(slow, fast) } else { Mode::default() }])
+}
+
+impl Mode {
+    fn times(self, by: f64) -> Mode {
+        Mode { x: by * self.x, u: by * self.u, force: self.force.map(|force| by * force) }
+    }
 }
 
 impl Weights {
-    /// The weights of a step of length `h` > 0 [s].
-    pub fn new(oscillator: Oscillator, h: f64) -> Weights {
+    /// The weights of a step of length `h` > 0 [s], quick or not.
+    pub fn new(oscillator: Oscillator, h: f64, is_quick: bool) -> Weights {
         let whole = oscillator.propagator(h);
         let stage = |theta: f64, n: usize, p: &Propagator| Stage {
             xx: p.xx,
@@ -93,12 +163,17 @@ impl Weights {
                 stage(1.0, 3, &whole),
             ],
             middle: stage(0.5, 4, &at(0.5)),
-            polynomial: lagrange.map(|[a, b, c, d]| a + 0.5 * (b + 0.5 * (c + 0.5 * d))),
+            is_quick,
+            aside: if is_quick { stage(ASIDE, 4, &at(ASIDE)) } else { Stage::default() },
+            polynomial: values(lagrange, 0.5),
+            polynomial_aside: values(lagrange, ASIDE),
+            bend_aside: 80.0 * ASIDE * (ASIDE - 1.0) * (ASIDE * ASIDE - ASIDE + 0.2),
             ux: whole.ux,
             uu: whole.uu,
             velocity: responses(lagrange, 1.0, &whole.u),
             constant: whole.x[0],
             swing: 1.0 / oscillator.omega.max(2.0 * oscillator.damping).max(1.0),
+            ringing: ringing(oscillator, h),
         }
     }
 }
@@ -111,14 +186,15 @@ const MOST_WEIGHTS: usize = 24;
 pub struct KnownWeights(Vec<Weights>);
 
 impl KnownWeights {
-    /// The weights for a step of length `h` [s].
-    pub fn get(&mut self, oscillator: Oscillator, h: f64) -> &Weights {
-        let known = self.0.iter().position(|known| known.h == h && known.oscillator == oscillator);
+    /// The weights for a step of length `h` [s], quick or not.
+    pub fn get(&mut self, oscillator: Oscillator, h: f64, is_quick: bool) -> &Weights {
+        let is_it = |known: &Weights| known.h == h && known.oscillator == oscillator && known.is_quick == is_quick;
+        let known = self.0.iter().position(is_it);
         let place = known.unwrap_or_else(|| {
             if self.0.len() == MOST_WEIGHTS {
                 self.0.clear();
             }
-            self.0.push(Weights::new(oscillator, h));
+            self.0.push(Weights::new(oscillator, h, is_quick));
             self.0.len() - 1
         });
         &self.0[place]
@@ -217,6 +293,11 @@ impl Weights {
     }
 }
 
+/// The value at `theta` of each polynomial.
+fn values(basis: &[[f64; 4]; 4], theta: f64) -> [f64; 4] {
+    basis.map(|[a, b, c, d]| a + theta * (b + theta * (c + theta * d)))
+}
+
 /// The response at `theta` h to each polynomial, given the response to the powers of time.
 fn responses(basis: &[[f64; 4]; 4], theta: f64, powers: &[f64; 4]) -> [f64; 4] {
     let [p0, p1, p2, p3] = *powers;
@@ -243,7 +324,7 @@ mod tests {
 
     #[test]
     fn without_an_oscillator_the_weights_are_lobatto_quadrature() {
-        let weights = Weights::new(Oscillator { omega: 0.0, damping: 0.0 }, 2.0);
+        let weights = Weights::new(Oscillator { omega: 0.0, damping: 0.0 }, 2.0, false);
         for (weight, lobatto) in weights.velocity.into_iter().zip([1.0, 5.0, 5.0, 1.0]) {
             assert!((weight - 2.0 * lobatto / 12.0).abs() < 1e-14);
         }
