@@ -667,12 +667,8 @@ fn a_tolerance_that_is_not_met_is_said_and_recorded() {
     fs::write(dir.file("stiff.toml"), format!("dt = 0.1\ntolerance = 1e-10\n{stiff}")).expect("writable");
     let ran = run(&dir, &["run", "stiff.toml"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
-    let said = "the tolerance was not met in 1 step: step 1 (t = 0.100000 s): body \"";
-    assert!(
-        ran.err.starts_with(&format!("warning: {said}")) && ran.err.contains("times what the tolerance allows"),
-        "{}",
-        ran.err
-    );
+    let said = "warning: the tolerance was not met in 1 step: step 1 (t = 0.100000 s): body \"";
+    assert!(ran.err.contains(said) && ran.err.contains("times what the tolerance allows"), "{}", ran.err);
     let lines = Recording::open(&dir.file("stiff.rrd")).changes("/events/accuracy");
     assert_eq!(lines.iter().map(|row| row.step).collect::<Vec<_>>(), [1]);
     let line = lines[0].text("TextLog:text");

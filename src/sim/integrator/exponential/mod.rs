@@ -44,6 +44,7 @@ pub struct Scratch {
     whole: Step,
     pulls: Vec<Pull>,
     outcomes: Outcomes,
+    inside: Vec<u64>,
     known: KnownWeights,
     single: single::Scratch,
 }
@@ -145,7 +146,7 @@ fn take(
     scratch: &mut Scratch,
     statistics: &mut StepStatistics,
 ) -> f64 {
-    let Scratch { whole, pulls, outcomes, known, single } = scratch;
+    let Scratch { whole, pulls, outcomes, inside, known, single } = scratch;
     let force = course.strongest_pull();
     let wanted = control.tolerance * course.length;
     let stiff = single::is_stiff(course, course.length);
@@ -172,14 +173,16 @@ fn take(
             if outcomes.attention[i] == 0.0 || work.is_over() {
                 continue;
             }
-            let inside = has_kink.then_some(outcomes.inside(i));
+            if has_kink {
+                outcomes.inside(i, inside);
+            }
+            let inside = has_kink.then_some(&**inside);
             let vertex = Vertex { rest: active_set.rest(i), local: course.local(i) };
             let forces: [DVec3; 4] = std::array::from_fn(|node| outcomes.forces[node].get(i));
             let end = active_set.state(i);
             let outcome = Outcome { end, forces, bend: outcomes.bend.get(i), error: outcomes.error[i] };
             let start = State { x: outcomes.displacement.get(i), u: outcomes.velocity.get(i) };
             let end = alone.take((vertex, inside), start, outcome, known, single);
-            outcomes.error[i] = 0.0; // the error of its substeps counts instead
             active_set.set_state(i, end);
         }
     }
@@ -188,5 +191,5 @@ fn take(
     }
     statistics.substeps += alone.substeps;
     statistics.excess += alone.excess;
-    outcomes.error[..count].iter().fold(alone.error, |largest, &error| largest.max(error))
+    alone.error.max(outcomes.largest_error())
 }

@@ -21,13 +21,13 @@ use crate::{
 };
 
 /// Steps that a vertex may take in one interval; what is left then is taken in one, unchecked but within bounds.
-const MOST_STEPS: u32 = 4096;
+const MOST_STEPS: u32 = 3072;
 /// A step of half the length has an error this many times smaller, in proportion to its length.
 const SHORTER: f64 = 32.0;
 /// After so many steps of a vertex in one interval, the acceptable error grows …
-const PATIENCE: u32 = 2048;
+const PATIENCE: u32 = 1536;
 /// … by a factor of two with every so many more.
-const HASTE: u32 = 64;
+const HASTE: u32 = 48;
 
 /// The work of preparing a step of one vertex, …
 const STEP: u64 = 60;

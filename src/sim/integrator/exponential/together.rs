@@ -8,7 +8,7 @@ use pulp::{Simd, WithSimd};
 use super::{
     course::Course,
     lanes::{LANES, Mask, Reals, Vector},
-    step::{Group, Pull, Step, has_kink},
+    step::{Collocated, Group, Pull, Step, has_kink},
 };
 use crate::sim::{
     arrays::{Block, Vectors},
@@ -24,8 +24,8 @@ const LOOK: u64 = 2;
 /// … and of a sphere that contains it.
 const PULL: u64 = 24;
 
-/// Data kept from a step of the active set for the vertices that need attention; the arrays are padded like the active
-/// set's.
+/// Data kept from a step of the active set for the groups with a vertex that needs attention; the arrays are padded like
+/// the active set's.
 #[derive(Clone, Debug, Default)]
 pub struct Outcomes {
     /// Displacements at the start [scene unit].
@@ -36,25 +36,24 @@ pub struct Outcomes {
     pub forces: [Vectors; 4],
     /// Differences of the forces in the middle from the cubics through those at the nodes [scene unit/s²].
     pub bend: Vectors,
-    /// Estimated errors of the displacements [scene unit], for all vertices.
+    /// Estimated errors of the displacements [scene unit].
     pub error: Vec<f64>,
-    /// Bit sets of the spheres that contain each vertex at the start, so many words for each; only for a weight with a kink.
-    inside: Vec<u64>,
-    words: usize,
-    /// 1 for vertices for which this step is not accurate enough or that may cross a rim, otherwise 0; for all
-    /// vertices.
+    /// For each sphere and vertex: its strength there at the start, 0 outside; only for a weight with a kink.
+    inside: Vec<f64>,
+    /// 1 for vertices for which this step is not accurate enough or that may cross a rim, otherwise 0.
     pub attention: Vec<f64>,
     /// The groups with at least one vertex that needs attention.
     pub groups: Vec<Range<usize>>,
+    /// The largest estimated errors of the other vertices, by lanes [scene unit].
+    largest: [f64; LANES],
 }
 
 impl Outcomes {
     fn resize(&mut self, count: usize, spheres: usize) {
-        let Outcomes { displacement, velocity, forces, bend, error, inside, words, attention, groups } = self;
+        let Outcomes { displacement, velocity, forces, bend, error, inside, attention, groups, largest } = self;
         groups.clear();
-        *words = spheres.div_ceil(64);
-        inside.clear();
-        inside.resize(count * *words, 0);
+        *largest = [0.0; LANES];
+        inside.resize(count * spheres, 0.0);
         if error.len() == count {
             return; // all are as long
         }
@@ -65,9 +64,20 @@ impl Outcomes {
         attention.resize(count, 0.0);
     }
 
-    /// The spheres that contain vertex `i` at the start, a bit each; only for a weight with a kink.
-    pub fn inside(&self, i: usize) -> &[u64] {
-        &self.inside[i * self.words..][..self.words]
+    /// Finds the spheres that contain vertex `i` at the start, a bit each; only for a weight with a kink.
+    pub fn inside(&self, i: usize, bits: &mut Vec<u64>) {
+        bits.clear();
+        for (j, strengths) in self.inside.chunks_exact(self.error.len()).enumerate() {
+            if j % 64 == 0 {
+                bits.push(0);
+            }
+            bits[j / 64] |= u64::from(strengths[i] != 0.0) << (j % 64);
+        }
+    }
+
+    /// The largest estimated error of the vertices that need no attention [scene unit].
+    pub fn largest_error(&self) -> f64 {
+        self.largest.iter().fold(0.0, |largest, &error| largest.max(error))
     }
 }
 
@@ -147,49 +157,43 @@ impl Together<'_> {
         let ends_at_rest = [group.rest_at(0), group.rest_at(3)];
         let Near { rims: near, passing } = self.find_pulls(simd, first, ends_at_rest[0] + x, travel);
 
-        let outcomes = &mut *self.outcomes;
-        let idle = self.pulls.is_empty();
-        let (x1, u1, short) = if idle {
+        let zero = Vector::splat(simd, DVec3::ZERO);
+        let end = if self.pulls.is_empty() {
             let last = &weights.nodes[3];
-            Reals::<S, W>::splat(simd, 0.0).store(&mut outcomes.error, first);
-            if near.any() {
-                for forces in &mut outcomes.forces {
-                    local.store(forces, first);
-                }
-                Vector::<S, W>::splat(simd, DVec3::ZERO).store(&mut outcomes.bend, first);
-            }
             let (mut x1, mut u1) = (x * last.xx + u * last.xu, x * weights.ux + u * weights.uu);
             if course.local.is_some() {
                 // a constant unit force adds S(h) to the velocity, as a unit velocity adds to the displacement
                 (x1, u1) = (x1 + local * weights.constant, u1 + local * last.xu);
             }
-            (x1, u1, Mask::none(simd))
+            Collocated { x: x1, u: u1, forces: [local; 4], bend: zero, error: Reals::splat(simd, 0.0) }
         } else {
             let group = Group::<S, W, SAMPLES>::new(simd, course, step, rest, local, &*self.pulls);
-            let end = group.collocate(x, u, self.wanted);
-            end.error.store(&mut outcomes.error, first);
-            end.bend.store(&mut outcomes.bend, first);
-            for (forces, force) in outcomes.forces.iter_mut().zip(end.forces) {
-                force.store(forces, first);
-            }
-            (end.x, end.u, end.error.at_most(Reals::splat(simd, self.wanted)).negated())
+            group.collocate(x, u, self.wanted)
         };
-        let mut attention = short.or(passing);
+        let (x1, u1) = (end.x, end.u);
+        let mut attention = end.error.at_most(Reals::splat(simd, self.wanted)).negated().or(passing);
         // A vertex with a smaller oscillation has no noticeable effect, and subnormal numbers are slow to compute with.
         // (NaN is kept, to be detected.)
         let rests = (u1.length_squared() + x1.length_squared()).below(Reals::splat(simd, REST_SQUARED));
-        let zero = Vector::splat(simd, DVec3::ZERO);
         let (x1, u1) = (rests.select_vector(zero, x1), rests.select_vector(zero, u1));
         if near.any() && has_kink(course.weight()) {
             attention = attention.or(if self.stiff {
                 near
             } else {
                 let ends = [ends_at_rest[0] + x, ends_at_rest[1] + x1];
-                may_cross(simd, course, step, &*outcomes, first, ends, swing)
+                let force = end.forces[0].length_squared().larger(end.forces[3].length_squared()).sqrt();
+                may_cross(simd, course, step, ends, swing, force)
             });
         }
         let outcomes = &mut *self.outcomes;
+        let settled = attention.select(Reals::splat(simd, 0.0), end.error);
+        Reals::load(simd, &outcomes.largest, 0).larger(settled).store(&mut outcomes.largest, 0);
         if attention.any() {
+            end.error.store(&mut outcomes.error, first);
+            end.bend.store(&mut outcomes.bend, first);
+            for (forces, force) in outcomes.forces.iter_mut().zip(end.forces) {
+                force.store(forces, first);
+            }
             attention.select(Reals::splat(simd, 1.0), Reals::splat(simd, 0.0)).store(&mut outcomes.attention, first);
             x.store(&mut outcomes.displacement, first);
             u.store(&mut outcomes.velocity, first);
@@ -213,6 +217,8 @@ impl Together<'_> {
         let Together { course, step, .. } = *self;
         let zero = Reals::splat(simd, 0.0);
         let (mut near, mut passing) = (Mask::none(simd), Mask::none(simd));
+        let mut pulled = zero;
+        let count = self.outcomes.error.len();
         self.pulls.clear();
         for (j, sphere) in course.spheres.iter().enumerate() {
             let rim = Reals::splat(simd, sphere.radius);
@@ -224,16 +230,15 @@ impl Together<'_> {
             let mut pull = Pull { sphere: j, strength: [0.0; LANES], cut: true };
             if has_kink(course.weight()) {
                 let inside = distance.below(rim);
+                let strength = inside.select(Reals::splat(simd, sphere.strength), zero);
+                strength.store(&mut self.outcomes.inside, j * count + first);
                 near = near.or(close);
                 if !inside.any() {
                     continue;
                 }
                 pull.cut = false;
-                inside.select(Reals::splat(simd, sphere.strength), zero).store(&mut pull.strength, 0);
-                for lane in 0..Reals::<S, W>::COUNT {
-                    let Outcomes { inside, words, .. } = &mut *self.outcomes;
-                    inside[(first + lane) * *words + j / 64] |= u64::from(pull.strength[lane] != 0.0) << (j % 64);
-                }
+                strength.store(&mut pull.strength, 0);
+                pulled = pulled + inside.select(Reals::splat(simd, 1.0), zero);
             } else {
                 let reached = distance.below(rim).or(close);
                 if !reached.any() {
@@ -241,15 +246,16 @@ impl Together<'_> {
                 }
                 reached.select(Reals::splat(simd, sphere.strength), zero).store(&mut pull.strength, 0);
                 passing = passing.or(reach.at_most(rim).negated().and(reached));
+                pulled = pulled + reached.select(Reals::splat(simd, 1.0), zero);
             }
-            // without the padding, of which there may be more with wider registers; not a closure, which would not inherit
-            // the target features
-            let mut pulled = 0;
-            for lane in 0..Reals::<S, W>::COUNT.min(self.active_set.vertices.len() - first) {
-                pulled += u64::from(pull.strength[lane] != 0.0);
-            }
-            self.uncounted += PULL * pulled;
             self.pulls.push(pull);
+        }
+        if !self.pulls.is_empty() {
+            // without the padding, of which there may be more with wider registers
+            let mut of_lanes = [0.0; LANES];
+            pulled.store(&mut of_lanes, 0);
+            let lanes = Reals::<S, W>::COUNT.min(self.active_set.vertices.len() - first);
+            self.uncounted += PULL * of_lanes[..lanes].iter().sum::<f64>() as u64;
         }
         Near { rims: near, passing }
     }
@@ -271,17 +277,13 @@ fn may_cross<S: Simd, const W: usize>(
     simd: S,
     course: &Course<'_>,
     step: &Step,
-    outcomes: &Outcomes,
-    first: usize,
     [start, end]: [Vector<S, W>; 2],
     swing: Reals<S, W>,
+    force: Reals<S, W>,
 ) -> Mask<S, W> {
     let h = step.h;
     let material = course.body().material;
     let zero = Reals::splat(simd, 0.0);
-    let first_force = Vector::load(simd, &outcomes.forces[0], first).length_squared();
-    let last_force = Vector::load(simd, &outcomes.forces[3], first).length_squared();
-    let force = first_force.larger(last_force).sqrt();
     let own_speed = swing + force * h;
     let own_acceleration = own_speed * (material.omega + 2.0 * material.damping) + force;
     let mut crossing = Mask::none(simd);
