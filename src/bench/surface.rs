@@ -11,7 +11,7 @@ use crate::{
     geometry::{
         Mesh, Sphere,
         shape::Solid as _,
-        union::{Body, Budget, Topology, UnionError, measures_of, union},
+        union::{Body, Budget, Hint, Topology, UnionError, measures_of, union},
     },
     observe::{
         BodyFrame, Frame, PairFrame, Schema, Simulation as _, Want,
@@ -93,7 +93,7 @@ fn row(name: &'static str, mesh: &Arc<Mesh>, centres: &[DVec3]) -> Row {
         Ok(united) => united,
         Err(error) => return failed(error),
     };
-    let measures = (bodies == 2).then(|| best(|| drop(measures_of(&united, &budget))));
+    let measures = (bodies == 2).then(|| best(|| drop(measures_of(&united, &budget, &mut Hint::default()))));
 
     // one group whatever the phases
     let schema = Schema {
@@ -108,7 +108,7 @@ fn row(name: &'static str, mesh: &Arc<Mesh>, centres: &[DVec3]) -> Row {
         pairs: (1..bodies).map(|b| PairFrame { a: 0, b, q: 1.0, phase: 0 }).collect(),
         ..Frame::default()
     });
-    let (mut merger, mut turn) = (Merger::new(&schema), 0);
+    let (mut merger, mut turn) = (Merger::new(&schema, None), 0);
     let mut draw = || {
         turn += 1;
         merger.merge(&schema, &frames[turn % 2], &[]);
@@ -146,7 +146,7 @@ pub fn run(scene: &Scene) -> Result<Run, String> {
         for _ in 0..LEAST {
             let mut world = World::new(scene.clone()).map_err(|error| error.to_string())?;
             let schema = world.schema();
-            let (mut merger, mut frame) = (Merger::new(&schema), Frame::default());
+            let (mut merger, mut frame) = (Merger::new(&schema, None), Frame::default());
             let start = Instant::now();
             for _ in 0..scene.steps() {
                 world.step();

@@ -90,7 +90,7 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
     let want = Want { scalars: scalars.is_some(), ..Want::default() };
     let needs_frames = folder.is_some() || pairs.is_some() || scalars.is_some() || states.is_some();
 
-    let (mut merger, mut frame, mut summary) = (Merger::new(&schema), Frame::default(), StepSummary::default());
+    let (mut merger, mut frame, mut summary) = (Merger::new(&schema, None), Frame::default(), StepSummary::default());
     let (mut files, mut size, mut overlapping) = (0, 0, 0);
     loop {
         let step = simulation.steps_taken();

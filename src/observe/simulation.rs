@@ -1,6 +1,10 @@
 //! Simulations that can be stepped and observed.
 
-use std::{fmt::Debug, sync::Arc, time::Duration};
+use std::{
+    fmt::Debug,
+    sync::{Arc, atomic::AtomicBool},
+    time::Duration,
+};
 
 use glam::DVec3;
 
@@ -36,6 +40,11 @@ pub trait Simulation {
 
     /// What changed the energy since the start, in a few words; `None` if nothing is known of it.
     fn account(&self) -> Option<String> {
+        None
+    }
+
+    /// A flag that, once raised, ends what the simulation does, and what is computed about it, as soon as possible.
+    fn interrupt(&self) -> Option<&'static AtomicBool> {
         None
     }
 

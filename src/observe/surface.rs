@@ -4,7 +4,10 @@
 //! ([`PhaseSchema::is_joined`](super::schema::PhaseSchema::is_joined)). Everything here is a function of a frame: a
 //! simulation need not know of it, and no simulation pays for it unless somebody looks.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, OnceLock, atomic::AtomicBool},
+};
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -13,7 +16,7 @@ use super::{Frame, Schema};
 use crate::geometry::{
     Mesh, Vectors,
     fairing::{Near, Seamed},
-    union::{self, Body, Budget, Origin, Topology, Union},
+    union::{self, Body, Budget, Hint, Origin, Topology, Union, is_raised},
 };
 
 /// Work steps that the unions of one frame may take, see [`Budget`]: a few tenths of a second. A count, not a time, so
@@ -99,29 +102,46 @@ pub struct PairMeasures {
 
 /// The shapes of a scene's bodies as closed meshes.
 pub struct Closed {
-    /// Topology of each body's shape; `None` if the shape is not a closed mesh.
-    topologies: Vec<Option<Arc<Topology>>>,
+    shapes: Vec<ClosedShape>,
+    /// Index of each body's shape.
+    of_body: Vec<usize>,
+    interrupt: Option<&'static AtomicBool>,
+}
+
+struct ClosedShape {
+    mesh: Arc<Mesh>,
+    /// Computed when it is needed; `None` if the shape is not a closed mesh.
+    topology: OnceLock<Option<Topology>>,
 }
 
 impl Closed {
     /// The shapes of a simulation's bodies.
-    pub fn new(schema: &Schema) -> Closed {
-        let mut shapes: Vec<(Arc<Mesh>, Option<Arc<Topology>>)> = Vec::new();
-        let topologies = schema.bodies.iter().map(|body| {
-            if let Some((_, topology)) = shapes.iter().find(|(mesh, _)| Arc::ptr_eq(mesh, &body.mesh)) {
-                return topology.clone();
+    pub fn new(schema: &Schema, interrupt: Option<&'static AtomicBool>) -> Closed {
+        let (mut shapes, mut of_body) = (Vec::<ClosedShape>::new(), Vec::new());
+        for body in &schema.bodies {
+            let known = shapes.iter().position(|shape| Arc::ptr_eq(&shape.mesh, &body.mesh));
+            of_body.push(known.unwrap_or(shapes.len()));
+            if known.is_none() {
+                shapes.push(ClosedShape { mesh: Arc::clone(&body.mesh), topology: OnceLock::new() });
             }
-            let topology = Topology::new(body.mesh.vertex_count(), body.mesh.triangles()).ok().map(Arc::new);
-            shapes.push((Arc::clone(&body.mesh), topology.clone()));
-            topology
-        });
-        Closed { topologies: topologies.collect() }
+        }
+        Closed { shapes, of_body, interrupt }
     }
 
     /// A body with its vertices at these positions [scene unit]; `None` if it is not closed, or where nothing can be
-    /// computed.
+    /// computed, or after an interrupt.
     pub fn body<'a>(&'a self, index: usize, positions: &'a [DVec3]) -> Option<Body<'a>> {
-        Body::new(self.topologies.get(index)?.as_deref()?, positions).ok()
+        Body::new(self.topology(index)?, positions).ok()
+    }
+
+    fn topology(&self, body: usize) -> Option<&Topology> {
+        let ClosedShape { mesh, topology } = self.shapes.get(*self.of_body.get(body)?)?;
+        if is_raised(self.interrupt) {
+            return None;
+        }
+        // if it is interrupted, nobody will ask again
+        let compute = || Topology::interruptible(mesh.vertex_count(), mesh.triangles(), self.interrupt).ok();
+        topology.get_or_init(compute).as_ref()
     }
 }
 
@@ -131,8 +151,8 @@ pub struct Merger {
     bodies: Vec<Placed>,
     /// The groups of the last frame; `None` for those without a surface.
     groups: BTreeMap<Vec<usize>, Option<Arc<Group>>>,
-    /// The measures of the last frame.
-    pairs: BTreeMap<[usize; 2], Option<PairMeasures>>,
+    /// The measures of the last frame, and where surfaces were nearest.
+    pairs: BTreeMap<[usize; 2], (Option<PairMeasures>, Hint)>,
     merged: Merged,
     /// Number of the current frame, from 1.
     frame: u64,
@@ -151,10 +171,10 @@ struct Placed {
 }
 
 impl Merger {
-    /// For the frames of a simulation.
-    pub fn new(schema: &Schema) -> Merger {
+    /// For the frames of a simulation. Once the flag is raised, what is not computed yet counts as too expensive.
+    pub fn new(schema: &Schema, interrupt: Option<&'static AtomicBool>) -> Merger {
         Merger {
-            closed: Closed::new(schema),
+            closed: Closed::new(schema, interrupt),
             bodies: schema.bodies.iter().map(|_| Placed::default()).collect(),
             groups: BTreeMap::new(),
             pairs: BTreeMap::new(),
@@ -174,13 +194,15 @@ impl Merger {
         let Merger { closed, bodies, groups: last_groups, pairs: last_pairs, merged, .. } = self;
         let scene = Scene { schema, closed, bodies };
 
-        let budget = Budget { work: FRAME_WORK / groups.len().max(1) as u64, time: None };
+        let interrupt = closed.interrupt;
+        let budget = Budget { work: FRAME_WORK / groups.len().max(1) as u64, time: None, interrupt };
         let united: Vec<(Option<Arc<Group>>, Option<PairMeasures>)> = for_all(&groups, |group| {
             let is_asked_for = || pairs.iter().any(|pair| pair[..] == group[..]);
             match last_groups.get(group) {
-                Some(known) if !group.iter().any(|&body| bodies[body].has_moved) => {
-                    (known.clone(), if is_asked_for() { last_pairs.get(&group[..]).copied().flatten() } else { None })
-                }
+                Some(known) if !group.iter().any(|&body| bodies[body].has_moved) => (
+                    known.clone(),
+                    if is_asked_for() { last_pairs.get(&group[..]).and_then(|known| known.0) } else { None },
+                ),
                 _ => {
                     let (group, measures) = scene.unite(group, &budget, is_asked_for());
                     (group.map(Arc::new), measures)
@@ -190,17 +212,19 @@ impl Merger {
         let of_groups: BTreeMap<&[usize], PairMeasures> = (groups.iter().zip(&united))
             .filter_map(|(group, (_, measures))| Some((group.as_slice(), (*measures)?)))
             .collect();
-        let budget = Budget { work: FRAME_WORK / pairs.len().max(1) as u64, time: None };
-        merged.pairs = for_all(pairs, |pair| {
+        let budget = Budget { work: FRAME_WORK / pairs.len().max(1) as u64, time: None, interrupt };
+        let measured = for_all(pairs, |pair| {
             if let Some(measures) = of_groups.get(&pair[..]) {
-                return Some(*measures);
+                return (Some(*measures), Hint::default());
             }
             match last_pairs.get(pair) {
                 Some(known) if !pair.iter().any(|&body| bodies[body].has_moved) => *known,
-                _ => scene.measure(*pair, &budget),
+                known => scene.measure(*pair, &budget, known.map_or(Hint::default(), |known| known.1)),
             }
         });
-        *last_pairs = pairs.iter().copied().zip(merged.pairs.iter().copied()).collect();
+        merged.pairs.clear();
+        merged.pairs.extend(measured.iter().map(|(measures, _)| *measures));
+        *last_pairs = pairs.iter().copied().zip(measured).collect();
         drop(of_groups);
 
         merged.groups.clear();
@@ -217,6 +241,11 @@ impl Merger {
         }
         *last_groups = groups.into_iter().zip(united.into_iter().map(|(group, _)| group)).collect();
         &self.merged
+    }
+
+    /// The shapes of the bodies.
+    pub fn closed(&self) -> &Closed {
+        &self.closed
     }
 
     /// The result of the last frame.
@@ -264,22 +293,25 @@ impl<'a> Scene<'a> {
         let Some(bodies) = self.bodies(group) else { return (None, None) };
         let Ok(united) = union::union(&bodies, budget) else { return (None, None) };
         let measures = match *group {
-            [a, b] if has_measures => self.measures([a, b], &united, budget),
+            [a, b] if has_measures => self.measures([a, b], &united, budget, &mut Hint::default()),
             _ => None,
         };
-        (Some(Group::new(self.schema, group, &united)), measures)
+        (Group::new(self.schema, group, &united, budget.interrupt), measures)
     }
 
-    /// The measures of a pair.
-    fn measure(self, pair: [usize; 2], budget: &Budget) -> Option<PairMeasures> {
-        let bodies = self.bodies(&pair)?;
-        self.measures(pair, &union::union(&bodies, budget).ok()?, budget)
+    /// The measures of a pair, and where its surfaces are nearest.
+    fn measure(self, pair: [usize; 2], budget: &Budget, mut hint: Hint) -> (Option<PairMeasures>, Hint) {
+        let mut measures = || {
+            let bodies = self.bodies(&pair)?;
+            self.measures(pair, &union::union(&bodies, budget).ok()?, budget, &mut hint)
+        };
+        (measures(), hint)
     }
 
-    fn measures(self, pair: [usize; 2], united: &Union, budget: &Budget) -> Option<PairMeasures> {
+    fn measures(self, pair: [usize; 2], united: &Union, budget: &Budget, hint: &mut Hint) -> Option<PairMeasures> {
         let radius = pair.map(|body| self.schema.bodies[body].radius).into_iter().fold(f64::INFINITY, f64::min);
         let volume = united.bodies().iter().map(Body::volume).fold(f64::INFINITY, f64::min);
-        let measures = union::measures_of(united, budget).ok()?;
+        let measures = union::measures_of(united, budget, hint).ok()?;
         Some(PairMeasures {
             gap: measures.gap / radius,
             overlap: measures.overlap / (radius * radius * radius),
@@ -291,10 +323,13 @@ impl<'a> Scene<'a> {
 }
 
 impl Group {
-    /// The group of bodies whose union is given.
-    fn new(schema: &Schema, bodies: &[usize], united: &Union) -> Group {
+    /// The group of bodies whose union is given; `None` after an interrupt.
+    fn new(schema: &Schema, bodies: &[usize], united: &Union, interrupt: Option<&AtomicBool>) -> Option<Group> {
+        let go_on = || (!is_raised(interrupt)).then_some(());
         let mesh = united.mesh();
+        go_on()?;
         let components = mesh.components();
+        go_on()?;
         let number = |body: u32| bodies[body as usize] as u32;
         let origin = |origin: &Origin| {
             let (body, vertex) = match *origin {
@@ -325,6 +360,7 @@ impl Group {
             on_seam,
         };
         seamed.fair(schema.blend, &radii, |origin| VertexOrigin { vertex: None, ..origin });
+        go_on()?;
 
         let blend = f64::max(COLORS_BLEND, schema.blend);
         let near = seamed.distances(None, blend * radii.iter().copied().fold(0.0, f64::max));
@@ -337,7 +373,7 @@ impl Group {
                 origin.share = (0.5 * share * share * (3.0 - 2.0 * share)) as f32;
             }
         }
-        Group {
+        Some(Group {
             bodies: bodies.to_vec(),
             seams,
             components: components.len(),
@@ -348,7 +384,7 @@ impl Group {
             positions: seamed.positions,
             origins: seamed.labels,
             triangles: seamed.triangles,
-        }
+        })
     }
 }
 
@@ -421,7 +457,7 @@ mod tests {
             let (mut schema, frame) = after(name, steps);
             for blend in [0.0, 0.1, 0.25, 0.5] {
                 schema.blend = blend;
-                let mut merger = Merger::new(&schema);
+                let mut merger = Merger::new(&schema, None);
                 let merged = merger.merge(&schema, &frame, &[]);
                 assert_eq!(merged.overlapping, 0);
                 for group in &merged.groups {
@@ -446,7 +482,7 @@ mod tests {
     fn what_is_beyond_the_blend_keeps_its_place() {
         let (mut schema, frame) = after("two", 150);
         schema.blend = 0.25;
-        let mut merger = Merger::new(&schema);
+        let mut merger = Merger::new(&schema, None);
         let group = &merger.merge(&schema, &frame, &[]).groups[0];
         let seam = || group.seams.iter().flat_map(|seam| &seam.positions);
         let mut kept = 0;
@@ -465,7 +501,7 @@ mod tests {
     #[test]
     fn what_does_not_move_is_not_computed_again() {
         let (schema, frame) = after("two", 150);
-        let mut merger = Merger::new(&schema);
+        let mut merger = Merger::new(&schema, None);
         let first = merger.merge(&schema, &frame, &[[0, 1]]).clone();
         let second = merger.merge(&schema, &frame, &[[0, 1]]);
         assert!(Arc::ptr_eq(&first.groups[0], &second.groups[0]));
@@ -475,7 +511,7 @@ mod tests {
         // the same alone as in a group
         let mut apart = schema.clone();
         apart.phases.iter_mut().for_each(|phase| phase.is_joined = false);
-        let mut merger = Merger::new(&apart);
+        let mut merger = Merger::new(&apart, None);
         assert_eq!(merger.merge(&apart, &frame, &[[0, 1]]).pairs[0], Some(measures));
         assert!(merger.merged().groups.is_empty());
     }

@@ -1,6 +1,6 @@
 //! When surfaces touch and part, found in time, and what geometry says of a pair when its phase changes.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, sync::atomic::AtomicBool};
 
 use glam::DVec3;
 
@@ -9,11 +9,11 @@ use super::{
     event::PairEvent,
     frame::{PairFrame, Want},
     simulation::Simulation,
-    surface::{Closed, Merger, PairMeasures},
+    surface::{Merger, PairMeasures},
 };
 use crate::geometry::{
     Vectors,
-    union::{Contact, Crossing, contact},
+    union::{Contact, Crossing, contact, is_raised},
 };
 
 /// Instants are found to this precision [s].
@@ -103,7 +103,6 @@ impl SurfaceEvent {
 /// Watches the surfaces of pairs, step after step.
 pub struct Touches {
     schema: Schema,
-    closed: Closed,
     merger: Merger,
     pairs: BTreeMap<[usize; 2], Known>,
     /// The state before the step, of bodies in pairs.
@@ -112,6 +111,7 @@ pub struct Touches {
     inside: Frame,
     local: Vectors,
     placed: BTreeMap<usize, Vec<DVec3>>,
+    interrupt: Option<&'static AtomicBool>,
 }
 
 /// What is known of a pair.
@@ -129,8 +129,8 @@ impl Touches {
     pub fn new(simulation: &dyn Simulation) -> Touches {
         let schema = simulation.schema();
         let mut touches = Touches {
-            closed: Closed::new(&schema),
-            merger: Merger::new(&schema),
+            merger: Merger::new(&schema, simulation.interrupt()),
+            interrupt: simulation.interrupt(),
             pairs: BTreeMap::new(),
             before: Frame::default(),
             inside: Frame::default(),
@@ -164,23 +164,33 @@ impl Touches {
             watched.truncate(MOST_PAIRS);
         }
         for pair in &watched {
+            if is_raised(self.interrupt) {
+                return; // no further step will be looked at
+            }
             let bodies = [pair.a, pair.b];
             let before = self.pairs.get(&bodies).copied();
             let mut known = before.unwrap_or_default();
-            bodies.iter().for_each(|&body| self.place(body, now));
-            self.look(bodies, &mut known);
+            if self.is_far(bodies, now) {
+                (known.is_touching, known.crossing) = (false, None);
+            } else {
+                bodies.iter().for_each(|&body| self.place(body, now));
+                self.look(bodies, &mut known);
+            }
             let changed = before.filter(|before| before.is_touching != known.is_touching);
             if changed.is_some() && !is_next {
                 known.touched = None;
             } else if let Some(before) = changed {
                 let (time, q) = self.when(simulation, bodies, before, now.at.time);
+                if is_raised(self.interrupt) {
+                    return; // that time is not precise
+                }
                 let what = if known.is_touching { Finding::Touch } else { Finding::Part };
                 known.touched = known.is_touching.then_some(time);
                 found.push(SurfaceEvent { what, time, step: now.at.step, a: pair.a, b: pair.b, q });
             }
             pairs.insert(bodies, known);
         }
-        for change in changes.iter().filter(|_| is_next).take(MOST_CHANGES) {
+        for change in changes.iter().filter(|_| is_next && !is_raised(self.interrupt)).take(MOST_CHANGES) {
             let bodies = [change.a, change.b];
             let Some(known) = self.pairs.get(&bodies) else { continue };
             let is_touch = |event: &&SurfaceEvent| [event.a, event.b] == bodies && event.what == Finding::Touch;
@@ -212,7 +222,7 @@ impl Touches {
         let mut known = before;
         for _ in 0..MOST_BISECTIONS {
             let middle = 0.5 * (low + high);
-            if high - low <= PRECISION || middle <= low || middle >= high {
+            if high - low <= PRECISION || middle <= low || middle >= high || is_raised(self.interrupt) {
                 break;
             }
             simulation.within(&self.before, middle, &bodies, &mut inside);
@@ -242,6 +252,14 @@ impl Touches {
         });
     }
 
+    /// Whether two bodies are so far apart that no vertex need be looked at.
+    fn is_far(&self, bodies: [usize; 2], now: &Frame) -> bool {
+        let [a, b] = bodies.map(|body| &now.bodies[body]);
+        let reach: f64 =
+            bodies.map(|body| self.schema.bodies[body].radius + now.bodies[body].max_displacement).iter().sum();
+        a.centre.distance(b.centre) > reach * (1.0 + 1e-9)
+    }
+
     /// Finds whether the surfaces of a pair touch where they are placed.
     fn look(&self, [a, b]: [usize; 2], known: &mut Known) {
         let (Some(first), Some(second)) = (self.placed.get(&a), self.placed.get(&b)) else { return };
@@ -258,7 +276,8 @@ impl Touches {
             (known.is_touching, known.crossing) = (false, None);
             return;
         }
-        let bodies = (self.closed.body(a, first), self.closed.body(b, second));
+        let closed = self.merger.closed();
+        let bodies = (closed.body(a, first), closed.body(b, second));
         let found = if let (Some(a), Some(b)) = bodies { contact(&a, &b) } else { None };
         known.is_touching = found.is_some();
         known.crossing = match found {

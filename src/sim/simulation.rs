@@ -1,7 +1,10 @@
 //! [`World`] as a simulation that instruments observe, and scenes as experiments that create it. Recorder, replay,
 //! check and diff know nothing else of either.
 
-use std::{mem::take, sync::Arc};
+use std::{
+    mem::take,
+    sync::{Arc, atomic::AtomicBool},
+};
 
 use glam::DVec3;
 
@@ -223,6 +226,10 @@ impl Simulation for World {
             Failure::Overworked(_) => StepFailure::NotTaken(failure.to_string()),
             Failure::Interrupted { .. } => StepFailure::Interrupted(failure.to_string()),
         });
+    }
+
+    fn interrupt(&self) -> Option<&'static AtomicBool> {
+        self.options().interrupt
     }
 
     fn account(&self) -> Option<String> {

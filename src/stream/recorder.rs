@@ -5,6 +5,7 @@
 
 use std::{
     mem::take,
+    sync::atomic::AtomicBool,
     time::{Duration, Instant as Clock},
 };
 
@@ -131,12 +132,13 @@ impl Recorder {
                 Frames::Last { most, .. } => Some(FlightRecorder::new(most)),
                 Frames::All | Frames::Thin => None,
             },
-            parts: (settings.frames != Frames::Thin).then(|| FrameParts::new(&schema, &settings, &mut chunks)),
+            parts: (settings.frames != Frames::Thin)
+                .then(|| FrameParts::new(&schema, &settings, simulation.interrupt(), &mut chunks)),
             frames: 0,
             first: simulation.steps_taken(),
             written: 0,
             stages: matches!(settings.detail, Detail::Stages { .. })
-                .then(|| StateParts::new(&schema, &settings, &mut chunks)),
+                .then(|| StateParts::new(&schema, &settings, simulation.interrupt(), &mut chunks)),
             stage_count: 0,
             watch: StepWatch::new(simulation, &settings),
             step: StepRecord::default(),
@@ -394,10 +396,15 @@ impl Recorder {
 
 impl FrameParts {
     /// Logs static data.
-    fn new(schema: &Schema, settings: &Settings, chunks: &mut Chunks) -> FrameParts {
+    fn new(
+        schema: &Schema,
+        settings: &Settings,
+        interrupt: Option<&'static AtomicBool>,
+        chunks: &mut Chunks,
+    ) -> FrameParts {
         let mut series =
             if matches!(settings.frames, Frames::Last { .. }) { Series::whole() } else { Series::default() };
-        let state = StateParts::new(schema, settings, chunks);
+        let state = StateParts::new(schema, settings, interrupt, chunks);
         let numbers = FrameNumbers::new(schema, &mut series, chunks);
         let trails = if settings.entities == Entities::Body { Trails::new(schema, chunks) } else { None };
         FrameParts {
@@ -433,7 +440,12 @@ impl FrameParts {
 
 impl StateParts {
     /// Logs static data.
-    fn new(schema: &Schema, settings: &Settings, chunks: &mut Chunks) -> StateParts {
+    fn new(
+        schema: &Schema,
+        settings: &Settings,
+        interrupt: Option<&'static AtomicBool>,
+        chunks: &mut Chunks,
+    ) -> StateParts {
         let mut extractor = Extractor::default();
         let detail = settings.detail;
         let spheres = SphereEntities::new(schema, settings.entities, chunks);
@@ -444,7 +456,7 @@ impl StateParts {
         let forces = (detail != Detail::Surface).then(|| Forces::new(schema, settings.entities, chunks));
         let wholes = if detail != Detail::Surface { Wholes::new(schema, chunks) } else { None };
         let lines = Lines::new(schema, settings.pairs, chunks);
-        let merged = MergedEntities::new(schema, chunks);
+        let merged = MergedEntities::new(schema, interrupt, chunks);
         StateParts { extractor, merged, surfaces, spheres, forces, wholes, lines }
     }
 

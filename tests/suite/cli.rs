@@ -726,6 +726,44 @@ fn an_interrupted_run_is_saved() {
     }
 }
 
+/// Frames in transit are saved with overlapping meshes if their merged surfaces would take too long.
+#[cfg(unix)]
+#[test]
+fn an_interrupt_does_not_wait_for_merged_surfaces() {
+    let dir = scene_dir();
+    let at = |i: u32, factor: f64| (f64::from(i) * factor).fract() - 0.5;
+    let body = |i: u32| {
+        let (x, y, z) = (at(i, 0.754877666), at(i, 0.569840291), at(i, 0.438579));
+        format!(
+            "[[body]]\nname = \"b{i}\"\nradius = 1.0\n\
+             motion = {{ line = {{ from = [{x}, {y}, {z}], velocity = [{y}, {z}, {x}] }} }}\n"
+        )
+    };
+    let heap: String = (0..64).map(body).collect();
+    fs::write(dir.file("heap.toml"), format!("duration = 2.0\n[influence]\nalpha = 0\nbeta = 0\n{heap}"))
+        .expect("room");
+    for wait in [0, 1500] {
+        let ends = || {
+            let mut running = Running::start(&dir, &["run", "heap.toml", "--steps", "0", "--save", "x.rrd"]);
+            running.eventually(|| dir.file("x.rrd.partial").exists());
+            std::thread::sleep(Duration::from_millis(wait));
+            running.signal("INT");
+            let start = Instant::now();
+            let ran = running.end();
+            assert_eq!(ran.status, 0, "{}", ran.err);
+            start.elapsed() < Duration::from_secs(1)
+        };
+        // it takes 0.3 s of processor time, on a machine that may have other things to do
+        assert!((0..4).any(|_| ends()), "after {wait} ms");
+
+        let recording = Recording::open(&dir.file("x.rrd"));
+        let last = |entity: &str| recording.changes(entity).last().expect("rows").step as f64;
+        // no step without its frame, and those without a merged surface say so
+        assert!(recording.steps() == 0.0 || last("/timings/log") == recording.steps());
+        assert_eq!(last("/diagnostics/overlapping_groups"), recording.steps());
+    }
+}
+
 /// What is of no use before its end: ends at once, and no file is left.
 #[cfg(unix)]
 #[test]

@@ -52,6 +52,11 @@ impl Aabb {
     }
 
     #[inline]
+    pub(super) fn size_squared(&self) -> f64 {
+        (self.max - self.min).length_squared()
+    }
+
+    #[inline]
     pub(super) fn contains(&self, point: DVec3) -> bool {
         self.min.cmple(point).all() && point.cmple(self.max).all()
     }
@@ -154,8 +159,9 @@ impl<'a> Body<'a> {
     fn measure(&mut self) {
         let mut least_height_squared = f64::INFINITY;
         let mut least_slack = f64::INFINITY;
-        for corners in &self.topology.triangles {
-            let [a, b, c] = corners.map(|v| self.position(v) - self.centre);
+        for triangle in 0..self.topology.triangles.len() as u32 {
+            let [a, b, c] = self.corners(triangle);
+            let (a, b, c) = (a - self.centre, b - self.centre, c - self.centre);
             let (ab, bc, ca) = (b - a, c - b, a - c);
             let normal = ab.cross(-ca);
             let volume = a.dot(normal);
@@ -204,6 +210,12 @@ impl<'a> Body<'a> {
     #[inline]
     pub(super) fn position(&self, vertex: u32) -> DVec3 {
         self.positions[self.topology.place_of(vertex) as usize]
+    }
+
+    #[inline]
+    pub(super) fn corners(&self, triangle: u32) -> [DVec3; 3] {
+        let [a, b, c] = self.topology.triangles[triangle as usize];
+        [self.position(a), self.position(b), self.position(c)]
     }
 
     /// In front of its surface, weighted at every vertex so that neither the lengths of edges nor diagonals matter

@@ -1,7 +1,7 @@
-//! Candidate intersections: pairs of bodies, of blocks and of triangles, and the edges and triangles of pairs that
-//! straddle each other's plane.
+//! Candidate intersections: pairs of bodies, of blocks and of triangles with overlapping boxes, and the edges and triangles
+//! of pairs that straddle each other's plane.
 
-use glam::DVec3;
+use glam::{DVec3, Vec3A};
 use rayon::prelude::*;
 
 use super::{
@@ -29,85 +29,174 @@ pub fn meetings(placement: &Placement) -> Vec<Meeting> {
     placement.pairs.iter().map(|&[a, b]| Meeting { bodies: [a, b], blocks: [within(a, b), within(b, a)] }).collect()
 }
 
-/// An edge and a triangle of two triangles that straddle each other's plane: the edge in the upper half, the triangle
-/// in the lower, so that candidates sort by edge.
-pub type EdgeAndTriangle = u64;
+/// Two triangles whose boxes overlap, of the first and the second body.
+type TrianglePair = [u32; 2];
 
-/// The edges and triangles that may meet, ascending, each once.
-pub fn edges_and_triangles(
-    placement: &Placement,
-    meetings: &[Meeting],
-    meter: &Meter,
-    threads: bool,
-) -> Result<Vec<EdgeAndTriangle>, Failure> {
+/// The triangles of two bodies, or of one, whose boxes overlap.
+#[derive(Default)]
+pub struct Near {
+    bodies: [u32; 2],
+    pairs: Vec<TrianglePair>,
+    /// The triangles of each body that are in a pair.
+    triangles: [Vec<u32>; 2],
+}
+
+/// The triangles near each other, of all meetings and of the bodies that may intersect themselves.
+pub fn near(placement: &Placement, meetings: &[Meeting], meter: &Meter, threads: bool) -> Result<Vec<Near>, Failure> {
     let of_meeting = |meeting: &Meeting| {
         let [a, b] = meeting.bodies;
-        let mut found = Vec::new();
+        let mut found = Near { bodies: [a, b], ..Near::default() };
         if !meeting.blocks.iter().any(Vec::is_empty) {
-            let lists = [Listed::new(placement, a, &meeting.blocks[0]), Listed::new(placement, b, &meeting.blocks[1])];
-            lists[0].meet(&lists[1], placement, meter, &mut found)?;
+            let zoom = Zoom::new(placement, [a, b]);
+            let lists = [
+                Listed::new(placement, a, &meeting.blocks[0], &zoom, Some(b)),
+                Listed::new(placement, b, &meeting.blocks[1], &zoom, Some(a)),
+            ];
+            lists[0].meet(&lists[1], meter, &mut found)?;
         }
         Ok(found)
     };
     let of_fold = |body: u32| {
         let blocks: Vec<u32> = (0..placement.bodies[body as usize].topology.block_count() as u32).collect();
-        let list = Listed::new(placement, body, &blocks);
-        let mut found = Vec::new();
-        list.meet(&list, placement, meter, &mut found)?;
+        let list = Listed::new(placement, body, &blocks, &Zoom::new(placement, [body; 2]), None);
+        let mut found = Near { bodies: [body; 2], ..Near::default() };
+        list.meet(&list, meter, &mut found)?;
         Ok(found)
     };
     let folds: Vec<u32> = (0..placement.bodies.len() as u32).filter(|&b| placement.folds[b as usize]).collect();
-    let found: Result<Vec<Vec<EdgeAndTriangle>>, Failure> = if threads {
+    if threads {
         (meetings.par_iter().map(of_meeting)).chain(folds.par_iter().map(|&b| of_fold(b))).collect()
     } else {
         (meetings.iter().map(of_meeting)).chain(folds.iter().map(|&b| of_fold(b))).collect()
+    }
+}
+
+impl Near {
+    /// The triangles of each body that are near others.
+    pub fn triangles(&self) -> impl Iterator<Item = (u32, &[u32])> {
+        self.bodies.into_iter().zip(self.triangles.iter().map(Vec::as_slice))
+    }
+}
+
+/// An edge and a triangle of two triangles that straddle each other's plane: the edge in the upper half, the triangle
+/// in the lower, so that candidates sort by edge.
+pub type EdgeAndTriangle = u64;
+
+/// The edges and triangles that may meet, ascending, each once. The triangles near each other must be placed.
+pub fn edges_and_triangles(
+    placement: &Placement,
+    near: &[Near],
+    meter: &Meter,
+    threads: bool,
+) -> Result<Vec<EdgeAndTriangle>, Failure> {
+    let of_near = |near: &Near| {
+        let (mut found, [a, b]) = (Vec::new(), near.bodies);
+        let mut straddle: Option<Straddle> = None;
+        for &[ta, tb] in &near.pairs {
+            let known = straddle.take().filter(|straddle| straddle.triangle == tb);
+            straddle.insert(known.unwrap_or_else(|| Straddle::new(placement, tb, b, a))).test(ta, &mut found)?;
+        }
+        meter.check()?;
+        Ok(found)
     };
+    let found: Result<Vec<Vec<EdgeAndTriangle>>, Failure> =
+        if threads { near.par_iter().map(of_near).collect() } else { near.iter().map(of_near).collect() };
     let mut found = found?.concat();
     found.sort_unstable();
     found.dedup();
     Ok(found)
 }
 
+/// Coordinates about two bodies, of their size, in which single precision suffices to cull.
+struct Zoom {
+    origin: DVec3,
+    factor: f64,
+}
+
+impl Zoom {
+    fn new(placement: &Placement, bodies: [u32; 2]) -> Zoom {
+        let [a, b] = bodies.map(|body| placement.bodies[body as usize]);
+        let size = a.radius + b.radius;
+        Zoom { origin: (a.centre + b.centre) / 2.0, factor: if size > 0.0 { 1.0 / size } else { 1.0 } }
+    }
+
+    /// A box that contains one in scene units.
+    #[inline]
+    fn of(&self, bounds: &Aabb) -> Box32 {
+        let single = |at: DVec3| Vec3A::from(((at - self.origin) * self.factor).as_vec3());
+        let (min, max) = (single(bounds.min), single(bounds.max));
+        // rounding of the differences, the product and the conversion
+        let rounding = |at: Vec3A| at.abs() * (8.0 * f32::EPSILON) + Vec3A::splat(1e-7);
+        Box32 { min: min - rounding(min), max: max + rounding(max) }
+    }
+}
+
+/// A bounding box in single precision.
+#[derive(Clone, Copy)]
+struct Box32 {
+    min: Vec3A,
+    max: Vec3A,
+}
+
+impl Box32 {
+    #[inline]
+    fn meets(&self, other: &Box32) -> bool {
+        (self.min.cmple(other.max) & other.min.cmple(self.max)).all()
+    }
+}
+
 /// Triangles of the listed blocks of a body, with their boxes.
 struct Listed {
     body: u32,
+    /// The boxes of the blocks, also as [`Box32`].
     hulls: Vec<Aabb>,
+    small_hulls: Vec<Box32>,
     /// Block i of the list has `triangles[start[i]..start[i + 1]]`.
     start: Vec<u32>,
-    triangles: Vec<(u32, Aabb)>,
+    triangles: Vec<(u32, Box32)>,
 }
 
 impl Listed {
-    fn new(placement: &Placement, body: u32, blocks: &[u32]) -> Listed {
-        let topology = placement.bodies[body as usize].topology;
-        let mut listed =
-            Listed { body, hulls: Vec::with_capacity(blocks.len()), start: vec![0], triangles: Vec::new() };
+    /// The triangles of some blocks; only those in the box of another body, if there is one.
+    fn new(placement: &Placement, body: u32, blocks: &[u32], zoom: &Zoom, other: Option<u32>) -> Listed {
+        let mesh = placement.bodies[body as usize];
+        let margin = placement.displaced[body as usize];
+        let there = other.map(|other| {
+            let margin = placement.displaced[other as usize];
+            placement.bodies[other as usize].bounds.grown(margin)
+        });
+        let mut listed = Listed {
+            body,
+            hulls: Vec::with_capacity(blocks.len()),
+            small_hulls: Vec::with_capacity(blocks.len()),
+            start: vec![0],
+            triangles: Vec::new(),
+        };
         for &block in blocks {
             let mut hull = Aabb::EMPTY;
-            for &t in topology.block(block as usize) {
-                let triangle = t + placement.first_triangle[body as usize];
-                let bounds = Aabb::of(placement.placed_corners(triangle, body));
-                hull = hull.joined(&bounds);
-                listed.triangles.push((triangle, bounds));
+            for &t in mesh.topology.block(block as usize) {
+                let [a, b, c] = mesh.corners(t);
+                let bounds = Aabb { min: a.min(b).min(c), max: a.max(b).max(c) }.grown(margin);
+                if there.is_none_or(|there| there.meets(&bounds)) {
+                    hull = hull.joined(&bounds);
+                    listed.triangles.push((t + placement.first_triangle[body as usize], zoom.of(&bounds)));
+                }
             }
-            listed.hulls.push(hull);
-            listed.start.push(listed.triangles.len() as u32);
+            if listed.triangles.len() as u32 > listed.start[listed.start.len() - 1] {
+                listed.hulls.push(hull);
+                listed.small_hulls.push(zoom.of(&hull));
+                listed.start.push(listed.triangles.len() as u32);
+            }
         }
         listed
     }
 
-    fn of(&self, block: u32) -> &[(u32, Aabb)] {
-        &self.triangles[self.start[block as usize] as usize..self.start[block as usize + 1] as usize]
+    fn of(&self, block: u32) -> std::ops::Range<usize> {
+        self.start[block as usize] as usize..self.start[block as usize + 1] as usize
     }
 
-    /// Tests the triangles of this list against those of another list, or all pairs within this list.
-    fn meet(
-        &self,
-        other: &Listed,
-        placement: &Placement,
-        meter: &Meter,
-        found: &mut Vec<EdgeAndTriangle>,
-    ) -> Result<(), Failure> {
+    /// Finds the triangles of this list and of another list whose boxes overlap, or of all pairs within this list.
+    fn meet(&self, other: &Listed, meter: &Meter, found: &mut Near) -> Result<(), Failure> {
         let all = |list: &Listed| (0..list.hulls.len() as u32).collect::<Vec<u32>>();
         let mut pairs = Vec::new();
         let same = self.body == other.body;
@@ -116,24 +205,35 @@ impl Listed {
                 pairs.push([a, b]);
             }
         });
-        let mut near: Vec<(u32, Aabb)> = Vec::new();
+        let (mut is_near, mut is_other_near) = (vec![false; self.triangles.len()], vec![false; other.triangles.len()]);
+        let mut near: Vec<(u32, u32, Box32)> = Vec::new();
         for [a, b] in pairs {
             near.clear();
-            near.extend(self.of(a).iter().filter(|(_, bounds)| bounds.meets(&other.hulls[b as usize])));
-            meter.spend(near.len() as u64 + 1)?;
-            for (tb, box_b) in other.of(b) {
-                if !box_b.meets(&self.hulls[a as usize]) {
+            let there = &other.small_hulls[b as usize];
+            near.extend(self.of(a).filter_map(|i| {
+                let (triangle, bounds) = self.triangles[i];
+                bounds.meets(there).then_some((i as u32, triangle, bounds))
+            }));
+            let before = found.pairs.len();
+            for j in other.of(b) {
+                let (tb, box_b) = &other.triangles[j];
+                if !box_b.meets(&self.small_hulls[a as usize]) {
                     continue;
                 }
-                let mut straddle = None;
-                for (ta, box_a) in &near {
-                    if !box_a.meets(box_b) || (same && a == b && ta >= tb) {
-                        continue;
+                for (i, ta, box_a) in &near {
+                    if box_a.meets(box_b) && !(same && a == b && ta >= tb) {
+                        found.pairs.push([*ta, *tb]);
+                        is_near[*i as usize] = true;
+                        is_other_near[j] = true;
                     }
-                    let straddle = straddle.get_or_insert_with(|| Straddle::new(placement, *tb, other.body, self.body));
-                    straddle.test(*ta, found)?;
                 }
             }
+            meter.spend((near.len() + (found.pairs.len() - before) / 16) as u64 + 1)?;
+        }
+        for ((list, is_near), triangles) in
+            [(self, is_near), (other, is_other_near)].into_iter().zip(&mut found.triangles)
+        {
+            triangles.extend(list.triangles.iter().zip(is_near).filter(|(_, is_near)| *is_near).map(|((t, _), _)| *t));
         }
         Ok(())
     }

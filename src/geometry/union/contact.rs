@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use super::{
     body::{Aabb, Body},
-    distance::Tree,
+    distance::{Search, Tree},
 };
 
 /// A volume below this fraction of a product of lengths counts as zero, and a crossing at a corner as one: what this
@@ -70,7 +70,7 @@ pub fn contact(a: &Body, b: &Body) -> Option<Contact> {
     }
     let is_inside = |inner: &Body, outer: &Tree| {
         let first = inner.topology.triangles.first().map(|corners| inner.position(corners[0]));
-        first.is_some_and(|at| outer.depth_beyond(at, 0.0, &mut 0).is_some())
+        first.is_some_and(|at| outer.depth_beyond(at, 0.0, &mut Search::default()).is_some())
     };
     (is_inside(a, &trees[1]) || is_inside(b, &trees[0])).then_some(Contact::Inside)
 }

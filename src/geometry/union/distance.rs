@@ -1,20 +1,76 @@
 //! Distances from a point to a surface and between surfaces.
+//!
+//! Searches go through a tree of boxes whose structure is that of the first positions of a topology, with the boxes of the
+//! current ones. Results do not depend on the structure: they are the least of all computed distances, the first triangle's
+//! where several are equal, and boxes are left out only if rounding cannot matter.
 
 use glam::DVec3;
 
-use super::body::{Aabb, Body};
+use super::{
+    body::{Aabb, Body},
+    report::{Failure, Meter},
+};
 
 /// A bounding volume hierarchy of a body's blocks.
 pub struct Tree<'t, 'a> {
     pub body: &'t Body<'a>,
-    nodes: Vec<Branch>,
+    branches: &'a [Branch],
+    /// The box of each branch.
+    bounds: Vec<Aabb>,
+    /// Below this, squared distances are rounding errors [scene unit²].
+    tiny: f64,
 }
 
-struct Branch {
-    bounds: Aabb,
+/// A node of a hierarchy of blocks: below it are two others, which follow it, or it is a block.
+#[derive(Clone, Copy, Debug)]
+pub struct Branch {
     /// Indices of two child nodes, or a block twice.
     parts: [u32; 2],
     is_block: bool,
+}
+
+/// A hierarchy of blocks with these boxes.
+fn hierarchy(boxes: &[Aabb]) -> Vec<Branch> {
+    /// Adds the node for some blocks and returns its index.
+    fn split(middles: &[DVec3], blocks: &mut [u32], branches: &mut Vec<Branch>) -> u32 {
+        let number = branches.len();
+        if let [only] = *blocks {
+            branches.push(Branch { parts: [only; 2], is_block: true });
+            return number as u32;
+        }
+        let hull = Aabb::of(blocks.iter().map(|&b| middles[b as usize]));
+        let extent = hull.max - hull.min;
+        let axis = if extent.x >= extent.y.max(extent.z) {
+            0
+        } else if extent.y >= extent.z {
+            1
+        } else {
+            2
+        };
+        let middle = blocks.len() / 2;
+        let key = |b: u32| middles[b as usize][axis];
+        blocks.select_nth_unstable_by(middle, |&a, &b| key(a).total_cmp(&key(b)).then(a.cmp(&b)));
+        let (low, high) = blocks.split_at_mut(middle);
+        branches.push(Branch { parts: [0; 2], is_block: false });
+        let parts = [split(middles, low, branches), split(middles, high, branches)];
+        branches[number].parts = parts;
+        number as u32
+    }
+    let middles: Vec<DVec3> = boxes.iter().map(|bounds| bounds.min + bounds.max).collect();
+    let mut blocks: Vec<u32> = (0..boxes.len() as u32).collect();
+    let mut branches = Vec::with_capacity(2 * blocks.len());
+    if !blocks.is_empty() {
+        split(&middles, &mut blocks, &mut branches);
+    }
+    branches
+}
+
+/// Where a search has got to. Reused: points that are near each other have near triangles.
+#[derive(Default)]
+pub struct Search {
+    /// The triangle that was nearest to the last point.
+    hint: u32,
+    queue: Vec<(u32, f64)>,
 }
 
 /// The point of a surface that is nearest to a given point.
@@ -37,88 +93,73 @@ enum Feature {
 
 impl<'t, 'a> Tree<'t, 'a> {
     pub fn new(body: &'t Body<'a>) -> Self {
-        let mut blocks: Vec<u32> = (0..body.block_bounds.len() as u32).collect();
-        let mut tree = Tree { body, nodes: Vec::with_capacity(2 * blocks.len()) };
-        if !blocks.is_empty() {
-            tree.split(&mut blocks);
+        let branches = body.topology.hierarchy.get_or_init(|| hierarchy(&body.block_bounds));
+        let mut bounds = vec![Aabb::EMPTY; branches.len()];
+        for (i, branch) in branches.iter().enumerate().rev() {
+            bounds[i] = match branch.parts {
+                [block, _] if branch.is_block => body.block_bounds[block as usize],
+                [low, high] => bounds[low as usize].joined(&bounds[high as usize]),
+            };
         }
-        tree
-    }
-
-    /// Adds the node for some blocks and returns its index.
-    fn split(&mut self, blocks: &mut [u32]) -> u32 {
-        let of = |b: u32| self.body.block_bounds[b as usize];
-        let bounds = blocks.iter().fold(Aabb::EMPTY, |sum, &b| sum.joined(&of(b)));
-        if let [only] = *blocks {
-            self.nodes.push(Branch { bounds, parts: [only; 2], is_block: true });
-            return self.nodes.len() as u32 - 1;
-        }
-        let extent = bounds.max - bounds.min;
-        let axis = if extent.x >= extent.y.max(extent.z) {
-            0
-        } else if extent.y >= extent.z {
-            1
-        } else {
-            2
-        };
-        let middle = blocks.len() / 2;
-        let key = |b: u32| of(b).min[axis] + of(b).max[axis];
-        blocks.select_nth_unstable_by(middle, |&a, &b| key(a).total_cmp(&key(b)).then(a.cmp(&b)));
-        let (low, high) = blocks.split_at_mut(middle);
-        let number = self.nodes.len();
-        self.nodes.push(Branch { bounds, parts: [0; 2], is_block: false });
-        let parts = [self.split(low), self.split(high)];
-        self.nodes[number].parts = parts;
-        number as u32
+        let extent = body.bounds.max - body.bounds.min + body.bounds.max.abs().max(body.bounds.min.abs());
+        Tree { body, branches, bounds, tiny: 1e-20 * extent.length_squared() }
     }
 
     fn corners(&self, triangle: u32) -> [DVec3; 3] {
-        self.body.topology.triangles[triangle as usize].map(|v| self.body.position(v))
+        self.body.corners(triangle)
     }
 
     /// The nearest point of the surface; `None` for a body without triangles, and if it is known to be no farther than
-    /// `least` [scene unit]. The search starts at triangle `first`.
-    fn nearest_beyond(&self, point: DVec3, least: f64, first: u32) -> Option<Nearest> {
+    /// `least` [scene unit].
+    fn nearest_beyond(&self, point: DVec3, least: f64, search: &mut Search) -> Option<Nearest> {
+        let Search { hint, queue } = search;
         let least_squared = least * least;
+        let first = *hint;
         let corners = self.body.topology.triangles.get(first as usize).map(|_| self.corners(first))?;
         let (position, feature) = nearest_of_triangle(point, corners);
         let distance_squared = point.distance_squared(position);
         let mut best = Nearest { distance_squared, position, triangle: first, feature };
-        let mut queue = if self.nodes.is_empty() { vec![] } else { vec![(0, 0.0)] };
+        queue.clear();
+        queue.push((0, 0.0));
         while let Some((branch, bound)) = queue.pop() {
             if best.distance_squared <= least_squared {
-                return None;
+                break;
             }
-            if bound >= best.distance_squared {
+            if self.is_farther(bound, best.distance_squared) {
                 continue;
             }
-            let Branch { parts, is_block, .. } = self.nodes[branch as usize];
+            let Branch { parts, is_block } = self.branches[branch as usize];
             if !is_block {
-                let mut next = parts.map(|part| (part, point_to_box_squared(point, &self.nodes[part as usize].bounds)));
+                let mut next = parts.map(|part| (part, point_to_box_squared(point, &self.bounds[part as usize])));
                 if next[0].1 < next[1].1 {
                     next.swap(0, 1);
                 }
-                queue.extend(next);
+                queue.extend(next.into_iter().filter(|next| !self.is_farther(next.1, best.distance_squared)));
                 continue;
             }
             for &triangle in self.body.topology.block(parts[0] as usize) {
                 let (position, feature) = nearest_of_triangle(point, self.corners(triangle));
                 let distance_squared = point.distance_squared(position);
-                if distance_squared < best.distance_squared {
+                if (distance_squared, triangle) < (best.distance_squared, best.triangle) {
                     best = Nearest { distance_squared, position, triangle, feature };
                 }
             }
         }
+        *hint = best.triangle;
         (best.distance_squared > least_squared).then_some(best)
+    }
+
+    /// Whether what is in a box at one squared distance is farther than another, whatever rounding does.
+    #[inline]
+    fn is_farther(&self, bound: f64, than: f64) -> bool {
+        bound > than * (1.0 + 1e-9) + self.tiny
     }
 
     /// Depth of a point inside [scene unit] if it is more than `least` ≥ 0, by the side of the normal at the nearest point; a corner's
     /// normal is weighted by angles (Bærentzen and Aanæs, *Signed Distance Computation Using the Angle Weighted
-    /// Pseudonormal*, 2005). The search starts at triangle `hint`, which becomes
-    /// the nearest one: of points that are near each other, the nearest triangles are, too.
-    pub fn depth_beyond(&self, point: DVec3, least: f64, hint: &mut u32) -> Option<f64> {
-        let nearest = self.nearest_beyond(point, least, *hint)?;
-        *hint = nearest.triangle;
+    /// Pseudonormal*, 2005).
+    pub fn depth_beyond(&self, point: DVec3, least: f64, search: &mut Search) -> Option<f64> {
+        let nearest = self.nearest_beyond(point, least, search)?;
         let topology = self.body.topology;
         let normal_of = |t: u32| {
             let [a, b, c] = self.corners(t);
@@ -147,14 +188,14 @@ impl<'t, 'a> Tree<'t, 'a> {
 
     /// The first answer for triangles of this surface and of another whose blocks' boxes meet.
     pub fn first_of_near<T>(&self, other: &Tree, mut answer: impl FnMut(u32, u32) -> Option<T>) -> Option<T> {
-        let mut queue = if self.nodes.is_empty() || other.nodes.is_empty() { vec![] } else { vec![(0, 0)] };
+        let mut queue = if self.branches.is_empty() || other.branches.is_empty() { vec![] } else { vec![(0, 0)] };
         while let Some((a, b)) = queue.pop() {
-            let (first, second) = (&self.nodes[a as usize], &other.nodes[b as usize]);
-            if !first.bounds.meets(&second.bounds) {
+            let (first, second) = (&self.branches[a as usize], &other.branches[b as usize]);
+            let (here, there) = (&self.bounds[a as usize], &other.bounds[b as usize]);
+            if !here.meets(there) {
                 continue;
             }
-            let size = |branch: &Branch| (branch.bounds.max - branch.bounds.min).length_squared();
-            if !first.is_block && (second.is_block || size(first) >= size(second)) {
+            if !first.is_block && (second.is_block || here.size_squared() >= there.size_squared()) {
                 queue.extend(first.parts.map(|a| (a, b)));
             } else if !second.is_block {
                 queue.extend(second.parts.map(|b| (a, b)));
@@ -171,45 +212,60 @@ impl<'t, 'a> Tree<'t, 'a> {
         None
     }
 
-    /// The smallest distance to another surface that does not intersect this one [scene unit].
-    pub fn distance(&self, other: &Tree) -> f64 {
+    fn has(&self, triangle: u32) -> bool {
+        (triangle as usize) < self.body.topology.triangles.len()
+    }
+
+    /// The smallest distance to another surface that does not intersect this one [scene unit]. The search begins with two
+    /// triangles, which become the nearest.
+    ///
+    /// # Errors
+    /// The meter's.
+    pub fn distance(&self, other: &Tree, hint: &mut [u32; 2], meter: &Meter) -> Result<f64, Failure> {
         let mut best = f64::INFINITY;
-        if self.nodes.is_empty() || other.nodes.is_empty() {
-            return best;
+        if self.branches.is_empty() || other.branches.is_empty() {
+            return Ok(best);
+        }
+        if let ([s, t], true) = (*hint, self.has(hint[0]) && other.has(hint[1])) {
+            best = triangle_to_triangle_squared(self.corners(s), other.corners(t));
         }
         let mut queue = vec![(0, 0, 0.0)];
         while let Some((a, b, bound)) = queue.pop() {
-            if bound >= best {
+            if self.is_farther(bound, best) {
                 continue;
             }
-            let (first, second) = (&self.nodes[a as usize], &other.nodes[b as usize]);
-            let size = |branch: &Branch| (branch.bounds.max - branch.bounds.min).length_squared();
-            let mut next = if !first.is_block && (second.is_block || size(first) >= size(second)) {
+            let (first, second) = (&self.branches[a as usize], &other.branches[b as usize]);
+            let (here, there) = (&self.bounds[a as usize], &other.bounds[b as usize]);
+            let mut next = if !first.is_block && (second.is_block || here.size_squared() >= there.size_squared()) {
                 first.parts.map(|a| (a, b, 0.0))
             } else if !second.is_block {
                 second.parts.map(|b| (a, b, 0.0))
             } else {
+                meter.spend(16)?;
                 for &s in self.body.topology.block(first.parts[0] as usize) {
                     let corners = self.corners(s);
                     let hull = Aabb::of(corners);
                     for &t in other.body.topology.block(second.parts[0] as usize) {
                         let others = other.corners(t);
-                        if box_to_box_squared(&hull, &Aabb::of(others)) < best {
-                            best = best.min(triangle_to_triangle_squared(corners, others));
+                        if !self.is_farther(box_to_box_squared(&hull, &Aabb::of(others)), best) {
+                            let squared = triangle_to_triangle_squared(corners, others);
+                            if squared < best {
+                                (best, *hint) = (squared, [s, t]);
+                            }
                         }
                     }
                 }
                 continue;
             };
             for (a, b, bound) in &mut next {
-                *bound = box_to_box_squared(&self.nodes[*a as usize].bounds, &other.nodes[*b as usize].bounds);
+                *bound = box_to_box_squared(&self.bounds[*a as usize], &other.bounds[*b as usize]);
             }
             if next[0].2 < next[1].2 {
                 next.swap(0, 1);
             }
             queue.extend(next);
         }
-        best.sqrt()
+        Ok(best.sqrt())
     }
 }
 

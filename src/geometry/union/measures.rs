@@ -4,10 +4,20 @@ use glam::DVec3;
 
 use super::{
     Body, Budget, Seam, UnionError,
-    distance::Tree,
+    distance::{Search, Tree},
+    report::{Failure, Meter},
     surface::{Origin, Union},
     union,
 };
+
+/// Work steps of finding the depth of a point.
+const SAMPLE: u64 = 64;
+
+/// Where two bodies were nearest to each other: where to begin in a later frame. It changes no result.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Hint {
+    triangles: [u32; 2],
+}
 
 /// Geometric measures of a pair of bodies, independent of thresholds.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,7 +45,7 @@ pub struct PairMeasures {
 /// Those of [`union`], from which the measures are computed.
 pub fn pair_measures(a: &Body, b: &Body, budget: &Budget) -> Result<PairMeasures, UnionError> {
     let bodies = [a.clone(), b.clone()];
-    measures_of(&union(&bodies, budget)?, budget)
+    measures_of(&union(&bodies, budget)?, budget, &mut Hint::default())
 }
 
 /// [`pair_measures`] of two bodies whose union is known. A union of another number of bodies has an infinite gap.
@@ -43,7 +53,7 @@ pub fn pair_measures(a: &Body, b: &Body, budget: &Budget) -> Result<PairMeasures
 /// # Errors
 ///
 /// Those of [`union`], which measures each body that intersects itself.
-pub fn measures_of(united: &Union, budget: &Budget) -> Result<PairMeasures, UnionError> {
+pub fn measures_of(united: &Union, budget: &Budget, hint: &mut Hint) -> Result<PairMeasures, UnionError> {
     let bodies = united.bodies;
     let volume = |body: usize| -> Result<f64, UnionError> {
         if bodies[body].slack > 0.0 {
@@ -61,7 +71,7 @@ pub fn measures_of(united: &Union, budget: &Budget) -> Result<PairMeasures, Unio
     };
     let vector_area: DVec3 = united.seams.iter().map(|seam| seam.vector_area).sum();
     Ok(PairMeasures {
-        gap: gap_of(united),
+        gap: gap_of(united, budget, hint)?,
         overlap: overlap.max(0.0),
         neck: (vector_area.length() / std::f64::consts::PI).sqrt(),
         perimeter: united.seams.iter().map(|seam| seam.length).sum(),
@@ -77,58 +87,76 @@ pub fn measures_of(united: &Union, budget: &Budget) -> Result<PairMeasures, Unio
 /// Those of [`union`].
 pub fn gap(a: &Body, b: &Body, budget: &Budget) -> Result<f64, UnionError> {
     let bodies = [a.clone(), b.clone()];
-    Ok(gap_of(&union(&bodies, budget)?))
+    gap_of(&union(&bodies, budget)?, budget, &mut Hint::default())
 }
 
-fn gap_of(united: &Union) -> f64 {
-    let [a, b] = united.bodies else { return f64::INFINITY };
+fn gap_of(united: &Union, budget: &Budget, hint: &mut Hint) -> Result<f64, UnionError> {
+    let [a, b] = united.bodies else { return Ok(f64::INFINITY) };
+    let meter = Meter::new(Budget { work: u64::MAX, ..*budget });
     let trees = [Tree::new(a), Tree::new(b)];
     let is_apart = united.seams.is_empty() && (0..2).all(|body| !united.is_inside(body));
     if is_apart {
-        return trees[0].distance(&trees[1]);
+        return trees[0].distance(&trees[1], &mut hint.triangles, &meter).map_err(|_| meter.gave_up());
     }
     let mut deepest = 0.0f64;
     for (body, tree) in [(0, &trees[1]), (1, &trees[0])] {
-        deepen(united, body, tree, &mut deepest);
+        deepen(united, body, tree, &mut deepest, &meter).map_err(|_| meter.gave_up())?;
     }
-    -deepest
+    Ok(-deepest)
 }
 
 /// Raises `deepest` to the greatest depth in `other` of the part of a body's surface that the union leaves out.
-fn deepen(united: &Union, body: usize, other: &Tree, deepest: &mut f64) {
-    let mesh = &united.bodies[body];
-    let topology = mesh.topology;
-    let mut hint = 0;
-    let mut sample = |at: DVec3| {
-        if let Some(depth) = other.depth_beyond(at, *deepest, &mut hint) {
+fn deepen(united: &Union, body: usize, other: &Tree, deepest: &mut f64, meter: &Meter) -> Result<(), Failure> {
+    let samples = samples(united, body);
+    let mut search = Search::default();
+    // The deepest point is usually that nearest to the centre. What is less deep than another costs little.
+    let centre = other.body.centre;
+    let nearest = samples.iter().min_by(|a, b| a.distance_squared(centre).total_cmp(&b.distance_squared(centre)));
+    for &at in nearest.into_iter().chain(&samples) {
+        meter.spend(SAMPLE)?;
+        if let Some(depth) = other.depth_beyond(at, *deepest, &mut search) {
             *deepest = deepest.max(depth);
         }
-    };
+    }
+    Ok(())
+}
+
+/// Points on the part of a body's surface that the union leaves out.
+fn samples(united: &Union, body: usize) -> Vec<DVec3> {
+    let mesh = &united.bodies[body];
+    let topology = mesh.topology;
     let removed = &united.removed[body];
-    // What is still on the union is not inside.
-    let first = united.first_vertex[body];
-    let mut kept: Vec<u32> = united.new_triangles.iter().flat_map(|triangle| triangle.corners).collect();
-    kept.sort_unstable();
-    kept.dedup();
-    let is_lost = |v: u32| kept.binary_search(&(v + first)).is_err();
-    // Vertices first: they find most of the depth, and what is known not to be deeper costs little.
-    let mut vertices: Vec<u32> = removed.iter().flat_map(|&t| topology.triangles[t as usize]).collect();
-    vertices.sort_unstable();
-    vertices.dedup();
-    vertices.iter().filter(|&&v| is_lost(v)).for_each(|&v| sample(mesh.position(v)));
-    let mut edges: Vec<u32> = removed.iter().flat_map(|&t| topology.triangle_edges[t as usize]).collect();
-    edges.sort_unstable();
-    edges.dedup();
-    for edge in edges {
-        let ends = topology.edges[edge as usize];
-        if ends.iter().all(|&v| is_lost(v)) {
-            let [a, b] = ends.map(|v| mesh.position(v));
-            sample((a + b) / 2.0);
+    let mut samples = Vec::with_capacity(4 * removed.len());
+    // What is still on the union is not inside, and every point counts once.
+    let (first, last) = (united.first_vertex[body], united.first_vertex[body + 1]);
+    let mut is_done = vec![false; topology.fan_count()];
+    for v in united.new_triangles.iter().flat_map(|triangle| triangle.corners) {
+        if (first..last).contains(&v) {
+            is_done[(v - first) as usize] = true;
+        }
+    }
+    let is_lost = is_done.iter().map(|is_kept| !is_kept).collect::<Vec<bool>>();
+    for v in removed.iter().flat_map(|&t| topology.triangles[t as usize]) {
+        if !std::mem::replace(&mut is_done[v as usize], true) {
+            samples.push(mesh.position(v));
         }
     }
     for &t in removed {
-        let [a, b, c] = topology.triangles[t as usize].map(|v| mesh.position(v));
-        sample((a + b + c) / 3.0);
+        let corners = topology.triangles[t as usize];
+        for (k, edge) in topology.triangle_edges[t as usize].into_iter().enumerate() {
+            let ends = [corners[k], corners[(k + 1) % 3]];
+            let [one, other] = topology.edge_triangles[edge as usize];
+            let beside = if one == t { other } else { one };
+            // if both triangles of the edge are there, it is that of the first
+            let is_first = t < beside || !united.is_removed(body as u32, beside);
+            if is_first && ends.iter().all(|&v| is_lost[v as usize]) {
+                samples.push((mesh.position(ends[0]) + mesh.position(ends[1])) / 2.0);
+            }
+        }
+    }
+    for &t in removed {
+        let [a, b, c] = mesh.corners(t);
+        samples.push((a + b + c) / 3.0);
     }
     // Between one cut of an edge and the next, or the edge's ends.
     let mut cuts: Vec<([u32; 2], f64)> = (united.new_vertices.iter())
@@ -137,13 +165,14 @@ fn deepen(united: &Union, body: usize, other: &Tree, deepest: &mut f64) {
             _ => None,
         })
         .collect();
-    cuts.sort_by(|x, y| x.0.cmp(&y.0).then(x.1.total_cmp(&y.1)));
+    cuts.sort_unstable_by(|x, y| x.0.cmp(&y.0).then(x.1.total_cmp(&y.1)));
     for cuts in cuts.chunk_by(|x, y| x.0 == y.0) {
         let [a, b] = cuts[0].0.map(|v| mesh.positions[v as usize]);
         let mut from = 0.0;
         for to in cuts.iter().map(|cut| cut.1).chain([1.0]) {
-            sample(a + (b - a) * ((from + to) / 2.0));
+            samples.push(a + (b - a) * ((from + to) / 2.0));
             from = to;
         }
     }
+    samples
 }

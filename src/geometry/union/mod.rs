@@ -46,8 +46,8 @@ mod winding;
 
 pub use body::{Aabb, Body, BodyError};
 pub use contact::{Contact, Crossing, contact};
-pub use measures::{PairMeasures, gap, measures_of, pair_measures};
-pub use report::{Budget, UnionError};
+pub use measures::{Hint, PairMeasures, gap, measures_of, pair_measures};
+pub use report::{Budget, UnionError, is_raised};
 pub use seams::Seam;
 pub use surface::{Component, NewTriangle, NewVertex, Origin, Statistics, Union, UnionMesh};
 pub use topology::{Topology, TopologyError};
@@ -99,6 +99,7 @@ fn attempt_union<'a, 'b>(
 ) -> Result<Union<'a, 'b>, Failure> {
     let chosen: Vec<&Body> = order.iter().map(|&b| &bodies[b as usize]).collect();
     let mut placement = Placement::new(chosen, attempt);
+    meter.check()?;
     let order: Vec<u32> = placement.kept.iter().map(|&i| order[i as usize]).collect();
     let mut included = vec![false; bodies.len()];
     for &b in &order {
@@ -113,27 +114,26 @@ fn attempt_union<'a, 'b>(
     }
 
     let meetings = candidates::meetings(&placement);
-    for meeting in &meetings {
-        for k in 0..2 {
-            placement.place(meeting.bodies[k], &meeting.blocks[k]);
-        }
-    }
-    for body in 0..placement.bodies.len() as u32 {
-        if placement.folds[body as usize] {
-            let all: Vec<u32> = (0..placement.bodies[body as usize].topology.block_count() as u32).collect();
-            placement.place(body, &all);
-        }
-    }
-
     let threads = rayon::current_num_threads() > 1 && winding::is_worth_threads(&meetings);
-    let candidates = candidates::edges_and_triangles(&placement, &meetings, meter, threads)?;
+    let near = candidates::near(&placement, &meetings, meter, threads)?;
+    for (body, triangles) in near.iter().flat_map(candidates::Near::triangles) {
+        if placement.folds[body as usize] {
+            placement.place_all(body);
+        } else {
+            placement.place(body, triangles);
+        }
+    }
+    let candidates = candidates::edges_and_triangles(&placement, &near, meter, threads)?;
+    drop(near);
     union.statistics.tests = candidates.len();
     let mut arrangement = Arrangement::new(&placement, &candidates, threads)?;
+    meter.check()?;
     let mut classified = Classified::new(&placement, &meetings, &mut arrangement, meter, threads)?;
     arrangement.find_triple_points(&placement, meter, threads)?;
     classified.walk_segments(&arrangement, meter)?;
     let faces = Faces::new(&placement, &arrangement, &classified, meter, threads)?;
 
+    meter.check()?;
     union.statistics.nodes = arrangement.nodes.len();
     union.statistics.segments = arrangement.segments.len();
     union.statistics.triple_points = arrangement.triple_points.len();

@@ -116,18 +116,30 @@ impl<'a, 'b> Placement<'a, 'b> {
         (displaced * LATTICE).round() / LATTICE
     }
 
-    /// Computes `placed` for the vertices of some blocks of a body.
-    pub fn place(&mut self, body: u32, blocks: &[u32]) {
-        let mesh = self.bodies[body as usize];
+    /// Computes `placed` for the vertices of some triangles of a body.
+    pub fn place(&mut self, body: u32, triangles: &[u32]) {
         let first = self.first_vertex[body as usize];
-        for &block in blocks {
-            for &vertex in mesh.topology.vertices_of_block(block as usize) {
+        for &triangle in triangles {
+            for vertex in self.corners(triangle, body) {
                 // A vertex that has been placed lies exactly at the origin with probability 2^-150.
-                if self.placed[(first + vertex) as usize] == DVec3::ZERO {
-                    self.placed[(first + vertex) as usize] = self.position(body, vertex);
+                if self.placed[vertex as usize] == DVec3::ZERO {
+                    self.placed[vertex as usize] = self.position(body, vertex - first);
                 }
             }
         }
+    }
+
+    /// Computes `placed` for all vertices of a body.
+    pub fn place_all(&mut self, body: u32) {
+        let first = self.first_triangle[body as usize];
+        let triangles = self.bodies[body as usize].topology.triangles.len() as u32;
+        self.place(body, &(first..first + triangles).collect::<Vec<u32>>());
+    }
+
+    /// Perturbed position of a vertex, whether it is in `placed` or not.
+    pub fn placed_or_not(&self, vertex: u32, body: u32) -> DVec3 {
+        let placed = self.placed[vertex as usize];
+        if placed == DVec3::ZERO { self.position(body, vertex - self.first_vertex[body as usize]) } else { placed }
     }
 
     /// Factor from scene units to the units of `placed`.

@@ -1,33 +1,35 @@
 //! The cost limit of a union, and the errors.
 
 use std::{
-    sync::atomic::{AtomicU64, Ordering},
+    sync::atomic::{AtomicBool, AtomicU64, Ordering},
     time::{Duration, Instant},
 };
 
 use thiserror::Error;
 
 /// The largest cost of a union; beyond it, the union is given up.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug)]
 pub struct Budget {
     /// Work steps, each some tens of nanoseconds and bytes; the count is the same on every machine and for any number
     /// of threads.
     pub work: u64,
     /// Wall-clock time. Whether it suffices depends on the machine, but a result obtained within it does not.
     pub time: Option<Duration>,
+    /// A flag that ends it once it is raised.
+    pub interrupt: Option<&'static AtomicBool>,
 }
 
 impl Default for Budget {
     /// A hundred million steps: seconds, and at most a few gigabytes.
     fn default() -> Self {
-        Budget { work: 100_000_000, time: None }
+        Budget { work: 100_000_000, time: None, interrupt: None }
     }
 }
 
 /// Why there is no union.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum UnionError {
-    /// The budget was exhausted.
+    /// The budget was exhausted, or the union was interrupted.
     #[error("gave up after {work} steps and {elapsed:?}")]
     GaveUp {
         /// Work steps done.
@@ -55,7 +57,7 @@ pub enum Failure {
     Tie,
     /// An invariant of arrangements is violated.
     Inconsistent(&'static str),
-    /// The budget is exhausted.
+    /// The budget is exhausted, or the union is interrupted.
     GaveUp,
 }
 
@@ -79,10 +81,13 @@ impl Meter {
             return Err(Failure::GaveUp);
         }
         // The clock is read only every few thousand steps.
-        match self.budget.time {
-            Some(time) if before >> 12 != (before + steps) >> 12 && self.start.elapsed() > time => Err(Failure::GaveUp),
-            _ => Ok(()),
-        }
+        if before >> 12 != (before + steps) >> 12 { self.check() } else { Ok(()) }
+    }
+
+    /// Fails if the time is exhausted or the union is interrupted.
+    pub fn check(&self) -> Result<(), Failure> {
+        let is_late = self.budget.time.is_some_and(|time| self.start.elapsed() > time);
+        if is_late || is_raised(self.budget.interrupt) { Err(Failure::GaveUp) } else { Ok(()) }
     }
 
     pub fn spent(&self) -> u64 {
@@ -92,4 +97,9 @@ impl Meter {
     pub fn gave_up(&self) -> UnionError {
         UnionError::GaveUp { work: self.spent(), elapsed: self.start.elapsed() }
     }
+}
+
+/// Whether a flag, if there is one, is raised.
+pub fn is_raised(flag: Option<&AtomicBool>) -> bool {
+    flag.is_some_and(|flag| flag.load(Ordering::Relaxed))
 }

@@ -100,6 +100,8 @@ pub struct Union<'a, 'b> {
     pub first_vertex: Vec<u32>,
     /// Triangles of each body that are not in the union or no longer whole, ascending.
     pub removed: Vec<Vec<u32>>,
+    /// The same as bits.
+    is_removed: Vec<Vec<u64>>,
     /// Whether each body is left out from the start: copies of others, and those too small to be resolved.
     absent: Vec<bool>,
     /// Vertices that belong to no body.
@@ -164,6 +166,7 @@ impl<'a, 'b> Union<'a, 'b> {
             bodies,
             first_vertex,
             removed: vec![Vec::new(); bodies.len()],
+            is_removed: vec![Vec::new(); bodies.len()],
             absent: included.iter().map(|included| !included).collect(),
             new_vertices: Vec::new(),
             new_triangles: Vec::new(),
@@ -185,6 +188,7 @@ impl<'a, 'b> Union<'a, 'b> {
                 union.removed[b] = (0..body.topology.triangles.len() as u32).collect();
             }
         }
+        union.mark_removed();
         union
     }
 
@@ -202,7 +206,7 @@ impl<'a, 'b> Union<'a, 'b> {
         let marks = Marks::new(placement, arrangement, classified);
 
         // Numbering: the bodies' vertices in the caller's order, then new ones as they occur.
-        let mut names: FxHashMap<u32, u32> = FxHashMap::default();
+        let mut names = vec![u32::MAX; points.first_added as usize + faces.added.len() - points.first_node as usize];
         let new_name = |union: &mut Self, position: DVec3, origin: Origin| {
             union.new_vertices.push(NewVertex { position, origin });
             union.first_vertex[union.bodies.len()] + union.new_vertices.len() as u32 - 1
@@ -215,8 +219,9 @@ impl<'a, 'b> Union<'a, 'b> {
                 return point - placement.first_vertex[body as usize]
                     + union.first_vertex[order[body as usize] as usize];
             }
-            if let Some(&name) = names.get(&point) {
-                return name;
+            let known = &mut names[(point - points.first_node) as usize];
+            if *known != u32::MAX {
+                return *known;
             }
             let (position, origin) = if point < points.first_triple {
                 let number = point - points.first_node;
@@ -244,9 +249,8 @@ impl<'a, 'b> Union<'a, 'b> {
                 let [body, triangle] = named(body, triangle);
                 (faces.added[number], Origin::Within { body, triangle })
             };
-            let name = new_name(union, position, origin);
-            names.insert(point, name);
-            name
+            *known = new_name(union, position, origin);
+            *known
         };
         for face in &faces.faces {
             let corners = face.corners.map(|p| name(&mut self, p));
@@ -265,6 +269,7 @@ impl<'a, 'b> Union<'a, 'b> {
         for removed in &mut self.removed {
             removed.sort_unstable();
         }
+        self.mark_removed();
 
         self.audit()?;
         self.count_and_measure();
@@ -294,21 +299,36 @@ impl<'a, 'b> Union<'a, 'b> {
         !self.removed[body].is_empty()
     }
 
-    fn is_removed(&self, body: u32, triangle: u32) -> bool {
-        self.removed[body as usize].binary_search(&triangle).is_ok()
+    /// Brings `is_removed` to what `removed` says.
+    fn mark_removed(&mut self) {
+        for ((removed, bits), body) in self.removed.iter().zip(&mut self.is_removed).zip(self.bodies) {
+            bits.clear();
+            if !removed.is_empty() {
+                bits.resize(body.topology.triangles.len() / 64 + 1, 0);
+            }
+            removed.iter().for_each(|&t| bits[t as usize / 64] |= 1 << (t % 64));
+        }
+    }
+
+    #[inline]
+    pub(super) fn is_removed(&self, body: u32, triangle: u32) -> bool {
+        self.is_removed[body as usize]
+            .get(triangle as usize / 64)
+            .is_some_and(|word| word & (1 << (triangle % 64)) != 0)
     }
 
     /// Checks that new triangles close the holes left by removed ones: each of their edges is paired with an opposite
     /// edge of another new triangle or of one that remains, and none of those remains open.
     fn audit(&self) -> Result<(), Failure> {
-        let mut edges: Vec<([u32; 2], bool, u32)> = Vec::with_capacity(3 * self.new_triangles.len());
+        // The edge from its lower vertex, in one number; whether the triangle runs along it, and the triangle.
+        let mut edges: Vec<(u64, bool, u32)> = Vec::with_capacity(3 * self.new_triangles.len());
         for (i, triangle) in self.new_triangles.iter().enumerate() {
             for k in 0..3 {
                 let (a, b) = (triangle.corners[k], triangle.corners[(k + 1) % 3]);
                 if a == b {
                     return Err(Failure::Inconsistent("a triangle of two corners"));
                 }
-                edges.push(([a.min(b), a.max(b)], a < b, i as u32));
+                edges.push((u64::from(a.min(b)) << 32 | u64::from(a.max(b)), a < b, i as u32));
             }
         }
         edges.sort_unstable();
@@ -320,7 +340,8 @@ impl<'a, 'b> Union<'a, 'b> {
                     let [body, triangle] = self.new_triangles[*i as usize].part_of;
                     let topology = self.bodies[body as usize].topology;
                     let first = self.first_vertex[body as usize];
-                    let [from, to] = if *along { *ends } else { [ends[1], ends[0]] };
+                    let (low, high) = ((*ends >> 32) as u32, *ends as u32);
+                    let [from, to] = if *along { [low, high] } else { [high, low] };
                     let corners = topology.triangles[triangle as usize].map(|v| v + first);
                     let k = (0..3).find(|&k| corners[k] == from && corners[(k + 1) % 3] == to);
                     let edge = k.map(|k| topology.triangle_edges[triangle as usize][k]);
@@ -357,21 +378,20 @@ impl<'a, 'b> Union<'a, 'b> {
 
     /// Number of vertices of removed triangles that no longer occur.
     fn lost_vertices(&self) -> i64 {
-        let mut used: Vec<u32> = self.new_triangles.iter().flat_map(|t| t.corners).collect();
-        used.sort_unstable();
-        used.dedup();
+        let mut is_done = vec![false; self.first_vertex[self.bodies.len()] as usize + self.new_vertices.len()];
+        self.new_triangles.iter().flat_map(|t| t.corners).for_each(|v| is_done[v as usize] = true);
         let mut lost = 0;
         for (b, removed) in self.removed_of_present() {
             let topology = self.bodies[b].topology;
-            let mut vertices: Vec<u32> = removed.iter().flat_map(|&t| topology.triangles[t as usize]).collect();
-            vertices.sort_unstable();
-            vertices.dedup();
-            for v in vertices {
+            for v in removed.iter().flat_map(|&t| topology.triangles[t as usize]) {
+                if std::mem::replace(&mut is_done[(v + self.first_vertex[b]) as usize], true) {
+                    continue;
+                }
                 let is_kept = || {
                     (topology.edges_at(v).iter())
                         .any(|&e| !self.is_removed(b as u32, topology.triangle_left_of(e, v).0))
                 };
-                lost += i64::from(used.binary_search(&(v + self.first_vertex[b])).is_err() && !is_kept());
+                lost += i64::from(!is_kept());
             }
         }
         lost
@@ -433,6 +453,7 @@ impl<'a, 'b> Union<'a, 'b> {
             }
             self.new_triangles.push(triangle);
         }
+        self.mark_removed();
         let about = self.new_triangles_about_vertices();
         for vertex in several {
             let from = about.partition_point(|a| a.0 < vertex);

@@ -1,7 +1,17 @@
 //! Connectivity of the triangles of a closed mesh.
 
+use std::sync::{OnceLock, atomic::AtomicBool};
+
 use rustc_hash::FxHashMap;
 use thiserror::Error;
+
+use super::{distance::Branch, report::is_raised};
+
+/// Looks at a flag.
+type Check<'c> = &'c dyn Fn() -> Result<(), TopologyError>;
+
+/// Number of triangles between two looks at a flag.
+const UNCHECKED: usize = 1 << 16;
 
 /// Largest number of triangles in a block, which is culled by one box.
 const BLOCK: usize = 16;
@@ -32,6 +42,8 @@ pub struct Topology {
     /// Used vertices of each block, in the same layout.
     block_vertex_start: Vec<u32>,
     block_vertices: Vec<u32>,
+    /// Hierarchy of the blocks, by the first positions that are searched.
+    pub(super) hierarchy: OnceLock<Vec<Branch>>,
     /// Number of connected components.
     pub(super) components: u32,
     /// Number of vertices used by triangles, further fans included.
@@ -80,6 +92,9 @@ pub enum TopologyError {
     /// There are more vertices or triangles than a 31-bit index can number.
     #[error("more than 2^29 vertices or triangles")]
     TooLarge,
+    /// A flag was raised before it was computed.
+    #[error("interrupted")]
+    Interrupted,
 }
 
 impl Topology {
@@ -90,6 +105,19 @@ impl Topology {
     ///
     /// If they are not closed and oriented, with the first place where that fails.
     pub fn new(vertex_count: usize, triangles: &[[u32; 3]]) -> Result<Topology, TopologyError> {
+        Topology::interruptible(vertex_count, triangles, None)
+    }
+
+    /// [`Topology::new`] that ends soon after a flag is raised: millions of triangles take seconds.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`Topology::new`], and [`TopologyError::Interrupted`].
+    pub fn interruptible(
+        vertex_count: usize,
+        triangles: &[[u32; 3]],
+        interrupt: Option<&AtomicBool>,
+    ) -> Result<Topology, TopologyError> {
         if vertex_count > 1 << 29 || triangles.len() > 1 << 29 {
             return Err(TopologyError::TooLarge);
         }
@@ -118,22 +146,27 @@ impl Topology {
             block_triangles: Vec::with_capacity(triangles.len()),
             block_vertex_start: vec![0],
             block_vertices: Vec::new(),
+            hierarchy: OnceLock::new(),
             components: 0,
             used_vertices: 0,
         };
-        topology.pair_edges()?;
-        topology.split_fans();
+        let check = || if is_raised(interrupt) { Err(TopologyError::Interrupted) } else { Ok(()) };
+        topology.pair_edges(&check)?;
+        topology.split_fans(&check)?;
         topology.list_edges_of_vertices();
-        topology.cluster();
-        topology.count_components();
+        topology.cluster(&check)?;
+        topology.count_components(&check)?;
         Ok(topology)
     }
 
-    fn pair_edges(&mut self) -> Result<(), TopologyError> {
+    fn pair_edges(&mut self, check: Check) -> Result<(), TopologyError> {
         const NONE: u32 = u32::MAX;
         let mut edge_of: FxHashMap<[u32; 2], u32> = FxHashMap::default();
         let mut surplus: Vec<[u32; 2]> = Vec::new();
         for (t, corners) in self.triangles.iter().enumerate() {
+            if t % UNCHECKED == 0 {
+                check()?;
+            }
             for k in 0..3 {
                 let (a, b) = (corners[k], corners[(k + 1) % 3]);
                 let key = [a.min(b), a.max(b)];
@@ -171,11 +204,14 @@ impl Topology {
     }
 
     /// Gives every fan of triangles about a vertex, except the first, a vertex of its own.
-    fn split_fans(&mut self) {
+    fn split_fans(&mut self, check: Check) -> Result<(), TopologyError> {
         let mut seen = vec![[false; 3]; self.triangles.len()];
         let mut used = vec![false; self.vertex_count as usize];
         let mut renamed = false;
         for start in 0..self.triangles.len() {
+            if start % UNCHECKED == 0 {
+                check()?;
+            }
             for corner in 0..3 {
                 if seen[start][corner] {
                     continue;
@@ -211,6 +247,7 @@ impl Topology {
                 }
             }
         }
+        Ok(())
     }
 
     fn list_edges_of_vertices(&mut self) {
@@ -235,7 +272,7 @@ impl Topology {
 
     /// Groups neighbouring triangles into blocks: breadth first, up to [`BLOCK`] from each start, the next start beside
     /// the last block.
-    fn cluster(&mut self) {
+    fn cluster(&mut self, check: Check) -> Result<(), TopologyError> {
         let mut taken = vec![false; self.triangles.len()];
         let mut border = std::collections::VecDeque::new();
         for t in 0..self.triangles.len() as u32 {
@@ -245,6 +282,9 @@ impl Topology {
                     continue;
                 }
                 let first = self.block_triangles.len();
+                if (self.block_start.len() - 1) % (UNCHECKED / BLOCK) == 0 {
+                    check()?;
+                }
                 taken[start as usize] = true;
                 self.block_triangles.push(start);
                 let mut at = first;
@@ -281,10 +321,11 @@ impl Topology {
                 self.block_vertex_start.push(kept as u32);
             }
         }
+        Ok(())
     }
 
-    fn count_components(&mut self) {
-        let mut seen = vec![false; self.triangles.len()];
+    fn count_components(&mut self, check: Check) -> Result<(), TopologyError> {
+        let (mut seen, mut looked) = (vec![false; self.triangles.len()], 0);
         for start in 0..self.triangles.len() as u32 {
             if seen[start as usize] {
                 continue;
@@ -293,6 +334,10 @@ impl Topology {
             seen[start as usize] = true;
             let mut queue = vec![start];
             while let Some(t) = queue.pop() {
+                looked += 1;
+                if looked % UNCHECKED == 0 {
+                    check()?;
+                }
                 for edge in self.triangle_edges[t as usize] {
                     for beside in self.edge_triangles[edge as usize] {
                         if !seen[beside as usize] {
@@ -303,6 +348,7 @@ impl Topology {
                 }
             }
         }
+        Ok(())
     }
 
     /// Number of vertices for which positions are required.

@@ -3,6 +3,8 @@
 //! The result is closed whatever the coordinates are: every line is an edge of exactly one triangle, every other edge
 //! of exactly two. Coordinates affect only the quality of the triangles.
 
+use std::{cell::RefCell, mem::take};
+
 use glam::{DVec2, DVec3};
 use rustc_hash::FxHashSet;
 
@@ -21,7 +23,20 @@ pub struct Region {
     names: Vec<u32>,
     first_line: Vec<u32>,
     flat: Vec<DVec2>,
-    loops: Vec<Vec<u32>>,
+    /// Loop i is `looped[first_of_loop[i]..first_of_loop[i + 1]]`.
+    looped: Vec<u32>,
+    first_of_loop: Vec<u32>,
+    pieces_by_place: Vec<[u32; 2]>,
+    used: Vec<bool>,
+    scratch: RefCell<Ears>,
+}
+
+/// Buffers of ear clipping.
+#[derive(Default)]
+struct Ears {
+    points: Vec<u32>,
+    sorted: Vec<u32>,
+    qualities: Vec<Option<f64>>,
 }
 
 /// Triangles of a region.
@@ -99,23 +114,26 @@ impl Region {
     /// Joins the pieces into loops. Where several pieces leave a point, choosing the narrowest sector keeps regions
     /// apart.
     fn trace(&mut self) -> Option<()> {
-        let mut pieces = Vec::with_capacity(self.pieces.len());
+        let (mut pieces, mut used) = (take(&mut self.pieces_by_place), take(&mut self.used));
+        pieces.clear();
         for &[from, to] in &self.pieces {
             pieces.push([self.place(from)?, self.place(to)?]);
         }
         pieces.sort_unstable();
-        self.loops.clear();
-        let mut used = vec![false; pieces.len()];
+        used.clear();
+        used.resize(pieces.len(), false);
+        self.looped.clear();
+        self.first_of_loop.clear();
         for start in 0..pieces.len() {
             if used[start] {
                 continue;
             }
-            let mut trace = Vec::new();
+            self.first_of_loop.push(self.looped.len() as u32);
             let mut k = start;
             loop {
                 used[k] = true;
                 let [from, at] = pieces[k];
-                trace.push(from);
+                self.looped.push(from);
                 let first = pieces.partition_point(|p| p[0] < at);
                 let back = pseudo_angle(self.at(from) - self.at(at));
                 let mut best: Option<(f64, usize)> = None;
@@ -139,18 +157,20 @@ impl Region {
                     break;
                 }
             }
-            self.loops.push(trace);
         }
+        self.first_of_loop.push(self.looped.len() as u32);
+        (self.pieces_by_place, self.used) = (pieces, used);
         Some(())
     }
 
     fn fill_loops(&self, filling: &mut Filling) {
-        if let [only] = &self.loops[..] {
-            self.clip_ears(only, &mut None, filling);
+        if self.first_of_loop.len() <= 2 {
+            self.clip_ears(&self.looped, &mut None, filling);
             return;
         }
+        let loops = self.first_of_loop.windows(2).map(|ends| &self.looped[ends[0] as usize..ends[1] as usize]);
         let (mut outer, mut holes): (Vec<Vec<u32>>, Vec<Vec<u32>>) =
-            self.loops.iter().cloned().partition(|points| self.area(points) >= 0.0);
+            loops.map(<[u32]>::to_vec).partition(|points| self.area(points) >= 0.0);
         if outer.is_empty() {
             std::mem::swap(&mut outer, &mut holes);
         }
@@ -236,9 +256,14 @@ impl Region {
     /// Clips the best ear repeatedly. `edges` are those in use, for loops in which points occur more than once; in a
     /// simple loop no edge can repeat.
     fn clip_ears(&self, points: &[u32], edges: &mut Option<FxHashSet<[u32; 2]>>, filling: &mut Filling) {
-        let mut points = points.to_vec();
+        let scratch = &mut *self.scratch.borrow_mut();
+        let Ears { points: left, sorted, qualities } = scratch;
+        left.clear();
+        left.extend_from_slice(points);
+        let points = left;
+        qualities.clear();
         if edges.is_none() && points.len() > 3 {
-            let mut sorted = points.clone();
+            sorted.clone_from(points);
             sorted.sort_unstable();
             if sorted.windows(2).any(|w| w[0] == w[1]) {
                 let all = 0..points.len();
@@ -246,11 +271,10 @@ impl Region {
             }
         }
         let name = |p: u32| self.names[p as usize];
-        let mut qualities: Vec<Option<f64>> = Vec::new();
         while points.len() > 3 {
             let n = points.len();
             if qualities.is_empty() {
-                qualities.extend((0..n).map(|k| self.quality(&points, k, edges)));
+                qualities.extend((0..n).map(|k| self.quality(points, k, edges)));
             }
             let best = |qualities: &[Option<f64>]| {
                 let mut best: Option<(f64, usize)> = None;
@@ -263,15 +287,15 @@ impl Region {
                 }
                 best
             };
-            let mut ear = best(&qualities);
+            let mut ear = best(qualities);
             if ear.is_none_or(|e| e.0 <= 0.0) {
                 // An obstacle may be gone by now.
                 qualities.clear();
-                qualities.extend((0..n).map(|k| self.quality(&points, k, edges)));
-                ear = best(&qualities);
+                qualities.extend((0..n).map(|k| self.quality(points, k, edges)));
+                ear = best(qualities);
             }
             let Some((_, k)) = ear else {
-                self.fan_out(&points, filling);
+                self.fan_out(points, filling);
                 return;
             };
             let (before, after) = (points[(k + n - 1) % n], points[(k + 1) % n]);
@@ -288,7 +312,7 @@ impl Region {
             qualities.remove(k);
             let n = points.len();
             for k in [(k + n - 1) % n, k % n] {
-                qualities[k] = self.quality(&points, k, edges);
+                qualities[k] = self.quality(points, k, edges);
             }
         }
         if let [a, b, c] = points[..] {

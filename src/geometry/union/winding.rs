@@ -419,7 +419,7 @@ impl Flood<'_, '_, '_> {
                 next += 1;
             }
             let Some(&v) = inside.get(next) else { break };
-            let from = placement.placed[(v + placement.first_vertex[self.me as usize]) as usize];
+            let from = placement.placed_or_not(v + placement.first_vertex[self.me as usize], self.me);
             let direction = from - placement.bodies[self.other as usize].centre * placement.scale();
             let ray = Ray { placement, body: self.other, from, skipped: [u32::MAX; 2] };
             state[v as usize] = ZERO + ray.cast(direction, meter)?;
@@ -565,10 +565,8 @@ impl Ray<'_, '_, '_> {
                 if self.skipped.contains(&t) {
                     continue;
                 }
-                let [a, b, c] = mesh.topology.triangles[t as usize].map(|v| {
-                    let placed = placement.placed[(v + placement.first_vertex[self.body as usize]) as usize];
-                    if placed == DVec3::ZERO { placement.position(self.body, v) } else { placed }
-                });
+                let [a, b, c] = mesh.topology.triangles[t as usize]
+                    .map(|v| placement.placed_or_not(v + placement.first_vertex[self.body as usize], self.body));
                 let turn = is_in_front(self.from, to, a, b)?;
                 if is_in_front(self.from, to, b, c)? != turn || is_in_front(self.from, to, c, a)? != turn {
                     continue;

@@ -1,6 +1,6 @@
 //! The surfaces of groups: one mesh in world coordinates, and the lines along which bodies meet.
 
-use std::sync::Arc;
+use std::sync::{Arc, atomic::AtomicBool};
 
 use glam::DVec3;
 use rerun::{AnnotationContext, AnyValues, ComponentDescriptor, LineStrips3D, Mesh3D, components::TriangleIndices};
@@ -62,8 +62,8 @@ struct Mesh {
 }
 
 impl MergedEntities {
-    /// Logs static data.
-    pub fn new(schema: &Schema, chunks: &mut Chunks) -> MergedEntities {
+    /// Logs static data. After an interrupt, frames show overlapping meshes.
+    pub fn new(schema: &Schema, interrupt: Option<&'static AtomicBool>, chunks: &mut Chunks) -> MergedEntities {
         let components = [
             Mesh3D::descriptor_triangle_indices(),
             Mesh3D::descriptor_vertex_positions(),
@@ -84,7 +84,7 @@ impl MergedEntities {
             chunks.log_static(SURFACE, &clear);
         }
         MergedEntities {
-            merger: Merger::new(schema),
+            merger: Merger::new(schema, interrupt),
             surface: chunks.track(SURFACE, components),
             seams: chunks.track(SEAMS, [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_labels()]),
             last: Vec::new(),

@@ -72,7 +72,7 @@ proptest! {
         let positions: Vec<DVec3> = coordinates.chunks(3).map(|c| DVec3::from_slice(c) * scale).collect();
         let bodies: Result<Vec<Body>, _> = positions.chunks(6).map(|p| Body::new(&topology, p)).collect();
         if let Ok(bodies) = bodies
-            && let Ok(union) = union(&bodies, &Budget { work: 1_000_000, time: None })
+            && let Ok(union) = union(&bodies, &Budget { work: 1_000_000, ..Budget::default() })
         {
             look_over(&union.mesh());
         }

@@ -145,7 +145,7 @@ fn what_cannot_be_is_refused() {
 fn a_budget_ends_it() {
     let mut random = Random::new(1);
     let shapes = [sphere(12, 24).shaken(&mut random, 0.5), sphere(12, 24).shaken(&mut random, 0.5)];
-    let budget = Budget { work: 10_000, time: None };
+    let budget = Budget { work: 10_000, ..Budget::default() };
     let Err(UnionError::GaveUp { work, .. }) = try_unite(&shapes, &budget) else { panic!("it did not") };
     assert!(work > 10_000 && work < 100_000);
     let budget = Budget { time: Some(std::time::Duration::ZERO), ..Budget::default() };
