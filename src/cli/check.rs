@@ -303,7 +303,7 @@ fn scripts(paths: &[PathBuf]) -> Result<Vec<Script>, Failure> {
     files
         .into_iter()
         .map(|file| {
-            let scene = Scene::load(&file).map_err(Failure::input)?;
+            let scene = super::run::read(&file)?;
             let name = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
             Ok(Script { scene, golden: file.with_extension("rrd"), name })
         })

@@ -32,7 +32,7 @@ use crate::{
         settings::{Detail, Entities, Frames, Settings, Trigger, application, file_stem},
         sinks::{Destinations, Finished, Host, Serve, Serving, Sinks, Spawn},
     },
-    text::{bytes, counted, did_you_mean, thousands},
+    text::{bytes, counted, did_you_mean, printable, thousands},
 };
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -538,6 +538,23 @@ fn with_overrides(arguments: &Arguments, mut scene: Scene) -> Scene {
     scene
 }
 
+/// Reads a scene file, with a progress bar while a mesh takes long.
+pub(super) fn read(path: &Path) -> Result<Scene, Failure> {
+    let bar = ProgressBar::new(1000); // hidden if standard error is not a terminal
+    if let Ok(style) = ProgressStyle::with_template("reading {msg} {bar:40} {percent} %") {
+        bar.set_style(style);
+    }
+    let start = Instant::now();
+    let loaded = Scene::load_watched(path, &|mesh, share| {
+        if start.elapsed() > Duration::from_millis(300) {
+            bar.set_message(printable(mesh).into_owned());
+            bar.set_position((1000.0 * share) as u64);
+        }
+    });
+    bar.finish_and_clear();
+    loaded.map_err(Failure::input)
+}
+
 /// The built-in scene with this name, or the scene in this file.
 pub(super) fn scene(name: &str) -> Result<Scene, Failure> {
     match Scene::builtin(name) {
@@ -558,7 +575,7 @@ pub(super) fn scene(name: &str) -> Result<Scene, Failure> {
                     "{name} is a recording, not a scene: `meldscope replay {word}` runs what it holds again"
                 )));
             }
-            Scene::load(path).map_err(Failure::input)
+            read(path)
         }
     }
 }

@@ -86,7 +86,7 @@
 //! A mesh must be the surface of a body: closed, consistently oriented, manifold, its triangles counter-clockwise seen from
 //! outside; [`crate::geometry::files`] says what is read of which format. Vertices at the same place are one. The mesh is
 //! moved to its mass centre (the mass of a vertex is a third of the area of its triangles) and scaled so that its farthest
-//! vertex is `radius` away. Whether parts of the surface cross each other is not checked.
+//! vertex is `radius` away. A surface that crosses or touches itself is refused.
 //!
 //! A file may be anywhere that its user can read: it must be a regular one, of 1 GiB at the most. Recordings read no files.
 //! [`Scene::source`], which they carry, has the meshes in it:

@@ -34,6 +34,8 @@ use crate::{
 };
 use error::one_line;
 pub use error::{Place, SceneError};
+use meshes::Files;
+pub use meshes::Watch;
 use reader::{Choice, Integer, Keys, Kind, Number, Source, Table, Text, Value, Vector, is_body_name};
 
 /// See the [limits](self#limits).
@@ -186,6 +188,14 @@ impl Scene {
     /// # Errors
     /// The file cannot be read, is larger than 32 MiB or not UTF-8, or what [`Scene::parse`] refuses.
     pub fn load(path: &std::path::Path) -> Result<Scene, SceneError> {
+        Scene::load_watched(path, &|_, _| ())
+    }
+
+    /// The same, for large meshes: `watch` is told the mesh file that is being read, and the share of it that is done.
+    ///
+    /// # Errors
+    /// Those of [`Scene::load`].
+    pub fn load_watched(path: &std::path::Path, watch: Watch<'_>) -> Result<Scene, SceneError> {
         let file = path.display().to_string();
         let refuse = |message| SceneError { file: file.clone(), place: None, key: String::new(), message, help: None };
         let shown = one_line(&file);
@@ -205,7 +215,7 @@ impl Scene {
             let message = format!("not UTF-8: found the byte 0x{:02x} at offset {offset}", bytes[offset]);
             SceneError { place: Some(Place::of(&valid, offset)), ..refuse(message) }.with_help("save the file as UTF-8")
         })?;
-        Scene::parse_beside(text, path)
+        Scene::parse_with_files(text, path, watch)
     }
 
     /// The scene that `text` describes, as [`Scene::load`] would read it from the file at `path`: meshes are read from
@@ -214,9 +224,22 @@ impl Scene {
     /// # Errors
     /// What [`Scene::parse`] refuses, and meshes that cannot be read or are not the surface of a body.
     pub fn parse_beside(text: &str, path: &std::path::Path) -> Result<Scene, SceneError> {
+        Scene::parse_with_files(text, path, &|_, _| ())
+    }
+
+    fn parse_with_files(text: &str, path: &std::path::Path, watch: Watch<'_>) -> Result<Scene, SceneError> {
         let file = path.display().to_string();
         let folder = path.parent().unwrap_or(std::path::Path::new(""));
-        on_deep_stack(|| read_scene(&Source { text, file: &file }, Some(folder)))
+        on_deep_stack(|| read_scene(&Source { text, file: &file }, Files::Folder(folder, watch)))
+    }
+
+    /// A scene that is compiled in, with the files of its meshes.
+    pub(super) fn parse_given(
+        text: &str,
+        file: &str,
+        meshes: &'static [(&'static str, &'static str)],
+    ) -> Result<Scene, SceneError> {
+        on_deep_stack(|| read_scene(&Source { text, file }, Files::Given(meshes)))
     }
 
     /// The text of a scene's file, from that of [`Scene::source`]: without the meshes that it was given to carry.
@@ -232,7 +255,7 @@ impl Scene {
     /// of range (see the [limits](self#limits)), values that do not fit together, a mesh that is not in the text: no other
     /// file is read.
     pub fn parse(text: &str, file: &str) -> Result<Scene, SceneError> {
-        on_deep_stack(|| read_scene(&Source { text, file }, None))
+        on_deep_stack(|| read_scene(&Source { text, file }, Files::None))
     }
 }
 
@@ -256,7 +279,7 @@ fn on_deep_stack<T: Send>(work: impl Fn() -> T + Sync) -> T {
     })
 }
 
-fn read_scene(source: &Source<'_>, folder: Option<&std::path::Path>) -> Result<Scene, SceneError> {
+fn read_scene(source: &Source<'_>, files: Files<'_>) -> Result<Scene, SceneError> {
     let document = source.document()?;
     let root = Table::root(source, &document, &SCENE)?;
 
@@ -298,7 +321,7 @@ fn read_scene(source: &Source<'_>, folder: Option<&std::path::Path>) -> Result<S
     let material = read_material(&material, thesis)?;
     let (law, influence) = (read_law(&influence, PairLaw::DEFAULT)?, read_influence(&influence)?);
     let influence = Influence { alpha: law.alpha, beta: law.beta, apart_repels: law.apart_repels, ..influence };
-    let mut meshes = meshes::Meshes::new(&mesh_tables, folder)?;
+    let mut meshes = meshes::Meshes::new(&mesh_tables, files)?;
     let bodies =
         body_tables.iter().map(|table| read_body(table, material, &mut meshes)).collect::<Result<Vec<_>, _>>()?;
     let (mut bodies, mut from) = (bodies, body_tables.iter().collect());

@@ -6,6 +6,10 @@ use glam::DVec3;
 use rustc_hash::FxBuildHasher;
 
 use super::Soup;
+use crate::geometry::union::{Budget, self_contact};
+
+/// The work that looking for places where a surface meets itself may take, for each triangle and at least.
+const WORK: [u64; 2] = [200, 100_000_000];
 
 /// What keeps triangles from being the surface of a body. Positions are those of the file.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -75,6 +79,22 @@ pub enum Flaw {
         /// Where the first is.
         position: DVec3,
     },
+    /// Triangles that have a point in common where they are not neighbours.
+    #[error(
+        "it crosses or touches itself: the triangles about {first} and {second} meet there; separate the parts, or merge them"
+    )]
+    Meets {
+        /// The middle of one …
+        first: DVec3,
+        /// … and of the other.
+        second: DVec3,
+    },
+    /// Too many triangles are near each other.
+    #[error("its {triangles} triangles are too close to each other to see whether they cross; simplify it")]
+    Tangled {
+        /// How many there are.
+        triangles: usize,
+    },
     /// The triangles wind the wrong way round.
     #[error("it is inside out: it encloses a volume of {volume:e}; flip its normals")]
     InsideOut {
@@ -84,13 +104,15 @@ pub enum Flaw {
 }
 
 /// The same surface with vertices at the same place made one, without triangles that vanish by that, and without vertices
-/// that no triangle has.
+/// that no triangle has. `watch` is told the share of the work that is done, between 0 and 1.
 ///
 /// # Errors
 /// The triangles are not the surface of a body.
-pub fn closed(soup: Soup) -> Result<Soup, Flaw> {
+pub fn closed(soup: Soup, watch: &dyn Fn(f64)) -> Result<Soup, Flaw> {
     let soup = welded(soup)?;
+    watch(0.2);
     check_edges(&soup)?;
+    watch(0.4);
     let mut areas = vec![0.0; soup.positions.len()];
     let mut volume = 0.0;
     let origin = soup.positions.first().copied().ok_or(Flaw::Empty)?;
@@ -104,7 +126,22 @@ pub fn closed(soup: Soup) -> Result<Soup, Flaw> {
     if let Some(first) = massless().next() {
         return Err(Flaw::Massless { count: massless().count(), position: soup.positions[first] });
     }
-    if volume > 0.0 { Ok(soup) } else { Err(Flaw::InsideOut { volume }) }
+    if !(volume > 0.0) {
+        return Err(Flaw::InsideOut { volume });
+    }
+    let Soup { positions, triangles } = &soup;
+    let budget = Budget { work: WORK[1].max(WORK[0] * triangles.len() as u64), time: None };
+    match self_contact(positions, triangles, &budget, &|share| watch(0.4 + 0.6 * share)) {
+        Ok(None) => Ok(soup),
+        Ok(Some(two)) => {
+            let middle = |t: u32| {
+                let corners = triangles[t as usize].map(|corner| positions[corner as usize] / 3.0);
+                corners.into_iter().sum()
+            };
+            Err(Flaw::Meets { first: middle(two[0]), second: middle(two[1]) })
+        }
+        Err(_) => Err(Flaw::Tangled { triangles: triangles.len() }),
+    }
 }
 
 fn welded(soup: Soup) -> Result<Soup, Flaw> {

@@ -144,26 +144,56 @@ pub struct Loaded {
     pub text: String,
 }
 
-/// Reads the file at `path`, whose format is told by its extension.
+/// Reads the file at `path`, whose format is told by its extension. `watch` is told the share that is done, between 0 and 1.
 ///
 /// # Errors
 /// The file cannot be read, is no regular file, is larger than [`LARGEST_FILE`] or not valid, or its triangles are not the
 /// surface of a body.
-pub fn load(path: &Path) -> Result<Loaded, MeshError> {
+pub fn load(path: &Path, watch: &dyn Fn(f64)) -> Result<Loaded, MeshError> {
+    let format = format(path)?;
+    let bytes = read(path)?;
+    watch(READ);
+    finished(format, bytes, path, watch)
+}
+
+/// The same of a file that is compiled in.
+///
+/// # Errors
+/// The content is not valid, or its triangles are not the surface of a body.
+pub fn from_content(name: &str, content: &str) -> Result<Loaded, MeshError> {
+    let path = Path::new(name);
+    finished(format(path)?, content.as_bytes().to_vec(), path, &|_| ())
+}
+
+/// Shares of loading at which the file is read and parsed.
+const READ: f64 = 0.05;
+const PARSED: f64 = 0.3;
+
+type Parse = fn(&[u8], &Path) -> Result<Soup, String>;
+
+/// The format that a name tells, and its reader.
+fn format(path: &Path) -> Result<(&'static str, Parse), MeshError> {
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
-    type Parse = fn(&[u8], &Path) -> Result<Soup, String>;
-    let (format, parse): (_, Parse) = match extension.as_str() {
+    Ok(match extension.as_str() {
         "obj" => ("OBJ", |bytes, _| obj::parse(bytes)),
         "stl" => ("STL", |bytes, _| stl::parse(bytes)),
         "ply" => ("PLY", |bytes, _| ply::parse(bytes)),
         "gltf" => ("glTF", gltf::parse),
         "glb" => ("GLB", gltf::parse),
         _ => return Err(MeshError::Refused("expected a file that ends in .obj, .stl, .ply, .gltf or .glb".to_owned())),
-    };
-    let bytes = read(path)?;
+    })
+}
+
+fn finished(
+    (format, parse): (&'static str, Parse),
+    bytes: Vec<u8>,
+    path: &Path,
+    watch: &dyn Fn(f64),
+) -> Result<Loaded, MeshError> {
     let soup = parse(&bytes, path).and_then(Soup::in_range).map_err(|what| MeshError::Format { format, what })?;
     drop(bytes);
-    let soup = closed::closed(soup)?;
+    watch(PARSED);
+    let soup = closed::closed(soup, &|share| watch(PARSED + (1.0 - PARSED) * share))?;
     let text = embedded::encode(&soup);
     Ok(Loaded { mesh: finish(soup), text })
 }
@@ -175,7 +205,7 @@ pub fn load(path: &Path) -> Result<Loaded, MeshError> {
 pub fn from_text(text: &str) -> Result<MeshFile, MeshError> {
     let soup = embedded::decode(text).and_then(Soup::in_range);
     let soup = soup.map_err(|what| MeshError::Format { format: "embedded mesh", what })?;
-    Ok(finish(closed::closed(soup)?))
+    Ok(finish(closed::closed(soup, &|_| ())?))
 }
 
 fn finish(soup: Soup) -> MeshFile {

@@ -1,4 +1,7 @@
-//! Wavefront OBJ: `v x y z` and `f a b c …`, indices from 1, or from the end if negative.
+//! Wavefront OBJ: `v x y z` and `f a b c …`, indices from 1, or from the end if negative. A line that ends in `\` goes on in
+//! the next.
+
+use std::borrow::Cow;
 
 use glam::DVec3;
 
@@ -8,11 +11,16 @@ pub fn parse(bytes: &[u8]) -> Result<Soup, String> {
     let mut soup = Soup::default();
     let mut corners = Vec::new();
     // names of materials may be in any encoding; positions and faces are ASCII
-    for (line, bytes) in (1..).zip(bytes.split(|&byte| byte == b'\n')) {
+    let mut lines = (1..).zip(bytes.split(|&byte| byte == b'\n'));
+    while let Some((line, bytes)) = lines.next() {
         if !matches!(bytes.trim_ascii_start(), [b'v' | b'f', b' ' | b'\t', ..]) {
             continue;
         }
-        let text = super::text(bytes).map_err(|what| format!("line {line}: {what}"))?;
+        let mut text = Cow::Borrowed(super::text(bytes).map_err(|what| format!("line {line}: {what}"))?);
+        while let Some(begun) = text.trim_ascii_end().strip_suffix('\\') {
+            let (_, next) = lines.next().unwrap_or_default();
+            text = Cow::Owned(format!("{begun} {}", super::text(next).map_err(|what| format!("line {line}: {what}"))?));
+        }
         let mut words = text.split_ascii_whitespace();
         match words.next() {
             Some("v") => {

@@ -5,13 +5,27 @@ use glam::DVec3;
 use super::{MOST_TRIANGLES, Soup, number};
 
 pub fn parse(bytes: &[u8]) -> Result<Soup, String> {
-    // a binary file may begin with "solid", too: its length decides
-    match bytes.get(80..84) {
-        Some(&[a, b, c, d]) if bytes.len() as u64 == 84 + 50 * u64::from(u32::from_le_bytes([a, b, c, d])) => {
-            binary(&bytes[84..])
-        }
+    // a binary file may begin with "solid", too: its length decides, and more of it may follow
+    let triangles = match bytes.get(80..84) {
+        Some(&[a, b, c, d]) => bytes[84..].get(..50 * u32::from_le_bytes([a, b, c, d]) as usize),
+        _ => None,
+    };
+    match triangles {
+        Some(triangles) if triangles.len() + 84 == bytes.len() => binary(triangles),
+        Some(triangles) if !triangles.is_empty() && !is_ascii(bytes) => binary(triangles),
         _ => ascii(bytes),
     }
+}
+
+/// Whether it begins as an ASCII file: with a name and, soon, a facet.
+fn is_ascii(bytes: &[u8]) -> bool {
+    let head = &bytes[..bytes.len().min(1024)];
+    let has = |word: &[u8]| head.windows(word.len()).any(|part| part.eq_ignore_ascii_case(word));
+    starts_with(bytes, b"solid") && has(b"facet")
+}
+
+fn starts_with(bytes: &[u8], word: &[u8]) -> bool {
+    bytes.trim_ascii_start().get(..word.len()).is_some_and(|start| start.eq_ignore_ascii_case(word))
 }
 
 fn corner(soup: &mut Soup, position: DVec3) -> Result<(), String> {
@@ -40,12 +54,12 @@ fn binary(bytes: &[u8]) -> Result<Soup, String> {
 }
 
 fn ascii(bytes: &[u8]) -> Result<Soup, String> {
-    if !bytes.trim_ascii_start().starts_with(b"solid") {
+    if !starts_with(bytes, b"solid") {
         return Err("neither \"solid\" at its start nor the length of a binary file".to_owned());
     }
     let mut soup = Soup::default();
     for (line, bytes) in (1..).zip(bytes.split(|&byte| byte == b'\n')) {
-        if !bytes.trim_ascii_start().starts_with(b"vertex") {
+        if !starts_with(bytes, b"vertex") {
             continue;
         }
         let mut words =

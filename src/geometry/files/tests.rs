@@ -139,7 +139,7 @@ fn all() -> Vec<(&'static str, Vec<u8>)> {
 #[test]
 fn every_format_has_the_same_cube() {
     for (extension, bytes) in all() {
-        let soup = closed::closed(parse(extension, &bytes).unwrap()).unwrap();
+        let soup = closed::closed(parse(extension, &bytes).unwrap(), &|_| ()).unwrap();
         assert_eq!((soup.positions.len(), soup.triangles.len()), (8, 12), "{extension}");
         let low = soup.positions.iter().copied().fold(DVec3::INFINITY, DVec3::min);
         let high = soup.positions.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
@@ -155,12 +155,32 @@ fn every_format_has_the_same_cube() {
     }
 }
 
+/// What other programs write: lines that go on, capitals, something after the end.
+#[test]
+fn unusual_files_have_the_same_cube() {
+    let own = String::from_utf8(obj()).unwrap();
+    let ascii = String::from_utf8(ascii_stl()).unwrap();
+    let mut longer = stl();
+    longer.extend([0; 7]);
+    let windows = own.replace('\n', "\r\n");
+    for (extension, bytes) in [
+        ("obj", own.replace(" -", " \\\n -").into_bytes()),
+        ("obj", windows.replace(" -", " \\\r\n-").into_bytes()),
+        ("stl", ascii.to_ascii_uppercase().into_bytes()),
+        ("stl", ascii.replace('\n', "\r\n").into_bytes()),
+        ("stl", longer),
+    ] {
+        let soup = closed::closed(parse(extension, &bytes).unwrap(), &|_| ()).unwrap();
+        assert_eq!((soup.positions.len(), soup.triangles.len()), (8, 12), "{extension}");
+    }
+}
+
 #[test]
 fn a_mesh_survives_its_text_to_the_bit() {
     let third = DVec3::splat(1.0 / 3.0);
     let double = Soup { positions: cube().positions.iter().map(|p| *p + third).collect(), triangles: triangles() };
     for soup in [cube(), double] {
-        let soup = closed::closed(soup).unwrap();
+        let soup = closed::closed(soup, &|_| ()).unwrap();
         let text = embedded::encode(&soup);
         assert_eq!(embedded::decode(&text).unwrap(), soup);
         let again = from_text(&text).unwrap();
@@ -173,7 +193,7 @@ fn every_flaw_is_named() {
     let flaw = |change: &dyn Fn(&mut Soup)| {
         let mut soup = cube();
         change(&mut soup);
-        closed::closed(soup).unwrap_err()
+        closed::closed(soup, &|_| ()).unwrap_err()
     };
     assert_eq!(flaw(&|soup| soup.triangles.clear()), Flaw::Empty);
     let open = flaw(&|soup| _ = soup.triangles.pop());
@@ -195,6 +215,13 @@ fn every_flaw_is_named() {
         soup.triangles.extend(other.triangles.iter().map(|t| t.map(|c| c + 8)));
     });
     assert!(matches!(at_edge, Flaw::Crowded { count: 1, .. }), "{at_edge}");
+    let crossing = flaw(&|soup| {
+        let other = cube();
+        soup.positions.extend(other.positions.iter().map(|p| *p + DVec3::new(1.0, 0.5, 0.25)));
+        soup.triangles.extend(other.triangles.iter().map(|t| t.map(|c| c + 8)));
+    });
+    assert!(matches!(crossing, Flaw::Meets { .. }), "{crossing}");
+    assert!(crossing.to_string().contains("the triangles about ["), "{crossing}");
     let infinite = flaw(&|soup| soup.positions[3].y = f64::INFINITY);
     assert!(matches!(infinite, Flaw::NotFinite { vertex: 3, .. }), "{infinite}");
     let flat = flaw(&|soup| soup.positions.iter_mut().for_each(|p| *p = DVec3::X * (p.x + 2.0 * p.y + 4.0 * p.z)));
@@ -204,7 +231,7 @@ fn every_flaw_is_named() {
 #[test]
 fn only_regular_files_are_read() {
     for path in ["/dev/zero", "/dev/null", "/", "/nowhere/x.obj"] {
-        assert!(load(Path::new(path)).is_err());
+        assert!(load(Path::new(path), &|_| ()).is_err());
         assert!(read(Path::new(path)).is_err(), "{path}");
     }
 }
@@ -224,7 +251,7 @@ proptest! {
             bytes.truncate(cut.index(bytes.len()));
         }
         if let Ok(soup) = parse(extension, &bytes) {
-            _ = closed::closed(soup);
+            _ = closed::closed(soup, &|_| ());
         }
     }
 

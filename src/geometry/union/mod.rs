@@ -36,6 +36,7 @@ mod measures;
 mod placement;
 mod report;
 mod seams;
+mod self_contact;
 mod surface;
 mod sweep;
 #[cfg(test)]
@@ -49,6 +50,7 @@ pub use contact::{Contact, Crossing, contact};
 pub use measures::{Hint, PairMeasures, gap, measures_of, pair_measures};
 pub use report::{Budget, UnionError, is_raised};
 pub use seams::Seam;
+pub use self_contact::{SelfContactError, self_contact};
 pub use surface::{Component, NewTriangle, NewVertex, Origin, Statistics, Union, UnionMesh};
 pub use topology::{Topology, TopologyError};
 

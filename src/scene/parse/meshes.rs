@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, path::Path};
 
 use super::{LARGEST_FILE, SceneError, Table, Text, Value};
-use crate::geometry::{MeshFile, Shape, files};
+use crate::geometry::{self, MeshFile, Shape};
 
 /// Where the meshes begin that were added to the text of a scene.
 pub(super) const MARK: &str = "\n# The meshes of this scene, so that it needs no other files:\n";
@@ -15,10 +15,23 @@ fn is_file(name: &str) -> bool {
     (1..=4096).contains(&name.len()) && !name.contains('\0')
 }
 
+/// Where the meshes are that the text of a scene does not carry.
+#[derive(Clone, Copy)]
+pub(in crate::scene) enum Files<'a> {
+    /// Nowhere.
+    None,
+    /// In a folder. The function is told the file that is read and the share that is done.
+    Folder(&'a Path, Watch<'a>),
+    /// Compiled in: names and contents.
+    Given(&'static [(&'static str, &'static str)]),
+}
+
+/// Told the name of a mesh file that is being read, and the share of it that is done, between 0 and 1.
+pub type Watch<'a> = &'a (dyn Fn(&str, f64) + Sync);
+
 /// The meshes of a scene, by the name of their file.
 pub(super) struct Meshes<'a> {
-    /// Where files are looked for; nowhere if they must be in the text.
-    folder: Option<&'a Path>,
+    files: Files<'a>,
     known: BTreeMap<String, MeshFile>,
     /// What the text has to carry of what was read from files.
     text: String,
@@ -26,12 +39,12 @@ pub(super) struct Meshes<'a> {
 
 impl<'a> Meshes<'a> {
     /// Those that the text has.
-    pub fn new(tables: &[Table<'_>], folder: Option<&'a Path>) -> Result<Meshes<'a>, SceneError> {
-        let mut meshes = Meshes { folder, known: BTreeMap::new(), text: String::new() };
+    pub fn new(tables: &[Table<'_>], files: Files<'a>) -> Result<Meshes<'a>, SceneError> {
+        let mut meshes = Meshes { files, known: BTreeMap::new(), text: String::new() };
         for table in tables {
             let file = table.required("file", FILE)?;
             let data = table.required("data", DATA)?;
-            let mesh = files::from_text(&data).map_err(|error| table.error("data", error.to_string()))?;
+            let mesh = geometry::files::from_text(&data).map_err(|error| table.error("data", error.to_string()))?;
             if meshes.known.insert(file, mesh).is_some() {
                 return Err(table.error("file", "expected a file that no other [[mesh]] is of".to_owned()));
             }
@@ -46,11 +59,19 @@ impl<'a> Meshes<'a> {
             return Ok(Shape::Mesh(mesh.clone()));
         }
         let shown: String = name.escape_debug().take(200).collect();
-        let folder = self.folder.ok_or_else(|| {
+        let given = |files: &'static [(&str, &str)]| files.iter().find(|file| file.0 == name);
+        let loaded = match self.files {
+            Files::Folder(folder, watch) => {
+                Some(geometry::files::load(&folder.join(name), &|share| watch(&shown, share)))
+            }
+            Files::Given(files) => given(files).map(|(name, content)| geometry::files::from_content(name, content)),
+            Files::None => None,
+        };
+        let loaded = loaded.ok_or_else(|| {
             let message = format!("the mesh \"{shown}\" is not in the text of the scene");
             value.error(message).with_help("load the scene from its file, or add a [[mesh]] to it")
         })?;
-        let loaded = files::load(&folder.join(name)).map_err(|error| value.error(format!("\"{shown}\": {error}")))?;
+        let loaded = loaded.map_err(|error| value.error(format!("\"{shown}\": {error}")))?;
         let file = toml::Value::String(name.to_owned());
         self.text.push_str(&format!("[[mesh]]\nfile = {file}\ndata = \"{}\"\n", loaded.text));
         if self.text.len() as u64 > LARGEST_FILE / 4 * 3 {
