@@ -12,6 +12,13 @@ const SHAPE_BYTES: u64 = 56;
 const MESH_BYTES: u64 = 104;
 /// What looking at a vertex takes, at most: six forces by cause and their sum, positions, normals, arrows [bytes].
 const OBSERVE_BYTES: u64 = 400;
+/// A vertex in a scene with free bodies: rest position and mass at the scale of its body, and its motion and what acts on
+/// it at the five samples of a step, as if all bodies were one island [bytes].
+const COUPLED_BYTES: u64 = 32 + 5 * 72;
+/// The same where there are planes: their forces by the last two evaluations [bytes].
+const PLANE_BYTES: u64 = 2 * 160;
+/// A body of such a scene in a step, without its vertices [bytes].
+const COUPLED_BODY_BYTES: u64 = 4096;
 /// A body without its vertices: names, path, surroundings [bytes].
 const BODY_BYTES: u64 = 2048;
 /// A pair of bodies that are near each other, and what each knows of the other [bytes].
@@ -80,12 +87,17 @@ pub fn needed(scene: &Scene) -> u64 {
             })
         })
         .fold(0, u64::saturating_add);
+    let (of_vertex, of_body) = match (scene.is_coupled(), scene.planes.is_empty()) {
+        (false, _) => (STATE_BYTES, BODY_BYTES),
+        (true, true) => (STATE_BYTES + COUPLED_BYTES, BODY_BYTES + COUPLED_BODY_BYTES),
+        (true, false) => (STATE_BYTES + COUPLED_BYTES + PLANE_BYTES, BODY_BYTES + COUPLED_BODY_BYTES),
+    };
     let largest = scene.bodies.iter().map(|body| body.shape.vertex_count()).max().unwrap_or(0);
     scene
         .vertex_count()
-        .saturating_mul(STATE_BYTES)
+        .saturating_mul(of_vertex)
         .saturating_add(largest.saturating_mul(OBSERVE_BYTES))
-        .saturating_add((scene.bodies.len() as u64).saturating_mul(BODY_BYTES))
+        .saturating_add((scene.bodies.len() as u64).saturating_mul(of_body))
         .saturating_add(shapes)
         .saturating_add(3 * scene.source.len() as u64) // kept by the scene, by the schema, and for the recording
 }
