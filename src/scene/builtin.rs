@@ -1,4 +1,4 @@
-//! The built-in scenes: files in `recordings/`, compiled in.
+//! The built-in scenes, compiled in: files in `recordings/`, where their golden recordings are, and one too large for that.
 
 use super::Scene;
 
@@ -9,19 +9,34 @@ pub struct Builtin {
     pub name: &'static str,
     /// The scene file.
     pub text: &'static str,
+    /// The mesh files that it names, and their contents.
+    pub meshes: &'static [(&'static str, &'static str)],
 }
 
 /// All built-in scenes, in the order in which they are listed to users.
-pub const ALL: [Builtin; 8] = [
-    Builtin { name: "push", text: include_str!("../../recordings/push.toml") },
-    Builtin { name: "two", text: include_str!("../../recordings/two.toml") },
-    Builtin { name: "three", text: include_str!("../../recordings/three.toml") },
-    Builtin { name: "size_ratio", text: include_str!("../../recordings/size_ratio.toml") },
-    Builtin { name: "crowd", text: include_str!("../../recordings/crowd.toml") },
-    Builtin { name: "collide", text: include_str!("../../recordings/collide.toml") },
-    Builtin { name: "orbit", text: include_str!("../../recordings/orbit.toml") },
-    Builtin { name: "drop", text: include_str!("../../recordings/drop.toml") },
+pub const ALL: [Builtin; 10] = [
+    scene("push", include_str!("../../recordings/push.toml")),
+    scene("two", include_str!("../../recordings/two.toml")),
+    scene("three", include_str!("../../recordings/three.toml")),
+    scene("size_ratio", include_str!("../../recordings/size_ratio.toml")),
+    scene("crowd", include_str!("../../recordings/crowd.toml")),
+    scene("collide", include_str!("../../recordings/collide.toml")),
+    scene("orbit", include_str!("../../recordings/orbit.toml")),
+    scene("drop", include_str!("../../recordings/drop.toml")),
+    Builtin {
+        name: "mesh",
+        text: include_str!("../../recordings/mesh.toml"),
+        meshes: &[
+            ("knot.obj", include_str!("../../recordings/knot.obj")),
+            ("star.obj", include_str!("../../recordings/star.obj")),
+        ],
+    },
+    scene("rain", include_str!("rain.toml")),
 ];
+
+const fn scene(name: &'static str, text: &'static str) -> Builtin {
+    Builtin { name, text, meshes: &[] }
+}
 
 impl Builtin {
     /// What to watch for: the lines of the comment at the head of the file.
@@ -31,12 +46,12 @@ impl Builtin {
 }
 
 impl Scene {
-    /// A built-in scene: `push`, `two`, `three`, `size_ratio`, `crowd`, `collide`, `orbit` or `drop`; `None` for other
-    /// names.
+    /// A built-in scene: `push`, `two`, `three`, `size_ratio`, `crowd`, `collide`, `orbit`, `drop`, `mesh` or `rain`; `None`
+    /// for other names.
     pub fn builtin(name: &str) -> Option<Scene> {
         let builtin = ALL.iter().find(|builtin| builtin.name == name)?;
         // A test parses every built-in scene, so an error would mean a broken build; the scene is then treated as
         // absent.
-        Scene::parse(builtin.text, builtin.name).ok()
+        Scene::parse_given(builtin.text, builtin.name, builtin.meshes).ok()
     }
 }
