@@ -8,6 +8,7 @@ mod cli;
 mod events;
 mod faults;
 mod files;
+mod free_bodies;
 mod integrators;
 mod octahedra;
 mod physics;
