@@ -2,7 +2,8 @@
 //!
 //! The error is the largest distance of any vertex from its position in an independent [`Reference`], in radii of the
 //! vertex's body, over all steps of the run that coincide with a step of the scene. The run time covers the steps
-//! alone, on one thread. Cases take turns, so that other load on the machine affects all of them alike.
+//! alone, on one thread. Cases take turns, so that other load on the machine affects all of them alike. Scenes with free
+//! bodies have [another reference](super::particles).
 
 pub mod csv;
 pub mod diagram;
@@ -16,11 +17,12 @@ use std::{
 
 use super::{
     MeasureError,
+    particles::Particles,
     reference::{Accuracy, Reference},
 };
 use crate::{
     scene::{Integrator, Scene},
-    sim::{TooLarge, World},
+    sim::{Options, TooLarge, World},
 };
 
 /// What to measure.
@@ -39,18 +41,24 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// The default for a scene: step sizes from 4 to 1/16 of its own, tolerances from 1e-3 to 1e-11 and its own.
+    /// The default for a scene: step sizes from 4 to 1/16 of its own, tolerances from 1e-3 to 1e-11 and its own. For free
+    /// bodies, which take longer: step sizes from 2 to 1/8, tolerances from 1e-3 to 1e-8, fewer runs.
     pub fn of(scene: &Scene) -> Settings {
-        let mut tolerances: Vec<f64> = (3..=11).map(|digits| 10f64.powi(-digits)).collect();
+        let is_coupled = scene.is_coupled();
+        let mut tolerances: Vec<f64> =
+            (3..=if is_coupled { 8 } else { 11 }).map(|digits| 10f64.powi(-digits)).collect();
         if !tolerances.iter().any(|tolerance| (tolerance / scene.tolerance - 1.0).abs() < 1e-9) {
             tolerances.push(scene.tolerance);
             tolerances.sort_by(|x, y| y.total_cmp(x));
         }
         Settings {
             integrators: Integrator::ALL.to_vec(),
-            factors: vec![4.0, 2.0, 1.0, 0.5, 0.25, 0.125, 0.0625],
+            factors: match is_coupled {
+                true => vec![2.0, 1.0, 0.5, 0.25, 0.125],
+                false => vec![4.0, 2.0, 1.0, 0.5, 0.25, 0.125, 0.0625],
+            },
             tolerances,
-            runs: 5,
+            runs: if is_coupled { 3 } else { 5 },
             shortest: Duration::from_millis(20),
         }
     }
@@ -128,6 +136,8 @@ pub struct Measurement {
 pub struct Report {
     /// Name of the scene.
     pub scene: String,
+    /// Whether it has free bodies.
+    pub is_coupled: bool,
     /// Step size of the scene [s].
     pub dt: f64,
     /// Tolerance of the scene [1/s].
@@ -201,6 +211,7 @@ pub fn measure(scene: &Scene, settings: &Settings, progress: &mut dyn FnMut(f64)
 
     let mut report = Report {
         scene: scene.name.clone(),
+        is_coupled: scene.is_coupled(),
         dt: scene.dt,
         tolerance: scene.tolerance,
         duration: scene.steps() as f64 * scene.dt,
@@ -236,6 +247,12 @@ fn cases(scene: &Scene, settings: &Settings) -> Vec<Case> {
 }
 
 impl Case {
+    /// Free bodies rest when they move little by the standard of the tolerance: without one, none may rest.
+    fn world(&self) -> Result<World, TooLarge> {
+        let skip = !(self.scene.is_coupled() && self.scheme == Scheme::Fixed(Integrator::Exponential));
+        World::with_options(self.scene.clone(), Options { skip, ..Options::default() })
+    }
+
     /// Performs as many runs as fit into one round's share of the requested time.
     fn take_times(&mut self, round: usize, settings: &Settings) -> Result<(), TooLarge> {
         if self.run_times.iter().sum::<f64>() > LONGEST.as_secs_f64() {
@@ -245,7 +262,7 @@ impl Case {
         let known = self.run_times.first().copied();
         let mut left = share * (round + 1) as f64 - self.run_times.iter().sum::<f64>();
         loop {
-            let mut world = World::new(self.scene.clone())?;
+            let mut world = self.world()?;
             let start = Instant::now();
             for _ in 0..self.steps {
                 world.step();
@@ -300,9 +317,17 @@ fn try_out(scene: &Scene) -> Result<(), MeasureError> {
     Ok(())
 }
 
+/// A reference solution.
+enum Solution {
+    /// Of prescribed paths: each vertex by itself.
+    Vertices(Reference),
+    /// Of free bodies: all vertices together.
+    Particles(Particles),
+}
+
 /// The reference, and its accuracy.
 struct Judge {
-    reference: Reference,
+    reference: Solution,
     agreement: f64,
     /// Number of scene steps between instants.
     stride: u64,
@@ -313,9 +338,15 @@ impl Judge {
         let steps = scene.steps();
         let stride = steps.div_ceil(MOST_INSTANTS).next_power_of_two();
         let instants: Vec<f64> = (0..=steps / stride).map(|k| (k * stride) as f64 * scene.dt).collect();
-        let usual = Reference::solve(scene, &instants, Accuracy::DEFAULT)?;
-        let reference = Reference::solve(scene, &instants, Accuracy::TIGHTER)?;
-        Ok(Judge { agreement: usual.largest_difference(&reference, scene), reference, stride })
+        let (agreement, reference) = if scene.is_coupled() {
+            let (usual, halved) = (Particles::solve(scene, &instants, 1)?, Particles::solve(scene, &instants, 2)?);
+            (usual.largest_difference(&halved, scene), Solution::Particles(halved))
+        } else {
+            let usual = Reference::solve(scene, &instants, Accuracy::DEFAULT)?;
+            let tighter = Reference::solve(scene, &instants, Accuracy::TIGHTER)?;
+            (usual.largest_difference(&tighter, scene), Solution::Vertices(tighter))
+        };
+        Ok(Judge { agreement, reference, stride })
     }
 
     /// The index of the reference instant that coincides with `step` steps of a case, if there is one.
@@ -327,7 +358,7 @@ impl Judge {
 
     /// The largest error over time and vertices [radii]; `None` if the run diverged.
     fn error(&self, case: &Case) -> Result<Option<f64>, TooLarge> {
-        let mut world = World::new(case.scene.clone())?;
+        let mut world = case.world()?;
         let mut largest = 0.0;
         for step in 1..=case.steps {
             if world.step().failure.is_some() {
@@ -335,8 +366,14 @@ impl Judge {
             }
             let Some(instant) = self.instant(case, step) else { continue };
             for (index, body) in world.bodies().enumerate() {
-                let found = (0..body.vertex_count()).map(|vertex| body.displacement(vertex));
-                let error = self.reference.distance(index, instant, found) / body.scene().radius;
+                let distance = match &self.reference {
+                    Solution::Particles(reference) => reference.distance(index, instant, body.positions()),
+                    Solution::Vertices(reference) => {
+                        let found = (0..body.vertex_count()).map(|vertex| body.displacement(vertex));
+                        reference.distance(index, instant, found)
+                    }
+                };
+                let error = distance / body.scene().radius;
                 if error.is_nan() || error > DIVERGED {
                     return Ok(None);
                 }

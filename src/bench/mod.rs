@@ -81,6 +81,7 @@ pub mod extrapolation;
 pub mod goals;
 pub mod machine;
 pub mod output;
+pub mod particles;
 pub mod record;
 pub mod reference;
 pub mod scale;
@@ -93,6 +94,7 @@ use crate::{
     scene::{Body, Path},
     sim::{self, TooLarge},
 };
+use particles::NoParticles;
 use reference::NoReference;
 
 /// Why something cannot be measured.
@@ -107,6 +109,9 @@ pub enum MeasureError {
     /// No reference solution is available.
     #[error(transparent)]
     NoReference(#[from] NoReference),
+    /// No reference solution of free bodies is available.
+    #[error(transparent)]
+    NoParticles(#[from] NoParticles),
     /// The scene needs more memory than there is.
     #[error(transparent)]
     TooLarge(#[from] TooLarge),

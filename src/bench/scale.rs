@@ -9,6 +9,7 @@
 pub mod csv;
 pub mod decay;
 pub mod diagram;
+pub mod free;
 pub mod free_oscillation;
 pub mod goals;
 pub mod scenes;
@@ -166,6 +167,8 @@ pub struct Report {
     pub free_oscillation: Vec<FreeOscillation>,
     /// Bodies that come to rest.
     pub decay: Vec<Decay>,
+    /// Free bodies.
+    pub free: free::Free,
     /// Scenes that need more memory than there is.
     pub too_large: Vec<TooLarge>,
     /// Number of threads used for all cores.
@@ -258,9 +261,14 @@ pub fn measure(settings: &Settings, progress: &mut dyn FnMut(f64)) -> Result<Rep
         }
     }
     let free_oscillation = free_oscillation::measure(&pair, &pools, settings.time, largest)?;
+    let prescribed = |bodies| {
+        let mut of_contact = points.iter().filter(|point| point.family == Family::Contact);
+        of_contact.find(|point| point.bodies == bodies).map(|point| point.one.seconds)
+    };
+    let free = free::measure(&pair, &pools, &settings.bodies, settings.time, prescribed)?;
     let threads = pools.best().current_num_threads();
     let decay = pools.one.install(|| decay::measure(&pair, settings.decay))?;
-    Ok(Report { points, two, free_oscillation, decay, too_large, threads })
+    Ok(Report { points, two, free_oscillation, decay, free, too_large, threads })
 }
 
 /// Steps the whole of `two` repeatedly.

@@ -7,6 +7,7 @@
 //! | the closed form without influence | [`exact`] |
 //! | a million steps without damping | [`drift`] |
 //! | bodies of very different sizes | [`sizes`] |
+//! | free bodies | [`free`] |
 //! | tables and CSV | [`table`] |
 //!
 //! A run passes if its state is finite after every step and within [`MARGIN`] of the energy bound. The exponential
@@ -17,6 +18,7 @@ pub mod bound;
 pub mod cases;
 pub mod drift;
 pub mod exact;
+pub mod free;
 pub mod sizes;
 pub mod table;
 

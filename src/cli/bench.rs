@@ -19,7 +19,7 @@ use crate::{
         error::{self, Settings, csv::csv, diagram, table},
         machine::Machine,
         output::Output,
-        stability::{self, cases::Case, drift, sizes, table as of_stability},
+        stability::{self, cases::Case, drift, free, sizes, table as of_stability},
         surface,
     },
     scene::Integrator,
@@ -51,7 +51,7 @@ enum What {
 #[derive(clap::Args)]
 struct ErrorArguments {
     /// Scene files, or names of built-in scenes (see `meldscope scenes`).
-    #[arg(default_values = ["push", "two", "three", "size_ratio"])]
+    #[arg(default_values = ["push", "two", "three", "size_ratio", "collide"])]
     scene: Vec<String>,
     #[command(flatten)]
     files: Files,
@@ -180,12 +180,21 @@ fn stability(arguments: StabilityArguments) -> Result<(), Failure> {
     let drifts = settings.integrators.par_iter().map(drift).collect::<Result<Vec<_>, _>>().map_err(failed)?;
     print(&format!("\n{}", of_stability::energy(&drifts)));
     print(&format!("\n{}", of_stability::sizes(&sizes::measure().map_err(failed)?)));
+    let free_rows = free::measure(&settings.integrators).map_err(failed)?;
+    print(&format!("\n{}", free::table(&free_rows)));
+    for trouble in settings.integrators.iter().flat_map(|&of| free::troubles(&free_rows, of)) {
+        print(&trouble);
+    }
     let whole = clock.elapsed().as_secs_f64();
     print(&format!("\n{}; {whole:.0} s, of which the cases took {swept:.0} s", Machine::detect().at_full_load()));
     write(csv_file, || of_stability::csv(&rows))?;
 
     if drifts.iter().any(|drift| drift.integrator == Integrator::Exponential && !drift.is_small()) {
         return Err(Failure::Run("exponential does not keep the energy over a million steps".to_owned()));
+    }
+    if let Some(row) = free_rows.iter().find(|row| row.is_defect()) {
+        let (axis, what) = (row.case.axis.name(), &row.case.what);
+        return Err(Failure::Run(format!("exponential fails with free bodies: {axis}, {what}")));
     }
     verdict(&rows)
 }

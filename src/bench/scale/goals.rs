@@ -48,6 +48,24 @@ pub fn goals(report: &Report) -> Vec<Goal> {
     if let Some(point) = report.of(Family::Rest).last().filter(|point| point.bodies >= 1000) {
         goals.push(at_most("memory of a body at rest", 1024.0, " B", point.memory as f64 / point.bodies as f64));
     }
+    if let Some(contact) = report.free.contact.last() {
+        let what = format!("{} free bodies in contact, of the prescribed rate, one core", contact.bodies);
+        goals.push(at_least(&what, 0.4, " ×", contact.rate()));
+    }
+    if let Some(resting) = report.free.resting.last() {
+        let what = match resting.asleep == resting.bodies {
+            true => {
+                format!("{} free bodies at rest on a plane beside one that moves, against that one", resting.bodies)
+            }
+            false => {
+                let (bodies, asleep) = (resting.bodies, resting.asleep);
+                format!(
+                    "{bodies} free bodies on a plane, of which only {asleep} have come to rest, beside one that moves"
+                )
+            }
+        };
+        goals.push(at_most(&what, 1.3, " ×", resting.seconds / resting.alone));
+    }
     for decay in &report.decay {
         // subnormal floats take a hundred times as long; the factor of 2 was chosen here
         let how = if decay.skip { "" } else { ", nothing skipped" };

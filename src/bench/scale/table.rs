@@ -56,6 +56,20 @@ pub fn table(report: &Report) -> String {
     let what = "a scene of two bodies that decays to nothing: time of a step and of looking at all vertices";
     add(what.to_owned(), tables::table(["", "steps", "in the beginning", "slowest", "in the end"], rows));
 
+    let time = |seconds: f64| format!("{} µs", significant(1e6 * seconds));
+    let rows = report.free.contact.iter().map(|each| {
+        let rate = format!("{:.3}", each.rate());
+        [thousands(each.bodies as u64), time(each.free), time(each.prescribed), rate]
+    });
+    let heading = ["bodies", "a step, free", "on paths", "rate of the free"];
+    add("free bodies in contact, in pairs, one core".to_owned(), tables::table(heading, rows));
+    let rows = report.free.resting.iter().map(|each| {
+        let [bodies, asleep] = [each.bodies, each.asleep].map(|count| thousands(count as u64));
+        [bodies, asleep, time(each.seconds), time(each.alone)]
+    });
+    let heading = ["bodies", "at rest", "a step", "of the moving one alone"];
+    add("free bodies on a plane, and one that moves, one core".to_owned(), tables::table(heading, rows));
+
     parts.extend(report.too_large.iter().map(|too_large| format!("left out: {too_large}")));
     parts.join("\n\n")
 }

@@ -1,0 +1,346 @@
+//! An independent solution of a scene with free bodies, for judging the integrators.
+//!
+//! It uses nothing of [`crate::sim`]. Every vertex is a particle, as in `model.md`: its acceleration is evaluated from the
+//! positions and velocities of all particles, with mass centres and best rotations (by Newton's iteration for the polar
+//! decomposition) found anew each time. The classical Runge–Kutta method takes many small steps of fixed length; a step in
+//! which a pair reaches a threshold ends there. Rims of spheres and planes are passed within steps, which is what limits the
+//! accuracy: to some 1e-8 of a radius, which is measured by halving the steps.
+
+use glam::{DMat3, DVec3};
+
+use crate::{
+    model::{
+        influence::{self, Scaling},
+        phase::Phase,
+        shape_matching::{Rotation, resistance},
+    },
+    scene::{Motion, Path, Response, Scene},
+};
+
+/// Steps per unit of time, in units of the largest rate of the scene …
+const STEPS: f64 = 400.0;
+/// … and per second.
+const LEAST: f64 = 8_000.0;
+/// The most evaluations of a particle's acceleration: a minute or so.
+const MOST_EVALUATIONS: f64 = 2e9;
+/// A threshold is located to this share of a step.
+const LOCATED: f64 = 1e-9;
+
+/// World positions at given instants.
+pub struct Particles {
+    /// `[instant][body][vertex]` [scene unit]
+    positions: Vec<Vec<Vec<DVec3>>>,
+}
+
+/// Why there is no such solution.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum NoParticles {
+    /// It would take too long.
+    #[error(
+        "a reference solution would take {0:.0e} evaluations, more than {MOST_EVALUATIONS:.0e}; make the scene softer, smaller \
+         or shorter"
+    )]
+    TooLong(f64),
+    /// There are pushes.
+    #[error("the reference solution for free bodies knows no pushes; leave them out")]
+    Pushes,
+}
+
+impl Particles {
+    /// Solves the scene; `divided` is the number of parts of each usual step.
+    ///
+    /// # Errors
+    /// It has pushes, or would take too long.
+    pub fn solve(scene: &Scene, instants: &[f64], divided: u32) -> Result<Particles, NoParticles> {
+        if !scene.pushes.is_empty() {
+            return Err(NoParticles::Pushes);
+        }
+        let planes = scene.planes.iter().map(|plane| plane.stiffness.sqrt());
+        let laws = scene.laws().map(|law| law.alpha.max(law.beta).sqrt());
+        let rates = scene.bodies.iter().map(|body| body.material.omega.max(2.0 * body.material.damping));
+        let rate = rates.chain(planes).chain(laws).fold(0.0, f64::max);
+        let per_second = (STEPS * rate / std::f64::consts::TAU).max(LEAST) * f64::from(divided);
+        let end = instants.last().copied().unwrap_or(0.0);
+        let evaluations = 4.0 * per_second * end * scene.vertex_count() as f64 * scene.bodies.len() as f64;
+        if !(evaluations < MOST_EVALUATIONS * f64::from(divided)) {
+            return Err(NoParticles::TooLong(evaluations));
+        }
+        let mut system = System::new(scene);
+        let mut state = system.initial();
+        let mut positions = Vec::with_capacity(instants.len());
+        let mut t = 0.0;
+        for &instant in instants {
+            let steps = ((instant - t) * per_second).ceil();
+            let start = t;
+            for step in 1..=steps as u64 {
+                let next = start + (instant - start) * (step as f64 / steps);
+                system.advance(&mut state, t, next);
+                t = next;
+            }
+            t = instant;
+            positions.push(state.positions.clone());
+        }
+        Ok(Particles { positions })
+    }
+
+    /// The largest distance of a body's vertices from where they are found at an instant [scene unit].
+    pub fn distance(&self, body: usize, instant: usize, found: impl Iterator<Item = DVec3>) -> f64 {
+        let distances = self.positions[instant][body].iter().zip(found).map(|(here, there)| here.distance(there));
+        distances
+            .fold(0.0, |largest, distance| if distance > largest || distance.is_nan() { distance } else { largest })
+    }
+
+    /// The largest distance of any vertex from where another solution has it [radii of its body].
+    pub fn largest_difference(&self, other: &Particles, scene: &Scene) -> f64 {
+        let each =
+            (0..self.positions.len()).flat_map(|instant| (0..scene.bodies.len()).map(move |body| (instant, body)));
+        let difference = |(instant, body): (usize, usize)| {
+            self.distance(body, instant, other.positions[instant][body].iter().copied()) / scene.bodies[body].radius
+        };
+        each.map(difference).fold(0.0, f64::max)
+    }
+}
+
+/// Positions and velocities of all particles `[body][vertex]`, or the rates of both.
+#[derive(Clone)]
+struct State {
+    positions: Vec<Vec<DVec3>>,
+    velocities: Vec<Vec<DVec3>>,
+}
+
+impl State {
+    /// This plus `h` times the rates.
+    fn plus(&self, h: f64, rates: &State) -> State {
+        let sum = |of: &[Vec<DVec3>], rate: &[Vec<DVec3>]| -> Vec<Vec<DVec3>> {
+            of.iter().zip(rate).map(|(of, rate)| of.iter().zip(rate).map(|(v, r)| *v + h * *r).collect()).collect()
+        };
+        State {
+            positions: sum(&self.positions, &rates.positions),
+            velocities: sum(&self.velocities, &rates.velocities),
+        }
+    }
+}
+
+struct Particle {
+    /// Where it rests, about the mass centre [scene unit].
+    rest: DVec3,
+    mass: f64,
+}
+
+struct System<'a> {
+    scene: &'a Scene,
+    bodies: Vec<Vec<Particle>>,
+    /// The phase of each pair of bodies a < b.
+    phases: Vec<(usize, usize, Phase)>,
+}
+
+impl<'a> System<'a> {
+    fn new(scene: &'a Scene) -> System<'a> {
+        let particles = |body: &crate::scene::Body| {
+            let mesh = body.shape.mesh();
+            let rest = mesh.positions().iter().zip(mesh.shares());
+            let mut particles: Vec<Particle> =
+                rest.map(|(p, share)| Particle { rest: body.radius * p, mass: body.mass * share }).collect();
+            if matches!(body.motion, Motion::Free(_)) {
+                let mass: f64 = particles.iter().map(|p| p.mass).sum();
+                let centre = particles.iter().map(|p| p.mass * p.rest).sum::<DVec3>() / mass;
+                particles.iter_mut().for_each(|p| p.rest -= centre);
+            }
+            particles
+        };
+        let mut system = System { scene, bodies: scene.bodies.iter().map(particles).collect(), phases: Vec::new() };
+        let state = system.initial();
+        for a in 0..scene.bodies.len() {
+            for b in a + 1..scene.bodies.len() {
+                let q = system.distance(&state, 0.0, a, b);
+                system.phases.push((a, b, scene.law(a, b).thresholds.initial(q)));
+            }
+        }
+        system
+    }
+
+    fn initial(&self) -> State {
+        let mut state = State { positions: Vec::new(), velocities: Vec::new() };
+        for (body, particles) in self.scene.bodies.iter().zip(&self.bodies) {
+            let (centre, velocity, spin) = match &body.motion {
+                Motion::Free(free) => (free.from, free.velocity, free.spin),
+                // x′ = 0, whatever the path does
+                Motion::Prescribed(path) => (path.at(0.0).position, path.at(0.0).velocity, DVec3::ZERO),
+            };
+            state.positions.push(particles.iter().map(|p| centre + p.rest).collect());
+            state.velocities.push(particles.iter().map(|p| velocity + spin.cross(p.rest)).collect());
+        }
+        state
+    }
+
+    fn path(&self, body: usize) -> Option<&Path> {
+        self.scene.bodies[body].path()
+    }
+
+    fn centre(&self, state: &State, t: f64, body: usize) -> DVec3 {
+        match self.path(body) {
+            Some(path) => path.at(t).position,
+            None => mean(&self.bodies[body], &state.positions[body]),
+        }
+    }
+
+    /// q of a pair.
+    fn distance(&self, state: &State, t: f64, a: usize, b: usize) -> f64 {
+        let radii = self.scene.bodies[a].radius + self.scene.bodies[b].radius;
+        self.centre(state, t, a).distance(self.centre(state, t, b)) / radii
+    }
+
+    /// Takes a step, in parts if thresholds are reached in it.
+    fn advance(&mut self, state: &mut State, mut t: f64, end: f64) {
+        while t < end {
+            let next = self.after(state, t, end - t);
+            let Some(first) = self.first_change(state, &next, t, end) else {
+                *state = next;
+                return;
+            };
+            // of those that change in the step, the first: by bisection of the time at which any has changed
+            let (mut low, mut high) = (0.0, 1.0);
+            let mut change = first;
+            while high - low > LOCATED {
+                let middle = 0.5 * (low + high);
+                let there = t + middle * (end - t);
+                match self.first_change(state, &self.after(state, t, there - t), t, there) {
+                    Some(found) => (high, change) = (middle, found),
+                    None => low = middle,
+                }
+            }
+            let there = t + high * (end - t);
+            *state = self.after(state, t, there - t);
+            self.phases[change.0].2 = change.1;
+            t = there;
+        }
+    }
+
+    /// A pair that has passed a threshold on the way from one state to another, and its new phase.
+    fn first_change(&self, before: &State, after: &State, t: f64, end: f64) -> Option<(usize, Phase)> {
+        self.phases.iter().enumerate().find_map(|(index, &(a, b, phase))| {
+            let (from, to) = (self.distance(before, t, a, b), self.distance(after, end, a, b));
+            let mut transitions = self.scene.law(a, b).thresholds.transitions(phase);
+            let passed = transitions.find(|change| {
+                let sign = if change.falling { 1.0 } else { -1.0 };
+                sign * (to - change.level) < 0.0 && sign * (from - to) > 0.0
+            });
+            passed.map(|change| (index, change.to))
+        })
+    }
+
+    fn after(&self, state: &State, t: f64, h: f64) -> State {
+        let k1 = self.rates(state, t);
+        let k2 = self.rates(&state.plus(0.5 * h, &k1), t + 0.5 * h);
+        let k3 = self.rates(&state.plus(0.5 * h, &k2), t + 0.5 * h);
+        let k4 = self.rates(&state.plus(h, &k3), t + h);
+        let sum = state.plus(h / 6.0, &k1).plus(h / 3.0, &k2).plus(h / 3.0, &k3);
+        sum.plus(h / 6.0, &k4)
+    }
+
+    fn rates(&self, state: &State, t: f64) -> State {
+        let scene = self.scene;
+        let count = self.bodies.len();
+        let centres: Vec<DVec3> = (0..count).map(|body| self.centre(state, t, body)).collect();
+        let mut accelerations: Vec<Vec<DVec3>> =
+            (0..count).map(|body| self.own(state, t, body, centres[body])).collect();
+        let mut reactions = vec![DVec3::ZERO; count];
+        for &(a, b, phase) in &self.phases {
+            let law = scene.law(a, b);
+            let radii = scene.bodies[a].radius + scene.bodies[b].radius;
+            let strength = law.strength(phase, centres[a].distance(centres[b]) / radii);
+            for (own, source) in [(a, b), (b, a)] {
+                let (radius, of_source) = (scene.bodies[own].radius, scene.bodies[source].radius);
+                let scale = match scene.influence.scaling {
+                    Scaling::Absolute => 1.0,
+                    Scaling::Relative => (radius / of_source).min(1.0),
+                };
+                let reach = scene.influence.reach * of_source;
+                if strength == 0.0 {
+                    continue;
+                }
+                let mut pull = DVec3::ZERO;
+                for (i, particle) in self.bodies[own].iter().enumerate() {
+                    let to_centre = centres[source] - state.positions[own][i];
+                    let force = influence::acceleration(scene.influence.weight, scale * strength, reach, to_centre);
+                    accelerations[own][i] += force;
+                    pull += particle.mass * force;
+                }
+                reactions[source] -= pull;
+            }
+        }
+        for body in (0..count).filter(|&body| self.path(body).is_none()) {
+            let all = scene.gravity + reactions[body] / scene.bodies[body].mass;
+            accelerations[body].iter_mut().for_each(|acceleration| *acceleration += all);
+        }
+        State { positions: state.velocities.clone(), velocities: accelerations }
+    }
+
+    /// Springs, damping, and planes.
+    fn own(&self, state: &State, t: f64, index: usize, centre: DVec3) -> Vec<DVec3> {
+        let (body, particles) = (&self.scene.bodies[index], &self.bodies[index]);
+        let (positions, velocities) = (&state.positions[index], &state.velocities[index]);
+        let (omega, damping) = (body.material.omega, body.material.damping);
+        let (velocity, rotation, spin, carried) = match &body.motion {
+            Motion::Prescribed(path) => {
+                let at = path.at(t);
+                let carry = match body.material.response {
+                    Response::Rigid => DVec3::ZERO,
+                    Response::Inertial => at.acceleration,
+                    Response::World => at.acceleration + 2.0 * damping * at.velocity,
+                };
+                (at.velocity, DMat3::IDENTITY, DVec3::ZERO, at.acceleration - carry)
+            }
+            Motion::Free(free) => {
+                let velocity = mean(particles, velocities);
+                let (mut fit, mut spread, mut momentum) = (DMat3::ZERO, DMat3::ZERO, DVec3::ZERO);
+                for (i, Particle { rest, mass }) in particles.iter().enumerate() {
+                    let (s, rate) = (positions[i] - centre, velocities[i] - velocity);
+                    fit += DMat3::from_cols(s * rest.x, s * rest.y, s * rest.z) * *mass;
+                    spread += DMat3::from_cols(s * s.x, s * s.y, s * s.z) * *mass;
+                    momentum += *mass * s.cross(rate);
+                }
+                match free.rotation {
+                    Rotation::Fixed => (velocity, DMat3::IDENTITY, DVec3::ZERO, DVec3::ZERO),
+                    Rotation::Free => (velocity, polar(fit), resistance(spread).inverse() * momentum, DVec3::ZERO),
+                }
+            }
+        };
+        let each = particles.iter().zip(positions.iter().zip(velocities));
+        each.map(|(particle, (&r, &v))| {
+            let s = r - centre;
+            let mut sum = carried
+                - omega * omega * (s - rotation * particle.rest)
+                - 2.0 * damping * (v - velocity - spin.cross(s));
+            for plane in &self.scene.planes {
+                let depth = plane.offset - plane.normal.dot(r);
+                if depth > 0.0 {
+                    let along = v - plane.normal.dot(v) * plane.normal;
+                    let slip = (along.length_squared() + plane.slip * plane.slip).sqrt();
+                    sum += plane.stiffness * depth * (plane.normal - plane.friction / slip * along);
+                }
+            }
+            sum
+        })
+        .collect()
+    }
+}
+
+fn mean(particles: &[Particle], of: &[DVec3]) -> DVec3 {
+    let mass: f64 = particles.iter().map(|p| p.mass).sum();
+    particles.iter().zip(of).map(|(p, v)| p.mass * *v).sum::<DVec3>() / mass
+}
+
+/// The rotation of the polar decomposition, by Newton's iteration (Higham 1986): X ← ½ (X + X⁻ᵀ).
+fn polar(mut x: DMat3) -> DMat3 {
+    for _ in 0..60 {
+        let next = (x + x.inverse().transpose()) * 0.5;
+        let change = next - x;
+        let far = [change.x_axis, change.y_axis, change.z_axis].map(DVec3::length).into_iter().fold(0.0, f64::max);
+        x = next;
+        if !(far > 1e-15) {
+            break;
+        }
+    }
+    x
+}
