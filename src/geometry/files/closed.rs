@@ -130,7 +130,7 @@ pub fn closed(soup: Soup, watch: &dyn Fn(f64)) -> Result<Soup, Flaw> {
         return Err(Flaw::InsideOut { volume });
     }
     let Soup { positions, triangles } = &soup;
-    let budget = Budget { work: WORK[1].max(WORK[0] * triangles.len() as u64), time: None };
+    let budget = Budget { work: WORK[1].max(WORK[0] * triangles.len() as u64), ..Budget::default() };
     match self_contact(positions, triangles, &budget, &|share| watch(0.4 + 0.6 * share)) {
         Ok(None) => Ok(soup),
         Ok(Some(two)) => {
