@@ -19,6 +19,7 @@
 //! | [`stream`] | frames as Rerun data: entities, blueprint, sinks | `observe`, `geometry`, `text` | `viewer` |
 //! | [`table`] | tables as CSV, JSON and Parquet files | `stream` | `cli` |
 //! | [`recording`] | reading recordings: replay, check, diff | all above | `viewer` |
+//! | [`sweep`] | grids of runs over a scene's parameters, refinement, thresholds, maps | `scene`, `sim`, `observe`, `stream`, `text` | `cli` |
 //! | [`bench`] | benchmarks, and an independent reference solution | all above | `cli` |
 //! | [`cli`] | the command line, one file per subcommand | all above | `cli` |
 //!
@@ -89,6 +90,8 @@ pub mod scene;
 pub mod sim;
 #[cfg(feature = "viewer")]
 pub mod stream;
+#[cfg(feature = "cli")]
+pub mod sweep;
 #[cfg(feature = "cli")]
 pub mod table;
 #[doc(hidden)]

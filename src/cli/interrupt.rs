@@ -38,6 +38,11 @@ pub fn end() -> Result<(), Failure> {
     })
 }
 
+/// Ends the program as interrupted.
+pub fn exit() -> ! {
+    std::process::exit(STATUS)
+}
+
 fn listen(handler: impl FnMut() + Send + 'static) -> Result<(), Failure> {
     ctrlc::set_handler(handler).map_err(|error| Failure::Run(format!("cannot listen for Ctrl-C: {error}")))
 }

@@ -11,6 +11,7 @@ mod interrupt;
 mod replay;
 mod run;
 mod scenes;
+mod sweep;
 
 use std::{
     fmt,
@@ -58,6 +59,8 @@ enum Command {
     Diff(diff::Arguments),
     /// Write the surfaces of a run to mesh files, for other programs.
     Export(export::Arguments),
+    /// Run a scene at every point of a grid over its parameters: rows in Parquet, and a map of their outcomes.
+    Sweep(sweep::Arguments),
     /// List the built-in scenes and what to look for in each.
     Scenes,
     /// Run benchmarks: accuracy against run time, cost against scene size, recording cost, integrator stability.
@@ -142,8 +145,17 @@ fn run(command: Command) -> Result<(), Failure> {
         Command::Check(arguments) => interrupt::end().and_then(|()| check::check(arguments)),
         Command::Diff(arguments) => interrupt::end().and_then(|()| diff::diff(arguments)),
         Command::Export(arguments) => interrupt::end().and_then(|()| export::export(arguments)),
+        Command::Sweep(arguments) => sweep::sweep(arguments),
         Command::Bench(arguments) => interrupt::end().and_then(|()| bench::bench(arguments)),
     }
+}
+
+/// Records a scene as `run SCENE --save F.rrd --steps N` does.
+fn record(scene: &Path, recording: &Path, steps: u64) -> Result<(), Failure> {
+    let steps = steps.to_string();
+    let line = ["meldscope".as_ref(), "run".as_ref(), scene.as_os_str(), "--save".as_ref(), recording.as_os_str()];
+    let line = line.into_iter().chain(["--steps".as_ref(), steps.as_ref()]);
+    run(Arguments::try_parse_from(line).map_err(Failure::input)?.command)
 }
 
 /// The first error in writing results to standard output.

@@ -102,7 +102,7 @@ impl Approach {
 }
 
 /// The vertex of the parabola through three points (t, y), if it is a minimum between the first and the last.
-fn lowest([(t0, y0), (t1, y1), (t2, y2)]: [(f64, f64); 3]) -> Option<(f64, f64)> {
+pub(crate) fn lowest([(t0, y0), (t1, y1), (t2, y2)]: [(f64, f64); 3]) -> Option<(f64, f64)> {
     let (slope, next) = ((y1 - y0) / (t1 - t0), (y2 - y1) / (t2 - t1));
     let curvature = (next - slope) / (t2 - t0);
     let time = 0.5 * (t0 + t1) - 0.5 * slope / curvature;

@@ -114,6 +114,7 @@ pub mod builtin;
 pub mod pairs;
 pub mod parse;
 pub mod path;
+pub mod template;
 mod warnings;
 
 use std::fmt;

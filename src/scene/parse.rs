@@ -13,12 +13,13 @@ mod error;
 mod grid;
 mod meshes;
 mod pairs;
-mod reader;
+pub(crate) mod reader;
 
 use std::ops::RangeInclusive;
 use std::{collections::HashMap, fs::File, io, io::Read as _};
 
 use glam::DVec3;
+use toml::de::DeTable;
 
 use super::{
     Body, FreeMotion, Integrator, Material, Motion, Path, Plane, Push, Response, Rotation, Scene, path::Spline,
@@ -34,8 +35,8 @@ use crate::{
 };
 use error::one_line;
 pub use error::{Place, SceneError};
-use meshes::Files;
 pub use meshes::Watch;
+pub(super) use meshes::{Files, Meshes};
 use reader::{Choice, Integer, Keys, Kind, Number, Source, Table, Text, Value, Vector, is_body_name};
 
 /// See the [limits](self#limits).
@@ -230,7 +231,7 @@ impl Scene {
     fn parse_with_files(text: &str, path: &std::path::Path, watch: Watch<'_>) -> Result<Scene, SceneError> {
         let file = path.display().to_string();
         let folder = path.parent().unwrap_or(std::path::Path::new(""));
-        on_deep_stack(|| read_scene(&Source { text, file: &file }, Files::Folder(folder, watch)))
+        on_deep_stack(|| read_scene(&Source { text, file: &file }, &mut Meshes::beside(Files::Folder(folder, watch))))
     }
 
     /// A scene that is compiled in, with the files of its meshes.
@@ -239,7 +240,7 @@ impl Scene {
         file: &str,
         meshes: &'static [(&'static str, &'static str)],
     ) -> Result<Scene, SceneError> {
-        on_deep_stack(|| read_scene(&Source { text, file }, Files::Given(meshes)))
+        on_deep_stack(|| read_scene(&Source { text, file }, &mut Meshes::beside(Files::Given(meshes))))
     }
 
     /// The text of a scene's file, from that of [`Scene::source`]: without the meshes that it was given to carry.
@@ -255,7 +256,7 @@ impl Scene {
     /// of range (see the [limits](self#limits)), values that do not fit together, a mesh that is not in the text: no other
     /// file is read.
     pub fn parse(text: &str, file: &str) -> Result<Scene, SceneError> {
-        on_deep_stack(|| read_scene(&Source { text, file }, Files::None))
+        on_deep_stack(|| read_scene(&Source { text, file }, &mut Meshes::beside(Files::None)))
     }
 }
 
@@ -268,7 +269,7 @@ fn read(path: &std::path::Path) -> io::Result<Vec<u8>> {
 
 /// Calls `work` where there is room for the deepest tree that the TOML parser makes: inline tables may nest 80 deep and
 /// a key have 80 parts, so 6,400 tables, and to drop them takes a stack frame each, several MB without optimisation.
-fn on_deep_stack<T: Send>(work: impl Fn() -> T + Sync) -> T {
+pub(crate) fn on_deep_stack<T: Send>(work: impl Fn() -> T + Sync) -> T {
     std::thread::scope(|scope| {
         let thread = std::thread::Builder::new().stack_size(64 << 20).spawn_scoped(scope, &work);
         match thread.map(|thread| thread.join()) {
@@ -279,9 +280,18 @@ fn on_deep_stack<T: Send>(work: impl Fn() -> T + Sync) -> T {
     })
 }
 
-fn read_scene(source: &Source<'_>, files: Files<'_>) -> Result<Scene, SceneError> {
-    let document = source.document()?;
-    let root = Table::root(source, &document, &SCENE)?;
+fn read_scene(source: &Source<'_>, meshes: &mut Meshes<'_>) -> Result<Scene, SceneError> {
+    let scene = read_document(source, &source.document()?, meshes)?;
+    Ok(Scene { source: meshes.carried_by(source.text), ..scene })
+}
+
+/// The scene of a document, which need not be that of the text; without its [`Scene::source`].
+pub(super) fn read_document(
+    source: &Source<'_>,
+    document: &DeTable<'_>,
+    meshes: &mut Meshes<'_>,
+) -> Result<Scene, SceneError> {
+    let root = Table::root(source, document, &SCENE)?;
 
     // The tables first: a key below the wrong header is then reported as that, not as missing where it belongs.
     let material = root.table("material", &MATERIAL)?;
@@ -321,11 +331,10 @@ fn read_scene(source: &Source<'_>, files: Files<'_>) -> Result<Scene, SceneError
     let material = read_material(&material, thesis)?;
     let (law, influence) = (read_law(&influence, PairLaw::DEFAULT)?, read_influence(&influence)?);
     let influence = Influence { alpha: law.alpha, beta: law.beta, apart_repels: law.apart_repels, ..influence };
-    let mut meshes = meshes::Meshes::new(&mesh_tables, files)?;
-    let bodies =
-        body_tables.iter().map(|table| read_body(table, material, &mut meshes)).collect::<Result<Vec<_>, _>>()?;
+    meshes.embedded(&mesh_tables)?;
+    let bodies = body_tables.iter().map(|table| read_body(table, material, meshes)).collect::<Result<Vec<_>, _>>()?;
     let (mut bodies, mut from) = (bodies, body_tables.iter().collect());
-    grid::read(&grid_tables, material, &mut meshes, &mut bodies, &mut from)?;
+    grid::read(&grid_tables, material, meshes, &mut bodies, &mut from)?;
     if bodies.is_empty() {
         let array = body_array.as_ref().or(grid_array.as_ref());
         let message = "expected at least one [[body]], found an empty array".to_owned();
@@ -350,7 +359,7 @@ fn read_scene(source: &Source<'_>, files: Files<'_>) -> Result<Scene, SceneError
         blend,
         bodies,
         pushes,
-        source: meshes.carried_by(source.text),
+        source: String::new(),
     };
     if scene.is_coupled() {
         refuse_jumps(&scene, &from)?;
@@ -463,7 +472,7 @@ fn read_direction(table: &Table<'_>, name: &'static str) -> Result<DVec3, SceneE
 }
 
 /// A `[[body]]`, or the description of those of a `[[grid]]`.
-fn read_body(table: &Table<'_>, material: Material, meshes: &mut meshes::Meshes<'_>) -> Result<Body, SceneError> {
+fn read_body(table: &Table<'_>, material: Material, meshes: &mut Meshes<'_>) -> Result<Body, SceneError> {
     let name = table.required("name", BODY_NAME)?;
     let radius = table.required("radius", POSITIVE)?;
     let material = read_material(table, material)?;
@@ -521,7 +530,7 @@ impl Names {
     }
 }
 
-fn read_shape(body: &Table<'_>, meshes: &mut meshes::Meshes<'_>) -> Result<Shape, SceneError> {
+fn read_shape(body: &Table<'_>, meshes: &mut Meshes<'_>) -> Result<Shape, SceneError> {
     let Some(shape) = body.get("shape") else { return Ok(Shape::default()) };
     let table = shape.clone().into_table(&SHAPE)?;
     let mut given = Shape::KINDS.iter().zip(&SHAPES).filter(|(kind, _)| table.get(kind.name).is_some());

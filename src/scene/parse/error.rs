@@ -43,7 +43,7 @@ impl SceneError {
     }
 
     /// The same error with a hint on how to fix it.
-    pub(super) fn with_help(self, help: impl Into<String>) -> SceneError {
+    pub(crate) fn with_help(self, help: impl Into<String>) -> SceneError {
         SceneError { help: Some(help.into()), ..self }
     }
 }

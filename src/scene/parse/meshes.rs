@@ -30,7 +30,8 @@ pub(in crate::scene) enum Files<'a> {
 pub type Watch<'a> = &'a (dyn Fn(&str, f64) + Sync);
 
 /// The meshes of a scene, by the name of their file.
-pub(super) struct Meshes<'a> {
+#[derive(Clone)]
+pub(in crate::scene) struct Meshes<'a> {
     files: Files<'a>,
     known: BTreeMap<String, MeshFile>,
     /// What the text has to carry of what was read from files.
@@ -38,22 +39,26 @@ pub(super) struct Meshes<'a> {
 }
 
 impl<'a> Meshes<'a> {
-    /// Those that the text has.
-    pub fn new(tables: &[Table<'_>], files: Files<'a>) -> Result<Meshes<'a>, SceneError> {
-        let mut meshes = Meshes { files, known: BTreeMap::new(), text: String::new() };
+    /// None so far.
+    pub fn beside(files: Files<'a>) -> Meshes<'a> {
+        Meshes { files, known: BTreeMap::new(), text: String::new() }
+    }
+
+    /// Adds those that the text has.
+    pub(super) fn embedded(&mut self, tables: &[Table<'_>]) -> Result<(), SceneError> {
         for table in tables {
             let file = table.required("file", FILE)?;
             let data = table.required("data", DATA)?;
             let mesh = geometry::files::from_text(&data).map_err(|error| table.error("data", error.to_string()))?;
-            if meshes.known.insert(file, mesh).is_some() {
+            if self.known.insert(file, mesh).is_some() {
                 return Err(table.error("file", "expected a file that no other [[mesh]] is of".to_owned()));
             }
         }
-        Ok(meshes)
+        Ok(())
     }
 
     /// The shape in the file that `value` names: read once, however many bodies have it.
-    pub fn shape(&mut self, value: &Value<'_>) -> Result<Shape, SceneError> {
+    pub(super) fn shape(&mut self, value: &Value<'_>) -> Result<Shape, SceneError> {
         let name = value.text().filter(|name| is_file(name)).ok_or_else(|| value.unexpected(FILE.form))?;
         if let Some(mesh) = self.known.get(name) {
             return Ok(Shape::Mesh(mesh.clone()));

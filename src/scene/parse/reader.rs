@@ -12,7 +12,7 @@ use super::error::{Place, SceneError, clip, one_line};
 use crate::text::did_you_mean;
 
 /// The text of a scene file and its name.
-pub(super) struct Source<'a> {
+pub(crate) struct Source<'a> {
     pub text: &'a str,
     pub file: &'a str,
 }
@@ -86,12 +86,12 @@ fn is_bare(byte: u8) -> bool {
 }
 
 /// Whether `name` is valid for a body: 1 to 64 letters, digits, `-` and `_`.
-pub(super) fn is_body_name(name: &str) -> bool {
+pub(crate) fn is_body_name(name: &str) -> bool {
     (1..=64).contains(&name.len()) && name.bytes().all(is_bare)
 }
 
 /// The keys that a table accepts.
-pub(super) struct Keys {
+pub(crate) struct Keys {
     /// Where these keys belong, as the text after "belongs".
     pub home: &'static str,
     /// Description of the table, as the text after "expected".
@@ -101,7 +101,7 @@ pub(super) struct Keys {
 }
 
 /// A table whose keys are all known. A missing table reads like an empty one.
-pub(super) struct Table<'a> {
+pub(crate) struct Table<'a> {
     source: &'a Source<'a>,
     key: Key<'a>,
     /// Position of its header, or of the whole table if it is inline.
@@ -205,7 +205,7 @@ impl<'a> Table<'a> {
 
 /// A value with its path and its position in the file.
 #[derive(Clone)]
-pub(super) struct Value<'a> {
+pub(crate) struct Value<'a> {
     source: &'a Source<'a>,
     key: Key<'a>,
     span: Range<usize>,
@@ -308,7 +308,7 @@ impl<'a> Value<'a> {
 }
 
 /// A kind of value, with its constraints.
-pub(super) trait Kind {
+pub(crate) trait Kind {
     /// The type that it is read into.
     type Read;
 
@@ -322,7 +322,7 @@ pub(super) trait Kind {
 
 /// A finite number within a closed range. TOML integers are accepted.
 #[derive(Clone, Copy)]
-pub(super) struct Number {
+pub(crate) struct Number {
     pub min: f64,
     pub max: f64,
 }
@@ -358,7 +358,7 @@ impl Kind for Number {
 
 /// An integer within a closed range.
 #[derive(Clone, Copy)]
-pub(super) struct Integer {
+pub(crate) struct Integer {
     pub min: u32,
     pub max: u32,
 }
@@ -381,7 +381,7 @@ impl Kind for Integer {
 
 /// A vector of three numbers.
 #[derive(Clone, Copy)]
-pub(super) struct Vector(pub Number);
+pub(crate) struct Vector(pub Number);
 
 impl Kind for Vector {
     type Read = DVec3;
@@ -396,7 +396,7 @@ impl Kind for Vector {
 }
 
 /// A string that satisfies a condition.
-pub(super) struct Text {
+pub(crate) struct Text {
     pub form: &'static str,
     pub accepts: fn(&str) -> bool,
 }
@@ -415,7 +415,7 @@ impl Kind for Text {
 }
 
 /// One of several keywords, each with the value that it stands for.
-pub(super) struct Choice<T, const N: usize>(pub [(&'static str, T); N]);
+pub(crate) struct Choice<T, const N: usize>(pub [(&'static str, T); N]);
 
 impl<T: Copy, const N: usize> Kind for Choice<T, N> {
     type Read = T;

@@ -1,0 +1,351 @@
+//! `meldscope sweep`: runs a scene at every point of a grid over its parameters.
+
+use std::{
+    collections::{BTreeMap, HashMap},
+    path::{Path, PathBuf},
+    sync::atomic::{AtomicU64, Ordering},
+    time::Instant,
+};
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::{
+    Failure,
+    interrupt::{self, STOP},
+    print, say,
+};
+use crate::{
+    recording::Recorded,
+    scene::template::Setting,
+    sweep::{
+        Sweep,
+        bisect::{self, Threshold},
+        builtin,
+        design::{MOST_LEVELS, Sampling},
+        file::duration,
+        level::{self, Ended, LevelError, Plan},
+        refine::{FAILED, Known, class},
+        row::{Cell, Row, columns},
+        run::Runner,
+        store::{Shard, Store, StoreError},
+        table,
+    },
+    text::{counted, did_you_mean, significant, thousands},
+};
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// A sweep file, or the name of a built-in sweep: speed_merge_at, speed_offset, alpha_split_at, size_mass, runs_of_two.
+    #[arg(value_name = "SWEEP.toml")]
+    sweep: String,
+    /// The folder of the rows and maps. A sweep that was interrupted goes on in it.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Refine the grid N times where neighbours differ in outcome: each level halves their distance.
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=i64::from(MOST_LEVELS)))]
+    refine: u32,
+    /// Find every change of outcome along this axis, to 1e-9: KEY of an [[axis]], or its name.
+    #[arg(long, value_name = "AXIS", conflicts_with_all = ["shard", "open"])]
+    bisect: Option<String>,
+    /// Run only part I, from 0, of N equal parts of a level. Nothing but the folder is shared between processes.
+    #[arg(long, value_name = "I/N", requires = "level", value_parser = parse_shard)]
+    shard: Option<Shard>,
+    /// The level to run, from 0, whose predecessors are complete.
+    #[arg(long, value_name = "L", requires = "shard")]
+    level: Option<u32>,
+    /// Make the recording of a row, DIR/row-ROW.rrd, and compare its checksum.
+    #[arg(long, value_name = "ROW", conflicts_with = "shard")]
+    open: Option<u64>,
+    /// Number of threads [default: one per core].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+}
+
+fn parse_shard(text: &str) -> Result<Shard, String> {
+    let parts = text.split_once('/').and_then(|(index, count)| Some((index.parse().ok()?, count.parse().ok()?)));
+    match parts {
+        Some((index, count)) if index < count && count <= 1_000_000 => Ok(Shard { index, count }),
+        _ => Err("expected I/N, such as 0/8, with I from 0 to N - 1".to_owned()),
+    }
+}
+
+impl From<StoreError> for Failure {
+    fn from(error: StoreError) -> Failure {
+        match error {
+            StoreError::Other { .. } => Failure::Input(error.to_string()),
+            _ => Failure::Run(error.to_string()),
+        }
+    }
+}
+
+impl From<LevelError> for Failure {
+    fn from(error: LevelError) -> Failure {
+        match error {
+            LevelError::Store(error) => error.into(),
+            LevelError::Incomplete { .. } => Failure::Input(error.to_string()),
+        }
+    }
+}
+
+/// Runs a sweep, or what the options ask of it.
+pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
+    let sweep = match builtin::named(&arguments.sweep) {
+        Some(builtin) => Sweep::parse(builtin.text, builtin.name, None),
+        None if !Path::new(&arguments.sweep).exists() && !arguments.sweep.contains(['/', '\\', '.']) => {
+            let names = || builtin::ALL.iter().map(|builtin| builtin.name);
+            let (name, hint) = (&arguments.sweep, did_you_mean(&arguments.sweep, names()));
+            let names: Vec<&str> = names().collect();
+            return Err(Failure::Input(format!(
+                "no sweep {name:?}{hint} (there is no such file, and the built-in sweeps are {})",
+                names.join(", ")
+            )));
+        }
+        None => Sweep::load(Path::new(&arguments.sweep)),
+    };
+    let sweep = sweep.map_err(Failure::input)?;
+    if arguments.refine > 0 || arguments.bisect.is_some() {
+        if sweep.design.sampling != Sampling::Grid {
+            return Err(Failure::Input(
+                "--refine and --bisect are for grids: leave sample out of the sweep".to_owned(),
+            ));
+        }
+        let most = sweep.design.most_levels();
+        if arguments.refine > most {
+            return Err(Failure::Input(format!(
+                "--refine {} has more points than can be counted: at most {most}",
+                arguments.refine
+            )));
+        }
+    }
+    if let Some(threads) = arguments.threads {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build_global();
+        pool.map_err(|error| Failure::Run(format!("cannot start {threads} threads: {error}")))?;
+    }
+    let template = sweep.template().map_err(Failure::input)?;
+    let store = Store::open(&arguments.out, &sweep, columns(&sweep))?;
+    if let Some(row) = arguments.open {
+        return open(&sweep, &store, row);
+    }
+    interrupt::raise_stop()?;
+    // the shapes stay built as long as somebody has them
+    let _shapes: Vec<_> = template.base().bodies.iter().map(|body| body.shape.mesh()).collect();
+    let doing = Doing {
+        runner: Runner::new(&sweep, &template, Some(&STOP)),
+        sweep: &sweep,
+        store: &store,
+        start: Instant::now(),
+    };
+    if let (Some(shard), Some(level)) = (arguments.shard, arguments.level) {
+        let mut known = Known::new(&sweep.design, arguments.refine);
+        let plan = level::plan(&store, &mut known, level)?;
+        if plan.is_empty() {
+            print(&format!("level {level}: complete, nothing is left to refine"));
+            return Ok(());
+        }
+        print(&format!(
+            "level {level}: {}, {} of them in shard {}/{}",
+            counted(plan.len(), "row"),
+            thousands(plan.of(shard)),
+            shard.index,
+            shard.count
+        ));
+        return doing.level(level, &plan, shard);
+    }
+
+    let mut known = Known::new(&sweep.design, arguments.refine);
+    let mut plan = level::plan(&store, &mut known, 0)?;
+    let mut total = 0;
+    for level in 0.. {
+        doing.level(level, &plan, Shard::ALL)?;
+        total += plan.len();
+        if arguments.refine == 0 {
+            break;
+        }
+        let mut there = BTreeMap::new();
+        store.read(level..level + 1, None, &store.named(&["outcome"]), |(row, cells)| {
+            there.insert(row, class(cells.first()));
+        })?;
+        known.add(there);
+        plan = Plan::List(known.wanted());
+        if plan.is_empty() {
+            break;
+        }
+    }
+    doing.summarize(total, arguments.refine)?;
+    if let Some(axis) = &arguments.bisect {
+        doing.bisect(axis)?;
+    }
+    Ok(())
+}
+
+/// A sweep under way.
+struct Doing<'a> {
+    runner: Runner<'a>,
+    sweep: &'a Sweep,
+    store: &'a Store,
+    start: Instant,
+}
+
+impl Doing<'_> {
+    /// Runs what a shard has of a level; does not return if that is interrupted.
+    fn level(&self, level: u32, plan: &Plan, shard: Shard) -> Result<(), Failure> {
+        let bar = ProgressBar::new(plan.of(shard));
+        let template =
+            format!("level {level} {{bar:40}} run {{human_pos}} of {{human_len}}, {{per_sec}}, {{eta}} left");
+        if let Ok(style) = ProgressStyle::with_template(&template) {
+            bar.set_style(style);
+        }
+        let ended = level::run(&self.runner, self.store, (level, plan, shard), &STOP, &|rows| bar.inc(rows));
+        bar.finish_and_clear();
+        match ended? {
+            Ended::Complete => Ok(()),
+            Ended::Interrupted => self.interrupted(),
+        }
+    }
+
+    fn interrupted(&self) -> ! {
+        let path = self.store.path().display();
+        say(&format!("interrupted: {path} has every run that was finished; the same command goes on"));
+        interrupt::exit()
+    }
+
+    /// Prints what the rows say.
+    fn summarize(&self, rows: u64, refine: u32) -> Result<(), Failure> {
+        let (mut classes, mut steps, mut seconds) = ([0u64; FAILED as usize + 1], 0, 0.0);
+        let mut failure = None;
+        let columns = self.store.named(&["outcome", "steps", "run_time", "failure"]);
+        self.store.read(0..u32::MAX, None, &columns, |(row, cells)| {
+            classes[class(cells.first()) as usize] += 1;
+            if let [_, Cell::I64(of_row), Cell::F64(time), why] = &cells[..] {
+                (steps, seconds) = (steps + of_row, seconds + time);
+                if let Cell::Text(why) = why {
+                    failure.get_or_insert((row, why.clone()));
+                }
+            }
+        })?;
+        let design = &self.sweep.design;
+        let full = design.size(refine).filter(|_| refine > 0);
+        let of_full = full.map_or(String::new(), |full| {
+            format!(", {} % of a grid as fine as the last level", significant(100.0 * rows as f64 / full as f64))
+        });
+        print(&format!(
+            "{}: {}{of_full}; {} in {} on all cores together",
+            self.sweep.file,
+            counted(rows, "run"),
+            counted(steps as u64, "step"),
+            duration(seconds)
+        ));
+        let counts = (0..=FAILED).zip(classes).filter(|(_, count)| *count > 0);
+        let counts: Vec<String> =
+            counts.map(|(class, count)| format!("{} {}", bisect::name(class), thousands(count))).collect();
+        print(&format!("outcomes: {}", counts.join(", ")));
+        if let Some((row, why)) = failure {
+            print(&format!("the first run that failed is row {row}: {why}"));
+        }
+        print(&format!(
+            "rows: {}/rows-*.parquet, after {}",
+            self.store.path().display(),
+            duration(self.start.elapsed().as_secs_f64())
+        ));
+        Ok(())
+    }
+
+    /// Finds the thresholds along an axis.
+    fn bisect(&self, name: &str) -> Result<(), Failure> {
+        let design = &self.sweep.design;
+        let axis =
+            design.axes.iter().position(|axis| axis.key.to_string() == name || axis.name.as_deref() == Some(name));
+        let keys: Vec<String> = design.axes.iter().map(|axis| axis.key.to_string()).collect();
+        let axis = axis.filter(|&axis| bisect::is_bisectable(design, axis)).ok_or_else(|| {
+            let hint = did_you_mean(name, keys.iter().map(String::as_str));
+            Failure::Input(format!(
+                "--bisect {name}: no axis of numbers has this key or name{hint} (axes: {})",
+                keys.join(", ")
+            ))
+        })?;
+        let mut classes: HashMap<u64, u8> = HashMap::new();
+        self.store.read(0..1, None, &self.store.named(&["outcome"]), |(row, cells)| {
+            classes.insert(row, class(cells.first()));
+        })?;
+        let (bar, done) = (ProgressBar::new_spinner(), AtomicU64::new(0));
+        let progress = |more: u64| {
+            let done = done.fetch_add(more, Ordering::Relaxed) + more;
+            bar.set_message(format!("{} found", counted(done, "threshold")));
+        };
+        if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}") {
+            bar.set_style(style);
+        }
+        let outcome = |index: &[u64]| classes.get(&design.row(0, index)).copied();
+        let found = bisect::thresholds(&self.runner, design, axis, &outcome, &STOP, &progress);
+        bar.finish_and_clear();
+        let Some(found) = found else { self.interrupted() };
+        let rows = bisect::rows(&found);
+        let file = format!("thresholds-{axis}.parquet");
+        let path = self.store.write(&file, |to| table::write(&bisect::columns(design), &rows, to))?;
+        const LISTED: usize = 20;
+        for Threshold { point, bracket: [low, high], classes: [below, above] } in found.iter().take(LISTED) {
+            let others = design.axes.iter().zip(point).enumerate().filter(|(index, _)| *index != axis);
+            let others: Vec<String> = others.map(|(_, (axis, value))| format!("{} = {value}", axis.key)).collect();
+            let at = if others.is_empty() { String::new() } else { format!("{}: ", others.join(", ")) };
+            print(&format!(
+                "{at}{} turns into {} at {} = {:?}",
+                bisect::name(*below),
+                bisect::name(*above),
+                keys[axis],
+                0.5 * (low + high)
+            ));
+        }
+        if found.len() > LISTED {
+            print(&format!("… and {} more", thousands((found.len() - LISTED) as u64)));
+        }
+        print(&format!("{} to 1e-9: {}", counted(found.len() as u64, "threshold"), path.display()));
+        Ok(())
+    }
+}
+
+/// Makes the recording of a row.
+fn open(sweep: &Sweep, store: &Store, row: u64) -> Result<(), Failure> {
+    let template = sweep.template().map_err(Failure::input)?;
+    let mut known: Option<Row> = None;
+    let columns = store.named(&["outcome", "steps", "checksum"]);
+    store.read(0..u32::MAX, None, &columns, |found| {
+        if found.0 == row {
+            known = Some(found);
+        }
+    })?;
+    let point: Vec<Setting> = sweep.design.point(row).unwrap_or_default();
+    let (Some((_, cells)), false) = (known, point.is_empty()) else {
+        return Err(Failure::Input(format!(
+            "row {row} is not among those of {}: run the sweep first",
+            store.path().display()
+        )));
+    };
+    let [outcome, Cell::I64(steps), Cell::U64(checksum)] = &cells[..] else {
+        return Err(Failure::Run(format!("row {row} has no checksum")));
+    };
+    if *steps == 0 {
+        return Err(Failure::Run(format!("row {row} failed before its first step: there is nothing to record")));
+    }
+    let text = template.text(sweep.settings(&point)).map_err(Failure::input)?;
+    let values = sweep.design.axes.iter().zip(&point).map(|(axis, value)| format!("{} = {value}", axis.key));
+    let about = values.collect::<Vec<_>>().join(", ");
+    let scene = store.write(&format!("row-{row}.toml"), |to| {
+        use std::io::Write as _;
+        write!(to, "# Row {row} of {}: {about}\n{text}", sweep.file)
+    })?;
+    let recording = store.path().join(format!("row-{row}.rrd"));
+    let outcome = if let Cell::Text(outcome) = outcome { outcome.as_str() } else { "failed" };
+    print(&format!("row {row}: {about}; {outcome} after {}", counted(*steps as u64, "step")));
+    super::record(&scene, &recording, *steps as u64)?;
+    let recorded = Recorded::open(&recording).map_err(Failure::input)?;
+    match recorded.checksum(*steps as u64) {
+        Some(found) if found == *checksum => {
+            print(&format!("checksum {found:016x}: the same as in the table"));
+            Ok(())
+        }
+        Some(found) => Err(Failure::Run(format!(
+            "checksum {found:016x}, but the table has {checksum:016x}: another version made it"
+        ))),
+        None => Err(Failure::Run(format!("the recording ends before step {steps}"))),
+    }
+}

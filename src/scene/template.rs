@@ -1,0 +1,341 @@
+//! Variations of a scene: the same document with other values at some of its keys.
+//!
+//! The text is parsed once. A variation replaces values in the tree of tables, which is then read and validated as any
+//! scene is: every key of a scene can be varied, and defaults follow (the mass of a body is that of its radius).
+
+use std::{fmt, path::Path};
+
+use toml::de::{DeTable, DeValue};
+
+use super::{
+    Scene, SceneError, builtin,
+    parse::{Files, Meshes, Watch, on_deep_stack, read_document, reader::Source},
+};
+use crate::text::did_you_mean;
+
+/// Nobody is told how far the reading of a mesh is.
+const QUIET: Watch<'static> = &|_, _| ();
+/// Values are put at keys of at most this many parts; no key of a scene has as many.
+const MOST_PARTS: usize = 16;
+/// Indices in key paths are at most this.
+const LARGEST_INDEX: usize = 1 << 20;
+
+/// The path of a value in a scene: `influence.merge_at`, `body.b.motion.free.velocity[0]`, `push[0].strength`.
+///
+/// An item of an array of tables is named by its `name` or by its index.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct KeyPath {
+    text: String,
+    parts: Vec<Part>,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Part {
+    Name(String),
+    Index(usize),
+}
+
+impl fmt::Display for KeyPath {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.text)
+    }
+}
+
+impl KeyPath {
+    /// The path that `text` describes.
+    ///
+    /// # Errors
+    /// The text is not names, separated by dots, and indices in brackets; the error says what was expected.
+    pub fn parse(text: &str) -> Result<KeyPath, String> {
+        let expected = || "expected the path of a key, such as influence.merge_at or body.b.radius".to_owned();
+        let is_name = |name: &str| {
+            !name.is_empty() && name.bytes().all(|byte| byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_'))
+        };
+        let mut parts = Vec::new();
+        for part in text.split('.') {
+            let (name, mut rest) = part.split_at(part.find('[').unwrap_or(part.len()));
+            if !is_name(name) {
+                return Err(expected());
+            }
+            parts.push(Part::Name(name.to_owned()));
+            while let Some(opened) = rest.strip_prefix('[') {
+                let (index, after) = opened.split_once(']').ok_or_else(expected)?;
+                let quoted = index.strip_prefix('"').and_then(|name| name.strip_suffix('"'));
+                parts.push(match (quoted, index.parse()) {
+                    (Some(name), _) if is_name(name) => Part::Name(name.to_owned()),
+                    (None, Ok(index)) if index <= LARGEST_INDEX => Part::Index(index),
+                    _ => return Err(expected()),
+                });
+                rest = after;
+            }
+            if !rest.is_empty() || parts.len() > MOST_PARTS {
+                return Err(expected());
+            }
+        }
+        Ok(KeyPath { text: text.to_owned(), parts })
+    }
+}
+
+/// A value that a variation has at a key.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Setting {
+    /// A finite number; an integer where the scene needs one.
+    Number(f64),
+    /// A choice, a name, a file.
+    Text(String),
+}
+
+impl fmt::Display for Setting {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            // exact in a double and in an integer of TOML; both are read as the same number
+            Setting::Number(number) if number.fract() == 0.0 && number.abs() < 1e15 => write!(f, "{}", *number as i64),
+            Setting::Number(number) => write!(f, "{number:?}"),
+            Setting::Text(text) => toml::Value::String(text.clone()).fmt(f),
+        }
+    }
+}
+
+/// A scene that can be varied.
+pub struct Template<'a> {
+    source: Source<'a>,
+    document: DeTable<'a>,
+    files: Files<'a>,
+    meshes: Meshes<'a>,
+    base: Scene,
+}
+
+impl<'a> Template<'a> {
+    /// The scene that `text` describes; `file` is its name in errors. With a `folder`, meshes are read from files there,
+    /// without one they are those of the built-in scene of this name.
+    ///
+    /// # Errors
+    /// What [`Scene::parse`] refuses.
+    pub fn new(text: &'a str, file: &'a str, folder: Option<&'a Path>) -> Result<Template<'a>, SceneError> {
+        on_deep_stack(|| {
+            let source = Source { text, file };
+            let builtin = || builtin::ALL.iter().find(|builtin| builtin.name == file);
+            let files = match folder {
+                Some(folder) => Files::Folder(folder, QUIET),
+                None => builtin().map_or(Files::None, |builtin| Files::Given(builtin.meshes)),
+            };
+            let (mut document, mut meshes) = (source.document()?, Meshes::beside(files));
+            let base = read_document(&source, &document, &mut meshes)?;
+            document.remove("mesh"); // the meshes are known from now on
+            Ok(Template { source, document, files, meshes, base })
+        })
+    }
+
+    /// The scene as its text describes it.
+    pub fn base(&self) -> &Scene {
+        &self.base
+    }
+
+    /// The scene with these values at these keys. Its [`Scene::source`] is empty: see [`Template::text`].
+    ///
+    /// # Errors
+    /// There is no such key, or the scene with this value is refused.
+    pub fn scene<'s>(
+        &self,
+        settings: impl IntoIterator<Item = (&'s KeyPath, &'s Setting)>,
+    ) -> Result<Scene, SceneError> {
+        let settings: Vec<(&KeyPath, String)> =
+            settings.into_iter().map(|(key, setting)| (key, setting.to_string())).collect();
+        let document = self.varied(&settings)?;
+        // a mesh that the text does not name may be read from its file
+        read_document(&self.source, &document, &mut self.meshes.clone()).map_err(|error| {
+            // its place would be that of the value before
+            SceneError { place: None, ..error }
+        })
+    }
+
+    /// The text of the scene with these values at these keys, without comments. It reads as the same scene.
+    ///
+    /// # Errors
+    /// As of [`Template::scene`].
+    pub fn text<'s>(
+        &self,
+        settings: impl IntoIterator<Item = (&'s KeyPath, &'s Setting)>,
+    ) -> Result<String, SceneError> {
+        let settings: Vec<(&KeyPath, String)> =
+            settings.into_iter().map(|(key, setting)| (key, setting.to_string())).collect();
+        let document = self.varied(&settings)?;
+        read_document(&self.source, &document, &mut self.meshes.clone())?;
+        let text = toml::to_string(&table(&document)).map_err(|error| self.error(String::new(), error.to_string()))?;
+        // its meshes go with it, because it may be read elsewhere
+        let mut meshes = Meshes::beside(self.files);
+        let source = Source { text: &text, file: self.source.file };
+        let carried = source.document().and_then(|document| read_document(&source, &document, &mut meshes));
+        Ok(if carried.is_ok() { meshes.carried_by(&text) } else { text })
+    }
+
+    /// The document with these values.
+    fn varied<'s>(&'s self, settings: &'s [(&KeyPath, String)]) -> Result<DeTable<'s>, SceneError> {
+        let mut document: DeTable<'s> = self.document.clone();
+        for (key, setting) in settings {
+            let value = DeValue::parse(setting).map_err(|error| self.error(key.text.clone(), error.to_string()))?;
+            let table = DeValue::Table(std::mem::take(&mut document));
+            let mut root = table;
+            set(&mut root, &key.parts, value.into_inner()).map_err(|message| self.error(key.text.clone(), message))?;
+            if let DeValue::Table(table) = root {
+                document = table;
+            }
+        }
+        Ok(document)
+    }
+
+    fn error(&self, key: String, message: String) -> SceneError {
+        SceneError { file: self.source.file.to_owned(), place: None, key, message, help: None }
+    }
+}
+
+/// Puts `value` where `parts` lead to. Tables on the way are created, as is a vector of zeros; the scene's parser says of
+/// a name that it does not know.
+fn set<'a>(at: &mut DeValue<'a>, parts: &[Part], value: DeValue<'a>) -> Result<(), String> {
+    let Some((part, rest)) = parts.split_first() else {
+        *at = value;
+        return Ok(());
+    };
+    match (at, part) {
+        (DeValue::Table(table), Part::Name(name)) => {
+            if let Some(next) = table.get_mut(name.as_str()) {
+                return set(next.get_mut(), rest, value);
+            }
+            let mut next = match rest.first() {
+                Some(Part::Index(_)) => zeros(),
+                _ => DeValue::Table(DeTable::new()),
+            };
+            set(&mut next, rest, value)?;
+            let spanned = |value| toml::Spanned::new(0..0, value);
+            table.insert(toml::Spanned::new(0..0, name.clone().into()), spanned(next));
+            Ok(())
+        }
+        (DeValue::Array(items), Part::Name(name)) => {
+            let names = || items.iter().filter_map(|item| item.get_ref().get("name")?.get_ref().as_str());
+            let Some(index) = items.iter().position(|item| {
+                item.get_ref().get("name").and_then(|known| known.get_ref().as_str()) == Some(name.as_str())
+            }) else {
+                let listed: Vec<&str> = names().take(8).collect();
+                let hint = did_you_mean(name, names());
+                return Err(match listed.len() {
+                    0 => format!("there is nothing of the name \"{name}\"; use an index, such as [0]"),
+                    _ => format!("there is nothing of the name \"{name}\"{hint} (names: {})", listed.join(", ")),
+                });
+            };
+            match items.get_mut(index) {
+                Some(item) => set(item.get_mut(), rest, value),
+                None => Err(format!("there is nothing of the name \"{name}\"")),
+            }
+        }
+        (DeValue::Array(items), Part::Index(index)) => {
+            let count = items.len();
+            let item = items.get_mut(*index);
+            let item =
+                item.ok_or_else(|| format!("there is no [{index}], the last of {count} is [{}]", count.max(1) - 1))?;
+            set(item.get_mut(), rest, value)
+        }
+        (_, Part::Name(name)) => Err(format!("there is no \"{name}\" in what is not a table")),
+        (_, Part::Index(index)) => Err(format!("there is no [{index}] in what is not an array")),
+    }
+}
+
+/// The vector that those which can be left out are by default.
+fn zeros<'a>() -> DeValue<'a> {
+    DeValue::parse("[0, 0, 0]").map_or_else(|_| DeValue::Table(DeTable::new()), toml::Spanned::into_inner)
+}
+
+/// A document as values, which can be written.
+fn table(document: &DeTable<'_>) -> toml::Table {
+    document.iter().map(|(key, value)| (key.get_ref().to_string(), owned(value.get_ref()))).collect()
+}
+
+fn owned(value: &DeValue<'_>) -> toml::Value {
+    match value {
+        DeValue::String(text) => toml::Value::String(text.to_string()),
+        DeValue::Integer(integer) => match i64::from_str_radix(integer.as_str(), integer.radix()) {
+            Ok(integer) => toml::Value::Integer(integer),
+            // a number of a scene, which is read as a double anyway
+            Err(_) => toml::Value::Float(
+                u128::from_str_radix(integer.as_str(), integer.radix()).map_or(f64::NAN, |integer| integer as f64),
+            ),
+        },
+        DeValue::Float(float) => toml::Value::Float(float.as_str().parse().unwrap_or(f64::NAN)),
+        DeValue::Boolean(boolean) => toml::Value::Boolean(*boolean),
+        DeValue::Datetime(datetime) => toml::Value::Datetime(*datetime),
+        DeValue::Array(items) => toml::Value::Array(items.iter().map(|item| owned(item.get_ref())).collect()),
+        DeValue::Table(entries) => toml::Value::Table(table(entries)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::World;
+
+    fn template(name: &str) -> Template<'static> {
+        let builtin = crate::scene::builtin::ALL.iter().find(|builtin| builtin.name == name).unwrap();
+        Template::new(builtin.text, builtin.name, None).unwrap()
+    }
+
+    fn vary(name: &str, key: &str, setting: Setting) -> Result<Scene, String> {
+        let key = KeyPath::parse(key)?;
+        template(name).scene([(&key, &setting)]).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn values_are_put_at_keys() {
+        let number = Setting::Number;
+        assert_eq!(vary("two", "influence.alpha", number(7.5)).unwrap().influence.alpha, 7.5);
+        assert_eq!(vary("two", "body.b.radius", number(2.0)).unwrap().bodies[1].mass, 8.0); // by default
+        assert_eq!(vary("two", "body[1].radius", number(2.0)).unwrap().bodies[1].radius, 2.0);
+        assert_eq!(vary("two", "gravity[2]", number(-9.0)).unwrap().gravity, glam::DVec3::new(0.0, 0.0, -9.0));
+        assert_eq!(vary("two", "surface.blend", number(0.1)).unwrap().blend, 0.1);
+        let text = Setting::Text("absolute".to_owned());
+        assert_eq!(
+            vary("two", "influence.scaling", text).unwrap().influence.scaling,
+            crate::model::influence::Scaling::Absolute
+        );
+        let fewer = vary("two", "body.a.shape.sphere.stacks", number(6.0)).unwrap();
+        assert_eq!(fewer.bodies[0].shape.vertex_count(), 2 + 5 * 24);
+        let key = "body.left.motion.free.velocity[0]";
+        let crate::scene::Motion::Free(free) = &vary("collide", key, number(3.0)).unwrap().bodies[0].motion else {
+            panic!("a free body")
+        };
+        assert_eq!(free.velocity.x, 3.0);
+    }
+
+    #[test]
+    fn keys_that_are_none_are_refused() {
+        let refused = |key: &str| vary("two", key, Setting::Number(1.0)).unwrap_err();
+        assert!(refused("influence.merge_a").contains("unknown key; did you mean \"merge_at\"?"));
+        assert!(refused("influenc.merge_at").contains("did you mean \"influence\"?"));
+        assert!(refused("body.bb.radius").contains("nothing of the name \"bb\"; did you mean \"b\"? (names: a, b)"));
+        assert!(refused("body[2].radius").contains("there is no [2], the last of 2 is [1]"));
+        assert!(refused("dt.x").contains("there is no \"x\" in what is not a table"));
+        assert!(refused("influence..x").contains("expected the path of a key"));
+        assert!(refused("body[1.radius").contains("expected the path of a key"));
+        assert!(vary("two", "influence.merge_at", Setting::Number(1.3)).unwrap_err().contains("split_at"));
+    }
+
+    #[test]
+    fn the_text_of_a_variation_is_the_same_scene() {
+        let number = |x| Setting::Number(x);
+        for (name, key, setting) in [
+            ("two", "influence.alpha", number(1.0 / 3.0)),
+            ("collide", "body.left.motion.free.from[1]", number(0.1 + 0.2)),
+            ("crowd", "material.omega", number(17.0)),
+            ("size_ratio", "influence.scaling", Setting::Text("absolute".to_owned())),
+        ] {
+            let (template, key) = (template(name), KeyPath::parse(key).unwrap());
+            let scene = template.scene([(&key, &setting)]).unwrap();
+            let text = template.text([(&key, &setting)]).unwrap();
+            let again = Scene::parse(&text, name).unwrap();
+            let checksum = |scene: Scene| {
+                let mut world = World::new(scene).unwrap();
+                (0..100).for_each(|_| _ = world.step());
+                world.checksum()
+            };
+            assert_eq!(checksum(scene), checksum(again), "{name}: {text}");
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! Thresholds: where the outcome changes along one axis.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use rayon::prelude::*;
+
+use super::{
+    design::{Design, Values},
+    refine::class,
+    row::{Cell, Column, Kind, Row},
+    run::{Outcome, Runner},
+};
+use crate::scene::template::Setting;
+
+/// A threshold is found to within this, absolute or relative, whichever is larger.
+pub const PRECISION: f64 = 1e-9;
+/// Changes of outcome between two neighbours of the grid at most; bisections at most.
+const MOST_CHANGES: usize = 16;
+const MOST_BISECTIONS: u32 = 200;
+
+/// A change of outcome along an axis.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Threshold {
+    /// The values on the axes; on that of the threshold, the lower end of the bracket.
+    pub point: Vec<Setting>,
+    /// The ends of the bracket.
+    pub bracket: [f64; 2],
+    /// Outcomes at its ends, by their class.
+    pub classes: [u8; 2],
+}
+
+/// Finds every change of outcome between neighbours of the grid on an axis; `outcome` has the class of a grid point.
+/// `None` if that was interrupted.
+pub fn thresholds(
+    runner: &Runner<'_>,
+    design: &Design,
+    axis: usize,
+    outcome: &(dyn Fn(&[u64]) -> Option<u8> + Sync),
+    stop: &AtomicBool,
+    progress: &(dyn Fn(u64) + Sync),
+) -> Option<Vec<Threshold>> {
+    let size = design.size(0).unwrap_or(0);
+    let brackets: Vec<Threshold> = (0..size)
+        .filter_map(|row| {
+            let index = design.place(row)?.index;
+            let mut next = index.clone();
+            next[axis] += 1;
+            if next[axis] >= design.axes[axis].count(0)? {
+                return None;
+            }
+            let classes = [outcome(&index)?, outcome(&next)?];
+            let number = |index: &[u64]| match design.axes[axis].value(0, index[axis]) {
+                Setting::Number(number) => Some(number),
+                Setting::Text(_) => None,
+            };
+            let bracket = [number(&index)?, number(&next)?];
+            (classes[0] != classes[1]).then_some(Threshold { point: design.point(row)?, bracket, classes })
+        })
+        .collect();
+    let found: Vec<Option<Vec<Threshold>>> = brackets
+        .par_iter()
+        .with_max_len(1)
+        .map(|bracket| {
+            let found = narrow(runner, axis, bracket, stop);
+            progress(1);
+            found
+        })
+        .collect();
+    found.into_iter().collect::<Option<Vec<_>>>().map(|found| found.into_iter().flatten().collect())
+}
+
+/// The changes of outcome in a bracket, in order.
+fn narrow(runner: &Runner<'_>, axis: usize, bracket: &Threshold, stop: &AtomicBool) -> Option<Vec<Threshold>> {
+    let (mut open, mut found) = (vec![bracket.clone()], Vec::new());
+    while let Some(mut threshold) = open.pop() {
+        for _ in 0..MOST_BISECTIONS {
+            let [low, high] = threshold.bracket;
+            let middle = 0.5 * (low + high);
+            let width = (high - low).abs();
+            let is_narrow = width <= PRECISION * f64::max(1.0, middle.abs());
+            if is_narrow || middle == low || middle == high {
+                break;
+            }
+            if stop.load(Ordering::Relaxed) {
+                return None;
+            }
+            let mut point = threshold.point.clone();
+            point[axis] = Setting::Number(middle);
+            let cells = runner.cells(&point).ok()?;
+            let there = class(cells.get(point.len()));
+            if there == threshold.classes[0] {
+                threshold.bracket[0] = middle;
+            } else {
+                // above it there is another change, unless it is the same outcome
+                if there != threshold.classes[1] && found.len() + open.len() < MOST_CHANGES {
+                    let mut above = threshold.clone();
+                    (above.bracket[0], above.classes[0]) = (middle, there);
+                    open.push(above);
+                }
+                (threshold.bracket[1], threshold.classes[1]) = (middle, there);
+            }
+        }
+        threshold.point[axis] = Setting::Number(threshold.bracket[0]);
+        found.push(threshold);
+    }
+    Some(found)
+}
+
+/// The columns of a table of thresholds.
+pub fn columns(design: &Design) -> Vec<Column> {
+    let column = |name: &str, kind, about| Column { name: name.to_owned(), kind, about, is_nullable: false };
+    let axes = design.axes.iter().map(|axis| {
+        let kind = if axis.is_number() { Kind::F64 } else { Kind::Text };
+        column(
+            &axis.key.to_string(),
+            kind,
+            "value at this key of the scene; on the axis that was bisected, the lower end",
+        )
+    });
+    let rest = [
+        column("threshold", Kind::F64, "the middle of the bracket"),
+        column("width", Kind::F64, "how far its ends are apart"),
+        column("below", Kind::Text, "outcome at its first end"),
+        column("above", Kind::Text, "outcome at its second end"),
+    ];
+    std::iter::once(column("row", Kind::U64, "number of the threshold")).chain(axes).chain(rest).collect()
+}
+
+/// The rows of that table.
+pub fn rows(thresholds: &[Threshold]) -> Vec<Row> {
+    let rows = thresholds.iter().zip(0..).map(|(threshold, number)| {
+        let [low, high] = threshold.bracket;
+        let mut cells: Vec<Cell> = threshold.point.iter().map(Cell::from).collect();
+        cells.extend([Cell::F64(0.5 * (low + high)), Cell::F64((high - low).abs())]);
+        cells.extend(threshold.classes.map(|class| Cell::Text(name(class).to_owned())));
+        (number, cells)
+    });
+    rows.collect()
+}
+
+/// The name of a class.
+pub fn name(class: u8) -> &'static str {
+    Outcome::ALL.get(class as usize).map_or("failed", |outcome| outcome.name())
+}
+
+/// Whether an axis can be bisected.
+pub fn is_bisectable(design: &Design, axis: usize) -> bool {
+    matches!(design.axes.get(axis).map(|axis| &axis.values), Some(Values::Range { .. }))
+        || design.axes.get(axis).is_some_and(|axis| axis.is_number())
+}

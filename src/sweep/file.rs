@@ -1,0 +1,396 @@
+//! The sweep file: from text to a [`Sweep`] that is valid by construction, or to an error that says where it is wrong.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use super::{
+    design::{Axis, Design, MOST_ROWS, Sampling, Scale, Values},
+    row::Measures,
+};
+use crate::{
+    scene::{
+        Scene, SceneError, builtin,
+        parse::{
+            on_deep_stack,
+            reader::{Choice, Integer, Keys, Kind, Number, Source, Table, Text, Value},
+        },
+        template::{KeyPath, Setting, Template},
+    },
+    text::{did_you_mean, thousands},
+};
+
+/// Most axes of a sweep.
+const MOST_AXES: usize = 8;
+/// Most values that an axis lists.
+const MOST_VALUES: usize = 100_000;
+/// Values of an axis that are tried before anything runs, spread over it.
+const MOST_TRIED: u64 = 4096;
+
+static SWEEP: Keys = Keys {
+    home: "at the top of the sweep",
+    form: "a table",
+    names: &["scene", "sample", "count", "seed", "until", "measures", "color", "axis", "set"],
+};
+static AXIS: Keys = Keys {
+    home: "in an [[axis]]",
+    form: "a table, written [[axis]]",
+    names: &["key", "from", "to", "count", "scale", "values", "name"],
+};
+static SET: Keys = Keys { home: "in a [[set]]", form: "a table, written [[set]]", names: &["key", "value"] };
+
+const ANY: Number = Number { min: -1e15, max: 1e15 };
+const KEY: Text = Text { form: "the path of a key, such as \"influence.merge_at\"", accepts: |text| text.len() <= 256 };
+const SCENE: Text = Text { form: "a scene file or the name of a built-in scene", accepts: |text| text.len() <= 4096 };
+const NAME: Text = Text {
+    form: "a name of 1 to 60 characters on one line",
+    accepts: |text| (1..=60).contains(&text.chars().count()) && !text.chars().any(char::is_control),
+};
+const SEED: Integer = Integer { min: 0, max: u32::MAX };
+const COUNT: Integer = Integer { min: 1, max: u32::MAX };
+const SCALE: Choice<Scale, 2> = Choice([("linear", Scale::Linear), ("log", Scale::Log)]);
+
+/// How points are chosen.
+#[derive(Clone, Copy, PartialEq)]
+enum Sample {
+    Grid,
+    Latin,
+    Sobol,
+}
+const SAMPLE: Choice<Sample, 3> = Choice([("grid", Sample::Grid), ("latin", Sample::Latin), ("sobol", Sample::Sobol)]);
+
+/// When a run ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Until {
+    /// As soon as its outcome is certain; see [`super::run`].
+    Certain,
+    /// At the end of the scene.
+    End,
+}
+const UNTIL: Choice<Until, 2> = Choice([("certain", Until::Certain), ("end", Until::End)]);
+
+/// What the map is coloured by.
+const COLORS: [&str; 9] = [
+    "outcome",
+    "max_displacement",
+    "closest",
+    "time_merged",
+    "first_merge",
+    "first_split",
+    "merges",
+    "energy_by_events",
+    "events",
+];
+
+/// A sweep: a scene, the axes along which it is varied, and what is measured of every run.
+pub struct Sweep {
+    /// The text of its file.
+    pub text: String,
+    /// The name of the file in errors and titles.
+    pub file: String,
+    /// The text of the scene.
+    pub scene_text: String,
+    /// The name of the scene in errors.
+    pub scene_file: String,
+    /// The folder of the scene, if it is a file.
+    pub folder: Option<PathBuf>,
+    /// Values that are the same in all runs.
+    pub set: Vec<(KeyPath, Setting)>,
+    /// The axes and how points on them are chosen.
+    pub design: Design,
+    /// What is measured beyond the rest.
+    pub measures: Measures,
+    /// When a run ends.
+    pub until: Until,
+    /// The column by which the map is coloured.
+    pub color: String,
+}
+
+impl Sweep {
+    /// The sweep in the file at `path`.
+    ///
+    /// # Errors
+    /// The file cannot be read or is not a valid sweep, or its scene is refused.
+    pub fn load(path: &Path) -> Result<Sweep, SceneError> {
+        let file = path.display().to_string();
+        let text = read(path, &file)?;
+        Sweep::parse(&text, &file, path.parent())
+    }
+
+    /// The sweep that `text` describes; `file` is its name in errors, and scenes are looked for in `folder`.
+    ///
+    /// # Errors
+    /// As of [`Sweep::load`].
+    pub fn parse(text: &str, file: &str, folder: Option<&Path>) -> Result<Sweep, SceneError> {
+        on_deep_stack(|| parse(text, file, folder))
+    }
+
+    /// The scene, to be varied.
+    ///
+    /// # Errors
+    /// The scene is not valid, which [`Sweep::parse`] has refused before.
+    pub fn template(&self) -> Result<Template<'_>, SceneError> {
+        Template::new(&self.scene_text, &self.scene_file, self.folder.as_deref())
+    }
+
+    /// The values of a point: those that are the same in all runs, and those on the axes.
+    pub fn settings<'s>(&'s self, point: &'s [Setting]) -> impl Iterator<Item = (&'s KeyPath, &'s Setting)> {
+        let same = self.set.iter().map(|(key, setting)| (key, setting));
+        same.chain(self.design.axes.iter().map(|axis| &axis.key).zip(point))
+    }
+}
+
+fn read(path: &Path, file: &str) -> Result<String, SceneError> {
+    let refuse =
+        |message: String| SceneError { file: file.to_owned(), place: None, key: String::new(), message, help: None };
+    let length = fs::metadata(path).map_err(|error| refuse(format!("cannot read \"{file}\": {error}")))?;
+    if !length.is_file() || length.len() > Scene::LARGEST_TEXT {
+        return Err(refuse(format!("\"{file}\" is no file of at most {} MiB", Scene::LARGEST_TEXT >> 20)));
+    }
+    fs::read_to_string(path).map_err(|error| refuse(format!("cannot read \"{file}\": {error}")))
+}
+
+fn parse(text: &str, file: &str, folder: Option<&Path>) -> Result<Sweep, SceneError> {
+    let source = Source { text, file };
+    let document = source.document()?;
+    let root = Table::root(&source, &document, &SWEEP)?;
+    let [axis_array, set_array] = ["axis", "set"].map(|name| root.get(name));
+    let Some(axis_array) = axis_array else {
+        return Err(root.error("axis", "missing, expected at least one [[axis]]".to_owned()));
+    };
+    let axis_tables = axis_array.tables(&AXIS)?;
+    let set_tables = set_array.as_ref().map_or(Ok(Vec::new()), |array| array.tables(&SET))?;
+    if axis_tables.is_empty() || axis_tables.len() > MOST_AXES {
+        return Err(axis_array.unexpected(format_args!("1 to {MOST_AXES} axes")));
+    }
+
+    let sample = root.optional("sample", SAMPLE)?.unwrap_or(Sample::Grid);
+    let seed = root.optional("seed", SEED)?;
+    let sampling = match sample {
+        Sample::Grid => {
+            for name in ["count", "seed"] {
+                if let Some(value) = root.get(name) {
+                    let help = "of a grid, each [[axis]] has its count; or set sample = \"latin\" or \"sobol\"";
+                    return Err(value.error("not for a grid".to_owned()).with_help(help));
+                }
+            }
+            Sampling::Grid
+        }
+        sample => {
+            let (count, seed) = (u64::from(root.required("count", COUNT)?), u64::from(seed.unwrap_or(0)));
+            if sample == Sample::Latin { Sampling::Latin { count, seed } } else { Sampling::Sobol { count, seed } }
+        }
+    };
+    let axes = axis_tables.iter().map(|table| read_axis(table, sampling)).collect::<Result<Vec<_>, _>>()?;
+    for (index, axis) in axes.iter().enumerate() {
+        if axes[..index].iter().any(|other| other.key == axis.key) {
+            return Err(axis_tables[index].error("key", "expected a key that no other axis has".to_owned()));
+        }
+    }
+    let set = set_tables.iter().map(read_set).collect::<Result<Vec<_>, _>>()?;
+    let measures = read_measures(root.get("measures"))?;
+    let color = read_color(root.get("color"), measures)?;
+    let until = root.optional("until", UNTIL)?.unwrap_or(Until::Certain);
+    let design = Design { axes, sampling };
+
+    let name = root.required("scene", SCENE)?;
+    let scene_error = |message: String| root.error("scene", message);
+    let (scene_text, scene_file, scene_folder) = match builtin::ALL.iter().find(|builtin| builtin.name == name) {
+        Some(builtin) => (builtin.text.to_owned(), name, None),
+        None => {
+            let path = folder.unwrap_or(Path::new("")).join(&name);
+            if !path.exists() && !name.contains(['/', '\\', '.']) {
+                let names = builtin::ALL.map(|builtin| builtin.name);
+                let hint = did_you_mean(&name, names.into_iter());
+                return Err(scene_error(format!(
+                    "there is no scene \"{name}\"{hint} (built-in scenes: {})",
+                    names.join(", ")
+                )));
+            }
+            let shown = path.display().to_string();
+            let text = read(&path, &shown).map_err(|error| scene_error(error.message))?;
+            (text, shown, Some(path.parent().unwrap_or(Path::new("")).to_owned()))
+        }
+    };
+    let sweep = Sweep {
+        text: text.to_owned(),
+        file: file.to_owned(),
+        scene_text,
+        scene_file,
+        folder: scene_folder,
+        set,
+        design,
+        measures,
+        until,
+        color,
+    };
+    try_values(&sweep, &axis_tables, &set_tables)?;
+    Ok(sweep)
+}
+
+fn read_key(table: &Table<'_>) -> Result<KeyPath, SceneError> {
+    let key = table.required("key", KEY)?;
+    KeyPath::parse(&key).map_err(|message| table.error("key", message))
+}
+
+fn read_axis(table: &Table<'_>, sampling: Sampling) -> Result<Axis, SceneError> {
+    let key = read_key(table)?;
+    let name = table.optional("name", NAME)?;
+    if let Some(values) = table.get("values") {
+        for other in ["from", "to", "count", "scale"] {
+            if table.get(other).is_some() {
+                return Err(table.error(other, "not beside values".to_owned()));
+            }
+        }
+        let items = values.items().filter(|items| (1..=MOST_VALUES).contains(&items.len()));
+        let items = items.ok_or_else(|| values.unexpected("an array of numbers or of strings"))?;
+        let values = items.map(|item| read_setting(&item)).collect::<Result<Vec<_>, _>>()?;
+        let is_number = |setting: &Setting| matches!(setting, Setting::Number(_));
+        if values.iter().any(|value| is_number(value) != is_number(&values[0])) {
+            return Err(table.error("values", "expected numbers only, or strings only".to_owned()));
+        }
+        return Ok(Axis { key, name, values: Values::List(values) });
+    }
+    let (from, to) = (table.required("from", ANY)?, table.required("to", ANY)?);
+    let scale = table.optional("scale", SCALE)?.unwrap_or(Scale::Linear);
+    if scale == Scale::Log {
+        for (name, number) in [("from", from), ("to", to)] {
+            if number <= 0.0 {
+                return Err(table.error(name, format!("expected a number above 0 on a log scale, found {number:?}")));
+            }
+        }
+    }
+    if from == to {
+        return Err(table.error("to", format!("expected a number other than from ({from:?})")));
+    }
+    let count = match sampling {
+        Sampling::Grid => u64::from(table.required("count", COUNT)?),
+        _ if table.get("count").is_some() => {
+            return Err(table.error("count", "not for samples, whose count is at the top of the sweep".to_owned()));
+        }
+        _ => 2,
+    };
+    if count < 2 {
+        return Err(table.error("count", "expected 2 or more".to_owned()));
+    }
+    Ok(Axis { key, name, values: Values::Range { from, to, count, scale } })
+}
+
+fn read_setting(value: &Value<'_>) -> Result<Setting, SceneError> {
+    match value.text() {
+        Some(text) => Ok(Setting::Text(text.to_owned())),
+        None => ANY.read(value).map(Setting::Number),
+    }
+}
+
+fn read_set(table: &Table<'_>) -> Result<(KeyPath, Setting), SceneError> {
+    Ok((read_key(table)?, read_setting(&table.present("value", "a number or a string")?)?))
+}
+
+fn read_measures(value: Option<Value<'_>>) -> Result<Measures, SceneError> {
+    const MEASURE: Choice<usize, 2> = Choice([("displacement", 0), ("surfaces", 1)]);
+    let mut wanted = [false; 2];
+    if let Some(value) = value {
+        let items = value.items().ok_or_else(|| value.unexpected("an array of \"displacement\" and \"surfaces\""))?;
+        for item in items {
+            wanted[MEASURE.read(&item)?] = true;
+        }
+    }
+    Ok(Measures { displacement: wanted[0], surfaces: wanted[1] })
+}
+
+fn read_color(value: Option<Value<'_>>, measures: Measures) -> Result<String, SceneError> {
+    let Some(value) = value else { return Ok(COLORS[0].to_owned()) };
+    let known = Choice(COLORS.map(|name| (name, name)));
+    let color = known.read(&value)?;
+    if color == "max_displacement" && !measures.displacement {
+        return Err(value
+            .error("max_displacement is not measured".to_owned())
+            .with_help("add measures = [\"displacement\"]"));
+    }
+    Ok(color.to_owned())
+}
+
+/// Refuses values that make a broken scene, and sweeps of too many runs, before anything runs.
+fn try_values(sweep: &Sweep, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(), SceneError> {
+    let template = sweep.template()?;
+    let design = &sweep.design;
+    let first: Vec<Setting> = design.axes.iter().map(|axis| axis.tried(0)).collect();
+    for (index, (key, setting)) in sweep.set.iter().enumerate() {
+        let before = sweep.set[..index].iter().map(|(key, setting)| (key, setting));
+        if let Err(error) = template.scene(before.chain([(key, setting)])) {
+            return Err(sets[index].error(if is_unknown(&error) { "key" } else { "value" }, in_words(&error)));
+        }
+    }
+    for (index, axis) in design.axes.iter().enumerate() {
+        let stride = axis.tries().div_ceil(MOST_TRIED).max(1);
+        let all = (0..axis.tries()).step_by(stride as usize).chain([axis.tries() - 1]);
+        for tried in all {
+            let mut point = first.clone();
+            point[index] = axis.tried(tried);
+            if let Err(error) = template.scene(sweep.settings(&point)) {
+                let (key, value) = (&axis.key, &point[index]);
+                let table = &axes[index];
+                return Err(match is_unknown(&error) {
+                    true => table.error("key", in_words(&error)),
+                    false => {
+                        let at = if table.get("values").is_some() { "values" } else { "from" };
+                        table.error(at, format!("{key} = {value} makes a broken scene: {}", in_words(&error)))
+                    }
+                });
+            }
+        }
+    }
+    for corner in 1..1u32 << design.axes.len() {
+        let ends =
+            design.axes.iter().enumerate().map(|(index, axis)| {
+                if corner >> index & 1 == 1 { axis.tried(axis.tries() - 1) } else { axis.tried(0) }
+            });
+        let point: Vec<Setting> = ends.collect();
+        if let Err(error) = template.scene(sweep.settings(&point)) {
+            let values = design.axes.iter().zip(&point).map(|(axis, value)| format!("{} = {value}", axis.key));
+            let values = crate::text::listed(&values.collect::<Vec<_>>());
+            return Err(axes[0].error("key", format!("{values} together make a broken scene: {}", in_words(&error))));
+        }
+    }
+    match design.count() {
+        Some(count) if count <= MOST_ROWS => Ok(()),
+        count => {
+            let seconds = super::run::estimate(&template, sweep, &first);
+            let product = || design.axes.iter().map(|axis| axis.tries() as f64).product::<f64>();
+            let runs = count.map_or_else(|| format!("{:e}", product()), thousands);
+            let time = count.map_or_else(product, |count| count as f64) * seconds;
+            Err(axes[0].error("count", format!("{runs} runs would take {} on this machine", duration(time))).with_help(
+                format!(
+                    "lower the counts: a sweep has at most {} runs, and --refine finds boundaries",
+                    thousands(MOST_ROWS)
+                ),
+            ))
+        }
+    }
+}
+
+fn is_unknown(error: &SceneError) -> bool {
+    error.message.starts_with("unknown key") || error.message.starts_with("there is no")
+}
+
+/// An error in a variation of the scene, without the name of a file that does not exist.
+fn in_words(error: &SceneError) -> String {
+    SceneError { place: None, ..error.clone() }.to_string()
+}
+
+/// A time in words [s].
+pub fn duration(seconds: f64) -> String {
+    const UNITS: [(&str, f64); 5] =
+        [("years", 365.25 * 86_400.0), ("days", 86_400.0), ("hours", 3600.0), ("minutes", 60.0), ("seconds", 1.0)];
+    let unit = UNITS.iter().find(|(_, length)| seconds >= 2.0 * length).unwrap_or(&UNITS[4]);
+    let number = seconds / unit.1;
+    if number >= 1e6 {
+        format!("{number:.1e} {}", unit.0)
+    } else if number >= 10.0 {
+        format!("{} {}", thousands(number.round() as u64), unit.0)
+    } else {
+        format!("{number:.1} {}", unit.0)
+    }
+}

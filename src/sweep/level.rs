@@ -1,0 +1,191 @@
+//! The runs of a level: which are to be done, and doing them on all cores.
+
+use std::{
+    collections::{BTreeMap, HashSet},
+    sync::{
+        Mutex, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+};
+
+use rayon::prelude::*;
+
+use super::{
+    refine::Known,
+    row::Row,
+    run::Runner,
+    store::{Journal, Shard, Store, StoreError},
+};
+
+/// Rows of a file. Files are written one after the other, so this bounds the memory that rows take.
+const BLOCK: u64 = 4096;
+
+/// The rows of a level, in order.
+#[derive(Clone, Debug)]
+pub enum Plan {
+    /// All from 0 to this.
+    First(u64),
+    /// These.
+    List(Vec<u64>),
+}
+
+impl Plan {
+    /// Number of rows.
+    pub fn len(&self) -> u64 {
+        match self {
+            Plan::First(count) => *count,
+            Plan::List(rows) => rows.len() as u64,
+        }
+    }
+
+    /// Whether there is nothing to do.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    fn row(&self, place: u64) -> u64 {
+        match self {
+            Plan::First(_) => place,
+            Plan::List(rows) => rows[place as usize],
+        }
+    }
+
+    /// Number of rows that a shard has of it.
+    pub fn of(&self, shard: Shard) -> u64 {
+        (self.len() + shard.count - 1 - shard.index) / shard.count
+    }
+
+    /// The rows of a block of a shard.
+    fn block(&self, shard: Shard, block: u64) -> Vec<u64> {
+        let places = block * BLOCK..((block + 1) * BLOCK).min(self.of(shard));
+        places.map(|place| self.row(shard.index + shard.count * place)).collect()
+    }
+}
+
+/// How a level ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ended {
+    /// All rows of the shard are there.
+    Complete,
+    /// It was interrupted; what is done is kept.
+    Interrupted,
+}
+
+/// Why a level ended before its end.
+#[derive(Debug, thiserror::Error)]
+pub enum LevelError {
+    /// The folder failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// A level before it is not complete.
+    #[error(
+        "level {level} is not complete: {missing} of its {planned} rows are missing; run all its shards before those of the next \
+         level, with the same --refine"
+    )]
+    Incomplete {
+        /// The level.
+        level: u32,
+        /// Number of its rows.
+        planned: u64,
+        /// Number of those that are missing.
+        missing: u64,
+    },
+}
+
+/// Runs what a shard has to do of a level. Calls `progress` with the rows that are there, and again with each row that a
+/// run adds.
+///
+/// # Errors
+/// The folder failed; what was written before is kept.
+pub fn run(
+    runner: &Runner<'_>,
+    store: &Store,
+    (level, plan, shard): (u32, &Plan, Shard),
+    stop: &AtomicBool,
+    progress: &(dyn Fn(u64) + Sync),
+) -> Result<Ended, StoreError> {
+    let done = store.blocks(level, shard)?;
+    let blocks = plan.of(shard).div_ceil(BLOCK);
+    if (0..blocks).all(|block| done.contains(&block)) {
+        progress(plan.of(shard));
+        return Ok(Ended::Complete);
+    }
+    let mut kept = store.journals(level, shard)?;
+    // rows that were done as shards of another division
+    let mut elsewhere = HashSet::new();
+    store.read(level..level + 1, Some(shard), &store.named(&[]), |(row, _)| _ = elsewhere.insert(row))?;
+    let mut journal = store.journal(level, shard)?;
+    for block in 0..blocks {
+        let wanted = plan.block(shard, block);
+        if done.contains(&block) {
+            progress(wanted.len() as u64);
+            continue;
+        }
+        let mut rows: Vec<Row> = wanted.iter().filter_map(|row| kept.remove(row)).collect();
+        let there: HashSet<u64> = rows.iter().map(|(row, _)| *row).collect();
+        let missing: Vec<u64> =
+            wanted.iter().copied().filter(|row| !there.contains(row) && !elsewhere.contains(row)).collect();
+        progress((wanted.len() - missing.len()) as u64);
+        match run_rows(runner, &missing, &mut journal, stop, progress)? {
+            Some(new) => rows.extend(new),
+            None => return Ok(Ended::Interrupted),
+        }
+        rows.sort_unstable_by_key(|(row, _)| *row);
+        store.write_block(level, shard, block, &rows)?;
+        journal.clear()?;
+    }
+    drop(journal);
+    store.clean(level, shard)?;
+    Ok(Ended::Complete)
+}
+
+/// Runs some rows; `None` if that was interrupted.
+fn run_rows(
+    runner: &Runner<'_>,
+    missing: &[u64],
+    journal: &mut Journal,
+    stop: &AtomicBool,
+    progress: &(dyn Fn(u64) + Sync),
+) -> Result<Option<Vec<Row>>, StoreError> {
+    let shared: Mutex<(Vec<Row>, &mut Journal, Option<StoreError>)> = Mutex::new((Vec::new(), journal, None));
+    missing.par_iter().with_max_len(1).for_each(|&row| {
+        let has_failed = || shared.lock().unwrap_or_else(PoisonError::into_inner).2.is_some();
+        if stop.load(Ordering::Relaxed) || has_failed() {
+            return;
+        }
+        let Ok(row) = runner.row(row) else { return };
+        let mut shared = shared.lock().unwrap_or_else(PoisonError::into_inner);
+        let (rows, journal, failure) = &mut *shared;
+        match journal.add(&row) {
+            Ok(()) => rows.push(row),
+            Err(error) => *failure = failure.take().or(Some(error)),
+        }
+        progress(1);
+    });
+    let (rows, _, failure) = shared.into_inner().unwrap_or_else(PoisonError::into_inner);
+    match failure {
+        Some(error) => Err(error),
+        None => Ok((rows.len() == missing.len()).then_some(rows)),
+    }
+}
+
+/// The rows of a level, from those of the levels before it, which have to be complete.
+///
+/// # Errors
+/// They are not, or cannot be read.
+pub fn plan(store: &Store, known: &mut Known<'_>, level: u32) -> Result<Plan, LevelError> {
+    let mut plan = Plan::First(known.design().count().unwrap_or(0));
+    for before in 0..level {
+        let mut there: BTreeMap<u64, u8> = BTreeMap::new();
+        store.read(before..before + 1, None, &store.named(&["outcome"]), |(row, cells)| {
+            there.insert(row, super::refine::class(cells.first()));
+        })?;
+        let missing = (0..plan.len()).filter(|&place| !there.contains_key(&plan.row(place))).count() as u64;
+        if missing > 0 {
+            return Err(LevelError::Incomplete { level: before, planned: plan.len(), missing });
+        }
+        known.add(there);
+        plan = Plan::List(known.wanted());
+    }
+    Ok(plan)
+}

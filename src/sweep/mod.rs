@@ -1,0 +1,57 @@
+//! Sweeps: one run for every point of a grid over a scene's parameters, and the map of their outcomes.
+//!
+//! | what | where |
+//! | --- | --- |
+//! | the sweep file | [`file`] |
+//! | which points there are, and their numbers | [`design`] |
+//! | one run: outcomes, measures, when it ends | [`run`] |
+//! | the columns of a row | [`row`] |
+//! | rows as Parquet | [`table`] |
+//! | the folder: what is done, what is under way | [`store`] |
+//! | the runs of a level, on all cores | [`level`] |
+//! | where the grid is halved | [`refine`] |
+//! | thresholds along one axis | [`bisect`] |
+//! | sweeps that are compiled in | [`builtin`] |
+//!
+//! # The sweep file
+//! ```toml
+//! scene = "collide"             # a file beside this one, or a built-in scene
+//! until = "certain"             # certain | end: when a run ends [certain]; see [`run`]
+//! measures = ["displacement"]   # displacement, surfaces: measures that cost time [none]
+//! color = "outcome"             # the column by which the map is coloured [outcome]
+//!
+//! [[axis]]                      # up to 8
+//! key = "influence.merge_at"    # a path into the scene; bodies by name: body.left.motion.free.velocity[0]
+//! from = 0.8
+//! to = 1.15
+//! count = 41
+//! scale = "linear"              # linear | log [linear]
+//! name = "merge_at"             # what the map calls it [the key]
+//!
+//! [[axis]]
+//! key = "influence.scaling"
+//! values = ["relative", "absolute"]     # or numbers
+//!
+//! [[set]]                       # the same in all runs
+//! key = "body.right.motion.free.velocity[0]"
+//! value = 0.0
+//! ```
+//!
+//! With `sample = "latin"` or `"sobol"`, `count` and `seed` [0] are at the top of the sweep, and axes have none.
+//!
+//! # Rows
+//! The columns of the tables are described in their schema, and listed in [`row::columns`]. All but `run_time` are a function
+//! of the sweep: the same bits on any machine, for any number of threads, and however the sweep was divided or interrupted.
+
+pub mod bisect;
+pub mod builtin;
+pub mod design;
+pub mod file;
+pub mod level;
+pub mod refine;
+pub mod row;
+pub mod run;
+pub mod store;
+pub mod table;
+
+pub use file::Sweep;

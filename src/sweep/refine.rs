@@ -1,0 +1,272 @@
+//! Refinement: where neighbours differ in outcome, the grid is halved, level by level.
+//!
+//! A cell lies between neighbours of the grid of a level: it has 2ⁿ corners if n axes are ranges. It is divided if two
+//! known points of it, its corners or points of finer levels on its faces, differ in outcome. All 3ⁿ points of its halves
+//! then have to be known. This is repeated up to the last level, so every cell of the last level through whose corners or
+//! faces a boundary was seen to go is there. What a map shows between points of one outcome that lie farther apart, a
+//! region smaller than the first grid's cells for instance, is not found: the first grid has to show every region.
+//!
+//! Which points are wanted depends on outcomes only, not on the order in which they become known. So a level can be divided
+//! among machines, and a sweep that was interrupted goes on with the same rows.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+
+use super::{
+    design::{Design, Place},
+    row::Cell,
+    run::Outcome,
+};
+
+/// The class of a run that failed.
+pub const FAILED: u8 = Outcome::ALL.len() as u8;
+
+/// The class of an outcome: its place among [`Outcome::ALL`].
+pub fn class(outcome: Option<&Cell>) -> u8 {
+    let name = match outcome {
+        Some(Cell::Text(name)) => name.as_str(),
+        _ => return FAILED,
+    };
+    Outcome::ALL.iter().position(|outcome| outcome.name() == name).map_or(FAILED, |place| place as u8)
+}
+
+/// What is known of a grid, and which cells of it are divided.
+pub struct Known<'a> {
+    design: &'a Design,
+    /// The last level.
+    last: u32,
+    classes: HashMap<u64, u8>,
+    /// Cells that are divided, by the number of their first corner on their level's grid.
+    divided: HashSet<(u32, Vec<u64>)>,
+    wanted: BTreeSet<u64>,
+}
+
+impl<'a> Known<'a> {
+    /// Nothing, of a grid that is refined up to `last`.
+    pub fn new(design: &'a Design, last: u32) -> Known<'a> {
+        Known { design, last, classes: HashMap::new(), divided: HashSet::new(), wanted: BTreeSet::new() }
+    }
+
+    /// The axes.
+    pub fn design(&self) -> &'a Design {
+        self.design
+    }
+
+    /// Adds outcomes of rows, and divides cells accordingly.
+    pub fn add(&mut self, rows: BTreeMap<u64, u8>) {
+        for row in rows.keys() {
+            self.wanted.remove(row);
+        }
+        let new: Vec<u64> = rows.keys().copied().collect();
+        self.classes.extend(rows);
+        if self.last == 0 {
+            return;
+        }
+        // cells of the first grid, then what follows from points within them
+        let corners: Vec<Vec<u64>> =
+            new.iter().filter_map(|&row| self.design.place(row)).flat_map(|place| self.first_cells(&place)).collect();
+        for corner in corners {
+            self.consider(0, corner);
+        }
+        loop {
+            let before = self.divided.len();
+            let mut rows: Vec<u64> = self.classes.keys().copied().collect();
+            rows.sort_unstable();
+            for row in rows {
+                if let Some(place) = self.design.place(row).filter(|place| place.level > 0) {
+                    self.descend(row, &place);
+                }
+            }
+            if self.divided.len() == before {
+                break;
+            }
+        }
+    }
+
+    /// The rows that are to be run next, in order.
+    pub fn wanted(&self) -> Vec<u64> {
+        self.wanted.iter().copied().collect()
+    }
+
+    /// The outcome of the point of a grid, if it is known.
+    pub fn class(&self, level: u32, index: &[u64]) -> Option<u8> {
+        self.classes.get(&self.design.row(level, index)).copied()
+    }
+
+    /// Whether a cell is divided.
+    pub fn is_divided(&self, level: u32, corner: &[u64]) -> bool {
+        self.divided.contains(&(level, corner.to_vec()))
+    }
+
+    /// The cells of the first grid that have this point of it.
+    fn first_cells(&self, place: &Place) -> Vec<Vec<u64>> {
+        if place.level > 0 { Vec::new() } else { self.cells_at(0, place) }
+    }
+
+    /// The cells of a level, as coarse as the point's or coarser, that have a point, on a face or within.
+    fn cells_at(&self, level: u32, place: &Place) -> Vec<Vec<u64>> {
+        let shift = place.level - level;
+        let mut cells = vec![Vec::with_capacity(place.index.len())];
+        for (axis, &index) in self.design.axes.iter().zip(&place.index) {
+            let choices: Vec<u64> = if axis.is_range() {
+                let most = axis.count(level).unwrap_or(1) - 1; // cells
+                let (whole, is_on_grid) = (index >> shift, index & ((1 << shift) - 1) == 0);
+                let below = if is_on_grid { whole.checked_sub(1) } else { None };
+                below.into_iter().chain((whole < most).then_some(whole)).collect()
+            } else {
+                vec![index]
+            };
+            cells = cells
+                .iter()
+                .flat_map(|cell| choices.iter().map(move |&choice| [&cell[..], &[choice]].concat()))
+                .collect();
+        }
+        cells
+    }
+
+    /// The points of a cell on the grid `finer` levels below: 2ⁿ corners for 0, 3ⁿ points for 1.
+    fn points(&self, corner: &[u64], finer: u32) -> Vec<Vec<u64>> {
+        let mut points = vec![Vec::with_capacity(corner.len())];
+        for (axis, &index) in self.design.axes.iter().zip(corner) {
+            let steps = if axis.is_range() { 1 << finer } else { 0 };
+            let first = if axis.is_range() { index << finer } else { index };
+            points = points
+                .iter()
+                .flat_map(|point| (0..=steps).map(move |step| [&point[..], &[first + step]].concat()))
+                .collect();
+        }
+        points
+    }
+
+    /// Divides a cell if its corners are known and differ.
+    fn consider(&mut self, level: u32, corner: Vec<u64>) {
+        let classes: Option<Vec<u8>> = self.points(&corner, 0).iter().map(|point| self.class(level, point)).collect();
+        if classes.is_some_and(|classes| classes.windows(2).any(|pair| pair[0] != pair[1])) {
+            self.divide(level, corner);
+        }
+    }
+
+    fn divide(&mut self, level: u32, corner: Vec<u64>) {
+        if level >= self.last || !self.divided.insert((level, corner.clone())) {
+            return;
+        }
+        for point in self.points(&corner, 1) {
+            let row = self.design.row(level + 1, &point);
+            if !self.classes.contains_key(&row) {
+                self.wanted.insert(row);
+            }
+        }
+        for child in self.children(&corner) {
+            self.consider(level + 1, child);
+        }
+    }
+
+    fn children(&self, corner: &[u64]) -> Vec<Vec<u64>> {
+        let mut cells = vec![Vec::with_capacity(corner.len())];
+        for (axis, &index) in self.design.axes.iter().zip(corner) {
+            let choices = if axis.is_range() { vec![2 * index, 2 * index + 1] } else { vec![index] };
+            cells = cells
+                .iter()
+                .flat_map(|cell| choices.iter().map(move |&choice| [&cell[..], &[choice]].concat()))
+                .collect();
+        }
+        cells
+    }
+
+    /// Compares a point with the cells that have it: from the first level down to the first that is not divided.
+    fn descend(&mut self, row: u64, place: &Place) {
+        let Some(&class) = self.classes.get(&row) else { return };
+        let mut cells: Vec<Vec<u64>> = self.cells_at(0, place);
+        for level in 0..place.level {
+            let mut next = Vec::new();
+            let within: HashSet<Vec<u64>> = self.cells_at(level + 1, place).into_iter().collect();
+            for cell in cells {
+                if !self.is_divided(level, &cell) && self.class(level, &cell).is_some_and(|known| known != class) {
+                    self.divide(level, cell.clone());
+                }
+                if self.is_divided(level, &cell) {
+                    next.extend(self.children(&cell).into_iter().filter(|child| within.contains(child)));
+                }
+            }
+            for cell in &next {
+                self.consider(level + 1, cell.clone());
+            }
+            cells = next;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        scene::template::{KeyPath, Setting},
+        sweep::design::{Axis, Sampling, Scale, Values},
+    };
+
+    fn design(counts: &[u64]) -> Design {
+        let axes = counts.iter().map(|&count| Axis {
+            key: KeyPath::parse("dt").unwrap(),
+            name: None,
+            values: Values::Range { from: 0.0, to: 1.0, count, scale: Scale::Linear },
+        });
+        Design { axes: axes.collect(), sampling: Sampling::Grid }
+    }
+
+    /// Refines with outcomes by a rule, and compares every point of the last level with what the cells say of it.
+    fn refine(design: &Design, last: u32, rule: impl Fn(&[f64]) -> u8) -> usize {
+        let of_row = |row: u64| {
+            let point = design.point(row).unwrap();
+            let numbers: Vec<f64> =
+                point.iter().map(|value| if let Setting::Number(x) = value { *x } else { 0.0 }).collect();
+            rule(&numbers)
+        };
+        let mut known = Known::new(design, last);
+        let mut wanted: Vec<u64> = (0..design.count().unwrap()).collect();
+        let mut runs = 0;
+        while !wanted.is_empty() {
+            runs += wanted.len();
+            known.add(wanted.iter().map(|&row| (row, of_row(row))).collect());
+            wanted = known.wanted();
+        }
+        let mut wrong = 0;
+        for linear in 0..design.size(last).unwrap() {
+            let count = design.axes[0].count(last).unwrap();
+            let index = [linear / count, linear % count];
+            let row = design.row(last, &index);
+            let mut said = None;
+            let place = Place { level: last, index: index.to_vec() };
+            for level in 0..=last {
+                for cell in known.cells_at(level, &place) {
+                    if !known.is_divided(level, &cell)
+                        && (level == 0 || known.is_divided(level - 1, &[cell[0] / 2, cell[1] / 2]))
+                    {
+                        said =
+                            said.or(if level == last { known.class(last, &index) } else { known.class(level, &cell) });
+                    }
+                }
+            }
+            wrong += usize::from(said != Some(of_row(row)));
+        }
+        assert_eq!(wrong, 0);
+        runs
+    }
+
+    #[test]
+    fn boundaries_are_followed_and_nothing_else_is_run() {
+        let design = design(&[9, 9]);
+        let disc = |p: &[f64]| u8::from((p[0] - 0.47).hypot(p[1] - 0.52) < 0.31);
+        let runs = refine(&design, 5, disc);
+        let full = design.size(5).unwrap();
+        assert!(runs < full as usize / 12, "{runs} of {full}");
+        // three regions that meet, and a boundary along the grid
+        refine(&design, 5, |p| if p[1] >= 0.5 { 2 } else { u8::from(p[0] * p[0] + 0.3 * p[1] > 0.4) });
+        // a tongue that enters a coarse cell through a face between its corners
+        refine(&design, 5, |p| u8::from(p[0] < 0.3 || p[0] < 0.7 && (p[1] - 0.56).abs() < 0.045 * (1.0 - p[0])));
+    }
+
+    #[test]
+    fn outcomes_have_classes() {
+        assert_eq!(class(Some(&Cell::Text("merged".to_owned()))), 2);
+        assert_eq!(class(Some(&Cell::Null)), FAILED);
+    }
+}

@@ -1,0 +1,237 @@
+//! What a row of a sweep's table has: the columns, and a binary form for the journal.
+
+use std::hash::{BuildHasher as _, BuildHasherDefault};
+
+use rustc_hash::FxHasher;
+
+use super::{Sweep, design::Axis};
+use crate::scene::template::Setting;
+
+/// Measures that cost more than a number a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Measures {
+    /// The greatest displacement: every vertex is looked at in every step.
+    pub displacement: bool,
+    /// Gap, overlap and neck at every event: every step has its surfaces compared.
+    pub surfaces: bool,
+}
+
+/// A value of a table.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Cell {
+    /// No value.
+    Null,
+    /// A count.
+    I64(i64),
+    /// A row's number, or a checksum.
+    U64(u64),
+    /// A number.
+    F64(f64),
+    /// A text.
+    Text(String),
+    /// Numbers.
+    List(Vec<f64>),
+}
+
+/// The type of a column.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// [`Cell::I64`].
+    I64,
+    /// [`Cell::U64`].
+    U64,
+    /// [`Cell::F64`].
+    F64,
+    /// [`Cell::Text`].
+    Text,
+    /// [`Cell::List`].
+    List,
+}
+
+/// A column.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Column {
+    /// Its name.
+    pub name: String,
+    /// Its type.
+    pub kind: Kind,
+    /// What it is, with its unit: stored in the table's schema.
+    pub about: &'static str,
+    /// Whether values can be missing.
+    pub is_nullable: bool,
+}
+
+/// A row: its number and a cell for every column after that.
+pub type Row = (u64, Vec<Cell>);
+
+/// The name of the column of run times, the only one that depends on the machine.
+pub const RUN_TIME: &str = "run_time";
+
+/// The columns of a sweep. The first is the number of the row, then come the axes.
+pub fn columns(sweep: &Sweep) -> Vec<Column> {
+    let column = |name: &str, kind, is_nullable, about| Column { name: name.to_owned(), kind, about, is_nullable };
+    let mut columns = vec![column("row", Kind::U64, false, "number of the point")];
+    columns.extend(sweep.design.axes.iter().map(|axis: &Axis| {
+        let kind = if axis.is_number() { Kind::F64 } else { Kind::Text };
+        column(&axis.key.to_string(), kind, false, "value at this key of the scene")
+    }));
+    let fixed: [(&str, Kind, bool, &'static str); 19] = [
+        ("outcome", Kind::Text, true, "apart, bounced, merged, passed or split; null if the run failed"),
+        ("events", Kind::Text, false, "the phase changes in order, the first 64 of them"),
+        ("event_times", Kind::List, false, "exact times of these [s]"),
+        ("merges", Kind::I64, false, "number of merges"),
+        ("splits", Kind::I64, false, "number of splits"),
+        ("cores", Kind::I64, false, "number of times that a pair entered its core"),
+        ("first_merge", Kind::F64, true, "exact time of the first merge [s]"),
+        ("first_split", Kind::F64, true, "exact time of the first split [s]"),
+        ("time_merged", Kind::F64, false, "time that pairs were merged or in their core, all pairs together [s]"),
+        ("closest", Kind::F64, true, "least centre distance of a pair over its radii, of pairs that came within reach"),
+        ("closest_time", Kind::F64, true, "time of that [s]"),
+        ("energy_by_events", Kind::F64, true, "energy that phase changes brought to free bodies [mass unit²/s²]"),
+        ("momentum_x", Kind::F64, true, "momentum of the free bodies at the end [mass unit/s]"),
+        ("momentum_y", Kind::F64, true, "its y"),
+        ("momentum_z", Kind::F64, true, "its z"),
+        ("estimated_error", Kind::F64, false, "sum over steps of the largest estimated error of a vertex [radii]"),
+        ("steps", Kind::I64, false, "steps taken until the outcome was certain"),
+        ("end", Kind::F64, false, "simulated time at the end [s]"),
+        ("checksum", Kind::U64, false, "hash of the exact state at the end"),
+    ];
+    columns.extend(fixed.map(|(name, kind, is_nullable, about)| column(name, kind, is_nullable, about)));
+    if sweep.measures.displacement {
+        let about = "greatest displacement of a vertex at the end of a step [radii]";
+        columns.push(column("max_displacement", Kind::F64, false, about));
+    }
+    if sweep.measures.surfaces {
+        let abouts = [
+            ("gaps", "distance of the surfaces at each event, negative where they overlap [radii]"),
+            ("overlaps", "volume of the intersection at each event [share of the smaller body]"),
+            ("necks", "radius of the seam at each event [radii]"),
+        ];
+        columns.extend(abouts.map(|(name, about)| column(name, Kind::List, false, about)));
+    }
+    columns.push(column("failure", Kind::Text, true, "why the run failed"));
+    columns.push(column(
+        RUN_TIME,
+        Kind::F64,
+        false,
+        "wall time of the run [s]: the only column that differs between machines",
+    ));
+    columns
+}
+
+impl From<&Setting> for Cell {
+    fn from(setting: &Setting) -> Cell {
+        match setting {
+            Setting::Number(number) => Cell::F64(*number),
+            Setting::Text(text) => Cell::Text(text.clone()),
+        }
+    }
+}
+
+/// Appends a record of the journal: length, hash, and the row. What is cut short or damaged is not read.
+pub fn append_record((row, cells): &Row, to: &mut Vec<u8>) {
+    let start = to.len();
+    to.extend([0; 12]);
+    to.extend(row.to_le_bytes());
+    let number = |to: &mut Vec<u8>, tag: u8, bits: u64| {
+        to.push(tag);
+        to.extend(bits.to_le_bytes());
+    };
+    for cell in cells {
+        match cell {
+            Cell::Null => to.push(0),
+            Cell::I64(n) => number(to, 1, *n as u64),
+            Cell::U64(n) => number(to, 2, *n),
+            Cell::F64(x) => number(to, 3, x.to_bits()),
+            Cell::Text(text) => {
+                number(to, 4, text.len() as u64);
+                to.extend(text.as_bytes());
+            }
+            Cell::List(list) => {
+                number(to, 5, list.len() as u64);
+                list.iter().for_each(|x| to.extend(x.to_bits().to_le_bytes()));
+            }
+        }
+    }
+    let payload = &to[start + 12..];
+    let (length, hash) = ((payload.len() as u32).to_le_bytes(), hash(payload).to_le_bytes());
+    to[start..start + 4].copy_from_slice(&length);
+    to[start + 4..start + 12].copy_from_slice(&hash);
+}
+
+/// Takes the first record off `bytes`; `None` at the end or where the journal is cut short.
+pub fn take_record(bytes: &mut &[u8]) -> Option<Row> {
+    let length = u32::from_le_bytes(take(bytes)?) as usize;
+    let expected = u64::from_le_bytes(take(bytes)?);
+    let payload = bytes.split_off(..length)?;
+    if hash(payload) != expected {
+        return None;
+    }
+    let mut rest = payload;
+    let row = u64::from_le_bytes(take(&mut rest)?);
+    let mut cells = Vec::new();
+    while !rest.is_empty() {
+        let [tag] = take(&mut rest)?;
+        if tag == 0 {
+            cells.push(Cell::Null);
+            continue;
+        }
+        let bits = u64::from_le_bytes(take(&mut rest)?);
+        cells.push(match tag {
+            1 => Cell::I64(bits as i64),
+            2 => Cell::U64(bits),
+            3 => Cell::F64(f64::from_bits(bits)),
+            4 => Cell::Text(String::from_utf8(rest.split_off(..bits as usize)?.to_vec()).ok()?),
+            5 => {
+                let list = rest.split_off(..(bits as usize).checked_mul(8)?)?;
+                let numbers = list
+                    .chunks_exact(8)
+                    .filter_map(|number| Some(f64::from_bits(u64::from_le_bytes(number.try_into().ok()?))));
+                Cell::List(numbers.collect())
+            }
+            _ => return None,
+        });
+    }
+    Some((row, cells))
+}
+
+fn take<const N: usize>(bytes: &mut &[u8]) -> Option<[u8; N]> {
+    bytes.split_off(..N)?.try_into().ok()
+}
+
+fn hash(bytes: &[u8]) -> u64 {
+    BuildHasherDefault::<FxHasher>::default().hash_one(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn records_survive_and_broken_ones_do_not() {
+        let cells = vec![
+            Cell::Null,
+            Cell::I64(-5),
+            Cell::U64(u64::MAX),
+            Cell::F64(0.1),
+            Cell::Text("größe".to_owned()),
+            Cell::List(vec![1.0, f64::NEG_INFINITY]),
+        ];
+        let mut bytes = Vec::new();
+        append_record(&(7, cells.clone()), &mut bytes);
+        let one = bytes.len();
+        append_record(&(8, vec![]), &mut bytes);
+        let mut rest = &bytes[..];
+        assert_eq!(take_record(&mut rest), Some((7, cells)));
+        assert_eq!(take_record(&mut rest), Some((8, vec![])));
+        assert_eq!(take_record(&mut rest), None);
+        for cut in 0..one {
+            assert_eq!(take_record(&mut &bytes[..cut]), None);
+        }
+        for at in 0..one {
+            let mut damaged = bytes.clone();
+            damaged[at] ^= 4;
+            assert_eq!(take_record(&mut &damaged[..]), None, "{at}");
+        }
+    }
+}

@@ -1,0 +1,472 @@
+//! One run of a sweep, and what is measured of it.
+//!
+//! # Outcomes
+//! Of a pair of bodies:
+//!
+//! | outcome | |
+//! | --- | --- |
+//! | `merged` | merged, or in its core, at the end |
+//! | `passed` | merged and split, and went through: between the first merge and the last split the line of centres turned by more than a right angle, and the relative velocity by less |
+//! | `split` | merged and split, and did not go through: torn off, or pushed back |
+//! | `bounced` | never merged, but turned back: the relative velocity at the end is at more than a right angle to that when the pair came within reach, one of the bodies is free, and they move apart |
+//! | `apart` | anything else: the pair never came within reach, went by, or is still in reach |
+//!
+//! A run has the first of these that any of its pairs has, in this order.
+//!
+//! # When a run ends
+//! With `until = "certain"`, the default, a run ends after the step after which no pair can change its phase:
+//!
+//! - where all bodies are on paths that are lines, keyframes or fixed, after the last change of phase, which the paths give
+//!   in advance; a run without one goes to the end of the scene, so that its closest approach is known;
+//! - where bodies are free, once no pair is merged, nothing else acts (no gravity, plane or push to come), and of every
+//!   pair the centres move apart with each body out of reach of the other's sphere, even if all its vertices were
+//!   displaced by one and a half times what their energy allows.
+//!
+//! A pair that is merged may split as long as the scene lasts. Scenes of more than eight bodies go to the end. Every
+//! measure is that of the steps taken.
+
+use std::{collections::BTreeMap, sync::atomic::AtomicBool, time::Instant};
+
+use glam::DVec3;
+
+use super::{
+    file::{Sweep, Until},
+    row::{Cell, Row},
+};
+use crate::{
+    Scene, World,
+    model::phase::Phase,
+    observe::{
+        Frame, Simulation as _, StepSummary, Want,
+        approach::lowest,
+        touch::{Finding, Touches},
+    },
+    scene::{
+        Motion, Path,
+        template::{Setting, Template},
+    },
+    sim::{Event, Failure, Options, States, events::PairTracks},
+};
+
+/// Most events that a row lists.
+const MOST_EVENTS: usize = 64;
+/// In scenes of more bodies, runs go to the end.
+const MOST_BODIES: usize = 8;
+/// Displacements may grow to this factor of what the energy of the vertex allows.
+const ROOM: f64 = 1.5;
+
+/// What pairs did, from the least to what a run is named after.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Outcome {
+    /// Nothing of the others.
+    Apart,
+    /// Never merged, and turned back.
+    Bounced,
+    /// Merged and split.
+    Split,
+    /// Merged, went through, and split.
+    Passed,
+    /// Merged at the end.
+    Merged,
+}
+
+impl Outcome {
+    /// All outcomes, in the order in which they are listed to users.
+    pub const ALL: [Outcome; 5] = [Outcome::Apart, Outcome::Bounced, Outcome::Merged, Outcome::Passed, Outcome::Split];
+
+    /// The name in tables and maps.
+    pub fn name(self) -> &'static str {
+        match self {
+            Outcome::Apart => "apart",
+            Outcome::Bounced => "bounced",
+            Outcome::Split => "split",
+            Outcome::Passed => "passed",
+            Outcome::Merged => "merged",
+        }
+    }
+}
+
+/// What runs share, and their buffers.
+pub struct Runner<'a> {
+    sweep: &'a Sweep,
+    template: &'a Template<'a>,
+    interrupt: Option<&'static AtomicBool>,
+}
+
+/// Why there is no row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Interrupted;
+
+impl<'a> Runner<'a> {
+    /// For the runs of a sweep; they end when `interrupt` is set.
+    pub fn new(sweep: &'a Sweep, template: &'a Template<'a>, interrupt: Option<&'static AtomicBool>) -> Runner<'a> {
+        Runner { sweep, template, interrupt }
+    }
+
+    /// Runs a row of the sweep.
+    ///
+    /// # Errors
+    /// The run was interrupted.
+    pub fn row(&self, row: u64) -> Result<Row, Interrupted> {
+        let point = self.sweep.design.point(row).unwrap_or_default();
+        Ok((row, self.cells(&point)?))
+    }
+
+    /// Runs a point.
+    ///
+    /// # Errors
+    /// The run was interrupted.
+    pub fn cells(&self, point: &[Setting]) -> Result<Vec<Cell>, Interrupted> {
+        let start = Instant::now();
+        let scene = self.template.scene(self.sweep.settings(point)).map_err(|error| error.to_string());
+        let options = Options { interrupt: self.interrupt, ..Options::default() };
+        let world = scene.and_then(|scene| World::with_options(scene, options).map_err(|error| error.to_string()));
+        let mut cells: Vec<Cell> = point.iter().map(Cell::from).collect();
+        match world {
+            Ok(world) => Run::new(world, self.sweep).finish(&mut cells)?,
+            Err(error) => refused(self.sweep, error, &mut cells),
+        }
+        cells.push(Cell::F64(start.elapsed().as_secs_f64()));
+        Ok(cells)
+    }
+}
+
+/// The cells of a scene that cannot be run.
+fn refused(sweep: &Sweep, error: String, cells: &mut Vec<Cell>) {
+    use Cell::{F64, I64, List, Null, Text, U64};
+    cells.extend([Null, Text(String::new()), List(vec![]), I64(0), I64(0), I64(0), Null, Null, F64(0.0), Null, Null]);
+    cells.extend([Null, Null, Null, Null, F64(0.0), I64(0), F64(0.0), U64(0)]);
+    cells.extend(sweep.measures.displacement.then_some(F64(0.0)));
+    if sweep.measures.surfaces {
+        cells.extend([List(vec![]), List(vec![]), List(vec![])]);
+    }
+    cells.push(Text(error));
+}
+
+/// About how long a run takes [s], from the beginning of one.
+pub fn estimate(template: &Template<'_>, sweep: &Sweep, point: &[Setting]) -> f64 {
+    let Some(mut world) = template.scene(sweep.settings(point)).ok().and_then(|scene| World::new(scene).ok()) else {
+        return 0.0;
+    };
+    let (steps, start) = (world.scene().steps(), Instant::now());
+    while world.steps_taken() < steps && start.elapsed().as_secs_f64() < 0.2 && world.step().failure.is_none() {}
+    start.elapsed().as_secs_f64() * steps as f64 / world.steps_taken().max(1) as f64
+}
+
+/// What is known of a pair.
+struct Pair {
+    /// Whether it is merged or in its core.
+    is_merged: bool,
+    /// Since when [s].
+    since: f64,
+    /// Positions and velocities of b relative to a: when it came within reach, …
+    met: [DVec3; 2],
+    /// … at its first merge, …
+    merged: Option<[DVec3; 2]>,
+    /// … and at its last split.
+    split: Option<[DVec3; 2]>,
+    /// The last two distances: time and q².
+    last: [(f64, f64); 2],
+}
+
+/// A run in progress.
+struct Run<'a> {
+    world: World,
+    sweep: &'a Sweep,
+    pairs: BTreeMap<(usize, usize), Pair>,
+    /// Names and times of events, in order.
+    events: String,
+    times: Vec<f64>,
+    counts: [i64; 3],
+    first_merge: Option<f64>,
+    first_split: Option<f64>,
+    time_merged: f64,
+    /// q² and time of the closest approach.
+    closest: Option<(f64, f64)>,
+    energy: f64,
+    error: f64,
+    displacement: f64,
+    surfaces: [Vec<f64>; 3],
+    /// The last change of phase of bodies on paths [s].
+    last_change: Option<f64>,
+    states: States,
+}
+
+impl<'a> Run<'a> {
+    fn new(world: World, sweep: &'a Sweep) -> Run<'a> {
+        let mut run = Run {
+            last_change: last_change(world.scene()).filter(|_| sweep.until == Until::Certain),
+            world,
+            sweep,
+            pairs: BTreeMap::new(),
+            events: String::new(),
+            times: Vec::new(),
+            counts: [0; 3],
+            first_merge: None,
+            first_split: None,
+            time_merged: 0.0,
+            closest: None,
+            energy: 0.0,
+            error: 0.0,
+            displacement: 0.0,
+            surfaces: Default::default(),
+            states: States::default(),
+        };
+        run.look();
+        run
+    }
+
+    fn finish(mut self, cells: &mut Vec<Cell>) -> Result<(), Interrupted> {
+        let steps = self.world.scene().steps();
+        let mut touches = self.sweep.measures.surfaces.then(|| (Touches::new(&self.world), Frame::default()));
+        let (mut summary, mut found, mut failure) = (StepSummary::default(), Vec::new(), None);
+        while self.world.steps_taken() < steps {
+            self.world.step();
+            let report = self.world.report();
+            match &report.failure {
+                Some(Failure::Interrupted { .. }) => return Err(Interrupted),
+                Some(why) => {
+                    failure = Some(why.to_string());
+                    break;
+                }
+                None => {}
+            }
+            self.error += report.error;
+            if !report.events.is_empty() {
+                self.take_events();
+            }
+            self.look();
+            if self.sweep.measures.displacement {
+                self.displace();
+            }
+            if let Some((touches, frame)) = &mut touches {
+                self.world.summary(&mut summary);
+                self.world.observe(Want::default(), frame);
+                touches.step(&self.world, frame, &summary.events, &mut found);
+                for found in found.drain(..) {
+                    if let Finding::Phase { measures, .. } = found.what
+                        && self.surfaces[0].len() < MOST_EVENTS
+                    {
+                        let of =
+                            measures.map_or([f64::NAN; 3], |measures| [measures.gap, measures.share, measures.neck]);
+                        self.surfaces.iter_mut().zip(of).for_each(|(list, value)| list.push(value));
+                    }
+                }
+            }
+            if self.sweep.until == Until::Certain && self.is_certain() {
+                break;
+            }
+        }
+        self.write(failure, cells);
+        Ok(())
+    }
+
+    /// Position and velocity of body b relative to a [scene unit, scene unit/s].
+    fn relative(&self, a: usize, b: usize) -> [DVec3; 2] {
+        let (a, b) = (self.world.body(a), self.world.body(b));
+        [b.centre() - a.centre(), b.centre_velocity() - a.centre_velocity()]
+    }
+
+    fn take_events(&mut self) {
+        let end = self.world.time();
+        let events: Vec<Event> = self.world.report().events.clone();
+        let is_single = self.world.body_count() == 2;
+        for event in events {
+            let (a, b) = (event.a as usize, event.b as usize);
+            if self.times.len() < MOST_EVENTS {
+                if !self.events.is_empty() {
+                    self.events.push_str(", ");
+                }
+                self.events.push_str(event.name());
+                if !is_single {
+                    let bodies = &self.world.scene().bodies;
+                    self.events.push_str(&format!(" {}~{}", bodies[a].name, bodies[b].name));
+                }
+                self.times.push(event.time);
+            }
+            self.energy += event.energy;
+            let [position, velocity] = self.relative(a, b);
+            let then = [position - velocity * (end - event.time), velocity];
+            let pair = self.pairs.entry((a, b)).or_insert_with(|| Pair::met(then, event.time));
+            match (event.from, event.to) {
+                (Phase::Apart, Phase::Apart) => {}
+                (Phase::Apart, _) => {
+                    self.counts[0] += 1;
+                    self.first_merge.get_or_insert(event.time);
+                    (pair.is_merged, pair.since) = (true, event.time);
+                    pair.merged.get_or_insert(then);
+                }
+                (_, Phase::Apart) => {
+                    self.counts[1] += 1;
+                    self.first_split.get_or_insert(event.time);
+                    self.time_merged += event.time - pair.since;
+                    pair.is_merged = false;
+                    pair.split = Some(then);
+                }
+                _ => {}
+            }
+            self.counts[2] += i64::from(event.to == Phase::Core && event.from != Phase::Core);
+        }
+    }
+
+    /// Takes note of the distances of pairs.
+    fn look(&mut self) {
+        let time = self.world.time();
+        for view in self.world.pairs() {
+            let squared = view.q * view.q;
+            let pair = match self.pairs.get_mut(&(view.a, view.b)) {
+                Some(pair) => pair,
+                None => {
+                    let relative = self.relative(view.a, view.b);
+                    let mut pair = Pair::met(relative, time);
+                    if view.phase != Phase::Apart {
+                        (pair.is_merged, pair.merged) = (true, Some(relative));
+                    }
+                    self.pairs.entry((view.a, view.b)).or_insert(pair)
+                }
+            };
+            let [before, last] = pair.last;
+            let now = (time, squared);
+            let mut least = now;
+            if let Some(vertex) = lowest([before, last, now]) {
+                least = vertex;
+            }
+            if self.closest.is_none_or(|(known, _)| least.1 < known) {
+                self.closest = Some((least.1, least.0));
+            }
+            pair.last = [last, now];
+        }
+    }
+
+    /// Takes note of the displacements.
+    fn displace(&mut self) {
+        for body in self.world.bodies().filter(|body| !body.is_at_rest()) {
+            body.states_into(&mut self.states);
+            let largest = self.states.displacement.iter().map(DVec3::length_squared).fold(0.0, f64::max);
+            self.displacement = self.displacement.max(largest.sqrt() / body.scene().radius);
+        }
+    }
+
+    /// Whether no pair can change its phase any more.
+    fn is_certain(&mut self) -> bool {
+        if let Some(last) = self.last_change {
+            return self.world.time() >= last;
+        }
+        let count = self.world.body_count();
+        let scene = self.world.scene();
+        if count > MOST_BODIES
+            || self.pairs.values().any(|pair| pair.is_merged)
+            || !scene.is_coupled()
+            || scene.gravity != DVec3::ZERO
+            || !scene.planes.is_empty()
+            || self.world.pairs().next().is_some()
+            || scene.pushes.iter().any(|push| push.end() > self.world.time())
+        {
+            return false;
+        }
+        let is_steady = |motion: &Motion| !matches!(motion, Motion::Prescribed(path) if !matches!(path, Path::Fixed(_) | Path::Line { .. }));
+        if !scene.bodies.iter().all(|body| is_steady(&body.motion)) {
+            return false;
+        }
+        let mut extents = Vec::with_capacity(count);
+        for index in 0..count {
+            let body = self.world.body(index);
+            let (radius, omega) = (body.scene().radius, body.scene().material.omega);
+            if omega == 0.0 && !body.is_at_rest() {
+                return false;
+            }
+            let mut largest = 0.0;
+            if !body.is_at_rest() {
+                body.states_into(&mut self.states);
+                let States { displacement, velocity } = &self.states;
+                let squared = displacement.iter().zip(velocity.iter());
+                largest =
+                    squared.map(|(x, u)| x.length_squared() + u.length_squared() / (omega * omega)).fold(0.0, f64::max);
+            }
+            extents.push((radius + ROOM * largest.sqrt(), self.world.scene().influence.sphere_radius(radius)));
+        }
+        let apart = |a: usize, b: usize| {
+            let [position, velocity] = self.relative(a, b);
+            let scene = self.world.scene();
+            let radii = scene.bodies[a].radius + scene.bodies[b].radius;
+            let reach = f64::max(extents[a].0 + extents[b].1, extents[a].1 + extents[b].0);
+            let reach = reach.max(radii * scene.law(a, b).thresholds.split_at);
+            position.dot(velocity) >= 0.0 && position.length() > reach
+        };
+        (0..count).all(|b| (0..b).all(|a| apart(a, b)))
+    }
+
+    fn outcome(&self) -> Outcome {
+        let is_free = |index: usize| matches!(self.world.scene().bodies[index].motion, Motion::Free(_));
+        let of_pair = |(&(a, b), pair): (&(usize, usize), &Pair)| {
+            if pair.is_merged {
+                return Outcome::Merged;
+            }
+            if let (Some(merged), Some(split)) = (pair.merged, pair.split) {
+                let through = merged[0].dot(split[0]) < 0.0 && merged[1].dot(split[1]) > 0.0;
+                return if through { Outcome::Passed } else { Outcome::Split };
+            }
+            let now = self.relative(a, b);
+            let is_turned = now[1].dot(pair.met[1]) < 0.0 && now[0].dot(now[1]) > 0.0;
+            if is_turned && (is_free(a) || is_free(b)) { Outcome::Bounced } else { Outcome::Apart }
+        };
+        self.pairs.iter().map(of_pair).max().unwrap_or(Outcome::Apart)
+    }
+
+    fn write(mut self, failure: Option<String>, cells: &mut Vec<Cell>) {
+        let (end, is_coupled) = (self.world.time(), self.world.scene().is_coupled());
+        self.time_merged += self.pairs.values().filter(|pair| pair.is_merged).map(|pair| end - pair.since).sum::<f64>();
+        let outcome = failure.is_none().then(|| self.outcome().name().to_owned());
+        let number = |number: Option<f64>| number.map_or(Cell::Null, Cell::F64);
+        cells.push(outcome.map_or(Cell::Null, Cell::Text));
+        cells.push(Cell::Text(self.events));
+        cells.push(Cell::List(self.times));
+        cells.extend(self.counts.map(Cell::I64));
+        cells.extend([number(self.first_merge), number(self.first_split), Cell::F64(self.time_merged)]);
+        cells.extend([
+            number(self.closest.map(|(squared, _)| squared.max(0.0).sqrt())),
+            number(self.closest.map(|(_, time)| time)),
+        ]);
+        cells.push(number(is_coupled.then_some(self.energy)));
+        let momentum = self.world.conserved().map(|conserved| conserved.momentum.to_array());
+        cells.extend((0..3).map(|k| number(momentum.map(|momentum| momentum[k]))));
+        cells.extend([Cell::F64(self.error), Cell::I64(self.world.steps_taken() as i64), Cell::F64(end)]);
+        cells.push(Cell::U64(self.world.checksum()));
+        cells.extend(self.sweep.measures.displacement.then_some(Cell::F64(self.displacement)));
+        if self.sweep.measures.surfaces {
+            cells.extend(self.surfaces.map(Cell::List));
+        }
+        cells.push(failure.map_or(Cell::Null, Cell::Text));
+    }
+}
+
+impl Pair {
+    fn met(relative: [DVec3; 2], time: f64) -> Pair {
+        let nothing = (f64::NEG_INFINITY, f64::INFINITY);
+        Pair { is_merged: false, since: time, met: relative, merged: None, split: None, last: [nothing; 2] }
+    }
+}
+
+/// The last change of phase of a scene whose bodies are all on paths that do not swing [s]; `None` if there is none, or
+/// nothing is known of it.
+fn last_change(scene: &Scene) -> Option<f64> {
+    if scene.bodies.len() > MOST_BODIES || scene.is_coupled() {
+        return None;
+    }
+    let paths: Option<Vec<&Path>> =
+        scene.bodies.iter().map(|body| body.path().filter(|path| !matches!(path, Path::Sine { .. }))).collect();
+    let (paths, end) = (paths?, scene.duration);
+    let mut last = None;
+    for b in 0..paths.len() {
+        for a in 0..b {
+            let radii = scene.bodies[a].radius + scene.bodies[b].radius;
+            let tracks = PairTracks { a: paths[a].into(), b: paths[b].into(), radii };
+            let thresholds = scene.law(a, b).thresholds;
+            let first = thresholds.initial(tracks.q(0.0));
+            tracks.phase_changes(&thresholds, first, 0.0, end, |time, _| {
+                last = f64::max(last.unwrap_or(time), time).into()
+            });
+        }
+    }
+    last
+}

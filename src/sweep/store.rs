@@ -1,0 +1,313 @@
+//! The folder of a sweep: what is done, and what is under way.
+//!
+//! | file | |
+//! | --- | --- |
+//! | `sweep.toml`, `scene.toml` | the sweep and its scene, compared when the sweep goes on |
+//! | `rows-LEVEL-SHARDofSHARDS-BLOCK.parquet` | rows; each file is there as a whole or not at all |
+//! | `.rows-….journal` | rows of a block that is not complete, each as soon as its run ends |
+//!
+//! Which rows a block has is determined by the sweep, so two processes that do the same shard by mistake, or because the
+//! first one was thought lost, write the same file. No process needs to know of another, nor of locks.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs::{self, File, OpenOptions},
+    io::{self, Write as _},
+    path::{Path, PathBuf},
+};
+
+use super::{
+    Sweep,
+    row::{Column, Row, append_record, take_record},
+    table,
+};
+
+const PARTIAL: &str = ".partial";
+const JOURNAL: &str = ".journal";
+const PARQUET: &str = ".parquet";
+
+/// Why a sweep cannot go on in its folder.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The operating system's answer.
+    #[error("cannot {doing} {path}: {source}{}", help(source))]
+    File {
+        /// What was attempted.
+        doing: &'static str,
+        /// The file or folder.
+        path: String,
+        /// The operating system's answer.
+        source: io::Error,
+    },
+    /// The folder has another sweep.
+    #[error("{path} has the rows of another sweep (its {file} differs): choose another folder")]
+    Other {
+        /// The folder.
+        path: String,
+        /// The file that differs.
+        file: &'static str,
+    },
+    /// A table cannot be read.
+    #[error(transparent)]
+    Table(#[from] table::TableError),
+}
+
+fn help(error: &io::Error) -> &'static str {
+    match error.kind() {
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            "; what was written before is kept: make room, and start again to go on"
+        }
+        _ => "",
+    }
+}
+
+/// The part of a level that a process does: rows whose place in the level leaves `index` when divided by `count`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Shard {
+    /// Which, from 0.
+    pub index: u64,
+    /// Of how many.
+    pub count: u64,
+}
+
+impl Shard {
+    /// All rows.
+    pub const ALL: Shard = Shard { index: 0, count: 1 };
+}
+
+/// A file of rows.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Part {
+    level: u32,
+    shard: Shard,
+    block: u64,
+}
+
+impl Part {
+    fn name(&self) -> String {
+        format!("{}{:06}{PARQUET}", stem(self.level, self.shard), self.block)
+    }
+
+    fn parse(name: &str) -> Option<Part> {
+        let mut fields = name.strip_prefix("rows-")?.strip_suffix(PARQUET)?.splitn(3, '-');
+        let level = fields.next()?.parse().ok()?;
+        let (index, count) = fields.next()?.split_once("of")?;
+        let shard = Shard { index: index.parse().ok()?, count: count.parse().ok()? };
+        let part = Part { level, shard, block: fields.next()?.parse().ok()? };
+        (part.name() == name).then_some(part)
+    }
+}
+
+fn stem(level: u32, shard: Shard) -> String {
+    format!("rows-{level:02}-{}of{}-", shard.index, shard.count)
+}
+
+/// The folder of a sweep.
+pub struct Store {
+    path: PathBuf,
+    columns: Vec<Column>,
+}
+
+impl Store {
+    /// Creates the folder of a sweep, or goes on in it.
+    ///
+    /// # Errors
+    /// The folder cannot be written, or has another sweep.
+    pub fn open(path: &Path, sweep: &Sweep, columns: Vec<Column>) -> Result<Store, StoreError> {
+        let store = Store { path: path.to_owned(), columns };
+        fs::create_dir_all(path).map_err(|error| store.error("create the folder", path, error))?;
+        for (file, text) in [("sweep.toml", &sweep.text), ("scene.toml", &sweep.scene_text)] {
+            let there = path.join(file);
+            match fs::read(&there) {
+                Ok(known) if known == text.as_bytes() => {}
+                Ok(_) => return Err(StoreError::Other { path: path.display().to_string(), file }),
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                    store.write(file, |to| to.write_all(text.as_bytes()))?;
+                }
+                Err(error) => return Err(store.error("read", &there, error)),
+            }
+        }
+        Ok(store)
+    }
+
+    /// The folder.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The columns of its tables.
+    pub fn columns(&self) -> &[Column] {
+        &self.columns
+    }
+
+    fn error(&self, doing: &'static str, path: &Path, source: io::Error) -> StoreError {
+        StoreError::File { doing, path: path.display().to_string(), source }
+    }
+
+    /// Writes a file, which is there as a whole or not at all, even if the machine stops.
+    ///
+    /// # Errors
+    /// The operating system's answer; nothing is left behind.
+    pub fn write(&self, name: &str, write: impl FnOnce(&mut File) -> io::Result<()>) -> Result<PathBuf, StoreError> {
+        let (path, partial) =
+            (self.path.join(name), self.path.join(format!(".{name}.{}{PARTIAL}", std::process::id())));
+        let written = || {
+            let mut file = File::create(&partial)?;
+            write(&mut file)?;
+            file.sync_all()?;
+            fs::rename(&partial, &path)?;
+            // a folder cannot be opened on every system
+            File::open(&self.path).and_then(|folder| folder.sync_all()).ok();
+            Ok(())
+        };
+        written().map_err(|error| {
+            fs::remove_file(&partial).ok();
+            self.error("write", &path, error)
+        })?;
+        Ok(path)
+    }
+
+    /// Writes the rows of a block.
+    ///
+    /// # Errors
+    /// As of [`Store::write`].
+    pub fn write_block(&self, level: u32, shard: Shard, block: u64, rows: &[Row]) -> Result<(), StoreError> {
+        let name = Part { level, shard, block }.name();
+        self.write(&name, |to| table::write(&self.columns, rows, to)).map(drop)
+    }
+
+    fn names(&self) -> Result<Vec<String>, StoreError> {
+        let failed = |error| self.error("read the folder", &self.path, error);
+        let mut names = Vec::new();
+        for entry in fs::read_dir(&self.path).map_err(failed)? {
+            names.extend(entry.map_err(failed)?.file_name().into_string());
+        }
+        names.sort();
+        Ok(names)
+    }
+
+    fn parts(&self) -> Result<Vec<Part>, StoreError> {
+        let mut parts: Vec<Part> = self.names()?.iter().filter_map(|name| Part::parse(name)).collect();
+        parts.sort();
+        Ok(parts)
+    }
+
+    /// The blocks of a shard that are done.
+    ///
+    /// # Errors
+    /// The folder cannot be read.
+    pub fn blocks(&self, level: u32, shard: Shard) -> Result<BTreeSet<u64>, StoreError> {
+        let parts = self.parts()?.into_iter().filter(|part| part.level == level && part.shard == shard);
+        Ok(parts.map(|part| part.block).collect())
+    }
+
+    /// Reads some columns of the rows of some levels, in the order of their files; the first column is the number of the
+    /// row. With `other`, only what others than this shard did.
+    ///
+    /// # Errors
+    /// A table cannot be read.
+    pub fn read(
+        &self,
+        levels: std::ops::Range<u32>,
+        other: Option<Shard>,
+        columns: &[Column],
+        mut each: impl FnMut(Row),
+    ) -> Result<(), StoreError> {
+        for part in self.parts()? {
+            let is_other = other.is_none_or(|shard| shard.count != part.shard.count);
+            if levels.contains(&part.level) && is_other {
+                table::read(&self.path.join(part.name()), columns, &mut each)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The columns of these names; the first is the number of the row.
+    pub fn named(&self, names: &[&str]) -> Vec<Column> {
+        let named = names.iter().filter_map(|name| self.columns.iter().find(|column| column.name == *name));
+        self.columns.first().into_iter().chain(named).cloned().collect()
+    }
+
+    /// The rows that the journals of a shard have, of blocks that are not written.
+    ///
+    /// # Errors
+    /// A journal cannot be read.
+    pub fn journals(&self, level: u32, shard: Shard) -> Result<BTreeMap<u64, Row>, StoreError> {
+        let mut rows = BTreeMap::new();
+        for path in self.journal_paths(level, shard)? {
+            let bytes = match fs::read(&path) {
+                Err(error) if error.kind() == io::ErrorKind::NotFound => continue, // done by now
+                read => read.map_err(|error| self.error("read", &path, error))?,
+            };
+            let mut bytes = &bytes[..];
+            while let Some(row) = take_record(&mut bytes) {
+                if row.1.len() + 1 == self.columns.len() {
+                    rows.insert(row.0, row);
+                }
+            }
+        }
+        Ok(rows)
+    }
+
+    fn journal_paths(&self, level: u32, shard: Shard) -> Result<Vec<PathBuf>, StoreError> {
+        let start = format!(".{}", stem(level, shard));
+        let names = self.names()?.into_iter().filter(|name| name.starts_with(&start) && name.ends_with(JOURNAL));
+        Ok(names.map(|name| self.path.join(name)).collect())
+    }
+
+    /// A journal of this process.
+    ///
+    /// # Errors
+    /// It cannot be created.
+    pub fn journal(&self, level: u32, shard: Shard) -> Result<Journal, StoreError> {
+        let nanoseconds = std::time::UNIX_EPOCH.elapsed().map_or(0, |time| time.subsec_nanos());
+        let name = format!(".{}{}-{nanoseconds}{JOURNAL}", stem(level, shard), std::process::id());
+        let path = self.path.join(name);
+        let file = OpenOptions::new().append(true).create_new(true).open(&path);
+        let file = file.map_err(|error| self.error("create", &path, error))?;
+        Ok(Journal { file, path, buffer: Vec::new() })
+    }
+
+    /// Removes what is left of a shard that is complete: its journals, and what a killed process was writing.
+    pub fn clean(&self, level: u32, shard: Shard) -> Result<(), StoreError> {
+        for path in self.journal_paths(level, shard)? {
+            fs::remove_file(path).ok();
+        }
+        let start = format!(".{}", stem(level, shard));
+        for name in self.names()?.iter().filter(|name| name.starts_with(&start) && name.ends_with(PARTIAL)) {
+            fs::remove_file(self.path.join(name)).ok();
+        }
+        Ok(())
+    }
+}
+
+/// Rows of a block that is under way.
+pub struct Journal {
+    file: File,
+    path: PathBuf,
+    buffer: Vec<u8>,
+}
+
+impl Journal {
+    /// Adds a row. It survives the process, though not the machine.
+    ///
+    /// # Errors
+    /// The disk is full, or failed.
+    pub fn add(&mut self, row: &Row) -> Result<(), StoreError> {
+        self.buffer.clear();
+        append_record(row, &mut self.buffer);
+        self.file.write_all(&self.buffer).map_err(|error| self.error(error))
+    }
+
+    /// Forgets all rows: they are written.
+    ///
+    /// # Errors
+    /// The disk failed.
+    pub fn clear(&mut self) -> Result<(), StoreError> {
+        self.file.set_len(0).map_err(|error| self.error(error))
+    }
+
+    fn error(&self, source: io::Error) -> StoreError {
+        StoreError::File { doing: "write", path: self.path.display().to_string(), source }
+    }
+}
