@@ -24,13 +24,15 @@ use crate::{
         design::{MOST_LEVELS, Sampling},
         file::duration,
         level::{self, Ended, LevelError, Plan},
+        map::Map,
+        picture,
         refine::{FAILED, Known, class},
         row::{Cell, Row, columns},
         run::Runner,
         store::{Shard, Store, StoreError},
-        table,
+        svg, table,
     },
-    text::{counted, did_you_mean, significant, thousands},
+    text::{bytes, counted, did_you_mean, significant, thousands},
 };
 
 #[derive(clap::Args)]
@@ -172,6 +174,7 @@ pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
         }
     }
     doing.summarize(total, arguments.refine)?;
+    doing.draw()?;
     if let Some(axis) = &arguments.bisect {
         doing.bisect(axis)?;
     }
@@ -247,6 +250,26 @@ impl Doing<'_> {
             self.store.path().display(),
             duration(self.start.elapsed().as_secs_f64())
         ));
+        Ok(())
+    }
+
+    /// Draws the map.
+    fn draw(&self) -> Result<(), Failure> {
+        let Some(map) = Map::new(self.sweep, self.store)? else { return Ok(()) };
+        let first = self.sweep.text.lines().next().and_then(|line| line.strip_prefix('#')).unwrap_or(&self.sweep.file);
+        let about = format!(
+            "{}, scene {}; meldscope {}",
+            counted(map.rows, "run"),
+            self.sweep.scene_file,
+            env!("CARGO_PKG_VERSION")
+        );
+        let drawn = svg::svg(&map, first.trim(), &about);
+        let path = self.store.write("map.svg", |to| std::io::Write::write_all(to, drawn.as_bytes()))?;
+        let recording = self.store.path().join("map.rrd");
+        picture::save(&map, self.sweep, self.store, first.trim(), &recording)
+            .map_err(|error| Failure::Run(error.to_string()))?;
+        let size = bytes(drawn.len() as u64);
+        print(&format!("map: {}, {size}, and for the viewer {}", path.display(), recording.display()));
         Ok(())
     }
 

@@ -133,6 +133,24 @@ pub fn of_comparison(spheres: &[(DVec3, f64)], recording: &StoreId) -> Vec<LogMs
     layout.finish(root)
 }
 
+/// The layout of the map of a sweep: the map, what its colours are, and measures along a line.
+pub fn of_map(measures: &[&str], recording: &StoreId) -> Vec<LogMsg> {
+    let mut layout = Layout::of(recording);
+    let map = layout.view("2D", "Map", "/map", &["+ /map/**"], &[]);
+    let about = layout.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
+    let plots = measures.iter().map(|measure| {
+        let entity = format!("/along/{measure}");
+        let legend = PlotLegend::new().with_corner(Corner2D::LeftTop);
+        layout.view("TimeSeries", measure, &entity, &[&format!("+ {entity}/**")], &[("PlotLegend", &legend)])
+    });
+    let plots: Vec<Part> = plots.collect();
+    let shares = vec![1.0; plots.len()];
+    let plots = layout.container(ContainerKind::Vertical, "Along the first axis", plots, &shares);
+    let left = layout.container(ContainerKind::Vertical, "Map", vec![map, about], &[4.0, 1.0]);
+    let root = layout.container(ContainerKind::Horizontal, "meldscope", vec![left, plots], &[1.8, 1.0]);
+    layout.finish(root)
+}
+
 /// Upper limit on the number of bodies that are drawn transparent in views of forces.
 const MOST_SHEER: usize = 16;
 

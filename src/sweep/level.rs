@@ -131,7 +131,9 @@ pub fn run(
             None => return Ok(Ended::Interrupted),
         }
         rows.sort_unstable_by_key(|(row, _)| *row);
-        store.write_block(level, shard, block, &rows)?;
+        if !rows.is_empty() {
+            store.write_block(level, shard, block, &rows)?;
+        }
         journal.clear()?;
     }
     drop(journal);

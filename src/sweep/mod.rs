@@ -11,6 +11,8 @@
 //! | the runs of a level, on all cores | [`level`] |
 //! | where the grid is halved | [`refine`] |
 //! | thresholds along one axis | [`bisect`] |
+//! | the map: regions and boundaries | [`map`] |
+//! | the map as SVG, and as a recording | [`svg`], [`picture`] |
 //! | sweeps that are compiled in | [`builtin`] |
 //!
 //! # The sweep file
@@ -48,10 +50,13 @@ pub mod builtin;
 pub mod design;
 pub mod file;
 pub mod level;
+pub mod map;
+pub mod picture;
 pub mod refine;
 pub mod row;
 pub mod run;
 pub mod store;
+pub mod svg;
 pub mod table;
 
 pub use file::Sweep;

@@ -23,5 +23,6 @@ mod sinks;
 mod skipping;
 mod stability;
 mod stranger;
+mod sweep;
 mod tolerance;
 mod work;

@@ -1,0 +1,321 @@
+//! The map of a sweep: outcomes, or a measure, over its first two axes of numbers; a map for each combination of values on
+//! the others.
+
+use std::collections::{BTreeMap, HashMap};
+
+use super::{
+    Sweep, bisect,
+    design::{Axis, Sampling, Scale, Values},
+    refine::{FAILED, class},
+    row::{Cell, Kind},
+    store::{Store, StoreError},
+};
+use crate::scene::template::Setting;
+
+/// Most points along an axis that a map resolves.
+const MOST_POINTS: u64 = 1200;
+/// Most maps that are drawn.
+pub const MOST_SLICES: usize = 64;
+/// Most runs that are kept to be shown as points.
+const MOST_DOTS: usize = 20_000;
+
+/// Colours of the outcomes, safe for colour-blind readers (Okabe & Ito 2008), and of runs that failed.
+pub const COLORS: [[u8; 3]; FAILED as usize + 1] =
+    [[222, 222, 222], [86, 180, 233], [230, 159, 0], [0, 158, 115], [204, 121, 167], [60, 60, 60]];
+/// Where nothing is known.
+pub const UNKNOWN: [u8; 3] = [255, 255, 255];
+
+/// The maps of a sweep.
+pub struct Map {
+    /// What is drawn to the right, and upwards if there is a second axis of numbers.
+    pub axes: Vec<Axis>,
+    /// The colour of the map is this.
+    pub color: String,
+    /// The least and the greatest value of a measure, if the map is coloured by one.
+    pub range: Option<[f64; 2]>,
+    /// One for each combination of the values of other axes.
+    pub slices: Vec<Slice>,
+    /// Number of rows.
+    pub rows: u64,
+    /// Whether points are those of a grid.
+    pub is_grid: bool,
+}
+
+/// A map.
+#[derive(Default)]
+pub struct Slice {
+    /// The values of other axes.
+    pub title: String,
+    /// Number of grid points to the right and upwards.
+    pub size: [usize; 2],
+    /// Between which values each grid point lies, as shares of the axis, `[size + 1]`.
+    pub edges: [Vec<f64>; 2],
+    /// Outcomes of the points, by class; row after row upwards. `u8::MAX` where nothing is known.
+    pub classes: Vec<u8>,
+    /// Values of the measure.
+    pub values: Vec<f64>,
+    /// Runs.
+    pub dots: Vec<Dot>,
+}
+
+/// A run on a map.
+#[derive(Clone, Debug)]
+pub struct Dot {
+    /// Number of the row.
+    pub row: u64,
+    /// Place, as shares of the axes.
+    pub at: [f64; 2],
+    /// Outcome, by class.
+    pub class: u8,
+    /// Values on all axes, and the outcome.
+    pub label: String,
+}
+
+/// A row, as far as a map needs it.
+struct Seen {
+    class: u8,
+    value: f64,
+    point: Vec<Setting>,
+}
+
+impl Map {
+    /// The maps of the rows in a folder; `None` if the sweep has no axis of numbers, or rows in other combinations than can
+    /// be drawn.
+    ///
+    /// # Errors
+    /// The rows cannot be read.
+    pub fn new(sweep: &Sweep, store: &Store) -> Result<Option<Map>, StoreError> {
+        let design = &sweep.design;
+        let numbers: Vec<usize> =
+            (0..design.axes.len()).filter(|&axis| design.axes[axis].is_number()).take(2).collect();
+        if numbers.is_empty() {
+            return Ok(None);
+        }
+        let is_measure = sweep.color != "outcome" && sweep.color != "events";
+        let columns = store.named(&["outcome", &sweep.color]);
+        let is_count = columns.get(2).or(columns.get(1)).is_some_and(|column| column.kind == Kind::I64);
+        let mut seen: BTreeMap<u64, Seen> = BTreeMap::new();
+        store.read(0..u32::MAX, None, &columns, |(row, cells)| {
+            let value = match cells.last() {
+                Some(Cell::F64(x)) => *x,
+                Some(Cell::I64(n)) if is_count => *n as f64,
+                _ => f64::NAN,
+            };
+            let point = design.point(row).unwrap_or_default();
+            seen.insert(row, Seen { class: class(cells.first()), value, point });
+        })?;
+        let values = || seen.values().map(|seen| seen.value).filter(|value| value.is_finite());
+        let range = [values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max)];
+        let is_grid = design.sampling == Sampling::Grid;
+        let mut map = Map {
+            axes: numbers.iter().map(|&axis| design.axes[axis].clone()).collect(),
+            color: sweep.color.clone(),
+            range: (is_measure && range[0] <= range[1]).then_some(range),
+            slices: Vec::new(),
+            rows: seen.len() as u64,
+            is_grid,
+        };
+        let mut by_slice: BTreeMap<Vec<u64>, Vec<u64>> = BTreeMap::new();
+        for row in seen.keys() {
+            let key = match (is_grid, design.place(*row)) {
+                (true, Some(place)) => {
+                    let others = place.index.iter().enumerate().filter(|(axis, _)| !numbers.contains(axis));
+                    // of a third axis that was refined only the first values are drawn
+                    let at: Option<Vec<u64>> = others
+                        .map(|(axis, &index)| match design.axes[axis].is_range() {
+                            true => (index % (1 << place.level) == 0).then_some(index >> place.level),
+                            false => Some(index),
+                        })
+                        .collect();
+                    match at {
+                        Some(at) => at,
+                        None => continue,
+                    }
+                }
+                _ => Vec::new(),
+            };
+            by_slice.entry(key).or_default().push(*row);
+        }
+        for rows in by_slice.values().take(MOST_SLICES) {
+            map.slices.push(slice(sweep, &map, &numbers, rows, &seen));
+        }
+        Ok((!map.slices.is_empty()).then_some(map))
+    }
+
+    /// The colour of a grid point of a slice.
+    pub fn color(&self, slice: &Slice, point: usize) -> [u8; 3] {
+        let class = slice.classes.get(point).copied().unwrap_or(u8::MAX);
+        match self.range {
+            Some([low, high]) if class != u8::MAX => {
+                let value = slice.values.get(point).copied().unwrap_or(f64::NAN);
+                if value.is_finite() { ramp((value - low) / f64::max(high - low, f64::MIN_POSITIVE)) } else { UNKNOWN }
+            }
+            _ => COLORS.get(class as usize).copied().unwrap_or(UNKNOWN),
+        }
+    }
+}
+
+fn slice(sweep: &Sweep, map: &Map, numbers: &[usize], rows: &[u64], seen: &BTreeMap<u64, Seen>) -> Slice {
+    let design = &sweep.design;
+    let mut slice = Slice::default();
+    let others = |point: &[Setting]| {
+        let others = design.axes.iter().zip(point).enumerate().filter(|(axis, _)| !numbers.contains(axis));
+        others
+            .map(|(_, (axis, value))| format!("{} = {value}", axis.label()).replace('"', ""))
+            .collect::<Vec<_>>()
+            .join(", ")
+    };
+    let first = rows.first().and_then(|row| seen.get(row));
+    slice.title = if map.is_grid { first.map_or(String::new(), |first| others(&first.point)) } else { String::new() };
+    let share = |axis: usize, point: &[Setting]| match point.get(axis) {
+        Some(Setting::Number(value)) => design.axes[axis].share(*value),
+        _ => 0.5,
+    };
+    for &row in rows.iter().take(MOST_DOTS) {
+        let Some(Seen { class, point, .. }) = seen.get(&row) else { continue };
+        let values = design.axes.iter().zip(point).map(|(axis, value)| format!("{} = {value}", axis.label()));
+        let label = format!("row {row}: {}, {}", bisect::name(*class), values.collect::<Vec<_>>().join(", "));
+        let up = numbers.get(1).map_or(0.5, |&axis| share(axis, point));
+        slice.dots.push(Dot { row, at: [share(numbers[0], point), up], class: *class, label });
+    }
+    if !map.is_grid {
+        return slice;
+    }
+    let deepest = rows.iter().filter_map(|&row| Some(design.place(row)?.level)).max().unwrap_or(0);
+    let fits =
+        |level: u32| numbers.iter().all(|&axis| design.axes[axis].count(level).is_some_and(|n| n <= MOST_POINTS));
+    let level = (0..=deepest).take_while(|&level| fits(level)).last().unwrap_or(0);
+    let counts: Vec<usize> = numbers.iter().map(|&axis| design.axes[axis].count(level).unwrap_or(1) as usize).collect();
+    slice.size = [counts[0], counts.get(1).copied().unwrap_or(1)];
+    slice.edges = [0, 1].map(|side| match numbers.get(side) {
+        Some(&axis) => edges(&design.axes[axis], slice.size[side]),
+        None => vec![0.0, 1.0],
+    });
+    slice.classes = vec![u8::MAX; slice.size[0] * slice.size[1]];
+    slice.values = vec![f64::NAN; slice.classes.len()];
+    // a point of a level stands for what is nearer to it than to its neighbours there, where no finer level has a point
+    let mut by_level: HashMap<u32, Vec<u64>> = HashMap::new();
+    for &row in rows {
+        if let Some(place) = design.place(row) {
+            by_level.entry(place.level).or_default().push(row);
+        }
+    }
+    for at in 0..=level {
+        let half = (1u64 << (level - at)) / 2;
+        for row in by_level.get(&at).into_iter().flatten() {
+            let (Some(place), Some(known)) = (design.place(*row), seen.get(row)) else { continue };
+            let reach = |side: usize| {
+                let Some(&axis) = numbers.get(side) else { return 0..1 };
+                if !design.axes[axis].is_range() {
+                    let index = place.index[axis] as usize;
+                    return index..index + 1;
+                }
+                let centre = place.index[axis] << (level - at);
+                centre.saturating_sub(half) as usize..((centre + half + 1).min(slice.size[side] as u64)) as usize
+            };
+            for j in reach(1) {
+                for i in reach(0) {
+                    slice.classes[j * slice.size[0] + i] = known.class;
+                    slice.values[j * slice.size[0] + i] = known.value;
+                }
+            }
+        }
+    }
+    slice
+}
+
+/// The ends of what each grid point stands for, as shares of the axis.
+fn edges(axis: &Axis, count: usize) -> Vec<f64> {
+    if !axis.is_range() {
+        return (0..=count).map(|k| k as f64 / count as f64).collect();
+    }
+    let cells = (count - 1).max(1) as f64;
+    (0..=count).map(|k| ((k as f64 - 0.5) / cells).clamp(0.0, 1.0)).collect()
+}
+
+/// Dark blue to yellow, even to the eye (viridis, van der Walt and Smith 2015, by its quarters).
+pub fn ramp(share: f64) -> [u8; 3] {
+    const STOPS: [[f64; 3]; 5] =
+        [[68.0, 1.0, 84.0], [59.0, 82.0, 139.0], [33.0, 145.0, 140.0], [94.0, 201.0, 98.0], [253.0, 231.0, 37.0]];
+    let place = (share.clamp(0.0, 1.0) * 31.0).round() / 31.0 * 4.0;
+    let (from, rest) = (place.floor().min(3.0), place - place.floor().min(3.0));
+    let [low, high] = [STOPS[from as usize], STOPS[from as usize + 1]];
+    std::array::from_fn(|k| (low[k] + (high[k] - low[k]) * rest).round() as u8)
+}
+
+/// The boundary between points of different outcomes, as lines between places in shares of the axes.
+pub fn boundary(slice: &Slice) -> Vec<[[f64; 2]; 2]> {
+    let [width, height] = slice.size;
+    let middle = |side: usize, k: usize| {
+        let edges = &slice.edges[side];
+        // of the ends, where the point is, not the middle of what it stands for
+        match k {
+            0 if edges.len() > 2 && edges[1] < 1.0 / (edges.len() - 1) as f64 => 0.0,
+            k if k + 2 == edges.len() && edges.len() > 2 && edges[1] < 1.0 / (edges.len() - 1) as f64 => 1.0,
+            k => 0.5 * (edges[k] + edges[k + 1]),
+        }
+    };
+    let mut lines = Vec::new();
+    let class = |i: usize, j: usize| slice.classes[j * width + i];
+    for j in 0..height.saturating_sub(1) {
+        for i in 0..width.saturating_sub(1) {
+            let corners = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)];
+            if corners.iter().all(|&(x, y)| class(x, y) == class(i, j)) {
+                continue;
+            }
+            let place = |(x, y): (usize, usize)| [middle(0, x), middle(1, y)];
+            let between = |a: [f64; 2], b: [f64; 2]| [0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])];
+            let crossings: Vec<[f64; 2]> = (0..4)
+                .map(|k| (corners[k], corners[(k + 1) % 4]))
+                .filter(|&((ax, ay), (bx, by))| class(ax, ay) != class(bx, by))
+                .map(|(a, b)| between(place(a), place(b)))
+                .collect();
+            match crossings[..] {
+                [a, b] => lines.push([a, b]),
+                _ => {
+                    let centre = between(place(corners[0]), place(corners[2]));
+                    lines.extend(crossings.iter().map(|&crossing| [crossing, centre]));
+                }
+            }
+        }
+    }
+    lines
+}
+
+/// Values along an axis to be written beside it, with their shares.
+pub fn ticks(axis: &Axis) -> Vec<(f64, String)> {
+    let (from, to, scale) = match &axis.values {
+        Values::Range { from, to, scale, .. } => (*from, *to, *scale),
+        Values::List(values) => {
+            let stride = values.len().div_ceil(8);
+            let numbers = values.iter().enumerate().step_by(stride);
+            return numbers.map(|(k, value)| ((k as f64 + 0.5) / values.len() as f64, value.to_string())).collect();
+        }
+    };
+    let (low, high) = (from.min(to), from.max(to));
+    let written = |x: f64| {
+        let text = format!("{:.6}", x);
+        if x != 0.0 && !(1e-3..1e6).contains(&x.abs()) {
+            format!("{x:e}")
+        } else {
+            text.trim_end_matches('0').trim_end_matches('.').to_owned()
+        }
+    };
+    let values: Vec<f64> = match scale {
+        Scale::Log => {
+            let decades = low.log10().floor() as i32..=high.log10().ceil() as i32;
+            let multiples: &[f64] = if high / low < 1e3 { &[1.0, 2.0, 5.0] } else { &[1.0] };
+            decades.flat_map(|decade| multiples.iter().map(move |m| m * 10f64.powi(decade))).collect()
+        }
+        Scale::Linear => {
+            let rough = (high - low) / 6.0;
+            let power = 10f64.powf(rough.log10().floor());
+            let step =
+                [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|step| *step >= rough).unwrap_or(rough);
+            let first = (low / step).ceil() as i64;
+            (0..16).map(|k| (first + k) as f64 * step).collect()
+        }
+    };
+    let inside = values.into_iter().filter(|x| *x >= low - 1e-9 * (high - low) && *x <= high + 1e-9 * (high - low));
+    inside.map(|x| (axis.share(x), written(x))).collect()
+}

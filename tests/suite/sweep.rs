@@ -1,0 +1,252 @@
+//! Sweeps: what is refused, that rows are the same however a sweep is divided or interrupted, thresholds, maps.
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::Path,
+    process::{Command, Output, Stdio},
+    time::Duration,
+};
+
+use meldscope::sweep::{
+    Sweep,
+    row::{Cell, Column, Kind, RUN_TIME, columns},
+    table,
+};
+
+use crate::recording::Dir;
+
+/// Two bodies that do not act on each other, on straight lines that pass at a distance of `offset`.
+const PASSING: &str = "duration = 4.0\ndt = 0.05\n[influence]\nalpha = 0\nbeta = 0\n\
+                       [[body]]\nname = 'a'\nradius = 1.0\nshape = { sphere = { stacks = 3, slices = 4 } }\n\
+                       motion = { fixed = [0, 0, 0] }\n\
+                       [[body]]\nname = 'b'\nradius = 1.0\nshape = { sphere = { stacks = 3, slices = 4 } }\n\
+                       motion = { line = { from = [-4.0, 2.0, 0], velocity = [2.0, 0, 0] } }\n";
+const OVER_OFFSETS: &str = "scene = 'passing.toml'\n\
+                            [[axis]]\nkey = 'body.b.motion.line.from[1]'\nfrom = 1.5\nto = 2.5\ncount = 9\n\
+                            [[axis]]\nkey = 'influence.merge_at'\nfrom = 0.9\nto = 1.1\ncount = 9\n";
+
+fn folder(sweep: &str) -> Dir {
+    let dir = Dir::new();
+    fs::write(dir.file("passing.toml"), PASSING).unwrap();
+    fs::write(dir.file("s.toml"), sweep).unwrap();
+    dir
+}
+
+fn program(dir: &Dir, arguments: &str) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
+    command.arg("sweep").args(arguments.split_whitespace()).current_dir(dir.path()).stdin(Stdio::null());
+    command
+}
+
+fn run(dir: &Dir, arguments: &str) -> (i32, String) {
+    let Output { status, stdout, stderr } = program(dir, arguments).output().unwrap();
+    let said = String::from_utf8_lossy(&stdout).into_owned() + &String::from_utf8_lossy(&stderr);
+    (status.code().unwrap_or(-1), said)
+}
+
+fn succeeds(dir: &Dir, arguments: &str) -> String {
+    let (status, said) = run(dir, arguments);
+    assert_eq!(status, 0, "{arguments}: {said}");
+    said
+}
+
+/// All rows in a folder, without their run times.
+fn rows(folder: &Path, columns: &[Column]) -> BTreeMap<u64, Vec<Cell>> {
+    let columns: Vec<Column> = columns.iter().filter(|column| column.name != RUN_TIME).cloned().collect();
+    let mut rows = BTreeMap::new();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_string_lossy().into_owned();
+        if name.starts_with("rows-") {
+            let each = |(row, cells)| assert!(rows.insert(row, cells).is_none(), "row {row} twice");
+            table::read(&path, &columns, each).unwrap();
+        }
+    }
+    rows
+}
+
+fn of(dir: &Dir) -> Vec<Column> {
+    columns(&Sweep::load(&dir.file("s.toml")).unwrap())
+}
+
+#[test]
+fn broken_sweeps_are_refused_with_their_place() {
+    let axis = "[[axis]]\nkey = 'influence.alpha'\nfrom = 0\nto = 1\ncount = 3\n";
+    let cases = [
+        ("scene = 'two'\n", "s.toml:1:1: axis: missing, expected at least one [[axis]]"),
+        (&format!("scene = 'tow'\n{axis}"), "s.toml:1:9: scene: there is no scene \"tow\"; did you mean \"two\"?"),
+        (
+            &format!("scene = 'two'\nsamples = 'grid'\n{axis}"),
+            "s.toml:2:1: samples: unknown key; did you mean \"sample\"?",
+        ),
+        (&axis.replace("alpha", "alhpa"), "axis[0].key: influence.alhpa: unknown key; did you mean \"alpha\"?"),
+        (
+            &axis.replace("influence.alpha", "body.c.radius"),
+            "s.toml:3:7: axis[0].key: body.c.radius: there is nothing of the name \"c\"",
+        ),
+        (
+            &axis.replace("alpha", "merge_at"),
+            "s.toml:4:8: axis[0].from: influence.merge_at = 0 makes a broken scene: influence.merge_at: expected a number between",
+        ),
+        (
+            "[[axis]]\nkey = 'influence.merge_at'\nvalues = [1.0, 1.1, 1.3, 1.2]\n",
+            "s.toml:4:10: axis[0].values: influence.merge_at = 1.3 makes a broken scene: influence.split_at: expected a number of at least merge_at (1.3), found 1.2",
+        ),
+        (
+            "[[axis]]\nkey = 'influence.weight'\nvalues = ['linear', 'cubic']\n",
+            "influence.weight = \"cubic\" makes a broken scene: influence.weight: expected one of",
+        ),
+        (
+            "[[axis]]\nkey = 'influence.alpha'\nfrom = 0\nto = 1\ncount = 3\nscale = 'log'\n",
+            "axis[0].from: expected a number above 0 on a log scale, found 0.0",
+        ),
+        (
+            "[[axis]]\nkey = 'influence.alpha'\nfrom = 0\nto = 1\ncount = 1000000\n[[axis]]\nkey = 'influence.beta'\nfrom = 0\nto = 1\ncount = 1000000\n",
+            "axis[0].count: 1,000,000,000,000 runs would take ",
+        ),
+        (&format!("{axis}{axis}"), "axis[1].key: expected a key that no other axis has"),
+        (
+            &format!("[[set]]\nkey = 'dt'\nvalue = -1\n{axis}"),
+            "s.toml:4:9: set[0].value: dt: expected a number between",
+        ),
+        (&format!("count = 4\n{axis}"), "s.toml:2:9: count: not for a grid"),
+    ];
+    let dir = folder("");
+    for (text, expected) in cases {
+        let text = if text.contains("scene =") { text.to_owned() } else { format!("scene = 'two'\n{text}") };
+        fs::write(dir.file("s.toml"), &text).unwrap();
+        let (status, said) = run(&dir, "s.toml --out out");
+        assert_eq!(status, 2, "{text}\n{said}");
+        assert!(said.contains(expected), "{text}\n{said}");
+        assert!(!dir.file("out").exists(), "nothing is written");
+    }
+}
+
+#[test]
+fn a_boundary_in_closed_form_is_found_to_1e_9() {
+    let dir = folder(OVER_OFFSETS);
+    let said = succeeds(&dir, "s.toml --out out --bisect influence.merge_at");
+    assert!(said.contains("81 runs"), "{said}");
+    let svg = fs::read_to_string(dir.file("out/map.svg")).unwrap();
+    assert!(svg.contains("influence.merge_at") && svg.contains(">split<") && svg.contains(">apart<"), "{svg}");
+    let column = |name: &str, kind| Column { name: name.to_owned(), kind, about: "", is_nullable: false };
+    let columns = [
+        column("row", Kind::U64),
+        column("body.b.motion.line.from[1]", Kind::F64),
+        column("threshold", Kind::F64),
+        column("below", Kind::Text),
+    ];
+    let mut found = 0;
+    table::read(&dir.file("out/thresholds-1.parquet"), &columns, |(_, cells)| {
+        let [Cell::F64(offset), Cell::F64(threshold), Cell::Text(below)] = &cells[..] else { panic!("{cells:?}") };
+        // at its closest the distance is the offset, and the radii together are 2
+        if below == "apart" {
+            assert!((threshold - offset / 2.0).abs() < 1e-9, "{offset}: {threshold}");
+            found += 1;
+        }
+    })
+    .unwrap();
+    assert!(found >= 3, "{found} offsets between 1.8 and 2.2");
+    // and closest approaches of those that never merged are the offsets
+    for cells in rows(&dir.file("out"), &of(&dir)).values() {
+        let [Cell::F64(offset), Cell::F64(merge_at), Cell::Text(outcome), ..] = &cells[..] else { panic!("{cells:?}") };
+        assert_eq!(outcome == "apart", offset / 2.0 > *merge_at, "{cells:?}");
+        if let (true, Cell::F64(closest)) = (outcome == "apart", &cells[11]) {
+            assert!((closest - offset / 2.0).abs() < 1e-12, "{cells:?}");
+        }
+    }
+}
+
+#[test]
+fn shards_refinement_and_a_plain_run_have_the_same_rows() {
+    let dir = folder(OVER_OFFSETS);
+    let columns = of(&dir);
+    succeeds(&dir, "s.toml --out plain --refine 3");
+    let plain = rows(&dir.file("plain"), &columns);
+    for level in 0.. {
+        let said = succeeds(&dir, &format!("s.toml --out shards --refine 3 --shard 1/2 --level {level}"));
+        if said.contains("complete, nothing is left to refine") {
+            assert!(level >= 4, "{said}");
+            break;
+        }
+        let (status, said) = run(&dir, &format!("s.toml --out shards --refine 3 --shard 0/2 --level {}", level + 1));
+        assert_eq!(status, 2, "{said}");
+        assert!(said.contains(&format!("level {level} is not complete")), "{said}");
+        succeeds(&dir, &format!("s.toml --out shards --refine 3 --shard 0/2 --level {level} --threads 1"));
+    }
+    assert_eq!(rows(&dir.file("shards"), &columns), plain);
+    succeeds(&dir, "s.toml --out shards --refine 3"); // finds nothing to do
+    assert_eq!(rows(&dir.file("shards"), &columns), plain);
+
+    // every point of a grid as fine as the last level has the outcome that the refined map shows there
+    let full = folder(&OVER_OFFSETS.replace("count = 9", "count = 65"));
+    succeeds(&full, "s.toml --out out");
+    let full = rows(&full.file("out"), &columns);
+    assert_eq!(full.len(), 65 * 65);
+    assert!(plain.len() < 65 * 65 / 4, "{} runs", plain.len());
+    let by_point = |cells: &[Cell]| format!("{:?}", &cells[..2]);
+    let known: BTreeMap<String, &Cell> = plain.values().map(|cells| (by_point(cells), &cells[2])).collect();
+    let mut same = 0;
+    for cells in full.values() {
+        if let Some(outcome) = known.get(&by_point(cells)) {
+            assert_eq!(*outcome, &cells[2], "{cells:?}");
+            same += 1;
+        }
+    }
+    assert_eq!(same, plain.len());
+}
+
+#[test]
+fn a_killed_sweep_goes_on_where_it_was() {
+    let text = "scene = 'two'\n[[axis]]\nkey = 'influence.alpha'\nfrom = 0\nto = 300\ncount = 120\n";
+    let dir = folder(text);
+    let columns = of(&dir);
+    succeeds(&dir, "s.toml --out plain");
+    let plain = rows(&dir.file("plain"), &columns);
+    assert_eq!(plain.len(), 120);
+    let mut journals = 0;
+    for number in 0..6 {
+        let mut child =
+            program(&dir, "s.toml --out out --threads 1").stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+        std::thread::sleep(Duration::from_millis(40 + 15 * number));
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let names = fs::read_dir(dir.file("out")).into_iter().flatten().map(|entry| entry.unwrap());
+        journals += names.filter(|entry| entry.file_name().to_string_lossy().ends_with(".journal")).count();
+    }
+    succeeds(&dir, "s.toml --out out");
+    assert_eq!(rows(&dir.file("out"), &columns), plain);
+    assert!(journals > 0);
+    let left: Vec<_> = fs::read_dir(dir.file("out"))
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .filter(|name| name.starts_with('.'))
+        .collect();
+    assert_eq!(left, Vec::<String>::new());
+    // the same folder does not take another sweep
+    fs::write(dir.file("s.toml"), text.replace("120", "121")).unwrap();
+    let (status, said) = run(&dir, "s.toml --out out");
+    assert!(status == 2 && said.contains("has the rows of another sweep"), "{said}");
+}
+
+#[test]
+fn a_row_opens_as_a_recording_with_its_checksum() {
+    let text = "scene = 'collide'\nmeasures = ['displacement', 'surfaces']\n\
+                [[axis]]\nkey = 'body.left.motion.free.velocity[0]'\nvalues = [0.2, 1.0]\n\
+                [[set]]\nkey = 'duration'\nvalue = 1.2\n";
+    let dir = folder(text);
+    succeeds(&dir, "s.toml --out out");
+    let said = succeeds(&dir, "s.toml --out out --open 1");
+    assert!(said.contains("row 1: body.left.motion.free.velocity[0] = 1; merged"), "{said}");
+    assert!(said.contains("the same as in the table"), "{said}");
+    assert!(dir.file("out/row-1.rrd").exists());
+    let (status, said) = run(&dir, "s.toml --out out --open 2");
+    assert!(status == 2 && said.contains("row 2 is not among those"), "{said}");
+    let columns = of(&dir);
+    let rows = rows(&dir.file("out"), &columns);
+    let cell = |name: &str| rows[&1][columns.iter().position(|column| column.name == name).unwrap() - 1].clone();
+    assert_eq!(cell("events"), Cell::Text("merge".to_owned()));
+    let (Cell::F64(displacement), Cell::List(gaps)) = (cell("max_displacement"), cell("gaps")) else { panic!() };
+    assert!(displacement > 0.01 && gaps.len() == 1, "{displacement} {gaps:?}");
+}
