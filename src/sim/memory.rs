@@ -1,6 +1,10 @@
 //! What a scene needs before it is built: a slip of the finger must not take the machine down.
 
-use std::collections::HashSet;
+use std::{
+    collections::HashSet,
+    sync::{Mutex, PoisonError},
+    time::{Duration, Instant},
+};
 
 use crate::{geometry::Shape, scene::Scene, text::bytes};
 
@@ -120,9 +124,26 @@ pub fn available() -> u64 {
     system.available_memory().min(limit)
 }
 
+/// Scenes that need less than this are checked against what was available a moment ago [bytes].
+const SMALL: u64 = 16 << 20;
+/// For this long. Asking the system takes as long as tens of steps of a small scene, which sweeps build by the thousand.
+const MOMENT: Duration = Duration::from_millis(100);
+
+/// What was available when it was last asked for.
+static RECENT: Mutex<Option<(Instant, u64)>> = Mutex::new(None);
+
+fn recently_available() -> u64 {
+    let mut recent = RECENT.lock().unwrap_or_else(PoisonError::into_inner);
+    match *recent {
+        Some((then, available)) if then.elapsed() < MOMENT => available,
+        _ => recent.insert((Instant::now(), available())).1,
+    }
+}
+
 /// Refuses a scene that needs more than nine tenths of what is available; what is known of it by then, pairs are not.
 pub fn check(scene: &Scene) -> Result<Room, TooLarge> {
-    let (needed, available) = (needed(scene), available());
+    let needed = needed(scene);
+    let available = if needed < SMALL { recently_available() } else { available() };
     let room = Room { needed, available };
     if fits(needed, available) { Ok(room) } else { Err(room.refuse(scene, None)) }
 }
