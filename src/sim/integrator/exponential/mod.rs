@@ -109,8 +109,8 @@ fn halve(
     if !control.work.spend((64 + 32 * course.spheres.len() + 5 * course.weighted.len()) as u64) {
         return;
     }
-    let weights = scratch.known.get(course.oscillator(), h, step::is_quick(course, h));
     let wanted = control.tolerance * h;
+    let weights = scratch.known.get(course.oscillator(), h, step::is_sampled_aside(course, h, wanted));
     scratch.whole.prepare(course, weights, common, wanted);
     // vertices near a sphere need to know where it is in between
     let carried = if active_set.vertices.is_empty() { course.carried_over(common.carried) } else { None };

@@ -7,7 +7,7 @@ use super::{
     course::Course,
     lanes::{LANES, Vector},
     rim::{self, Motion, Unresolved},
-    step::{Collocated, Group, Outcome, Pull, Step, Trajectories, Vertex, is_quick},
+    step::{Collocated, Group, Outcome, Pull, Step, Trajectories, Vertex, is_sampled_aside},
     weights::{Dense, KnownWeights, Stage, Weights},
     work_of,
 };
@@ -173,11 +173,11 @@ impl Single<'_> {
                 // what is left beyond a rim is of no other length again
                 let halved = course.length / h == (course.length / h).round();
                 let once;
-                let quick = is_quick(course, h);
+                let is_sampled_aside = is_sampled_aside(course, h, self.tolerance * h);
                 let weights = if halved {
-                    known.get(course.oscillator(), h, quick)
+                    known.get(course.oscillator(), h, is_sampled_aside)
                 } else {
-                    once = Weights::new(course.oscillator(), h, quick);
+                    once = Weights::new(course.oscillator(), h, is_sampled_aside);
                     &once
                 };
                 part.prepare_part(course, self.whole, self.common, start, weights);

@@ -49,7 +49,7 @@ pub struct Step {
     pub h: f64,
     /// Weights for this length.
     pub weights: Weights,
-    /// What acts at the four nodes, in the middle, and, in a quick step, at [`ASIDE`].
+    /// What acts at the four nodes, in the middle, and, if the step is sampled there, at [`ASIDE`].
     pub moments: [Moment; 6],
     /// Bounds on the motion of each sphere's centre relative to the shared motion of the vertices.
     pub relative: Vec<Bounds>,
@@ -179,7 +179,7 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
                 let d = Vector::splat(simd, push.direction);
                 let facing = none - (rest.x * d.x + rest.y * d.y + rest.z * d.z) * per_length;
                 let along = d * none.larger(facing); // zero for a vertex at the centre, where it would be NaN
-                let looks = if step.weights.is_quick { SAMPLES } else { SAMPLES - 1 };
+                let looks = if step.weights.is_sampled_aside { SAMPLES } else { SAMPLES - 1 };
                 for (look, rest) in group.rest[..looks].iter_mut().enumerate() {
                     *rest = *rest + along * step.moments[look].pushed[p];
                 }
@@ -302,12 +302,12 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
         let none = Reals::splat(simd, 0.0);
         let left_out = none.larger_or_nan(bend.length_squared().sqrt() - noise);
         let end = respond(flow[2], &weights.nodes[3].force, &forces);
-        let effect = if self.step.weights.is_quick {
+        let effect = if self.step.weights.is_sampled_aside {
             let stage = &weights.aside;
             let found = self.force(ASIDE_LOOK, respond(x * stage.xx + u * stage.xu, &stage.force, &forces));
             let quartic = respond(bend * weights.bend_aside, &weights.polynomial_aside, &forces);
             let skew = none.larger_or_nan((found - quartic).length_squared().sqrt() - noise);
-            self.quick_effect(stiffness, left_out, skew) + self.ringing([x, u], &forces, stiffness)
+            self.left_out(stiffness, left_out, skew) + self.ringing([x, u], &forces, stiffness)
         } else {
             left_out * self.roughness(x, end) * 0.1
         };
@@ -320,24 +320,27 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
         }
     }
 
-    /// The mean force that a quick step leaves out [scene unit/s²], given the residual of the cubic in the middle and that of
-    /// the quartic at [`ASIDE`].
+    /// The mean force that a step leaves out [scene unit/s²], given the residual of the cubic in the middle and that of the
+    /// quartic at [`ASIDE`].
     ///
     /// With q = 80 θ(θ − 1)(θ² − θ + 1/5) the residual is a q + b (θ − ½) q and higher terms. The weights of the end state
     /// are S(h − s) and S′(h − s), which are at most 1 after division by the gain: so the two terms count at most as
-    /// ∫|q| = 0.45 and ∫|(θ − ½) q| = 0.14. Both are orthogonal to constants, and q to linear functions: in z time scales
-    /// of the motion they count at most as ½ z² ∫θ² q = 0.02 z² and z ∫θ (θ − ½) q = 0.04 z. Each higher pair of terms is
-    /// smaller by z²/30 but not orthogonal; the last factor is for them.
+    /// ∫|q| = 0.45 and ∫|(θ − ½) q| = 0.14. Both are orthogonal to constants, and q to linear functions. What is left of
+    /// S = t − κ t² …, S′ = 1 − 2κ t + (4κ² − ω²) t²/2 … and of the influence's response to the error within the step are
+    /// ½ ∫θ² q = 0.02 and ∫θ (θ − ½) q = 0.04 times the powers of h that come with them. Each higher pair of terms is
+    /// smaller by some z²/30 in z time scales of the motion, but not orthogonal; the last factor is for them.
     #[inline(always)]
-    fn quick_effect(&self, stiffness: Reals<S, W>, bend: Reals<S, W>, skew: Reals<S, W>) -> Reals<S, W> {
+    fn left_out(&self, stiffness: Reals<S, W>, bend: Reals<S, W>, skew: Reals<S, W>) -> Reals<S, W> {
         let (simd, h) = (self.simd, self.step.h);
-        let material = self.course.body().material;
-        let z = stiffness.sqrt() * h + Reals::splat(simd, (material.omega + 2.0 * material.damping) * h);
-        let even = (z * z * 0.02).smaller(Reals::splat(simd, 0.45));
-        let odd = (z * 0.04).smaller(Reals::splat(simd, 0.14));
+        let Material { omega, damping, .. } = self.course.body().material;
+        let influence = stiffness * (h * h);
+        let z_squared = influence + Reals::splat(simd, (omega * omega + 4.0 * damping * damping) * (h * h));
+        let even = (z_squared * 0.02).smaller(Reals::splat(simd, 0.45));
+        let odd = influence * 0.02 + Reals::splat(simd, 0.04 * (omega + 2.0 * damping) * h);
+        let odd = odd.smaller(Reals::splat(simd, 0.14));
         // q(0.13) (0.13 − ½) = 0.29
-        let both = bend * even + skew * (1.0 / 0.29) * odd;
-        both * (z * z * 0.25 + Reals::splat(simd, 1.0)).smaller(Reals::splat(simd, 2.0))
+        let both = bend * even + skew * odd * (1.0 / 0.29);
+        both * (z_squared * 0.25 + Reals::splat(simd, 1.0)).smaller(Reals::splat(simd, 2.0))
     }
 
     /// A bound of the mean force that a step leaves out because a vertex oscillates too fast for its samples
@@ -390,7 +393,7 @@ impl Step {
                 *centre -= moment.carried;
             }
         }
-        if self.weights.is_quick {
+        if self.weights.is_sampled_aside {
             let mut aside = std::mem::take(&mut self.moments[ASIDE_LOOK]);
             aside.sample(Trajectories { course, whole: self, common }, self.start + ASIDE * h);
             self.moments[ASIDE_LOOK] = aside;
@@ -407,7 +410,7 @@ impl Step {
             let residual = |look: usize, w: &[f64; 4]| self.moments[look].centres[j] - combine(w, &known);
             let small = |residual: DVec3| residual.length_squared() <= limit * limit;
             small(residual(4, &self.weights.polynomial))
-                && (!self.weights.is_quick || small(residual(ASIDE_LOOK, &self.weights.polynomial_aside)))
+                && (!self.weights.is_sampled_aside || small(residual(ASIDE_LOOK, &self.weights.polynomial_aside)))
         });
         self.smooth = spheres_are_smooth
             && (0..course.weighted.len()).all(|p| {
@@ -416,7 +419,7 @@ impl Step {
                     (self.moments[look].pushed[p] - known.sum::<f64>()).abs()
                 };
                 residual(4, &self.weights.polynomial) <= limit
-                    && (!self.weights.is_quick || residual(ASIDE_LOOK, &self.weights.polynomial_aside) <= limit)
+                    && (!self.weights.is_sampled_aside || residual(ASIDE_LOOK, &self.weights.polynomial_aside) <= limit)
             });
         self.noise = self.rounding(course);
     }
@@ -501,7 +504,7 @@ impl Step {
         self.start = start;
         self.set_weights(weights);
         self.ringing = if self.weights.ringing.is_some() { whole.ringing } else { 0.0 };
-        for look in 0..if self.weights.is_quick { 6 } else { 5 } {
+        for look in 0..if self.weights.is_sampled_aside { 6 } else { 5 } {
             self.sample_within(course, whole, common, look);
         }
         self.bound_within(course, whole);
@@ -511,7 +514,7 @@ impl Step {
     /// Usually the weights are already set, and copying them is expensive.
     fn set_weights(&mut self, weights: &Weights) {
         self.h = weights.h;
-        let of = |weights: &Weights| (weights.h, weights.oscillator, weights.is_quick);
+        let of = |weights: &Weights| (weights.h, weights.oscillator, weights.is_sampled_aside);
         if of(&self.weights) != of(weights) {
             self.weights = *weights;
         }
@@ -593,11 +596,16 @@ impl Moment {
     }
 }
 
-/// See [`Weights::is_quick`].
-pub fn is_quick(course: &Course<'_>, h: f64) -> bool {
+/// See [`Weights::is_sampled_aside`]; `wanted` is the acceptable error of the step [scene unit].
+pub fn is_sampled_aside(course: &Course<'_>, h: f64, wanted: f64) -> bool {
+    /// Of what [`Group::roughness`] makes of the residual of an oscillation, so much is usual.
+    const USUAL: f64 = 1.0 / 16.0;
     let Material { omega, damping, .. } = course.body().material;
     let stiffness: f64 = course.spheres.iter().map(|sphere| sphere.strength.abs()).sum();
-    (omega + 2.0 * damping + stiffness.sqrt()) * h > 1.0
+    let scales = (omega + 2.0 * damping + stiffness.sqrt()) * h;
+    let bend = course.strongest_pull() * scales.powi(4) / 384.0;
+    let gain = h / omega.max(2.0 * damping).max(1.0);
+    scales > 1.0 || USUAL * 0.1 * SMOOTHNESS * scales * bend * gain > wanted
 }
 
 /// Time of sample number `look` of a step [s].

@@ -55,12 +55,12 @@ pub struct Weights {
     pub h: f64,
     /// Weights for the displacement at each node; the first node is the start and is not used.
     pub nodes: [Stage; 4],
-    /// Whether more than one time scale of the oscillator or of the influence passes in the step. Its error is then
-    /// estimated from a sixth sample, too.
-    pub is_quick: bool,
+    /// Whether the step is sampled a sixth time, to estimate its error: where more than one time scale of the oscillator or
+    /// of the influence passes in it, or where an estimate without that sample could be too careful for the tolerance.
+    pub is_sampled_aside: bool,
     /// Weights for the displacement in the middle …
     pub middle: Stage,
-    /// … and, for a quick step, at [`ASIDE`].
+    /// … and, if the step is sampled there, at [`ASIDE`].
     pub aside: Stage,
     /// Weight of each node's force in the polynomial's value in the middle [–].
     pub polynomial: [f64; 4],
@@ -83,7 +83,7 @@ pub struct Weights {
     pub ringing: Option<Ringing>,
 }
 
-/// Where a step in which many things happen is sampled once more [steps]: near an extremum of the quintic that vanishes at
+/// Where a step may be sampled once more [steps]: near an extremum of the quintic that vanishes at
 /// the nodes and in the middle.
 pub const ASIDE: f64 = 0.13;
 /// See [`Weights::ringing`].
@@ -142,8 +142,8 @@ impl Mode {
 }
 
 impl Weights {
-    /// The weights of a step of length `h` > 0 [s], quick or not.
-    pub fn new(oscillator: Oscillator, h: f64, is_quick: bool) -> Weights {
+    /// The weights of a step of length `h` > 0 [s], sampled at [`ASIDE`] or not.
+    pub fn new(oscillator: Oscillator, h: f64, is_sampled_aside: bool) -> Weights {
         let whole = oscillator.propagator(h);
         let stage = |theta: f64, n: usize, p: &Propagator| Stage {
             xx: p.xx,
@@ -163,8 +163,8 @@ impl Weights {
                 stage(1.0, 3, &whole),
             ],
             middle: stage(0.5, 4, &at(0.5)),
-            is_quick,
-            aside: if is_quick { stage(ASIDE, 4, &at(ASIDE)) } else { Stage::default() },
+            is_sampled_aside,
+            aside: if is_sampled_aside { stage(ASIDE, 4, &at(ASIDE)) } else { Stage::default() },
             polynomial: values(lagrange, 0.5),
             polynomial_aside: values(lagrange, ASIDE),
             bend_aside: 80.0 * ASIDE * (ASIDE - 1.0) * (ASIDE * ASIDE - ASIDE + 0.2),
@@ -186,15 +186,17 @@ const MOST_WEIGHTS: usize = 24;
 pub struct KnownWeights(Vec<Weights>);
 
 impl KnownWeights {
-    /// The weights for a step of length `h` [s], quick or not.
-    pub fn get(&mut self, oscillator: Oscillator, h: f64, is_quick: bool) -> &Weights {
-        let is_it = |known: &Weights| known.h == h && known.oscillator == oscillator && known.is_quick == is_quick;
+    /// The weights for a step of length `h` [s], sampled at [`ASIDE`] or not.
+    pub fn get(&mut self, oscillator: Oscillator, h: f64, is_sampled_aside: bool) -> &Weights {
+        let is_it = |known: &Weights| {
+            known.h == h && known.oscillator == oscillator && known.is_sampled_aside == is_sampled_aside
+        };
         let known = self.0.iter().position(is_it);
         let place = known.unwrap_or_else(|| {
             if self.0.len() == MOST_WEIGHTS {
                 self.0.clear();
             }
-            self.0.push(Weights::new(oscillator, h, is_quick));
+            self.0.push(Weights::new(oscillator, h, is_sampled_aside));
             self.0.len() - 1
         });
         &self.0[place]
