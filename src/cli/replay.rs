@@ -299,6 +299,9 @@ impl Saver {
             steps: Some(*steps.end()),
             detail: arguments.detail,
             entities: recorded.settings.entities,
+            pairs: recorded.settings.pairs,
+            only: recorded.settings.only.clone(),
+            around: recorded.settings.around.clone(),
             ..Settings::for_bodies(schema.bodies.len(), schema.steps)
         };
         Ok(Saver { sinks, recorder: None, settings, steps, sent: 0, failure: None })

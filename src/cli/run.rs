@@ -29,8 +29,9 @@ use crate::{
         chunks::Audience,
         pipeline::{PipelineEnd, send},
         recorder::MOST_APPROACHES,
-        settings::{Detail, Entities, Frames, Settings, Trigger, application, file_stem},
+        settings::{self, Around, Detail, Entities, Frames, Settings, Trigger, application, file_stem},
         sinks::{Destinations, Finished, Host, Serve, Serving, Sinks, Spawn},
+        size,
     },
     text::{bytes, counted, did_you_mean, printable, thousands},
 };
@@ -113,6 +114,13 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(..=1000),
           help_heading = "What to record")]
     pairs: Option<u64>,
+    /// Show this pair: plots, lanes and lines of it alone, and a file opens with its first event; may be repeated.
+    #[arg(long, value_name = "A~B", conflicts_with = "thin", help_heading = "What to record")]
+    pair: Vec<String>,
+    /// The event that a file opens with, instead of the first: its kind, its pair, its number, or these together, such as
+    /// `merge`, `a~b` or "split a~b 2".
+    #[arg(long, value_name = "EVENT", conflicts_with_all = ["thin", "keep"], help_heading = "What to record")]
+    around: Option<String>,
     /// Record only the scene and checksums, about ten bytes per step; `replay --save` restores the frames.
     #[arg(long, conflicts_with_all = ["every", "detail", "entities", "keep"], help_heading = "What to record")]
     thin: bool,
@@ -123,6 +131,9 @@ pub struct Arguments {
     #[arg(long, requires = "keep", value_delimiter = ',', value_name = "merge,split,core,diverge",
           value_parser = one_of(&Trigger::ALL, Trigger::name), help_heading = "Flight recorder")]
     on: Vec<Trigger>,
+    /// After such an event, also write the N frames that follow.
+    #[arg(long, requires = "on", value_name = "N", default_value_t = 0, help_heading = "Flight recorder")]
+    after: u64,
     /// Run no faster than real time.
     #[arg(long, help_heading = "Viewer")]
     realtime: bool,
@@ -177,9 +188,10 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     }
     let destinations = destinations(&arguments, &scene);
     // Check the scene first, then the destinations; only then start any work.
-    let simulation = start(&arguments, scene)?;
+    let experiment = experiment(&arguments, scene);
+    let simulation = experiment.start().map_err(Failure::Input)?;
     let schema = simulation.schema();
-    let settings = settings(&arguments, &schema);
+    let settings = settings(&arguments, &schema)?;
     if let (Some(from), Some(steps)) = (arguments.from, settings.steps)
         && from > steps
     {
@@ -196,6 +208,10 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     }
 
     let mut console = Console::new(&arguments, settings.steps);
+    if destinations.save.is_some() || arguments.stdout {
+        console.say_size(&experiment, &settings);
+    }
+    drop(experiment);
     let outcome = if arguments.watch {
         watch(simulation, sinks, &arguments, &STOP, &mut console)?
     } else {
@@ -244,9 +260,9 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-fn start(arguments: &Arguments, scene: Scene) -> Result<Box<dyn Simulation>, Failure> {
+fn experiment(arguments: &Arguments, scene: Scene) -> SceneRun {
     let options = Options { skip: !arguments.no_skip, interrupt: Some(&STOP), ..Options::default() };
-    SceneRun { scene, options }.start().map_err(Failure::Input)
+    SceneRun { scene, options }
 }
 
 /// The result of a run.
@@ -260,8 +276,8 @@ struct Outcome {
     events: Events,
     /// How near pairs came that did not change their phase.
     approaches: Vec<String>,
-    /// Wall time of simulating and recording [s].
-    seconds: f64,
+    /// Wall time of simulating alone, and with the recording [s].
+    seconds: [f64; 2],
 }
 
 /// The events of a run: the first [`LISTED_EVENTS`] of them and the total count.
@@ -306,7 +322,7 @@ struct Simulated {
     frames: u64,
     events: Events,
     approaches: Vec<String>,
-    seconds: f64,
+    seconds: [f64; 2],
     failure: Option<String>,
     /// The edited scene that ended the run, if any.
     next: Option<Scene>,
@@ -346,7 +362,7 @@ fn simulate(
 ) -> Result<Simulated, Failure> {
     let is_live = destined_live(arguments);
     let schema = simulation.schema();
-    let settings = settings(arguments, &schema);
+    let settings = settings(arguments, &schema)?;
     // a viewer would append a run with the id of an earlier one to that recording
     let number = changes.as_mut().map_or(0, |changes| changes.next_run());
     let warnings: Vec<String> = schema.warnings.iter().map(|warning| format!("warning: {warning}")).collect();
@@ -363,7 +379,7 @@ fn simulate(
     }
     let mut pipeline = Pipeline::start(&*simulation, recorder, sinks).map_err(sink_failure)?;
     let (mut events, mut next, mut failed, mut summary) = (Events::default(), None, None, StepSummary::default());
-    let start = Instant::now();
+    let (start, mut simulating) = (Instant::now(), Duration::ZERO);
     let mut looked = start;
     while failure.is_none()
         && failed.is_none()
@@ -371,7 +387,9 @@ fn simulate(
         && !stop.load(Ordering::Relaxed)
         && settings.steps.is_none_or(|steps| simulation.steps_taken() < steps)
     {
+        let step = Instant::now();
         simulation.step();
+        simulating += step.elapsed();
         simulation.summary(&mut summary);
         failed = summary.failure.take();
         if failed.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
@@ -402,7 +420,7 @@ fn simulate(
 
     // Whatever ended the run, the steps simulated so far are saved.
     let mut end = pipeline.finish().map_err(Failure::Run)?;
-    let seconds = start.elapsed().as_secs_f64();
+    let seconds = [simulating, start.elapsed()].map(|time| time.as_secs_f64());
     let failed =
         failed.filter(|failure| !matches!(failure, StepFailure::Interrupted(_))).map(|failure| failure.to_string());
     if let Some(failed) = &failed {
@@ -416,6 +434,9 @@ fn simulate(
     let failure = failure.or(unsent.map(|error| error.to_string()));
     notes.append(&mut sinks.notes());
     notes.extend(events.inaccuracy(&schema));
+    if next.is_none() {
+        notes.extend(recorder.missed_event());
+    }
     console.progress(simulation.steps_taken(), notes);
     let (frames, approaches) = (recorder.written(), recorder.approaches());
     Ok(Simulated { simulation, schema, settings, sinks, frames, events, approaches, seconds, failure, next })
@@ -432,7 +453,11 @@ fn watch(
     let mut changes =
         Changes { text: Scene::without_meshes(&simulation.schema().source).to_owned(), said: String::new(), runs: 0 };
     let mut run = simulate(simulation, sinks, arguments, stop, Some(&mut changes), console)?;
+    let mut before: Option<Told> = None;
     loop {
+        let told = Told::of(&run);
+        told.lines(before.as_ref()).iter().for_each(|line| console.print_beside(line));
+        before = Some(told);
         if let Some(failure) = &run.failure {
             if run.sinks.failed() {
                 return run.conclude(console);
@@ -445,13 +470,88 @@ fn watch(
             run.next = changes.scene(arguments, console);
         }
         let Some(scene) = run.next.take() else { return run.conclude(console) };
-        match start(arguments, scene) {
+        match experiment(arguments, scene).start() {
             Ok(simulation) => {
                 console.say(&format!("{} has changed: starting again", arguments.scene));
                 run = simulate(simulation, run.sinks, arguments, stop, Some(&mut changes), console)?;
             }
             Err(error) => console.notes(&[format!("{error}; going on with the scene as it was")]),
         }
+    }
+}
+
+/// The events of a run, as they are told and compared with those of the next.
+struct Told {
+    events: Vec<ToldEvent>,
+    /// Number of events that are not among these.
+    more: u64,
+    /// How far the run went [s].
+    until: f64,
+}
+
+/// An event: what happened, which of several of its kind and pair it is, and when [s].
+struct ToldEvent {
+    what: String,
+    number: usize,
+    time: f64,
+}
+
+impl Told {
+    fn of(run: &Simulated) -> Told {
+        let mut events: Vec<ToldEvent> = Vec::new();
+        for event in &run.events.first {
+            let what = format!("{} {}", event.name, run.schema.pair_name(event.a, event.b));
+            let number = 1 + events.iter().filter(|other| other.what == what).count();
+            events.push(ToldEvent { what, number, time: event.time });
+        }
+        Told { more: run.events.count - events.len() as u64, events, until: run.simulation.time() }
+    }
+
+    /// A line for each event, and for each that there was in the run before and is no more.
+    fn lines(&self, before: Option<&Told>) -> Vec<String> {
+        let mut lines = Vec::new();
+        let all = self.events.len() as u64 + self.more;
+        lines.push(match all {
+            0 => format!("no events in {} s", three(self.until)),
+            n => format!("{} in {} s:", counted(n, "event"), three(self.until)),
+        });
+        let of = |told: &Told, event: &ToldEvent| {
+            let same = told.events.iter().find(|other| (&other.what, other.number) == (&event.what, event.number));
+            same.map(|other| other.time)
+        };
+        for event in &self.events {
+            let moved = before.map(|before| match of(before, event) {
+                Some(time) if time == event.time => ", as before".to_owned(),
+                Some(time) if time < event.time => format!(", {} later", duration(event.time - time)),
+                Some(time) => format!(", {} earlier", duration(time - event.time)),
+                // one beyond the end of what was told of the run before is not new for certain
+                None if before.more > 0 || before.until < event.time => String::new(),
+                None => ", new".to_owned(),
+            });
+            lines.push(format!("  {} at t = {} s{}", event.what, three(event.time), moved.unwrap_or_default()));
+        }
+        let was = before.into_iter().flat_map(|before| &before.events);
+        for gone in was.filter(|event| self.more == 0 && event.time <= self.until && of(self, event).is_none()) {
+            lines.push(format!("  no more: {}, which was at t = {} s", gone.what, three(gone.time)));
+        }
+        if self.more > 0 {
+            lines.push(format!("  … and {} more", thousands(self.more)));
+        }
+        lines
+    }
+}
+
+fn three(seconds: f64) -> String {
+    format!("{seconds:.3}")
+}
+
+/// A duration as people say it.
+fn duration(seconds: f64) -> String {
+    match seconds {
+        1.0.. => format!("{seconds:.3} s"),
+        0.01.. => format!("{:.0} ms", 1e3 * seconds),
+        1e-3.. => format!("{:.1} ms", 1e3 * seconds),
+        _ => format!("{:.1e} s", seconds),
     }
 }
 
@@ -580,9 +680,16 @@ pub(super) fn scene(name: &str) -> Result<Scene, Failure> {
     }
 }
 
-fn settings(arguments: &Arguments, schema: &Schema) -> Settings {
+fn settings(arguments: &Arguments, schema: &Schema) -> Result<Settings, Failure> {
+    let named = |option: &str| {
+        let option = option.to_owned();
+        move |error: String| Failure::Input(format!("{option}: {error}"))
+    };
+    let only = arguments.pair.iter().map(|text| settings::pair(text, schema)).collect::<Result<_, _>>();
+    let around = arguments.around.as_ref().map(|text| Around::parse(text, schema)).transpose();
+    let (only, around) = (only.map_err(named("--pair"))?, around.map_err(named("--around"))?);
     let own = Settings::for_bodies(schema.bodies.len(), schema.steps);
-    Settings {
+    Ok(Settings {
         steps: match arguments.steps {
             None => own.steps,
             Some(0) => None,
@@ -598,11 +705,13 @@ fn settings(arguments: &Arguments, schema: &Schema) -> Settings {
         entities: arguments.entities.unwrap_or(own.entities),
         frames: match (arguments.thin, arguments.keep) {
             (true, _) => Frames::Thin,
-            (false, Some(most)) => Frames::Last { most, on: arguments.on.clone() },
+            (false, Some(most)) => Frames::Last { most, on: arguments.on.clone(), after: arguments.after },
             (false, None) => own.frames,
         },
         pairs: arguments.pairs.map_or(own.pairs, |pairs| pairs as usize),
-    }
+        only,
+        around,
+    })
 }
 
 fn destined_live(arguments: &Arguments) -> bool {
@@ -628,12 +737,13 @@ fn destinations(arguments: &Arguments, scene: &Scene) -> Destinations {
 
 /// Prints what the run did, and how to open what it wrote.
 fn summarize(console: &Console, outcome: &Outcome) {
-    let Outcome { simulation, schema, settings, finished, frames, events, approaches, seconds } = outcome;
+    let Outcome { simulation, schema, settings, finished, frames, events, approaches, seconds: [simulating, all] } =
+        outcome;
     let Events { first: events, count: event_count, surfaces, .. } = events;
     console.notes(&finished.notes);
     let (bodies, steps) = (schema.bodies.len() as u64, simulation.steps_taken());
     console.print(&format!(
-        "{}: {}, {}; {} of {} s with {}, {:.3} s simulated in {seconds:.3} s ({} steps/s)",
+        "{}: {}, {}; {} of {} s with {}, {:.3} s simulated in {simulating:.3} s ({} steps/s), recorded in {all:.3} s",
         schema.name,
         counted(bodies, "body"),
         counted(schema.vertex_count(), "vertex"),
@@ -642,7 +752,7 @@ fn summarize(console: &Console, outcome: &Outcome) {
         if schema.dt >= 1e-4 { format!("{:.6}", schema.dt) } else { format!("{:e}", schema.dt) },
         schema.integrator,
         simulation.time(),
-        thousands((steps as f64 / seconds.max(1e-9)) as u64),
+        thousands((steps as f64 / simulating.max(1e-9)) as u64),
     ));
     match event_count {
         0 => console.print("no events"),
@@ -743,10 +853,41 @@ impl Console {
         self.bar.finish_and_clear();
     }
 
+    /// Says how large the recording of a run will be, if it will be large, and what would make it small.
+    fn say_size(&self, experiment: &SceneRun, settings: &Settings) {
+        if self.quiet {
+            return;
+        }
+        let Some(size) = size::project(experiment, settings, size::LARGE, size::BUDGET) else { return };
+        if size.bytes <= size::LARGE {
+            return;
+        }
+        let (every, about) = (size.every(settings), |bytes: u64| format!("some {} MB", thousands(bytes / 1_000_000)));
+        let from = match settings.steps {
+            Some(steps) if size.seen < steps => format!(", by the first {}", counted(size.seen, "step")),
+            _ => String::new(),
+        };
+        let without = size.without_forces.map(|bytes| format!("`--detail surface` makes it {}, ", about(bytes)));
+        self.notes(&[format!(
+            "note: the recording will take {} ({}{from}); {}`--every {every}` {}, `--thin` some {} (`meldscope replay` \
+             makes the frames of any part of it later)",
+            about(size.bytes),
+            counted(size.frames, "frame"),
+            without.unwrap_or_default(),
+            about(size.bytes / (every / settings.every).max(1)),
+            bytes(10 * settings.steps.unwrap_or(0) + 20_000),
+        )]);
+    }
+
     fn say(&self, line: &str) {
         if !self.quiet {
             say(line);
         }
+    }
+
+    /// Prints a result while the run goes on.
+    fn print_beside(&self, line: &str) {
+        self.bar.suspend(|| self.print(line));
     }
 
     fn print(&self, line: &str) {
@@ -755,5 +896,39 @@ impl Console {
             (false, true) => say(line),
             (false, false) => print(line),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn told(events: &[(&str, f64)], until: f64) -> Told {
+        let mut list: Vec<ToldEvent> = Vec::new();
+        for &(what, time) in events {
+            let number = 1 + list.iter().filter(|other| other.what == what).count();
+            list.push(ToldEvent { what: what.to_owned(), number, time });
+        }
+        Told { events: list, more: 0, until }
+    }
+
+    #[test]
+    fn a_run_is_told_by_what_moved_since_the_one_before() {
+        let before = told(&[("merge big~mid", 1.224), ("split big~mid", 2.0), ("merge big~mid", 3.0)], 4.0);
+        assert_eq!(before.lines(None)[..2], ["3 events in 4.000 s:", "  merge big~mid at t = 1.224 s"]);
+        let now = told(&[("merge big~mid", 1.2), ("split big~mid", 2.0), ("core big~mid", 2.5)], 3.5);
+        assert_eq!(
+            now.lines(Some(&before)),
+            [
+                "3 events in 3.500 s:",
+                "  merge big~mid at t = 1.200 s, 24 ms earlier",
+                "  split big~mid at t = 2.000 s, as before",
+                "  core big~mid at t = 2.500 s, new",
+                "  no more: merge big~mid, which was at t = 3.000 s",
+            ]
+        );
+        // a run that was ended early does not say what it did not reach
+        assert_eq!(told(&[], 0.5).lines(Some(&before)), ["no events in 0.500 s"]);
+        assert_eq!(duration(0.00123), "1.2 ms");
     }
 }

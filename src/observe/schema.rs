@@ -161,6 +161,8 @@ pub struct ScalarSchema {
     pub of: ScalarOf,
     /// Whether it varies continuously: its line interpolates linearly between values instead of holding each value.
     pub is_smooth: bool,
+    /// Whether it jumps when a pair changes its phase: its line is interrupted there.
+    pub jumps: bool,
 }
 
 /// How a scalar of a frame is obtained.
@@ -235,7 +237,7 @@ impl TermSchema {
 impl ScalarSchema {
     /// A scalar with a plot of its own.
     pub fn new(name: &'static str, label: &'static str, of: ScalarOf) -> ScalarSchema {
-        ScalarSchema { name, label, plot: label, of, is_smooth: of == ScalarOf::State }
+        ScalarSchema { name, label, plot: label, of, is_smooth: of == ScalarOf::State, jumps: false }
     }
 }
 

@@ -23,7 +23,7 @@ use crate::{
         chunks::Chunks,
         instant::Instant,
         normals,
-        palette::{Rgb, color},
+        palette::{self, Rgb, color},
         series::{Interpolation, Series},
         settings::file_stem,
         sinks::{Destinations, Saved, SinkError, Sinks},
@@ -57,6 +57,8 @@ pub struct Comparison {
     /// Ratio of an arrow's length to the distance that it represents.
     magnification: f64,
     frames: u64,
+    /// Number of differences between events.
+    changes: u64,
 }
 
 impl Comparison {
@@ -116,11 +118,11 @@ impl Comparison {
             Arrows3D::update_fields().with_colors([color(ERROR)]).with_radii([rerun::Radius::new_ui_points(1.2)]);
         chunks.log_static("/world/error", &style);
         for (number, (_, name, _)) in shown.iter().enumerate() {
-            let rgb = crate::stream::palette::line(number);
+            let rgb = palette::distance(number); // blue and orange are the two runs
             Series::style(&mut chunks, &format!("/difference/{name}"), name, rgb, 1.5, Interpolation::Linear);
         }
         Series::style(&mut chunks, "/difference/tolerance", "tolerance", LIMIT, 1.0, Interpolation::Linear);
-        let mut comparison = Comparison { chunks, sinks, shown, magnification, frames: 0 };
+        let mut comparison = Comparison { chunks, sinks, shown, magnification, frames: 0, changes: 0 };
         comparison.send()?;
         Ok(comparison)
     }
@@ -170,7 +172,24 @@ impl Comparison {
     pub fn change(&mut self, schema: &Schema, change: &Change) {
         let time = change.time();
         let at = Instant { step: (time / schema.dt).ceil().max(0.0) as u64, time };
-        self.chunks.log("/events", at, &TextLog::new(change.to_string()));
+        let rgb = match change {
+            Change::Vanished(_) => COLORS[0],
+            Change::Appeared(_) => COLORS[1],
+            Change::Moved(..) | Change::Reordered(_) => LIMIT,
+        };
+        self.chunks.log("/events", at, &TextLog::new(change.to_string()).with_color(color(rgb)));
+        self.changes += 1;
+    }
+
+    /// Says that the events are the same, if no change was logged.
+    pub fn events_compared(&mut self, events: usize) {
+        if self.changes == 0 {
+            let line = match events {
+                0 => "the same: neither run has events".to_owned(),
+                n => format!("the same: {} in both runs", crate::text::counted(n as u64, "event")),
+            };
+            self.chunks.log("/events", Instant::default(), &TextLog::new(line));
+        }
     }
 
     fn send(&mut self) -> Result<(), SinkError> {

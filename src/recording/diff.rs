@@ -37,6 +37,8 @@ pub struct Difference {
     pub first_beyond: Option<Worst>,
     /// Differences between the events.
     pub events: Vec<Change>,
+    /// Number of events of the first recording.
+    pub event_count: usize,
     /// Whether each recording had to be run again because it has no surfaces.
     pub run_again: [bool; 2],
 }
@@ -149,6 +151,7 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
         has_bits,
         bodies,
         first_beyond,
+        event_count: events.as_ref().map_or(0, |[first, _]| first.len()),
         events: events.map(|[first, second]| happenings::compare(&first, &second)).unwrap_or_default(),
         run_again: recorded.map(|recorded| recorded.settings.frames == Frames::Thin),
     })
@@ -186,6 +189,7 @@ pub fn save(
     for change in &difference.events {
         comparison.change(schema, change);
     }
+    comparison.events_compared(difference.event_count);
     let walked = walk(recorded, |frames| {
         comparison.frame(schema, frames[0].at(), tolerance, |index| frames.map(|frame| frame.world_positions(index)))
     })?;

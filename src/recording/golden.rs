@@ -88,7 +88,6 @@ pub fn bless(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<Blesse
             return Err(BlessError::Scene(failure.to_string()));
         }
         recorder.observe(&*simulation);
-        recorder.log_events(&summary);
         checksums.push(simulation.checksum());
         simulation.observe(Want::default(), &mut frame);
         let awake: Vec<usize> = (0..frame.bodies.len()).filter(|&index| is_kept(&schema, &frame, index)).collect();

@@ -71,8 +71,8 @@ struct StateNumbers<'a> {
 fn scalars(scene: &Scene) -> impl Iterator<Item = &'static Scalar> {
     let is_coupled = scene.is_coupled();
     let is_accounted_for = is_coupled && scene.integrator == Integrator::Exponential;
-    let of_coupled = CONSERVED.iter().filter(move |_| is_coupled);
-    SCALARS.iter().chain(of_coupled).chain(LEDGER.iter().filter(move |_| is_accounted_for))
+    let parts = if is_coupled { CONSERVED } else { PARTS };
+    SCALARS.iter().chain(parts).chain(LEDGER.iter().filter(move |_| is_accounted_for))
 }
 
 /// A smooth scalar of the state.
@@ -84,6 +84,16 @@ const fn smooth(
 ) -> Scalar {
     Scalar { name, label, plot, value: ScalarValue::State(value), is_smooth: true }
 }
+
+/// The parts of the energy of bodies on paths, in units of scene unit²/s².
+const PARTS: &[Scalar] = &[
+    smooth("energy_vibration", "kinetic [unit²/s²]", DEFORMED, |state| state.energy.kinetic),
+    smooth("energy_elastic", "elastic", DEFORMED, |state| state.energy.elastic),
+    // thousands of times as large, most of it of vertices that no sphere reaches
+    smooth("energy_influence", "influence", "Energy", |state| state.energy.influence),
+];
+
+const DEFORMED: &str = "Energy of deformation";
 
 /// What free bodies conserve. Energies are in units of mass · scene unit²/s².
 const CONSERVED: &[Scalar] = &[
@@ -481,7 +491,8 @@ fn schema(scene: &Scene, options: Options) -> Schema {
                     ScalarValue::SumOfSteps(_) => ScalarOf::SumOfSteps,
                     ScalarValue::MaxOfSteps(_) => ScalarOf::MaxOfSteps,
                 };
-                ScalarSchema { name, label, plot, of, is_smooth }
+                // energies do: another phase has another potential
+                ScalarSchema { name, label, plot, of, is_smooth, jumps: name.starts_with("energy") }
             })
             .collect(),
         stages: Stage::ALL.map(Stage::name).into(),

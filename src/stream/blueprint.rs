@@ -5,23 +5,23 @@
 
 use glam::DVec3;
 use rerun::{
-    AsComponents, Mesh3D, Points3D, StoreId, StoreKind, TimePoint,
+    AsComponents, Mesh3D, Points3D, SeriesLines, StoreId, StoreKind, TimePoint,
     external::{
         re_log_types::{BlueprintActivationCommand, LogMsg},
         re_sdk_types::{
             blueprint::{
                 archetypes::{
                     ActiveVisualizers, Background, ContainerBlueprint, EntityBehavior, EyeControls3D, LineGrid3D,
-                    PanelBlueprint, PlotLegend, ScalarAxis, TextLogColumns, TimePanelBlueprint, ViewBlueprint,
-                    ViewContents, ViewportBlueprint, VisibleTimeRanges, VisualizerInstruction,
+                    PanelBlueprint, PlotLegend, ScalarAxis, TextLogColumns, TimeAxis, TimePanelBlueprint,
+                    ViewBlueprint, ViewContents, ViewportBlueprint, VisibleTimeRanges, VisualizerInstruction,
                 },
                 components::{
-                    AbsoluteTimeRange, BackgroundKind, ContainerKind, Corner2D, Eye3DKind, LoopMode, PanelState,
-                    PlayState, TimelineColumn, VisibleTimeRange, VisualizerInstructionId,
+                    AbsoluteTimeRange, BackgroundKind, ContainerKind, Corner2D, Eye3DKind, LinkAxis, LoopMode,
+                    PanelState, PlayState, TimelineColumn, VisibleTimeRange, VisualizerInstructionId,
                 },
                 datatypes::{ComponentSourceKind, TextLogColumn, TextLogColumnKind, VisualizerComponentMapping},
             },
-            components::{Position3D, Range1D, Vector3D},
+            components::{Plane3D, Position3D, Range1D, Vector3D},
             datatypes::{self, TimeRange, TimeRangeBoundary, Uuid},
         },
     },
@@ -30,19 +30,23 @@ use rerun::{
 use super::{
     chunks::{Chunks, blueprint_time},
     focus::Focus,
+    instant::STAGE,
     palette,
     parts::{
         forces,
+        heat::{self, LEGEND},
+        marks::{AT_Q, ON_AXIS},
         merged::{self, DRAWN},
-        numbers::{LAG, OBSERVING, RECORDING, SPEED},
+        numbers::{self, LAG, SPEED},
         pairs::{self, CONTACT, MEASURES},
-        trails,
-        vertices::HOTTEST,
-        wholes,
+        trails, wholes,
     },
     settings::{Detail, Entities, Frames, Settings},
 };
-use crate::observe::{Schema, Simulation, colors, schema::TermSchema};
+use crate::{
+    observe::{Schema, Simulation, colors, schema::TermSchema},
+    text::counted,
+};
 
 /// The recording for which a layout is made.
 pub struct Subject<'a> {
@@ -66,8 +70,10 @@ pub fn messages(subject: &Subject<'_>, tab: Tab, recording: &StoreId) -> Vec<Log
 pub struct Measured<'a> {
     /// Duration of the run [s].
     pub duration: f64,
-    /// Stages and their typical durations [ms].
-    pub timings: Vec<(&'static str, f64)>,
+    /// Stages and the medians of their durations [ms].
+    pub medians: Vec<(&'static str, f64)>,
+    /// What all of a step typically takes: the upper end of the plots of timings [ms].
+    pub typical: Option<f64>,
     /// The least and the greatest q that was plotted, if any was [–].
     pub distances: Option<[f64; 2]>,
     /// What to look at first.
@@ -83,12 +89,16 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     let mut layout = Layout::of(recording);
     let root = layout.root(subject, tab);
     layout.finish(root); // already sent; ids of what follows continue after it
-    for (plot, stages) in std::mem::take(&mut layout.timings) {
-        let shown = measured.timings.iter().filter(|(stage, _)| stages.contains(stage));
-        let highest = shown.map(|(_, typical)| *typical).fold(0.0, f64::max);
-        if highest > 0.0 {
+    for plot in std::mem::take(&mut layout.timings) {
+        if let Some(highest) = measured.typical.filter(|&typical| typical > 0.0) {
             let axis = ScalarAxis::new().with_range(Range1D::new(-0.02 * highest, HEADROOM * highest));
-            layout.log(&format!("{plot}/ScalarAxis"), &axis);
+            layout.log(&format!("{}/ScalarAxis", plot.path), &axis);
+        }
+        for (stage, median) in &measured.medians {
+            let name = format!("{}, median {median:.4} ms", numbers::described(stage));
+            let entity = numbers::stacked(stage);
+            let style = SeriesLines::update_fields().with_names([name]);
+            layout.visualize(&plot, entity.trim_start_matches('/'), &[("SeriesLines", &[], &style)]);
         }
     }
     if let Some([low, high]) = measured.distances {
@@ -106,7 +116,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             .with_play_state(PlayState::Playing);
         layout.log("time_panel", &time_panel);
         if let Some(scene) = layout.scene.take() {
-            layout.log(&format!("{scene}/EyeControls3D"), &camera_on(&focus.spheres));
+            layout.log(&format!("{scene}/EyeControls3D"), &camera_past(&focus.spheres, &focus.pair, &focus.others));
         }
     }
     let messages = layout.chunks.take();
@@ -116,17 +126,12 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
 /// The layout of a comparison of two runs: surfaces and error arrows, differences over time, events.
 pub fn of_comparison(spheres: &[(DVec3, f64)], recording: &StoreId) -> Vec<LogMsg> {
     let mut layout = Layout::of(recording);
-    let (camera, grid) = (camera_on(spheres), LineGrid3D::new().with_visible(false));
-    let background = Background::new(BackgroundKind::SolidColor).with_color(palette::color(palette::BACKGROUND));
-    let properties: [(&str, &dyn AsComponents); 3] =
-        [("EyeControls3D", &camera), ("LineGrid3D", &grid), ("Background", &background)];
-    let surfaces = layout.view("3D", "Both surfaces, and arrows between them", "/world", &["+ /world/**"], &properties);
+    layout.ground = Ground::under(spheres);
+    let camera = camera_on(spheres);
+    let surfaces = layout.space(&camera, "Both surfaces, and arrows between them", &["+ /world/**"]);
     let about = layout.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
     let left = layout.container(ContainerKind::Vertical, "Surfaces", vec![surfaces, about], &[3.4, 1.0]);
-    let legend = PlotLegend::new().with_corner(Corner2D::LeftTop);
-    let contents = ["+ /difference/**"];
-    let plot =
-        layout.view("TimeSeries", "Largest difference [radii]", "/difference", &contents, &[("PlotLegend", &legend)]);
+    let plot = layout.plot("Largest difference [radii]", "/difference", &["+ /difference/**"], Corner2D::LeftTop);
     let events = layout.lines("Events", "/events");
     let right = layout.container(ContainerKind::Vertical, "Differences", vec![plot, events], &[1.5, 1.0]);
     let root = layout.container(ContainerKind::Horizontal, "meldscope", vec![left, right], &[1.6, 1.0]);
@@ -202,21 +207,47 @@ impl Tab {
 }
 
 /// Source of a component of a visualizer.
-#[derive(Clone, Copy)]
-struct Mapping {
-    target: &'static str,
-    source: &'static str,
+#[derive(Clone, Copy, Debug)]
+pub struct Mapping {
+    /// What the visualizer takes.
+    pub target: &'static str,
+    /// The component of the entity that it takes instead.
+    pub source: &'static str,
 }
 
 struct Layout {
     chunks: Chunks,
     next_id: u64,
-    /// The timing plots, and the stages in each.
-    timings: Vec<(String, Vec<&'static str>)>,
+    /// The plots of timings.
+    timings: Vec<Part>,
     /// The plots of q.
     distances: Vec<String>,
     /// The overview in 3D.
     scene: Option<String>,
+    /// The grid below everything, if there is one.
+    ground: Option<Ground>,
+    /// The timeline that the viewer opens with.
+    timeline: &'static str,
+}
+
+/// A horizontal grid below everything that there is to see.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Ground {
+    /// Height [scene unit].
+    height: f64,
+    /// Distance of its lines [scene unit].
+    spacing: f64,
+}
+
+impl Ground {
+    fn under(spheres: &[(DVec3, f64)]) -> Option<Ground> {
+        let height = spheres.iter().map(|&(centre, radius)| centre.z - radius).fold(f64::INFINITY, f64::min);
+        let largest = spheres.iter().map(|&(_, radius)| radius).fold(0.0, f64::max);
+        let decade = 10f64.powf(largest.log10().floor());
+        let steps = [1.0, 2.0, 5.0].map(|step| step * decade);
+        let spacing = steps.into_iter().rfind(|&step| step <= largest).unwrap_or(decade);
+        (height.is_finite() && spacing.is_finite() && spacing > 0.0).then_some(Ground { height, spacing })
+    }
 }
 
 impl Layout {
@@ -224,7 +255,15 @@ impl Layout {
     fn of(recording: &StoreId) -> Layout {
         let id = format!("blueprint-{}", recording.recording_id().as_str());
         let store = StoreId::new(StoreKind::Blueprint, recording.application_id().clone(), id);
-        Layout { chunks: Chunks::new(store), next_id: 0, timings: Vec::new(), distances: Vec::new(), scene: None }
+        Layout {
+            chunks: Chunks::new(store),
+            next_id: 0,
+            timings: Vec::new(),
+            distances: Vec::new(),
+            scene: None,
+            ground: None,
+            timeline: "sim_time",
+        }
     }
 
     /// Makes `root` the content of the whole window.
@@ -236,7 +275,10 @@ impl Layout {
         for panel in ["blueprint_panel", "selection_panel"] {
             self.log(panel, &PanelBlueprint::new().with_state(PanelState::Collapsed));
         }
-        self.log("time_panel", &TimePanelBlueprint::new().with_state(PanelState::Collapsed).with_timeline("sim_time"));
+        self.log(
+            "time_panel",
+            &TimePanelBlueprint::new().with_state(PanelState::Collapsed).with_timeline(self.timeline),
+        );
 
         let messages = self.chunks.take();
         self.activate(messages)
@@ -251,7 +293,13 @@ impl Layout {
 
     fn root(&mut self, subject: &Subject<'_>, front: Tab) -> Part {
         let Subject { simulation, schema, settings } = *subject;
-        let camera = camera_on(&simulation.framing(false));
+        let framing = simulation.framing(false);
+        let camera = camera_on(&framing);
+        // planes have grids of their own
+        self.ground = Ground::under(&framing).filter(|_| schema.planes.is_empty());
+        if front == Tab::Stages {
+            self.timeline = STAGE;
+        }
         let mut tabs = vec![(Tab::Scene, self.scene_tab(&camera, schema, settings))];
         if schema.bodies.len() > 1 {
             let close = camera_on(&simulation.framing(true));
@@ -310,13 +358,13 @@ impl Layout {
         let left = self.container(ContainerKind::Vertical, "Space", vec![scene_view, about], &[2.6, 1.0]);
         let right = if schema.bodies.len() > 1 {
             let mut parts = self.pair_views(schema);
-            parts.push(self.timings(schema));
+            parts.push(self.timings(schema, false));
             self.container(ContainerKind::Vertical, "Time", parts, &[1.5, 0.5, 1.2, 0.7])
         } else {
             // a single body: show its motion and its timings
             let mut parts = self.diagnostics(schema);
             let mut shares = vec![1.0; parts.len()];
-            parts.push(self.timings(schema));
+            parts.push(self.timings(schema, false));
             shares.push(1.2);
             self.container(ContainerKind::Vertical, "Time", parts, &shares)
         };
@@ -333,7 +381,7 @@ impl Layout {
             self.draw_unmerged(&view, &surface, &Mesh3D::update_fields().with_albedo_factor(palette::opaque(rgb)));
         }
         let opaque = Mesh3D::update_fields().with_albedo_factor(rerun::Rgba32::WHITE);
-        self.visualize(&view, merged::SURFACE.trim_start_matches('/'), &[("Mesh3D", None, &opaque)]);
+        self.visualize(&view, merged::SURFACE.trim_start_matches('/'), &[("Mesh3D", &[], &opaque)]);
         let mut parts = Vec::new();
         if pairs::has_named_pairs(schema) {
             let titles = ["Gap and neck [radii of the smaller body]", "Overlap [its radius cubed]"];
@@ -341,12 +389,12 @@ impl Layout {
                 let lines = measures.iter().flat_map(|measure| pairs::named(schema, measure));
                 let contents: Vec<String> = lines.map(|line| format!("+ {line}")).collect();
                 let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
-                parts.push(self.plot(title, "/pairs", &contents, Corner2D::LeftTop));
+                parts.push(self.plot(title, "/", &contents, Corner2D::LeftTop));
             }
         }
         let title = "Phases, and whether the surfaces touch (red, yellow: the two disagree)";
         parts.push(self.view("StateTimeline", title, "/pairs", &["+ /pairs/**"], &[]));
-        parts.push(self.plot("Groups: volume, genus, bodies", "/groups", &["+ /groups/**"], Corner2D::LeftTop));
+        parts.push(self.plot("Groups: volume, genus, bodies", "/", &["+ /groups/**"], Corner2D::LeftTop));
         let shares = vec![1.0; parts.len()];
         let right = self.container(ContainerKind::Vertical, "Measures", parts, &shares);
         self.container(ContainerKind::Horizontal, "Surface", vec![view, right], &[1.6, 1.0])
@@ -370,7 +418,7 @@ impl Layout {
                         let rgb =
                             if settings.entities == Entities::Batch { WHITE } else { palette::of_body(schema, index) };
                         let sheer = Mesh3D::update_fields().with_albedo_factor(palette::sheer(rgb));
-                        self.visualize(&view, &surface, &[("Mesh3D", None, &sheer)]);
+                        self.visualize(&view, &surface, &[("Mesh3D", &[], &sheer)]);
                     }
                 }
                 view
@@ -379,41 +427,35 @@ impl Layout {
         self.grid("Forces", views, 3)
     }
 
-    /// Surfaces coloured by displacement, with selectable vertices.
+    /// Surfaces coloured by displacement, with selectable vertices, above the scale of colours.
     fn displacement_tab(&mut self, camera: &EyeControls3D, schema: &Schema, settings: &Settings) -> Part {
-        let title = format!(
-            "Displacement: purple 0, green {}, yellow {HOTTEST} radii and more; select a vertex to see its numbers",
-            0.6 * HOTTEST
-        );
         let contents = ["+ /world/bodies/**", "+ /world/deforming/**", "+ /world/planes/**"];
-        let view = self.space(camera, &title, &contents);
-        let heat = Mapping { target: "Mesh3D:vertex_colors", source: "Points3D:colors" };
+        let title = "Displacement from rest; select a vertex to see its numbers";
+        let view = self.space(camera, title, &contents);
         let positions = Mapping { target: "Points3D:positions", source: "Mesh3D:vertex_positions" };
         let opaque = Mesh3D::update_fields().with_albedo_factor(rerun::Rgba32::WHITE);
-        let dots = Points3D::update_fields().with_radii([rerun::Radius::new_ui_points(2.5)]);
+        let dots = Points3D::update_fields()
+            .with_radii([rerun::Radius::new_ui_points(1.5)])
+            .with_colors([palette::color(palette::DOT)]);
         for surface in surfaces(schema, settings) {
-            self.visualize(&view, &surface, &[("Mesh3D", Some(heat), &opaque), ("Points3D", Some(positions), &dots)]);
+            self.visualize(&view, &surface, &[("Mesh3D", &heat::MAPPINGS, &opaque), ("Points3D", &[positions], &dots)]);
         }
-        self.container(ContainerKind::Vertical, "Displacement", vec![view], &[])
+        let scale = self.view("2D", "Displacement [radii]", LEGEND, &[&format!("+ {LEGEND}/**")], &[]);
+        self.container(ContainerKind::Vertical, "Displacement", vec![view, scale], &[6.0, 1.0])
     }
 
     /// Views of pair distances, phases and events.
     fn pair_views(&mut self, schema: &Schema) -> Vec<Part> {
-        let legend = PlotLegend::new().with_corner(Corner2D::RightBottom);
         // a pattern cannot have its wildcard in the middle
         let without = |parts: &[&str]| -> Vec<String> {
             let left_out = parts.iter().flat_map(|part| pairs::named(schema, part)).map(|line| format!("- {line}"));
             std::iter::once("+ /pairs/**".to_owned()).chain(left_out).collect()
         };
-        let contents = without(&MEASURES.map(|(measure, ..)| measure));
+        let mut contents = without(&MEASURES.map(|(measure, ..)| measure));
+        contents.push(format!("+ {AT_Q}/**"));
         let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
-        let distances = self.view(
-            "TimeSeries",
-            "Pair distances q and their thresholds",
-            "/pairs",
-            &contents,
-            &[("PlotLegend", &legend)],
-        );
+        let title = "Pair distances q and their thresholds";
+        let distances = self.time_series(title, "/", &contents, Corner2D::RightBottom);
         self.distances.push(distances.path.clone());
         let contents = without(&[CONTACT]);
         let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
@@ -422,37 +464,31 @@ impl Layout {
         vec![distances, phases, events]
     }
 
-    /// Timings in separate plots, because their orders of magnitude differ.
+    /// What a step costs, stage upon stage, and the speed that comes of it.
     fn timings_tab(&mut self, schema: &Schema) -> Part {
-        let left = vec![
-            self.times("Timings, ms per step: simulating", &schema.stages),
-            self.times("Timings, ms per step: observing, and waiting for the recording", &OBSERVING),
-        ];
-        let right =
-            vec![self.times("Timings, ms per step: recording, on a thread of its own", &RECORDING), self.speed()];
-        let left = self.container(ContainerKind::Vertical, "The simulation's time", left, &[1.0, 1.0]);
-        let right = self.container(ContainerKind::Vertical, "Beside it", right, &[1.0, 1.0]);
-        self.container(ContainerKind::Horizontal, "Timings", vec![left, right], &[1.0, 1.0])
+        let parts = vec![self.timings(schema, true), self.speed()];
+        self.container(ContainerKind::Vertical, "Timings", parts, &[2.2, 1.0])
     }
 
-    /// Timings of the simulation thread.
-    fn timings(&mut self, schema: &Schema) -> Part {
-        let stages: Vec<&'static str> = schema.stages.iter().chain(&OBSERVING[..1]).copied().collect();
-        self.times("Timings, ms per step", &stages)
-    }
-
-    fn times(&mut self, name: &str, stages: &[&'static str]) -> Part {
-        let contents: Vec<String> = stages.iter().map(|stage| format!("+ /timings/{stage}")).collect();
+    /// Timings of the simulation's thread, each stage upon those before it, and of the recording's. Where there is little
+    /// room a legend would hide them.
+    fn timings(&mut self, schema: &Schema, has_legend: bool) -> Part {
+        let contents: Vec<String> =
+            numbers::timings(schema).map(|stage| format!("+ {}", numbers::stacked(stage))).collect();
         let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
-        let plot = self.plot(name, "/timings", &contents, Corner2D::LeftTop);
-        self.timings.push((plot.path.clone(), stages.to_vec()));
+        let title = "Timings, ms per step: each stage upon those below it";
+        let plot = self.plot(title, "/", &contents, Corner2D::LeftTop);
+        if !has_legend {
+            self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
+        }
+        self.timings.push(Part { id: plot.id, path: plot.path.clone() });
         plot
     }
 
     fn speed(&mut self) -> Part {
         let contents = [format!("+ {SPEED}"), format!("+ {LAG}")];
         let contents = [contents[0].as_str(), contents[1].as_str()];
-        self.plot("Steps per second, and milliseconds behind real time", "/timings", &contents, Corner2D::LeftTop)
+        self.plot("Steps per second, and milliseconds behind real time", "/", &contents, Corner2D::LeftTop)
     }
 
     /// Plots of the schema's scalars.
@@ -467,14 +503,23 @@ impl Layout {
         }
         let mut plot = |(name, lines): (&str, Vec<String>)| {
             let contents: Vec<&str> = lines.iter().map(String::as_str).collect();
-            self.plot(name, "/diagnostics", &contents, Corner2D::RightTop)
+            self.plot(name, "/", &contents, Corner2D::RightTop)
         };
         plots.into_iter().map(&mut plot).collect()
     }
 
+    /// A plot over time, with the events as markers on its axis.
     fn plot(&mut self, name: &str, origin: &str, contents: &[&str], corner: Corner2D) -> Part {
+        let marks = format!("+ {ON_AXIS}/**");
+        let contents: Vec<&str> = contents.iter().copied().chain([marks.as_str()]).collect();
+        self.time_series(name, origin, &contents, corner)
+    }
+
+    /// A plot over time. All plots show the same range of it.
+    fn time_series(&mut self, name: &str, origin: &str, contents: &[&str], corner: Corner2D) -> Part {
         let legend = PlotLegend::new().with_corner(corner);
-        self.view("TimeSeries", name, origin, contents, &[("PlotLegend", &legend)])
+        let axis = TimeAxis::new().with_link(LinkAxis::LinkToGlobal);
+        self.view("TimeSeries", name, origin, contents, &[("PlotLegend", &legend), ("TimeAxis", &axis)])
     }
 
     /// A 3D view of everything, with the forces that make bodies merge and split.
@@ -519,7 +564,15 @@ impl Layout {
 
     /// A 3D view.
     fn space(&mut self, camera: &EyeControls3D, name: &str, contents: &[&str]) -> Part {
-        let grid = LineGrid3D::new().with_visible(false);
+        let grid = match self.ground {
+            None => LineGrid3D::new().with_visible(false),
+            Some(Ground { height, spacing }) => LineGrid3D::new()
+                .with_visible(true)
+                .with_plane(Plane3D::new(glam::Vec3::Z, height as f32))
+                .with_spacing(spacing as f32)
+                .with_stroke_width(1.0)
+                .with_color(palette::color(palette::GROUND)),
+        };
         let background = Background::new(BackgroundKind::SolidColor).with_color(palette::color(palette::BACKGROUND));
         let properties: [(&str, &dyn AsComponents); 3] =
             [("EyeControls3D", camera), ("LineGrid3D", &grid), ("Background", &background)];
@@ -529,17 +582,17 @@ impl Layout {
     /// Draws a body by its own surface only while it is not part of a merged one.
     fn draw_unmerged(&mut self, view: &Part, surface: &str, overrides: &dyn AsComponents) {
         let drawn = Mapping { target: "Mesh3D:triangle_indices", source: DRAWN };
-        self.visualize(view, surface, &[("Mesh3D", Some(drawn), overrides)]);
+        self.visualize(view, surface, &[("Mesh3D", &[drawn], overrides)]);
     }
 
     /// Replaces the default visualizers of an entity in a view.
-    fn visualize(&mut self, view: &Part, entity: &str, visualizers: &[(&str, Option<Mapping>, &dyn AsComponents)]) {
+    fn visualize(&mut self, view: &Part, entity: &str, visualizers: &[(&str, &[Mapping], &dyn AsComponents)]) {
         let base = format!("{}/ViewContents/overrides/{entity}/visualizers", view.path);
         let mut ids = Vec::new();
         for (class, mapping, overrides) in visualizers {
             let (id, text) = self.id();
             let path = format!("{base}/{text}");
-            let mapping = mapping.map(|mapping| VisualizerComponentMapping {
+            let mapping = mapping.iter().map(|mapping| VisualizerComponentMapping {
                 target: mapping.target.into(),
                 source_kind: ComponentSourceKind::SourceComponent,
                 source_component: Some(mapping.source.into()),
@@ -609,7 +662,7 @@ impl Layout {
 }
 
 /// The entities of deformable surfaces.
-fn surfaces(schema: &Schema, settings: &Settings) -> Vec<String> {
+pub(super) fn surfaces(schema: &Schema, settings: &Settings) -> Vec<String> {
     match settings.entities {
         Entities::Body => schema.bodies.iter().map(|body| format!("world/bodies/{}/surface", body.name)).collect(),
         Entities::Batch => vec!["world/deforming/surface".to_owned()],
@@ -619,16 +672,47 @@ fn surfaces(schema: &Schema, settings: &Settings) -> Vec<String> {
 /// A camera in front of the spheres (centre and radius), slightly to one side and above, that has all of them in view.
 /// Flat arrangements are viewed from higher up.
 fn camera_on(spheres: &[(DVec3, f64)]) -> EyeControls3D {
+    camera_past(spheres, &[], &[])
+}
+
+/// Like [`camera_on`], but from where no sphere of `others` stands in front of one of `wanted`, as far as possible.
+fn camera_past(spheres: &[(DVec3, f64)], wanted: &[(DVec3, f64)], others: &[(DVec3, f64)]) -> EyeControls3D {
+    let low = spheres.iter().fold(DVec3::INFINITY, |low, &(centre, radius)| low.min(centre - radius));
+    let high = spheres.iter().fold(DVec3::NEG_INFINITY, |high, &(centre, radius)| high.max(centre + radius));
+    let (middle, extent) = (0.5 * (low + high), high - low);
+    let is_flat = extent.z < 0.2 * f64::min(extent.x, extent.y);
+    let first = DVec3::new(-0.2, -1.0, if is_flat { 1.0 } else { 0.4 }).normalize(); // towards the eye
+    let mut best = (eye(spheres, middle, first), hidden(eye(spheres, middle, first), wanted, others));
+    // nothing is gained by turning away from the usual direction for less than this
+    const WORTH: f64 = 0.02;
+    for height in [0.4, 0.9, 1.6, -0.3] {
+        for twelfth in [0, 1, 11, 2, 10, 3, 9, 4, 8, 5, 7, 6] {
+            if best.1 <= WORTH {
+                break;
+            }
+            let angle = std::f64::consts::TAU * f64::from(twelfth) / 12.0 - 0.2;
+            let back = DVec3::new(angle.sin(), -angle.cos(), height).normalize();
+            let from = eye(spheres, middle, back);
+            let hidden = hidden(from, wanted, others);
+            if hidden + WORTH < best.1 {
+                best = (from, hidden);
+            }
+        }
+    }
+    EyeControls3D::new()
+        .with_kind(Eye3DKind::Orbital)
+        .with_position(Position3D::from(best.0.as_vec3()))
+        .with_look_target(Position3D::from(middle.as_vec3()))
+        .with_eye_up(Vector3D::from(glam::Vec3::Z))
+}
+
+/// Where an eye in direction `back` of the middle has all spheres in view.
+fn eye(spheres: &[(DVec3, f64)], middle: DVec3, back: DVec3) -> DVec3 {
     /// Half the viewer's vertical field of view, 55°.
     const HALF_HEIGHT: f64 = 0.5205;
     /// Views have an aspect ratio of at least 1.45.
     const HALF_WIDTH: f64 = 1.42 * HALF_HEIGHT;
 
-    let low = spheres.iter().fold(DVec3::INFINITY, |low, &(centre, radius)| low.min(centre - radius));
-    let high = spheres.iter().fold(DVec3::NEG_INFINITY, |high, &(centre, radius)| high.max(centre + radius));
-    let (middle, extent) = (0.5 * (low + high), high - low);
-    let is_flat = extent.z < 0.2 * f64::min(extent.x, extent.y);
-    let back = DVec3::new(-0.2, -1.0, if is_flat { 1.0 } else { 0.4 }).normalize(); // towards the eye
     let right = DVec3::Z.cross(back).normalize();
     let up = back.cross(right);
     // The distance at which a sphere at `centre` just fits between the planes of the view frustum.
@@ -637,12 +721,28 @@ fn camera_on(spheres: &[(DVec3, f64)]) -> EyeControls3D {
         let fits = |sideways: f64, half: f64| (sideways.abs() + radius * half.hypot(1.0)) / half;
         offset.dot(back) + f64::max(fits(offset.dot(right), HALF_WIDTH), fits(offset.dot(up), HALF_HEIGHT))
     };
-    let eye = middle + back * spheres.iter().map(|&(centre, radius)| distance(centre, radius)).fold(0.0, f64::max);
-    EyeControls3D::new()
-        .with_kind(Eye3DKind::Orbital)
-        .with_position(Position3D::from(eye.as_vec3()))
-        .with_look_target(Position3D::from(middle.as_vec3()))
-        .with_eye_up(Vector3D::from(glam::Vec3::Z))
+    middle + back * spheres.iter().map(|&(centre, radius)| distance(centre, radius)).fold(0.0, f64::max)
+}
+
+/// How much of the spheres `wanted` is hidden behind `others`, seen from an eye: 0 for nothing; each other sphere counts by
+/// the share of the smaller one's width that overlaps.
+fn hidden(eye: DVec3, wanted: &[(DVec3, f64)], others: &[(DVec3, f64)]) -> f64 {
+    let mut sum = 0.0;
+    for &(centre, radius) in wanted {
+        let distance = eye.distance(centre);
+        let towards = (centre - eye) / distance;
+        for &(other, other_radius) in others {
+            let depth = (other - eye).dot(towards);
+            if depth <= -other_radius || depth >= distance {
+                continue;
+            }
+            // the wanted sphere as wide as it looks at the depth of the other
+            let width = radius * (depth / distance).max(0.0);
+            let apart = (other - eye - depth * towards).length();
+            sum += ((other_radius + width - apart) / (2.0 * f64::min(other_radius, width))).clamp(0.0, 1.0);
+        }
+    }
+    sum
 }
 
 /// The text of the panel: what the colours mean, the scene, integrator, step and settings. The recording begins with
@@ -654,12 +754,13 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
         }
         (Frames::All, 1) => "a frame every step".to_owned(),
         (Frames::All, every) => format!("a frame every {every} steps"),
-        (Frames::Last { most: 1, on }, _) if on.is_empty() => "the last frame".to_owned(),
-        (Frames::Last { most, on }, _) if on.is_empty() => format!("the last {most} frames"),
-        (Frames::Last { most, on }, _) => {
+        (Frames::Last { most: 1, on, .. }, _) if on.is_empty() => "the last frame".to_owned(),
+        (Frames::Last { most, on, .. }, _) if on.is_empty() => format!("the last {most} frames"),
+        (Frames::Last { most, on, after }, _) => {
             let on: Vec<&str> = on.iter().map(|trigger| trigger.name()).collect();
             let frames = if *most == 1 { "frame".to_owned() } else { format!("{most} frames") };
-            format!("the last {frames} before each {}", on.join(", "))
+            let after = if *after > 0 { format!(" and {} after it", counted(*after, "frame")) } else { String::new() };
+            format!("the last {frames} before each {}{after}", on.join(", "))
         }
     };
     let steps = match settings.steps {
@@ -681,7 +782,12 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
     let warnings = schema.warnings.iter().map(|warning| format!("**Warning**: {warning}.  \n"));
     let head = head + &warnings.collect::<String>();
     if settings.frames == Frames::Thin {
-        return head;
+        return head
+            + "\nThis recording is thin: it holds the scene, the events beside this text, and a checksum of the exact state after \
+               every step, from which everything else can be made again:\n\n\
+               - `meldscope replay F.rrd` verifies every step,\n\
+               - `meldscope replay F.rrd --save full.rrd` makes all frames, `--from STEP --to STEP` those of some steps,\n\
+               - `meldscope replay F.rrd --integrator rk4` tries it another way.\n";
     }
     let phases = schema.phases.iter().map(|phase| format!("{} **{}**", colors::name(phase.color), phase.name));
     let spheres = format!(
@@ -704,11 +810,13 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
             )
         }
     };
-    let bound = if schema.bodies.len() * schema.bodies.len().saturating_sub(1) / 2 > settings.pairs {
+    let bound = if !settings.only.is_empty() {
+        format!("Only {} has plots, lanes and lines (`--pair`); events list all pairs.\n", settings.only.join(", "))
+    } else if schema.bodies.len() * schema.bodies.len().saturating_sub(1) / 2 > settings.pairs {
         let most = settings.pairs;
         format!(
-            "The first {most} pairs that come within reach have plots and lanes, the closest {most} have lines (`--pairs`); events \
-                 list them all.\n"
+            "The first {most} pairs that come within reach have plots and lanes, and so do the first that have events; the closest \
+             {most} have lines (`--pairs`, `--pair a~b`); events list them all.\n"
         )
     } else {
         String::new()

@@ -35,6 +35,8 @@ pub enum Cell<'a> {
     Vectors(&'a [Float3]),
     /// Rotations: x, y, z, w.
     Quaternions(&'a [[f32; 4]]),
+    /// Texture coordinates.
+    Places(&'a [[f32; 2]]),
     /// Scalars of a plot.
     Scalars(&'a [f64]),
     /// Scalars of vertices.
@@ -82,6 +84,7 @@ enum Values {
     Empty,
     Vectors(Vec<Float3>),
     Quaternions(Vec<[f32; 4]>),
+    Places(Vec<[f32; 2]>),
     Scalars(Vec<f64>),
     Floats(Vec<f32>),
     Colors(Vec<u32>),
@@ -204,6 +207,7 @@ impl Values {
         match (self, cell) {
             (Values::Vectors(values), Cell::Vectors(cell)) => append(values, cell),
             (Values::Quaternions(values), Cell::Quaternions(cell)) => append(values, cell),
+            (Values::Places(values), Cell::Places(cell)) => append(values, cell),
             (Values::Scalars(values), Cell::Scalars(cell)) => append(values, cell),
             (Values::Floats(values), Cell::Floats(cell)) => append(values, cell),
             (Values::Colors(values), Cell::Colors(cell)) => append(values, cell),
@@ -219,6 +223,7 @@ impl Values {
                 *values = match cell {
                     Cell::Vectors(cell) => Values::Vectors(cell.to_vec()),
                     Cell::Quaternions(cell) => Values::Quaternions(cell.to_vec()),
+                    Cell::Places(cell) => Values::Places(cell.to_vec()),
                     Cell::Scalars(cell) => Values::Scalars(cell.to_vec()),
                     Cell::Floats(cell) => Values::Floats(cell.to_vec()),
                     Cell::Colors(cell) => Values::Colors(cell.to_vec()),
@@ -240,6 +245,7 @@ impl Values {
             Values::Empty => 0,
             Values::Vectors(values) => size_of_val(values.as_slice()),
             Values::Quaternions(values) => size_of_val(values.as_slice()),
+            Values::Places(values) => size_of_val(values.as_slice()),
             Values::Scalars(values) => size_of_val(values.as_slice()),
             Values::Floats(values) => size_of_val(values.as_slice()),
             Values::Colors(values) => size_of_val(values.as_slice()),
@@ -259,6 +265,7 @@ impl Values {
             Values::Empty => Values::Empty,
             Values::Vectors(values) => Values::Vectors(Vec::with_capacity(values.len())),
             Values::Quaternions(values) => Values::Quaternions(Vec::with_capacity(values.len())),
+            Values::Places(values) => Values::Places(Vec::with_capacity(values.len())),
             Values::Scalars(values) => Values::Scalars(Vec::with_capacity(values.len())),
             Values::Floats(values) => Values::Floats(Vec::with_capacity(values.len())),
             Values::Colors(values) => Values::Colors(Vec::with_capacity(values.len())),
@@ -278,6 +285,7 @@ impl Values {
             Values::Empty => Values::Empty,
             Values::Vectors(values) => Values::Vectors(values[first..].to_vec()),
             Values::Quaternions(values) => Values::Quaternions(values[first..].to_vec()),
+            Values::Places(values) => Values::Places(values[first..].to_vec()),
             Values::Scalars(values) => Values::Scalars(values[first..].to_vec()),
             Values::Floats(values) => Values::Floats(values[first..].to_vec()),
             Values::Colors(values) => Values::Colors(values[first..].to_vec()),
@@ -296,6 +304,7 @@ impl Values {
             Values::Empty => Arc::new(Float64Array::from(Vec::<f64>::new())),
             Values::Vectors(values) => tuples(values)?,
             Values::Quaternions(values) => tuples(values)?,
+            Values::Places(values) => tuples(values)?,
             Values::Scalars(values) => Arc::new(Float64Array::from(values)),
             Values::Floats(values) => Arc::new(Float32Array::from(values)),
             Values::Colors(values) => Arc::new(UInt32Array::from(values)),
@@ -337,6 +346,7 @@ impl Cell<'_> {
         match self {
             Cell::Vectors(cell) => cell.len(),
             Cell::Quaternions(cell) => cell.len(),
+            Cell::Places(cell) => cell.len(),
             Cell::Scalars(cell) => cell.len(),
             Cell::Floats(cell) => cell.len(),
             Cell::Colors(cell) => cell.len(),

@@ -1,8 +1,12 @@
-//! The instant that a recording opens with: its first event, or else the nearest that two bodies come.
+//! The instant that a recording opens with: its first event or the one asked for, or else the nearest that two bodies
+//! come.
 
 use glam::DVec3;
 
-use super::parts::Look;
+use super::{
+    parts::Look,
+    settings::{Around, Settings},
+};
 use crate::observe::{Frame, PairEvent, Schema};
 
 /// Upper limit on the number of bodies that are all in view.
@@ -17,6 +21,10 @@ pub struct Focus {
     pub time: f64,
     /// Spheres (centre and radius) to have in view.
     pub spheres: Vec<(DVec3, f64)>,
+    /// The two bodies that matter.
+    pub pair: [(DVec3, f64); 2],
+    /// All other bodies, which may stand in front of them.
+    pub others: Vec<(DVec3, f64)>,
 }
 
 impl Focus {
@@ -28,31 +36,53 @@ impl Focus {
 
     fn on(frame: &Frame, schema: &Schema, time: f64, pair: [usize; 2]) -> Focus {
         let is_crowd = schema.bodies.len() > MOST_BODIES;
-        let bodies = frame.bodies.iter().zip(&schema.bodies).enumerate();
-        let seen = bodies.filter(|(index, _)| !is_crowd || pair.contains(index));
+        let bodies = || frame.bodies.iter().zip(&schema.bodies).enumerate();
+        let seen = bodies().filter(|(index, _)| !is_crowd || pair.contains(index));
         let spheres = seen.map(|(index, (now, body))| {
             let radius = if pair.contains(&index) { f64::max(body.reach, body.radius) } else { body.radius };
             (now.centre, if is_crowd { AROUND * radius } else { radius })
         });
-        Focus { time, spheres: spheres.collect() }
+        let others = bodies().filter(|(index, _)| !pair.contains(index));
+        Focus {
+            time,
+            spheres: spheres.collect(),
+            pair: pair.map(|index| (frame.bodies[index].centre, schema.bodies[index].radius)),
+            others: others.map(|(_, (now, body))| (now.centre, body.radius)).collect(),
+        }
     }
 }
 
 /// Finds the focus of a run while it goes on.
 #[derive(Debug, Default)]
 pub struct FocusFinder {
-    /// Time and pair of the first event.
-    first_event: Option<(f64, [usize; 2])>,
+    /// The event asked for, and how many of its kind there were so far.
+    around: Option<(Around, u64)>,
+    /// The only pairs that count, as `A~B`; empty: all.
+    only: Vec<String>,
+    /// Time and pair of the event that the focus is on.
+    event: Option<(f64, [usize; 2])>,
     /// The smallest q so far, if there was no event yet.
     nearest: Option<f64>,
     focus: Option<Focus>,
 }
 
 impl FocusFinder {
+    /// Looks for the first event of the pairs that are shown, or for the one that the settings ask for.
+    pub fn new(settings: &Settings) -> FocusFinder {
+        let around = settings.around.clone().map(|around| (around, 0));
+        FocusFinder { around, only: settings.only.clone(), ..FocusFinder::default() }
+    }
+
     /// Takes note of an event, before the first frame that it affects.
-    pub fn event(&mut self, event: &PairEvent) {
-        if self.first_event.is_none() {
-            self.first_event = Some((event.time, [event.a, event.b]));
+    pub fn event(&mut self, schema: &Schema, event: &PairEvent) {
+        let is_it = self.around.as_mut().is_some_and(|(around, seen)| {
+            let is_kind = around.is_kind_of(event, schema);
+            *seen += u64::from(is_kind);
+            is_kind && *seen == around.number
+        });
+        let is_shown = self.only.is_empty() || self.only.contains(&schema.pair_name(event.a, event.b));
+        if is_it || (self.event.is_none() && is_shown) {
+            self.event = Some((event.time, [event.a, event.b]));
             self.focus = None;
         }
     }
@@ -60,11 +90,13 @@ impl FocusFinder {
     /// Takes note of a frame.
     pub fn frame(&mut self, look: Look<'_>) {
         let Look { schema, frame, at } = look;
-        match self.first_event {
+        match self.event {
             Some(_) if self.focus.is_some() => {}
             Some((time, pair)) => self.focus = Some(Focus::on(frame, schema, time, pair)),
             None => {
-                let Some(pair) = frame.pairs.iter().min_by(|x, y| x.q.total_cmp(&y.q)) else { return };
+                let is_shown = |a: usize, b: usize| self.only.is_empty() || self.only.contains(&schema.pair_name(a, b));
+                let shown = frame.pairs.iter().filter(|pair| is_shown(pair.a, pair.b));
+                let Some(pair) = shown.min_by(|x, y| x.q.total_cmp(&y.q)) else { return };
                 if self.nearest.is_none_or(|nearest| pair.q < nearest) {
                     self.nearest = Some(pair.q);
                     self.focus = Some(Focus::on(frame, schema, at.time, [pair.a, pair.b]));
@@ -76,5 +108,10 @@ impl FocusFinder {
     /// The focus of the run so far, if bodies came near each other.
     pub fn focus(&self) -> Option<&Focus> {
         self.focus.as_ref()
+    }
+
+    /// The event that was asked for and did not happen so far, and how many of its kind did.
+    pub fn missed(&self) -> Option<(&Around, u64)> {
+        self.around.as_ref().filter(|(around, seen)| *seen < around.number).map(|(around, seen)| (around, *seen))
     }
 }

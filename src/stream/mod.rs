@@ -9,6 +9,7 @@
 //! | states as meshes and arrows, in the precision of the viewer | [`extract`] |
 //! | smooth normals of deformed surfaces | [`normals`] |
 //! | the settings that determine a recording | [`settings`] |
+//! | how large a recording will be | [`size`] |
 //! | plot lines | [`series`] |
 //! | a hash of the state for every step | [`checksums`] |
 //! | the last frames, kept until a trigger fires | `flight` |
@@ -36,13 +37,16 @@
 //! | `/world/influence` | all influence spheres |
 //! | `/world/pairs` | lines between the centres of pairs within reach, labelled with q: the closest 16, or 5 in a batched scene (`--pairs N`); in a batched scene also the influence spheres that reach another body |
 //! | `/world/forces/CAUSE` | arrows of `attraction`, `repulsion` (of bodies apart), `core` (of bodies in their core), `restoring`, `damping`, `push`, `carry`, `net`: accelerations times the arrow scale given in the panel; classes, named at `/world/forces`, identify the two bodies between which an arrow acts |
-//! | on a surface, with forces | for each vertex: `body`, `vertex`, `displacement_in_radii`, `net_force`, `reach`, and its colour in the heat map |
-//! | `/pairs/A~B/distance`, `…/merge_at`, `…/split_at`, `…/core_at`, `…/phase` | q, its thresholds and the phase, for the first 16 pairs within reach, or 5 in a batched scene (`--pairs N`); of pairs that come within reach together, the closest |
+//! | on a surface, with forces | for each vertex: `body`, `vertex`, `displacement_in_radii`, `net_force`, `reach` |
+//! | `/pairs/A~B/distance`, `…/merge_at`, `…/split_at`, `…/core_at`, `…/phase` | q, its thresholds and the phase, for the first 16 pairs within reach, or 5 in a batched scene (`--pairs N`), and as many that have events; of pairs that come within reach together, the closest (`--pair A~B`: of that pair alone) |
 //! | `/pairs/A~B/gap`, `…/overlap`, `…/neck`, `…/contact` | of the same pairs: least distance of the surfaces or minus the greatest depth, volume of the intersection, radius of the seam (in radii of the smaller body); where these and the phase disagree |
 //! | `/events` | one line per merge, split and core event, with the components `bodies`, `phases` (before and after), `time` (s, exact) and `q` |
 //! | `/events/accuracy` | one line per step in which a body could not be followed within the tolerance: which, and by how much |
 //! | `/events/surfaces` | one line when surfaces touch, when they part, and per merge, split and core event what the surfaces are like then |
-//! | `/timings/STAGE`, `/timings/speed`, `/timings/lag`, `/diagnostics/…` | scalars over time |
+//! | `/timings/STAGE`, `/timings/stacked/STAGE`, `/timings/speed`, `/timings/lag`, `/diagnostics/…` | scalars over time; `stacked`: with the stages before it on the same thread |
+//! | `/marks/axis/KIND`, `/marks/q/KIND` | events as markers in plots: at 0, and at q |
+//! | `/world/names`, `/world/recent` | the names of up to 8 bodies; pairs that had an event in the last 24 frames |
+//! | `/legend/…` | the scale of colours of the displacement tab; `heat_…` on a surface: its texture, texture coordinates, and normals without light |
 //! | `/stages` | on the timeline `stage`: one line per stage of the steps recorded in detail; the entities under `/world` have this timeline too |
 //! | `/checksum` | `checksum`, a hash of the exact state, for every step; a thin recording has several steps per row, at the time of the last one |
 //! | `/about` | the text of the panel |
@@ -65,6 +69,7 @@ pub mod recorder;
 pub mod series;
 pub mod settings;
 pub mod sinks;
+pub mod size;
 pub mod step;
 pub mod unfinished;
 

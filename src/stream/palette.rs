@@ -28,6 +28,12 @@ pub const RESTING: Rgb = GREY;
 /// Colour of the grid on planes.
 pub const GRID: Rgb = [0x3A, 0x41, 0x4B];
 
+/// Colour of the grid on the ground.
+pub const GROUND: Rgb = [0x24, 0x29, 0x31];
+
+/// Colour of dots that are there to be selected.
+pub const DOT: Rgb = [0x8A, 0x92, 0x9C];
+
 /// Colours of q lines, in order: hues a golden angle apart, none like another. Legible on dark and light backgrounds.
 pub fn distance(index: usize) -> Rgb {
     const GOLDEN: f64 = 0.618_033_988_749_894_8;
@@ -65,9 +71,10 @@ pub fn of_body(schema: &Schema, index: usize) -> Rgb {
     schema.bodies.get(index).and_then(|of| of.color).unwrap_or_else(|| body(index))
 }
 
-/// Colours of plot lines without other meaning, in order.
+/// Colours of plot lines without other meaning, in order: none comes twice.
 pub fn line(index: usize) -> Rgb {
-    [SKY_BLUE, ORANGE, GREEN, VERMILION, PURPLE, SILVER, BLUE][index % 7]
+    const LINES: [Rgb; 7] = [SKY_BLUE, ORANGE, GREEN, VERMILION, PURPLE, SILVER, BLUE];
+    LINES.get(index).copied().unwrap_or_else(|| distance(index - LINES.len()))
 }
 
 /// Converts a colour to the viewer's type.
@@ -96,9 +103,9 @@ pub fn sheer([r, g, b]: Rgb) -> Rgba32 {
     Rgba32::from_unmultiplied_rgba(r, g, b, 70)
 }
 
-/// Packed colour of a fraction from 0 to 1: viridis, which increases monotonically in lightness and is legible with any
+/// Colour of a fraction from 0 to 1: viridis, which increases monotonically in lightness and is legible with any
 /// colour vision.
-pub fn heat(share: f64) -> u32 {
+pub fn heat(share: f64) -> Rgb {
     const STOPS: [[f64; 3]; 6] = [
         [72.0, 32.0, 112.0],
         [65.0, 68.0, 135.0],
@@ -111,6 +118,5 @@ pub fn heat(share: f64) -> u32 {
     // NaN is drawn like the maximum
     let stop = if place.is_nan() { STOPS.len() - 2 } else { (place as usize).min(STOPS.len() - 2) };
     let rest = if place.is_nan() { 1.0 } else { place - stop as f64 };
-    let [r, g, b] = std::array::from_fn(|i| (STOPS[stop][i] + rest * (STOPS[stop + 1][i] - STOPS[stop][i])) as u8);
-    color([r, g, b]).to_u32()
+    std::array::from_fn(|i| (STOPS[stop][i] + rest * (STOPS[stop + 1][i] - STOPS[stop][i])) as u8)
 }

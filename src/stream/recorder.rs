@@ -25,9 +25,9 @@ use super::{
     instant::Instant,
     machine,
     parts::{
-        Look, batch::BatchedBodies, bodies::SeparateBodies, forces::Forces, groups::GroupPlots, lines::Lines,
-        merged::MergedEntities, numbers::FrameNumbers, pairs, pairs::PairPlots, planes, spheres::SphereEntities,
-        trails::Trails, wholes::Wholes,
+        Look, batch::BatchedBodies, bodies::SeparateBodies, forces::Forces, groups::GroupPlots, heat::Heat,
+        lines::Lines, marks, merged::MergedEntities, numbers::FrameNumbers, pairs, pairs::PairPlots, planes,
+        spheres::SphereEntities, trails::Trails, wholes::Wholes,
     },
     series::Series,
     settings::{FORMAT, Frames, Trigger, application, recording_id},
@@ -37,7 +37,10 @@ pub use super::{
     parts::batch::{DEFORMED, resting_entity},
     settings::{Detail, Entities, MOST_PAIRS, Settings, file_stem},
 };
-use crate::observe::{Approaches, Frame, Schema, Simulation, StageFrame, StepFailure, StepSummary};
+use crate::{
+    observe::{Approaches, Frame, Schema, Simulation, StageFrame, StepFailure, StepSummary},
+    text::counted,
+};
 
 /// Number of near misses that are listed.
 pub const MOST_APPROACHES: usize = 5;
@@ -49,6 +52,8 @@ pub struct Recorder {
     chunks: Chunks,
     checksums: Checksums,
     flight: Option<FlightRecorder>,
+    /// Frames that are still to be written after a trigger.
+    frames_after: u64,
     /// The parts of a frame; `None` in a recording without frames.
     parts: Option<FrameParts>,
     /// Number of frames made.
@@ -78,6 +83,10 @@ struct FrameParts {
     series: Series,
     approaches: Approaches,
     focus: FocusFinder,
+    /// Colours of displacements, with forces.
+    heat: Option<Heat>,
+    /// The last change of a phase since the last frame.
+    changed: Option<Instant>,
 }
 
 /// The parts that show the state.
@@ -118,7 +127,9 @@ impl Recorder {
         }
         let mut chunks = Chunks::new(StoreId::new(StoreKind::Recording, application, id));
         log_properties(&schema, &run, &simulation.overrides(settings.steps), &settings, &mut chunks);
-        chunks.log_static("/world", &ViewCoordinates::RIGHT_HAND_Z_UP());
+        if settings.frames != Frames::Thin {
+            chunks.log_static("/world", &ViewCoordinates::RIGHT_HAND_Z_UP()); // would open an empty 3D view
+        }
         log_about(blueprint::about(&schema, &settings, simulation.steps_taken()), &mut chunks);
         if settings.frames != Frames::Thin && !schema.planes.is_empty() {
             planes::log(&schema, &simulation.framing(false), &mut chunks);
@@ -132,6 +143,7 @@ impl Recorder {
                 Frames::Last { most, .. } => Some(FlightRecorder::new(most)),
                 Frames::All | Frames::Thin => None,
             },
+            frames_after: 0,
             parts: (settings.frames != Frames::Thin)
                 .then(|| FrameParts::new(&schema, &settings, simulation.interrupt(), &mut chunks)),
             frames: 0,
@@ -196,7 +208,8 @@ impl Recorder {
     /// Like [`Recorder::blueprint`], with another tab active.
     pub fn blueprint_at(&self, simulation: &dyn Simulation, tab: Tab) -> Vec<LogMsg> {
         match self.settings.frames {
-            Frames::Thin => Vec::new(), // there is nothing to lay out
+            // the viewer finds the text and the events by itself, and a layout is larger than everything else
+            Frames::Thin => Vec::new(),
             _ => blueprint::messages(&self.subject(simulation), tab, self.chunks.store()),
         }
     }
@@ -208,7 +221,8 @@ impl Recorder {
         let Some(parts) = &self.parts else { return Vec::new() };
         let measured = Measured {
             duration: simulation.time(),
-            timings: parts.numbers.typical_timings(),
+            medians: parts.numbers.medians(),
+            typical: parts.numbers.typical(),
             distances: parts.pairs.plotted(),
             focus: parts.focus.focus().filter(|_| self.flight.is_none()), // a flight recorder may have dropped it
         };
@@ -255,12 +269,17 @@ impl Recorder {
         let start = Clock::now();
         let at = step.summary.at;
         self.checksums.push(at, step.checksum);
-        let Some(parts) = &mut self.parts else { return };
+        let Some(parts) = &mut self.parts else {
+            step.summary.events.iter().for_each(|event| pairs::log_event_line(&self.schema, event, &mut self.chunks));
+            return;
+        };
         parts.numbers.add(step);
         for event in &step.summary.events {
             parts.pairs.log_event(&self.schema, event, &mut parts.series, &mut self.chunks);
             parts.approaches.change(event);
-            parts.focus.event(event);
+            parts.changed = Some(Instant { step: event.step, time: event.time });
+            parts.focus.event(&self.schema, event);
+            parts.state.lines.event(&self.schema, event);
         }
         for event in &step.surfaces {
             pairs::log_surface_event(&self.schema, event, &mut self.chunks);
@@ -308,22 +327,16 @@ impl Recorder {
         self.chunks.log_static("/__properties/meldscope", &property);
     }
 
-    /// Logs events as [`Recorder::observe`] does, for recordings that have no frames.
-    pub fn log_events(&mut self, summary: &StepSummary) {
-        for event in &summary.events {
-            pairs::log_event_line(&self.schema, event, &mut self.chunks);
-        }
-    }
-
     /// Moves what was logged in this step to the flight recorder, if there is one, and writes its contents if the step
     /// fires a trigger. Events and phases are always written.
     fn keep(&mut self, summary: &StepSummary) {
-        let (Some(flight), Frames::Last { on, .. }) = (&mut self.flight, &self.settings.frames) else { return };
+        let (Some(flight), Frames::Last { on, after, .. }) = (&mut self.flight, &self.settings.frames) else { return };
         for chunk in self.chunks.drain() {
             let entity = chunk.entity_path().to_string();
             if entity == "/events"
                 || entity == pairs::SURFACE_EVENTS
                 || entity == pairs::ACCURACY
+                || entity.starts_with(marks::MARKS)
                 || (entity.starts_with("/pairs/") && entity.ends_with("/phase"))
             {
                 self.chunks.send(chunk);
@@ -331,9 +344,14 @@ impl Recorder {
                 flight.push(chunk);
             }
         }
-        if summary.at.step.is_multiple_of(self.settings.every)
-            && let Some((at, lines)) = flight.end_frame(summary.at)
-        {
+        let has_frame = summary.at.step.is_multiple_of(self.settings.every);
+        let is_after = has_frame && self.frames_after > 0;
+        self.frames_after -= u64::from(is_after);
+        let is_on = on.iter().any(|trigger| trigger.is_in(summary));
+        if is_on {
+            self.frames_after = *after;
+        }
+        if has_frame && let Some((at, lines)) = flight.end_frame(summary.at) {
             for line in lines {
                 self.chunks.log(&line, at, &Scalars::new([0.0; 0]));
             }
@@ -341,7 +359,7 @@ impl Recorder {
                 self.chunks.send(gap);
             }
         }
-        if on.iter().any(|trigger| trigger.is_in(summary)) {
+        if is_on || is_after {
             self.write_kept();
         }
     }
@@ -353,6 +371,13 @@ impl Recorder {
             chunks.into_iter().for_each(|chunk| self.chunks.send(chunk));
             self.written += frames;
         }
+    }
+
+    /// What became of the event that a file was to open with, if it did not happen, in words.
+    pub fn missed_event(&self) -> Option<String> {
+        let (around, seen) = self.parts.as_ref()?.focus.missed()?;
+        let seen = if seen > 0 { format!(", only {} of that kind", counted(seen, "event")) } else { String::new() };
+        Some(format!("--around: there was no {around}{seen}; a file opens with the first event that there was"))
     }
 
     /// How near the pairs came that stayed in their first phase, in words, the nearest first.
@@ -377,6 +402,11 @@ impl Recorder {
             self.write_kept();
             if let Some(parts) = &mut self.parts {
                 parts.series.extend_all(&mut self.chunks);
+                if self.flight.is_none() {
+                    let level = parts.pairs.plotted().map(|[low, _]| low);
+                    let first = Instant { step: self.first, time: self.first as f64 * self.schema.dt };
+                    marks::log_ends([first, now(simulation)], level, &mut self.chunks);
+                }
             }
         }
         let approaches = self.approaches();
@@ -409,30 +439,36 @@ impl FrameParts {
         let trails = if settings.entities == Entities::Body { Trails::new(schema, chunks) } else { None };
         FrameParts {
             state,
-            pairs: PairPlots::new(settings.pairs),
+            pairs: PairPlots::new(settings),
             groups: GroupPlots::new(settings.pairs),
             numbers,
             trails,
             series,
             approaches: Approaches::default(),
-            focus: FocusFinder::default(),
+            focus: FocusFinder::new(settings),
+            heat: (settings.detail != Detail::Surface)
+                .then(|| Heat::new(blueprint::surfaces(schema, settings), chunks)),
+            changed: None,
         }
     }
 
     /// Logs what has changed; `number` is the number of the frame.
     fn log(&mut self, look: Look<'_>, number: u64, chunks: &mut Chunks) {
         let start = Clock::now();
-        let FrameParts { state, pairs, groups, numbers, trails, series, approaches, focus } = self;
+        let FrameParts { state, pairs, groups, numbers, trails, series, approaches, focus, heat, changed } = self;
         approaches.add(look.frame);
         focus.frame(look);
         let extracting = state.log(look, pairs.choose(look, series, chunks), chunks);
         if let Some(trails) = trails {
             trails.log(look, chunks);
         }
+        if let Some(heat) = heat {
+            heat.add(look.bodies().map(|(body, now)| now.max_displacement / body.radius).fold(0.0, f64::max), chunks);
+        }
         let merged = state.merged.merged();
         pairs.log(look, &merged.pairs, number, series, chunks);
         groups.log(look, merged, series, chunks);
-        numbers.log_scalars(look, series, chunks);
+        numbers.log_scalars(look, changed.take(), series, chunks);
         numbers.add_recording(extracting, start.elapsed().saturating_sub(extracting));
         numbers.log_timings(look.at, chunks);
     }
@@ -455,7 +491,7 @@ impl StateParts {
         };
         let forces = (detail != Detail::Surface).then(|| Forces::new(schema, settings.entities, chunks));
         let wholes = if detail != Detail::Surface { Wholes::new(schema, chunks) } else { None };
-        let lines = Lines::new(schema, settings.pairs, chunks);
+        let lines = Lines::new(schema, settings, chunks);
         let merged = MergedEntities::new(schema, interrupt, chunks);
         StateParts { extractor, merged, surfaces, spheres, forces, wholes, lines }
     }

@@ -1,6 +1,11 @@
 //! Recording settings. Together with the scene they determine a recording.
 
-use crate::observe::{Experiment, StepSummary, Want};
+use std::fmt;
+
+use crate::{
+    observe::{Experiment, PairEvent, Schema, StepSummary, Want},
+    text::{did_you_mean, printable},
+};
 
 /// Scenes with more bodies than this are batched: the viewer slows down at several hundred entities.
 pub(super) const MOST_BODY_ENTITIES: usize = 64;
@@ -69,12 +74,15 @@ pub enum Frames {
     All,
     /// No frames: only the scene and checksums, from which everything else can be reproduced.
     Thin,
-    /// A flight recorder: the last `most` frames, written when a trigger of `on` fires, or at the end if `on` is empty.
+    /// A flight recorder: the last `most` frames, written when a trigger of `on` fires, or at the end if `on` is empty;
+    /// and the `after` frames that follow a trigger.
     Last {
         /// Number of frames kept, ≥ 1.
         most: u64,
         /// Triggers that cause the frames to be written.
         on: Vec<Trigger>,
+        /// Number of frames written after a trigger.
+        after: u64,
     },
 }
 
@@ -133,6 +141,87 @@ pub struct Settings {
     pub frames: Frames,
     /// Upper limit on the number of pairs with their own plots, lanes and lines.
     pub pairs: usize,
+    /// The only pairs with their own plots, lanes and lines, as `A~B` in the order of the scene; empty: any.
+    pub only: Vec<String>,
+    /// The event that a file opens with; `None`: the first.
+    pub around: Option<Around>,
+}
+
+/// An event, as a user names it: its kind, its pair, and which of several it is, or some of these.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Around {
+    /// The kind; `None`: any.
+    pub kind: Option<Trigger>,
+    /// The pair, as `A~B` in the order of the scene; `None`: any.
+    pub pair: Option<String>,
+    /// Which of the events of that kind and pair, from 1.
+    pub number: u64,
+}
+
+impl Around {
+    /// Parses words such as `merge`, `a~b`, `merge a~b` or `split a~b 2`, separated by spaces or colons.
+    ///
+    /// # Errors
+    /// Names the word that is no kind, pair or number of an event of this scene, and the nearest one that is.
+    pub fn parse(text: &str, schema: &Schema) -> Result<Around, String> {
+        let kinds = || Trigger::ALL.into_iter().filter(|kind| *kind != Trigger::Diverge);
+        let mut around = Around { number: 1, ..Around::default() };
+        for word in text.split([' ', ':']).filter(|word| !word.is_empty()) {
+            if let Some(kind) = kinds().find(|kind| kind.name() == word) {
+                around.kind = Some(kind);
+            } else if let Ok(number @ 1..) = word.parse() {
+                around.number = number;
+            } else if word.contains('~') {
+                around.pair = Some(pair(word, schema)?);
+            } else {
+                let hint = did_you_mean(word, kinds().map(Trigger::name));
+                let known: Vec<&str> = kinds().map(Trigger::name).collect();
+                let (known, word) = (known.join(", "), printable(word));
+                return Err(format!(
+                    "no event {word:?}{hint} (an event is one of {known}, a pair a~b, a number, or these together: `merge a~b 2`)"
+                ));
+            }
+        }
+        if around.kind.is_none() && around.pair.is_none() && around.number == 1 {
+            return Err("name an event: its kind, its pair, its number, or these together: `merge a~b 2`".to_owned());
+        }
+        Ok(around)
+    }
+
+    /// Whether an event is of this kind and pair.
+    pub fn is_kind_of(&self, event: &PairEvent, schema: &Schema) -> bool {
+        self.kind.is_none_or(|kind| event.name.starts_with(kind.name()))
+            && self.pair.as_ref().is_none_or(|pair| *pair == schema.pair_name(event.a, event.b))
+    }
+}
+
+impl fmt::Display for Around {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let kind = self.kind.map(|kind| kind.name().to_owned());
+        let number = (self.number > 1).then(|| self.number.to_string());
+        let words: Vec<String> = kind.into_iter().chain(self.pair.clone()).chain(number).collect();
+        f.write_str(&words.join(" "))
+    }
+}
+
+/// The name of a pair of this scene, `A~B` in the order of its bodies.
+///
+/// # Errors
+/// There is no such pair; names the body that is missing, and the nearest one.
+pub fn pair(text: &str, schema: &Schema) -> Result<String, String> {
+    let Some((a, b)) = text.split_once('~') else {
+        return Err(format!("{:?} is no pair: give two bodies as a~b", printable(text)));
+    };
+    let find = |name: &str| {
+        schema.bodies.iter().position(|body| body.name == name).ok_or_else(|| {
+            let hint = did_you_mean(name, schema.bodies.iter().map(|body| body.name.as_str()));
+            format!("no body {:?}{hint}", printable(name))
+        })
+    };
+    match (find(a)?, find(b)?) {
+        (a, b) if a == b => Err(format!("{:?} is one body: give two of them as a~b", printable(text))),
+        (a, b) => Ok(schema.pair_name(a.min(b), a.max(b))),
+    }
 }
 
 impl Settings {
@@ -167,6 +256,8 @@ impl Settings {
             entities: if is_crowd { Entities::Batch } else { Entities::Body },
             frames: Frames::All,
             pairs: if is_crowd { MOST_PAIRS_OF_MANY } else { MOST_PAIRS },
+            only: Vec::new(),
+            around: None,
         }
     }
 
@@ -204,11 +295,24 @@ impl Settings {
                     Frames::Last {
                         most: last.get("last").and_then(number).unwrap_or(1),
                         on: on.filter_map(trigger).collect(),
+                        after: last.get("after").and_then(number).unwrap_or(0),
                     }
                 }
                 None => Frames::All,
             },
             pairs: count("pairs").map_or(own.pairs, |pairs| pairs.min(1000) as usize),
+            only: {
+                let only = table.get("only").and_then(toml::Value::as_array).into_iter().flatten();
+                only.filter_map(|pair| pair.as_str().filter(|pair| is_plain(pair)).map(str::to_owned)).collect()
+            },
+            around: table.get("around").and_then(toml::Value::as_table).map(|around| {
+                let text = |key: &str| around.get(key).and_then(toml::Value::as_str);
+                Around {
+                    kind: text("kind").and_then(|kind| Trigger::ALL.into_iter().find(|known| known.name() == kind)),
+                    pair: text("pair").filter(|pair| is_plain(pair)).map(str::to_owned),
+                    number: around.get("number").and_then(number).unwrap_or(1).max(1),
+                }
+            }),
         })
     }
 
@@ -222,18 +326,32 @@ impl Settings {
         let frames = match &self.frames {
             Frames::All => String::new(),
             Frames::Thin => "frames = \"thin\"\n".to_owned(),
-            Frames::Last { most, on } => {
+            Frames::Last { most, on, after } => {
                 let on: Vec<String> = on.iter().map(|trigger| format!("\"{}\"", trigger.name())).collect();
-                format!("frames = {{ last = {}, on = [{}] }}\n", written(*most), on.join(", "))
+                let after = if *after > 0 { format!(", after = {}", written(*after)) } else { String::new() };
+                format!("frames = {{ last = {}, on = [{}]{after} }}\n", written(*most), on.join(", "))
             }
         };
+        // names of bodies are letters, digits, `-` and `_`: they need no escape
+        let only: Vec<String> = self.only.iter().map(|pair| format!("\"{pair}\"")).collect();
+        let only = if only.is_empty() { only.concat() } else { format!("only = [{}]\n", only.join(", ")) };
+        let around = self.around.as_ref().map_or(String::new(), |Around { kind, pair, number }| {
+            let kind = kind.map_or(String::new(), |kind| format!("kind = \"{}\", ", kind.name()));
+            let pair = pair.as_ref().map_or(String::new(), |pair| format!("pair = \"{pair}\", "));
+            format!("around = {{ {kind}{pair}number = {} }}\n", written(*number))
+        });
         format!(
-            "steps = {}\nevery = {}\ndetail = \"{detail}\"\nentities = \"{entities}\"\npairs = {}\n{stages}{frames}",
+            "steps = {}\nevery = {}\ndetail = \"{detail}\"\nentities = \"{entities}\"\npairs = {}\n{stages}{frames}{only}{around}",
             written(self.steps.unwrap_or(0)),
             written(self.every),
             self.pairs,
         )
     }
+}
+
+/// Whether a text can be the name of a pair.
+fn is_plain(text: &str) -> bool {
+    text.chars().all(|c| c.is_ascii_alphanumeric() || "-_~".contains(c))
 }
 
 /// A number as TOML. TOML integers end at 2^63 − 1; larger numbers are written as strings.

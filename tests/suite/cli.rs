@@ -11,7 +11,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use meldscope::{Scene, World, recording::read::Reader, scene::builtin, sim::Event, text};
+use meldscope::{Scene, World, recording::read::Reader, scene::builtin, sim::Event, stream::Settings, text};
 use proptest::prelude::*;
 
 use crate::{
@@ -1189,4 +1189,91 @@ fn exported_states_are_the_world_to_the_bit() {
         let json = fs::read_to_string(at(format!("{scene}.json"))).expect("a table");
         assert_eq!(json.matches("\"step\":").count(), rows.len());
     }
+}
+
+// ---- what is shown -------------------------------------------------------------------------------------------------
+
+#[test]
+fn pairs_and_events_to_show_are_named_and_survive_a_replay() {
+    let dir = Dir::new();
+    for (arguments, expected) in [
+        (["--pair", "a~x"], "--pair: no body \"x\""),
+        (["--pair", "a"], "\"a\" is no pair"),
+        (["--pair", "a~a"], "\"a~a\" is one body"),
+        (["--around", "merg a~b"], "no event \"merg\"; did you mean \"merge\"?"),
+        (["--around", "merge a~d"], "--around: no body \"d\""),
+        (["--around", ""], "name an event"),
+    ] {
+        let error = run(&dir, &[&["run", "three", "--save", "x.rrd"][..], &arguments].concat()).failed(2);
+        assert!(error.contains(expected), "{error}");
+        assert!(dir.names().is_empty());
+    }
+
+    let shown = ["--pair", "c~a", "--around", "split a~c", "--steps", "200", "--every", "10"];
+    run(&dir, &[&["run", "three", "--save", "x.rrd"][..], &shown].concat()).succeeded();
+    let recording = Recording::open(&dir.file("x.rrd"));
+    let pairs = |recording: &Recording| -> Vec<String> {
+        let entities = recording.entities().into_iter().map(|entity| entity.to_string());
+        entities
+            .filter(|entity| entity.starts_with("/pairs/") && entity.ends_with("/distance"))
+            .map(|entity| entity.replace('\\', ""))
+            .collect()
+    };
+    assert_eq!(pairs(&recording), ["/pairs/a~c/distance"]);
+    let settings = recording.property("settings");
+    assert!(settings.contains("only = [\"a~c\"]"), "{settings}");
+    assert!(settings.contains("around = { kind = \"split\", pair = \"a~c\", number = 1 }"), "{settings}");
+    run(&dir, &["replay", "x.rrd", "--save", "y.rrd", "--to", "100"]).succeeded();
+    let again = Recording::open(&dir.file("y.rrd"));
+    assert_eq!(pairs(&again), pairs(&recording));
+    assert_eq!(again.property("settings").matches("a~c").count(), 2);
+
+    let ran = run(&dir, &["run", "two", "--save", "z.rrd", "--around", "merge 7", "--every", "10"]);
+    assert_eq!(ran.status, 0);
+    assert!(ran.err.contains("there was no merge 7, only 1 event of that kind"), "{}", ran.err);
+}
+
+#[test]
+fn a_flight_recorder_writes_frames_after_its_trigger() {
+    let dir = Dir::new();
+    let keep = ["--keep", "3", "--on", "merge", "--after", "5"];
+    run(&dir, &[&["run", "two", "--save", "x.rrd"][..], &keep].concat()).succeeded();
+    let recording = Recording::open(&dir.file("x.rrd"));
+    let frames = recording.changes("/timings/log").iter().map(|row| row.step).collect::<Vec<_>>();
+    let merge = recording.changes("/events")[0].step; // the step at whose end it has happened
+    // lines end where the frame after these is dropped
+    assert_eq!(frames, (merge - 2..=merge + 6).collect::<Vec<_>>());
+    run(&dir, &["replay", "x.rrd"]).succeeded();
+    let error = run(&dir, &["run", "two", "--keep", "3", "--after", "5"]).failed(2);
+    assert!(error.contains("--on"), "{error}");
+}
+
+/// A file is as large as projected, within a fifth.
+#[test]
+fn the_size_of_a_recording_is_known_before() {
+    use meldscope::stream::size;
+    let dir = Dir::new();
+    for scene in ["three", "crowd"] {
+        let file = format!("{scene}.rrd");
+        run(&dir, &["run", scene, "--save", &file, "--every", "2"]).succeeded();
+        let real = size(&dir.file(&file)) as f64;
+        let scene = Scene::builtin(scene).expect("a scene");
+        let settings = Settings { every: 2, ..Settings::of(&scene) };
+        let projected = size::project(&scene, &settings, 0, Duration::from_secs(60)).expect("a size");
+        let ratio = projected.bytes as f64 / real;
+        assert!((0.8..1.2).contains(&ratio), "{}: {ratio}", scene.name);
+        assert!(projected.without_forces.is_some_and(|bytes| bytes < projected.bytes));
+        // of scenes that are small by their number of vertices, nothing is simulated
+        assert_eq!(size::project(&scene, &settings, u64::MAX, Duration::ZERO), None);
+    }
+}
+
+#[test]
+fn a_thin_recording_opens_with_its_events_and_what_to_do() {
+    let dir = Dir::new();
+    run(&dir, &["run", "two", "--thin", "--save", "x.rrd"]).succeeded();
+    let recording = Recording::open(&dir.file("x.rrd"));
+    assert_eq!(recording.changes("/events").len(), 2);
+    let about = recording.fixed("/about").text("TextDocument:text");
+    assert!(about.contains("meldscope replay F.rrd --save full.rrd"), "{about}");
 }

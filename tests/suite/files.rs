@@ -15,7 +15,7 @@ use meldscope::{
     stream::{
         Recorder, Settings,
         chunks::Chunks,
-        settings::{Detail, Entities, Frames, Trigger},
+        settings::{Around, Detail, Entities, Frames, Trigger},
         sinks::{Destinations, SinkError, Sinks},
     },
 };
@@ -396,13 +396,19 @@ fn settings() -> impl Strategy<Value = (Settings, (f64, f64, bool))> {
     let frames = prop_oneof![
         2 => Just(Frames::All),
         1 => Just(Frames::Thin),
-        2 => (count(), prop::sample::subsequence(Trigger::ALL.to_vec(), 0..=4))
-            .prop_map(|(most, on)| Frames::Last { most, on }),
+        2 => (count(), prop::sample::subsequence(Trigger::ALL.to_vec(), 0..=4), prop_oneof![Just(0), count()])
+            .prop_map(|(most, on, after)| Frames::Last { most, on, after }),
     ];
     let numbers = (Scene::POSITIVE, Scene::POSITIVE, prop::option::of(count()), any::<bool>(), count());
-    (numbers, detail, frames, prop::sample::select(Entities::ALL.to_vec()), 0usize..=1000).prop_map(
-        move |((dt, tolerance, steps, skip, every), detail, frames, entities, pairs)| {
-            (Settings { steps, every, detail, frames, entities, pairs }, (dt, tolerance, skip))
+    let kind = prop::option::of(prop::sample::select(Trigger::ALL.to_vec()));
+    let pair = || prop::sample::select(vec!["a~b".to_owned(), "a~c-1".to_owned(), "b_2~d".to_owned()]);
+    let around = (kind, prop::option::of(pair()), count());
+    let around = prop::option::of(around.prop_map(|(kind, pair, number)| Around { kind, pair, number }));
+    let entities = prop::sample::select(Entities::ALL.to_vec());
+    let shown = (0usize..=1000, prop::collection::vec(pair(), 0..3), around);
+    (numbers, detail, frames, entities, shown).prop_map(
+        move |((dt, tolerance, steps, skip, every), detail, frames, entities, (pairs, only, around))| {
+            (Settings { steps, every, detail, frames, entities, pairs, only, around }, (dt, tolerance, skip))
         },
     )
 }

@@ -63,7 +63,7 @@ pub struct Row {
 }
 
 impl Recording {
-    /// Opens the recording in a file, which must hold exactly one recording and its blueprint.
+    /// Opens the recording in a file, which must hold exactly one recording and its blueprint; a thin one has none.
     pub fn open(path: &Path) -> Recording {
         let file = File::open(path).expect("a file");
         Recording::read(file)
@@ -73,9 +73,11 @@ impl Recording {
     pub fn read(bytes: impl std::io::Read) -> Recording {
         let stores = ChunkStore::handle_from_rrd_reader(&ChunkStoreConfig::ALL_DISABLED, bytes).expect("a recording");
         let (mut recordings, blueprints): (Vec<_>, Vec<_>) = stores.into_iter().partition(|(id, _)| id.is_recording());
-        assert_eq!((recordings.len(), blueprints.len()), (1, 1), "recordings and blueprints");
+        assert!(recordings.len() == 1 && blueprints.len() <= 1, "recordings and blueprints");
         let (id, store) = recordings.remove(0);
-        assert_eq!(blueprints[0].0.application_id(), id.application_id(), "the blueprint is for this recording");
+        for (blueprint, _) in blueprints {
+            assert_eq!(blueprint.application_id(), id.application_id(), "the blueprint is for this recording");
+        }
         Recording { id, engine: QueryEngine::from_store(store.clone()), store }
     }
 
@@ -357,10 +359,12 @@ impl Run {
             let changed = world.report().events.iter().map(|event| (event.a as usize, event.b as usize));
             let mut seen: Vec<_> = world.pairs().filter(|_| self.is_frame(world)).collect();
             seen.sort_by(|x, y| x.q.total_cmp(&y.q)); // of those that appear together, the closest first
-            let seen = seen.into_iter().map(|pair| (pair.a, pair.b));
-            for pair in changed.chain(seen) {
-                if pairs.len() < self.settings.pairs && !pairs.contains(&pair) {
-                    pairs.push(pair);
+            let seen = seen.into_iter().map(|pair| (pair.a, pair.b, self.settings.pairs));
+            // there is room for as many again that have events
+            let changed = changed.map(|(a, b)| (a, b, 2 * self.settings.pairs));
+            for (a, b, most) in changed.chain(seen) {
+                if pairs.len() < most && !pairs.contains(&(a, b)) {
+                    pairs.push((a, b));
                 }
             }
         });
@@ -467,7 +471,17 @@ impl Run {
         let is_of_surfaces = |path: &String| path.starts_with("/groups/") || path == "/events/surfaces";
         entities.extend(self.recording.entities().iter().map(ToString::to_string).filter(is_of_surfaces));
         entities.extend(TIMINGS.map(|stage| format!("/timings/{stage}")));
-        entities.extend(["/timings/speed", "/timings/lag", "/world/pairs"].map(str::to_owned));
+        entities.extend(TIMINGS.map(|stage| format!("/timings/stacked/{stage}")));
+        entities.extend(["/timings/speed", "/timings/lag", "/world/pairs", "/world/recent"].map(str::to_owned));
+        entities.extend((2..=8).contains(&self.scene.bodies.len()).then(|| "/world/names".to_owned()));
+        if self.settings.detail == Detail::Forces {
+            entities.extend(["/legend/bar", "/legend/ticks"].map(str::to_owned));
+        }
+        entities.insert(0, "/marks/axis/ends".to_owned());
+        entities.extend((!self.pairs().is_empty()).then(|| "/marks/q/ends".to_owned()));
+        for event in self.events() {
+            entities.extend(["axis", "q"].map(|place| format!("/marks/{place}/{}", event.name().replace(' ', "_"))));
+        }
         entities.extend(DIAGNOSTICS.map(|number| format!("/diagnostics/{number}")));
 
         let entities: BTreeSet<EntityPath> = entities.iter().map(|path| EntityPath::from(path.as_str())).collect();
@@ -490,6 +504,9 @@ impl Run {
             for (_, row) in self.recording.rows(&entity) {
                 if path == "/checksum"
                     || path.starts_with("/events")
+                    || path.starts_with("/marks/")
+                    // the gap where an event makes it jump
+                    || (path.starts_with("/diagnostics/energy") && row.scalar().is_none())
                     || (path.starts_with("/pairs/") && path.ends_with("/phase"))
                 {
                     continue; // checked below
@@ -836,6 +853,14 @@ impl Run {
                 change(event.to);
             }
             let (step, now) = (world.steps_taken(), nanoseconds(world.time()));
+            // one that gets its plot because of an event shows how it came there since it came within reach
+            for i in (self.settings.pairs..pairs.len()).filter(|_| self.is_frame(world)) {
+                let is_here = world.pairs().any(|pair| (pair.a, pair.b) == pairs[i]);
+                if !is_here && lanes[i].len() < 2 {
+                    distances[i].clear();
+                    lanes[i].clear();
+                }
+            }
             for pair in world.pairs().filter(|_| self.is_frame(world)) {
                 let Some(i) = pairs.iter().position(|&known| known == (pair.a, pair.b)) else { continue };
                 distances[i].insert(step, pair.q);
@@ -925,6 +950,9 @@ impl Run {
             };
             let values = [
                 energy.total(),
+                energy.kinetic,
+                energy.elastic,
+                energy.influence,
                 world.bodies().map(displacement).fold(0.0, f64::max),
                 energy.reached_vertices as f64,
                 std::mem::take(&mut substeps) as f64,
@@ -936,7 +964,11 @@ impl Run {
             }
         });
         for (name, values) in DIAGNOSTICS.into_iter().zip(lines) {
-            let line = if ["energy", "max_displacement"].contains(&name) { Line::Straight } else { Line::Level };
+            let line = match name {
+                "max_displacement" => Line::Straight,
+                name if name.starts_with("energy") => Line::Jumping,
+                _ => Line::Level,
+            };
             self.verify_line(&format!("/diagnostics/{name}"), line, &values);
         }
     }
@@ -966,13 +998,18 @@ impl Run {
     fn verify_line(&self, entity: &str, line: Line, values: &BTreeMap<u64, f64>) {
         let track = self.track(entity);
         let (frames, mut rows) = (self.frames(), track.changes.len());
+        // a gap where a pair changes its phase
+        let is_gap = |row: &Row| line == Line::Jumping && row.scalar().is_none();
+        rows -= track.changes.values().filter(|row| is_gap(row)).count();
         for (frame, step) in frames.iter().enumerate() {
             assert_eq!(track.held[frame].scalar(), values.get(step).copied(), "{entity} at step {step}");
         }
         for spell in frames.chunk_by(|a, b| values.contains_key(a) == values.contains_key(b)) {
             let (first, last) = (spell[0], spell[spell.len() - 1]);
-            let logged: Vec<(u64, Option<f64>)> =
-                track.changes.range(first..=last).map(|(&step, row)| (step, row.scalar())).collect();
+            let logged: Vec<(u64, Option<f64>)> = {
+                let rows = track.changes.range(first..=last).filter(|(_, row)| !is_gap(row));
+                rows.map(|(&step, row)| (step, row.scalar())).collect()
+            };
             rows -= logged.len();
             if !values.contains_key(&first) {
                 let is_interruption = first > 0 && values.keys().any(|&step| step < first);
@@ -991,6 +1028,7 @@ impl Run {
                 let next = values.range((Excluded(to), Included(last))).next().map(|(_, value)| *value);
                 let is_needed = match line {
                     Line::Straight => next != after,
+                    Line::Jumping => true,
                     Line::Level => next.is_none(),
                     Line::Threshold => next.is_none() || (to / self.settings.every).is_multiple_of(64),
                 };
@@ -1014,8 +1052,17 @@ impl Run {
 
 const CAUSES: [&str; 8] = ["attraction", "repulsion", "core", "restoring", "damping", "push", "carry", "net"];
 const TIMINGS: [&str; 7] = ["reach", "events", "integrate", "observe", "wait", "extract", "log"];
-const DIAGNOSTICS: [&str; 6] =
-    ["energy", "max_displacement", "reached_vertices", "substeps", "estimated_error", "sleeping_bodies"];
+const DIAGNOSTICS: [&str; 9] = [
+    "energy",
+    "energy_vibration",
+    "energy_elastic",
+    "energy_influence",
+    "max_displacement",
+    "reached_vertices",
+    "substeps",
+    "estimated_error",
+    "sleeping_bodies",
+];
 
 const TRANSLATION: &str = "Transform3D:translation";
 const POSITIONS: &str = "Mesh3D:vertex_positions";
@@ -1026,6 +1073,8 @@ const NORMALS: &str = "Mesh3D:vertex_normals";
 enum Line {
     /// Linear.
     Straight,
+    /// Linear, with gaps where it jumps.
+    Jumping,
     /// Constant until the next value.
     Level,
     /// Constant throughout: repeated now and then, so that it keeps up with a live plot.
@@ -1324,8 +1373,8 @@ fn a_file_ends_with_the_ranges_of_its_plots_and_opens_with_its_first_event() {
             opening.extend(chunk.components().keys().map(|component| component.to_string()));
         }
     }
-    // the plots of simulation, observation and recording costs, the one in the first tab, and two of q
-    assert!((5..=6).contains(&views.len()), "{views:?}"); // nothing is waited for here
+    // the plots of timings and of q, each in the first tab and in its own
+    assert_eq!(views.len(), 4, "{views:?}");
     for component in ["TimePanelBlueprint:time_selection", "TimePanelBlueprint:play_state", "EyeControls3D:position"] {
         assert!(opening.iter().any(|logged| logged == component), "{opening:?}");
     }

@@ -90,8 +90,8 @@ fn every_kind_of_recording_is_replayed() {
         Settings { every: 7, steps: Some(100), ..own.clone() },
         own.clone(),
         Settings { frames: Frames::Thin, ..own.clone() },
-        Settings { frames: Frames::Last { most: 5, on: vec![] }, ..own.clone() },
-        Settings { frames: Frames::Last { most: 5, on: vec![Trigger::Core] }, ..own },
+        Settings { frames: Frames::Last { most: 5, on: vec![], after: 0 }, ..own.clone() },
+        Settings { frames: Frames::Last { most: 5, on: vec![Trigger::Core], after: 2 }, ..own },
     ];
     for (i, settings) in kinds.into_iter().enumerate() {
         record_with(&path, &scene, Options { skip: i != 2, ..Options::default() }, settings.clone());

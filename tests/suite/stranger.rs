@@ -51,7 +51,7 @@ fn anybodys_simulation_is_recorded_replayed_compared_and_checked() {
     let (full, frames) = with("full", 3.0, Settings { detail: Detail::Stages { from: 20, to: 30 }, ..own.clone() });
     let (thin, _) = with("thin", 3.0, Settings { frames: Frames::Thin, ..own.clone() });
     let (other, _) = with("other", 3.1, Settings { entities: Entities::Batch, ..own.clone() });
-    let last = Frames::Last { most: 3, on: vec![Trigger::Merge] };
+    let last = Frames::Last { most: 3, on: vec![Trigger::Merge], after: 0 };
     assert_eq!((frames, with("kept", 3.0, Settings { frames: last, ..own }).1), (101, 3));
     let phases: Vec<_> = full.events.iter().filter_map(|event| event.phases.clone()).collect();
     assert_eq!(phases, [["loose", "gripped"], ["gripped", "loose"]]);

@@ -6,7 +6,7 @@ use glam::DQuat;
 use rerun::{AnyValues, InstancePoses3D, Mesh3D, Quaternion, components::Text, external::arrow::array::UInt32Array};
 
 use super::{
-    Look,
+    Look, heat,
     merged::{HIDDEN, drawn},
     vertices::{self, Vertices},
 };
@@ -129,6 +129,9 @@ impl BatchedBodies {
         chunks.log(DEFORMING, look.at, &mesh);
         let identity = body_names(&names).with_component_from_data("vertex", Arc::new(UInt32Array::from(indices)));
         chunks.log(DEFORMING, look.at, &identity);
+        if self.vertices.is_some() {
+            chunks.log(DEFORMING, look.at, &heat::unlit(first as usize));
+        }
     }
 
     /// Logs the triangles that are drawn.

@@ -4,7 +4,7 @@ use glam::DQuat;
 use rerun::{Mesh3D, Transform3D};
 
 use super::{
-    Look,
+    Look, heat,
     merged::{HIDDEN, drawn},
     vertices::{self, Vertices, identity},
 };
@@ -86,6 +86,7 @@ impl SeparateBodies {
             chunks.log_static(&surface, &mesh);
             let vertices = (detail != Detail::Surface).then(|| {
                 chunks.log_static(&surface, &identity(&body.name, body.vertex_count()));
+                chunks.log_static(&surface, &heat::unlit(body.vertex_count()));
                 Vertices::new(&surface, chunks)
             });
             Logged {

@@ -1,28 +1,46 @@
-//! Lines in 3D between the centres of pairs within reach, coloured by phase and labelled with q.
+//! Lines in 3D between the centres of pairs within reach, coloured by phase and labelled with q; the names of bodies; and
+//! the pairs that had an event in the last frames, which stand out and say so.
 
-use rerun::LineStrips3D;
+use std::collections::BTreeMap;
+
+use glam::DVec3;
+use rerun::{LineStrips3D, Points3D};
 
 use super::{Look, MOST_LABELS};
 use crate::{
-    observe::{PairFrame, Schema},
+    observe::{PairEvent, PairFrame, Schema},
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,
         normals::Float3,
-        palette::color,
+        palette::{self, Rgb, color},
+        settings::Settings,
     },
 };
 
 /// The entity of these lines.
 pub(super) const PAIRS: &str = "/world/pairs";
+/// The entity of the names of bodies.
+const NAMES: &str = "/world/names";
+/// The entity of pairs with an event in the last frames.
+const RECENT: &str = "/world/recent";
+/// For how many frames an event is recent.
+const RECENT_FRAMES: u64 = 24;
+/// At most so many pairs stand out, those of the latest events.
+const MOST_RECENT: usize = 4;
 
 /// Pair lines, with what was last logged of them.
 pub struct Lines {
     track: TrackId,
     /// Upper limit on the number of lines; the closest pairs are shown.
     most: usize,
+    /// The only pairs with lines, as `A~B`; empty: all.
+    only: Vec<String>,
     last: Option<LineRows>,
     next: LineRows,
+    /// Names of bodies, unless there are too many.
+    names: Option<Names>,
+    recent: Recent,
     /// Scratch storage, reused.
     closest: Vec<PairFrame>,
 }
@@ -34,24 +52,73 @@ struct LineRows {
     labels: Vec<String>,
 }
 
+/// The names of bodies, each on the far side of those that it meets: labels at the centres would cover each other.
+struct Names {
+    track: TrackId,
+    last: Vec<Float3>,
+    next: Vec<Float3>,
+}
+
+/// The pairs that had an event in the last frames.
+struct Recent {
+    track: TrackId,
+    /// Frames since the event and what it says, by pair.
+    events: BTreeMap<(usize, usize), (u64, String, Rgb)>,
+    last: LineRows,
+    next: LineRows,
+}
+
 impl Lines {
-    /// Shows at most `most` pairs.
-    pub fn new(schema: &Schema, most: usize, chunks: &mut Chunks) -> Lines {
-        let style = LineStrips3D::update_fields()
-            .with_radii([rerun::Radius::new_ui_points(1.5)])
-            .with_show_labels(schema.bodies.len() <= MOST_LABELS);
+    /// Shows at most as many pairs as the settings say.
+    pub fn new(schema: &Schema, settings: &Settings, chunks: &mut Chunks) -> Lines {
+        let has_labels = schema.bodies.len() <= MOST_LABELS;
+        let style =
+            LineStrips3D::update_fields().with_radii([rerun::Radius::new_ui_points(1.5)]).with_show_labels(has_labels);
         chunks.log_static(PAIRS, &style);
         let components =
             [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_colors(), LineStrips3D::descriptor_labels()];
         let track = chunks.track(PAIRS, components);
-        Lines { track, most, last: None, next: LineRows::default(), closest: Vec::new() }
+        let style =
+            LineStrips3D::update_fields().with_radii([rerun::Radius::new_ui_points(4.0)]).with_show_labels(true);
+        chunks.log_static(RECENT, &style);
+        let components =
+            [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_colors(), LineStrips3D::descriptor_labels()];
+        let recent = Recent {
+            track: chunks.track(RECENT, components),
+            events: BTreeMap::new(),
+            last: LineRows::default(),
+            next: LineRows::default(),
+        };
+        Lines {
+            track,
+            most: settings.pairs,
+            only: settings.only.clone(),
+            last: None,
+            next: LineRows::default(),
+            names: (has_labels && schema.bodies.len() > 1).then(|| Names::new(schema, chunks)),
+            recent,
+            closest: Vec::new(),
+        }
+    }
+
+    /// Takes note of an event, before the first frame that it affects.
+    pub fn event(&mut self, schema: &Schema, event: &PairEvent) {
+        let Recent { events, .. } = &mut self.recent;
+        let name = format!("{} {}", event.name, schema.pair_name(event.a, event.b));
+        events.insert((event.a, event.b), (0, name, schema.phases[event.to].color));
+        while events.len() > MOST_RECENT {
+            let Some(oldest) = events.iter().max_by_key(|(_, (age, ..))| *age).map(|(pair, _)| *pair) else { break };
+            events.remove(&oldest);
+        }
     }
 
     /// Logs what has changed.
     pub fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) {
         let LineRows { segments, colors, labels } = &mut self.next;
+        let is_shown =
+            |pair: &&PairFrame| self.only.is_empty() || self.only.contains(&look.schema.pair_name(pair.a, pair.b));
         self.closest.clear();
-        self.closest.extend_from_slice(&look.frame.pairs);
+        self.closest.extend(look.frame.pairs.iter().filter(is_shown));
         self.closest.sort_by(|x, y| x.q.total_cmp(&y.q));
         self.closest.truncate(self.most);
         let centre = |i: usize| look.frame.bodies[i].centre.as_vec3().to_array();
@@ -67,6 +134,67 @@ impl Lines {
             chunks.push(self.track, look.at, &cells);
             let last = self.last.get_or_insert_default();
             std::mem::swap(last, &mut self.next);
+        }
+        if let Some(names) = &mut self.names {
+            names.log(look, chunks);
+        }
+        self.recent.log(look, chunks);
+    }
+}
+
+impl Names {
+    fn new(schema: &Schema, chunks: &mut Chunks) -> Names {
+        let style = Points3D::update_fields()
+            .with_radii([rerun::Radius::new_ui_points(0.5)])
+            .with_labels(schema.bodies.iter().map(|body| body.name.as_str()))
+            .with_colors((0..schema.bodies.len()).map(|index| color(palette::of_body(schema, index))))
+            .with_show_labels(true);
+        chunks.log_static(NAMES, &style);
+        Names { track: chunks.track(NAMES, [Points3D::descriptor_positions()]), last: Vec::new(), next: Vec::new() }
+    }
+
+    fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) {
+        self.next.clear();
+        for (index, (body, now)) in look.bodies().enumerate() {
+            let met = look.frame.pairs.iter().filter_map(|pair| match (pair.a == index, pair.b == index) {
+                (true, _) => Some(look.frame.bodies[pair.b].centre),
+                (_, true) => Some(look.frame.bodies[pair.a].centre),
+                _ => None,
+            });
+            let away: DVec3 = met.map(|other| (now.centre - other).normalize_or_zero()).sum();
+            // of bodies in one place, every other is named on the left
+            let aside = if index.is_multiple_of(2) { DVec3::NEG_X } else { DVec3::X };
+            let direction = (away + 0.05 * aside).normalize_or(DVec3::Z);
+            let place = now.centre + body.radius * (0.9 * direction + 0.35 * DVec3::Z);
+            self.next.push(place.as_vec3().to_array());
+        }
+        if self.next != self.last {
+            std::mem::swap(&mut self.next, &mut self.last);
+            chunks.push(self.track, look.at, &[Cell::Vectors(&self.last)]);
+        }
+    }
+}
+
+impl Recent {
+    fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) {
+        if self.events.is_empty() && self.last.labels.is_empty() {
+            return;
+        }
+        self.events.retain(|_, (age, ..)| *age < RECENT_FRAMES);
+        let LineRows { segments, colors, labels } = &mut self.next;
+        segments.clear();
+        colors.clear();
+        labels.clear();
+        for (&(a, b), (age, name, rgb)) in &mut self.events {
+            segments.push([a, b].map(|body| look.frame.bodies[body].centre.as_vec3().to_array()));
+            colors.push(color(*rgb).to_u32());
+            labels.push(name.clone());
+            *age += 1;
+        }
+        if self.next != self.last {
+            std::mem::swap(&mut self.next, &mut self.last);
+            let LineRows { segments, colors, labels } = &self.last;
+            chunks.push(self.track, look.at, &[Cell::Segments(segments), Cell::Colors(colors), Cell::Texts(labels)]);
         }
     }
 }

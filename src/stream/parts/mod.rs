@@ -13,7 +13,9 @@
 //! | `/world/trails` | [`trails`] |
 //! | `/world/planes/N` | [`planes`] |
 //! | `/pairs/A~B/…`, `/events` | [`pairs`] |
-//! | `/world/pairs` | [`lines`] |
+//! | `/legend/…` | [`heat`] |
+//! | `/marks/…` | [`marks`] |
+//! | `/world/pairs`, `/world/recent`, `/world/names` | [`lines`] |
 //! | values of single vertices, on the entities of their surfaces | [`vertices`] |
 //! | `/diagnostics/…`, `/timings/…` | [`numbers`] |
 
@@ -21,7 +23,9 @@ pub mod batch;
 pub mod bodies;
 pub mod forces;
 pub mod groups;
+pub mod heat;
 pub mod lines;
+pub mod marks;
 pub mod merged;
 pub mod numbers;
 pub mod pairs;
@@ -49,7 +53,7 @@ pub struct Look<'a> {
 }
 
 impl<'a> Look<'a> {
-    fn bodies(self) -> impl Iterator<Item = (&'a BodySchema, &'a BodyFrame)> {
+    pub(in crate::stream) fn bodies(self) -> impl Iterator<Item = (&'a BodySchema, &'a BodyFrame)> {
         self.schema.bodies.iter().zip(&self.frame.bodies)
     }
 }

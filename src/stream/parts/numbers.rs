@@ -27,6 +27,21 @@ pub fn timings(schema: &Schema) -> impl Iterator<Item = &'static str> {
     schema.stages.iter().copied().chain(OBSERVING).chain(RECORDING)
 }
 
+/// The entity of a stage's duration with those of all stages before it on the same thread.
+pub fn stacked(stage: &str) -> String {
+    format!("/timings/stacked/{stage}")
+}
+
+/// What a stage is, in a legend.
+pub fn described(stage: &str) -> &str {
+    match stage {
+        "wait" => "wait for the recording",
+        "extract" => "on a thread of its own: extract",
+        "log" => "and log",
+        stage => stage,
+    }
+}
+
 /// Steps per second since the last frame.
 pub const SPEED: &str = "/timings/speed";
 /// Delay of a run that is limited to real time.
@@ -49,12 +64,16 @@ pub struct FrameNumbers {
     speed: TrackId,
     lag: Option<Duration>,
     lag_track: TrackId,
+    /// What all stages of the simulation's thread take together.
+    total: Spread,
 }
 
 /// A scalar of the schema, aggregated since the last frame.
 struct ScalarLine {
     id: LineId,
     of: ScalarOf,
+    /// Whether it jumps when a pair changes its phase.
+    jumps: bool,
     value: f64,
 }
 
@@ -62,6 +81,9 @@ struct ScalarLine {
 struct Timing {
     name: &'static str,
     track: TrackId,
+    stacked: TrackId,
+    /// Whether it is the first stage on its thread.
+    is_first: bool,
     spent: Duration,
     spread: Spread,
 }
@@ -74,14 +96,19 @@ impl FrameNumbers {
             let (entity, rgb) = (format!("/timings/{name}"), palette::line(numbered.next().unwrap_or(0)));
             Series::style(chunks, &entity, &format!("{name} [ms]"), rgb, 1.5, Interpolation::Step);
             let track = chunks.track(&entity, [Scalars::descriptor_scalars()]);
-            Timing { name, track, spent: Duration::ZERO, spread: Spread::default() }
+            let entity = stacked(name);
+            let label = format!("{} [ms]", described(name));
+            Series::style(chunks, &entity, &label, rgb, 1.5, Interpolation::Step);
+            let stacked = chunks.track(&entity, [Scalars::descriptor_scalars()]);
+            let is_first = schema.stages.first() == Some(&name) || name == RECORDING[0];
+            Timing { name, track, stacked, is_first, spent: Duration::ZERO, spread: Spread::default() }
         });
         let timings = timings.collect();
         let scalars = schema.scalars.iter().enumerate().map(|(i, scalar)| {
             let entity = format!("/diagnostics/{}", scalar.name);
             let shape = if scalar.is_smooth { Interpolation::Linear } else { Interpolation::Step };
             Series::style(chunks, &entity, scalar.label, palette::line(i), 1.5, shape);
-            ScalarLine { id: series.line(chunks, &entity, shape), of: scalar.of, value: 0.0 }
+            ScalarLine { id: series.line(chunks, &entity, shape), of: scalar.of, jumps: scalar.jumps, value: 0.0 }
         });
         let scalars = scalars.collect();
         let speed = line_of_run(SPEED, "steps per second", 0, chunks);
@@ -96,6 +123,7 @@ impl FrameNumbers {
             speed,
             lag: None,
             lag_track: line_of_run(LAG, "behind real time [ms]", 1, chunks),
+            total: Spread::default(),
         }
     }
 
@@ -130,17 +158,27 @@ impl FrameNumbers {
         }
     }
 
-    /// Logs the schema's scalars.
-    pub fn log_scalars(&mut self, look: Look<'_>, series: &mut Series, chunks: &mut Chunks) {
+    /// Logs the schema's scalars. Lines that jump when a pair changes its phase are interrupted where one has `changed`: a
+    /// steep line would look like something that happened in the course of a frame.
+    pub fn log_scalars(&mut self, look: Look<'_>, changed: Option<Instant>, series: &mut Series, chunks: &mut Chunks) {
         for (line, &of_state) in self.scalars.iter_mut().zip(&look.frame.scalars) {
+            if let Some(at) = changed.filter(|_| line.jumps) {
+                series.interrupt(chunks, line.id, at);
+            }
             let value = if line.of == ScalarOf::State { of_state } else { std::mem::take(&mut line.value) };
             series.log(chunks, line.id, value, look.at);
         }
     }
 
-    /// The 90th percentile of each stage's duration over all frames [ms]; empty if there were no frames.
-    pub fn typical_timings(&self) -> Vec<(&'static str, f64)> {
-        self.timings.iter().filter_map(|timing| Some((timing.name, timing.spread.quantile(0.9)?))).collect()
+    /// The median of each stage's duration over all frames [ms]; empty if there were no frames.
+    pub fn medians(&self) -> Vec<(&'static str, f64)> {
+        self.timings.iter().filter_map(|timing| Some((timing.name, timing.spread.quantile(0.5)?))).collect()
+    }
+
+    /// The 90th percentile of what a step takes [ms], and the recording of one; `None` if there were no frames.
+    pub fn typical(&self) -> Option<f64> {
+        let recording: f64 = self.timings.iter().rev().take(2).filter_map(|timing| timing.spread.quantile(0.9)).sum();
+        Some(f64::max(self.total.quantile(0.9)?, recording))
     }
 
     /// Logs the timings since the last frame [ms per step].
@@ -149,16 +187,23 @@ impl FrameNumbers {
         if let Some(log) = self.timings.last_mut() {
             log.spent += self.sending * steps;
         }
-        for Timing { track, spent, spread, .. } in &mut self.timings {
+        let (mut stack, mut total) = (0.0, 0.0);
+        for Timing { name, track, stacked, is_first, spent, spread } in &mut self.timings {
             let milliseconds = 1e3 * std::mem::take(spent).as_secs_f64() / f64::from(steps);
             if steps > 0 {
                 spread.add(milliseconds);
+                stack = if *is_first { milliseconds } else { stack + milliseconds };
+                if *name == OBSERVING[1] {
+                    total = stack;
+                }
                 chunks.push_apart(*track, at, &[Cell::Scalars(&[milliseconds])]);
+                chunks.push_apart(*stacked, at, &[Cell::Scalars(&[stack])]);
             }
         }
         if steps == 0 {
             return;
         }
+        self.total.add(total);
         if let (Some(last), Some(end)) = (self.last_frame, self.end) {
             let speed = f64::from(steps) / (end - last).as_secs_f64().max(1e-9);
             chunks.push_apart(self.speed, at, &[Cell::Scalars(&[speed])]);

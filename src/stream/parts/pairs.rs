@@ -1,13 +1,13 @@
 //! Plots of pairs: q and its thresholds, the phase, events, and what geometry says: gap, overlap and neck.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use rerun::{
     AnyValues, AsComponents, SerializedComponentBatch, SeriesLines, StateChange, StateConfiguration, TextLog,
     components::{Scalar, Text},
 };
 
-use super::Look;
+use super::{Look, marks::Marks};
 use crate::{
     observe::{PairEvent, PairFrame, Schema, Shortfall, SurfaceEvent, colors, surface::PairMeasures, touch::Finding},
     stream::{
@@ -15,17 +15,30 @@ use crate::{
         instant::Instant,
         palette::{self, color},
         series::{Interpolation, LineId, Series},
+        settings::Settings,
     },
 };
 
 /// Maximum interval between points of threshold lines [frames], so that they keep up with a live plot.
 const THRESHOLD_FRAMES: u64 = 64;
 
+/// Upper limits on the frames and pairs whose q is kept for pairs without a plot, in case they have an event.
+const KEPT_FRAMES: usize = 512;
+const KEPT_PAIRS: usize = 1024;
+
 /// The pairs that have their own entities.
+///
+/// There is room for as many pairs that come within reach as the settings say, and for as many that have events: those
+/// get their plots, with q of the frames before, when they have one.
 pub struct PairPlots {
-    /// Upper limit on their number.
+    /// Upper limit on the number of pairs that have entities because they came within reach.
     most: usize,
+    /// The only pairs that may have entities, as `A~B`; empty: all.
+    only: Vec<String>,
     known: BTreeMap<(usize, usize), PairPlot>,
+    /// q of pairs without a plot.
+    kept: BTreeMap<(usize, usize), VecDeque<(Instant, f64)>>,
+    marks: Marks,
     in_reach: BTreeSet<(usize, usize)>,
     /// Scratch storage, reused.
     next_in_reach: BTreeSet<(usize, usize)>,
@@ -105,11 +118,14 @@ pub const CONTACT: &str = "contact";
 pub const MOST_NAMED: usize = 120;
 
 impl PairPlots {
-    /// Starts without pairs; at most `most` are added.
-    pub fn new(most: usize) -> PairPlots {
+    /// Starts without pairs.
+    pub fn new(settings: &Settings) -> PairPlots {
         PairPlots {
-            most,
+            most: settings.pairs,
+            only: settings.only.clone(),
             known: BTreeMap::new(),
+            kept: BTreeMap::new(),
+            marks: Marks::default(),
             in_reach: BTreeSet::new(),
             next_in_reach: BTreeSet::new(),
             new: Vec::new(),
@@ -132,13 +148,29 @@ impl PairPlots {
             self.new.extend(now.pairs.iter().filter(|pair| !self.known.contains_key(&(pair.a, pair.b))));
             self.new.sort_by(|x, y| x.q.total_cmp(&y.q));
             for pair in std::mem::take(&mut self.new) {
-                self.track(schema, pair, at, series, chunks);
+                self.track(schema, pair, at, self.most, series, chunks);
             }
+        }
+        if self.known.len() >= self.most && self.most > 0 {
+            self.keep(look);
         }
         self.shown.clear();
         let is_known = |pair: &&PairFrame| self.known.contains_key(&(pair.a, pair.b));
         self.shown.extend(now.pairs.iter().filter(is_known).map(|pair| [pair.a, pair.b]));
         &self.shown
+    }
+
+    /// Keeps q of the pairs without a plot.
+    fn keep(&mut self, Look { frame, at, .. }: Look<'_>) {
+        let mut last = std::mem::take(&mut self.kept);
+        for pair in frame.pairs.iter().filter(|pair| !self.known.contains_key(&(pair.a, pair.b))).take(KEPT_PAIRS) {
+            let mut kept = last.remove(&(pair.a, pair.b)).unwrap_or_default();
+            if kept.len() == KEPT_FRAMES {
+                kept.pop_front();
+            }
+            kept.push_back((at, pair.q));
+            self.kept.insert((pair.a, pair.b), kept);
+        }
     }
 
     /// Logs the q and the measures of the chosen pairs; `frame` is the number of the frame.
@@ -188,22 +220,34 @@ impl PairPlots {
         std::mem::swap(&mut self.in_reach, &mut self.next_in_reach);
     }
 
-    /// The phase entity of a pair. Creates the pair's entities when it first comes within reach; `None` beyond the
-    /// limit.
+    /// The phase entity of a pair. Creates the pair's entities unless there are `most` of them; `None` then, and of a pair
+    /// that is not to be shown.
     fn track(
         &mut self,
         schema: &Schema,
         PairFrame { a, b, phase, .. }: PairFrame,
         at: Instant,
+        most: usize,
         series: &mut Series,
         chunks: &mut Chunks,
     ) -> Option<&str> {
         if !self.known.contains_key(&(a, b)) {
-            if self.known.len() >= self.most {
+            let is_shown = self.only.is_empty() || self.only.contains(&schema.pair_name(a, b));
+            if self.known.len() >= most || !is_shown {
                 return None;
             }
             let pair = PairPlot::new(schema, a, b, palette::distance(self.known.len()), series, chunks);
-            chunks.log(&pair.phase, at, &StateChange::single(schema.phases[phase].name));
+            let before = self.kept.remove(&(a, b)).unwrap_or_default();
+            let since = before.front().map_or(at, |&(since, _)| since);
+            chunks.log(&pair.phase, since, &StateChange::single(schema.phases[phase].name));
+            for (at, q) in before {
+                series.log(chunks, pair.distance, q, at);
+                for &(line, level) in &pair.thresholds {
+                    series.log(chunks, line, level, at);
+                }
+                self.plotted = Some(extended(self.plotted, q));
+                self.in_reach.insert((a, b));
+            }
             self.known.insert((a, b), pair);
         }
         self.known.get(&(a, b)).map(|pair| pair.phase.as_str())
@@ -213,9 +257,12 @@ impl PairPlots {
     pub fn log_event(&mut self, schema: &Schema, event: &PairEvent, series: &mut Series, chunks: &mut Chunks) {
         let at = Instant { step: event.step, time: event.time };
         let pair = PairFrame { a: event.a, b: event.b, q: event.q, phase: event.from };
-        if let Some(entity) = self.track(schema, pair, at, series, chunks) {
+        let entity = self.track(schema, pair, at, 2 * self.most, series, chunks);
+        let is_plotted = entity.is_some();
+        if let Some(entity) = entity {
             chunks.log(entity, at, &StateChange::single(schema.phases[event.to].name));
         }
+        self.marks.log(schema, event, is_plotted, chunks);
         log_event_line(schema, event, chunks);
     }
 }

@@ -2,7 +2,7 @@
 
 use rerun::{Ellipsoids3D, components::FillMode};
 
-use super::{Look, MOST_LABELS, lines::PAIRS};
+use super::{Look, lines::PAIRS};
 use crate::{
     observe::Schema,
     stream::{
@@ -57,7 +57,8 @@ impl SphereEntities {
             .with_fill_mode(FillMode::MajorWireframe)
             .with_line_radii([rerun::Radius::new_ui_points(LINE)])
             .with_labels(schema.bodies.iter().map(|body| body.name.as_str()))
-            .with_show_labels(schema.bodies.len() <= MOST_LABELS);
+            // names stand beside the bodies
+            .with_show_labels(schema.bodies.len() == 1);
         chunks.log_static(ENTITY, &spheres);
         SphereEntities {
             track: chunks.track(ENTITY, [Ellipsoids3D::descriptor_centers()]),

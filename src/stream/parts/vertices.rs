@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use rerun::{AnyValues, ComponentDescriptor, Points3D, components::Text, external::arrow::array::UInt32Array};
+use rerun::{AnyValues, ComponentDescriptor, components::Text, external::arrow::array::UInt32Array};
+
+use super::heat;
 
 use crate::{
     observe::{BodyFrame, Schema, schema::BodySchema},
@@ -10,12 +12,8 @@ use crate::{
         chunks::{Chunks, TrackId},
         columns::Cell,
         instant::Instant,
-        palette,
     },
 };
-
-/// Upper end of the heat map's colour scale [radii].
-pub const HOTTEST: f64 = 0.5;
 
 /// Values of vertices. Reused.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -24,8 +22,8 @@ pub struct VertexNumbers {
     displacement: Vec<f32>,
     /// |x″| [scene unit/s²], `[vertex_count]`.
     net: Vec<f32>,
-    /// The displacement as a packed colour of the heat map.
-    heat: Vec<u32>,
+    /// The displacement as texture coordinates of its colour.
+    heat: Vec<[f32; 2]>,
     /// Which forces act on the vertex, in words.
     reach: Vec<&'static str>,
 }
@@ -46,8 +44,7 @@ impl VertexNumbers {
         let inverse = 1.0 / body.radius;
         self.displacement.extend(now.lengths.iter().map(|length| (length * inverse) as f32));
         self.displacement.resize(end, 0.0);
-        let heat = |&displacement: &f32| palette::heat(f64::from(displacement) / HOTTEST);
-        self.heat.extend(self.displacement[first..].iter().map(heat));
+        self.heat.extend(self.displacement[first..].iter().map(|&displacement| heat::place(displacement)));
         if let Some(net) = now.terms.last() {
             self.net.extend(net.accelerations.iter().map(|force| force.length() as f32));
         }
@@ -80,7 +77,7 @@ impl Vertices {
         let of_ours = ["displacement_in_radii", "net_force"].map(ComponentDescriptor::partial);
         let [displacement, net] = of_ours;
         Vertices {
-            numbers: chunks.track(entity, [displacement, net, Points3D::descriptor_colors()]),
+            numbers: chunks.track(entity, [displacement, net, heat::descriptor()]),
             reach: chunks.track(entity, [ComponentDescriptor::partial("reach")]),
             last: VertexNumbers::default(),
         }
@@ -90,7 +87,7 @@ impl Vertices {
     pub fn log(&mut self, at: Instant, next: &VertexNumbers, chunks: &mut Chunks) {
         let VertexNumbers { displacement, net, heat, reach } = next;
         if (displacement, net) != (&self.last.displacement, &self.last.net) {
-            chunks.push(self.numbers, at, &[Cell::Floats(displacement), Cell::Floats(net), Cell::Colors(heat)]);
+            chunks.push(self.numbers, at, &[Cell::Floats(displacement), Cell::Floats(net), Cell::Places(heat)]);
             self.last.displacement.clone_from(displacement);
             self.last.net.clone_from(net);
         }

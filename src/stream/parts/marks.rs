@@ -1,0 +1,68 @@
+//! Events as markers in every plot: at q in the plots of q, on the axis in all others.
+
+use rerun::{Scalars, SeriesPoints, components::MarkerShape};
+
+use crate::{
+    observe::{PairEvent, Schema, colors::GREY},
+    stream::{chunks::Chunks, instant::Instant, palette::color},
+};
+
+/// The entities of markers on the axis, one for each kind of event.
+pub const ON_AXIS: &str = "/marks/axis";
+/// The entities of markers at q, one for each kind of event.
+pub const AT_Q: &str = "/marks/q";
+/// Everything above.
+pub const MARKS: &str = "/marks";
+
+/// The kinds of events that have been marked, whose styles are logged.
+#[derive(Debug, Default)]
+pub struct Marks {
+    styled: Vec<&'static str>,
+}
+
+impl Marks {
+    /// Logs the markers of an event; `is_plotted`: whether its pair has a plot of q.
+    pub fn log(&mut self, schema: &Schema, event: &PairEvent, is_plotted: bool, chunks: &mut Chunks) {
+        let rgb = color(schema.phases[event.to].color);
+        let places = [(ON_AXIS, MarkerShape::Up, 5.0), (AT_Q, MarkerShape::Diamond, 5.0)];
+        if !self.styled.contains(&event.name) {
+            self.styled.push(event.name);
+            for (place, shape, size) in places {
+                let style = SeriesPoints::new()
+                    .with_names([event.name])
+                    .with_colors([rgb])
+                    .with_markers([shape])
+                    .with_marker_sizes([size]);
+                chunks.log_static(&entity(place, event.name), &style);
+            }
+        }
+        let at = Instant { step: event.step, time: event.time };
+        for ((place, ..), value) in places.into_iter().zip([Some(0.0), is_plotted.then_some(event.q)]) {
+            let Some(value) = value else { continue };
+            chunks.log(&entity(place, event.name), at, &Scalars::new([value]));
+        }
+    }
+}
+
+fn entity(place: &str, event: &str) -> String {
+    let name: String = event.chars().map(|c| if c.is_alphanumeric() { c } else { '_' }).collect();
+    format!("{place}/{name}")
+}
+
+/// Marks the ends of a run in every plot, so that all of them show the same range of time; `level` is some q that is
+/// plotted, if any is.
+pub fn log_ends(ends: [Instant; 2], level: Option<f64>, chunks: &mut Chunks) {
+    for (place, value) in [(ON_AXIS, Some(0.0)), (AT_Q, level)] {
+        let Some(value) = value else { continue };
+        let entity = format!("{place}/ends");
+        let style = SeriesPoints::new()
+            .with_names(["run"])
+            .with_colors([color(GREY)])
+            .with_markers([MarkerShape::Plus])
+            .with_marker_sizes([3.0]);
+        chunks.log_static(&entity, &style);
+        for at in ends {
+            chunks.log(&entity, at, &Scalars::new([value]));
+        }
+    }
+}
