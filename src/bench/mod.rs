@@ -5,6 +5,7 @@
 //! | error against run time, for every integrator and a range of step sizes | [`mod@error`] |
 //! | cost against the number of bodies, and the goals for it | [`scale`] |
 //! | the independent solution that errors are measured against | [`reference`], by [`extrapolation`] |
+//! | the same for scenes with free bodies | [`particles`] |
 //! | shared parts of diagrams and tables | `drawing`, `tables` |
 //! | goals and measured values | [`goals`] |
 //! | the machine that run times were measured on | [`machine`] |
@@ -67,6 +68,11 @@
 //!
 //! ns: step time per vertex inside a sphere. Error: the largest of any vertex, in radii; that of the naive baseline is
 //! 0.4.
+//!
+//! **Free bodies**: `bench error collide` compares every integrator with an independent solution whose vertices are
+//! particles. `bench stability` ends with free bodies at their limits (mass ratios to 1e6, spins to 1e4 rad/s, deep overlap,
+//! corners of planes, stacks of 50, ωΔt to 1e3) and says which of them an integrator could not follow, and why. `bench
+//! scale` ends with the rate of free pairs in contact against that of prescribed ones, and with bodies that rest on a plane.
 //!
 //! **Recording** (`bench record`): frames per second and bytes per frame by detail and destination, with and without
 //! simulating, compared with the size of the payload and with a plain `log()` of the same data, one entity at a time.
