@@ -20,7 +20,10 @@ import ray
 from ray.cluster_utils import Cluster
 
 HERE = pathlib.Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent / "src" / "sweep"))
+DRIVER = str(HERE.parent / "src" / "sweep")
+sys.path.insert(0, DRIVER)
+os.environ["PYTHONPATH"] = DRIVER  # of the workers
+os.environ["RAY_worker_niceness"] = "0"  # they would wait for everything else that runs here
 import on_ray
 
 SWEEP = """scene = "two"
@@ -29,14 +32,14 @@ until = "end"
 key = "influence.split_at"
 from = 1.1
 to = 1.5
-count = 33
+count = 17
 [[axis]]
 key = "influence.merge_at"
 from = 0.9
 to = 1.09
-count = 33
+count = 17
 """
-REFINE, SHARDS = 2, 16
+REFINE, SHARDS = 2, 8
 
 
 def rows(folder):
@@ -75,19 +78,19 @@ def main():
         def disturb():
             """A worker as soon as there is one on the second node, then that node."""
             raylet = second.all_processes["raylet"][0].process.pid
-            for _ in range(600):
+            for _ in range(6000):
                 busy = workers(raylet)
                 if busy:
                     os.kill(busy[0], signal.SIGKILL)
                     killed.append("worker")
                     break
-                time.sleep(0.1)
-            for _ in range(600):
+                time.sleep(0.01)
+            for _ in range(6000):
                 if workers(raylet):
                     cluster.remove_node(second, allow_graceful=False)
                     killed.append("node")
                     break
-                time.sleep(0.1)
+                time.sleep(0.01)
 
         thread = threading.Thread(target=disturb)
         thread.start()

@@ -232,7 +232,7 @@ impl Doing<'_> {
             format!(", {} % of a grid as fine as the last level", significant(100.0 * rows as f64 / full as f64))
         });
         print(&format!(
-            "{}: {}{of_full}; {} in {} on all cores together",
+            "{}: {}{of_full}; {}; run times add up to {}",
             self.sweep.file,
             counted(rows, "run"),
             counted(steps as u64, "step"),

@@ -9,11 +9,12 @@ pub struct Builtin {
     pub text: &'static str,
 }
 
-/// All built-in sweeps.
+/// All built-in sweeps. Approach speed and offset are the axes of the maps of droplet collisions (Ashgriz and Poo 1990, Qian
+/// and Law 1997, there as Weber number and impact parameter); the last is for measuring what a sweep costs beyond its steps.
 pub const ALL: [Builtin; 5] = [
     Builtin {
         name: "speed_merge_at",
-        text: r#"# How fast, and how near, two balls must come to merge: approach speed × merge_at.
+        text: r#"# Two balls: approach speed × merge_at
 scene = "collide"
 
 [[axis]]
@@ -41,7 +42,7 @@ value = 12.0
     },
     Builtin {
         name: "speed_offset",
-        text: r#"# How fast, and how far off-centre: approach speed × offset, the map of droplet collisions (Ashgriz and Poo 1990).
+        text: r#"# Two balls: approach speed × offset
 scene = "collide"
 
 [[axis]]
@@ -73,7 +74,7 @@ value = 12.0
     },
     Builtin {
         name: "alpha_split_at",
-        text: r#"# How far a neck pulls its bodies out of shape before it tears: alpha × split_at.
+        text: r#"# Two bodies on their paths: alpha × split_at
 scene = "two"
 measures = ["displacement"]
 color = "max_displacement"
@@ -96,7 +97,7 @@ count = 33
     },
     Builtin {
         name: "size_mass",
-        text: r#"# A small body thrown at a large one: size ratio × mass ratio, under both scalings.
+        text: r#"# A body thrown at another: size ratio × mass ratio, under both scalings
 scene = "collide"
 
 [[axis]]
@@ -135,7 +136,7 @@ value = 12.0
     },
     Builtin {
         name: "runs_of_two",
-        text: r#"# A million runs of two, 300 steps each: what a sweep costs beyond its steps.
+        text: r#"# A million runs of two, 300 steps each
 scene = "two"
 until = "end"
 

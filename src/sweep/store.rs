@@ -14,6 +14,7 @@ use std::{
     fs::{self, File, OpenOptions},
     io::{self, Write as _},
     path::{Path, PathBuf},
+    time::Duration,
 };
 
 use super::{
@@ -23,6 +24,8 @@ use super::{
 };
 
 const PARTIAL: &str = ".partial";
+/// What nobody has written to for so long is not written any more.
+const ABANDONED: Duration = Duration::from_secs(600);
 const JOURNAL: &str = ".journal";
 const PARQUET: &str = ".parquet";
 
@@ -273,9 +276,14 @@ impl Store {
         for path in self.journal_paths(level, shard)? {
             fs::remove_file(path).ok();
         }
+        // what others may be writing is not touched
         let start = format!(".{}", stem(level, shard));
-        for name in self.names()?.iter().filter(|name| name.starts_with(&start) && name.ends_with(PARTIAL)) {
-            fs::remove_file(self.path.join(name)).ok();
+        for name in self.names()?.iter().filter(|name| name.starts_with('.') && name.ends_with(PARTIAL)) {
+            let path = self.path.join(name);
+            let is_old = || fs::metadata(&path)?.modified()?.elapsed().map_err(io::Error::other);
+            if name.starts_with(&start) || is_old().is_ok_and(|age| age > ABANDONED) {
+                fs::remove_file(&path).ok();
+            }
         }
         Ok(())
     }
