@@ -51,6 +51,11 @@ pub struct Run {
     pub merged: f64,
     /// The same without.
     pub plain: f64,
+    /// Fraction of the frames that have a group.
+    pub share: f64,
+    /// Mean time of surface and measures in a frame without a group, and in one with a group [s]; NaN without such
+    /// frames.
+    pub costs: [f64; 2],
 }
 
 /// Measures all arrangements.
@@ -142,25 +147,34 @@ fn best(mut work: impl FnMut()) -> f64 {
 /// The scene cannot be run, in words.
 pub fn run(scene: &Scene) -> Result<Run, String> {
     let mut fastest = [f64::INFINITY; 2];
+    let (mut share, mut costs) = (0.0, [f64::INFINITY; 2]);
     for (has_surface, fastest) in [false, true].into_iter().zip(&mut fastest) {
         for _ in 0..LEAST {
             let mut world = World::new(scene.clone()).map_err(|error| error.to_string())?;
             let schema = world.schema();
             let (mut merger, mut frame) = (Merger::new(&schema, None), Frame::default());
+            let (mut times, mut counts) = ([0.0; 2], [0u32; 2]);
             let start = Instant::now();
             for _ in 0..scene.steps() {
                 world.step();
                 world.observe(Want { forces: true, scalars: true }, &mut frame);
                 if has_surface {
                     let pairs: Vec<[usize; 2]> = frame.pairs.iter().map(|pair| [pair.a, pair.b]).collect();
-                    merger.merge(&schema, &frame, &pairs);
+                    let start = Instant::now();
+                    let has_group = usize::from(!merger.merge(&schema, &frame, &pairs).groups.is_empty());
+                    times[has_group] += start.elapsed().as_secs_f64();
+                    counts[has_group] += 1;
                 }
             }
             *fastest = fastest.min(start.elapsed().as_secs_f64() / scene.steps() as f64);
+            if has_surface {
+                share = f64::from(counts[1]) / f64::from(counts[0] + counts[1]);
+                costs = [0, 1].map(|k| costs[k].min(times[k] / f64::from(counts[k])));
+            }
         }
     }
     let [plain, merged] = fastest.map(|seconds| 1.0 / seconds);
-    Ok(Run { merged, plain })
+    Ok(Run { merged, plain, share, costs })
 }
 
 /// Formats the measurements.

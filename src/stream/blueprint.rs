@@ -394,7 +394,7 @@ impl Layout {
         }
         let title = "Phases, and whether the surfaces touch (red, yellow: the two disagree)";
         parts.push(self.view("StateTimeline", title, "/pairs", &["+ /pairs/**"], &[]));
-        parts.push(self.plot("Groups: volume, genus, bodies", "/", &["+ /groups/**"], Corner2D::LeftTop));
+        parts.push(self.plot("Groups: volume, area, topology, bodies", "/", &["+ /groups/**"], Corner2D::LeftTop));
         let shares = vec![1.0; parts.len()];
         let right = self.container(ContainerKind::Vertical, "Measures", parts, &shares);
         self.container(ContainerKind::Horizontal, "Surface", vec![view, right], &[1.6, 1.0])

@@ -25,4 +25,5 @@ mod stability;
 mod stranger;
 mod sweep;
 mod tolerance;
+mod union;
 mod work;

@@ -227,7 +227,7 @@ impl Row {
         self.get(component)
     }
 
-    fn scalar(&self) -> Option<f64> {
+    pub fn scalar(&self) -> Option<f64> {
         let values = self.get::<Float64>("Scalars:scalars");
         assert!(values.len() < 2, "one number an instant: {values:?}");
         values.first().map(|value| value.0)

@@ -100,8 +100,8 @@ impl Height<'_, '_, '_> {
         if names.contains(&vertex) {
             return N::zero();
         }
-        let [a, b, c] = names.map(|v| self.placement.placed[v as usize]);
-        N::orientation(a, b, c, self.placement.placed[vertex as usize])
+        let [a, b, c] = names.map(|v| self.placement.placed(v));
+        N::orientation(a, b, c, self.placement.placed(vertex))
     }
 
     /// For a node on the edge ab, with heights (p, q) over its own triangle and (f, g) over this one, the height is (p
@@ -257,8 +257,8 @@ impl Arrangement {
             if names.contains(&ends[0]) || names.contains(&ends[1]) {
                 return Ok(None);
             }
-            let [a, b] = ends.map(|v| placement.placed[v as usize]);
-            let [x, y, z] = names.map(|v| placement.placed[v as usize]);
+            let [a, b] = ends.map(|v| placement.placed(v));
+            let [x, y, z] = names.map(|v| placement.placed(v));
             // The edge passes through the triangle if it turns the same way about all three sides.
             let turn = is_in_front(a, b, x, y)?;
             if is_in_front(a, b, y, z)? != turn || is_in_front(a, b, z, x)? != turn {

@@ -157,27 +157,45 @@ impl<'a> Body<'a> {
     /// connected mesh for which this holds, whatever its χ, covers the sphere of directions without a fold, so exactly
     /// once: it does not intersect itself.
     fn measure(&mut self) {
-        let mut least_height_squared = f64::INFINITY;
-        let mut least_slack = f64::INFINITY;
-        for triangle in 0..self.topology.triangles.len() as u32 {
-            let [a, b, c] = self.corners(triangle);
-            let (a, b, c) = (a - self.centre, b - self.centre, c - self.centre);
+        let (positions, centre) = (self.positions, self.centre);
+        if self.topology.copies.is_empty() {
+            self.measure_triangles(|v| positions[v as usize] - centre);
+        } else {
+            let topology = self.topology;
+            self.measure_triangles(|v| positions[topology.place_of(v) as usize] - centre);
+        }
+    }
+
+    #[inline]
+    fn measure_triangles(&mut self, position: impl Fn(u32) -> DVec3) {
+        let (mut least_height_squared, mut least_slack_squared) = (f64::INFINITY, f64::INFINITY);
+        let (mut volumes, mut areas) = (0.0, 0.0);
+        for &[a, b, c] in &self.topology.triangles {
+            let (a, b, c) = (position(a), position(b), position(c));
             let (ab, bc, ca) = (b - a, c - b, a - c);
             let normal = ab.cross(-ca);
             let volume = a.dot(normal);
             let normal_squared = normal.length_squared();
-            self.volume += volume;
-            self.area += normal_squared.sqrt();
+            volumes += volume;
+            areas += normal_squared.sqrt();
             // Displacing each corner by d changes the volume by at most d (|a×b| + |b×c| + |c×a|) to first order, and
-            // |a×b| ≤ |a| |ab|; twice that covers the higher orders.
-            let longest = ab.length_squared().max(bc.length_squared()).max(ca.length_squared()).sqrt();
-            least_slack = least_slack.min(volume / (6.0 * self.radius * longest));
-            least_height_squared = least_height_squared.min(volume * volume / normal_squared);
+            // |a×b| ≤ |a| |ab|; twice that covers the higher orders. With its sign, and squared: that spares a root.
+            let sides = [ab.length_squared(), bc.length_squared(), ca.length_squared()];
+            let longer = if sides[0] > sides[1] { sides[0] } else { sides[1] };
+            let longest = if longer > sides[2] { longer } else { sides[2] };
+            let slack_squared = volume * volume.abs() / longest;
+            if slack_squared < least_slack_squared {
+                least_slack_squared = slack_squared;
+            }
+            let height_squared = volume * volume / normal_squared;
+            if height_squared < least_height_squared {
+                least_height_squared = height_squared;
+            }
         }
-        self.volume /= 6.0;
-        self.area /= 2.0;
-        if least_slack > 0.0 && self.topology.components == 1 {
-            self.slack = least_slack;
+        self.volume = volumes / 6.0;
+        self.area = areas / 2.0;
+        if least_slack_squared > 0.0 && self.topology.components == 1 {
+            self.slack = least_slack_squared.sqrt() / (6.0 * self.radius);
             self.inner_radius = least_height_squared.sqrt();
         }
     }

@@ -253,7 +253,7 @@ struct Straddle<'p, 'a, 'b> {
 impl<'p, 'a, 'b> Straddle<'p, 'a, 'b> {
     fn new(placement: &'p Placement<'a, 'b>, triangle: u32, body: u32, other_body: u32) -> Self {
         let names = placement.corners(triangle, body);
-        let corners = names.map(|v| placement.placed[v as usize]);
+        let corners = names.map(|v| placement.placed(v));
         let plane = Plane::new(corners[0], corners[1], corners[2]);
         Straddle { placement, triangle, body, other_body, names, corners, plane }
     }
@@ -268,7 +268,7 @@ impl<'p, 'a, 'b> Straddle<'p, 'a, 'b> {
             }
             count > 0
         };
-        let corners = names.map(|v| self.placement.placed[v as usize]);
+        let corners = names.map(|v| self.placement.placed(v));
         let Some(sides) = sides(&self.plane, &self.corners, &corners, |k| shared && self.names.contains(&names[k]))?
         else {
             return Ok(());

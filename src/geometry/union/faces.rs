@@ -236,10 +236,10 @@ impl Cutter<'_, '_, '_> {
     /// Perturbed position of a point, as accurate as possible.
     fn placed(&self, point: u32) -> DVec3 {
         if point < self.points.first_node {
-            self.placement.placed[point as usize]
+            self.placement.placed(point)
         } else if point < self.points.first_triple {
             let node = &self.arrangement.nodes[(point - self.points.first_node) as usize];
-            let [a, b] = self.placement.ends(node.edge, node.edge_body).map(|v| self.placement.placed[v as usize]);
+            let [a, b] = self.placement.ends(node.edge, node.edge_body).map(|v| self.placement.placed(v));
             a + (b - a) * node.passage.at
         } else {
             self.arrangement.triple_points[(point - self.points.first_triple) as usize] * self.placement.scale()

@@ -45,8 +45,11 @@ pub struct Placement<'a, 'b> {
     pub displaced: Vec<f64>,
     /// Whether each body is to be tested against itself.
     pub folds: Vec<bool>,
-    /// Positions as the predicates see them; only those requested by [`Placement::place`].
-    pub placed: Vec<DVec3>,
+    /// For every vertex, its index in `positions`; 0 for those that [`Placement::place`] has not been asked for, which are
+    /// most of a large mesh.
+    slots: Vec<u32>,
+    /// Positions as the predicates see them.
+    positions: Vec<DVec3>,
     scale: f64,
     jitter: Vec<f64>,
     deflation: Vec<f64>,
@@ -95,7 +98,8 @@ impl<'a, 'b> Placement<'a, 'b> {
             pairs,
             displaced,
             folds,
-            placed: vec![DVec3::ZERO; vertices],
+            slots: vec![0; vertices],
+            positions: vec![DVec3::ZERO],
             scale,
             jitter,
             deflation,
@@ -116,33 +120,41 @@ impl<'a, 'b> Placement<'a, 'b> {
         (displaced * LATTICE).round() / LATTICE
     }
 
-    /// Computes `placed` for the vertices of some triangles of a body.
+    /// Computes the perturbed positions of the vertices of some triangles of a body.
     pub fn place(&mut self, body: u32, triangles: &[u32]) {
         let first = self.first_vertex[body as usize];
         for &triangle in triangles {
             for vertex in self.corners(triangle, body) {
-                // A vertex that has been placed lies exactly at the origin with probability 2^-150.
-                if self.placed[vertex as usize] == DVec3::ZERO {
-                    self.placed[vertex as usize] = self.position(body, vertex - first);
+                if self.slots[vertex as usize] == 0 {
+                    self.slots[vertex as usize] = self.positions.len() as u32;
+                    self.positions.push(self.position(body, vertex - first));
                 }
             }
         }
     }
 
-    /// Computes `placed` for all vertices of a body.
+    /// Computes the perturbed positions of all vertices of a body.
     pub fn place_all(&mut self, body: u32) {
         let first = self.first_triangle[body as usize];
         let triangles = self.bodies[body as usize].topology.triangles.len() as u32;
         self.place(body, &(first..first + triangles).collect::<Vec<u32>>());
     }
 
-    /// Perturbed position of a vertex, whether it is in `placed` or not.
-    pub fn placed_or_not(&self, vertex: u32, body: u32) -> DVec3 {
-        let placed = self.placed[vertex as usize];
-        if placed == DVec3::ZERO { self.position(body, vertex - self.first_vertex[body as usize]) } else { placed }
+    /// Perturbed position of a vertex that has been placed.
+    #[inline]
+    pub fn placed(&self, vertex: u32) -> DVec3 {
+        self.positions[self.slots[vertex as usize] as usize]
     }
 
-    /// Factor from scene units to the units of `placed`.
+    /// Perturbed position of a vertex, whether it has been placed or not.
+    pub fn placed_or_not(&self, vertex: u32, body: u32) -> DVec3 {
+        match self.slots[vertex as usize] {
+            0 => self.position(body, vertex - self.first_vertex[body as usize]),
+            slot => self.positions[slot as usize],
+        }
+    }
+
+    /// Factor from scene units to the units of perturbed positions.
     pub fn scale(&self) -> f64 {
         self.scale
     }
@@ -179,7 +191,7 @@ impl<'a, 'b> Placement<'a, 'b> {
     /// Corners of a triangle as the predicates see them.
     #[inline]
     pub fn placed_corners(&self, triangle: u32, body: u32) -> [DVec3; 3] {
-        self.corners(triangle, body).map(|v| self.placed[v as usize])
+        self.corners(triangle, body).map(|v| self.placed(v))
     }
 
     /// The true position of a vertex [scene unit].

@@ -143,7 +143,7 @@ impl Classified {
                 self.over_first_edge.insert((vertex, edge + first_edge), over);
                 let (t, k) = topology.triangle_left_of(edge, local);
                 let corners = topology.triangles[t as usize];
-                let [from, to] = [1, 2].map(|i| placement.placed[(corners[(k + i) % 3] + first_vertex) as usize]);
+                let [from, to] = [1, 2].map(|i| placement.placed(corners[(k + i) % 3] + first_vertex));
                 for &(t, segment) in arrangement.segments_of(t + first_triangle) {
                     let segment = &arrangement.segments[segment as usize];
                     if segment.ends[1] != End::Vertex(vertex) {
@@ -481,8 +481,7 @@ impl Flood<'_, '_, '_> {
             at += 1;
             for &edge in topology.edges_at(v) {
                 let [a, b] = topology.edges[edge as usize];
-                let length = self.placement.placed[(a + first_vertex) as usize]
-                    .distance(self.placement.placed[(b + first_vertex) as usize]);
+                let length = self.placement.placed(a + first_vertex).distance(self.placement.placed(b + first_vertex));
                 let free = length * self.free_from(edge + first_edge, a == v) * self.outwards(edge).length();
                 if free > best.0 {
                     best = (free, v, edge);
@@ -501,7 +500,7 @@ impl Flood<'_, '_, '_> {
         let topology = self.placement.bodies[self.me as usize].topology;
         let first_vertex = self.placement.first_vertex[self.me as usize];
         let normals = topology.edge_triangles[edge as usize].map(|t| {
-            let [x, y, z] = topology.triangles[t as usize].map(|v| self.placement.placed[(v + first_vertex) as usize]);
+            let [x, y, z] = topology.triangles[t as usize].map(|v| self.placement.placed(v + first_vertex));
             (y - x).cross(z - x).normalize_or_zero()
         });
         normals[0] + normals[1]
@@ -522,7 +521,7 @@ impl Flood<'_, '_, '_> {
         let placement = self.placement;
         let topology = placement.bodies[self.me as usize].topology;
         let (b, first_edge) = (self.me as usize, placement.first_edge[self.me as usize]);
-        let place = |v: u32| placement.placed[(v + placement.first_vertex[b]) as usize];
+        let place = |v: u32| placement.placed(v + placement.first_vertex[b]);
         let free = self.free_from(edge + first_edge, topology.edges[edge as usize][0] == v);
         let from = place(v) + (place(topology.across(edge, v)) - place(v)) * (0.5 * free);
         // The start is in front of both triangles of the edge, which are skipped because the ray starts on them.

@@ -1,12 +1,15 @@
-//! Plots of groups: volume, genus and number of bodies, under the name of the group's first body.
+//! Plots of groups: volume, area and topology of the surface, and number of bodies, under the name of the group's first body.
 
 use std::collections::BTreeMap;
 
 use rerun::{AnyValues, components::Text};
 
-use super::Look;
+use super::{Look, pairs::has_named_pairs};
 use crate::{
-    observe::{Schema, surface::Merged},
+    observe::{
+        Schema,
+        surface::{Group, Merged},
+    },
     stream::{
         chunks::Chunks,
         palette,
@@ -28,11 +31,28 @@ pub struct GroupPlots {
 
 struct GroupPlot {
     entity: String,
-    volume: LineId,
-    genus: LineId,
-    count: LineId,
+    /// As in [`values`].
+    lines: Vec<LineId>,
     /// The bodies that were last logged; empty while there is no such group.
     bodies: Vec<usize>,
+}
+
+/// The plots of a group: their entities, names with units, and shapes.
+const LINES: [(&str, &str, Interpolation); 6] = [
+    ("volume", "volume [unit³]", Interpolation::Linear),
+    ("genus", "genus", Interpolation::Step),
+    ("bodies", "bodies", Interpolation::Step),
+    ("area", "area [unit²]", Interpolation::Linear),
+    ("components", "components", Interpolation::Step),
+    ("euler", "Euler characteristic χ", Interpolation::Step),
+];
+/// Of so many there are plots where bodies are many, and so are entities.
+const LINES_OF_MANY: usize = 3;
+
+/// What they show.
+fn values(group: &Group) -> [f64; 6] {
+    let Group { volume, area, components, euler, genus, bodies, .. } = group;
+    [*volume, *genus as f64, bodies.len() as f64, *area, *components as f64, *euler as f64]
 }
 
 impl GroupPlots {
@@ -55,7 +75,7 @@ impl GroupPlots {
         for (first, plot) in &mut self.known {
             let is_there = merged.groups.iter().any(|group| group.bodies.first() == Some(first));
             if !is_there && !plot.bodies.is_empty() {
-                for line in [plot.volume, plot.genus, plot.count] {
+                for &line in &plot.lines {
                     series.interrupt(chunks, line, at);
                 }
                 plot.bodies.clear();
@@ -70,9 +90,9 @@ impl GroupPlots {
                 self.known.insert(first, GroupPlot::new(schema, first, self.known.len(), series, chunks));
             }
             let Some(plot) = self.known.get_mut(&first) else { continue };
-            series.log(chunks, plot.volume, group.volume, at);
-            series.log(chunks, plot.genus, group.genus as f64, at);
-            series.log(chunks, plot.count, group.bodies.len() as f64, at);
+            for (line, value) in plot.lines.iter().zip(values(group)) {
+                series.log(chunks, *line, value, at);
+            }
             if plot.bodies != group.bodies {
                 let names = group.bodies.iter().map(|&body| schema.bodies[body].name.as_str());
                 chunks.log(&plot.entity, at, &AnyValues::default().with_component::<Text>("bodies", names));
@@ -86,17 +106,13 @@ impl GroupPlot {
     fn new(schema: &Schema, first: usize, number: usize, series: &mut Series, chunks: &mut Chunks) -> GroupPlot {
         let name = &schema.bodies[first].name;
         let entity = format!("/groups/{name}");
-        let mut line = |of: &str, label: &str, shape| {
+        let lines = LINES.iter().take(if has_named_pairs(schema) { LINES.len() } else { LINES_OF_MANY });
+        let lines = lines.map(|&(of, label, shape)| {
             let entity = format!("{entity}/{of}");
             Series::style(chunks, &entity, &format!("{label} of {name}'s group"), palette::line(number), 1.5, shape);
             series.line(chunks, &entity, shape)
-        };
-        GroupPlot {
-            volume: line("volume", "volume [unit³]", Interpolation::Linear),
-            genus: line("genus", "genus", Interpolation::Step),
-            count: line("bodies", "bodies", Interpolation::Step),
-            entity,
-            bodies: Vec::new(),
-        }
+        });
+        let lines = lines.collect();
+        GroupPlot { lines, entity, bodies: Vec::new() }
     }
 }

@@ -1,0 +1,87 @@
+//! Merged surfaces, in recordings and in files of other formats; and random unions beside those of `manifold-rust`: for three seconds here, longer with `MELDSCOPE_FUZZ_SECONDS`; any number
+//! of them by `cargo bench --bench union -- fuzz`.
+
+#[path = "../benches/union/fuzz.rs"]
+mod fuzz;
+#[path = "../benches/union/scenes.rs"]
+mod scenes;
+
+use std::{
+    fs,
+    process::Command,
+    time::{Duration, SystemTime, UNIX_EPOCH},
+};
+
+use meldscope::geometry::files;
+
+use crate::recording::{Dir, Recording};
+
+/// Two spheres that merge, deep enough that one surface is left, at step 60.
+const MERGING: &str = r#"
+duration = 1.5
+[[body]]
+name = "a"
+radius = 1.0
+motion = { fixed = [0, 0, 0] }
+[[body]]
+name = "b"
+radius = 0.5
+motion = { line = { from = [2.0, 0.4, 0.1], velocity = [-0.8, 0, 0] } }
+"#;
+
+#[test]
+fn a_merged_surface_is_recorded_and_exported_alike_in_every_format() {
+    let dir = Dir::new();
+    fs::write(dir.file("merging.toml"), MERGING).expect("room");
+    let run = |arguments: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_meldscope")).args(arguments).current_dir(dir.path()).output();
+        let output = output.expect("it starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    };
+    run(&["run", "merging.toml", "--quiet", "--save", "x.rrd"]);
+    let recording = Recording::open(&dir.file("x.rrd"));
+    let at = |entity: &str, step: u64| recording.held(entity, [step]).pop().unwrap_or_default();
+    let number = |entity: &str| at(entity, 60).scalar().expect("a number");
+    let surface = at("/world/merged/surface", 60);
+    let positions = surface.get::<rerun::datatypes::Vec3D>("Mesh3D:vertex_positions");
+    let triangles = surface.get::<rerun::datatypes::UVec3D>("Mesh3D:triangle_indices");
+    assert_eq!(number("/groups/a/components"), 1.0);
+    assert_eq!((number("/groups/a/euler"), number("/groups/a/genus")), (2.0, 0.0));
+    assert_eq!(positions.len() - triangles.len() / 2, 2, "χ of what is drawn");
+    let place = |v: u32| glam::DVec3::from(positions[v as usize].0.map(f64::from));
+    let volume: f64 = (triangles.iter())
+        .map(|triangle| {
+            let [a, b, c] = triangle.0.map(place);
+            a.dot(b.cross(c)) / 6.0
+        })
+        .sum();
+    assert!((volume / number("/groups/a/volume") - 1.0).abs() < 5e-3, "{volume}");
+    let [gap, overlap, neck] = ["gap", "overlap", "neck"].map(|measure| number(&format!("/pairs/a~b/{measure}")));
+    assert!(gap < 0.0 && overlap > 0.0 && neck > 0.1, "{gap} {overlap} {neck}");
+    // its own bodies are not drawn beside it, and before they merged there was none
+    assert!(at("/world/merged/surface", 0).get::<rerun::datatypes::Vec3D>("Mesh3D:vertex_positions").is_empty());
+
+    for format in ["glb", "obj", "ply", "stl"] {
+        let range = ["--from", "60", "--to", "60", "--format", format];
+        run(&[&["export", "x.rrd", "--mesh", format][..], &range].concat());
+        let names: Vec<_> =
+            fs::read_dir(dir.file(format)).expect("a folder").flatten().map(|file| file.path()).collect();
+        let [file] = names.as_slice() else { panic!("{names:?}") };
+        // only closed surfaces can be loaded
+        let loaded = files::load(file).unwrap_or_else(|error| panic!("{format}: {error}"));
+        let mesh = loaded.mesh.mesh();
+        assert_eq!((mesh.vertex_count(), mesh.triangles().len()), (positions.len(), triangles.len()), "{format}");
+    }
+}
+
+#[test]
+fn unions_are_closed_and_those_of_another_library() {
+    let seconds = std::env::var("MELDSCOPE_FUZZ_SECONDS").ok().and_then(|text| text.parse().ok());
+    // the first scenes here; others every time where there is time for many
+    let first = match seconds {
+        Some(_) => SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |now| now.as_secs()) << 16,
+        None => 0,
+    };
+    let tallies = fuzz::run(first..u64::MAX, Duration::from_secs(seconds.unwrap_or(3)), |_, _| ());
+    assert_eq!(fuzz::print(&tallies), 0);
+}
