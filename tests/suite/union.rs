@@ -68,7 +68,7 @@ fn a_merged_surface_is_recorded_and_exported_alike_in_every_format() {
             fs::read_dir(dir.file(format)).expect("a folder").flatten().map(|file| file.path()).collect();
         let [file] = names.as_slice() else { panic!("{names:?}") };
         // only closed surfaces can be loaded
-        let loaded = files::load(file).unwrap_or_else(|error| panic!("{format}: {error}"));
+        let loaded = files::load(file, &|_| ()).unwrap_or_else(|error| panic!("{format}: {error}"));
         let mesh = loaded.mesh.mesh();
         assert_eq!((mesh.vertex_count(), mesh.triangles().len()), (positions.len(), triangles.len()), "{format}");
     }
