@@ -9,7 +9,7 @@ use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 
 use super::{
-    member::{Member, driven},
+    member::{Member, driven, kick},
     near::Near,
 };
 pub(super) use crate::sim::integrator::explicit::Scheme;
@@ -18,7 +18,7 @@ use crate::{
         influence,
         shape_matching::{best_rotation, outer, resistance, solve},
     },
-    scene::Scene,
+    scene::{Path, Scene},
     sim::{
         deformation::larger,
         events::Event,
@@ -328,7 +328,19 @@ pub(super) fn step(
     span: Span,
     report: &mut StepReport,
 ) -> Option<usize> {
-    let before: Vec<Particles> = members.par_iter().map(|member| Particles::of(&member.body)).collect();
+    let particles = |(index, member): (usize, &Member)| {
+        let mut particles = Particles::of(&member.body);
+        // a step knows nothing within itself: jumps of a path's velocity are felt at its start
+        let knots = scene.bodies[index].path().map_or(&[][..], Path::knots);
+        let first = knots.partition_point(|&t| t < span.start);
+        let kicks = knots[first..].iter().take_while(|&&t| t < span.end).map(|&t| kick(scene, index as u32, t));
+        let kick: DVec3 = kicks.sum();
+        if kick != DVec3::ZERO {
+            particles.v.iter_mut().for_each(|v| *v += kick);
+        }
+        particles
+    };
+    let before: Vec<Particles> = members.par_iter().enumerate().map(particles).collect();
     let step = Step { scene, members: &*members, near: &*near };
     let after = step.advance(scheme, &before, span.start, span.length());
     let frames = step.frames(&after, span.end);

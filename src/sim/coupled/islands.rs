@@ -3,16 +3,17 @@
 use std::sync::{Mutex, PoisonError};
 
 use glam::DVec3;
+use pulp::Arch;
 use rayon::prelude::*;
 
 use super::{
-    member::{Member, driven},
+    member::{Member, driven, kick},
     near::Near,
 };
 use crate::{
     scene::Scene,
     sim::{
-        free::{self, Body, Field, Island, Report, Scratch, Shape, Way},
+        free::{self, Body, Driven, Field, Island, Paths, Report, Scratch, Shape, Way},
         span::Span,
         work::{Tally, Work},
     },
@@ -88,6 +89,7 @@ pub(super) struct Conditions<'a> {
     pub span: Span,
     pub work: &'a Work,
     pub scratches: &'a Mutex<Vec<Scratch>>,
+    pub arch: Arch,
 }
 
 /// Advances the islands that are not done, side by side.
@@ -99,7 +101,7 @@ pub(super) fn advance(jobs: &mut [Job], conditions: &Conditions<'_>) {
     let advance = |(turn, job): (usize, &mut Job)| {
         if !job.is_done {
             let pooled = conditions.scratches.lock().unwrap_or_else(PoisonError::into_inner).pop();
-            let mut scratch = pooled.unwrap_or_default();
+            let mut scratch = pooled.unwrap_or_else(|| Scratch::new(conditions.arch));
             job.advance(turn, conditions, &mut scratch);
             conditions.scratches.lock().unwrap_or_else(PoisonError::into_inner).push(scratch);
         }
@@ -134,11 +136,16 @@ impl Job {
             let member = &members[body as usize];
             if let Some(path) = scene.bodies[body as usize].path() {
                 let knots = path.knots();
-                let first = knots.partition_point(|&knot| knot <= span.start);
+                let first = knots.partition_point(|&knot| knot < span.start);
                 field.breaks.extend(knots[first..].iter().take_while(|&&knot| knot < span.end));
             }
+            let here = match scene.bodies[body as usize].path() {
+                // where it has not jumped yet
+                Some(path) if path.is_held() => path.before(span.start).position,
+                _ => member.body.centre,
+            };
             if index >= bodies.len() {
-                copies.push(source(&member.body));
+                copies.push(Body { centre: here, ..source(&member.body) });
                 continue;
             }
             pace = pace.min(member.pace);
@@ -146,6 +153,7 @@ impl Job {
             let pushes = pushes.filter(|push| push.end > span.start);
             field.pushes.extend(pushes.map(|&push| free::Push { body: index as u32, ..push }));
             let mut copy = member.body.clone();
+            copy.centre = here;
             let count = copy.shape.rest().len();
             copy.x.resize(count, DVec3::ZERO);
             copy.u.resize(count, DVec3::ZERO);
@@ -157,7 +165,7 @@ impl Job {
             free::Pair { a: place(pair.a), b: place(pair.b), ..*pair }
         };
         let pairs = pairs.iter().map(local).collect();
-        let paths = |body: usize, t: f64, before: bool| driven(scene, all[body], t, before);
+        let paths = OfScene { scene, bodies: &all };
         let tally = Tally::new(work, Some(turn));
         let mut island = Island::resume(copies, pairs, field, scene.tolerance, span.start, pace);
         self.report = Report::default();
@@ -168,6 +176,22 @@ impl Job {
         self.ways.extend_from_slice(&island.ways()[..bodies.len()]);
         (self.bodies, self.pairs) = island.into_parts();
         self.is_done = true;
+    }
+}
+
+/// The paths of a scene's bodies, by their places in an island.
+struct OfScene<'a> {
+    scene: &'a Scene,
+    bodies: &'a [u32],
+}
+
+impl Paths for OfScene<'_> {
+    fn at(&self, body: usize, t: f64, before: bool) -> Driven {
+        driven(self.scene, self.bodies[body], t, before)
+    }
+
+    fn kick(&self, body: usize, t: f64) -> DVec3 {
+        kick(self.scene, self.bodies[body], t)
     }
 }
 

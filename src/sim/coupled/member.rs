@@ -22,6 +22,9 @@ use crate::{
 pub const CALM_STEPS: u32 = 12;
 /// The share of the tolerance that the motion of a calm body may be, and the deformation of one that counts as none.
 const CALM: f64 = 0.1;
+/// A larger tolerance than this [radii/s] lets bodies rest no sooner: what they would have done yet is an error that no
+/// shorter step would make smaller.
+const FINEST: f64 = 1e-5;
 /// How much farther than in free flight a body may get in a step, before its pairs are looked for again [radii].
 const SLACK: f64 = 0.05;
 
@@ -163,14 +166,14 @@ impl Member {
     }
 
     /// Whether everything about it moves so little that it may count as standing still: no vertex gets farther than a
-    /// tenth of the tolerance allows an error to grow, be it by the motion of the body or about a resting place.
+    /// tenth of the tolerance, or of 1e-5 radii/s, allows an error to grow, be it by the motion of the body or about a resting place.
     ///
     /// A body that is calm for [`CALM_STEPS`] steps rests: its velocities are set to zero and its displacements kept. An
     /// error that makes grows by less than a tenth of the tolerance. What moves faster than it did wakes by no rule, so a
     /// body has to be calm for as long as it takes an unstable balance to show.
     pub fn is_calm(&self, tolerance: f64) -> bool {
         let Body { velocity, oscillator, radius, .. } = self.body;
-        let most = CALM * tolerance * radius;
+        let most = CALM * tolerance.min(FINEST) * radius;
         let swing = self.speed / oscillator.omega.max(1.0);
         velocity.length() <= most
             && swing <= most
@@ -180,7 +183,7 @@ impl Member {
     /// Whether its deformation is so little that leaving it out is an error of less than a tenth of the tolerance: then
     /// it is left out, if nothing acts on it.
     pub fn is_nearly_straight(&self, tolerance: f64) -> bool {
-        let most = CALM * tolerance * self.body.radius;
+        let most = CALM * tolerance.min(FINEST) * self.body.radius;
         let x = self.body.x.iter().map(|x| x.length_squared()).fold(0.0, f64::max).sqrt();
         x <= most && self.speed <= most * self.body.oscillator.omega.max(1.0)
     }
@@ -243,4 +246,14 @@ pub(in crate::sim) fn driven(scene: &Scene, body: u32, t: f64, before: bool) -> 
         Response::World => motion.acceleration + 2.0 * body.material.damping * motion.velocity,
     };
     Driven { position: motion.position, velocity: motion.velocity, carry }
+}
+
+/// By how much the velocities of a body's vertices jump at `t` [s], because that of its path does: they stay in motion as
+/// they were, unless the body is rigid. At t = 0 every velocity is zero [scene unit/s].
+pub(in crate::sim) fn kick(scene: &Scene, body: u32, t: f64) -> DVec3 {
+    let body = &scene.bodies[body as usize];
+    match (body.path(), body.material.response) {
+        (Some(path), Response::Inertial | Response::World) if t > 0.0 => -path.kick(t),
+        _ => DVec3::ZERO,
+    }
 }

@@ -374,6 +374,9 @@ impl Coupled {
             None => body.turns() && body.spin != DVec3::ZERO,
             Some(path) => {
                 let bounds = path.bounds(span.start, span.end);
+                if scene.bodies[index].material.response != Response::Rigid && path.kicks(span.start, span.end) > 0.0 {
+                    return true;
+                }
                 match scene.bodies[index].material.response {
                     Response::Rigid => false,
                     Response::Inertial => bounds.acceleration != 0.0,
@@ -386,8 +389,8 @@ impl Coupled {
     /// Advances the islands to the end of `span`, in results of their own.
     fn advance(&mut self, scene: &Scene, span: Span, work: &mut Work, report: &StepReport) -> Result<(), Failure> {
         work.begin_turns(self.jobs.len());
-        let Coupled { members, near, scratches, jobs, .. } = self;
-        islands::advance(jobs, &Conditions { scene, members, near, span, work, scratches });
+        let Coupled { members, near, scratches, jobs, arch, .. } = self;
+        islands::advance(jobs, &Conditions { scene, members, near, span, work, scratches, arch: *arch });
         if work.is_interrupted() {
             return Err(Failure::Interrupted { step: report.step });
         }
@@ -422,6 +425,11 @@ impl Coupled {
             for ((&index, body), way) in job.group.bodies.iter().zip(job.bodies.drain(..)).zip(&job.ways) {
                 let member = &mut self.members[index as usize];
                 member.body = body;
+                if let Some(path) = scene.bodies[index as usize].path().filter(|path| !path.knots().is_empty()) {
+                    // what jumps now has done so
+                    let motion = path.at(span.end);
+                    (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
+                }
                 member.pace = job.pace;
                 member.extent = member.body.shape.extent() + way.displacement;
                 member.speed = way.speed;

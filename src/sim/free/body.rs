@@ -1,12 +1,16 @@
 //! A free or prescribed body: vertices with masses about a rest shape that follows them.
 
-use std::sync::Arc;
+use std::{ops::Add, sync::Arc};
 
 use glam::{DMat3, DQuat, DVec3};
 
-use crate::model::{
-    oscillator::Oscillator,
-    shape_matching::{Inner, Rotation, best_rotation, outer, resistance},
+use super::{kernels::WIDTH, passive::Linear};
+use crate::{
+    geometry::Vectors,
+    model::{
+        oscillator::Oscillator,
+        shape_matching::{Inner, Rotation, best_rotation, cross_matrix, moment, outer, resistance, solve},
+    },
 };
 
 /// A rest shape, relative to its mass centre.
@@ -22,6 +26,10 @@ pub struct Shape {
     pub(super) spread: DMat3,
     /// The largest |l| [scene unit].
     pub(super) extent: f64,
+    /// Rest positions by coordinate, padded to full lanes.
+    pub(super) lanes: Vectors,
+    /// Masses, padded by zeros.
+    pub(super) lanes_masses: Vec<f64>,
 }
 
 impl Shape {
@@ -34,12 +42,18 @@ impl Shape {
         }
         let spread = rest.iter().zip(&masses).fold(DMat3::ZERO, |sum, (&l, &m)| sum + outer(m * l, l));
         let extent = rest.iter().map(|l| l.length()).fold(0.0, f64::max);
-        Shape { rest, masses, mass, spread, extent }
+        let room = rest.len().next_multiple_of(WIDTH);
+        let mut lanes: Vectors = rest.iter().copied().collect();
+        lanes.resize(room);
+        let mut lanes_masses = masses.clone();
+        lanes_masses.resize(room, 0.0);
+        Shape { rest, masses, mass, spread, extent, lanes, lanes_masses }
     }
 
     /// The shape of a body that only acts on others: it has no vertices.
     pub fn none() -> Shape {
-        Shape { rest: Vec::new(), masses: Vec::new(), mass: 0.0, spread: DMat3::ZERO, extent: 0.0 }
+        let (lanes, lanes_masses) = (Vectors::default(), Vec::new());
+        Shape { rest: Vec::new(), masses: Vec::new(), mass: 0.0, spread: DMat3::ZERO, extent: 0.0, lanes, lanes_masses }
     }
 
     /// Total mass M.
@@ -176,39 +190,31 @@ impl Body {
         Sums::of(&self.shape, &self.x, &self.u).inner(&self.shape, DMat3::from_quat(rotation))
     }
 
-    /// Rotates the frame to the best fit of the vertices, which keep their positions.
-    pub(super) fn refit(&mut self) {
+    /// The best fit of the frame to vertices with these sums, which keep their positions: its rotation, and what this
+    /// adds to their displacements and velocities.
+    pub(super) fn refit(&self, sums: &Sums) -> ([Linear; 2], DQuat) {
         let shape = &*self.shape;
-        let per_mass = 1.0 / shape.mass;
-        let mean = |v: &[DVec3]| v.iter().zip(&shape.masses).map(|(&v, &m)| m * v).sum::<DVec3>() * per_mass;
-        let (x, u) = (mean(&self.x), mean(&self.u));
-        self.x.iter_mut().for_each(|v| *v -= x);
-        self.u.iter_mut().for_each(|v| *v -= u);
+        let (x, u) = (sums.x / shape.mass, sums.u / shape.mass);
+        let (mut to_x, mut to_u) = (Linear::default(), Linear::default());
+        (to_x.shift, to_u.shift) = (-x, -u);
         if !self.turns() {
-            return;
+            return ([to_x, to_u], self.rotation);
         }
+        // about their mean
+        let sums = Sums { xx: sums.xx - outer(sums.x, x), xu: sums.xu - sums.x.cross(u), ..*sums };
         let axes = DMat3::from_quat(self.rotation);
-        let sums = Sums::of(shape, &self.x, &self.u);
         let inner = sums.inner(shape, axes);
         // Σ m s lᵀ
         let rotation = best_rotation(axes * shape.spread + sums.lx.transpose(), self.rotation);
         let turned = DMat3::from_quat(rotation);
-        let spin = inner.frame_spin(self.spin);
-        // the angular velocity of the new frame, from Σ m a×s′
-        let mut moved = DMat3::ZERO;
-        for ((&l, &u), &m) in shape.rest.iter().zip(&self.u).zip(&shape.masses) {
-            moved += outer(m * l, spin.cross(axes * l) + u);
-        }
-        for (x, &l) in self.x.iter_mut().zip(&shape.rest) {
-            *x += axes * l - turned * l;
-        }
-        let stretched = resistance(Sums::of(shape, &self.x, &self.u).inner(shape, turned).as_);
-        let turning =
-            crate::model::shape_matching::solve(stretched, crate::model::shape_matching::moment(turned * moved));
-        for (u, &l) in self.u.iter_mut().zip(&shape.rest) {
-            *u += spin.cross(axes * l) - turning.cross(turned * l);
-        }
-        self.rotation = rotation;
+        let spin = cross_matrix(inner.frame_spin(self.spin)) * axes;
+        // the angular velocity of the new frame, from Σ m l s′ᵀ
+        let moved = shape.spread * spin.transpose() + sums.lu;
+        to_x.by_rest = axes - turned;
+        let fitted = Sums { lx: sums.lx + shape.spread * to_x.by_rest.transpose(), ..sums };
+        let turning = solve(resistance(fitted.inner(shape, turned).as_), moment(turned * moved));
+        to_u.by_rest = spin - cross_matrix(turning) * turned;
+        ([to_x, to_u], rotation)
     }
 }
 
@@ -223,12 +229,32 @@ pub(super) struct Sums {
     pub xx: DMat3,
     /// Σ m x×u
     pub xu: DVec3,
+    /// Σ m x
+    pub x: DVec3,
+    /// Σ m u
+    pub u: DVec3,
+}
+
+impl Add for Sums {
+    type Output = Sums;
+
+    fn add(self, other: Sums) -> Sums {
+        Sums {
+            lx: self.lx + other.lx,
+            lu: self.lu + other.lu,
+            xx: self.xx + other.xx,
+            xu: self.xu + other.xu,
+            x: self.x + other.x,
+            u: self.u + other.u,
+        }
+    }
 }
 
 impl Default for Sums {
     fn default() -> Sums {
         // the default of a matrix is the identity
-        Sums { lx: DMat3::ZERO, lu: DMat3::ZERO, xx: DMat3::ZERO, xu: DVec3::ZERO }
+        let (none, zero) = (DMat3::ZERO, DVec3::ZERO);
+        Sums { lx: none, lu: none, xx: none, xu: zero, x: zero, u: zero }
     }
 }
 
@@ -241,6 +267,8 @@ impl Sums {
             sums.lu += outer(ml, u);
             sums.xx += outer(mx, x);
             sums.xu += mx.cross(u);
+            sums.x += mx;
+            sums.u += m * u;
         }
         sums
     }

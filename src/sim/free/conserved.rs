@@ -83,20 +83,26 @@ pub(super) fn influence(a: &Body, b: &Body, field: &Field, strength: f64) -> f64
     }
     let of = |own: &Body, source: &Body| {
         let axes = DMat3::from_quat(own.rotation);
-        strength * potential(own, axes, &own.x, source.centre - own.centre, source, field)
+        let vertices =
+            (0..own.shape.rest.len()).map(|i| (own.shape.masses[i], axes * own.shape.rest[i] + own.state(i).0));
+        strength * potential(own, vertices, source.centre - own.centre, source, field)
     };
     of(a, b) + of(b, a)
 }
 
-/// Σ m (Φ − Φ(r_e)) of the vertices of a body in the sphere of `source`, with the factor for their sizes
-/// [mass · scene unit²]: zero for a vertex out of its reach. The
-/// vertices are displaced by `x` in a frame with these axes, `to_source` is from their centre to that of the sphere.
-pub(super) fn potential(own: &Body, axes: DMat3, x: &[DVec3], to_source: DVec3, source: &Body, field: &Field) -> f64 {
+/// Σ m (Φ − Φ(r_e)) of vertices of body `own` in the sphere of `source`, with the factor for their sizes
+/// [mass · scene unit²]: zero for a vertex out of its reach. The vertices are given by their masses and where they are
+/// relative to the centre; `to_source` is from there to the centre of the sphere.
+pub(super) fn potential(
+    own: &Body,
+    vertices: impl Iterator<Item = (f64, DVec3)>,
+    to_source: DVec3,
+    source: &Body,
+    field: &Field,
+) -> f64 {
     let r_e = field.reach * source.radius;
     let outside = influence_potential(field.weight, r_e, r_e);
-    let sum = (0..own.shape.rest.len()).map(|i| {
-        let s = axes * own.shape.rest[i] + x.get(i).copied().unwrap_or_default();
-        own.shape.masses[i] * (influence_potential(field.weight, r_e, (to_source - s).length()) - outside)
-    });
+    let sum =
+        vertices.map(|(mass, s)| mass * (influence_potential(field.weight, r_e, (to_source - s).length()) - outside));
     field.scale(own.radius, source.radius) * sum.sum::<f64>()
 }

@@ -24,7 +24,7 @@ pub struct Field {
     pub weight: Weight,
     /// Dependence of strengths on body sizes.
     pub scaling: Scaling,
-    /// Instants at which a derivative of a path jumps [s], ascending.
+    /// Instants at which a path or a derivative of it jumps [s], ascending.
     pub breaks: Vec<f64>,
 }
 
@@ -98,6 +98,11 @@ pub struct Driven {
 pub trait Paths: Sync {
     /// The motion of `body` at `t` [s]; if something jumps there and `before` is set, just before the jump.
     fn at(&self, body: usize, t: f64, before: bool) -> Driven;
+
+    /// By how much the velocities of the body's vertices jump at `t`, because that of its centre does [scene unit/s].
+    fn kick(&self, _body: usize, _t: f64) -> DVec3 {
+        DVec3::ZERO
+    }
 }
 
 /// No paths, for islands without prescribed bodies.

@@ -1,12 +1,14 @@
 //! What acts on the vertices of a body at the samples of a step, and where that has kinks.
 
 use glam::DVec3;
+use pulp::Arch;
 
 use super::{
     body::Body,
-    crossing::Course as Polynomial,
+    crossing::{Course as Polynomial, Crossings},
     field::{Field, Pair, Push},
-    step::{Course, Held, MIDDLE, Own, Piece, Place, Reaction, Span},
+    kernels::{self, Pull},
+    step::{Course, Held, Own, Piece, Place, Reaction, Span},
 };
 use crate::model::{influence::Weight, shape_matching::Plane};
 
@@ -21,6 +23,8 @@ pub struct Sphere {
     pub strength: [f64; 5],
     /// Position of its centre at each sample.
     pub places: [Place; 5],
+    /// How far a vertex may move relative to the sphere in the step without being found to stray [scene unit].
+    pub band: f64,
 }
 
 /// Everything that acts on a body.
@@ -28,6 +32,8 @@ pub struct Sphere {
 pub struct Acting {
     pub spheres: Vec<Sphere>,
     pub pushes: Vec<Push>,
+    /// [`Sphere::band`] of each plane.
+    pub plane_bands: Vec<f64>,
 }
 
 /// A body in a step, its estimated state at the samples, and the first node at which forces are wanted.
@@ -38,6 +44,7 @@ pub struct View<'a> {
     pub span: &'a Span,
     pub places: &'a [Place; 5],
     pub first: usize,
+    pub arch: Arch,
 }
 
 /// One sphere, plane or push that acts on a body.
@@ -118,7 +125,7 @@ impl Acting {
         span: &Span,
         places: &[[Place; 5]],
     ) {
-        self.spheres.clear();
+        let mut count = 0;
         for pair in pairs {
             let other = if pair.a as usize == index { pair.b } else { pair.a };
             let (own, source) = (&bodies[index], &bodies[other as usize]);
@@ -130,15 +137,19 @@ impl Acting {
                 let q = if is_gradual { mine[look].centre.distance(its[look].centre) / radii } else { 0.0 };
                 scale * pair.law.strength(pair.phase, q)
             });
-            if strength != [0.0; 5] {
-                self.spheres.push(Sphere {
-                    source: other,
-                    radius: field.reach * source.radius,
-                    strength,
-                    places: *its,
-                });
+            if is_gradual || strength != [0.0; 5] {
+                let radius = field.reach * source.radius;
+                // the same spheres as before in this step, with the bands that were found for them
+                let band = self.spheres.get(count).map_or(0.0, |sphere| sphere.band);
+                let sphere = Sphere { source: other, radius, strength, places: *its, band };
+                match self.spheres.get_mut(count) {
+                    Some(known) => *known = sphere,
+                    None => self.spheres.push(sphere),
+                }
+                count += 1;
             }
         }
+        self.spheres.truncate(count);
         self.pushes.clear();
         let acts = |push: &&Push| push.body as usize == index && push.start <= span.start && span.start < push.end;
         self.pushes.extend(field.pushes.iter().filter(acts));
@@ -147,7 +158,7 @@ impl Acting {
     /// Evaluates the forces on the vertices at the nodes, from the first one wanted on: a part without kinks in the
     /// step, and pieces that begin or end in it.
     pub fn evaluate(&self, view: &View<'_>, course: &mut Course) {
-        let View { body, field, span, places, first } = *view;
+        let View { body, field, span, places, first, arch } = *view;
         course.pieces.clear();
         course.reactions.clear();
         std::mem::swap(&mut course.held, &mut course.held_before);
@@ -155,7 +166,7 @@ impl Acting {
         course.pushed.clear();
         course.stiffness = self.spheres.iter().map(|sphere| sphere.strength[0].abs()).sum();
         for look in first..4 {
-            course.vertices[look].f.fill(DVec3::ZERO);
+            course.active.f[look].fill(DVec3::ZERO);
         }
         let extent = (0..4).map(|look| course.frames[look].extent).fold(0.0, f64::max);
         let speed = (0..4).map(|look| {
@@ -163,32 +174,34 @@ impl Acting {
             frame.speed + frame.frame_spin.length() * frame.extent
         });
         let speed = speed.fold(0.0, f64::max);
+        let mut crossing = std::mem::take(&mut course.crossing);
         for sphere in &self.spheres {
-            let apart = |look: usize| sphere.places[look].centre - places[look].centre;
-            let nearest = (0..4).map(|look| apart(look).length()).fold(f64::INFINITY, f64::min);
+            let apart: [DVec3; 4] = std::array::from_fn(|look| sphere.places[look].centre - places[look].centre);
+            let nearest = apart.iter().map(|apart| apart.length()).fold(f64::INFINITY, f64::min);
             let passing = (0..4).map(|look| (sphere.places[look].velocity - places[look].velocity).length());
             let band = 0.5 * span.h * (speed + passing.fold(0.0, f64::max));
-            if nearest > sphere.radius + extent + band {
+            if nearest > sphere.radius + extent + band || course.active.len() == 0 {
                 continue;
             }
+            crossing.clear();
+            let power = (!body.is_free()).then(|| std::array::from_fn(|node| places[node].velocity));
+            let passing = std::array::from_fn(|node| sphere.places[node].velocity - places[node].velocity);
+            let turning = std::array::from_fn(|node| course.frames[node].frame_spin);
+            let (weight, h) = (field.weight, span.h);
+            let (active, crossing) = (&mut course.active, &mut crossing);
+            let pull = Pull { active, sphere, weight, apart, passing, turning, h, band, crossing, power, first };
+            let pulled = pull.find(arch);
             let mut reaction = Reaction { source: sphere.source, force: [DVec3::ZERO; 5], power: [0.0; 4] };
-            let (inner, outer) = ((sphere.radius - band).max(0.0), sphere.radius + band);
-            let (inner, outer) = (inner * inner, outer * outer);
-            for i in 0..body.x.len() {
-                let square = |look: usize| {
-                    let s = course.frames[look].axes * body.shape.rest[i] + course.vertices[look].x[i];
-                    (apart(look) - s).length_squared()
-                };
-                let squares = [square(0), square(1), square(2), square(3)];
-                let least = squares[0].min(squares[1]).min(squares[2].min(squares[3]));
-                let most = squares[0].max(squares[1]).max(squares[2].max(squares[3]));
-                if least > outer {
-                    continue;
-                }
-                view.touch(Contact::Sphere(sphere), most < inner, course, i, Some(&mut reaction));
+            for node in 0..4 {
+                reaction.force[node] = -pulled.force[node];
+                reaction.power[node] = -pulled.power[node];
+            }
+            for &i in &*crossing {
+                view.touch(Contact::Sphere(sphere), false, course, i as usize, Some(&mut reaction));
             }
             course.reactions.push(reaction);
         }
+        course.crossing = crossing;
         for (number, plane) in (0..).zip(&field.planes) {
             let depth = |look: usize| plane.depth(places[look].centre);
             let deepest = (0..4).map(depth).fold(f64::NEG_INFINITY, f64::max);
@@ -197,11 +210,8 @@ impl Acting {
             if deepest + extent + band < 0.0 {
                 continue;
             }
-            for i in 0..body.x.len() {
-                let depth = |look: usize| {
-                    let s = course.frames[look].axes * body.shape.rest[i] + course.vertices[look].x[i];
-                    plane.depth(places[look].centre + s)
-                };
+            for i in 0..course.active.len() {
+                let depth = |look: usize| plane.depth(places[look].centre + course.active.s[look].get(i));
                 let depths = [depth(0), depth(1), depth(2), depth(3)];
                 if depths.iter().all(|&d| d < -band) {
                     continue;
@@ -211,36 +221,33 @@ impl Acting {
             }
         }
         for (number, push) in (0..).zip(&self.pushes) {
-            for i in 0..body.x.len() {
+            for i in 0..course.active.len() {
                 view.touch(Contact::Push(number, push), false, course, i, None);
             }
         }
         for look in first..4 {
-            finish(body, course, look);
+            course.gather(arch, body, look);
         }
     }
 
-    /// Evaluates the forces in the middle of the step.
-    pub fn evaluate_middle(&self, body: &Body, field: &Field, places: &[Place; 5], course: &mut Course) {
-        let look = MIDDLE;
-        course.vertices[look].f.fill(DVec3::ZERO);
+    /// Evaluates the forces at a single sample, of what acts there.
+    pub fn evaluate_at(&self, look: usize, view: &View<'_>, course: &mut Course) {
+        let View { body, field, places, arch, .. } = *view;
+        course.active.f[look].fill(DVec3::ZERO);
         let extent = course.frames[look].extent;
         for sphere in &self.spheres {
             let apart = sphere.places[look].centre - places[look].centre;
-            let mut reaction = DVec3::ZERO;
+            let mut force = DVec3::ZERO;
             if apart.length() < sphere.radius + extent {
-                for i in 0..body.x.len() {
-                    let s = course.frames[look].axes * body.shape.rest[i] + course.vertices[look].x[i];
-                    if (apart - s).length_squared() < sphere.radius * sphere.radius {
-                        let seen = see(body, course, places, look, i);
-                        let g = Contact::Sphere(sphere).acceleration(field.weight, look, &seen);
-                        course.vertices[look].f[i] += g;
-                        reaction -= body.shape.masses[i] * g;
-                    }
-                }
+                force = -kernels::pull_at(arch, &mut course.active, sphere, field.weight, look, apart);
             }
-            if let Some(known) = course.reactions.iter_mut().find(|known| known.source == sphere.source) {
-                known.force[look] = reaction;
+            match course.reactions.iter_mut().find(|known| known.source == sphere.source) {
+                Some(known) => known.force[look] = force,
+                None => {
+                    let mut reaction = Reaction { source: sphere.source, force: [DVec3::ZERO; 5], power: [0.0; 4] };
+                    reaction.force[look] = force;
+                    course.reactions.push(reaction);
+                }
             }
         }
         let planes = (0..).zip(&field.planes).map(|(number, plane)| Contact::Plane(number, plane));
@@ -251,14 +258,20 @@ impl Acting {
             {
                 continue;
             }
-            for i in 0..body.x.len() {
-                let seen = see(body, course, places, look, i);
+            for i in 0..course.active.len() {
+                let seen = see(course, places, look, i);
                 if contact.depth(look, &seen).0 > 0.0 {
-                    course.vertices[look].f[i] += contact.acceleration(field.weight, look, &seen);
+                    let g = contact.acceleration(field.weight, look, &seen);
+                    let f = &mut course.active.f[look];
+                    f.set(i, f.get(i) + g);
+                    if let (0, Contact::Plane(contact, _)) = (look, contact) {
+                        let (vertex, crossings) = (i as u32, Crossings::default());
+                        course.held.push(Held { contact, vertex, g: [g; 4], starts_inside: true, crossings });
+                    }
                 }
             }
         }
-        finish(body, course, look);
+        course.gather(arch, body, look);
     }
 }
 
@@ -273,8 +286,8 @@ impl View<'_> {
         i: usize,
         reaction: Option<&mut Reaction>,
     ) {
-        let View { body, field, span, places, first } = *self;
-        let see = |look: usize| see(body, course, places, look, i);
+        let View { body, field, span, places, first, .. } = *self;
+        let see = |look: usize| see(course, places, look, i);
         let seen = [see(0), see(1), see(2), see(3)];
         let (mut starts_inside, mut polynomial) = (true, None);
         if !inside {
@@ -294,7 +307,7 @@ impl View<'_> {
         if !starts_inside && crossings.is_empty() {
             return;
         }
-        let mass = body.shape.masses[i];
+        let mass = course.active.masses[i];
         let pull = |look: usize| contact.acceleration(field.weight, look, &seen[look]);
         let mut g = [pull(0), pull(1), pull(2), pull(3)];
         let held = |contact: u32, g| Held { contact, vertex: i as u32, g, starts_inside, crossings: toggles };
@@ -324,7 +337,8 @@ impl View<'_> {
         }
         if starts_inside {
             for look in first..4 {
-                course.vertices[look].f[i] += g[look];
+                let f = &mut course.active.f[look];
+                f.set(i, f.get(i) + g[look]);
             }
         }
         let mut sign = if starts_inside { -1.0 } else { 1.0 };
@@ -347,38 +361,14 @@ impl View<'_> {
     }
 }
 
-/// Sums the forces on the vertices at a sample, with the damping there beyond −2κ x′.
-fn finish(body: &Body, course: &mut Course, look: usize) {
-    if !body.is_free() {
-        return;
-    }
-    let (frame, vertices) = (&mut course.frames[look], &mut course.vertices[look]);
-    let shape = &*body.shape;
-    let twice_damped = 2.0 * body.oscillator.damping * frame.spin;
-    let (mut sum, mut turning, mut spinning) = (DVec3::ZERO, DVec3::ZERO, DVec3::ZERO);
-    for i in 0..shape.rest.len() {
-        let f = vertices.f[i];
-        if f != DVec3::ZERO {
-            let force = shape.masses[i] * f;
-            sum += force;
-            let a = frame.axes * shape.rest[i];
-            turning += a.cross(force);
-            spinning += (a + vertices.x[i]).cross(force);
-        }
-        vertices.f[i] = f + twice_damped.cross(vertices.x[i]);
-    }
-    frame.mean = sum / shape.mass;
-    frame.turning = turning;
-    frame.spinning = spinning;
-}
-
-/// The state of a vertex at a sample.
+/// The state of an active vertex at a sample.
 #[inline(always)]
-fn see(body: &Body, course: &Course, places: &[Place; 5], look: usize, i: usize) -> Seen {
-    let frame = &course.frames[look];
-    let a = frame.axes * body.shape.rest[i];
-    let rate = frame.frame_spin.cross(a) + course.vertices[look].u[i];
-    Seen { a, s: a + course.vertices[look].x[i], rate, place: places[look], turning: frame.frame_spin }
+fn see(course: &Course, places: &[Place; 5], look: usize, i: usize) -> Seen {
+    let (frame, active) = (&course.frames[look], &course.active);
+    let s = active.s[look].get(i);
+    let a = s - active.x[look].get(i);
+    let rate = frame.frame_spin.cross(a) + active.u[look].get(i);
+    Seen { a, s, rate, place: places[look], turning: frame.frame_spin }
 }
 
 /// The force of a plane on a vertex at the nodes, which depends on where the force moves the vertex: one Newton step

@@ -1,6 +1,7 @@
 //! An island: coupled bodies, advanced together with adaptive steps that end where a pair changes its phase.
 
 use glam::DVec3;
+use pulp::Arch;
 use rayon::prelude::*;
 
 use super::{
@@ -26,7 +27,10 @@ const MOST_CHANGES: u32 = 200;
 const PARALLEL_VERTICES: usize = 4096;
 /// A step has converged when the remaining corrections are below this fraction of the tolerance, so that its error is
 /// the discretisation error, not that of unfinished iteration.
-const SETTLED: f64 = 2.5e-3;
+const SETTLED: f64 = 1e-2;
+/// A larger tolerance than this [radii/s] makes steps longer, but does not end their iteration earlier: otherwise its
+/// remainder, which is of low order, would be the error of steps that are much shorter than the tolerance asks for.
+const FINEST: f64 = 1e-6;
 /// Distances this close to a threshold, relative to it, count as on it.
 const STANDING: f64 = 1e-12;
 /// Largest ratio of a step's length to that of the previous step.
@@ -156,6 +160,14 @@ pub(in crate::sim) struct Scratch {
     /// The pairs that each body belongs to.
     pairs_of: Vec<Vec<u32>>,
     changes: Vec<u32>,
+    arch: Arch,
+}
+
+impl Scratch {
+    /// Buffers of one who uses these instructions.
+    pub fn new(arch: Arch) -> Scratch {
+        Scratch { arch, ..Scratch::default() }
+    }
 }
 
 /// The time in a step at which a pair reaches a level at which it changes.
@@ -284,6 +296,9 @@ impl Island {
         }
         let mut steps = 0;
         while self.time < end {
+            if self.field.breaks.binary_search_by(|at| at.total_cmp(&self.time)).is_ok() {
+                self.jump(paths, report);
+            }
             self.leave_phases(scratch, paths, report)?;
             let stop = f64::min(end, self.field.next_break(self.time));
             let left = stop - self.time;
@@ -338,19 +353,51 @@ impl Island {
         Ok(())
     }
 
+    /// Bodies on paths jump to where these go on: the vertices of a body that is kicked stay in motion as they were, those
+    /// of one that jumps from place to place go along.
+    fn jump(&mut self, paths: &dyn Paths, report: &mut Report) {
+        for index in 0..self.bodies.len() {
+            let body = &mut self.bodies[index];
+            if body.is_free() {
+                continue;
+            }
+            let kick = paths.kick(index, self.time);
+            if kick != DVec3::ZERO {
+                body.u.iter_mut().for_each(|u| *u += kick);
+            }
+            let to = paths.at(index, self.time, false);
+            let from = std::mem::replace(&mut body.centre, to.position);
+            if from == to.position {
+                continue;
+            }
+            // its influence on free bodies, there less here
+            let own = index as u32;
+            for pair in self.pairs.iter().filter(|pair| pair.a == own || pair.b == own) {
+                let (a, b) = (&self.bodies[pair.a as usize], &self.bodies[pair.b as usize]);
+                let energy = |a: &Body, b: &Body| {
+                    let q = a.centre.distance(b.centre) / (a.radius + b.radius);
+                    conserved::influence(a, b, &self.field, pair.law.strength(pair.phase, q))
+                };
+                let after = energy(a, b);
+                let there = Body { centre: from, ..self.bodies[index].clone() };
+                let before = if pair.a == own { energy(&there, b) } else { energy(a, &there) };
+                report.ledger.prescribed += after - before;
+            }
+        }
+    }
+
     fn commit(&mut self, scratch: &mut Scratch, next: f64, report: &mut Report) {
         let Scratch { courses, places, .. } = &*scratch;
         let (bodies, pairs, field, h) = (&self.bodies, &self.pairs, &self.field, next - self.time);
-        report.ledger += Done { bodies, pairs, field, courses, places, h }.ledger();
+        report.ledger += Done { bodies, pairs, field, courses, places, h, arch: scratch.arch }.ledger();
         for (i, body) in self.bodies.iter_mut().enumerate() {
             let (course, places, way) = (&mut scratch.courses[i], &scratch.places[i], &mut self.ways[i]);
             for (place, frame) in places.iter().zip(&course.frames) {
                 way.centre = larger(way.centre, place.centre.distance(way.from));
                 way.extent = larger(way.extent, frame.extent);
             }
-            way.displacement = course.frames[3].extent - body.shape.extent;
-            way.speed = course.frames[3].speed;
-            course.end(body, places);
+            let most = course.end(scratch.arch, body, places);
+            (way.displacement, way.speed) = (most.x, most.u);
         }
         self.time = next;
     }
@@ -372,29 +419,69 @@ impl Island {
         let free = self.bodies.iter().filter(|body| body.is_free());
         let (sum, count) = free.fold((DVec3::ZERO, 0.0), |(sum, n), body| (sum + body.centre, n + 1.0));
         let span = Span::new(self.time, next, sum / f64::max(count, 1.0));
-        let vertices = self.bodies.iter().map(|body| body.x.len()).sum::<usize>();
-        let parallel = vertices >= PARALLEL_VERTICES;
-        // a sweep: every vertex at four nodes, and every pair
-        let sweep_work = 4 * (vertices + self.bodies.len() + self.pairs.len()) as u64;
-        for (i, body) in self.bodies.iter().enumerate() {
-            let (course, places) = (&mut scratch.courses[i], &mut scratch.places[i]);
-            course.begin(i, body, &span, paths, places);
-            course.guess(body, self.field.gravity);
-            course.follow(body, &span, 1..4, places);
+        // more vertices are active whenever some that are not may have come into reach
+        let mut wide = 1.0;
+        while self.converge(scratch, &span, wide, paths, work, report)? {
+            let Scratch { courses, acting, places, .. } = &*scratch;
+            let all = self.bodies.iter().zip(courses).zip(acting.iter().zip(places));
+            let mut all =
+                all.map(|((body, course), (acting, places))| course.strays(body, &self.field, acting, places));
+            if !all.any(|strays| strays) {
+                return Some(self.judge(scratch, &span));
+            }
+            wide *= 8.0;
         }
-        let wanted = |body: &Body| self.tolerance * body.radius * span.h;
+        None
+    }
+
+    /// Solves the equations of a step with the active vertices that are found for bands `wide` times the expected ones;
+    /// false if the budget is spent, `None` if the iteration does not converge.
+    fn converge(
+        &self,
+        scratch: &mut Scratch,
+        span: &Span,
+        wide: f64,
+        paths: &dyn Paths,
+        work: &Tally<'_>,
+        report: &mut Report,
+    ) -> Option<bool> {
+        let arch = scratch.arch;
+        for (i, body) in self.bodies.iter().enumerate() {
+            scratch.courses[i].begin(arch, i, body, span, paths, &mut scratch.places[i]);
+        }
+        let Scratch { courses, acting, places, pairs_of, .. } = scratch;
+        let mut vertices = 0;
+        for (i, body) in self.bodies.iter().enumerate() {
+            let pairs = pairs_of[i].iter().map(|&pair| &self.pairs[pair as usize]);
+            acting[i].find(i, &self.bodies, pairs, &self.field, span, places);
+            courses[i].select(arch, body, span, &self.field, &mut acting[i], &places[i], wide);
+            vertices += courses[i].active.len();
+        }
+        let parallel = vertices >= PARALLEL_VERTICES;
+        // a sweep: every active vertex at four nodes, what is shared by the others, and every pair
+        let sweep_work = 4 * (vertices + 16 * self.bodies.len() + self.pairs.len()) as u64;
+        if !work.spend(sweep_work) {
+            return Some(false);
+        }
+        self.evaluate_at(scratch, span, 0);
+        let Scratch { courses, places, .. } = scratch;
+        for (i, body) in self.bodies.iter().enumerate() {
+            courses[i].guess(body);
+            courses[i].follow(arch, body, span, 1..4, &mut places[i]);
+        }
+        let wanted = |body: &Body| SETTLED * self.tolerance.min(FINEST) * body.radius * span.h;
         let mut before = f64::INFINITY;
         let mut growing = 0;
         for sweep in 0..MOST_SWEEPS {
             if !work.spend(sweep_work) {
-                return None;
+                return Some(false);
             }
-            self.evaluate(scratch, &span, usize::from(sweep > 0), parallel);
+            self.evaluate(scratch, span, usize::from(sweep > 0), parallel);
             report.sweeps += 1;
-            // how far the vertices moved in this correction, over the tolerance
+            // how far this correction moved the vertices, over the tolerance
             let follow = |((body, course), places): ((&Body, &mut Course), &mut [Place; 5])| {
-                let rounding = 4e-15 * (places[0].centre.length() + body.shape.extent);
-                course.follow(body, &span, 1..4, places) / f64::max(SETTLED * wanted(body), rounding)
+                let rounding = 4e-15 * (places[0].centre.length() + body.shape.extent) * f64::max(1.0, 1.0 / span.h);
+                course.follow(arch, body, span, 1..4, places) / f64::max(wanted(body), rounding)
             };
             let Scratch { courses, places, .. } = scratch;
             let change = if parallel {
@@ -410,7 +497,7 @@ impl Island {
             // the remainder is the rest of a geometric series
             let left = if rate < 0.9 { change * rate / (1.0 - rate) } else { change };
             if sweep > 0 && left <= 1.0 {
-                return Some(self.judge(scratch, &span));
+                return Some(true);
             }
             growing = if change > 0.8 * before { growing + 1 } else { 0 };
             if growing >= 4 {
@@ -423,11 +510,12 @@ impl Island {
 
     /// Evaluates what acts on all bodies, at the nodes from `first` on, for their current estimated positions.
     fn evaluate(&self, scratch: &mut Scratch, span: &Span, first: usize, parallel: bool) {
-        let Scratch { courses, acting, places, pairs_of, .. } = scratch;
+        let Scratch { courses, acting, places, pairs_of, arch, .. } = scratch;
         let evaluate = |(i, (course, acting)): (usize, (&mut Course, &mut Acting))| {
             let pairs = pairs_of[i].iter().map(|&pair| &self.pairs[pair as usize]);
             acting.find(i, &self.bodies, pairs, &self.field, span, places);
-            let view = View { body: &self.bodies[i], field: &self.field, span, places: &places[i], first };
+            let places = &places[i];
+            let view = View { body: &self.bodies[i], field: &self.field, span, places, first, arch: *arch };
             acting.evaluate(&view, course);
         };
         if parallel {
@@ -437,29 +525,37 @@ impl Island {
         }
         // reactions equal actions
         for i in 0..courses.len() {
-            let Course { pieces, .. } = &courses[i];
-            let on_spheres = pieces.iter().filter_map(|piece| {
-                let own = piece.own?;
-                Some((
-                    own.source?,
-                    piece.from,
-                    piece.sign,
-                    own.g.map(|g| -self.bodies[i].shape.masses[own.vertex as usize] * g),
-                ))
-            });
-            for (source, from, sign, force) in on_spheres.collect::<Vec<_>>() {
-                let body = &self.bodies[source as usize];
+            for index in 0..courses[i].pieces.len() {
+                let Piece { from, sign, ref own, .. } = courses[i].pieces[index];
+                let Some((own, source)) = own.as_ref().and_then(|own| Some((own, own.source? as usize))) else {
+                    continue;
+                };
+                let body = &self.bodies[source];
                 if body.is_free() {
-                    let place = &places[source as usize];
+                    let mass = courses[i].active.masses[own.vertex as usize];
+                    let force = own.g.map(|g| -mass * g);
+                    let place = &places[source];
                     let torque = std::array::from_fn(|node| (place[node].centre - span.origin).cross(force[node]));
                     let acceleration = force.map(|force| force / body.mass());
-                    courses[source as usize].pieces.push(Piece { from, sign, acceleration, torque, own: None });
+                    courses[source].pieces.push(Piece { from, sign, acceleration, torque, own: None });
                 }
             }
         }
         for look in first..4 {
             self.drive(scratch, span, look);
         }
+    }
+
+    /// Evaluates what acts on all bodies at a single sample.
+    fn evaluate_at(&self, scratch: &mut Scratch, span: &Span, look: usize) {
+        let Scratch { courses, acting, places, pairs_of, arch, .. } = scratch;
+        for (i, body) in self.bodies.iter().enumerate() {
+            let pairs = pairs_of[i].iter().map(|&pair| &self.pairs[pair as usize]);
+            acting[i].find(i, &self.bodies, pairs, &self.field, span, places);
+            let view = View { body, field: &self.field, span, places: &places[i], first: look, arch: *arch };
+            acting[i].evaluate_at(look, &view, &mut courses[i]);
+        }
+        self.drive(scratch, span, look);
     }
 
     /// Updates all bodies for the forces at a sample.
@@ -477,21 +573,17 @@ impl Island {
 
     /// Estimates the error of a step from the residual in its middle.
     fn judge(&self, scratch: &mut Scratch, span: &Span) -> Outcome {
-        let Scratch { courses, acting, places, pairs_of, .. } = scratch;
+        let Scratch { courses, places, arch, .. } = scratch;
+        let arch = *arch;
         for (i, body) in self.bodies.iter().enumerate() {
-            courses[i].follow(body, span, MIDDLE..MIDDLE + 1, &mut places[i]);
+            courses[i].follow(arch, body, span, MIDDLE..MIDDLE + 1, &mut places[i]);
         }
-        for (i, body) in self.bodies.iter().enumerate() {
-            let pairs = pairs_of[i].iter().map(|&pair| &self.pairs[pair as usize]);
-            acting[i].find(i, &self.bodies, pairs, &self.field, span, places);
-            acting[i].evaluate_middle(body, &self.field, &places[i], &mut courses[i]);
-        }
-        self.drive(scratch, span, MIDDLE);
-        let courses = &scratch.courses;
+        self.evaluate_at(scratch, span, MIDDLE);
+        let courses = &mut scratch.courses;
         let mut worst = Outcome { error: 0.0, body: 0, estimate: 0.0 };
         for (i, body) in self.bodies.iter().enumerate() {
-            let (course, h) = (&courses[i], span.h);
-            let bends = course.bends(body);
+            let (course, h) = (&mut courses[i], span.h);
+            let bends = course.bends(arch, body);
             let Oscillator { omega, damping } = body.oscillator;
             // Lobatto quadrature integrates the quartic part of the residual exactly, so it does not affect a slow
             // oscillator; the part of a bend that counts is of higher order in the ratio of the step to the time scales
@@ -655,13 +747,15 @@ impl Island {
             let radii = self.bodies[pair.a as usize].radius + self.bodies[pair.b as usize].radius;
             let apart = a.centre - b.centre;
             let rate = apart.dot(a.velocity - b.velocity);
-            let beyond = pair.law.thresholds.transitions(pair.phase).find(|way| {
-                let side = if way.falling { 1.0 } else { -1.0 };
-                let gap = side * (apart.length() - way.level * radii);
-                let standing = STANDING * way.level * radii;
-                gap < -standing || (gap <= standing && side * rate < 0.0)
-            });
-            if let Some(way) = beyond {
+            // one that jumps may pass two thresholds at once
+            for first in [true, false] {
+                let beyond = self.pairs[index].law.thresholds.transitions(self.pairs[index].phase).find(|way| {
+                    let side = if way.falling { 1.0 } else { -1.0 };
+                    let gap = side * (apart.length() - way.level * radii);
+                    let standing = STANDING * way.level * radii;
+                    gap < -standing || (first && gap <= standing && side * rate < 0.0)
+                });
+                let Some(way) = beyond else { break };
                 self.change(index, way.to, scratch, report)?;
             }
         }

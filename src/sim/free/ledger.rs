@@ -7,14 +7,17 @@
 use std::ops::AddAssign;
 
 use glam::DVec3;
+use pulp::Arch;
 
 use super::{
     body::Body,
     conserved::potential,
     field::{Field, Pair},
+    kernels,
     step::{Course, Held, Place},
-    weights::{BALLISTIC, Late},
+    weights::Late,
 };
+use crate::model::shape_matching::cross_matrix;
 
 /// The energy that each cause has brought to free bodies; negative if it took some [mass · scene unit²/s²].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -61,6 +64,7 @@ pub(super) struct Done<'a> {
     pub places: &'a [[Place; 5]],
     /// Length of the step [s].
     pub h: f64,
+    pub arch: Arch,
 }
 
 impl Done<'_> {
@@ -86,15 +90,15 @@ impl Done<'_> {
 
     /// ∫ P dt from `from` on, which is a fraction of the step.
     fn from(self, from: f64, power: [f64; 4]) -> f64 {
-        let Late { u, .. } = Late::new(BALLISTIC, self.h, from, 1.0);
+        let Late { u, .. } = Late::ballistic(self.h, from, 1.0);
         (u[0] * power[0] + u[1] * power[1]) + (u[2] * power[2] + u[3] * power[3])
     }
 
-    /// Velocity r′ of a vertex at a node [scene unit/s].
+    /// Velocity r′ of an active vertex at a node [scene unit/s].
     fn velocity(self, body: usize, node: usize, vertex: usize) -> DVec3 {
-        let (frame, vertices) = (&self.courses[body].frames[node], &self.courses[body].vertices[node]);
-        let a = frame.axes * self.bodies[body].shape.rest[vertex];
-        self.places[body][node].velocity + (frame.frame_spin.cross(a) + vertices.u[vertex])
+        let (frame, active) = (&self.courses[body].frames[node], &self.courses[body].active);
+        let a = frame.axes * active.rest.get(vertex);
+        self.places[body][node].velocity + (frame.frame_spin.cross(a) + active.u[node].get(vertex))
     }
 
     fn damping(self, index: usize) -> f64 {
@@ -103,16 +107,14 @@ impl Done<'_> {
         if rate == 0.0 {
             return 0.0;
         }
-        let shape = &*body.shape;
         self.over(std::array::from_fn(|node| {
-            let (frame, vertices) = (&course.frames[node], &course.vertices[node]);
+            let (frame, active) = (&course.frames[node], &course.active);
             // s′ − Ω×s = u − Ω×x + (Ω_Q − Ω)×a
-            let slip = frame.frame_spin - frame.spin;
-            let vertices = vertices.x.iter().zip(&vertices.u).zip(shape.rest.iter().zip(&shape.masses));
-            let sum = vertices.map(|((&x, &u), (&l, &m))| {
-                m * (u - frame.spin.cross(x) + slip.cross(frame.axes * l)).length_squared()
-            });
-            -rate * sum.sum::<f64>()
+            let slip = cross_matrix(frame.frame_spin - frame.spin) * frame.axes;
+            let [x, mut others] = course.others[node];
+            others.add_times(-1.0, &x.crossed(frame.spin));
+            others.by_rest += slip;
+            -rate * (course.moments.square(&others) + kernels::slipping(self.arch, active, node, frame.spin, slip))
         }))
     }
 
@@ -128,13 +130,13 @@ impl Done<'_> {
     }
 
     fn friction(self, index: usize) -> f64 {
-        let (body, planes) = (&self.bodies[index], &self.field.planes);
+        let (masses, planes) = (&self.courses[index].active.masses, &self.field.planes);
         let rough = self.courses[index].held.iter().filter(|held| planes[held.contact as usize].friction != 0.0);
         let work = rough.map(|held| {
             let (n, vertex) = (planes[held.contact as usize].normal, held.vertex as usize);
             let power = std::array::from_fn(|node| {
                 let g = held.g[node];
-                body.shape.masses[vertex] * (g - n.dot(g) * n).dot(self.velocity(index, node, vertex))
+                masses[vertex] * (g - n.dot(g) * n).dot(self.velocity(index, node, vertex))
             });
             self.contact(held, power)
         });
@@ -142,12 +144,11 @@ impl Done<'_> {
     }
 
     fn pushes(self, index: usize) -> f64 {
-        let body = &self.bodies[index];
+        let masses = &self.courses[index].active.masses;
         let work = self.courses[index].pushed.iter().map(|held| {
             let vertex = held.vertex as usize;
-            let power = std::array::from_fn(|node| {
-                body.shape.masses[vertex] * held.g[node].dot(self.velocity(index, node, vertex))
-            });
+            let power =
+                std::array::from_fn(|node| masses[vertex] * held.g[node].dot(self.velocity(index, node, vertex)));
             self.contact(held, power)
         });
         work.sum()
@@ -171,7 +172,7 @@ impl Done<'_> {
             let Some(own) = &piece.own else { continue };
             let Some(source) = own.source.filter(|&source| counts(source)) else { continue };
             let vertex = own.vertex as usize;
-            let mass = body.shape.masses[vertex];
+            let mass = course.active.masses[vertex];
             let power = std::array::from_fn(|node| {
                 if body.is_free() {
                     mass * own.g[node].dot(self.places[source as usize][node].velocity)
@@ -205,8 +206,9 @@ impl Done<'_> {
                 let (course, place) = (&self.courses[own], &self.places[own][node]);
                 let to_source = self.places[source][node].centre - place.centre;
                 let own = &self.bodies[own];
-                let (frame, vertices) = (&course.frames[node], &course.vertices[node]);
-                potential(own, frame.axes, &vertices.x, to_source, &self.bodies[source], self.field)
+                let active = &course.active;
+                let vertices = (0..active.len()).map(|i| (active.masses[i], active.s[node].get(i)));
+                potential(own, vertices, to_source, &self.bodies[source], self.field)
             };
             slope * rate * (of(a, b) + of(b, a))
         }))

@@ -6,6 +6,8 @@
 //! | what acts on bodies: pairs, planes, pushes, gravity | [`field`] |
 //! | the solver: steps of the right length, that end where a pair changes its phase | [`island`] |
 //! | one step: exponential collocation of vertices, centres and frames together | `step`, `force` |
+//! | its loops over vertices, in SIMD lanes | `kernels` |
+//! | vertices that nothing reaches in a step | `passive` |
 //! | where something passes zero within a step: rims and thresholds | [`crossing`] |
 //! | what forces do to an oscillator and to a centre | [`weights`] |
 //! | momentum, angular momentum, energy | [`conserved`] |
@@ -43,8 +45,10 @@ pub mod crossing;
 pub mod field;
 mod force;
 pub mod island;
+mod kernels;
 pub mod ledger;
 pub mod observed;
+mod passive;
 mod step;
 pub mod weights;
 

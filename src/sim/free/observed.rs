@@ -178,7 +178,8 @@ impl<'a> Snapshot<'a> {
         let mut sum = DVec3::ZERO;
         if strength != 0.0 {
             let places = [Place { centre: other.centre, velocity: other.velocity }; 5];
-            let sphere = Sphere { source, radius: self.field.reach * other.radius, strength: [strength; 5], places };
+            let sphere =
+                Sphere { source, radius: self.field.reach * other.radius, strength: [strength; 5], places, band: 0.0 };
             self.touched(index, Contact::Sphere(&sphere), |i, g| {
                 sum += own.shape.masses[i] * g;
                 each(i, g);

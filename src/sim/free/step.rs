@@ -13,15 +13,17 @@
 //! a frame. So where reactions equal actions at every node, momentum and angular momentum are conserved to rounding,
 //! whatever the step's error.
 
-use std::mem::take;
-
 use glam::{DMat3, DQuat, DVec3};
+use pulp::Arch;
 
 use super::{
     super::{integrator::exponential::weights::Dense, nodes::SAMPLES},
     body::{Body, Sums},
     crossing::Crossings,
-    field::{Driven, Paths},
+    field::{Driven, Field, Paths},
+    force::Acting,
+    kernels::{self, Active, Finish, Move, Reach, Start},
+    passive::{Linear, Moments, Most},
     weights::{BALLISTIC, Late, cubic, looks},
 };
 use crate::model::{
@@ -81,15 +83,6 @@ pub struct Frame {
     pub drive: DMat3,
 }
 
-/// Displacements and velocities of the vertices at an instant of a step, and what acts on them.
-#[derive(Clone, Debug, Default)]
-pub struct Vertices {
-    pub x: Vec<DVec3>,
-    pub u: Vec<DVec3>,
-    /// Accelerations without those that begin or end in the step, and without the shared one [scene unit/s²].
-    pub f: Vec<DVec3>,
-}
-
 /// A force that begins to act at an instant of the step, or, with sign −1, ends.
 #[derive(Clone, Copy, Debug)]
 pub struct Piece {
@@ -108,6 +101,7 @@ pub struct Piece {
 /// The effect of a [`Piece`] on the vertex on which it acts.
 #[derive(Clone, Copy, Debug)]
 pub struct Own {
+    /// Its place among the active ones.
     pub vertex: u32,
     /// The body whose sphere it is, if it is a sphere's.
     pub source: Option<u32>,
@@ -133,6 +127,7 @@ pub struct Reaction {
 pub struct Held {
     /// Number of the plane or push.
     pub contact: u32,
+    /// The vertex by its place among the active ones.
     pub vertex: u32,
     /// Its acceleration at the nodes, without a kink [scene unit/s²].
     pub g: [DVec3; 4],
@@ -146,7 +141,17 @@ pub struct Held {
 #[derive(Clone, Debug, Default)]
 pub struct Course {
     pub frames: [Frame; 5],
-    pub vertices: [Vertices; 5],
+    /// The vertices that something may reach in the step.
+    pub active: Active,
+    /// x and u of the others at the samples.
+    pub others: [[Linear; 2]; 5],
+    /// Moments of the others at the start.
+    pub moments: Moments,
+    /// The part of the others' accelerations at the samples that depends on their states: damping that rotates.
+    coupling: [Linear; 5],
+    /// The states of all vertices at the start.
+    start: Start,
+    most: Most,
     pub pieces: Vec<Piece>,
     pub reactions: Vec<Reaction>,
     weights: [Dense; 4],
@@ -166,6 +171,10 @@ pub struct Course {
     pub held_before: Vec<Held>,
     /// Pushes of the last evaluation.
     pub pushed: Vec<Held>,
+    /// Vertices that may cross a rim, a buffer.
+    pub crossing: Vec<u32>,
+    spheres: Vec<(DVec3, f64)>,
+    planes: Vec<(DVec3, f64)>,
 }
 
 /// Effect of all pieces up to a sample, see [`Course::late`].
@@ -242,36 +251,42 @@ fn combine_matrices(w: &[f64; 4], v: [DMat3; 4]) -> DMat3 {
 }
 
 impl Course {
-    /// Starts a step from the body's state; all nodes are initialised with the values at the start.
-    pub fn begin(&mut self, index: usize, body: &Body, span: &Span, paths: &dyn Paths, places: &mut [Place; 5]) {
+    /// Starts a step from the body's state.
+    pub fn begin(
+        &mut self,
+        arch: Arch,
+        index: usize,
+        body: &Body,
+        span: &Span,
+        paths: &dyn Paths,
+        places: &mut [Place; 5],
+    ) {
         if self.known != (body.oscillator, span.h) {
             self.known = (body.oscillator, span.h);
             self.weights = looks(body.oscillator, span.h);
         }
-        for frame in &mut self.frames {
-            frame.drive = DMat3::ZERO;
+        for (into, from) in [(&mut self.start.x, &body.x), (&mut self.start.u, &body.u)] {
+            kernels::by_coordinate(from, body.shape.lanes.len(), into);
         }
-        for vertices in &mut self.vertices {
-            vertices.x.resize(body.x.len(), DVec3::ZERO);
-            vertices.u.resize(body.x.len(), DVec3::ZERO);
-            vertices.f.resize(body.x.len(), DVec3::ZERO);
-        }
-        self.vertices[0].x.copy_from_slice(&body.x);
-        self.vertices[0].u.copy_from_slice(&body.u);
+        let [x, u] = [&self.start.x, &self.start.u].map(|v| kernels::largest_square(arch, v).sqrt());
+        self.most = Most { x, u, rest: body.shape.extent };
         self.pieces.clear();
         self.own.clear();
         self.own_before.clear();
         self.held.clear();
         self.pushed.clear();
+        self.reactions.clear();
         self.late = Default::default();
-        let first = &mut self.frames[0];
-        *first = Frame {
+        self.others = Default::default();
+        self.coupling = Default::default();
+        self.others[0] = [Linear::x(), Linear::u()];
+        self.frames = [Frame {
             rotation: body.rotation,
             axes: DMat3::from_quat(body.rotation),
             momentum: body.spin,
-            drive: DMat3::ZERO,
+            drive: DMat3::ZERO, // the default of a matrix is the identity
             ..Frame::default()
-        };
+        }; 5];
         if body.is_free() {
             *places = [Place { centre: body.centre, velocity: body.velocity }; 5];
         } else {
@@ -281,19 +296,139 @@ impl Course {
                 places[look] = Place { centre: driven.position, velocity: driven.velocity };
             }
         }
-        self.sum_up(body, 0);
-        self.orient(body, 0);
     }
 
-    /// Updates the centre and the vertices at the samples from the forces last found at the nodes.
-    pub fn follow(&mut self, body: &Body, span: &Span, looks: std::ops::Range<usize>, places: &mut [Place; 5]) -> f64 {
+    /// Finds the vertices that spheres, planes or pushes may reach in the step; they are active. `wide` times what is
+    /// expected of the motion is allowed for; [`Course::strays`] tells whether that was enough.
+    pub fn select(
+        &mut self,
+        arch: Arch,
+        body: &Body,
+        span: &Span,
+        field: &Field,
+        acting: &mut Acting,
+        places: &[Place; 5],
+        wide: f64,
+    ) {
+        let Most { x, u, rest: extent } = self.most;
+        let farthest = extent + x;
+        // before sums are known, a body's spin is that of its rest shape
+        let turning = if body.turns() {
+            let axes = self.frames[0].axes;
+            let spread = axes * body.shape.spread * axes.transpose();
+            solve(resistance(spread), body.spin).length()
+        } else {
+            0.0
+        };
+        let swings = self.weights.iter().map(|w| (w.xx - 1.0).abs() * x + w.xu.abs() * u).fold(0.0, f64::max);
+        let own = swings + 1.5 * turning * span.h * extent;
+        let margin = 0.01 * body.radius + 0.5 * field.gravity.length() * span.h * span.h;
+        let at = places[0];
+        self.spheres.clear();
+        for sphere in &mut acting.spheres {
+            let away = |look: usize| {
+                let coasting = SAMPLES[look] * span.h * (sphere.places[0].velocity - at.velocity);
+                let (now, then) =
+                    (sphere.places[look].centre - places[look].centre, sphere.places[0].centre - at.centre);
+                (now - then).length().max(coasting.length())
+            };
+            sphere.band = wide * (margin + 1.2 * (own + (1..4).map(away).fold(0.0, f64::max)));
+            let apart = sphere.places[0].centre - at.centre;
+            if apart.length() <= sphere.radius + sphere.band + farthest {
+                self.spheres.push((apart, sphere.radius + sphere.band));
+            }
+        }
+        self.planes.clear();
+        acting.plane_bands.clear();
+        for plane in &field.planes {
+            let away = |look: usize| {
+                let coasting = SAMPLES[look] * span.h * plane.normal.dot(at.velocity);
+                plane.normal.dot(places[look].centre - at.centre).abs().max(coasting.abs())
+            };
+            let band = wide * (margin + 1.2 * (own + (1..4).map(away).fold(0.0, f64::max)));
+            acting.plane_bands.push(band);
+            let side = plane.depth(at.centre) + band;
+            if side + farthest > 0.0 {
+                self.planes.push((plane.normal, side));
+            }
+        }
+        let Course { start, active, .. } = self;
+        let shape = &*body.shape;
+        let n = shape.rest.len();
+        start.masses.clone_from(&shape.lanes_masses);
+        active.vertices.clear();
+        if !acting.pushes.is_empty() {
+            active.vertices.extend(0..n as u32);
+        } else if !(self.spheres.is_empty() && self.planes.is_empty()) {
+            start.gap.resize(shape.lanes.len(), 0.0);
+            let (axes, rest) = (self.frames[0].axes, &shape.lanes);
+            Reach { start, rest, axes, spheres: &self.spheres, planes: &self.planes }.find(arch);
+            active.vertices.extend((0..n as u32).filter(|&i| !(start.gap[i as usize] > 0.0)));
+        }
+        active.resize();
+        let room = active.rest.len();
+        for place in 0..room {
+            // the last lanes repeat the last vertex, without its mass
+            let vertex = active.vertices[place.min(active.vertices.len() - 1)] as usize;
+            active.rest.set(place, shape.rest[vertex]);
+            active.x[0].set(place, start.x.get(vertex));
+            active.u[0].set(place, start.u.get(vertex));
+            if place < active.vertices.len() {
+                active.masses[place] = shape.masses[vertex];
+            }
+            start.masses[vertex] = 0.0;
+        }
+        self.moments = Moments::default();
+        if body.is_free() && active.len() < n {
+            self.moments = kernels::moments(arch, &self.start, &shape.lanes);
+        }
+        self.sum_up(arch, body, 0);
+        self.orient(body, 0);
+        self.place(arch, 0);
+    }
+
+    /// Whether an inactive vertex may have come into reach.
+    pub fn strays(&self, body: &Body, field: &Field, acting: &Acting, places: &[Place; 5]) -> bool {
+        if self.active.len() == body.shape.rest.len() {
+            return false;
+        }
+        let start = Linear::x();
+        let own = |look: usize| {
+            let turned = self.frames[look].turned.length();
+            self.others[look][0].difference(&start, &self.most) + turned * self.most.rest
+        };
+        let own = [0.0, own(1), own(2), own(3)];
+        (1..4).any(|look| {
+            acting.spheres.iter().any(|sphere| {
+                let now = sphere.places[look].centre - places[look].centre;
+                let moved = now - (sphere.places[0].centre - places[0].centre);
+                !(own[look] + moved.length() <= sphere.band)
+            }) || field.planes.iter().zip(&acting.plane_bands).any(|(plane, &band)| {
+                let moved = plane.normal.dot(places[look].centre - places[0].centre).abs();
+                !(own[look] + moved <= band)
+            })
+        })
+    }
+
+    /// Updates the centre and the vertices at the samples from the forces last found at the nodes. Returns by how much:
+    /// displacements, and velocities times how long they last [scene unit].
+    pub fn follow(
+        &mut self,
+        arch: Arch,
+        body: &Body,
+        span: &Span,
+        looks: std::ops::Range<usize>,
+        places: &mut [Place; 5],
+    ) -> f64 {
+        // an oscillator turns its velocity into a displacement; nothing bounds that of a centre, so count one second
+        let swing = 1.0 / body.oscillator.omega.max(2.0 * body.oscillator.damping).max(1.0);
         let mut change: f64 = 0.0;
         std::mem::swap(&mut self.own, &mut self.own_before);
         self.add_pieces(body, span);
-        let at_nodes = |what: fn(&Frame) -> DVec3| std::array::from_fn(|node| what(&self.frames[node]));
-        let (acceleration, torque): ([DVec3; 4], [DVec3; 4]) = (at_nodes(|f| f.acceleration), at_nodes(|f| f.torque));
-        let common: [DVec3; 4] = at_nodes(|f| f.common);
-        let drive: [DMat3; 4] = std::array::from_fn(|node| self.frames[node].drive);
+        let nodes: [&Frame; 4] = std::array::from_fn(|node| &self.frames[node]);
+        let (acceleration, torque) = (nodes.map(|f| f.acceleration), nodes.map(|f| f.torque));
+        let (common, drive) = (nodes.map(|f| f.common), nodes.map(|f| f.drive));
+        let is_coupled = body.turns() && body.oscillator.damping != 0.0;
         let mass = body.mass();
         let start = places[0];
         let orbital = |place: &Place| mass * (place.centre - span.origin).cross(place.velocity);
@@ -307,49 +442,62 @@ impl Course {
                     velocity: start.velocity + (combine(&b.u, acceleration) + late.velocity),
                 };
                 change = larger(change, (place.centre - places[look].centre).length());
+                change = larger(change, (place.velocity - places[look].velocity).length());
                 places[look] = place;
                 self.frames[look].momentum = momentum + (combine(&b.u, torque) + late.momentum) - orbital(&place);
-            }
-            // single-vertex effects are added below; the change of the rest is measured without them
-            for (vertex, late) in &self.own_before {
-                self.vertices[look].x[*vertex as usize] -= late[look - 1].0;
             }
             let (x_common, u_common) = (combine(&w.x, common) + late.x, combine(&w.u, common) + late.u);
             let x_by_rest = combine_matrices(&w.x, drive) + late.x_by_rest;
             let u_by_rest = combine_matrices(&w.u, drive) + late.u_by_rest;
-            let (mut x, mut u) = (take(&mut self.vertices[look].x), take(&mut self.vertices[look].u));
-            let rest = &body.shape.rest[..];
-            let n = rest.len();
-            let [f0, f1, f2, f3] = std::array::from_fn(|node| &self.vertices[node].f[..n]);
-            let (x0, u0) = (&self.vertices[0].x[..n], &self.vertices[0].u[..n]);
-            let mut farthest: f64 = 0.0;
-            for (i, (x, u)) in x[..n].iter_mut().zip(&mut u[..n]).enumerate() {
-                let (l, f) = (rest[i], [f0[i], f1[i], f2[i], f3[i]]);
-                let now = w.xx * x0[i] + w.xu * u0[i] + (combine(&w.x, f) + (x_common + x_by_rest * l));
-                farthest = larger(farthest, (now - *x).length_squared());
-                *x = now;
-                *u = w.ux * x0[i] + w.uu * u0[i] + (combine(&w.u, f) + (u_common + u_by_rest * l));
+            let [x, u] = [(w.xx, w.xu, x_by_rest, x_common), (w.ux, w.uu, u_by_rest, u_common)].map(
+                |(by_x, by_u, by_rest, shift)| {
+                    let [by_x, by_u] = [by_x, by_u].map(|by| DMat3::from_diagonal(DVec3::splat(by)));
+                    Linear { by_x, by_u, by_rest, shift }
+                },
+            );
+            let mut others = [x, u];
+            if is_coupled {
+                for node in 0..4 {
+                    others[0].add_times(w.x[node], &self.coupling[node]);
+                    others[1].add_times(w.u[node], &self.coupling[node]);
+                }
             }
-            (self.vertices[look].x, self.vertices[look].u) = (x, u);
-            let vertices = &mut self.vertices[look];
+            change = larger(change, others[0].difference(&self.others[look][0], &self.most));
+            change = larger(change, swing * others[1].difference(&self.others[look][1], &self.most));
+            self.others[look] = others;
+
+            // single-vertex effects are added below; the change of the rest is measured without them
+            let active = &mut self.active;
+            for (vertex, late) in &self.own_before {
+                let (vertex, (x, u)) = (*vertex as usize, late[look - 1]);
+                active.x[look].set(vertex, active.x[look].get(vertex) - x);
+                active.u[look].set(vertex, active.u[look].get(vertex) - u);
+            }
+            let (common, by_rest) = ([x_common, u_common], [x_by_rest, u_by_rest]);
+            let [mut far, mut fast] = Move { active, look, weights: &w, common, by_rest }.find(arch);
             for (vertex, late) in &self.own {
                 let (x, u) = late[look - 1];
                 let known = self.own_before.iter().find(|(before, _)| before == vertex);
-                let before = known.map_or(DVec3::ZERO, |(_, late)| late[look - 1].0);
-                farthest = larger(farthest, (x - before).length_squared());
-                vertices.x[*vertex as usize] += x;
-                vertices.u[*vertex as usize] += u;
+                let (x_before, u_before) = known.map_or((DVec3::ZERO, DVec3::ZERO), |(_, late)| late[look - 1]);
+                far = larger(far, (x - x_before).length_squared());
+                fast = larger(fast, (u - u_before).length_squared());
+                let (vertex, active) = (*vertex as usize, &mut self.active);
+                active.x[look].set(vertex, active.x[look].get(vertex) + x);
+                active.u[look].set(vertex, active.u[look].get(vertex) + u);
             }
-            change = larger(change, farthest.sqrt());
-            self.sum_up(body, look);
+            change = larger(larger(change, far.sqrt()), swing * fast.sqrt());
+            self.sum_up(arch, body, look);
         }
         if body.turns() {
-            change = larger(change, self.turn(body, span, looks));
+            change = larger(change, self.turn(body, span, looks.clone()));
         } else {
-            for look in looks {
+            for look in looks.clone() {
                 self.frames[look].rotation = body.rotation;
                 self.orient(body, look);
             }
+        }
+        for look in looks {
+            self.place(arch, look);
         }
         change
     }
@@ -376,12 +524,38 @@ impl Course {
     }
 
     /// Computes the sums over the vertices at a sample.
-    fn sum_up(&mut self, body: &Body, look: usize) {
-        let (frame, Vertices { x, u, .. }) = (&mut self.frames[look], &self.vertices[look]);
-        frame.sums = Sums::of(&body.shape, x, u);
-        let largest = |v: &[DVec3]| v.iter().map(|v| v.length_squared()).fold(0.0, larger).sqrt();
-        frame.extent = body.shape.extent + largest(x);
-        frame.speed = largest(u);
+    fn sum_up(&mut self, arch: Arch, body: &Body, look: usize) {
+        let (frame, [x, u]) = (&mut self.frames[look], &self.others[look]);
+        let (sums, [most_x, most_u]) = kernels::sums(arch, &self.active, look);
+        if body.turns() || (look == 3 && body.is_free()) {
+            frame.sums = self.moments.sums(x, u) + sums;
+        }
+        // of the others, by two bounds
+        let [x0, u0] = &self.others[0];
+        let far = x.bound(&self.most).min(self.most.x + x.difference(x0, &self.most));
+        let fast = u.bound(&self.most).min(self.most.u + u.difference(u0, &self.most));
+        let frame = &mut self.frames[look];
+        frame.extent = body.shape.extent + larger(far, most_x.sqrt());
+        frame.speed = larger(fast, most_u.sqrt());
+    }
+
+    /// Places the active vertices at a sample.
+    fn place(&mut self, arch: Arch, look: usize) {
+        kernels::place(arch, &mut self.active, look, self.frames[look].axes);
+    }
+
+    /// Sums the forces on the active vertices at a sample, and adds the damping there beyond −2κ x′.
+    pub fn gather(&mut self, arch: Arch, body: &Body, look: usize) {
+        if !body.is_free() {
+            return;
+        }
+        let frame = &mut self.frames[look];
+        let twice_damped = 2.0 * body.oscillator.damping * frame.spin;
+        let [force, turning, spinning] = kernels::gather(arch, &mut self.active, look, twice_damped);
+        (frame.mean, frame.turning, frame.spinning) = (force / body.mass(), turning, spinning);
+        if body.turns() && body.oscillator.damping != 0.0 {
+            self.coupling[look] = self.others[look][0].crossed(twice_damped);
+        }
     }
 
     /// Updates what depends on the rotation at a sample.
@@ -414,22 +588,17 @@ impl Course {
         }
     }
 
-    /// The initial guess: gravity and the path alone.
-    pub fn guess(&mut self, body: &Body, gravity: DVec3) {
-        for look in 0..4 {
-            self.vertices[look].f.fill(DVec3::ZERO);
-            let frame = &mut self.frames[look];
-            (frame.acceleration, frame.torque, frame.drive) = (DVec3::ZERO, DVec3::ZERO, DMat3::ZERO);
-            frame.common = DVec3::ZERO;
-            if body.is_free() {
-                frame.acceleration = gravity;
-            } else {
-                frame.common = -self.driven[look].carry;
-            }
-        }
+    /// The initial guess: what acts at the start goes on acting.
+    pub fn guess(&mut self, body: &Body) {
         let first = self.frames[0];
-        for frame in &mut self.frames[1..] {
-            (frame.turned, frame.frame_spin) = (DVec3::ZERO, first.frame_spin);
+        for look in 1..4 {
+            let [f0, others @ ..] = &mut self.active.f;
+            others[look - 1].copy_from(f0);
+            self.coupling[look] = self.coupling[0];
+            self.frames[look] = Frame { turned: DVec3::ZERO, ..first };
+            if !body.is_free() {
+                self.frames[look].common = -self.driven[look].carry;
+            }
         }
     }
 
@@ -439,20 +608,20 @@ impl Course {
         self.own.clear();
         let per_mass = 1.0 / body.mass();
         for piece in &self.pieces {
-            let centre: [Late; 4] =
-                std::array::from_fn(|look| Late::new(BALLISTIC, span.h, piece.from, SAMPLES[look + 1]));
-            for (late, weights) in self.late.iter_mut().zip(&centre) {
+            let centre: [Late; 4] = std::array::from_fn(|look| Late::ballistic(span.h, piece.from, SAMPLES[look + 1]));
+            let later = self.late.iter_mut().zip(&centre).zip(&SAMPLES[1..]).filter(|(_, at)| **at > piece.from);
+            for ((late, weights), _) in later {
                 late.centre += piece.sign * combine(&weights.x, piece.acceleration);
                 late.velocity += piece.sign * combine(&weights.u, piece.acceleration);
                 late.momentum += piece.sign * combine(&weights.u, piece.torque);
             }
             let Some(own) = &piece.own else { continue };
-            let mass = body.shape.masses[own.vertex as usize];
+            let mass = self.active.masses[own.vertex as usize];
             let mut alone = [(DVec3::ZERO, DVec3::ZERO); 4];
             // Q l × … of all vertices: −[turn]× Q
             let turn: [DMat3; 4] = std::array::from_fn(|node| cross_matrix(own.turn[node]) * self.frames[node].axes);
             let rates: [DVec3; 3] = std::array::from_fn(|node| combine(&centre[node].u, own.turn));
-            for look in 0..4 {
+            for look in (0..4).filter(|&look| SAMPLES[look + 1] > piece.from) {
                 let w = Late::new(body.oscillator, span.h, piece.from, SAMPLES[look + 1]);
                 let (x, u) = (piece.sign * combine(&w.x, own.g), piece.sign * combine(&w.u, own.g));
                 alone[look] = (x, u);
@@ -507,7 +676,7 @@ impl Course {
     }
 
     /// The residuals of the cubics through the nodes in the middle of the step.
-    pub fn bends(&self, body: &Body) -> Bends {
+    pub fn bends(&mut self, arch: Arch, body: &Body) -> Bends {
         let w = cubic(0.5);
         let nodes: [&Frame; 4] = std::array::from_fn(|node| &self.frames[node]);
         let middle = &self.frames[MIDDLE];
@@ -515,14 +684,14 @@ impl Course {
         let mut acceleration = middle.acceleration - combine(&w, nodes.map(|f| f.acceleration));
         let mut common = middle.common - combine(&w, nodes.map(|f| f.common));
         let mut drive = middle.drive - combine_matrices(&w, nodes.map(|f| f.drive));
-        let mut pieces = Vec::new();
         for piece in self.pieces.iter().filter(active) {
             acceleration -= piece.sign * combine(&w, piece.acceleration);
             let Some(own) = &piece.own else { continue };
             let g = piece.sign * combine(&w, own.g);
-            pieces.push((own.vertex, g));
+            let (f, vertex) = (&mut self.active.f[MIDDLE], own.vertex as usize);
+            f.set(vertex, f.get(vertex) - g);
             if body.is_free() {
-                common += body.shape.masses[own.vertex as usize] / body.mass() * g;
+                common += self.active.masses[vertex] / body.mass() * g;
             }
             if body.turns() {
                 let turn: [DMat3; 4] =
@@ -530,34 +699,44 @@ impl Course {
                 drive += combine_matrices(&w, turn) * piece.sign;
             }
         }
-        let mut force: f64 = 0.0;
-        let [v0, v1, v2, v3, v4] = &self.vertices;
-        for i in 0..v0.f.len() {
-            let mut bend = v4.f[i] - combine(&w, [v0.f[i], v1.f[i], v2.f[i], v3.f[i]]);
-            for (vertex, g) in &pieces {
-                if *vertex as usize == i {
-                    bend -= *g;
-                }
-            }
-            bend += common + drive * body.shape.rest[i];
-            force = larger(force, bend.length());
+        let mut others = self.coupling[MIDDLE];
+        for node in 0..4 {
+            others.add_times(-w[node], &self.coupling[node]);
         }
+        others.shift += common;
+        others.by_rest += drive;
+        let force = larger(others.bound(&self.most), kernels::bend(arch, &self.active, w, common, drive).sqrt());
         let spin = middle.frame_spin - combine(&w, nodes.map(|f| f.frame_spin));
         Bends { force, acceleration: acceleration.length(), spin: spin.length() }
     }
 
-    /// Commits the end of the step as the body's state.
-    pub fn end(&mut self, body: &mut Body, places: &[Place; 5]) {
+    /// Commits the end of the step as the body's state, with the frame rotated to the best fit of the vertices, which
+    /// keep their positions. Returns its largest displacement and velocity.
+    pub fn end(&mut self, arch: Arch, body: &mut Body, places: &[Place; 5]) -> Most {
         let frame = &self.frames[3];
-        body.centre = places[3].centre;
-        body.velocity = places[3].velocity;
-        body.rotation = frame.rotation;
-        body.spin = frame.momentum;
-        body.x.copy_from_slice(&self.vertices[3].x);
-        body.u.copy_from_slice(&self.vertices[3].u);
+        (body.centre, body.velocity) = (places[3].centre, places[3].velocity);
+        (body.rotation, body.spin) = (frame.rotation, frame.momentum);
+        let mut others = self.others[3];
+        let mut fit = [Linear::default(); 2];
         if body.is_free() {
-            body.refit();
+            (fit, body.rotation) = body.refit(&frame.sums);
+            others.iter_mut().zip(&fit).for_each(|(others, fit)| others.add_times(1.0, fit));
         }
+        let [x, u] = &others;
+        Finish { start: &mut self.start, rest: &body.shape.lanes, x, u }.find(arch);
+        for (place, &vertex) in self.active.vertices.iter().enumerate() {
+            let (vertex, l) = (vertex as usize, self.active.rest.get(place));
+            self.start.x.set(vertex, self.active.x[3].get(place) + (fit[0].by_rest * l + fit[0].shift));
+            self.start.u.set(vertex, self.active.u[3].get(place) + (fit[1].by_rest * l + fit[1].shift));
+        }
+        let most = [(&mut body.x, &mut self.start.x), (&mut body.u, &mut self.start.u)].map(|(into, from)| {
+            // padding does not count
+            (into.len()..from.len()).for_each(|i| from.set(i, DVec3::ZERO));
+            kernels::by_vertex(from, into);
+            kernels::largest_square(arch, from).sqrt()
+        });
+        let [x, u] = most;
+        Most { x, u, rest: body.shape.extent }
     }
 }
 

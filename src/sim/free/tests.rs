@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use glam::DVec3;
+use pulp::Arch;
 
 use super::*;
 use crate::model::{
@@ -10,6 +11,7 @@ use crate::model::{
     phase::{Phase, Thresholds},
     shape_matching::{Plane, rotation_by},
 };
+use crate::sim::work::Tally;
 
 /// A sphere of 86 vertices, each with its share of the surface (areas between rings, not of triangles).
 fn sphere(radius: f64, mass: f64) -> Arc<Shape> {
@@ -165,6 +167,19 @@ fn any_stiffness_will_do() {
     }
 }
 
+/// Where the tolerance divides no step, shorter steps show the order of the method, down to where its iteration ends.
+#[test]
+fn the_error_falls_with_the_fifth_power_of_the_step() {
+    let outcome = |divided: u32, tolerance: f64| {
+        let mut island = two(Oscillator { omega: 12.0, damping: 1.5 }, LAW, tolerance);
+        run(&mut island, 1.0, 1.0 / f64::from(50 * divided));
+        island
+    };
+    let exact = outcome(8, 1e-9);
+    let errors = [1, 2].map(|divided| difference(&outcome(divided, 1.0), &exact));
+    assert!((errors[0] / errors[1]).log2() > 4.4, "{errors:?}");
+}
+
 #[test]
 fn steps_become_shorter_as_of_a_method_of_high_order() {
     let o = Oscillator { omega: 12.0, damping: 1.5 };
@@ -303,6 +318,27 @@ fn the_lighter_one_follows_the_one_on_a_path() {
         island.advance(f64::from(step) / 60.0, &path, &mut report).expect("can be followed");
     }
     assert!(island.bodies()[1].centre.distance(island.bodies()[0].centre) < 1.2);
+}
+
+#[test]
+fn the_instruction_set_makes_no_difference() {
+    let outcome = |arch: Arch| {
+        let mut island = two(Oscillator { omega: 12.0, damping: 1.5 }, LAW, 1e-6);
+        let (mut scratch, mut report) = (Scratch::new(arch), Report::default());
+        for step in 1..=40 {
+            let end = f64::from(step) / 60.0;
+            island
+                .advance_with(&mut scratch, end, &NoPaths, &Tally::unlimited(), &mut report)
+                .expect("can be followed");
+        }
+        assert!(!report.changes.is_empty());
+        island
+    };
+    let (best, plain) = (outcome(Arch::new()), outcome(Arch::Scalar));
+    for (a, b) in best.bodies().iter().zip(plain.bodies()) {
+        assert_eq!((a.centre, a.rotation, a.spin), (b.centre, b.rotation, b.spin));
+        assert_eq!((&a.x, &a.u), (&b.x, &b.u));
+    }
 }
 
 #[test]

@@ -56,14 +56,47 @@ impl Late {
             return Late::default();
         }
         let p = oscillator.propagator(length * h);
-        let weights = |powers: &[f64; 4]| {
-            CUBIC.map(|[a, b, c, d]| {
-                let at = a + from * (b + from * (c + from * d));
-                let slope = b + from * (2.0 * c + from * (3.0 * d));
-                let bend = c + from * (3.0 * d);
-                at * powers[0] + length * (slope * powers[1] + length * (bend * powers[2] + length * (d * powers[3])))
-            })
-        };
-        Late { x: weights(&p.x), u: weights(&p.u) }
+        Late::of(from, length, &p.x, &p.u)
+    }
+
+    /// The same without spring and damping.
+    pub fn ballistic(h: f64, from: f64, theta: f64) -> Late {
+        let length = theta - from;
+        if length <= 0.0 {
+            return Late::default();
+        }
+        let t = length * h;
+        let u = [t, t / 2.0, t / 3.0, t / 4.0];
+        let x = [t * t / 2.0, t * t / 6.0, t * t / 12.0, t * t / 20.0];
+        Late::of(from, length, &x, &u)
+    }
+
+    /// From the responses to the powers of the time since `from`.
+    fn of(from: f64, length: f64, x: &[f64; 4], u: &[f64; 4]) -> Late {
+        let cubic = &*CUBIC;
+        let mut late = Late::default();
+        for (node, [a, b, c, d]) in cubic.iter().enumerate() {
+            let at = a + from * (b + from * (c + from * d));
+            let slope = b + from * (2.0 * c + from * (3.0 * d));
+            let bend = c + from * (3.0 * d);
+            let of = |p: &[f64; 4]| at * p[0] + length * (slope * p[1] + length * (bend * p[2] + length * (d * p[3])));
+            (late.x[node], late.u[node]) = (of(x), of(u));
+        }
+        late
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_a_spring_the_response_is_that_of_the_slowest_one() {
+        for (from, theta) in [(0.0, 1.0), (0.3, 0.5), (0.7, 1.0), (0.9, 0.4)] {
+            let (found, expected) = (Late::ballistic(0.02, from, theta), Late::new(BALLISTIC, 0.02, from, theta));
+            for (found, expected) in found.x.iter().chain(&found.u).zip(expected.x.iter().chain(&expected.u)) {
+                assert!((found - expected).abs() < 1e-15, "{from} {theta}: {found:e} {expected:e}");
+            }
+        }
     }
 }

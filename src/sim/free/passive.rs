@@ -1,0 +1,207 @@
+//! Vertices that nothing reaches within a step.
+//!
+//! Beyond its oscillator, such a vertex feels only what all vertices of its body share: an acceleration, one that
+//! depends on its rest position l, and the damping that rotates with the body. So its state at any instant of the step is
+//! linear in its state at the start and in l, with the same matrices for all of them, and their sums follow from their
+//! second moments at the start: what an iteration costs does not depend on their number.
+
+use glam::{DMat3, DVec3};
+
+use super::body::Sums;
+use crate::model::shape_matching::{cross_matrix, moment, outer};
+
+/// A vector that is linear in x and u at the start of the step and in the rest position l of a vertex.
+#[derive(Clone, Copy, Debug)]
+pub struct Linear {
+    pub by_x: DMat3,
+    pub by_u: DMat3,
+    pub by_rest: DMat3,
+    pub shift: DVec3,
+}
+
+/// The largest |x|, |u| and |l| of any vertex.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Most {
+    pub x: f64,
+    pub u: f64,
+    pub rest: f64,
+}
+
+impl Default for Linear {
+    fn default() -> Linear {
+        let none = DMat3::ZERO; // the default of a matrix is the identity
+        Linear { by_x: none, by_u: none, by_rest: none, shift: DVec3::ZERO }
+    }
+}
+
+impl Linear {
+    /// x at the start.
+    pub fn x() -> Linear {
+        Linear { by_x: DMat3::IDENTITY, ..Linear::default() }
+    }
+
+    /// u at the start.
+    pub fn u() -> Linear {
+        Linear { by_u: DMat3::IDENTITY, ..Linear::default() }
+    }
+
+    pub fn add_times(&mut self, w: f64, other: &Linear) {
+        self.by_x += other.by_x * w;
+        self.by_u += other.by_u * w;
+        self.by_rest += other.by_rest * w;
+        self.shift += w * other.shift;
+    }
+
+    /// w × this vector.
+    pub fn crossed(&self, w: DVec3) -> Linear {
+        let w = cross_matrix(w);
+        Linear { by_x: w * self.by_x, by_u: w * self.by_u, by_rest: w * self.by_rest, shift: w * self.shift }
+    }
+
+    /// No less than the length of this vector for any vertex.
+    pub fn bound(&self, most: &Most) -> f64 {
+        size(&self.by_x) * most.x + size(&self.by_u) * most.u + (size(&self.by_rest) * most.rest + self.shift.length())
+    }
+
+    /// No less than the difference of this vector to another for any vertex.
+    pub fn difference(&self, other: &Linear, most: &Most) -> f64 {
+        let mut difference = *self;
+        difference.add_times(-1.0, other);
+        difference.bound(most)
+    }
+}
+
+/// An upper bound of the 2-norm, √(‖A‖₁ ‖A‖_∞).
+fn size(a: &DMat3) -> f64 {
+    let (x, y, z) = (a.x_axis.abs(), a.y_axis.abs(), a.z_axis.abs());
+    let columns = x.element_sum().max(y.element_sum()).max(z.element_sum());
+    // NaN must be seen
+    if columns.is_nan() { f64::NAN } else { (columns * (x + y + z).max_element()).sqrt() }
+}
+
+/// Second moments Σ m p qᵀ of x, u and l at the start of the step, first moments and the mass.
+#[derive(Clone, Copy, Debug)]
+pub struct Moments {
+    pub xx: DMat3,
+    pub xu: DMat3,
+    pub xl: DMat3,
+    pub uu: DMat3,
+    pub ul: DMat3,
+    pub ll: DMat3,
+    pub x: DVec3,
+    pub u: DVec3,
+    pub l: DVec3,
+    pub mass: f64,
+}
+
+impl Default for Moments {
+    fn default() -> Moments {
+        let (none, zero) = (DMat3::ZERO, DVec3::ZERO);
+        Moments { xx: none, xu: none, xl: none, uu: none, ul: none, ll: none, x: zero, u: zero, l: zero, mass: 0.0 }
+    }
+}
+
+/// Sums Σ m p qᵀ of a vector q with x, u and l at the start of the step, and Σ m q.
+#[derive(Clone, Copy, Debug)]
+struct With {
+    x: DMat3,
+    u: DMat3,
+    l: DMat3,
+    one: DVec3,
+}
+
+impl Moments {
+    fn with(&self, q: &Linear) -> With {
+        let Linear { by_x, by_u, by_rest, shift } = *q;
+        let (by_x, by_u, by_rest) = (by_x.transpose(), by_u.transpose(), by_rest.transpose());
+        let Moments { xx, xu, xl, uu, ul, ll, .. } = *self;
+        With {
+            x: xx * by_x + xu * by_u + (xl * by_rest + outer(self.x, shift)),
+            u: xu.transpose() * by_x + uu * by_u + (ul * by_rest + outer(self.u, shift)),
+            l: xl.transpose() * by_x + ul.transpose() * by_u + (ll * by_rest + outer(self.l, shift)),
+            one: q.by_x * self.x + q.by_u * self.u + (q.by_rest * self.l + self.mass * shift),
+        }
+    }
+
+    /// Σ m |q|².
+    pub fn square(&self, q: &Linear) -> f64 {
+        let p = product(q, &self.with(q));
+        p.x_axis.x + p.y_axis.y + p.z_axis.z
+    }
+
+    /// The sums over the vertices at an instant at which their states are x and u.
+    pub fn sums(&self, x: &Linear, u: &Linear) -> Sums {
+        let (with_x, with_u) = (self.with(x), self.with(u));
+        Sums {
+            lx: with_x.l,
+            lu: with_u.l,
+            xx: product(x, &with_x),
+            xu: moment(product(x, &with_u)),
+            x: with_x.one,
+            u: with_u.one,
+        }
+    }
+}
+
+/// Σ m p qᵀ.
+fn product(p: &Linear, q: &With) -> DMat3 {
+    p.by_x * q.x + p.by_u * q.u + (p.by_rest * q.l + outer(p.shift, q.one))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The sums over a few vertices agree with those found one by one.
+    #[test]
+    fn sums_follow_from_moments() {
+        let mut state = 1u64;
+        let mut random = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1u64 << 53) as f64 - 0.5
+        };
+        let mut any = || DVec3::new(random(), random(), random());
+        let vertices: Vec<(f64, [DVec3; 3])> = (0..7).map(|_| (any().x + 1.0, [any(), any(), any()])).collect();
+        let mut moments = Moments::default();
+        for &(m, [x, u, l]) in &vertices {
+            moments.xx += outer(m * x, x);
+            moments.xu += outer(m * x, u);
+            moments.xl += outer(m * x, l);
+            moments.uu += outer(m * u, u);
+            moments.ul += outer(m * u, l);
+            moments.ll += outer(m * l, l);
+            moments.x += m * x;
+            moments.u += m * u;
+            moments.l += m * l;
+            moments.mass += m;
+        }
+        let mut matrix = || DMat3::from_cols(any(), any(), any());
+        let [p, q] = std::array::from_fn(|_| Linear {
+            by_x: matrix(),
+            by_u: matrix(),
+            by_rest: matrix(),
+            shift: matrix().x_axis,
+        });
+        let found = moments.sums(&p, &q);
+        let mut expected = Sums::default();
+        let mut square = 0.0;
+        for &(m, [x, u, l]) in &vertices {
+            let of = |a: &Linear| a.by_x * x + a.by_u * u + (a.by_rest * l + a.shift);
+            let (now, rate) = (of(&p), of(&q));
+            expected.lx += outer(m * l, now);
+            expected.lu += outer(m * l, rate);
+            expected.xx += outer(m * now, now);
+            expected.xu += m * now.cross(rate);
+            expected.x += m * now;
+            expected.u += m * rate;
+            square += m * now.length_squared();
+        }
+        for (found, expected) in [(found.lx, expected.lx), (found.lu, expected.lu), (found.xx, expected.xx)] {
+            assert!(found.abs_diff_eq(expected, 1e-12), "{found} {expected}");
+        }
+        for (found, expected) in [(found.xu, expected.xu), (found.x, expected.x), (found.u, expected.u)] {
+            assert!(found.abs_diff_eq(expected, 1e-12), "{found} {expected}");
+        }
+        assert!((moments.square(&p) - square).abs() < 1e-12);
+    }
+}
