@@ -108,7 +108,6 @@
 //! by −Δv. Those of a `rigid` body do not feel it. At t = 0 all velocities are zero, however the path begins. A body that
 //! jumps from place to place takes its vertices along, deformed as they are, and they feel nothing of it. Its pairs change
 //! phase at the jump, by the distance after it; a jump from afar into a core is a merge and a core at the same instant.
-//! Scenes with free bodies, planes or a `core_width` do not take paths that jump.
 
 pub mod builtin;
 pub mod pairs;

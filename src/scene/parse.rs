@@ -344,7 +344,7 @@ pub(super) fn read_document(
     let pairs = pairs::read(&pair_tables, &bodies, &names, law)?;
     let planes = plane_tables.iter().map(read_plane).collect::<Result<_, _>>()?;
     let pushes = push_tables.iter().map(|push| read_push(push, &bodies, &names)).collect::<Result<_, _>>()?;
-    let scene = Scene {
+    Ok(Scene {
         name,
         dt,
         duration,
@@ -360,28 +360,7 @@ pub(super) fn read_document(
         bodies,
         pushes,
         source: String::new(),
-    };
-    if scene.is_coupled() {
-        refuse_jumps(&scene, &from)?;
-    }
-    Ok(scene)
-}
-
-/// Refuses paths whose velocity or position jumps, which the engine of free bodies does not follow.
-fn refuse_jumps(scene: &Scene, from: &[&Table<'_>]) -> Result<(), SceneError> {
-    let jumps = |body: &Body| {
-        let is_kicked = |path: &Path| path.kicks(f64::NEG_INFINITY, f64::INFINITY) > 0.0;
-        body.path().is_some_and(|path| path.is_held() || body.material.response != Response::Rigid && is_kicked(path))
-    };
-    match scene.bodies.iter().position(jumps) {
-        None => Ok(()),
-        Some(index) => Err(from[index]
-            .error(
-                "motion",
-                "expected a path without jumps, in a scene with free bodies, planes or a core_width".to_owned(),
-            )
-            .with_help("leave interpolation at \"spline\"; with response = \"rigid\", \"linear\" is possible, too")),
-    }
+    })
 }
 
 /// An array of tables, which may be missing.

@@ -705,16 +705,6 @@ Body: a group named like a body
 group = "ball"
 > bad.toml:3:9: body["ball"].group: expected a name that no body has (the body at line 4 has this one), found the string "ball"
 
-Whole: a path that jumps, beside a plane
-duration = 4
-[[body]]
-name = "a"
-radius = 1
-motion = { keyframes = { keys = [[0, 0, 0, 0], [1, 1, 0, 0]], interpolation = "linear" } }
-[[plane]]
-normal = [0, 0, 1]
-> bad.toml:5:10: body["a"].motion: expected a path without jumps, in a scene with free bodies, planes or a core_width; leave interpolation at "spline"; with response = "rigid", "linear" is possible, too
-
 Whole: an interpolation that does not exist
 duration = 4
 [[body]]

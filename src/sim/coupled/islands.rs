@@ -137,15 +137,10 @@ impl Job {
             if let Some(path) = scene.bodies[body as usize].path() {
                 let knots = path.knots();
                 let first = knots.partition_point(|&knot| knot < span.start);
-                field.breaks.extend(knots[first..].iter().take_while(|&&knot| knot < span.end));
+                field.breaks.extend(knots[first..].iter().take_while(|&&knot| knot <= span.end));
             }
-            let here = match scene.bodies[body as usize].path() {
-                // where it has not jumped yet
-                Some(path) if path.is_held() => path.before(span.start).position,
-                _ => member.body.centre,
-            };
             if index >= bodies.len() {
-                copies.push(Body { centre: here, ..source(&member.body) });
+                copies.push(source(&member.body));
                 continue;
             }
             pace = pace.min(member.pace);
@@ -153,7 +148,6 @@ impl Job {
             let pushes = pushes.filter(|push| push.end > span.start);
             field.pushes.extend(pushes.map(|&push| free::Push { body: index as u32, ..push }));
             let mut copy = member.body.clone();
-            copy.centre = here;
             let count = copy.shape.rest().len();
             copy.x.resize(count, DVec3::ZERO);
             copy.u.resize(count, DVec3::ZERO);

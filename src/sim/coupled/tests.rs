@@ -59,10 +59,10 @@ fn what_rests_costs_nothing_until_it_is_touched() {
         "gravity = [0, 0, -9.81]\ntolerance = 1e-3\n[material]\nomega = 20.0\ndamping = 8.0\n[influence]\ncore_at = 0.9\ncore_width = 0.3\n{FLOOR}{}{}{}",
         ball("a", "{ free = { from = [0, 0, 0.02], rotation = \"fixed\" } }"),
         ball("far", "{ free = { from = [50, 0, 0.02], rotation = \"fixed\" } }"),
-        ball("late", "{ keyframes = [[0, 0.3, 0.1, 40], [13, 0.3, 0.1, 40], [15, 0.3, 0.1, 1.5]] }"),
+        ball("late", "{ keyframes = [[0, 0.3, 0.1, 40], [18, 0.3, 0.1, 40], [20, 0.3, 0.1, 1.5]] }"),
     );
     let mut world = World::new(scene(&text)).unwrap();
-    run(&mut world, 720);
+    run(&mut world, 1020);
     assert_eq!(world.report().sleeping_bodies, 2, "{:?}", world.report()); // the third wobbles on its way
     assert_eq!(world.coupled.as_ref().unwrap().awake_count(), 1);
     let before = world.body(1).position(3);
@@ -112,8 +112,17 @@ fn what_is_skipped_makes_no_difference() {
 /// With a plane that nothing reaches, the coupled engine steps a scene of prescribed paths: two engines, one result.
 #[test]
 fn both_engines_agree_about_prescribed_paths() {
-    for name in ["two", "three", "size_ratio", "push"] {
-        let alone = Scene::builtin(name).unwrap();
+    let jumping = |interpolation: &str| {
+        let path = |shift: f64| {
+            format!(
+                "{{ keyframes = {{ keys = [[0, -2, 0, 0], [0.3, -1.2, {shift}, 0], [0.62, 1.7, 0, 0], [1.0, 0.4, 0, 0], [1.5, -2.5, 0, 0]], interpolation = \"{interpolation}\" }} }}"
+            )
+        };
+        scene(&format!("{}{}", ball("still", "{ fixed = [0.1, 0, 0] }"), ball("jumps", &path(0.2))))
+    };
+    let scenes = ["two", "three", "size_ratio", "push"].map(|name| (name, Scene::builtin(name).unwrap()));
+    let jumping = ["linear", "hold"].map(|interpolation| (interpolation, jumping(interpolation)));
+    for (name, alone) in scenes.into_iter().chain(jumping) {
         let mut coupled = alone.clone();
         let mut floor = scene(&format!("{FLOOR}{}", ball("a", "{ fixed = [0, 0, 0] }"))).planes[0];
         floor.offset = -100.0;

@@ -296,7 +296,8 @@ impl Island {
         }
         let mut steps = 0;
         while self.time < end {
-            if self.field.breaks.binary_search_by(|at| at.total_cmp(&self.time)).is_ok() {
+            if self.is_at_break() {
+                self.kick(paths);
                 self.jump(paths, report);
             }
             self.leave_phases(scratch, paths, report)?;
@@ -350,20 +351,34 @@ impl Island {
                 self.pass_gradually(scratch, start, report)?;
             }
         }
+        // what jumps in the end has done so; velocities are felt from then on
+        if self.is_at_break() {
+            self.jump(paths, report);
+            self.leave_phases(scratch, paths, report)?;
+        }
         Ok(())
     }
 
-    /// Bodies on paths jump to where these go on: the vertices of a body that is kicked stay in motion as they were, those
-    /// of one that jumps from place to place go along.
+    fn is_at_break(&self) -> bool {
+        self.field.breaks.binary_search_by(|at| at.total_cmp(&self.time)).is_ok()
+    }
+
+    /// The vertices of bodies whose paths' velocities jump stay in motion as they were.
+    fn kick(&mut self, paths: &dyn Paths) {
+        for (index, body) in self.bodies.iter_mut().enumerate().filter(|(_, body)| !body.is_free()) {
+            let kick = paths.kick(index, self.time);
+            if kick != DVec3::ZERO {
+                body.u.iter_mut().for_each(|u| *u += kick);
+            }
+        }
+    }
+
+    /// Bodies on paths jump to where these go on, and their vertices with them.
     fn jump(&mut self, paths: &dyn Paths, report: &mut Report) {
         for index in 0..self.bodies.len() {
             let body = &mut self.bodies[index];
             if body.is_free() {
                 continue;
-            }
-            let kick = paths.kick(index, self.time);
-            if kick != DVec3::ZERO {
-                body.u.iter_mut().for_each(|u| *u += kick);
             }
             let to = paths.at(index, self.time, false);
             let from = std::mem::replace(&mut body.centre, to.position);
