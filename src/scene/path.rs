@@ -1,6 +1,13 @@
 //! Centre paths: where the centre of a body is, prescribed for all t ≥ 0.
 
-use std::{f64::consts::TAU, hash::Hasher, ops::Range, sync::Arc};
+use std::{
+    f64::consts::TAU,
+    fmt,
+    hash::Hasher,
+    ops::Range,
+    panic::{RefUnwindSafe, UnwindSafe},
+    sync::Arc,
+};
 
 use glam::DVec3;
 use rustc_hash::FxHasher;
@@ -30,6 +37,41 @@ pub enum Path {
     },
     /// Through keys: a clamped cubic spline, straight lines, or from place to place.
     Keyframes(Spline),
+    /// Given by a program; there is no such path in a scene file, and no recording of it can be replayed.
+    Given(Given),
+}
+
+/// A path that a program gives as a function of time.
+#[derive(Clone)]
+pub struct Given {
+    at: Arc<dyn Fn(f64) -> Kinematics + Send + Sync>,
+    bounds: Bounds,
+}
+
+impl Given {
+    /// The path c(t), c′(t), c″(t) of `at`, of t [s]. The function must be continuous, give the same for the same time,
+    /// and its velocity and acceleration must be the derivatives of its position and nowhere above `bounds`: events are
+    /// searched for where these allow them.
+    pub fn new(bounds: Bounds, at: impl Fn(f64) -> Kinematics + Send + Sync + 'static) -> Given {
+        Given { at: Arc::new(at), bounds }
+    }
+}
+
+// a function that gives the same for the same time has no state that a panic could leave half changed
+impl UnwindSafe for Given {}
+impl RefUnwindSafe for Given {}
+
+impl fmt::Debug for Given {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Given").field("bounds", &self.bounds).finish_non_exhaustive()
+    }
+}
+
+impl PartialEq for Given {
+    /// Whether both are the same function.
+    fn eq(&self, other: &Given) -> bool {
+        Arc::ptr_eq(&self.at, &other.at) && self.bounds == other.bounds
+    }
 }
 
 /// Where a centre is and how it moves at an instant.
@@ -84,6 +126,7 @@ impl Path {
                 }
             }
             Path::Keyframes(spline) => spline.at(t),
+            Path::Given(given) => (given.at)(t),
         }
     }
 
@@ -139,7 +182,7 @@ impl Path {
         match self {
             Path::Fixed(_) => 0.0,
             Path::Sine { amplitude, .. } => 2.0 * amplitude.length() * (1.0 + 1e-12),
-            Path::Line { .. } | Path::Keyframes(_) => f64::INFINITY,
+            Path::Line { .. } | Path::Keyframes(_) | Path::Given(_) => f64::INFINITY,
         }
     }
 
@@ -159,6 +202,7 @@ impl Path {
                 Bounds { speed, acceleration: speed * rate }
             }
             Path::Keyframes(spline) => spline.bounds(start, end),
+            Path::Given(given) => given.bounds,
         }
     }
 
@@ -232,6 +276,14 @@ impl Path {
                 Path::Sine { center: *center + offset, amplitude: *amplitude, frequency: *frequency, phase: *phase }
             }
             Path::Keyframes(spline) => Path::Keyframes(spline.moved_by(offset)),
+            Path::Given(given) => {
+                let at = Arc::clone(&given.at);
+                let moved = move |t: f64| {
+                    let motion = at(t);
+                    Kinematics { position: motion.position + offset, ..motion }
+                };
+                Path::Given(Given::new(given.bounds, moved))
+            }
         }
     }
 
@@ -245,7 +297,7 @@ impl Path {
     pub fn is_still(&self, start: f64, end: f64) -> bool {
         match self {
             Path::Fixed(_) => true,
-            Path::Line { .. } | Path::Sine { .. } => false,
+            Path::Line { .. } | Path::Sine { .. } | Path::Given(_) => false,
             Path::Keyframes(spline) => match spline.times[..] {
                 [first, .., last] => end < first || last < start,
                 _ => true,

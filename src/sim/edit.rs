@@ -56,7 +56,8 @@ impl World {
         self.restart(scene, &kept, false)
     }
 
-    /// Gives a body another motion from now on: a path, or a throw. It becomes undeformed; all others wake.
+    /// Gives a body another motion from now on: a path, which may be a function ([`Given`](crate::scene::path::Given)), or
+    /// a throw. It becomes undeformed; all others wake.
     ///
     /// # Errors
     /// [`EditError`]; the world is then as it was.

@@ -203,7 +203,7 @@ impl PairTracks<'_> {
         let of = |path: &Path, frequency| match path {
             Path::Fixed(position) => Some((*position, still(frequency))),
             Path::Sine { center, amplitude, frequency, phase } => Some((*center, (*amplitude, *frequency, *phase))),
-            Path::Line { .. } | Path::Keyframes(_) => None,
+            Path::Line { .. } | Path::Keyframes(_) | Path::Given(_) => None,
         };
         let (path_a, path_b) = (self.a.path()?, self.b.path()?);
         let frequency = [path_a, path_b].into_iter().find_map(|path| match path {

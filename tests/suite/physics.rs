@@ -705,7 +705,7 @@ response = "world"
                 Path::Fixed(position) => *position += offset,
                 Path::Line { from, .. } => *from += offset,
                 Path::Sine { center, .. } => *center += offset,
-                Path::Keyframes(_) => {}
+                Path::Keyframes(_) | Path::Given(_) => {}
             }
         }
         World::new(scene).expect("fits")

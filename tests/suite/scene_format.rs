@@ -132,6 +132,7 @@ pub fn assert_valid(scene: &Scene) {
                 assert!(path.knots().len() >= 2 && path.knots().iter().copied().all(finite));
                 assert!(path.knots().is_sorted_by(|a, b| a < b));
             }
+            Path::Given(_) => panic!("no scene file has such a path"),
         }
         let knots = path.knots().iter().copied();
         for t in [0.0, scene.dt, 0.3 * scene.duration, scene.duration].into_iter().chain(knots) {

@@ -41,7 +41,7 @@ pub fn displacement(scene: &Scene, index: usize, facing: DVec3, t: f64) -> Optio
             add(-2.0 * damping * *velocity * step_response(omega, damping, t));
         }
         (Path::Sine { .. }, _) => swing(body, t, &mut add)?,
-        (Path::Keyframes(_), _) => return None,
+        (Path::Keyframes(_) | Path::Given(_), _) => return None,
     }
     Some(exact)
 }

@@ -5,7 +5,10 @@ use glam::DVec3;
 use crate::{
     Scene, World,
     model::phase::Phase,
-    scene::Integrator,
+    scene::{
+        Integrator, Motion, Path,
+        path::{Bounds, Given, Kinematics},
+    },
     sim::{EditError, Failure, Options, report::Toil},
 };
 
@@ -281,6 +284,34 @@ fn changes_between_steps_are_as_if_the_scene_had_said_so() {
     let mut prescribed = World::new(Scene::builtin("two").unwrap()).unwrap();
     run(&mut prescribed, 1);
     assert_eq!(prescribed.remove(0), Err(EditError::Prescribed));
+}
+
+/// A path that a program gives, from the start or between steps, leads to the same states as that path in the scene's file.
+#[test]
+fn a_path_by_a_function_is_as_if_the_scene_had_said_so() {
+    let text = free("a", [0.0; 3], [0.1, 0.0, 0.0])
+        + &ball("leads", "{ line = { from = [2, 0, 0], velocity = [-0.3, 0, 0] } }");
+    let line = |from: DVec3, velocity: DVec3| {
+        let at = move |t: f64| Kinematics { position: from + velocity * t, velocity, acceleration: DVec3::ZERO };
+        let given = Given::new(Bounds { speed: velocity.length(), acceleration: 0.0 }, at);
+        [Path::Line { from, velocity }, Path::Given(given)].map(Motion::Prescribed)
+    };
+    let mut own = scene(&text);
+    own.bodies[1].motion = line(2.0 * DVec3::X, -0.3 * DVec3::X)[1].clone();
+    let mut told = World::new(scene(&text)).unwrap();
+    let mut given = World::new(own).unwrap();
+    let later = line(DVec3::new(1.5, 0.1, 0.0), DVec3::new(0.1, 0.4, 0.0));
+    for step in 0..50 {
+        if step == 30 {
+            for (world, motion) in [&mut told, &mut given].into_iter().zip(later.clone()) {
+                world.set_motion(1, motion).unwrap();
+            }
+        }
+        run(&mut told, 1);
+        run(&mut given, 1);
+        assert_eq!(told.checksum(), given.checksum(), "step {step}");
+    }
+    assert_eq!(told.phase(0, 1), Phase::Merged);
 }
 
 /// The energy of a scene minus its ledger does not change, though its bodies start and end out of each other's reach.
