@@ -75,7 +75,6 @@ pub struct Dot {
 struct Seen {
     class: u8,
     value: f64,
-    point: Vec<Setting>,
 }
 
 impl Map {
@@ -101,8 +100,7 @@ impl Map {
                 Some(Cell::I64(n)) if is_count => *n as f64,
                 _ => f64::NAN,
             };
-            let point = design.point(row).unwrap_or_default();
-            seen.insert(row, Seen { class: class(cells.first()), value, point });
+            seen.insert(row, Seen { class: class(cells.first()), value });
         })?;
         let values = || seen.values().map(|seen| seen.value).filter(|value| value.is_finite());
         let range = [values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max)];
@@ -165,18 +163,18 @@ fn slice(sweep: &Sweep, map: &Map, numbers: &[usize], rows: &[u64], seen: &BTree
             .collect::<Vec<_>>()
             .join(", ")
     };
-    let first = rows.first().and_then(|row| seen.get(row));
-    slice.title = if map.is_grid { first.map_or(String::new(), |first| others(&first.point)) } else { String::new() };
+    let first = rows.first().and_then(|&row| design.point(row));
+    slice.title = if map.is_grid { first.map_or(String::new(), |first| others(&first)) } else { String::new() };
     let share = |axis: usize, point: &[Setting]| match point.get(axis) {
         Some(Setting::Number(value)) => design.axes[axis].share(*value),
         _ => 0.5,
     };
     for &row in rows.iter().take(MOST_DOTS) {
-        let Some(Seen { class, point, .. }) = seen.get(&row) else { continue };
-        let values = design.axes.iter().zip(point).map(|(axis, value)| format!("{} = {value}", axis.label()));
+        let (Some(Seen { class, .. }), Some(point)) = (seen.get(&row), design.point(row)) else { continue };
+        let values = design.axes.iter().zip(&point).map(|(axis, value)| format!("{} = {value}", axis.label()));
         let label = format!("row {row}: {}, {}", bisect::name(*class), values.collect::<Vec<_>>().join(", "));
-        let up = numbers.get(1).map_or(0.5, |&axis| share(axis, point));
-        slice.dots.push(Dot { row, at: [share(numbers[0], point), up], class: *class, label });
+        let up = numbers.get(1).map_or(0.5, |&axis| share(axis, &point));
+        slice.dots.push(Dot { row, at: [share(numbers[0], &point), up], class: *class, label });
     }
     if !map.is_grid {
         return slice;
