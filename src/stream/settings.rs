@@ -66,8 +66,7 @@ impl Entities {
     }
 }
 
-/// Selects which frames are recorded. Properties, checksums and events of all steps are recorded in any case (but a
-/// thin recording has no events).
+/// Selects which frames are recorded. Properties, checksums and events of all steps are recorded in any case.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Frames {
     /// All frames.
