@@ -301,6 +301,7 @@ impl<'a> Context<'a> {
             }
             let is_idle = self.own_force(active.body, span) == 0.0;
             if is_idle && active.can_sleep() {
+                active.state.halvings = 0;
                 return StepStatistics::default();
             }
         }
@@ -355,7 +356,8 @@ impl<'a> Context<'a> {
                 local: field.map(|largest| Local { accelerations: local, largest }),
             };
             let active_set = &mut active.state.deformation.active_set;
-            let statistics = exponential::advance(&course, control, &mut active.state.common, active_set, exponential);
+            let (common, halvings) = (&mut active.state.common, &mut active.state.halvings);
+            let statistics = exponential::advance(&course, control, common, active_set, halvings, exponential);
             if !self.skip {
                 // the naive baseline: every vertex has a state of its own, and nothing in common with others
                 active.state.deformation.absorb(&mut active.state.common, body.rest(), body.pushes.shared());

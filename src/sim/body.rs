@@ -89,6 +89,8 @@ pub(super) struct BodyState {
     pub deformation: Deformation,
     /// What many pushes do to its vertices.
     pub push_field: PushField,
+    /// How many times the steps of its vertices are halved.
+    pub halvings: u32,
     /// Bounds over both.
     pub state_bounds: StateBounds,
     /// An upper bound of √(|u|² + ω²|x|²) of every vertex, whatever has happened so far: it grows by no more than the
@@ -146,6 +148,7 @@ impl Active {
                 common_as_of: step,
                 deformation: Deformation::default(),
                 push_field: PushField::default(),
+                halvings: 0,
                 state_bounds: StateBounds::default(),
                 bound: 0.0,
             },

@@ -309,7 +309,8 @@ impl Recomputed<'_> {
         let mut common = Common { carried: kicked, pushed: vec![Pushed::default(); weighted.len()] };
         let tolerance = scene.tolerance * this.radius;
         let control = StepControl { arch: self.world.options().arch, tolerance, work: &self.work };
-        exponential::advance(&course, control, &mut common, active_set, &mut exponential::Scratch::default());
+        let scratch = &mut exponential::Scratch::default();
+        exponential::advance(&course, control, &mut common, active_set, &mut 0, scratch);
         for (i, facing) in body.mesh.directions().iter().enumerate() {
             let (alike, own) = (common.of(facing, body.pushes.shared()), active_set.state(i));
             states.displacement.set(i, alike.x + own.x);

@@ -4,7 +4,9 @@
 use meldscope::{
     Scene, World,
     bench::reference::{Accuracy, Reference},
+    sim::Options,
 };
+use pulp::Arch;
 
 /// What a run came to.
 struct Run {
@@ -12,6 +14,8 @@ struct Run {
     error: f64,
     /// What the tolerance allows over the whole run [radii].
     allowed: f64,
+    /// Steps of the integrator.
+    substeps: u64,
 }
 
 /// Compares a run with the reference after every step.
@@ -20,15 +24,17 @@ fn run(text: &str, dt: f64, tolerance: f64) -> Run {
     let instants: Vec<f64> = (0..=scene.steps()).map(|step| step as f64 * dt).collect();
     let reference = Reference::solve(&scene, &instants, Accuracy::DEFAULT).expect("quick");
     let mut world = World::new(scene).expect("fits");
-    let mut error = 0.0;
+    let (mut error, mut substeps) = (0.0, 0);
     for instant in 1..instants.len() {
-        assert_eq!(world.step().failure, None);
+        let report = world.step();
+        assert_eq!(report.failure, None);
+        substeps += report.substeps;
         for (index, body) in world.bodies().enumerate() {
             let found = (0..body.vertex_count()).map(|vertex| body.displacement(vertex));
             error = f64::max(error, reference.distance(index, instant, found) / body.scene().radius);
         }
     }
-    Run { error, allowed: tolerance * world.time() }
+    Run { error, allowed: tolerance * world.time(), substeps }
 }
 
 /// Two bodies that swing by themselves, several times a step, with the influence a fifth of the spring.
@@ -61,9 +67,48 @@ motion = { fixed = [1.23, 1.02, 3.24] }
 #[test]
 fn stiff_bodies_keep_to_the_tolerance() {
     for (dt, tolerance) in [(0.02, 1e-4), (0.05, 1e-4), (0.1, 1e-6), (0.3, 1e-6)] {
-        let Run { error, allowed } = run(STIFF, dt, tolerance);
+        let Run { error, allowed, .. } = run(STIFF, dt, tolerance);
         // Measured: 4e-2, 6e-3, 8e-3 and 1.3e-2 of it.
         assert!(error <= 0.1 * allowed, "dt {dt}, tolerance {tolerance:e}: {error:e} of {allowed:e}");
+    }
+}
+
+/// The first second and a half of the reference scene, in which the bodies merge.
+const TWO: &str = include_str!("../reference/two.toml");
+
+/// Steps that are too long for many vertices are shortened for all of them, side by side. One by one, the vertices took
+/// 5,900, 13,000 and 2,900 steps.
+#[test]
+fn tight_tolerances_take_few_steps() {
+    for (dt, tolerance, most) in [(1.0 / 60.0, 1e-9, 800), (1.0 / 60.0, 1e-10, 1000), (1.0 / 15.0, 1e-6, 400)] {
+        let Run { error, allowed, substeps } = run(&TWO.replace("duration = 4.0", "duration = 1.5"), dt, tolerance);
+        assert!(
+            error <= 0.1 * allowed && substeps <= most,
+            "{dt}, {tolerance:e}: {error:e} of {allowed:e}, {substeps} steps"
+        );
+    }
+}
+
+/// How often steps are halved depends neither on the instruction set nor on what is skipped.
+#[test]
+fn tight_tolerances_are_met_by_the_same_steps_everywhere() {
+    for (text, dt, tolerance) in [(TWO, 1.0 / 60.0, 1e-9), (TWO, 1.0 / 15.0, 1e-7), (STIFF, 0.02, 1e-6)] {
+        let scene = Scene { dt, tolerance, ..Scene::parse(text, "tolerance.toml").expect("a valid scene") };
+        let scene = Scene { duration: scene.duration.min(2.0), ..scene };
+        let world = |skip, arch| {
+            World::with_options(scene.clone(), Options { skip, arch, ..Options::default() }).expect("fits")
+        };
+        let mut worlds = [world(true, Arch::new()), world(true, Arch::Scalar), world(false, Arch::new())];
+        for _ in 0..scene.steps() {
+            worlds.iter_mut().for_each(|world| {
+                world.step();
+            });
+            let [usual, scalar, plain] = &worlds;
+            assert_eq!(usual.checksum(), scalar.checksum());
+            for (body, expected) in usual.bodies().zip(plain.bodies()) {
+                assert!(body.positions().zip(expected.positions()).all(|(x, y)| x.distance(y) < 1e-12));
+            }
+        }
     }
 }
 
@@ -89,7 +134,7 @@ radius = 1.0
 shape = { sphere = { stacks = 3, slices = 4 } }
 motion = { line = { from = [2.15, 0.3, 0.1], velocity = [-2, 0, 0] } }
 "#;
-    let Run { error, allowed } = run(text, 1.0 / 60.0, 1e-6);
+    let Run { error, allowed, .. } = run(text, 1.0 / 60.0, 1e-6);
     assert!(error <= allowed, "{error:e} of {allowed:e}");
 }
 
@@ -107,7 +152,7 @@ fn rims_of_many_spheres_are_located() {
              motion = {{ sine = {{ center = {place:?}, amplitude = {amplitude:?}, frequency = {frequency} }} }}\n"
         );
     }
-    let Run { error, allowed } = run(&text, 1.0 / 60.0, 1e-6);
+    let Run { error, allowed, .. } = run(&text, 1.0 / 60.0, 1e-6);
     assert!(error <= 1e-2 * allowed, "{error:e} of {allowed:e}");
 }
 

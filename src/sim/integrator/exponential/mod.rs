@@ -9,7 +9,8 @@
 //! | a vertex that crosses a rim or needs shorter steps | [`single`], [`rim`] |
 //!
 //! [`advance`] takes a body over an interval without jumps. The effect of its own motion and of pushes on all vertices
-//! is a few numbers. A vertex near a sphere takes one step; if the error is too large, the step is repeated in halves.
+//! is a few numbers. A vertex near a sphere takes one step; if the error is too large, the step is repeated in halves. Where
+//! that happens to many vertices of a body, all of its vertices take shorter steps from then on, side by side.
 //! Where a vertex crosses a rim, at which the linear weight has a kink, its step ends and another begins. All other
 //! vertices are left to the exact flow, which advances them to the time at which they are next needed.
 
@@ -35,8 +36,12 @@ use step::{Outcome, Pull, Step, Vertex};
 use together::{Outcomes, Together};
 use weights::KnownWeights;
 
-/// Largest number of halvings of a body's interval needed to resolve its own motion.
+/// Largest number of halvings of a body's interval needed to resolve its own motion, and of those that its vertices need.
 const MOST_HALVINGS: u32 = 10;
+/// Steps are halved once more if they are too long for more than this share of a body's vertices …
+const MANY: u64 = 32;
+/// … and once less if steps twice as long would do for all but this share.
+const FEW: u64 = 64;
 
 /// Buffers, reused from step to step.
 #[derive(Default)]
@@ -45,6 +50,7 @@ pub struct Scratch {
     pulls: Vec<Pull>,
     outcomes: Outcomes,
     inside: Vec<u64>,
+    count_near: bool,
     known: KnownWeights,
     single: single::Scratch,
 }
@@ -58,6 +64,10 @@ pub struct StepStatistics {
     pub error: f64,
     /// The part of the errors that exceeds the tolerance because steps cannot be made shorter, at most [scene unit].
     pub excess: f64,
+    /// Number of vertices and steps for which a step of all vertices was too long.
+    pub hard: u64,
+    /// Number of those for which a step of twice the length would be too long; counted where steps are halved.
+    pub near: u64,
     /// Work done, in units of `sim::work`.
     pub work: u64,
     /// Work that a single step of all vertices would have taken, in the same units.
@@ -82,16 +92,44 @@ pub fn work_of(vertices: usize, spheres: usize, pushes: usize) -> u64 {
     vertices as u64 * (FORCES * (1 + spheres as u64) + pushes as u64)
 }
 
-/// Advances the shared motion of a body's vertices, and the vertices in its active set, over `course`.
+/// Advances the shared motion of a body's vertices, and the vertices in its active set, over `course`, in steps that are a
+/// step of the scene halved `halvings` times. This number follows from what steps were too long or too short for, and
+/// does not depend on vertices on which nothing acts.
 pub fn advance(
     course: &Course<'_>,
     control: StepControl<'_>,
     common: &mut Common,
     active_set: &mut ActiveSet,
+    halvings: &mut u32,
     scratch: &mut Scratch,
 ) -> StepStatistics {
     let mut statistics = StepStatistics::default();
-    halve(course, control, common, active_set, scratch, MOST_HALVINGS, &mut statistics);
+    scratch.count_near = *halvings > 0;
+    let steps = match *halvings {
+        0 => 1.0,
+        // a part of a step of the scene is that much shorter already
+        halvings => (f64::from(1 << halvings) * (course.length / course.scene.dt)).ceil(),
+    };
+    let length = course.length / steps;
+    for step in 0..steps as u32 {
+        let start = course.start + f64::from(step) * length;
+        let is_whole = course.is_whole && steps == 1.0;
+        let part = Course { start, length, is_whole, ..*course };
+        halve(&part, control, common, active_set, scratch, MOST_HALVINGS, &mut statistics);
+        if control.work.is_over() {
+            return statistics;
+        }
+    }
+    if course.is_whole {
+        let StepStatistics { hard, near, .. } = statistics;
+        let vertices = course.mesh.vertex_count() as u64 * steps as u64;
+        *halvings = match *halvings {
+            now if now < MOST_HALVINGS && hard * MANY > vertices => now + 1,
+            1.. if near == 0 => 0,
+            now @ 1.. if near * FEW < vertices => now - 1,
+            now => now,
+        };
+    }
     statistics
 }
 
@@ -146,7 +184,7 @@ fn take(
     scratch: &mut Scratch,
     statistics: &mut StepStatistics,
 ) -> f64 {
-    let Scratch { whole, pulls, outcomes, inside, known, single } = scratch;
+    let Scratch { whole, pulls, outcomes, inside, count_near, known, single } = scratch;
     let force = course.strongest_pull();
     let wanted = control.tolerance * course.length;
     let stiff = single::is_stiff(course, course.length);
@@ -160,6 +198,7 @@ fn take(
         stiff,
         work,
         uncounted: 0,
+        count_near: *count_near,
         pulls,
         outcomes,
     });
@@ -182,6 +221,7 @@ fn take(
             let end = active_set.state(i);
             let outcome = Outcome { end, forces, bend: outcomes.bend.get(i), error: outcomes.error[i] };
             let start = State { x: outcomes.displacement.get(i), u: outcomes.velocity.get(i) };
+            statistics.hard += u64::from(!(outcome.error <= wanted));
             let end = alone.take((vertex, inside), start, outcome, known, single);
             active_set.set_state(i, end);
         }
@@ -189,6 +229,7 @@ fn take(
     if !outcomes.groups.is_empty() {
         active_set.pad_again(); // the padding has not been updated
     }
+    statistics.near += outcomes.near;
     statistics.substeps += alone.substeps;
     statistics.excess += alone.excess;
     alone.error.max(outcomes.largest_error())

@@ -7,7 +7,7 @@ use super::{
     course::Course,
     lanes::{LANES, Vector},
     rim::{self, Motion, Unresolved},
-    step::{Collocated, Group, Outcome, Pull, Step, Trajectories, Vertex, is_sampled_aside},
+    step::{Collocated, Group, Outcome, Pull, SHORTER, Step, Trajectories, Vertex, is_sampled_aside},
     weights::{Dense, KnownWeights, Stage, Weights},
     work_of,
 };
@@ -22,8 +22,6 @@ use crate::{
 
 /// Steps that a vertex may take in one interval; what is left then is taken in one, unchecked but within bounds.
 const MOST_STEPS: u32 = 3072;
-/// A step of half the length has an error this many times smaller, in proportion to its length.
-const SHORTER: f64 = 32.0;
 /// After so many steps of a vertex in one interval, the acceptable error grows …
 const PATIENCE: u32 = 1536;
 /// … by a factor of two with every so many more.

@@ -23,6 +23,8 @@ const MOST_SWEEPS: usize = 6;
 /// Paths are interpolated by the quartic through a step's samples only if the cubic through its nodes is this accurate
 /// in the middle [radii]; see [`Step::smooth`].
 const SMOOTH: f64 = 1e-7;
+/// A step of half the length has an error this many times smaller, in proportion to its length.
+pub const SHORTER: f64 = 32.0;
 /// Number of the sample at [`ASIDE`].
 const ASIDE_LOOK: usize = 5;
 
@@ -302,15 +304,20 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
         let none = Reals::splat(simd, 0.0);
         let left_out = none.larger_or_nan(bend.length_squared().sqrt() - noise);
         let end = respond(flow[2], &weights.nodes[3].force, &forces);
-        let effect = if self.step.weights.is_sampled_aside {
+        let mut effect = left_out * self.roughness(x, end) * 0.1;
+        if self.step.weights.is_sampled_aside {
             let stage = &weights.aside;
             let found = self.force(ASIDE_LOOK, respond(x * stage.xx + u * stage.xu, &stage.force, &forces));
             let quartic = respond(bend * weights.bend_aside, &weights.polynomial_aside, &forces);
             let skew = none.larger_or_nan((found - quartic).length_squared().sqrt() - noise);
-            self.left_out(stiffness, left_out, skew) + self.ringing([x, u], &forces, stiffness)
-        } else {
-            left_out * self.roughness(x, end) * 0.1
-        };
+            let all = self.left_out(stiffness, left_out, skew) + self.ringing([x, u], &forces, stiffness);
+            // by what acts on each vertex alone, not by the spheres that others are near
+            let Material { omega, damping, .. } = self.course.body().material;
+            let scales = (stiffness.sqrt() + Reals::splat(simd, omega + 2.0 * damping)) * self.step.h;
+            let is_quick = Reals::splat(simd, 1.0).below(scales);
+            let is_near = Reals::splat(simd, wanted).below(effect * (4.0 * gain));
+            effect = is_quick.or(is_near).select(all, effect);
+        }
         Collocated {
             x: end,
             u: respond(x * weights.ux + u * weights.uu, &weights.velocity, &forces),

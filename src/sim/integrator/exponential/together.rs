@@ -8,7 +8,7 @@ use pulp::{Simd, WithSimd};
 use super::{
     course::Course,
     lanes::{LANES, Mask, Reals, Vector},
-    step::{Collocated, Group, Pull, Step, has_kink},
+    step::{Collocated, Group, Pull, SHORTER, Step, has_kink},
 };
 use crate::sim::{
     arrays::{Block, Vectors},
@@ -46,13 +46,15 @@ pub struct Outcomes {
     pub groups: Vec<Range<usize>>,
     /// The largest estimated errors of the other vertices, by lanes [scene unit].
     largest: [f64; LANES],
+    /// The number of vertices for which a step of twice the length would not be accurate enough, if it is counted.
+    pub near: u64,
 }
 
 impl Outcomes {
     fn resize(&mut self, count: usize, spheres: usize) {
-        let Outcomes { displacement, velocity, forces, bend, error, inside, attention, groups, largest } = self;
+        let Outcomes { displacement, velocity, forces, bend, error, inside, attention, groups, largest, near } = self;
         groups.clear();
-        *largest = [0.0; LANES];
+        (*largest, *near) = ([0.0; LANES], 0);
         inside.resize(count * spheres, 0.0);
         if error.len() == count {
             return; // all are as long
@@ -99,6 +101,8 @@ pub struct Together<'a> {
     pub work: &'a Tally<'a>,
     /// Work that was done but not counted yet.
     pub uncounted: u64,
+    /// Whether to count the vertices for which a step of twice the length would not be accurate enough.
+    pub count_near: bool,
     /// Buffer, reused.
     pub pulls: &'a mut Vec<Pull>,
     /// Results for the vertices that need attention.
@@ -186,6 +190,13 @@ impl Together<'_> {
             });
         }
         let outcomes = &mut *self.outcomes;
+        if self.count_near {
+            let mut errors = [0.0; LANES];
+            end.error.store(&mut errors, 0);
+            for error in &errors[..Reals::<S, W>::COUNT.min(self.active_set.vertices.len() - first)] {
+                outcomes.near += u64::from(!(error * SHORTER <= self.wanted));
+            }
+        }
         let settled = attention.select(Reals::splat(simd, 0.0), end.error);
         Reals::load(simd, &outcomes.largest, 0).larger(settled).store(&mut outcomes.largest, 0);
         if attention.any() {
