@@ -38,6 +38,8 @@ use weights::KnownWeights;
 
 /// Largest number of halvings of a body's interval needed to resolve its own motion, and of those that its vertices need.
 const MOST_HALVINGS: u32 = 10;
+/// Number of steps that a vertex may take however short the step was made for all.
+const LEAST_STEPS: u32 = 128;
 /// Steps are halved once more if they are too long for more than this share of a body's vertices …
 const MANY: u64 = 32;
 /// … and once less if steps twice as long would do for all but this share.
@@ -51,6 +53,7 @@ pub struct Scratch {
     outcomes: Outcomes,
     inside: Vec<u64>,
     count_near: bool,
+    most_steps: u32,
     known: KnownWeights,
     single: single::Scratch,
 }
@@ -110,6 +113,7 @@ pub fn advance(
         // a part of a step of the scene is that much shorter already
         halvings => (f64::from(1 << halvings) * (course.length / course.scene.dt)).ceil(),
     };
+    scratch.most_steps = (single::MOST_STEPS / steps as u32).max(LEAST_STEPS);
     let length = course.length / steps;
     for step in 0..steps as u32 {
         let start = course.start + f64::from(step) * length;
@@ -184,7 +188,7 @@ fn take(
     scratch: &mut Scratch,
     statistics: &mut StepStatistics,
 ) -> f64 {
-    let Scratch { whole, pulls, outcomes, inside, count_near, known, single } = scratch;
+    let Scratch { whole, pulls, outcomes, inside, count_near, most_steps, known, single } = scratch;
     let force = course.strongest_pull();
     let wanted = control.tolerance * course.length;
     let stiff = single::is_stiff(course, course.length);
@@ -204,7 +208,18 @@ fn take(
     });
 
     let tolerance = control.tolerance;
-    let mut alone = Single { course, whole, common, tolerance, force, work, substeps: 0, error: 0.0, excess: 0.0 };
+    let mut alone = Single {
+        course,
+        whole,
+        common,
+        tolerance,
+        force,
+        most_steps: *most_steps,
+        work,
+        substeps: 0,
+        error: 0.0,
+        excess: 0.0,
+    };
     let has_kink = step::has_kink(course.weight());
     let count = active_set.vertices.len();
     for group in &outcomes.groups {

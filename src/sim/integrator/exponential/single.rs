@@ -20,12 +20,10 @@ use crate::{
     },
 };
 
-/// Steps that a vertex may take in one interval; what is left then is taken in one, unchecked but within bounds.
-const MOST_STEPS: u32 = 3072;
-/// After so many steps of a vertex in one interval, the acceptable error grows …
-const PATIENCE: u32 = 1536;
-/// … by a factor of two with every so many more.
-const HASTE: u32 = 48;
+/// Steps that a vertex may take in one step of the scene; what is left then is taken in one, unchecked but within bounds.
+/// After half of them the acceptable error grows, by a factor of two with each of [`DOUBLINGS`] equal shares of the others.
+pub const MOST_STEPS: u32 = 3072;
+const DOUBLINGS: u32 = 32;
 
 /// The work of preparing a step of one vertex, …
 const STEP: u64 = 60;
@@ -66,6 +64,8 @@ pub struct Single<'a> {
     pub common: &'a Common,
     /// The largest error that will do, per time [scene unit/s].
     pub tolerance: f64,
+    /// Steps that a vertex may take in the interval, see [`MOST_STEPS`].
+    pub most_steps: u32,
     /// Bound of the acceleration of a vertex by anything but its oscillator [scene unit/s²].
     pub force: f64,
     /// When it is over, what is left is not done.
@@ -154,7 +154,7 @@ impl Single<'_> {
             (start, h) = next;
             is_whole = false;
             steps += 1;
-            if steps == MOST_STEPS {
+            if steps == self.most_steps {
                 let weights = Weights::new(course.oscillator(), course.end() - start, false);
                 part.prepare_part(course, self.whole, self.common, start, &weights);
                 let held = hold(course, part, &vertex, state);
@@ -191,7 +191,8 @@ impl Single<'_> {
 
     /// The error that will do for a step of length `h` after so many others [scene unit].
     fn wanted(&self, h: f64, steps: u32) -> f64 {
-        self.tolerance * h * 2f64.powi((steps.saturating_sub(PATIENCE) / HASTE) as i32)
+        let half = self.most_steps / 2;
+        self.tolerance * h * 2f64.powi((steps.saturating_sub(half) / (half / DOUBLINGS)) as i32)
     }
 
     /// How far the vertex can get by itself in a step [scene unit].
