@@ -297,7 +297,8 @@ fn the_built_in_scenes_are_listed_and_run() {
     for builtin in builtin::ALL {
         let scene = Scene::builtin(builtin.name).expect("it is built in");
         let bodies = scene.bodies.len();
-        let line = format!("{}: {bodies} {}", builtin.name, if bodies == 1 { "body" } else { "bodies" });
+        let count = if bodies == 1000 { "1,000".into() } else { bodies.to_string() };
+        let line = format!("{}: {count} {}", builtin.name, if bodies == 1 { "body" } else { "bodies" });
         assert!(ran.out.lines().any(|found| found.starts_with(&line) && found.ends_with(" vertices")), "{}", ran.out);
         assert!(builtin.what_to_look_at().count() > 0);
         assert!(builtin.what_to_look_at().all(|sentence| ran.out.contains(sentence)), "{}", ran.out);
@@ -1253,7 +1254,7 @@ fn a_flight_recorder_writes_frames_after_its_trigger() {
 fn the_size_of_a_recording_is_known_before() {
     use meldscope::stream::size;
     let dir = Dir::new();
-    for scene in ["three", "crowd"] {
+    for scene in ["two", "three", "crowd", "mesh"] {
         let file = format!("{scene}.rrd");
         run(&dir, &["run", scene, "--save", &file, "--every", "2"]).succeeded();
         let real = size(&dir.file(&file)) as f64;

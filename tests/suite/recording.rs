@@ -1256,7 +1256,8 @@ fn a_crowd_is_recorded_as_it_is() {
     let scene = Scene { duration: 0.5, ..builtin("crowd") };
     let run = Run::new(&scene);
     run.verify();
-    assert!(run.recording.entities().len() <= 110 && run.pairs().len() == MOST_PAIRS_OF_MANY);
+    assert!(run.recording.entities().len() <= 130, "{}", run.recording.entities().len());
+    assert!((MOST_PAIRS_OF_MANY..=2 * MOST_PAIRS_OF_MANY).contains(&run.pairs().len()), "{:?}", run.pairs());
 }
 
 #[test]
@@ -1278,7 +1279,8 @@ fn few_bodies_can_be_batched_and_many_need_not() {
 fn of_many_pairs_the_first_have_entities_and_all_have_events() {
     let run = Run::new(&Scene { duration: 1.0, ..lattice(2.2) });
     run.verify();
-    assert_eq!(run.pairs().len(), MOST_PAIRS_OF_MANY);
+    // as many that come within reach, and as many that have events
+    assert!((MOST_PAIRS_OF_MANY..=2 * MOST_PAIRS_OF_MANY).contains(&run.pairs().len()), "{:?}", run.pairs());
     let with_events: HashSet<_> = run.events().iter().map(|event| (event.a as usize, event.b as usize)).collect();
     assert!(with_events.iter().any(|pair| !run.pairs().contains(pair)), "{:?}", run.events());
 }
