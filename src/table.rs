@@ -117,7 +117,7 @@ pub struct Table {
 }
 
 enum Writer {
-    Csv(csv::Writer<BufWriter<File>>),
+    Csv(Box<csv::Writer<BufWriter<File>>>),
     Json { file: BufWriter<File>, rows: u64 },
     Parquet(Box<ParquetTable>),
 }
@@ -197,7 +197,7 @@ impl Writer {
             Format::Csv => {
                 let mut writer = csv::Writer::from_writer(file);
                 writer.write_record(columns.iter().map(|column| &column.name))?;
-                Writer::Csv(writer)
+                Writer::Csv(Box::new(writer))
             }
             Format::Json => {
                 file.write_all(b"[")?;

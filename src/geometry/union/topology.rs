@@ -282,7 +282,7 @@ impl Topology {
                     continue;
                 }
                 let first = self.block_triangles.len();
-                if (self.block_start.len() - 1) % (UNCHECKED / BLOCK) == 0 {
+                if (self.block_start.len() - 1).is_multiple_of(UNCHECKED / BLOCK) {
                     check()?;
                 }
                 taken[start as usize] = true;

@@ -469,7 +469,8 @@ impl Island {
         for (i, body) in self.bodies.iter().enumerate() {
             let pairs = pairs_of[i].iter().map(|&pair| &self.pairs[pair as usize]);
             acting[i].find(i, &self.bodies, pairs, &self.field, span, places);
-            courses[i].select(arch, body, span, &self.field, &mut acting[i], &places[i], wide);
+            let view = View { body, field: &self.field, span, places: &places[i], first: 0, arch };
+            courses[i].select(view, &mut acting[i], wide);
             vertices += courses[i].active.len();
         }
         let parallel = vertices >= PARALLEL_VERTICES;

@@ -21,7 +21,7 @@ use super::{
     body::{Body, Sums},
     crossing::Crossings,
     field::{Driven, Field, Paths},
-    force::Acting,
+    force::{Acting, View},
     kernels::{self, Active, Finish, Move, Reach, Start},
     passive::{Linear, Moments, Most},
     weights::{BALLISTIC, Late, cubic, looks},
@@ -300,16 +300,8 @@ impl Course {
 
     /// Finds the vertices that spheres, planes or pushes may reach in the step; they are active. `wide` times what is
     /// expected of the motion is allowed for; [`Course::strays`] tells whether that was enough.
-    pub fn select(
-        &mut self,
-        arch: Arch,
-        body: &Body,
-        span: &Span,
-        field: &Field,
-        acting: &mut Acting,
-        places: &[Place; 5],
-        wide: f64,
-    ) {
+    pub fn select(&mut self, view: View<'_>, acting: &mut Acting, wide: f64) {
+        let View { body, field, span, places, arch, .. } = view;
         let Most { x, u, rest: extent } = self.most;
         let farthest = extent + x;
         // before sums are known, a body's spin is that of its rest shape
