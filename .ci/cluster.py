@@ -32,14 +32,14 @@ until = "end"
 key = "influence.split_at"
 from = 1.1
 to = 1.5
-count = 17
+count = 65
 [[axis]]
 key = "influence.merge_at"
 from = 0.9
 to = 1.09
-count = 17
+count = 65
 """
-REFINE, SHARDS = 2, 8
+REFINE, SHARDS = 1, 8
 
 
 def rows(folder):
