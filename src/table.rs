@@ -5,6 +5,7 @@
 //! is not finite; there it is `null`.
 
 use std::{
+    collections::HashMap,
     fs::{self, File},
     io::{self, BufWriter, Read as _, Seek as _, SeekFrom, Write},
     path::{Path, PathBuf},
@@ -14,10 +15,11 @@ use std::{
 use parquet::{
     arrow::ArrowWriter,
     basic::{Compression, ZstdLevel},
+    errors::ParquetError,
     file::properties::WriterProperties,
 };
 use rerun::external::arrow::{
-    array::{ArrayRef, Float64Builder, Int64Builder, RecordBatch, StringBuilder, UInt64Builder},
+    array::{ArrayRef, Float64Builder, Int64Builder, ListBuilder, RecordBatch, StringBuilder, UInt64Builder},
     datatypes::{DataType, Field, Schema},
     error::ArrowError,
 };
@@ -36,7 +38,7 @@ const BATCH: usize = 8192;
 const GROUP: usize = 16 << 20;
 const PARTIAL: &str = ".partial";
 
-/// The type of a column. Any value may be missing.
+/// The type of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// f64.
@@ -47,19 +49,49 @@ pub enum Kind {
     Integer,
     /// UTF-8.
     Text,
+    /// f64, any number of them.
+    List,
+}
+
+impl Kind {
+    /// The type in Arrow's schema.
+    pub fn data_type(self) -> DataType {
+        match self {
+            Kind::Float => DataType::Float64,
+            Kind::Count => DataType::UInt64,
+            Kind::Integer => DataType::Int64,
+            Kind::Text => DataType::Utf8,
+            Kind::List => DataType::List(Arc::new(Field::new("item", DataType::Float64, true))),
+        }
+    }
 }
 
 /// A column of a table.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Column {
-    name: String,
-    kind: Kind,
+    /// Its name.
+    pub name: String,
+    /// Its type.
+    pub kind: Kind,
+    /// What it is, with its unit: stored as `about` in the metadata of a Parquet field, so that the table explains itself
+    /// wherever it is read. Not stored if empty.
+    pub about: &'static str,
+    /// Whether values can be missing.
+    pub is_nullable: bool,
 }
 
 impl Column {
-    /// A column of this name and type.
+    /// A column of this name and type, of which values can be missing.
     pub fn new(name: &str, kind: Kind) -> Column {
-        Column { name: name.to_owned(), kind }
+        Column { name: name.to_owned(), kind, about: "", is_nullable: true }
+    }
+
+    fn field(&self) -> Field {
+        let field = Field::new(&self.name, self.kind.data_type(), self.is_nullable);
+        if self.about.is_empty() {
+            return field;
+        }
+        field.with_metadata(HashMap::from([("about".to_owned(), self.about.to_owned())]))
     }
 }
 
@@ -74,6 +106,8 @@ pub enum Cell<'a> {
     Integer(i64),
     /// Of a [`Kind::Text`].
     Text(&'a str),
+    /// Of a [`Kind::List`].
+    List(&'a [f64]),
     /// Missing.
     Null,
 }
@@ -119,7 +153,7 @@ pub struct Table {
 enum Writer {
     Csv(Box<csv::Writer<BufWriter<File>>>),
     Json { file: BufWriter<File>, rows: u64 },
-    Parquet(Box<ParquetTable>),
+    Parquet(Box<ParquetTable<BufWriter<File>>>),
 }
 
 impl Table {
@@ -227,7 +261,7 @@ impl Writer {
                 *rows += 1;
                 file.write_all(b"}")
             }
-            Writer::Parquet(table) => table.row(cells),
+            Writer::Parquet(table) => table.row(cells.iter().copied()),
         }
     }
 
@@ -238,7 +272,7 @@ impl Writer {
                 file.write_all(b"\n]\n")?;
                 file.flush()
             }
-            Writer::Parquet(table) => table.finish(),
+            Writer::Parquet(table) => table.finish()?.flush(),
         }
     }
 }
@@ -250,6 +284,7 @@ fn plain(cell: Cell<'_>) -> String {
         Cell::Count(number) => number.to_string(),
         Cell::Integer(number) => number.to_string(),
         Cell::Text(text) => text.to_owned(),
+        Cell::List(numbers) => serde_json::Value::from(numbers).to_string(),
         Cell::Null => "null".to_owned(),
     }
 }
@@ -259,8 +294,8 @@ fn quoted(text: &str) -> io::Result<String> {
 }
 
 /// Rows on their way to a Parquet file.
-struct ParquetTable {
-    writer: ArrowWriter<BufWriter<File>>,
+pub struct ParquetTable<W: Write + Send> {
+    writer: ArrowWriter<W>,
     schema: Arc<Schema>,
     builders: Vec<Builder>,
     rows: usize,
@@ -271,37 +306,50 @@ enum Builder {
     Count(UInt64Builder),
     Integer(Int64Builder),
     Text(StringBuilder),
+    List(ListBuilder<Float64Builder>),
 }
 
-impl ParquetTable {
-    fn new(columns: &[Column], file: BufWriter<File>) -> io::Result<ParquetTable> {
-        let field = |column: &Column| {
-            let kind = match column.kind {
-                Kind::Float => DataType::Float64,
-                Kind::Count => DataType::UInt64,
-                Kind::Integer => DataType::Int64,
-                Kind::Text => DataType::Utf8,
-            };
-            Field::new(&column.name, kind, true)
-        };
-        let schema = Arc::new(Schema::new(columns.iter().map(field).collect::<Vec<_>>()));
+/// The error of the file behind an error of Parquet.
+fn failed(error: ParquetError) -> io::Error {
+    match error {
+        ParquetError::External(error) => match error.downcast::<io::Error>() {
+            Ok(error) => *error,
+            Err(error) => io::Error::other(error),
+        },
+        error => io::Error::other(error),
+    }
+}
+
+impl<W: Write + Send> ParquetTable<W> {
+    /// Begins a table with these columns.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn new(columns: &[Column], to: W) -> io::Result<ParquetTable<W>> {
+        let schema = Arc::new(Schema::new(columns.iter().map(Column::field).collect::<Vec<_>>()));
+        let level = ZstdLevel::try_new(3).map_err(failed)?;
         let properties = WriterProperties::builder()
             .set_created_by(CREATED_BY.to_owned())
-            .set_compression(Compression::ZSTD(ZstdLevel::default()))
+            .set_compression(Compression::ZSTD(level))
             .build();
         let builder = |column: &Column| match column.kind {
             Kind::Float => Builder::Float(Float64Builder::new()),
             Kind::Count => Builder::Count(UInt64Builder::new()),
             Kind::Integer => Builder::Integer(Int64Builder::new()),
             Kind::Text => Builder::Text(StringBuilder::new()),
+            Kind::List => Builder::List(ListBuilder::new(Float64Builder::new())),
         };
         let builders = columns.iter().map(builder).collect();
-        let writer = ArrowWriter::try_new(file, Arc::clone(&schema), Some(properties)).map_err(io::Error::other)?;
+        let writer = ArrowWriter::try_new(to, Arc::clone(&schema), Some(properties)).map_err(failed)?;
         Ok(ParquetTable { writer, schema, builders, rows: 0 })
     }
 
-    fn row(&mut self, cells: &[Cell<'_>]) -> io::Result<()> {
-        for (builder, &cell) in self.builders.iter_mut().zip(cells) {
+    /// Adds a row, a cell for each column.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn row<'a>(&mut self, cells: impl Iterator<Item = Cell<'a>>) -> io::Result<()> {
+        for (builder, cell) in self.builders.iter_mut().zip(cells) {
             match (builder, cell) {
                 (Builder::Float(builder), Cell::Float(number)) => builder.append_value(number),
                 (Builder::Float(builder), _) => builder.append_null(),
@@ -311,6 +359,11 @@ impl ParquetTable {
                 (Builder::Integer(builder), _) => builder.append_null(),
                 (Builder::Text(builder), Cell::Text(text)) => builder.append_value(text),
                 (Builder::Text(builder), _) => builder.append_null(),
+                (Builder::List(builder), Cell::List(numbers)) => {
+                    builder.values().append_slice(numbers);
+                    builder.append(true);
+                }
+                (Builder::List(builder), _) => builder.append_null(),
             }
         }
         self.rows += 1;
@@ -325,20 +378,25 @@ impl ParquetTable {
                 Builder::Count(builder) => Arc::new(builder.finish()),
                 Builder::Integer(builder) => Arc::new(builder.finish()),
                 Builder::Text(builder) => Arc::new(builder.finish()),
+                Builder::List(builder) => Arc::new(builder.finish()),
             }
         };
         let columns = self.builders.iter_mut().map(column).collect();
         let batch = RecordBatch::try_new(Arc::clone(&self.schema), columns);
-        self.writer.write(&batch.map_err(|error: ArrowError| io::Error::other(error))?).map_err(io::Error::other)?;
+        self.writer.write(&batch.map_err(|error: ArrowError| io::Error::other(error))?).map_err(failed)?;
         if self.writer.in_progress_size() >= GROUP {
-            self.writer.flush().map_err(io::Error::other)?;
+            self.writer.flush().map_err(failed)?;
         }
         Ok(())
     }
 
-    fn finish(mut self) -> io::Result<()> {
+    /// Ends the table; returns what it was written to.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn finish(mut self) -> io::Result<W> {
         self.encode()?;
-        self.writer.into_inner().map_err(io::Error::other)?.flush()
+        self.writer.into_inner().map_err(failed)
     }
 }
 

@@ -1,7 +1,7 @@
 //! `meldscope sweep`: runs a scene at every point of a grid over its parameters.
 
 use std::{
-    collections::{BTreeMap, HashMap},
+    collections::HashMap,
     path::{Path, PathBuf},
     sync::atomic::{AtomicU64, Ordering},
     time::Instant,
@@ -43,7 +43,7 @@ pub struct Arguments {
     /// The folder of the rows and maps. A sweep that was interrupted goes on in it.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Refine the grid N times where neighbours differ in outcome: each level halves their distance.
+    /// Refine the grid N times where neighbours differ in outcome, or by a [jump]: each level halves their distance.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=i64::from(MOST_LEVELS)))]
     refine: u32,
     /// Find every change of outcome along this axis, to 1e-9: KEY of an [[axis]], or its name.
@@ -138,8 +138,8 @@ pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
         start: Instant::now(),
     };
     if let (Some(shard), Some(level)) = (arguments.shard, arguments.level) {
-        let mut known = Known::new(&sweep.design, arguments.refine);
-        let plan = level::plan(&store, &mut known, level)?;
+        let mut known = Known::new(&sweep, arguments.refine);
+        let plan = level::plan(&store, &sweep, &mut known, level)?;
         if plan.is_empty() {
             print(&format!("level {level}: complete, nothing is left to refine"));
             return Ok(());
@@ -154,8 +154,8 @@ pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
         return doing.level(level, &plan, shard);
     }
 
-    let mut known = Known::new(&sweep.design, arguments.refine);
-    let mut plan = level::plan(&store, &mut known, 0)?;
+    let mut known = Known::new(&sweep, arguments.refine);
+    let mut plan = level::plan(&store, &sweep, &mut known, 0)?;
     let mut total = 0;
     for level in 0.. {
         doing.level(level, &plan, Shard::ALL)?;
@@ -163,11 +163,7 @@ pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
         if arguments.refine == 0 {
             break;
         }
-        let mut there = BTreeMap::new();
-        store.read(level..level + 1, None, &store.named(&["outcome"]), |(row, cells)| {
-            there.insert(row, class(cells.first()));
-        })?;
-        known.add(there);
+        known.add(level::given(&store, &sweep, level)?);
         plan = Plan::List(known.wanted());
         if plan.is_empty() {
             break;

@@ -7,10 +7,13 @@ use rayon::prelude::*;
 use super::{
     design::{Design, Values},
     refine::class,
-    row::{Cell, Column, Kind, Row},
+    row::{Cell, Row},
     run::{Outcome, Runner},
 };
-use crate::scene::template::Setting;
+use crate::{
+    scene::template::Setting,
+    table::{Column, Kind},
+};
 
 /// A threshold is found to within this, absolute or relative, whichever is larger.
 pub const PRECISION: f64 = 1e-9;
@@ -110,7 +113,7 @@ fn narrow(runner: &Runner<'_>, axis: usize, bracket: &Threshold, stop: &AtomicBo
 pub fn columns(design: &Design) -> Vec<Column> {
     let column = |name: &str, kind, about| Column { name: name.to_owned(), kind, about, is_nullable: false };
     let axes = design.axes.iter().map(|axis| {
-        let kind = if axis.is_number() { Kind::F64 } else { Kind::Text };
+        let kind = if axis.is_number() { Kind::Float } else { Kind::Text };
         column(
             &axis.key.to_string(),
             kind,
@@ -118,12 +121,12 @@ pub fn columns(design: &Design) -> Vec<Column> {
         )
     });
     let rest = [
-        column("threshold", Kind::F64, "the middle of the bracket"),
-        column("width", Kind::F64, "how far its ends are apart"),
+        column("threshold", Kind::Float, "the middle of the bracket"),
+        column("width", Kind::Float, "how far its ends are apart"),
         column("below", Kind::Text, "outcome at its first end"),
         column("above", Kind::Text, "outcome at its second end"),
     ];
-    std::iter::once(column("row", Kind::U64, "number of the threshold")).chain(axes).chain(rest).collect()
+    std::iter::once(column("row", Kind::Count, "number of the threshold")).chain(axes).chain(rest).collect()
 }
 
 /// The rows of that table.

@@ -31,7 +31,7 @@ const MOST_TRIED: u64 = 4096;
 static SWEEP: Keys = Keys {
     home: "at the top of the sweep",
     form: "a table",
-    names: &["scene", "sample", "count", "seed", "until", "measures", "color", "axis", "set"],
+    names: &["scene", "sample", "count", "seed", "until", "measures", "color", "jump", "axis", "set"],
 };
 static AXIS: Keys = Keys {
     home: "in an [[axis]]",
@@ -83,6 +83,23 @@ const COLORS: [&str; 9] = [
     "events",
 ];
 
+const NOT_MEASURED: &str = "max_displacement is not measured";
+const MEASURE_IT: &str = "add measures = [\"displacement\"]";
+
+/// Measures whose jumps refine the grid.
+const JUMPS: [&str; 8] = [
+    "max_displacement",
+    "closest",
+    "time_merged",
+    "first_merge",
+    "first_split",
+    "merges",
+    "splits",
+    "energy_by_events",
+];
+static JUMP: Keys = Keys { home: "in [jump]", form: "a table", names: &JUMPS };
+const JUMP_SIZE: Number = Number { min: 1e-12, max: 1e15 };
+
 /// A sweep: a scene, the axes along which it is varied, and what is measured of every run.
 pub struct Sweep {
     /// The text of its file.
@@ -105,6 +122,9 @@ pub struct Sweep {
     pub until: Until,
     /// The column by which the map is coloured.
     pub color: String,
+    /// Columns of which neighbours that differ by more than this, or of which one has none, are refined as if their
+    /// outcomes differed.
+    pub jumps: Vec<(String, f64)>,
 }
 
 impl Sweep {
@@ -191,6 +211,7 @@ fn parse(text: &str, file: &str, folder: Option<&Path>) -> Result<Sweep, SceneEr
     let set = set_tables.iter().map(read_set).collect::<Result<Vec<_>, _>>()?;
     let measures = read_measures(root.get("measures"))?;
     let color = read_color(root.get("color"), measures)?;
+    let jumps = read_jumps(root.get("jump"), measures)?;
     let until = root.optional("until", UNTIL)?.unwrap_or(Until::Certain);
     let design = Design { axes, sampling };
 
@@ -224,6 +245,7 @@ fn parse(text: &str, file: &str, folder: Option<&Path>) -> Result<Sweep, SceneEr
         measures,
         until,
         color,
+        jumps,
     };
     try_values(&sweep, &axis_tables, &set_tables)?;
     Ok(sweep)
@@ -305,11 +327,23 @@ fn read_color(value: Option<Value<'_>>, measures: Measures) -> Result<String, Sc
     let known = Choice(COLORS.map(|name| (name, name)));
     let color = known.read(&value)?;
     if color == "max_displacement" && !measures.displacement {
-        return Err(value
-            .error("max_displacement is not measured".to_owned())
-            .with_help("add measures = [\"displacement\"]"));
+        return Err(value.error(NOT_MEASURED.to_owned()).with_help(MEASURE_IT));
     }
     Ok(color.to_owned())
+}
+
+fn read_jumps(value: Option<Value<'_>>, measures: Measures) -> Result<Vec<(String, f64)>, SceneError> {
+    let Some(value) = value else { return Ok(Vec::new()) };
+    let table = value.into_table(&JUMP)?;
+    let mut jumps = Vec::new();
+    for name in JUMPS {
+        let Some(jump) = table.optional(name, JUMP_SIZE)? else { continue };
+        if name == "max_displacement" && !measures.displacement {
+            return Err(table.error(name, NOT_MEASURED.to_owned()).with_help(MEASURE_IT));
+        }
+        jumps.push((name.to_owned(), jump));
+    }
+    Ok(jumps)
 }
 
 /// Refuses values that make a broken scene, and sweeps of too many runs, before anything runs.

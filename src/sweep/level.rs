@@ -11,7 +11,8 @@ use std::{
 use rayon::prelude::*;
 
 use super::{
-    refine::Known,
+    Sweep,
+    refine::{self, Given, Known},
     row::Row,
     run::Runner,
     store::{Journal, Shard, Store, StoreError},
@@ -171,17 +172,25 @@ fn run_rows(
     }
 }
 
+/// What the rows of a level gave.
+///
+/// # Errors
+/// They cannot be read.
+pub fn given(store: &Store, sweep: &Sweep, level: u32) -> Result<BTreeMap<u64, Given>, StoreError> {
+    let mut given = BTreeMap::new();
+    let columns = store.named(&refine::columns(sweep));
+    store.read(level..level + 1, None, &columns, |(row, cells)| _ = given.insert(row, Given::new(&cells)))?;
+    Ok(given)
+}
+
 /// The rows of a level, from those of the levels before it, which have to be complete.
 ///
 /// # Errors
 /// They are not, or cannot be read.
-pub fn plan(store: &Store, known: &mut Known<'_>, level: u32) -> Result<Plan, LevelError> {
+pub fn plan(store: &Store, sweep: &Sweep, known: &mut Known<'_>, level: u32) -> Result<Plan, LevelError> {
     let mut plan = Plan::First(known.design().count().unwrap_or(0));
     for before in 0..level {
-        let mut there: BTreeMap<u64, u8> = BTreeMap::new();
-        store.read(before..before + 1, None, &store.named(&["outcome"]), |(row, cells)| {
-            there.insert(row, super::refine::class(cells.first()));
-        })?;
+        let there = given(store, sweep, before)?;
         let missing = (0..plan.len()).filter(|&place| !there.contains_key(&plan.row(place))).count() as u64;
         if missing > 0 {
             return Err(LevelError::Incomplete { level: before, planned: plan.len(), missing });

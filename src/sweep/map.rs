@@ -7,10 +7,10 @@ use super::{
     Sweep, bisect,
     design::{Axis, Sampling, Scale, Values},
     refine::{FAILED, class},
-    row::{Cell, Kind},
+    row::Cell,
     store::{Store, StoreError},
 };
-use crate::scene::template::Setting;
+use crate::{scene::template::Setting, table::Kind};
 
 /// Most points along an axis that a map resolves.
 const MOST_POINTS: u64 = 1200;
@@ -92,7 +92,7 @@ impl Map {
         }
         let is_measure = sweep.color != "outcome" && sweep.color != "events";
         let columns = store.named(&["outcome", &sweep.color]);
-        let is_count = columns.get(2).or(columns.get(1)).is_some_and(|column| column.kind == Kind::I64);
+        let is_count = columns.get(2).or(columns.get(1)).is_some_and(|column| column.kind == Kind::Integer);
         let mut seen: BTreeMap<u64, Seen> = BTreeMap::new();
         store.read(0..u32::MAX, None, &columns, |(row, cells)| {
             let value = match cells.last() {

@@ -6,7 +6,7 @@
 //! | which points there are, and their numbers | [`design`] |
 //! | one run: outcomes, measures, when it ends | [`run`] |
 //! | the columns of a row | [`row`] |
-//! | rows as Parquet | [`table`] |
+//! | rows read back from Parquet | [`table`] |
 //! | the folder: what is done, what is under way | [`store`] |
 //! | the runs of a level, on all cores | [`level`] |
 //! | where the grid is halved | [`refine`] |
@@ -21,6 +21,10 @@
 //! until = "certain"             # certain | end: when a run ends [certain]; see [`run`]
 //! measures = ["displacement"]   # displacement, surfaces: measures that cost time [none]
 //! color = "outcome"             # the column by which the map is coloured [outcome]
+//!
+//! [jump]                        # --refine halves the grid where neighbours differ by more than this, too [none]
+//! first_merge = 0.05            # closest, time_merged, first_merge, first_split, merges, splits, energy_by_events or
+//! max_displacement = 0.2        # max_displacement, in the units of their columns
 //!
 //! [[axis]]                      # up to 8
 //! key = "influence.merge_at"    # a path into the scene; bodies by name: body.left.motion.free.velocity[0]

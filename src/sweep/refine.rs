@@ -1,17 +1,18 @@
-//! Refinement: where neighbours differ in outcome, the grid is halved, level by level.
+//! Refinement: where neighbours differ in outcome, or by more than a jump in a measure, the grid is halved, level by level.
 //!
 //! A cell lies between neighbours of the grid of a level: it has 2ⁿ corners if n axes are ranges. It is divided if two
-//! known points of it, its corners or points of finer levels on its faces, differ in outcome. All 3ⁿ points of its halves
+//! known points of it, its corners or points of finer levels on its faces, differ. All 3ⁿ points of its halves
 //! then have to be known. This is repeated up to the last level, so every cell of the last level through whose corners or
 //! faces a boundary was seen to go is there. What a map shows between points of one outcome that lie farther apart, a
 //! region smaller than the first grid's cells for instance, is not found: the first grid has to show every region.
 //!
-//! Which points are wanted depends on outcomes only, not on the order in which they become known. So a level can be divided
+//! Which points are wanted depends on what the runs gave only, not on the order in which they become known. So a level can be divided
 //! among machines, and a sweep that was interrupted goes on with the same rows.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use super::{
+    Sweep,
     design::{Design, Place},
     row::Cell,
     run::Outcome,
@@ -29,21 +30,53 @@ pub fn class(outcome: Option<&Cell>) -> u8 {
     Outcome::ALL.iter().position(|outcome| outcome.name() == name).map_or(FAILED, |place| place as u8)
 }
 
+/// What a run gave, as far as it decides where the grid is halved.
+#[derive(Clone, Debug)]
+pub struct Given {
+    /// The class of its outcome.
+    pub class: u8,
+    /// The measures whose jumps count, in the order of [`Sweep::jumps`]; NaN for one that is missing.
+    pub measures: Box<[f64]>,
+}
+
+impl Given {
+    /// From the cells of the columns of [`columns`].
+    pub fn new(cells: &[Cell]) -> Given {
+        let measures = cells.iter().skip(1).map(|cell| match cell {
+            Cell::F64(number) => *number,
+            Cell::I64(count) => *count as f64,
+            _ => f64::NAN,
+        });
+        Given { class: class(cells.first()), measures: measures.collect() }
+    }
+}
+
+/// The columns that decide where the grid of a sweep is halved.
+pub fn columns(sweep: &Sweep) -> Vec<&str> {
+    std::iter::once("outcome").chain(sweep.jumps.iter().map(|(name, _)| name.as_str())).collect()
+}
+
 /// What is known of a grid, and which cells of it are divided.
 pub struct Known<'a> {
     design: &'a Design,
+    /// How far measures of neighbours may be apart.
+    jumps: Vec<f64>,
     /// The last level.
     last: u32,
-    classes: HashMap<u64, u8>,
+    given: HashMap<u64, Given>,
     /// Cells that are divided, by the number of their first corner on their level's grid.
     divided: HashSet<(u32, Vec<u64>)>,
     wanted: BTreeSet<u64>,
 }
 
 impl<'a> Known<'a> {
-    /// Nothing, of a grid that is refined up to `last`.
-    pub fn new(design: &'a Design, last: u32) -> Known<'a> {
-        Known { design, last, classes: HashMap::new(), divided: HashSet::new(), wanted: BTreeSet::new() }
+    /// Nothing, of a sweep whose grid is refined up to `last`.
+    pub fn new(sweep: &'a Sweep, last: u32) -> Known<'a> {
+        Known::of(&sweep.design, sweep.jumps.iter().map(|(_, jump)| *jump).collect(), last)
+    }
+
+    fn of(design: &'a Design, jumps: Vec<f64>, last: u32) -> Known<'a> {
+        Known { design, jumps, last, given: HashMap::new(), divided: HashSet::new(), wanted: BTreeSet::new() }
     }
 
     /// The axes.
@@ -51,13 +84,13 @@ impl<'a> Known<'a> {
         self.design
     }
 
-    /// Adds outcomes of rows, and divides cells accordingly.
-    pub fn add(&mut self, rows: BTreeMap<u64, u8>) {
+    /// Adds what rows gave, and divides cells accordingly.
+    pub fn add(&mut self, rows: BTreeMap<u64, Given>) {
         for row in rows.keys() {
             self.wanted.remove(row);
         }
         let new: Vec<u64> = rows.keys().copied().collect();
-        self.classes.extend(rows);
+        self.given.extend(rows);
         if self.last == 0 {
             return;
         }
@@ -69,7 +102,7 @@ impl<'a> Known<'a> {
         }
         loop {
             let before = self.divided.len();
-            let mut rows: Vec<u64> = self.classes.keys().copied().collect();
+            let mut rows: Vec<u64> = self.given.keys().copied().collect();
             rows.sort_unstable();
             for row in rows {
                 if let Some(place) = self.design.place(row).filter(|place| place.level > 0) {
@@ -87,9 +120,14 @@ impl<'a> Known<'a> {
         self.wanted.iter().copied().collect()
     }
 
-    /// The outcome of the point of a grid, if it is known.
-    pub fn class(&self, level: u32, index: &[u64]) -> Option<u8> {
-        self.classes.get(&self.design.row(level, index)).copied()
+    /// What the run at a point of a grid gave, if it is known.
+    fn at(&self, level: u32, index: &[u64]) -> Option<&Given> {
+        self.given.get(&self.design.row(level, index))
+    }
+
+    fn differ(&self, a: &Given, b: &Given) -> bool {
+        let jumps = || self.jumps.iter().zip(a.measures.iter().zip(&b.measures));
+        a.class != b.class || jumps().any(|(jump, (a, b))| a.is_nan() != b.is_nan() || (a - b).abs() > *jump)
     }
 
     /// Whether a cell is divided.
@@ -137,10 +175,14 @@ impl<'a> Known<'a> {
         points
     }
 
-    /// Divides a cell if its corners are known and differ.
+    /// Divides a cell if its corners are known and two of them differ.
     fn consider(&mut self, level: u32, corner: Vec<u64>) {
-        let classes: Option<Vec<u8>> = self.points(&corner, 0).iter().map(|point| self.class(level, point)).collect();
-        if classes.is_some_and(|classes| classes.windows(2).any(|pair| pair[0] != pair[1])) {
+        let corners: Option<Vec<&Given>> = self.points(&corner, 0).iter().map(|point| self.at(level, point)).collect();
+        let differ = |corners: &[&Given]| {
+            let pairs = corners.iter().enumerate();
+            pairs.clone().any(|(index, a)| corners[..index].iter().any(|b| self.differ(a, b)))
+        };
+        if corners.is_some_and(|corners| differ(&corners)) {
             self.divide(level, corner);
         }
     }
@@ -151,7 +193,7 @@ impl<'a> Known<'a> {
         }
         for point in self.points(&corner, 1) {
             let row = self.design.row(level + 1, &point);
-            if !self.classes.contains_key(&row) {
+            if !self.given.contains_key(&row) {
                 self.wanted.insert(row);
             }
         }
@@ -174,13 +216,15 @@ impl<'a> Known<'a> {
 
     /// Compares a point with the cells that have it: from the first level down to the first that is not divided.
     fn descend(&mut self, row: u64, place: &Place) {
-        let Some(&class) = self.classes.get(&row) else { return };
+        let Some(given) = self.given.get(&row).cloned() else { return };
         let mut cells: Vec<Vec<u64>> = self.cells_at(0, place);
         for level in 0..place.level {
             let mut next = Vec::new();
             let within: HashSet<Vec<u64>> = self.cells_at(level + 1, place).into_iter().collect();
             for cell in cells {
-                if !self.is_divided(level, &cell) && self.class(level, &cell).is_some_and(|known| known != class) {
+                if !self.is_divided(level, &cell)
+                    && self.at(level, &cell).is_some_and(|known| self.differ(known, &given))
+                {
                     self.divide(level, cell.clone());
                 }
                 if self.is_divided(level, &cell) {
@@ -220,12 +264,12 @@ mod tests {
                 point.iter().map(|value| if let Setting::Number(x) = value { *x } else { 0.0 }).collect();
             rule(&numbers)
         };
-        let mut known = Known::new(design, last);
+        let mut known = Known::of(design, vec![], last);
         let mut wanted: Vec<u64> = (0..design.count().unwrap()).collect();
         let mut runs = 0;
         while !wanted.is_empty() {
             runs += wanted.len();
-            known.add(wanted.iter().map(|&row| (row, of_row(row))).collect());
+            known.add(wanted.iter().map(|&row| (row, Given { class: of_row(row), measures: [].into() })).collect());
             wanted = known.wanted();
         }
         let mut wrong = 0;
@@ -240,8 +284,8 @@ mod tests {
                     if !known.is_divided(level, &cell)
                         && (level == 0 || known.is_divided(level - 1, &[cell[0] / 2, cell[1] / 2]))
                     {
-                        said =
-                            said.or(if level == last { known.class(last, &index) } else { known.class(level, &cell) });
+                        said = said.or(if level == last { known.at(last, &index) } else { known.at(level, &cell) }
+                            .map(|given| given.class));
                     }
                 }
             }
@@ -262,6 +306,28 @@ mod tests {
         refine(&design, 5, |p| if p[1] >= 0.5 { 2 } else { u8::from(p[0] * p[0] + 0.3 * p[1] > 0.4) });
         // a tongue that enters a coarse cell through a face between its corners
         refine(&design, 5, |p| u8::from(p[0] < 0.3 || p[0] < 0.7 && (p[1] - 0.56).abs() < 0.045 * (1.0 - p[0])));
+    }
+
+    #[test]
+    fn a_jump_of_a_measure_is_followed_like_a_boundary() {
+        let (design, last) = (design(&[9]), 6);
+        let front = 0.377;
+        let measure = |x: f64| if x < front { 0.1 * x } else { 0.1 * x + 0.5 };
+        let mut known = Known::of(&design, vec![0.2], last);
+        let mut wanted: Vec<u64> = (0..9).collect();
+        let mut nearest = [0.0f64, 1.0];
+        let mut runs = 0;
+        while !wanted.is_empty() {
+            runs += wanted.len();
+            let given = |&row: &u64| {
+                let Some(Setting::Number(x)) = design.point(row).unwrap().pop() else { unreachable!() };
+                nearest = if x < front { [nearest[0].max(x), nearest[1]] } else { [nearest[0], nearest[1].min(x)] };
+                (row, Given { class: 0, measures: [measure(x)].into() })
+            };
+            known.add(wanted.iter().map(given).collect());
+            wanted = known.wanted();
+        }
+        assert_eq!((runs, nearest[1] - nearest[0]), (9 + 6, 1.0 / (8.0 * 64.0)));
     }
 
     #[test]

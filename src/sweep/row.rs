@@ -5,7 +5,10 @@ use std::hash::{BuildHasher as _, BuildHasherDefault};
 use rustc_hash::FxHasher;
 
 use super::{Sweep, design::Axis};
-use crate::scene::template::Setting;
+use crate::{
+    scene::template::Setting,
+    table::{self, Column, Kind},
+};
 
 /// Measures that cost more than a number a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -33,32 +36,18 @@ pub enum Cell {
     List(Vec<f64>),
 }
 
-/// The type of a column.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
-    /// [`Cell::I64`].
-    I64,
-    /// [`Cell::U64`].
-    U64,
-    /// [`Cell::F64`].
-    F64,
-    /// [`Cell::Text`].
-    Text,
-    /// [`Cell::List`].
-    List,
-}
-
-/// A column.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Column {
-    /// Its name.
-    pub name: String,
-    /// Its type.
-    pub kind: Kind,
-    /// What it is, with its unit: stored in the table's schema.
-    pub about: &'static str,
-    /// Whether values can be missing.
-    pub is_nullable: bool,
+impl Cell {
+    /// The value as a table takes it.
+    pub fn as_table_cell(&self) -> table::Cell<'_> {
+        match self {
+            Cell::Null => table::Cell::Null,
+            Cell::I64(n) => table::Cell::Integer(*n),
+            Cell::U64(n) => table::Cell::Count(*n),
+            Cell::F64(x) => table::Cell::Float(*x),
+            Cell::Text(text) => table::Cell::Text(text),
+            Cell::List(list) => table::Cell::List(list),
+        }
+    }
 }
 
 /// A row: its number and a cell for every column after that.
@@ -70,36 +59,41 @@ pub const RUN_TIME: &str = "run_time";
 /// The columns of a sweep. The first is the number of the row, then come the axes.
 pub fn columns(sweep: &Sweep) -> Vec<Column> {
     let column = |name: &str, kind, is_nullable, about| Column { name: name.to_owned(), kind, about, is_nullable };
-    let mut columns = vec![column("row", Kind::U64, false, "number of the point")];
+    let mut columns = vec![column("row", Kind::Count, false, "number of the point")];
     columns.extend(sweep.design.axes.iter().map(|axis: &Axis| {
-        let kind = if axis.is_number() { Kind::F64 } else { Kind::Text };
+        let kind = if axis.is_number() { Kind::Float } else { Kind::Text };
         column(&axis.key.to_string(), kind, false, "value at this key of the scene")
     }));
     let fixed: [(&str, Kind, bool, &'static str); 19] = [
         ("outcome", Kind::Text, true, "apart, bounced, merged, passed or split; null if the run failed"),
         ("events", Kind::Text, false, "the phase changes in order, the first 64 of them"),
         ("event_times", Kind::List, false, "exact times of these [s]"),
-        ("merges", Kind::I64, false, "number of merges"),
-        ("splits", Kind::I64, false, "number of splits"),
-        ("cores", Kind::I64, false, "number of times that a pair entered its core"),
-        ("first_merge", Kind::F64, true, "exact time of the first merge [s]"),
-        ("first_split", Kind::F64, true, "exact time of the first split [s]"),
-        ("time_merged", Kind::F64, false, "time that pairs were merged or in their core, all pairs together [s]"),
-        ("closest", Kind::F64, true, "least centre distance of a pair over its radii, of pairs that came within reach"),
-        ("closest_time", Kind::F64, true, "time of that [s]"),
-        ("energy_by_events", Kind::F64, true, "energy that phase changes brought to free bodies [mass unit²/s²]"),
-        ("momentum_x", Kind::F64, true, "momentum of the free bodies at the end [mass unit/s]"),
-        ("momentum_y", Kind::F64, true, "its y"),
-        ("momentum_z", Kind::F64, true, "its z"),
-        ("estimated_error", Kind::F64, false, "sum over steps of the largest estimated error of a vertex [radii]"),
-        ("steps", Kind::I64, false, "steps taken until the outcome was certain"),
-        ("end", Kind::F64, false, "simulated time at the end [s]"),
-        ("checksum", Kind::U64, false, "hash of the exact state at the end"),
+        ("merges", Kind::Integer, false, "number of merges"),
+        ("splits", Kind::Integer, false, "number of splits"),
+        ("cores", Kind::Integer, false, "number of times that a pair entered its core"),
+        ("first_merge", Kind::Float, true, "exact time of the first merge [s]"),
+        ("first_split", Kind::Float, true, "exact time of the first split [s]"),
+        ("time_merged", Kind::Float, false, "time that pairs were merged or in their core, all pairs together [s]"),
+        (
+            "closest",
+            Kind::Float,
+            true,
+            "least centre distance of a pair over its radii, of pairs that came within reach",
+        ),
+        ("closest_time", Kind::Float, true, "time of that [s]"),
+        ("energy_by_events", Kind::Float, true, "energy that phase changes brought to free bodies [mass unit²/s²]"),
+        ("momentum_x", Kind::Float, true, "momentum of the free bodies at the end [mass unit/s]"),
+        ("momentum_y", Kind::Float, true, "its y"),
+        ("momentum_z", Kind::Float, true, "its z"),
+        ("estimated_error", Kind::Float, false, "sum over steps of the largest estimated error of a vertex [radii]"),
+        ("steps", Kind::Integer, false, "steps taken until the outcome was certain"),
+        ("end", Kind::Float, false, "simulated time at the end [s]"),
+        ("checksum", Kind::Count, false, "hash of the exact state at the end"),
     ];
     columns.extend(fixed.map(|(name, kind, is_nullable, about)| column(name, kind, is_nullable, about)));
     if sweep.measures.displacement {
         let about = "greatest displacement of a vertex at the end of a step [radii]";
-        columns.push(column("max_displacement", Kind::F64, false, about));
+        columns.push(column("max_displacement", Kind::Float, false, about));
     }
     if sweep.measures.surfaces {
         let abouts = [
@@ -112,7 +106,7 @@ pub fn columns(sweep: &Sweep) -> Vec<Column> {
     columns.push(column("failure", Kind::Text, true, "why the run failed"));
     columns.push(column(
         RUN_TIME,
-        Kind::F64,
+        Kind::Float,
         false,
         "wall time of the run [s]: the only column that differs between machines",
     ));

@@ -19,9 +19,10 @@ use std::{
 
 use super::{
     Sweep,
-    row::{Column, Row, append_record, take_record},
+    row::{Row, append_record, take_record},
     table,
 };
+use crate::table::Column;
 
 const PARTIAL: &str = ".partial";
 /// What nobody has written to for so long is not written any more.

@@ -8,10 +8,13 @@ use std::{
     time::Duration,
 };
 
-use meldscope::sweep::{
-    Sweep,
-    row::{Cell, Column, Kind, RUN_TIME, columns},
-    table,
+use meldscope::{
+    sweep::{
+        Sweep,
+        row::{Cell, RUN_TIME, columns},
+        table,
+    },
+    table::{Column, Kind},
 };
 
 use crate::recording::Dir;
@@ -111,6 +114,14 @@ fn broken_sweeps_are_refused_with_their_place() {
             "s.toml:4:9: set[0].value: dt: expected a number between",
         ),
         (&format!("count = 4\n{axis}"), "s.toml:2:9: count: not for a grid"),
+        (
+            &format!("{axis}[jump]\nfirst_merg = 0.1\n"),
+            "s.toml:8:1: jump.first_merg: unknown key; did you mean \"first_merge\"?",
+        ),
+        (
+            &format!("{axis}[jump]\nmax_displacement = 0.1\n"),
+            "s.toml:8:20: jump.max_displacement: max_displacement is not measured; add measures = [\"displacement\"]",
+        ),
     ];
     let dir = folder("");
     for (text, expected) in cases {
@@ -132,9 +143,9 @@ fn a_boundary_in_closed_form_is_found_to_1e_9() {
     assert!(svg.contains("influence.merge_at") && svg.contains(">split<") && svg.contains(">apart<"), "{svg}");
     let column = |name: &str, kind| Column { name: name.to_owned(), kind, about: "", is_nullable: false };
     let columns = [
-        column("row", Kind::U64),
-        column("body.b.motion.line.from[1]", Kind::F64),
-        column("threshold", Kind::F64),
+        column("row", Kind::Count),
+        column("body.b.motion.line.from[1]", Kind::Float),
+        column("threshold", Kind::Float),
         column("below", Kind::Text),
     ];
     let mut found = 0;
@@ -195,6 +206,18 @@ fn shards_refinement_and_a_plain_run_have_the_same_rows() {
         }
     }
     assert_eq!(same, plain.len());
+}
+
+#[test]
+fn a_jump_of_a_measure_refines_like_a_boundary() {
+    // the closest approach is half the offset: 1/16 between neighbours of the first grid, below 1/100 from the third level
+    // on. Only where the outcome changes (at 1.553 and 2.1), or where reach ends and there is no approach (at 2.414), do the
+    // last two levels add a point each; beyond reach the three between 2.4375 and 2.5 are left out
+    let text = "scene = 'passing.toml'\n[jump]\nclosest = 0.01\n\
+                [[axis]]\nkey = 'body.b.motion.line.from[1]'\nfrom = 1.5\nto = 2.5\ncount = 9\n";
+    let dir = folder(text);
+    let said = succeeds(&dir, "s.toml --out out --refine 5");
+    assert_eq!(rows(&dir.file("out"), &of(&dir)).len(), 8 * 8 + 1 + 3 * 2 - 3, "{said}");
 }
 
 #[test]
