@@ -4,10 +4,12 @@
 //! its long ones split, and its vertices moved towards the means of their neighbours, by weights that end at that
 //! distance. What is beyond keeps its position to the bit. Moving the vertices along their normals, by the same
 //! weights, then restores the volume.
+//!
+//! Apart from one list of the triangles about each vertex, the cost follows the number of vertices near the seams.
+//! Displacements are in single precision, because they are only drawn; positions are not.
 
-use std::{cmp::Reverse, collections::BinaryHeap};
-
-use glam::DVec3;
+use glam::{DVec3, Vec3A};
+use rustc_hash::FxHashMap;
 
 /// Blend distance, unless a scene says otherwise [radii].
 pub const BLEND: f64 = 0.25;
@@ -24,8 +26,13 @@ const SPLITS: usize = 2;
 const ROUNDS: usize = 12;
 /// Fraction of the way to the mean of its neighbours that a vertex at the seam is moved.
 const STEP: f64 = 0.6;
+/// Number of times that the volume is corrected: the first leaves a few thousandths of the change, the second nothing.
+const CORRECTIONS: usize = 2;
 /// Shortest edge at the seam of a sharp surface, which is otherwise left as it is [radii].
 const SHORTEST_SHARP: f64 = 1e-5;
+
+/// No vertex, no triangle.
+const NONE: u32 = u32::MAX;
 
 /// A closed surface with a seam.
 #[derive(Clone, Debug, Default)]
@@ -40,115 +47,147 @@ pub struct Seamed<T> {
     pub on_seam: Vec<Option<u32>>,
 }
 
-/// The nearest seam of a vertex.
+/// A vertex near a seam.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Near {
-    /// Index of the seam.
+    /// Index of the seam; of several, that of which the distance in its own radii is smallest.
     pub seam: u32,
-    /// Distance to it along edges [scene unit].
+    /// Distance to it [radii of the seam].
     pub distance: f64,
+    /// The vertex of the seam that it was found from.
+    source: u32,
+}
+
+impl Near {
+    const FAR: Near = Near { seam: NONE, distance: f64::INFINITY, source: NONE };
 }
 
 impl<T: Copy> Seamed<T> {
     /// Smooths the surface within `blend` radii of its seams, whose radii are given [scene unit]. 0 leaves it sharp, and
     /// only removes edges at the seam that are too short to be drawn. The label of a new vertex is made of that of the
-    /// nearer end of the edge that it splits.
-    pub fn fair(&mut self, blend: f64, radii: &[f64], of_new: impl Fn(T) -> T) {
-        let reach = |seam: u32| blend * radii[seam as usize];
-        let longest = radii.iter().copied().fold(0.0, f64::max);
-        let mut near = self.distances(None, blend * longest);
-        let mut band: Vec<u32> = Vec::new();
-        let is_near =
-            |near: &[Option<Near>], v: u32| near[v as usize].is_some_and(|near| near.distance <= reach(near.seam));
-        band.extend(
-            (0..self.triangles.len() as u32).filter(|&t| self.triangles[t as usize].iter().any(|&v| is_near(&near, v))),
-        );
+    /// nearer end of the edge that it splits. In the end, `relabel` is called for every vertex within `reach` radii of a
+    /// seam.
+    pub fn fair(
+        &mut self,
+        blend: f64,
+        reach: f64,
+        radii: &[f64],
+        of_new: impl Fn(T) -> T,
+        relabel: impl Fn(&mut T, Near),
+    ) {
+        let mut beside = Beside::new(self.positions.len(), &self.triangles);
+        let seam: Vec<u32> = (0..self.positions.len() as u32).filter(|&v| self.on_seam[v as usize].is_some()).collect();
+        let (mut near, mut visited) = self.nearest_seams(&beside, &seam, f64::max(blend, reach), radii);
         let shortest = |seam: u32| f64::max(SHORTEST * blend, SHORTEST_SHARP) * radii[seam as usize];
-        let removed = self.collapse(&band, shortest);
+        let mut removed = vec![false; self.triangles.len()];
+        let has_removed = self.collapse(&mut beside, &mut near, &seam, shortest, &mut removed);
         if blend > 0.0 {
-            band.retain(|&t| !removed[t as usize]);
+            let mut band = self.band(&beside, &near, &visited, blend, &removed);
             for _ in 0..SPLITS {
-                if !self.split(&mut band, &mut near, reach, &of_new) {
+                if !self.split(&mut band, &mut near, &mut visited, blend, radii, &of_new) {
                     break;
                 }
             }
-            self.relax(&band, blend * longest, reach);
+            self.relax(&band, &near, &visited, blend);
         }
-        let mut number = 0;
-        self.triangles.retain(|_| {
-            number += 1;
-            !removed.get(number - 1).copied().unwrap_or(false)
-        });
-        self.compact();
+        for &v in &visited {
+            let near = near[v as usize];
+            if near.distance < reach {
+                relabel(&mut self.labels[v as usize], near);
+            }
+        }
+        if has_removed {
+            let mut number = 0;
+            self.triangles.retain(|_| {
+                number += 1;
+                !removed.get(number - 1).copied().unwrap_or(false)
+            });
+            self.compact();
+        }
     }
 
-    /// The nearest seam of every vertex within `most` [scene unit], along the edges of some triangles (`None`: all).
-    pub fn distances(&self, band: Option<&[u32]>, most: f64) -> Vec<Option<Near>> {
-        let beside = Beside::new(self.positions.len(), &self.triangles, band);
-        let mut near: Vec<Option<Near>> = vec![None; self.positions.len()];
-        let mut queue = BinaryHeap::new();
-        for (v, seam) in self.on_seam.iter().enumerate() {
-            if let Some(seam) = *seam {
-                near[v] = Some(Near { seam, distance: 0.0 });
-                queue.push((Reverse(0), v as u32));
+    /// The nearest seam of every vertex within `reach` radii, and these vertices. The nearest vertex of a seam is passed
+    /// on from vertex to vertex, as in vector distance transforms (Danielsson, *Euclidean Distance Mapping*, 1980), which
+    /// is not distorted by the edges on the way; the distance is to the edges of the seam at that vertex.
+    fn nearest_seams(&self, beside: &Beside, seam: &[u32], reach: f64, radii: &[f64]) -> (Vec<Near>, Vec<u32>) {
+        let mut near = vec![Near::FAR; self.positions.len()];
+        let mut visited = seam.to_vec();
+        for &v in seam {
+            if let Some(seam) = self.on_seam[v as usize] {
+                near[v as usize] = Near { seam, distance: 0.0, source: v };
             }
         }
-        while let Some((Reverse(bits), v)) = queue.pop() {
-            let Some(Near { seam, distance }) = near[v as usize] else { continue };
-            if distance.to_bits() != bits {
-                continue; // a shorter way was found
-            }
-            for &t in beside.triangles(v) {
-                for &to in &self.triangles[t as usize] {
-                    let distance = distance + self.positions[v as usize].distance(self.positions[to as usize]);
-                    if distance <= most && near[to as usize].is_none_or(|known| distance < known.distance) {
-                        near[to as usize] = Some(Near { seam, distance });
-                        queue.push((Reverse(distance.to_bits()), to));
+        let inverse: Vec<f64> = radii.iter().map(|radius| 1.0 / (radius * radius)).collect();
+        let mut queue = visited.clone();
+        let mut is_queued = vec![false; self.positions.len()];
+        let mut at = 0;
+        // squares of distances here
+        while let Some(&v) = queue.get(at) {
+            at += 1;
+            is_queued[v as usize] = false;
+            let Near { seam, source, .. } = near[v as usize];
+            let (from, inverse) = (self.positions[source as usize], inverse[seam as usize]);
+            for &to in beside.next(v) {
+                let distance = self.positions[to as usize].distance_squared(from) * inverse;
+                let known = &mut near[to as usize];
+                if distance < known.distance && distance <= reach * reach {
+                    if known.source == NONE {
+                        visited.push(to);
+                    }
+                    *known = Near { seam, distance, source };
+                    if !is_queued[to as usize] {
+                        is_queued[to as usize] = true;
+                        queue.push(to);
                     }
                 }
             }
         }
-        near
-    }
-
-    /// Collapses short edges at the seam, where that changes neither topology nor orientation. Returns which triangles
-    /// are gone.
-    fn collapse(&mut self, band: &[u32], shortest: impl Fn(u32) -> f64) -> Vec<bool> {
-        let mut removed = vec![false; self.triangles.len()];
-        let mut beside: Vec<Vec<u32>> = vec![Vec::new(); self.positions.len()];
-        for &t in band {
-            self.triangles[t as usize].iter().for_each(|&v| beside[v as usize].push(t));
-        }
-        let seam: Vec<u32> = (0..self.positions.len() as u32).filter(|&v| self.on_seam[v as usize].is_some()).collect();
-        for &v in &seam {
-            let Some(of) = self.on_seam[v as usize] else { continue };
-            let shortest = shortest(of);
-            let at = self.positions[v as usize];
-            let neighbours = |v: u32, beside: &[Vec<u32>], triangles: &[[u32; 3]]| {
-                let mut all: Vec<u32> = beside[v as usize]
-                    .iter()
-                    .flat_map(|&t| triangles[t as usize])
-                    .filter(|&other| other != v)
-                    .collect();
-                all.sort_unstable();
-                all.dedup();
-                all
-            };
-            let around = neighbours(v, &beside, &self.triangles);
-            let length = |&to: &u32| self.positions[to as usize].distance(at);
-            let nearest = around.iter().copied().min_by(|a, b| length(a).total_cmp(&length(b)).then(a.cmp(b)));
-            let Some(to) = nearest.filter(|to| length(to) < shortest) else { continue };
-            let around_to = neighbours(to, &beside, &self.triangles);
-            let common = around.iter().filter(|v| around_to.binary_search(v).is_ok()).count();
-            let is_inside = |v: u32, around: &[u32]| beside[v as usize].len() == around.len();
-            if common != 2
-                || !is_inside(v, &around)
-                || !is_inside(to, &around_to)
-                || around.len().min(around_to.len()) < 4
-            {
+        // the edges of the seams about each of their vertices
+        for &v in &visited {
+            let Near { seam, distance, source } = near[v as usize];
+            if distance == 0.0 {
                 continue;
             }
-            let flips = beside[v as usize].iter().any(|&t| {
+            let (at, from) = (self.positions[v as usize], self.positions[source as usize]);
+            let to_edges = beside.next(source).iter().filter(|&&end| self.on_seam[end as usize] == Some(seam));
+            let squared = to_edges
+                .map(|&end| {
+                    let along = self.positions[end as usize] - from;
+                    let share = ((at - from).dot(along) / along.length_squared()).clamp(0.0, 1.0);
+                    at.distance_squared(from + along * share) * inverse[seam as usize]
+                })
+                .fold(distance, f64::min);
+            near[v as usize].distance = squared.sqrt();
+        }
+        (near, visited)
+    }
+
+    /// Collapses short edges at the seam, where that changes neither topology nor orientation, and marks the triangles
+    /// that are gone. Returns whether there are any.
+    fn collapse(
+        &mut self,
+        beside: &mut Beside,
+        near: &mut [Near],
+        seam: &[u32],
+        shortest: impl Fn(u32) -> f64,
+        removed: &mut [bool],
+    ) -> bool {
+        let mut has_removed = false;
+        let (mut star, mut star_to) = (Vec::new(), Vec::new());
+        for &v in seam {
+            let Some(of) = self.on_seam[v as usize] else { continue };
+            let (shortest, at) = (shortest(of), self.positions[v as usize]);
+            beside.star(v, &self.triangles, removed, &mut star);
+            let length = |&(_, to): &(u32, u32)| self.positions[to as usize].distance_squared(at);
+            let nearest = star.iter().min_by(|a, b| length(a).total_cmp(&length(b)).then(a.1.cmp(&b.1)));
+            let Some(&(_, to)) = nearest.filter(|nearest| length(nearest) < shortest * shortest) else { continue };
+            beside.star(to, &self.triangles, removed, &mut star_to);
+            let is_around_to = |v: u32| star_to.iter().any(|&(_, other)| other == v);
+            let common = star.iter().filter(|&&(_, other)| is_around_to(other)).count();
+            if common != 2 || star.len().min(star_to.len()) < 4 {
+                continue;
+            }
+            let flips = star.iter().any(|&(t, _)| {
                 let corners = self.triangles[t as usize];
                 if corners.contains(&to) {
                     return false;
@@ -164,61 +203,81 @@ impl<T: Copy> Seamed<T> {
             if flips {
                 continue;
             }
-            for t in std::mem::take(&mut beside[v as usize]) {
+            for &(t, _) in &star {
                 let corners = &mut self.triangles[t as usize];
                 if corners.contains(&to) {
                     removed[t as usize] = true;
-                    for other in corners.iter().filter(|&&other| other != v) {
-                        beside[*other as usize].retain(|&other| other != t);
-                    }
                 } else {
                     *corners = corners.map(|x| if x == v { to } else { x });
-                    beside[to as usize].push(t);
                 }
             }
-            self.on_seam[to as usize] = self.on_seam[to as usize].or(Some(of));
+            beside.merge(v, to);
+            has_removed = true;
+            if self.on_seam[to as usize].is_none() {
+                self.on_seam[to as usize] = Some(of);
+                near[to as usize] = Near { seam: of, distance: 0.0, source: to };
+            }
             self.on_seam[v as usize] = None;
+            near[v as usize] = Near::FAR;
         }
-        removed
+        has_removed
+    }
+
+    /// The triangles with a vertex within `blend` radii of a seam: all triangles about these vertices, each once.
+    fn band(&self, beside: &Beside, near: &[Near], visited: &[u32], blend: f64, removed: &[bool]) -> Vec<u32> {
+        let mut band = Vec::new();
+        let mut is_in = vec![false; self.triangles.len()];
+        for &v in visited.iter().filter(|&&v| near[v as usize].distance < blend) {
+            beside.each(v, removed, |t| {
+                if !std::mem::replace(&mut is_in[t as usize], true) {
+                    band.push(t);
+                }
+            });
+        }
+        band
     }
 
     /// Splits long edges near the seam; returns whether there were any.
     fn split(
         &mut self,
         band: &mut Vec<u32>,
-        near: &mut Vec<Option<Near>>,
-        reach: impl Fn(u32) -> f64,
+        near: &mut Vec<Near>,
+        visited: &mut Vec<u32>,
+        blend: f64,
+        radii: &[f64],
         of_new: impl Fn(T) -> T,
     ) -> bool {
-        // the two triangles of every edge: (edge, triangle), ascending
-        let mut edges: Vec<([u32; 2], u32)> = band.iter().flat_map(|&t| self.edges(t).map(|edge| (edge, t))).collect();
-        edges.sort_unstable();
-        let mut middles: Vec<([u32; 2], u32)> = Vec::new();
-        for group in edges.chunk_by(|a, b| a.0 == b.0) {
-            let [a, b] = group[0].0;
-            let (Some(first), Some(second)) = (near[a as usize], near[b as usize]) else { continue };
-            let closer = if second.distance < first.distance { second } else { first };
-            let reach = reach(closer.seam);
-            let (p, q) = (self.positions[a as usize], self.positions[b as usize]);
-            if group.len() != 2 || closer.distance > DENSE * reach || p.distance(q) <= LONGEST * reach {
-                continue;
+        let mut middles: FxHashMap<[u32; 2], u32> = FxHashMap::default();
+        for &t in band.iter() {
+            let corners = self.triangles[t as usize];
+            for k in 0..3 {
+                // every edge has one triangle in which its lower vertex comes first
+                let (a, b) = (corners[k], corners[(k + 1) % 3]);
+                let (first, second) = (near[a as usize], near[b as usize]);
+                // if both ends are within the blend, both triangles are in the band
+                if a > b || !(first.distance < blend && second.distance < blend) {
+                    continue;
+                }
+                let (nearer, closer) = if second.distance < first.distance { (b, second) } else { (a, first) };
+                let (p, q) = (self.positions[a as usize], self.positions[b as usize]);
+                let longest = LONGEST * blend * radii[closer.seam as usize];
+                if closer.distance > DENSE * blend || p.distance_squared(q) <= longest * longest {
+                    continue;
+                }
+                middles.insert([a, b], self.positions.len() as u32);
+                let is_on_seam = self.on_seam[a as usize].is_some() && self.on_seam[b as usize].is_some();
+                visited.push(self.positions.len() as u32);
+                self.positions.push((p + q) / 2.0);
+                self.labels.push(of_new(self.labels[nearer as usize]));
+                self.on_seam.push(is_on_seam.then_some(closer.seam));
+                let distance = if is_on_seam { 0.0 } else { (first.distance + second.distance) / 2.0 };
+                near.push(Near { distance, ..closer });
             }
-            middles.push(([a, b], self.positions.len() as u32));
-            let is_on_seam = self.on_seam[a as usize].is_some() && self.on_seam[b as usize].is_some();
-            self.positions.push((p + q) / 2.0);
-            let nearer = if second.distance < first.distance { b } else { a };
-            self.labels.push(of_new(self.labels[nearer as usize]));
-            self.on_seam.push(if is_on_seam { Some(closer.seam) } else { None });
-            let distance = if is_on_seam { 0.0 } else { (first.distance + second.distance) / 2.0 };
-            near.push(Some(Near { distance, ..closer }));
         }
         if middles.is_empty() {
             return false;
         }
-        let middle = |a: u32, b: u32| {
-            let place = middles.binary_search_by_key(&[a.min(b), a.max(b)], |middle| middle.0);
-            place.ok().map(|place| middles[place].1)
-        };
+        let middle = |a: u32, b: u32| middles.get(&[a.min(b), a.max(b)]).copied();
         for i in 0..band.len() {
             let t = band[i] as usize;
             let [a, b, c] = self.triangles[t];
@@ -255,76 +314,91 @@ impl<T: Copy> Seamed<T> {
     }
 
     /// Moves vertices near the seam towards the means of their neighbours, and restores the volume.
-    fn relax(&mut self, band: &[u32], most: f64, reach: impl Fn(u32) -> f64) {
-        let near = self.distances(Some(band), most);
-        let mut edges: Vec<([u32; 2], u32)> = band.iter().flat_map(|&t| self.edges(t).map(|edge| (edge, t))).collect();
-        edges.sort_unstable();
-        // vertices at the rim of the band have neighbours beyond it
-        let mut is_at_rim = vec![false; self.positions.len()];
-        for group in edges.chunk_by(|a, b| a.0 == b.0) {
-            if group.len() != 2 {
-                group[0].0.iter().for_each(|&v| is_at_rim[v as usize] = true);
+    fn relax(&mut self, band: &[u32], near: &[Near], visited: &[u32], blend: f64) {
+        // The triangles about a vertex that moves are all in the band, and each adds one neighbour: the next vertex.
+        let mut number = vec![NONE; self.positions.len()];
+        let mut moved: Vec<(u32, f64)> = Vec::with_capacity(visited.len());
+        for &v in visited {
+            let share = 1.0 - near[v as usize].distance / blend;
+            if share > 0.0 {
+                number[v as usize] = moved.len() as u32;
+                moved.push((v, share * share * (3.0 - 2.0 * share)));
             }
         }
-        let mut moved: Vec<(u32, f64)> = Vec::new();
-        let mut number = vec![u32::MAX; self.positions.len()];
-        for (v, near) in near.iter().enumerate() {
-            let Some(Near { seam, distance }) = *near else { continue };
-            let share = 1.0 - distance / reach(seam);
-            if share > 0.0 && !is_at_rim[v] {
-                number[v] = moved.len() as u32;
-                moved.push((v as u32, share * share * (3.0 - 2.0 * share)));
-            }
+        // what does not move counts as one vertex that is not displaced
+        let fixed = moved.len() as u32;
+        let corners: Vec<[u32; 3]> =
+            band.iter().map(|&t| self.triangles[t as usize].map(|v| number[v as usize].min(fixed))).collect();
+        let mut first = vec![0u32; moved.len() + 2];
+        for &v in corners.iter().flatten().filter(|&&v| v < fixed) {
+            first[v as usize + 2] += 1;
         }
-        let mut neighbours: Vec<Vec<u32>> = vec![Vec::new(); moved.len()];
-        for group in edges.chunk_by(|a, b| a.0 == b.0) {
-            let [a, b] = group[0].0;
-            for (v, other) in [(a, b), (b, a)] {
-                if let Some(list) = neighbours.get_mut(number[v as usize] as usize) {
-                    list.push(other);
+        for i in 2..first.len() {
+            first[i] += first[i - 1];
+        }
+        let mut neighbours = vec![fixed; first[first.len() - 1] as usize];
+        let mut means = vec![DVec3::ZERO; moved.len()];
+        for (&t, numbers) in band.iter().zip(&corners) {
+            let triangle = self.triangles[t as usize];
+            for k in 0..3 {
+                let (v, next) = (numbers[k] as usize, (k + 1) % 3);
+                if numbers[k] == fixed {
+                    continue;
                 }
+                neighbours[first[v + 1] as usize] = numbers[next];
+                first[v + 1] += 1;
+                means[v] += self.positions[triangle[next] as usize] - self.positions[triangle[k] as usize];
             }
         }
-        let before = self.volume(band);
-        let mut next: Vec<DVec3> = Vec::with_capacity(moved.len());
+        // the same for all volumes: those of an open band depend on it
+        let origin = band.first().map_or(DVec3::ZERO, |&t| self.positions[self.triangles[t as usize][0] as usize]);
+        let before = self.volume(band, origin);
+        let count = |v: usize| (first[v + 1] - first[v]) as f32;
+        // to the mean of the neighbours before anything moves, and the share of the way
+        let own: Vec<(Vec3A, f32)> = (means.iter().zip(&moved).enumerate())
+            .map(|(v, (sum, (_, weight)))| (Vec3A::from(sum.as_vec3()) / count(v).max(1.0), (STEP * weight) as f32))
+            .collect();
+        let mut displaced = vec![Vec3A::ZERO; moved.len() + 1];
+        let mut next = displaced.clone();
         for _ in 0..ROUNDS {
-            next.clear();
-            next.extend(moved.iter().zip(&neighbours).map(|(&(v, weight), neighbours)| {
-                let at = self.positions[v as usize];
-                let sum: DVec3 = neighbours.iter().map(|&other| self.positions[other as usize]).sum();
-                at + (sum / neighbours.len() as f64 - at) * (STEP * weight)
-            }));
-            for (&(v, _), &position) in moved.iter().zip(&next) {
-                self.positions[v as usize] = position;
+            for (v, &(to_mean, step)) in own.iter().enumerate() {
+                let beside = &neighbours[first[v] as usize..first[v + 1] as usize];
+                let sum = beside.iter().fold(Vec3A::ZERO, |sum, &other| sum + displaced[other as usize]);
+                let at = displaced[v];
+                next[v] = at + (sum / count(v).max(1.0) - at + to_mean) * step;
             }
+            std::mem::swap(&mut displaced, &mut next);
+        }
+        for (&(v, _), by) in moved.iter().zip(&displaced) {
+            self.positions[v as usize] += by.as_dvec3();
         }
         // the volume changes by the weighted area for every unit of length along the normals
-        for _ in 0..3 {
-            let mut areas = vec![DVec3::ZERO; moved.len()];
-            for &t in band {
-                let corners = self.triangles[t as usize];
-                let [a, b, c] = corners.map(|v| self.positions[v as usize]);
+        for _ in 0..CORRECTIONS {
+            let mut areas = means;
+            areas.fill(DVec3::ZERO);
+            let mut volume = 0.0;
+            for (&t, numbers) in band.iter().zip(&corners) {
+                let [a, b, c] = self.triangles[t as usize].map(|v| self.positions[v as usize] - origin);
                 let area = (b - a).cross(c - a) / 6.0;
-                for v in corners {
-                    if let Some(sum) = areas.get_mut(number[v as usize] as usize) {
-                        *sum += area;
-                    }
+                volume += a.dot(area);
+                for &v in numbers.iter().filter(|&&v| v < fixed) {
+                    areas[v as usize] += area;
                 }
             }
             let rate: f64 = areas.iter().zip(&moved).map(|(area, (_, weight))| weight * area.length()).sum();
-            let by = (before - self.volume(band)) / rate;
+            let by = (before - volume) / rate;
             if !by.is_finite() {
                 break;
             }
             for (area, &(v, weight)) in areas.iter().zip(&moved) {
                 self.positions[v as usize] += area.normalize_or_zero() * (by * weight);
             }
+            means = areas;
         }
     }
 
-    /// Volume between some triangles and a fixed point [scene unit³].
-    fn volume(&self, band: &[u32]) -> f64 {
-        let origin = band.first().map_or(DVec3::ZERO, |&t| self.positions[self.triangles[t as usize][0] as usize]);
+    /// Volume between some triangles and a point [scene unit³].
+    fn volume(&self, band: &[u32], origin: DVec3) -> f64 {
         let of = |&t: &u32| {
             let [a, b, c] = self.triangles[t as usize].map(|v| self.positions[v as usize] - origin);
             a.dot(b.cross(c)) / 6.0
@@ -332,15 +406,9 @@ impl<T: Copy> Seamed<T> {
         band.iter().map(of).sum()
     }
 
-    /// The edges of a triangle, each from its lower vertex to its higher one.
-    fn edges(&self, triangle: u32) -> [[u32; 2]; 3] {
-        let [a, b, c] = self.triangles[triangle as usize];
-        [[a, b], [b, c], [c, a]].map(|[a, b]| [a.min(b), a.max(b)])
-    }
-
     /// Removes vertices that no triangle has.
     fn compact(&mut self) {
-        let mut number = vec![u32::MAX; self.positions.len()];
+        let mut number = vec![NONE; self.positions.len()];
         self.triangles.iter().flatten().for_each(|&v| number[v as usize] = 0);
         let mut count = 0;
         for v in 0..number.len() {
@@ -366,37 +434,73 @@ impl<T: Copy> Seamed<T> {
 struct Beside {
     first: Vec<u32>,
     triangles: Vec<u32>,
+    /// The vertex after it in each of them. In a closed surface, these are all its neighbours.
+    next: Vec<u32>,
+    /// The vertex that was last merged into each.
+    merged: Vec<u32>,
 }
 
 impl Beside {
-    fn new(vertices: usize, triangles: &[[u32; 3]], band: Option<&[u32]>) -> Beside {
-        let all: Vec<u32>;
-        let band = match band {
-            Some(band) => band,
-            None => {
-                all = (0..triangles.len() as u32).collect();
-                &all
-            }
-        };
+    fn new(vertices: usize, triangles: &[[u32; 3]]) -> Beside {
         let mut first = vec![0; vertices + 2];
-        for &t in band {
-            triangles[t as usize].iter().for_each(|&v| first[v as usize + 2] += 1);
+        for &v in triangles.iter().flatten() {
+            first[v as usize + 2] += 1;
         }
         for v in 2..first.len() {
             first[v] += first[v - 1];
         }
-        let mut list = vec![0; 3 * band.len()];
-        for &t in band {
-            for &v in &triangles[t as usize] {
-                let place = &mut first[v as usize + 1];
+        let (mut list, mut next) = (vec![0; 3 * triangles.len()], vec![0; 3 * triangles.len()]);
+        for (corners, t) in triangles.iter().zip(0..) {
+            for k in 0..3 {
+                let place = &mut first[corners[k] as usize + 1];
                 list[*place as usize] = t;
+                next[*place as usize] = corners[(k + 1) % 3];
                 *place += 1;
             }
         }
-        Beside { first, triangles: list }
+        Beside { first, triangles: list, next, merged: vec![NONE; vertices] }
     }
 
-    fn triangles(&self, v: u32) -> &[u32] {
-        &self.triangles[self.first[v as usize] as usize..self.first[v as usize + 1] as usize]
+    fn of(&self, v: u32) -> std::ops::Range<usize> {
+        self.first[v as usize] as usize..self.first[v as usize + 1] as usize
+    }
+
+    /// The neighbours of a vertex before any is merged.
+    fn next(&self, v: u32) -> &[u32] {
+        &self.next[self.of(v)]
+    }
+
+    /// The triangles about a vertex and those merged into it, without those that are removed.
+    fn each(&self, v: u32, removed: &[bool], mut call: impl FnMut(u32)) {
+        let mut from = v;
+        while from != NONE {
+            self.triangles[self.of(from)].iter().filter(|&&t| !removed[t as usize]).for_each(|&t| call(t));
+            from = self.merged[from as usize];
+        }
+    }
+
+    /// The same, each with the vertex after it.
+    fn star(&self, v: u32, triangles: &[[u32; 3]], removed: &[bool], star: &mut Vec<(u32, u32)>) {
+        star.clear();
+        self.each(v, removed, |t| {
+            let corners = triangles[t as usize];
+            let k = if corners[0] == v {
+                1
+            } else if corners[1] == v {
+                2
+            } else {
+                0
+            };
+            star.push((t, corners[k]));
+        });
+    }
+
+    /// Makes the triangles about `v` those of `to`.
+    fn merge(&mut self, v: u32, to: u32) {
+        let mut last = to;
+        while self.merged[last as usize] != NONE {
+            last = self.merged[last as usize];
+        }
+        self.merged[last as usize] = v;
     }
 }

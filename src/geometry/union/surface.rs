@@ -1,5 +1,7 @@
 //! The union, stored as what it takes from the bodies and what it adds.
 
+use std::collections::hash_map::Entry;
+
 use glam::DVec3;
 use rustc_hash::FxHashMap;
 
@@ -142,11 +144,11 @@ impl Component {
 
 /// A union as a mesh.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct UnionMesh {
+pub struct UnionMesh<L = Origin> {
     /// Position of each vertex [scene unit], `[vertex_count]`.
     pub positions: Vec<DVec3>,
-    /// Origin of each vertex, `[vertex_count]`.
-    pub origins: Vec<Origin>,
+    /// Origin of each vertex, or what a caller makes of it, `[vertex_count]`.
+    pub origins: Vec<L>,
     /// Vertices of each triangle, counter-clockwise from outside.
     pub triangles: Vec<[u32; 3]>,
     /// The body and triangle that each triangle is, or is part of, `[triangle_count]`.
@@ -514,16 +516,29 @@ impl<'a, 'b> Union<'a, 'b> {
 
     /// Converts the union to a mesh, in time proportional to the whole mesh.
     pub fn mesh(&self) -> UnionMesh {
+        self.labelled_mesh(|origin| origin)
+    }
+
+    /// [`Union::mesh`] with the origins as the caller wants them.
+    pub fn labelled_mesh<L>(&self, label: impl Fn(Origin) -> L) -> UnionMesh<L> {
         let count = self.first_vertex[self.bodies.len()] as usize + self.new_vertices.len();
-        let mut mesh = UnionMesh { names: vec![u32::MAX; count], ..UnionMesh::default() };
+        let triangles: usize = self.bodies.iter().map(|body| body.topology.triangles.len()).sum();
+        let triangles = triangles + self.new_triangles.len() - self.removed.iter().map(Vec::len).sum::<usize>();
+        let mut mesh = UnionMesh {
+            positions: Vec::with_capacity(count),
+            origins: Vec::with_capacity(count),
+            triangles: Vec::with_capacity(triangles),
+            sources: Vec::with_capacity(triangles),
+            names: vec![u32::MAX; count],
+        };
         for (b, body) in self.bodies.iter().enumerate() {
             let first = self.first_vertex[b];
-            let mut removed = self.removed[b].iter().copied().peekable();
-            for (t, corners) in body.topology.triangles.iter().enumerate() {
-                if removed.next_if_eq(&(t as u32)).is_none() {
-                    mesh.triangles.push(corners.map(|v| v + first));
-                    mesh.sources.push([b as u32, t as u32]);
-                }
+            let mut from = 0;
+            for to in self.removed[b].iter().copied().chain([body.topology.triangles.len() as u32]) {
+                let kept = &body.topology.triangles[from as usize..to as usize];
+                mesh.triangles.extend(kept.iter().map(|corners| corners.map(|v| v + first)));
+                mesh.sources.extend((from..to).map(|t| [b as u32, t]));
+                from = to + 1;
             }
         }
         mesh.triangles.extend(self.new_triangles.iter().map(|t| t.corners));
@@ -537,7 +552,7 @@ impl<'a, 'b> Union<'a, 'b> {
                 if *name == 0 {
                     *name = mesh.positions.len() as u32;
                     mesh.positions.push(body.position(v));
-                    mesh.origins.push(Origin::Vertex { body: b as u32, vertex: body.topology.place_of(v) });
+                    mesh.origins.push(label(Origin::Vertex { body: b as u32, vertex: body.topology.place_of(v) }));
                 }
             }
         }
@@ -546,13 +561,128 @@ impl<'a, 'b> Union<'a, 'b> {
             if *name == 0 {
                 *name = mesh.positions.len() as u32;
                 mesh.positions.push(vertex.position);
-                mesh.origins.push(vertex.origin);
+                mesh.origins.push(label(vertex.origin));
             }
         }
         for v in mesh.triangles.iter_mut().flatten() {
             *v = mesh.names[*v as usize];
         }
         mesh
+    }
+
+    /// Number of connected components of the surface. What was not cut is known by blocks of triangles, so the cost
+    /// hardly depends on the size of the meshes.
+    pub fn component_count(&self) -> usize {
+        let is_cut = |b: usize| !self.removed[b].is_empty();
+        let whole = (0..self.bodies.len()).filter(|&b| !is_cut(b));
+        let count: usize = whole.map(|b| self.bodies[b].topology.components as usize).sum();
+        // A part: a whole block, a remaining triangle of another block, or a new triangle.
+        let mut parts = Parts::default();
+        let first_of: Vec<u32> = (self.bodies.iter().enumerate())
+            .map(|(b, body)| if is_cut(b) { parts.add(body.topology.block_count()) } else { 0 })
+            .collect();
+        let first_new = parts.add(self.new_triangles.len());
+        let mut is_partial: Vec<Vec<bool>> = vec![Vec::new(); self.bodies.len()];
+        let mut singles: FxHashMap<(u32, u32), u32> = FxHashMap::default();
+        for (b, removed) in self.removed.iter().enumerate().filter(|(b, _)| is_cut(*b)) {
+            let topology = self.bodies[b].topology;
+            is_partial[b].resize(topology.block_count(), false);
+            removed.iter().for_each(|&t| is_partial[b][topology.block_of[t as usize] as usize] = true);
+            for (block, _) in is_partial[b].iter().enumerate().filter(|(_, is_partial)| **is_partial) {
+                parts.count -= 1;
+                for &t in topology.block(block).iter().filter(|&&t| !self.is_removed(b as u32, t)) {
+                    singles.insert((b as u32, t), parts.add(1));
+                }
+            }
+        }
+        let part_of = |b: usize, t: u32| {
+            let block = self.bodies[b].topology.block_of[t as usize];
+            if is_partial[b][block as usize] { singles[&(b as u32, t)] } else { first_of[b] + block }
+        };
+        for (b, is_partial) in is_partial.iter().enumerate().filter(|(_, is_partial)| !is_partial.is_empty()) {
+            let topology = self.bodies[b].topology;
+            for &[one, other] in &topology.block_pairs {
+                if !is_partial[one as usize] && !is_partial[other as usize] {
+                    parts.join(first_of[b] + one, first_of[b] + other);
+                }
+            }
+        }
+        for (&(b, t), &part) in &singles {
+            let topology = self.bodies[b as usize].topology;
+            for beside in
+                topology.triangle_edges[t as usize].into_iter().flat_map(|e| topology.edge_triangles[e as usize])
+            {
+                if beside != t && !self.is_removed(b, beside) {
+                    parts.join(part, part_of(b as usize, beside));
+                }
+            }
+        }
+        // All triangles about a vertex are connected.
+        let mut at_vertex: FxHashMap<u32, u32> = FxHashMap::default();
+        let mut at_new_vertex = vec![u32::MAX; self.new_vertices.len()];
+        let first_new_vertex = self.first_vertex[self.bodies.len()];
+        for (triangle, part) in self.new_triangles.iter().zip(first_new..) {
+            for v in triangle.corners {
+                if v >= first_new_vertex {
+                    let known = &mut at_new_vertex[(v - first_new_vertex) as usize];
+                    if *known == u32::MAX {
+                        *known = part;
+                    } else {
+                        parts.join(*known, part);
+                    }
+                    continue;
+                }
+                match at_vertex.entry(v) {
+                    Entry::Occupied(known) => parts.join(*known.get(), part),
+                    Entry::Vacant(entry) => {
+                        entry.insert(part);
+                        let b = self.body_of(v);
+                        let (topology, local) = (self.bodies[b].topology, v - self.first_vertex[b]);
+                        for &edge in topology.edges_at(local) {
+                            let t = topology.triangle_left_of(edge, local).0;
+                            if !self.is_removed(b as u32, t) {
+                                parts.join(part, part_of(b, t));
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        count + parts.count
+    }
+}
+
+/// Sets of parts that are connected.
+#[derive(Default)]
+struct Parts {
+    parent: Vec<u32>,
+    /// Number of sets.
+    count: usize,
+}
+
+impl Parts {
+    /// Adds parts and returns the first.
+    fn add(&mut self, count: usize) -> u32 {
+        let first = self.parent.len() as u32;
+        self.parent.extend(first..first + count as u32);
+        self.count += count;
+        first
+    }
+
+    fn root(&mut self, mut part: u32) -> u32 {
+        while self.parent[part as usize] != part {
+            self.parent[part as usize] = self.parent[self.parent[part as usize] as usize];
+            part = self.parent[part as usize];
+        }
+        part
+    }
+
+    fn join(&mut self, a: u32, b: u32) {
+        let (a, b) = (self.root(a), self.root(b));
+        if a != b {
+            self.parent[a.max(b) as usize] = a.min(b);
+            self.count -= 1;
+        }
     }
 }
 

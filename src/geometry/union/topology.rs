@@ -42,6 +42,10 @@ pub struct Topology {
     /// Used vertices of each block, in the same layout.
     block_vertex_start: Vec<u32>,
     block_vertices: Vec<u32>,
+    /// The block of each triangle.
+    pub(super) block_of: Vec<u32>,
+    /// Pairs of blocks with a common edge, ascending.
+    pub(super) block_pairs: Vec<[u32; 2]>,
     /// Hierarchy of the blocks, by the first positions that are searched.
     pub(super) hierarchy: OnceLock<Vec<Branch>>,
     /// Number of connected components.
@@ -146,6 +150,8 @@ impl Topology {
             block_triangles: Vec::with_capacity(triangles.len()),
             block_vertex_start: vec![0],
             block_vertices: Vec::new(),
+            block_of: vec![0; triangles.len()],
+            block_pairs: Vec::new(),
             hierarchy: OnceLock::new(),
             components: 0,
             used_vertices: 0,
@@ -155,6 +161,7 @@ impl Topology {
         topology.split_fans(&check)?;
         topology.list_edges_of_vertices();
         topology.cluster(&check)?;
+        topology.pair_blocks(&check)?;
         topology.count_components(&check)?;
         Ok(topology)
     }
@@ -320,6 +327,33 @@ impl Topology {
                 self.block_vertices.truncate(kept);
                 self.block_vertex_start.push(kept as u32);
             }
+        }
+        Ok(())
+    }
+
+    fn pair_blocks(&mut self, check: Check) -> Result<(), TopologyError> {
+        for block in 0..self.block_count() {
+            for &t in &self.block_triangles[self.block_start[block] as usize..self.block_start[block + 1] as usize] {
+                self.block_of[t as usize] = block as u32;
+            }
+        }
+        check()?;
+        for block in 0..self.block_count() as u32 {
+            if (block as usize).is_multiple_of(UNCHECKED / BLOCK) {
+                check()?;
+            }
+            let from = self.block_pairs.len();
+            for &t in &self.block_triangles
+                [self.block_start[block as usize] as usize..self.block_start[block as usize + 1] as usize]
+            {
+                for beside in self.triangle_edges[t as usize].iter().flat_map(|&e| self.edge_triangles[e as usize]) {
+                    let other = self.block_of[beside as usize];
+                    if other > block && !self.block_pairs[from..].contains(&[block, other]) {
+                        self.block_pairs.push([block, other]);
+                    }
+                }
+            }
+            self.block_pairs[from..].sort_unstable();
         }
         Ok(())
     }

@@ -39,6 +39,7 @@ fn try_unite(shapes: &[Shape], budget: &Budget) -> Result<Checked, UnionError> {
         bodies.iter().map(|b| b.bounds().max.abs().max(b.bounds().min.abs()).max_element()).fold(0.0, f64::max);
     let sum = |of: &dyn Fn(&Component) -> f64| components.iter().map(of).sum::<f64>();
     assert_eq!(components.iter().map(|c| c.euler).sum::<i64>(), union.euler);
+    assert_eq!(components.len(), union.component_count());
     assert!(
         (sum(&|c| c.volume) - union.volume).abs() <= 1e-11 * size * extent,
         "{} {}",
