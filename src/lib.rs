@@ -16,6 +16,7 @@
 //! | [`scene`] | scene files: parsing, validation, centre paths | `model`, `geometry`, `text` | |
 //! | [`observe`] | what an instrument sees of any simulation: schema, frames, events | `geometry` | |
 //! | [`sim`] | the world and its step: forces, integrators, events, solver of free bodies | all above | |
+//! | [`models`] | the models of a soft body, and which of them runs a scene | all above | |
 //! | [`stream`] | frames as Rerun data: entities, blueprint, sinks | `observe`, `geometry`, `text` | `viewer` |
 //! | [`table`] | tables as CSV, JSON and Parquet files | `stream` | `cli` |
 //! | [`recording`] | reading recordings: replay, check, diff | all above | `viewer` |
@@ -83,6 +84,7 @@ pub mod bench;
 pub mod cli;
 pub mod geometry;
 pub mod model;
+pub mod models;
 pub mod observe;
 #[cfg(feature = "viewer")]
 pub mod recording;

@@ -22,6 +22,7 @@ use crate::{
         stability::{self, cases::Case, drift, free, sizes, table as of_stability},
         surface,
     },
+    models,
     scene::Integrator,
     sim::memory,
     text::thousands,
@@ -134,6 +135,7 @@ fn error(arguments: ErrorArguments) -> Result<(), Failure> {
     let scenes = arguments.scene.iter().map(|name| scene(name)).collect::<Result<Vec<_>, _>>()?;
     for scene in &scenes {
         memory::check(scene).map_err(Failure::input)?;
+        models::need_oscillators(scene, "bench error").map_err(Failure::input)?;
     }
     let [csv_file, svg_file] = arguments.files.claim("scene,vertices,integrator,", "Work and precision")?;
 

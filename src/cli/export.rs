@@ -12,9 +12,11 @@ use std::{
 
 use super::{Failure, one_of, print, run, say};
 use crate::{
+    models::{self, SceneRun},
     observe::{Experiment as _, Frame, Simulation, StepSummary, Want, surface::Merger},
     recording::{Recorded, existing::Existing},
-    sim::{Options, simulation::SceneRun},
+    scene::Model,
+    sim::Options,
     stream::{settings::file_stem, unfinished},
     text::{bytes, counted},
 };
@@ -29,6 +31,9 @@ const TABLE: &str = "F.csv|F.json|F.parquet";
 pub struct Arguments {
     /// A scene file, the name of a built-in scene, or a recording.
     scene: String,
+    /// Override the scene's model of a soft body; not of a recording, which has its own.
+    #[arg(long, value_parser = models::parse, value_name = "oscillators|metaballs|lattice|fem")]
+    model: Option<Model>,
     /// Write the surfaces to this folder, a file for every step: a closed mesh for every group of merged bodies, and one
     /// for every other body.
     #[arg(long, value_name = "DIR", group = "what")]
@@ -159,11 +164,15 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
 fn source(arguments: &Arguments) -> Result<Source, Failure> {
     let path = Path::new(&arguments.scene);
     if Existing::is_recording(path) {
+        if arguments.model.is_some() {
+            return Err(Failure::Input("--model is for scenes: a recording is exported as it was made".to_owned()));
+        }
         let recorded = Recorded::open(path).map_err(Failure::input)?;
         let simulation = recorded.start()?;
         return Ok(Source { simulation, last: recorded.last(), recorded: Some(recorded) });
     }
-    let scene = run::scene(&arguments.scene)?;
+    let mut scene = run::scene(&arguments.scene)?;
+    scene.model = arguments.model.unwrap_or(scene.model);
     let last = scene.steps();
     let simulation = SceneRun { scene, options: Options::default() }.start().map_err(Failure::Input)?;
     Ok(Source { simulation, last, recorded: None })

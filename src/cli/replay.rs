@@ -8,6 +8,7 @@ use super::{
     say, sink_failure, vector,
 };
 use crate::{
+    models,
     observe::{Frame, Refusal, Schema, Simulation, StepSummary, Want},
     recording::{
         Recorded,
@@ -15,8 +16,7 @@ use crate::{
         read::End,
         replay::{self, Verdict},
     },
-    scene::Integrator,
-    sim::simulation,
+    scene::{Integrator, Model},
     stream::{
         Recorder,
         blueprint::Tab,
@@ -53,6 +53,9 @@ pub struct Arguments {
     /// Use another integrator to see how the result changes; nothing is verified then.
     #[arg(long, value_parser = parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential")]
     integrator: Option<Integrator>,
+    /// Use another model to see how the result changes; nothing is verified then.
+    #[arg(long, value_parser = models::parse, value_name = "oscillators|metaballs|lattice|fem")]
+    model: Option<Model>,
     /// Use another step size, in seconds; nothing is verified then.
     #[arg(long, value_name = "S", value_parser = parse_step)]
     dt: Option<f64>,
@@ -64,7 +67,7 @@ pub struct Arguments {
 
 impl Arguments {
     fn has_overrides(&self) -> bool {
-        self.integrator.is_some() || self.dt.is_some() || self.tolerance.is_some()
+        self.integrator.is_some() || self.model.is_some() || self.dt.is_some() || self.tolerance.is_some()
     }
 }
 
@@ -184,13 +187,20 @@ fn ask(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
     if let Some(integrator) = arguments.integrator {
         run.insert("integrator".to_owned(), integrator.name().into());
     }
+    if let Some(model) = arguments.model {
+        run.insert("model".to_owned(), model.name().into());
+    }
     for (key, number) in [("dt", arguments.dt), ("tolerance", arguments.tolerance)] {
         if let Some(number) = number {
             run.insert(key.to_owned(), number.into());
         }
     }
     let was = &recorded.schema;
-    let experiment = simulation::read(&was.name, &was.source, &run)
+    let named = |schema: &Schema| match schema.model.as_str() {
+        "" | "oscillators" => schema.integrator.clone(),
+        model => format!("{} of {model}", schema.integrator),
+    };
+    let experiment = models::read(&was.name, &was.source, &run)
         .map_err(|(Refusal::Source(what) | Refusal::Run(what))| Failure::Input(what))?;
     let mut simulation = experiment.start().map_err(Failure::Input)?;
     let schema = experiment.schema();
@@ -225,11 +235,11 @@ fn ask(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
         recorded.path.display(),
         counted(simulation.steps_taken(), "step"),
         schema.dt,
-        schema.integrator,
+        named(&schema),
         schema.tolerance,
         thousands(recorded.last()),
         was.dt,
-        was.integrator,
+        named(was),
         was.tolerance,
     ));
     print(&format!(

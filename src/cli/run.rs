@@ -16,13 +16,14 @@ use super::{
     may_print, may_save, one_of, print, say, sink_failure,
 };
 use crate::{
+    models::{self, SceneRun},
     observe::{
         self, Experiment as _, PairEvent, Schema, Shortfall, Simulation, StepFailure, StepSummary, SurfaceEvent,
         touch::Finding,
     },
     recording::existing::{Existing, Kind},
-    scene::{Integrator, Scene, builtin},
-    sim::{Options, simulation::SceneRun},
+    scene::{Integrator, Model, Scene, builtin},
+    sim::Options,
     stream::{
         Pipeline, Recorder,
         blueprint::Tab,
@@ -82,6 +83,9 @@ pub struct Arguments {
     #[arg(long, value_parser = parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential",
           help_heading = "Scene")]
     integrator: Option<Integrator>,
+    /// Override the scene's model of a soft body.
+    #[arg(long, value_parser = models::parse, value_name = "oscillators|metaballs|lattice|fem", help_heading = "Scene")]
+    model: Option<Model>,
     /// Override the scene's step size, in seconds.
     #[arg(long, value_name = "S", value_parser = parse_step, help_heading = "Scene")]
     dt: Option<f64>,
@@ -629,6 +633,9 @@ fn with_overrides(arguments: &Arguments, mut scene: Scene) -> Scene {
     if let Some(integrator) = arguments.integrator {
         scene.integrator = integrator;
     }
+    if let Some(model) = arguments.model {
+        scene.model = model;
+    }
     if let Some(dt) = arguments.dt {
         scene.dt = dt;
     }
@@ -743,13 +750,17 @@ fn summarize(console: &Console, outcome: &Outcome) {
     console.notes(&finished.notes);
     let (bodies, steps) = (schema.bodies.len() as u64, simulation.steps_taken());
     console.print(&format!(
-        "{}: {}, {}; {} of {} s with {}, {:.3} s simulated in {simulating:.3} s ({} steps/s), recorded in {all:.3} s",
+        "{}: {}, {}; {} of {} s with {}{}, {:.3} s simulated in {simulating:.3} s ({} steps/s), recorded in {all:.3} s",
         schema.name,
         counted(bodies, "body"),
         counted(schema.vertex_count(), "vertex"),
         counted(steps, "step"),
         // six digits are enough to recognise a step size
         if schema.dt >= 1e-4 { format!("{:.6}", schema.dt) } else { format!("{:e}", schema.dt) },
+        match schema.model.as_str() {
+            "" | "oscillators" => String::new(),
+            model => format!("{model}, "),
+        },
         schema.integrator,
         simulation.time(),
         thousands((steps as f64 / simulating.max(1e-9)) as u64),

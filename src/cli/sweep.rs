@@ -15,6 +15,7 @@ use super::{
     print, say,
 };
 use crate::{
+    models,
     recording::Recorded,
     scene::template::Setting,
     sweep::{
@@ -124,6 +125,7 @@ pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
         pool.map_err(|error| Failure::Run(format!("cannot start {threads} threads: {error}")))?;
     }
     let template = sweep.template().map_err(Failure::input)?;
+    models::need_oscillators(template.base(), "a sweep").map_err(Failure::input)?;
     let store = Store::open(&arguments.out, &sweep, columns(&sweep))?;
     if let Some(row) = arguments.open {
         return open(&sweep, &store, row);

@@ -47,6 +47,15 @@ impl Mesh {
         Mesh { positions, directions: Some(directions), normals, triangles, shares, rings: None }
     }
 
+    /// A mesh whose vertices stay where they are [radii]: what a body has become that tore, in the axes and the unit of its
+    /// first mesh. It need be neither closed nor about its centre of mass.
+    pub fn version(positions: Vectors, triangles: Vec<[u32; 3]>) -> Mesh {
+        let shares = shares(&positions, &triangles);
+        let directions = positions.iter().map(DVec3::normalize_or_zero).collect();
+        let normals = Some(normals(&positions, &triangles));
+        Mesh { positions, directions: Some(directions), normals, triangles, shares, rings: None }
+    }
+
     /// A mesh whose vertices are all at distance 1 from its centre of mass and have their direction as normal, to
     /// rounding.
     pub fn round(directions: Vectors, triangles: Vec<[u32; 3]>, rings: Option<Rings>) -> Mesh {

@@ -1,9 +1,11 @@
 //! The state of a simulation at an instant.
 
+use std::sync::Arc;
+
 use glam::{DMat3, DQuat, DVec3};
 
-use super::event::Instant;
-use crate::geometry::{Rest, Vectors};
+use super::{event::Instant, schema::BodySchema};
+use crate::geometry::{Mesh, Rest, Vectors};
 
 /// Optional contents of a frame. Bodies, vertices and pairs are always included; nothing else is computed unless it is
 /// requested here.
@@ -42,6 +44,11 @@ pub struct BodyFrame {
     pub rotation: DQuat,
     /// Whether every displacement and velocity is exactly zero. If so, the vectors are empty.
     pub is_at_rest: bool,
+    /// The mesh of the body if it is not that of the schema any more: it has torn. A body that can tear says so in the
+    /// schema. Vertices are only added: the first ones are those of the schema's mesh, in its order, though there may be no
+    /// triangle that has them. Rest positions are in units of the schema's radius, see [`Mesh::version`]. All vectors here
+    /// have a vertex for each of this mesh.
+    pub mesh: Option<Arc<Mesh>>,
     /// Displacements of the vertices from Q l, x, in world axes like all vectors here [scene unit], `[vertex_count]`.
     pub displacements: Vectors,
     /// Velocities x′ of the vertices [scene unit/s], `[vertex_count]`.
@@ -94,6 +101,16 @@ pub struct PairFrame {
 }
 
 impl BodyFrame {
+    /// The mesh of the body as it is now.
+    pub fn mesh_of<'a>(&'a self, body: &'a BodySchema) -> &'a Arc<Mesh> {
+        self.mesh.as_ref().unwrap_or(&body.mesh)
+    }
+
+    /// The rest positions of the vertices that the body has now.
+    pub fn rest_of<'a>(&'a self, body: &'a BodySchema) -> Rest<'a> {
+        self.mesh_of(body).at(body.radius)
+    }
+
     /// Sets the body to rest: no vertex is displaced and no force is known to act.
     pub fn rest(&mut self) {
         self.is_at_rest = true;

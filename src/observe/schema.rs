@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, fmt, sync::Arc};
 
 use glam::DVec3;
 
-use super::{colors::Rgb, event::PairEvent};
+use super::{colors::Rgb, event::PairEvent, surface::Surfaces};
 use crate::geometry::{Mesh, Rest, fairing};
 
 /// The schema of a simulation, which does not change during a run. Frames refer to its entries by index.
@@ -16,6 +16,8 @@ pub struct Schema {
     pub source: String,
     /// Further settings needed to reproduce the run, as lines of TOML. A recording contains these too.
     pub run: String,
+    /// Name of the model that the bodies are simulated with, as one word; empty if there is only one.
+    pub model: String,
     /// Name of the integrator, as one word.
     pub integrator: String,
     /// Step Δt [s], > 0.
@@ -46,6 +48,8 @@ pub struct Schema {
     pub thresholds: Vec<Threshold>,
     /// The levels of pairs that have their own.
     pub own_levels: OwnLevels,
+    /// The surfaces of groups, if they are not the unions of bodies.
+    pub surfaces: OwnSurfaces,
     /// Scalars plotted over time.
     pub scalars: Vec<ScalarSchema>,
     /// Stages of a step whose duration is measured, in order.
@@ -73,6 +77,8 @@ pub struct BodySchema {
     pub mass: f64,
     /// Colour of its surface, if it has one of its own.
     pub color: Option<Rgb>,
+    /// Whether frames may have other triangles of it than `mesh`; see [`BodyFrame::mesh`](super::BodyFrame::mesh).
+    pub can_tear: bool,
 }
 
 /// A plane that bodies do not pass.
@@ -148,6 +154,28 @@ impl fmt::Debug for OwnLevels {
     }
 }
 
+/// The surfaces of groups as the simulation defines them; by default they are the unions of their bodies.
+#[derive(Clone, Default)]
+pub struct OwnSurfaces(Option<Arc<dyn Surfaces>>);
+
+impl OwnSurfaces {
+    /// Surfaces that are these, and not unions.
+    pub fn new(surfaces: impl Surfaces + 'static) -> OwnSurfaces {
+        OwnSurfaces(Some(Arc::new(surfaces)))
+    }
+
+    /// The definition, if there is one.
+    pub fn get(&self) -> Option<&dyn Surfaces> {
+        self.0.as_deref()
+    }
+}
+
+impl fmt::Debug for OwnSurfaces {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(if self.0.is_some() { "OwnSurfaces(…)" } else { "OwnSurfaces" })
+    }
+}
+
 /// A scalar plotted over time.
 #[derive(Clone, Debug)]
 pub struct ScalarSchema {
@@ -183,6 +211,7 @@ impl Default for Schema {
             name: String::new(),
             source: String::new(),
             run: String::new(),
+            model: String::new(),
             integrator: String::new(),
             dt: 1.0 / 60.0,
             steps: 0,
@@ -198,6 +227,7 @@ impl Default for Schema {
             phases: Vec::new(),
             thresholds: Vec::new(),
             own_levels: OwnLevels::default(),
+            surfaces: OwnSurfaces::default(),
             scalars: Vec::new(),
             stages: Vec::new(),
             warnings: Vec::new(),
@@ -210,7 +240,7 @@ impl BodySchema {
     /// [scene unit].
     pub fn new(name: &str, shape: &str, mesh: Arc<Mesh>, radius: f64, reach: f64) -> BodySchema {
         let (name, shape) = (name.to_owned(), shape.to_owned());
-        BodySchema { name, radius, reach, shape, mesh, is_free: false, mass: 1.0, color: None }
+        BodySchema { name, radius, reach, shape, mesh, is_free: false, mass: 1.0, color: None, can_tear: false }
     }
 }
 

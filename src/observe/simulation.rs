@@ -12,6 +12,7 @@ use super::{
     event::{Instant, PairEvent},
     frame::{BodyFrame, Frame, Want},
     schema::Schema,
+    touch::SurfaceEvent,
 };
 
 /// A simulation that an instrument can step and observe. Observation never changes the simulation.
@@ -71,6 +72,13 @@ pub trait Simulation {
         between(&self.schema(), [before, &after], time, bodies, frame);
     }
 
+    /// When surfaces of pairs touched and parted in the last step, in order of time, if the simulation finds that itself:
+    /// [`Finding::Touch`](super::touch::Finding::Touch) and `Part` only. `None`: it is searched for in what
+    /// [`within`](Simulation::within) returns, see [`super::touch`].
+    fn contacts(&self) -> Option<&[SurfaceEvent]> {
+        None
+    }
+
     /// Spheres (centre and radius) that a camera should have in view: everything visible in the course of the run, or
     /// only the places where something happens.
     fn framing(&self, only_what_happens: bool) -> Vec<(DVec3, f64)> {
@@ -96,11 +104,21 @@ pub fn between(schema: &Schema, ends: [&Frame; 2], time: f64, bodies: &[usize], 
         let now = &mut frame.bodies[index];
         now.centre = from.centre.lerp(to.centre, z);
         now.rotation = from.rotation.slerp(to.rotation, z);
+        now.mesh.clone_from(&to.mesh);
         if from.is_at_rest && to.is_at_rest {
             now.rest();
             continue;
         }
-        now.displacements.reset(schema.bodies[index].vertex_count());
+        let body = &schema.bodies[index];
+        let count = to.mesh_of(body).vertex_count();
+        if count != from.mesh_of(body).vertex_count() {
+            // it tore in this step: what it tore into has no state before
+            now.displacements.reset(count);
+            now.displacements.add_times(1.0, &to.displacements);
+            now.displaced(to.rest_of(body));
+            continue;
+        }
+        now.displacements.reset(count);
         for (factor, vectors) in [
             (value, &from.displacements),
             (next_value, &to.displacements),
@@ -109,7 +127,7 @@ pub fn between(schema: &Schema, ends: [&Frame; 2], time: f64, bodies: &[usize], 
         ] {
             now.displacements.add_times(factor, vectors); // nothing at rest
         }
-        now.displaced(schema.bodies[index].rest());
+        now.displaced(to.rest_of(body));
     }
 }
 

@@ -48,7 +48,7 @@ pub struct Merged {
 }
 
 /// A group of bodies and its surface.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Group {
     /// Indices of its bodies, ascending; at least two.
     pub bodies: Vec<usize>,
@@ -108,11 +108,35 @@ pub struct PairMeasures {
     pub perimeter: f64,
 }
 
+/// Surfaces of groups that are not the unions of their bodies. They are a function of the frame alone, so that they can be
+/// computed beside the simulation, and again from a replay.
+pub trait Surfaces: Send + Sync {
+    /// The groups: sets of at least two bodies, ascending, no body in two of them, in ascending order of their first body.
+    /// By default the bodies that pairs in a joined phase connect.
+    fn groups(&self, schema: &Schema, frame: &Frame) -> Vec<Vec<usize>> {
+        groups(schema, frame)
+    }
+
+    /// The surface of a group, closed and oriented; `None` if it cannot be computed, or the flag was raised.
+    fn unite(&self, schema: &Schema, frame: &Frame, group: &[usize], interrupt: Option<&AtomicBool>) -> Option<Group>;
+
+    /// What there is to say of a pair; `None` if that cannot be computed, or the flag was raised.
+    fn measure(
+        &self,
+        schema: &Schema,
+        frame: &Frame,
+        pair: [usize; 2],
+        interrupt: Option<&AtomicBool>,
+    ) -> Option<PairMeasures>;
+}
+
 /// The shapes of a scene's bodies as closed meshes.
 pub struct Closed {
     shapes: Vec<ClosedShape>,
     /// Index of each body's shape.
     of_body: Vec<usize>,
+    /// The present meshes of bodies that have torn.
+    torn: BTreeMap<usize, ClosedShape>,
     interrupt: Option<&'static AtomicBool>,
 }
 
@@ -133,7 +157,24 @@ impl Closed {
                 shapes.push(ClosedShape { mesh: Arc::clone(&body.mesh), topology: OnceLock::new() });
             }
         }
-        Closed { shapes, of_body, interrupt }
+        Closed { shapes, of_body, torn: BTreeMap::new(), interrupt }
+    }
+
+    /// Takes note of the mesh that a body has now: `None` for that of the schema. Says whether it is another one than before.
+    pub fn tear(&mut self, body: usize, mesh: Option<&Arc<Mesh>>) -> bool {
+        let known = self.torn.get(&body).map(|torn| &torn.mesh);
+        let is_same = match (known, mesh) {
+            (None, None) => true,
+            (Some(known), Some(mesh)) => Arc::ptr_eq(known, mesh),
+            _ => false,
+        };
+        if !is_same {
+            match mesh {
+                Some(mesh) => self.torn.insert(body, ClosedShape { mesh: Arc::clone(mesh), topology: OnceLock::new() }),
+                None => self.torn.remove(&body),
+            };
+        }
+        !is_same
     }
 
     /// A body with its vertices at these positions [scene unit]; `None` if it is not closed, or where nothing can be
@@ -143,7 +184,8 @@ impl Closed {
     }
 
     fn topology(&self, body: usize) -> Option<&Topology> {
-        let ClosedShape { mesh, topology } = self.shapes.get(*self.of_body.get(body)?)?;
+        let own = || self.shapes.get(*self.of_body.get(body)?);
+        let ClosedShape { mesh, topology } = self.torn.get(&body).or_else(own)?;
         if is_raised(self.interrupt) {
             return None;
         }
@@ -194,6 +236,9 @@ impl Merger {
 
     /// Computes the surfaces of a frame's groups, and the measures of some pairs.
     pub fn merge(&mut self, schema: &Schema, frame: &Frame, pairs: &[[usize; 2]]) -> &Merged {
+        if let Some(own) = schema.surfaces.get() {
+            return self.merge_own(own, schema, frame, pairs);
+        }
         let groups = groups(schema, frame);
         self.frame += 1;
         for &body in groups.iter().flatten().chain(pairs.iter().flatten()) {
@@ -251,9 +296,31 @@ impl Merger {
         &self.merged
     }
 
+    /// The same with surfaces as the simulation defines them. One that is as in the last frame is the same object.
+    fn merge_own(&mut self, own: &dyn Surfaces, schema: &Schema, frame: &Frame, pairs: &[[usize; 2]]) -> &Merged {
+        let (interrupt, groups) = (self.closed.interrupt, own.groups(schema, frame));
+        let united = for_all(&groups, |group| own.unite(schema, frame, group, interrupt).map(Arc::new));
+        let merged = &mut self.merged;
+        merged.pairs = for_all(pairs, |pair| own.measure(schema, frame, *pair, interrupt));
+        merged.is_merged.clear();
+        merged.is_merged.resize(schema.bodies.len(), false);
+        merged.overlapping = united.iter().filter(|group| group.is_none()).count();
+        let last = std::mem::take(&mut merged.groups);
+        for group in united.into_iter().flatten() {
+            group.bodies.iter().for_each(|&body| merged.is_merged[body] = true);
+            merged.groups.push(last.iter().find(|known| **known == group).cloned().unwrap_or(group));
+        }
+        &self.merged
+    }
+
     /// The shapes of the bodies.
     pub fn closed(&self) -> &Closed {
         &self.closed
+    }
+
+    /// The same, to take note of bodies that have torn.
+    pub(super) fn closed_mut(&mut self) -> &mut Closed {
+        &mut self.closed
     }
 
     /// The result of the last frame.
@@ -268,11 +335,12 @@ impl Merger {
             return;
         }
         let now = &frame.bodies[body];
-        now.local_positions(schema.bodies[body].rest(), &mut self.local);
+        let has_torn = self.closed.tear(body, now.mesh.as_ref());
+        now.local_positions(now.rest_of(&schema.bodies[body]), &mut self.local);
         let bits = |position: DVec3| position.to_array().map(f64::to_bits);
         let is_same = placed.positions.len() == self.local.len()
             && (placed.positions.iter().zip(self.local.iter())).all(|(old, new)| bits(*old) == bits(new + now.centre));
-        placed.has_moved = !is_same || placed.frame + 1 != self.frame;
+        placed.has_moved = !is_same || has_torn || placed.frame + 1 != self.frame;
         placed.frame = self.frame;
         if !is_same {
             placed.positions.clear();

@@ -157,6 +157,7 @@ impl Touches {
         found.clear();
         let is_next = now.at.step == self.before.at.step + 1;
         self.placed.clear();
+        let own = simulation.contacts();
         let mut pairs = BTreeMap::new();
         let mut watched: Vec<PairFrame> = now.pairs.clone();
         if watched.len() > MOST_PAIRS {
@@ -170,6 +171,10 @@ impl Touches {
             let bodies = [pair.a, pair.b];
             let before = self.pairs.get(&bodies).copied();
             let mut known = before.unwrap_or_default();
+            if own.is_some() {
+                pairs.insert(bodies, known);
+                continue;
+            }
             if self.is_far(bodies, now) {
                 (known.is_touching, known.crossing) = (false, None);
             } else {
@@ -190,6 +195,7 @@ impl Touches {
             }
             pairs.insert(bodies, known);
         }
+        take(own.unwrap_or_default(), &mut pairs, found);
         for change in changes.iter().filter(|_| is_next && !is_raised(self.interrupt)).take(MOST_CHANGES) {
             let bodies = [change.a, change.b];
             let Some(known) = self.pairs.get(&bodies) else { continue };
@@ -197,7 +203,10 @@ impl Touches {
             let just_touched = found.iter().find(is_touch).map(|event| event.time).filter(|&time| time <= change.time);
             let touched = just_touched.or(known.touched);
             simulation.within(&self.before, change.time, &bodies, &mut self.inside);
-            let measures = self.merger.merge(&self.schema, &self.inside, &[bodies]).pairs.first().copied().flatten();
+            let measures = match self.schema.surfaces.get() {
+                Some(own) => own.measure(&self.schema, &self.inside, bodies, self.interrupt),
+                None => self.merger.merge(&self.schema, &self.inside, &[bodies]).pairs.first().copied().flatten(),
+            };
             let what = Finding::Phase { name: change.name, touched, measures };
             let PairEvent { time, step, a, b, q, .. } = *change;
             found.push(SurfaceEvent { what, time, step, a, b, q });
@@ -210,9 +219,16 @@ impl Touches {
         for &body in self.pairs.keys().flatten() {
             let (from, to) = (&now.bodies[body], &mut self.before.bodies[body]);
             (to.centre, to.rotation, to.is_at_rest) = (from.centre, from.rotation, from.is_at_rest);
+            to.mesh.clone_from(&from.mesh);
             to.displacements.copy_from(&from.displacements);
             to.velocities.copy_from(&from.velocities);
         }
+    }
+
+    /// Takes what the simulation found in a step without a frame.
+    pub fn between_frames(&mut self, simulation: &dyn Simulation, found: &mut Vec<SurfaceEvent>) {
+        found.clear();
+        take(simulation.contacts().unwrap_or_default(), &mut self.pairs, found);
     }
 
     /// When the surfaces of a pair touched or parted in the step that ends at `end`, and q at that time.
@@ -244,10 +260,11 @@ impl Touches {
 
     /// Computes the positions of a body in the world, unless they are known.
     fn place(&mut self, body: usize, frame: &Frame) {
-        let Touches { schema, local, placed, .. } = self;
+        let Touches { schema, local, placed, merger, .. } = self;
         placed.entry(body).or_insert_with(|| {
             let now = &frame.bodies[body];
-            now.local_positions(schema.bodies[body].rest(), local);
+            merger.closed_mut().tear(body, now.mesh.as_ref());
+            now.local_positions(now.rest_of(&schema.bodies[body]), local);
             local.iter().map(|position| position + now.centre).collect()
         });
     }
@@ -284,6 +301,17 @@ impl Touches {
             Some(Contact::Crossing(crossing)) => Some(crossing),
             _ => None,
         };
+    }
+}
+
+/// Takes touches and parts that the simulation found itself.
+fn take(own: &[SurfaceEvent], pairs: &mut BTreeMap<[usize; 2], Known>, found: &mut Vec<SurfaceEvent>) {
+    for event in own {
+        if let Some(known) = pairs.get_mut(&[event.a, event.b]) {
+            known.is_touching = event.what == Finding::Touch;
+            known.touched = known.is_touching.then_some(event.time);
+        }
+        found.push(*event);
     }
 }
 

@@ -8,7 +8,7 @@ use std::{
 
 use glam::{DQuat, DVec3, Quat, Vec3};
 use rerun::{
-    datatypes::{Float64, Quaternion, Utf8, Vec3D},
+    datatypes::{Float64, Quaternion, UVec3D, Utf8, Vec3D},
     external::re_chunk_store::external::re_chunk::Chunk,
 };
 
@@ -36,6 +36,8 @@ const CENTRES: &str = "/world/influence";
 pub struct RecordedSurface {
     /// Vertex positions [scene unit].
     pub positions: Vec<Vec3>,
+    /// Vertices of each triangle, of a body that can tear; those of its shape if `None`.
+    pub triangles: Option<Arc<[[u32; 3]]>>,
     /// How the surface was recorded.
     pub kind: SurfaceKind,
 }
@@ -71,9 +73,10 @@ impl RecordedFrame {
     pub fn of(schema: &Schema, frame: &Frame) -> RecordedFrame {
         let mut positions = Vectors::default();
         let surfaces = schema.bodies.iter().zip(&frame.bodies).map(|(body, now)| {
-            now.body_positions(body.rest(), &mut positions);
+            now.body_positions(now.rest_of(body), &mut positions);
             let positions = positions.iter().map(|position| position.as_vec3()).collect();
-            Some(RecordedSurface { positions, kind: SurfaceKind::Local })
+            let triangles = now.mesh.as_ref().map(|mesh| mesh.triangles().into());
+            Some(RecordedSurface { positions, triangles, kind: SurfaceKind::Local })
         });
         let centres = frame.bodies.iter().map(|body| body.centre.as_vec3()).collect();
         let rotations = frame.bodies.iter().map(|body| body.rotation.as_quat()).collect();
@@ -91,14 +94,14 @@ impl RecordedFrame {
                 continue;
             }
             let here = if surface.kind == SurfaceKind::World {
-                now.local_positions(body.rest(), &mut local);
+                now.local_positions(now.rest_of(body), &mut local);
                 let places = surface.positions.iter().zip(local.iter()).map(|(&recorded, found)| {
                     let found = (found + now.centre).as_vec3();
                     (recorded.as_dvec3() - now.centre, found.as_dvec3() - now.centre)
                 });
                 Worst::of(self.at(), body, 0.0, places)
             } else {
-                now.body_positions(body.rest(), &mut local);
+                now.body_positions(now.rest_of(body), &mut local);
                 let shift = self.centres[index] - now.centre.as_vec3();
                 let turns = [self.rotations[index], now.rotation.as_quat()];
                 let places = surface.positions.iter().zip(local.iter()).map(|(&recorded, found)| {
@@ -185,6 +188,8 @@ pub struct FrameReader {
     /// Steps of complete frames that have not been returned yet.
     ready: std::collections::VecDeque<i64>,
     surfaces: Vec<Option<RecordedSurface>>,
+    /// The triangles of bodies that can tear.
+    triangles: Vec<Option<Arc<[[u32; 3]]>>>,
     centres: Vec<Vec3>,
     rotations: Vec<Quat>,
     /// The instances of each shape, by entity.
@@ -217,6 +222,7 @@ impl FrameReader {
             next_chunk: None,
             ready: std::collections::VecDeque::new(),
             surfaces: vec![None; schema.bodies.len()],
+            triangles: vec![None; schema.bodies.len()],
             centres: vec![Vec3::ZERO; schema.bodies.len()],
             rotations: vec![Quat::IDENTITY; schema.bodies.len()],
             resting: HashMap::new(),
@@ -366,8 +372,17 @@ impl FrameReader {
                 }
             } else {
                 let positions = vectors("Mesh3D:vertex_positions");
+                let triangles: Vec<[u32; 3]> =
+                    cell::<UVec3D>(chunk, "Mesh3D:triangle_indices", row).into_iter().map(|t| t.0).collect();
+                if !triangles.is_empty() {
+                    self.triangles[index] = Some(triangles.into());
+                }
+                let surface = &mut self.surfaces[index];
                 if !positions.is_empty() {
-                    self.surfaces[index] = Some(RecordedSurface { positions, kind: SurfaceKind::Local });
+                    *surface = Some(RecordedSurface { positions, triangles: None, kind: SurfaceKind::Local });
+                }
+                if let Some(surface) = surface {
+                    surface.triangles.clone_from(&self.triangles[index]);
                 }
             }
         } else if entity == CENTRES {
@@ -388,7 +403,8 @@ impl FrameReader {
                 for (body, count) in self.deforming.clone() {
                     let Some((own, others)) = rest.split_at_checked(count) else { break };
                     rest = others;
-                    self.surfaces[body] = Some(RecordedSurface { positions: own.to_vec(), kind: SurfaceKind::World });
+                    let (positions, triangles) = (own.to_vec(), None);
+                    self.surfaces[body] = Some(RecordedSurface { positions, triangles, kind: SurfaceKind::World });
                 }
             }
         } else if let Some(mesh) = self.shapes.get(&entity) {
@@ -405,7 +421,8 @@ impl FrameReader {
                 };
                 let surfaces: Vec<_> = resting.iter().map(|&body| (body, surface(body))).collect();
                 for (body, positions) in surfaces {
-                    self.surfaces[body] = Some(RecordedSurface { positions, kind: SurfaceKind::Resting });
+                    self.surfaces[body] =
+                        Some(RecordedSurface { positions, triangles: None, kind: SurfaceKind::Resting });
                 }
                 self.resting.insert(entity, resting);
             }

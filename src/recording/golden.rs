@@ -376,7 +376,7 @@ fn show(
         simulation.observe(Want::default(), &mut frame);
         comparison.frame(schema, frame.at, tolerance(schema, frame.at.time), |index| {
             let (body, now) = (&schema.bodies[index], &frame.bodies[index]);
-            now.local_positions(body.rest(), &mut local);
+            now.local_positions(now.rest_of(body), &mut local);
             let found = local.iter().map(|position| now.centre + position).collect();
             let place = state.places.get(&index).copied().unwrap_or(BodyPlace::of(now));
             let rest = |vertex| place.at_rest(body.rest().position(vertex));

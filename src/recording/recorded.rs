@@ -20,8 +20,9 @@ use super::{
     read::{End, Reader},
 };
 use crate::{
+    models,
     observe::{Experiment, Refusal, Schema, Simulation, simulation::ReadExperiment},
-    sim::{checksum, simulation},
+    sim::checksum,
     stream::{
         checksums,
         parts::pairs::event,
@@ -110,7 +111,7 @@ impl Recorded {
     /// # Errors
     /// The file is not a recording of this program, has an unsupported format, or is damaged.
     pub fn open(path: &Path) -> Result<Recorded, ReadError> {
-        Recorded::open_as(path, &simulation::read)
+        Recorded::open_as(path, &models::read)
     }
 
     /// Like [`Recorded::open`], for an experiment that `read` recreates from the contents of the recording.

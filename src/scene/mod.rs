@@ -13,6 +13,7 @@
 //! integrator = "exponential"    # thesis | mps | euler | verlet | rk4 | exponential [exponential]
 //! tolerance = 1e-6              # of exponential: error in radii per unit of scene time [1e-6]
 //! gravity = [0, 0, 0]           # acceleration of free bodies, scene unit/s² [0]
+//! model = "oscillators"         # oscillators | metaballs | lattice | fem: what a body is made of [oscillators]
 //!
 //! [material]                    # for every body; a body may override each
 //! omega = 12.0                  # restoring force: natural angular frequency, rad/s [12.0]
@@ -145,6 +146,8 @@ pub struct Scene {
     pub duration: f64,
     /// Integrator of the scene.
     pub integrator: Integrator,
+    /// What its bodies are made of: which simulation runs it, see [`crate::models`].
+    pub model: Model,
     /// Tolerance of [`Integrator::Exponential`]: the acceptable error, in radii of a vertex's body per unit of scene
     /// time [1/s], > 0.
     pub tolerance: f64,
@@ -330,6 +333,41 @@ impl fmt::Display for Integrator {
     }
 }
 
+/// The models of a soft body: those that chapter 2 of the thesis weighs, and its own; see [`crate::models`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Model {
+    /// The thesis's own: every vertex is a damped oscillator about its rest position.
+    #[default]
+    Oscillators,
+    /// Density about each centre, and its level set as the surface (2.2.3).
+    Metaballs,
+    /// Cubes of masses and springs (2.1.1, 2.2.2).
+    Lattice,
+    /// Linear finite elements (2.1.2).
+    Fem,
+}
+
+impl Model {
+    /// All models, in the order in which they are listed to users.
+    pub const ALL: [Model; 4] = [Model::Oscillators, Model::Metaballs, Model::Lattice, Model::Fem];
+
+    /// The name in scene files and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Model::Oscillators => "oscillators",
+            Model::Metaballs => "metaballs",
+            Model::Lattice => "lattice",
+            Model::Fem => "fem",
+        }
+    }
+}
+
+impl fmt::Display for Model {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
 impl Scene {
     /// The tolerance of scenes that do not set one [1/s].
     pub const DEFAULT_TOLERANCE: f64 = 1e-6;
@@ -337,6 +375,30 @@ impl Scene {
     /// Number of steps: `round(duration / dt)`.
     pub fn steps(&self) -> u64 {
         (self.duration / self.dt).round() as u64 // saturates
+    }
+
+    /// What a run of this scene differs in from what its own text says, as lines of that text: its integrator, model, step
+    /// and tolerance, and its number of steps (`None`: until stopped).
+    pub fn overrides(&self, steps: Option<u64>) -> String {
+        let Ok(own) = Scene::parse(&self.source, &self.name) else { return String::new() };
+        let changed = [
+            (own.model != self.model).then(|| format!("model = \"{}\"\n", self.model)),
+            (own.integrator != self.integrator).then(|| format!("integrator = \"{}\"\n", self.integrator)),
+            (own.dt != self.dt).then(|| format!("dt = {:?}\n", self.dt)),
+            (own.tolerance != self.tolerance).then(|| format!("tolerance = {:?}\n", self.tolerance)),
+            (Some(own.steps()) != steps).then(|| format!("steps = {}\n", steps.unwrap_or(0))),
+        ];
+        changed.into_iter().flatten().collect()
+    }
+
+    /// The settings with which the scene is run, as lines of TOML: what a recording needs besides the scene's text. A run
+    /// of oscillators does not name its model, as none did before there were others.
+    pub fn run_settings(&self) -> String {
+        let model = match self.model {
+            Model::Oscillators => String::new(),
+            model => format!("model = \"{model}\"\n"),
+        };
+        format!("integrator = \"{}\"\ndt = {:?}\ntolerance = {:?}\n{model}", self.integrator, self.dt, self.tolerance)
     }
 
     /// The law of the pair of bodies `a` and `b`, in either order.

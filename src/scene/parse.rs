@@ -22,7 +22,7 @@ use glam::DVec3;
 use toml::de::DeTable;
 
 use super::{
-    Body, FreeMotion, Integrator, Material, Motion, Path, Plane, Push, Response, Rotation, Scene, path::Spline,
+    Body, FreeMotion, Integrator, Material, Model, Motion, Path, Plane, Push, Response, Rotation, Scene, path::Spline,
 };
 use crate::{
     geometry::{Shape, fairing, shape::Parameter},
@@ -63,6 +63,7 @@ static SCENE: Keys = Keys {
         "integrator",
         "tolerance",
         "gravity",
+        "model",
         "material",
         "influence",
         "surface",
@@ -325,6 +326,8 @@ pub(super) fn read_document(
 
     let gravity = root.optional("gravity", Vector(ANY))?.unwrap_or(DVec3::ZERO);
 
+    let model = root.optional("model", Choice(Model::ALL.map(|model| (model.name(), model))))?.unwrap_or_default();
+
     let blend = surface.optional("blend", BLEND)?.unwrap_or(fairing::BLEND);
 
     let thesis = Material { omega: 12.0, damping: 1.5, response: Response::Inertial };
@@ -349,6 +352,7 @@ pub(super) fn read_document(
         dt,
         duration,
         integrator,
+        model,
         tolerance,
         influence,
         thresholds: law.thresholds,

@@ -1,10 +1,6 @@
-//! [`World`] as a simulation that instruments observe, and scenes as experiments that create it. Recorder, replay,
-//! check and diff know nothing else of either.
+//! [`World`] as a simulation that instruments observe. Recorder, replay, check and diff know nothing else of it.
 
-use std::{
-    mem::take,
-    sync::{Arc, atomic::AtomicBool},
-};
+use std::{mem::take, sync::atomic::AtomicBool};
 
 use glam::DVec3;
 
@@ -24,14 +20,14 @@ use crate::{
         phase::{Phase, Thresholds},
     },
     observe::{
-        BodyFrame, Experiment, Frame, Instant, PairEvent, Refusal, Schema, Simulation, StageFrame, StepFailure,
-        StepSummary, Want, between,
+        BodyFrame, Frame, Instant, PairEvent, Schema, Simulation, StageFrame, StepFailure, StepSummary, Want, between,
         colors::{self, Rgb},
         schema::{
-            self, BodySchema, OwnLevels, PhaseSchema, PlaneSchema, ScalarOf, ScalarSchema, TermSchema, Threshold,
+            self, BodySchema, OwnLevels, OwnSurfaces, PhaseSchema, PlaneSchema, ScalarOf, ScalarSchema, TermSchema,
+            Threshold,
         },
     },
-    scene::{Body, Integrator, Motion, Plane, Scene},
+    scene::{Body, Integrator, Model, Motion, Plane, Scene},
 };
 
 /// All phases in order of depth, the deepest last.
@@ -184,15 +180,7 @@ impl Simulation for World {
     }
 
     fn overrides(&self, steps: Option<u64>) -> String {
-        let scene = self.scene();
-        let Ok(own) = Scene::parse(&scene.source, &scene.name) else { return String::new() };
-        let changed = [
-            (own.integrator != scene.integrator).then(|| format!("integrator = \"{}\"\n", scene.integrator)),
-            (own.dt != scene.dt).then(|| format!("dt = {:?}\n", scene.dt)),
-            (own.tolerance != scene.tolerance).then(|| format!("tolerance = {:?}\n", scene.tolerance)),
-            (Some(own.steps()) != steps).then(|| format!("steps = {}\n", steps.unwrap_or(0))),
-        ];
-        changed.into_iter().flatten().collect()
+        self.scene().overrides(steps)
     }
 
     fn steps_taken(&self) -> u64 {
@@ -348,67 +336,6 @@ impl Simulation for World {
     }
 }
 
-/// A scene and the options for stepping its world.
-#[derive(Clone, Debug)]
-pub struct SceneRun {
-    /// The scene to simulate.
-    pub scene: Scene,
-    /// How its world is stepped.
-    pub options: Options,
-}
-
-impl Experiment for SceneRun {
-    fn schema(&self) -> Schema {
-        schema(&self.scene, self.options)
-    }
-
-    fn start(&self) -> Result<Box<dyn Simulation>, String> {
-        match World::with_options(self.scene.clone(), self.options) {
-            Ok(world) => Ok(Box::new(world)),
-            Err(error) => Err(error.to_string()),
-        }
-    }
-
-    fn read(&self, name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> {
-        read(name, text, run)
-    }
-}
-
-impl Experiment for Scene {
-    fn schema(&self) -> Schema {
-        schema(self, Options::default())
-    }
-
-    fn start(&self) -> Result<Box<dyn Simulation>, String> {
-        SceneRun { scene: self.clone(), options: Options::default() }.start()
-    }
-
-    fn read(&self, name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> {
-        read(name, text, run)
-    }
-}
-
-/// Reads a recorded scene: its text, and the settings of its run.
-///
-/// # Errors
-/// The text is not a valid scene, or the settings are unknown here.
-pub fn read(name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> {
-    let mut scene = Scene::parse(text, name).map_err(|error| Refusal::Source(error.to_string()))?;
-    let positive = |key: &str| {
-        let number = run.get(key).and_then(toml::Value::as_float).filter(|number| Scene::POSITIVE.contains(number));
-        number.ok_or_else(|| Refusal::Run(format!("the settings have no usable {key}")))
-    };
-    let integrator = run.get("integrator").and_then(toml::Value::as_str).unwrap_or("none");
-    scene.integrator = Integrator::ALL
-        .into_iter()
-        .find(|known| known.name() == integrator)
-        .ok_or_else(|| Refusal::Run(format!("this program has no integrator \"{integrator}\"")))?;
-    scene.dt = positive("dt")?;
-    scene.tolerance = positive("tolerance")?;
-    let skip = run.get("skip").and_then(toml::Value::as_bool).unwrap_or(true);
-    Ok(Arc::new(SceneRun { scene, options: Options { skip, ..Options::default() } }))
-}
-
 /// Colour of a phase: that of the force it causes, if any.
 pub fn phase_color(phase: Phase) -> Rgb {
     match phase {
@@ -418,7 +345,8 @@ pub fn phase_color(phase: Phase) -> Rgb {
     }
 }
 
-fn schema(scene: &Scene, options: Options) -> Schema {
+/// The schema of a scene's world. Other models of the same scene start from it and say what is different with them.
+pub fn schema(scene: &Scene, options: Options) -> Schema {
     let bodies = scene.bodies.iter().map(|body| BodySchema {
         name: body.name.clone(),
         radius: body.radius,
@@ -428,6 +356,7 @@ fn schema(scene: &Scene, options: Options) -> Schema {
         is_free: body.path().is_none(),
         mass: body.mass,
         color: body.color,
+        can_tear: false,
     });
     let bodies = bodies.collect();
     let thresholds = [
@@ -452,13 +381,8 @@ fn schema(scene: &Scene, options: Options) -> Schema {
     Schema {
         name: scene.name.clone(),
         source: scene.source.clone(),
-        run: format!(
-            "integrator = \"{}\"\ndt = {:?}\ntolerance = {:?}\n{}",
-            scene.integrator,
-            scene.dt,
-            scene.tolerance,
-            if options.skip { "" } else { "skip = false\n" }
-        ),
+        run: scene.run_settings() + if options.skip { "" } else { "skip = false\n" },
+        model: Model::Oscillators.name().to_owned(),
         integrator: scene.integrator.name().to_owned(),
         dt: scene.dt,
         steps: scene.steps(),
@@ -484,6 +408,7 @@ fn schema(scene: &Scene, options: Options) -> Schema {
             .into(),
         thresholds: thresholds.collect(),
         own_levels,
+        surfaces: OwnSurfaces::default(),
         scalars: scalars(scene)
             .map(|&Scalar { name, label, plot, ref value, is_smooth }| {
                 let of = match value {

@@ -770,11 +770,15 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
         Some(steps) => format!("{steps} steps"),
     };
     let head = format!(
-        "**{}**: {} {}, {} vertices. `{}`, Δt = {:.6} s, {steps}, {frames}.  \n{}  \n",
+        "**{}**: {} {}, {} vertices{}. `{}`, Δt = {:.6} s, {steps}, {frames}.  \n{}  \n",
         schema.name,
         schema.bodies.len(),
         if schema.bodies.len() == 1 { "body" } else { "bodies" },
         schema.vertex_count(),
+        match schema.model.as_str() {
+            "" | "oscillators" => String::new(),
+            model => format!(", model **{model}**"),
+        },
         schema.integrator,
         schema.dt,
         schema.law,

@@ -23,7 +23,7 @@ impl Extractor {
         if !now.is_at_rest {
             return &now.positions;
         }
-        now.local_positions(body.rest(), &mut self.rest);
+        now.local_positions(now.rest_of(body), &mut self.rest);
         &self.rest
     }
 
@@ -57,20 +57,20 @@ impl Surface {
         // Normals are computed relative to the centre: its position would cost precision.
         let Extractor { arch, rest, normals } = extractor;
         let local = if now.is_at_rest { rest } else { &now.positions };
-        normals::append(*arch, &body.mesh, local, normals, &mut self.normals);
+        normals::append(*arch, now.mesh_of(body), local, normals, &mut self.normals);
     }
 
     /// Appends the surface of a body relative to its centre, in body axes.
     pub fn append_in_body(&mut self, body: &BodySchema, now: &BodyFrame, extractor: &mut Extractor) {
         let Extractor { arch, rest, normals } = extractor;
         let positions = if now.is_at_rest || now.rotation != DQuat::IDENTITY {
-            now.body_positions(body.rest(), rest);
+            now.body_positions(now.rest_of(body), rest);
             rest
         } else {
             &now.positions
         };
         append_moved(positions, DVec3::ZERO, &mut self.positions);
-        normals::append(*arch, &body.mesh, positions, normals, &mut self.normals);
+        normals::append(*arch, now.mesh_of(body), positions, normals, &mut self.normals);
     }
 
     /// Removes all vertices and keeps the allocation.

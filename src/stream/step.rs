@@ -58,8 +58,12 @@ impl StepWatch {
         }
         simulation.summary(&mut record.summary);
         record.surfaces.clear();
-        if let (Some(touches), Some(frame)) = (&mut self.touches, frame) {
-            touches.step(simulation, frame, &record.summary.events, &mut record.surfaces);
+        match (&mut self.touches, frame) {
+            (Some(touches), Some(frame)) => {
+                touches.step(simulation, frame, &record.summary.events, &mut record.surfaces);
+            }
+            (Some(touches), None) => touches.between_frames(simulation, &mut record.surfaces),
+            (None, _) => {}
         }
         record.checksum = simulation.checksum();
         record.stages = self.stages(simulation, settings);

@@ -36,6 +36,7 @@ use super::{
 use crate::{
     Scene, World,
     model::phase::Phase,
+    models,
     observe::{
         Frame, Simulation as _, StepSummary, Want,
         approach::lowest,
@@ -119,6 +120,9 @@ impl<'a> Runner<'a> {
     pub fn cells(&self, point: &[Setting]) -> Result<Vec<Cell>, Interrupted> {
         let start = Instant::now();
         let scene = self.template.scene(self.sweep.settings(point)).map_err(|error| error.to_string());
+        let scene = scene.and_then(|scene| {
+            models::need_oscillators(&scene, "a sweep").map_err(|error| error.to_string()).map(|()| scene)
+        });
         let options = Options { interrupt: self.interrupt, ..Options::default() };
         let world = scene.and_then(|scene| World::with_options(scene, options).map_err(|error| error.to_string()));
         let mut cells: Vec<Cell> = point.iter().map(Cell::from).collect();

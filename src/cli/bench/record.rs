@@ -10,6 +10,7 @@ use crate::{
         machine::Machine,
         record::{self, Report, csv::csv, scenes::crowd, table},
     },
+    models,
     sim::memory,
 };
 
@@ -48,6 +49,7 @@ pub fn record(arguments: Arguments) -> Result<(), Failure> {
     }
     for scene in &scenes {
         memory::check(scene).map_err(Failure::input)?;
+        models::need_oscillators(scene, "bench record").map_err(Failure::input)?;
     }
     let csv_file = claim(arguments.csv.as_deref(), "scene,bodies,detail,")?;
     let machine = Machine::detect();

@@ -42,10 +42,11 @@ pub fn parts(schema: &Schema, frame: &Frame, merged: &Merged) -> Vec<Part> {
         if merged.is_merged.get(index).copied().unwrap_or(false) {
             continue;
         }
-        now.local_positions(body.rest(), &mut local);
+        let mesh = now.mesh_of(body);
+        now.local_positions(mesh.at(body.radius), &mut local);
         let positions: Vec<DVec3> = local.iter().map(|position| position + now.centre).collect();
         let colors = vec![palette::of_body(schema, index); positions.len()];
-        parts.push(Part::new(body.name.clone(), &positions, colors, body.mesh.triangles().to_vec()));
+        parts.push(Part::new(body.name.clone(), &positions, colors, mesh.triangles().to_vec()));
     }
     parts
 }

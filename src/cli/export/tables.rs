@@ -126,8 +126,8 @@ impl States {
     pub fn add(&mut self, schema: &Schema, frame: &Frame) -> Result<(), Failure> {
         let [step, time] = instant(frame.at);
         for (index, (of, now)) in schema.bodies.iter().zip(&frame.bodies).enumerate() {
-            now.local_positions(of.rest(), &mut self.local);
-            for i in 0..of.vertex_count() {
+            now.local_positions(now.rest_of(of), &mut self.local);
+            for i in 0..self.local.len() {
                 let position = now.centre + self.local.get(i);
                 let velocity = if now.is_at_rest { glam::DVec3::ZERO } else { now.velocities.get(i) };
                 let [x, y, z] = position.to_array().map(Cell::Float);

@@ -11,6 +11,7 @@ use super::{
     vertices::{self, Vertices},
 };
 use crate::{
+    geometry::Mesh,
     observe::Schema,
     stream::{
         chunks::{Chunks, TrackId},
@@ -39,6 +40,8 @@ pub struct BatchedBodies {
     last: Surface,
     next: Surface,
     resting: Option<Vec<Instance>>,
+    /// The meshes of those that have torn.
+    torn: Vec<Arc<Mesh>>,
     /// Whether any body has rotated yet: until then, instances have no rotations.
     has_turned: bool,
     /// Values of single vertices, only if forces are recorded.
@@ -60,8 +63,8 @@ impl BatchedBodies {
             chunks.track(DEFORMING, [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals()]);
         let vertices = (detail != Detail::Surface).then(|| Vertices::new(DEFORMING, chunks));
         let (last, next, numbers) = Default::default();
-        let (drawn, resting, has_turned) = (None, None, false);
-        BatchedBodies { track, deforming: Vec::new(), drawn, last, next, resting, has_turned, vertices, numbers }
+        let (drawn, resting, torn, has_turned) = (None, None, Vec::new(), false);
+        BatchedBodies { track, deforming: Vec::new(), drawn, last, next, resting, torn, has_turned, vertices, numbers }
     }
 
     /// Logs what has changed; `numbers` are the values of each body's vertices, if they are recorded. Bodies that are
@@ -76,8 +79,9 @@ impl BatchedBodies {
     ) {
         let (bodies, now) = (&look.schema.bodies, &look.frame.bodies);
         let is_merged = |i: usize| is_merged.get(i).copied().unwrap_or(false);
-        let (deforming, resting): (Vec<usize>, Vec<usize>) =
-            (0..now.len()).partition(|&i| is_merged(i) || now[i].max_displacement > DEFORMED * bodies[i].radius);
+        let (deforming, resting): (Vec<usize>, Vec<usize>) = (0..now.len()).partition(|&i| {
+            is_merged(i) || now[i].mesh.is_some() || now[i].max_displacement > DEFORMED * bodies[i].radius
+        });
         self.next.clear();
         for &i in &deforming {
             self.next.append_in_world(&bodies[i], &now[i], extractor);
@@ -87,7 +91,11 @@ impl BatchedBodies {
             deforming.iter().filter_map(|&i| numbers.get(i)).for_each(|numbers| self.numbers.extend(numbers));
             vertices.log(look.at, &self.numbers, chunks);
         }
-        if deforming != self.deforming {
+        let torn = || now.iter().filter_map(|now| now.mesh.as_ref());
+        let is_same =
+            torn().count() == self.torn.len() && torn().zip(&self.torn).all(|(now, last)| Arc::ptr_eq(now, last));
+        if deforming != self.deforming || !is_same {
+            self.torn = torn().cloned().collect();
             self.log_layout(look, &deforming, chunks);
             self.deforming = deforming;
             self.drawn = None;
@@ -118,8 +126,9 @@ impl BatchedBodies {
         let (mut first, mut triangles, mut colors, mut names, mut indices) = (0, vec![], vec![], vec![], vec![]);
         for &i in deforming {
             let body = &look.schema.bodies[i];
-            let count = body.vertex_count();
-            triangles.extend(body.mesh.triangles().iter().map(|t| t.map(|v| v + first)));
+            let mesh = look.frame.bodies[i].mesh_of(body);
+            let count = mesh.vertex_count();
+            triangles.extend(mesh.triangles().iter().map(|t| t.map(|v| v + first)));
             colors.extend(std::iter::repeat_n(color(palette::of_body(look.schema, i)), count));
             names.extend(std::iter::repeat_n(body.name.as_str(), count));
             indices.extend(0..count as u32);
@@ -138,7 +147,7 @@ impl BatchedBodies {
     fn log_drawn(&self, look: Look<'_>, is_merged: impl Fn(usize) -> bool, chunks: &mut Chunks) {
         let (mut first, mut triangles) = (0, HIDDEN.to_vec());
         for &i in &self.deforming {
-            let mesh = &look.schema.bodies[i].mesh;
+            let mesh = look.frame.bodies[i].mesh_of(&look.schema.bodies[i]);
             if !is_merged(i) {
                 triangles.extend(mesh.triangles().iter().map(|t| t.map(|v| v + first)));
             }

@@ -1,5 +1,7 @@
 //! One transform and one mesh per body.
 
+use std::sync::Arc;
+
 use glam::DQuat;
 use rerun::{Mesh3D, Transform3D};
 
@@ -9,6 +11,7 @@ use super::{
     vertices::{self, Vertices, identity},
 };
 use crate::{
+    geometry::Mesh,
     observe::{BodyFrame, Schema},
     stream::{
         chunks::{Chunks, TrackId},
@@ -36,6 +39,8 @@ struct Logged {
     is_at_rest: bool,
     /// Whether the body is drawn by its own mesh; `None` if nothing was logged of that.
     is_drawn: Option<bool>,
+    /// The mesh that was last logged, of a body that can tear.
+    mesh: Option<Arc<Mesh>>,
     /// Values of single vertices, only if forces are recorded.
     vertices: Option<Vertices>,
 }
@@ -80,13 +85,16 @@ impl SeparateBodies {
         let bodies = schema.bodies.iter().enumerate().map(|(index, body)| {
             let entity = format!("/world/bodies/{}", body.name);
             let surface = format!("{entity}/surface");
-            let mesh = Mesh3D::update_fields()
-                .with_triangle_indices(body.mesh.triangles().iter().copied())
-                .with_albedo_factor(palette::translucent(palette::of_body(schema, index)));
-            chunks.log_static(&surface, &mesh);
+            let color = palette::translucent(palette::of_body(schema, index));
+            let mesh = Mesh3D::update_fields().with_albedo_factor(color);
+            let triangles = body.mesh.triangles().iter().copied();
+            // what is static cannot change any more
+            chunks.log_static(&surface, &if body.can_tear { mesh } else { mesh.with_triangle_indices(triangles) });
             let vertices = (detail != Detail::Surface).then(|| {
-                chunks.log_static(&surface, &identity(&body.name, body.vertex_count()));
-                chunks.log_static(&surface, &heat::unlit(body.vertex_count()));
+                if !body.can_tear {
+                    chunks.log_static(&surface, &identity(&body.name, body.vertex_count()));
+                    chunks.log_static(&surface, &heat::unlit(body.vertex_count()));
+                }
                 Vertices::new(&surface, chunks)
             });
             Logged {
@@ -97,6 +105,7 @@ impl SeparateBodies {
                 last: Surface::default(),
                 is_at_rest: false,
                 is_drawn: None,
+                mesh: None,
                 vertices,
             }
         });
@@ -120,8 +129,20 @@ impl SeparateBodies {
         }
         for (index, ((body, now), track)) in look.bodies().zip(&mut self.bodies).enumerate() {
             let is_drawn = !is_merged.get(index).copied().unwrap_or(false);
+            let mesh = now.mesh_of(body);
+            if body.can_tear && !track.mesh.as_ref().is_some_and(|last| Arc::ptr_eq(last, mesh)) {
+                let triangles = Mesh3D::update_fields().with_triangle_indices(mesh.triangles().iter().copied());
+                chunks.log(&track.entity, look.at, &triangles);
+                if track.vertices.is_some() {
+                    chunks.log(&track.entity, look.at, &identity(&body.name, mesh.vertex_count()));
+                    chunks.log(&track.entity, look.at, &heat::unlit(mesh.vertex_count()));
+                }
+                track.mesh = Some(Arc::clone(mesh));
+                track.is_drawn = None;
+                track.is_at_rest = false;
+            }
             if track.is_drawn != Some(is_drawn) {
-                let triangles = if is_drawn { body.mesh.triangles() } else { HIDDEN.as_slice() };
+                let triangles = if is_drawn { mesh.triangles() } else { HIDDEN.as_slice() };
                 chunks.log(&track.entity, look.at, &drawn(triangles));
                 track.is_drawn = Some(is_drawn);
             }

@@ -40,7 +40,7 @@ impl VertexNumbers {
     /// Appends the values of a body's vertices.
     pub fn append(&mut self, schema: &Schema, body: &BodySchema, now: &BodyFrame) {
         let first = self.displacement.len();
-        let end = first + body.vertex_count();
+        let end = first + now.mesh_of(body).vertex_count();
         let inverse = 1.0 / body.radius;
         self.displacement.extend(now.lengths.iter().map(|length| (length * inverse) as f32));
         self.displacement.resize(end, 0.0);
