@@ -78,7 +78,7 @@ motion = { fixed = [0, 0, 0] }
 Whole: columns after characters of several bytes
 name = "größe"
 x = { "ä" = "ö" } # ü
-> bad.toml:2:1: x: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:2:1: x: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Whole: body is a single table
 duration = 4
@@ -196,39 +196,39 @@ Whole: the first of several unknown keys
 zeta = 1
 duration = 4
 again = 2
-> bad.toml:1:1: zeta: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: zeta: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Top: unknown key
 colour = 1
-> bad.toml:1:1: colour: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: colour: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Top: unknown key near another
 Integrator = "rk4"
-> bad.toml:1:1: Integrator: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: Integrator: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Top: unknown key abbreviated
 integ = "rk4"
-> bad.toml:1:1: integ: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: integ: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Top: unknown key without letters
 "" = 1
-> bad.toml:1:1: "": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: "": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Top: unknown key that is long
 aaaaaaaaaabbbbbbbbbbccccccccccddddddddddeeeeeeeeee = 1
-> bad.toml:1:1: aaaaaaaaaabbbbbbbbbbccccccccccdddddddddd…: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: aaaaaaaaaabbbbbbbbbbccccccccccdddddddddd…: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Top: key of another table
 alpha = 100
-> bad.toml:1:1: alpha: unknown key; "alpha" belongs in [influence] or in a [[pair]] (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: alpha: unknown key; "alpha" belongs in [influence] or in a [[pair]] (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Top: key of several tables
 response = "rigid"
-> bad.toml:1:1: response: unknown key; "response" belongs in [material] or in a [[body]] or in a [[grid]] (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: response: unknown key; "response" belongs in [material] or in a [[body]] or in a [[grid]] (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Top: unknown table
 matrial.omega = 1
-> bad.toml:1:1: matrial: unknown key; did you mean "material"? (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: matrial: unknown key; did you mean "material"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
 
 Top: name is a number
 name = 2
@@ -297,6 +297,14 @@ dt = 00:00:01
 Top: integrator misspelled
 integrator = "exponetial"
 > bad.toml:1:14: integrator: expected one of "thesis", "mps", "euler", "verlet", "rk4", "exponential", found the string "exponetial"; did you mean "exponential"?
+
+Top: model misspelled
+model = "metabals"
+> bad.toml:1:9: model: expected one of "oscillators", "metaballs", "lattice", "fem", found the string "metabals"; did you mean "metaballs"?
+
+Top: model is a table
+model = {}
+> bad.toml:1:9: model: expected one of "oscillators", "metaballs", "lattice", "fem", found a table
 
 Top: integrator unknown
 integrator = "leapfrog"
@@ -838,7 +846,7 @@ const BROKEN_ESCAPED: &[(&str, &str, &str)] = &[
     (
         "Whole",
         "\u{feff}\"größe\" = 1\n",
-        "bad.toml:1:1: \"größe\": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)",
+        "bad.toml:1:1: \"größe\": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)",
     ),
     (
         "Whole",
@@ -849,7 +857,7 @@ const BROKEN_ESCAPED: &[(&str, &str, &str)] = &[
     (
         "Top",
         "\"name of \\\"it\\\"\\n\" = 1",
-        "bad.toml:1:1: \"name of \\\"it\\\"\\n\": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, material, influence, surface, mesh, body, grid, pair, plane, push)",
+        "bad.toml:1:1: \"name of \\\"it\\\"\\n\": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)",
     ),
     (
         "Top",
