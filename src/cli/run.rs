@@ -95,10 +95,9 @@ pub struct Arguments {
     /// Number of steps, instead of the scene's duration; 0: run until Ctrl-C.
     #[arg(long, value_name = "N", help_heading = "Scene")]
     steps: Option<u64>,
-    /// Record every Nth step.
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..),
-          help_heading = "What to record")]
-    every: u64,
+    /// Record every Nth step [default: 1, or what keeps the file of a large scene below 200 MB].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "What to record")]
+    every: Option<u64>,
     /// Level of detail of each frame. `stages` also records what happens within a step; it cannot be combined with
     /// --thin or --keep.
     #[arg(long, default_value = Detail::Forces.name(), value_parser = one_of(&Detail::ALL, Detail::name),
@@ -182,7 +181,7 @@ fn parse_positive(text: &str, unit: &str) -> Result<f64, String> {
 }
 
 /// Simulates a scene and records it.
-pub fn run(arguments: Arguments) -> Result<(), Failure> {
+pub fn run(mut arguments: Arguments) -> Result<(), Failure> {
     check(&arguments)?;
     may_print(Path::new(&arguments.scene))?;
     let scene = load(&arguments)?;
@@ -213,7 +212,7 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
 
     let mut console = Console::new(&arguments, settings.steps);
     if destinations.save.is_some() || arguments.stdout {
-        console.say_size(&experiment, &settings);
+        arguments.every = console.say_size(&experiment, &settings, arguments.every);
     }
     drop(experiment);
     let outcome = if arguments.watch {
@@ -702,7 +701,7 @@ fn settings(arguments: &Arguments, schema: &Schema) -> Result<Settings, Failure>
             Some(0) => None,
             some => some,
         },
-        every: arguments.every,
+        every: arguments.every.unwrap_or(own.every),
         detail: match arguments.detail {
             Detail::Stages { from, to } => {
                 Detail::Stages { from: arguments.from.unwrap_or(from), to: arguments.to.unwrap_or(to) }
@@ -864,30 +863,41 @@ impl Console {
         self.bar.finish_and_clear();
     }
 
-    /// Says how large the recording of a run will be, if it will be large, and what would make it small.
-    fn say_size(&self, experiment: &SceneRun, settings: &Settings) {
+    /// Says how large the recording of a run will be, if it is or would be large, and what would make it another size.
+    /// Returns the interval between frames: the one that was asked for, or else one that keeps the file small.
+    fn say_size(&self, experiment: &SceneRun, settings: &Settings, asked: Option<u64>) -> Option<u64> {
+        let size = size::project(experiment, settings, size::LARGE).filter(|size| size.bytes > size::LARGE);
+        let Some(size) = size else { return asked };
+        let every = size.every(settings);
         if self.quiet {
-            return;
+            return asked.or(Some(every));
         }
-        let Some(size) = size::project(experiment, settings, size::LARGE, size::BUDGET) else { return };
-        if size.bytes <= size::LARGE {
-            return;
-        }
-        let (every, about) = (size.every(settings), |bytes: u64| format!("some {} MB", thousands(bytes / 1_000_000)));
+        let about = |bytes: u64| format!("some {} MB", thousands(bytes / 1_000_000));
+        let all = about(size.bytes);
+        let few = about(size.bytes / (every / settings.every).max(1));
         let from = match settings.steps {
-            Some(steps) if size.seen < steps => format!(", by the first {}", counted(size.seen, "step")),
+            Some(steps) if size.seen < steps => format!(" by the first {}", counted(size.seen, "step")),
             _ => String::new(),
         };
-        let without = size.without_forces.map(|bytes| format!("`--detail surface` makes it {}, ", about(bytes)));
+        let frames = counted(size.frames, "frame");
+        let mut others = match asked {
+            Some(_) => vec![format!("`--every {every}` makes it {few}")],
+            None => vec![format!("`--every 1` records all {frames}, {all}")],
+        };
+        others.extend(size.without_forces.map(|bytes| match asked {
+            Some(_) => format!("`--detail surface` {}", about(bytes)),
+            None => format!("with `--detail surface` {}", about(bytes)),
+        }));
+        let thin = bytes(10 * settings.steps.unwrap_or(0) + 20_000);
+        let taken = match asked {
+            Some(_) => format!("the recording will take {all} ({frames}{from})"),
+            None => format!("the recording has a frame every {every} steps and will take {few}{from}"),
+        };
         self.notes(&[format!(
-            "note: the recording will take {} ({}{from}); {}`--every {every}` {}, `--thin` some {} (`meldscope replay` \
-             makes the frames of any part of it later)",
-            about(size.bytes),
-            counted(size.frames, "frame"),
-            without.unwrap_or_default(),
-            about(size.bytes / (every / settings.every).max(1)),
-            bytes(10 * settings.steps.unwrap_or(0) + 20_000),
+            "note: {taken}; {}; `--thin` takes some {thin} (`meldscope replay` makes the frames of any part of it later)",
+            others.join(", ")
         )]);
+        asked.or(Some(every))
     }
 
     fn say(&self, line: &str) {

@@ -1,9 +1,9 @@
-//! How large a recording will be, before it is made: the scene is simulated once without recording it, and a few of its
-//! frames are recorded to nowhere.
+//! How large a recording will be, before it is made: a few of its frames are recorded to nowhere. Which ones follows from
+//! the scene and the settings alone, so the same run always comes to the same answer.
 
 use std::{
     io::{self, Write},
-    time::{Duration, Instant as Clock},
+    sync::atomic::Ordering,
 };
 
 use rerun::external::{
@@ -18,12 +18,14 @@ use super::{
 };
 use crate::observe::{Experiment, Frame, Simulation, StepSummary, Want};
 
-/// A recording larger than this is announced before the run starts [bytes].
+/// A recording is made no larger than this unless it is asked for [bytes].
 pub const LARGE: u64 = 200_000_000;
-/// Upper limit on the time that each of the two passes takes.
-pub const BUDGET: Duration = Duration::from_millis(700);
-/// Frames that are looked at.
+/// Frames that are looked at, spread over the run.
 const SAMPLES: u64 = 24;
+/// Frames that are looked at where only the beginning of the run is.
+const FEWEST_SAMPLES: u64 = 4;
+/// Upper limit on what is simulated for it: steps times vertices of the scene. A second or two, for a run of minutes.
+const MOST_VERTEX_STEPS: u64 = 1_500_000;
 /// A deformed vertex takes at most this much in a frame [bytes]; with forces, and without.
 const MOST_OF_VERTEX: [u64; 2] = [250, 90];
 /// And usually at least this much.
@@ -54,8 +56,8 @@ impl Projection {
 }
 
 /// Projects the size of a run's recording: `None` if it cannot be larger than `least` [bytes], if it has no known end,
-/// or if the scene does not start. Passes end after `budget` each; the rest of the run is taken to be like what was seen.
-pub fn project(experiment: &dyn Experiment, settings: &Settings, least: u64, budget: Duration) -> Option<Projection> {
+/// or if the scene does not start. Of a large scene only the beginning is looked at: the rest is taken to be like it.
+pub fn project(experiment: &dyn Experiment, settings: &Settings, least: u64) -> Option<Projection> {
     let steps = settings.steps.filter(|_| settings.frames == Frames::All)?;
     let schema = experiment.schema();
     let frames = steps / settings.every + 1;
@@ -63,21 +65,9 @@ pub fn project(experiment: &dyn Experiment, settings: &Settings, least: u64, bud
     if frames.saturating_mul(schema.vertex_count()).saturating_mul(most) < least {
         return None;
     }
-    let stride = settings.every * (frames / SAMPLES).max(1);
-
-    // what moves and deforms, without recording it
-    let mut simulation = experiment.start().ok()?;
-    let (mut frame, mut vertices, mut looks) = (Frame::default(), 0, 0);
-    each(&mut *simulation, steps, stride, budget, &mut |simulation| {
-        simulation.observe(Want::default(), &mut frame);
-        let deformed = schema.bodies.iter().zip(&frame.bodies).filter(|(_, now)| !now.is_at_rest);
-        vertices += deformed.map(|(body, _)| body.vertex_count() as u64).sum::<u64>();
-        looks += 1;
-    });
-    let mean = vertices / u64::max(looks, 1);
-    if frames.saturating_mul(mean).saturating_mul(2 * most) < least {
-        return None;
-    }
+    let last = (MOST_VERTEX_STEPS / schema.vertex_count().max(1)).max(FEWEST_SAMPLES * settings.every).min(steps);
+    let samples = if last < steps { FEWEST_SAMPLES } else { SAMPLES };
+    let stride = settings.every * (last / settings.every / samples).max(1);
 
     let mut simulation = experiment.start().ok()?;
     let sampled = |detail| Settings { every: stride, detail, ..settings.clone() };
@@ -86,40 +76,32 @@ pub fn project(experiment: &dyn Experiment, settings: &Settings, least: u64, bud
     if settings.detail != Detail::Surface {
         probes.push(Probe::new(&*simulation, sampled(Detail::Surface))?);
     }
-    let seen = each(&mut *simulation, steps, stride, budget, &mut |simulation| {
-        probes.iter_mut().for_each(|probe| probe.recorder.observe(simulation));
-    });
+    let (mut frame, mut summary) = (Frame::default(), StepSummary::default());
+    let (mut vertices, mut looks) = (0, 0);
+    while simulation.steps_taken() < last {
+        simulation.step();
+        simulation.summary(&mut summary);
+        if summary.failure.is_some() || simulation.interrupt().is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+            break;
+        }
+        if simulation.steps_taken().is_multiple_of(stride) {
+            simulation.observe(Want::default(), &mut frame);
+            let deformed = schema.bodies.iter().zip(&frame.bodies).filter(|(_, now)| !now.is_at_rest);
+            vertices += deformed.map(|(body, _)| body.vertex_count() as u64).sum::<u64>();
+            looks += 1;
+            probes.iter_mut().for_each(|probe| probe.recorder.observe(&*simulation));
+        }
+    }
+    let seen = simulation.steps_taken();
     let sizes: Option<Vec<u64>> = probes.into_iter().map(|probe| probe.finish(&*simulation, frames)).collect();
     let (bytes, without_forces) = match sizes?[..] {
         [bytes] => (bytes, None),
         [bytes, without] => (bytes, Some(without)),
         _ => return None,
     };
+    let mean = vertices / u64::max(looks, 1);
     let least_there_is = frames.saturating_mul(mean).saturating_mul(LEAST_OF_VERTEX);
     Some(Projection { bytes: bytes.max(least_there_is), without_forces, frames, seen })
-}
-
-/// Steps to the end, or as far as `budget` allows, and looks at every `stride`th step; returns the last step taken.
-fn each(
-    simulation: &mut dyn Simulation,
-    steps: u64,
-    stride: u64,
-    budget: Duration,
-    look: &mut dyn FnMut(&dyn Simulation),
-) -> u64 {
-    let (start, mut summary) = (Clock::now(), StepSummary::default());
-    // one look at least: there is nothing to say otherwise
-    while simulation.steps_taken() < steps && (start.elapsed() < budget || simulation.steps_taken() <= stride) {
-        simulation.step();
-        simulation.summary(&mut summary);
-        if summary.failure.is_some() {
-            break;
-        }
-        if simulation.steps_taken().is_multiple_of(stride) {
-            look(simulation);
-        }
-    }
-    simulation.steps_taken()
 }
 
 /// A recording that is counted and thrown away.

@@ -1260,13 +1260,26 @@ fn the_size_of_a_recording_is_known_before() {
         let real = size(&dir.file(&file)) as f64;
         let scene = Scene::builtin(scene).expect("a scene");
         let settings = Settings { every: 2, ..Settings::of(&scene) };
-        let projected = size::project(&scene, &settings, 0, Duration::from_secs(60)).expect("a size");
+        let projected = size::project(&scene, &settings, 0).expect("a size");
         let ratio = projected.bytes as f64 / real;
         assert!((0.8..1.2).contains(&ratio), "{}: {ratio}", scene.name);
         assert!(projected.without_forces.is_some_and(|bytes| bytes < projected.bytes));
         // of scenes that are small by their number of vertices, nothing is simulated
-        assert_eq!(size::project(&scene, &settings, u64::MAX, Duration::ZERO), None);
+        assert_eq!(size::project(&scene, &settings, u64::MAX), None);
     }
+}
+
+/// A recording that nobody asked to be large is not: it has as many frames as fit, the same ones in every run.
+#[test]
+fn a_long_run_is_recorded_with_fewer_frames() {
+    use meldscope::stream::size;
+    let scene = Scene::builtin("two").expect("a scene");
+    let settings = Settings { steps: Some(1_000_000), ..Settings::of(&scene) };
+    let [projected, again] = [(); 2].map(|()| size::project(&scene, &settings, size::LARGE).expect("a size"));
+    assert_eq!(projected, again);
+    let every = projected.every(&settings);
+    assert!(projected.bytes > size::LARGE && projected.bytes / every <= size::LARGE, "{projected:?}");
+    assert!(projected.bytes / (every - 1) > size::LARGE, "{projected:?}");
 }
 
 #[test]
