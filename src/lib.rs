@@ -6,6 +6,20 @@
 //! simulation and streams it to the [Rerun](https://rerun.io) viewer, where the merge and split thresholds can be
 //! inspected frame by frame.
 //!
+//! # Your simulation in this instrument
+//!
+//! The instrument shows any simulation, not only this crate's: implement [`observe::Simulation`] for it, and
+//! [`observe::Experiment`] for what starts it. It gets the viewer, forces by cause, thresholds and phases, events, stages,
+//! timings, checksums, `diff`, golden recordings, the flight recorder, and thin recordings that are replayed.
+//! This is a whole one, with two force terms and two thresholds of its own; the tests of this crate run it:
+//!
+//! ```ignore
+#![doc = include_str!("../tests/suite/octahedra.rs")]
+//! ```
+//!
+//! [`stream::record()`] makes a recording of it, and [`recording`] replays, compares and checks
+//! recordings; `Octahedra::read` is how they start it again.
+//!
 //! # Modules
 //!
 //! | module | contents | imports | feature |
@@ -25,13 +39,13 @@
 //! | [`cli`] | the command line, one file per subcommand | all above | `cli` |
 //!
 //! A module imports only from modules above it in this table. `stream` draws any simulation that implements
-//! [`observe::Simulation`]; all it uses of `sim` is a helper for checksums.
+//! [`observe::Simulation`].
 //!
 //! # Features
 //!
 //! With `default-features = false`, the crate is the simulation alone, without Rerun: a few dozen small dependencies.
-//! The feature `viewer` adds `stream` and `recording`; `cli`, the default, adds `viewer`, `bench` and the program. A
-//! program that needs only the simulation looks like this:
+//! The feature `viewer` adds `stream` and `recording`, all that the example above needs; `cli`, the default, adds `viewer`,
+//! `fem`, `bench` and the program. A program that needs only this crate's own simulation looks like this:
 //!
 //! ```
 //! use meldscope::{Scene, World};

@@ -11,12 +11,14 @@
 //! | the largest difference between two states | [`worst`] |
 //! | the merged surface of groups of bodies, and geometric measures of pairs | [`surface`] |
 //! | when surfaces touch and part | [`touch`] |
+//! | hashes of exact states | [`checksum`] |
 //! | colours | [`colors`] |
 //!
 //! The recorder, `replay`, `check` and `diff` depend on nothing else. Nothing here depends on Rerun, on files or on a
 //! particular simulation.
 
 pub mod approach;
+pub mod checksum;
 pub mod colors;
 pub mod event;
 pub mod frame;

@@ -29,8 +29,9 @@ use super::{
 };
 use crate::{
     geometry::Vectors,
-    observe::{BodyFrame, Experiment, Frame, Schema, Simulation, StepSummary, Want, Worst, schema::BodySchema},
-    sim::checksum,
+    observe::{
+        BodyFrame, Experiment, Frame, Schema, Simulation, StepSummary, Want, Worst, checksum, schema::BodySchema,
+    },
     stream::{
         Recorder,
         settings::{Frames, Settings},

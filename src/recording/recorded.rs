@@ -21,8 +21,7 @@ use super::{
 };
 use crate::{
     models,
-    observe::{Experiment, Refusal, Schema, Simulation, simulation::ReadExperiment},
-    sim::checksum,
+    observe::{Experiment, Refusal, Schema, Simulation, checksum, simulation::ReadExperiment},
     stream::{
         checksums,
         parts::pairs::event,

@@ -19,7 +19,7 @@
 //! | the stages inside a step, on request | `stages` |
 //! | what a step reports | `report` |
 //! | how much work a step may do | `work` |
-//! | one number for the exact state | [`checksum`] |
+//! | one number for the exact state | `checksum` |
 //! | memory that a scene needs, estimated before it is built | `memory` |
 //!
 //! This module does not depend on Rerun or files, nor on clocks other than the step's own timers.
@@ -44,8 +44,7 @@ mod advance;
 mod arrays;
 mod body;
 mod cached;
-#[doc(hidden)]
-pub mod checksum;
+mod checksum;
 mod coupled;
 mod deformation;
 mod edit;

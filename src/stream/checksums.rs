@@ -14,7 +14,7 @@ use rerun::external::{
 };
 
 use super::{chunks::Chunks, instant::Instant};
-use crate::sim::checksum::followed_by;
+use crate::observe::checksum::followed_by;
 
 /// The entity of the checksums. Its only component holds unsigned 64-bit numbers.
 pub const ENTITY: &str = "/checksum";

@@ -2,6 +2,7 @@
 //!
 //! | contents | module |
 //! | --- | --- |
+//! | a whole run, recorded | [`mod@record`] |
 //! | a recording from its first message to its last | [`recorder`] |
 //! | recording on a separate thread | [`pipeline`] |
 //! | the entities of a frame, and what is logged to each | [`parts`] |
@@ -65,6 +66,7 @@ pub mod normals;
 pub mod palette;
 pub mod parts;
 pub mod pipeline;
+pub mod record;
 pub mod recorder;
 pub mod series;
 pub mod settings;
@@ -74,5 +76,6 @@ pub mod step;
 pub mod unfinished;
 
 pub use pipeline::Pipeline;
+pub use record::{RecordError, record};
 pub use recorder::Recorder;
 pub use settings::Settings;

@@ -8,11 +8,10 @@ use meldscope::{
     geometry::{Mesh, Vectors},
     observe::{
         BodyFrame, Experiment, Frame, Instant, PairEvent, PairFrame, Refusal, Schema, Simulation, StepSummary, Want,
-        colors,
+        checksum, colors,
         frame::TermFrame,
         schema::{BodySchema, ScalarOf, ScalarSchema, TermSchema},
     },
-    sim::checksum,
 };
 
 const AXES: [DVec3; 6] = [DVec3::X, DVec3::Y, DVec3::Z, DVec3::NEG_X, DVec3::NEG_Y, DVec3::NEG_Z];

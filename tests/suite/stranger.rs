@@ -14,9 +14,9 @@ use meldscope::{
         replay::{self, Verdict},
     },
     stream::{
-        Pipeline, Recorder, Settings,
+        self, Settings,
         settings::{Detail, Entities, Frames, Trigger},
-        sinks::{Destinations, Sinks},
+        sinks::Destinations,
     },
 };
 
@@ -25,23 +25,12 @@ use crate::{
     recording::{Dir, Recording},
 };
 
-/// Records on a separate thread and reads the recording back; also returns the number of frames.
+/// Records and reads the recording back; also returns the number of frames.
 fn record(path: &Path, pull: f64, settings: Settings) -> (Recorded, u64) {
-    let mut simulation = Octahedra(pull).start().expect("it fits");
     let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };
-    let mut sinks = Sinks::open(&destinations).expect("a file");
-    let recorder = Recorder::new(&*simulation, settings);
-    recorder.blueprint(&*simulation).into_iter().for_each(|message| sinks.send(message).expect("room"));
-    let mut pipeline = Pipeline::start(&*simulation, recorder, sinks).expect("a thread");
-    for _ in 0..100 {
-        simulation.step();
-        pipeline.observe(&*simulation, None).expect("room");
-    }
-    let mut end = pipeline.finish().expect("a recording");
-    assert_eq!(end.finish(&*simulation), None);
-    end.sinks.finish().expect("room");
+    let frames = stream::record(&Octahedra(pull), settings, &destinations).expect("a recording");
     let recorded = Recorded::open_as(path, &|name, text, run| Octahedra(0.0).read(name, text, run));
-    (recorded.expect("a recording"), end.recorder.written())
+    (recorded.expect("a recording"), frames)
 }
 
 #[test]
