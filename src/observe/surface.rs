@@ -580,4 +580,48 @@ mod tests {
         assert_eq!(merger.merge(&apart, &frame, &[[0, 1]]).pairs[0], Some(measures));
         assert!(merger.merged().groups.is_empty());
     }
+
+    /// The bits of everything in a frame's surfaces.
+    fn bits(merged: &Merged) -> Vec<u64> {
+        let mut bits = vec![merged.overlapping as u64];
+        for group in &merged.groups {
+            bits.extend(group.positions.iter().flat_map(|at| at.to_array()).map(f64::to_bits));
+            bits.extend(group.triangles.iter().flatten().map(|&v| u64::from(v)));
+            bits.extend(group.origins.iter().map(|of| u64::from(of.share.to_bits()) << 32 | u64::from(of.bodies[1])));
+            bits.extend(group.seams.iter().flat_map(|seam| &seam.positions).map(|at| at.x.to_bits()));
+            bits.extend([group.components as u64, group.euler as u64, group.volume.to_bits(), group.area.to_bits()]);
+        }
+        for of in &merged.pairs {
+            let numbers = of.map(|of| [of.gap, of.overlap, of.share, of.neck, of.perimeter].map(f64::to_bits));
+            bits.extend(numbers.into_iter().flatten());
+        }
+        bits
+    }
+
+    /// Whoever starts in the middle of a run, or has other threads, sees the same surfaces.
+    #[test]
+    fn neither_earlier_frames_nor_threads_change_a_bit() {
+        for (name, last, every) in [("two", 230, 2), ("three", 200, 5), ("crowd", 60, 20)] {
+            let mut world = World::new(scene::Scene::builtin(name).unwrap()).unwrap();
+            let (schema, mut frame) = (world.schema(), Frame::default());
+            let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let mut warm = [1, 2, 8].map(|threads| (pool(threads), Merger::new(&schema, None)));
+            let mut seen = 0;
+            for step in 0..last {
+                world.step();
+                if step % every != 0 {
+                    continue;
+                }
+                world.observe(Want::default(), &mut frame);
+                let pairs: Vec<[usize; 2]> = frame.pairs.iter().map(|pair| [pair.a, pair.b]).collect();
+                let cold = bits(Merger::new(&schema, None).merge(&schema, &frame, &pairs));
+                for (pool, merger) in &mut warm {
+                    let merged = pool.install(|| bits(merger.merge(&schema, &frame, &pairs)));
+                    assert!(merged == cold, "{name}, step {step}, {} threads", pool.current_num_threads());
+                }
+                seen += usize::from(!warm[0].1.merged().groups.is_empty());
+            }
+            assert!(seen > 1, "{name}: {seen}");
+        }
+    }
 }

@@ -298,8 +298,13 @@ impl Arrangement {
     fn connect(&mut self, placement: &Placement) -> Result<(), Failure> {
         let mut ends: Vec<([u32; 2], u32)> = Vec::with_capacity(2 * self.nodes.len());
         for (i, node) in self.nodes.iter().enumerate() {
+            let other = node.passage.triangle;
+            let is_other_buried = placement.is_buried(other);
             for side in placement.sides_of(node.edge, node.edge_body) {
-                let other = node.passage.triangle;
+                // what two triangles inside other bodies have in common was not looked for
+                if is_other_buried && placement.is_buried(side) {
+                    continue;
+                }
                 ends.push(([side.min(other), side.max(other)], i as u32));
             }
         }

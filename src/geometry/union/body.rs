@@ -194,7 +194,9 @@ impl<'a> Body<'a> {
         }
         self.volume = volumes / 6.0;
         self.area = areas / 2.0;
-        if least_slack_squared > 0.0 && self.topology.components == 1 {
+        // Beyond 1e50 scene units squares overflow and tell nothing.
+        let is_known = least_slack_squared > 0.0 && least_slack_squared.is_finite() && least_height_squared.is_finite();
+        if is_known && self.topology.components == 1 {
             self.slack = least_slack_squared.sqrt() / (6.0 * self.radius);
             self.inner_radius = least_height_squared.sqrt();
         }

@@ -151,41 +151,56 @@ struct Listed {
     /// The boxes of the blocks, also as [`Box32`].
     hulls: Vec<Aabb>,
     small_hulls: Vec<Box32>,
-    /// Block i of the list has `triangles[start[i]..start[i + 1]]`.
+    /// Block i of the list has `triangles[start[i]..start[i + 1]]`, from `start_of_buried[i]` on those inside other bodies.
     start: Vec<u32>,
+    start_of_buried: Vec<u32>,
     triangles: Vec<(u32, Box32)>,
 }
 
 impl Listed {
-    /// The triangles of some blocks; only those in the box of another body, if there is one.
+    /// The triangles of some blocks; only those in the box of another body, if there is one. Those inside other bodies
+    /// are there only if triangles of that body may be near that are not.
     fn new(placement: &Placement, body: u32, blocks: &[u32], zoom: &Zoom, other: Option<u32>) -> Listed {
         let mesh = placement.bodies[body as usize];
         let margin = placement.displaced[body as usize];
         let there = other.map(|other| {
             let margin = placement.displaced[other as usize];
-            placement.bodies[other as usize].bounds.grown(margin)
+            [placement.bodies[other as usize].bounds, placement.shown_bounds(other)].map(|bounds| bounds.grown(margin))
         });
         let mut listed = Listed {
             body,
             hulls: Vec::with_capacity(blocks.len()),
             small_hulls: Vec::with_capacity(blocks.len()),
             start: vec![0],
+            start_of_buried: Vec::with_capacity(blocks.len()),
             triangles: Vec::new(),
         };
+        let mut buried = Vec::new();
         for &block in blocks {
+            let has_only_buried = !placement.is_block_shown(block, body);
+            let is_far = |[_, shown]: [Aabb; 2]| !shown.meets(&mesh.block_bounds[block as usize].grown(margin));
+            if has_only_buried && there.is_some_and(is_far) {
+                continue;
+            }
             let mut hull = Aabb::EMPTY;
             for &t in mesh.topology.block(block as usize) {
                 let [a, b, c] = mesh.corners(t);
                 let bounds = Aabb { min: a.min(b).min(c), max: a.max(b).max(c) }.grown(margin);
-                if there.is_none_or(|there| there.meets(&bounds)) {
+                let t = t + placement.first_triangle[body as usize];
+                let is_buried = placement.is_buried(t);
+                if there.is_none_or(|there| there[usize::from(is_buried)].meets(&bounds)) {
                     hull = hull.joined(&bounds);
-                    listed.triangles.push((t + placement.first_triangle[body as usize], zoom.of(&bounds)));
+                    let to = if is_buried { &mut buried } else { &mut listed.triangles };
+                    to.push((t, zoom.of(&bounds)));
                 }
             }
+            let start_of_buried = listed.triangles.len() as u32;
+            listed.triangles.append(&mut buried);
             if listed.triangles.len() as u32 > listed.start[listed.start.len() - 1] {
                 listed.hulls.push(hull);
                 listed.small_hulls.push(zoom.of(&hull));
                 listed.start.push(listed.triangles.len() as u32);
+                listed.start_of_buried.push(start_of_buried);
             }
         }
         listed
@@ -195,13 +210,18 @@ impl Listed {
         self.start[block as usize] as usize..self.start[block as usize + 1] as usize
     }
 
-    /// Finds the triangles of this list and of another list whose boxes overlap, or of all pairs within this list.
+    fn has_only_buried(&self, block: u32) -> bool {
+        self.start_of_buried[block as usize] == self.start[block as usize]
+    }
+
+    /// Finds the triangles of this list and of another list whose boxes overlap, or of all pairs within this list, unless
+    /// both lie inside other bodies.
     fn meet(&self, other: &Listed, meter: &Meter, found: &mut Near) -> Result<(), Failure> {
         let all = |list: &Listed| (0..list.hulls.len() as u32).collect::<Vec<u32>>();
         let mut pairs = Vec::new();
         let same = self.body == other.body;
         sweep(&all(self), &self.hulls, &all(other), &other.hulls, |a, b| {
-            if !same || a <= b {
+            if (!same || a <= b) && !(self.has_only_buried(a) && other.has_only_buried(b)) {
                 pairs.push([a, b]);
             }
         });
@@ -210,17 +230,20 @@ impl Listed {
         for [a, b] in pairs {
             near.clear();
             let there = &other.small_hulls[b as usize];
+            let start_of_buried = self.start_of_buried[a as usize];
             near.extend(self.of(a).filter_map(|i| {
                 let (triangle, bounds) = self.triangles[i];
                 bounds.meets(there).then_some((i as u32, triangle, bounds))
             }));
+            let shown = near.partition_point(|&(i, ..)| i < start_of_buried);
             let before = found.pairs.len();
             for j in other.of(b) {
                 let (tb, box_b) = &other.triangles[j];
                 if !box_b.meets(&self.small_hulls[a as usize]) {
                     continue;
                 }
-                for (i, ta, box_a) in &near {
+                let is_buried = j >= other.start_of_buried[b as usize] as usize;
+                for (i, ta, box_a) in if is_buried { &near[..shown] } else { &near } {
                     if box_a.meets(box_b) && !(same && a == b && ta >= tb) {
                         found.pairs.push([*ta, *tb]);
                         is_near[*i as usize] = true;

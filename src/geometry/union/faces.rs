@@ -89,7 +89,8 @@ impl Faces {
     ) -> Result<Faces, Failure> {
         let points = Points::new(placement, arrangement);
         let cutter = Cutter { placement, arrangement, classified, points };
-        let cut: Vec<&[(u32, u32)]> = arrangement.cut_triangles().collect();
+        let is_shown = |segments: &&[(u32, u32)]| !placement.is_buried(segments[0].0);
+        let cut: Vec<&[(u32, u32)]> = arrangement.cut_triangles().filter(is_shown).collect();
         const AT_ONCE: usize = 64;
         let work = |segments: &[&[(u32, u32)]]| -> Result<Faces, Failure> {
             let (mut scratch, mut faces) = (Scratch::default(), Faces::default());

@@ -16,6 +16,7 @@
 //!    Cherchi et al. (*Fast and Robust Mesh Arrangements*, 2020; *Interactive and Robust Mesh Booleans*, 2022).
 //! 3. Boxes of bodies, of blocks of triangles and of triangles find candidates (`candidates`); signs determine
 //!    which of them intersect (`arrangement`).
+//!    Triangles well inside another body (`placement`) bound nothing: where two of them meet is not looked for.
 //! 4. Winding numbers (Zhou et al., *Mesh Arrangements for Solid Geometry*, 2016) are flood-filled from where they are
 //!    known (`winding`), and checked at the end of every edge and segment. A side of a triangle bounds the union if
 //!    nothing is in front of it and something behind it.
@@ -117,6 +118,7 @@ fn attempt_union<'a, 'b>(
 
     let meetings = candidates::meetings(&placement);
     let threads = rayon::current_num_threads() > 1 && winding::is_worth_threads(&meetings);
+    placement.bury(&meetings);
     let near = candidates::near(&placement, &meetings, meter, threads)?;
     for (body, triangles) in near.iter().flat_map(candidates::Near::triangles) {
         if placement.folds[body as usize] {

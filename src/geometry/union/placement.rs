@@ -10,6 +10,7 @@ use glam::DVec3;
 
 use super::{
     body::{Aabb, Body},
+    candidates::Meeting,
     sweep::body_pairs,
 };
 
@@ -45,6 +46,10 @@ pub struct Placement<'a, 'b> {
     pub displaced: Vec<f64>,
     /// Whether each body is to be tested against itself.
     pub folds: Vec<bool>,
+    /// A bit for every triangle that lies inside another body; empty if none is known to.
+    buried: Vec<u64>,
+    /// Of every body, whether each block has other triangles, and a box of these blocks; empty if `buried` is.
+    shown: Vec<(Vec<bool>, Aabb)>,
     /// For every vertex, its index in `positions`; 0 for those that [`Placement::place`] has not been asked for, which are
     /// most of a large mesh.
     slots: Vec<u32>,
@@ -98,6 +103,8 @@ impl<'a, 'b> Placement<'a, 'b> {
             pairs,
             displaced,
             folds,
+            buried: Vec::new(),
+            shown: Vec::new(),
             slots: vec![0; vertices],
             positions: vec![DVec3::ZERO],
             scale,
@@ -107,6 +114,95 @@ impl<'a, 'b> Placement<'a, 'b> {
             dropped: given - kept.len(),
             kept,
             bodies,
+        }
+    }
+
+    /// Marks the triangles that lie inside the largest ball about the centre of another body. Nothing of them bounds the
+    /// union, whatever passes through them: they need not be cut, and where two of them meet does not matter. Triangles
+    /// of bodies that may intersect themselves are not marked, because their own winding numbers are found from all.
+    pub fn bury(&mut self, meetings: &[Meeting]) {
+        let mut buried = vec![0u64; self.first_triangle[self.bodies.len()] as usize / 64 + 1];
+        let mut shown: Vec<Vec<bool>> = self.bodies.iter().map(|body| vec![true; body.block_bounds.len()]).collect();
+        let mut is_any = false;
+        for meeting in meetings {
+            for (k, blocks) in meeting.blocks.iter().enumerate() {
+                let (me, other) = (meeting.bodies[k] as usize, meeting.bodies[1 - k] as usize);
+                let (mesh, around) = (self.bodies[me], self.bodies[other]);
+                let radius = around.inner_radius * 0.999 - 4.0 * (self.displaced[me] + self.displaced[other]);
+                if self.folds[me] || self.folds[other] || radius <= 0.0 {
+                    continue;
+                }
+                let (centre, squared) = (around.centre, radius * radius);
+                for &block in blocks {
+                    let bounds = &mesh.block_bounds[block as usize];
+                    if !shown[me][block as usize]
+                        || centre.clamp(bounds.min, bounds.max).distance_squared(centre) >= squared
+                    {
+                        continue;
+                    }
+                    let farthest = (bounds.min - centre).abs().max((bounds.max - centre).abs());
+                    let is_whole = farthest.length_squared() < squared;
+                    let mut is_shown = false;
+                    for &t in mesh.topology.block(block as usize) {
+                        let is_inside = || mesh.corners(t).iter().all(|at| at.distance_squared(centre) < squared);
+                        let global = t + self.first_triangle[me];
+                        let (word, bit) = (&mut buried[global as usize / 64], 1 << (global % 64));
+                        if is_whole || is_inside() {
+                            *word |= bit;
+                            is_any = true;
+                        }
+                        is_shown |= *word & bit == 0;
+                    }
+                    shown[me][block as usize] = is_shown;
+                }
+            }
+        }
+        if is_any {
+            self.buried = buried;
+            for (b, shown) in shown.into_iter().enumerate() {
+                let bounds = self.bodies[b].block_bounds.iter().zip(&shown);
+                let hull = bounds.filter(|(_, shown)| **shown).fold(Aabb::EMPTY, |hull, (block, _)| hull.joined(block));
+                self.shown.push((shown, hull));
+            }
+        }
+    }
+
+    /// Whether a block has triangles that do not lie inside another body.
+    #[inline]
+    pub fn is_block_shown(&self, block: u32, body: u32) -> bool {
+        self.shown.get(body as usize).is_none_or(|(shown, _)| shown[block as usize])
+    }
+
+    /// A box that contains the true positions of the blocks that [`Self::is_block_shown`].
+    pub fn shown_bounds(&self, body: u32) -> Aabb {
+        self.shown.get(body as usize).map_or(self.bodies[body as usize].bounds, |(_, hull)| *hull)
+    }
+
+    /// Whether a triangle lies inside another body.
+    #[inline]
+    pub fn is_buried(&self, triangle: u32) -> bool {
+        self.buried.get(triangle as usize / 64).is_some_and(|word| word & (1 << (triangle % 64)) != 0)
+    }
+
+    /// The triangles that lie inside another body.
+    pub fn buried(&self) -> impl Iterator<Item = u32> {
+        (self.buried.iter().zip(0..)).flat_map(|(&word, k)| {
+            let mut left = word;
+            std::iter::from_fn(move || {
+                let bit = left.trailing_zeros();
+                left &= left.wrapping_sub(1);
+                (bit < 64).then_some(64 * k + bit)
+            })
+        })
+    }
+
+    /// Whether both triangles of an edge of a body lie inside other bodies, by the number of the edge in its body.
+    #[inline]
+    pub fn is_edge_buried(&self, edge: u32, body: u32) -> bool {
+        !self.buried.is_empty() && {
+            let first = self.first_triangle[body as usize];
+            let sides = self.bodies[body as usize].topology.edge_triangles[edge as usize];
+            sides.iter().all(|&t| self.is_buried(t + first))
         }
     }
 

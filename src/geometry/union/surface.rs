@@ -769,6 +769,7 @@ impl Marks {
             gone.push(segments[0].0);
             is_new(segments[0].0);
         }
+        gone.extend(placement.buried().filter(|&t| is_new(t)));
         for &vertex in classified.vertices.iter().chain(&classified.fan_vertices) {
             let body = placement.body_of_vertex(vertex);
             let b = body as usize;

@@ -234,6 +234,12 @@ impl Classified {
         let (mut front, mut end) = (Windings::new(), Windings::new());
         for nodes in arrangement.nodes.chunk_by(|a, b| a.edge == b.edge) {
             let (edge, body) = (nodes[0].edge, nodes[0].edge_body);
+            if placement.is_edge_buried(edge - placement.first_edge[body as usize], body) {
+                // nothing on it bounds the union, and not all of its nodes are known
+                self.node_fronts.extend(nodes.iter().map(|_| (0, 0)));
+                self.edge_shown.extend(nodes.iter().map(|_| [false; 2]));
+                continue;
+            }
             let [a, b] = placement.ends(edge, body);
             self.front_at(a, edge, body, &mut front);
             meter.spend((nodes.len() * (1 + front.len() / 4)) as u64)?;
@@ -266,10 +272,14 @@ impl Classified {
         &self.fronts[from as usize..to as usize]
     }
 
-    /// Marks segments whose both ends lie in the ball inside a third body, which is convex.
+    /// Marks segments of triangles inside a third body, and those whose both ends lie in the ball inside one, which is
+    /// convex.
     fn bury(&self, placement: &Placement, arrangement: &mut Arrangement) {
         let buried: Vec<bool> = (arrangement.segments.iter())
             .map(|segment| {
+                if segment.triangles.iter().any(|&t| placement.is_buried(t)) {
+                    return true;
+                }
                 let [End::Node(from), End::Node(to)] = segment.ends else { return false };
                 let last = self.front_of(to);
                 self.front_of(from).iter().any(|&(body, winding)| {
@@ -382,11 +392,16 @@ impl Flood<'_, '_, '_> {
         let topology = mesh.topology;
         let margin = placement.displaced[self.me as usize] + placement.displaced[self.other as usize];
         let there = placement.bodies[self.other as usize].bounds.grown(margin);
+        // Not all nodes of edges inside other bodies are known; vertices that have no other edges need no numbers.
+        let is_known = |edge: &&u32| !placement.is_edge_buried(**edge, self.me);
         let mut state = vec![BEYOND; topology.fan_count()];
         let mut inside = Vec::new();
-        for &block in blocks {
+        for &block in blocks.iter().filter(|&&block| placement.is_block_shown(block, self.me)) {
             for &v in topology.vertices_of_block(block as usize) {
-                if state[v as usize] == BEYOND && there.contains(mesh.position(v)) {
+                if state[v as usize] == BEYOND
+                    && there.contains(mesh.position(v))
+                    && topology.edges_at(v).iter().any(|edge| is_known(&edge))
+                {
                     state[v as usize] = UNSET;
                     inside.push(v);
                 }
@@ -397,7 +412,8 @@ impl Flood<'_, '_, '_> {
         // Outside the box all winding numbers are 0: start there and proceed inwards.
         let mut queue = Vec::new();
         for &v in &inside {
-            let outwards = topology.edges_at(v).iter().find(|&&e| state[topology.across(e, v) as usize] == BEYOND);
+            let mut edges = topology.edges_at(v).iter().filter(is_known);
+            let outwards = edges.find(|&&e| state[topology.across(e, v) as usize] == BEYOND);
             if let Some(&edge) = outwards {
                 state[v as usize] = ZERO + self.change_along(edge, topology.across(edge, v));
                 queue.push(v);
@@ -406,7 +422,7 @@ impl Flood<'_, '_, '_> {
         let mut next = 0;
         loop {
             while let Some(v) = queue.pop() {
-                for &edge in topology.edges_at(v) {
+                for &edge in topology.edges_at(v).iter().filter(is_known) {
                     let across = topology.across(edge, v);
                     if state[across as usize] == UNSET {
                         state[across as usize] = state[v as usize] + self.change_along(edge, v);

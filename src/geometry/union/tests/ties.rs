@@ -200,6 +200,36 @@ fn the_number_of_threads_does_not_matter() {
     }
 }
 
+/// Without the balls inside the bodies, nothing is known to be buried and everything is cut.
+#[test]
+fn what_lies_inside_others_changes_nothing() {
+    let mut random = Random::new(11);
+    let heap: Vec<Shape> = (0..24).map(|_| sphere(8, 16).at(0.5 * random.in_cube())).collect();
+    let sizes: Vec<Shape> = (0..16)
+        .map(|_| sphere(10, 20).scaled(0.2 + random.next()).shaken(&mut random, 0.02).at(random.in_cube()))
+        .collect();
+    let folded: Vec<Shape> = (0..10)
+        .map(|i| sphere(6, 12).shaken(&mut random, if i % 3 == 0 { 0.3 } else { 0.0 }).at(0.7 * random.in_cube()))
+        .collect();
+    let hollow: Vec<Shape> = (0..30)
+        .map(|_| sphere(8, 16).scaled(0.5).at(random.in_cube().normalize()))
+        .chain([sphere(8, 16).scaled(0.7), sphere(12, 24).inverted()])
+        .collect();
+    for shapes in [heap, sizes, folded, hollow] {
+        let topologies: Vec<Topology> =
+            shapes.iter().map(|s| Topology::new(s.positions.len(), &s.triangles).unwrap()).collect();
+        let bodies: Vec<Body> =
+            topologies.iter().zip(&shapes).map(|(t, s)| Body::new(t, &s.positions).unwrap()).collect();
+        let mut unknown = bodies.clone();
+        unknown.iter_mut().for_each(|body| body.inner_radius = 0.0);
+        let [quick, slow] = [&bodies, &unknown].map(|bodies| union(bodies, &Budget::default()).unwrap());
+        assert!(quick.mesh() == slow.mesh());
+        assert_eq!((quick.volume.to_bits(), quick.area.to_bits()), (slow.volume.to_bits(), slow.area.to_bits()));
+        assert_eq!(quick.component_count(), slow.mesh().components().len());
+        assert!(quick.statistics.tests < slow.statistics.tests, "{:?} {:?}", quick.statistics, slow.statistics);
+    }
+}
+
 #[test]
 fn rigid_motions_move_the_union() {
     let mut random = Random::new(4);
