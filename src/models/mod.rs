@@ -3,7 +3,7 @@
 //! | `model` | what a body is | where |
 //! | --- | --- | --- |
 //! | `oscillators` | vertices that are damped oscillators about their rest positions (the thesis's own, chapter 3) | [`crate::sim`] |
-//! | `metaballs` | a density about its centre, and a level of it as surface (2.2.3) | here |
+//! | `metaballs` | a density about its centre, and a level of it as surface (2.2.3) | [`metaballs`] |
 //! | `lattice` | cubes of masses and springs (2.1.1, 2.2.2) | here |
 //! | `fem` | linear finite elements (2.1.2); feature `fem` | here |
 //!
@@ -11,6 +11,8 @@
 //! scene, it says in [`Schema::warnings`]; what it cannot do without being wrong, it refuses as [`Unsupported`].
 //!
 //! Models import `sim`, `observe`, `scene`, `geometry` and `model`; nothing of these imports models.
+
+pub mod metaballs;
 
 use std::sync::Arc;
 
@@ -20,6 +22,7 @@ use crate::{
     sim::{Options, World, simulation},
     text::did_you_mean,
 };
+use metaballs::Metaballs;
 
 /// A scene and the options for stepping it: starts the simulation of its [model](Scene::model).
 #[derive(Clone, Debug)]
@@ -53,7 +56,8 @@ impl Experiment for SceneRun {
     fn schema(&self) -> Schema {
         match self.scene.model {
             Model::Oscillators => simulation::schema(&self.scene, self.options),
-            model @ (Model::Metaballs | Model::Lattice | Model::Fem) => {
+            Model::Metaballs => metaballs::schema(&self.scene, self.options),
+            model @ (Model::Lattice | Model::Fem) => {
                 Schema { model: model.name().to_owned(), ..simulation::schema(&self.scene, self.options) }
             }
         }
@@ -66,7 +70,8 @@ impl Experiment for SceneRun {
                 Ok(world) => Ok(Box::new(world)),
                 Err(error) => Err(error.to_string()),
             },
-            Model::Metaballs | Model::Lattice | Model::Fem => Err(missing(scene).to_string()),
+            Model::Metaballs => Ok(Box::new(Metaballs::new(scene, *options)?)),
+            Model::Lattice | Model::Fem => Err(missing(scene).to_string()),
         }
     }
 

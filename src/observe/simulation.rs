@@ -44,6 +44,11 @@ pub trait Simulation {
         None
     }
 
+    /// Memory allocated for the state and what it takes to step it, if that is known [bytes].
+    fn memory(&self) -> Option<u64> {
+        None
+    }
+
     /// A flag that, once raised, ends what the simulation does, and what is computed about it, as soon as possible.
     fn interrupt(&self) -> Option<&'static AtomicBool> {
         None

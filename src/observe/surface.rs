@@ -20,7 +20,7 @@ use std::{
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{Frame, Schema};
+use super::{Frame, PairFrame, Schema};
 use crate::geometry::{
     Mesh, Vectors,
     fairing::Seamed,
@@ -453,8 +453,13 @@ impl Group {
     }
 }
 
-/// The groups of at least two bodies that joined pairs connect, in ascending order of their first body.
+/// The groups of at least two bodies that pairs in a joined phase connect, in ascending order of their first body.
 fn groups(schema: &Schema, frame: &Frame) -> Vec<Vec<usize>> {
+    connected(frame, |pair| schema.phases[pair.phase].is_joined)
+}
+
+/// The groups of at least two bodies that some of a frame's pairs connect, in ascending order of their first body.
+pub fn connected(frame: &Frame, is_joined: impl Fn(&PairFrame) -> bool) -> Vec<Vec<usize>> {
     // the root of a body is the first body known to be in its group
     fn root(roots: &mut [usize], mut body: usize) -> usize {
         while roots[body] != body {
@@ -463,12 +468,12 @@ fn groups(schema: &Schema, frame: &Frame) -> Vec<Vec<usize>> {
         }
         body
     }
-    let joined = || frame.pairs.iter().filter(|pair| schema.phases[pair.phase].is_joined);
-    if joined().next().is_none() {
+    let joined: Vec<&PairFrame> = frame.pairs.iter().filter(|pair| is_joined(pair)).collect();
+    if joined.is_empty() {
         return Vec::new();
     }
-    let mut roots: Vec<usize> = (0..schema.bodies.len()).collect();
-    for pair in joined() {
+    let mut roots: Vec<usize> = (0..frame.bodies.len()).collect();
+    for pair in joined {
         let (a, b) = (root(&mut roots, pair.a), root(&mut roots, pair.b));
         roots[a.max(b)] = a.min(b);
     }

@@ -401,6 +401,24 @@ impl Scene {
         format!("integrator = \"{}\"\ndt = {:?}\ntolerance = {:?}\n{model}", self.integrator, self.dt, self.tolerance)
     }
 
+    /// The same bodies on the same paths, with the same thresholds, where nothing acts on them: their pairs change phase when
+    /// they do in the scene, and nothing else happens.
+    pub fn without_forces(&self) -> Scene {
+        let influence = Influence { alpha: 0.0, beta: 0.0, ..self.influence };
+        let rigid =
+            |body: &Body| Body { material: Material { response: Response::Rigid, ..body.material }, ..body.clone() };
+        Scene {
+            influence,
+            core_width: 0.0,
+            pairs: self.pairs.without_forces(),
+            gravity: DVec3::ZERO,
+            planes: Vec::new(),
+            pushes: Vec::new(),
+            bodies: self.bodies.iter().map(rigid).collect(),
+            ..self.clone()
+        }
+    }
+
     /// The law of the pair of bodies `a` and `b`, in either order.
     pub fn law(&self, a: usize, b: usize) -> PairLaw {
         self.pairs.of(a, b).unwrap_or_else(|| self.common_law())

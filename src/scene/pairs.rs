@@ -102,6 +102,12 @@ impl PairLaws {
         &self.laws
     }
 
+    /// The same thresholds without forces.
+    pub fn without_forces(&self) -> PairLaws {
+        let law = |law: &PairLaw| PairLaw { alpha: 0.0, beta: 0.0, core_width: 0.0, ..*law };
+        PairLaws { laws: self.laws.iter().map(law).collect(), ..self.clone() }
+    }
+
     /// The law of the pair of bodies `a` and `b`, in either order; `None` if it is the scene's.
     pub fn of(&self, a: usize, b: usize) -> Option<PairLaw> {
         Some(self.laws[self.index(a, b)?])

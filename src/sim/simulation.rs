@@ -230,6 +230,10 @@ impl Simulation for World {
         self.options().interrupt
     }
 
+    fn memory(&self) -> Option<u64> {
+        Some(World::memory(self) as u64)
+    }
+
     fn account(&self) -> Option<String> {
         let (now, ledger) = (self.conserved()?.energy(), self.ledger());
         let head = format!("energy of free bodies: {:.4} at the start, {now:.4} at the end", self.first_energy);

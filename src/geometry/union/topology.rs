@@ -49,7 +49,7 @@ pub struct Topology {
     /// Hierarchy of the blocks, by the first positions that are searched.
     pub(super) hierarchy: OnceLock<Vec<Branch>>,
     /// Number of connected components.
-    pub(super) components: u32,
+    pub(crate) components: u32,
     /// Number of vertices used by triangles, further fans included.
     pub(super) used_vertices: u32,
 }

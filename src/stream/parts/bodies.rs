@@ -47,18 +47,20 @@ struct Logged {
 
 /// Where a body is and, once it has rotated, how.
 struct Transform {
-    entity: String,
     translation: TrackId,
-    /// Translation and rotation: the viewer resets a transform to the identity where a row does not give it. A body that
-    /// never rotates has none.
-    both: Option<TrackId>,
+    /// Translation and rotation: the viewer resets a transform to the identity where a row does not give it.
+    both: TrackId,
+    /// Whether the body has rotated: one that never does has no rotation.
+    has_turned: bool,
     last: Option<(Float3, [f32; 4])>,
 }
 
 impl Transform {
-    fn new(entity: String, chunks: &mut Chunks) -> Transform {
-        let translation = chunks.track(&entity, [Transform3D::descriptor_translation()]);
-        Transform { entity, translation, both: None, last: None }
+    fn new(entity: &str, chunks: &mut Chunks) -> Transform {
+        let translation = chunks.track(entity, [Transform3D::descriptor_translation()]);
+        // from the start, so that it comes before what marks a frame as complete
+        let both = chunks.track(entity, [Transform3D::descriptor_translation(), Transform3D::descriptor_quaternion()]);
+        Transform { translation, both, has_turned: false, last: None }
     }
 
     fn log(&mut self, look: Look<'_>, now: &BodyFrame, chunks: &mut Chunks) {
@@ -66,14 +68,12 @@ impl Transform {
         if self.last == Some(next) {
             return;
         }
-        if self.both.is_none() && now.rotation != DQuat::IDENTITY {
-            let components = [Transform3D::descriptor_translation(), Transform3D::descriptor_quaternion()];
-            self.both = Some(chunks.track(&self.entity, components));
-        }
+        self.has_turned |= now.rotation != DQuat::IDENTITY;
         let (centre, rotation) = next;
-        match self.both {
-            Some(both) => chunks.push(both, look.at, &[Cell::Vectors(&[centre]), Cell::Quaternions(&[rotation])]),
-            None => chunks.push(self.translation, look.at, &[Cell::Vectors(&[centre])]),
+        if self.has_turned {
+            chunks.push(self.both, look.at, &[Cell::Vectors(&[centre]), Cell::Quaternions(&[rotation])]);
+        } else {
+            chunks.push(self.translation, look.at, &[Cell::Vectors(&[centre])]);
         }
         self.last = Some(next);
     }
@@ -98,7 +98,7 @@ impl SeparateBodies {
                 Vertices::new(&surface, chunks)
             });
             Logged {
-                transform: Transform::new(entity, chunks),
+                transform: Transform::new(&entity, chunks),
                 surface: chunks
                     .track(&surface, [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals()]),
                 entity: surface,

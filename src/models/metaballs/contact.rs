@@ -1,0 +1,171 @@
+//! When two metaballs are one: the saddle of the density between them.
+//!
+//! By Morse theory the level set of the density at the threshold changes its topology only where a critical point crosses
+//! it: two parts become one when a saddle of index 1 does (a minimum along the way from one to the other, a maximum across
+//! it). For two balls the saddle is on the line of their centres. Further balls shift it off that line: from the lowest point
+//! of the line Newton's method finds it.
+
+use glam::{DMat3, DVec3};
+
+use super::density::{Ball, Jet, Kernel};
+
+/// Places on the line of centres that are looked at.
+const SAMPLES: u32 = 32;
+/// Newton steps at most.
+const MOST_STEPS: u32 = 60;
+/// The longest Newton step [centre distances].
+const STRIDE: f64 = 0.05;
+
+/// Where the way from one ball to another is thinnest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Saddle {
+    /// The place [scene unit].
+    pub place: DVec3,
+    /// The density there, in units of the threshold: the balls are one if it is at least 1.
+    pub density: f64,
+}
+
+impl Saddle {
+    /// The saddle between the first two balls, in the density of all. `None` if there is none: they are so close that the
+    /// density rises all the way from one centre, or so far that there is no density between them, or a third ball
+    /// fills the place between.
+    pub fn between(kernel: &Kernel, balls: &[Ball]) -> Option<Saddle> {
+        let (a, b) = (balls.first()?, balls.get(1)?);
+        let along = b.centre - a.centre;
+        let distance = along.length();
+        if !(distance > 0.0 && distance < kernel.support(a) + kernel.support(b)) {
+            return None;
+        }
+        let start = lowest(kernel, balls)?;
+        let mut place = start;
+        for _ in 0..MOST_STEPS {
+            let Jet { value, gradient, hessian } = kernel.jet(balls, place);
+            let determinant = hessian.determinant();
+            if determinant == 0.0 || !determinant.is_finite() {
+                return None;
+            }
+            let step = -(hessian.inverse() * gradient);
+            let length = step.length();
+            if length <= 4.0 * f64::EPSILON * (place.length() + distance) {
+                let is_between = place.distance(start) < 0.5 * distance;
+                return (is_between && has_index_one(&hessian)).then_some(Saddle { place, density: value });
+            }
+            place += step * f64::min(1.0, STRIDE * distance / length);
+        }
+        // at the limit of rounding steps need not become shorter: good enough, if it stands still
+        let Jet { value, gradient, hessian } = kernel.jet(balls, place);
+        let is_still = gradient.length() * distance < 1e-10 && place.distance(start) < 0.5 * distance;
+        (is_still && has_index_one(&hessian)).then_some(Saddle { place, density: value })
+    }
+}
+
+/// Whether the first two balls are one at the threshold, directly: not by way of others.
+pub fn are_one(kernel: &Kernel, balls: &[Ball]) -> bool {
+    let [a, b, ..] = balls else { return false };
+    let distance = a.centre.distance(b.centre);
+    if distance <= a.radius + b.radius {
+        return true; // the density is above the threshold in either ball
+    }
+    if distance >= kernel.support(a) + kernel.support(b) {
+        return false;
+    }
+    // the straight way, if it is dense enough, is answer enough
+    match lowest(kernel, balls) {
+        None => true,
+        Some(place) if kernel.at(balls, place) >= 1.0 => true,
+        Some(_) => Saddle::between(kernel, balls).is_some_and(|saddle| saddle.density >= 1.0),
+    }
+}
+
+/// The lowest point of the line from the first ball's centre to the second's: between their surfaces, if they would be
+/// apart when alone. `None` if that is an end of the line.
+fn lowest(kernel: &Kernel, balls: &[Ball]) -> Option<DVec3> {
+    let (a, b) = (balls.first()?, balls.get(1)?);
+    let along = b.centre - a.centre;
+    let distance = along.length();
+    let [from, to] =
+        if distance > a.radius + b.radius { [a.radius / distance, 1.0 - b.radius / distance] } else { [0.0, 1.0] };
+    let at = |z: f64| kernel.at(balls, a.centre + z * along);
+    let of = |k: u32| from + (to - from) * (f64::from(k) / f64::from(SAMPLES));
+    let (mut least, mut value) = (0, f64::INFINITY);
+    for k in 0..=SAMPLES {
+        let here = at(of(k));
+        if here < value {
+            (least, value) = (k, here);
+        }
+    }
+    if least == 0 || least == SAMPLES {
+        return None;
+    }
+    // its slope along the line changes its sign there
+    let slope = |z: f64| -kernel.slope(balls, a.centre + z * along).dot(along);
+    let (low, high) = (of(least - 1), of(least + 1));
+    let z = if slope(low) > 0.0 && slope(high) < 0.0 { super::density::root(low, high, slope) } else { of(least) };
+    Some(a.centre + z * along)
+}
+
+/// Whether a symmetric matrix has one positive and two negative eigenvalues: its determinant is positive, and it is not
+/// positive definite.
+fn has_index_one(matrix: &DMat3) -> bool {
+    let DMat3 { x_axis: x, y_axis: y, .. } = *matrix;
+    let is_definite = x.x > 0.0 && x.x * y.y - x.y * y.x > 0.0;
+    matrix.determinant() > 0.0 && !is_definite
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::models::metaballs::density::root;
+
+    fn kernel(reach: f64) -> Kernel {
+        Kernel::new(reach).unwrap()
+    }
+
+    fn ball(x: f64, y: f64, radius: f64) -> Ball {
+        Ball { centre: DVec3::new(x, y, 0.0), radius }
+    }
+
+    /// 2 (1 − d²/4r_e²)³ = (1 − R²/r_e²)³, solved for d.
+    #[test]
+    fn two_equal_balls_are_one_from_a_distance_in_closed_form() {
+        for reach in [1.2, std::f64::consts::SQRT_2, 2.0] {
+            let inside = 1.0 - 1.0 / (reach * reach);
+            let expected = 2.0 * reach * (1.0 - inside * 0.5f64.cbrt()).sqrt();
+            let is_one = |d: f64| are_one(&kernel(reach), &[ball(0.0, 0.0, 1.0), ball(0.6 * d, 0.8 * d, 1.0)]);
+            let found = root(1.5, 2.5 * reach, |d| if is_one(d) { 1.0 } else { -1.0 });
+            assert!((found - expected).abs() < 1e-12, "{reach}: {found} {expected}");
+        }
+    }
+
+    /// Of balls at the corners of a regular triangle: the saddle is on the height of the triangle, where the density is a
+    /// function of one variable.
+    #[test]
+    fn a_third_ball_moves_the_saddle_off_the_line() {
+        let (kernel, d) = (kernel(3.0), 3.2);
+        let height = d * 0.75f64.sqrt();
+        let balls = [ball(-0.5 * d, 0.0, 1.0), ball(0.5 * d, 0.0, 1.0), ball(0.0, height, 1.0)];
+        let saddle = Saddle::between(&kernel, &balls).unwrap();
+        // the first place from the side inwards at which the density along the height does not change
+        let f = |y: f64| {
+            let of = |r2: f64| (1.0 - r2 / 9.0).max(0.0).powi(3) / (8.0f64 / 9.0).powi(3);
+            2.0 * of(0.25 * d * d + y * y) + of((height - y) * (height - y))
+        };
+        let slope = |y: f64| {
+            let of = |r2: f64, by: f64| -2.0 / 3.0 * (1.0 - r2 / 9.0).max(0.0).powi(2) * by / (8.0f64 / 9.0).powi(3);
+            2.0 * of(0.25 * d * d + y * y, y) - of((height - y) * (height - y), height - y)
+        };
+        assert!(slope(0.0) > 0.0, "the third ball is felt");
+        let y = root(0.0, 0.9, slope);
+        assert!(saddle.place.distance(DVec3::new(0.0, y, 0.0)) < 1e-12, "{saddle:?} {y}");
+        assert!((saddle.density - f(y)).abs() < 1e-13);
+        assert!(saddle.density > f(0.0), "higher than on the line");
+    }
+
+    #[test]
+    fn far_near_and_concentric_balls_have_answers() {
+        let kernel = kernel(std::f64::consts::SQRT_2);
+        let one = |x, radius| are_one(&kernel, &[ball(0.0, 0.0, 1.0), ball(x, 0.0, radius)]);
+        assert!(!one(2.9, 1.0) && !one(2.3, 1.0) && one(2.1, 1.0) && one(0.5, 1.0) && one(0.0, 1.0));
+        assert!(!one(1.3, 0.1) && one(1.05, 0.1) && one(0.2, 0.1));
+    }
+}

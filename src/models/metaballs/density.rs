@@ -1,0 +1,180 @@
+//! The density of metaballs, its slope and its curvature.
+
+use glam::{DMat3, DVec3};
+
+/// The density of a ball, by the distance r from its centre, in units of the threshold:
+///
+/// ```text
+/// f(r) = (1 − r²/r_e²)³ / (1 − R²/r_e²)³   for r < r_e, else 0
+/// ```
+///
+/// so that the surface of a lone ball, f = 1, is the sphere of its radius R. This is the simplest of the polynomials in r²
+/// that soft objects are made of (Wyvill, McPheeters, Wyvill: *Data Structure for Soft Objects*, 1986), with the finite
+/// support that Nishimura et al. (1985) gave Blinn's (1982) exponentials. Nishimura's own pieces are quadratic, with a jump of
+/// the second derivative inside the support; this one has two continuous derivatives everywhere, so that critical points can
+/// be found by Newton's method and volumes by quadrature.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Kernel {
+    /// r_e / R [–], > 1.
+    reach: f64,
+    /// 1 / (1 − R²/r_e²)³
+    height: f64,
+}
+
+/// A ball.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ball {
+    /// Its centre [scene unit].
+    pub centre: DVec3,
+    /// The radius of its surface where it is alone [scene unit].
+    pub radius: f64,
+}
+
+/// Density in units of the threshold, its gradient and its Hessian.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Jet {
+    /// F [–]
+    pub value: f64,
+    /// ∇F [1/scene unit]
+    pub gradient: DVec3,
+    /// ∇∇F [1/scene unit²]
+    pub hessian: DMat3,
+}
+
+impl Kernel {
+    /// For supports of `reach` radii; `None` if a support is not larger than its ball.
+    pub fn new(reach: f64) -> Option<Kernel> {
+        let inside = 1.0 - 1.0 / (reach * reach);
+        let height = 1.0 / (inside * inside * inside);
+        (reach > 1.0 && height.is_finite()).then_some(Kernel { reach, height })
+    }
+
+    /// The radius of a ball's support [scene unit].
+    pub fn support(&self, ball: &Ball) -> f64 {
+        self.reach * ball.radius
+    }
+
+    /// The density of one ball at `at`.
+    #[inline]
+    pub fn of_one(&self, ball: &Ball, at: DVec3) -> f64 {
+        let support = self.reach * ball.radius;
+        let u = 1.0 - (at - ball.centre).length_squared() / (support * support);
+        if u > 0.0 { self.height * (u * u * u) } else { 0.0 }
+    }
+
+    /// The density F of some balls at `at`: the sum of theirs, in their order.
+    #[inline]
+    pub fn at(&self, balls: &[Ball], at: DVec3) -> f64 {
+        balls.iter().map(|ball| self.of_one(ball, at)).sum()
+    }
+
+    /// The gradient of one ball's density [1/scene unit].
+    #[inline]
+    pub fn slope_of_one(&self, ball: &Ball, at: DVec3) -> DVec3 {
+        let support = self.reach * ball.radius;
+        let (x, inverse) = (at - ball.centre, 1.0 / (support * support));
+        let u = 1.0 - x.length_squared() * inverse;
+        if u > 0.0 { (-6.0 * self.height * (u * u) * inverse) * x } else { DVec3::ZERO }
+    }
+
+    /// The gradient of the density of some balls [1/scene unit].
+    #[inline]
+    pub fn slope(&self, balls: &[Ball], at: DVec3) -> DVec3 {
+        balls.iter().map(|ball| self.slope_of_one(ball, at)).sum()
+    }
+
+    /// F, ∇F and ∇∇F at `at`.
+    pub fn jet(&self, balls: &[Ball], at: DVec3) -> Jet {
+        let mut jet = Jet { value: 0.0, gradient: DVec3::ZERO, hessian: DMat3::ZERO };
+        for ball in balls {
+            let support = self.reach * ball.radius;
+            let (x, inverse) = (at - ball.centre, 1.0 / (support * support));
+            let u = 1.0 - x.length_squared() * inverse;
+            if u > 0.0 {
+                jet.value += self.height * (u * u * u);
+                let slope = -6.0 * self.height * (u * u) * inverse;
+                jet.gradient += slope * x;
+                // ∂/∂x (−6 u²/r_e² x) = −6 u²/r_e² 1 + 24 u/r_e⁴ x xᵀ
+                let along = 24.0 * self.height * u * inverse * inverse;
+                let outer = DMat3::from_cols(x.x * x, x.y * x, x.z * x);
+                jet.hessian += outer * along + DMat3::from_diagonal(DVec3::splat(slope));
+            }
+        }
+        jet
+    }
+}
+
+/// The place in `[low, high]` where a function that is ≥ 0 at `low` and < 0 at `high` changes its sign, to the last bit or so
+/// (the Illinois variant of false position).
+pub fn root(mut low: f64, mut high: f64, mut at: impl FnMut(f64) -> f64) -> f64 {
+    let (mut above, mut below) = (at(low), at(high));
+    if above <= 0.0 {
+        return low;
+    }
+    let mut side = 0;
+    for _ in 0..200 {
+        let middle = 0.5 * (low + high);
+        if high - low <= 4.0 * f64::EPSILON * (low.abs() + high.abs()) || middle <= low || middle >= high {
+            break;
+        }
+        let guess = (low * below - high * above) / (below - above);
+        let t = if guess > low && guess < high { guess } else { middle };
+        let value = at(t);
+        if value == 0.0 {
+            return t;
+        }
+        if value > 0.0 {
+            (low, above) = (t, value);
+            if side == 1 {
+                below *= 0.5;
+            }
+            side = 1;
+        } else {
+            (high, below) = (t, value);
+            if side == -1 {
+                above *= 0.5;
+            }
+            side = -1;
+        }
+    }
+    0.5 * (low + high)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lone_ball_is_a_sphere_of_its_radius() {
+        for reach in [1.1, std::f64::consts::SQRT_2, 2.0, 5.0] {
+            let kernel = Kernel::new(reach).unwrap();
+            let ball = Ball { centre: DVec3::new(3.0, -2.0, 1.0), radius: 0.7 };
+            let on = ball.centre + 0.7 * DVec3::new(2.0, 1.0, -2.0) / 3.0;
+            assert!((kernel.of_one(&ball, on) - 1.0).abs() < 1e-12 * reach * kernel.height);
+            assert!(kernel.of_one(&ball, ball.centre + DVec3::X * kernel.support(&ball)) < 1e-30);
+        }
+        assert_eq!([0.5, 1.0, f64::NAN].map(Kernel::new), [None; 3]);
+    }
+
+    #[test]
+    fn slope_and_curvature_are_those_of_differences() {
+        let kernel = Kernel::new(std::f64::consts::SQRT_2).unwrap();
+        let ball = |x: f64, y: f64, radius| Ball { centre: DVec3::new(x, y, 0.1), radius };
+        let balls = [ball(0.0, 0.0, 1.0), ball(1.9, 0.3, 0.8), ball(0.7, 1.4, 1.1)];
+        let (at, h) = (DVec3::new(0.8, 0.5, 0.2), 1e-5);
+        let jet = kernel.jet(&balls, at);
+        assert_eq!(jet.gradient, kernel.slope(&balls, at));
+        for (k, axis) in DVec3::AXES.into_iter().enumerate() {
+            let [before, after] = [-h, h].map(|h| kernel.jet(&balls, at + h * axis));
+            assert!(((after.value - before.value) / (2.0 * h) - jet.gradient[k]).abs() < 1e-6);
+            assert!((((after.gradient - before.gradient) / (2.0 * h)) - jet.hessian.col(k)).length() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn a_root_is_found_to_the_last_bits() {
+        assert!((root(0.0, 2.0, |x| 2.0 - x * x) - std::f64::consts::SQRT_2).abs() < 1e-15);
+        assert!((root(0.0, 1.0, |x| 1e-9 - x * x * x) - 1e-3).abs() < 1e-15);
+        assert_eq!(root(1.0, 2.0, |_| -1.0), 1.0);
+    }
+}

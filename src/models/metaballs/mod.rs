@@ -1,0 +1,505 @@
+//! Metaballs (2.2.3): a body is a density about its centre, and its surface where the density of all bodies together is that
+//! of a threshold. Blinn: *A Generalization of Algebraic Surface Drawing* (1982); Nishimura et al. (1985).
+//!
+//! | what | where |
+//! | --- | --- |
+//! | the density of a ball | [`density`] |
+//! | when two balls are one | [`contact`] |
+//! | the surface as a mesh, its volume, the distance of two balls | [`surface`] |
+//!
+//! A lone ball is the sphere of its body's radius; the support of its density is the influence sphere. Bodies follow their
+//! paths. Nothing else moves: a metaball has no mass, so that the material, the strengths, pushes and planes do nothing
+//! here ([`Schema::warnings`] says which of them a scene has), and a body that forces should move is refused.
+//!
+//! # Two answers to "are they one?"
+//! The thesis's thresholds on the distance of centres make `merge` and `split` events, at the times of the oscillators. The
+//! surface has its own: it becomes one when the density at the saddle between two centres reaches the threshold. These
+//! instants are `touch` and `part` events, found to the precision of the time itself. How far the two answers are apart is
+//! part of the summary of a run.
+//!
+//! # The mesh of a body
+//! Each vertex is on the ray of its rest position, where the density falls below the threshold for the first time, or where
+//! another ball is denser: the bodies' meshes divide the volume of merged balls among them. It is drawn for a body that is
+//! alone; merged ones are drawn by the surface of their group.
+
+pub mod contact;
+pub mod density;
+pub mod surface;
+#[cfg(test)]
+mod tests;
+
+use std::{
+    collections::BTreeMap,
+    time::{Duration, Instant as Clock},
+};
+
+use glam::DVec3;
+
+use super::Unsupported;
+use crate::{
+    geometry::Rest,
+    observe::{
+        BodyFrame, Frame, Instant, Schema, Simulation, StepSummary, SurfaceEvent, Want, checksum, colors,
+        schema::{OwnSurfaces, ScalarOf, ScalarSchema, TermSchema},
+        touch::Finding,
+    },
+    scene::{Body, Model, Path, Scene},
+    sim::{Options, World, simulation},
+};
+use contact::are_one;
+use density::{Ball, Kernel, root};
+use surface::LevelSet;
+
+/// Every ball may matter to every other.
+const MOST_BODIES: usize = 2000;
+/// Halvings of a step in which a pair becomes one or two, at most.
+const MOST_HALVINGS: u32 = 200;
+/// Places on the ray of a vertex that are looked at, within the support of its body.
+const LOOKS: u32 = 24;
+/// What happened to pairs is kept for the summary up to this many.
+const MOST_TOLD: usize = 256;
+/// Pairs of which the summary tells the two answers.
+const MOST_COMPARED: usize = 8;
+
+/// Metaballs on their paths.
+pub struct Metaballs {
+    scene: Scene,
+    kernel: Kernel,
+    /// The paths, and the phases by the thresholds on q.
+    world: World,
+    /// Centres of the bodies now [scene unit].
+    centres: Vec<DVec3>,
+    /// Pairs that are known, and whether they are one surface.
+    ones: BTreeMap<[usize; 2], bool>,
+    /// What became one or two in the last step.
+    contacts: Vec<SurfaceEvent>,
+    /// How long that took to find.
+    finding: Duration,
+    told: Vec<Told>,
+}
+
+/// A pair that became one or two.
+struct Told {
+    pair: [usize; 2],
+    /// By the surface, or by the thresholds on q.
+    is_of_surface: bool,
+    is_one: bool,
+    time: f64,
+}
+
+impl Metaballs {
+    /// The scene at t = 0.
+    ///
+    /// # Errors
+    /// Something of it is not for metaballs, or it is too large for this machine; in words.
+    pub fn new(scene: &Scene, options: Options) -> Result<Metaballs, String> {
+        let kernel = kernel(scene).map_err(|error| error.to_string())?;
+        let world = World::with_options(scene.without_forces(), options).map_err(|error| error.to_string())?;
+        let mut balls = Metaballs {
+            scene: scene.clone(),
+            kernel,
+            world,
+            centres: Vec::new(),
+            ones: BTreeMap::new(),
+            contacts: Vec::new(),
+            finding: Duration::ZERO,
+            told: Vec::new(),
+        };
+        balls.centres = balls.centres_at(0.0);
+        for pair in balls.near() {
+            let is_one = balls.are_one(pair, &balls.centres);
+            balls.ones.insert(pair, is_one);
+        }
+        Ok(balls)
+    }
+
+    /// The density of a ball.
+    pub fn kernel(&self) -> Kernel {
+        self.kernel
+    }
+
+    fn centres_at(&self, time: f64) -> Vec<DVec3> {
+        self.scene.bodies.iter().map(|body| path(body).position(time)).collect()
+    }
+
+    /// The pairs that may be one surface now.
+    fn near(&self) -> Vec<[usize; 2]> {
+        self.world.pairs().map(|pair| [pair.a, pair.b]).collect()
+    }
+
+    fn around(&self, group: &[usize], centres: &[DVec3]) -> Vec<Ball> {
+        let ball = |body: usize| Ball { centre: centres[body], radius: self.scene.bodies[body].radius };
+        around(&self.kernel, centres.len(), ball, group)
+    }
+
+    fn are_one(&self, pair: [usize; 2], centres: &[DVec3]) -> bool {
+        are_one(&self.kernel, &self.around(&pair, centres))
+    }
+
+    /// Finds which pairs became one or two in the step that began at `start`.
+    fn find_contacts(&mut self, start: f64) {
+        self.contacts.clear();
+        let (end, step) = (self.world.time(), self.world.steps_taken());
+        let centres = self.centres_at(end);
+        if centres == self.centres {
+            return;
+        }
+        self.centres = centres;
+        let mut ones: BTreeMap<[usize; 2], bool> = BTreeMap::new();
+        let known = self.ones.iter().filter(|(_, is_one)| **is_one).map(|(pair, _)| *pair);
+        for pair in self.near().into_iter().chain(known) {
+            if ones.contains_key(&pair) {
+                continue;
+            }
+            let was = self.ones.get(&pair).copied().unwrap_or(false);
+            let is_one = self.are_one(pair, &self.centres);
+            ones.insert(pair, is_one);
+            if was == is_one {
+                continue;
+            }
+            let (mut low, mut high) = (start, end);
+            for _ in 0..MOST_HALVINGS {
+                let middle = 0.5 * (low + high);
+                if middle <= low || middle >= high {
+                    break;
+                }
+                if self.are_one(pair, &self.centres_at(middle)) == was { low = middle } else { high = middle }
+            }
+            let [a, b] = pair;
+            let [one, other] = pair.map(|body| path(&self.scene.bodies[body]).position(high));
+            let q = one.distance(other) / (self.scene.bodies[a].radius + self.scene.bodies[b].radius);
+            let what = if is_one { Finding::Touch } else { Finding::Part };
+            self.contacts.push(SurfaceEvent { what, time: high, step, a, b, q });
+        }
+        self.ones = ones;
+        self.contacts.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
+    }
+
+    fn tell(&mut self) {
+        let of_surface = self.contacts.iter().map(|event| Told {
+            pair: [event.a, event.b],
+            is_of_surface: true,
+            is_one: event.what == Finding::Touch,
+            time: event.time,
+        });
+        let by_phase = self.world.report().events.iter().filter_map(|event| {
+            let is_one = match event.name() {
+                "merge" => true,
+                "split" => false,
+                _ => return None,
+            };
+            Some(Told { pair: [event.a as usize, event.b as usize], is_of_surface: false, is_one, time: event.time })
+        });
+        let room = MOST_TOLD.saturating_sub(self.told.len());
+        self.told.extend(of_surface.chain(by_phase).take(room));
+    }
+
+    /// Number of pieces that the bodies form: connected by pairs that are one.
+    fn components(&self) -> usize {
+        let mut roots: Vec<usize> = (0..self.scene.bodies.len()).collect();
+        let find = |roots: &[usize], mut body: usize| {
+            while roots[body] != body {
+                body = roots[body];
+            }
+            body
+        };
+        let mut count = roots.len();
+        for ([a, b], _) in self.ones.iter().filter(|(_, is_one)| **is_one) {
+            let (a, b) = (find(&roots, *a), find(&roots, *b));
+            count -= usize::from(a != b);
+            roots[a.max(b)] = a.min(b);
+        }
+        count
+    }
+
+    /// Writes the vertices of a body, with its centre and those of others given, to its frame.
+    fn deform(&self, index: usize, centres: &[DVec3], time: f64, now: &mut BodyFrame) {
+        let body = &self.scene.bodies[index];
+        (now.centre, now.mesh) = (centres[index], None);
+        let balls = self.around(&[index], centres);
+        // a ball whose own surface no other density reaches is a sphere
+        let reaches = |other: &Ball| {
+            other.centre.distance(centres[index]) < (self.kernel.support(other) + body.radius) * (1.0 + 1e-12)
+        };
+        if !balls[1..].iter().any(reaches) {
+            now.rest();
+            return;
+        }
+        let velocities = self.velocities(index, centres, time);
+        let mesh = body.shape.mesh();
+        let rest: Rest<'_> = mesh.at(body.radius);
+        now.displacements.reset(rest.len());
+        now.velocities.reset(rest.len());
+        for i in 0..rest.len() {
+            let direction = rest.direction(i);
+            let (length, rate) = self.ray(&balls, &velocities, direction);
+            let is_same = (length - body.radius).abs() <= 1e-14 * body.radius;
+            let moved = if is_same { DVec3::ZERO } else { (length - body.radius) * direction };
+            now.displacements.set(i, moved);
+            now.velocities.set(i, rate * direction);
+        }
+        now.displaced(rest);
+    }
+
+    /// Velocities of a body and of those around it, in the order of [`Metaballs::around`].
+    fn velocities(&self, index: usize, centres: &[DVec3], time: f64) -> Vec<DVec3> {
+        let of = |body: usize| path(&self.scene.bodies[body]).at(time).velocity;
+        near(&self.kernel, centres.len(), |body| self.ball(body, centres), &[index]).map(of).collect()
+    }
+
+    fn ball(&self, body: usize, centres: &[DVec3]) -> Ball {
+        Ball { centre: centres[body], radius: self.scene.bodies[body].radius }
+    }
+
+    /// How far the surface is along a ray from the first ball's centre [scene unit], and how fast that changes
+    /// [scene unit/s].
+    fn ray(&self, balls: &[Ball], velocities: &[DVec3], direction: DVec3) -> (f64, f64) {
+        let Some((own, others)) = balls.split_first() else { return (0.0, 0.0) };
+        let kernel = &self.kernel;
+        let densest = |at: DVec3| others.iter().map(|ball| kernel.of_one(ball, at)).fold(0.0, f64::max);
+        let excess = |at: DVec3| kernel.at(balls, at) - 1.0;
+        let lead = |at: DVec3| kernel.of_one(own, at) - densest(at);
+        let place = |r: f64| own.centre + r * direction;
+        let both = |r: f64| f64::min(excess(place(r)), lead(place(r)));
+        let step = kernel.support(own) / f64::from(LOOKS);
+        let Some(outside) = (1..=LOOKS).find(|&k| both(f64::from(k) * step) < 0.0) else {
+            return (kernel.support(own), 0.0);
+        };
+        let high = f64::from(outside) * step;
+        let r = root(high - step, high, both);
+        let at = place(r);
+        // d/dt of what is zero there, F − 1 or the lead: the place moves with the centre, and along the ray
+        let mut slopes: Vec<DVec3> = balls.iter().map(|ball| kernel.slope_of_one(ball, at)).collect();
+        if lead(at) < excess(at) {
+            let most = densest(at);
+            for (ball, slope) in balls.iter().zip(&mut slopes).skip(1) {
+                *slope = if kernel.of_one(ball, at) == most { -*slope } else { DVec3::ZERO };
+            }
+        }
+        let along = slopes.iter().sum::<DVec3>().dot(direction);
+        let moved = slopes.iter().zip(velocities).map(|(slope, velocity)| slope.dot(velocities[0] - *velocity));
+        let rate = -moved.sum::<f64>() / along;
+        (r, if rate.is_finite() { rate } else { 0.0 })
+    }
+}
+
+impl Simulation for Metaballs {
+    fn schema(&self) -> Schema {
+        schema(&self.scene, self.world.options())
+    }
+
+    fn overrides(&self, steps: Option<u64>) -> String {
+        self.scene.overrides(steps)
+    }
+
+    fn steps_taken(&self) -> u64 {
+        self.world.steps_taken()
+    }
+
+    fn time(&self) -> f64 {
+        self.world.time()
+    }
+
+    fn step(&mut self) {
+        let start = self.world.time();
+        self.contacts.clear();
+        if self.world.step().failure.is_none() {
+            let clock = Clock::now();
+            self.find_contacts(start);
+            self.tell();
+            self.finding = clock.elapsed();
+        }
+    }
+
+    fn summary(&self, summary: &mut StepSummary) {
+        self.world.summary(summary);
+        let paths = summary.timings.iter().sum();
+        summary.timings.clear();
+        summary.timings.extend([paths, self.finding]);
+        summary.scalars.clear();
+        summary.scalars.resize(SCALARS, 0.0);
+        summary.shortfall = None;
+    }
+
+    fn memory(&self) -> Option<u64> {
+        let pairs = self.ones.len() * size_of::<([usize; 2], bool)>();
+        Some((self.world.memory() + pairs + self.centres.capacity() * size_of::<DVec3>()) as u64)
+    }
+
+    fn account(&self) -> Option<String> {
+        let mut lines = Vec::new();
+        for told in self.told.iter().filter(|told| told.is_of_surface) {
+            let same = |other: &&Told| !other.is_of_surface && (other.pair, other.is_one) == (told.pair, told.is_one);
+            let nearest = self.told.iter().filter(same).min_by(|x, y| {
+                let apart = |other: &Told| (other.time - told.time).abs();
+                apart(x).total_cmp(&apart(y))
+            });
+            let pair = told.pair.map(|body| self.scene.bodies[body].name.as_str()).join("~");
+            let [one, phase] = if told.is_one { ["one", "merged"] } else { ["two", "split"] };
+            let other = match nearest.map(|other| other.time - told.time) {
+                None => format!("never {phase} by q"),
+                Some(later) => {
+                    let side = if later < 0.0 { "before" } else { "after" };
+                    format!("{phase} by q {:.6} s {side}", later.abs())
+                }
+            };
+            lines.push(format!("{pair} became {one} at t = {:.9} s, {other}", told.time));
+        }
+        let more = lines.len().saturating_sub(MOST_COMPARED);
+        lines.truncate(MOST_COMPARED);
+        let more = if more > 0 { format!("; and {more} more") } else { String::new() };
+        (!lines.is_empty()).then(|| format!("surfaces: {}{more}", lines.join("; ")))
+    }
+
+    fn interrupt(&self) -> Option<&'static std::sync::atomic::AtomicBool> {
+        self.world.options().interrupt
+    }
+
+    fn checksum(&self) -> u64 {
+        let centres = self.centres.iter().flat_map(|centre| centre.to_array()).map(checksum::bits);
+        let ones = self.ones.iter().filter(|(_, is_one)| **is_one);
+        let ones = ones.map(|([a, b], _)| (*a as u64) << 32 | *b as u64);
+        checksum::sequence(std::iter::once(World::checksum(&self.world)).chain(centres).chain(ones))
+    }
+
+    fn observe(&self, want: Want, frame: &mut Frame) {
+        let time = self.world.time();
+        frame.at = Instant { step: self.world.steps_taken(), time };
+        self.world.observe(Want::default(), frame);
+        for (index, now) in frame.bodies.iter_mut().enumerate() {
+            self.deform(index, &self.centres, time, now);
+            now.clear_forces();
+        }
+        frame.scalars.clear();
+        if want.scalars {
+            let bodies = frame.bodies.iter().zip(&self.scene.bodies);
+            let largest = bodies.map(|(now, body)| now.max_displacement / body.radius).fold(0.0, f64::max);
+            let ones = self.ones.values().filter(|is_one| **is_one).count();
+            frame.scalars.extend([largest, self.components() as f64, ones as f64]);
+        }
+    }
+
+    fn within(&self, before: &Frame, time: f64, bodies: &[usize], frame: &mut Frame) {
+        frame.at = Instant { step: before.at.step + 1, time };
+        frame.bodies.resize_with(self.scene.bodies.len(), BodyFrame::default);
+        let centres = self.centres_at(time);
+        for (now, centre) in frame.bodies.iter_mut().zip(&centres) {
+            now.centre = *centre; // all of them are part of the density
+        }
+        bodies.iter().for_each(|&body| self.deform(body, &centres, time, &mut frame.bodies[body]));
+    }
+
+    fn contacts(&self) -> Option<&[SurfaceEvent]> {
+        Some(&self.contacts)
+    }
+
+    fn framing(&self, only_what_happens: bool) -> Vec<(DVec3, f64)> {
+        self.world.framing(only_what_happens)
+    }
+}
+
+/// Number of scalars.
+const SCALARS: usize = 3;
+
+/// The schema of a scene's metaballs.
+pub fn schema(scene: &Scene, options: Options) -> Schema {
+    let oscillators = simulation::schema(scene, options);
+    let net = TermSchema { can_act: false, is_shown: false, ..TermSchema::new("net", "Net", colors::WHITE) };
+    let mut warnings = oscillators.warnings;
+    warnings.extend(idle(scene));
+    Schema {
+        model: Model::Metaballs.name().to_owned(),
+        integrator: "none".to_owned(),
+        law: format!(
+            "Density f(r) = (1 − r²/r_e²)³ about each centre, r_e = {:.3} R; the surface is where it adds up to that of a lone \
+             ball at its radius. No dynamics. {}",
+            scene.influence.reach, oscillators.law
+        ),
+        terms: vec![net],
+        labels: vec!["no force"],
+        scalars: vec![
+            ScalarSchema {
+                plot: "Displacement",
+                ..ScalarSchema::new("max_displacement", "largest displacement [radii]", ScalarOf::State)
+            },
+            count("components", "pieces of the surface"),
+            count("pairs_in_one", "pairs that are one surface"),
+        ],
+        stages: vec!["paths", "contacts"],
+        surfaces: kernel(scene).map_or_else(|_| OwnSurfaces::default(), |kernel| OwnSurfaces::new(LevelSet { kernel })),
+        warnings,
+        ..oscillators
+    }
+}
+
+fn count(name: &'static str, label: &'static str) -> ScalarSchema {
+    ScalarSchema { plot: "Counts", is_smooth: false, ..ScalarSchema::new(name, label, ScalarOf::State) }
+}
+
+/// What a scene has that does nothing here.
+fn idle(scene: &Scene) -> Option<String> {
+    let given = [
+        (!scene.pushes.is_empty(), "[[push]]"),
+        (!scene.planes.is_empty(), "[[plane]]"),
+        (scene.gravity != DVec3::ZERO, "gravity"),
+    ];
+    let given: Vec<&str> = given.into_iter().filter(|(is_given, _)| *is_given).map(|(_, name)| name).collect();
+    (!given.is_empty())
+        .then(|| format!("metaballs have no dynamics: {} of this scene does nothing with this model", given.join(", ")))
+}
+
+/// The density of a scene's balls.
+///
+/// # Errors
+/// The scene has something that metaballs cannot do.
+fn kernel(scene: &Scene) -> Result<Kernel, Unsupported> {
+    let refuse = |body: Option<&Body>, what: String, remedy: &str| Unsupported {
+        scene: scene.name.clone(),
+        model: Model::Metaballs,
+        body: body.map(|body| body.name.clone()),
+        what,
+        remedy: remedy.to_owned(),
+    };
+    if scene.bodies.len() > MOST_BODIES {
+        let what = format!("{} bodies, and at most {MOST_BODIES} are compared with each other", scene.bodies.len());
+        return Err(refuse(None, what, "use fewer"));
+    }
+    for body in &scene.bodies {
+        if body.path().is_none() {
+            let what = "motion = { free … } needs forces, and a density has none".to_owned();
+            return Err(refuse(Some(body), what, "give it a path, or choose model = \"oscillators\""));
+        }
+        if !body.shape.mesh().is_round() {
+            let what = format!("shape \"{}\" is not a ball", body.shape.label());
+            return Err(refuse(Some(body), what, "use shape = { sphere … }, or choose model = \"oscillators\""));
+        }
+    }
+    let what =
+        || format!("influence.reach = {}: a density that ends within the ball has no surface", scene.influence.reach);
+    Kernel::new(scene.influence.reach).ok_or_else(|| refuse(None, what(), "give a reach above 1"))
+}
+
+fn path(body: &Body) -> &Path {
+    const STILL: &Path = &Path::Fixed(DVec3::ZERO);
+    body.path().unwrap_or(STILL) // others are refused
+}
+
+/// Some bodies, and then all others whose supports reach theirs, in ascending order.
+fn near<'a>(
+    kernel: &'a Kernel,
+    count: usize,
+    ball: impl Fn(usize) -> Ball + 'a,
+    group: &'a [usize],
+) -> impl Iterator<Item = usize> + 'a {
+    let touches = move |body: usize| {
+        let other = ball(body);
+        let reach = |of: &Ball| kernel.support(&other) + kernel.support(of);
+        group.iter().map(|&own| ball(own)).any(|of| other.centre.distance_squared(of.centre) < reach(&of) * reach(&of))
+    };
+    group.iter().copied().chain((0..count).filter(move |body| !group.contains(body) && touches(*body)))
+}
+
+/// The balls of some bodies, and then all others whose supports reach theirs.
+fn around(kernel: &Kernel, count: usize, ball: impl Fn(usize) -> Ball, group: &[usize]) -> Vec<Ball> {
+    near(kernel, count, &ball, group).map(&ball).collect()
+}

@@ -1,0 +1,454 @@
+//! The surface of metaballs: where their density is that of the threshold.
+//!
+//! # Extraction
+//! Marching tetrahedra on a grid about the group: every cube of the grid is cut into the six tetrahedra about its diagonal
+//! (Freudenthal's, or Kuhn's, triangulation), which fit those of its neighbours. A tetrahedron has no ambiguous cases, so
+//! that whatever is inside, the surface is closed, manifold and oriented. Each vertex is on an edge of a tetrahedron, at the
+//! root of the density: exactly on the surface. The triangles are chords of it, so that the volume of the mesh is too small by
+//! an error of second order in the spacing; [`volume`] is the volume to rounding.
+//!
+//! The grid of two balls lies along the line of their centres, with a node at the saddle: the mesh is one piece exactly if
+//! the surface is.
+
+use std::sync::atomic::AtomicBool;
+
+use glam::{DMat3, DVec3};
+
+use super::{
+    contact::{Saddle, are_one},
+    density::{Ball, Kernel, root},
+};
+use crate::{
+    geometry::union::is_raised,
+    observe::{
+        Frame, Schema,
+        surface::{Group, PairMeasures, Surfaces, VertexOrigin, connected},
+    },
+};
+
+/// Spacing of the grid [radii of the smallest ball of a group].
+const SPACING: f64 = 0.2;
+/// Nodes of a grid at most: more of them, and the grid is coarser.
+const MOST_NODES: f64 = 2e6;
+/// Balls of a group at most; more are not united.
+const MOST_BALLS: usize = 4096;
+
+/// The surfaces of a scene of metaballs.
+#[derive(Clone, Copy, Debug)]
+pub struct LevelSet {
+    /// The density of a ball.
+    pub kernel: Kernel,
+}
+
+impl Surfaces for LevelSet {
+    /// Balls that the thresholds on q call merged, and balls that are one surface, are a group.
+    fn groups(&self, schema: &Schema, frame: &Frame) -> Vec<Vec<usize>> {
+        connected(frame, |pair| {
+            schema.phases[pair.phase].is_joined || {
+                let balls = around(&self.kernel, schema, frame, &[pair.a, pair.b]);
+                are_one(&self.kernel, &balls)
+            }
+        })
+    }
+
+    fn unite(&self, schema: &Schema, frame: &Frame, group: &[usize], interrupt: Option<&AtomicBool>) -> Option<Group> {
+        if group.len() > MOST_BALLS || is_raised(interrupt) {
+            return None;
+        }
+        let balls = around(&self.kernel, schema, frame, group);
+        let Mesh { positions, triangles } = extract(&self.kernel, &balls, group.len(), interrupt)?;
+        let origins = positions.iter().map(|&at| origin(&self.kernel, &balls[..group.len()], group, at)).collect();
+        let [volume, area] = measures(&positions, &triangles);
+        let components = components(positions.len(), &triangles);
+        let euler = positions.len() as i64 - triangles.len() as i64 / 2;
+        Some(Group {
+            bodies: group.to_vec(),
+            positions,
+            origins,
+            triangles,
+            seams: Vec::new(),
+            components,
+            euler,
+            genus: components as i64 - euler / 2,
+            volume,
+            area,
+        })
+    }
+
+    fn measure(
+        &self,
+        schema: &Schema,
+        frame: &Frame,
+        pair: [usize; 2],
+        interrupt: Option<&AtomicBool>,
+    ) -> Option<PairMeasures> {
+        if is_raised(interrupt) {
+            return None;
+        }
+        let balls = around(&self.kernel, schema, frame, &pair);
+        let (a, b) = (&balls[0], &balls[1]);
+        let (radius, distance) = (f64::min(a.radius, b.radius), a.centre.distance(b.centre));
+        let is_one = are_one(&self.kernel, &balls);
+        let gap = if is_one { f64::min(0.0, distance - a.radius - b.radius) } else { self.gap(&balls) };
+        let neck = if is_one { self.neck(&balls) } else { 0.0 };
+        let overlap = lens(a.radius, b.radius, distance);
+        Some(PairMeasures {
+            gap: gap / radius,
+            overlap: overlap / (radius * radius * radius),
+            share: overlap / (std::f64::consts::PI * 4.0 / 3.0 * radius * radius * radius),
+            neck: neck / radius,
+            perimeter: std::f64::consts::TAU * neck / radius,
+        })
+    }
+}
+
+impl LevelSet {
+    /// The distance of the surfaces of the first two balls, which are not one, on the line of their centres [scene unit].
+    fn gap(&self, balls: &[Ball]) -> f64 {
+        let (a, b) = (&balls[0], &balls[1]);
+        let distance = a.centre.distance(b.centre);
+        let end = |from: &Ball, to: &Ball| {
+            let along = (to.centre - from.centre) / distance;
+            let excess = |r: f64| self.kernel.at(balls, from.centre + r * along) - 1.0;
+            // from inside to the first place that is outside
+            let step = (distance - a.radius - b.radius) / 64.0;
+            let outside = (1..=64).map(|k| from.radius + f64::from(k) * step).find(|&r| excess(r) < 0.0);
+            outside.map(|r| root(r - step, r, excess))
+        };
+        match (end(a, b), end(b, a)) {
+            (Some(of_a), Some(of_b)) => f64::max(0.0, distance - of_a - of_b),
+            _ => 0.0,
+        }
+    }
+
+    /// The radius of the circle that has the area of the cut through the first two balls, which are one, where they are
+    /// thinnest [scene unit]: exact for two.
+    fn neck(&self, balls: &[Ball]) -> f64 {
+        const DIRECTIONS: u32 = 16;
+        let (a, b) = (&balls[0], &balls[1]);
+        let Some(along) = (b.centre - a.centre).try_normalize() else { return f64::max(a.radius, b.radius) };
+        let waist = || {
+            // without a saddle: where both densities are the same, or the smaller ball is within the larger
+            let excess = |r: f64| {
+                let at = a.centre + r * along;
+                self.kernel.of_one(a, at) - self.kernel.of_one(b, at)
+            };
+            a.centre + root(0.0, a.centre.distance(b.centre), excess) * along
+        };
+        let middle = Saddle::between(&self.kernel, balls).map_or_else(waist, |saddle| saddle.place);
+        let (u, v) = along.any_orthonormal_pair();
+        let most = f64::max(self.kernel.support(a), self.kernel.support(b));
+        let alone = balls.len() == 2;
+        let directions = if alone { 1 } else { DIRECTIONS };
+        let squares = (0..directions).map(|k| {
+            let (sin, cos) = libm::sincos(std::f64::consts::TAU * f64::from(k) / f64::from(directions));
+            let direction = cos * u + sin * v;
+            let excess = |r: f64| self.kernel.at(balls, middle + r * direction) - 1.0;
+            let r = root(0.0, most, excess);
+            r * r
+        });
+        (squares.sum::<f64>() / f64::from(directions)).sqrt()
+    }
+}
+
+/// The balls of some bodies of a frame, and then all others whose supports reach theirs.
+fn around(kernel: &Kernel, schema: &Schema, frame: &Frame, group: &[usize]) -> Vec<Ball> {
+    let ball = |body: usize| Ball { centre: frame.bodies[body].centre, radius: schema.bodies[body].radius };
+    super::around(kernel, frame.bodies.len(), ball, group)
+}
+
+/// The two bodies of a group that are densest at a place.
+fn origin(kernel: &Kernel, balls: &[Ball], group: &[usize], at: DVec3) -> VertexOrigin {
+    let (mut first, mut second) = ((0, 0.0), (0, 0.0));
+    for (ball, &body) in balls.iter().zip(group) {
+        let density = kernel.of_one(ball, at);
+        if density > first.1 {
+            (second, first) = (first, (body, density));
+        } else if density > second.1 {
+            second = (body, density);
+        }
+    }
+    let is_shared = second.1 > 0.0;
+    VertexOrigin {
+        bodies: [first.0 as u32, if is_shared { second.0 } else { first.0 } as u32],
+        share: if is_shared { (second.1 / (first.1 + second.1)) as f32 } else { 0.0 },
+        vertex: None,
+    }
+}
+
+/// The volume that two spheres share [scene unit³].
+fn lens(a: f64, b: f64, distance: f64) -> f64 {
+    let (small, large) = (f64::min(a, b), f64::max(a, b));
+    if distance >= a + b {
+        0.0
+    } else if distance <= large - small {
+        4.0 / 3.0 * std::f64::consts::PI * small * small * small
+    } else {
+        let depth = a + b - distance;
+        let (difference, sum) = (a - b, a + b);
+        std::f64::consts::PI
+            * depth
+            * depth
+            * (distance * distance + 2.0 * distance * sum - 3.0 * difference * difference)
+            / (12.0 * distance)
+    }
+}
+
+/// A closed triangle mesh.
+#[derive(Clone, Debug, Default)]
+pub struct Mesh {
+    /// Positions of the vertices [scene unit], `[vertex_count]`.
+    pub positions: Vec<DVec3>,
+    /// Vertices of each triangle, counter-clockwise from outside.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// A grid of cubes.
+struct Grid {
+    origin: DVec3,
+    axes: DMat3,
+    spacing: f64,
+    /// Number of nodes along each axis.
+    counts: [usize; 3],
+}
+
+impl Grid {
+    /// A grid that has all of the surface of the first `own` balls within.
+    fn about(kernel: &Kernel, balls: &[Ball], own: usize) -> Option<Grid> {
+        let balls_own = balls.get(..own)?;
+        let (axes, centre) = match balls_own {
+            [a, b] => {
+                let along = (b.centre - a.centre).normalize_or(DVec3::Z);
+                let u = along.any_orthonormal_vector();
+                let v = along.cross(u);
+                let place = Saddle::between(kernel, balls).map_or(a.centre, |saddle| saddle.place);
+                (DMat3::from_cols(u, v, along), place)
+            }
+            [a, ..] => (DMat3::IDENTITY, a.centre),
+            [] => return None,
+        };
+        let inverse = axes.transpose();
+        let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for ball in balls_own {
+            let (at, support) = (inverse * (ball.centre - centre), DVec3::splat(kernel.support(ball)));
+            (low, high) = (low.min(at - support), high.max(at + support));
+        }
+        let size = high - low;
+        let smallest = balls_own.iter().map(|ball| ball.radius).fold(f64::INFINITY, f64::min);
+        let spacing = f64::max(SPACING * smallest, (size.x * size.y * size.z / MOST_NODES).cbrt());
+        // the centre is a node; all nodes of the outermost layer are outside
+        let before = (-low / spacing).ceil() + DVec3::ONE;
+        let after = (high / spacing).ceil() + DVec3::ONE;
+        let counts = (before + after + DVec3::ONE).to_array();
+        let is_sound = counts.iter().all(|count| (1.0..=1e6).contains(count)) && spacing.is_finite();
+        is_sound.then(|| Grid {
+            origin: centre - axes * (before * spacing),
+            axes,
+            spacing,
+            counts: counts.map(|count| count as usize),
+        })
+    }
+
+    fn place(&self, [i, j, k]: [usize; 3]) -> DVec3 {
+        self.origin + self.axes * (self.spacing * DVec3::new(i as f64, j as f64, k as f64))
+    }
+
+    fn index(&self, [i, j, k]: [usize; 3]) -> usize {
+        (k * self.counts[1] + j) * self.counts[0] + i
+    }
+
+    /// How far apart the indices of the two ends of an edge are; bit m of `edge` is set if it leads along axis m.
+    fn stride(&self, edge: usize) -> usize {
+        let strides = [1, self.counts[0], self.counts[0] * self.counts[1]];
+        (0..3).filter(|m| edge >> m & 1 == 1).map(|m| strides[m]).sum()
+    }
+}
+
+/// The tetrahedra of a cube: the corners between its corner 0 and its corner 7 (bit m: along axis m), in an
+/// order that is positively oriented.
+const TETRAHEDRA: [[usize; 4]; 6] =
+    [[0, 1, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 3, 2, 7], [0, 6, 4, 7], [0, 5, 1, 7]];
+
+/// The even permutations of four that begin with each pair, and with each single one.
+const PAIRS: [[usize; 4]; 6] = [[0, 1, 2, 3], [0, 2, 3, 1], [0, 3, 1, 2], [1, 2, 0, 3], [1, 3, 2, 0], [2, 3, 0, 1]];
+const SINGLES: [[usize; 4]; 4] = [[0, 1, 2, 3], [1, 0, 3, 2], [2, 0, 1, 3], [3, 0, 2, 1]];
+
+/// The surface of the first `own` balls in the density of all of them; `None` if there is no room for it, or after an
+/// interrupt.
+pub fn extract(kernel: &Kernel, balls: &[Ball], own: usize, interrupt: Option<&AtomicBool>) -> Option<Mesh> {
+    let grid = Grid::about(kernel, balls, own)?;
+    let [nx, ny, nz] = grid.counts;
+    let mut inside = vec![false; nx * ny * nz];
+    for k in 0..nz {
+        if is_raised(interrupt) {
+            return None;
+        }
+        for j in 0..ny {
+            for i in 0..nx {
+                inside[grid.index([i, j, k])] = is_inside(kernel, balls, own, grid.place([i, j, k]));
+            }
+        }
+    }
+    let mut mesh = Mesh::default();
+    // the vertex on each edge, by the node where it begins and the axes along which it leads
+    let mut known = vec![u32::MAX; 8 * inside.len()];
+    let strides: [usize; 8] = std::array::from_fn(|edge| grid.stride(edge));
+    let mut cuts: Vec<[[usize; 2]; 3]> = Vec::new();
+    for k in 0..nz - 1 {
+        if is_raised(interrupt) {
+            return None;
+        }
+        for j in 0..ny - 1 {
+            for i in 0..nx - 1 {
+                let first = grid.index([i, j, k]);
+                let corners: [bool; 8] = std::array::from_fn(|corner| inside[first + strides[corner]]);
+                if corners == [corners[0]; 8] {
+                    continue;
+                }
+                cuts.clear();
+                TETRAHEDRA.iter().for_each(|corners_of| cut(corners_of, &corners, &mut cuts));
+                let mut vertex = |[from, to]: [usize; 2]| {
+                    let (low, edge) = (from.min(to), from ^ to);
+                    let slot = &mut known[8 * (first + strides[low]) + edge];
+                    if *slot == u32::MAX {
+                        let place =
+                            |corner: usize| grid.place([i + (corner & 1), j + (corner >> 1 & 1), k + (corner >> 2)]);
+                        let (inner, outer) = if corners[from] { (from, to) } else { (to, from) };
+                        *slot = mesh.positions.len() as u32;
+                        mesh.positions.push(on_surface(kernel, balls, place(inner), place(outer)));
+                    }
+                    *slot
+                };
+                mesh.triangles.extend(cuts.iter().map(|edges| edges.map(&mut vertex)));
+            }
+        }
+    }
+    Some(mesh)
+}
+
+/// The triangles in which the surface cuts a tetrahedron, each by the edges that have its corners: from one corner of the cube
+/// to another.
+fn cut(of: &[usize; 4], inside: &[bool; 8], cuts: &mut Vec<[[usize; 2]; 3]>) {
+    let is_in = |m: usize| inside[of[m]];
+    let edge = |a: usize, b: usize| [of[a], of[b]];
+    match (0..4).filter(|&m| is_in(m)).count() {
+        1 => {
+            let single = SINGLES.into_iter().find(|single| is_in(single[0]));
+            cuts.extend(single.map(|[a, b, c, d]| [edge(a, b), edge(a, c), edge(a, d)]));
+        }
+        2 => {
+            let pair = PAIRS.into_iter().find(|pair| is_in(pair[0]) && is_in(pair[1]));
+            cuts.extend(pair.into_iter().flat_map(|[a, b, c, d]| {
+                let [ac, ad, bd, bc] = [edge(a, c), edge(a, d), edge(b, d), edge(b, c)];
+                [[ac, ad, bd], [ac, bd, bc]]
+            }));
+        }
+        3 => {
+            let single = SINGLES.into_iter().find(|single| !is_in(single[0]));
+            cuts.extend(single.map(|[a, b, c, d]| [edge(a, b), edge(a, d), edge(a, c)]));
+        }
+        _ => {}
+    }
+}
+
+/// Whether a place is inside, and nowhere as dense by another ball as by one of the first `own`.
+fn is_inside(kernel: &Kernel, balls: &[Ball], own: usize, at: DVec3) -> bool {
+    let most = |balls: &[Ball]| balls.iter().map(|ball| kernel.of_one(ball, at)).fold(0.0, f64::max);
+    kernel.at(balls, at) >= 1.0 && (own == balls.len() || most(&balls[..own]) >= most(&balls[own..]))
+}
+
+/// The place of the surface between one inside and one outside.
+fn on_surface(kernel: &Kernel, balls: &[Ball], inner: DVec3, outer: DVec3) -> DVec3 {
+    let excess = |z: f64| kernel.at(balls, inner.lerp(outer, z)) - 1.0;
+    // where the surface of another group begins, both are inside
+    let z = if excess(1.0) >= 0.0 { 0.5 } else { root(0.0, 1.0, excess) };
+    inner.lerp(outer, z)
+}
+
+/// Number of connected pieces of a mesh.
+fn components(vertices: usize, triangles: &[[u32; 3]]) -> usize {
+    fn find(roots: &mut [u32], mut v: u32) -> u32 {
+        while roots[v as usize] != v {
+            roots[v as usize] = roots[roots[v as usize] as usize];
+            v = roots[v as usize];
+        }
+        v
+    }
+    let mut roots: Vec<u32> = (0..vertices as u32).collect();
+    let mut count = vertices;
+    for &[a, b, c] in triangles {
+        for (from, to) in [(a, b), (b, c)] {
+            let (from, to) = (find(&mut roots, from), find(&mut roots, to));
+            count -= usize::from(from != to);
+            roots[from.max(to) as usize] = from.min(to);
+        }
+    }
+    count
+}
+
+/// Volume and area of a closed mesh [scene unit³, scene unit²].
+fn measures(positions: &[DVec3], triangles: &[[u32; 3]]) -> [f64; 2] {
+    let origin = positions.first().copied().unwrap_or_default();
+    triangles.iter().fold([0.0; 2], |[volume, area], corners| {
+        let [a, b, c] = corners.map(|v| positions[v as usize] - origin);
+        [volume + a.dot(b.cross(c)) / 6.0, area + 0.5 * (b - a).cross(c - a).length()]
+    })
+}
+
+/// Gauss–Legendre nodes and weights on [0, 1].
+const GAUSS: [[f64; 2]; 5] = [
+    [0.046_910_077_030_668_0, 0.118_463_442_528_094_5],
+    [0.230_765_344_947_158_5, 0.239_314_335_249_683_2],
+    [0.5, 0.284_444_444_444_444_4],
+    [0.769_234_655_052_841_5, 0.239_314_335_249_683_2],
+    [0.953_089_922_969_332, 0.118_463_442_528_094_5],
+];
+
+/// The volume within the surface that a mesh is of [scene unit³]: that of the mesh, and that between each of its triangles
+/// and the surface.
+///
+/// The gap between a triangle p(u, v) and the surface is filled with the lines p + s d, where d is interpolated linearly
+/// between the normals at the corners, so that neighbours fit. It is integrated in s exactly and by a Gauss product rule
+/// over the triangle: with the mesh of [`extract`] the error is about 1e-9 of the volume.
+pub fn volume(kernel: &Kernel, balls: &[Ball], mesh: &Mesh) -> f64 {
+    let normals: Vec<DVec3> =
+        mesh.positions.iter().map(|&at| (-kernel.slope(balls, at)).normalize_or(DVec3::Z)).collect();
+    let beyond = mesh.triangles.iter().map(|corners| {
+        let [p, q, r] = corners.map(|v| mesh.positions[v as usize]);
+        let [n, o, m] = corners.map(|v| normals[v as usize]);
+        let (e1, e2, d1, d2) = (q - p, r - p, o - n, m - n);
+        let mut sum = 0.0;
+        for [z, weight_z] in GAUSS {
+            for [w, weight_w] in GAUSS {
+                // the unit square, folded onto the triangle
+                let (u, v) = (z * (1.0 - w), w);
+                let (at, d) = (p + u * e1 + v * e2, n + u * d1 + v * d2);
+                let s = height(kernel, balls, at, d, e1.length().max(e2.length()));
+                let flat = d.dot(e1.cross(e2));
+                let bent = d.dot(e1.cross(d2) + d1.cross(e2));
+                let twisted = d.dot(d1.cross(d2));
+                let within = s * (flat + s * (0.5 * bent + s * twisted / 3.0));
+                sum += weight_z * weight_w * (1.0 - w) * within;
+            }
+        }
+        sum
+    });
+    measures(&mesh.positions, &mesh.triangles)[0] + beyond.sum::<f64>()
+}
+
+/// How far from a place near the surface it is along a direction [scene unit]: no farther than `most` either way.
+fn height(kernel: &Kernel, balls: &[Ball], at: DVec3, direction: DVec3, most: f64) -> f64 {
+    let mut s = 0.0;
+    for _ in 0..20 {
+        let here = at + s * direction;
+        let step = (kernel.at(balls, here) - 1.0) / kernel.slope(balls, here).dot(direction);
+        if !step.is_finite() {
+            return 0.0;
+        }
+        s = (s - step).clamp(-most, most);
+        if step.abs() <= 1e-15 * most {
+            break;
+        }
+    }
+    s
+}

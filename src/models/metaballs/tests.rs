@@ -1,0 +1,263 @@
+//! Metaballs against closed forms and independent quadratures.
+
+use std::collections::HashSet;
+
+use glam::DVec3;
+
+use super::{
+    Metaballs,
+    density::{Ball, Kernel, root},
+    surface::{Mesh, extract, volume},
+};
+use crate::{
+    geometry::union::Topology,
+    observe::{Frame, Simulation, SurfaceEvent, Want, surface::Merger, touch::Finding},
+    scene::{Model, Scene},
+    sim::Options,
+};
+
+fn kernel(reach: f64) -> Kernel {
+    Kernel::new(reach).unwrap()
+}
+
+fn ball(centre: DVec3, radius: f64) -> Ball {
+    Ball { centre, radius }
+}
+
+/// Euler characteristic and number of pieces of a mesh, which must be closed and oriented.
+fn topology(mesh: &Mesh) -> (i64, u32) {
+    let topology = Topology::new(mesh.positions.len(), &mesh.triangles).expect("closed and oriented");
+    let used: HashSet<u32> = mesh.triangles.iter().flatten().copied().collect();
+    assert_eq!(used.len(), mesh.positions.len());
+    (mesh.positions.len() as i64 - mesh.triangles.len() as i64 / 2, topology.components)
+}
+
+/// The volume of balls whose centres are on the x axis, by Simpson's rule over the area of the cuts across it.
+fn turned(reach: f64, balls: &[(f64, f64)]) -> f64 {
+    // F as a function of x and the square of the distance from the axis; written down anew
+    let density = |x: f64, square: f64| -> f64 {
+        let of = |&(at, radius): &(f64, f64)| {
+            let u = 1.0 - ((x - at) * (x - at) + square) / (reach * reach * radius * radius);
+            u.max(0.0).powi(3) / (1.0 - 1.0 / (reach * reach)).powi(3)
+        };
+        balls.iter().map(of).sum()
+    };
+    let cut = |x: f64| {
+        let (mut low, mut high) = (0.0, 9.0);
+        if density(x, 0.0) < 1.0 {
+            return 0.0;
+        }
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            if density(x, middle) >= 1.0 { low = middle } else { high = middle }
+        }
+        std::f64::consts::PI * low
+    };
+    let left = |x: f64| root(0.0, 3.0, |by| density(x - by, 0.0) - 1.0);
+    let right = |x: f64| root(0.0, 3.0, |by| density(x + by, 0.0) - 1.0);
+    let (from, to) = (balls[0].0 - left(balls[0].0), balls[balls.len() - 1].0 + right(balls[balls.len() - 1].0));
+    let count = 20_000;
+    let h = (to - from) / f64::from(count);
+    let weight = |k: i32| match k {
+        0 => 1.0,
+        k if k == count => 1.0,
+        k => 2.0 + 2.0 * f64::from(k % 2),
+    };
+    (0..=count).map(|k| weight(k) * cut(from + h * f64::from(k))).sum::<f64>() * h / 3.0
+}
+
+#[test]
+fn volumes_are_those_of_an_independent_quadrature() {
+    for (reach, balls) in [
+        (std::f64::consts::SQRT_2, vec![(0.0, 1.0), (2.05, 1.0)]),
+        (std::f64::consts::SQRT_2, vec![(0.0, 1.0), (1.3, 0.7)]),
+        (2.0, vec![(0.0, 1.0), (2.2, 0.8)]),
+        (1.6, vec![(0.0, 1.0), (2.1, 1.0), (4.1, 0.9)]),
+    ] {
+        let kernel = kernel(reach);
+        // along a direction that is not that of the grid of three
+        let along = DVec3::new(2.0, 1.0, -2.0) / 3.0;
+        let all: Vec<Ball> = balls.iter().map(|&(x, radius)| ball(x * along, radius)).collect();
+        let mesh = extract(&kernel, &all, all.len(), None).unwrap();
+        assert_eq!(topology(&mesh), (2, 1), "{balls:?}");
+        let (found, expected) = (volume(&kernel, &all, &mesh), turned(reach, &balls));
+        assert!((found / expected - 1.0).abs() < 1e-7, "{balls:?}: {found} {expected}");
+    }
+    let kernel = kernel(1.5);
+    let [alone] = [ball(DVec3::new(0.3, 0.2, 0.1), 0.8)];
+    let mesh = extract(&kernel, &[alone], 1, None).unwrap();
+    let sphere = 4.0 / 3.0 * std::f64::consts::PI * 0.8f64.powi(3);
+    assert!((volume(&kernel, &[alone], &mesh) / sphere - 1.0).abs() < 1e-9);
+}
+
+/// One piece exactly if the saddle is above the threshold, however thin the neck; a ring of balls has a hole.
+#[test]
+fn surfaces_have_the_topology_that_they_should() {
+    let kernel = kernel(std::f64::consts::SQRT_2);
+    // 2 (1 − d²/8)³ = 1/8
+    let d = (8.0 * (1.0 - 0.0625f64.cbrt())).sqrt();
+    for (distance, expected) in [(d - 1e-9, (2, 1)), (d + 1e-9, (4, 2)), (1.4, (2, 1)), (0.1, (2, 1)), (0.0, (2, 1))] {
+        let balls = [ball(DVec3::ZERO, 1.0), ball(DVec3::new(0.6, -0.48, 0.64) * distance, 1.0)];
+        let mesh = extract(&kernel, &balls, 2, None).unwrap();
+        assert_eq!(topology(&mesh), expected, "{distance}");
+    }
+    let ring: Vec<Ball> = (0..8)
+        .map(|k| {
+            let (sin, cos) = libm::sincos(std::f64::consts::TAU * f64::from(k) / 8.0);
+            ball(2.6 * DVec3::new(cos, sin, 0.0), 1.0)
+        })
+        .collect();
+    let mesh = extract(&kernel, &ring, 8, None).unwrap();
+    assert_eq!(topology(&mesh), (0, 1), "a torus");
+    // of a neighbour that is in the way, but of no part of the group, there is nothing in its mesh
+    let mesh = extract(&kernel, &[ring[0], ring[2], ring[1]], 2, None).unwrap();
+    assert_eq!(topology(&mesh), (4, 2));
+}
+
+fn scene(text: &str) -> Scene {
+    Scene { model: Model::Metaballs, ..Scene::parse(text, "balls.toml").unwrap() }
+}
+
+fn contacts(text: &str) -> Vec<SurfaceEvent> {
+    let scene = scene(text);
+    let mut balls = Metaballs::new(&scene, Options::default()).unwrap();
+    let mut all = Vec::new();
+    for _ in 0..scene.steps() {
+        balls.step();
+        all.extend_from_slice(balls.contacts().unwrap());
+    }
+    all
+}
+
+const TWO: &str = "duration = 8.0\ndt = 0.1\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = { fixed = [0, 0, 0] }\n\
+                   [[body]]\nname = 'b'\nradius = 1.0\n\
+                   motion = { line = { from = [-4, 0.5, 0], velocity = [1, 0, 0] } }\n";
+
+#[test]
+fn two_balls_become_one_and_two_at_times_in_closed_form() {
+    let d2 = 8.0 * (1.0 - 0.0625f64.cbrt());
+    let half = (d2 - 0.25).sqrt();
+    let events = contacts(TWO);
+    let expected = [(Finding::Touch, 4.0 - half), (Finding::Part, 4.0 + half)];
+    assert_eq!(events.len(), 2, "{events:?}");
+    for (event, (what, time)) in events.iter().zip(expected) {
+        assert!(event.what == what && (event.time - time).abs() < 1e-11, "{event:?} {time}");
+        assert!((event.q - 0.5 * d2.sqrt()).abs() < 1e-11 && event.step == (event.time / 0.1).ceil() as u64);
+    }
+}
+
+/// Three balls on their way to the middle of their triangle: by symmetry the saddle of a pair is on a height of the triangle,
+/// where the density is a function of one variable.
+#[test]
+fn three_balls_become_one_at_the_time_of_a_one_dimensional_problem() {
+    let body = |name: &str, k: f64| {
+        let (sin, cos) = libm::sincos(std::f64::consts::TAU * k / 3.0);
+        format!(
+            "[[body]]\nname = '{name}'\nradius = 1.0\nmotion = {{ line = {{ from = [{:?}, {:?}, 0.5], velocity = [{:?}, {:?}, 0] }} }}\n",
+            2.0 * cos,
+            2.0 * sin,
+            -0.4 * cos,
+            -0.4 * sin
+        )
+    };
+    let text = format!(
+        "duration = 2.0\ndt = 0.05\n[influence]\nreach = 3.0\n{}{}{}",
+        body("a", 0.0),
+        body("b", 1.0),
+        body("c", 2.0)
+    );
+    let events = contacts(&text);
+    // from the middle of the triangle: the balls at distance s, the saddle at −y along the height of the third
+    let density = |s: f64, y: f64| {
+        let of = |square: f64| ((1.0 - square / 9.0).max(0.0) * 1.125).powi(3);
+        let (side, along) = (0.75f64.sqrt() * s, 0.5 * s - y);
+        2.0 * of(side * side + along * along) + of((s + y) * (s + y))
+    };
+    // the greatest density from the outside to the middle, across the way from one ball to the other
+    let highest = |s: f64| {
+        let coarse = (0..=1000)
+            .map(|k| 0.5 * s * f64::from(k) / 1000.0)
+            .max_by(|x, y| density(s, *x).total_cmp(&density(s, *y)));
+        let (mut low, mut high) = (coarse.unwrap() - 1e-3 * s, coarse.unwrap() + 1e-3 * s);
+        for _ in 0..200 {
+            let [one, other] = [low + (high - low) / 3.0, high - (high - low) / 3.0];
+            if density(s, one) < density(s, other) { low = one } else { high = other }
+        }
+        density(s, 0.5 * (low + high))
+    };
+    let s = root(1.0, 2.0, |s| highest(s) - 1.0);
+    let expected = (2.0 - s) / 0.4;
+    assert_eq!(events.len(), 3, "{events:?}");
+    assert!(events.iter().all(|event| (event.time - expected).abs() < 1e-10), "{events:?} {expected}");
+    assert!(highest(s) > density(s, 0.5 * s) + 1e-6, "the third ball is felt");
+}
+
+#[test]
+fn vertices_are_on_the_surface_and_move_with_it() {
+    let text = TWO.replace("[-4, 0.5, 0]", "[-2.6, 0.5, 0.1]");
+    let scene = scene(&text);
+    let mut balls = Metaballs::new(&scene, Options::default()).unwrap();
+    let (mut frame, mut before, mut after) = (Frame::default(), Frame::default(), Frame::default());
+    let mut seen = 0;
+    for _ in 0..6 {
+        balls.step();
+        balls.observe(Want::ALL, &mut frame);
+        let h = 1e-6;
+        balls.within(&Frame::default(), balls.time() - h, &[0, 1], &mut before);
+        balls.within(&Frame::default(), balls.time() + h, &[0, 1], &mut after);
+        let all: Vec<Ball> = frame.bodies.iter().map(|body| ball(body.centre, 1.0)).collect();
+        for (index, now) in frame.bodies.iter().enumerate().filter(|(_, now)| !now.is_at_rest) {
+            for i in 0..now.positions.len() {
+                let at = now.centre + now.positions.get(i);
+                let [own, other] = [index, 1 - index].map(|of| balls.kernel().of_one(&all[of], at));
+                let is_shared = (own - other).abs() < 1e-12 && own + other >= 1.0;
+                assert!((own + other - 1.0).abs() < 1e-12 || is_shared, "{own} {other}");
+                let [from, to] = [&before, &after].map(|frame| frame.bodies[index].displacements.get(i));
+                let rate = (to - from) / (2.0 * h);
+                // but for the vertex at which the surface meets the other share
+                if (own - other).abs() > 1e-3 || own + other > 1.001 {
+                    assert!(rate.distance(now.velocities.get(i)) < 1e-6, "{rate} {}", now.velocities.get(i));
+                    seen += 1;
+                }
+            }
+        }
+    }
+    assert!(seen > 1000, "{seen}");
+}
+
+#[test]
+fn groups_are_drawn_as_the_surface_that_they_are() {
+    let scene = scene(TWO);
+    let mut balls = Metaballs::new(&scene, Options::default()).unwrap();
+    let (schema, mut frame) = (balls.schema(), Frame::default());
+    let mut merger = Merger::new(&schema, None);
+    let mut pieces = Vec::new();
+    for _ in 0..scene.steps() {
+        balls.step();
+        balls.observe(Want::ALL, &mut frame);
+        let merged = merger.merge(&schema, &frame, &[[0, 1]]);
+        let measures = merged.pairs[0].unwrap();
+        let is_one = frame.scalars[1] == 1.0;
+        pieces.push(is_one);
+        // by q they are merged later, and part later
+        let is_group = is_one || frame.pairs.iter().any(|pair| pair.phase > 0);
+        assert_eq!(merged.groups.len(), usize::from(is_group), "{}", frame.at.time);
+        assert_eq!(merged.groups.first().map_or(2, |group| if is_group { group.components } else { 2 }) == 1, is_one);
+        assert_eq!(measures.gap > 0.0, !is_one);
+        assert_eq!(measures.neck > 0.0, is_one);
+    }
+    assert!(pieces.contains(&true) && !pieces[0] && pieces.last() == Some(&false));
+    assert!(balls.account().unwrap().contains("by q"), "{:?}", balls.account());
+}
+
+#[test]
+fn what_metaballs_cannot_do_is_refused_or_said() {
+    let refused = |text: &str| Metaballs::new(&scene(text), Options::default()).map(|_| ()).unwrap_err();
+    let free = refused(&TWO.replace("{ fixed = [0, 0, 0] }", "{ free = { from = [0, 0, 0] } }"));
+    assert!(free.contains("body \"a\"") && free.contains("motion") && free.contains("give it a path"), "{free}");
+    let narrow = refused(&TWO.replace("dt = 0.1", "dt = 0.1\n[influence]\nreach = 0.9"));
+    assert!(narrow.contains("influence.reach") && narrow.contains("above 1"), "{narrow}");
+    let push = "[[push]]\nbody = 'a'\ndirection = [1, 0, 0]\nstrength = 1\nstart = 0\nduration = 1\n";
+    let warned = Metaballs::new(&scene(&format!("{TWO}{push}")), Options::default()).unwrap().schema().warnings;
+    assert!(warned.iter().any(|warning| warning.contains("[[push]]")), "{warned:?}");
+}
