@@ -12,6 +12,9 @@
 //!
 //! Models import `sim`, `observe`, `scene`, `geometry` and `model`; nothing of these imports models.
 
+pub mod cells;
+pub mod fem;
+pub mod lattice;
 pub mod metaballs;
 
 use std::sync::Arc;

@@ -1,0 +1,87 @@
+//! The surface of a set of cells: closed and oriented, whatever cells there are.
+
+use std::collections::HashMap;
+
+use glam::DVec3;
+
+use super::root;
+
+/// The faces of a cell as corners, counter-clockwise seen from outside.
+const FACES: [[usize; 4]; 6] = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+
+/// The faces that belong to one cell alone.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct BoundaryMesh {
+    /// The node and a cell of each vertex: `(node, cell)`, `[vertex_count]`.
+    pub vertices: Vec<(u32, u32)>,
+    /// Vertex indices, counter-clockwise seen from outside.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// The boundary of cells, given by their corner nodes; of those for which `is_there` does not hold, nothing is left.
+///
+/// Two cells are joined if they share the four nodes of a face. A node at which cells meet that are not joined through
+/// faces around it has one vertex for each set of joined cells. So an edge has two triangles, or four where two cells that
+/// touch there alone are joined around both of its ends.
+pub fn boundary(corners: &[[u32; 8]], is_there: impl Fn(usize) -> bool) -> BoundaryMesh {
+    let present = || (0..corners.len()).filter(|&cell| is_there(cell));
+    let face_of = |cell: usize, face: usize| FACES[face].map(|corner| corners[cell][corner]);
+    let mut faces: HashMap<[u32; 4], (u32, u32)> = HashMap::new();
+    // cells around a node, joined through faces: a forest of the cells' corners
+    let mut parent: Vec<u32> = (0..8 * corners.len() as u32).collect();
+    for cell in present() {
+        for face in 0..6 {
+            let nodes = face_of(cell, face);
+            let mut key = nodes;
+            key.sort_unstable();
+            let Some((other, other_face)) = faces.remove(&key) else {
+                faces.insert(key, (cell as u32, face as u32));
+                continue;
+            };
+            for &corner in &FACES[face] {
+                let node = corners[cell][corner];
+                let its = FACES[other_face as usize];
+                let Some(&across) = its.iter().find(|&&other_corner| corners[other as usize][other_corner] == node)
+                else {
+                    continue;
+                };
+                let [a, b] = [8 * cell as u32 + corner as u32, 8 * other + across as u32];
+                let [a, b] = [root(&mut parent, a), root(&mut parent, b)];
+                parent[a.max(b) as usize] = a.min(b);
+            }
+        }
+    }
+    // joined cells share a face, so a face alone in the map is one of the boundary; in the order of cells
+    let mut mesh = BoundaryMesh::default();
+    let mut vertex_of: HashMap<u32, u32> = HashMap::new();
+    for cell in present() {
+        for face in 0..6 {
+            let mut key = face_of(cell, face);
+            key.sort_unstable();
+            if faces.get(&key) != Some(&(cell as u32, face as u32)) {
+                continue;
+            }
+            let quad = FACES[face].map(|corner| {
+                let set = root(&mut parent, 8 * cell as u32 + corner as u32);
+                *vertex_of.entry(set).or_insert_with(|| {
+                    mesh.vertices.push((corners[cell][corner], cell as u32));
+                    mesh.vertices.len() as u32 - 1
+                })
+            });
+            let [a, b, c, d] = quad;
+            mesh.triangles.extend([[a, b, c], [a, c, d]]);
+        }
+    }
+    mesh
+}
+
+impl BoundaryMesh {
+    /// The enclosed volume with the vertices at the given places.
+    pub fn volume(&self, place: impl Fn(usize) -> DVec3) -> f64 {
+        let of = |corners: &[u32; 3]| {
+            let [a, b, c] = corners.map(|i| place(i as usize));
+            a.cross(b).dot(c) / 6.0
+        };
+        self.triangles.iter().map(of).sum()
+    }
+}

@@ -1,0 +1,261 @@
+//! Bodies as cubes of a regular grid: the cells that cover a closed mesh, their corner nodes, and the mesh's vertices
+//! embedded in them. Lattices and finite elements share them.
+//!
+//! Lengths are in radii of the body: all bodies of a shape share one set of cells. The grid spans [−1, 1]³ about the
+//! centre of the body, with [`Cells::across`] cells along each axis. A cell belongs to the body if the surface passes
+//! through it or if its centre is inside: the cells cover the body, and stick out of it by less than a cell. Every cell has the same
+//! mass, an eighth of it at each corner (2.1.1: "each cell has a uniform mass"). Nodes and cells are in ascending order of
+//! z, y, x, so the result depends on the mesh alone.
+
+mod boundary;
+mod cover;
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use glam::DVec3;
+
+use crate::geometry::Mesh;
+
+pub use boundary::{BoundaryMesh, boundary};
+
+/// The cells along a body's diameter of scenes that do not say: a sphere of 266 vertices gets some 300 nodes.
+pub const ACROSS: u32 = 6;
+/// The most cells along a diameter.
+pub const MOST_ACROSS: u32 = 256;
+
+/// The offset of corner `i` of a cell: bit 0 is x, bit 1 is y, bit 2 is z.
+#[inline]
+pub fn corner(i: usize) -> DVec3 {
+    DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2 & 1) as f64)
+}
+
+/// Cells of a regular grid, their nodes, and points embedded in them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cells {
+    /// Number of cells along a diameter; a cell has sides of 2/across [radii].
+    pub across: u32,
+    /// Rest positions of the nodes [radii], `[node_count]`.
+    pub nodes: Vec<DVec3>,
+    /// The corner nodes of each cell, in the order of [`corner`], `[cell_count]`.
+    pub corners: Vec<[u32; 8]>,
+    /// Where each cell is in the grid, `[cell_count]`.
+    pub places: Vec<[u32; 3]>,
+    /// Where each vertex of the surface is, `[vertex_count]`.
+    pub embedded: Vec<Embedded>,
+}
+
+/// A point in a cell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Embedded {
+    /// Index of the cell.
+    pub cell: u32,
+    /// Trilinear weights of its corners [–]; their sum is 1.
+    pub weights: [f64; 8],
+}
+
+impl Embedded {
+    /// The point at `place` within a cell, from 0 to 1 along each axis; somewhat beyond that, it is extrapolated.
+    pub fn at(cell: u32, place: DVec3) -> Embedded {
+        let weights = std::array::from_fn(|i| {
+            let along = |axis: usize| if i >> axis & 1 == 1 { place[axis] } else { 1.0 - place[axis] };
+            along(0) * along(1) * along(2)
+        });
+        Embedded { cell, weights }
+    }
+
+    /// The weighted mean of a quantity of the cell's corners.
+    #[inline]
+    pub fn mean(&self, corners: &[u32; 8], of: &[DVec3]) -> DVec3 {
+        let mut sum = DVec3::ZERO;
+        for (&node, &weight) in corners.iter().zip(&self.weights) {
+            sum += of[node as usize] * weight;
+        }
+        sum
+    }
+}
+
+impl Cells {
+    /// The cells that cover a mesh of radius 1, `across` along its diameter. `None` if it was interrupted.
+    pub fn cover(mesh: &Mesh, across: u32, interrupt: Option<&AtomicBool>) -> Option<Cells> {
+        let inside = cover::cover(mesh, across, interrupt)?;
+        let n = across as usize;
+        let places = (0..n * n * n).filter(|&at| inside[at]);
+        let places = places.map(|at| [at % n, at / n % n, at / (n * n)].map(|i| i as u32)).collect();
+        let mut cells = Cells::of(across, places);
+        let mut index = vec![u32::MAX; n * n * n];
+        for (cell, &place) in (0..).zip(&cells.places) {
+            index[flat(place, n)] = cell;
+        }
+        cells.embedded.reserve_exact(mesh.vertex_count());
+        for position in mesh.positions().iter() {
+            if interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+                return None;
+            }
+            cells.embedded.push(embed(position, n, &index, &cells.places)?);
+        }
+        Some(cells)
+    }
+
+    /// A block of cells with a corner at the lowest corner of the grid: a bar, a chain.
+    pub fn block(across: u32, [x, y, z]: [u32; 3]) -> Cells {
+        let mut places = Vec::new();
+        for k in 0..z {
+            for j in 0..y {
+                places.extend((0..x).map(|i| [i, j, k]));
+            }
+        }
+        Cells::of(across, places)
+    }
+
+    /// The cells at the given places, in ascending order of z, y, x.
+    fn of(across: u32, places: Vec<[u32; 3]>) -> Cells {
+        // one sorted list of the corners, so that memory follows the cells and not the grid
+        let key = |place: [u32; 3], i: usize| {
+            let at = |axis: usize| u64::from(place[axis]) + (i >> axis & 1) as u64;
+            at(2) << 42 | at(1) << 21 | at(0)
+        };
+        let mut keys: Vec<u64> = places.iter().flat_map(|&place| (0..8).map(move |i| key(place, i))).collect();
+        keys.sort_unstable();
+        keys.dedup();
+        let h = 2.0 / f64::from(across);
+        let coordinate = |key: u64, axis: u32| (key >> (21 * axis) & 0x1f_ffff) as f64 * h - 1.0;
+        let nodes = keys.iter().map(|&key| DVec3::new(coordinate(key, 0), coordinate(key, 1), coordinate(key, 2)));
+        let nodes = nodes.collect();
+        let node = |place, i| keys.partition_point(|&other| other < key(place, i)) as u32;
+        let corners = places.iter().map(|&place| std::array::from_fn(|i| node(place, i))).collect();
+        Cells { across, nodes, corners, places, embedded: Vec::new() }
+    }
+
+    /// The side of a cell [radii].
+    pub fn size(&self) -> f64 {
+        2.0 / f64::from(self.across)
+    }
+
+    /// Number of nodes.
+    pub fn node_count(&self) -> usize {
+        self.nodes.len()
+    }
+
+    /// Number of cells.
+    pub fn cell_count(&self) -> usize {
+        self.corners.len()
+    }
+
+    /// Fraction of the body's mass at each node [–], `[node_count]`; the sum is 1.
+    pub fn shares(&self) -> Vec<f64> {
+        let mut shares = vec![0.0; self.nodes.len()];
+        let share = 0.125 / self.cell_count() as f64;
+        self.corners.iter().flatten().for_each(|&node| shares[node as usize] += share);
+        shares
+    }
+
+    /// The nodes that hold a body on a prescribed path: those within `radius` of its centre [radii], and of every
+    /// connected part that has none of these, the corners of the cell nearest the centre.
+    pub fn core(&self, radius: f64) -> Vec<bool> {
+        let mut held: Vec<bool> = self.nodes.iter().map(|node| node.length() <= radius).collect();
+        let part = self.parts();
+        let mut has_core = vec![false; part.iter().map(|&part| part as usize + 1).max().unwrap_or(0)];
+        let mut nearest = vec![(f64::INFINITY, 0); has_core.len()];
+        for (cell, corners) in self.corners.iter().enumerate() {
+            let part = part[cell] as usize;
+            has_core[part] |= corners.iter().any(|&node| held[node as usize]);
+            let centre: DVec3 = corners.iter().map(|&node| self.nodes[node as usize]).sum::<DVec3>() / 8.0;
+            let distance = centre.length();
+            if distance < nearest[part].0 {
+                nearest[part] = (distance, cell);
+            }
+        }
+        for (_, (_, cell)) in has_core.iter().zip(&nearest).filter(|(has_core, _)| !**has_core) {
+            self.corners[*cell].iter().for_each(|&node| held[node as usize] = true);
+        }
+        held
+    }
+
+    /// The part that each cell is in, `[cell_count]`: cells that share a node are connected.
+    fn parts(&self) -> Vec<u32> {
+        const NONE: u32 = u32::MAX;
+        let mut parent: Vec<u32> = (0..self.cell_count() as u32).collect();
+        let mut first = vec![NONE; self.nodes.len()];
+        for (cell, corners) in (0..).zip(&self.corners) {
+            for &node in corners {
+                let other = first[node as usize];
+                if other == NONE {
+                    first[node as usize] = cell;
+                } else {
+                    let [a, b] = [root(&mut parent, other), root(&mut parent, cell)];
+                    parent[a.max(b) as usize] = a.min(b);
+                }
+            }
+        }
+        let mut number = vec![NONE; parent.len()];
+        let mut count = 0;
+        (0..self.cell_count() as u32)
+            .map(|cell| {
+                let root = root(&mut parent, cell) as usize;
+                if number[root] == NONE {
+                    number[root] = count;
+                    count += 1;
+                }
+                number[root]
+            })
+            .collect()
+    }
+
+    /// Memory that covering a mesh of so many vertices can take [bytes]: the grid, every cell of it in the body.
+    pub fn most_memory(across: u32, vertices: u64) -> u64 {
+        const GRID_BYTES: u64 = 9; // whether it is inside, the winding number, the index
+        const CELL_BYTES: u64 = 8 * 8 + 32 + 12; // keys of the corners, corners, place
+        let across = u64::from(across);
+        let cells = across * across * across;
+        let nodes = (across + 1) * (across + 1) * (across + 1);
+        cells * (GRID_BYTES + CELL_BYTES) + nodes * size_of::<DVec3>() as u64 + vertices * size_of::<Embedded>() as u64
+    }
+}
+
+/// The representative of a set of a union-find forest; paths are halved on the way.
+fn root(parent: &mut [u32], mut i: u32) -> u32 {
+    while parent[i as usize] != i {
+        parent[i as usize] = parent[parent[i as usize] as usize];
+        i = parent[i as usize];
+    }
+    i
+}
+
+/// Where a cell is in an array of the whole grid.
+fn flat([x, y, z]: [u32; 3], n: usize) -> usize {
+    (z as usize * n + y as usize) * n + x as usize
+}
+
+/// Finds the cell of a point. On a face between two cells either of them will do; the one that is part of the body is
+/// taken. `None` if the body has no cell there, which no point of its surface is far enough from one for.
+fn embed(position: DVec3, n: usize, index: &[u32], places: &[[u32; 3]]) -> Option<Embedded> {
+    let scaled = (position + 1.0) * (0.5 * n as f64);
+    let mut best: Option<(f64, u32)> = None;
+    let clamp = |value: f64| value.clamp(0.0, n as f64 - 1.0) as i64;
+    let home = [scaled.x, scaled.y, scaled.z].map(|value| clamp(value.floor()));
+    for dz in -1..=1 {
+        for dy in -1..=1 {
+            for dx in -1..=1 {
+                let place = [home[0] + dx, home[1] + dy, home[2] + dz];
+                if place.iter().any(|&i| i < 0 || i >= n as i64) {
+                    continue;
+                }
+                let cell = index[flat(place.map(|i| i as u32), n)];
+                if cell == u32::MAX {
+                    continue;
+                }
+                let low = DVec3::new(place[0] as f64, place[1] as f64, place[2] as f64);
+                let outside = (low - scaled).max(scaled - low - 1.0).max(DVec3::ZERO).length_squared();
+                if best.is_none_or(|(least, _)| outside < least) {
+                    best = Some((outside, cell));
+                }
+            }
+        }
+    }
+    let (_, cell) = best?;
+    let low = DVec3::from_array(places[cell as usize].map(f64::from));
+    Some(Embedded::at(cell, scaled - low))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,251 @@
+//! Masses and springs on a lattice of cubes (2.1.1, Fig. 2.1), and both ways to tear it (2.2.2, Fig. 2.2).
+//!
+//! A cell has 28 springs: 12 along its edges, 12 along the diagonals of its faces, 4 along those of the cube. Springs on
+//! edges and faces are shared with the neighbouring cells; each cell contributes its share of their stiffness, so that a
+//! lattice is the same everywhere, its rim included:
+//!
+//! ```text
+//! k_edge : k_face : k_space = 2 : 1 : 3/8        a cell's share: 1/4, 1/2, 1
+//! ```
+//!
+//! These are the proportions of fourth-order isotropic lattices (the weights 16 : 4 : 1 of D3Q27, times the squared
+//! lengths 1 : 2 : 3): with k_face = k, C_11 = 9k/2h and C_12 = C_44 = 3k/2h, an isotropic solid with λ = μ. Its Poisson's
+//! ratio is 1/4, as of every lattice of central forces (Cauchy); Young's modulus is E = 15k/4h.
+//!
+//! # Constants from the scene
+//! The thesis says that springs describe no physical property (2.1.1). Here one is given: E is such that a bar as long as the
+//! body's radius, held at one end, has the scene's ω as its lowest frequency, ω = (π/2R) √(E/ρ), so
+//!
+//! ```text
+//! E = ρ c²,   c = 2ωR/π          k = 4Eh/15
+//! ```
+//!
+//! with ρ the mass over the volume of the cells. Every spring has a damper beside it, of γ = 2κ/ω² times its stiffness: a mode of
+//! frequency ω decays at the scene's rate κ, higher ones faster. Springs and dampers are internal: they change neither
+//! momentum nor angular momentum.
+//!
+//! # Step limit
+//! A step of velocity Verlet with its damping at a predicted velocity is stable for h < (2/ω_max)(√(1 + (γω_max)²) − γω_max): there its
+//! amplification reaches −1. No mode of a lattice is faster than that of a single free cell (Irons' bound), which is √(30 k/m) for
+//! a cell of mass m: ω_max ≤ √8 c/h. Stretched springs do not raise it by more than 9/5, the ratio to Gershgorin's bound, which
+//! holds for any deformation under tension.
+
+mod step;
+mod tear;
+
+use glam::DVec3;
+
+use super::cells::Cells;
+
+pub use step::{Motion, Outside, Scheme};
+pub use tear::{Tear, TearMode};
+
+/// Stiffness of a cell's share of a spring along an edge, over k: a quarter of 2; along a diagonal of a face: half of 1;
+/// along one of the cube: 3/8.
+const SHARES: [f64; 3] = [0.5, 0.5, 0.375];
+/// The highest squared frequency of a free cell, times its mass over k.
+const CELL_MODE: f64 = 30.0;
+
+/// The elastic constants of a body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Constants {
+    /// Young's modulus E [mass/(scene unit · s²)].
+    pub young: f64,
+    /// Damping over stiffness, γ [s].
+    pub damping: f64,
+}
+
+impl Constants {
+    /// Those of a body of the given radius [scene unit] and density [mass/scene unit³], for the scene's ω [rad/s], > 0, and
+    /// κ [1/s].
+    pub fn of(omega: f64, damping: f64, radius: f64, density: f64) -> Constants {
+        let speed = omega * radius / std::f64::consts::FRAC_PI_2;
+        Constants { young: density * speed * speed, damping: 2.0 * damping / (omega * omega) }
+    }
+}
+
+/// A spring with a damper.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spring {
+    /// Index of one node …
+    pub a: u32,
+    /// … and of the other.
+    pub b: u32,
+    /// Length at rest [scene unit].
+    pub rest: f64,
+    /// Stiffness [mass/s²].
+    pub stiffness: f64,
+}
+
+/// Masses and springs. Positions and velocities of its nodes are kept by who steps it.
+#[derive(Clone, Debug)]
+pub struct Lattice {
+    /// The corner nodes of each cell, `[cell_count]`.
+    pub corners: Vec<[u32; 8]>,
+    /// Whether each cell is whole, `[cell_count]`.
+    pub is_whole: Vec<bool>,
+    /// Rest positions of the nodes [scene unit], `[node_count]`.
+    pub rest: Vec<DVec3>,
+    /// Mass of each node, `[node_count]`.
+    pub masses: Vec<f64>,
+    /// Whether each node is held in place, `[node_count]`.
+    pub held: Vec<bool>,
+    /// Side of a cell [scene unit].
+    pub size: f64,
+    /// The springs, in ascending order of their nodes.
+    pub springs: Vec<Spring>,
+    /// Stiffness k of a spring along a diagonal of a face between two cells [mass/s²].
+    pub stiffness: f64,
+    /// Damping over stiffness, γ [s].
+    pub damping: f64,
+    /// Mass of a cell.
+    pub cell_mass: f64,
+    keys: Vec<(u64, u32)>,
+}
+
+impl Lattice {
+    /// The lattice on `cells` at the scale of a body of the given radius [scene unit] and mass.
+    pub fn new(cells: &Cells, radius: f64, mass: f64, held: Vec<bool>, of: impl Fn(f64) -> Constants) -> Lattice {
+        let size = cells.size() * radius;
+        let cell_mass = mass / cells.cell_count() as f64;
+        let Constants { young, damping } = of(cell_mass / (size * size * size));
+        let mut lattice = Lattice {
+            corners: cells.corners.clone(),
+            is_whole: vec![true; cells.cell_count()],
+            rest: cells.nodes.iter().map(|&node| node * radius).collect(),
+            masses: cells.shares().into_iter().map(|share| share * mass).collect(),
+            held,
+            size,
+            springs: Vec::new(),
+            stiffness: 4.0 * young * size / 15.0,
+            damping,
+            cell_mass,
+            keys: Vec::new(),
+        };
+        lattice.tie();
+        lattice
+    }
+
+    /// Number of nodes.
+    pub fn node_count(&self) -> usize {
+        self.rest.len()
+    }
+
+    /// Young's modulus [mass/(scene unit · s²)].
+    pub fn young(&self) -> f64 {
+        3.75 * self.stiffness / self.size
+    }
+
+    /// Ties the springs of all whole cells anew.
+    fn tie(&mut self) {
+        let Lattice { corners, is_whole, keys, springs, rest, .. } = self;
+        keys.clear();
+        for (corners, _) in corners.iter().zip(is_whole.iter()).filter(|(_, is_whole)| **is_whole) {
+            for i in 0..8usize {
+                for j in 0..i {
+                    let (a, b) = (corners[i].min(corners[j]), corners[i].max(corners[j]));
+                    keys.push((u64::from(a) << 32 | u64::from(b), (i ^ j).count_ones() - 1));
+                }
+            }
+        }
+        keys.sort_unstable();
+        springs.clear();
+        for same in keys.chunk_by(|x, y| x.0 == y.0) {
+            let (key, kind) = same[0];
+            let (a, b) = ((key >> 32) as u32, key as u32);
+            let stiffness = SHARES[kind as usize] * self.stiffness * same.len() as f64;
+            // the length that the force computes at rest, to the bit: there it is exactly zero
+            springs.push(Spring { a, b, rest: (rest[b as usize] - rest[a as usize]).length(), stiffness });
+        }
+    }
+
+    /// The highest frequency of the lattice at rest, at the most [rad/s].
+    pub fn highest_frequency(&self) -> f64 {
+        (CELL_MODE * self.stiffness / self.cell_mass).sqrt()
+    }
+
+    /// The longest stable step [s], with forces from outside whose derivative is at most `outside` [1/s²].
+    pub fn step_limit(&self, outside: f64) -> f64 {
+        let square = CELL_MODE * self.stiffness / self.cell_mass;
+        let fastest = (square + outside).sqrt();
+        let ratio = self.damping * square / fastest;
+        // (√(1 + z²) − z) without cancellation
+        2.0 / (fastest * ((1.0 + ratio * ratio).sqrt() + ratio))
+    }
+
+    /// Adds the accelerations by springs and dampers to `accelerations` [scene unit/s²] and returns the largest length of
+    /// a spring over its rest length [–].
+    pub fn accelerate(
+        &self,
+        positions: &[DVec3],
+        velocities: &[DVec3],
+        accelerations: &mut [DVec3],
+        inverse: &[f64],
+    ) -> f64 {
+        let mut largest: f64 = 0.0;
+        for &Spring { a, b, rest, stiffness } in &self.springs {
+            let (a, b) = (a as usize, b as usize);
+            let along = positions[b] - positions[a];
+            let moving = velocities[b] - velocities[a];
+            let square = along.length_squared();
+            if square == 0.0 {
+                continue; // a spring of no length has no direction
+            }
+            let length = square.sqrt();
+            let per_length = 1.0 / length;
+            // k (d − L) + γk d′, along the spring
+            let tension = stiffness * ((length - rest) + self.damping * (along.dot(moving) * per_length));
+            let force = along * (tension * per_length);
+            accelerations[a] += force * inverse[a];
+            accelerations[b] -= force * inverse[b];
+            largest = largest.max(length / rest);
+        }
+        largest
+    }
+
+    /// Forces of the springs on the nodes, and those of the dampers [mass · scene unit/s²], into `forces` and `drags`.
+    pub fn forces(&self, positions: &[DVec3], velocities: &[DVec3], forces: &mut Vec<DVec3>, drags: &mut Vec<DVec3>) {
+        for sums in [&mut *forces, &mut *drags] {
+            sums.clear();
+            sums.resize(self.node_count(), DVec3::ZERO);
+        }
+        for &Spring { a, b, rest, stiffness } in &self.springs {
+            let (a, b) = (a as usize, b as usize);
+            let along = positions[b] - positions[a];
+            let length = along.length();
+            let direction = if length > 0.0 { along / length } else { DVec3::ZERO };
+            let force = direction * (stiffness * (length - rest));
+            let drag = direction * (stiffness * self.damping * direction.dot(velocities[b] - velocities[a]));
+            forces[a] += force;
+            forces[b] -= force;
+            drags[a] += drag;
+            drags[b] -= drag;
+        }
+    }
+
+    /// The elastic energy [mass · scene unit²/s²].
+    pub fn energy(&self, positions: &[DVec3]) -> f64 {
+        let of = |spring: &Spring| {
+            let stretch = positions[spring.b as usize].distance(positions[spring.a as usize]) - spring.rest;
+            0.5 * spring.stiffness * stretch * stretch
+        };
+        self.springs.iter().map(of).sum()
+    }
+
+    /// The share of the volume that tearing has taken away [–].
+    pub fn lost(&self) -> f64 {
+        self.is_whole.iter().filter(|is_whole| !**is_whole).count() as f64 / self.is_whole.len() as f64
+    }
+
+    /// Memory that a lattice on so many cells along a diameter can take, cells apart, each with nodes of its own
+    /// [bytes].
+    pub fn most_memory(across: u32) -> u64 {
+        const NODE_BYTES: u64 = 24 * 8;
+        const SPRING_BYTES: u64 = 24 + 28 * 16 / 13;
+        let (cells, nodes) = (u64::from(across).pow(3), (u64::from(across) + 1).pow(3));
+        cells * (33 + 13 * SPRING_BYTES) + nodes * NODE_BYTES
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,129 @@
+//! Explicit steps of a lattice.
+
+use glam::DVec3;
+
+use super::Lattice;
+
+/// The motion of the nodes.
+#[derive(Clone, Debug, Default)]
+pub struct Motion {
+    /// Positions [scene unit], `[node_count]`.
+    pub positions: Vec<DVec3>,
+    /// Velocities [scene unit/s], `[node_count]`.
+    pub velocities: Vec<DVec3>,
+    /// Accelerations at the end of the last step [scene unit/s²], `[node_count]`; empty if they are unknown, as after a
+    /// jump of the forces.
+    pub accelerations: Vec<DVec3>,
+    /// Over the masses of the nodes, 0 for those that are held, `[node_count]`.
+    pub inverse: Vec<f64>,
+    /// Velocities by which dampers are evaluated; reused.
+    predicted: Vec<DVec3>,
+}
+
+/// How a step is taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scheme {
+    /// Velocity Verlet: second order. Damping is evaluated at the velocity u + h a, as by Groot and Warren (Dissipative particle
+    /// dynamics, 1997).
+    Verlet,
+    /// Semi-implicit Euler: first order.
+    Euler,
+}
+
+impl Motion {
+    /// A lattice at rest.
+    pub fn at_rest(lattice: &Lattice) -> Motion {
+        let mut motion = Motion {
+            positions: lattice.rest.clone(),
+            velocities: vec![DVec3::ZERO; lattice.node_count()],
+            ..Motion::default()
+        };
+        motion.weigh(lattice);
+        motion
+    }
+
+    /// Takes the masses of the nodes as they are now, after some were added as copies of `originals`.
+    pub fn split(&mut self, lattice: &Lattice, originals: &[u32]) {
+        for &original in originals {
+            self.positions.push(self.positions[original as usize]);
+            self.velocities.push(self.velocities[original as usize]);
+        }
+        self.weigh(lattice);
+    }
+
+    fn weigh(&mut self, lattice: &Lattice) {
+        let masses = lattice.masses.iter().zip(&lattice.held);
+        self.inverse.clear();
+        self.inverse.extend(masses.map(|(&mass, &held)| if held || !(mass > 0.0) { 0.0 } else { 1.0 / mass }));
+        self.accelerations.clear();
+    }
+
+    /// Σ m u [mass · scene unit/s].
+    pub fn momentum(&self, masses: &[f64]) -> DVec3 {
+        self.velocities.iter().zip(masses).map(|(u, m)| *u * *m).sum()
+    }
+
+    /// Σ ½ m u² [mass · scene unit²/s²].
+    pub fn kinetic_energy(&self, masses: &[f64]) -> f64 {
+        self.velocities.iter().zip(masses).map(|(u, m)| 0.5 * m * u.length_squared()).sum()
+    }
+}
+
+/// Accelerations from outside, given the time within the steps [s], positions and velocities; they are to be written to
+/// the last.
+pub trait Outside: FnMut(f64, &[DVec3], &[DVec3], &mut [DVec3]) {}
+impl<F: FnMut(f64, &[DVec3], &[DVec3], &mut [DVec3])> Outside for F {}
+
+impl Lattice {
+    /// Takes `count` steps of `h` [s] and returns the largest length of a spring over its rest length seen [–].
+    pub fn advance(&self, motion: &mut Motion, scheme: Scheme, h: f64, count: u64, mut outside: impl Outside) -> f64 {
+        let mut largest: f64 = 0.0;
+        let n = self.node_count();
+        let mut evaluate =
+            |t: f64, positions: &[DVec3], velocities: &[DVec3], into: &mut Vec<DVec3>, inverse: &[f64]| {
+                into.clear();
+                into.resize(n, DVec3::ZERO);
+                outside(t, positions, velocities, into);
+                largest = largest.max(self.accelerate(positions, velocities, into, inverse));
+                for (acceleration, _) in into.iter_mut().zip(inverse).filter(|(_, inverse)| **inverse == 0.0) {
+                    *acceleration = DVec3::ZERO;
+                }
+            };
+        let Motion { positions, velocities, accelerations, inverse, predicted } = motion;
+        match scheme {
+            Scheme::Verlet => {
+                if accelerations.len() != n {
+                    evaluate(0.0, positions, velocities, accelerations, inverse);
+                }
+                for step in 0..count {
+                    predicted.clear();
+                    for ((position, velocity), acceleration) in
+                        positions.iter_mut().zip(velocities.iter_mut()).zip(accelerations.iter())
+                    {
+                        let kick = *acceleration * (0.5 * h);
+                        *velocity += kick;
+                        *position += *velocity * h;
+                        predicted.push(*velocity + kick);
+                    }
+                    evaluate((step + 1) as f64 * h, positions, predicted, accelerations, inverse);
+                    for (velocity, acceleration) in velocities.iter_mut().zip(accelerations.iter()) {
+                        *velocity += *acceleration * (0.5 * h);
+                    }
+                }
+            }
+            Scheme::Euler => {
+                for step in 0..count {
+                    evaluate(step as f64 * h, positions, velocities, accelerations, inverse);
+                    for ((position, velocity), acceleration) in
+                        positions.iter_mut().zip(velocities.iter_mut()).zip(accelerations.iter())
+                    {
+                        *velocity += *acceleration * h;
+                        *position += *velocity * h;
+                    }
+                }
+                accelerations.clear();
+            }
+        }
+        largest
+    }
+}

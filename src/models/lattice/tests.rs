@@ -1,0 +1,258 @@
+use std::f64::consts::FRAC_PI_2;
+
+use super::*;
+use crate::models::cells::boundary;
+
+/// Nothing acts from outside.
+fn nothing(_: f64, _: &[DVec3], _: &[DVec3], _: &mut [DVec3]) {}
+
+/// A bar of `cells` along z in a grid of `across` along [−1, 1], of density 1, ω = 1 for a bar of length 1, hung up at its lowest
+/// nodes or free.
+fn bar(across: u32, cells: [u32; 3], damping: f64, is_held: bool) -> Lattice {
+    let cells = Cells::block(across, cells);
+    let held = cells.nodes.iter().map(|node| is_held && node.z == -1.0).collect();
+    let mass = cells.cell_count() as f64 * cells.size().powi(3);
+    Lattice::new(&cells, 1.0, mass, held, |density| Constants::of(1.0, damping, 1.0, density))
+}
+
+/// Some numbers in [−1, 1], the same in every run.
+fn noise(seed: u64) -> impl FnMut() -> f64 {
+    let mut state = seed;
+    move || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as f64 / f64::from(1u32 << 30) - 1.0
+    }
+}
+
+fn shaken(lattice: &Lattice, by: f64) -> Motion {
+    let (mut motion, mut next) = (Motion::at_rest(lattice), noise(7));
+    for (position, velocity) in motion.positions.iter_mut().zip(&mut motion.velocities) {
+        *position += DVec3::new(next(), next(), next()) * by;
+        *velocity += DVec3::new(next(), next(), next()) * by;
+    }
+    motion
+}
+
+#[test]
+fn a_cell_has_28_springs_and_shares_those_on_its_faces() {
+    assert_eq!(bar(4, [1, 1, 1], 0.0, false).springs.len(), 28);
+    assert_eq!(bar(4, [1, 1, 2], 0.0, false).springs.len(), 2 * 28 - 6);
+    let lattice = bar(4, [3, 3, 3], 0.0, false);
+    let of = |length: f64| {
+        let like = |spring: &&Spring| (spring.rest / lattice.size - length).abs() < 1e-9;
+        lattice.springs.iter().filter(like).map(|spring| spring.stiffness).fold(0.0, f64::max) / lattice.stiffness
+    };
+    let [edge, face, space] = [1.0, 2f64.sqrt(), 3f64.sqrt()].map(of);
+    assert!((edge - 2.0).abs() < 1e-14 && (face - 1.0).abs() < 1e-14 && (space - 0.375).abs() < 1e-14);
+    assert!(shaken(&lattice, 0.0).positions == lattice.rest);
+    let mut forces = vec![DVec3::ZERO; lattice.node_count()];
+    let still = vec![DVec3::ZERO; lattice.node_count()];
+    lattice.accelerate(&lattice.rest, &still, &mut forces, &vec![1.0; lattice.node_count()]);
+    assert_eq!(forces, still, "a lattice at rest is exactly at rest");
+}
+
+/// Any affine strain has the energy of the isotropic solid with λ = μ, E = 5μ/2, whatever its direction.
+#[test]
+fn a_lattice_is_an_isotropic_solid() {
+    let lattice = bar(8, [2, 3, 4], 0.0, false);
+    let (mut next, volume) = (noise(3), 24.0 * lattice.size.powi(3));
+    for _ in 0..20 {
+        let a = [(); 6].map(|()| 1e-6 * next());
+        let strain = glam::DMat3::from_cols(
+            DVec3::new(a[0], a[3], a[4]),
+            DVec3::new(a[3], a[1], a[5]),
+            DVec3::new(a[4], a[5], a[2]),
+        );
+        let positions: Vec<_> = lattice.rest.iter().map(|&l| l + strain * l).collect();
+        let mu = 0.4 * lattice.young();
+        let trace = a[0] + a[1] + a[2];
+        let square: f64 = (0..3).map(|i| strain.col(i).length_squared()).sum();
+        let expected = volume * (0.5 * mu * trace * trace + mu * square);
+        let found = lattice.energy(&positions);
+        assert!((found / expected - 1.0).abs() < 1e-5, "{found} {expected}");
+    }
+}
+
+/// Springs and dampers are internal; without dampers, energy is kept to the order of the scheme.
+#[test]
+fn momentum_and_energy_are_kept() {
+    let free = bar(8, [2, 2, 3], 0.4, false);
+    let mut motion = shaken(&free, 0.02);
+    let turning = |motion: &Motion| -> DVec3 {
+        let of = motion.positions.iter().zip(&motion.velocities).zip(&free.masses);
+        of.map(|((r, u), m)| r.cross(*u) * *m).sum()
+    };
+    let (momentum, moment) = (motion.momentum(&free.masses), turning(&motion));
+    free.advance(&mut motion, Scheme::Verlet, 0.2 * free.step_limit(0.0), 500, nothing);
+    assert!(motion.momentum(&free.masses).distance(momentum) < 1e-15);
+    assert!(turning(&motion).distance(moment) < 1e-6, "dampers act along springs, but at a predicted velocity");
+
+    let free = bar(8, [2, 2, 3], 0.0, false);
+    let drift = |per_limit: f64, count: u64| {
+        let mut motion = shaken(&free, 0.02);
+        let energy = |motion: &Motion| free.energy(&motion.positions) + motion.kinetic_energy(&free.masses);
+        let first = energy(&motion);
+        let mut worst: f64 = 0.0;
+        for _ in 0..count {
+            free.advance(&mut motion, Scheme::Verlet, per_limit * free.step_limit(0.0), 1, nothing);
+            worst = worst.max((energy(&motion) / first - 1.0).abs());
+        }
+        worst
+    };
+    let [coarse, fine] = [drift(0.2, 400), drift(0.1, 800)];
+    assert!(coarse < 0.02 && (3.0..5.5).contains(&(coarse / fine)), "{coarse} {fine}: second order");
+}
+
+/// The limit is that of a single free cell exactly, with dampers and without.
+#[test]
+fn steps_are_stable_up_to_the_limit() {
+    let grows = |lattice: &Lattice, per_limit: f64| {
+        let mut motion = shaken(lattice, 1e-9);
+        lattice.advance(&mut motion, Scheme::Verlet, per_limit * lattice.step_limit(0.0), 3000, nothing);
+        let mean = motion.momentum(&lattice.masses) / lattice.masses.iter().sum::<f64>();
+        !motion.velocities.iter().all(|u| u.distance(mean) < 1e-7)
+    };
+    for damping in [0.0, 0.01, 0.1, 0.5, 5.0] {
+        let cell = bar(4, [1, 1, 1], damping, false);
+        assert!(!grows(&cell, 0.99) && grows(&cell, 1.01), "κ = {damping}");
+        let lattice = bar(12, [3, 4, 5], damping, true);
+        assert!(!grows(&lattice, 0.99), "κ = {damping}");
+    }
+}
+
+/// A bar held at one end swings along itself at ω = (π/2L) √(E/ρ), ever more so as cells shrink: at its side they are what keeps
+/// it from being a line.
+#[test]
+fn a_bar_has_the_frequency_of_its_closed_form() {
+    let error = |across: u32| {
+        let lattice = bar(across, [1, 1, across / 2], 0.0, true); // of length 1
+        let mut motion = Motion::at_rest(&lattice);
+        let shape = |rest: &DVec3| (FRAC_PI_2 * (rest.z + 1.0)).sin();
+        for (position, rest) in motion.positions.iter_mut().zip(&lattice.rest) {
+            let z = rest.z + 1.0;
+            let slope = 1e-6 * FRAC_PI_2 * (FRAC_PI_2 * z).cos();
+            let middle = DVec3::new(-1.0 + 0.5 * lattice.size, -1.0 + 0.5 * lattice.size, 0.0);
+            // with the contraction of its sides
+            let side = if z > 0.0 { (*rest - middle) * DVec3::new(1.0, 1.0, 0.0) } else { DVec3::ZERO };
+            *position += DVec3::Z * (1e-6 * shape(rest)) - 0.25 * slope * side;
+        }
+        let amplitude = |motion: &Motion| -> f64 {
+            let of = motion.positions.iter().zip(&lattice.rest).zip(&lattice.masses);
+            of.map(|((r, l), m)| m * (r.z - l.z) * shape(l)).sum()
+        };
+        // ω is 1: half a period later
+        let h = 1e-3 * FRAC_PI_2;
+        let (mut before, mut crossed) = (amplitude(&motion), Vec::new());
+        let mut step = 0;
+        while crossed.len() < 2 {
+            lattice.advance(&mut motion, Scheme::Verlet, h, 1, nothing);
+            step += 1;
+            let now = amplitude(&motion);
+            if before * now < 0.0 {
+                crossed.push(h * (f64::from(step) - now / (now - before)));
+            }
+            before = now;
+        }
+        std::f64::consts::PI / (crossed[1] - crossed[0]) - 1.0
+    };
+    let [coarse, middle, fine] = [8, 16, 32].map(error);
+    assert!(coarse.abs() > 1.5 * middle.abs() && middle.abs() > 1.5 * fine.abs(), "{coarse:e} {middle:e} {fine:e}");
+    assert!(fine.abs() < 5e-3, "{fine:e}");
+}
+
+/// A chain of cells hangs from its lowest nodes, weight away from them: each section carries what hangs below it, exactly, and the
+/// chain is longer by ρgL²/2E, up to what holding its end does.
+#[test]
+fn a_hanging_chain_is_in_balance() {
+    let weight = 1e-4;
+    let lengthening = |across: u32| {
+        let lattice = bar(across, [1, 1, across / 2], 1.2, true);
+        let mut motion = Motion::at_rest(&lattice);
+        let fall = |_: f64, _: &[DVec3], _: &[DVec3], a: &mut [DVec3]| a.iter_mut().for_each(|a| a.z += weight);
+        let h = 0.5 * lattice.step_limit(0.0);
+        lattice.advance(&mut motion, Scheme::Verlet, h, (60.0 / h) as u64, fall);
+        let (mut forces, mut drags) = (Vec::new(), Vec::new());
+        lattice.forces(&motion.positions, &motion.velocities, &mut forces, &mut drags);
+        for section in 1..=across / 2 {
+            let height = f64::from(section) * lattice.size - 1.0 - 0.5 * lattice.size;
+            // springs across the section, by all forces on what is below it
+            let below = (0..lattice.node_count()).filter(|&i| lattice.rest[i].z > height);
+            let (pull, mass) = below.fold((0.0, 0.0), |(f, m), i| (f + forces[i].z, m + lattice.masses[i]));
+            assert!((pull / (mass * weight) + 1.0).abs() < 1e-6, "{section}: {pull} {mass}");
+        }
+        let end = (0..lattice.node_count()).filter(|&i| lattice.rest[i].z > -1e-9);
+        let mean: f64 = end.map(|i| 0.25 * (motion.positions[i].z - lattice.rest[i].z)).sum();
+        mean / (0.5 * weight / lattice.young()) - 1.0
+    };
+    let [coarse, fine] = [8, 16].map(lengthening);
+    assert!(coarse.abs() < 0.1 && fine.abs() < 0.6 * coarse.abs(), "{coarse} {fine}");
+}
+
+/// Pulls a bar of so many cells of 1/4 apart, from its middle.
+fn pull(layers: u32) -> impl Fn(f64, &[DVec3], &[DVec3], &mut [DVec3]) + Copy {
+    let middle = 0.125 * f64::from(layers) - 1.0;
+    move |_, positions, _, accelerations| {
+        for (acceleration, position) in accelerations.iter_mut().zip(positions) {
+            acceleration.z += 3.0 * (position.z - middle);
+        }
+    }
+}
+
+/// Fig. 2.2: a bar that is pulled apart at its ends tears in the middle, where the pull is strongest.
+fn pulled(tear: TearMode, layers: u32) -> (Lattice, Motion, usize) {
+    let mut lattice = bar(8, [2, 2, layers], 0.3, false);
+    let mut motion = Motion::at_rest(&lattice);
+    let h = 0.4 * lattice.step_limit(0.0);
+    for step in 0..2000 {
+        lattice.advance(&mut motion, Scheme::Verlet, h, 1, pull(layers));
+        let torn = match tear {
+            TearMode::None => 0,
+            TearMode::Cut => lattice.cut(&motion.positions, 0.3),
+            TearMode::Split => {
+                let momentum = motion.momentum(&lattice.masses);
+                let originals = lattice.split(&motion.positions, 0.3);
+                motion.split(&lattice, &originals);
+                assert!(motion.momentum(&lattice.masses).distance(momentum) < 1e-15);
+                originals.len()
+            }
+        };
+        if torn > 0 {
+            if tear == TearMode::Cut {
+                motion.accelerations.clear();
+            }
+            return (lattice, motion, step);
+        }
+    }
+    (lattice, motion, usize::MAX)
+}
+
+#[test]
+fn both_ways_to_tear_part_a_bar_in_its_middle() {
+    let (cut, _, _) = pulled(TearMode::Cut, 5);
+    // of five layers of cells the middle one is lost
+    assert!((cut.lost() - 0.2).abs() < 1e-12, "{}", cut.lost());
+    assert!((0..20).all(|cell| cut.is_whole[cell] == !(8..12).contains(&cell)));
+    // of four layers it is the nodes between the middle two that are split
+    let (mut split, mut motion, _) = pulled(TearMode::Split, 4);
+    assert_eq!(split.lost(), 0.0);
+    assert!((split.masses.iter().sum::<f64>() - 16.0 * split.cell_mass).abs() < 1e-15);
+    assert!(split.masses.iter().all(|&mass| mass > 0.0));
+    // it goes on tearing until it is in two
+    let parts = |lattice: &Lattice| {
+        let surface = boundary(&lattice.corners, |cell| lattice.is_whole[cell]);
+        let edges = surface.triangles.len() as i64 * 3 / 2;
+        (surface.vertices.len() as i64 - edges + surface.triangles.len() as i64) / 2
+    };
+    let h = 0.4 * split.step_limit(0.0);
+    for _ in 0..2000 {
+        split.advance(&mut motion, Scheme::Verlet, h, 1, pull(4));
+        let originals = split.split(&motion.positions, 0.3);
+        motion.split(&split, &originals);
+        if parts(&split) > 1 {
+            break;
+        }
+    }
+    assert_eq!((parts(&split), parts(&cut)), (2, 2));
+    let (whole, _, never) = pulled(TearMode::None, 5);
+    assert_eq!((parts(&whole), never), (1, usize::MAX));
+}
