@@ -4,8 +4,8 @@
 //! | --- | --- | --- |
 //! | `oscillators` | vertices that are damped oscillators about their rest positions (the thesis's own, chapter 3) | [`crate::sim`] |
 //! | `metaballs` | a density about its centre, and a level of it as surface (2.2.3) | [`metaballs`] |
-//! | `lattice` | cubes of masses and springs (2.1.1, 2.2.2) | here |
-//! | `fem` | linear finite elements (2.1.2); feature `fem` | here |
+//! | `lattice` | cubes of masses and springs (2.1.1, 2.2.2) | [`lattice`], [`elastic`] |
+//! | `fem` | linear finite elements (2.1.2) | [`fem`], [`elastic`] |
 //!
 //! Each is a [`Simulation`] of the same [`Scene`], so that all instruments show them alike. What a model has no use for in a
 //! scene, it says in [`Schema::warnings`]; what it cannot do without being wrong, it refuses as [`Unsupported`].
@@ -13,6 +13,7 @@
 //! Models import `sim`, `observe`, `scene`, `geometry` and `model`; nothing of these imports models.
 
 pub mod cells;
+pub mod elastic;
 pub mod fem;
 pub mod lattice;
 pub mod metaballs;
@@ -60,9 +61,7 @@ impl Experiment for SceneRun {
         match self.scene.model {
             Model::Oscillators => simulation::schema(&self.scene, self.options),
             Model::Metaballs => metaballs::schema(&self.scene, self.options),
-            model @ (Model::Lattice | Model::Fem) => {
-                Schema { model: model.name().to_owned(), ..simulation::schema(&self.scene, self.options) }
-            }
+            Model::Lattice | Model::Fem => elastic::schema(&self.scene, self.options),
         }
     }
 
@@ -74,7 +73,7 @@ impl Experiment for SceneRun {
                 Err(error) => Err(error.to_string()),
             },
             Model::Metaballs => Ok(Box::new(Metaballs::new(scene, *options)?)),
-            Model::Lattice | Model::Fem => Err(missing(scene).to_string()),
+            Model::Lattice | Model::Fem => Ok(Box::new(elastic::Elastic::new(scene.clone(), *options)?)),
         }
     }
 
@@ -145,16 +144,5 @@ pub fn need_oscillators(scene: &Scene, what: &str) -> Result<(), Unsupported> {
             what: format!("{what} measures the oscillators only"),
             remedy: "remove the key model".to_owned(),
         }),
-    }
-}
-
-/// The refusal of a model that is not there.
-fn missing(scene: &Scene) -> Unsupported {
-    Unsupported {
-        scene: scene.name.clone(),
-        model: scene.model,
-        body: None,
-        what: "this program does not have that model yet".to_owned(),
-        remedy: "choose model = \"oscillators\"".to_owned(),
     }
 }

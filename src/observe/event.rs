@@ -1,5 +1,9 @@
 //! Points in time of a run, and what happens at them.
 
+use glam::DVec3;
+
+use super::schema::Schema;
+
 /// A point in time of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Instant {
@@ -33,4 +37,28 @@ pub struct PairEvent {
     /// Energy that the event brought to free bodies, negative if it took some [mass · scene unit²/s²]; `None` where
     /// there are none.
     pub energy: Option<f64>,
+}
+
+/// Something that happened to a single body at a place of it: where it tore, say.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BodyEvent {
+    /// What happened.
+    pub name: &'static str,
+    /// When [s].
+    pub time: f64,
+    /// The first step whose state is affected.
+    pub step: u64,
+    /// Index of the body.
+    pub body: usize,
+    /// Where [scene unit].
+    pub place: DVec3,
+}
+
+impl BodyEvent {
+    /// Describes it in words.
+    pub fn describe(&self, schema: &Schema) -> String {
+        let BodyEvent { name, time, step, body, place: DVec3 { x, y, z } } = *self;
+        let body = &schema.bodies[body].name;
+        format!("{name} {body} at ({x:.4}, {y:.4}, {z:.4}), t = {time:.6} s, step {step}")
+    }
 }

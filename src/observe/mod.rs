@@ -29,7 +29,7 @@ pub mod touch;
 pub mod worst;
 
 pub use approach::{Approach, Approaches};
-pub use event::{Instant, PairEvent};
+pub use event::{BodyEvent, Instant, PairEvent};
 pub use frame::{BodyFrame, Frame, PairFrame, Want, WholeFrame};
 pub use schema::Schema;
 pub use simulation::{Experiment, Refusal, Shortfall, Simulation, StageFrame, StepFailure, StepSummary, between};

@@ -9,7 +9,7 @@ use std::{
 use glam::DVec3;
 
 use super::{
-    event::{Instant, PairEvent},
+    event::{BodyEvent, Instant, PairEvent},
     frame::{BodyFrame, Frame, Want},
     schema::Schema,
     touch::SurfaceEvent,
@@ -82,6 +82,11 @@ pub trait Simulation {
     /// [`within`](Simulation::within) returns, see [`super::touch`].
     fn contacts(&self) -> Option<&[SurfaceEvent]> {
         None
+    }
+
+    /// What happened to single bodies in the last step, in order of time.
+    fn body_events(&self) -> &[BodyEvent] {
+        &[]
     }
 
     /// Spheres (centre and radius) that a camera should have in view: everything visible in the course of the run, or

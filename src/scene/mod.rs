@@ -32,6 +32,17 @@
 //! core_width = 0.0              # in q: the strength changes gradually about core_at [0 = it jumps]
 //! apart = "repel"               # repel | none [repel]
 //!
+//! [lattice]                     # of model = "lattice"; see crate::models::lattice
+//! cells = 6                     # along the diameter of a body [6]
+//! tear = "none"                 # none | cut | split: springs that are too long with their cells | nodes pulled too hard [none]
+//! limit = 0.5                   # the strain at which it does [0.5]
+//!
+//! [fem]                         # of model = "fem"; see crate::models::fem
+//! cells = 6                     # along the diameter of a body [6]
+//! young = 58.4                  # Young's modulus, mass/(scene unit·s²) [such that a bar as long as the radius has omega]
+//! poisson = 0.25                # Poisson's ratio, from -0.9 to 0.49 [0.25]
+//! tear_stress = 20.0            # tension beyond which a body would tear is reported, mass/(scene unit·s²) [none]
+//!
 //! [surface]
 //! blend = 0.25                  # distance from a seam within which merged surfaces are smoothed, in radii; 0 = sharp [0.25]
 //!
@@ -111,6 +122,7 @@
 //! phase at the jump, by the distance after it; a jump from afar into a core is a merge and a core at the same instant.
 
 pub mod builtin;
+pub mod cells;
 pub mod pairs;
 pub mod parse;
 pub mod path;
@@ -131,6 +143,7 @@ use crate::{
 };
 
 pub use crate::model::shape_matching::{Plane, Rotation};
+pub use cells::TearMode;
 pub use pairs::{Members, PairLaws};
 pub use parse::SceneError;
 pub use path::Path;
@@ -148,6 +161,10 @@ pub struct Scene {
     pub integrator: Integrator,
     /// What its bodies are made of: which simulation runs it, see [`crate::models`].
     pub model: Model,
+    /// What lattices are.
+    pub lattice: cells::Lattice,
+    /// What finite elements are.
+    pub fem: cells::Fem,
     /// Tolerance of [`Integrator::Exponential`]: the acceptable error, in radii of a vertex's body per unit of scene
     /// time [1/s], > 0.
     pub tolerance: f64,

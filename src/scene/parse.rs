@@ -22,7 +22,8 @@ use glam::DVec3;
 use toml::de::DeTable;
 
 use super::{
-    Body, FreeMotion, Integrator, Material, Model, Motion, Path, Plane, Push, Response, Rotation, Scene, path::Spline,
+    Body, FreeMotion, Integrator, Material, Model, Motion, Path, Plane, Push, Response, Rotation, Scene, TearMode,
+    cells, path::Spline,
 };
 use crate::{
     geometry::{Shape, fairing, shape::Parameter},
@@ -50,6 +51,12 @@ const NON_NEGATIVE: Number = Number { min: 0.0, max: LARGEST };
 const ANY: Number = Number { min: -LARGEST, max: LARGEST };
 /// Up to half a radius, what is not near the seam stays as it is.
 const BLEND: Number = Number { min: 0.0, max: 0.5 };
+/// Fewer than two cells have no free nodes.
+const CELLS: Integer = Integer { min: 2, max: cells::MOST_ACROSS };
+/// Springs that are shorter than at rest do not tear, and those that may become a thousand times as long never do.
+const STRAIN: Number = Number { min: 1e-3, max: 1e3 };
+/// Where an isotropic material does not keep its volume or its form exactly: there the stiffness has no bound.
+const POISSON: Number = Number { min: -0.9, max: 0.49 };
 /// Of a direction only the direction matters.
 const FINITE: Number = Number { min: f64::MIN, max: f64::MAX };
 
@@ -66,6 +73,8 @@ static SCENE: Keys = Keys {
         "model",
         "material",
         "influence",
+        "lattice",
+        "fem",
         "surface",
         "mesh",
         "body",
@@ -82,6 +91,10 @@ static INFLUENCE: Keys = Keys {
     form: "a table, written [influence]",
     names: &["alpha", "beta", "reach", "weight", "scaling", "merge_at", "split_at", "core_at", "core_width", "apart"],
 };
+static LATTICE: Keys =
+    Keys { home: "in [lattice]", form: "a table, written [lattice]", names: &["cells", "tear", "limit"] };
+static FEM: Keys =
+    Keys { home: "in [fem]", form: "a table, written [fem]", names: &["cells", "young", "poisson", "tear_stress"] };
 static SURFACE: Keys = Keys { home: "in [surface]", form: "a table, written [surface]", names: &["blend"] };
 static BODY: Keys = Keys {
     home: "in a [[body]]",
@@ -157,7 +170,8 @@ static FREE: Keys = Keys {
 
 /// Every table, to find where a misplaced key belongs.
 fn all_keys() -> impl Iterator<Item = &'static Keys> {
-    let bodies = [&SCENE, &MATERIAL, &INFLUENCE, &SURFACE, &MESH, &BODY, &GRID, &PAIR, &PLANE, &PUSH, &SHAPE];
+    let bodies =
+        [&SCENE, &MATERIAL, &INFLUENCE, &LATTICE, &FEM, &SURFACE, &MESH, &BODY, &GRID, &PAIR, &PLANE, &PUSH, &SHAPE];
     bodies.into_iter().chain(&SHAPES).chain([&MOTION, &LINE, &SINE, &KEYFRAMES, &FREE])
 }
 
@@ -297,6 +311,8 @@ pub(super) fn read_document(
     // The tables first: a key below the wrong header is then reported as that, not as missing where it belongs.
     let material = root.table("material", &MATERIAL)?;
     let influence = root.table("influence", &INFLUENCE)?;
+    let lattice = root.table("lattice", &LATTICE)?;
+    let fem = root.table("fem", &FEM)?;
     let surface = root.table("surface", &SURFACE)?;
     let [body_array, grid_array, pair_array, plane_array, push_array] =
         ["body", "grid", "pair", "plane", "push"].map(|name| root.get(name));
@@ -330,6 +346,8 @@ pub(super) fn read_document(
 
     let blend = surface.optional("blend", BLEND)?.unwrap_or(fairing::BLEND);
 
+    let (lattice, fem) = (read_lattice(&lattice)?, read_fem(&fem)?);
+
     let thesis = Material { omega: 12.0, damping: 1.5, response: Response::Inertial };
     let material = read_material(&material, thesis)?;
     let (law, influence) = (read_law(&influence, PairLaw::DEFAULT)?, read_influence(&influence)?);
@@ -353,6 +371,8 @@ pub(super) fn read_document(
         duration,
         integrator,
         model,
+        lattice,
+        fem,
         tolerance,
         influence,
         thresholds: law.thresholds,
@@ -378,6 +398,26 @@ fn read_material(table: &Table<'_>, default: Material) -> Result<Material, Scene
         omega: table.optional("omega", NON_NEGATIVE)?.unwrap_or(default.omega),
         damping: table.optional("damping", NON_NEGATIVE)?.unwrap_or(default.damping),
         response: table.optional("response", RESPONSE)?.unwrap_or(default.response),
+    })
+}
+
+fn read_lattice(table: &Table<'_>) -> Result<cells::Lattice, SceneError> {
+    let default = cells::Lattice::default();
+    let tear = Choice(TearMode::ALL.map(|tear| (tear.name(), tear)));
+    Ok(cells::Lattice {
+        cells: table.optional("cells", CELLS)?.unwrap_or(default.cells),
+        tear: table.optional("tear", tear)?.unwrap_or(default.tear),
+        limit: table.optional("limit", STRAIN)?.unwrap_or(default.limit),
+    })
+}
+
+fn read_fem(table: &Table<'_>) -> Result<cells::Fem, SceneError> {
+    let default = cells::Fem::default();
+    Ok(cells::Fem {
+        cells: table.optional("cells", CELLS)?.unwrap_or(default.cells),
+        young: table.optional("young", POSITIVE)?,
+        poisson: table.optional("poisson", POISSON)?.unwrap_or(default.poisson),
+        tear_stress: table.optional("tear_stress", POSITIVE)?,
     })
 }
 

@@ -44,6 +44,7 @@
 //! | `/events` | one line per merge, split and core event, with the components `bodies`, `phases` (before and after), `time` (s, exact) and `q` |
 //! | `/events/accuracy` | one line per step in which a body could not be followed within the tolerance: which, and by how much |
 //! | `/events/surfaces` | one line when surfaces touch, when they part, and per merge, split and core event what the surfaces are like then |
+//! | `/events/bodies` | one line per cell of a body that was cut, or would have torn, and per node that was split, with its place |
 //! | `/timings/STAGE`, `/timings/stacked/STAGE`, `/timings/speed`, `/timings/lag`, `/diagnostics/…` | scalars over time; `stacked`: with the stages before it on the same thread |
 //! | `/marks/axis/KIND`, `/marks/q/KIND` | events as markers in plots: at 0, and at q |
 //! | `/world/names`, `/world/recent` | the names of up to 8 bodies; pairs that had an event in the last 24 frames |

@@ -284,6 +284,9 @@ impl Recorder {
         for event in &step.surfaces {
             pairs::log_surface_event(&self.schema, event, &mut self.chunks);
         }
+        for event in &step.bodies {
+            pairs::log_body_event(&self.schema, event, &mut self.chunks);
+        }
         if let Some(shortfall) = &step.summary.shortfall {
             pairs::log_shortfall(&self.schema, shortfall, at, &mut self.chunks);
         }
@@ -335,6 +338,7 @@ impl Recorder {
             let entity = chunk.entity_path().to_string();
             if entity == "/events"
                 || entity == pairs::SURFACE_EVENTS
+                || entity == pairs::BODY_EVENTS
                 || entity == pairs::ACCURACY
                 || entity.starts_with(marks::MARKS)
                 || (entity.starts_with("/pairs/") && entity.ends_with("/phase"))

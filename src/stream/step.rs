@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant as Clock};
 
 use super::settings::{Frames, Settings};
-use crate::observe::{Frame, Simulation, StageFrame, StepSummary, SurfaceEvent, touch::Touches};
+use crate::observe::{BodyEvent, Frame, Simulation, StageFrame, StepSummary, SurfaceEvent, touch::Touches};
 
 /// The data of a step to be recorded, apart from its frame. Reused.
 #[derive(Clone, Debug, Default)]
@@ -22,6 +22,8 @@ pub struct StepRecord {
     pub end: Option<Clock>,
     /// What geometry says of pairs in the course of the step.
     pub surfaces: Vec<SurfaceEvent>,
+    /// What happened to single bodies in the step.
+    pub bodies: Vec<BodyEvent>,
     /// Stages inside the step, if they are recorded.
     pub stages: Vec<StageFrame>,
 }
@@ -65,6 +67,8 @@ impl StepWatch {
             (Some(touches), None) => touches.between_frames(simulation, &mut record.surfaces),
             (None, _) => {}
         }
+        record.bodies.clear();
+        record.bodies.extend_from_slice(simulation.body_events());
         record.checksum = simulation.checksum();
         record.stages = self.stages(simulation, settings);
         let end = Clock::now();

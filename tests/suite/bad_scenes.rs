@@ -78,7 +78,7 @@ motion = { fixed = [0, 0, 0] }
 Whole: columns after characters of several bytes
 name = "größe"
 x = { "ä" = "ö" } # ü
-> bad.toml:2:1: x: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:2:1: x: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
 
 Whole: body is a single table
 duration = 4
@@ -196,39 +196,39 @@ Whole: the first of several unknown keys
 zeta = 1
 duration = 4
 again = 2
-> bad.toml:1:1: zeta: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: zeta: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
 
 Top: unknown key
 colour = 1
-> bad.toml:1:1: colour: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: colour: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
 
 Top: unknown key near another
 Integrator = "rk4"
-> bad.toml:1:1: Integrator: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: Integrator: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
 
 Top: unknown key abbreviated
 integ = "rk4"
-> bad.toml:1:1: integ: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: integ: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
 
 Top: unknown key without letters
 "" = 1
-> bad.toml:1:1: "": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: "": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
 
 Top: unknown key that is long
 aaaaaaaaaabbbbbbbbbbccccccccccddddddddddeeeeeeeeee = 1
-> bad.toml:1:1: aaaaaaaaaabbbbbbbbbbccccccccccdddddddddd…: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: aaaaaaaaaabbbbbbbbbbccccccccccdddddddddd…: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
 
 Top: key of another table
 alpha = 100
-> bad.toml:1:1: alpha: unknown key; "alpha" belongs in [influence] or in a [[pair]] (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: alpha: unknown key; "alpha" belongs in [influence] or in a [[pair]] (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
 
 Top: key of several tables
 response = "rigid"
-> bad.toml:1:1: response: unknown key; "response" belongs in [material] or in a [[body]] or in a [[grid]] (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: response: unknown key; "response" belongs in [material] or in a [[body]] or in a [[grid]] (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
 
 Top: unknown table
 matrial.omega = 1
-> bad.toml:1:1: matrial: unknown key; did you mean "material"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: matrial: unknown key; did you mean "material"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
 
 Top: name is a number
 name = 2
@@ -396,6 +396,36 @@ core_at = 1.0
 Influence: core_at above the default merge_at
 core_at = 1.2
 > bad.toml:3:11: influence.core_at: expected a number below merge_at (1.05 by default), found 1.2
+
+Cells: lattice key misspelled
+[lattice]
+cell = 8
+> bad.toml:3:1: lattice.cell: unknown key; did you mean "cells"? (known keys: cells, tear, limit)
+
+Cells: one cell
+[lattice]
+cells = 1
+> bad.toml:3:9: lattice.cells: expected an integer from 2 to 256, found 1
+
+Cells: another way to tear
+[lattice]
+tear = "cuts"
+> bad.toml:3:8: lattice.tear: expected one of "none", "cut", "split", found the string "cuts"; did you mean "cut"?
+
+Cells: a limit of zero
+[lattice]
+limit = 0
+> bad.toml:3:9: lattice.limit: expected a number between 1e-3 and 1e3, found 0
+
+Cells: an incompressible material
+[fem]
+poisson = 0.5
+> bad.toml:3:11: fem.poisson: expected a number between -9e-1 and 4.9e-1, found 0.5
+
+Cells: no stiffness
+[fem]
+young = 0
+> bad.toml:3:9: fem.young: expected a number between 1e-12 and 1e15, found 0
 
 Body: body key misspelled
 raduis = 1
@@ -846,7 +876,7 @@ const BROKEN_ESCAPED: &[(&str, &str, &str)] = &[
     (
         "Whole",
         "\u{feff}\"größe\" = 1\n",
-        "bad.toml:1:1: \"größe\": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)",
+        "bad.toml:1:1: \"größe\": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)",
     ),
     (
         "Whole",
@@ -857,7 +887,7 @@ const BROKEN_ESCAPED: &[(&str, &str, &str)] = &[
     (
         "Top",
         "\"name of \\\"it\\\"\\n\" = 1",
-        "bad.toml:1:1: \"name of \\\"it\\\"\\n\": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, surface, mesh, body, grid, pair, plane, push)",
+        "bad.toml:1:1: \"name of \\\"it\\\"\\n\": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)",
     ),
     (
         "Top",
@@ -880,6 +910,7 @@ fn file_with(part: &str, lines: &str) -> String {
         "Top" => format!("{lines}\nduration = 4\n[[body]]\n{BODY}"),
         "Material" => format!("duration = 4\n[material]\n{lines}\n[[body]]\n{BODY}"),
         "Influence" => format!("duration = 4\n[influence]\n{lines}\n[[body]]\n{BODY}"),
+        "Cells" => format!("duration = 4\n{lines}\n[[body]]\n{BODY}"),
         "Body" => format!("duration = 4\n[[body]]\n{lines}\n{}", others(BODY)),
         "Push" => format!("duration = 4\n[[body]]\n{BODY}[[push]]\n{lines}\n{}", others(PUSH)),
         _ => panic!("no part of a scene file: {part}"),

@@ -8,17 +8,20 @@ use meldscope::{
     geometry::Mesh,
     models::{self, SceneRun},
     observe::{Experiment, Frame, Refusal, Schema, Simulation, StepSummary, Want},
-    recording::{Recorded, frames::FrameReader, replay, replay::Verdict},
+    recording::{Recorded, diff, frames::FrameReader, replay, replay::Verdict},
     scene::Model,
     sim::Options,
     stream::{
         Recorder, Settings,
-        settings::{Detail, Entities},
+        settings::{Detail, Entities, Frames},
         sinks::{Destinations, Sinks},
     },
 };
 
-use crate::{octahedra::Octahedra, recording::Dir};
+use crate::{
+    octahedra::Octahedra,
+    recording::{Dir, Recording},
+};
 
 /// Records a run of an experiment.
 pub fn record(experiment: &dyn Experiment, path: &Path, settings: Settings) {
@@ -170,5 +173,35 @@ fn a_body_that_tears_is_recorded_and_read_back() {
             simulation.step();
         }
         assert_eq!(count, 101);
+    }
+}
+
+/// Lattices and finite elements are recorded, thin and in full, and replayed to the same bits; what tears is in the
+/// recording, with its place, and so is the settings' model.
+#[test]
+fn bodies_made_of_cells_are_recorded_replayed_and_compared() {
+    let dir = Dir::new();
+    for (model, tables, entity) in [
+        (Model::Lattice, "[lattice]\ntear = 'split'\nlimit = 0.1\n", "diagnostics/split_nodes"),
+        (Model::Lattice, "[lattice]\ntear = 'cut'\nlimit = 0.12\n", "diagnostics/volume_lost"),
+        (Model::Fem, "[fem]\ntear_stress = 4.0\n", "diagnostics/would_tear"),
+    ] {
+        let own = Scene::builtin("two").expect("built in");
+        let scene = Scene::parse(&(own.source + tables), "two").expect("a scene");
+        let run = SceneRun { scene: Scene { model, ..scene }, options: Options::default() };
+        let path = |name: &str| dir.file(&format!("{name}-{}.rrd", entity.replace('/', "-")));
+        let settings = Settings { steps: Some(110), ..Settings::of(&run) };
+        record(&run, &path("full"), settings.clone());
+        record(&run, &path("thin"), Settings { frames: Frames::Thin, ..settings });
+        let [full, thin] = ["full", "thin"].map(|name| Recorded::open(&path(name)).expect("a recording"));
+        for recorded in [&full, &thin] {
+            assert_eq!(replay::verify(recorded, |_| true).expect("it runs"), Verdict::Identical, "{model}");
+        }
+        let compared = diff::diff([&full, &thin], 1e-6).expect("the same bodies");
+        assert_eq!((compared.first_bits, compared.bodies.len()), (None, 0), "{model}");
+        let entities = Recording::open(&path("full")).entities();
+        for entity in [entity, "events/bodies", "diagnostics/energy", "world/forces/restoring", "pairs/a~b/gap"] {
+            assert!(entities.contains(&entity.into()), "{model}: {entity}");
+        }
     }
 }

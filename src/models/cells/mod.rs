@@ -18,11 +18,6 @@ use crate::geometry::Mesh;
 
 pub use boundary::{BoundaryMesh, boundary};
 
-/// The cells along a body's diameter of scenes that do not say: a sphere of 266 vertices gets some 300 nodes.
-pub const ACROSS: u32 = 6;
-/// The most cells along a diameter.
-pub const MOST_ACROSS: u32 = 256;
-
 /// The offset of corner `i` of a cell: bit 0 is x, bit 1 is y, bit 2 is z.
 #[inline]
 pub fn corner(i: usize) -> DVec3 {

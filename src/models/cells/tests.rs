@@ -37,7 +37,7 @@ fn cells_cover_a_sphere() {
         assert!((cells.shares().iter().sum::<f64>() - 1.0).abs() < 1e-13);
         assert_eq!(cells, sphere(across));
     }
-    let cells = sphere(ACROSS);
+    let cells = sphere(crate::scene::cells::ACROSS);
     assert!((250..350).contains(&cells.node_count()), "{} nodes", cells.node_count());
 }
 

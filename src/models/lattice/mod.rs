@@ -38,7 +38,6 @@ use glam::DVec3;
 use super::cells::Cells;
 
 pub use step::{Motion, Outside, Scheme};
-pub use tear::{Tear, TearMode};
 
 /// Stiffness of a cell's share of a spring along an edge, over k: a quarter of 2; along a diagonal of a face: half of 1;
 /// along one of the cube: 3/8.

@@ -51,6 +51,13 @@ impl Motion {
         self.weigh(lattice);
     }
 
+    /// Stops the nodes of which no cell is left.
+    pub fn cut(&mut self, lattice: &Lattice) {
+        let held = self.velocities.iter_mut().zip(&lattice.held).filter(|(_, held)| **held);
+        held.for_each(|(velocity, _)| *velocity = DVec3::ZERO);
+        self.weigh(lattice);
+    }
+
     fn weigh(&mut self, lattice: &Lattice) {
         let masses = lattice.masses.iter().zip(&lattice.held);
         self.inverse.clear();

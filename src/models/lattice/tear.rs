@@ -13,47 +13,6 @@ use glam::DVec3;
 
 use super::{Lattice, SHARES};
 
-/// How a lattice tears.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum TearMode {
-    /// Not at all.
-    #[default]
-    None,
-    /// Springs that are too long are cut with their cells; volume is lost.
-    Cut,
-    /// Nodes that are pulled too hard are split; volume is kept.
-    Split,
-}
-
-impl TearMode {
-    /// All of them, in the order in which they are listed to users.
-    pub const ALL: [TearMode; 3] = [TearMode::None, TearMode::Cut, TearMode::Split];
-
-    /// The name in scene files.
-    pub fn name(self) -> &'static str {
-        match self {
-            TearMode::None => "none",
-            TearMode::Cut => "cut",
-            TearMode::Split => "split",
-        }
-    }
-}
-
-/// How a lattice tears, and at which strain.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Tear {
-    /// How.
-    pub mode: TearMode,
-    /// The strain at which it does [–], > 0.
-    pub limit: f64,
-}
-
-impl Default for Tear {
-    fn default() -> Tear {
-        Tear { mode: TearMode::None, limit: 0.5 }
-    }
-}
-
 /// Where cells are about a node, by the corner of theirs that it is: a bit an axis, set for those on the far side.
 type Sides = u8;
 
@@ -64,8 +23,9 @@ struct Split {
 }
 
 impl Lattice {
-    /// Cuts the cells whose springs are longer than (1 + limit) L, and returns how many: as one, by the same positions.
-    pub fn cut(&mut self, positions: &[DVec3], limit: f64) -> usize {
+    /// Cuts the cells whose springs are longer than (1 + limit) L, and returns them. Nodes of which no cell is left are out of the
+    /// body: from now on they are held.
+    pub fn cut(&mut self, positions: &[DVec3], limit: f64) -> Vec<usize> {
         let is_torn = |corners: &[u32; 8]| {
             (0..8).any(|i| {
                 (0..i).any(|j| {
@@ -80,8 +40,12 @@ impl Lattice {
         torn.iter().for_each(|&cell| self.is_whole[cell] = false);
         if !torn.is_empty() {
             self.tie();
+            let mut is_left = vec![false; self.node_count()];
+            let whole = self.corners.iter().zip(&self.is_whole).filter(|(_, is_whole)| **is_whole);
+            whole.flat_map(|(corners, _)| corners).for_each(|&node| is_left[node as usize] = true);
+            self.held.iter_mut().zip(is_left).for_each(|(held, is_left)| *held |= !is_left);
         }
-        torn.len()
+        torn
     }
 
     /// Splits the nodes that are pulled apart harder than a strain of `limit` does, and returns those that were, in the order

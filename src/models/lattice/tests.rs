@@ -1,7 +1,7 @@
 use std::f64::consts::FRAC_PI_2;
 
 use super::*;
-use crate::models::cells::boundary;
+use crate::{models::cells::boundary, scene::TearMode};
 
 /// Nothing acts from outside.
 fn nothing(_: f64, _: &[DVec3], _: &[DVec3], _: &mut [DVec3]) {}
@@ -207,7 +207,11 @@ fn pulled(tear: TearMode, layers: u32) -> (Lattice, Motion, usize) {
         lattice.advance(&mut motion, Scheme::Verlet, h, 1, pull(layers));
         let torn = match tear {
             TearMode::None => 0,
-            TearMode::Cut => lattice.cut(&motion.positions, 0.3),
+            TearMode::Cut => {
+                let cut = lattice.cut(&motion.positions, 0.3);
+                motion.cut(&lattice);
+                cut.len()
+            }
             TearMode::Split => {
                 let momentum = motion.momentum(&lattice.masses);
                 let originals = lattice.split(&motion.positions, 0.3);
@@ -217,9 +221,6 @@ fn pulled(tear: TearMode, layers: u32) -> (Lattice, Motion, usize) {
             }
         };
         if torn > 0 {
-            if tear == TearMode::Cut {
-                motion.accelerations.clear();
-            }
             return (lattice, motion, step);
         }
     }

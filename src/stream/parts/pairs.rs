@@ -9,7 +9,9 @@ use rerun::{
 
 use super::{Look, marks::Marks};
 use crate::{
-    observe::{PairEvent, PairFrame, Schema, Shortfall, SurfaceEvent, colors, surface::PairMeasures, touch::Finding},
+    observe::{
+        BodyEvent, PairEvent, PairFrame, Schema, Shortfall, SurfaceEvent, colors, surface::PairMeasures, touch::Finding,
+    },
     stream::{
         chunks::Chunks,
         instant::Instant,
@@ -372,6 +374,16 @@ pub fn log_surface_event(schema: &Schema, event: &SurfaceEvent, chunks: &mut Chu
     };
     let line = TextLog::new(event.describe(schema)).with_level(event.name()).with_color(color(rgb));
     chunks.log(SURFACE_EVENTS, at, &line);
+}
+
+/// The entity of what happens to single bodies.
+pub const BODY_EVENTS: &str = "/events/bodies";
+
+/// Logs the line of what happened to a body.
+pub fn log_body_event(schema: &Schema, event: &BodyEvent, chunks: &mut Chunks) {
+    let at = Instant { step: event.step, time: event.time };
+    let line = TextLog::new(event.describe(schema)).with_level(event.name).with_color(color(colors::VERMILION));
+    chunks.log(BODY_EVENTS, at, &line);
 }
 
 /// The entity of what is said about steps that are less accurate than they were asked to be.

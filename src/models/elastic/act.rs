@@ -1,0 +1,277 @@
+//! What acts on the nodes of a body from outside.
+
+use std::collections::BTreeMap;
+
+use glam::DVec3;
+
+use crate::{
+    model::{
+        PairLaw,
+        influence::{Weight, acceleration},
+        phase::Phase,
+    },
+    observe::PairEvent,
+    scene::{Path, Push, Response, Scene},
+    sim::Cause,
+};
+
+use super::PHASES;
+
+/// What a body can know of a step.
+pub struct Around<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// The phases of pairs that are not apart, at the start of the step.
+    pub phases: &'a BTreeMap<[u32; 2], Phase>,
+    /// The changes of phase in the step, by time.
+    pub events: &'a [PairEvent],
+    /// Start of the step [s].
+    pub start: f64,
+    /// End of the step [s].
+    pub end: f64,
+    /// Number of the step.
+    pub step: u64,
+}
+
+/// A part of a step without jumps, as seen by one body.
+pub struct Part<'a> {
+    scene: &'a Scene,
+    path: &'a Path,
+    response: Response,
+    damping: f64,
+    /// Start of the part [s].
+    pub start: f64,
+    /// End of the part [s].
+    pub end: f64,
+    sources: Vec<Source<'a>>,
+    pushes: Vec<(DVec3, f64)>,
+}
+
+/// An influence sphere that acts throughout a part.
+struct Source<'a> {
+    body: u32,
+    path: &'a Path,
+    law: PairLaw,
+    phase: Phase,
+    /// Factor by the sizes of the two [–].
+    scale: f64,
+    radius: f64,
+    /// Sum of the radii of the bodies [scene unit].
+    radii: f64,
+    /// The part of the time that it acts [–].
+    share: f64,
+}
+
+/// The accelerations of nodes at an instant.
+#[derive(Clone, Debug, Default)]
+pub struct Instantaneous {
+    /// Spheres: cause, body, centre relative to that of the body, strength [1/s²], radius.
+    pub spheres: Vec<(Cause, u32, DVec3, f64, f64)>,
+    /// Pushes: direction and strength [scene unit/s²].
+    pub pushes: Vec<(DVec3, f64)>,
+    /// Minus the body's own motion [scene unit/s²].
+    pub carry: DVec3,
+}
+
+impl Around<'_> {
+    /// The phase of a pair at time `t` [s], after a change at that very time.
+    fn phase(&self, a: usize, b: usize, t: f64) -> Phase {
+        let pair = [a.min(b), a.max(b)];
+        let changes = self.events.iter().take_while(|event| event.time <= t);
+        let last = changes.filter(|event| [event.a, event.b] == pair).last();
+        let before = || self.phases.get(&pair.map(|body| body as u32)).copied().unwrap_or(Phase::Apart);
+        last.map_or_else(before, |event| PHASES.get(event.to).copied().unwrap_or(Phase::Apart))
+    }
+
+    /// Whether the step has nothing that could act on a body at rest.
+    pub fn is_calm(&self, index: usize, sources: &[u32], pushes: &[Push]) -> bool {
+        let body = &self.scene.bodies[index];
+        let Some(path) = body.path() else { return true };
+        sources.iter().all(|&other| self.is_silent(index, other as usize))
+            && pushes.iter().all(|push| push.end() <= self.start || push.start >= self.end)
+            && (body.material.response == Response::Rigid || path.is_still(self.start, self.end))
+    }
+
+    /// Whether a sphere does nothing to a body throughout the step.
+    fn is_silent(&self, index: usize, other: usize) -> bool {
+        let law = self.scene.law(index, other);
+        let is_apart = self.phase(index, other, self.start) == Phase::Apart
+            && self.events.iter().all(|event| ![[index, other], [other, index]].contains(&[event.a, event.b]));
+        is_apart && law.strength(Phase::Apart, f64::INFINITY) == 0.0
+    }
+
+    /// Instants in the step at which something that acts on a body jumps [s], its start and end included, ascending.
+    pub fn breaks(&self, index: usize, sources: &[u32], pushes: &[Push], breaks: &mut Vec<f64>) {
+        breaks.clear();
+        breaks.extend([self.start, self.end]);
+        let own = self.events.iter().filter(|event| event.a == index || event.b == index);
+        breaks.extend(own.map(|event| event.time));
+        let paths = sources.iter().map(|&other| other as usize).chain([index]);
+        for path in paths.filter_map(|body| self.scene.bodies[body].path()) {
+            let knots = path.knots();
+            let first = knots.partition_point(|&knot| knot <= self.start);
+            breaks.extend(knots[first..].iter().take_while(|&&knot| knot < self.end));
+        }
+        breaks.extend(pushes.iter().flat_map(|push| [push.start, push.end()]));
+        breaks.retain(|&time| (self.start..=self.end).contains(&time));
+        breaks.sort_unstable_by(f64::total_cmp);
+        breaks.dedup();
+    }
+
+    /// What acts on a body between two breaks.
+    pub fn part<'a>(
+        &'a self,
+        path: &'a Path,
+        index: usize,
+        sources: &[u32],
+        pushes: &[Push],
+        ends: [f64; 2],
+    ) -> Part<'a> {
+        let [start, end] = ends;
+        let (scene, inside) = (self.scene, start + 0.5 * (end - start));
+        let body = &scene.bodies[index];
+        let source = |&other: &u32| self.source(index, other, start, 1.0);
+        let acts = |push: &&Push| push.start <= inside && inside < push.end();
+        Part {
+            scene,
+            path,
+            response: body.material.response,
+            damping: body.material.damping,
+            start,
+            end,
+            sources: sources.iter().filter_map(source).collect(),
+            pushes: pushes.iter().filter(acts).map(|push| (push.direction, push.strength)).collect(),
+        }
+    }
+
+    /// What acts on a body in a step that has breaks inside, in the mean.
+    pub fn mean<'a>(
+        &'a self,
+        path: &'a Path,
+        index: usize,
+        sources: &[u32],
+        pushes: &[Push],
+        ends: [f64; 2],
+    ) -> Part<'a> {
+        let [start, end] = ends;
+        let mut part = self.part(path, index, &[], &[], ends);
+        for &other in sources {
+            let pair = [index.min(other as usize), index.max(other as usize)];
+            let changes = self.events.iter().filter(|event| [event.a, event.b] == pair);
+            let mut from = start;
+            for to in changes.map(|event| event.time).filter(|time| (start..end).contains(time)).chain([end]) {
+                if to > from {
+                    part.sources.extend(self.source(index, other, from, (to - from) / (end - start)));
+                    from = to;
+                }
+            }
+        }
+        part.pushes.extend(pushes.iter().filter_map(|push| {
+            let acts = push.end().min(end) - push.start.max(start);
+            (acts > 0.0).then(|| (push.direction, push.strength * (acts / (end - start))))
+        }));
+        part
+    }
+
+    fn source(&self, index: usize, other: u32, t: f64, share: f64) -> Option<Source<'_>> {
+        let (scene, j) = (self.scene, other as usize);
+        let [this, source] = [&scene.bodies[index], &scene.bodies[j]];
+        let (law, phase) = (scene.law(index, j), self.phase(index, j, t));
+        if phase == Phase::Apart && !law.apart_repels {
+            return None;
+        }
+        Some(Source {
+            body: other,
+            path: source.path()?,
+            law,
+            phase,
+            scale: scene.influence.scale(this.radius, source.radius),
+            radius: scene.influence.sphere_radius(source.radius),
+            radii: this.radius + source.radius,
+            share,
+        })
+    }
+}
+
+impl Part<'_> {
+    /// The accelerations at time `t` in the part [s], into `now`.
+    pub fn at(&self, t: f64, now: &mut Instantaneous) {
+        // what jumps from place to place stays where it is throughout the part
+        let place = |path: &Path| path.position(if path.is_held() { 0.5 * (self.start + self.end) } else { t });
+        let own = if t == self.end { self.path.before(t) } else { self.path.at(t) };
+        let centre = place(self.path);
+        now.carry = match self.response {
+            Response::Rigid => DVec3::ZERO,
+            Response::Inertial => -own.acceleration,
+            Response::World => -(own.acceleration + own.velocity * (2.0 * self.damping)),
+        };
+        now.pushes.clear();
+        now.pushes.extend_from_slice(&self.pushes);
+        now.spheres.clear();
+        now.spheres.extend(self.sources.iter().map(|source| {
+            let apart = place(source.path) - centre;
+            let q = apart.length() / source.radii;
+            let strength = source.law.strength(source.phase, q) * source.scale;
+            let cause = match (source.phase, strength > 0.0) {
+                (_, true) => Cause::Attraction,
+                (Phase::Core | Phase::Merged, false) => Cause::Core,
+                (Phase::Apart, false) => Cause::Repulsion,
+            };
+            (cause, source.body, apart, strength * source.share, source.radius)
+        }));
+    }
+
+    /// The same as the mean over the part: the carry is by how much the velocity changes, jumps included.
+    pub fn in_the_mean(&self, now: &mut Instantaneous) {
+        let middle = 0.5 * (self.start + self.end);
+        self.at(middle, now);
+        let (first, last) = (self.path.at(self.start), self.path.at(self.end));
+        let length = self.end - self.start;
+        let change = (last.velocity - first.velocity) / length;
+        now.carry = match self.response {
+            Response::Rigid => DVec3::ZERO,
+            _ if self.path.is_held() => DVec3::ZERO,
+            Response::Inertial => -change,
+            Response::World => -(change + (last.position - first.position) * (2.0 * self.damping / length)),
+        };
+    }
+
+    /// By how much the nodes' velocities jump where the part begins [scene unit/s].
+    pub fn kick(&self) -> DVec3 {
+        if self.response == Response::Rigid { DVec3::ZERO } else { -self.path.kick(self.start) }
+    }
+
+    /// The velocity of the centre at time `t` [scene unit/s].
+    pub fn velocity(&self, t: f64) -> DVec3 {
+        self.path.at(t).velocity
+    }
+
+    /// The place of the centre at time `t` [scene unit].
+    pub fn centre(&self, t: f64) -> DVec3 {
+        self.path.position(if self.path.is_held() { 0.5 * (self.start + self.end) } else { t })
+    }
+
+    /// A bound of the derivative of the accelerations by spheres [1/s²].
+    pub fn stiffness(&self) -> f64 {
+        let of = |source: &Source<'_>| source.law.alpha.max(source.law.beta) * source.scale;
+        // |∂(c − r) W| ≤ 1 for the linear weight; Wendland's is steeper by less than 2
+        let steep = if self.scene.influence.weight == Weight::Linear { 1.0 } else { 2.0 };
+        self.sources.iter().map(of).sum::<f64>() * steep
+    }
+}
+
+impl Instantaneous {
+    /// The acceleration at a place relative to the centre, whose rest position has the direction `facing`, by all but what is in `but`
+    /// [scene unit/s²].
+    #[inline]
+    pub fn acceleration(&self, weight: Weight, place: DVec3, facing: DVec3) -> DVec3 {
+        let mut sum = self.carry;
+        for &(_, _, centre, strength, radius) in &self.spheres {
+            sum += acceleration(weight, strength, radius, centre - place);
+        }
+        for &(direction, strength) in &self.pushes {
+            sum += direction * (strength * f64::max(0.0, -facing.dot(direction)));
+        }
+        sum
+    }
+}

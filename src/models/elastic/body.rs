@@ -1,0 +1,654 @@
+//! A body made of cells, and its step.
+
+use std::{
+    collections::HashMap,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+};
+
+use glam::DVec3;
+
+use super::{
+    CORE,
+    act::{Around, Instantaneous, Part},
+};
+use crate::{
+    geometry::{Mesh, Shape, Vectors},
+    models::{
+        cells::{Cells, boundary},
+        fem::{self, Elasticity, Element, Stepper, Unfactored},
+        lattice::{self, Constants, Lattice, Scheme},
+    },
+    observe::StepFailure,
+    scene::{Integrator, Model, Plane, Push, Scene, TearMode},
+    sim::reach::Ball,
+    text::bytes,
+};
+
+/// Explicit steps are this fraction of the limit: stretched springs are stiffer than those at rest.
+const OF_LIMIT: f64 = 0.7;
+/// Springs that a body may move in a step; more is as good as endless.
+const MOST_WORK: f64 = 2e8;
+/// Springs moved between two looks at the interrupt.
+const GRAIN: u64 = 1 << 22;
+/// A body whose nodes are farther away than this has diverged [radii].
+const DIVERGED: f64 = 1e6;
+/// So much of a step of implicit integration may what acts from outside move on by itself: the square of this over the step is its
+/// stiffness.
+const MOST_PHASE: f64 = 1.0;
+
+/// What a body is made of.
+pub enum Matter {
+    /// Masses and springs.
+    Lattice(Box<Springs>),
+    /// Finite elements.
+    Fem(Box<Finite>),
+}
+
+/// A lattice and its motion.
+pub struct Springs {
+    pub lattice: Lattice,
+    motion: lattice::Motion,
+}
+
+/// Finite elements and their motion.
+pub struct Finite {
+    pub element: Arc<Element>,
+    stepper: Arc<Stepper>,
+    motion: fem::Motion,
+    /// Steps of the factor in a step of the scene.
+    divided: u64,
+    forces: Vec<DVec3>,
+    /// Whether each node is held.
+    held: Vec<bool>,
+    /// Whether each cell would have torn.
+    torn: Vec<bool>,
+}
+
+/// What happened to a body in its last step, and so far.
+#[derive(Clone, Debug, Default)]
+pub struct Statistics {
+    /// Steps of the integrator in the last step.
+    pub substeps: u64,
+    /// The longest stable step of the integrator in the last step [s]; infinite if there is none.
+    pub step_limit: f64,
+    /// The largest strain of a spring in the last step [–].
+    pub strain: f64,
+    /// The largest tension in the last step [mass/(scene unit · s²)].
+    pub tension: f64,
+    /// Share of the volume that is lost [–].
+    pub lost: f64,
+    /// Nodes split so far.
+    pub split: u64,
+    /// Cells cut, or that would have torn, so far.
+    pub torn: u64,
+    /// When the first was, and where [s, scene unit].
+    pub first: Option<(f64, DVec3)>,
+}
+
+/// A body made of cells.
+pub struct Body {
+    pub index: usize,
+    pub cells: Arc<Cells>,
+    pub mesh: Arc<Mesh>,
+    pub radius: f64,
+    pub matter: Matter,
+    /// Rest positions of the nodes [scene unit], and their directions [–], `[node_count]`.
+    pub rest: Vec<DVec3>,
+    pub directions: Vec<DVec3>,
+    /// Displacements [scene unit] and velocities [scene unit/s] of the nodes, `[node_count]`.
+    pub x: Vec<DVec3>,
+    pub u: Vec<DVec3>,
+    /// Whether nothing is displaced or moves.
+    pub is_at_rest: bool,
+    /// Distance of the farthest node from the centre [scene unit], and the largest speed [scene unit/s].
+    pub extent: f64,
+    pub speed: f64,
+    pub pushes: Vec<Push>,
+    /// The bodies whose spheres can reach it in this step, ascending.
+    pub sources: Vec<u32>,
+    /// Where it is in the broad phase.
+    pub placed: Option<Ball>,
+    pub reach: f64,
+    pub spread: f64,
+    /// The mesh of a body that has torn.
+    pub torn: Option<Arc<Mesh>>,
+    /// The node of each vertex of that mesh beyond those of its first.
+    pub exposed: Vec<u32>,
+    pub statistics: Statistics,
+    /// Where it tore in the last step, or would have [scene unit].
+    pub tears: Vec<DVec3>,
+    pub failure: Option<StepFailure>,
+    /// What planes do to a node over what they do to a vertex, at the most [–].
+    contact: f64,
+    breaks: Vec<f64>,
+    now: Instantaneous,
+}
+
+/// What bodies of one kind share.
+pub struct Shared {
+    /// What is left for factors [bytes].
+    room: u64,
+    elements: HashMap<Kind, (Arc<Element>, Arc<Stepper>, u64)>,
+}
+
+/// What the elements of a body depend on: its shape, and the bits of radius, mass, ω and κ.
+type Kind = (Shape, [u64; 4]);
+
+impl Shared {
+    /// With so much room for factors [bytes].
+    pub fn new(room: u64) -> Shared {
+        Shared { room, elements: HashMap::new() }
+    }
+}
+
+/// Memory that a body takes without the factor [bytes]; `is_new` if no other is like it.
+pub fn most_memory(model: Model, across: u32, vertices: u64, is_new: bool) -> u64 {
+    let nodes = (u64::from(across) + 1).pow(3);
+    let own = match model {
+        Model::Fem if is_new => fem::Element::most_memory(across),
+        Model::Fem => 0,
+        _ => Lattice::most_memory(across),
+    };
+    own + nodes * 6 * 24 + vertices * 100 + 4096
+}
+
+impl Body {
+    /// A body of a valid scene, at rest.
+    ///
+    /// # Errors
+    /// Its factor does not fit into the memory, or it was interrupted.
+    pub fn new(
+        scene: &Scene,
+        index: usize,
+        cells: Arc<Cells>,
+        shared: &mut Shared,
+        interrupt: Option<&'static AtomicBool>,
+    ) -> Result<Body, String> {
+        let described = &scene.bodies[index];
+        let (radius, mass, material) = (described.radius, described.mass, described.material);
+        let held = cells.core(CORE);
+        let mesh = described.shape.mesh();
+        let constants = |density| Constants::of(material.omega, material.damping, radius, density);
+        let rest: Vec<DVec3> = cells.nodes.iter().map(|&node| node * radius).collect();
+        let contact = contact(&cells, &mesh);
+        let planes = scene.planes.iter().map(|plane| plane.stiffness).sum::<f64>() * contact;
+        let matter = match scene.model {
+            Model::Fem => {
+                let kind =
+                    (described.shape.clone(), [radius, mass, material.omega, material.damping].map(f64::to_bits));
+                let (element, stepper, divided) = match shared.elements.get(&kind) {
+                    Some((element, stepper, divided)) => (Arc::clone(element), Arc::clone(stepper), *divided),
+                    None => {
+                        let of = |density| {
+                            let Constants { young, damping } = constants(density);
+                            let young = scene.fem.young.unwrap_or(young);
+                            (Elasticity { young, poisson: scene.fem.poisson }, damping)
+                        };
+                        let element = Element::new(&cells, radius, mass, &held, of);
+                        // spheres of two bodies at once, and planes, are known from the last half step
+                        let strongest = scene.laws().map(|law| law.alpha.max(law.beta)).fold(0.0, f64::max);
+                        let divided = (scene.dt * (2.0 * strongest + planes).sqrt() / MOST_PHASE).ceil().max(1.0);
+                        let stepper = element.factor(scene.dt / divided, shared.room, interrupt);
+                        let stepper = stepper.map_err(|error| unfactored(scene, index, error))?;
+                        shared.room = shared.room.saturating_sub(stepper.memory() as u64);
+                        let (element, stepper) = (Arc::new(element), Arc::new(stepper));
+                        shared.elements.insert(kind, (Arc::clone(&element), Arc::clone(&stepper), divided as u64));
+                        (element, stepper, divided as u64)
+                    }
+                };
+                let motion = fem::Motion::at_rest(&element);
+                let torn = vec![false; cells.cell_count()];
+                Matter::Fem(Box::new(Finite { element, stepper, motion, divided, forces: Vec::new(), held, torn }))
+            }
+            _ => {
+                let lattice = Lattice::new(&cells, radius, mass, held, constants);
+                let motion = lattice::Motion::at_rest(&lattice);
+                Matter::Lattice(Box::new(Springs { lattice, motion }))
+            }
+        };
+        let n = rest.len();
+        Ok(Body {
+            index,
+            radius,
+            extent: rest.iter().map(|l| l.length()).fold(0.0, f64::max),
+            directions: rest.iter().map(|l| l.normalize_or_zero()).collect(),
+            rest,
+            x: vec![DVec3::ZERO; n],
+            u: vec![DVec3::ZERO; n],
+            cells,
+            mesh,
+            matter,
+            is_at_rest: true,
+            speed: 0.0,
+            pushes: scene.pushes.iter().filter(|push| push.body == index).copied().collect(),
+            sources: Vec::new(),
+            placed: None,
+            reach: 0.0,
+            spread: 0.0,
+            torn: None,
+            exposed: Vec::new(),
+            statistics: Statistics { step_limit: f64::INFINITY, ..Statistics::default() },
+            tears: Vec::new(),
+            failure: None,
+            contact,
+            breaks: Vec::new(),
+            now: Instantaneous::default(),
+        })
+    }
+
+    /// Number of nodes.
+    pub fn node_count(&self) -> usize {
+        self.rest.len()
+    }
+
+    /// Whether it is at rest and nothing acts on it in a step.
+    pub fn sleeps(&self, around: &Around<'_>) -> bool {
+        self.is_at_rest
+            && around.is_calm(self.index, &self.sources, &self.pushes)
+            && self.planes(around).next().is_none()
+    }
+
+    /// The planes that it can reach in a step.
+    fn planes<'a>(&'a self, around: &Around<'a>) -> impl Iterator<Item = &'a Plane> + 'a {
+        let centre = self.placed.unwrap_or_default().centre;
+        around.scene.planes.iter().filter(move |plane| plane.depth(centre) > -self.reach)
+    }
+
+    /// The corner nodes of a cell.
+    pub fn corners(&self, cell: u32) -> &[u32; 8] {
+        match &self.matter {
+            Matter::Lattice(springs) => &springs.lattice.corners[cell as usize],
+            Matter::Fem(_) => &self.cells.corners[cell as usize],
+        }
+    }
+
+    /// Takes the step.
+    pub fn advance(&mut self, around: &Around<'_>, interrupt: Option<&'static AtomicBool>) {
+        self.statistics.substeps = 0;
+        self.tears.clear();
+        self.failure = None;
+        let Some(path) = around.scene.bodies[self.index].path() else { return };
+        if self.sleeps(around) {
+            return;
+        }
+        let mut now = std::mem::take(&mut self.now);
+        let planes: Vec<Plane> = self.planes(around).copied().collect();
+        match &self.matter {
+            Matter::Lattice(_) => {
+                let mut breaks = std::mem::take(&mut self.breaks);
+                around.breaks(self.index, &self.sources, &self.pushes, &mut breaks);
+                self.statistics.step_limit = f64::INFINITY;
+                self.statistics.strain = 0.0;
+                for (number, ends) in breaks.windows(2).enumerate() {
+                    let part = around.part(path, self.index, &self.sources, &self.pushes, [ends[0], ends[1]]);
+                    self.take_explicit(around, &part, number > 0, &planes, &mut now, interrupt);
+                    if self.failure.is_some() {
+                        break;
+                    }
+                }
+                self.breaks = breaks;
+                if self.failure.is_none() {
+                    self.tear(around, path.position(around.end));
+                }
+            }
+            Matter::Fem(finite) => {
+                let divided = finite.divided;
+                let at = |step: u64| around.start + (around.end - around.start) * (step as f64 / divided as f64);
+                for step in 0..divided {
+                    if interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+                        self.failure = Some(StepFailure::Interrupted(format!("interrupted in step {}", around.step)));
+                        break;
+                    }
+                    let part = around.mean(path, self.index, &self.sources, &self.pushes, [at(step), at(step + 1)]);
+                    self.take_implicit(around, &part, &planes, &mut now);
+                }
+                self.statistics.substeps = divided;
+                self.strain(around, path.position(around.end));
+            }
+        }
+        self.now = now;
+        self.look(around);
+    }
+
+    fn take_explicit(
+        &mut self,
+        around: &Around<'_>,
+        part: &Part<'_>,
+        is_later: bool,
+        planes: &[Plane],
+        now: &mut Instantaneous,
+        interrupt: Option<&'static AtomicBool>,
+    ) {
+        let Body { matter, statistics, mesh, cells, directions, contact, index, failure, .. } = self;
+        let Matter::Lattice(springs) = matter else { return };
+        let Springs { lattice, motion } = &mut **springs;
+        let (scene, length) = (around.scene, part.end - part.start);
+        let kick = part.kick();
+        if is_later || kick != DVec3::ZERO || around.events.iter().any(|event| event.time == part.start) {
+            motion.accelerations.clear(); // forces jump here
+        }
+        if kick != DVec3::ZERO {
+            let free = motion.velocities.iter_mut().zip(&motion.inverse).filter(|(_, inverse)| **inverse > 0.0);
+            free.for_each(|(velocity, _)| *velocity += kick);
+        }
+        let of_planes = planes.iter().map(|plane| plane.stiffness).sum::<f64>() * *contact;
+        let limit = lattice.step_limit(part.stiffness() + of_planes);
+        statistics.step_limit = statistics.step_limit.min(limit);
+        let (scheme, count) = match scene.integrator {
+            Integrator::Euler => (Scheme::Euler, 1.0),
+            Integrator::Verlet => (Scheme::Verlet, 1.0),
+            _ => (Scheme::Verlet, (length / (OF_LIMIT * limit)).ceil().max(1.0)),
+        };
+        if count * lattice.springs.len() as f64 > MOST_WORK {
+            *failure = Some(StepFailure::NotTaken(format!(
+                "too much to do in step {} (from t = {:.6} s on): the springs of body \"{}\" allow steps of {limit:.1e} s, {count:.0} in one of the \
+                 scene; lower `omega`, `damping` or `cells` in [lattice]",
+                around.step, part.start, scene.bodies[*index].name
+            )));
+            return;
+        }
+        let (count, weight) = (count as u64, scene.influence.weight);
+        let h = length / count as f64;
+        let chunk = (GRAIN / (lattice.springs.len() as u64 + 1)).max(1);
+        let mut done = 0;
+        while done < count {
+            if interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+                *failure = Some(StepFailure::Interrupted(format!("interrupted in step {}", around.step)));
+                return;
+            }
+            let steps = chunk.min(count - done);
+            let corners = &lattice.corners;
+            let outside = |t: f64, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3]| {
+                let t = part.start + (done as f64 * h + t).min(length);
+                part.at(if done as f64 * h + t >= part.end { part.end } else { t }, now);
+                for ((into, position), facing) in into.iter_mut().zip(positions).zip(directions.iter()) {
+                    *into = now.acceleration(weight, *position, *facing);
+                }
+                if !planes.is_empty() {
+                    let of = Contact {
+                        planes,
+                        mesh,
+                        cells,
+                        corners,
+                        motion: [part.centre(t), part.velocity(t)],
+                        most: *contact * h,
+                    };
+                    of.accelerate(&lattice.masses, scene.bodies[*index].mass, positions, velocities, into);
+                }
+            };
+            let largest = lattice.advance(motion, scheme, h, steps, outside);
+            statistics.strain = statistics.strain.max(largest - 1.0);
+            done += steps;
+        }
+        statistics.substeps += count;
+    }
+
+    fn take_implicit(&mut self, around: &Around<'_>, part: &Part<'_>, planes: &[Plane], now: &mut Instantaneous) {
+        let Body { matter, mesh, cells, directions, contact, index, rest, x, u, .. } = self;
+        let Matter::Fem(finite) = matter else { return };
+        let Finite { element, stepper, motion, forces, .. } = &mut **finite;
+        let scene = around.scene;
+        part.in_the_mean(now);
+        forces.clear();
+        let half = 0.5 * stepper.h;
+        for (i, &node) in element.free.iter().enumerate() {
+            let node = node as usize;
+            let place = rest[node] + motion.displacements[i] + motion.velocities[i] * half;
+            let acceleration = now.acceleration(scene.influence.weight, place, directions[node]);
+            forces.push(acceleration * element.masses[node]);
+        }
+        if !planes.is_empty() {
+            let middle = 0.5 * (part.start + part.end);
+            let positions: Vec<DVec3> =
+                rest.iter().zip(x.iter()).zip(u.iter()).map(|((l, x), u)| *l + *x + *u * half).collect();
+            let motion = [part.centre(middle), part.velocity(middle)];
+            let of = Contact { planes, mesh, cells, corners: &cells.corners, motion, most: *contact * stepper.h };
+            let mut pressed = vec![DVec3::ZERO; positions.len()];
+            of.accelerate(&element.masses, scene.bodies[*index].mass, &positions, u, &mut pressed);
+            for (force, &node) in forces.iter_mut().zip(&element.free) {
+                *force += pressed[node as usize] * element.masses[node as usize];
+            }
+        }
+        stepper.step(element, motion, forces);
+        for (i, &node) in element.free.iter().enumerate() {
+            (x[node as usize], u[node as usize]) = (motion.displacements[i], motion.velocities[i]);
+        }
+    }
+
+    /// Tears a lattice where it is pulled too hard.
+    fn tear(&mut self, around: &Around<'_>, centre: DVec3) {
+        let settings = around.scene.lattice;
+        let Body { matter, statistics, tears, rest, directions, x, u, mesh, torn, exposed, radius, .. } = self;
+        let Matter::Lattice(springs) = matter else { return };
+        let Springs { lattice, motion } = &mut **springs;
+        let (before, limit) = (lattice.node_count(), settings.limit);
+        match settings.tear {
+            TearMode::Cut if statistics.strain > limit => {
+                let cut = lattice.cut(&motion.positions, limit);
+                motion.cut(lattice);
+                statistics.torn += cut.len() as u64;
+                statistics.lost = lattice.lost();
+                let middle = |corners: &[u32; 8]| {
+                    corners.map(|node| motion.positions[node as usize]).iter().sum::<DVec3>() * 0.125
+                };
+                tears.extend(cut.iter().map(|&cell| centre + middle(&lattice.corners[cell])));
+            }
+            // the strain of a spring, in any state of stress, is more than half of that of a bar
+            TearMode::Split if statistics.strain > 0.5 * limit => {
+                let split = lattice.split(&motion.positions, limit);
+                motion.split(lattice, &split);
+                statistics.split += split.len() as u64;
+                tears.extend(split.iter().map(|&node| centre + motion.positions[node as usize]));
+            }
+            _ => {}
+        }
+        if let Some(&place) = tears.first() {
+            statistics.first.get_or_insert((around.end, place));
+            for node in before..lattice.node_count() {
+                rest.push(lattice.rest[node]);
+                directions.push(lattice.rest[node].normalize_or_zero());
+            }
+            let surface = boundary(&lattice.corners, |cell| lattice.is_whole[cell]);
+            let first = mesh.vertex_count() as u32;
+            let mut positions: Vectors = mesh.positions().clone();
+            exposed.clear();
+            for &(node, _) in &surface.vertices {
+                positions.push(rest[node as usize] / *radius);
+                exposed.push(node);
+            }
+            let triangles = surface.triangles.iter().map(|triangle| triangle.map(|i| first + i)).collect();
+            *torn = Some(Arc::new(Mesh::version(positions, triangles)));
+        }
+        x.resize(rest.len(), DVec3::ZERO);
+        u.resize(rest.len(), DVec3::ZERO);
+    }
+
+    /// Notes the cells of finite elements where the body would tear.
+    fn strain(&mut self, around: &Around<'_>, centre: DVec3) {
+        let Some(limit) = around.scene.fem.tear_stress else { return };
+        let Body { matter, statistics, tears, x, cells, rest, .. } = self;
+        let Matter::Fem(finite) = matter else { return };
+        let Finite { element, torn, .. } = &mut **finite;
+        statistics.tension = 0.0;
+        element.tensions(x, |tension| {
+            statistics.tension = statistics.tension.max(tension.stress);
+            let is_torn = &mut torn[tension.cell as usize];
+            if tension.stress > limit && !*is_torn {
+                *is_torn = true;
+                statistics.torn += 1;
+                let corners = cells.corners[tension.cell as usize];
+                let place = corners.map(|node| rest[node as usize] + x[node as usize]).iter().sum::<DVec3>() * 0.125;
+                statistics.first.get_or_insert((around.end, centre + place));
+                tears.push(centre + place);
+            }
+        });
+    }
+
+    /// Takes over the state of the nodes, and says if it is one that cannot be.
+    fn look(&mut self, around: &Around<'_>) {
+        let Body { matter, rest, x, u, .. } = self;
+        if let Matter::Lattice(springs) = matter {
+            let motion = &springs.motion;
+            for (i, ((position, velocity), rest)) in
+                motion.positions.iter().zip(&motion.velocities).zip(rest.iter()).enumerate()
+            {
+                (x[i], u[i]) = (*position - *rest, *velocity);
+            }
+        }
+        let (mut farthest, mut fastest, mut is_at_rest) = (0.0, 0.0, true);
+        for ((rest, x), u) in rest.iter().zip(x.iter()).zip(u.iter()) {
+            farthest = f64::max(farthest, (*rest + *x).length_squared());
+            fastest = f64::max(fastest, u.length_squared());
+            is_at_rest &= *x == DVec3::ZERO && *u == DVec3::ZERO;
+        }
+        let is_finite = x.iter().zip(u.iter()).all(|(x, u)| x.is_finite() && u.is_finite());
+        (self.extent, self.speed, self.is_at_rest) = (farthest.sqrt(), fastest.sqrt(), is_at_rest);
+        if self.failure.is_none() && (!is_finite || self.extent > DIVERGED * self.radius) {
+            let scene = around.scene;
+            self.failure = Some(StepFailure::Diverged(format!(
+                "diverged at step {} (t = {:.6} s): body \"{}\", its nodes are {:e} scene units away; {} with dt = {:e} s, stable below {:.1e} s: use a \
+                 smaller dt, or `exponential`, which lets the model divide it",
+                around.step,
+                around.end,
+                scene.bodies[self.index].name,
+                self.extent,
+                scene.integrator,
+                scene.dt,
+                self.statistics.step_limit
+            )));
+        }
+    }
+
+    /// The elastic energy [mass · scene unit²/s²].
+    pub fn elastic_energy(&self) -> f64 {
+        match &self.matter {
+            Matter::Lattice(springs) => springs.lattice.energy(&springs.motion.positions),
+            Matter::Fem(finite) => finite.element.energy(&finite.motion.displacements),
+        }
+    }
+
+    /// The masses of the nodes.
+    pub fn masses(&self) -> &[f64] {
+        match &self.matter {
+            Matter::Lattice(springs) => &springs.lattice.masses,
+            Matter::Fem(finite) => &finite.element.masses,
+        }
+    }
+
+    /// Accelerations by what is between the nodes, and by its damping [scene unit/s²]; none of nodes that are held.
+    pub fn internal(&self) -> [Vec<DVec3>; 2] {
+        let n = self.node_count();
+        match &self.matter {
+            Matter::Lattice(springs) => {
+                let Springs { lattice, motion } = &**springs;
+                let (mut forces, mut drags) = (Vec::new(), Vec::new());
+                lattice.forces(&motion.positions, &motion.velocities, &mut forces, &mut drags);
+                let per_mass = |forces: Vec<DVec3>| forces.iter().zip(&motion.inverse).map(|(f, w)| *f * *w).collect();
+                [per_mass(forces), per_mass(drags)]
+            }
+            Matter::Fem(finite) => {
+                let Finite { element, motion, .. } = &**finite;
+                let of = |values: &[DVec3], factor: f64| {
+                    let mut forces = vec![DVec3::ZERO; values.len()];
+                    element.forces(values, &mut forces);
+                    let mut all = vec![DVec3::ZERO; n];
+                    for (force, &node) in forces.iter().zip(&element.free) {
+                        all[node as usize] = *force * (-factor / element.masses[node as usize]);
+                    }
+                    all
+                };
+                [of(&motion.displacements, 1.0), of(&motion.velocities, element.damping)]
+            }
+        }
+    }
+
+    /// Whether a node is held.
+    pub fn is_held(&self, node: usize) -> bool {
+        match &self.matter {
+            Matter::Lattice(springs) => springs.motion.inverse[node] == 0.0,
+            Matter::Fem(finite) => finite.held[node],
+        }
+    }
+
+    /// Accelerations of the nodes by planes [scene unit/s²].
+    pub fn pressed(&self, scene: &Scene, centre: DVec3, velocity: DVec3) -> Vec<DVec3> {
+        let corners = match &self.matter {
+            Matter::Lattice(springs) => &springs.lattice.corners,
+            Matter::Fem(_) => &self.cells.corners,
+        };
+        let positions: Vec<DVec3> = self.rest.iter().zip(&self.x).map(|(l, x)| *l + *x).collect();
+        let mut into = vec![DVec3::ZERO; positions.len()];
+        let (mesh, cells) = (&*self.mesh, &*self.cells);
+        let of = Contact { planes: &scene.planes, mesh, cells, corners, motion: [centre, velocity], most: 0.0 };
+        of.accelerate(self.masses(), scene.bodies[self.index].mass, &positions, &self.u, &mut into);
+        into
+    }
+}
+
+/// Planes and the surface of a body.
+struct Contact<'a> {
+    planes: &'a [Plane],
+    mesh: &'a Mesh,
+    cells: &'a Cells,
+    corners: &'a [[u32; 8]],
+    /// Place and velocity of the centre.
+    motion: [DVec3; 2],
+    /// Friction stops no node within less than this time [s]: a step, over what a vertex does to a node.
+    most: f64,
+}
+
+impl Contact<'_> {
+    /// Adds the accelerations of the nodes: each vertex, which has its share of the body's mass, hands on what it feels.
+    fn accelerate(&self, masses: &[f64], mass: f64, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3]) {
+        for (embedded, share) in self.cells.embedded.iter().zip(self.mesh.shares()) {
+            let corners = &self.corners[embedded.cell as usize];
+            let place = embedded.mean(corners, positions) + self.motion[0];
+            for plane in self.planes {
+                let depth = plane.depth(place);
+                if depth <= 0.0 {
+                    continue;
+                }
+                let velocity = embedded.mean(corners, velocities) + self.motion[1];
+                let slide = velocity - plane.normal * plane.normal.dot(velocity);
+                let pressure = plane.stiffness * depth;
+                let rate = plane.friction * pressure / (slide.length_squared() + plane.slip * plane.slip).sqrt();
+                let force = plane.normal * pressure - slide * (rate / (1.0 + rate * self.most));
+                for (&node, &weight) in corners.iter().zip(&embedded.weights) {
+                    into[node as usize] += force * (weight * share * mass / masses[node as usize]);
+                }
+            }
+        }
+    }
+}
+
+/// The largest ratio of the mass of the vertices that act on a node to the mass of the node.
+fn contact(cells: &Cells, mesh: &Mesh) -> f64 {
+    let mut sums = vec![0.0; cells.node_count()];
+    for (embedded, share) in cells.embedded.iter().zip(mesh.shares()) {
+        for (&node, &weight) in cells.corners[embedded.cell as usize].iter().zip(&embedded.weights) {
+            sums[node as usize] += weight.abs() * share;
+        }
+    }
+    sums.iter().zip(cells.shares()).map(|(sum, share)| sum / share).fold(0.0, f64::max)
+}
+
+fn unfactored(scene: &Scene, index: usize, error: Unfactored) -> String {
+    let name = &scene.bodies[index].name;
+    match error {
+        Unfactored::Interrupted => "interrupted while the stiffness was factored".to_owned(),
+        Unfactored::TooLarge { bytes: needed } => format!(
+            "scene \"{}\" is too large for this machine: the factored stiffness of body \"{name}\" takes more than {}; lower `cells` in \
+             [fem]",
+            scene.name,
+            bytes(needed)
+        ),
+        Unfactored::Singular => format!(
+            "scene \"{}\": the stiffness of body \"{name}\" cannot be factored in double precision; move `poisson` in [fem] away from \
+             its limits, or lower `young`",
+            scene.name
+        ),
+    }
+}

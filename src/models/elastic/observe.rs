@@ -1,0 +1,418 @@
+//! What instruments see of bodies made of cells.
+
+use std::sync::atomic::AtomicBool;
+
+use glam::{DQuat, DVec3};
+
+use super::{
+    Elastic,
+    act::{Around, Instantaneous},
+    body::{Body, Matter},
+};
+use crate::{
+    geometry::Vectors,
+    model::phase::Phase,
+    models::lattice::Constants,
+    observe::{
+        BodyEvent, BodyFrame, Frame, Instant, PairFrame, Schema, Simulation, StepSummary, Want, checksum,
+        schema::{ScalarOf, ScalarSchema},
+    },
+    scene::{Integrator, Model, Scene, TearMode},
+    sim::{Cause, Options, simulation},
+};
+
+/// The number of phases' index in frames.
+fn number(phase: Phase) -> usize {
+    phase as usize
+}
+
+/// A scalar and its value: of the state, or of a step.
+struct Scalar {
+    schema: ScalarSchema,
+    value: fn(&Elastic, &[BodyFrame]) -> f64,
+}
+
+/// The scalars of a scene.
+fn scalars(scene: &Scene) -> Vec<Scalar> {
+    let of = |name, label, plot, of, value| Scalar {
+        schema: ScalarSchema {
+            plot,
+            jumps: false,
+            is_smooth: of == ScalarOf::State,
+            ..ScalarSchema::new(name, label, of)
+        },
+        value,
+    };
+    let mut all = vec![
+        of("energy", "energy [mass·unit²/s²]", "Energy", ScalarOf::State, |simulation, _| {
+            simulation.kinetic_energy() + simulation.elastic_energy()
+        }),
+        of("energy_vibration", "kinetic", "Energy", ScalarOf::State, |simulation, _| simulation.kinetic_energy()),
+        of("energy_elastic", "elastic", "Energy", ScalarOf::State, |simulation, _| simulation.elastic_energy()),
+        of(
+            "max_displacement",
+            "largest displacement [radii]",
+            "Displacement",
+            ScalarOf::State,
+            |simulation, frames| {
+                let bodies = simulation.bodies.iter().zip(frames);
+                bodies.map(|(body, now)| now.max_displacement / body.radius).fold(0.0, f64::max)
+            },
+        ),
+        of("sleeping_bodies", "bodies at rest", "Counts", ScalarOf::State, |simulation, _| {
+            simulation.bodies.iter().filter(|body| body.is_at_rest).count() as f64
+        }),
+    ];
+    all.push(of("substeps", "steps of the integrator", "Counts", ScalarOf::SumOfSteps, |simulation, _| {
+        simulation.bodies.iter().map(|body| body.statistics.substeps as f64).sum()
+    }));
+    if scene.model == Model::Fem {
+        if scene.fem.tear_stress.is_some() {
+            all.push(of(
+                "tension",
+                "largest tension [mass/(unit·s²)]",
+                "Tension",
+                ScalarOf::MaxOfSteps,
+                |simulation, _| simulation.bodies.iter().map(|body| body.statistics.tension).fold(0.0, f64::max),
+            ));
+            all.push(of("would_tear", "cells that would have torn", "Counts", ScalarOf::State, |simulation, _| {
+                simulation.bodies.iter().map(|body| body.statistics.torn as f64).sum()
+            }));
+        }
+        return all;
+    }
+    all.push(of("step_limit", "longest stable step [s]", "Step limit", ScalarOf::MaxOfSteps, |simulation, _| {
+        let limit = simulation.bodies.iter().map(|body| body.statistics.step_limit).fold(f64::INFINITY, f64::min);
+        if limit.is_finite() { limit } else { 0.0 }
+    }));
+    all.push(of("strain", "largest strain of a spring [–]", "Strain", ScalarOf::MaxOfSteps, |simulation, _| {
+        simulation.bodies.iter().map(|body| body.statistics.strain).fold(0.0, f64::max)
+    }));
+    match scene.lattice.tear {
+        TearMode::None => {}
+        TearMode::Cut => {
+            all.push(of(
+                "volume_lost",
+                "share of the volume that is lost [–]",
+                "Volume lost",
+                ScalarOf::State,
+                |simulation, _| {
+                    let volume =
+                        |body: &Body| body.cells.cell_count() as f64 * (body.cells.size() * body.radius).powi(3);
+                    let lost: f64 = simulation.bodies.iter().map(|body| body.statistics.lost * volume(body)).sum();
+                    lost / simulation.bodies.iter().map(volume).sum::<f64>()
+                },
+            ));
+            all.push(of("cut_cells", "cells cut", "Counts", ScalarOf::State, |simulation, _| {
+                simulation.bodies.iter().map(|body| body.statistics.torn as f64).sum()
+            }));
+        }
+        TearMode::Split => {
+            all.push(of("split_nodes", "nodes split", "Counts", ScalarOf::State, |simulation, _| {
+                simulation.bodies.iter().map(|body| body.statistics.split as f64).sum()
+            }));
+        }
+    }
+    all
+}
+
+/// The schema of a scene of bodies made of cells.
+pub fn schema(scene: &Scene, options: Options) -> Schema {
+    let mut schema = simulation::schema(scene, options);
+    let integrator = match (scene.model, scene.integrator) {
+        (Model::Fem, _) => "midpoint",
+        (_, Integrator::Exponential) => "substeps",
+        (_, other) => other.name(),
+    };
+    schema.model = scene.model.name().to_owned();
+    schema.integrator = integrator.to_owned();
+    schema.scalars = scalars(scene).into_iter().map(|scalar| scalar.schema).collect();
+    let can_tear = scene.model == Model::Lattice && scene.lattice.tear != TearMode::None;
+    schema.bodies.iter_mut().for_each(|body| body.can_tear = can_tear);
+    for term in &mut schema.terms {
+        if term.name == Cause::Restoring.name() {
+            term.label = if scene.model == Model::Fem { "Elastic" } else { "Springs" };
+        } else if term.name == Cause::Damping.name() {
+            term.label = "Dampers";
+        }
+    }
+    let across = if scene.model == Model::Fem { scene.fem.cells } else { scene.lattice.cells };
+    let made_of = match scene.model {
+        Model::Fem => format!(
+            "Bodies are linear finite elements in {across} cells along a diameter, Poisson's ratio {}; implicit steps of any length are \
+             stable.",
+            scene.fem.poisson
+        ),
+        _ => {
+            let limits = scene.bodies.iter().map(|body| step_limit(scene, body));
+            let limit = limits.fold(f64::INFINITY, f64::min);
+            format!(
+                "Bodies are lattices of {across} cells along a diameter, each with 28 springs; at rest, steps up to {limit:.2e} s are stable."
+            )
+        }
+    };
+    schema.law = format!("{made_of} {}", schema.law);
+    schema
+}
+
+/// The longest stable step of a body at rest that nothing acts on [s]: that of [`Lattice::step_limit`](crate::models::lattice::Lattice::step_limit), where the
+/// density and the radius cancel.
+fn step_limit(scene: &Scene, body: &crate::scene::Body) -> f64 {
+    let material = body.material;
+    let Constants { young, damping } = Constants::of(material.omega, material.damping, 1.0, 1.0);
+    let size = 2.0 / f64::from(scene.lattice.cells);
+    let fastest = (8.0 * young).sqrt() / size;
+    let ratio = damping * fastest;
+    2.0 / (fastest * ((1.0 + ratio * ratio).sqrt() + ratio))
+}
+
+impl Elastic {
+    fn kinetic_energy(&self) -> f64 {
+        let of = |body: &Body| -> f64 {
+            body.u.iter().zip(body.masses()).map(|(u, mass)| 0.5 * mass * u.length_squared()).sum()
+        };
+        self.bodies.iter().filter(|body| !body.is_at_rest).map(of).sum()
+    }
+
+    fn elastic_energy(&self) -> f64 {
+        self.bodies.iter().filter(|body| !body.is_at_rest).map(Body::elastic_energy).sum()
+    }
+
+    /// Adds the forces on a body in its current state: what its nodes feel, at the vertices.
+    fn add_forces(&self, body: &Body, sources: &[u32], now: &mut BodyFrame) {
+        let causes: Vec<Cause> = Cause::of(self.scene.is_coupled()).collect();
+        let Some(path) = self.path(body.index) else { return };
+        let (time, phases) = (self.time_of(self.step), &self.phases);
+        let around = Around { scene: &self.scene, phases, events: &[], start: time, end: time, step: self.step };
+        let part = around.part(path, body.index, sources, &[], [time, time]);
+        let mut acting = Instantaneous::default();
+        part.at(time, &mut acting);
+        let pushes = body.pushes.iter().filter(|push| push.start <= time && time < push.end());
+        acting.pushes.extend(pushes.map(|push| (push.direction, push.strength)));
+        let n = body.node_count();
+        let positions: Vec<DVec3> = body.rest.iter().zip(&body.x).map(|(l, x)| *l + *x).collect();
+        let mut by_cause: Vec<(Cause, Vec<DVec3>)> = Vec::new();
+        let mut add = |cause: Cause, of: &dyn Fn(usize) -> DVec3| {
+            let at = by_cause.iter().position(|(known, _)| *known == cause).unwrap_or_else(|| {
+                by_cause.push((cause, vec![DVec3::ZERO; n]));
+                by_cause.len() - 1
+            });
+            for (node, sum) in by_cause[at].1.iter_mut().enumerate() {
+                *sum += of(node);
+            }
+        };
+        let weight = self.scene.influence.weight;
+        for &(cause, _, centre, strength, radius) in &acting.spheres {
+            add(cause, &|node| {
+                crate::model::influence::acceleration(weight, strength, radius, centre - positions[node])
+            });
+        }
+        for &(direction, strength) in &acting.pushes {
+            add(Cause::Push, &|node| direction * (strength * f64::max(0.0, -body.directions[node].dot(direction))));
+        }
+        if acting.carry != DVec3::ZERO {
+            add(Cause::Carry, &|_| acting.carry);
+        }
+        if !self.scene.planes.is_empty() {
+            let pressed = body.pressed(&self.scene, part.centre(time), part.velocity(time));
+            add(Cause::Plane, &|node| pressed[node]);
+        }
+        if !body.is_at_rest {
+            let [springs, dampers] = body.internal();
+            add(Cause::Restoring, &|node| springs[node]);
+            add(Cause::Damping, &|node| dampers[node]);
+        }
+        let count = now.mesh.as_ref().map_or(body.mesh.vertex_count(), |mesh| mesh.vertex_count());
+        let held: Vec<bool> = (0..n).map(|node| body.is_held(node)).collect();
+        now.terms.resize_with(causes.len(), Default::default);
+        let mut net = Vectors::zeros(count);
+        let mut of_vertices = Vectors::default();
+        for (cause, term) in causes.iter().zip(&mut now.terms) {
+            term.source = None;
+            term.accelerations.clear();
+            let Some((_, nodes)) = by_cause.iter_mut().find(|(known, _)| known == cause) else { continue };
+            // what is held feels nothing
+            nodes.iter_mut().zip(&held).filter(|(_, held)| **held).for_each(|(sum, _)| *sum = DVec3::ZERO);
+            if nodes.iter().all(|sum| *sum == DVec3::ZERO) {
+                continue;
+            }
+            at_vertices(body, nodes, count, &mut of_vertices);
+            term.accelerations.copy_from(&of_vertices);
+            net.add_times(1.0, &of_vertices);
+            let mut of_cause = acting.spheres.iter().filter(|sphere| sphere.0 == *cause);
+            if let (Some(only), None) = (of_cause.next(), of_cause.next()) {
+                term.source = Some(only.1);
+            }
+        }
+        let label = |i: usize| {
+            let feels = [Cause::Attraction, Cause::Repulsion, Cause::Core].map(|cause| {
+                let at = causes.iter().position(|known| *known == cause);
+                let forces = at.map(|at| &now.terms[at].accelerations);
+                forces.is_some_and(|forces| !forces.is_empty() && forces.get(i) != DVec3::ZERO)
+            });
+            match feels {
+                [false, false, false] => 0,
+                [true, false, false] => 1,
+                [false, true, false] => 2,
+                [true, true, false] => 3,
+                [_, _, true] => 4,
+            }
+        };
+        let labels: Vec<u8> = (0..count).map(label).collect();
+        now.labels = labels;
+        now.has_forces = true;
+        if let Some(at) = causes.iter().position(|cause| *cause == Cause::Net) {
+            now.terms[at].accelerations = net;
+        }
+    }
+}
+
+/// A quantity of the nodes at the vertices of a body as it is now.
+fn at_vertices(body: &Body, nodes: &[DVec3], count: usize, vertices: &mut Vectors) {
+    vertices.clear();
+    for embedded in &body.cells.embedded {
+        vertices.push(embedded.mean(body.corners(embedded.cell), nodes));
+    }
+    if count > vertices.len() {
+        body.exposed.iter().for_each(|&node| vertices.push(nodes[node as usize]));
+    }
+}
+
+impl Simulation for Elastic {
+    fn schema(&self) -> Schema {
+        schema(&self.scene, self.options)
+    }
+
+    fn overrides(&self, steps: Option<u64>) -> String {
+        self.scene.overrides(steps)
+    }
+
+    fn steps_taken(&self) -> u64 {
+        self.step
+    }
+
+    fn time(&self) -> f64 {
+        self.time_of(self.step)
+    }
+
+    fn step(&mut self) {
+        self.take_step();
+    }
+
+    fn summary(&self, summary: &mut StepSummary) {
+        summary.at = match &self.failure {
+            Some(failure) if !failure.is_whole_step() => {
+                Instant { step: self.step + 1, time: self.time_of(self.step + 1) }
+            }
+            _ => self.now(),
+        };
+        summary.events.clear();
+        summary.events.extend_from_slice(&self.events);
+        summary.timings.clear();
+        summary.timings.extend(self.timings);
+        summary.scalars.clear();
+        summary.scalars.extend(scalars(&self.scene).into_iter().map(|scalar| match scalar.schema.of {
+            ScalarOf::State => 0.0,
+            _ => (scalar.value)(self, &[]),
+        }));
+        summary.shortfall = None;
+        summary.failure.clone_from(&self.failure);
+    }
+
+    fn interrupt(&self) -> Option<&'static AtomicBool> {
+        self.options.interrupt
+    }
+
+    fn body_events(&self) -> &[BodyEvent] {
+        &self.tears
+    }
+
+    fn account(&self) -> Option<String> {
+        let torn = |body: &&Body| body.statistics.first.is_some();
+        let first = self.bodies.iter().filter(torn).min_by(|a, b| {
+            let time = |body: &Body| body.statistics.first.map_or(f64::INFINITY, |(time, _)| time);
+            time(a).total_cmp(&time(b))
+        })?;
+        let (time, place) = first.statistics.first?;
+        let sum = |of: fn(&Body) -> f64| self.bodies.iter().map(of).sum::<f64>();
+        let name = &self.scene.bodies[first.index].name;
+        let what = match (&first.matter, self.scene.lattice.tear) {
+            (Matter::Fem(_), _) => format!(
+                "would tear: {} cells beyond tear_stress; the factored stiffness forbids more",
+                sum(|body| body.statistics.torn as f64)
+            ),
+            (_, TearMode::Split) => {
+                format!("torn: {} nodes split, no volume lost", sum(|body| body.statistics.split as f64))
+            }
+            _ => {
+                let cells = sum(|body| body.cells.cell_count() as f64);
+                let cut = sum(|body| body.statistics.torn as f64);
+                format!("torn: {cut} of {cells} cells cut, their volume lost")
+            }
+        };
+        Some(format!(
+            "{what}; first body \"{name}\" at ({:.4}, {:.4}, {:.4}), t = {time:.6} s",
+            place.x, place.y, place.z
+        ))
+    }
+
+    fn checksum(&self) -> u64 {
+        let words = self.bodies.iter().filter(|body| !body.is_at_rest).flat_map(|body| {
+            let vectors = body.x.iter().chain(&body.u).flat_map(|v| v.to_array());
+            [body.index as u64, body.x.len() as u64, body.statistics.torn, body.statistics.split]
+                .into_iter()
+                .chain(vectors.map(checksum::bits))
+        });
+        let phases =
+            self.phases.iter().flat_map(|(pair, phase)| [u64::from(pair[0]), u64::from(pair[1]), *phase as u64]);
+        checksum::sequence([self.step].into_iter().chain(words).chain(phases))
+    }
+
+    fn observe(&self, want: Want, frame: &mut Frame) {
+        frame.at = self.now();
+        frame.pairs.clear();
+        frame.pairs.extend(self.world.pairs().map(|pair| PairFrame {
+            a: pair.a,
+            b: pair.b,
+            q: pair.q,
+            phase: number(pair.phase),
+        }));
+        frame.bodies.resize_with(self.bodies.len(), BodyFrame::default);
+        let mut around: Vec<Vec<u32>> = vec![Vec::new(); if want.forces { self.bodies.len() } else { 0 }];
+        if want.forces {
+            for pair in &frame.pairs {
+                around[pair.a].push(pair.b as u32);
+                around[pair.b].push(pair.a as u32);
+            }
+        }
+        for (body, now) in self.bodies.iter().zip(&mut frame.bodies) {
+            now.centre = self.path(body.index).map_or(DVec3::ZERO, |path| path.position(self.time_of(self.step)));
+            now.rotation = DQuat::IDENTITY;
+            now.mesh.clone_from(&body.torn);
+            if body.is_at_rest {
+                now.rest();
+            } else {
+                let mesh = now.mesh.clone().unwrap_or_else(|| body.mesh.clone());
+                let count = mesh.vertex_count();
+                at_vertices(body, &body.x, count, &mut now.displacements);
+                at_vertices(body, &body.u, count, &mut now.velocities);
+                now.displaced(mesh.at(body.radius));
+            }
+            now.clear_forces();
+            let sources = around.get_mut(body.index);
+            if let Some(sources) = sources.filter(|sources| !(body.is_at_rest && sources.is_empty())) {
+                sources.extend(body.sources.iter().copied());
+                sources.sort_unstable();
+                sources.dedup();
+                self.add_forces(body, sources, now);
+            }
+        }
+        frame.scalars.clear();
+        if want.scalars {
+            frame.scalars.extend(scalars(&self.scene).into_iter().map(|scalar| match scalar.schema.of {
+                ScalarOf::State => (scalar.value)(self, &frame.bodies),
+                _ => 0.0,
+            }));
+        }
+    }
+}

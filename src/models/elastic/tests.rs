@@ -1,0 +1,320 @@
+use std::f64::consts::PI;
+
+use glam::DVec3;
+
+use super::*;
+use crate::{
+    models::lattice::Constants,
+    observe::{Frame, Simulation, StepSummary, Want},
+    scene::TearMode,
+    sim::Cause,
+};
+
+fn scene(name: &str, model: Model) -> Scene {
+    Scene { model, ..Scene::builtin(name).unwrap() }
+}
+
+fn start(scene: &Scene) -> Elastic {
+    Elastic::new(scene.clone(), Options::default()).unwrap()
+}
+
+fn run(simulation: &mut Elastic, steps: u64) -> Vec<PairEvent> {
+    let (mut summary, mut events) = (StepSummary::default(), Vec::new());
+    for _ in 0..steps {
+        simulation.step();
+        simulation.summary(&mut summary);
+        assert_eq!(summary.failure, None);
+        events.extend_from_slice(&summary.events);
+    }
+    events
+}
+
+/// Phases follow the paths: the events are those of the oscillators, to the bit.
+#[test]
+fn events_are_those_of_the_oscillators() {
+    for name in ["two", "three", "size_ratio"] {
+        let mut world = World::new(scene(name, Model::Oscillators)).unwrap();
+        let steps = world.scene().steps();
+        let mut expected = Vec::new();
+        for _ in 0..steps {
+            expected
+                .extend(world.step().events.iter().map(|event| (event.name(), event.time, event.a, event.b, event.q)));
+        }
+        assert!(!expected.is_empty());
+        for model in [Model::Lattice, Model::Fem] {
+            let events = run(&mut start(&scene(name, model)), steps);
+            let found: Vec<_> =
+                events.iter().map(|event| (event.name, event.time, event.a as u32, event.b as u32, event.q)).collect();
+            assert_eq!(found, expected, "{name} {model}");
+        }
+    }
+}
+
+/// Any number of threads gives the same bits, and so does looking; both models run every built-in scene of bodies on paths.
+#[test]
+fn bits_do_not_depend_on_threads_or_observers() {
+    for (name, steps) in [("two", 120), ("three", 60), ("size_ratio", 60), ("push", 60), ("crowd", 3)] {
+        for model in [Model::Lattice, Model::Fem] {
+            let checksum = |threads: usize, looks: bool| {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                pool.install(|| {
+                    let mut simulation = start(&scene(name, model));
+                    let mut frame = Frame::default();
+                    for _ in 0..steps {
+                        run(&mut simulation, 1);
+                        if looks {
+                            simulation.observe(Want::ALL, &mut frame);
+                        }
+                    }
+                    simulation.checksum()
+                })
+            };
+            let expected = checksum(1, false);
+            assert_eq!([checksum(2, name != "crowd"), checksum(8, false)], [expected; 2], "{name} {model}");
+        }
+    }
+}
+
+/// One body that is pushed or carried, with other lines for the scene and the body.
+fn single(model: Model, scene: &str, body: &str) -> Scene {
+    let text = format!(
+        "duration = 4.0\nmodel = '{model}'\n{scene}\n[[body]]\nname = 'a'\nradius = 0.5\nshape = {{ sphere = {{ stacks = 6, slices = 8 }} }}\n{body}"
+    );
+    Scene::parse(&text, "single.toml").unwrap()
+}
+
+/// Lattice and elements of the same E and ν converge to the same body: the displacement of a body in a constant acceleration is the
+/// same but for what six cells cannot resolve, less with more of them.
+#[test]
+fn lattice_and_elements_agree() {
+    let sag = |model: Model, cells: u32| {
+        let lines = format!("[material]\ndamping = 8.0\n[lattice]\ncells = {cells}\n[fem]\ncells = {cells}");
+        // the path accelerates by 0.02 per s² from the start, almost constantly for a fifth of a period
+        let motion = "motion = { sine = { center = [0, 0, 0], amplitude = [0, 0, 50.66], frequency = 0.003183, phase = 1.5707963267948966 } }";
+        let mut simulation = start(&single(model, &lines, motion));
+        run(&mut simulation, 240);
+        let mut frame = Frame::default();
+        simulation.observe(Want::default(), &mut frame);
+        frame.bodies[0].displacement(0).z
+    };
+    let difference = |cells| sag(Model::Lattice, cells) / sag(Model::Fem, cells) - 1.0;
+    let [coarse, fine] = [4, 8].map(difference);
+    assert!(coarse.abs() < 0.6 && fine.abs() < 0.6 * coarse.abs(), "{coarse} {fine}");
+}
+
+/// Smaller steps converge to the same state, in second order where nothing jumps.
+#[test]
+fn steps_converge() {
+    for model in [Model::Lattice, Model::Fem] {
+        let end = |dt: f64, integrator: Integrator| {
+            let motion =
+                "motion = { sine = { center = [0, 0, 0], amplitude = [0.3, 0, 0], frequency = 0.5, phase = 0.0 } }";
+            let scene = single(model, &format!("dt = {dt}"), motion);
+            let mut simulation = start(&Scene { integrator, ..scene });
+            run(&mut simulation, (1.0 / dt).round() as u64);
+            simulation.bodies[0].x.clone()
+        };
+        let integrator = if model == Model::Lattice { Integrator::Verlet } else { Integrator::Exponential };
+        let states = [1.0 / 200.0, 1.0 / 400.0, 1.0 / 800.0].map(|dt| end(dt, integrator));
+        let difference = |a: &[DVec3], b: &[DVec3]| a.iter().zip(b).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
+        let ratio = difference(&states[0], &states[1]) / difference(&states[1], &states[2]);
+        assert!((3.0..5.0).contains(&ratio), "{model}: {ratio}");
+        assert!(states[2].iter().any(|x| x.length() > 1e-3));
+    }
+}
+
+/// An explicit scheme at a dt beyond the limit diverges, and says so with the limit; the default divides dt.
+#[test]
+fn instability_is_shown() {
+    let scene = Scene { integrator: Integrator::Euler, dt: 0.05, ..scene("two", Model::Lattice) };
+    let mut simulation = start(&scene);
+    let mut summary = StepSummary::default();
+    let failure = (0..2000).find_map(|_| {
+        simulation.step();
+        simulation.summary(&mut summary);
+        summary.failure.clone()
+    });
+    let Some(StepFailure::Diverged(words)) = failure else { panic!("{failure:?}") };
+    assert!(words.contains("stable below") && words.contains("euler"), "{words}");
+    run(&mut start(&Scene { integrator: Integrator::Exponential, ..scene }), 100);
+}
+
+/// What a body endures: dt, ω, κ, α and β over decades. Every case ends, and none of the default integrator is wrong without saying so.
+#[test]
+fn hard_cases_end() {
+    let cases = if std::env::var_os("MELDSCOPE_LONG").is_some() { 1000 } else { 8 };
+    let mut state = 1u64;
+    let mut decades = |low: f64, high: f64| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        low * (high / low).powf((state >> 33) as f64 / f64::from(1u32 << 31))
+    };
+    let mut endured = [[0; 3]; 2];
+    for case in 0..cases {
+        let (dt, omega, damping) = (decades(1e-3, 0.3), decades(1.0, 300.0), decades(0.01, 300.0));
+        let (alpha, beta, mass) = (decades(1.0, 1e4), decades(1.0, 1e4), decades(1e-3, 1e3));
+        for (i, model) in [Model::Lattice, Model::Fem].into_iter().enumerate() {
+            let mut scene = scene("two", model);
+            (scene.dt, scene.influence.alpha, scene.influence.beta) = (dt, alpha, beta);
+            for body in &mut scene.bodies {
+                (body.material.omega, body.material.damping, body.mass) = (omega, damping, mass);
+            }
+            let mut simulation = start(&scene);
+            let mut summary = StepSummary::default();
+            let mut outcome = 0;
+            for _ in 0..(scene.duration / dt).ceil().min(60.0) as u64 {
+                simulation.step();
+                simulation.summary(&mut summary);
+                match &summary.failure {
+                    None => assert!(simulation.bodies.iter().all(|body| body.extent.is_finite())),
+                    Some(StepFailure::Diverged(_)) => outcome = 1,
+                    Some(_) => outcome = 2,
+                }
+                if outcome > 0 {
+                    break;
+                }
+            }
+            endured[i][outcome] += 1;
+        }
+        let _ = case;
+    }
+    eprintln!("of {cases}: lattice whole, diverged, not taken {:?}; fem {:?}", endured[0], endured[1]);
+    assert_eq!(endured.map(|[whole, ..]| whole), [cases - endured[0][2], cases]);
+}
+
+/// A body held by its core, shaken hard: `cut` loses volume and says so, `split` does not, and both change the mesh of the frame.
+#[test]
+fn both_ways_to_tear_show_in_frames() {
+    let motion = "motion = { sine = { center = [0, 0, 0], amplitude = [3.0, 0, 0], frequency = 1.5, phase = 0.0 } }";
+    for tear in [TearMode::None, TearMode::Cut, TearMode::Split] {
+        let lines = format!("[lattice]\ntear = '{}'\nlimit = 0.3\ncells = 6", tear.name());
+        let scene = single(Model::Lattice, &lines, motion);
+        let mut simulation = start(&scene);
+        run(&mut simulation, 60);
+        let mut frame = Frame::default();
+        simulation.observe(Want::ALL, &mut frame);
+        let schema = simulation.schema();
+        let value = |name: &str| {
+            let at = schema.scalars.iter().position(|scalar| scalar.name == name);
+            at.map(|at| frame.scalars[at])
+        };
+        let now = &frame.bodies[0];
+        assert_eq!((now.mesh.is_some(), schema.bodies[0].can_tear), (tear != TearMode::None, tear != TearMode::None));
+        assert_eq!(simulation.account().is_some(), tear != TearMode::None);
+        match tear {
+            TearMode::None => {}
+            TearMode::Cut => assert!(value("volume_lost").is_some_and(|lost| lost > 0.0)),
+            TearMode::Split => assert!(value("volume_lost").is_none() && value("split_nodes").is_some_and(|n| n > 0.0)),
+        }
+        if let Some(mesh) = &now.mesh {
+            let first = simulation.bodies[0].mesh.vertex_count();
+            assert!(mesh.vertex_count() > first && mesh.triangles().iter().flatten().all(|&i| i as usize >= first));
+            assert_eq!(now.displacements.len(), mesh.vertex_count());
+            let mut edges = std::collections::HashMap::new();
+            for &[a, b, c] in mesh.triangles() {
+                [(a, b), (b, c), (c, a)].into_iter().for_each(|edge| *edges.entry(edge).or_insert(0) += 1);
+            }
+            assert!(edges.iter().all(|(&(a, b), count)| edges.get(&(b, a)) == Some(count)), "{}: open", tear.name());
+        }
+        assert!(
+            frame.bodies[0]
+                .terms
+                .iter()
+                .all(|term| term.accelerations.is_empty() || term.accelerations.len() == now.displacements.len())
+        );
+    }
+}
+
+/// Finite elements say where they would tear, once a place, and go on.
+#[test]
+fn elements_say_where_they_would_tear() {
+    let motion = "motion = { sine = { center = [0, 0, 0], amplitude = [1.0, 0, 0], frequency = 1.0, phase = 0.0 } }";
+    let mut scene = single(Model::Fem, "[fem]\ntear_stress = 1.0", motion);
+    let mut simulation = start(&scene);
+    run(&mut simulation, 60);
+    let account = simulation.account().unwrap();
+    assert!(account.contains("would tear") && account.contains("\"a\""), "{account}");
+    let torn = simulation.bodies[0].statistics.torn;
+    assert!(torn > 0 && torn <= simulation.bodies[0].cells.cell_count() as u64);
+    scene.fem.tear_stress = Some(1e9);
+    let mut simulation = start(&scene);
+    run(&mut simulation, 60);
+    assert_eq!(simulation.account(), None);
+}
+
+/// Planes press on the surface: a body that its path lowers onto a plane is dented, and not by more than without the plane.
+#[test]
+fn planes_dent_bodies() {
+    let lines = "[[plane]]\nnormal = [0, 0, 1]\nfriction = 0.5\n[material]\nresponse = 'rigid'\ndamping = 6.0";
+    let motion = "motion = { keyframes = [[0, 0, 0, 0.6], [1, 0.2, 0, 0.4], [9, 1, 0, 0.4]] }";
+    for model in [Model::Lattice, Model::Fem] {
+        let mut simulation = start(&single(model, lines, motion));
+        run(&mut simulation, 120);
+        let mut frame = Frame::default();
+        simulation.observe(Want::ALL, &mut frame);
+        let now = &frame.bodies[0];
+        let lowest = now.positions.iter().map(|place| place.z + now.centre.z).fold(f64::INFINITY, f64::min);
+        assert!((-0.05..0.02).contains(&lowest), "{model}: {lowest}");
+        let names: Vec<&str> = Cause::of(true).map(Cause::name).collect();
+        let pressed = &now.terms[names.iter().position(|name| *name == "plane").unwrap()].accelerations;
+        assert!(pressed.iter().any(|force| force.z > 0.0), "{model}");
+    }
+}
+
+/// A push bends a body as far as statics say: with the load of the push on its nodes for long, the equilibrium of (2.1).
+#[test]
+fn a_push_that_lasts_leads_to_the_equilibrium() {
+    let lines = "[material]\ndamping = 8.0\n[[push]]\nbody = 'a'\ndirection = [1, 0, 0]\nstrength = 0.5\nstart = 0.0\nduration = 9.0";
+    let mut simulation = start(&single(Model::Fem, lines, "motion = { fixed = [0, 0, 0] }"));
+    run(&mut simulation, 500);
+    let body = &simulation.bodies[0];
+    let body::Matter::Fem(finite) = &body.matter else { panic!() };
+    let element = &finite.element;
+    let load = element.free.iter().map(|&node| {
+        let node = node as usize;
+        DVec3::X * (0.5 * f64::max(0.0, -body.directions[node].x) * element.masses[node])
+    });
+    let mut expected: Vec<DVec3> = load.collect();
+    element.factor(f64::INFINITY, u64::MAX, None).unwrap().equilibrium(&mut expected);
+    let worst =
+        element.free.iter().zip(&expected).map(|(&node, x)| body.x[node as usize].distance(*x)).fold(0.0, f64::max);
+    let largest = expected.iter().map(|x| x.length()).fold(0.0, f64::max);
+    assert!(worst < 1e-6 * largest, "{worst} of {largest}");
+}
+
+#[test]
+fn what_the_models_cannot_do_they_refuse() {
+    let refusal = |scene: Scene| Elastic::new(scene, Options::default()).err().unwrap();
+    for model in [Model::Lattice, Model::Fem] {
+        let words = refusal(scene("collide", model));
+        assert!(words.contains("free") && words.contains(model.name()) && words.contains("oscillators"), "{words}");
+        let words = refusal(Scene { integrator: Integrator::Rk4, ..scene("two", model) });
+        assert!(words.contains("rk4"), "{words}");
+        let words = refusal(single(model, "", "omega = 0.0\nmotion = { fixed = [0, 0, 0] }"));
+        assert!(words.contains("omega"), "{words}");
+        let mut large = scene("crowd", model);
+        (large.lattice.cells, large.fem.cells) = (256, 256);
+        let words = refusal(large);
+        assert!(words.contains("cells") && words.contains("too large"), "{words}");
+    }
+    let words = refusal(Scene { integrator: Integrator::Euler, ..scene("two", Model::Fem) });
+    assert!(words.contains("implicit"), "{words}");
+    // springs so stiff that a step of the scene is endless
+    let mut hard = scene("two", Model::Lattice);
+    hard.bodies[0].material.omega = 1e9;
+    let mut simulation = start(&hard);
+    simulation.step();
+    simulation.step();
+    let failure = (0..200).find_map(|_| {
+        simulation.step();
+        simulation.failure.clone()
+    });
+    assert!(matches!(&failure, Some(StepFailure::NotTaken(words)) if words.contains("omega")), "{failure:?}");
+}
+
+/// The stiffness from ω: a bar of the radius' length has that frequency, by its closed form.
+#[test]
+fn stiffness_follows_omega() {
+    let (omega, radius, density) = (12.0, 0.5, 3.0);
+    let Constants { young, .. } = Constants::of(omega, 1.0, radius, density);
+    assert!((PI / (2.0 * radius) * (young / density).sqrt() - omega).abs() < 1e-12);
+}
