@@ -12,6 +12,7 @@
 //! | a stress sweep of every integrator, and bodies of very different sizes | [`stability`] |
 //! | recording cost by detail and destination, verification cost, and the goals for both | [`record`] |
 //! | unions of many spheres, and a scene with the surface of every frame | [`surface`] |
+//! | the models of a soft body side by side | [`models`] |
 //! | output files, checked before and written after measuring | [`output`] |
 //!
 //! # Results
@@ -86,6 +87,7 @@ pub mod error;
 pub mod extrapolation;
 pub mod goals;
 pub mod machine;
+pub mod models;
 pub mod output;
 pub mod particles;
 pub mod record;

@@ -1,5 +1,6 @@
 //! `meldscope bench`: performance and accuracy benchmarks.
 
+mod models;
 mod record;
 mod scale;
 
@@ -22,7 +23,7 @@ use crate::{
         stability::{self, cases::Case, drift, free, sizes, table as of_stability},
         surface,
     },
-    models,
+    models::need_oscillators,
     scene::Integrator,
     sim::memory,
     text::thousands,
@@ -43,6 +44,8 @@ enum What {
     Scale(scale::Arguments),
     /// Recording cost: frames per second, bytes per frame, slow-down of the simulation, cost of verification.
     Record(record::Arguments),
+    /// Models of a soft body side by side: cost, error, stability, volume, and when two bodies became one.
+    Models(models::Arguments),
     /// Merged surfaces: time per frame of unions of 2 to 300 bodies, and frames per second of a scene.
     Surface,
     /// Stress sweep: thousands of small scenes at the limits of every setting, with every integrator.
@@ -107,6 +110,7 @@ pub fn bench(arguments: Arguments) -> Result<(), Failure> {
         What::Error(arguments) => error(arguments),
         What::Scale(arguments) => scale::scale(arguments),
         What::Record(arguments) => record::record(arguments),
+        What::Models(arguments) => models::models(arguments),
         What::Surface => surface(),
         What::Stability(arguments) => stability(arguments),
     }
@@ -135,7 +139,7 @@ fn error(arguments: ErrorArguments) -> Result<(), Failure> {
     let scenes = arguments.scene.iter().map(|name| scene(name)).collect::<Result<Vec<_>, _>>()?;
     for scene in &scenes {
         memory::check(scene).map_err(Failure::input)?;
-        models::need_oscillators(scene, "bench error").map_err(Failure::input)?;
+        need_oscillators(scene, "bench error").map_err(Failure::input)?;
     }
     let [csv_file, svg_file] = arguments.files.claim("scene,vertices,integrator,", "Work and precision")?;
 

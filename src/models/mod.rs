@@ -17,6 +17,7 @@ pub mod elastic;
 pub mod fem;
 pub mod lattice;
 pub mod metaballs;
+pub mod side_by_side;
 
 use std::sync::Arc;
 
@@ -27,6 +28,7 @@ use crate::{
     text::did_you_mean,
 };
 use metaballs::Metaballs;
+use side_by_side::SideBySide;
 
 /// A scene and the options for stepping it: starts the simulation of its [model](Scene::model).
 #[derive(Clone, Debug)]
@@ -117,7 +119,14 @@ pub fn read(name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experim
     scene.dt = positive("dt")?;
     scene.tolerance = positive("tolerance")?;
     let skip = run.get("skip").and_then(toml::Value::as_bool).unwrap_or(true);
-    Ok(Arc::new(SceneRun { scene, options: Options { skip, ..Options::default() } }))
+    let options = Options { skip, ..Options::default() };
+    if let Some(names) = run.get("models").and_then(toml::Value::as_array) {
+        let named = |name: &toml::Value| parse(name.as_str().unwrap_or("none"));
+        let models = names.iter().map(named).collect::<Result<Vec<_>, _>>();
+        let models = models.map_err(|_| Refusal::Run("this program has not all of its models".to_owned()))?;
+        return Ok(Arc::new(SideBySide { scene, options, models }));
+    }
+    Ok(Arc::new(SceneRun { scene, options }))
 }
 
 /// The model of this name.

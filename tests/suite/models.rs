@@ -1,20 +1,26 @@
 //! The models of a scene: how one is chosen and recorded, and what recordings carry of those whose bodies tear.
 
-use std::{path::Path, sync::Arc};
+use std::{path::Path, process::Command, sync::Arc};
 
 use glam::DVec3;
 use meldscope::{
-    Scene,
+    Scene, bench,
     geometry::Mesh,
-    models::{self, SceneRun},
-    observe::{Experiment, Frame, Refusal, Schema, Simulation, StepSummary, Want},
-    recording::{Recorded, diff, frames::FrameReader, replay, replay::Verdict},
-    scene::Model,
+    models::{self, SceneRun, side_by_side::SideBySide},
+    observe::{Experiment, Frame, Refusal, Schema, Simulation, StepSummary, Want, surface::Merger},
+    recording::{
+        Recorded, diff,
+        frames::FrameReader,
+        golden::{self, GoldenOutcome},
+        replay,
+        replay::Verdict,
+    },
+    scene::{Model, builtin},
     sim::Options,
     stream::{
-        Recorder, Settings,
+        self, Settings,
         settings::{Detail, Entities, Frames},
-        sinks::{Destinations, Sinks},
+        sinks::Destinations,
     },
 };
 
@@ -24,21 +30,9 @@ use crate::{
 };
 
 /// Records a run of an experiment.
-pub fn record(experiment: &dyn Experiment, path: &Path, settings: Settings) {
-    let mut simulation = experiment.start().expect("it starts");
+fn record(experiment: &dyn Experiment, path: &Path, settings: Settings) {
     let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };
-    let mut sinks = Sinks::open(&destinations).expect("a file");
-    let mut recorder = Recorder::new(&*simulation, settings.clone());
-    let mut messages = recorder.blueprint(&*simulation);
-    while settings.steps.is_some_and(|steps| simulation.steps_taken() < steps) {
-        simulation.step();
-        recorder.observe(&*simulation);
-        messages.append(&mut recorder.take());
-    }
-    recorder.finish(&*simulation);
-    messages.append(&mut recorder.take());
-    messages.into_iter().for_each(|message| sinks.send(message).expect("room"));
-    sinks.finish().expect("room");
+    stream::record(experiment, settings, &destinations).expect("it is recorded");
 }
 
 fn run(name: &str, model: Model) -> SceneRun {
@@ -204,4 +198,113 @@ fn bodies_made_of_cells_are_recorded_replayed_and_compared() {
             assert!(entities.contains(&entity.into()), "{model}: {entity}");
         }
     }
+}
+
+/// The generic instruments, on metaballs: any number of threads, thin and full recordings, replay, diff and golden recordings.
+#[test]
+fn metaballs_are_recorded_replayed_compared_and_checked() {
+    let (dir, balls) = (Dir::new(), run("two", Model::Metaballs));
+    let (full, thin, golden) = (dir.file("full"), dir.file("thin"), dir.file("golden"));
+    record(&balls, &full, Settings { steps: Some(150), ..Settings::of(&balls) });
+    record(&balls, &thin, Settings { steps: Some(150), frames: Frames::Thin, ..Settings::of(&balls) });
+    let [full, thin] = [&full, &thin].map(|path| Recorded::open(path).expect("ours"));
+    assert_eq!(full.schema.model, "metaballs");
+    for recorded in [&full, &thin] {
+        assert_eq!(replay::verify(recorded, |_| true).expect("it runs"), Verdict::Identical);
+    }
+    let same = diff::diff([&full, &thin], 1e-6).expect("the same bodies");
+    assert_eq!((same.first_bits, same.bodies, same.events), (None, vec![], vec![]));
+    golden::bless(&balls, &golden, "a test").expect("room");
+    let outcome = golden::check(&balls, &golden, None).expect("it runs");
+    assert!(matches!(outcome, GoldenOutcome::Identical { events: 2, .. }), "{outcome:?}");
+
+    // the phases change when those of the oscillators do
+    let events = |model| {
+        let mut simulation = run("two", model).start().expect("it starts");
+        let (mut summary, mut events) = (StepSummary::default(), Vec::new());
+        for _ in 0..300 {
+            simulation.step();
+            simulation.summary(&mut summary);
+            events.extend(summary.events.iter().map(|event| (event.name, event.time.to_bits())));
+        }
+        events
+    };
+    assert_eq!(events(Model::Metaballs), events(Model::Oscillators));
+
+    let digests = [1, 2, 8].map(|threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        pool.install(|| {
+            let mut simulation = run("crowd", Model::Metaballs).start().expect("it starts");
+            let (schema, mut frame) = (simulation.schema(), Frame::default());
+            let mut merger = Merger::new(&schema, None);
+            (0..20).for_each(|_| simulation.step());
+            simulation.observe(Want::ALL, &mut frame);
+            (simulation.checksum(), merger.merge(&schema, &frame, &[[0, 1]]).clone().groups)
+        })
+    });
+    assert!(digests.iter().all(|digest| *digest == digests[0]));
+}
+
+#[test]
+fn models_beside_each_other_are_one_recording() {
+    let dir = Dir::new();
+    let mut scene = Scene::builtin("two").expect("built in");
+    scene.duration = 2.0;
+    let all = SideBySide::all(&scene, Options::default());
+    assert!(all.models.starts_with(&[Model::Oscillators, Model::Metaballs]), "{:?}", all.models);
+    let path = dir.file("beside");
+    record(&all, &path, Settings { steps: Some(120), ..Settings::of(&all) });
+    let recorded = Recorded::open(&path).expect("ours");
+    assert_eq!(replay::verify(&recorded, |_| true).expect("it runs"), Verdict::Identical);
+    let merges = recorded.events.iter().filter(|event| event.name == "merge").map(|event| event.pair.clone());
+    let merges: Vec<String> = merges.collect();
+    assert!(merges.contains(&"oscillators-a~oscillators-b".to_owned()), "{merges:?}");
+    assert!(merges.contains(&"metaballs-a~metaballs-b".to_owned()), "{merges:?}");
+}
+
+#[test]
+fn the_benchmark_of_models_measures_all_that_can_run() {
+    let mut scene = Scene::builtin("two").expect("built in");
+    scene.duration = 1.6;
+    let report = bench::models::measure(&scene, &[Model::Oscillators, Model::Metaballs], None, &mut |_| ());
+    let row = |model: Model| {
+        let row = report.rows.iter().find(|(of, _)| *of == model).map(|(_, row)| row.clone());
+        row.expect("a row").expect("it runs")
+    };
+    let (oscillators, metaballs) = (row(Model::Oscillators), row(Model::Metaballs));
+    assert!(metaballs.points.iter().all(|point| point.error.is_some_and(|error| error < 1e-9)), "{metaballs:?}");
+    let first = oscillators.points[0].error.expect("finite");
+    assert!((1e-12..1e-2).contains(&first), "{oscillators:?}");
+    for row in [&oscillators, &metaballs] {
+        assert!(row.events.iter().any(|(name, _)| name == "merge a~b"), "{row:?}");
+        assert!(row.step > 0.0 && row.frame > row.step && row.memory.is_some());
+    }
+    assert!(metaballs.events.iter().any(|(name, _)| name == "touch a~b"), "{metaballs:?}");
+}
+
+#[test]
+fn what_a_model_cannot_do_is_refused_with_status_2() {
+    let dir = Dir::new();
+    let meldscope = |arguments: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_meldscope")).args(arguments).current_dir(dir.path()).output();
+        let output = output.expect("it starts");
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let (status, error) = meldscope(&["run", "collide", "--model", "metaballs"]);
+    assert!(status == Some(2) && error.contains("motion") && error.contains("body \""), "{status:?} {error}");
+    let (status, error) = meldscope(&["run", "two", "--model", "metabals"]);
+    assert!(status == Some(2) && error.contains("did you mean \"metaballs\""), "{status:?} {error}");
+    std::fs::write(dir.path().join("balls.toml"), "model = 'metaballs'\n".to_owned() + &two()).expect("room");
+    let (status, error) = meldscope(&["bench", "error", "balls.toml"]);
+    assert!(status == Some(2) && error.contains("metaballs"), "{status:?} {error}");
+    assert_eq!(std::fs::read_dir(dir.path()).expect("there").count(), 1, "nothing was written");
+    let (status, error) = meldscope(&["run", "balls.toml", "--save", "balls.rrd"]);
+    assert_eq!(status, Some(0), "{error}");
+    let (status, error) = meldscope(&["replay", "balls.rrd"]);
+    assert_eq!(status, Some(0), "{error}");
+}
+
+fn two() -> String {
+    let found = builtin::ALL.iter().find(|scene| scene.name == "two");
+    found.expect("built in").text.to_owned()
 }

@@ -1,0 +1,544 @@
+//! The models of a soft body side by side: what each costs, how exact it is, what it loses, and when it says that one became
+//! two.
+//!
+//! Nothing here knows a model: whatever [`crate::models`] can start is measured, through [`Simulation`] alone.
+
+use std::{sync::atomic::AtomicBool, time::Instant};
+
+use glam::DVec3;
+use plotters::style::RGBColor;
+use serde::Serialize;
+
+use super::{
+    drawing::{
+        Area, Axis, Failure, INK, LEFT, Line, Marker, Sheet, Style, draw_axes, draw_lines, power_of_ten, ticks, write,
+    },
+    machine::Machine,
+    tables::{self, missing},
+};
+use crate::{
+    Scene,
+    geometry::Vectors,
+    models::SceneRun,
+    observe::{
+        Experiment as _, Frame, Schema, Simulation, StepSummary, SurfaceEvent, Want,
+        surface::Merger,
+        touch::{Finding, Touches},
+    },
+    scene::Model,
+    sim::Options,
+    text::{bytes, counted, significant},
+};
+
+/// Steps of a scene that are measured, at most.
+const MOST_STEPS: u64 = 1200;
+/// A run is timed this often; the median counts.
+const RUNS: usize = 3;
+/// Steps of the work-precision diagram: the scene's own over these.
+const DIVISORS: [f64; 5] = [0.5, 1.0, 2.0, 4.0, 8.0];
+/// What each model converges to is taken from its own run with the scene's step over this.
+const FINEST: f64 = 32.0;
+/// Longer steps are tried up to this many of the scene's.
+const LONGEST: f64 = 64.0;
+/// A run is stable as long as no vertex is farther from its rest position than this [radii] …
+const FAR: f64 = 10.0;
+/// … or than this many times as far as in the run with the scene's own step.
+const TIMES_AS_FAR: f64 = 3.0;
+/// Smaller errors are drawn at this value [radii].
+const FLOOR: f64 = 1e-12;
+
+/// The models on one scene.
+#[derive(Clone, Debug)]
+pub struct Report {
+    /// Name of the scene.
+    pub scene: String,
+    /// Number of vertices of all bodies.
+    pub vertices: u64,
+    /// The scene's own step [s].
+    pub dt: f64,
+    /// Each model, or why it cannot run this scene.
+    pub rows: Vec<(Model, Result<Row, String>)>,
+}
+
+/// What was measured of a model.
+#[derive(Clone, Debug)]
+pub struct Row {
+    /// Time until the first step can be taken [s].
+    pub build: f64,
+    /// Time of a step [s].
+    pub step: f64,
+    /// Time of a step with what a frame needs: the state with its forces, and the merged surface [s].
+    pub frame: f64,
+    /// Memory of the simulation, if it knows that [bytes].
+    pub memory: Option<u64>,
+    /// Steps of the diagram, with the largest difference over time and vertices from the model's own converged solution.
+    pub points: Vec<Point>,
+    /// The largest step with which the run is stable [s]; none of those tried is not.
+    pub largest_step: Option<f64>,
+    /// Whether all longer steps that were tried are stable.
+    pub is_unlimited: bool,
+    /// The largest loss of volume of all surfaces together, in the course of the run [–].
+    pub volume_lost: f64,
+    /// When surfaces touched and parted, and pairs changed their phase, in order.
+    pub events: Vec<(String, f64)>,
+}
+
+/// A run with another step.
+#[derive(Clone, Copy, Debug)]
+pub struct Point {
+    /// The step [s].
+    pub dt: f64,
+    /// Run time [s].
+    pub seconds: f64,
+    /// The error [radii]; `None` if it failed.
+    pub error: Option<f64>,
+}
+
+impl Row {
+    /// The error with the scene's own step [radii].
+    fn error(&self, dt: f64) -> Option<f64> {
+        self.points.iter().find(|point| point.dt == dt)?.error
+    }
+}
+
+/// Measures some models on a scene.
+pub fn measure(
+    scene: &Scene,
+    models: &[Model],
+    interrupt: Option<&'static AtomicBool>,
+    progress: &mut dyn FnMut(f64),
+) -> Report {
+    let mut scene = scene.clone();
+    if scene.steps() > MOST_STEPS {
+        scene.duration = MOST_STEPS as f64 * scene.dt;
+    }
+    let count = models.len() as f64;
+    let rows = (0..).zip(models.iter().copied()).map(|(k, model)| {
+        progress(f64::from(k) / count);
+        let run =
+            SceneRun { scene: Scene { model, ..scene.clone() }, options: Options { interrupt, ..Options::default() } };
+        let row = row(&run, &mut |share| progress((f64::from(k) + share) / count));
+        (model, row)
+    });
+    Report { scene: scene.name.clone(), vertices: scene.vertex_count(), dt: scene.dt, rows: rows.collect() }
+}
+
+fn row(run: &SceneRun, progress: &mut dyn FnMut(f64)) -> Result<Row, String> {
+    let dt = run.scene.dt;
+    let timed = || -> Result<(f64, Box<dyn Simulation>), String> {
+        let start = Instant::now();
+        let simulation = run.start()?;
+        Ok((start.elapsed().as_secs_f64(), simulation))
+    };
+    let (build, simulation) = timed()?;
+    drop(simulation);
+    let build = median((1..RUNS).map(|_| timed().map(|(seconds, _)| seconds)).collect::<Result<Vec<_>, _>>()?, build);
+    progress(0.1);
+
+    let looked = look(run)?;
+    progress(0.2);
+    let steps = run.scene.steps();
+    let times = (0..RUNS).map(|_| plain(run)).collect::<Result<Vec<_>, _>>()?;
+    let first = times.first().copied().unwrap_or(0.0);
+    let step = median(times, first) / steps.max(1) as f64;
+    progress(0.3);
+
+    let finest = states(run, dt / FINEST)?.0;
+    progress(0.6);
+    let mut points = Vec::new();
+    for divisor in DIVISORS {
+        let with = with_step(run, dt / divisor);
+        let start = plain(&with);
+        let error = states(run, dt / divisor).ok().and_then(|(states, _)| difference(&run.scene, &states, &finest));
+        points.push(Point { dt: dt / divisor, seconds: start.unwrap_or(f64::NAN), error });
+    }
+    progress(0.8);
+    let (largest_step, is_unlimited) = largest_step(run, looked.displacement);
+    Ok(Row {
+        build,
+        step,
+        frame: looked.frame,
+        memory: looked.memory,
+        points,
+        largest_step,
+        is_unlimited,
+        volume_lost: looked.volume_lost,
+        events: looked.events,
+    })
+}
+
+fn with_step(run: &SceneRun, dt: f64) -> SceneRun {
+    SceneRun { scene: Scene { dt, ..run.scene.clone() }, options: run.options }
+}
+
+/// The run time of all steps of a scene [s].
+fn plain(run: &SceneRun) -> Result<f64, String> {
+    let (mut simulation, mut summary) = (run.start()?, StepSummary::default());
+    let start = Instant::now();
+    for _ in 0..run.scene.steps() {
+        simulation.step();
+        simulation.summary(&mut summary);
+        if let Some(failure) = &summary.failure {
+            return Err(failure.to_string());
+        }
+    }
+    Ok(start.elapsed().as_secs_f64())
+}
+
+/// What is seen of a run.
+struct Looked {
+    frame: f64,
+    memory: Option<u64>,
+    volume_lost: f64,
+    displacement: f64,
+    events: Vec<(String, f64)>,
+}
+
+fn look(run: &SceneRun) -> Result<Looked, String> {
+    let mut simulation = run.start()?;
+    let schema = simulation.schema();
+    let mut merger = Merger::new(&schema, simulation.interrupt());
+    let mut touches = Touches::new(&*simulation);
+    let (mut frame, mut summary, mut found) = (Frame::default(), StepSummary::default(), Vec::new());
+    let (mut seconds, mut events, mut displacement) = (0.0, Vec::new(), 0.0f64);
+    let mut volumes: Vec<f64> = Vec::new();
+    let (mut local, steps) = (Vectors::default(), run.scene.steps());
+    for step in 0..=steps {
+        let start = Instant::now();
+        if step > 0 {
+            simulation.step();
+            simulation.summary(&mut summary);
+            if let Some(failure) = &summary.failure {
+                return Err(failure.to_string());
+            }
+        }
+        simulation.observe(Want::ALL, &mut frame);
+        let merged = merger.merge(&schema, &frame, &[]);
+        seconds += start.elapsed().as_secs_f64();
+
+        displacement = frame
+            .bodies
+            .iter()
+            .zip(&schema.bodies)
+            .map(|(now, body)| now.max_displacement / body.radius)
+            .fold(displacement, f64::max);
+        let of_groups: f64 = merged.groups.iter().map(|group| group.volume).sum();
+        let alone = (0..frame.bodies.len()).filter(|&body| !merged.is_merged.get(body).copied().unwrap_or(false));
+        volumes.push(of_groups + alone.map(|body| volume(&schema, &frame, body, &mut local)).sum::<f64>());
+        if step > 0 {
+            touches.step(&*simulation, &frame, &summary.events, &mut found);
+            let surfaces = found.iter().filter(|event| matches!(event.what, Finding::Touch | Finding::Part));
+            let surfaces = surfaces.map(|event: &SurfaceEvent| (event.name(), event.a, event.b, event.time));
+            let phases = summary.events.iter().map(|event| (event.name, event.a, event.b, event.time));
+            let named =
+                |(name, a, b, time): (&str, usize, usize, f64)| (format!("{name} {}", schema.pair_name(a, b)), time);
+            events.extend(surfaces.chain(phases).map(named));
+        }
+    }
+    events.sort_by(|x, y| x.1.total_cmp(&y.1));
+    let first = volumes.first().copied().unwrap_or(0.0);
+    let least = volumes.iter().copied().fold(f64::INFINITY, f64::min);
+    Ok(Looked {
+        frame: seconds / steps.max(1) as f64,
+        memory: simulation.memory(),
+        volume_lost: if first > 0.0 { 1.0 - least / first } else { 0.0 },
+        displacement,
+        events,
+    })
+}
+
+/// The volume of a body's own mesh [scene unit³].
+fn volume(schema: &Schema, frame: &Frame, body: usize, local: &mut Vectors) -> f64 {
+    let (of, now) = (&schema.bodies[body], &frame.bodies[body]);
+    now.local_positions(now.rest_of(of), local);
+    let corner = |v: u32| local.get(v as usize);
+    now.mesh_of(of).triangles().iter().map(|&[a, b, c]| corner(a).dot(corner(b).cross(corner(c))) / 6.0).sum()
+}
+
+/// The vertices of all bodies, from their centres, at the instants of the scene's own steps or as many of them as a longer
+/// step has [scene unit]; and the largest displacement [radii].
+type States = Vec<(f64, Vec<Vec<DVec3>>)>;
+
+fn states(run: &SceneRun, dt: f64) -> Result<(States, f64), String> {
+    let with = with_step(run, dt);
+    let (mut simulation, mut summary, mut frame) = (with.start()?, StepSummary::default(), Frame::default());
+    let schema = simulation.schema();
+    let every = (2.0 * run.scene.dt / dt).round().max(1.0) as u64; // all of them have every second instant
+    let (mut states, mut largest, mut local) = (Vec::new(), 0.0f64, Vectors::default());
+    for step in 1..=with.scene.steps() {
+        simulation.step();
+        simulation.summary(&mut summary);
+        if let Some(failure) = &summary.failure {
+            return Err(failure.to_string());
+        }
+        if !step.is_multiple_of(every) {
+            continue;
+        }
+        simulation.observe(Want::default(), &mut frame);
+        let of = |(now, body): (&crate::observe::BodyFrame, &crate::observe::schema::BodySchema)| {
+            largest = f64::max(largest, now.max_displacement / body.radius);
+            now.local_positions(now.rest_of(body), &mut local);
+            local.iter().take(body.vertex_count()).collect::<Vec<_>>()
+        };
+        states.push((frame.at.time, frame.bodies.iter().zip(&schema.bodies).map(of).collect()));
+    }
+    Ok((states, largest))
+}
+
+/// The largest distance of a vertex in two runs, at the instants that both have [radii]; `None` if it is no number.
+fn difference(scene: &Scene, run: &States, finest: &States) -> Option<f64> {
+    let mut largest = 0.0f64;
+    for ((_, one), (_, other)) in run.iter().zip(finest) {
+        for ((one, other), body) in one.iter().zip(other).zip(&scene.bodies) {
+            for (one, other) in one.iter().zip(other) {
+                let distance = one.distance(*other) / body.radius;
+                if !distance.is_finite() {
+                    return None;
+                }
+                largest = largest.max(distance);
+            }
+        }
+    }
+    Some(largest)
+}
+
+/// The largest step with which a run is stable [s], among doublings and halvings of the scene's; and whether all are.
+fn largest_step(run: &SceneRun, displacement: f64) -> (Option<f64>, bool) {
+    let most = f64::max(FAR, TIMES_AS_FAR * displacement);
+    let is_stable = |dt: f64| {
+        // in phase with the scene's own instants or not: only the size of what comes out matters
+        let scene = Scene { dt, ..run.scene.clone() };
+        let with = SceneRun { scene, options: run.options };
+        let Ok(mut simulation) = with.start() else { return false };
+        let (mut summary, mut frame) = (StepSummary::default(), Frame::default());
+        (0..with.scene.steps()).all(|_| {
+            simulation.step();
+            simulation.summary(&mut summary);
+            simulation.observe(Want::default(), &mut frame);
+            let bodies = frame.bodies.iter().zip(&run.scene.bodies);
+            summary.failure.is_none()
+                && bodies.into_iter().all(|(now, body)| now.max_displacement <= most * body.radius)
+        })
+    };
+    let longest = f64::min(LONGEST * run.scene.dt, 0.5 * run.scene.duration);
+    let mut dt = run.scene.dt;
+    if is_stable(dt) {
+        while 2.0 * dt <= longest {
+            if !is_stable(2.0 * dt) {
+                return (Some(dt), false);
+            }
+            dt *= 2.0;
+        }
+        return (Some(dt), true);
+    }
+    for _ in 0..6 {
+        dt *= 0.5;
+        if is_stable(dt) {
+            return (Some(dt), false);
+        }
+    }
+    (None, false)
+}
+
+fn median(mut times: Vec<f64>, one: f64) -> f64 {
+    times.push(one);
+    times.sort_by(f64::total_cmp);
+    times[times.len() / 2]
+}
+
+/// The models on one scene, and what they said of it.
+pub fn table(report: &Report) -> String {
+    let heading = [
+        "model",
+        "step [ms]",
+        "frame [ms]",
+        "frames/s",
+        "build [ms]",
+        "memory",
+        "error [R]",
+        "largest dt [s]",
+        "volume lost",
+    ];
+    let cells = |row: &Row| {
+        [
+            significant(1e3 * row.step),
+            significant(1e3 * row.frame),
+            format!("{:.0}", 1.0 / row.frame),
+            significant(1e3 * row.build),
+            row.memory.map_or_else(missing, bytes),
+            match row.error(report.dt) {
+                None => "diverged".to_owned(),
+                Some(error) if error < FLOOR => format!("< {FLOOR:.0e}"),
+                Some(error) => format!("{error:.1e}"),
+            },
+            match (row.largest_step, row.is_unlimited) {
+                (None, _) => "none".to_owned(),
+                (Some(dt), true) => format!("≥ {dt:.4}"),
+                (Some(dt), false) => format!("{dt:.4}"),
+            },
+            format!("{:.2} %", 100.0 * row.volume_lost + 0.0),
+        ]
+    };
+    let measured = report.rows.iter().filter_map(|(model, row)| Some((model, row.as_ref().ok()?)));
+    let rows = measured
+        .clone()
+        .map(|(model, row)| std::iter::once(model.name().to_owned()).chain(cells(row)).collect::<Vec<_>>());
+    let mut text = format!(
+        "{}: {}, steps of {:.6} s\n\n{}\n",
+        report.scene,
+        counted(report.vertices, "vertex"),
+        report.dt,
+        tables::table(heading, rows)
+    );
+    for (model, row) in measured {
+        let events: Vec<String> = row.events.iter().take(12).map(|(name, time)| format!("{name} {time:.6}")).collect();
+        let events = if events.is_empty() { "one never became two, nor two one".to_owned() } else { events.join(", ") };
+        text += &format!("\n{model} [s]: {events}");
+    }
+    for (model, row) in &report.rows {
+        if let Err(why) = row {
+            text += &format!("\n{model}: {why}");
+        }
+    }
+    text
+}
+
+/// What the columns mean.
+pub fn footer(machine: &Machine) -> String {
+    format!(
+        "step: median of {RUNS} runs; frame: a step, its state with forces, and the merged surface; error: the largest over time and\n\
+         vertices, against the model's own run with a step {FINEST} times as short; largest dt: among doublings and halvings; volume\n\
+         lost: of all surfaces together, at the worst frame\n{machine}"
+    )
+}
+
+#[derive(Serialize)]
+struct CsvLine<'a> {
+    scene: &'a str,
+    model: &'a str,
+    dt_s: Option<f64>,
+    run_time_ms: Option<f64>,
+    error_radii: Option<f64>,
+    step_ms: Option<f64>,
+    frame_ms: Option<f64>,
+    build_ms: Option<f64>,
+    memory_bytes: Option<u64>,
+    largest_dt_s: Option<f64>,
+    volume_lost: Option<f64>,
+    refused: &'a str,
+    cpu: &'a str,
+    version: &'a str,
+}
+
+/// All measurements, a line for each step of each model.
+///
+/// # Errors
+/// None is known to occur.
+pub fn csv(reports: &[Report], machine: &Machine) -> Result<String, String> {
+    let mut lines = Vec::new();
+    for report in reports {
+        for (model, row) in &report.rows {
+            let line = |row: Option<&Row>, point: Option<&Point>, refused| CsvLine {
+                scene: &report.scene,
+                model: model.name(),
+                dt_s: point.map(|point| point.dt),
+                run_time_ms: point.map(|point| 1e3 * point.seconds),
+                error_radii: point.map(|point| point.error.unwrap_or(f64::INFINITY)),
+                step_ms: row.map(|row| 1e3 * row.step),
+                frame_ms: row.map(|row| 1e3 * row.frame),
+                build_ms: row.map(|row| 1e3 * row.build),
+                memory_bytes: row.and_then(|row| row.memory),
+                largest_dt_s: row.and_then(|row| row.largest_step),
+                volume_lost: row.map(|row| row.volume_lost),
+                refused,
+                cpu: &machine.cpu,
+                version: machine.version,
+            };
+            match row {
+                Ok(row) => lines.extend(row.points.iter().map(|point| line(Some(row), Some(point), ""))),
+                Err(why) => lines.push(line(None, None, why.as_str())),
+            }
+        }
+    }
+    tables::csv(lines)
+}
+
+/// Size of a panel, labels included [px].
+const PANEL: (u32, u32) = (900, 560);
+const TOP: u32 = 46;
+const RIGHT: u32 = 220;
+
+fn style(model: Model) -> Style {
+    let (color, marker, width) = match model {
+        Model::Oscillators => (RGBColor(0, 158, 115), Marker::Disc, 3),
+        Model::Metaballs => (RGBColor(204, 121, 167), Marker::Polygon(&[1.0, 3.0, 5.0, 7.0]), 2),
+        Model::Lattice => (RGBColor(230, 159, 0), Marker::Polygon(&[4.0, 1.33, 6.67]), 2),
+        Model::Fem => (RGBColor(0, 114, 178), Marker::Polygon(&[0.0, 2.67, 5.33]), 2),
+    };
+    Style { color, marker, width }
+}
+
+/// The work-precision diagram, a panel for each scene.
+///
+/// # Errors
+/// Errors of the drawing library; none is known to occur.
+pub fn svg(reports: &[Report], machine: &Machine) -> Result<String, String> {
+    let columns = if reports.len() > 1 { 2 } else { 1 };
+    let rows = reports.len().div_ceil(columns).max(1);
+    let sheet = Sheet {
+        size: (PANEL.0 * columns as u32, PANEL.1 * rows as u32),
+        title: "Models: work and precision",
+        heading: [
+            "Down is more exact, left is faster. From point to point the step is halved, from twice the scene’s own on.",
+            "Each model is compared with what it converges to itself, not with the others.",
+        ],
+        notes: &[
+            "Error: the largest over time and vertices. Metaballs have no dynamics: their error is that of rounding.",
+            &machine.to_string(),
+        ],
+    };
+    sheet.svg(|panels| {
+        let panels = panels.split_evenly((rows, columns));
+        panels.iter().zip(reports).try_for_each(|(panel, report)| draw(panel, report))
+    })
+}
+
+fn draw(panel: &Area<'_>, report: &Report) -> Result<(), Failure> {
+    let rows = || report.rows.iter().filter_map(|(model, row)| Some((*model, row.as_ref().ok()?)));
+    let points = || rows().flat_map(|(_, row)| &row.points).filter(|point| point.seconds > 0.0);
+    let times = points().map(|point| 1e3 * point.seconds);
+    let (least, most) = times.fold((f64::INFINITY, 0.0), |(least, most), t| (f64::min(least, t), f64::max(most, t)));
+    let times = if least <= most { least / 1.5..most * 1.5 } else { 0.1..10.0 };
+    let errors = || points().filter_map(|point| point.error).map(|error| error.max(FLOOR));
+    let errors = errors().fold(1e-1, f64::min) / 4.0..errors().fold(1e-1, f64::max) * 2.5;
+    let time_axis = Axis {
+        name: "run time [ms]",
+        range: times.clone(),
+        ticks: ticks(&times, if times.end / times.start < 1000.0 { &[1.0, 2.0, 5.0] } else { &[1.0] }),
+        grid: ticks(&times, &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]),
+        number: f64::to_string,
+    };
+    let error_axis = Axis {
+        name: "largest error [radii]",
+        range: errors.clone(),
+        ticks: ticks(&errors, &[1.0]),
+        grid: vec![],
+        number: |&error| power_of_ten(error),
+    };
+    let at = draw_axes(panel, TOP, RIGHT, [time_axis, error_axis])?;
+    let title = format!("{} ({} vertices)", report.scene, report.vertices);
+    write(panel, &title, (LEFT as i32, TOP as i32 / 2), 24.0, INK)?;
+    let right = at(times.end, errors.start).0;
+    let place = |point: &Point| {
+        at(1e3 * point.seconds, point.error.map_or(errors.end, |error| error.clamp(errors.start, errors.end)))
+    };
+    let lines = rows().map(|(model, row)| {
+        let is_drawn = |point: &&Point| point.seconds > 0.0;
+        Line {
+            name: model.name().to_owned(),
+            style: style(model),
+            points: row.points.iter().filter(is_drawn).map(place).collect(),
+        }
+    });
+    draw_lines(panel, TOP, right, lines.collect())
+}

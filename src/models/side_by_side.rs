@@ -1,0 +1,396 @@
+//! Several models of one scene as one simulation: beside each other in space, aligned in time, so that one recording shows
+//! them and one set of instruments measures them.
+
+use std::{
+    sync::{Arc, Mutex, PoisonError, atomic::AtomicBool},
+    time::{Duration, Instant as Clock},
+};
+
+use glam::DVec3;
+
+use super::SceneRun;
+use crate::{
+    observe::{
+        BodyEvent, BodyFrame, Experiment, Frame, Instant, PairEvent, PairFrame, Refusal, Schema, Simulation,
+        StepFailure, StepSummary, SurfaceEvent, Want, checksum, colors,
+        schema::{BodySchema, OwnLevels, OwnSurfaces, ScalarOf, ScalarSchema, TermSchema},
+        surface::{Group, Merger, PairMeasures, Surfaces},
+        touch::{Finding, Touches},
+    },
+    scene::{Model, Scene},
+    sim::Options,
+};
+
+/// Room between neighbours [extents of the scene].
+const ROOM: f64 = 1.05;
+
+/// Some models of a scene. The scene's own model is not among them unless it is named.
+#[derive(Clone, Debug)]
+pub struct SideBySide {
+    /// The scene.
+    pub scene: Scene,
+    /// How each model is stepped.
+    pub options: Options,
+    /// The models, in the order in which they stand beside each other; at least one.
+    pub models: Vec<Model>,
+}
+
+impl SideBySide {
+    /// All models that can run a scene.
+    pub fn all(scene: &Scene, options: Options) -> SideBySide {
+        let run = |model: &Model| SceneRun { scene: Scene { model: *model, ..scene.clone() }, options };
+        let models = Model::ALL.into_iter().filter(|model| run(model).start().is_ok()).collect();
+        SideBySide { scene: Scene { model: Model::Oscillators, ..scene.clone() }, options, models }
+    }
+
+    fn runs(&self) -> impl Iterator<Item = SceneRun> + '_ {
+        let run = |model: &Model| Scene { model: *model, ..self.scene.clone() };
+        self.models.iter().map(move |model| SceneRun { scene: run(model), options: self.options })
+    }
+
+    /// The places of the models, given what a camera should see of one.
+    fn places(&self, spheres: &[(DVec3, f64)]) -> Vec<Place> {
+        let ends = spheres.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (centre, radius)| {
+            (f64::min(low, centre.y - radius), f64::max(high, centre.y + radius))
+        });
+        let apart = if ends.0 < ends.1 { ROOM * (ends.1 - ends.0) } else { 0.0 };
+        let bodies = self.scene.bodies.len();
+        let place = |(k, run): (usize, SceneRun)| Place {
+            schema: run.schema(),
+            first: k * bodies,
+            offset: -(k as f64) * apart * DVec3::Y,
+        };
+        self.runs().enumerate().map(place).collect()
+    }
+
+    fn spheres(&self) -> Vec<(DVec3, f64)> {
+        self.runs().next().and_then(|run| run.start().ok()).map(|run| run.framing(false)).unwrap_or_default()
+    }
+
+    fn combined(&self, places: &[Place]) -> Schema {
+        let Some(first) = places.first().map(|place| &place.schema) else { return Schema::default() };
+        let bodies = places.iter().flat_map(|place| {
+            let named = |body: &BodySchema| BodySchema {
+                name: format!("{}-{}", place.schema.model, body.name),
+                ..body.clone()
+            };
+            place.schema.bodies.iter().map(named)
+        });
+        let net = TermSchema::new("net", "Net", colors::WHITE);
+        let mut warnings: Vec<String> = places.iter().flat_map(|place| place.schema.warnings.clone()).collect();
+        warnings.dedup();
+        let names: Vec<String> = self.models.iter().map(|model| format!("\"{model}\"")).collect();
+        let own_levels = {
+            let places = places.to_vec();
+            OwnLevels::new(move |threshold, a, b| {
+                let place = places.iter().find(|place| place.has(a))?;
+                place.schema.level(threshold, a - place.first, b.checked_sub(place.first)?)
+            })
+        };
+        Schema {
+            name: format!("{}-models", self.scene.name),
+            run: first.run.clone() + &format!("models = [{}]\n", names.join(", ")),
+            model: self.models.iter().map(|model| model.name()).collect::<Vec<_>>().join("+"),
+            law: places.iter().map(|place| format!("**{}**: {}  \n", place.schema.model, place.schema.law)).collect(),
+            bodies: bodies.collect(),
+            terms: vec![net],
+            labels: vec!["as in its own recording"],
+            own_levels: if self.scene.pairs.is_empty() { OwnLevels::default() } else { own_levels },
+            surfaces: OwnSurfaces::new(Apart { places: places.to_vec(), mergers: mergers(places) }),
+            scalars: self.models.iter().map(|model| displacement(*model)).collect(),
+            stages: self.models.iter().map(|model| model.name()).collect(),
+            warnings,
+            ..first.clone()
+        }
+    }
+}
+
+/// The scalar of a model.
+fn displacement(model: Model) -> ScalarSchema {
+    let (name, label) = match model {
+        Model::Oscillators => ("displacement_of_oscillators", "oscillators"),
+        Model::Metaballs => ("displacement_of_metaballs", "metaballs"),
+        Model::Lattice => ("displacement_of_lattice", "lattice"),
+        Model::Fem => ("displacement_of_fem", "fem"),
+    };
+    ScalarSchema { plot: "Largest displacement [radii]", ..ScalarSchema::new(name, label, ScalarOf::State) }
+}
+
+/// Where a model stands.
+#[derive(Clone, Debug)]
+struct Place {
+    schema: Schema,
+    /// Index of its first body.
+    first: usize,
+    offset: DVec3,
+}
+
+impl Place {
+    fn has(&self, body: usize) -> bool {
+        (self.first..self.first + self.schema.bodies.len()).contains(&body)
+    }
+
+    /// What a frame has of this model, as if it were alone.
+    fn alone(&self, frame: &Frame) -> Frame {
+        let bodies = frame.bodies.iter().skip(self.first).take(self.schema.bodies.len());
+        let back = |body: &BodyFrame| BodyFrame { centre: body.centre - self.offset, ..body.clone() };
+        let pairs = frame.pairs.iter().filter(|pair| self.has(pair.a) && self.has(pair.b));
+        Frame {
+            at: frame.at,
+            bodies: bodies.map(back).collect(),
+            pairs: pairs.map(|pair| PairFrame { a: pair.a - self.first, b: pair.b - self.first, ..*pair }).collect(),
+            scalars: Vec::new(),
+        }
+    }
+}
+
+fn mergers(places: &[Place]) -> Vec<Mutex<Merger>> {
+    places.iter().map(|place| Mutex::new(Merger::new(&place.schema, None))).collect()
+}
+
+/// The surfaces of models that stand apart: each as its own schema says.
+struct Apart {
+    places: Vec<Place>,
+    mergers: Vec<Mutex<Merger>>,
+}
+
+impl Apart {
+    fn of(&self, body: usize) -> Option<(&Place, &Mutex<Merger>)> {
+        self.places.iter().zip(&self.mergers).find(|(place, _)| place.has(body))
+    }
+}
+
+impl Surfaces for Apart {
+    fn groups(&self, _: &Schema, frame: &Frame) -> Vec<Vec<usize>> {
+        let of = |(place, merger): (&Place, &Mutex<Merger>)| {
+            let mut merger = merger.lock().unwrap_or_else(PoisonError::into_inner);
+            let merged = merger.merge(&place.schema, &place.alone(frame), &[]);
+            let shifted = |group: &Arc<Group>| group.bodies.iter().map(|body| body + place.first).collect();
+            merged.groups.iter().map(shifted).collect::<Vec<Vec<usize>>>()
+        };
+        self.places.iter().zip(&self.mergers).flat_map(of).collect()
+    }
+
+    fn unite(&self, _: &Schema, frame: &Frame, group: &[usize], _: Option<&AtomicBool>) -> Option<Group> {
+        let (place, merger) = self.of(*group.first()?)?;
+        let mut merger = merger.lock().unwrap_or_else(PoisonError::into_inner);
+        let merged = merger.merge(&place.schema, &place.alone(frame), &[]);
+        let is_it = |found: &&Arc<Group>| found.bodies.iter().map(|body| body + place.first).eq(group.iter().copied());
+        let mut found = Group::clone(merged.groups.iter().find(is_it)?);
+        found.bodies = group.to_vec();
+        found.positions.iter_mut().for_each(|at| *at += place.offset);
+        for origin in &mut found.origins {
+            origin.bodies = origin.bodies.map(|body| body + place.first as u32);
+        }
+        for seam in &mut found.seams {
+            seam.bodies = seam.bodies.map(|body| body + place.first);
+            seam.positions.iter_mut().for_each(|at| *at += place.offset);
+        }
+        Some(found)
+    }
+
+    fn measure(&self, _: &Schema, frame: &Frame, pair: [usize; 2], _: Option<&AtomicBool>) -> Option<PairMeasures> {
+        let (place, merger) = self.of(pair[0])?;
+        let mut merger = merger.lock().unwrap_or_else(PoisonError::into_inner);
+        let own = [pair[0] - place.first, pair[1].checked_sub(place.first)?];
+        merger.merge(&place.schema, &place.alone(frame), &[own]).pairs.first().copied().flatten()
+    }
+}
+
+impl Experiment for SideBySide {
+    fn schema(&self) -> Schema {
+        self.combined(&self.places(&self.spheres()))
+    }
+
+    fn start(&self) -> Result<Box<dyn Simulation>, String> {
+        let places = self.places(&self.spheres());
+        let parts = self.runs().zip(&places).map(|(run, place)| {
+            let simulation = run.start()?;
+            let touches = simulation.contacts().is_none().then(|| Touches::new(&*simulation));
+            Ok(Part { simulation, touches, place: place.clone(), took: Duration::ZERO })
+        });
+        let parts = parts.collect::<Result<Vec<_>, String>>()?;
+        if parts.is_empty() {
+            return Err("there is no model to be run".to_owned());
+        }
+        let (schema, scene) = (self.combined(&places), self.scene.clone());
+        Ok(Box::new(Beside {
+            schema,
+            scene,
+            parts,
+            contacts: Vec::new(),
+            body_events: Vec::new(),
+            frame: Frame::default(),
+        }))
+    }
+
+    fn read(&self, name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> {
+        super::read(name, text, run)
+    }
+}
+
+/// Models that are stepped together.
+struct Beside {
+    schema: Schema,
+    scene: Scene,
+    parts: Vec<Part>,
+    /// When surfaces touched and parted in the last step.
+    contacts: Vec<SurfaceEvent>,
+    /// What happened to single bodies in it.
+    body_events: Vec<BodyEvent>,
+    /// Scratch storage, reused.
+    frame: Frame,
+}
+
+struct Part {
+    simulation: Box<dyn Simulation>,
+    /// What it does not find itself.
+    touches: Option<Touches>,
+    place: Place,
+    /// How long its last step took.
+    took: Duration,
+}
+
+impl Simulation for Beside {
+    fn schema(&self) -> Schema {
+        self.schema.clone()
+    }
+
+    fn overrides(&self, steps: Option<u64>) -> String {
+        self.scene.overrides(steps)
+    }
+
+    fn steps_taken(&self) -> u64 {
+        self.parts.first().map_or(0, |part| part.simulation.steps_taken())
+    }
+
+    fn time(&self) -> f64 {
+        self.parts.first().map_or(0.0, |part| part.simulation.time())
+    }
+
+    fn step(&mut self) {
+        self.contacts.clear();
+        self.body_events.clear();
+        let mut summary = StepSummary::default();
+        for Part { simulation, touches, place, took } in &mut self.parts {
+            let start = Clock::now();
+            simulation.step();
+            *took = start.elapsed();
+            let mut found = Vec::new();
+            if let Some(touches) = touches {
+                simulation.summary(&mut summary);
+                simulation.observe(Want::default(), &mut self.frame);
+                touches.step(&**simulation, &self.frame, &[], &mut found);
+            }
+            let own = simulation.contacts().unwrap_or(&found).iter();
+            let own = own.filter(|event| matches!(event.what, Finding::Touch | Finding::Part));
+            let shifted =
+                |event: &SurfaceEvent| SurfaceEvent { a: event.a + place.first, b: event.b + place.first, ..*event };
+            self.contacts.extend(own.map(shifted));
+            let shifted = |event: &BodyEvent| BodyEvent {
+                body: event.body + place.first,
+                place: event.place + place.offset,
+                ..*event
+            };
+            self.body_events.extend(simulation.body_events().iter().map(shifted));
+        }
+        self.body_events.sort_by(|x, y| x.time.total_cmp(&y.time).then(x.body.cmp(&y.body)));
+        self.contacts.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
+    }
+
+    fn summary(&self, summary: &mut StepSummary) {
+        let mut all =
+            StepSummary { at: Instant { step: self.steps_taken(), time: self.time() }, ..StepSummary::default() };
+        let mut one = StepSummary::default();
+        for Part { simulation, place, took, .. } in &self.parts {
+            simulation.summary(&mut one);
+            let shifted =
+                |event: &PairEvent| PairEvent { a: event.a + place.first, b: event.b + place.first, ..*event };
+            all.events.extend(one.events.iter().map(shifted));
+            all.timings.push(*took);
+            all.scalars.push(0.0);
+            let named = |why: &String| format!("{}: {why}", place.schema.model);
+            let failure = one.failure.take().map(|failure| match &failure {
+                StepFailure::Diverged(why) => StepFailure::Diverged(named(why)),
+                StepFailure::NotTaken(why) => StepFailure::NotTaken(named(why)),
+                StepFailure::Interrupted(why) => StepFailure::Interrupted(named(why)),
+            });
+            all.failure = all.failure.take().or(failure);
+        }
+        all.events.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
+        *summary = all;
+    }
+
+    fn account(&self) -> Option<String> {
+        let of = |part: &Part| Some(format!("{}: {}", part.place.schema.model, part.simulation.account()?));
+        let all: Vec<String> = self.parts.iter().filter_map(of).collect();
+        (!all.is_empty()).then(|| all.join("\n"))
+    }
+
+    fn interrupt(&self) -> Option<&'static AtomicBool> {
+        self.parts.first()?.simulation.interrupt()
+    }
+
+    fn checksum(&self) -> u64 {
+        checksum::sequence(self.parts.iter().map(|part| part.simulation.checksum()))
+    }
+
+    fn observe(&self, want: Want, frame: &mut Frame) {
+        frame.at = Instant { step: self.steps_taken(), time: self.time() };
+        frame.bodies.clear();
+        frame.pairs.clear();
+        frame.scalars.clear();
+        for Part { simulation, place, .. } in &self.parts {
+            let mut one = Frame::default();
+            simulation.observe(Want { forces: want.forces, scalars: false }, &mut one);
+            let bodies = one.bodies.iter().zip(&place.schema.bodies);
+            let largest = bodies.map(|(now, body)| now.max_displacement / body.radius).fold(0.0, f64::max);
+            frame.scalars.extend(want.scalars.then_some(largest));
+            for mut now in one.bodies {
+                now.centre += place.offset;
+                now.terms.drain(..now.terms.len().saturating_sub(1));
+                now.labels.clear();
+                frame.bodies.push(now);
+            }
+            let shifted = |pair: &PairFrame| PairFrame { a: pair.a + place.first, b: pair.b + place.first, ..*pair };
+            frame.pairs.extend(one.pairs.iter().map(shifted));
+        }
+    }
+
+    fn within(&self, before: &Frame, time: f64, bodies: &[usize], frame: &mut Frame) {
+        frame.at = Instant { step: self.steps_taken(), time };
+        frame.bodies.resize_with(self.schema.bodies.len(), BodyFrame::default);
+        for Part { simulation, place, .. } in &self.parts {
+            let own: Vec<usize> =
+                bodies.iter().filter(|&&body| place.has(body)).map(|body| body - place.first).collect();
+            if own.is_empty() {
+                continue;
+            }
+            let mut one = Frame::default();
+            simulation.within(&place.alone(before), time, &own, &mut one);
+            for (index, mut now) in one.bodies.into_iter().enumerate() {
+                now.centre += place.offset;
+                frame.bodies[place.first + index] = now;
+            }
+        }
+    }
+
+    fn contacts(&self) -> Option<&[SurfaceEvent]> {
+        Some(&self.contacts)
+    }
+
+    fn body_events(&self) -> &[BodyEvent] {
+        &self.body_events
+    }
+
+    fn framing(&self, only_what_happens: bool) -> Vec<(DVec3, f64)> {
+        let of = |part: &Part| {
+            let offset = part.place.offset;
+            part.simulation
+                .framing(only_what_happens)
+                .into_iter()
+                .map(move |(centre, radius)| (centre + offset, radius))
+        };
+        self.parts.iter().flat_map(of).collect()
+    }
+}
