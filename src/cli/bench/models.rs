@@ -3,12 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::{
-    super::{
-        announce,
-        interrupt::{self, STOP},
-        may_save,
-        run::scene,
-    },
+    super::{announce, may_save, run::scene},
     Failure, Files, print, progress_bar, write,
 };
 use crate::{
@@ -42,15 +37,13 @@ pub fn models(arguments: Arguments) -> Result<(), Failure> {
     let scenes = arguments.scene.iter().map(|name| scene(name)).collect::<Result<Vec<_>, _>>()?;
     let [csv_file, svg_file] = arguments.files.claim("scene,model,dt_s,", "Models: work and precision")?;
     if let (Some(path), [first, ..]) = (&arguments.save, scenes.as_slice()) {
-        interrupt::raise_stop()?;
         record(first, path)?;
     }
     let machine = Machine::detect();
     let mut reports = Vec::new();
     for scene in &scenes {
         let bar = progress_bar(&scene.name);
-        let report =
-            models::measure(scene, &Model::ALL, Some(&STOP), &mut |share| bar.set_position((1000.0 * share) as u64));
+        let report = models::measure(scene, &Model::ALL, None, &mut |share| bar.set_position((1000.0 * share) as u64));
         bar.finish_and_clear();
         print(&format!("{}\n", table(&report)));
         reports.push(report);
@@ -62,7 +55,7 @@ pub fn models(arguments: Arguments) -> Result<(), Failure> {
 
 /// Records all models that can run a scene.
 fn record(scene: &Scene, path: &Path) -> Result<(), Failure> {
-    let all = SideBySide::all(scene, Options { interrupt: Some(&STOP), ..Options::default() });
+    let all = SideBySide::all(scene, Options::default());
     let schema = all.schema();
     let new = Existing { application: application(&schema.name), kind: Some(Kind::Run) };
     may_save(path, &[], &new)?;
