@@ -42,6 +42,7 @@ struct Scratch {
     breaks: Vec<f64>,
     margins: Vec<Margin>,
     contributing: Vec<Neighbour>,
+    touching: Vec<Neighbour>,
     acting: Acting,
     local: Vectors,
     gaps: Vec<f64>,
@@ -319,8 +320,16 @@ impl<'a> Context<'a> {
         } else {
             scratch.contributing.extend(&active.bounds.reachable);
         }
-        let Scratch { breaks, contributing, acting, local, exponential, .. } = scratch;
+        let Scratch { breaks, contributing, touching, acting, local, exponential, .. } = scratch;
         self.find_breaks(active.body, contributing, span, breaks, work);
+        if breaks.len() > 2 {
+            // what jumps about a sphere that reaches no vertex divides no step
+            touching.clear();
+            touching.extend(contributing.iter().filter(|source| self.may_touch(active, source, span)));
+            if touching.len() < contributing.len() {
+                self.find_breaks(active.body, touching, span, breaks, work);
+            }
+        }
         let tolerance = scene.tolerance * scene.bodies[index].radius;
         let control = StepControl { arch: self.arch, tolerance, work };
         let vertices = active.state.deformation.active_set.vertices.len();
@@ -377,6 +386,16 @@ impl<'a> Context<'a> {
         let on = self.on(index);
         let phases = self.pairs.changes(source.pair).iter().map(|&(_, phase)| phase);
         phases.chain([self.pairs.get(source.pair).phase]).any(|phase| on.strength(source, phase) != 0.0)
+    }
+
+    /// Whether a sphere may reach any of a body's vertices within the step.
+    fn may_touch(&self, active: &Active, source: &Neighbour, span: Span) -> bool {
+        let (own, other) = (self.tracks.motion_bounds(active.body), self.tracks.motion_bounds(source.other));
+        let swings = active.bounds.farthest - own.radius;
+        let near = other.sphere + swings + (own.speed + other.speed) * span.length();
+        let (rest, centre) = (self.body(active.body).rest(), other.centre - own.centre);
+        // written so that NaN is near
+        (0..rest.len()).any(|i| !(rest.position(i).distance(centre) > near))
     }
 
     /// The ends of the intervals of a step in which nothing about a body jumps.

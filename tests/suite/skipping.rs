@@ -405,6 +405,27 @@ fn assert_same_as_plain(scene: &Scene, steps: u64, tolerance: f64) {
     eprintln!("{}: skipping against the naive baseline: {worst:e} of a radius", scene.name);
 }
 
+/// A large body among small ones, most of which reach none of its vertices: how its steps' errors are estimated does
+/// not depend on these. Found by a property test; the difference was 1.7e-8.
+#[test]
+fn who_is_out_of_reach_does_not_change_how_steps_are_divided() {
+    let body = |name: &str, radius: f64, motion: &str| {
+        format!(
+            "[[body]]\nname = \"{name}\"\nradius = {radius:?}\nshape = {{ sphere = {{ stacks = 5, slices = 8 }} }}\n\
+             motion = {{ {motion} }}\n"
+        )
+    };
+    let sine = "center = [-259.43, 173.36, 9.618], amplitude = [592.25, 0, 0], frequency = 0.4";
+    let text = String::from("duration = 0.45\n[material]\nresponse = \"rigid\"\n")
+        + &body("swings", 202.305, &format!("sine = {{ {sine} }}"))
+        + &body("one", 1.0, "fixed = [0, 0, 0]")
+        + &body("two", 1.0, "fixed = [0, 0, 0]")
+        + &body("far", 67.402, "fixed = [0, 0, 121.885]")
+        + &body("aside", 20.788, "fixed = [-17.2, 34.203, -51.296]")
+        + &body("three", 1.0, "fixed = [0, 0, 0]");
+    assert_same_as_plain(&Scene::parse(&text, "sizes.toml").expect("a valid scene"), u64::MAX, 1e-9);
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 

@@ -311,12 +311,14 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
             let quartic = respond(bend * weights.bend_aside, &weights.polynomial_aside, &forces);
             let skew = none.larger_or_nan((found - quartic).length_squared().sqrt() - noise);
             let all = self.left_out(stiffness, left_out, skew) + self.ringing([x, u], &forces, stiffness);
-            // by what acts on each vertex alone, not by the spheres that others are near
+            // by what acts on each vertex alone, not by the spheres that others are near, or that are near none
             let Material { omega, damping, .. } = self.course.body().material;
             let scales = (stiffness.sqrt() + Reals::splat(simd, omega + 2.0 * damping)) * self.step.h;
             let is_quick = Reals::splat(simd, 1.0).below(scales);
             let is_near = Reals::splat(simd, wanted).below(effect * (4.0 * gain));
-            effect = is_quick.or(is_near).select(all, effect);
+            let expected = self.pulled() * ((scales * scales) * (scales * scales)) * scales;
+            let is_bent = Reals::splat(simd, wanted).below(expected * usual(self.course, self.step.h));
+            effect = is_quick.or(is_near.and(is_bent)).select(all, effect);
         }
         Collocated {
             x: end,
@@ -325,6 +327,18 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
             bend,
             error: unsettled + effect * gain,
         }
+    }
+
+    /// The largest acceleration of each vertex by the spheres that act on it [scene unit/s²].
+    #[inline(always)]
+    fn pulled(&self) -> Reals<S, W> {
+        let max_pull = self.course.weight().max_pull();
+        let mut pulled = Reals::splat(self.simd, 0.0);
+        for pull in self.pulls {
+            let most = self.course.spheres[pull.sphere].radius * max_pull;
+            pulled = pulled + Reals::load(self.simd, &pull.strength, 0).abs() * most;
+        }
+        pulled
     }
 
     /// The mean force that a step leaves out [scene unit/s²], given the residual of the cubic in the middle and that of the
@@ -603,16 +617,22 @@ impl Moment {
     }
 }
 
-/// See [`Weights::is_sampled_aside`]; `wanted` is the acceptable error of the step [scene unit].
+/// See [`Weights::is_sampled_aside`]; `wanted` is the acceptable error of the step [scene unit]. The sample is taken if
+/// any vertex may need it: [`Group::collocate`] decides for each by what acts on it.
 pub fn is_sampled_aside(course: &Course<'_>, h: f64, wanted: f64) -> bool {
-    /// Of what [`Group::roughness`] makes of the residual of an oscillation, so much is usual.
-    const USUAL: f64 = 1.0 / 16.0;
     let Material { omega, damping, .. } = course.body().material;
     let stiffness: f64 = course.spheres.iter().map(|sphere| sphere.strength.abs()).sum();
     let scales = (omega + 2.0 * damping + stiffness.sqrt()) * h;
-    let bend = course.strongest_pull() * scales.powi(4) / 384.0;
-    let gain = h / omega.max(2.0 * damping).max(1.0);
-    scales > 1.0 || USUAL * 0.1 * SMOOTHNESS * scales * bend * gain > wanted
+    scales > 1.0 || course.strongest_pull() * scales.powi(5) * usual(course, h) > wanted
+}
+
+/// The error that is usual in a step of `h` [s] [scene unit], over the strongest pull and the fifth power of the number
+/// of the motion's time scales that pass in the step.
+fn usual(course: &Course<'_>, h: f64) -> f64 {
+    /// Of what [`Group::roughness`] makes of the residual of an oscillation, so much is usual.
+    const USUAL: f64 = 1.0 / 16.0;
+    let Material { omega, damping, .. } = course.body().material;
+    USUAL * 0.1 * SMOOTHNESS / 384.0 * (h / omega.max(2.0 * damping).max(1.0))
 }
 
 /// Time of sample number `look` of a step [s].
