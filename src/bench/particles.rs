@@ -6,6 +6,8 @@
 //! which a pair reaches a threshold ends there. Rims of spheres and planes are passed within steps, which is what limits the
 //! accuracy: to some 1e-8 of a radius, which is measured by halving the steps.
 
+use std::ops::Range;
+
 use glam::{DMat3, DVec3};
 
 use crate::{
@@ -28,8 +30,10 @@ const LOCATED: f64 = 1e-9;
 
 /// World positions at given instants.
 pub struct Particles {
-    /// `[instant][body][vertex]` [scene unit]
-    positions: Vec<Vec<Vec<DVec3>>>,
+    /// `[instant][particle]` [scene unit]
+    positions: Vec<Vec<DVec3>>,
+    /// The particles of each body.
+    ranges: Vec<Range<usize>>,
 }
 
 /// Why there is no such solution.
@@ -66,7 +70,7 @@ impl Particles {
             return Err(NoParticles::TooLong(evaluations));
         }
         let mut system = System::new(scene);
-        let mut state = system.initial();
+        let (mut state, mut buffers) = (system.initial(), Buffers::default());
         let mut positions = Vec::with_capacity(instants.len());
         let mut t = 0.0;
         for &instant in instants {
@@ -74,18 +78,19 @@ impl Particles {
             let start = t;
             for step in 1..=steps as u64 {
                 let next = start + (instant - start) * (step as f64 / steps);
-                system.advance(&mut state, t, next);
+                system.advance(&mut state, t, next, &mut buffers);
                 t = next;
             }
             t = instant;
             positions.push(state.positions.clone());
         }
-        Ok(Particles { positions })
+        Ok(Particles { positions, ranges: system.ranges })
     }
 
     /// The largest distance of a body's vertices from where they are found at an instant [scene unit].
     pub fn distance(&self, body: usize, instant: usize, found: impl Iterator<Item = DVec3>) -> f64 {
-        let distances = self.positions[instant][body].iter().zip(found).map(|(here, there)| here.distance(there));
+        let own = &self.positions[instant][self.ranges[body].clone()];
+        let distances = own.iter().zip(found).map(|(here, there)| here.distance(there));
         distances
             .fold(0.0, |largest, distance| if distance > largest || distance.is_nan() { distance } else { largest })
     }
@@ -95,30 +100,29 @@ impl Particles {
         let each =
             (0..self.positions.len()).flat_map(|instant| (0..scene.bodies.len()).map(move |body| (instant, body)));
         let difference = |(instant, body): (usize, usize)| {
-            self.distance(body, instant, other.positions[instant][body].iter().copied()) / scene.bodies[body].radius
+            let there = &other.positions[instant][other.ranges[body].clone()];
+            self.distance(body, instant, there.iter().copied()) / scene.bodies[body].radius
         };
         each.map(difference).fold(0.0, f64::max)
     }
 }
 
-/// Positions and velocities of all particles `[body][vertex]`, or the rates of both.
-#[derive(Clone)]
+/// Positions and velocities of all particles, one body after the other.
+#[derive(Clone, Default)]
 struct State {
-    positions: Vec<Vec<DVec3>>,
-    velocities: Vec<Vec<DVec3>>,
+    positions: Vec<DVec3>,
+    velocities: Vec<DVec3>,
 }
 
-impl State {
-    /// This plus `h` times the rates.
-    fn plus(&self, h: f64, rates: &State) -> State {
-        let sum = |of: &[Vec<DVec3>], rate: &[Vec<DVec3>]| -> Vec<Vec<DVec3>> {
-            of.iter().zip(rate).map(|(of, rate)| of.iter().zip(rate).map(|(v, r)| *v + h * *r).collect()).collect()
-        };
-        State {
-            positions: sum(&self.positions, &rates.positions),
-            velocities: sum(&self.velocities, &rates.velocities),
-        }
-    }
+/// Reused from step to step.
+#[derive(Default)]
+struct Buffers {
+    /// The states at a stage, and at the end.
+    stage: State,
+    next: State,
+    accelerations: Vec<DVec3>,
+    centres: Vec<DVec3>,
+    reactions: Vec<DVec3>,
 }
 
 struct Particle {
@@ -129,7 +133,10 @@ struct Particle {
 
 struct System<'a> {
     scene: &'a Scene,
-    bodies: Vec<Vec<Particle>>,
+    particles: Vec<Particle>,
+    /// Those of each body, and their mass.
+    ranges: Vec<Range<usize>>,
+    masses: Vec<f64>,
     /// The phase of each pair of bodies a < b.
     phases: Vec<(usize, usize, Phase)>,
 }
@@ -148,7 +155,13 @@ impl<'a> System<'a> {
             }
             particles
         };
-        let mut system = System { scene, bodies: scene.bodies.iter().map(particles).collect(), phases: Vec::new() };
+        let (mut all, mut ranges, mut masses) = (Vec::new(), Vec::new(), Vec::new());
+        for own in scene.bodies.iter().map(particles) {
+            ranges.push(all.len()..all.len() + own.len());
+            masses.push(own.iter().map(|p| p.mass).sum());
+            all.extend(own);
+        }
+        let mut system = System { scene, particles: all, ranges, masses, phases: Vec::new() };
         let state = system.initial();
         for a in 0..scene.bodies.len() {
             for b in a + 1..scene.bodies.len() {
@@ -161,14 +174,15 @@ impl<'a> System<'a> {
 
     fn initial(&self) -> State {
         let mut state = State { positions: Vec::new(), velocities: Vec::new() };
-        for (body, particles) in self.scene.bodies.iter().zip(&self.bodies) {
+        for (body, range) in self.scene.bodies.iter().zip(&self.ranges) {
+            let particles = &self.particles[range.clone()];
             let (centre, velocity, spin) = match &body.motion {
                 Motion::Free(free) => (free.from, free.velocity, free.spin),
                 // x′ = 0, whatever the path does
                 Motion::Prescribed(path) => (path.at(0.0).position, path.at(0.0).velocity, DVec3::ZERO),
             };
-            state.positions.push(particles.iter().map(|p| centre + p.rest).collect());
-            state.velocities.push(particles.iter().map(|p| velocity + spin.cross(p.rest)).collect());
+            state.positions.extend(particles.iter().map(|p| centre + p.rest));
+            state.velocities.extend(particles.iter().map(|p| velocity + spin.cross(p.rest)));
         }
         state
     }
@@ -180,8 +194,15 @@ impl<'a> System<'a> {
     fn centre(&self, state: &State, t: f64, body: usize) -> DVec3 {
         match self.path(body) {
             Some(path) => path.at(t).position,
-            None => mean(&self.bodies[body], &state.positions[body]),
+            None => self.mean(body, &state.positions),
         }
+    }
+
+    /// The mean over a body's particles, by their masses.
+    fn mean(&self, body: usize, of: &[DVec3]) -> DVec3 {
+        let own = self.ranges[body].clone();
+        let sum: DVec3 = self.particles[own.clone()].iter().zip(&of[own]).map(|(p, v)| p.mass * *v).sum();
+        sum / self.masses[body]
     }
 
     /// q of a pair.
@@ -191,12 +212,13 @@ impl<'a> System<'a> {
     }
 
     /// Takes a step, in parts if thresholds are reached in it.
-    fn advance(&mut self, state: &mut State, mut t: f64, end: f64) {
+    fn advance(&mut self, state: &mut State, mut t: f64, end: f64, buffers: &mut Buffers) {
+        let mut next = std::mem::take(&mut buffers.next);
         while t < end {
-            let next = self.after(state, t, end - t);
+            self.after(state, t, end - t, &mut next, buffers);
             let Some(first) = self.first_change(state, &next, t, end) else {
-                *state = next;
-                return;
+                std::mem::swap(state, &mut next);
+                break;
             };
             // of those that change in the step, the first: by bisection of the time at which any has changed
             let (mut low, mut high) = (0.0, 1.0);
@@ -204,16 +226,19 @@ impl<'a> System<'a> {
             while high - low > LOCATED {
                 let middle = 0.5 * (low + high);
                 let there = t + middle * (end - t);
-                match self.first_change(state, &self.after(state, t, there - t), t, there) {
+                self.after(state, t, there - t, &mut next, buffers);
+                match self.first_change(state, &next, t, there) {
                     Some(found) => (high, change) = (middle, found),
                     None => low = middle,
                 }
             }
             let there = t + high * (end - t);
-            *state = self.after(state, t, there - t);
+            self.after(state, t, there - t, &mut next, buffers);
+            std::mem::swap(state, &mut next);
             self.phases[change.0].2 = change.1;
             t = there;
         }
+        buffers.next = next;
     }
 
     /// A pair that has passed a threshold on the way from one state to another, and its new phase.
@@ -229,22 +254,38 @@ impl<'a> System<'a> {
         })
     }
 
-    fn after(&self, state: &State, t: f64, h: f64) -> State {
-        let k1 = self.rates(state, t);
-        let k2 = self.rates(&state.plus(0.5 * h, &k1), t + 0.5 * h);
-        let k3 = self.rates(&state.plus(0.5 * h, &k2), t + 0.5 * h);
-        let k4 = self.rates(&state.plus(h, &k3), t + h);
-        let sum = state.plus(h / 6.0, &k1).plus(h / 3.0, &k2).plus(h / 3.0, &k3);
-        sum.plus(h / 6.0, &k4)
+    /// The state after a step of the classical Runge–Kutta method.
+    fn after(&self, from: &State, t: f64, h: f64, to: &mut State, buffers: &mut Buffers) {
+        let mut stage = std::mem::take(&mut buffers.stage);
+        stage.positions.clone_from(&from.positions);
+        stage.velocities.clone_from(&from.velocities);
+        to.positions.clone_from(&from.positions);
+        to.velocities.clone_from(&from.velocities);
+        for (weight, at, next) in [(1.0, 0.0, 0.5), (2.0, 0.5, 0.5), (2.0, 0.5, 1.0), (1.0, 1.0, 0.0)] {
+            self.accelerate(&stage, t + at * h, buffers);
+            let (part, ahead) = (weight * h / 6.0, next * h);
+            for (i, &acceleration) in buffers.accelerations.iter().enumerate() {
+                let velocity = stage.velocities[i];
+                to.positions[i] += part * velocity;
+                to.velocities[i] += part * acceleration;
+                stage.positions[i] = from.positions[i] + ahead * velocity;
+                stage.velocities[i] = from.velocities[i] + ahead * acceleration;
+            }
+        }
+        buffers.stage = stage;
     }
 
-    fn rates(&self, state: &State, t: f64) -> State {
+    /// The accelerations of all particles, into the buffer for them.
+    fn accelerate(&self, state: &State, t: f64, buffers: &mut Buffers) {
         let scene = self.scene;
-        let count = self.bodies.len();
-        let centres: Vec<DVec3> = (0..count).map(|body| self.centre(state, t, body)).collect();
-        let mut accelerations: Vec<Vec<DVec3>> =
-            (0..count).map(|body| self.own(state, t, body, centres[body])).collect();
-        let mut reactions = vec![DVec3::ZERO; count];
+        let count = self.ranges.len();
+        let Buffers { accelerations, centres, reactions, .. } = buffers;
+        centres.clear();
+        centres.extend((0..count).map(|body| self.centre(state, t, body)));
+        accelerations.clear();
+        (0..count).for_each(|body| self.own(state, t, body, centres[body], accelerations));
+        reactions.clear();
+        reactions.resize(count, DVec3::ZERO);
         for &(a, b, phase) in &self.phases {
             let law = scene.law(a, b);
             let radii = scene.bodies[a].radius + scene.bodies[b].radius;
@@ -260,26 +301,26 @@ impl<'a> System<'a> {
                     continue;
                 }
                 let mut pull = DVec3::ZERO;
-                for (i, particle) in self.bodies[own].iter().enumerate() {
-                    let to_centre = centres[source] - state.positions[own][i];
+                for i in self.ranges[own].clone() {
+                    let to_centre = centres[source] - state.positions[i];
                     let force = influence::acceleration(scene.influence.weight, scale * strength, reach, to_centre);
-                    accelerations[own][i] += force;
-                    pull += particle.mass * force;
+                    accelerations[i] += force;
+                    pull += self.particles[i].mass * force;
                 }
                 reactions[source] -= pull;
             }
         }
         for body in (0..count).filter(|&body| self.path(body).is_none()) {
             let all = scene.gravity + reactions[body] / scene.bodies[body].mass;
-            accelerations[body].iter_mut().for_each(|acceleration| *acceleration += all);
+            accelerations[self.ranges[body].clone()].iter_mut().for_each(|acceleration| *acceleration += all);
         }
-        State { positions: state.velocities.clone(), velocities: accelerations }
     }
 
     /// Springs, damping, and planes.
-    fn own(&self, state: &State, t: f64, index: usize, centre: DVec3) -> Vec<DVec3> {
-        let (body, particles) = (&self.scene.bodies[index], &self.bodies[index]);
-        let (positions, velocities) = (&state.positions[index], &state.velocities[index]);
+    fn own(&self, state: &State, t: f64, index: usize, centre: DVec3, into: &mut Vec<DVec3>) {
+        let (body, range) = (&self.scene.bodies[index], self.ranges[index].clone());
+        let particles = &self.particles[range.clone()];
+        let (positions, velocities) = (&state.positions[range.clone()], &state.velocities[range]);
         let (omega, damping) = (body.material.omega, body.material.damping);
         let (velocity, rotation, spin, carried) = match &body.motion {
             Motion::Prescribed(path) => {
@@ -292,7 +333,7 @@ impl<'a> System<'a> {
                 (at.velocity, DMat3::IDENTITY, DVec3::ZERO, at.acceleration - carry)
             }
             Motion::Free(free) => {
-                let velocity = mean(particles, velocities);
+                let velocity = self.mean(index, &state.velocities);
                 let (mut fit, mut spread, mut momentum) = (DMat3::ZERO, DMat3::ZERO, DVec3::ZERO);
                 for (i, Particle { rest, mass }) in particles.iter().enumerate() {
                     let (s, rate) = (positions[i] - centre, velocities[i] - velocity);
@@ -307,7 +348,7 @@ impl<'a> System<'a> {
             }
         };
         let each = particles.iter().zip(positions.iter().zip(velocities));
-        each.map(|(particle, (&r, &v))| {
+        into.extend(each.map(|(particle, (&r, &v))| {
             let s = r - centre;
             let mut sum = carried
                 - omega * omega * (s - rotation * particle.rest)
@@ -321,14 +362,8 @@ impl<'a> System<'a> {
                 }
             }
             sum
-        })
-        .collect()
+        }));
     }
-}
-
-fn mean(particles: &[Particle], of: &[DVec3]) -> DVec3 {
-    let mass: f64 = particles.iter().map(|p| p.mass).sum();
-    particles.iter().zip(of).map(|(p, v)| p.mass * *v).sum::<DVec3>() / mass
 }
 
 /// The rotation of the polar decomposition, by Newton's iteration (Higham 1986): X ← ½ (X + X⁻ᵀ).
