@@ -119,6 +119,7 @@ const LEDGER: &[Scalar] = &[
     smooth("brought_by_friction", "by friction", BROUGHT, |state| state.ledger.friction),
     smooth("brought_by_pushes", "by pushes", BROUGHT, |state| state.ledger.pushes),
     smooth("brought_by_paths", "by bodies on paths", BROUGHT, |state| state.ledger.prescribed),
+    smooth("brought_by_rest", "by coming to rest", BROUGHT, |state| state.ledger.rest),
     smooth("unaccounted_energy", "not accounted for [mass·unit²/s²]", "Energy not accounted for", |state| {
         state.conserved.energy() - state.first_energy - state.ledger.total()
     }),
@@ -247,6 +248,7 @@ impl Simulation for World {
             ("friction", ledger.friction),
             ("pushes", ledger.pushes),
             ("bodies on paths", ledger.prescribed),
+            ("coming to rest", ledger.rest),
         ];
         let brought = brought.into_iter().filter(|&(_, energy)| energy != 0.0);
         let brought: Vec<String> = brought.map(|(name, energy)| format!("{name} {energy:+.4}")).collect();

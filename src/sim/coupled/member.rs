@@ -2,7 +2,7 @@
 
 use std::{collections::HashMap, sync::Arc};
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use pulp::Arch;
 use rustc_hash::FxBuildHasher;
 
@@ -18,12 +18,19 @@ use crate::{
     },
 };
 
-/// Steps at the end of which a body must be [calm](Member::is_calm), one after another, before it rests.
-pub const CALM_STEPS: u32 = 12;
-/// The share of the tolerance that the motion of a calm body may be, and the deformation of one that counts as none.
-const CALM: f64 = 0.1;
+/// Steps at the end of which a body must be [calm](Member::is_calm), one after another, before it rests, at the least …
+const CALM_STEPS: f64 = 12.0;
+/// … and for how long [s]. Engines for games take as long.
+const CALM_TIME: f64 = 0.5;
+/// The share of the tolerance that the motion of a calm body may be. The integrator's own errors are far below the
+/// other half.
+const CALM: f64 = 0.5;
 /// A larger tolerance than this [radii/s] lets bodies rest no sooner: what they would have done yet is an error that no
 /// shorter step would make smaller.
+const MOST_CALM: f64 = 1e-2;
+/// The share of the tolerance that the deformation of a body may be that counts as none.
+const STRAIGHT: f64 = 0.1;
+/// A larger tolerance than this [radii/s] lets no larger deformation count as none.
 const FINEST: f64 = 1e-5;
 /// How much farther than in free flight a body may get in a step, before its pairs are looked for again [radii].
 const SLACK: f64 = 0.05;
@@ -34,8 +41,9 @@ pub(in crate::sim) struct Member {
     pub body: Body,
     /// Step length that its island last met the tolerance with [s].
     pub pace: f64,
-    /// At how many ends of steps in a row it was calm.
+    /// At how many ends of steps in a row it was calm, and how it moved at the first of them.
     pub calm: u32,
+    pub calm_from: Drift,
     /// Whether it takes steps; else it rests, and keeps its state.
     pub is_awake: bool,
     /// How far it may get in the current step.
@@ -52,6 +60,13 @@ pub(in crate::sim) struct Member {
     pub resting_hash: u64,
     /// The pushes on it, by their starts.
     pub pushes: Box<[Push]>,
+}
+
+/// The velocity of a body [scene unit/s] and the angular velocity of its frame [rad/s].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(in crate::sim) struct Drift {
+    velocity: DVec3,
+    spin: DVec3,
 }
 
 /// How far a body may get in a step.
@@ -106,6 +121,7 @@ impl Member {
             body,
             pace: f64::INFINITY,
             calm: 0,
+            calm_from: Drift::default(),
             is_awake: false,
             bounds: StepBounds::default(),
             fat: FatBounds::default(),
@@ -123,9 +139,9 @@ impl Member {
 
     /// Takes over the state of another of the same shape.
     pub fn resume(&mut self, before: &Member) {
-        let Member { body, pace, calm, is_awake, extent, speed, .. } = before;
+        let Member { body, pace, calm, calm_from, is_awake, extent, speed, .. } = before;
         self.body = Body { shape: Arc::clone(&self.body.shape), ..body.clone() };
-        (self.pace, self.calm, self.is_awake) = (*pace, *calm, *is_awake);
+        (self.pace, self.calm, self.calm_from, self.is_awake) = (*pace, *calm, *calm_from, *is_awake);
         (self.extent, self.speed) = (*extent, *speed);
     }
 
@@ -165,35 +181,74 @@ impl Member {
         strays != [false; 2]
     }
 
-    /// Whether everything about it moves so little that it may count as standing still: no vertex gets farther than a
-    /// tenth of the tolerance, or of 1e-5 radii/s, allows an error to grow, be it by the motion of the body or about a resting place.
+    /// Whether everything about it moves so little that it may count as standing still: no vertex gets farther than half
+    /// of what the tolerance allows an error to grow, be it by the motion of the body or about a resting place.
     ///
-    /// A body that is calm for [`CALM_STEPS`] steps rests: its velocities are set to zero and its displacements kept. An
-    /// error that makes grows by less than a tenth of the tolerance. What moves faster than it did wakes by no rule, so a
-    /// body has to be calm for as long as it takes an unstable balance to show.
+    /// A body that is calm for half a second, and [does not speed up](Member::stays_calm), rests: its velocities are set to
+    /// zero and its displacements kept. The error that this makes grows by less than half of the tolerance. What moves faster
+    /// than it did wakes by no rule, so a body has to be calm for as long as it takes an unstable balance to show.
     pub fn is_calm(&self, tolerance: f64) -> bool {
-        let Body { velocity, oscillator, radius, .. } = self.body;
-        let most = CALM * tolerance.min(FINEST) * radius;
-        let swing = self.speed / oscillator.omega.max(1.0);
-        velocity.length() <= most
-            && swing <= most
-            && velocity.length() + self.body.frame_spin().length() * self.extent <= most
+        let most = self.most_calm(tolerance);
+        let swing = self.speed / self.body.oscillator.omega.max(1.0);
+        swing <= most && self.body.velocity.length() + self.body.frame_spin().length() * self.extent <= most
+    }
+
+    /// The largest speed of any of its points while it is calm [scene unit/s].
+    fn most_calm(&self, tolerance: f64) -> f64 {
+        CALM * tolerance.min(MOST_CALM) * self.body.radius
+    }
+
+    /// Counts another end of a step of `h` [s] at which it is calm; whether it has been so for long enough to rest.
+    pub fn stays_calm(&mut self, tolerance: f64, h: f64) -> bool {
+        let now = Drift { velocity: self.body.velocity, spin: self.body.frame_spin() };
+        if self.calm == 0 {
+            self.calm_from = now;
+        }
+        self.calm += 1;
+        if f64::from(self.calm) < (CALM_TIME / h).ceil().max(CALM_STEPS) {
+            return false;
+        }
+        // a steady acceleration would take it as far in a second as its speed may
+        let Drift { velocity, spin } = self.calm_from;
+        let gained = (now.velocity - velocity).length() + (now.spin - spin).length() * self.extent;
+        let steady = gained <= self.most_calm(tolerance) * f64::from(self.calm) * h;
+        if !steady {
+            self.calm = 0;
+        }
+        steady
     }
 
     /// Whether its deformation is so little that leaving it out is an error of less than a tenth of the tolerance: then
     /// it is left out, if nothing acts on it.
     pub fn is_nearly_straight(&self, tolerance: f64) -> bool {
-        let most = CALM * tolerance.min(FINEST) * self.body.radius;
+        let most = STRAIGHT * tolerance.min(FINEST) * self.body.radius;
         let x = self.body.x.iter().map(|x| x.length_squared()).fold(0.0, f64::max).sqrt();
         x <= most && self.speed <= most * self.body.oscillator.omega.max(1.0)
     }
 
-    /// Makes it stand still.
-    pub fn halt(&mut self) {
+    /// Its kinetic energy, if it is free: of its centre, its rotation and its vertices [mass · scene unit²/s²].
+    fn kinetic_energy(&self) -> f64 {
+        let Body { shape, velocity, rotation, .. } = &self.body;
+        if !self.body.is_free() {
+            return 0.0;
+        }
+        let (axes, spin) = (DMat3::from_quat(*rotation), self.body.frame_spin());
+        let about_centre = |(i, (&l, &m)): (usize, (&DVec3, &f64))| {
+            let u = self.body.u.get(i).copied().unwrap_or_default();
+            0.5 * m * (spin.cross(axes * l) + u).length_squared()
+        };
+        let vertices = shape.rest().iter().zip(shape.masses()).enumerate().map(about_centre);
+        0.5 * shape.mass() * velocity.length_squared() + vertices.sum::<f64>()
+    }
+
+    /// Makes it stand still. Returns the energy that it loses [mass · scene unit²/s²].
+    pub fn halt(&mut self) -> f64 {
+        let lost = self.kinetic_energy();
         let Body { velocity, spin, u, .. } = &mut self.body;
         (*velocity, *spin) = (DVec3::ZERO, DVec3::ZERO);
         u.fill(DVec3::ZERO);
         self.speed = 0.0;
+        lost
     }
 
     /// Angular velocity of its rest shape [rad/s].

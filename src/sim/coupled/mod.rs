@@ -39,7 +39,7 @@ use pulp::Arch;
 use self::{
     explicit::Scheme,
     islands::{Conditions, Forest, Group, Job},
-    member::{CALM_STEPS, Member, Shapes, driven},
+    member::{Member, Shapes, driven},
     near::Near,
     neighbours::Neighbour,
 };
@@ -439,7 +439,7 @@ impl Coupled {
         report.sleeping_bodies = self.members.len() as u64 - stepped;
         report.events.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
         if self.skip {
-            self.rest(scene, span, &jobs);
+            self.rest(scene, span, &jobs, report);
         }
         jobs.clear();
         self.jobs = jobs;
@@ -507,7 +507,7 @@ impl Coupled {
     }
 
     /// Lets islands rest that are calm, and straightens bodies that nothing acts on any more.
-    fn rest(&mut self, scene: &Scene, span: Span, jobs: &[Job]) {
+    fn rest(&mut self, scene: &Scene, span: Span, jobs: &[Job], report: &mut StepReport) {
         for job in jobs {
             let Group { bodies, sources, pairs } = &job.group;
             let is_still = |body: &u32| {
@@ -520,11 +520,13 @@ impl Coupled {
                 !is_pushed && is_still(body) && member.is_calm(scene.tolerance)
             };
             if sources.iter().all(is_still) && bodies.iter().all(is_calm) {
-                let calm = bodies.iter().map(|&body| self.members[body as usize].calm).min().unwrap_or(0) + 1;
-                bodies.iter().for_each(|&body| self.members[body as usize].calm = calm);
-                if calm >= CALM_STEPS {
+                let mut may_rest = true;
+                for &body in bodies {
+                    may_rest &= self.members[body as usize].stays_calm(scene.tolerance, span.length());
+                }
+                if may_rest {
                     for &body in bodies {
-                        self.members[body as usize].halt();
+                        report.ledger.rest -= self.members[body as usize].halt();
                         self.settle(body);
                     }
                 }

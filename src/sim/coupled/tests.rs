@@ -314,6 +314,53 @@ fn a_path_by_a_function_is_as_if_the_scene_had_said_so() {
     assert_eq!(told.phase(0, 1), Phase::Merged);
 }
 
+/// Bodies that lie on each other and on a plane rest together, within the tolerance of what they would have done yet; what
+/// they lose by it is in the ledger. A touch wakes all of them.
+#[test]
+fn a_heap_rests_as_a_whole_and_wakes_when_it_is_touched() {
+    let rough = FLOOR.replace("slip = 0.05", "slip = 0.5");
+    let fixed =
+        |name: &str, from: [f64; 3]| ball(name, &format!("{{ free = {{ from = {from:?}, rotation = \"fixed\" }} }}"));
+    let text = format!(
+        "gravity = [0, 0, -9.81]\ntolerance = 1e-2\n[material]\nomega = 20.0\ndamping = 12.0\n[influence]\ncore_at = 0.8\ncore_width = 0.4\n{rough}{}{}{}[[push]]\nbody = \"c\"\ndirection = [1, 0, 0]\nstrength = 20.0\nstart = 11.0\nduration = 0.1\n",
+        fixed("a", [-0.9, 0.0, 0.0]),
+        fixed("b", [0.9, 0.1, 0.0]),
+        fixed("c", [0.0, 0.0, 1.7]),
+    );
+    let mut world = World::new(scene(&text)).unwrap();
+    let mut naive = World::with_options(scene(&text), Options { skip: false, ..Options::default() }).unwrap();
+    let first = world.conserved().unwrap().energy();
+    let mut rested = None;
+    for _ in 0..660 {
+        run(&mut world, 1);
+        run(&mut naive, 1);
+        let resting = world.report().sleeping_bodies;
+        assert!(resting == 0 || resting == 3, "{resting} at {}", world.time());
+        if resting == 3 && rested.is_none() {
+            rested = Some(world.time());
+        }
+        let error = difference(&world, &naive);
+        assert!(error < 1e-2 * world.time().max(0.5), "{}: {error:e}", world.time());
+    }
+    assert!(rested.is_some_and(|time| time < 10.0), "{rested:?}");
+    let (now, ledger) = (world.conserved().unwrap(), world.ledger());
+    assert_eq!((now.kinetic, now.spin, now.vibration), (0.0, 0.0, 0.0));
+    assert!(ledger.rest < 0.0 && ledger.rest > -1e-3, "{ledger:?}");
+    let left = now.energy() - first - ledger.total();
+    assert!(left.abs() < 1e-3, "{left:e}");
+    run(&mut world, 3);
+    assert_eq!(world.report().sleeping_bodies, 0);
+}
+
+/// What starts from rest and gathers speed is not taken for something at rest, however slow it is at first.
+#[test]
+fn what_gathers_speed_does_not_rest() {
+    let spun = ball("a", "{ free = { from = [0, 0, 0], spin = [0, 0, 1e-3] } }");
+    let mut world = World::new(scene(&format!("gravity = [0, 0, -0.008]\ntolerance = 1e-2\n{spun}"))).unwrap();
+    run(&mut world, 300);
+    assert!((world.body(0).centre().z + 0.004 * 25.0).abs() < 1e-9, "{}", world.body(0).centre());
+}
+
 /// The energy of a scene minus its ledger does not change, though its bodies start and end out of each other's reach.
 #[test]
 fn the_ledger_of_a_world_accounts_for_its_energy() {

@@ -34,12 +34,14 @@ pub struct Ledger {
     pub pushes: f64,
     /// Bodies on prescribed paths: the work of their spheres' motion, and that of their vertices on free spheres.
     pub prescribed: f64,
+    /// Bodies that came to rest: the kinetic energy that they had left, which is taken from them.
+    pub rest: f64,
 }
 
 impl Ledger {
     /// The energy that all causes together have brought [mass · scene unit²/s²].
     pub fn total(&self) -> f64 {
-        self.events + self.core + self.damping + self.friction + self.pushes + self.prescribed
+        self.events + self.core + self.damping + self.friction + self.pushes + self.prescribed + self.rest
     }
 }
 
@@ -51,6 +53,7 @@ impl AddAssign for Ledger {
         self.friction += other.friction;
         self.pushes += other.pushes;
         self.prescribed += other.prescribed;
+        self.rest += other.rest;
     }
 }
 
