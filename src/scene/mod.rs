@@ -123,6 +123,7 @@
 
 pub mod builtin;
 pub mod cells;
+mod force;
 pub mod pairs;
 pub mod parse;
 pub mod path;
@@ -144,6 +145,7 @@ use crate::{
 
 pub use crate::model::shape_matching::{Plane, Rotation};
 pub use cells::TearMode;
+pub use force::Force;
 pub use pairs::{Members, PairLaws};
 pub use parse::SceneError;
 pub use path::Path;
@@ -209,6 +211,8 @@ pub struct Body {
     pub color: Option<[u8; 3]>,
     /// What moves the centre.
     pub motion: Motion,
+    /// A force that a program gives, if it is free.
+    pub force: Option<Force>,
 }
 
 impl Body {

@@ -507,6 +507,7 @@ fn read_body(table: &Table<'_>, material: Material, meshes: &mut Meshes<'_>) -> 
         mass: table.optional("mass", POSITIVE)?.unwrap_or(radius * radius * radius),
         group: table.optional("group", GROUP_NAME)?,
         color: table.optional("color", COLOR)?.as_deref().and_then(color),
+        force: None,
         motion: read_motion(table, &material)?,
     })
 }

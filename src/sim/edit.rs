@@ -4,7 +4,7 @@
 //! matter lead to the same states, bit by bit.
 
 use super::{report::EditError, world::World};
-use crate::scene::{Body, Motion, Push};
+use crate::scene::{Body, Force, Motion, Push};
 
 impl World {
     /// Adds a body, and returns its index. A free body starts now as its motion says.
@@ -54,6 +54,21 @@ impl World {
         scene.pushes.push(push);
         let kept: Vec<Option<usize>> = (0..scene.bodies.len()).map(Some).collect();
         self.restart(scene, &kept, false)
+    }
+
+    /// Gives a free body a force that acts on it from now on, or none. All bodies wake.
+    ///
+    /// # Errors
+    /// [`EditError`]; the world is then as it was.
+    pub fn set_force(&mut self, index: usize, force: Option<Force>) -> Result<(), EditError> {
+        let mut scene = self.scene().clone();
+        let body = scene.bodies.get_mut(index).ok_or(EditError::NoBody(index))?;
+        if body.path().is_some() {
+            return Err(EditError::OnPath(body.name.clone()));
+        }
+        body.force = force;
+        let kept: Vec<Option<usize>> = (0..scene.bodies.len()).map(Some).collect();
+        self.restart(scene, &kept, true)
     }
 
     /// Gives a body another motion from now on: a path, which may be a function ([`Given`](crate::scene::path::Given)), or

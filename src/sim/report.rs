@@ -205,6 +205,9 @@ pub enum EditError {
     /// Another body has the name.
     #[error("there is a body \"{0}\" already; names are unique")]
     Name(String),
+    /// A body on a path takes no force.
+    #[error("the body \"{0}\" is on a path: no force moves it")]
+    OnPath(String),
     /// It is the only body.
     #[error("a world has at least one body")]
     LastBody,

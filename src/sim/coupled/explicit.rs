@@ -115,9 +115,12 @@ impl Step<'_> {
         for &(source, force) in forces.iter().flat_map(|forces| &forces.reactions) {
             reactions[source as usize] += force;
         }
-        for ((forces, member), reaction) in forces.iter_mut().zip(self.members).zip(reactions) {
+        for (index, ((forces, member), reaction)) in forces.iter_mut().zip(self.members).zip(reactions).enumerate() {
             if member.body.is_free() {
-                let shared = self.scene.gravity + reaction / member.body.mass();
+                let Frame { centre, velocity, .. } = frames[index];
+                let given = self.scene.bodies[index].force.as_ref();
+                let given = given.map_or(DVec3::ZERO, |force| force.acceleration(t, centre, velocity));
+                let shared = self.scene.gravity + given + reaction / member.body.mass();
                 forces.outer.iter_mut().for_each(|force| *force += shared);
             }
         }

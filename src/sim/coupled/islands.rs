@@ -147,6 +147,7 @@ impl Job {
             let pushes = member.pushes.iter().take_while(|push| push.start < span.end);
             let pushes = pushes.filter(|push| push.end > span.start);
             field.pushes.extend(pushes.map(|&push| free::Push { body: index as u32, ..push }));
+            field.forces.extend(scene.bodies[body as usize].force.iter().map(|force| (index as u32, force.clone())));
             let mut copy = member.body.clone();
             let count = copy.shape.rest().len();
             copy.x.resize(count, DVec3::ZERO);

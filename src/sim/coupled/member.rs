@@ -163,7 +163,10 @@ impl Member {
         let (slack, h) = (SLACK * body.radius, span.length());
         let way = match scene.path() {
             Some(path) => path.bounds(span.start, span.end).speed * h,
-            None => 1.5 * body.velocity.length() * h + 0.5 * gravity.length() * h * h,
+            None => {
+                let given = scene.force.as_ref().map_or(0.0, scene::Force::bound);
+                1.5 * body.velocity.length() * h + 0.5 * (gravity.length() + given) * h * h
+            }
         };
         self.bounds = StepBounds { way: slack + way, extent: *extent + slack + 1.5 * *speed * h };
     }

@@ -367,7 +367,8 @@ impl Coupled {
         let is_pushed = member.pushes.iter().any(|push| push.start < span.end && push.end > span.start);
         let body = &member.body;
         let touches = |plane: &Plane| plane.depth(body.centre) + member.bounds.extent + member.bounds.way > 0.0;
-        if member.is_deformed() || is_pushed || scene.planes.iter().any(touches) {
+        let is_driven = is_pushed || scene.bodies[index].force.is_some();
+        if member.is_deformed() || is_driven || scene.planes.iter().any(touches) {
             return true;
         }
         match scene.bodies[index].path() {
@@ -453,10 +454,12 @@ impl Coupled {
             let acting = member.pushes.iter().filter(move |push| push.start <= time && time < push.end);
             acting.map(move |&push| free::Push { body, ..push })
         });
+        let forces = (0..).zip(&scene.bodies).filter_map(|(index, body)| Some((index, body.force.clone()?)));
         let field = Field {
             gravity: scene.gravity,
             planes: scene.planes.clone(),
             pushes: pushes.collect(),
+            forces: forces.collect(),
             reach: scene.influence.reach,
             weight: scene.influence.weight,
             scaling: scene.influence.scaling,
@@ -517,7 +520,8 @@ impl Coupled {
             let is_calm = |body: &u32| {
                 let member = &self.members[*body as usize];
                 let is_pushed = member.pushes.iter().any(|push| push.start <= span.end && push.end > span.end);
-                !is_pushed && is_still(body) && member.is_calm(scene.tolerance)
+                let is_driven = is_pushed || scene.bodies[*body as usize].force.is_some();
+                !is_driven && is_still(body) && member.is_calm(scene.tolerance)
             };
             if sources.iter().all(is_still) && bodies.iter().all(is_calm) {
                 let mut may_rest = true;

@@ -6,7 +6,7 @@ use crate::{
     Scene, World,
     model::phase::Phase,
     scene::{
-        Integrator, Motion, Path,
+        Force, Integrator, Motion, Path,
         path::{Bounds, Given, Kinematics},
     },
     sim::{EditError, Failure, Options, report::Toil},
@@ -359,6 +359,48 @@ fn what_gathers_speed_does_not_rest() {
     let mut world = World::new(scene(&format!("gravity = [0, 0, -0.008]\ntolerance = 1e-2\n{spun}"))).unwrap();
     run(&mut world, 300);
     assert!((world.body(0).centre().z + 0.004 * 25.0).abs() < 1e-9, "{}", world.body(0).centre());
+}
+
+/// A force that a program gives acts like gravity where it is the same, its work is in the ledger, and it ends when it is
+/// taken away.
+#[test]
+fn a_force_by_a_function_is_as_good_as_gravity() {
+    let text = |gravity: f64| {
+        let bodies = free("a", [0.0; 3], [0.1, 0.0, 0.0]) + &free("b", [1.9, 0.2, 0.0], [0.0; 3]);
+        scene(&format!("gravity = [0, 0, {gravity}]\n[influence]\ncore_at = 0.6\ncore_width = 0.3\n{bodies}"))
+    };
+    let mut fallen = World::new(text(-3.0)).unwrap();
+    let mut forced = text(0.0);
+    for body in &mut forced.bodies {
+        body.force = Some(Force::new(3.0, |_, _, _| -3.0 * DVec3::Z));
+    }
+    let mut forced = World::new(forced).unwrap();
+    let first = forced.conserved().unwrap().energy();
+    for _ in 0..45 {
+        run(&mut fallen, 1);
+        run(&mut forced, 1);
+        let error = difference(&fallen, &forced);
+        // steps differ: the time scales of a function are not known
+        assert!(error < 1e-7, "{}: {error:e}", forced.time());
+    }
+    assert_ne!(forced.phase(0, 1), Phase::Apart);
+    let left = forced.conserved().unwrap().energy() - first - forced.ledger().total();
+    assert!(forced.ledger().pushes > 1.0 && left.abs() < 1e-5, "{left:e} of {:?}", forced.ledger());
+    // without it, the pair's centre flies on
+    let momentum = forced.conserved().unwrap().momentum;
+    (0..2).for_each(|body| forced.set_force(body, None).unwrap());
+    run(&mut forced, 15);
+    assert!(forced.conserved().unwrap().momentum.distance(momentum) < 1e-12);
+
+    // drag, against exponential decay
+    let mut world = World::new(scene(&free("a", [0.0; 3], [2.0, 0.0, 0.0]))).unwrap();
+    world.set_force(0, Some(Force::new(2.0, |_, _, velocity| -0.5 * velocity))).unwrap();
+    run(&mut world, 60);
+    let expected = 4.0 * (1.0 - libm::exp(-0.5));
+    assert!((world.body(0).centre().x - expected).abs() < 1e-7, "{}", world.body(0).centre());
+    let on_path = ball("p", "{ fixed = [0, 0, 0] }");
+    let mut world = World::new(scene(&format!("{}{on_path}", free("a", [9.0; 3], [0.0; 3])))).unwrap();
+    assert_eq!(world.set_force(1, None), Err(EditError::OnPath("p".to_owned())));
 }
 
 /// The energy of a scene minus its ledger does not change, though its bodies start and end out of each other's reach.

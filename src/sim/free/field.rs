@@ -2,11 +2,14 @@
 
 use glam::DVec3;
 
-use crate::model::{
-    PairLaw,
-    influence::{Scaling, Weight},
-    phase::Phase,
-    shape_matching::Plane,
+use crate::{
+    model::{
+        PairLaw,
+        influence::{Scaling, Weight},
+        phase::Phase,
+        shape_matching::Plane,
+    },
+    scene::Force,
 };
 
 /// External forces, and the parameters that all pairs share.
@@ -18,6 +21,8 @@ pub struct Field {
     pub planes: Vec<Plane>,
     /// Pushes, which act on single bodies.
     pub pushes: Vec<Push>,
+    /// Forces that a program gives, with the indices of their bodies.
+    pub forces: Vec<(u32, Force)>,
     /// Influence radius in body radii, r_e / R [–].
     pub reach: f64,
     /// The shape of the influence (3.3).
@@ -34,6 +39,7 @@ impl Default for Field {
             gravity: DVec3::ZERO,
             planes: Vec::new(),
             pushes: Vec::new(),
+            forces: Vec::new(),
             reach: std::f64::consts::SQRT_2,
             weight: Weight::Linear,
             scaling: Scaling::Relative,
@@ -71,6 +77,12 @@ pub struct Pair {
 }
 
 impl Field {
+    /// The acceleration of free body `index` by forces that a program gives, at `t` [s] [scene unit/s²].
+    pub(super) fn given(&self, index: usize, t: f64, centre: DVec3, velocity: DVec3) -> DVec3 {
+        let own = self.forces.iter().filter(|(body, _)| *body as usize == index);
+        own.fold(DVec3::ZERO, |sum, (_, force)| sum + force.acceleration(t, centre, velocity))
+    }
+
     /// The factor on a pair's strength for a body of size `radius` when the other is of size `source`.
     pub fn scale(&self, radius: f64, source: f64) -> f64 {
         self.scaling.factor(radius, source)

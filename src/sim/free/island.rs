@@ -404,7 +404,8 @@ impl Island {
     fn commit(&mut self, scratch: &mut Scratch, next: f64, report: &mut Report) {
         let Scratch { courses, places, .. } = &*scratch;
         let (bodies, pairs, field, h) = (&self.bodies, &self.pairs, &self.field, next - self.time);
-        report.ledger += Done { bodies, pairs, field, courses, places, h, arch: scratch.arch }.ledger();
+        report.ledger +=
+            Done { bodies, pairs, field, courses, places, start: self.time, h, arch: scratch.arch }.ledger();
         for (i, body) in self.bodies.iter_mut().enumerate() {
             let (course, places, way) = (&mut scratch.courses[i], &scratch.places[i], &mut self.ways[i]);
             for (place, frame) in places.iter().zip(&course.frames) {
@@ -583,7 +584,9 @@ impl Island {
             reactions[reaction.source as usize] += reaction.force[look];
         }
         for (i, body) in self.bodies.iter().enumerate() {
-            courses[i].drive(body, look, self.field.gravity, reactions[i], &places[i][look], span.origin);
+            let Place { centre, velocity } = places[i][look];
+            let given = self.field.given(i, span.time(look), centre, velocity);
+            courses[i].drive(body, look, self.field.gravity + given, reactions[i], &places[i][look], span.origin);
         }
     }
 
@@ -613,7 +616,9 @@ impl Island {
             let swing = 1.0 / omega.max(2.0 * damping).max(1.0);
             let constant = f64::min(0.5 * h * h, 2.0 / (omega * omega));
             let vertex = 0.2 * (constant + h * swing) * left * bends.force;
-            let centre = 0.1 * h * (1.0 + 0.5 * h) * left * bends.acceleration;
+            // nothing is known of the time scales of a program's force
+            let is_given = self.field.forces.iter().any(|(forced, _)| *forced as usize == i);
+            let centre = 0.1 * h * (1.0 + 0.5 * h) * if is_given { 1.0 } else { left } * bends.acceleration;
             let turn = 0.1 * h * left * bends.spin * body.shape.extent;
             let estimate = (vertex + centre + turn) / body.radius;
             let turned = course.frames[3].turned.length();

@@ -10,6 +10,7 @@ use glam::DVec3;
 use pulp::Arch;
 
 use super::{
+    super::nodes::NODES,
     body::Body,
     conserved::potential,
     field::{Field, Pair},
@@ -30,7 +31,7 @@ pub struct Ledger {
     pub damping: f64,
     /// Friction on planes, ∫ Σ m f·r′ dt.
     pub friction: f64,
-    /// Pushes, ∫ Σ m f·r′ dt.
+    /// Pushes, and forces that a program gives, ∫ Σ m f·r′ dt.
     pub pushes: f64,
     /// Bodies on prescribed paths: the work of their spheres' motion, and that of their vertices on free spheres.
     pub prescribed: f64,
@@ -65,7 +66,8 @@ pub(super) struct Done<'a> {
     pub field: &'a Field,
     pub courses: &'a [Course],
     pub places: &'a [[Place; 5]],
-    /// Length of the step [s].
+    /// Start and length of the step [s].
+    pub start: f64,
     pub h: f64,
     pub arch: Arch,
 }
@@ -78,7 +80,7 @@ impl Done<'_> {
             if body.is_free() {
                 ledger.damping += self.damping(i);
                 ledger.friction += self.friction(i);
-                ledger.pushes += self.pushes(i);
+                ledger.pushes += self.pushes(i) + self.given(i);
             }
             ledger.prescribed += self.prescribed(i);
         }
@@ -155,6 +157,18 @@ impl Done<'_> {
             self.contact(held, power)
         });
         work.sum()
+    }
+
+    /// The work of forces that a program gives.
+    fn given(self, index: usize) -> f64 {
+        if self.field.forces.is_empty() {
+            return 0.0;
+        }
+        self.over(std::array::from_fn(|node| {
+            let Place { centre, velocity } = self.places[index][node];
+            let given = self.field.given(index, self.start + NODES[node] * self.h, centre, velocity);
+            self.bodies[index].mass() * given.dot(velocity)
+        }))
     }
 
     /// The work of pairs of a free body and one on a path, through the forces on the vertices of body `index`.

@@ -72,6 +72,7 @@ impl<'a> Snapshot<'a> {
         self.pairs_of[index].is_empty()
             && field.planes.iter().all(|plane| plane.depth(body.centre) + extent < 0.0)
             && !field.pushes.iter().any(|push| push.body as usize == index)
+            && !field.forces.iter().any(|(body, _)| *body as usize == index)
             && (field.gravity == DVec3::ZERO || !body.is_free())
     }
 
@@ -204,6 +205,11 @@ impl<'a> Snapshot<'a> {
             if push.body as usize == index && acts(push.start, push.end) {
                 self.touched(index, Contact::Push(number, push), |i, g| add(Cause::Push, i, g));
             }
+        }
+        let body = self.bodies[index];
+        let given = field.given(index, self.time, body.centre, body.velocity);
+        if given != DVec3::ZERO {
+            (0..n).for_each(|i| add(Cause::Push, i, given));
         }
     }
 
