@@ -50,15 +50,20 @@ impl SideBySide {
 
     /// The places of the models, given what a camera should see of one.
     fn places(&self, spheres: &[(DVec3, f64)]) -> Vec<Place> {
-        let ends = spheres.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (centre, radius)| {
-            (f64::min(low, centre.y - radius), f64::max(high, centre.y + radius))
-        });
-        let apart = if ends.0 < ends.1 { ROOM * (ends.1 - ends.0) } else { 0.0 };
+        let extent = |axis: DVec3| {
+            let ends = spheres.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (centre, radius)| {
+                let at = centre.dot(axis);
+                (f64::min(low, at - radius), f64::max(high, at + radius))
+            });
+            if ends.0 < ends.1 { ROOM * (ends.1 - ends.0) } else { 0.0 }
+        };
+        // two in a row, the rows below each other, as the camera sees them
+        let (right, down) = (extent(DVec3::X) * DVec3::X, -extent(DVec3::Z) * DVec3::Z);
         let bodies = self.scene.bodies.len();
         let place = |(k, run): (usize, SceneRun)| Place {
             schema: run.schema(),
             first: k * bodies,
-            offset: -(k as f64) * apart * DVec3::Y,
+            offset: (k % 2) as f64 * right + (k / 2) as f64 * down,
         };
         self.runs().enumerate().map(place).collect()
     }

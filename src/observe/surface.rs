@@ -54,6 +54,8 @@ pub struct Group {
     pub bodies: Vec<usize>,
     /// Positions of the vertices in the world [scene unit], `[vertex_count]`.
     pub positions: Vec<DVec3>,
+    /// Outward unit normals of the vertices [–], `[vertex_count]`; empty if they are the means of those of the triangles.
+    pub normals: Vec<DVec3>,
     /// Where each vertex is from, `[vertex_count]`.
     pub origins: Vec<VertexOrigin>,
     /// Vertices of each triangle, counter-clockwise from outside.
@@ -446,6 +448,7 @@ impl Group {
             genus: components as i64 - united.euler / 2,
             volume: united.volume,
             area: united.area,
+            normals: Vec::new(),
             positions: seamed.positions,
             origins: seamed.labels,
             triangles: seamed.triangles,

@@ -409,7 +409,7 @@ pub fn schema(scene: &Scene, options: Options) -> Schema {
     warnings.extend(idle(scene));
     Schema {
         model: Model::Metaballs.name().to_owned(),
-        integrator: "none".to_owned(),
+        integrator: "exact".to_owned(),
         law: format!(
             "Density f(r) = (1 − r²/r_e²)³ about each centre, r_e = {:.3} R; the surface is where it adds up to that of a lone \
              ball at its radius. No dynamics. {}",

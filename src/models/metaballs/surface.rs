@@ -28,6 +28,9 @@ use crate::{
 
 /// Spacing of the grid [radii of the smallest ball of a group].
 const SPACING: f64 = 0.2;
+/// Squares of the grid on the surfaces of a group's lone balls, at most, for each ball: beside a ball that is much larger, a
+/// small one has fewer.
+const MOST_SQUARES: f64 = 2000.0;
 /// Nodes of a grid at most: more of them, and the grid is coarser.
 const MOST_NODES: f64 = 2e6;
 /// Balls of a group at most; more are not united.
@@ -63,6 +66,7 @@ impl Surfaces for LevelSet {
         let euler = positions.len() as i64 - triangles.len() as i64 / 2;
         Some(Group {
             bodies: group.to_vec(),
+            normals: positions.iter().map(|&at| (-self.kernel.slope(&balls, at)).normalize_or(DVec3::Z)).collect(),
             positions,
             origins,
             triangles,
@@ -235,7 +239,13 @@ impl Grid {
         }
         let size = high - low;
         let smallest = balls_own.iter().map(|ball| ball.radius).fold(f64::INFINITY, f64::min);
-        let spacing = f64::max(SPACING * smallest, (size.x * size.y * size.z / MOST_NODES).cbrt());
+        let area = 4.0 * std::f64::consts::PI * balls_own.iter().map(|ball| ball.radius * ball.radius).sum::<f64>();
+        let spacing = [
+            SPACING * smallest,
+            (area / (MOST_SQUARES * own as f64)).sqrt(),
+            (size.x * size.y * size.z / MOST_NODES).cbrt(),
+        ];
+        let spacing = spacing.into_iter().fold(0.0, f64::max);
         // the centre is a node; all nodes of the outermost layer are outside
         let before = (-low / spacing).ceil() + DVec3::ONE;
         let after = (high / spacing).ceil() + DVec3::ONE;
@@ -291,12 +301,18 @@ pub fn extract(kernel: &Kernel, balls: &[Ball], own: usize, interrupt: Option<&A
     }
     let mut mesh = Mesh::default();
     // the vertex on each edge, by the node where it begins and the axes along which it leads
-    let mut known = vec![u32::MAX; 8 * inside.len()];
+    // of this layer of nodes and the next
+    let layer = nx * ny;
+    let mut known = [vec![u32::MAX; 8 * layer], vec![u32::MAX; 8 * layer]];
     let strides: [usize; 8] = std::array::from_fn(|edge| grid.stride(edge));
     let mut cuts: Vec<[[usize; 2]; 3]> = Vec::new();
     for k in 0..nz - 1 {
         if is_raised(interrupt) {
             return None;
+        }
+        if k > 0 {
+            known.swap(0, 1);
+            known[1].fill(u32::MAX);
         }
         for j in 0..ny - 1 {
             for i in 0..nx - 1 {
@@ -309,7 +325,8 @@ pub fn extract(kernel: &Kernel, balls: &[Ball], own: usize, interrupt: Option<&A
                 TETRAHEDRA.iter().for_each(|corners_of| cut(corners_of, &corners, &mut cuts));
                 let mut vertex = |[from, to]: [usize; 2]| {
                     let (low, edge) = (from.min(to), from ^ to);
-                    let slot = &mut known[8 * (first + strides[low]) + edge];
+                    let node = first + strides[low] - k * layer;
+                    let slot = &mut known[node / layer][8 * (node % layer) + edge];
                     if *slot == u32::MAX {
                         let place =
                             |corner: usize| grid.place([i + (corner & 1), j + (corner >> 1 & 1), k + (corner >> 2)]);

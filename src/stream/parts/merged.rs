@@ -144,8 +144,9 @@ impl Mesh {
         self.positions.extend(group.positions.iter().map(single));
         self.triangles.extend(group.triangles.iter().map(|corners| corners.map(|v| v + first)));
         self.areas.clear();
+        self.areas.extend_from_slice(&group.normals);
         self.areas.resize(group.positions.len(), DVec3::ZERO);
-        for corners in &group.triangles {
+        for corners in group.triangles.iter().filter(|_| group.normals.is_empty()) {
             let [a, b, c] = corners.map(|v| group.positions[v as usize]);
             let area = (b - a).cross(c - a);
             corners.iter().for_each(|&v| self.areas[v as usize] += area);
