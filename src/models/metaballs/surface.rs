@@ -426,7 +426,8 @@ const GAUSS: [[f64; 2]; 5] = [
 ///
 /// The gap between a triangle p(u, v) and the surface is filled with the lines p + s d, where d is interpolated linearly
 /// between the normals at the corners, so that neighbours fit. It is integrated in s exactly and by a Gauss product rule
-/// over the triangle: with the mesh of [`extract`] the error is about 1e-9 of the volume.
+/// over the triangle: with the mesh of [`extract`] the error is below 1e-7 of the volume for
+/// balls of like size, and below 1e-6 beside a much smaller one: the third derivative of the density jumps at the end of a support.
 pub fn volume(kernel: &Kernel, balls: &[Ball], mesh: &Mesh) -> f64 {
     let normals: Vec<DVec3> =
         mesh.positions.iter().map(|&at| (-kernel.slope(balls, at)).normalize_or(DVec3::Z)).collect();
