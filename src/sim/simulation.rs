@@ -54,6 +54,8 @@ enum ScalarValue {
 /// The input for scalars of the state.
 struct StateNumbers<'a> {
     scene: &'a Scene,
+    /// How many bodies are undeformed, or rest on or by each other.
+    resting: usize,
     energy: Energy,
     bodies: &'a [BodyFrame],
     /// Of coupled scenes.
@@ -170,7 +172,7 @@ const SCALARS: &[Scalar] = &[
         name: "sleeping_bodies",
         label: "bodies at rest",
         plot: "Counts",
-        value: ScalarValue::State(|state| state.bodies.iter().filter(|body| body.is_at_rest).count() as f64),
+        value: ScalarValue::State(|state| state.resting as f64),
         is_smooth: false,
     },
 ];
@@ -308,6 +310,10 @@ impl Simulation for World {
                 scene,
                 energy: energy.map(|energy| energy.sum).or(of_coupled).unwrap_or_default(),
                 bodies: &frame.bodies,
+                resting: match &self.coupled {
+                    Some(coupled) => self.body_count() - coupled.awake_count(),
+                    None => frame.bodies.iter().filter(|body| body.is_at_rest).count(),
+                },
                 conserved,
                 ledger: self.ledger(),
                 first_energy: self.first_energy,

@@ -13,7 +13,7 @@ use super::{
 use crate::{
     scene::Scene,
     sim::{
-        free::{self, Body, Driven, Field, Island, Paths, Report, Scratch, Shape, Way},
+        free::{self, Body, Driven, Island, Parts, Paths, Report, Scratch, Shape},
         span::Span,
         work::{Tally, Work},
     },
@@ -66,15 +66,24 @@ pub(super) struct Group {
     pub pairs: Vec<(u32, bool)>,
 }
 
+impl Group {
+    pub fn clear(&mut self) {
+        let Group { bodies, sources, pairs } = self;
+        bodies.clear();
+        sources.clear();
+        pairs.clear();
+    }
+}
+
 /// An island in a step.
 #[derive(Default)]
 pub(super) struct Job {
     pub group: Group,
     pub is_done: bool,
-    /// The bodies as they are at the end of the step.
-    pub bodies: Vec<Body>,
-    pub pairs: Vec<free::Pair>,
-    pub ways: Vec<Way>,
+    /// The bodies as they are at the end of the step, pairs, what acts, and how far each body got.
+    pub parts: Parts,
+    /// The bodies of the island, then those that only act on it.
+    all: Vec<u32>,
     pub pace: f64,
     pub report: Report,
     pub failure: Option<free::Failure>,
@@ -114,25 +123,33 @@ pub(super) fn advance(jobs: &mut [Job], conditions: &Conditions<'_>) {
 }
 
 impl Job {
+    /// Memory allocated for the states of its bodies [bytes].
+    pub fn memory(&self) -> usize {
+        let of = |body: &Body| size_of::<Body>() + (body.x.capacity() + body.u.capacity()) * size_of::<DVec3>();
+        self.parts.bodies.iter().map(of).sum()
+    }
+
     fn advance(&mut self, turn: usize, conditions: &Conditions<'_>, scratch: &mut Scratch) {
         let Conditions { scene, members, near, span, work, .. } = *conditions;
         let Group { bodies, sources, pairs } = &self.group;
-        let all: Vec<u32> = bodies.iter().chain(sources).copied().collect();
+        self.all.clear();
+        self.all.extend(bodies.iter().chain(sources));
         let place = |body: u32| match bodies.binary_search(&body) {
             Ok(place) => place as u32,
             Err(_) => (bodies.len() + sources.binary_search(&body).unwrap_or_default()) as u32,
         };
         let mut pace = f64::INFINITY;
-        let mut field = Field {
-            gravity: scene.gravity,
-            planes: scene.planes.clone(),
-            reach: scene.influence.reach,
-            weight: scene.influence.weight,
-            scaling: scene.influence.scaling,
-            ..Field::default()
-        };
-        let mut copies = Vec::with_capacity(all.len());
-        for (index, &body) in all.iter().enumerate() {
+        let mut parts = std::mem::take(&mut self.parts);
+        let Parts { bodies: copies, field, pairs: between, .. } = &mut parts;
+        field.gravity = scene.gravity;
+        field.planes.clone_from(&scene.planes);
+        field.pushes.clear();
+        field.forces.clear();
+        let influence = &scene.influence;
+        (field.reach, field.weight, field.scaling) = (influence.reach, influence.weight, influence.scaling);
+        field.breaks.clear();
+        copies.resize_with(self.all.len(), || source(&members[self.all[0] as usize].body));
+        for (index, (&body, copy)) in self.all.iter().zip(&mut *copies).enumerate() {
             let member = &members[body as usize];
             if let Some(path) = scene.bodies[body as usize].path() {
                 let knots = path.knots();
@@ -140,7 +157,7 @@ impl Job {
                 field.breaks.extend(knots[first..].iter().take_while(|&&knot| knot <= span.end));
             }
             if index >= bodies.len() {
-                copies.push(source(&member.body));
+                *copy = source(&member.body);
                 continue;
             }
             pace = pace.min(member.pace);
@@ -148,28 +165,28 @@ impl Job {
             let pushes = pushes.filter(|push| push.end > span.start);
             field.pushes.extend(pushes.map(|&push| free::Push { body: index as u32, ..push }));
             field.forces.extend(scene.bodies[body as usize].force.iter().map(|force| (index as u32, force.clone())));
-            let mut copy = member.body.clone();
+            copy.copy_from(&member.body);
             let count = copy.shape.rest().len();
             copy.x.resize(count, DVec3::ZERO);
             copy.u.resize(count, DVec3::ZERO);
-            copies.push(copy);
         }
         field.breaks.sort_by(f64::total_cmp);
         let local = |&(pair, _): &(u32, bool)| {
             let pair = near.pair(pair);
             free::Pair { a: place(pair.a), b: place(pair.b), ..*pair }
         };
-        let pairs = pairs.iter().map(local).collect();
-        let paths = OfScene { scene, bodies: &all };
+        between.clear();
+        between.extend(pairs.iter().map(local));
+        let paths = OfScene { scene, bodies: &self.all };
         let tally = Tally::new(work, Some(turn));
-        let mut island = Island::resume(copies, pairs, field, scene.tolerance, span.start, pace);
-        self.report = Report::default();
+        let mut island = Island::resume(parts, scene.tolerance, span.start, pace);
+        let mut changes = std::mem::take(&mut self.report.changes);
+        changes.clear();
+        self.report = Report { changes, ..Report::default() };
         self.failure = island.advance_with(scratch, span.end, &paths, &tally, &mut self.report).err();
         self.work = tally.done();
         self.pace = island.pace();
-        self.ways.clear();
-        self.ways.extend_from_slice(&island.ways()[..bodies.len()]);
-        (self.bodies, self.pairs) = island.into_parts();
+        self.parts = island.into_parts();
         self.is_done = true;
     }
 }

@@ -45,7 +45,7 @@ use self::{
 };
 use super::{
     events::Event,
-    free::{self, Field, Scratch, Snapshot},
+    free::{self, Field, Parts, Scratch, Snapshot},
     report::{Failure, Overworked, Stage, StepReport, Toil},
     span::Span,
     terms::{Cause, Source, Surroundings, Weighted},
@@ -78,6 +78,11 @@ pub(super) struct Coupled {
     skip: bool,
     forest: Forest,
     jobs: Vec<Job>,
+    /// Buffers: the islands of the step before, lists of bodies and pairs, bodies.
+    before: Vec<Job>,
+    groups: Vec<Group>,
+    flying: Vec<u32>,
+    stepped: Vec<u32>,
     /// Index of a body's island in the step, by its root.
     job_of: Vec<u32>,
     scratches: Mutex<Vec<Scratch>>,
@@ -107,6 +112,10 @@ impl Coupled {
             skip,
             forest: Forest::default(),
             jobs: Vec::new(),
+            before: Vec::new(),
+            groups: Vec::new(),
+            flying: Vec::new(),
+            stepped: Vec::new(),
             job_of: vec![0; scene.bodies.len()],
             scratches: Mutex::default(),
         };
@@ -218,7 +227,7 @@ impl Coupled {
             integrating += ready.elapsed();
             let mut any = false;
             for job in &mut self.jobs {
-                for (&body, way) in job.group.bodies.iter().zip(&job.ways) {
+                for (&body, way) in job.group.bodies.iter().zip(&job.parts.ways) {
                     if self.skip && self.members[body as usize].strayed(way) {
                         (any, job.is_done) = (true, false);
                     }
@@ -320,12 +329,17 @@ impl Coupled {
 
     /// Makes the islands' lists of bodies and pairs; an island that is the same as before keeps its result.
     fn group(&mut self, scene: &Scene, span: Span) {
-        let mut groups: Vec<Group> = Vec::new();
+        let mut groups = take(&mut self.groups);
+        let mut count = 0;
         for &body in &self.awake {
             let root = self.forest.root(body);
             if root == body {
-                self.job_of[root as usize] = groups.len() as u32;
-                groups.push(Group::default());
+                self.job_of[root as usize] = count as u32;
+                if count == groups.len() {
+                    groups.push(Group::default());
+                }
+                groups[count].clear();
+                count += 1;
             }
             groups[self.job_of[root as usize] as usize].bodies.push(body);
         }
@@ -340,21 +354,32 @@ impl Coupled {
                 groups[of_b].pairs.push((pair, false));
             }
         }
-        let before = take(&mut self.jobs);
-        let mut before = before.into_iter().filter(|job| job.is_done).peekable();
-        for mut group in groups {
-            if !self.needs_steps(scene, span, &group) {
+        std::mem::swap(&mut self.jobs, &mut self.before);
+        self.jobs.clear();
+        let mut before = take(&mut self.before);
+        let mut next = 0;
+        for group in &mut groups[..count] {
+            if !self.needs_steps(scene, span, group) {
                 continue;
             }
             group.sources.sort_unstable();
             group.sources.dedup();
-            while before.next_if(|job| job.group.bodies[0] < group.bodies[0]).is_some() {}
-            let same = before.next_if(|job| job.group == group);
-            self.jobs.push(match same {
-                Some(job) => Job { work: 0, ..job },
-                None => Job { group, ..Job::default() },
-            });
+            let first = |job: &Job| job.group.bodies.first().copied().unwrap_or_default();
+            while next < before.len() && first(&before[next]) < group.bodies[0] {
+                next += 1;
+            }
+            // the lists of one that has changed are used again
+            let known = before.get_mut(next).filter(|job| first(job) == group.bodies[0]);
+            let mut job = known.map(take).unwrap_or_default();
+            job.is_done &= job.group == *group;
+            if !job.is_done {
+                std::mem::swap(&mut job.group, group);
+            }
+            job.work = 0;
+            self.jobs.push(job);
         }
+        before.clear();
+        (self.before, self.groups) = (before, groups);
     }
 
     /// Whether something acts on the bodies of an island, or they are deformed.
@@ -404,7 +429,7 @@ impl Coupled {
         match self.jobs.iter().find_map(|job| Some((job, job.failure.as_ref()?))) {
             Some((job, failure)) => Err(self.failure(scene, report, job, failure)),
             None => {
-                let vertices = |job: &Job| job.bodies.iter().map(|body| body.x.len() as u64).sum::<u64>();
+                let vertices = |job: &Job| job.parts.bodies.iter().map(|body| body.x.len() as u64).sum::<u64>();
                 let vertices = self.jobs.iter().map(vertices).sum();
                 work.end(all, ORDINARY * vertices, vertices);
                 Ok(())
@@ -423,9 +448,10 @@ impl Coupled {
             report.error = report.error.max(job.report.error);
             report.ledger += job.report.ledger;
             stepped += bodies;
-            for ((&index, body), way) in job.group.bodies.iter().zip(job.bodies.drain(..)).zip(&job.ways) {
+            let Parts { bodies: after, ways, .. } = &mut job.parts;
+            for ((&index, body), way) in job.group.bodies.iter().zip(after).zip(ways) {
                 let member = &mut self.members[index as usize];
-                member.body = body;
+                std::mem::swap(&mut member.body, body);
                 if let Some(path) = scene.bodies[index as usize].path().filter(|path| !path.knots().is_empty()) {
                     // what jumps now has done so
                     let motion = path.at(span.end);
@@ -442,7 +468,7 @@ impl Coupled {
         if self.skip {
             self.rest(scene, span, &jobs, report);
         }
-        jobs.clear();
+        jobs.iter_mut().for_each(|job| job.is_done = false);
         self.jobs = jobs;
         let Coupled { awake, members, .. } = self;
         awake.retain(|&body| members[body as usize].is_awake);
@@ -484,12 +510,14 @@ impl Coupled {
 
     /// Moves the bodies that nothing acts on.
     fn fly(&mut self, scene: &Scene, span: Span, jobs: &[Job]) {
-        let mut stepped = jobs.iter().flat_map(|job| &job.group.bodies).copied().collect::<Vec<_>>();
+        let (mut stepped, mut flying) = (take(&mut self.stepped), take(&mut self.flying));
+        stepped.clear();
+        stepped.extend(jobs.iter().flat_map(|job| &job.group.bodies));
         stepped.sort_unstable();
         let h = span.length();
-        let mut others = self.awake.clone();
-        others.retain(|body| stepped.binary_search(body).is_err());
-        for body in others {
+        flying.clear();
+        flying.extend(self.awake.iter().filter(|body| stepped.binary_search(body).is_err()));
+        for &body in &flying {
             let (member, path) = (&mut self.members[body as usize], scene.bodies[body as usize].path());
             if let Some(path) = path {
                 let motion = path.at(span.end);
@@ -507,6 +535,7 @@ impl Coupled {
                 self.settle(body);
             }
         }
+        (self.stepped, self.flying) = (stepped, flying);
     }
 
     /// Lets islands rest that are calm, and straightens bodies that nothing acts on any more.
@@ -622,8 +651,7 @@ impl Coupled {
     }
 
     /// How many bodies do not rest.
-    #[cfg(test)]
-    fn awake_count(&self) -> usize {
+    pub fn awake_count(&self) -> usize {
         self.awake.len()
     }
 
@@ -667,6 +695,7 @@ impl Coupled {
     pub fn memory(&self) -> usize {
         self.members.capacity() * size_of::<Member>()
             + self.members.iter().map(Member::memory).sum::<usize>()
+            + self.jobs.iter().map(Job::memory).sum::<usize>()
             + self.near.memory()
             + (self.awake.capacity() + self.job_of.capacity()) * size_of::<u32>()
     }

@@ -134,6 +134,18 @@ impl Body {
         Body { motion: Motion::Prescribed, ..Body::free(shape, radius, oscillator, Rotation::Fixed) }
     }
 
+    /// Makes it the same as another.
+    pub(in crate::sim) fn copy_from(&mut self, other: &Body) {
+        let Body { shape, radius, oscillator, motion, centre, velocity, rotation, spin, x, u } = other;
+        if !Arc::ptr_eq(&self.shape, shape) {
+            self.shape = Arc::clone(shape);
+        }
+        (self.radius, self.oscillator, self.motion) = (*radius, *oscillator, *motion);
+        (self.centre, self.velocity, self.rotation, self.spin) = (*centre, *velocity, *rotation, *spin);
+        self.x.clone_from(x);
+        self.u.clone_from(u);
+    }
+
     /// Places a free body and sets it in motion at `velocity` [scene unit/s], rotating at the rate `spin` [rad/s].
     pub fn throw(&mut self, from: DVec3, velocity: DVec3, spin: DVec3) {
         (self.centre, self.velocity) = (from, velocity);

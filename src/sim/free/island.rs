@@ -119,6 +119,16 @@ pub enum Failure {
     },
 }
 
+/// What an island is made of, and what it is taken apart into, so that its lists are used again.
+#[derive(Clone, Debug, Default)]
+pub(in crate::sim) struct Parts {
+    pub bodies: Vec<Body>,
+    pub pairs: Vec<Pair>,
+    pub field: Field,
+    /// How far each body got so far.
+    pub ways: Vec<Way>,
+}
+
 /// Free bodies, and the bodies on prescribed paths near them.
 #[derive(Clone, Debug, Default)]
 pub struct Island {
@@ -161,6 +171,25 @@ pub(in crate::sim) struct Scratch {
     pairs_of: Vec<Vec<u32>>,
     changes: Vec<u32>,
     arch: Arch,
+    /// Of islands with more bodies.
+    spare: Spare,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Spare {
+    courses: Vec<Course>,
+    acting: Vec<Acting>,
+    pairs_of: Vec<Vec<u32>>,
+}
+
+/// Makes a list as long as it is to be, without losing what elements have allocated.
+fn resize<T: Default>(list: &mut Vec<T>, spare: &mut Vec<T>, count: usize) {
+    while list.len() > count {
+        spare.extend(list.pop());
+    }
+    while list.len() < count {
+        list.push(spare.pop().unwrap_or_default());
+    }
 }
 
 impl Scratch {
@@ -198,36 +227,28 @@ impl Island {
     /// An island that keeps an error of `tolerance` [radii/s], at t = 0; pairs start in the phases that they are given
     /// with. Bodies on prescribed paths must be at the start of their paths.
     pub fn new(bodies: Vec<Body>, pairs: Vec<Pair>, field: Field, tolerance: f64) -> Island {
-        Island::resume(bodies, pairs, field, tolerance, 0.0, f64::INFINITY)
+        let parts = Parts { bodies, pairs, field, ways: Vec::new() };
+        Island::resume(parts, tolerance, 0.0, f64::INFINITY)
     }
 
     /// The same at `time` [s], with steps of at most `pace` [s] to begin with.
-    pub(in crate::sim) fn resume(
-        bodies: Vec<Body>,
-        pairs: Vec<Pair>,
-        field: Field,
-        tolerance: f64,
-        time: f64,
-        pace: f64,
-    ) -> Island {
+    pub(in crate::sim) fn resume(parts: Parts, tolerance: f64, time: f64, pace: f64) -> Island {
+        let Parts { bodies, pairs, field, mut ways } = parts;
         let way = |body: &Body| Way { from: body.centre, extent: body.shape.extent, ..Way::default() };
-        let ways = bodies.iter().map(way).collect();
+        ways.clear();
+        ways.extend(bodies.iter().map(way));
         Island { bodies, pairs, field, tolerance, time, pace, ways, scratch: Scratch::default() }
     }
 
-    /// The bodies and pairs.
-    pub(in crate::sim) fn into_parts(self) -> (Vec<Body>, Vec<Pair>) {
-        (self.bodies, self.pairs)
+    /// What it is made of.
+    pub(in crate::sim) fn into_parts(self) -> Parts {
+        let Island { bodies, pairs, field, ways, .. } = self;
+        Parts { bodies, pairs, field, ways }
     }
 
     /// The step length that last met the tolerance [s].
     pub(in crate::sim) fn pace(&self) -> f64 {
         self.pace
-    }
-
-    /// How far each body got.
-    pub(in crate::sim) fn ways(&self) -> &[Way] {
-        &self.ways
     }
 
     /// The bodies.
@@ -283,12 +304,13 @@ impl Island {
     ) -> Result<(), Failure> {
         let whole = end - self.time;
         let shortest = whole * 1e-9;
-        scratch.courses.resize_with(self.bodies.len(), Course::default);
-        scratch.acting.resize_with(self.bodies.len(), Acting::default);
+        let count = self.bodies.len();
+        resize(&mut scratch.courses, &mut scratch.spare.courses, count);
+        resize(&mut scratch.acting, &mut scratch.spare.acting, count);
+        resize(&mut scratch.pairs_of, &mut scratch.spare.pairs_of, count);
         scratch.places.resize(self.bodies.len(), Default::default());
         scratch.changes.clear();
         scratch.changes.resize(self.pairs.len(), 0);
-        scratch.pairs_of.resize_with(self.bodies.len(), Vec::new);
         scratch.pairs_of.iter_mut().for_each(Vec::clear);
         for (index, pair) in (0..).zip(&self.pairs) {
             scratch.pairs_of[pair.a as usize].push(index);

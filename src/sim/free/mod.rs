@@ -56,8 +56,8 @@ pub use crate::model::{PairLaw, shape_matching::Rotation};
 pub use body::{Body, Motion, Shape};
 pub use conserved::Conserved;
 pub use field::{Driven, Field, NoPaths, Pair, Paths, Push};
-pub(super) use island::Scratch;
 pub use island::{Change, Failure, Island, Report, Way};
+pub(super) use island::{Parts, Scratch};
 pub use ledger::Ledger;
 pub use observed::{Forces, Snapshot};
 
