@@ -361,6 +361,30 @@ fn what_gathers_speed_does_not_rest() {
     assert!((world.body(0).centre().z + 0.004 * 25.0).abs() < 1e-9, "{}", world.body(0).centre());
 }
 
+/// Once lists have reached their sizes, steps of islands allocate no memory.
+#[test]
+fn a_warm_step_of_islands_allocates_nothing() {
+    let text = format!(
+        "gravity = [0, 0, -2]\n[material]\ndamping = 0.5\n[influence]\ncore_at = 0.7\ncore_width = 0.4\n{FLOOR}{}{}{}{}{}",
+        free("a", [0.0; 3], [0.0; 3]),
+        free("b", [1.7, 0.1, 0.1], [0.0; 3]),
+        free("c", [20.0, 0.0, 0.0], [0.0; 3]),
+        ball("d", "{ sine = { center = [21.8, 0, 0], amplitude = [0.1, 0, 0], frequency = 0.5 } }"),
+        free("e", [40.0, 0.0, 90.0], [0.0; 3]),
+    );
+    let mut world = World::new(scene(&text)).unwrap();
+    run(&mut world, 240);
+    let allocations = (0..120).map(|_| {
+        let taken = allocation_counter::measure(|| {
+            world.step();
+        });
+        taken.count_total
+    });
+    let allocations: Vec<u64> = allocations.collect();
+    assert!(allocations.iter().all(|&count| count == 0), "{allocations:?}");
+    assert!(world.report().failure.is_none() && world.report().sleeping_bodies == 1);
+}
+
 /// A force that a program gives acts like gravity where it is the same, its work is in the ledger, and it ends when it is
 /// taken away.
 #[test]
