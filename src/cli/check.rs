@@ -203,6 +203,12 @@ fn report(name: &str, difference: &GoldenDifference, is_accepted: bool) {
     if difference.events.len() > LISTED {
         print(&format!("  … and {}", counted((difference.events.len() - LISTED) as u64, "more event")));
     }
+    for deviation in difference.surfaces.iter().take(LISTED) {
+        print(&format!("  surfaces: {deviation}"));
+    }
+    if difference.surfaces.len() > LISTED {
+        print(&format!("  … and {}", counted((difference.surfaces.len() - LISTED) as u64, "more difference")));
+    }
     match &difference.comparison {
         Some(Ok(path)) => print(&format!("  look at both: rerun {}", path.display())),
         Some(Err(error)) => print(&format!("  the recording of both could not be written: {error}")),

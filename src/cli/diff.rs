@@ -100,14 +100,26 @@ pub fn diff(arguments: Arguments) -> Result<(), Failure> {
     if difference.events.len() > LISTED {
         print(&format!("… and {}", counted((difference.events.len() - LISTED) as u64, "more event")));
     }
+    if let Some(surfaces) = &difference.surfaces {
+        if surfaces.is_empty() {
+            print("surfaces: gap, overlap, neck, volume, area and topology are the same within the tolerance");
+        }
+        for deviation in surfaces.iter().take(LISTED) {
+            print(&format!("surfaces: {deviation}"));
+        }
+        if surfaces.len() > LISTED {
+            print(&format!("… and {}", counted((surfaces.len() - LISTED) as u64, "more difference")));
+        }
+    }
     if let Some(save) = &arguments.save {
         let saved = diff::save([&a, &b], &difference, tolerance, save)?;
         if let Some(saved) = saved.map_err(sink_failure)? {
             print(&format!("saved {}: {}", saved.path.display(), bytes(saved.bytes)));
         }
     }
-    match (&difference.first_beyond, difference.events.is_empty()) {
-        (None, true) => Ok(()),
+    let has_surfaces = difference.surfaces.iter().flatten().next().is_some();
+    match (&difference.first_beyond, difference.events.is_empty(), has_surfaces) {
+        (None, true, false) => Ok(()),
         _ => Err(Failure::Run(format!("{first} and {second} differ"))),
     }
 }

@@ -65,8 +65,19 @@ pub struct BodyFrame {
     pub terms: Vec<TermFrame>,
     /// A label for each vertex, as an index into the schema's labels, `[vertex_count]`; empty if no force acts.
     pub labels: Vec<u8>,
+    /// How a free body moves as a whole; `None` of others.
+    pub motion: Option<MotionFrame>,
     /// What acts on a free body as a whole; of other bodies, and where forces are not requested, `None`.
     pub whole: Option<WholeFrame>,
+}
+
+/// How a free body moves as a whole.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MotionFrame {
+    /// Velocity of its centre [scene unit/s].
+    pub velocity: DVec3,
+    /// Angular velocity of its rest shape, in world axes [rad/s].
+    pub spin: DVec3,
 }
 
 /// What acts on a free body as a whole.

@@ -8,6 +8,7 @@ use super::{
     comparison::{Comparison, Plan},
     frames::{FrameReader, RecordedFrame},
     happenings::{self, Change},
+    quantities::{self, Deviation, Deviations},
     recorded::RecordedEvent,
 };
 use crate::{
@@ -39,6 +40,8 @@ pub struct Difference {
     pub events: Vec<Change>,
     /// Number of events of the first recording.
     pub event_count: usize,
+    /// What the surfaces are like, where that differs beyond the tolerance; `None` unless both recordings hold it.
+    pub surfaces: Option<Vec<Deviation>>,
     /// Whether each recording had to be run again because it has no surfaces.
     pub run_again: [bool; 2],
 }
@@ -122,9 +125,9 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
     let [a, b] = recorded;
     same_bodies(a, b)?;
     let mut bodies: Vec<Option<Worst>> = vec![None; a.schema.bodies.len()];
-    let (mut instants, mut first_beyond) = (0, None);
+    let (mut instants, mut first_beyond) = (Vec::new(), None);
     let events = walk(recorded, |frames| {
-        instants += 1;
+        instants.push(frames.map(|frame| frame.step));
         let mut worst: Option<Worst> = None;
         for (index, body) in bodies.iter_mut().enumerate() {
             let Some(here) = difference(&a.schema, frames, index) else { continue };
@@ -145,8 +148,15 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
     // events after the end of the shorter recording do not count as differences
     let end = (a.last() as f64 * a.schema.dt).min(b.last() as f64 * b.schema.dt);
     let events = events.map(|events| events.map(|list| list.into_iter().filter(|e| e.time <= end).collect::<Vec<_>>()));
+    let [held, others] = [quantities::Recorded::read(&a.path)?, quantities::Recorded::read(&b.path)?];
+    let surfaces = (!held.is_empty() && !others.is_empty()).then(|| {
+        let mut deviations = Deviations::new(tolerance, 1.0);
+        held.compare(&others, &instants, a.schema.dt, &mut deviations);
+        deviations.finish()
+    });
     Ok(Difference {
-        instants,
+        instants: instants.len() as u64,
+        surfaces,
         first_bits: common.find(|&step| a.checksum(step) != b.checksum(step)),
         has_bits,
         bodies,

@@ -2,7 +2,7 @@
 //!
 //! A golden recording is thin: the scene and a checksum of every step. To locate a difference, it also has the events,
 //! a two-byte hash for every displaced vertex at every step ([`VERTICES`]), which tells at which vertices two states
-//! diverge, and the full displacements at regular intervals ([`STATES`]).
+//! diverge, and at regular intervals the full displacements ([`STATES`]) and what the surfaces are like ([`SURFACES`]).
 
 use std::{
     collections::BTreeMap,
@@ -13,6 +13,7 @@ use std::{
 use glam::{DQuat, DVec3};
 use rerun::{
     AnyValues,
+    components::Text,
     external::arrow::{
         array::{ArrayRef, AsArray as _, Float64Array, UInt16Array, UInt32Array},
         datatypes::{Float64Type, UInt16Type, UInt32Type},
@@ -23,14 +24,16 @@ use super::{
     ReadError, Recorded,
     comparison::{Comparison, Plan},
     happenings::{self, Change},
+    quantities::{self, Deviation, Deviations, Values},
     read::Reader,
-    recorded::{RecordedEvent, raw, start, step_of},
+    recorded::{RecordedEvent, cell, raw, start, step_of},
     replay,
 };
 use crate::{
     geometry::Vectors,
     observe::{
         BodyFrame, Experiment, Frame, Schema, Simulation, StepSummary, Want, Worst, checksum, schema::BodySchema,
+        surface::Merger,
     },
     stream::{
         Recorder,
@@ -46,6 +49,13 @@ pub const VERTICES: &str = "/golden/vertices";
 /// `bodies` and `displacements`, the latter x, y and z of each vertex [scene unit], and, if there are free bodies,
 /// `frames`, the centre and the rotation (x, y, z, w) of each of these.
 pub const STATES: &str = "/golden/states";
+/// Entity with the quantities of surfaces, as often as states: components `names`, as of the entities that plot them, and
+/// `values`.
+pub const SURFACES: &str = "/golden/surfaces";
+/// Pairs whose surfaces are measured at most.
+const MOST_PAIRS: usize = 64;
+/// Quantities of surfaces that differ by less than this are the same [tolerances].
+const ROUNDING: f64 = 1e-3;
 /// Steps between recorded states: a third of a second in most scenes.
 pub const STATE_EVERY: u64 = 20;
 
@@ -81,6 +91,7 @@ pub fn bless(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<Blesse
     let mut recorder = Recorder::new(&*simulation, settings);
     recorder.log_property("blessed", reason);
     recorder.log_property("counts", &counts(&schema));
+    let mut merger = Merger::new(&schema, None);
     let mut checksums = vec![simulation.checksum()];
     for step in 1..=schema.steps {
         simulation.step();
@@ -117,6 +128,15 @@ pub fn bless(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<Blesse
             }
             recorder.log(STATES, &*simulation, &state);
         }
+        if step % STATE_EVERY == 0 || step == schema.steps {
+            let (names, values): (Vec<String>, Vec<f64>) = surfaces(&mut merger, &schema, &frame).into_iter().unzip();
+            if !names.is_empty() {
+                let held = AnyValues::default()
+                    .with_component::<Text>("names", names)
+                    .with_component_from_data("values", Arc::new(Float64Array::from(values)));
+                recorder.log(SURFACES, &*simulation, &held);
+            }
+        }
         if step % 256 == 0 {
             recorder.take().into_iter().try_for_each(|message| sinks.send(message))?;
         }
@@ -130,6 +150,12 @@ pub fn bless(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<Blesse
 /// Combines all checksums of a recording into one number.
 pub fn digest(checksums: &[u64]) -> u64 {
     checksum::sequence(checksums.iter().copied())
+}
+
+/// What the surfaces of a frame are like.
+fn surfaces(merger: &mut Merger, schema: &Schema, frame: &Frame) -> Values {
+    let pairs: Vec<[usize; 2]> = frame.pairs.iter().take(MOST_PAIRS).map(|pair| [pair.a, pair.b]).collect();
+    quantities::of_frame(schema, merger.merge(schema, frame, &pairs), &pairs)
 }
 
 fn counts(schema: &Schema) -> String {
@@ -218,6 +244,8 @@ pub struct GoldenDifference {
     pub is_within_tolerance: bool,
     /// Differences between the events.
     pub events: Vec<Change>,
+    /// Differences between what the surfaces are like, if the golden recording has that.
+    pub surfaces: Vec<Deviation>,
     /// Path of the comparison recording, or why it could not be written; `None` if none was requested.
     pub comparison: Option<Result<PathBuf, String>>,
 }
@@ -226,7 +254,11 @@ impl GoldenDifference {
     /// Whether the difference is only in rounding: values within the tolerance; the same events, vertices and
     /// triangles.
     pub fn is_tolerable(&self) -> bool {
-        self.steps.is_none() && self.counts.is_none() && self.events.is_empty() && self.is_within_tolerance
+        self.steps.is_none()
+            && self.counts.is_none()
+            && self.events.is_empty()
+            && self.is_within_tolerance
+            && self.surfaces.iter().all(|deviation| deviation.excess <= 1.0)
     }
 }
 
@@ -259,6 +291,9 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
     let (schema, mut summary) = (simulation.schema(), StepSummary::default());
     let mut events = Vec::new();
     let mut first = None;
+    let held = read_surfaces(golden)?;
+    let (mut merger, mut frame) = (Merger::new(&schema, None), Frame::default());
+    let mut deviations = Deviations::new(schema.tolerance, ROUNDING);
     for step in 0..=schema.steps {
         if step > 0 {
             replay::step(&mut *simulation, &mut summary, golden)?;
@@ -269,12 +304,21 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
         {
             first = Some(step);
         }
+        if let Some(held) = held.get(&step) {
+            simulation.observe(Want::default(), &mut frame);
+            let found = surfaces(&mut merger, &schema, &frame);
+            for (entity, &golden) in held {
+                let found = found.get(entity).copied().unwrap_or(f64::NAN);
+                deviations.compare(entity, step, frame.at.time, [golden, found]);
+            }
+        }
     }
+    let surfaces = deviations.finish();
     let counts_now = counts(&schema);
     let is_rewritten = schema.source != recorded.schema.source;
     let steps = [recorded.last(), schema.steps];
     let same_counts = counts_then.as_ref().is_none_or(|then| *then == counts_now);
-    if first.is_none() && steps[0] == steps[1] && same_counts {
+    if first.is_none() && steps[0] == steps[1] && same_counts && surfaces.is_empty() {
         let digest = digest(&recorded.checksums);
         return Ok(GoldenOutcome::Identical { steps: steps[1], events: events.len(), digest, is_rewritten });
     }
@@ -287,6 +331,7 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
         worst: None,
         is_within_tolerance: true,
         events: happenings::compare(&recorded.events, &events),
+        surfaces,
         comparison: None,
     };
     if let Some(step) = first
@@ -300,6 +345,24 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
         }
     }
     Ok(GoldenOutcome::Different(Box::new(difference)))
+}
+
+/// What a golden recording has about surfaces, by step.
+fn read_surfaces(path: &Path) -> Result<BTreeMap<u64, Values>, ReadError> {
+    let mut held: BTreeMap<u64, Values> = BTreeMap::new();
+    let mut reader = Reader::open(path)?;
+    while let Some(chunk) = reader.next(|entity| entity == SURFACES)? {
+        for row in 0..chunk.num_rows() {
+            let damaged = |what: String| ReadError::Damaged { path: path.to_owned(), at: None, what };
+            let step = u64::try_from(step_of(&chunk, row).map_err(damaged)?).unwrap_or(0);
+            let values = raw(&chunk, "values", row);
+            let values = values.as_ref().and_then(|values| values.as_primitive_opt::<Float64Type>());
+            let names = cell::<rerun::datatypes::Utf8>(&chunk, "names", row);
+            let names = names.iter().map(|name| name.as_str().to_owned());
+            held.entry(step).or_default().extend(names.zip(values.iter().flat_map(|values| values.values()).copied()));
+        }
+    }
+    Ok(held)
 }
 
 /// Runs a scene again and compares it with the details of its golden recording from `step` on.
@@ -434,7 +497,7 @@ impl Details {
     fn counts(path: &Path) -> Result<Option<String>, ReadError> {
         let mut reader = Reader::open(path)?;
         while let Some(chunk) = reader.next(|entity| entity == "/__properties/meldscope")? {
-            if let Some(text) = super::recorded::cell::<rerun::datatypes::Utf8>(&chunk, "counts", 0).first() {
+            if let Some(text) = cell::<rerun::datatypes::Utf8>(&chunk, "counts", 0).first() {
                 return Ok(Some(text.as_str().to_owned()));
             }
         }

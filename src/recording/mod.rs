@@ -9,6 +9,7 @@
 //! | running a recording again and comparing every checksum | [`replay`] |
 //! | golden recordings: the expected results of a scene | [`golden`] |
 //! | the events of two runs compared | [`happenings`] |
+//! | gap, overlap, volume, components … of two runs compared | [`quantities`] |
 //! | two recordings of a scene compared | [`diff`] |
 //! | a recording that shows the differences between two runs | [`comparison`] |
 
@@ -19,6 +20,7 @@ pub mod existing;
 pub mod frames;
 pub mod golden;
 pub mod happenings;
+pub mod quantities;
 pub mod read;
 pub mod recorded;
 pub mod replay;

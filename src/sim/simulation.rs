@@ -20,7 +20,8 @@ use crate::{
         phase::{Phase, Thresholds},
     },
     observe::{
-        BodyFrame, Frame, Instant, PairEvent, Schema, Simulation, StageFrame, StepFailure, StepSummary, Want, between,
+        BodyFrame, Frame, Instant, MotionFrame, PairEvent, Schema, Simulation, StageFrame, StepFailure, StepSummary,
+        Want, between,
         colors::{self, Rgb},
         schema::{
             self, BodySchema, OwnLevels, OwnSurfaces, PhaseSchema, PlaneSchema, ScalarOf, ScalarSchema, TermSchema,
@@ -275,6 +276,11 @@ impl Simulation for World {
         let (mut surroundings, mut forces) = (Surroundings::default(), Forces::default());
         for ((index, body), now) in self.bodies().enumerate().zip(&mut frame.bodies) {
             (now.centre, now.rotation) = (body.centre(), body.rotation());
+            now.motion = body
+                .scene()
+                .path()
+                .is_none()
+                .then(|| MotionFrame { velocity: body.centre_velocity(), spin: body.angular_velocity() });
             if body.is_at_rest() {
                 now.rest();
             } else {
@@ -338,7 +344,7 @@ impl Simulation for World {
         let mut after = Frame::default();
         self.observe(Want::default(), &mut after);
         between(&Simulation::schema(self), [before, &after], time, bodies, frame);
-        for &index in bodies.iter().filter(|_| !is_coupled) {
+        for &index in bodies.iter().filter(|&&index| self.scene().bodies[index].path().is_some()) {
             frame.bodies[index].centre = self.track(index).position(time);
         }
     }

@@ -8,8 +8,9 @@ use std::{
 
 use meldscope::{
     Scene, World,
+    observe::{Frame, Simulation as _, Want, surface::Merger},
     recording::{
-        Recorded,
+        Recorded, diff,
         golden::{self, GoldenOutcome},
         replay::{self, Verdict},
     },
@@ -541,4 +542,73 @@ fn check_asks_for_files() {
     let dir = Dir::new();
     let said = fails(&dir, 2, &["check", "two"]);
     assert!(said.contains("there is no scene two") && !said.contains("built-in"), "{said}");
+}
+
+/// A quantity of the surface of `two`, after some steps, from the state alone.
+fn surface_after(scene: &Scene, steps: u64, what: &str) -> f64 {
+    let mut world = World::new(scene.clone()).expect("it fits");
+    for _ in 0..steps {
+        world.step();
+    }
+    let (schema, mut frame) = (world.schema(), Frame::default());
+    world.observe(Want::default(), &mut frame);
+    let mut merger = Merger::new(&schema, None);
+    let merged = merger.merge(&schema, &frame, &[[0, 1]]);
+    let (pair, group) = (merged.pairs[0].expect("measures"), merged.groups.first());
+    match what {
+        "gap of a~b" => pair.gap,
+        "overlap of a~b" => pair.overlap,
+        "neck of a~b" => pair.neck,
+        "volume of a's group" => group.expect("a group").volume,
+        "area of a's group" => group.expect("a group").area,
+        _ => panic!("{what}"),
+    }
+}
+
+#[test]
+fn what_the_surfaces_are_like_is_compared_by_diff() {
+    let dir = Dir::new();
+    let [a, b, fine] = ["a.rrd", "b.rrd", "fine.rrd"].map(|name| dir.file(name));
+    let mut stronger = two();
+    stronger.influence.alpha *= 1.01;
+    let mut finer = two();
+    finer.dt /= 2.0;
+    for (path, scene) in [(&a, &two()), (&b, &stronger), (&fine, &finer)] {
+        record(path, scene, Settings::of(scene));
+    }
+    let [a, b, fine] = [a, b, fine].map(|path| Recorded::open(&path).expect("a recording"));
+    assert_eq!(diff::diff([&a, &a], 1e-9).expect("both can be read").surfaces, Some(Vec::new()));
+    // two runs within the tolerance have surfaces within it, at the instants that both have
+    let same = diff::diff([&a, &fine], 1e-6).expect("both can be read");
+    assert_eq!((same.instants, same.first_beyond, same.surfaces), (301, None, Some(Vec::new())));
+
+    let deviations = diff::diff([&a, &b], 1e-5).expect("both can be read").surfaces.expect("both hold surfaces");
+    let named: Vec<&str> = deviations.iter().map(|deviation| deviation.what.as_str()).collect();
+    for what in ["gap of a~b", "overlap of a~b", "neck of a~b", "volume of a's group", "area of a's group"] {
+        let place = named.iter().position(|name| *name == what).unwrap_or_else(|| panic!("{what}: {named:?}"));
+        let found = &deviations[place];
+        assert!(found.step >= 84, "nothing differs before they merge: {found}");
+        let by_hand = [&two(), &stronger].map(|scene| surface_after(scene, found.step, what));
+        assert_eq!(found.values, by_hand, "{found}");
+        assert!(found.largest.0 >= (by_hand[0] - by_hand[1]).abs() && found.excess > 1.0, "{found:?}");
+    }
+    let said = fails(&dir, 1, &["diff", "a.rrd", "b.rrd"]);
+    assert!(said.contains("surfaces: gap of a~b: 0.33") && said.contains(" at step "), "{said}");
+    let said = succeeds(&dir, &["diff", "a.rrd", "fine.rrd", "--tolerance", "1e-6"]);
+    assert!(said.contains("surfaces: gap, overlap, neck, volume, area and topology are the same"), "{said}");
+}
+
+#[test]
+fn what_the_surfaces_are_like_is_compared_by_check() {
+    let dir = Dir::new();
+    let path = dir.file("two.rrd");
+    golden::bless(&two(), &path, "a test").expect("room");
+    assert!(matches!(golden::check(&two(), &path, None), Ok(GoldenOutcome::Identical { .. })));
+    let mut stronger = two();
+    stronger.influence.alpha *= 1.01;
+    let Ok(GoldenOutcome::Different(difference)) = golden::check(&stronger, &path, None) else { panic!("it differs") };
+    let gap = difference.surfaces.iter().find(|deviation| deviation.what == "gap of a~b").expect("the gap");
+    let by_hand = [&two(), &stronger].map(|scene| surface_after(scene, gap.step, "gap of a~b"));
+    assert_eq!((gap.values, gap.step % golden::STATE_EVERY), (by_hand, 0), "{gap}");
+    assert!(!difference.is_tolerable());
 }

@@ -38,7 +38,7 @@ struct GroupPlot {
 }
 
 /// The plots of a group: their entities, names with units, and shapes.
-const LINES: [(&str, &str, Interpolation); 6] = [
+pub const LINES: [(&str, &str, Interpolation); 6] = [
     ("volume", "volume [unit³]", Interpolation::Linear),
     ("genus", "genus", Interpolation::Step),
     ("bodies", "bodies", Interpolation::Step),
@@ -50,7 +50,7 @@ const LINES: [(&str, &str, Interpolation); 6] = [
 const LINES_OF_MANY: usize = 3;
 
 /// What they show.
-fn values(group: &Group) -> [f64; 6] {
+pub fn values(group: &Group) -> [f64; 6] {
     let Group { volume, area, components, euler, genus, bodies, .. } = group;
     [*volume, *genus as f64, bodies.len() as f64, *area, *components as f64, *euler as f64]
 }
