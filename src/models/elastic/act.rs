@@ -236,9 +236,10 @@ impl Part<'_> {
         };
     }
 
-    /// By how much the nodes' velocities jump where the part begins [scene unit/s].
+    /// By how much the nodes' velocities jump where the part begins [scene unit/s]. At t = 0 every velocity is zero.
     pub fn kick(&self) -> DVec3 {
-        if self.response == Response::Rigid { DVec3::ZERO } else { -self.path.kick(self.start) }
+        let feels = self.response != Response::Rigid && self.start > 0.0;
+        if feels { -self.path.kick(self.start) } else { DVec3::ZERO }
     }
 
     /// The velocity of the centre at time `t` [scene unit/s].
@@ -261,7 +262,7 @@ impl Part<'_> {
 }
 
 impl Instantaneous {
-    /// The acceleration at a place relative to the centre, whose rest position has the direction `facing`, by all but what is in `but`
+    /// The acceleration at a place relative to the centre, whose rest position has the direction `facing`
     /// [scene unit/s²].
     #[inline]
     pub fn acceleration(&self, weight: Weight, place: DVec3, facing: DVec3) -> DVec3 {

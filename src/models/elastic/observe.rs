@@ -152,6 +152,12 @@ pub fn schema(scene: &Scene, options: Options) -> Schema {
         }
     };
     schema.law = format!("{made_of} {}", schema.law);
+    if scene.tolerance != Scene::DEFAULT_TOLERANCE {
+        schema.warnings.push(format!(
+            "tolerance has no effect with model = \"{}\": its steps are as long as is stable, and its accuracy follows from dt and cells",
+            scene.model
+        ));
+    }
     schema
 }
 

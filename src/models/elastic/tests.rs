@@ -123,6 +123,27 @@ fn steps_converge() {
     }
 }
 
+/// Where a path turns sharply, what is not held stays in motion as it was; at t = 0 everything is at rest, however the path
+/// begins.
+#[test]
+fn sharp_turns_kick_the_nodes() {
+    for model in [Model::Lattice, Model::Fem] {
+        let path = |keys: &str| {
+            format!(
+                "motion = {{ keyframes = {{ keys = {keys}, interpolation = 'linear' }} }}\nomega = 1.0\ndamping = 0.0"
+            )
+        };
+        let mut simulation = start(&single(model, "dt = 0.001", &path("[[0, 0, 0, 0], [1, 1, 0, 0], [2, 1, 0, 0]]")));
+        run(&mut simulation, 900);
+        assert!(simulation.bodies[0].is_at_rest, "{model}");
+        run(&mut simulation, 101);
+        let body = &simulation.bodies[0];
+        for (node, velocity) in body.u.iter().enumerate().filter(|(node, _)| !body.is_held(*node)) {
+            assert!(velocity.distance(DVec3::X) < 0.02, "{model}: {node} {velocity}");
+        }
+    }
+}
+
 /// An explicit scheme at a dt beyond the limit diverges, and says so with the limit; the default divides dt.
 #[test]
 fn instability_is_shown() {

@@ -23,9 +23,18 @@
 //! more.
 //!
 //! # Factor or inverse
-//! A⁻¹ precomputed in full costs 9n² multiplications a step for n free nodes, and the factor L D Lᵀ 18 times the number of its blocks. Measured (one core, `solvers` in the tests
-//! of this module): with spheres of 6 cells along a diameter the factor is several times faster, and the lead grows with the size; the inverse wins below some
-//! 30 nodes, where neither matters. So only the factor is kept.
+//! A⁻¹ precomputed in full takes 9n² multiplications a step for n free nodes, L D Lᵀ 18 for each of its blocks. Measured on one core (µs a
+//! solution; the test `solvers` measures it again), with spheres of so many cells along a diameter:
+//!
+//! | cells | free nodes | blocks of L | inverse | factor |
+//! | --- | --- | --- | --- | --- |
+//! | 2 | 26 | 174 | 1.1 | 0.9 |
+//! | 3 | 56 | 559 | 4.9 | 2.3 |
+//! | 4 | 118 | 1,982 | 23 | 8.5 |
+//! | 6 | 292 | 8,516 | 146 | 34 |
+//! | 8 | 580 | 25,635 | 2,500 | 204 |
+//!
+//! The inverse is nowhere faster, so only the factor is kept.
 //!
 //! # Constants from the scene
 //! Young's modulus is that of the lattice, [`Constants::of`](super::lattice::Constants::of), unless the scene gives one: a bar as long as

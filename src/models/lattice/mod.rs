@@ -72,6 +72,8 @@ pub struct Spring {
     pub b: u32,
     /// Length at rest [scene unit].
     pub rest: f64,
+    /// Over that.
+    pub per_rest: f64,
     /// Stiffness [mass/s²].
     pub stiffness: f64,
 }
@@ -154,7 +156,8 @@ impl Lattice {
             let (a, b) = ((key >> 32) as u32, key as u32);
             let stiffness = SHARES[kind as usize] * self.stiffness * same.len() as f64;
             // the length that the force computes at rest, to the bit: there it is exactly zero
-            springs.push(Spring { a, b, rest: (rest[b as usize] - rest[a as usize]).length(), stiffness });
+            let rest = (rest[b as usize] - rest[a as usize]).length();
+            springs.push(Spring { a, b, rest, per_rest: 1.0 / rest, stiffness });
         }
     }
 
@@ -172,32 +175,32 @@ impl Lattice {
         2.0 / (fastest * ((1.0 + ratio * ratio).sqrt() + ratio))
     }
 
-    /// Adds the accelerations by springs and dampers to `accelerations` [scene unit/s²] and returns the largest length of
-    /// a spring over its rest length [–].
-    pub fn accelerate(
-        &self,
-        positions: &[DVec3],
-        velocities: &[DVec3],
-        accelerations: &mut [DVec3],
-        inverse: &[f64],
-    ) -> f64 {
+    /// Adds the forces of springs and dampers to `forces` [mass · scene unit/s²] and returns the largest length of a spring over
+    /// its rest length [–].
+    pub fn pull(&self, positions: &[DVec3], velocities: &[DVec3], forces: &mut [DVec3]) -> f64 {
         let mut largest: f64 = 0.0;
-        for &Spring { a, b, rest, stiffness } in &self.springs {
-            let (a, b) = (a as usize, b as usize);
-            let along = positions[b] - positions[a];
-            let moving = velocities[b] - velocities[a];
-            let square = along.length_squared();
-            if square == 0.0 {
-                continue; // a spring of no length has no direction
+        // springs are in the order of their first node, whose sum stays in registers
+        for springs in self.springs.chunk_by(|x, y| x.a == y.a) {
+            let a = springs[0].a as usize;
+            let (position, velocity, mut sum) = (positions[a], velocities[a], DVec3::ZERO);
+            for &Spring { b, rest, per_rest, stiffness, .. } in springs {
+                let b = b as usize;
+                let along = positions[b] - position;
+                let moving = velocities[b] - velocity;
+                let square = along.length_squared();
+                if square == 0.0 {
+                    continue; // a spring of no length has no direction
+                }
+                let length = square.sqrt();
+                let per_length = 1.0 / length;
+                // k (d − L) + γk d′, along the spring
+                let tension = stiffness * ((length - rest) + self.damping * (along.dot(moving) * per_length));
+                let force = along * (tension * per_length);
+                sum += force;
+                forces[b] -= force;
+                largest = f64::max(largest, length * per_rest);
             }
-            let length = square.sqrt();
-            let per_length = 1.0 / length;
-            // k (d − L) + γk d′, along the spring
-            let tension = stiffness * ((length - rest) + self.damping * (along.dot(moving) * per_length));
-            let force = along * (tension * per_length);
-            accelerations[a] += force * inverse[a];
-            accelerations[b] -= force * inverse[b];
-            largest = largest.max(length / rest);
+            forces[a] += sum;
         }
         largest
     }
@@ -208,7 +211,7 @@ impl Lattice {
             sums.clear();
             sums.resize(self.node_count(), DVec3::ZERO);
         }
-        for &Spring { a, b, rest, stiffness } in &self.springs {
+        for &Spring { a, b, rest, stiffness, .. } in &self.springs {
             let (a, b) = (a as usize, b as usize);
             let along = positions[b] - positions[a];
             let length = along.length();
@@ -240,7 +243,7 @@ impl Lattice {
     /// [bytes].
     pub fn most_memory(across: u32) -> u64 {
         const NODE_BYTES: u64 = 24 * 8;
-        const SPRING_BYTES: u64 = 24 + 28 * 16 / 13;
+        const SPRING_BYTES: u64 = 32 + 28 * 16 / 13;
         let (cells, nodes) = (u64::from(across).pow(3), (u64::from(across) + 1).pow(3));
         cells * (33 + 13 * SPRING_BYTES) + nodes * NODE_BYTES
     }

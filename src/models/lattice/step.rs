@@ -18,6 +18,8 @@ pub struct Motion {
     pub inverse: Vec<f64>,
     /// Velocities by which dampers are evaluated; reused.
     predicted: Vec<DVec3>,
+    /// Forces of springs and dampers; reused.
+    forces: Vec<DVec3>,
 }
 
 /// How a step is taken.
@@ -86,17 +88,19 @@ impl Lattice {
     pub fn advance(&self, motion: &mut Motion, scheme: Scheme, h: f64, count: u64, mut outside: impl Outside) -> f64 {
         let mut largest: f64 = 0.0;
         let n = self.node_count();
+        let mut forces = std::mem::take(&mut motion.forces);
         let mut evaluate =
             |t: f64, positions: &[DVec3], velocities: &[DVec3], into: &mut Vec<DVec3>, inverse: &[f64]| {
-                into.clear();
+                forces.clear();
+                forces.resize(n, DVec3::ZERO);
+                largest = largest.max(self.pull(positions, velocities, &mut forces));
                 into.resize(n, DVec3::ZERO);
                 outside(t, positions, velocities, into);
-                largest = largest.max(self.accelerate(positions, velocities, into, inverse));
-                for (acceleration, _) in into.iter_mut().zip(inverse).filter(|(_, inverse)| **inverse == 0.0) {
-                    *acceleration = DVec3::ZERO;
+                for ((acceleration, force), &inverse) in into.iter_mut().zip(&forces).zip(inverse) {
+                    *acceleration = if inverse == 0.0 { DVec3::ZERO } else { *acceleration + *force * inverse };
                 }
             };
-        let Motion { positions, velocities, accelerations, inverse, predicted } = motion;
+        let Motion { positions, velocities, accelerations, inverse, predicted, .. } = motion;
         match scheme {
             Scheme::Verlet => {
                 if accelerations.len() != n {
@@ -131,6 +135,7 @@ impl Lattice {
                 accelerations.clear();
             }
         }
+        motion.forces = forces;
         largest
     }
 }
