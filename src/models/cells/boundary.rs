@@ -1,6 +1,6 @@
 //! The surface of a set of cells: closed and oriented, whatever cells there are.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use glam::DVec3;
 
@@ -18,15 +18,19 @@ pub struct BoundaryMesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// The boundary of cells, given by their corner nodes; of those for which `is_there` does not hold, nothing is left.
+/// The boundary of cells, given by their corner nodes at first and as they are now, some of them split; of those for which `is_there`
+/// does not hold, nothing is left.
 ///
-/// Two cells are joined if they share the four nodes of a face. A node at which cells meet that are not joined through
-/// faces around it has one vertex for each set of joined cells. So an edge has two triangles, or four where two cells that
-/// touch there alone are joined around both of its ends.
-pub fn boundary(corners: &[[u32; 8]], is_there: impl Fn(usize) -> bool) -> BoundaryMesh {
+/// Two cells are joined if they shared the four nodes of a face at first, and share one of them still: a crack shows where a face has
+/// come apart, not on the way there, when its two sides are in the same place. A node at which cells meet that are not joined
+/// through faces around it has one vertex for each set of joined cells. So an edge has two triangles, or four where two
+/// cells that touch there alone are joined around both of its ends.
+pub fn boundary(first: &[[u32; 8]], corners: &[[u32; 8]], is_there: impl Fn(usize) -> bool) -> BoundaryMesh {
     let present = || (0..corners.len()).filter(|&cell| is_there(cell));
-    let face_of = |cell: usize, face: usize| FACES[face].map(|corner| corners[cell][corner]);
+    let face_of = |cell: usize, face: usize| FACES[face].map(|corner| first[cell][corner]);
     let mut faces: HashMap<[u32; 4], (u32, u32)> = HashMap::new();
+    // second sides of faces that have come apart
+    let mut apart: HashSet<(u32, u32)> = HashSet::new();
     // cells around a node, joined through faces: a forest of the cells' corners
     let mut parent: Vec<u32> = (0..8 * corners.len() as u32).collect();
     for cell in present() {
@@ -34,17 +38,25 @@ pub fn boundary(corners: &[[u32; 8]], is_there: impl Fn(usize) -> bool) -> Bound
             let nodes = face_of(cell, face);
             let mut key = nodes;
             key.sort_unstable();
-            let Some((other, other_face)) = faces.remove(&key) else {
+            let Some(&(other, other_face)) = faces.get(&key) else {
                 faces.insert(key, (cell as u32, face as u32));
                 continue;
             };
-            for &corner in &FACES[face] {
-                let node = corners[cell][corner];
+            // the corners of the two cells that were the same node
+            let pairs = FACES[face].map(|corner| {
                 let its = FACES[other_face as usize];
-                let Some(&across) = its.iter().find(|&&other_corner| corners[other as usize][other_corner] == node)
-                else {
-                    continue;
-                };
+                (corner, its.into_iter().find(|&across| first[other as usize][across] == first[cell][corner]))
+            });
+            let shares = |&(corner, across): &(usize, Option<usize>)| {
+                across.is_some_and(|across| corners[other as usize][across] == corners[cell][corner])
+            };
+            if !pairs.iter().any(shares) {
+                apart.insert((cell as u32, face as u32));
+                continue;
+            }
+            faces.remove(&key);
+            for (corner, across) in pairs {
+                let Some(across) = across else { continue };
                 let [a, b] = [8 * cell as u32 + corner as u32, 8 * other + across as u32];
                 let [a, b] = [root(&mut parent, a), root(&mut parent, b)];
                 parent[a.max(b) as usize] = a.min(b);
@@ -58,7 +70,8 @@ pub fn boundary(corners: &[[u32; 8]], is_there: impl Fn(usize) -> bool) -> Bound
         for face in 0..6 {
             let mut key = face_of(cell, face);
             key.sort_unstable();
-            if faces.get(&key) != Some(&(cell as u32, face as u32)) {
+            let this = (cell as u32, face as u32);
+            if faces.get(&key) != Some(&this) && !apart.contains(&this) {
                 continue;
             }
             let quad = FACES[face].map(|corner| {

@@ -9,7 +9,7 @@ fn sphere(across: u32) -> Cells {
 
 /// A box, as two triangles a side.
 fn cuboid(low: DVec3, high: DVec3) -> (Vectors, Vec<[u32; 3]>) {
-    let surface = boundary(&[[0, 1, 2, 3, 4, 5, 6, 7]], |_| true);
+    let surface = boundary(&[[0, 1, 2, 3, 4, 5, 6, 7]; 1], &[[0, 1, 2, 3, 4, 5, 6, 7]; 1], |_| true);
     let corners = surface.vertices.iter().map(|&(node, _)| low + corner(node as usize) * (high - low)).collect();
     (corners, surface.triangles)
 }
@@ -65,7 +65,7 @@ fn cells_keep_the_shape_of_a_mesh() {
     let scene = crate::Scene::builtin("mesh").unwrap();
     let knot = scene.bodies.iter().find(|body| body.name.contains("knot")).unwrap_or(&scene.bodies[0]);
     let cells = Cells::cover(&knot.shape.mesh(), 64, None).unwrap();
-    let surface = boundary(&cells.corners, |_| true);
+    let surface = boundary(&cells.corners, &cells.corners, |_| true);
     let mut edges = HashMap::new();
     for &[a, b, c] in &surface.triangles {
         [(a, b), (b, c), (c, a)].iter().for_each(|&edge| *edges.entry(edge).or_insert(0) += 1);
@@ -84,7 +84,7 @@ fn cells_keep_the_shape_of_a_mesh() {
 fn the_boundary_is_manifold_where_cells_touch_at_an_edge() {
     let cells = Cells::block(8, [2, 2, 2]);
     for mask in 1u32..256 {
-        let surface = boundary(&cells.corners, |cell| mask >> cell & 1 == 1);
+        let surface = boundary(&cells.corners, &cells.corners, |cell| mask >> cell & 1 == 1);
         let mut edges = std::collections::HashSet::new();
         for &[a, b, c] in &surface.triangles {
             assert!([(a, b), (b, c), (c, a)].iter().all(|&edge| edges.insert(edge)), "{mask:b}");

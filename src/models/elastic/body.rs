@@ -421,7 +421,7 @@ impl Body {
     /// Tears a lattice where it is pulled too hard.
     fn tear(&mut self, around: &Around<'_>, centre: DVec3) {
         let settings = around.scene.lattice;
-        let Body { matter, statistics, tears, rest, directions, x, u, mesh, torn, exposed, radius, .. } = self;
+        let Body { matter, statistics, tears, rest, directions, x, u, cells, mesh, torn, exposed, radius, .. } = self;
         let Matter::Lattice(springs) = matter else { return };
         let Springs { lattice, motion } = &mut **springs;
         let (before, limit) = (lattice.node_count(), settings.limit);
@@ -451,7 +451,7 @@ impl Body {
                 rest.push(lattice.rest[node]);
                 directions.push(lattice.rest[node].normalize_or_zero());
             }
-            let surface = boundary(&lattice.corners, |cell| lattice.is_whole[cell]);
+            let surface = boundary(&cells.corners, &lattice.corners, |cell| lattice.is_whole[cell]);
             let first = mesh.vertex_count() as u32;
             let mut positions: Vectors = mesh.positions().clone();
             exposed.clear();
