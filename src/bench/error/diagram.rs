@@ -1,4 +1,5 @@
-//! The work-precision diagram: error against run time, one line per integrator, one panel per scene.
+//! The work-precision diagram: error against run time, one line per integrator, one panel per scene. The last panel has the
+//! errors that are made against those that are asked for, one line per scene.
 
 use std::ops::Range;
 
@@ -48,8 +49,10 @@ fn style(scheme: Scheme) -> Style {
 /// # Errors
 /// Errors of the drawing library; none is known to occur.
 pub fn svg(reports: &[Report], machine: &Machine) -> Result<String, String> {
-    let columns = if reports.len() > 1 { 2 } else { 1 };
-    let rows = reports.len().div_ceil(columns);
+    let has_control = reports.iter().any(|report| report.asked_and_made().len() > 1);
+    let panels = reports.len() + usize::from(has_control);
+    let columns = usize::min(panels, 2);
+    let rows = panels.div_ceil(columns);
     let title = match reports {
         [only] => format!("Work and precision: {}", only.scene),
         _ => "Work and precision".to_owned(),
@@ -70,9 +73,59 @@ pub fn svg(reports: &[Report], machine: &Machine) -> Result<String, String> {
     let errors = error_range(reports);
     sheet.svg(|panels| {
         let panels = panels.split_evenly((rows, columns));
-        let mut each = panels.iter().zip(reports);
-        each.try_for_each(|(panel, report)| draw_panel(panel, report, errors.clone(), reports.len() > 1))
+        for (panel, report) in panels.iter().zip(reports) {
+            draw_panel(panel, report, errors.clone(), columns > 1)?;
+        }
+        match panels.get(reports.len()) {
+            Some(panel) if has_control => draw_control(panel, reports),
+            _ => Ok(()),
+        }
     })
+}
+
+/// The errors that are made against those that are asked for.
+fn draw_control(panel: &Area<'_>, reports: &[Report]) -> Result<(), Failure> {
+    const COLORS: [RGBColor; 6] = [
+        RGBColor(0, 158, 115),
+        RGBColor(0, 114, 178),
+        RGBColor(213, 94, 0),
+        RGBColor(204, 121, 167),
+        RGBColor(230, 159, 0),
+        RGBColor(86, 180, 233),
+    ];
+    let all = || reports.iter().flat_map(Report::asked_and_made);
+    let floor = |made: f64| made.max(FLOOR);
+    let asked = all().fold(1.0..0.0, |range, (asked, _)| f64::min(range.start, asked)..f64::max(range.end, asked));
+    let made = all()
+        .fold(asked.clone(), |range, (_, made)| f64::min(range.start, floor(made))..f64::max(range.end, floor(made)));
+    let (asked, made) = (asked.start / 2.0..asked.end * 2.0, made.start / 4.0..made.end * 4.0);
+    let axis = |name, range: Range<f64>| Axis {
+        name,
+        ticks: ticks(&range, &[1.0]),
+        range,
+        grid: vec![],
+        number: |&error| power_of_ten(error),
+    };
+    let at = draw_axes(
+        panel,
+        TOP,
+        RIGHT,
+        [axis("error allowed by the tolerance [radii]", asked.clone()), axis("error made [radii]", made.clone())],
+    )?;
+    write(panel, "The error that is asked for, and the one that is made", (LEFT as i32, TOP as i32 / 2), 24.0, INK)?;
+    for (share, name) in [(1.0, "as allowed"), (0.01, "a hundredth")] {
+        let inside = |x: f64| (x * share).clamp(made.start, made.end) / share;
+        let [from, to] = [asked.start, asked.end].map(|x| at(inside(x), inside(x) * share));
+        panel.draw(&PathElement::new([from, to], GREY))?;
+        write(panel, name, (from.0 + 8, from.1 - 14), 16.0, GREY)?;
+    }
+    let right = at(asked.end, made.start).0;
+    let line = |(index, report): (usize, &Report)| Line {
+        name: report.scene.clone(),
+        style: Style { color: COLORS[index % COLORS.len()], marker: Marker::Disc, width: 2 },
+        points: report.asked_and_made().into_iter().map(|(asked, made)| at(asked, floor(made))).collect(),
+    };
+    draw_lines(panel, TOP, right, reports.iter().enumerate().map(line).collect())
 }
 
 /// Smaller errors are drawn at this value [radii].

@@ -108,8 +108,31 @@ impl Report {
                 lines.push(format!("  {name}, against {}", against.join("; against ")));
             }
         }
+        lines.extend(self.control_verdict());
         lines.extend(self.thesis_verdict());
         lines
+    }
+
+    /// What the tolerances allow over the whole run and the errors that were made [radii], of runs with error control that
+    /// the reference can tell.
+    pub(super) fn asked_and_made(&self) -> Vec<(f64, f64)> {
+        let of = |it: &Measurement| match it.scheme {
+            Scheme::Controlled { tolerance } => Some((tolerance * self.duration, it.error?)),
+            Scheme::Fixed(_) => None,
+        };
+        self.measurements.iter().filter_map(of).filter(|(allowed, _)| *allowed > self.resolution()).collect()
+    }
+
+    /// A sentence on how the error that is made compares with the one that is asked for.
+    fn control_verdict(&self) -> Option<String> {
+        let shares: Vec<f64> = self.asked_and_made().into_iter().map(|(allowed, made)| made / allowed).collect();
+        let within = shares.iter().filter(|share| (0.01..=1.0).contains(*share)).count();
+        let (least, most) = (shares.iter().copied().reduce(f64::min)?, shares.iter().copied().reduce(f64::max)?);
+        Some(format!(
+            "error control: the error is {least:.0e} to {most:.0e} of what the tolerance allows, between 1e-2 and 1 of it at \
+             {within} of {} tolerances",
+            shares.len()
+        ))
     }
 
     /// A comparison such as "error ÷ 350, time × 1.4".
