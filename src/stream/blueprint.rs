@@ -806,12 +806,11 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
                 let name = |term: &TermSchema| format!("{} **{}**", colors::name(term.color), term.name);
                 schema.terms.iter().filter(is_it).map(name).collect::<Vec<_>>().join(", ")
             };
-            format!(
-                "Arrows: forces of the state on screen, {} unit long per unit/s²: {}; hidden at first: {}.  \n",
-                schema.arrow_scale,
-                named(&|term| term.is_shown),
-                named(&|term| !term.is_shown),
-            )
+            let lists = [("", named(&|term| term.is_shown)), ("hidden at first: ", named(&|term| !term.is_shown))];
+            let lists = lists.iter().filter(|(_, list)| !list.is_empty());
+            let lists: Vec<String> = lists.map(|(what, list)| format!("{what}{list}")).collect();
+            let scale = schema.arrow_scale;
+            format!("Arrows: forces of the state on screen, {scale} unit long per unit/s²: {}.  \n", lists.join("; "))
         }
     };
     let bound = if !settings.only.is_empty() {
