@@ -186,7 +186,7 @@ fn bodies_made_of_cells_are_recorded_replayed_and_compared() {
         let scene = Scene::parse(&format!("{scene}{tables}"), "cells").expect("a scene");
         let run = SceneRun { scene: Scene { model, ..scene }, options: Options::default() };
         let path = |name: &str| dir.file(&format!("{name}-{}.rrd", entity.replace('/', "-")));
-        let settings = Settings { steps: Some(if model == Model::Fem { 92 } else { 60 }), ..Settings::of(&run) };
+        let settings = Settings { steps: Some(if model == Model::Fem { 110 } else { 60 }), ..Settings::of(&run) };
         record(&run, &path("full"), settings.clone());
         record(&run, &path("thin"), Settings { frames: Frames::Thin, ..settings });
         let [full, thin] = ["full", "thin"].map(|name| Recorded::open(&path(name)).expect("a recording"));
