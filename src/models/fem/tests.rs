@@ -150,10 +150,11 @@ fn a_cantilever_converges_to_beam_theory() {
         let (mut area, mut ends) = (0.0, Vec::new());
         for (i, node) in element.free.iter().enumerate().filter(|(_, node)| is_end(node)) {
             let place = cells.nodes[*node as usize];
-            let low = |x: f64| if x < -1.0 + 1e-9 || x > -0.5 - 1e-9 { 0.5 } else { 1.0 };
+            let low = |x: f64| if (-1.0 + 1e-9..=-0.5 - 1e-9).contains(&x) { 1.0 } else { 0.5 };
             let share = low(place.y) * low(place.z);
             forces[i] = DVec3::Z * share;
-            (area += share, ends.push((i, share)));
+            area += share;
+            ends.push((i, share));
         }
         forces.iter_mut().for_each(|force| *force *= 1e-3 / area);
         element.factor(f64::INFINITY, u64::MAX, None).unwrap().equilibrium(&mut forces);
