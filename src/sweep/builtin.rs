@@ -1,4 +1,12 @@
-//! Sweeps that are compiled in.
+//! Sweeps that are compiled in, and their maps.
+//!
+#![doc = include_str!("../../recordings/speed_offset.svg")]
+//!
+#![doc = include_str!("../../recordings/speed_merge_at.svg")]
+//!
+#![doc = include_str!("../../recordings/alpha_split_at.svg")]
+//!
+#![doc = include_str!("../../recordings/size_mass.svg")]
 
 /// A sweep that is compiled into the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
