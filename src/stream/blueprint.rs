@@ -824,7 +824,9 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
     } else {
         String::new()
     };
-    let merged = if schema.bodies.len() > 1 {
+    let merged = if schema.surfaces.get().is_some() {
+        String::new() // the law says what a surface is
+    } else if schema.bodies.len() > 1 {
         let joined = schema.phases.iter().filter(|phase| phase.is_joined).map(|phase| format!("**{}**", phase.name));
         let smooth = match schema.blend {
             0.0 => "sharp where they meet".to_owned(),
