@@ -139,14 +139,16 @@ pub fn of_comparison(spheres: &[(DVec3, f64)], recording: &StoreId) -> Vec<LogMs
 }
 
 /// The layout of the map of a sweep: the map, what its colours are, and measures along a line.
-pub fn of_map(measures: &[&str], recording: &StoreId) -> Vec<LogMsg> {
+pub fn of_map(measures: &[&str], recording: &StoreId, has_slices: bool) -> Vec<LogMsg> {
     let mut layout = Layout::of(recording);
+    layout.timeline = if has_slices { "slice" } else { "along" };
     let map = layout.view("2D", "Map", "/map", &["+ /map/**"], &[]);
     let about = layout.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
     let plots = measures.iter().map(|measure| {
         let entity = format!("/along/{measure}");
         let legend = PlotLegend::new().with_corner(Corner2D::LeftTop);
-        layout.view("TimeSeries", measure, &entity, &[&format!("+ {entity}/**")], &[("PlotLegend", &legend)])
+        let name = if has_slices { format!("{measure} (timeline: along)") } else { (*measure).to_owned() };
+        layout.view("TimeSeries", &name, &entity, &[&format!("+ {entity}/**")], &[("PlotLegend", &legend)])
     });
     let plots: Vec<Part> = plots.collect();
     let shares = vec![1.0; plots.len()];

@@ -65,7 +65,7 @@ pub fn save(map: &Map, sweep: &Sweep, store: &Store, title: &str, path: &Path) -
     let recording = StoreId::new(StoreKind::Recording, id, format!("map-{}", file_stem(&sweep.file)));
     let measures: Vec<&str> =
         MEASURES.into_iter().filter(|name| store.columns().iter().any(|column| column.name == *name)).collect();
-    for message in blueprint::of_map(&measures, &recording) {
+    for message in blueprint::of_map(&measures, &recording, map.slices.len() > 1) {
         sinks.send(message)?;
     }
     let mut chunks = Chunks::new(recording);
@@ -143,9 +143,11 @@ fn log_slice(chunks: &mut Chunks, map: &Map, slice: &Slice, at: &TimePoint) {
         .with_radii([Radius::new_ui_points(if slice.dots.len() > 2000 { 0.8 } else { 2.0 })])
         .with_draw_order(20.0);
     chunks.row("/map/runs", at.clone(), &points);
-    let title = if slice.title.is_empty() { "outcomes".to_owned() } else { slice.title.clone() };
-    let title = Points2D::new([[0.5 * WIDTH as f32, -14.0]])
-        .with_labels([title])
+    if slice.title.is_empty() {
+        return;
+    }
+    let title = Points2D::new([[0.5 * WIDTH as f32, -26.0]])
+        .with_labels([slice.title.as_str()])
         .with_show_labels(true)
         .with_radii([Radius::new_ui_points(0.1)]);
     chunks.row("/map/title", at.clone(), &title);
