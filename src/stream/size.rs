@@ -55,9 +55,12 @@ pub struct Projection {
 }
 
 impl Projection {
-    /// The least interval between frames, in steps, that keeps a file below [`LARGE`].
+    /// The least interval between frames, in steps, that keeps a file below [`LARGE`]. Where only the beginning of the run
+    /// was looked at, half as much again is allowed for: groups grow.
     pub fn every(&self, settings: &Settings) -> u64 {
-        settings.every * self.bytes.div_ceil(LARGE).max(1)
+        let is_whole = self.seen >= (self.frames - 1) * settings.every;
+        let most = if is_whole { self.bytes } else { self.bytes.saturating_add(self.bytes / 2) };
+        settings.every * most.div_ceil(LARGE).max(1)
     }
 }
 

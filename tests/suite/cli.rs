@@ -1301,7 +1301,8 @@ fn a_long_run_is_recorded_with_fewer_frames() {
     assert_eq!(projected, again);
     let every = projected.every(&settings);
     assert!(projected.bytes > size::LARGE && projected.bytes / every <= size::LARGE, "{projected:?}");
-    assert!(projected.bytes / (every - 1) > size::LARGE, "{projected:?}");
+    // half as much again, because only the beginning is known
+    assert!(3 * projected.bytes / 2 / (every - 1) >= size::LARGE, "{projected:?}");
 }
 
 #[test]
