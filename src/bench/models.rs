@@ -3,7 +3,7 @@
 //!
 //! Nothing here knows a model: whatever [`crate::models`] can start is measured, through [`Simulation`] alone.
 
-use std::{sync::atomic::AtomicBool, time::Instant};
+use std::time::Instant;
 
 use glam::DVec3;
 use plotters::style::RGBColor;
@@ -102,12 +102,7 @@ impl Row {
 }
 
 /// Measures some models on a scene.
-pub fn measure(
-    scene: &Scene,
-    models: &[Model],
-    interrupt: Option<&'static AtomicBool>,
-    progress: &mut dyn FnMut(f64),
-) -> Report {
+pub fn measure(scene: &Scene, models: &[Model], progress: &mut dyn FnMut(f64)) -> Report {
     let mut scene = scene.clone();
     if scene.steps() > MOST_STEPS {
         scene.duration = MOST_STEPS as f64 * scene.dt;
@@ -115,8 +110,7 @@ pub fn measure(
     let count = models.len() as f64;
     let rows = (0..).zip(models.iter().copied()).map(|(k, model)| {
         progress(f64::from(k) / count);
-        let run =
-            SceneRun { scene: Scene { model, ..scene.clone() }, options: Options { interrupt, ..Options::default() } };
+        let run = SceneRun { scene: Scene { model, ..scene.clone() }, options: Options::default() };
         let row = row(&run, &mut |share| progress((f64::from(k) + share) / count));
         (model, row)
     });

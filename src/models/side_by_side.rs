@@ -14,7 +14,7 @@ use crate::{
         BodyEvent, BodyFrame, Experiment, Frame, Instant, PairEvent, PairFrame, Refusal, Schema, Simulation,
         StepFailure, StepSummary, SurfaceEvent, Want, checksum, colors,
         schema::{BodySchema, OwnLevels, OwnSurfaces, ScalarOf, ScalarSchema, TermSchema},
-        surface::{Group, Merger, PairMeasures, Surfaces},
+        surface::{Group, Merger, PairMeasures, Surfaced, Surfaces},
         touch::{Finding, Touches},
     },
     scene::{Model, Scene},
@@ -149,6 +149,23 @@ impl Place {
     }
 }
 
+impl Place {
+    /// A group of this model, where the model stands.
+    fn moved(&self, group: &Group) -> Group {
+        let mut moved = group.clone();
+        moved.bodies.iter_mut().for_each(|body| *body += self.first);
+        moved.positions.iter_mut().for_each(|at| *at += self.offset);
+        for origin in &mut moved.origins {
+            origin.bodies = origin.bodies.map(|body| body + self.first as u32);
+        }
+        for seam in &mut moved.seams {
+            seam.bodies = seam.bodies.map(|body| body + self.first);
+            seam.positions.iter_mut().for_each(|at| *at += self.offset);
+        }
+        moved
+    }
+}
+
 fn mergers(places: &[Place]) -> Vec<Mutex<Merger>> {
     places.iter().map(|place| Mutex::new(Merger::new(&place.schema, None))).collect()
 }
@@ -159,46 +176,30 @@ struct Apart {
     mergers: Vec<Mutex<Merger>>,
 }
 
-impl Apart {
-    fn of(&self, body: usize) -> Option<(&Place, &Mutex<Merger>)> {
-        self.places.iter().zip(&self.mergers).find(|(place, _)| place.has(body))
-    }
-}
-
 impl Surfaces for Apart {
-    fn groups(&self, _: &Schema, frame: &Frame) -> Vec<Vec<usize>> {
-        let of = |(place, merger): (&Place, &Mutex<Merger>)| {
+    fn merge(&self, _: &Schema, frame: &Frame, pairs: &[[usize; 2]], _: Option<&AtomicBool>) -> Surfaced {
+        let mut all = Surfaced { groups: Vec::new(), pairs: vec![None; pairs.len()] };
+        for (place, merger) in self.places.iter().zip(&self.mergers) {
+            let asked: Vec<usize> =
+                (0..pairs.len()).filter(|&k| pairs[k].iter().all(|&body| place.has(body))).collect();
+            let own: Vec<[usize; 2]> = asked.iter().map(|&k| pairs[k].map(|body| body - place.first)).collect();
             let mut merger = merger.lock().unwrap_or_else(PoisonError::into_inner);
-            let merged = merger.merge(&place.schema, &place.alone(frame), &[]);
-            let shifted = |group: &Arc<Group>| group.bodies.iter().map(|body| body + place.first).collect();
-            merged.groups.iter().map(shifted).collect::<Vec<Vec<usize>>>()
-        };
-        self.places.iter().zip(&self.mergers).flat_map(of).collect()
+            let merged = merger.merge(&place.schema, &place.alone(frame), &own);
+            all.groups.extend(merged.groups.iter().map(|group| Some(place.moved(group))));
+            all.groups.extend((0..merged.overlapping).map(|_| None));
+            asked.iter().zip(&merged.pairs).for_each(|(&k, measures)| all.pairs[k] = *measures);
+        }
+        all
     }
 
-    fn unite(&self, _: &Schema, frame: &Frame, group: &[usize], _: Option<&AtomicBool>) -> Option<Group> {
-        let (place, merger) = self.of(*group.first()?)?;
-        let mut merger = merger.lock().unwrap_or_else(PoisonError::into_inner);
-        let merged = merger.merge(&place.schema, &place.alone(frame), &[]);
-        let is_it = |found: &&Arc<Group>| found.bodies.iter().map(|body| body + place.first).eq(group.iter().copied());
-        let mut found = Group::clone(merged.groups.iter().find(is_it)?);
-        found.bodies = group.to_vec();
-        found.positions.iter_mut().for_each(|at| *at += place.offset);
-        for origin in &mut found.origins {
-            origin.bodies = origin.bodies.map(|body| body + place.first as u32);
-        }
-        for seam in &mut found.seams {
-            seam.bodies = seam.bodies.map(|body| body + place.first);
-            seam.positions.iter_mut().for_each(|at| *at += place.offset);
-        }
-        Some(found)
-    }
-
-    fn measure(&self, _: &Schema, frame: &Frame, pair: [usize; 2], _: Option<&AtomicBool>) -> Option<PairMeasures> {
-        let (place, merger) = self.of(pair[0])?;
-        let mut merger = merger.lock().unwrap_or_else(PoisonError::into_inner);
-        let own = [pair[0] - place.first, pair[1].checked_sub(place.first)?];
-        merger.merge(&place.schema, &place.alone(frame), &[own]).pairs.first().copied().flatten()
+    fn measure(
+        &self,
+        schema: &Schema,
+        frame: &Frame,
+        pair: [usize; 2],
+        interrupt: Option<&AtomicBool>,
+    ) -> Option<PairMeasures> {
+        self.merge(schema, frame, &[pair], interrupt).pairs.first().copied().flatten()
     }
 }
 

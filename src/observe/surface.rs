@@ -113,16 +113,11 @@ pub struct PairMeasures {
 /// Surfaces of groups that are not the unions of their bodies. They are a function of the frame alone, so that they can be
 /// computed beside the simulation, and again from a replay.
 pub trait Surfaces: Send + Sync {
-    /// The groups: sets of at least two bodies, ascending, no body in two of them, in ascending order of their first body.
-    /// By default the bodies that pairs in a joined phase connect.
-    fn groups(&self, schema: &Schema, frame: &Frame) -> Vec<Vec<usize>> {
-        groups(schema, frame)
-    }
+    /// The surfaces of all groups of a frame, and what there is to say of some pairs; without what cannot be computed, or is not
+    /// any more once the flag is raised.
+    fn merge(&self, schema: &Schema, frame: &Frame, pairs: &[[usize; 2]], interrupt: Option<&AtomicBool>) -> Surfaced;
 
-    /// The surface of a group, closed and oriented; `None` if it cannot be computed, or the flag was raised.
-    fn unite(&self, schema: &Schema, frame: &Frame, group: &[usize], interrupt: Option<&AtomicBool>) -> Option<Group>;
-
-    /// What there is to say of a pair; `None` if that cannot be computed, or the flag was raised.
+    /// What there is to say of a pair alone.
     fn measure(
         &self,
         schema: &Schema,
@@ -130,6 +125,16 @@ pub trait Surfaces: Send + Sync {
         pair: [usize; 2],
         interrupt: Option<&AtomicBool>,
     ) -> Option<PairMeasures>;
+}
+
+/// The surfaces of a frame as a simulation defines them.
+#[derive(Clone, Debug, Default)]
+pub struct Surfaced {
+    /// The surface of each group of at least two bodies, closed and oriented, in ascending order of their first bodies, no body
+    /// in two of them; `None` for those that could not be computed.
+    pub groups: Vec<Option<Group>>,
+    /// Measures of the pairs, in the order in which they were asked for; `None` for those that could not be computed.
+    pub pairs: Vec<Option<PairMeasures>>,
 }
 
 /// The shapes of a scene's bodies as closed meshes.
@@ -300,17 +305,16 @@ impl Merger {
 
     /// The same with surfaces as the simulation defines them. One that is as in the last frame is the same object.
     fn merge_own(&mut self, own: &dyn Surfaces, schema: &Schema, frame: &Frame, pairs: &[[usize; 2]]) -> &Merged {
-        let (interrupt, groups) = (self.closed.interrupt, own.groups(schema, frame));
-        let united = for_all(&groups, |group| own.unite(schema, frame, group, interrupt).map(Arc::new));
+        let Surfaced { groups, pairs } = own.merge(schema, frame, pairs, self.closed.interrupt);
         let merged = &mut self.merged;
-        merged.pairs = for_all(pairs, |pair| own.measure(schema, frame, *pair, interrupt));
+        merged.pairs = pairs;
         merged.is_merged.clear();
         merged.is_merged.resize(schema.bodies.len(), false);
-        merged.overlapping = united.iter().filter(|group| group.is_none()).count();
+        merged.overlapping = groups.iter().filter(|group| group.is_none()).count();
         let last = std::mem::take(&mut merged.groups);
-        for group in united.into_iter().flatten() {
+        for group in groups.into_iter().flatten() {
             group.bodies.iter().for_each(|&body| merged.is_merged[body] = true);
-            merged.groups.push(last.iter().find(|known| **known == group).cloned().unwrap_or(group));
+            merged.groups.push(last.iter().find(|known| ***known == group).cloned().unwrap_or_else(|| Arc::new(group)));
         }
         &self.merged
     }
@@ -488,7 +492,7 @@ pub fn connected(frame: &Frame, is_joined: impl Fn(&PairFrame) -> bool) -> Vec<V
 }
 
 /// Maps all items, on several threads if there are several.
-fn for_all<T: Sync, R: Send>(items: &[T], map: impl Fn(&T) -> R + Sync + Send) -> Vec<R> {
+pub fn for_all<T: Sync, R: Send>(items: &[T], map: impl Fn(&T) -> R + Sync + Send) -> Vec<R> {
     if items.len() > 1 { items.par_iter().map(map).collect() } else { items.iter().map(map).collect() }
 }
 

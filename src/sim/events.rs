@@ -16,6 +16,7 @@ use super::{
 };
 use crate::{
     model::phase::{Phase, Thresholds},
+    observe::PairEvent,
     scene::{
         Path,
         path::{Bounds, Kinematics},
@@ -54,6 +55,24 @@ impl Event {
             (_, Phase::Core) => "core",
             (Phase::Core, Phase::Merged) => "core left",
             (_, Phase::Merged) => "merge",
+        }
+    }
+}
+
+impl From<&Event> for PairEvent {
+    /// As instruments see it, without the energy.
+    fn from(event: &Event) -> PairEvent {
+        PairEvent {
+            name: event.name(),
+            time: event.time,
+            step: event.step,
+            a: event.a as usize,
+            b: event.b as usize,
+            q: event.q,
+            rate: event.rate,
+            from: event.from as usize,
+            to: event.to as usize,
+            energy: None,
         }
     }
 }

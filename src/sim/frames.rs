@@ -7,6 +7,7 @@ use glam::DVec3;
 use super::{
     free::{Forces, Snapshot},
     observe::Observed,
+    simulation,
     terms::{Cause, Surroundings},
     world::{PairView, World},
 };
@@ -45,16 +46,8 @@ pub(super) fn add_coupled_forces(
 fn label(count: usize, by_cause: &[Vectors; Cause::ALL.len()], now: &mut BodyFrame) {
     let contributing = [Cause::Attraction, Cause::Repulsion, Cause::Core].map(|cause| &by_cause[cause as usize]);
     now.labels.clear();
-    now.labels.extend((0..count).map(|i| {
-        let feels = contributing.map(|forces| !forces.is_empty() && forces.get(i) != DVec3::ZERO);
-        match feels {
-            [false, false, false] => 0,
-            [true, false, false] => 1,
-            [false, true, false] => 2,
-            [true, true, false] => 3,
-            [_, _, true] => 4,
-        }
-    }));
+    let feels = |i: usize| contributing.map(|forces| !forces.is_empty() && forces.get(i) != DVec3::ZERO);
+    now.labels.extend((0..count).map(|i| simulation::label(feels(i))));
 }
 
 /// Adds the forces on a body of a scene that is not coupled in a frame's state, and the labels of its vertices.

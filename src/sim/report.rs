@@ -5,7 +5,10 @@ use std::time::Duration;
 use glam::DVec3;
 
 use super::{events::Event, free::Ledger, memory::TooLarge};
-use crate::{observe::Shortfall, scene::Integrator};
+use crate::{
+    observe::{Shortfall, StepFailure},
+    scene::Integrator,
+};
 
 /// The stages of a step, in the order in which they run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -156,6 +159,17 @@ impl Failure {
     /// Whether the step was completed, so that there is a state after it.
     pub fn is_whole_step(&self) -> bool {
         matches!(self, Failure::Diverged(_))
+    }
+}
+
+impl From<&Failure> for StepFailure {
+    fn from(failure: &Failure) -> StepFailure {
+        let words = failure.to_string();
+        match failure {
+            Failure::Diverged(_) => StepFailure::Diverged(words),
+            Failure::Overworked(_) => StepFailure::NotTaken(words),
+            Failure::Interrupted { .. } => StepFailure::Interrupted(words),
+        }
     }
 }
 

@@ -9,7 +9,7 @@ use super::{
     frames::{add_coupled_forces, add_forces, pair_frame},
     free::{Conserved, Forces, Ledger, Snapshot},
     observe::{Energy, EnergySum},
-    report::{Failure, Stage},
+    report::Stage,
     stages,
     terms::{Cause, Surroundings},
     world::States,
@@ -36,6 +36,14 @@ const PHASES: [Phase; 3] = [Phase::Apart, Phase::Merged, Phase::Core];
 
 /// Label of a vertex, by what influence spheres do to it.
 const LABELS: [&str; 5] = ["out of reach", "attracted", "repelled", "attracted and repelled", "in a core"];
+
+/// The label of a vertex on which spheres act by attraction, by repulsion of bodies apart, in a core.
+pub fn label([is_attracted, is_repelled, is_in_core]: [bool; 3]) -> u8 {
+    match (is_attracted, is_repelled, is_in_core) {
+        (_, _, true) => 4,
+        (is_attracted, is_repelled, _) => u8::from(is_attracted) + 2 * u8::from(is_repelled),
+    }
+}
 
 /// A scalar over time and its source. One more line in the table is one more plot.
 struct Scalar {
@@ -203,18 +211,12 @@ impl Simulation for World {
         let (report, is_coupled) = (self.report(), self.coupled.is_some());
         summary.at = Instant { step: report.step, time: report.time };
         summary.events.clear();
-        summary.events.extend(report.events.iter().map(|event| PairEvent {
-            name: event.name(),
-            time: event.time,
-            step: event.step,
-            a: event.a as usize,
-            b: event.b as usize,
-            q: event.q,
-            rate: event.rate,
-            from: event.from as usize,
-            to: event.to as usize,
-            energy: is_coupled.then_some(event.energy),
-        }));
+        summary.events.extend(
+            report
+                .events
+                .iter()
+                .map(|event| PairEvent { energy: is_coupled.then_some(event.energy), ..PairEvent::from(event) }),
+        );
         summary.timings.clear();
         summary.timings.extend(report.timings);
         summary.scalars.clear();
@@ -223,11 +225,7 @@ impl Simulation for World {
             ScalarValue::SumOfSteps(value) | ScalarValue::MaxOfSteps(value) => value(report),
         }));
         summary.shortfall = report.shortfall;
-        summary.failure = report.failure.as_ref().map(|failure| match failure {
-            Failure::Diverged(_) => StepFailure::Diverged(failure.to_string()),
-            Failure::Overworked(_) => StepFailure::NotTaken(failure.to_string()),
-            Failure::Interrupted { .. } => StepFailure::Interrupted(failure.to_string()),
-        });
+        summary.failure = report.failure.as_ref().map(StepFailure::from);
     }
 
     fn interrupt(&self) -> Option<&'static AtomicBool> {

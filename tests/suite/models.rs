@@ -268,7 +268,7 @@ fn models_beside_each_other_are_one_recording() {
 fn the_benchmark_of_models_measures_all_that_can_run() {
     let mut scene = Scene::builtin("two").expect("built in");
     scene.duration = 1.6;
-    let report = bench::models::measure(&scene, &[Model::Oscillators, Model::Metaballs], None, &mut |_| ());
+    let report = bench::models::measure(&scene, &[Model::Oscillators, Model::Metaballs], &mut |_| ());
     let row = |model: Model| {
         let row = report.rows.iter().find(|(of, _)| *of == model).map(|(_, row)| row.clone());
         row.expect("a row").expect("it runs")

@@ -43,7 +43,7 @@ pub fn models(arguments: Arguments) -> Result<(), Failure> {
     let mut reports = Vec::new();
     for scene in &scenes {
         let bar = progress_bar(&scene.name);
-        let report = models::measure(scene, &Model::ALL, None, &mut |share| bar.set_position((1000.0 * share) as u64));
+        let report = models::measure(scene, &Model::ALL, &mut |share| bar.set_position((1000.0 * share) as u64));
         bar.finish_and_clear();
         print(&format!("{}\n", table(&report)));
         reports.push(report);

@@ -28,11 +28,11 @@ use rayon::prelude::*;
 use super::{Unsupported, cells::Cells};
 use crate::{
     geometry::{Shape, Sphere},
-    model::{PairLaw, phase::Phase},
+    model::phase::Phase,
     observe::{BodyEvent, Instant, PairEvent, StepFailure},
-    scene::{Integrator, Model, Motion, PairLaws, Path, Response, Scene, TearMode},
+    scene::{Integrator, Model, Motion, Path, Scene, TearMode},
     sim::{
-        Failure, Options, World, memory,
+        Options, World, memory,
         reach::{Ball, Grid},
     },
     text::bytes,
@@ -104,21 +104,10 @@ pub fn check(scene: &Scene) -> Result<(), Unsupported> {
     Ok(())
 }
 
-/// The bodies of a scene without anything that deforms them.
+/// The bodies of a scene without anything that deforms them, as few vertices as can be.
 fn rigid(scene: &Scene) -> Scene {
-    let mut rigid = scene.clone();
-    let calm = |law: PairLaw| PairLaw { alpha: 0.0, beta: 0.0, core_width: 0.0, ..law };
-    rigid.integrator = Integrator::Exponential;
-    (rigid.influence.alpha, rigid.influence.beta, rigid.core_width) = (0.0, 0.0, 0.0);
-    rigid.planes.clear();
-    rigid.pushes.clear();
-    let groups = (0..scene.bodies.len()).map(|body| scene.pairs.group_of(body)).collect();
-    let rules: Vec<_> = scene.pairs.rules().map(|(sides, law)| (sides, calm(law))).collect();
-    rigid.pairs = PairLaws::new(groups, &rules).unwrap_or_default(); // rules of a valid scene
-    for body in &mut rigid.bodies {
-        body.shape = Shape::Sphere(Sphere { stacks: 2, slices: 3 });
-        body.material.response = Response::Rigid;
-    }
+    let mut rigid = Scene { integrator: Integrator::Exponential, ..scene.without_forces() };
+    rigid.bodies.iter_mut().for_each(|body| body.shape = Shape::Sphere(Sphere { stacks: 2, slices: 3 }));
     rigid
 }
 
@@ -192,24 +181,9 @@ impl Elastic {
         let report = self.world.step();
         self.events.clear();
         self.tears.clear();
-        self.events.extend(report.events.iter().map(|event| PairEvent {
-            name: event.name(),
-            time: event.time,
-            step: event.step,
-            a: event.a as usize,
-            b: event.b as usize,
-            q: event.q,
-            rate: event.rate,
-            from: event.from as usize,
-            to: event.to as usize,
-            energy: None,
-        }));
+        self.events.extend(report.events.iter().map(PairEvent::from));
         if let Some(failure) = &report.failure {
-            self.failure = Some(match failure {
-                Failure::Diverged(_) => StepFailure::Diverged(failure.to_string()),
-                Failure::Overworked(_) => StepFailure::NotTaken(failure.to_string()),
-                Failure::Interrupted { .. } => StepFailure::Interrupted(failure.to_string()),
-            });
+            self.failure = Some(failure.into());
             return;
         }
         let found = Clock::now();

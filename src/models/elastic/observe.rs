@@ -251,18 +251,11 @@ impl Elastic {
             }
         }
         let label = |i: usize| {
-            let feels = [Cause::Attraction, Cause::Repulsion, Cause::Core].map(|cause| {
+            simulation::label([Cause::Attraction, Cause::Repulsion, Cause::Core].map(|cause| {
                 let at = causes.iter().position(|known| *known == cause);
                 let forces = at.map(|at| &now.terms[at].accelerations);
                 forces.is_some_and(|forces| !forces.is_empty() && forces.get(i) != DVec3::ZERO)
-            });
-            match feels {
-                [false, false, false] => 0,
-                [true, false, false] => 1,
-                [false, true, false] => 2,
-                [true, true, false] => 3,
-                [_, _, true] => 4,
-            }
+            }))
         };
         let labels: Vec<u8> = (0..count).map(label).collect();
         now.labels = labels;

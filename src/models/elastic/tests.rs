@@ -299,7 +299,7 @@ fn a_push_that_lasts_leads_to_the_equilibrium() {
     let worst =
         element.free.iter().zip(&expected).map(|(&node, x)| body.x[node as usize].distance(*x)).fold(0.0, f64::max);
     let largest = expected.iter().map(|x| x.length()).fold(0.0, f64::max);
-    assert!(worst < 1e-4 * largest, "{worst} of {largest}");
+    assert!(worst < 1e-5 * largest, "{worst} of {largest}");
 }
 
 #[test]

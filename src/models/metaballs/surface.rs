@@ -22,7 +22,7 @@ use crate::{
     geometry::union::is_raised,
     observe::{
         Frame, Schema,
-        surface::{Group, PairMeasures, Surfaces, VertexOrigin, connected},
+        surface::{Group, PairMeasures, Surfaced, Surfaces, VertexOrigin, connected, for_all},
     },
 };
 
@@ -44,39 +44,18 @@ pub struct LevelSet {
 }
 
 impl Surfaces for LevelSet {
-    /// Balls that the thresholds on q call merged, and balls that are one surface, are a group.
-    fn groups(&self, schema: &Schema, frame: &Frame) -> Vec<Vec<usize>> {
-        connected(frame, |pair| {
+    fn merge(&self, schema: &Schema, frame: &Frame, pairs: &[[usize; 2]], interrupt: Option<&AtomicBool>) -> Surfaced {
+        // balls that the thresholds on q call merged, and balls that are one surface, are a group
+        let groups = connected(frame, |pair| {
             schema.phases[pair.phase].is_joined || {
                 let balls = around(&self.kernel, schema, frame, &[pair.a, pair.b]);
                 are_one(&self.kernel, &balls)
             }
-        })
-    }
-
-    fn unite(&self, schema: &Schema, frame: &Frame, group: &[usize], interrupt: Option<&AtomicBool>) -> Option<Group> {
-        if group.len() > MOST_BALLS || is_raised(interrupt) {
-            return None;
+        });
+        Surfaced {
+            groups: for_all(&groups, |group| self.unite(schema, frame, group, interrupt)),
+            pairs: for_all(pairs, |pair| self.measure(schema, frame, *pair, interrupt)),
         }
-        let balls = around(&self.kernel, schema, frame, group);
-        let Mesh { positions, triangles } = extract(&self.kernel, &balls, group.len(), interrupt)?;
-        let origins = positions.iter().map(|&at| origin(&self.kernel, &balls[..group.len()], group, at)).collect();
-        let [volume, area] = measures(&positions, &triangles);
-        let components = components(positions.len(), &triangles);
-        let euler = positions.len() as i64 - triangles.len() as i64 / 2;
-        Some(Group {
-            bodies: group.to_vec(),
-            normals: positions.iter().map(|&at| (-self.kernel.slope(&balls, at)).normalize_or(DVec3::Z)).collect(),
-            positions,
-            origins,
-            triangles,
-            seams: Vec::new(),
-            components,
-            euler,
-            genus: components as i64 - euler / 2,
-            volume,
-            area,
-        })
     }
 
     fn measure(
@@ -107,6 +86,31 @@ impl Surfaces for LevelSet {
 }
 
 impl LevelSet {
+    fn unite(&self, schema: &Schema, frame: &Frame, group: &[usize], interrupt: Option<&AtomicBool>) -> Option<Group> {
+        if group.len() > MOST_BALLS || is_raised(interrupt) {
+            return None;
+        }
+        let balls = around(&self.kernel, schema, frame, group);
+        let Mesh { positions, triangles } = extract(&self.kernel, &balls, group.len(), interrupt)?;
+        let origins = positions.iter().map(|&at| origin(&self.kernel, &balls[..group.len()], group, at)).collect();
+        let [volume, area] = measures(&positions, &triangles);
+        let components = components(positions.len(), &triangles);
+        let euler = positions.len() as i64 - triangles.len() as i64 / 2;
+        Some(Group {
+            bodies: group.to_vec(),
+            normals: positions.iter().map(|&at| (-self.kernel.slope(&balls, at)).normalize_or(DVec3::Z)).collect(),
+            positions,
+            origins,
+            triangles,
+            seams: Vec::new(),
+            components,
+            euler,
+            genus: components as i64 - euler / 2,
+            volume,
+            area,
+        })
+    }
+
     /// The distance of the surfaces of the first two balls, which are not one, on the line of their centres [scene unit].
     fn gap(&self, balls: &[Ball]) -> f64 {
         let (a, b) = (&balls[0], &balls[1]);
