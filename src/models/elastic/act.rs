@@ -268,7 +268,10 @@ impl Instantaneous {
     pub fn acceleration(&self, weight: Weight, place: DVec3, facing: DVec3) -> DVec3 {
         let mut sum = self.carry;
         for &(_, _, centre, strength, radius) in &self.spheres {
-            sum += acceleration(weight, strength, radius, centre - place);
+            let to_centre = centre - place;
+            if to_centre.length_squared() < radius * radius {
+                sum += acceleration(weight, strength, radius, to_centre);
+            }
         }
         for &(direction, strength) in &self.pushes {
             sum += direction * (strength * f64::max(0.0, -facing.dot(direction)));

@@ -145,12 +145,12 @@ impl Shared {
 }
 
 /// Memory that a body takes without the factor [bytes]; `is_new` if no other is like it.
-pub fn most_memory(model: Model, across: u32, vertices: u64, is_new: bool) -> u64 {
+pub fn most_memory(scene: &Scene, across: u32, vertices: u64, is_new: bool) -> u64 {
     let nodes = (u64::from(across) + 1).pow(3);
-    let own = match model {
+    let own = match scene.model {
         Model::Fem if is_new => fem::Element::most_memory(across),
         Model::Fem => 0,
-        _ => Lattice::most_memory(across),
+        _ => Lattice::most_memory(across, scene.lattice.tear == TearMode::Split),
     };
     own + nodes * 6 * 24 + vertices * 100 + 4096
 }
@@ -342,7 +342,7 @@ impl Body {
             Integrator::Verlet => (Scheme::Verlet, 1.0),
             _ => (Scheme::Verlet, (length / (OF_LIMIT * limit)).ceil().max(1.0)),
         };
-        if count * lattice.springs.len() as f64 > MOST_WORK {
+        if count * lattice.spring_count() as f64 > MOST_WORK {
             *failure = Some(StepFailure::NotTaken(format!(
                 "too much to do in step {} (from t = {:.6} s on): the springs of body \"{}\" allow steps of {limit:.1e} s, {count:.0} in one of the \
                  scene; lower `omega`, `damping` or `cells` in [lattice]",
@@ -352,7 +352,7 @@ impl Body {
         }
         let (count, weight) = (count as u64, scene.influence.weight);
         let h = length / count as f64;
-        let chunk = (GRAIN / (lattice.springs.len() as u64 + 1)).max(1);
+        let chunk = (GRAIN / (lattice.spring_count() as u64 + 1)).max(1);
         let mut done = 0;
         while done < count {
             if interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
@@ -364,8 +364,9 @@ impl Body {
             let outside = |t: f64, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3]| {
                 let t = part.start + (done as f64 * h + t).min(length);
                 part.at(if done as f64 * h + t >= part.end { part.end } else { t }, now);
-                for ((into, position), facing) in into.iter_mut().zip(positions).zip(directions.iter()) {
-                    *into = now.acceleration(weight, *position, *facing);
+                let nodes = positions.iter().zip(directions.iter()).zip(&lattice.held);
+                for (into, ((position, facing), is_held)) in into.iter_mut().zip(nodes) {
+                    *into = if *is_held { DVec3::ZERO } else { now.acceleration(weight, *position, *facing) };
                 }
                 if !planes.is_empty() {
                     let of = Contact {

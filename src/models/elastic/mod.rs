@@ -295,7 +295,7 @@ fn room(scene: &Scene, across: u32) -> Result<u64, String> {
             &body.shape,
             [body.radius, body.mass, body.material.omega, body.material.damping].map(f64::to_bits),
         ));
-        of_bodies = of_bodies.saturating_add(body::most_memory(scene.model, across, vertices, is_new));
+        of_bodies = of_bodies.saturating_add(body::most_memory(scene, across, vertices, is_new));
     }
     needed = needed.saturating_add(of_bodies);
     let available = memory::available();

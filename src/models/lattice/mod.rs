@@ -30,6 +30,7 @@
 //! a cell of mass m: ω_max ≤ √8 c/h. Stretched springs do not raise it by more than 9/5, the ratio to Gershgorin's bound, which
 //! holds for any deformation under tension.
 
+mod lanes;
 mod step;
 mod tear;
 
@@ -37,6 +38,7 @@ use glam::DVec3;
 
 use super::cells::Cells;
 
+use lanes::{Group, group};
 pub use step::{Motion, Outside, Scheme};
 
 /// Stiffness of a cell's share of a spring along an edge, over k: a quarter of 2; along a diagonal of a face: half of 1;
@@ -72,8 +74,6 @@ pub struct Spring {
     pub b: u32,
     /// Length at rest [scene unit].
     pub rest: f64,
-    /// Over that.
-    pub per_rest: f64,
     /// Stiffness [mass/s²].
     pub stiffness: f64,
 }
@@ -93,8 +93,8 @@ pub struct Lattice {
     pub held: Vec<bool>,
     /// Side of a cell [scene unit].
     pub size: f64,
-    /// The springs, in ascending order of their nodes.
-    pub springs: Vec<Spring>,
+    groups: Vec<Group>,
+    spring_count: usize,
     /// Stiffness k of a spring along a diagonal of a face between two cells [mass/s²].
     pub stiffness: f64,
     /// Damping over stiffness, γ [s].
@@ -117,7 +117,8 @@ impl Lattice {
             masses: cells.shares().into_iter().map(|share| share * mass).collect(),
             held,
             size,
-            springs: Vec::new(),
+            groups: Vec::new(),
+            spring_count: 0,
             stiffness: 4.0 * young * size / 15.0,
             damping,
             cell_mass,
@@ -139,7 +140,7 @@ impl Lattice {
 
     /// Ties the springs of all whole cells anew.
     fn tie(&mut self) {
-        let Lattice { corners, is_whole, keys, springs, rest, .. } = self;
+        let Lattice { corners, is_whole, keys, rest, .. } = self;
         keys.clear();
         for (corners, _) in corners.iter().zip(is_whole.iter()).filter(|(_, is_whole)| **is_whole) {
             for i in 0..8usize {
@@ -150,15 +151,26 @@ impl Lattice {
             }
         }
         keys.sort_unstable();
-        springs.clear();
-        for same in keys.chunk_by(|x, y| x.0 == y.0) {
+        let spring = |same: &[(u64, u32)]| {
             let (key, kind) = same[0];
             let (a, b) = ((key >> 32) as u32, key as u32);
             let stiffness = SHARES[kind as usize] * self.stiffness * same.len() as f64;
             // the length that the force computes at rest, to the bit: there it is exactly zero
-            let rest = (rest[b as usize] - rest[a as usize]).length();
-            springs.push(Spring { a, b, rest, per_rest: 1.0 / rest, stiffness });
-        }
+            Spring { a, b, rest: (rest[b as usize] - rest[a as usize]).length(), stiffness }
+        };
+        let springs: Vec<Spring> = keys.chunk_by(|x, y| x.0 == y.0).map(spring).collect();
+        self.spring_count = springs.len();
+        group(springs, &mut self.groups);
+    }
+
+    /// The springs.
+    pub fn springs(&self) -> impl Iterator<Item = Spring> + '_ {
+        self.groups.iter().flat_map(Group::springs)
+    }
+
+    /// Number of springs.
+    pub fn spring_count(&self) -> usize {
+        self.spring_count
     }
 
     /// The highest frequency of the lattice at rest, at the most [rad/s].
@@ -175,43 +187,13 @@ impl Lattice {
         2.0 / (fastest * ((1.0 + ratio * ratio).sqrt() + ratio))
     }
 
-    /// Adds the forces of springs and dampers to `forces` [mass · scene unit/s²] and returns the largest length of a spring over
-    /// its rest length [–].
-    pub fn pull(&self, positions: &[DVec3], velocities: &[DVec3], forces: &mut [DVec3]) -> f64 {
-        let mut largest: f64 = 0.0;
-        // springs are in the order of their first node, whose sum stays in registers
-        for springs in self.springs.chunk_by(|x, y| x.a == y.a) {
-            let a = springs[0].a as usize;
-            let (position, velocity, mut sum) = (positions[a], velocities[a], DVec3::ZERO);
-            for &Spring { b, rest, per_rest, stiffness, .. } in springs {
-                let b = b as usize;
-                let along = positions[b] - position;
-                let moving = velocities[b] - velocity;
-                let square = along.length_squared();
-                if square == 0.0 {
-                    continue; // a spring of no length has no direction
-                }
-                let length = square.sqrt();
-                let per_length = 1.0 / length;
-                // k (d − L) + γk d′, along the spring
-                let tension = stiffness * ((length - rest) + self.damping * (along.dot(moving) * per_length));
-                let force = along * (tension * per_length);
-                sum += force;
-                forces[b] -= force;
-                largest = f64::max(largest, length * per_rest);
-            }
-            forces[a] += sum;
-        }
-        largest
-    }
-
     /// Forces of the springs on the nodes, and those of the dampers [mass · scene unit/s²], into `forces` and `drags`.
     pub fn forces(&self, positions: &[DVec3], velocities: &[DVec3], forces: &mut Vec<DVec3>, drags: &mut Vec<DVec3>) {
         for sums in [&mut *forces, &mut *drags] {
             sums.clear();
             sums.resize(self.node_count(), DVec3::ZERO);
         }
-        for &Spring { a, b, rest, stiffness, .. } in &self.springs {
+        for Spring { a, b, rest, stiffness } in self.springs() {
             let (a, b) = (a as usize, b as usize);
             let along = positions[b] - positions[a];
             let length = along.length();
@@ -227,11 +209,11 @@ impl Lattice {
 
     /// The elastic energy [mass · scene unit²/s²].
     pub fn energy(&self, positions: &[DVec3]) -> f64 {
-        let of = |spring: &Spring| {
+        let of = |spring: Spring| {
             let stretch = positions[spring.b as usize].distance(positions[spring.a as usize]) - spring.rest;
             0.5 * spring.stiffness * stretch * stretch
         };
-        self.springs.iter().map(of).sum()
+        self.springs().map(of).sum()
     }
 
     /// The share of the volume that tearing has taken away [–].
@@ -239,13 +221,27 @@ impl Lattice {
         self.is_whole.iter().filter(|is_whole| !**is_whole).count() as f64 / self.is_whole.len() as f64
     }
 
-    /// Memory that a lattice on so many cells along a diameter can take, cells apart, each with nodes of its own
-    /// [bytes].
-    pub fn most_memory(across: u32) -> u64 {
-        const NODE_BYTES: u64 = 24 * 8;
-        const SPRING_BYTES: u64 = 32 + 28 * 16 / 13;
-        let (cells, nodes) = (u64::from(across).pow(3), (u64::from(across) + 1).pow(3));
-        cells * (33 + 13 * SPRING_BYTES) + nodes * NODE_BYTES
+    /// Memory that a lattice on so many cells along a diameter can take, whole or, if it can be split, with cells apart, each with
+    /// nodes of its own [bytes].
+    pub fn most_memory(across: u32, can_split: bool) -> u64 {
+        const NODE_BYTES: u64 = 24 * 8 + 9 * 8;
+        const KEY_BYTES: u64 = 28 * 16;
+        let (cells, row) = (u64::from(across).pow(3), u64::from(across) + 1);
+        let (springs, nodes) = if can_split { (28 * cells, 8 * cells) } else { (13 * row.pow(3), row.pow(3)) };
+        let groups = if can_split { springs } else { 13 * row * row * row.div_ceil(lanes::GROUP as u64) };
+        let sizes = [size_of::<Spring>(), size_of::<Group>()].map(|size| size as u64);
+        cells * (33 + KEY_BYTES) + springs * sizes[0] + groups * sizes[1] + nodes * NODE_BYTES
+    }
+
+    /// What was allocated for it [bytes].
+    pub fn memory(&self) -> usize {
+        self.corners.capacity() * size_of::<[u32; 8]>()
+            + self.is_whole.capacity()
+            + self.rest.capacity() * size_of::<DVec3>()
+            + self.masses.capacity() * size_of::<f64>()
+            + self.held.capacity()
+            + self.groups.capacity() * size_of::<Group>()
+            + self.keys.capacity() * size_of::<(u64, u32)>()
     }
 }
 

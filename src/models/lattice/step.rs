@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::Lattice;
+use super::{Lattice, lanes::Lanes};
 
 /// The motion of the nodes.
 #[derive(Clone, Debug, Default)]
@@ -20,6 +20,7 @@ pub struct Motion {
     predicted: Vec<DVec3>,
     /// Forces of springs and dampers; reused.
     forces: Vec<DVec3>,
+    lanes: Lanes,
 }
 
 /// How a step is taken.
@@ -67,6 +68,14 @@ impl Motion {
         self.accelerations.clear();
     }
 
+    /// What was allocated for it [bytes].
+    pub fn memory(&self) -> usize {
+        let vectors = [&self.positions, &self.velocities, &self.accelerations, &self.predicted, &self.forces];
+        vectors.iter().map(|of| of.capacity() * size_of::<DVec3>()).sum::<usize>()
+            + self.inverse.capacity() * size_of::<f64>()
+            + self.lanes.memory()
+    }
+
     /// Σ m u [mass · scene unit/s].
     pub fn momentum(&self, masses: &[f64]) -> DVec3 {
         self.velocities.iter().zip(masses).map(|(u, m)| *u * *m).sum()
@@ -88,19 +97,16 @@ impl Lattice {
     pub fn advance(&self, motion: &mut Motion, scheme: Scheme, h: f64, count: u64, mut outside: impl Outside) -> f64 {
         let mut largest: f64 = 0.0;
         let n = self.node_count();
-        let mut forces = std::mem::take(&mut motion.forces);
+        let Motion { positions, velocities, accelerations, inverse, predicted, forces, lanes } = motion;
         let mut evaluate =
             |t: f64, positions: &[DVec3], velocities: &[DVec3], into: &mut Vec<DVec3>, inverse: &[f64]| {
-                forces.clear();
-                forces.resize(n, DVec3::ZERO);
-                largest = largest.max(self.pull(positions, velocities, &mut forces));
+                largest = largest.max(lanes.pull(&self.groups, self.damping, positions, velocities, forces));
                 into.resize(n, DVec3::ZERO);
                 outside(t, positions, velocities, into);
-                for ((acceleration, force), &inverse) in into.iter_mut().zip(&forces).zip(inverse) {
+                for ((acceleration, force), &inverse) in into.iter_mut().zip(forces.iter()).zip(inverse) {
                     *acceleration = if inverse == 0.0 { DVec3::ZERO } else { *acceleration + *force * inverse };
                 }
             };
-        let Motion { positions, velocities, accelerations, inverse, predicted, .. } = motion;
         match scheme {
             Scheme::Verlet => {
                 if accelerations.len() != n {
@@ -135,7 +141,6 @@ impl Lattice {
                 accelerations.clear();
             }
         }
-        motion.forces = forces;
         largest
     }
 }

@@ -37,20 +37,40 @@ fn shaken(lattice: &Lattice, by: f64) -> Motion {
 
 #[test]
 fn a_cell_has_28_springs_and_shares_those_on_its_faces() {
-    assert_eq!(bar(4, [1, 1, 1], 0.0, false).springs.len(), 28);
-    assert_eq!(bar(4, [1, 1, 2], 0.0, false).springs.len(), 2 * 28 - 6);
+    assert_eq!(bar(4, [1, 1, 1], 0.0, false).spring_count(), 28);
+    assert_eq!(bar(4, [1, 1, 2], 0.0, false).spring_count(), 2 * 28 - 6);
     let lattice = bar(4, [3, 3, 3], 0.0, false);
     let of = |length: f64| {
-        let like = |spring: &&Spring| (spring.rest / lattice.size - length).abs() < 1e-9;
-        lattice.springs.iter().filter(like).map(|spring| spring.stiffness).fold(0.0, f64::max) / lattice.stiffness
+        let like = |spring: &Spring| (spring.rest / lattice.size - length).abs() < 1e-9;
+        lattice.springs().filter(like).map(|spring| spring.stiffness).fold(0.0, f64::max) / lattice.stiffness
     };
     let [edge, face, space] = [1.0, 2f64.sqrt(), 3f64.sqrt()].map(of);
     assert!((edge - 2.0).abs() < 1e-14 && (face - 1.0).abs() < 1e-14 && (space - 0.375).abs() < 1e-14);
     assert!(shaken(&lattice, 0.0).positions == lattice.rest);
-    let mut forces = vec![DVec3::ZERO; lattice.node_count()];
-    let still = vec![DVec3::ZERO; lattice.node_count()];
-    lattice.pull(&lattice.rest, &still, &mut forces);
+    let (still, mut forces) = (vec![DVec3::ZERO; lattice.node_count()], Vec::new());
+    lanes::Lanes::default().pull(&lattice.groups, lattice.damping, &lattice.rest, &still, &mut forces);
     assert_eq!(forces, still, "a lattice at rest is exactly at rest");
+}
+
+/// Side by side, springs and dampers pull as one by one, also where nodes were split.
+#[test]
+fn springs_side_by_side_are_those_one_by_one() {
+    let mut lattice = bar(8, [3, 4, 5], 0.4, false);
+    for _ in 0..2 {
+        let motion = shaken(&lattice, 0.1);
+        let (mut forces, mut drags, mut sums) = (Vec::new(), Vec::new(), Vec::new());
+        lattice.forces(&motion.positions, &motion.velocities, &mut forces, &mut drags);
+        let (positions, velocities) = (&motion.positions, &motion.velocities);
+        let largest = lanes::Lanes::default().pull(&lattice.groups, lattice.damping, positions, velocities, &mut sums);
+        for ((sum, force), drag) in sums.iter().zip(&forces).zip(&drags) {
+            assert!(sum.distance(*force + *drag) < 1e-13, "{sum} {force} {drag}");
+        }
+        let strain = |spring: Spring| positions[spring.a as usize].distance(positions[spring.b as usize]) / spring.rest;
+        assert!((lattice.springs().map(strain).fold(0.0, f64::max) - largest).abs() < 1e-14);
+        assert_eq!(lattice.springs().count(), lattice.spring_count());
+        let before = lattice.spring_count();
+        assert!(!lattice.split(&motion.positions, 0.05).is_empty() && lattice.spring_count() > before);
+    }
 }
 
 /// Any affine strain has the energy of the isotropic solid with λ = μ, E = 5μ/2, whatever its direction.
