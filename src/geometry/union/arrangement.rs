@@ -249,32 +249,41 @@ impl Arrangement {
         candidates: &[EdgeAndTriangle],
         threads: bool,
     ) -> Result<(), Failure> {
-        let node_at = |&candidate: &EdgeAndTriangle| -> Result<Option<Node>, Failure> {
-            let (edge, triangle) = ((candidate >> 32) as u32, candidate as u32);
-            let (edge_body, body) = (placement.body_of_edge(edge), placement.body_of_triangle(triangle));
-            let ends = placement.ends(edge, edge_body);
-            let names = placement.corners(triangle, body);
-            if names.contains(&ends[0]) || names.contains(&ends[1]) {
-                return Ok(None);
+        let look = |candidates: &[EdgeAndTriangle]| -> Result<Vec<Node>, Failure> {
+            let mut nodes = Vec::with_capacity(candidates.len() / 4);
+            let (mut edge_body, mut body) = (0, 0);
+            for &candidate in candidates {
+                let (edge, triangle) = ((candidate >> 32) as u32, candidate as u32);
+                if !placement.is_edge_of(edge, edge_body) {
+                    edge_body = placement.body_of_edge(edge);
+                }
+                if !placement.is_triangle_of(triangle, body) {
+                    body = placement.body_of_triangle(triangle);
+                }
+                let ends = placement.ends(edge, edge_body);
+                let names = placement.corners(triangle, body);
+                if body == edge_body && (names.contains(&ends[0]) || names.contains(&ends[1])) {
+                    continue;
+                }
+                let [a, b] = ends.map(|v| placement.placed(v));
+                let [x, y, z] = names.map(|v| placement.placed(v));
+                // The edge passes through the triangle if it turns the same way about all three sides.
+                let turn = is_in_front(a, b, x, y)?;
+                if is_in_front(a, b, y, z)? != turn || is_in_front(a, b, z, x)? != turn {
+                    continue;
+                }
+                let heights = Height { placement, nodes: &[] };
+                let passage = heights.passage(ends.map(End::Vertex), triangle, body)?;
+                let passage = passage.ok_or(Failure::Inconsistent("an edge that crosses a plane does not"))?;
+                nodes.push(Node { edge, edge_body, passage });
             }
-            let [a, b] = ends.map(|v| placement.placed(v));
-            let [x, y, z] = names.map(|v| placement.placed(v));
-            // The edge passes through the triangle if it turns the same way about all three sides.
-            let turn = is_in_front(a, b, x, y)?;
-            if is_in_front(a, b, y, z)? != turn || is_in_front(a, b, z, x)? != turn {
-                return Ok(None);
-            }
-            let heights = Height { placement, nodes: &[] };
-            let passage = heights.passage(ends.map(End::Vertex), triangle, body)?;
-            let passage = passage.ok_or(Failure::Inconsistent("an edge that crosses a plane does not"))?;
-            Ok(Some(Node { edge, edge_body, passage }))
+            Ok(nodes)
         };
-        let nodes: Result<Vec<Option<Node>>, Failure> = if threads && candidates.len() > 2048 {
-            candidates.par_iter().with_min_len(512).map(node_at).collect()
+        self.nodes = if threads && candidates.len() > 2048 {
+            candidates.par_chunks(512).map(look).collect::<Result<Vec<_>, _>>()?.concat()
         } else {
-            candidates.iter().map(node_at).collect()
+            look(candidates)?
         };
-        self.nodes = nodes?.into_iter().flatten().collect();
         Ok(())
     }
 
@@ -296,7 +305,8 @@ impl Arrangement {
 
     /// The nodes of a pair of triangles are the ends of its segment.
     fn connect(&mut self, placement: &Placement) -> Result<(), Failure> {
-        let mut ends: Vec<([u32; 2], u32)> = Vec::with_capacity(2 * self.nodes.len());
+        // The two triangles in one number, the lower in its upper half.
+        let mut ends: Vec<(u64, u32)> = Vec::with_capacity(2 * self.nodes.len());
         for (i, node) in self.nodes.iter().enumerate() {
             let other = node.passage.triangle;
             let is_other_buried = placement.is_buried(other);
@@ -305,14 +315,16 @@ impl Arrangement {
                 if is_other_buried && placement.is_buried(side) {
                     continue;
                 }
-                ends.push(([side.min(other), side.max(other)], i as u32));
+                ends.push((u64::from(side.min(other)) << 32 | u64::from(side.max(other)), i as u32));
             }
         }
         ends.sort_unstable();
+        self.segments.reserve(self.nodes.len() + 1);
         let mut from = 0;
         while from < ends.len() {
-            let (triangles, first) = ends[from];
-            let count = ends[from..].iter().take_while(|end| end.0 == triangles).count();
+            let (pair, first) = ends[from];
+            let count = ends[from..].iter().take_while(|end| end.0 == pair).count();
+            let triangles = [(pair >> 32) as u32, pair as u32];
             let node = &self.nodes[first as usize];
             let bodies = if placement.sides_of(node.edge, node.edge_body).contains(&triangles[0])
                 && node.passage.triangle == triangles[1]
@@ -346,10 +358,10 @@ impl Arrangement {
             });
             from += count;
         }
-        self.segments_of_triangles = (self.segments.iter().enumerate())
-            .flat_map(|(i, segment)| segment.triangles.map(|t| (t, i as u32)))
-            .collect();
-        self.segments_of_triangles.sort_unstable();
+        let of_triangles = |(segment, i): (&Segment, u64)| segment.triangles.map(|t| u64::from(t) << 32 | i);
+        let mut of_triangles: Vec<u64> = self.segments.iter().zip(0..).flat_map(of_triangles).collect();
+        of_triangles.sort_unstable();
+        self.segments_of_triangles = of_triangles.into_iter().map(|of| ((of >> 32) as u32, of as u32)).collect();
         Ok(())
     }
 

@@ -1,6 +1,7 @@
 //! A closed mesh at its current positions, with data that does not depend on other bodies.
 
 use glam::DVec3;
+use pulp::{Arch, Simd, WithSimd};
 use thiserror::Error;
 
 use super::topology::Topology;
@@ -23,8 +24,7 @@ impl Aabb {
 
     #[inline]
     pub(super) fn take_in(&mut self, point: DVec3) {
-        self.min = self.min.min(point);
-        self.max = self.max.max(point);
+        (self.min, self.max) = (lower(self.min, point), higher(self.max, point));
     }
 
     #[inline]
@@ -38,7 +38,7 @@ impl Aabb {
 
     #[inline]
     pub(super) fn joined(&self, other: &Aabb) -> Aabb {
-        Aabb { min: self.min.min(other.min), max: self.max.max(other.max) }
+        Aabb { min: lower(self.min, other.min), max: higher(self.max, other.max) }
     }
 
     #[inline]
@@ -59,6 +59,41 @@ impl Aabb {
     #[inline]
     pub(super) fn contains(&self, point: DVec3) -> bool {
         self.min.cmple(point).all() && point.cmple(self.max).all()
+    }
+}
+
+/// The lower coordinates of two points: one comparison each, because nothing here is NaN.
+#[inline]
+pub(super) fn lower(a: DVec3, b: DVec3) -> DVec3 {
+    let lower = |a: f64, b: f64| if b < a { b } else { a };
+    DVec3::new(lower(a.x, b.x), lower(a.y, b.y), lower(a.z, b.z))
+}
+
+/// The higher coordinates of two points.
+#[inline]
+pub(super) fn higher(a: DVec3, b: DVec3) -> DVec3 {
+    let higher = |a: f64, b: f64| if b > a { b } else { a };
+    DVec3::new(higher(a.x, b.x), higher(a.y, b.y), higher(a.z, b.z))
+}
+
+/// A convex set that contains a body: what its box and a ball have in common.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Hull {
+    bounds: Aabb,
+    centre: DVec3,
+    radius_squared: f64,
+}
+
+impl Hull {
+    #[inline]
+    pub(super) fn meets(&self, bounds: &Aabb) -> bool {
+        self.bounds.meets(bounds)
+            && self.centre.clamp(bounds.min, bounds.max).distance_squared(self.centre) <= self.radius_squared
+    }
+
+    #[inline]
+    pub(super) fn contains(&self, point: DVec3) -> bool {
+        self.bounds.contains(point) && point.distance_squared(self.centre) <= self.radius_squared
     }
 }
 
@@ -116,7 +151,7 @@ impl<'a> Body<'a> {
         }
         let mut sum = DVec3::ZERO;
         for (vertex, &position) in positions.iter().enumerate() {
-            if !(position.abs().max_element() < FARTHEST && position.is_finite()) {
+            if !position.abs().cmplt(DVec3::splat(FARTHEST)).all() {
                 return Err(BodyError::Position { vertex, position });
             }
             sum += position;
@@ -139,16 +174,22 @@ impl<'a> Body<'a> {
     }
 
     fn bound(&mut self) {
-        let mut farthest = 0.0f64;
         for block in 0..self.topology.block_count() {
             let mut hull = Aabb::EMPTY;
             for &v in self.topology.vertices_of_block(block) {
-                let p = self.position(v);
-                hull.take_in(p);
-                farthest = farthest.max(p.distance_squared(self.centre));
+                hull.take_in(self.position(v));
             }
             self.bounds = self.bounds.joined(&hull);
             self.block_bounds.push(hull);
+        }
+        // of all vertices that some triangle uses
+        let is_used = |v: usize| !self.topology.edges_at(v as u32).is_empty();
+        let distances = self.positions.iter().map(|p| p.distance_squared(self.centre));
+        let mut farthest = 0.0;
+        for (v, distance) in distances.enumerate() {
+            if distance > farthest && is_used(v) {
+                farthest = distance;
+            }
         }
         self.radius = farthest.sqrt();
     }
@@ -157,48 +198,23 @@ impl<'a> Body<'a> {
     /// connected mesh for which this holds, whatever its χ, covers the sphere of directions without a fold, so exactly
     /// once: it does not intersect itself.
     fn measure(&mut self) {
-        let (positions, centre) = (self.positions, self.centre);
-        if self.topology.copies.is_empty() {
-            self.measure_triangles(|v| positions[v as usize] - centre);
+        let (topology, positions) = (self.topology, self.positions);
+        let every_fan: Vec<DVec3>;
+        let positions = if topology.copies.is_empty() {
+            positions
         } else {
-            let topology = self.topology;
-            self.measure_triangles(|v| positions[topology.place_of(v) as usize] - centre);
-        }
-    }
-
-    #[inline]
-    fn measure_triangles(&mut self, position: impl Fn(u32) -> DVec3) {
-        let (mut least_height_squared, mut least_slack_squared) = (f64::INFINITY, f64::INFINITY);
-        let (mut volumes, mut areas) = (0.0, 0.0);
-        for &[a, b, c] in &self.topology.triangles {
-            let (a, b, c) = (position(a), position(b), position(c));
-            let (ab, bc, ca) = (b - a, c - b, a - c);
-            let normal = ab.cross(-ca);
-            let volume = a.dot(normal);
-            let normal_squared = normal.length_squared();
-            volumes += volume;
-            areas += normal_squared.sqrt();
-            // Displacing each corner by d changes the volume by at most d (|a×b| + |b×c| + |c×a|) to first order, and
-            // |a×b| ≤ |a| |ab|; twice that covers the higher orders. With its sign, and squared: that spares a root.
-            let sides = [ab.length_squared(), bc.length_squared(), ca.length_squared()];
-            let longer = if sides[0] > sides[1] { sides[0] } else { sides[1] };
-            let longest = if longer > sides[2] { longer } else { sides[2] };
-            let slack_squared = volume * volume.abs() / longest;
-            if slack_squared < least_slack_squared {
-                least_slack_squared = slack_squared;
-            }
-            let height_squared = volume * volume / normal_squared;
-            if height_squared < least_height_squared {
-                least_height_squared = height_squared;
-            }
-        }
-        self.volume = volumes / 6.0;
-        self.area = areas / 2.0;
+            every_fan = (0..topology.fan_count() as u32).map(|v| self.position(v)).collect();
+            &every_fan
+        };
+        let of_all = Arch::new().dispatch(Measure { triangles: &topology.triangles, positions, centre: self.centre });
+        self.volume = of_all.volume / 6.0;
+        self.area = of_all.area / 2.0;
+        let (slack_squared, height_squared) = (of_all.least_slack_squared, of_all.least_height_squared);
         // Beyond 1e50 scene units squares overflow and tell nothing.
-        let is_known = least_slack_squared > 0.0 && least_slack_squared.is_finite() && least_height_squared.is_finite();
-        if is_known && self.topology.components == 1 {
-            self.slack = least_slack_squared.sqrt() / (6.0 * self.radius);
-            self.inner_radius = least_height_squared.sqrt();
+        let is_known = slack_squared > 0.0 && slack_squared.is_finite() && height_squared.is_finite();
+        if is_known && topology.components == 1 {
+            self.slack = slack_squared.sqrt() / (6.0 * self.radius);
+            self.inner_radius = height_squared.sqrt();
         }
     }
 
@@ -227,6 +243,12 @@ impl<'a> Body<'a> {
         self.area
     }
 
+    /// Contains the body after a displacement of its vertices by less than `margin` [scene unit].
+    pub(super) fn hull(&self, margin: f64) -> Hull {
+        let radius = self.radius + 2.0 * margin; // rounding is less than another margin
+        Hull { bounds: self.bounds.grown(margin), centre: self.centre, radius_squared: radius * radius }
+    }
+
     #[inline]
     pub(super) fn position(&self, vertex: u32) -> DVec3 {
         self.positions[self.topology.place_of(vertex) as usize]
@@ -253,5 +275,122 @@ impl<'a> Body<'a> {
             }
         }
         sum.try_normalize().unwrap_or(DVec3::ZERO)
+    }
+}
+
+/// Number of triangles that are measured at once. They are summed in their order: the result does not depend on the
+/// instruction set.
+const AT_ONCE: usize = 8;
+
+/// Measures all triangles of a body.
+struct Measure<'m> {
+    triangles: &'m [[u32; 3]],
+    positions: &'m [DVec3],
+    /// What the tetrahedra of the triangles have in common [scene unit].
+    centre: DVec3,
+}
+
+/// What is known of the triangles of a body, each times a factor.
+struct Measured {
+    /// Six times the volume.
+    volume: f64,
+    /// Twice the area.
+    area: f64,
+    least_slack_squared: f64,
+    least_height_squared: f64,
+}
+
+impl WithSimd for Measure<'_> {
+    type Output = Measured;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Measured {
+        let (mut volume, mut area) = (0.0, 0.0);
+        let (mut slack, mut height) = ([f64::INFINITY; AT_ONCE], [f64::INFINITY; AT_ONCE]);
+        for triangles in self.triangles.chunks(AT_ONCE) {
+            // the last one again, where there are fewer
+            let mut filled = [triangles[triangles.len() - 1]; AT_ONCE];
+            filled[..triangles.len()].copy_from_slice(triangles);
+            let (volumes, areas) = self.of(&filled, &mut slack, &mut height);
+            for k in 0..triangles.len() {
+                volume += volumes[k];
+                area += areas[k];
+            }
+        }
+        let least = |of: [f64; AT_ONCE]| of.into_iter().fold(f64::INFINITY, f64::min);
+        Measured { volume, area, least_slack_squared: least(slack), least_height_squared: least(height) }
+    }
+}
+
+impl Measure<'_> {
+    /// The volumes and areas of some triangles, times six and two.
+    #[inline(always)]
+    fn of(
+        &self,
+        triangles: &[[u32; 3]; AT_ONCE],
+        least_slack_squared: &mut [f64; AT_ONCE],
+        least_height_squared: &mut [f64; AT_ONCE],
+    ) -> ([f64; AT_ONCE], [f64; AT_ONCE]) {
+        let mut corners = [[0.0; AT_ONCE]; 9];
+        for k in 0..AT_ONCE {
+            for (i, vertex) in triangles[k].into_iter().enumerate() {
+                let at = self.positions[vertex as usize];
+                (corners[3 * i][k], corners[3 * i + 1][k], corners[3 * i + 2][k]) = (at.x, at.y, at.z);
+            }
+        }
+        let (mut volumes, mut areas) = ([0.0; AT_ONCE], [0.0; AT_ONCE]);
+        for k in 0..AT_ONCE {
+            let corner = |i: usize| DVec3::new(corners[3 * i][k], corners[3 * i + 1][k], corners[3 * i + 2][k]);
+            let (a, b, c) = (corner(0) - self.centre, corner(1) - self.centre, corner(2) - self.centre);
+            let (ab, bc, ca) = (b - a, c - b, a - c);
+            let normal = ab.cross(-ca);
+            let volume = a.dot(normal);
+            let normal_squared = normal.length_squared();
+            // Displacing each corner by d changes the volume by at most d (|a×b| + |b×c| + |c×a|) to first order, and
+            // |a×b| ≤ |a| |ab|; twice that covers the higher orders. With its sign, and squared: that spares a root.
+            let sides = [ab.length_squared(), bc.length_squared(), ca.length_squared()];
+            let longer = if sides[0] > sides[1] { sides[0] } else { sides[1] };
+            let longest = if longer > sides[2] { longer } else { sides[2] };
+            let slack_squared = volume * volume.abs() / longest;
+            let height_squared = volume * volume / normal_squared;
+            let slack = &mut least_slack_squared[k];
+            *slack = if slack_squared < *slack { slack_squared } else { *slack };
+            let height = &mut least_height_squared[k];
+            *height = if height_squared < *height { height_squared } else { *height };
+            volumes[k] = volume;
+            areas[k] = normal_squared.sqrt();
+        }
+        (volumes, areas)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{shape::Solid as _, sphere::Sphere};
+
+    #[cfg(target_arch = "x86_64")]
+    #[test]
+    fn every_instruction_set_measures_the_same() {
+        let mesh = Sphere { stacks: 9, slices: 13 }.mesh();
+        let shift = |(v, at): (usize, DVec3)| at * (1.0 + 0.01 * libm::sin(v as f64)) + DVec3::new(3.0, 0.1, -2.0);
+        let positions: Vec<DVec3> = mesh.positions().iter().enumerate().map(shift).collect();
+        let centre = DVec3::new(3.01, 0.1, -2.0);
+        let archs = [
+            Some(Arch::Scalar),
+            pulp::x86::V3::try_new().map(Arch::V3),
+            pulp::x86::V4::try_new().map(Arch::V4),
+            Some(Arch::new()),
+        ];
+        // whole groups of triangles, and some beside them
+        for count in [mesh.triangles().len(), 16, 5, 1, 0] {
+            let triangles = &mesh.triangles()[..count];
+            let of = |arch: Arch| {
+                let of_all = arch.dispatch(Measure { triangles, positions: &positions, centre });
+                [of_all.volume, of_all.area, of_all.least_slack_squared, of_all.least_height_squared].map(f64::to_bits)
+            };
+            let plain = of(Arch::Scalar);
+            assert!(archs.into_iter().flatten().all(|arch| of(arch) == plain), "{count} triangles");
+        }
     }
 }

@@ -5,14 +5,14 @@ use glam::{DVec3, Vec3A};
 use rayon::prelude::*;
 
 use super::{
-    body::Aabb,
+    body::{Aabb, higher, lower},
     exact::{Expansion, Number, Plane},
     placement::Placement,
     report::{Failure, Meter},
     sweep::sweep,
 };
 
-/// Two bodies with overlapping boxes, and the blocks of each that overlap the box of the other.
+/// Two bodies with overlapping boxes, and the blocks of each that overlap the hull of the other.
 pub struct Meeting {
     pub bodies: [u32; 2],
     pub blocks: [Vec<u32>; 2],
@@ -22,9 +22,9 @@ pub struct Meeting {
 pub fn meetings(placement: &Placement) -> Vec<Meeting> {
     let within = |me: u32, other: u32| {
         let margin = placement.displaced[me as usize] + placement.displaced[other as usize];
-        let there = placement.bodies[other as usize].bounds.grown(margin);
+        let there = placement.bodies[other as usize].hull(margin);
         let blocks = &placement.bodies[me as usize].block_bounds;
-        (0..blocks.len() as u32).filter(|&i| blocks[i as usize].meets(&there)).collect()
+        (0..blocks.len() as u32).filter(|&i| there.meets(&blocks[i as usize])).collect()
     };
     placement.pairs.iter().map(|&[a, b]| Meeting { bodies: [a, b], blocks: [within(a, b), within(b, a)] }).collect()
 }
@@ -44,24 +44,12 @@ pub struct Near {
 /// The triangles near each other, of all meetings and of the bodies that may intersect themselves.
 pub fn near(placement: &Placement, meetings: &[Meeting], meter: &Meter, threads: bool) -> Result<Vec<Near>, Failure> {
     let of_meeting = |meeting: &Meeting| {
-        let [a, b] = meeting.bodies;
-        let mut found = Near { bodies: [a, b], ..Near::default() };
-        if !meeting.blocks.iter().any(Vec::is_empty) {
-            let zoom = Zoom::new(placement, [a, b]);
-            let lists = [
-                Listed::new(placement, a, &meeting.blocks[0], &zoom, Some(b)),
-                Listed::new(placement, b, &meeting.blocks[1], &zoom, Some(a)),
-            ];
-            lists[0].meet(&lists[1], meter, &mut found)?;
-        }
-        Ok(found)
+        let [first, second] = &meeting.blocks;
+        Near::between(placement, meeting.bodies, [first, second], meter)
     };
     let of_fold = |body: u32| {
         let blocks: Vec<u32> = (0..placement.bodies[body as usize].topology.block_count() as u32).collect();
-        let list = Listed::new(placement, body, &blocks, &Zoom::new(placement, [body; 2]), None);
-        let mut found = Near { bodies: [body; 2], ..Near::default() };
-        list.meet(&list, meter, &mut found)?;
-        Ok(found)
+        Near::between(placement, [body; 2], [&blocks; 2], meter)
     };
     let folds: Vec<u32> = (0..placement.bodies.len() as u32).filter(|&b| placement.folds[b as usize]).collect();
     if threads {
@@ -72,6 +60,44 @@ pub fn near(placement: &Placement, meetings: &[Meeting], meter: &Meter, threads:
 }
 
 impl Near {
+    /// Finds the triangles of some blocks of two bodies, or of one, whose boxes overlap, unless both lie inside other
+    /// bodies.
+    fn between(placement: &Placement, bodies: [u32; 2], blocks: [&[u32]; 2], meter: &Meter) -> Result<Near, Failure> {
+        let mut found = Near { bodies, ..Near::default() };
+        if blocks.iter().any(|blocks| blocks.is_empty()) {
+            return Ok(found);
+        }
+        let is_one = bodies[0] == bodies[1];
+        let hulls = [0, 1].map(|k| {
+            let (mesh, margin) = (placement.bodies[bodies[k] as usize], placement.displaced[bodies[k] as usize]);
+            blocks[k].iter().map(|&block| mesh.block_bounds[block as usize].grown(margin)).collect::<Vec<Aabb>>()
+        });
+        let shown = [0, 1]
+            .map(|k| blocks[k].iter().map(|&block| placement.is_block_shown(block, bodies[k])).collect::<Vec<bool>>());
+        let [first, second] = [0, 1].map(|k| (0..blocks[k].len() as u32).collect::<Vec<u32>>());
+        // where two bodies face each other their blocks are spread sideways
+        let all = hulls.iter().flatten().fold(Aabb::EMPTY, |all, hull| all.joined(hull));
+        let axis = (all.max - all.min).max_position();
+        let (mut pairs, mut is_met) = (Vec::new(), [0, 1].map(|k| vec![false; blocks[k].len()]));
+        sweep(axis, [&first, &second], [&hulls[0], &hulls[1]], |a, b| {
+            if (!is_one || a <= b) && (shown[0][a as usize] || shown[1][b as usize]) {
+                pairs.push([a, b]);
+                is_met[0][a as usize] = true;
+                is_met[1][b as usize] = true;
+            }
+        });
+        if pairs.is_empty() {
+            return Ok(found);
+        }
+        let zoom = Zoom::new(placement, bodies);
+        let lists = [0, 1].map(|k| {
+            let other = (!is_one).then_some(bodies[1 - k]);
+            Listed::new(placement, bodies[k], blocks[k], &is_met[k], &zoom, other)
+        });
+        lists[0].meet(&lists[1], &pairs, meter, &mut found)?;
+        Ok(found)
+    }
+
     /// The triangles of each body that are near others.
     pub fn triangles(&self) -> impl Iterator<Item = (u32, &[u32])> {
         self.bodies.into_iter().zip(self.triangles.iter().map(Vec::as_slice))
@@ -148,9 +174,8 @@ impl Box32 {
 /// Triangles of the listed blocks of a body, with their boxes.
 struct Listed {
     body: u32,
-    /// The boxes of the blocks, also as [`Box32`].
-    hulls: Vec<Aabb>,
-    small_hulls: Vec<Box32>,
+    /// The boxes of the blocks.
+    hulls: Vec<Box32>,
     /// Block i of the list has `triangles[start[i]..start[i + 1]]`, from `start_of_buried[i]` on those inside other bodies.
     start: Vec<u32>,
     start_of_buried: Vec<u32>,
@@ -158,50 +183,52 @@ struct Listed {
 }
 
 impl Listed {
-    /// The triangles of some blocks; only those in the box of another body, if there is one. Those inside other bodies
-    /// are there only if triangles of that body may be near that are not.
-    fn new(placement: &Placement, body: u32, blocks: &[u32], zoom: &Zoom, other: Option<u32>) -> Listed {
+    /// The triangles of those blocks that are met by others; only those in the hull of another body, if there is one.
+    /// Those inside other bodies are there only if triangles of that body may be near that are not.
+    fn new(
+        placement: &Placement,
+        body: u32,
+        blocks: &[u32],
+        is_met: &[bool],
+        zoom: &Zoom,
+        other: Option<u32>,
+    ) -> Listed {
         let mesh = placement.bodies[body as usize];
         let margin = placement.displaced[body as usize];
         let there = other.map(|other| {
             let margin = placement.displaced[other as usize];
-            [placement.bodies[other as usize].bounds, placement.shown_bounds(other)].map(|bounds| bounds.grown(margin))
+            (placement.bodies[other as usize].hull(margin), placement.shown_bounds(other).grown(margin))
         });
         let mut listed = Listed {
             body,
             hulls: Vec::with_capacity(blocks.len()),
-            small_hulls: Vec::with_capacity(blocks.len()),
-            start: vec![0],
+            start: Vec::with_capacity(blocks.len() + 1),
             start_of_buried: Vec::with_capacity(blocks.len()),
             triangles: Vec::new(),
         };
+        listed.start.push(0);
         let mut buried = Vec::new();
-        for &block in blocks {
-            let has_only_buried = !placement.is_block_shown(block, body);
-            let is_far = |[_, shown]: [Aabb; 2]| !shown.meets(&mesh.block_bounds[block as usize].grown(margin));
-            if has_only_buried && there.is_some_and(is_far) {
-                continue;
-            }
+        for (&block, &is_met) in blocks.iter().zip(is_met) {
             let mut hull = Aabb::EMPTY;
-            for &t in mesh.topology.block(block as usize) {
+            for &t in if is_met { mesh.topology.block(block as usize) } else { &[] } {
                 let [a, b, c] = mesh.corners(t);
-                let bounds = Aabb { min: a.min(b).min(c), max: a.max(b).max(c) }.grown(margin);
+                let bounds = Aabb { min: lower(lower(a, b), c), max: higher(higher(a, b), c) }.grown(margin);
                 let t = t + placement.first_triangle[body as usize];
                 let is_buried = placement.is_buried(t);
-                if there.is_none_or(|there| there[usize::from(is_buried)].meets(&bounds)) {
+                let is_there = there.is_none_or(|(hull, shown)| match is_buried {
+                    true => shown.meets(&bounds),
+                    false => hull.meets(&bounds),
+                });
+                if is_there {
                     hull = hull.joined(&bounds);
                     let to = if is_buried { &mut buried } else { &mut listed.triangles };
                     to.push((t, zoom.of(&bounds)));
                 }
             }
-            let start_of_buried = listed.triangles.len() as u32;
+            listed.start_of_buried.push(listed.triangles.len() as u32);
             listed.triangles.append(&mut buried);
-            if listed.triangles.len() as u32 > listed.start[listed.start.len() - 1] {
-                listed.hulls.push(hull);
-                listed.small_hulls.push(zoom.of(&hull));
-                listed.start.push(listed.triangles.len() as u32);
-                listed.start_of_buried.push(start_of_buried);
-            }
+            listed.start.push(listed.triangles.len() as u32);
+            listed.hulls.push(zoom.of(&hull));
         }
         listed
     }
@@ -210,26 +237,18 @@ impl Listed {
         self.start[block as usize] as usize..self.start[block as usize + 1] as usize
     }
 
-    fn has_only_buried(&self, block: u32) -> bool {
-        self.start_of_buried[block as usize] == self.start[block as usize]
-    }
-
-    /// Finds the triangles of this list and of another list whose boxes overlap, or of all pairs within this list, unless
-    /// both lie inside other bodies.
-    fn meet(&self, other: &Listed, meter: &Meter, found: &mut Near) -> Result<(), Failure> {
-        let all = |list: &Listed| (0..list.hulls.len() as u32).collect::<Vec<u32>>();
-        let mut pairs = Vec::new();
+    /// Finds the triangles of this list and of another list whose boxes overlap, in pairs of blocks, unless both lie inside
+    /// other bodies.
+    fn meet(&self, other: &Listed, pairs: &[[u32; 2]], meter: &Meter, found: &mut Near) -> Result<(), Failure> {
         let same = self.body == other.body;
-        sweep(&all(self), &self.hulls, &all(other), &other.hulls, |a, b| {
-            if (!same || a <= b) && !(self.has_only_buried(a) && other.has_only_buried(b)) {
-                pairs.push([a, b]);
-            }
-        });
         let (mut is_near, mut is_other_near) = (vec![false; self.triangles.len()], vec![false; other.triangles.len()]);
         let mut near: Vec<(u32, u32, Box32)> = Vec::new();
-        for [a, b] in pairs {
+        for &[a, b] in pairs {
             near.clear();
-            let there = &other.small_hulls[b as usize];
+            let (here, there) = (&self.hulls[a as usize], &other.hulls[b as usize]);
+            if !here.meets(there) {
+                continue;
+            }
             let start_of_buried = self.start_of_buried[a as usize];
             near.extend(self.of(a).filter_map(|i| {
                 let (triangle, bounds) = self.triangles[i];
@@ -239,7 +258,7 @@ impl Listed {
             let before = found.pairs.len();
             for j in other.of(b) {
                 let (tb, box_b) = &other.triangles[j];
-                if !box_b.meets(&self.small_hulls[a as usize]) {
+                if !box_b.meets(here) {
                     continue;
                 }
                 let is_buried = j >= other.start_of_buried[b as usize] as usize;

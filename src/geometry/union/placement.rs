@@ -186,14 +186,7 @@ impl<'a, 'b> Placement<'a, 'b> {
 
     /// The triangles that lie inside another body.
     pub fn buried(&self) -> impl Iterator<Item = u32> {
-        (self.buried.iter().zip(0..)).flat_map(|(&word, k)| {
-            let mut left = word;
-            std::iter::from_fn(move || {
-                let bit = left.trailing_zeros();
-                left &= left.wrapping_sub(1);
-                (bit < 64).then_some(64 * k + bit)
-            })
-        })
+        (self.buried.iter().zip(0..)).flat_map(|(&word, k)| ones(word).map(move |bit| 64 * k + bit))
     }
 
     /// Whether both triangles of an edge of a body lie inside other bodies, by the number of the edge in its body.
@@ -296,6 +289,21 @@ impl<'a, 'b> Placement<'a, 'b> {
         self.bodies[body as usize].position(vertex - self.first_vertex[body as usize])
     }
 
+    #[inline]
+    pub fn is_triangle_of(&self, triangle: u32, body: u32) -> bool {
+        (self.first_triangle[body as usize]..self.first_triangle[body as usize + 1]).contains(&triangle)
+    }
+
+    #[inline]
+    pub fn is_vertex_of(&self, vertex: u32, body: u32) -> bool {
+        (self.first_vertex[body as usize]..self.first_vertex[body as usize + 1]).contains(&vertex)
+    }
+
+    #[inline]
+    pub fn is_edge_of(&self, edge: u32, body: u32) -> bool {
+        (self.first_edge[body as usize]..self.first_edge[body as usize + 1]).contains(&edge)
+    }
+
     pub fn body_of_triangle(&self, triangle: u32) -> u32 {
         self.first_triangle.partition_point(|&first| first <= triangle) as u32 - 1
     }
@@ -307,6 +315,15 @@ impl<'a, 'b> Placement<'a, 'b> {
     pub fn body_of_vertex(&self, vertex: u32) -> u32 {
         self.first_vertex.partition_point(|&first| first <= vertex) as u32 - 1
     }
+}
+
+/// The bits of a number that are 1, ascending.
+pub fn ones(mut word: u64) -> impl Iterator<Item = u32> {
+    std::iter::from_fn(move || {
+        let bit = word.trailing_zeros();
+        word &= word.wrapping_sub(1);
+        (bit < u64::BITS).then_some(bit)
+    })
 }
 
 /// The smallest power of two above `x`; 1 for 0.

@@ -84,7 +84,7 @@ impl<'a> Surface<'a> {
         let hull = |&block: &u32| of(block).iter().fold(Aabb::EMPTY, |hull, &t| hull.joined(&self.boxes[t as usize]));
         let hulls: Vec<Aabb> = blocks.iter().map(hull).collect();
         let (mut found, mut done) = (Ok(None), 0_usize);
-        sweep(&blocks, &hulls, &blocks, &hulls, |a, b| {
+        sweep(0, [&blocks; 2], [&hulls; 2], |a, b| {
             if a > b || !matches!(found, Ok(None)) {
                 return;
             }

@@ -9,7 +9,7 @@ use super::{
     arrangement::Arrangement,
     body::Body,
     faces::{Faces, Points},
-    placement::Placement,
+    placement::{Placement, ones},
     report::Failure,
     seams::{Seam, seams},
     winding::Classified,
@@ -264,12 +264,13 @@ impl<'a, 'b> Union<'a, 'b> {
             let (from, to) = (name(&mut self, edge.from), name(&mut self, edge.to));
             seam_edges.push(if a < b { ([a, b], from, to) } else { ([b, a], to, from) });
         }
-        for &triangle in &marks.gone {
-            let [body, triangle] = named(placement.body_of_triangle(triangle), triangle);
+        let mut body = 0;
+        for triangle in marks.gone() {
+            while !placement.is_triangle_of(triangle, body) {
+                body += 1;
+            }
+            let [body, triangle] = named(body, triangle);
             self.removed[body as usize].push(triangle);
-        }
-        for removed in &mut self.removed {
-            removed.sort_unstable();
         }
         self.mark_removed();
 
@@ -322,32 +323,37 @@ impl<'a, 'b> Union<'a, 'b> {
     /// Checks that new triangles close the holes left by removed ones: each of their edges is paired with an opposite
     /// edge of another new triangle or of one that remains, and none of those remains open.
     fn audit(&self) -> Result<(), Failure> {
-        // The edge from its lower vertex, in one number; whether the triangle runs along it, and the triangle.
-        let mut edges: Vec<(u64, bool, u32)> = Vec::with_capacity(3 * self.new_triangles.len());
+        if self.first_vertex[self.bodies.len()] as usize + self.new_vertices.len() >= 1 << 31 {
+            return Err(Failure::Inconsistent("too many vertices"));
+        }
+        // The edge from its lower vertex and whether the triangle runs along it, in one number; the triangle.
+        let mut edges: Vec<(u64, u32)> = Vec::with_capacity(3 * self.new_triangles.len());
         for (i, triangle) in self.new_triangles.iter().enumerate() {
             for k in 0..3 {
                 let (a, b) = (triangle.corners[k], triangle.corners[(k + 1) % 3]);
                 if a == b {
                     return Err(Failure::Inconsistent("a triangle of two corners"));
                 }
-                edges.push((u64::from(a.min(b)) << 32 | u64::from(a.max(b)), a < b, i as u32));
+                let ends = u64::from(a.min(b)) << 31 | u64::from(a.max(b));
+                edges.push((ends << 1 | u64::from(a < b), i as u32));
             }
         }
-        edges.sort_unstable();
+        edges.sort_unstable_by_key(|edge| edge.0);
         let mut unpaired = 0;
-        for group in edges.chunk_by(|a, b| a.0 == b.0) {
+        for group in edges.chunk_by(|a, b| a.0 >> 1 == b.0 >> 1) {
             match group {
-                [one, other] if one.1 != other.1 => {}
-                [(ends, along, i)] => {
+                [one, other] if one.0 != other.0 => {}
+                [(edge, i)] => {
+                    let along = edge & 1 != 0;
                     let [body, triangle] = self.new_triangles[*i as usize].part_of;
                     let topology = self.bodies[body as usize].topology;
                     let first = self.first_vertex[body as usize];
-                    let (low, high) = ((*ends >> 32) as u32, *ends as u32);
-                    let [from, to] = if *along { [low, high] } else { [high, low] };
+                    let (low, high) = ((edge >> 32) as u32, (edge >> 1) as u32 & (u32::MAX >> 1));
+                    let [from, to] = if along { [low, high] } else { [high, low] };
                     let corners = topology.triangles[triangle as usize].map(|v| v + first);
                     let k = (0..3).find(|&k| corners[k] == from && corners[(k + 1) % 3] == to);
                     let edge = k.map(|k| topology.triangle_edges[triangle as usize][k]);
-                    let beside = edge.map(|edge| topology.edge_triangles[edge as usize][usize::from(*along)]);
+                    let beside = edge.map(|edge| topology.edge_triangles[edge as usize][usize::from(along)]);
                     if beside.is_none_or(|t| self.is_removed(body, t)) {
                         return Err(Failure::Inconsistent("an open edge"));
                     }
@@ -750,38 +756,52 @@ fn fans(vertex: u32, corners: &[[u32; 3]]) -> Result<Vec<Vec<usize>>, Failure> {
     Ok(fans)
 }
 
-/// Triangles that are not in the union, or not whole.
+/// Triangles that are not in the union, or not whole: a bit each.
 struct Marks {
-    gone: Vec<u32>,
+    gone: Vec<u64>,
 }
 
 impl Marks {
     fn new(placement: &Placement, arrangement: &Arrangement, classified: &Classified) -> Marks {
-        let mut marked = vec![0u64; placement.first_triangle[placement.bodies.len()] as usize / 64 + 1];
-        let mut gone = Vec::new();
-        let mut is_new = |t: u32| {
-            let (word, bit) = (&mut marked[t as usize / 64], 1 << (t % 64));
+        let words = placement.first_triangle[placement.bodies.len()] as usize / 64 + 1;
+        let (mut gone, mut seen) = (vec![0u64; words], vec![0u64; words]);
+        let mark = |bits: &mut [u64], t: u32| {
+            let (word, bit) = (&mut bits[t as usize / 64], 1 << (t % 64));
             let is_new = *word & bit == 0;
             *word |= bit;
             is_new
         };
         for segments in arrangement.cut_triangles() {
-            gone.push(segments[0].0);
-            is_new(segments[0].0);
+            mark(&mut gone, segments[0].0);
         }
-        gone.extend(placement.buried().filter(|&t| is_new(t)));
+        for t in placement.buried() {
+            mark(&mut gone, t);
+        }
+        seen.copy_from_slice(&gone);
+        let mut body = 0;
         for &vertex in classified.vertices.iter().chain(&classified.fan_vertices) {
-            let body = placement.body_of_vertex(vertex);
+            if !placement.is_vertex_of(vertex, body) {
+                body = placement.body_of_vertex(vertex);
+            }
             let b = body as usize;
             let topology = placement.bodies[b].topology;
             let local = vertex - placement.first_vertex[b];
-            for &edge in topology.edges_at(local) {
+            let is_shown = |edge: u32| classified.is_shown_at(vertex, edge + placement.first_edge[b], body);
+            let edges = topology.edges_at(local);
+            let is_shown_on_all =
+                if classified.is_plain(vertex) { edges.first().map(|&edge| is_shown(edge)) } else { None };
+            for &edge in edges {
                 let t = topology.triangle_left_of(edge, local).0 + placement.first_triangle[b];
-                if is_new(t) && !classified.is_shown_at(vertex, edge + placement.first_edge[b], body) {
-                    gone.push(t);
+                if mark(&mut seen, t) && !is_shown_on_all.unwrap_or_else(|| is_shown(edge)) {
+                    mark(&mut gone, t);
                 }
             }
         }
         Marks { gone }
+    }
+
+    /// The triangles, ascending.
+    fn gone(&self) -> impl Iterator<Item = u32> {
+        (self.gone.iter().zip(0..)).flat_map(|(&word, k)| ones(word).map(move |bit| 64 * k + bit))
     }
 }

@@ -1,4 +1,4 @@
-//! Overlapping boxes, by sweep and prune along x.
+//! Overlapping boxes, by sweep and prune along an axis.
 
 use super::body::Aabb;
 
@@ -6,7 +6,7 @@ use super::body::Aabb;
 pub fn body_pairs(boxes: &[Aabb]) -> Vec<[u32; 2]> {
     let everything: Vec<u32> = (0..boxes.len() as u32).collect();
     let mut pairs = Vec::new();
-    sweep(&everything, boxes, &everything, boxes, |a, b| {
+    sweep(0, [&everything; 2], [boxes; 2], |a, b| {
         if a < b {
             pairs.push([a, b]);
         }
@@ -15,35 +15,32 @@ pub fn body_pairs(boxes: &[Aabb]) -> Vec<[u32; 2]> {
     pairs
 }
 
-/// Calls `meet` for every element of `first` and every element of `second` whose boxes overlap.
-pub fn sweep(
-    first: &[u32],
-    first_boxes: &[Aabb],
-    second: &[u32],
-    second_boxes: &[Aabb],
-    mut meet: impl FnMut(u32, u32),
-) {
-    let sorted = |list: &[u32], boxes: &[Aabb]| {
-        let mut list = list.to_vec();
-        list.sort_unstable_by(|&a, &b| boxes[a as usize].min.x.total_cmp(&boxes[b as usize].min.x).then(a.cmp(&b)));
+/// Calls `meet` for every element of the first list and every element of the second whose boxes overlap. The boxes are
+/// numbered as the elements; they should be spread along the axis.
+pub fn sweep(axis: usize, lists: [&[u32]; 2], boxes: [&[Aabb]; 2], mut meet: impl FnMut(u32, u32)) {
+    let sorted = [0, 1].map(|k| {
+        let start = |i: u32| boxes[k][i as usize].min[axis];
+        let mut list: Vec<(f64, u32)> = lists[k].iter().map(|&i| (start(i), i)).collect();
+        list.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         list
-    };
-    let (first, second) = (sorted(first, first_boxes), sorted(second, second_boxes));
+    });
+    let [first, second] = &sorted;
     let (mut i, mut j) = (0, 0);
     while i < first.len() && j < second.len() {
-        let (a, b) = (first_boxes[first[i] as usize], second_boxes[second[j] as usize]);
         // The box that starts first overlaps those of the other list that start within it.
-        if a.min.x <= b.min.x {
-            for &other in second[j..].iter().take_while(|&&o| second_boxes[o as usize].min.x <= a.max.x) {
-                if a.meets(&second_boxes[other as usize]) {
-                    meet(first[i], other);
+        if first[i].0 <= second[j].0 {
+            let own = &boxes[0][first[i].1 as usize];
+            for &(_, other) in second[j..].iter().take_while(|other| other.0 <= own.max[axis]) {
+                if own.meets(&boxes[1][other as usize]) {
+                    meet(first[i].1, other);
                 }
             }
             i += 1;
         } else {
-            for &other in first[i..].iter().take_while(|&&o| first_boxes[o as usize].min.x <= b.max.x) {
-                if b.meets(&first_boxes[other as usize]) {
-                    meet(other, second[j]);
+            let own = &boxes[1][second[j].1 as usize];
+            for &(_, other) in first[i..].iter().take_while(|other| other.0 <= own.max[axis]) {
+                if own.meets(&boxes[0][other as usize]) {
+                    meet(other, second[j].1);
                 }
             }
             j += 1;

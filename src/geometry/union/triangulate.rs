@@ -22,6 +22,8 @@ pub struct Region {
     /// The points' names, ascending; below, points are numbered by their index here.
     names: Vec<u32>,
     first_line: Vec<u32>,
+    /// The lines of each point as bits, if there are few enough lines; otherwise empty.
+    lines_as_bits: Vec<u64>,
     flat: Vec<DVec2>,
     /// Loop i is `looped[first_of_loop[i]..first_of_loop[i + 1]]`.
     looped: Vec<u32>,
@@ -35,7 +37,7 @@ pub struct Region {
 #[derive(Default)]
 struct Ears {
     points: Vec<u32>,
-    sorted: Vec<u32>,
+    is_met: Vec<bool>,
     qualities: Vec<Option<f64>>,
 }
 
@@ -67,10 +69,18 @@ impl Region {
         self.lines.dedup();
         self.names.clear();
         self.first_line.clear();
+        self.lines_as_bits.clear();
+        let has_bits = self.lines.iter().all(|line| line.1 < u64::BITS);
         for (i, line) in self.lines.iter().enumerate() {
             if self.names.last() != Some(&line.0) {
                 self.names.push(line.0);
                 self.first_line.push(i as u32);
+                if has_bits {
+                    self.lines_as_bits.push(0);
+                }
+            }
+            if let Some(bits) = self.lines_as_bits.last_mut() {
+                *bits |= 1 << line.1;
             }
         }
         self.first_line.push(self.lines.len() as u32);
@@ -106,6 +116,9 @@ impl Region {
     }
 
     fn share_a_line(&self, a: u32, b: u32) -> bool {
+        if !self.lines_as_bits.is_empty() {
+            return self.lines_as_bits[a as usize] & self.lines_as_bits[b as usize] != 0;
+        }
         let lines =
             |p: u32| &self.lines[self.first_line[p as usize] as usize..self.first_line[p as usize + 1] as usize];
         lines(a).iter().any(|x| lines(b).iter().any(|y| x.1 == y.1))
@@ -135,15 +148,18 @@ impl Region {
                 let [from, at] = pieces[k];
                 self.looped.push(from);
                 let first = pieces.partition_point(|p| p[0] < at);
-                let back = pseudo_angle(self.at(from) - self.at(at));
-                let mut best: Option<(f64, usize)> = None;
-                for next in first..pieces.len() {
-                    if pieces[next][0] != at {
+                let count = pieces[first..].iter().take_while(|p| p[0] == at).count();
+                let may_follow = |&next: &usize| !used[next] || next == start;
+                if count == 1 {
+                    k = Some(first).filter(may_follow)?;
+                    if k == start {
                         break;
                     }
-                    if used[next] && next != start {
-                        continue;
-                    }
+                    continue;
+                }
+                let back = pseudo_angle(self.at(from) - self.at(at));
+                let mut best: Option<(f64, usize)> = None;
+                for next in (first..first + count).filter(may_follow) {
                     let mut sector = back - pseudo_angle(self.at(pieces[next][1]) - self.at(at));
                     if sector <= 0.0 {
                         sector += 4.0;
@@ -257,15 +273,15 @@ impl Region {
     /// simple loop no edge can repeat.
     fn clip_ears(&self, points: &[u32], edges: &mut Option<FxHashSet<[u32; 2]>>, filling: &mut Filling) {
         let scratch = &mut *self.scratch.borrow_mut();
-        let Ears { points: left, sorted, qualities } = scratch;
+        let Ears { points: left, is_met, qualities } = scratch;
         left.clear();
         left.extend_from_slice(points);
         let points = left;
         qualities.clear();
         if edges.is_none() && points.len() > 3 {
-            sorted.clone_from(points);
-            sorted.sort_unstable();
-            if sorted.windows(2).any(|w| w[0] == w[1]) {
+            is_met.clear();
+            is_met.resize(self.names.len(), false);
+            if points.iter().any(|&p| std::mem::replace(&mut is_met[p as usize], true)) {
                 let all = 0..points.len();
                 *edges = Some(all.map(|k| undirected(points[k], points[(k + 1) % points.len()])).collect());
             }
@@ -311,8 +327,10 @@ impl Region {
             points.remove(k);
             qualities.remove(k);
             let n = points.len();
-            for k in [(k + n - 1) % n, k % n] {
-                qualities[k] = self.quality(points, k, edges);
+            if n > 3 {
+                for k in [(k + n - 1) % n, k % n] {
+                    qualities[k] = self.quality(points, k, edges);
+                }
             }
         }
         if let [a, b, c] = points[..] {

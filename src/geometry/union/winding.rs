@@ -224,6 +224,11 @@ impl Classified {
         }
     }
 
+    /// Whether the edges at a vertex have the same in front of them.
+    pub fn is_plain(&self, vertex: u32) -> bool {
+        self.fan_vertices.binary_search(&vertex).is_err()
+    }
+
     /// Whether the surface bounds the union at a vertex of an edge that has no node, or before the first node.
     pub fn is_shown_at(&self, vertex: u32, edge: u32, body: u32) -> bool {
         let at = self.at_vertex.get(&vertex).map_or(&[][..], |&(from, to)| &self.windings[from as usize..to as usize]);
@@ -382,7 +387,7 @@ impl Flood<'_, '_, '_> {
         if self.placement.bodies[self.me as usize].topology.edges[edge as usize][0] == from { sum } else { -sum }
     }
 
-    /// Finds the non-zero winding numbers in front of this body's surface at its vertices in the other body's box.
+    /// Finds the non-zero winding numbers in front of this body's surface at its vertices in the other body's hull.
     fn of_other(&self, blocks: &[u32], meter: &Meter, found: &mut Vec<AtVertex>) -> Result<(), Failure> {
         if blocks.is_empty() {
             return Ok(());
@@ -391,7 +396,7 @@ impl Flood<'_, '_, '_> {
         let mesh = placement.bodies[self.me as usize];
         let topology = mesh.topology;
         let margin = placement.displaced[self.me as usize] + placement.displaced[self.other as usize];
-        let there = placement.bodies[self.other as usize].bounds.grown(margin);
+        let there = placement.bodies[self.other as usize].hull(margin);
         // Not all nodes of edges inside other bodies are known; vertices that have no other edges need no numbers.
         let is_known = |edge: &&u32| !placement.is_edge_buried(**edge, self.me);
         let mut state = vec![BEYOND; topology.fan_count()];
@@ -409,7 +414,7 @@ impl Flood<'_, '_, '_> {
         }
         meter.spend(inside.len() as u64 + 1)?;
 
-        // Outside the box all winding numbers are 0: start there and proceed inwards.
+        // Outside the hull all winding numbers are 0: start there and proceed inwards.
         let mut queue = Vec::new();
         for &v in &inside {
             let mut edges = topology.edges_at(v).iter().filter(is_known);
@@ -430,7 +435,7 @@ impl Flood<'_, '_, '_> {
                     }
                 }
             }
-            // A component that lies entirely inside the box.
+            // A component that lies entirely inside the hull.
             while next < inside.len() && state[inside[next] as usize] != UNSET {
                 next += 1;
             }
