@@ -149,21 +149,42 @@ pub struct Tally<'a> {
     done: Cell<u64>,
     told: Cell<u64>,
     is_over: Cell<bool>,
+    is_aside: bool,
 }
 
 impl Tally<'static> {
     /// Work without a limit.
     pub fn unlimited() -> Tally<'static> {
-        Tally { work: None, turn: None, done: Cell::new(0), told: Cell::new(0), is_over: Cell::new(false) }
+        Tally {
+            work: None,
+            turn: None,
+            done: Cell::new(0),
+            told: Cell::new(0),
+            is_over: Cell::new(false),
+            is_aside: false,
+        }
     }
 }
 
 impl<'a> Tally<'a> {
+    /// Work that is counted for another, who tells of it afterwards; it ends when somebody wants the run to end, or with
+    /// more than a whole step may take.
+    pub(super) fn aside(work: Option<&'a Work>) -> Tally<'a> {
+        let mut aside = Tally::unlimited();
+        (aside.work, aside.is_aside) = (work, true);
+        aside
+    }
+
+    /// What all count for.
+    pub(super) fn common(&self) -> Option<&'a Work> {
+        self.work
+    }
+
     /// Work of a step, in turn `turn` of the bodies, or before them.
     pub(super) fn new(work: &'a Work, turn: Option<usize>) -> Tally<'a> {
         let is_too_much = turn.is_some_and(|turn| turn > work.last_turn.load(Ordering::Relaxed));
         let is_over = Cell::new(is_too_much || work.is_interrupted());
-        Tally { work: Some(work), turn, done: Cell::new(0), told: Cell::new(0), is_over }
+        Tally { work: Some(work), turn, done: Cell::new(0), told: Cell::new(0), is_over, is_aside: false }
     }
 
     /// Counts what is about to be done, and whether to do it: if not, the step is of no use any more.
@@ -193,6 +214,10 @@ impl<'a> Tally<'a> {
         let Some(work) = self.work else { return };
         let done = self.done.get();
         let news = done - self.told.replace(done);
+        if self.is_aside {
+            self.is_over.set(done > work.limit || work.is_interrupted());
+            return;
+        }
         let total = work.total.fetch_add(news, Ordering::Relaxed).saturating_add(news);
         let is_too_much = match self.turn {
             None => total > work.limit,

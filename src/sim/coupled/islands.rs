@@ -84,7 +84,6 @@ pub(super) struct Job {
     pub parts: Parts,
     /// The bodies of the island, then those that only act on it.
     all: Vec<u32>,
-    pub pace: f64,
     pub report: Report,
     pub failure: Option<free::Failure>,
     pub work: u64,
@@ -138,9 +137,10 @@ impl Job {
             Ok(place) => place as u32,
             Err(_) => (bodies.len() + sources.binary_search(&body).unwrap_or_default()) as u32,
         };
-        let mut pace = f64::INFINITY;
         let mut parts = std::mem::take(&mut self.parts);
-        let Parts { bodies: copies, field, pairs: between, .. } = &mut parts;
+        let Parts { bodies: copies, field, pairs: between, paces, .. } = &mut parts;
+        paces.clear();
+        paces.extend(bodies.iter().map(|&body| members[body as usize].pace));
         field.gravity = scene.gravity;
         field.planes.clone_from(&scene.planes);
         field.pushes.clear();
@@ -160,7 +160,6 @@ impl Job {
                 *copy = source(&member.body);
                 continue;
             }
-            pace = pace.min(member.pace);
             let pushes = member.pushes.iter().take_while(|push| push.start < span.end);
             let pushes = pushes.filter(|push| push.end > span.start);
             field.pushes.extend(pushes.map(|&push| free::Push { body: index as u32, ..push }));
@@ -179,13 +178,12 @@ impl Job {
         between.extend(pairs.iter().map(local));
         let paths = OfScene { scene, bodies: &self.all };
         let tally = Tally::new(work, Some(turn));
-        let mut island = Island::resume(parts, scene.tolerance, span.start, pace);
+        let mut island = Island::resume(parts, scene.tolerance, span.start);
         let mut changes = std::mem::take(&mut self.report.changes);
         changes.clear();
         self.report = Report { changes, ..Report::default() };
         self.failure = island.advance_with(scratch, span.end, &paths, &tally, &mut self.report).err();
         self.work = tally.done();
-        self.pace = island.pace();
         self.parts = island.into_parts();
         self.is_done = true;
     }

@@ -444,12 +444,12 @@ impl Coupled {
         for job in &mut jobs {
             self.tell(job, report);
             let bodies = job.group.bodies.len() as u64;
-            report.substeps += bodies * job.report.steps;
+            report.substeps += job.report.body_steps;
             report.error = report.error.max(job.report.error);
             report.ledger += job.report.ledger;
             stepped += bodies;
-            let Parts { bodies: after, ways, .. } = &mut job.parts;
-            for ((&index, body), way) in job.group.bodies.iter().zip(after).zip(ways) {
+            let Parts { bodies: after, ways, paces, .. } = &mut job.parts;
+            for ((&index, body), (way, pace)) in job.group.bodies.iter().zip(after).zip(ways.iter().zip(paces)) {
                 let member = &mut self.members[index as usize];
                 std::mem::swap(&mut member.body, body);
                 if let Some(path) = scene.bodies[index as usize].path().filter(|path| !path.knots().is_empty()) {
@@ -457,7 +457,7 @@ impl Coupled {
                     let motion = path.at(span.end);
                     (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
                 }
-                member.pace = job.pace;
+                member.pace = *pace;
                 member.extent = member.body.shape.extent() + way.displacement;
                 member.speed = way.speed;
             }

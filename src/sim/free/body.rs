@@ -84,6 +84,8 @@ pub enum Motion {
     Free(Rotation),
     /// A path moves it: see [`super::Paths`].
     Prescribed,
+    /// Forces move it, but in another part of its island: a track tells where it is.
+    Tracked,
 }
 
 /// A body and its state. A vertex is at c + Q l + x and moves at c′ + Ω_Q×Q l + u.
@@ -171,7 +173,12 @@ impl Body {
         self.motion == Motion::Free(Rotation::Free)
     }
 
-    /// Whether forces move it.
+    /// Whether a path moves it, not forces.
+    pub fn is_prescribed(&self) -> bool {
+        self.motion == Motion::Prescribed
+    }
+
+    /// Whether forces move it here.
     pub fn is_free(&self) -> bool {
         matches!(self.motion, Motion::Free(_))
     }

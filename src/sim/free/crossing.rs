@@ -6,6 +6,8 @@
 
 use std::sync::LazyLock;
 
+use glam::DVec3;
+
 use super::super::nodes::NODES;
 
 /// Largest number of crossings in a step that are distinguished.
@@ -49,6 +51,34 @@ static BASIS: LazyLock<[[f64; 8]; 8]> = LazyLock::new(|| {
     }
     std::array::from_fn(|i| std::array::from_fn(|k| a[i][8 + k]))
 });
+
+/// A vector over a step, with time from 0 to 1: the polynomial through its values and rates at the nodes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Curve([DVec3; 8]);
+
+impl Curve {
+    /// Interpolates values and rates at the nodes; rates are per step length.
+    pub fn new(values: &[DVec3; 4], rates: &[DVec3; 4]) -> Curve {
+        let mut b = BASIS.map(|row| {
+            let of = |w: &[f64], v: &[DVec3; 4]| (w[0] * v[0] + w[1] * v[1]) + (w[2] * v[2] + w[3] * v[3]);
+            of(&row[..4], values) + of(&row[4..], rates)
+        });
+        (b[0], b[7]) = (values[0], values[3]); // equal except for rounding
+        Curve(b)
+    }
+
+    /// The value at `theta` and its rate, per step length.
+    pub fn at(&self, theta: f64) -> (DVec3, DVec3) {
+        let mut row = self.0;
+        for count in (2..8).rev() {
+            for k in 0..count {
+                row[k] += theta * (row[k + 1] - row[k]);
+            }
+        }
+        let slope = row[1] - row[0];
+        (row[0] + theta * slope, 7.0 * slope)
+    }
+}
 
 /// A quantity over a step, with time from 0 to 1.
 #[derive(Clone, Copy, Debug)]

@@ -111,6 +111,12 @@ pub trait Paths: Sync {
     /// The motion of `body` at `t` [s]; if something jumps there and `before` is set, just before the jump.
     fn at(&self, body: usize, t: f64, before: bool) -> Driven;
 
+    /// How far the reactions on a free body, if they are found elsewhere, have moved its centre since the tracks began
+    /// [scene unit], and how fast [scene unit/s].
+    fn reaction(&self, _body: usize, _t: f64) -> Option<(DVec3, DVec3)> {
+        None
+    }
+
     /// By how much the velocities of the body's vertices jump at `t`, because that of its centre does [scene unit/s].
     fn kick(&self, _body: usize, _t: f64) -> DVec3 {
         DVec3::ZERO

@@ -345,7 +345,7 @@ impl View<'_> {
         for &from in crossings {
             let share = mass / body.mass();
             let torque =
-                std::array::from_fn(|look| (places[look].centre - span.origin + seen[look].s).cross(mass * g[look]));
+                std::array::from_fn(|look| (span.arm(places[look].centre) + seen[look].s).cross(mass * g[look]));
             let turn = std::array::from_fn(|look| {
                 if body.turns() { course.turn_of(look, seen[look].a.cross(mass * g[look])) } else { DVec3::ZERO }
             });

@@ -9,10 +9,11 @@ use super::{
     body::Body,
     conserved::{self, Conserved},
     crossing::Course as Polynomial,
-    field::{Field, Pair, Paths},
+    field::{Driven, Field, Pair, Paths},
     force::{Acting, View},
     ledger::{Done, Ledger},
     observed::Snapshot,
+    relaxation::{Part, Relaxation},
     step::{Course, MIDDLE, Piece, Place, Span, larger},
 };
 use crate::model::{oscillator::Oscillator, phase::Phase};
@@ -38,6 +39,11 @@ const MOST_GROWTH: f64 = 4.0;
 /// Steps of islands with more bodies than this do not end where a gradual change of strength begins or ends: it is smooth
 /// enough for the error estimate, and others would have to wait for it.
 const MOST_WAITING: usize = 8;
+/// A step that is taken again with slightly different neighbours may have this error, over the tolerance, before a shorter
+/// one is tried.
+const MOST_ERROR_AGAIN: f64 = 3.0;
+/// Islands of more bodies than this take steps body by body: events of one would end the steps of all.
+const MOST_TOGETHER: usize = 16;
 /// Largest rotation of a body's frame in a step [rad].
 const MOST_TURN: f64 = 1.0;
 
@@ -65,8 +71,10 @@ pub struct Change {
 pub struct Report {
     /// Phase changes, in order of time.
     pub changes: Vec<Change>,
-    /// Steps taken.
+    /// Steps taken; of bodies with steps of their own, the most of any.
     pub steps: u64,
+    /// Steps taken, counted for every body.
+    pub body_steps: u64,
     /// Number of rejected steps, which were retried with shorter ones.
     pub rejected: u64,
     /// Number of correction sweeps over all bodies.
@@ -127,20 +135,27 @@ pub(in crate::sim) struct Parts {
     pub field: Field,
     /// How far each body got so far.
     pub ways: Vec<Way>,
+    /// The step length that each body last met the tolerance with [s]; as long as it likes if there is none.
+    pub paces: Vec<f64>,
 }
 
 /// Free bodies, and the bodies on prescribed paths near them.
 #[derive(Clone, Debug, Default)]
 pub struct Island {
-    bodies: Vec<Body>,
-    pairs: Vec<Pair>,
-    field: Field,
-    tolerance: f64,
-    time: f64,
+    pub(super) bodies: Vec<Body>,
+    pub(super) pairs: Vec<Pair>,
+    pub(super) field: Field,
+    pub(super) tolerance: f64,
+    pub(super) time: f64,
     /// The step length that last met the tolerance [s].
-    pace: f64,
+    pub(super) pace: f64,
+    pub(super) paces: Vec<f64>,
     /// How far each body got so far.
-    ways: Vec<Way>,
+    pub(super) ways: Vec<Way>,
+    /// What it has to keep to as a part of a larger island.
+    pub(super) part: Option<Part>,
+    /// With more bodies than this, they take steps of their own.
+    pub(super) most_together: usize,
     scratch: Scratch,
 }
 
@@ -162,15 +177,17 @@ pub struct Way {
 /// Buffers, reused from step to step, by any island.
 #[derive(Clone, Debug, Default)]
 pub(in crate::sim) struct Scratch {
-    courses: Vec<Course>,
+    /// Of the bodies with vertices.
+    pub(super) courses: Vec<Course>,
     acting: Vec<Acting>,
-    places: Vec<[Place; 5]>,
+    pub(super) places: Vec<[Place; 5]>,
     /// The reaction on each body's sphere at a sample.
     reactions: Vec<DVec3>,
     /// The pairs that each body belongs to.
-    pairs_of: Vec<Vec<u32>>,
+    pub(super) pairs_of: Vec<Vec<u32>>,
     changes: Vec<u32>,
-    arch: Arch,
+    pub(super) arch: Arch,
+    pub(super) relaxation: Relaxation,
     /// Of islands with more bodies.
     spare: Spare,
 }
@@ -201,7 +218,7 @@ impl Scratch {
 
 /// The time in a step at which a pair reaches a level at which it changes.
 #[derive(Clone, Copy, Debug)]
-struct Crossing {
+pub(super) struct Crossing {
     /// Time as a fraction of the step.
     theta: f64,
     /// Index of the pair.
@@ -214,41 +231,66 @@ struct Crossing {
 
 /// The error estimate of a step.
 #[derive(Clone, Copy, Debug)]
-struct Outcome {
+pub(super) struct Outcome {
     /// Error over tolerance.
-    error: f64,
+    pub error: f64,
     /// Index of the worst body.
     body: usize,
     /// Estimated error [radii].
-    estimate: f64,
+    pub estimate: f64,
+}
+
+/// What corrections of a body in a step of length `h` [s] must come to for it to have converged [scene unit].
+pub(super) fn settled(tolerance: f64, radius: f64, h: f64) -> f64 {
+    SETTLED * tolerance.min(FINEST) * radius * h
 }
 
 impl Island {
     /// An island that keeps an error of `tolerance` [radii/s], at t = 0; pairs start in the phases that they are given
     /// with. Bodies on prescribed paths must be at the start of their paths.
     pub fn new(bodies: Vec<Body>, pairs: Vec<Pair>, field: Field, tolerance: f64) -> Island {
-        let parts = Parts { bodies, pairs, field, ways: Vec::new() };
-        Island::resume(parts, tolerance, 0.0, f64::INFINITY)
+        let parts = Parts { bodies, pairs, field, ..Parts::default() };
+        Island::resume(parts, tolerance, 0.0)
     }
 
-    /// The same at `time` [s], with steps of at most `pace` [s] to begin with.
-    pub(in crate::sim) fn resume(parts: Parts, tolerance: f64, time: f64, pace: f64) -> Island {
-        let Parts { bodies, pairs, field, mut ways } = parts;
+    /// The same at `time` [s].
+    pub(in crate::sim) fn resume(parts: Parts, tolerance: f64, time: f64) -> Island {
+        let Parts { bodies, pairs, field, mut ways, mut paces } = parts;
+        paces.resize(bodies.len(), f64::INFINITY);
+        let pace = paces.iter().copied().fold(f64::INFINITY, f64::min);
         let way = |body: &Body| Way { from: body.centre, extent: body.shape.extent, ..Way::default() };
         ways.clear();
         ways.extend(bodies.iter().map(way));
-        Island { bodies, pairs, field, tolerance, time, pace, ways, scratch: Scratch::default() }
+        let scratch = Scratch::default();
+        Island {
+            bodies,
+            pairs,
+            field,
+            tolerance,
+            time,
+            pace,
+            paces,
+            ways,
+            part: None,
+            most_together: MOST_TOGETHER,
+            scratch,
+        }
     }
 
     /// What it is made of.
     pub(in crate::sim) fn into_parts(self) -> Parts {
-        let Island { bodies, pairs, field, ways, .. } = self;
-        Parts { bodies, pairs, field, ways }
+        let Island { bodies, pairs, field, ways, paces, .. } = self;
+        Parts { bodies, pairs, field, ways, paces }
     }
 
-    /// The step length that last met the tolerance [s].
-    pub(in crate::sim) fn pace(&self) -> f64 {
-        self.pace
+    /// How many bodies there are up to the last that has vertices; those after it only act on others.
+    pub(super) fn stepped(&self) -> usize {
+        self.bodies.iter().rposition(|body| !body.shape.rest.is_empty()).map_or(0, |last| last + 1)
+    }
+
+    /// The number of pairs, of which it finds out when they change; it is told of the others.
+    fn found(&self) -> usize {
+        self.part.as_ref().map_or(self.pairs.len(), |part| part.found)
     }
 
     /// The bodies.
@@ -302,9 +344,8 @@ impl Island {
         work: &Tally<'_>,
         report: &mut Report,
     ) -> Result<(), Failure> {
-        let whole = end - self.time;
-        let shortest = whole * 1e-9;
-        let count = self.bodies.len();
+        let shortest = (end - self.time) * 1e-9;
+        let count = self.stepped();
         resize(&mut scratch.courses, &mut scratch.spare.courses, count);
         resize(&mut scratch.acting, &mut scratch.spare.acting, count);
         resize(&mut scratch.pairs_of, &mut scratch.spare.pairs_of, count);
@@ -313,8 +354,12 @@ impl Island {
         scratch.changes.resize(self.pairs.len(), 0);
         scratch.pairs_of.iter_mut().for_each(Vec::clear);
         for (index, pair) in (0..).zip(&self.pairs) {
-            scratch.pairs_of[pair.a as usize].push(index);
-            scratch.pairs_of[pair.b as usize].push(index);
+            for body in [pair.a as usize, pair.b as usize].into_iter().filter(|&body| body < count) {
+                scratch.pairs_of[body].push(index);
+            }
+        }
+        if self.part.is_none() && count > self.most_together {
+            return self.advance_apart(scratch, end, paths, work, report);
         }
         let mut steps = 0;
         while self.time < end {
@@ -323,10 +368,16 @@ impl Island {
                 self.jump(paths, report);
             }
             self.leave_phases(scratch, paths, report)?;
-            let stop = f64::min(end, self.field.next_break(self.time));
+            let told = self.part.as_ref().map_or(f64::INFINITY, |part| part.next_stop(self.time));
+            let stop = f64::min(end, self.field.next_break(self.time)).min(told);
             let left = stop - self.time;
             let parts = (left / self.pace).ceil().max(1.0);
             let mut next = if parts > 1.0 { self.time + left / parts } else { stop };
+            let known = self.part.as_ref().and_then(|part| part.known_end(self.time));
+            let mut is_known = known.is_some();
+            if let Some(known) = known {
+                next = known.min(stop);
+            }
             let outcome = loop {
                 let h = next - self.time;
                 steps += 1;
@@ -335,11 +386,13 @@ impl Island {
                     return Err(self.stopped());
                 }
                 let factor = match &outcome {
-                    Some(outcome) if outcome.error <= 1.0 => break *outcome,
+                    Some(outcome) if outcome.error <= if is_known { MOST_ERROR_AGAIN } else { 1.0 } => break *outcome,
                     Some(outcome) => (0.85 * libm::pow(outcome.error, -0.2)).clamp(0.1, 0.7),
                     None => 0.4,
                 };
                 report.rejected += 1;
+                is_known = false;
+                self.part.iter_mut().for_each(Part::forget_ends);
                 if h < shortest || steps >= MOST_STEPS {
                     let body = outcome.map_or(0, |outcome| outcome.body);
                     return Err(Failure::Unresolved { body, time: self.time, step: h });
@@ -352,6 +405,7 @@ impl Island {
             // a step that was cut short says nothing about longer ones
             self.pace = if factor > MOST_GROWTH { self.pace.max(MOST_GROWTH * h) } else { factor * h };
             report.steps += 1;
+            report.body_steps += count as u64;
             report.error += outcome.estimate;
 
             let crossing = self.first_crossing(scratch, h);
@@ -371,22 +425,39 @@ impl Island {
             } else {
                 self.commit(scratch, next, report);
                 self.pass_gradually(scratch, start, report)?;
+                if let Some(part) = &mut self.part
+                    && (next < stop || stop == end)
+                {
+                    part.ends.push(next);
+                }
             }
         }
-        // what jumps in the end has done so; velocities are felt from then on
+        self.paces.fill(self.pace);
+        self.finish(scratch, paths, report)
+    }
+
+    /// What jumps in the end has done so; velocities are felt from then on.
+    pub(super) fn finish(
+        &mut self,
+        scratch: &mut Scratch,
+        paths: &dyn Paths,
+        report: &mut Report,
+    ) -> Result<(), Failure> {
         if self.is_at_break() {
             self.jump(paths, report);
+            self.leave_phases(scratch, paths, report)?;
+        } else if self.part.is_some() {
             self.leave_phases(scratch, paths, report)?;
         }
         Ok(())
     }
 
-    fn is_at_break(&self) -> bool {
+    pub(super) fn is_at_break(&self) -> bool {
         self.field.breaks.binary_search_by(|at| at.total_cmp(&self.time)).is_ok()
     }
 
     /// The vertices of bodies whose paths' velocities jump stay in motion as they were.
-    fn kick(&mut self, paths: &dyn Paths) {
+    pub(super) fn kick(&mut self, paths: &dyn Paths) {
         for (index, body) in self.bodies.iter_mut().enumerate().filter(|(_, body)| !body.is_free()) {
             let kick = paths.kick(index, self.time);
             if kick != DVec3::ZERO {
@@ -396,7 +467,7 @@ impl Island {
     }
 
     /// Bodies on paths jump to where these go on, and their vertices with them.
-    fn jump(&mut self, paths: &dyn Paths, report: &mut Report) {
+    pub(super) fn jump(&mut self, paths: &dyn Paths, report: &mut Report) {
         for index in 0..self.bodies.len() {
             let body = &mut self.bodies[index];
             if body.is_free() {
@@ -423,13 +494,20 @@ impl Island {
         }
     }
 
-    fn commit(&mut self, scratch: &mut Scratch, next: f64, report: &mut Report) {
+    pub(super) fn commit(&mut self, scratch: &mut Scratch, next: f64, report: &mut Report) {
         let Scratch { courses, places, .. } = &*scratch;
         let (bodies, pairs, field, h) = (&self.bodies, &self.pairs, &self.field, next - self.time);
         report.ledger +=
             Done { bodies, pairs, field, courses, places, start: self.time, h, arch: scratch.arch }.ledger();
+        if let Some(part) = &mut self.part {
+            part.record.add(&scratch.courses[0], &scratch.places[0], (self.time, next), |source| Some(source - 1));
+        }
         for (i, body) in self.bodies.iter_mut().enumerate() {
-            let (course, places, way) = (&mut scratch.courses[i], &scratch.places[i], &mut self.ways[i]);
+            let (places, way) = (&scratch.places[i], &mut self.ways[i]);
+            let Some(course) = scratch.courses.get_mut(i) else {
+                (body.centre, body.velocity) = (places[3].centre, places[3].velocity);
+                continue;
+            };
             for (place, frame) in places.iter().zip(&course.frames) {
                 way.centre = larger(way.centre, place.centre.distance(way.from));
                 way.extent = larger(way.extent, frame.extent);
@@ -440,13 +518,13 @@ impl Island {
         self.time = next;
     }
 
-    fn stopped(&self) -> Failure {
+    pub(super) fn stopped(&self) -> Failure {
         let body = (0..self.bodies.len()).max_by_key(|&i| self.bodies[i].x.len()).unwrap_or(0);
         Failure::Stopped { body, time: self.time, step: self.pace }
     }
 
     /// Tries a step to `next` without committing it; `None` if it does not converge.
-    fn step(
+    pub(super) fn step(
         &self,
         scratch: &mut Scratch,
         next: f64,
@@ -456,7 +534,8 @@ impl Island {
     ) -> Option<Outcome> {
         let free = self.bodies.iter().filter(|body| body.is_free());
         let (sum, count) = free.fold((DVec3::ZERO, 0.0), |(sum, n), body| (sum + body.centre, n + 1.0));
-        let span = Span::new(self.time, next, sum / f64::max(count, 1.0));
+        let origin = self.part.is_none().then(|| sum / f64::max(count, 1.0));
+        let span = Span::new(self.time, next, origin);
         // more vertices are active whenever some that are not may have come into reach
         let mut wide = 1.0;
         while self.converge(scratch, &span, wide, paths, work, report)? {
@@ -485,11 +564,17 @@ impl Island {
     ) -> Option<bool> {
         let arch = scratch.arch;
         for (i, body) in self.bodies.iter().enumerate() {
-            scratch.courses[i].begin(arch, i, body, span, paths, &mut scratch.places[i]);
+            let places = &mut scratch.places[i];
+            match scratch.courses.get_mut(i) {
+                Some(course) => course.begin(arch, i, body, span, paths, places),
+                None => {
+                    let _: [Driven; 5] = span.driven(i, paths, places);
+                }
+            }
         }
         let Scratch { courses, acting, places, pairs_of, .. } = scratch;
         let mut vertices = 0;
-        for (i, body) in self.bodies.iter().enumerate() {
+        for (i, body) in self.bodies.iter().enumerate().take(courses.len()) {
             let pairs = pairs_of[i].iter().map(|&pair| &self.pairs[pair as usize]);
             acting[i].find(i, &self.bodies, pairs, &self.field, span, places);
             let view = View { body, field: &self.field, span, places: &places[i], first: 0, arch };
@@ -498,17 +583,18 @@ impl Island {
         }
         let parallel = vertices >= PARALLEL_VERTICES;
         // a sweep: every active vertex at four nodes, what is shared by the others, and every pair
-        let sweep_work = 4 * (vertices + 16 * self.bodies.len() + self.pairs.len()) as u64;
+        let sweep_work = 4 * (vertices + 16 * courses.len() + self.pairs.len()) as u64;
         if !work.spend(sweep_work) {
             return Some(false);
         }
         self.evaluate_at(scratch, span, 0);
         let Scratch { courses, places, .. } = scratch;
-        for (i, body) in self.bodies.iter().enumerate() {
-            courses[i].guess(body);
-            courses[i].follow(arch, body, span, 1..4, &mut places[i]);
+        for ((body, course), places) in self.bodies.iter().zip(courses).zip(places) {
+            course.guess(body);
+            course.follow(arch, body, span, 1..4, places);
         }
-        let wanted = |body: &Body| SETTLED * self.tolerance.min(FINEST) * body.radius * span.h;
+        let rough = self.part.as_ref().map_or(1.0, |part| part.rough);
+        let wanted = |body: &Body| rough * settled(self.tolerance, body.radius, span.h);
         let mut before = f64::INFINITY;
         let mut growing = 0;
         for sweep in 0..MOST_SWEEPS {
@@ -574,7 +660,7 @@ impl Island {
                     let mass = courses[i].active.masses[own.vertex as usize];
                     let force = own.g.map(|g| -mass * g);
                     let place = &places[source];
-                    let torque = std::array::from_fn(|node| (place[node].centre - span.origin).cross(force[node]));
+                    let torque = std::array::from_fn(|node| span.arm(place[node].centre).cross(force[node]));
                     let acceleration = force.map(|force| force / body.mass());
                     courses[source].pieces.push(Piece { from, sign, acceleration, torque, own: None });
                 }
@@ -588,11 +674,12 @@ impl Island {
     /// Evaluates what acts on all bodies at a single sample.
     fn evaluate_at(&self, scratch: &mut Scratch, span: &Span, look: usize) {
         let Scratch { courses, acting, places, pairs_of, arch, .. } = scratch;
-        for (i, body) in self.bodies.iter().enumerate() {
+        for (i, (course, acting)) in courses.iter_mut().zip(acting).enumerate() {
             let pairs = pairs_of[i].iter().map(|&pair| &self.pairs[pair as usize]);
-            acting[i].find(i, &self.bodies, pairs, &self.field, span, places);
-            let view = View { body, field: &self.field, span, places: &places[i], first: look, arch: *arch };
-            acting[i].evaluate_at(look, &view, &mut courses[i]);
+            acting.find(i, &self.bodies, pairs, &self.field, span, places);
+            let (body, places) = (&self.bodies[i], &places[i]);
+            let view = View { body, field: &self.field, span, places, first: look, arch: *arch };
+            acting.evaluate_at(look, &view, course);
         }
         self.drive(scratch, span, look);
     }
@@ -601,14 +688,14 @@ impl Island {
     fn drive(&self, scratch: &mut Scratch, span: &Span, look: usize) {
         let Scratch { courses, places, reactions, .. } = scratch;
         reactions.clear();
-        reactions.resize(courses.len(), DVec3::ZERO);
+        reactions.resize(self.bodies.len(), DVec3::ZERO);
         for reaction in courses.iter().flat_map(|course| &course.reactions) {
             reactions[reaction.source as usize] += reaction.force[look];
         }
-        for (i, body) in self.bodies.iter().enumerate() {
+        for (i, (body, course)) in self.bodies.iter().zip(courses).enumerate() {
             let Place { centre, velocity } = places[i][look];
             let given = self.field.given(i, span.time(look), centre, velocity);
-            courses[i].drive(body, look, self.field.gravity + given, reactions[i], &places[i][look], span.origin);
+            course.drive(body, look, self.field.gravity + given, reactions[i], &places[i][look], span);
         }
     }
 
@@ -616,14 +703,13 @@ impl Island {
     fn judge(&self, scratch: &mut Scratch, span: &Span) -> Outcome {
         let Scratch { courses, places, arch, .. } = scratch;
         let arch = *arch;
-        for (i, body) in self.bodies.iter().enumerate() {
-            courses[i].follow(arch, body, span, MIDDLE..MIDDLE + 1, &mut places[i]);
+        for ((body, course), places) in self.bodies.iter().zip(courses).zip(places) {
+            course.follow(arch, body, span, MIDDLE..MIDDLE + 1, places);
         }
         self.evaluate_at(scratch, span, MIDDLE);
-        let courses = &mut scratch.courses;
         let mut worst = Outcome { error: 0.0, body: 0, estimate: 0.0 };
-        for (i, body) in self.bodies.iter().enumerate() {
-            let (course, h) = (&mut courses[i], span.h);
+        for (i, (body, course)) in self.bodies.iter().zip(&mut scratch.courses).enumerate() {
+            let h = span.h;
             let bends = course.bends(arch, body);
             let Oscillator { omega, damping } = body.oscillator;
             // Lobatto quadrature integrates the quartic part of the residual exactly, so it does not affect a slow
@@ -684,10 +770,15 @@ impl Island {
 
     /// Changes the phases of pairs that passed a threshold in the step from `start` to now at which their strength does
     /// not jump: nothing has to end there.
-    fn pass_gradually(&mut self, scratch: &mut Scratch, start: f64, report: &mut Report) -> Result<(), Failure> {
+    pub(super) fn pass_gradually(
+        &mut self,
+        scratch: &mut Scratch,
+        start: f64,
+        report: &mut Report,
+    ) -> Result<(), Failure> {
         let h = self.time - start;
         let first = report.changes.len();
-        for index in 0..self.pairs.len() {
+        for index in 0..self.found() {
             let pair = self.pairs[index];
             let radii = self.bodies[pair.a as usize].radius + self.bodies[pair.b as usize].radius;
             let Some(level) = pair.law.gradual_level(pair.phase) else { continue };
@@ -719,9 +810,9 @@ impl Island {
     }
 
     /// The first instant of the step just tried at which a pair changes.
-    fn first_crossing(&self, scratch: &Scratch, h: f64) -> Option<Crossing> {
+    pub(super) fn first_crossing(&self, scratch: &Scratch, h: f64) -> Option<Crossing> {
         let mut first: Option<Crossing> = None;
-        for (index, pair) in self.pairs.iter().enumerate() {
+        for (index, pair) in self.pairs.iter().enumerate().take(self.found()) {
             for (level, falling, to) in self.levels(pair) {
                 let Some(polynomial) = self.course_of(scratch, pair, level, h) else { continue };
                 let mut positive = polynomial.starts_positive();
@@ -775,7 +866,12 @@ impl Island {
     }
 
     /// Changes the phases of pairs that are beyond a threshold of their phase, or on it and moving across it.
-    fn leave_phases(&mut self, scratch: &mut Scratch, paths: &dyn Paths, report: &mut Report) -> Result<(), Failure> {
+    pub(super) fn leave_phases(
+        &mut self,
+        scratch: &mut Scratch,
+        paths: &dyn Paths,
+        report: &mut Report,
+    ) -> Result<(), Failure> {
         for (i, body) in self.bodies.iter().enumerate() {
             scratch.places[i][3] = if body.is_free() {
                 Place { centre: body.centre, velocity: body.velocity }
@@ -784,7 +880,10 @@ impl Island {
                 Place { centre: driven.position, velocity: driven.velocity }
             };
         }
-        for index in 0..self.pairs.len() {
+        while let Some((index, to)) = self.part.as_mut().and_then(|part| part.next_change(self.time)) {
+            self.change(index, to, scratch, report)?;
+        }
+        for index in 0..self.found() {
             let pair = self.pairs[index];
             let (a, b) = (scratch.places[pair.a as usize][3], scratch.places[pair.b as usize][3]);
             let radii = self.bodies[pair.a as usize].radius + self.bodies[pair.b as usize].radius;

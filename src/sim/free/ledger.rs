@@ -76,7 +76,7 @@ impl Done<'_> {
     /// What was done in the step.
     pub fn ledger(self) -> Ledger {
         let mut ledger = Ledger::default();
-        for (i, body) in self.bodies.iter().enumerate() {
+        for (i, body) in self.bodies.iter().enumerate().take(self.courses.len()) {
             if body.is_free() {
                 ledger.damping += self.damping(i);
                 ledger.friction += self.friction(i);
@@ -174,7 +174,7 @@ impl Done<'_> {
     /// The work of pairs of a free body and one on a path, through the forces on the vertices of body `index`.
     fn prescribed(self, index: usize) -> f64 {
         let (body, course) = (&self.bodies[index], &self.courses[index]);
-        let counts = |source: u32| self.bodies[source as usize].is_free() != body.is_free();
+        let counts = |source: u32| self.bodies[source as usize].is_prescribed() != body.is_prescribed();
         let mut work = 0.0;
         for reaction in course.reactions.iter().filter(|reaction| counts(reaction.source)) {
             work += self.over(std::array::from_fn(|node| {
@@ -205,7 +205,7 @@ impl Done<'_> {
     fn core(self, pair: &Pair) -> f64 {
         let Some(rim) = pair.law.rim(pair.phase) else { return 0.0 };
         let (a, b) = (pair.a as usize, pair.b as usize);
-        if !(self.bodies[a].is_free() || self.bodies[b].is_free()) {
+        if self.bodies[a].is_prescribed() && self.bodies[b].is_prescribed() {
             return 0.0;
         }
         let radii = self.bodies[a].radius + self.bodies[b].radius;
@@ -220,6 +220,9 @@ impl Done<'_> {
             // q′ of the pair, [1/s]
             let rate = apart.dot(to.velocity - at.velocity) / (distance * radii);
             let of = |own: usize, source: usize| {
+                if own >= self.courses.len() {
+                    return 0.0; // without vertices here
+                }
                 let (course, place) = (&self.courses[own], &self.places[own][node]);
                 let to_source = self.places[source][node].centre - place.centre;
                 let own = &self.bodies[own];

@@ -6,6 +6,7 @@
 //! | what acts on bodies: pairs, planes, pushes, gravity | [`field`] |
 //! | the solver: steps of the right length, that end where a pair changes its phase | [`island`] |
 //! | one step: exponential collocation of vertices, centres and frames together | `step`, `force` |
+//! | islands so large that bodies take steps of their own | `relaxation` |
 //! | its loops over vertices, in SIMD lanes | `kernels` |
 //! | vertices that nothing reaches in a step | `passive` |
 //! | where something passes zero within a step: rims and thresholds | [`crossing`] |
@@ -49,6 +50,7 @@ mod kernels;
 pub mod ledger;
 pub mod observed;
 mod passive;
+mod relaxation;
 mod step;
 pub mod weights;
 

@@ -161,6 +161,8 @@ pub struct Course {
     /// Vertices that pieces act on directly, with the effect at each sample after the start.
     own: Vec<(u32, [(DVec3, DVec3); 4])>,
     own_before: Vec<(u32, [(DVec3, DVec3); 4])>,
+    /// How far reactions that are found elsewhere move the centre from the start to each sample, and how fast.
+    given: Option<[Place; 5]>,
     /// State of the path at each sample.
     driven: [Driven; 5],
     /// Σ |s| over the spheres that act on the body [1/s²].
@@ -217,16 +219,30 @@ pub struct Span {
     pub h: f64,
     /// End of the step [s].
     pub end: f64,
-    /// Reference point of angular momentum [scene unit].
-    pub origin: DVec3,
+    /// Reference point of angular momentum [scene unit]; `None` if each body's is its own centre, because reactions, which
+    /// act there, are found elsewhere.
+    pub origin: Option<DVec3>,
     /// Weights for the motion of centres.
     pub ballistic: [Dense; 4],
 }
 
 impl Span {
-    pub fn new(start: f64, end: f64, origin: DVec3) -> Span {
+    pub fn new(start: f64, end: f64, origin: Option<DVec3>) -> Span {
         let h = end - start;
         Span { start, h, end, origin, ballistic: looks(BALLISTIC, h) }
+    }
+
+    /// From the reference point of angular momentum to a body's centre [scene unit].
+    #[inline]
+    pub fn arm(&self, centre: DVec3) -> DVec3 {
+        self.origin.map_or(DVec3::ZERO, |origin| centre - origin)
+    }
+
+    /// Where a body on a path is at the samples.
+    pub fn driven(&self, index: usize, paths: &dyn Paths, places: &mut [Place; 5]) -> [Driven; 5] {
+        let driven = std::array::from_fn(|look| paths.at(index, self.time(look), look == 3));
+        *places = driven.map(|driven: Driven| Place { centre: driven.position, velocity: driven.velocity });
+        driven
     }
 
     /// Time of sample number `look` [s].
@@ -289,12 +305,15 @@ impl Course {
         }; 5];
         if body.is_free() {
             *places = [Place { centre: body.centre, velocity: body.velocity }; 5];
+            self.given = paths.reaction(index, span.start).map(|(from, velocity)| {
+                std::array::from_fn(|look| {
+                    let t = span.time(look);
+                    let (at, faster) = paths.reaction(index, t).unwrap_or_default();
+                    Place { centre: at - from - (t - span.start) * velocity, velocity: faster - velocity }
+                })
+            });
         } else {
-            for look in 0..5 {
-                let driven = paths.at(index, span.time(look), look == 3);
-                self.driven[look] = driven;
-                places[look] = Place { centre: driven.position, velocity: driven.velocity };
-            }
+            self.driven = span.driven(index, paths, places);
         }
     }
 
@@ -423,16 +442,20 @@ impl Course {
         let is_coupled = body.turns() && body.oscillator.damping != 0.0;
         let mass = body.mass();
         let start = places[0];
-        let orbital = |place: &Place| mass * (place.centre - span.origin).cross(place.velocity);
+        let orbital = |place: &Place| mass * span.arm(place.centre).cross(place.velocity);
         let momentum = orbital(&start) + body.spin;
         for look in looks.clone() {
             let (w, late) = (self.weights[look - 1], self.late[look - 1]);
             if body.is_free() {
                 let b = &span.ballistic[look - 1];
-                let place = Place {
+                let mut place = Place {
                     centre: start.centre + (b.xu * start.velocity + (combine(&b.x, acceleration) + late.centre)),
                     velocity: start.velocity + (combine(&b.u, acceleration) + late.velocity),
                 };
+                if let Some(given) = &self.given {
+                    place.centre += given[look].centre;
+                    place.velocity += given[look].velocity;
+                }
                 change = larger(change, (place.centre - places[look].centre).length());
                 change = larger(change, (place.velocity - places[look].velocity).length());
                 places[look] = place;
@@ -562,7 +585,7 @@ impl Course {
     }
 
     /// Updates the body at a sample for the forces on its vertices and for `reaction`, the force on its sphere.
-    pub fn drive(&mut self, body: &Body, look: usize, gravity: DVec3, reaction: DVec3, place: &Place, origin: DVec3) {
+    pub fn drive(&mut self, body: &Body, look: usize, gravity: DVec3, reaction: DVec3, place: &Place, span: &Span) {
         let mass = body.mass();
         let frame = &mut self.frames[look];
         if !body.is_free() {
@@ -570,7 +593,7 @@ impl Course {
             return;
         }
         frame.acceleration = frame.mean + (gravity + reaction / mass);
-        frame.torque = frame.spinning + (place.centre - origin).cross(mass * frame.acceleration);
+        frame.torque = frame.spinning + span.arm(place.centre).cross(mass * frame.acceleration);
         frame.common = -frame.mean;
         if body.turns() {
             let Frame { inner, turning, spin, frame_spin, .. } = *frame;

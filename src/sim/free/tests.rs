@@ -341,6 +341,54 @@ fn the_instruction_set_makes_no_difference() {
     }
 }
 
+/// A cube of bodies that fly at each other, with spin, on a rough plane.
+fn cube(tolerance: f64, damping: f64) -> Island {
+    let o = Oscillator { omega: 12.0, damping };
+    let place = |i: u32| DVec3::new(f64::from(i % 3), f64::from(i / 3 % 3), f64::from(i / 9)) - DVec3::ONE;
+    let thrown =
+        |i: u32| body(1.0 - 0.01 * f64::from(i % 4), o, 2.3 * place(i), -2.0 * place(i), 0.3 * place((i + 5) % 27));
+    let bodies: Vec<Body> = (0..27).map(thrown).collect();
+    let mut pairs = Vec::new();
+    for a in 0..27 {
+        for b in a + 1..27 {
+            pairs.push(pair(a, b, Phase::Apart, LAW));
+        }
+    }
+    let plane = Plane { normal: DVec3::Z, offset: -3.2, stiffness: 800.0, friction: 0.3, slip: 0.1 };
+    let planes = if damping > 0.0 { vec![plane] } else { vec![] };
+    Island::new(bodies, pairs, Field { planes, ..Field::default() }, tolerance)
+}
+
+/// Bodies of a large island take steps of their own: they go where all together would.
+#[test]
+fn bodies_with_steps_of_their_own_go_the_same_way() {
+    let (mut apart, mut together) = (cube(1e-6, 1.5), cube(1e-7, 1.5));
+    together.most_together = usize::MAX;
+    let [found, expected] = [&mut apart, &mut together].map(|island| run(island, 15.0 / 60.0, 1.0 / 60.0));
+    assert!(found.changes.len() > 20 && found.changes.len() == expected.changes.len());
+    for (found, expected) in found.changes.iter().zip(&expected.changes) {
+        assert_eq!((found.pair, found.to), (expected.pair, expected.to));
+        assert!((found.time - expected.time).abs() < 1e-7, "{} {}", found.time, expected.time);
+    }
+    let error = difference(&apart, &together);
+    assert!(error < 1e-6, "{error:e}");
+}
+
+#[test]
+fn bodies_with_steps_of_their_own_keep_momentum_and_their_ledger() {
+    let mut island = cube(1e-6, 0.0);
+    let first = island.conserved();
+    let (error, ledger) = {
+        let report = run(&mut island, 15.0 / 60.0, 1.0 / 60.0);
+        let last = island.conserved();
+        assert!((last.momentum - first.momentum).length() < 1e-7, "{}", last.momentum);
+        assert!((last.angular_momentum - first.angular_momentum).length() < 1e-6, "{}", last.angular_momentum);
+        ((last.energy() - first.energy() - report.ledger.total()) / first.energy(), report.ledger)
+    };
+    assert!(error.abs() < 1e-6, "{error:e} {ledger:?}");
+    assert!(ledger.events != 0.0 && ledger.prescribed == 0.0);
+}
+
 #[test]
 fn the_number_of_threads_makes_no_difference() {
     let o = Oscillator { omega: 12.0, damping: 1.5 };

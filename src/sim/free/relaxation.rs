@@ -1,0 +1,681 @@
+//! Large islands: every body takes steps of its own.
+//!
+//! If all bodies of an island take the same steps, the event of one pair ends the step of all. In a heap of hundreds, events
+//! follow each other so fast that nothing gets anywhere. But over the length of a frame, a body hardly notices what its
+//! neighbours' neighbours do. So a large island is advanced by waveform relaxation (Lelarasmee, Ruehli &
+//! Sangiovanni-Vincentelli 1982): each body alone, as an island of one, among the tracks that the others took when last
+//! found. That is repeated until no track changes any more; each round makes the difference smaller by about the square
+//! of the frame's length over the time scale of the influence. A body whose neighbours' tracks did not change is not advanced again.
+//!
+//! Bodies see of each other where centres are, and how far reactions move these. The reaction on a sphere is found with
+//! the vertices that the sphere acts on, at the instants of their steps. It acts on the centre alone, so its first and
+//! second integrals, which are known exactly for every step, are all that the other body needs: momentum is conserved
+//! although steps differ, up to what is left of the rounds' differences.
+//!
+//! The pair's first body finds its events; the second is told of them, and ends its step there. So do bodies near
+//! either: the acceleration of what acts on them jumps there.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use glam::DVec3;
+use pulp::Arch;
+use rayon::prelude::*;
+
+use super::{
+    super::{
+        nodes::NODES,
+        work::{Tally, Work},
+    },
+    body::{Body, Motion, Shape},
+    crossing::Curve,
+    field::{Driven, Paths, Push},
+    island::{Failure, Island, Parts, Report, Scratch, settled},
+    step::{Course, Place, combine, larger},
+    weights::Late,
+};
+use crate::model::phase::Phase;
+
+/// Rounds after which a shorter stretch is tried.
+const MOST_ROUNDS: u32 = 16;
+/// A body is advanced again when what it sees has changed by more than this times [`settled`]: of that, it would change by
+/// a small fraction.
+const MOST_STALE: f64 = 10.0;
+/// Steps that become shorter or longer from round to round change tracks by their errors. After this many rounds, ever
+/// larger changes are accepted, …
+const PATIENCE: u32 = 6;
+/// … up to this one: a third of the tolerance.
+const MOST_LEFT: f64 = 30.0;
+/// In the first rounds, corrections within a step end at a larger multiple of [`settled`].
+const ROUGH: f64 = 100.0;
+/// A stretch that is shorter than this part of the whole is not divided any more.
+const SHORTEST: f64 = 1e-4;
+/// With fewer vertices than this, a second thread does not pay off.
+const PARALLEL_VERTICES: usize = 1024;
+
+/// What an island of one body has to keep to.
+#[derive(Clone, Debug, Default)]
+pub struct Part {
+    /// Where it went, and how it acted on others.
+    pub record: Record,
+    /// What happens to pairs whose events are found elsewhere, by time.
+    schedule: Vec<Told>,
+    next: usize,
+    /// Number of its first pairs, whose events it finds itself.
+    pub found: usize,
+    /// Multiple of [`settled`] at which corrections end.
+    pub rough: f64,
+    /// Ends of steps that the tolerance asked for, and no event: those of the round before are kept to, so that tracks do not
+    /// change by the errors of other steps.
+    pub ends: Vec<f64>,
+    known: Vec<f64>,
+}
+
+/// An event that was found elsewhere.
+#[derive(Clone, Copy, Debug)]
+struct Told {
+    time: f64,
+    /// The pair that enters a phase, if it is one of this body's.
+    change: Option<(usize, Phase)>,
+    /// Whether a step ends there.
+    stops: bool,
+}
+
+impl Part {
+    /// Where the round before ended the step that begins at `t` [s].
+    pub fn known_end(&self, t: f64) -> Option<f64> {
+        self.known.get(self.known.partition_point(|&end| end <= t)).copied()
+    }
+
+    /// From here on, steps are to be found anew.
+    pub fn forget_ends(&mut self) {
+        self.known.clear();
+    }
+
+    /// The next instant after `t` at which a step must end [s].
+    pub fn next_stop(&self, t: f64) -> f64 {
+        let later = self.schedule[self.next..].iter().find(|told| told.stops && told.time > t);
+        later.map_or(f64::INFINITY, |told| told.time)
+    }
+
+    /// A pair that changed its phase by `t`, and has not been told yet.
+    pub fn next_change(&mut self, t: f64) -> Option<(usize, Phase)> {
+        while let Some(told) = self.schedule.get(self.next).filter(|told| told.time <= t) {
+            self.next += 1;
+            if told.change.is_some() {
+                return told.change;
+            }
+        }
+        None
+    }
+}
+
+/// The track of a body, and how it acts on the centres of others.
+#[derive(Clone, Debug, Default)]
+pub struct Record {
+    legs: Vec<Leg>,
+    /// By the number of the other body.
+    pulses: Vec<Vec<Pulse>>,
+    /// Buffer: first and second integral of the reaction at the nodes of a step.
+    sums: Vec<Option<[(DVec3, DVec3); 4]>>,
+}
+
+/// The centre in a step.
+#[derive(Clone, Copy, Debug)]
+struct Leg {
+    start: f64,
+    h: f64,
+    at: Curve,
+}
+
+/// The first integral of a reaction [mass · scene unit/s] and the second [mass · scene unit] since the track began.
+#[derive(Clone, Copy, Debug)]
+struct Pulse {
+    start: f64,
+    h: f64,
+    /// The second integral within the step.
+    by: Curve,
+    /// Both at the start of the step, and at its end.
+    before: (DVec3, DVec3),
+    after: (DVec3, DVec3),
+}
+
+impl Record {
+    fn clear(&mut self, others: usize) {
+        self.legs.clear();
+        self.pulses.truncate(others);
+        self.pulses.iter_mut().for_each(Vec::clear);
+        self.pulses.resize_with(others, Vec::new);
+    }
+
+    /// Adds a step; `number` is that of a source among the others.
+    pub fn add(
+        &mut self,
+        course: &Course,
+        places: &[Place; 5],
+        (start, end): (f64, f64),
+        number: impl Fn(u32) -> Option<u32>,
+    ) {
+        let h = end - start;
+        let nodes = [places[0], places[1], places[2], places[3]];
+        let at = Curve::new(&nodes.map(|place| place.centre), &nodes.map(|place| h * place.velocity));
+        self.legs.push(Leg { start, h, at });
+        let Record { sums, pulses, .. } = self;
+        sums.clear();
+        sums.resize(pulses.len(), None);
+        let mut add = |source: u32, from: f64, force: [DVec3; 4]| {
+            let Some(sum) = number(source).and_then(|number| sums.get_mut(number as usize)) else { return };
+            let sum = sum.get_or_insert_default();
+            for (sum, &node) in sum.iter_mut().zip(&NODES).skip(1) {
+                let late = Late::ballistic(h, from, node);
+                sum.0 += combine(&late.x, force);
+                sum.1 += combine(&late.u, force);
+            }
+        };
+        for reaction in &course.reactions {
+            let [force @ .., _] = reaction.force;
+            if force != [DVec3::ZERO; 4] {
+                add(reaction.source, 0.0, force);
+            }
+        }
+        for piece in &course.pieces {
+            if let Some((own, source)) = piece.own.as_ref().and_then(|own| Some((own, own.source?))) {
+                let mass = piece.sign * course.active.masses[own.vertex as usize];
+                add(source, piece.from, own.g.map(|g| -mass * g));
+            }
+        }
+        for (sum, pulses) in sums.iter().zip(pulses) {
+            let Some(sum) = sum else { continue };
+            let before = integrals(pulses, start);
+            let (x, u) = (sum.map(|sum| sum.0), sum.map(|sum| h * sum.1));
+            let after = (before.0 + h * before.1 + sum[3].0, before.1 + sum[3].1);
+            pulses.push(Pulse { start, h, by: Curve::new(&x, &u), before, after });
+        }
+    }
+
+    /// The track of a body on which only `acceleration` acts.
+    fn throw(&mut self, body: &Body, acceleration: DVec3, (start, end): (f64, f64), others: usize) {
+        self.clear(others);
+        let h = end - start;
+        let at = NODES.map(|node| body.centre + node * h * (body.velocity + 0.5 * node * h * acceleration));
+        let rates = NODES.map(|node| h * (body.velocity + node * h * acceleration));
+        self.legs.push(Leg { start, h, at: Curve::new(&at, &rates) });
+    }
+
+    /// Where the centre is at `t` [s], and how fast.
+    fn place(&self, t: f64) -> Place {
+        let after = self.legs.partition_point(|leg| leg.start <= t).max(1);
+        let Some(leg) = self.legs.get(after - 1) else { return Place::default() };
+        let (centre, rate) = leg.at.at((t - leg.start) / leg.h);
+        Place { centre, velocity: rate / leg.h }
+    }
+
+    /// How far this body differs from an earlier track, and what it does to others, by their masses [scene unit]; a
+    /// velocity counts for a second.
+    fn change(&self, before: &Record, (start, end): (f64, f64), mass: impl Fn(usize) -> Option<f64>) -> f64 {
+        const LOOKS: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
+        let mut most: f64 = 0.0;
+        for look in LOOKS {
+            let t = start + look * (end - start);
+            let (now, then) = (self.place(t), before.place(t));
+            most = larger(most, (now.centre - then.centre).length());
+            most = larger(most, (now.velocity - then.velocity).length());
+            for (number, (now, then)) in self.pulses.iter().zip(&before.pulses).enumerate() {
+                if let Some(mass) = mass(number) {
+                    most = larger(most, (integrals(now, t).1 - integrals(then, t).1).length() / mass);
+                }
+            }
+        }
+        most
+    }
+}
+
+/// The second and first integral at `t`.
+fn integrals(pulses: &[Pulse], t: f64) -> (DVec3, DVec3) {
+    let after = pulses.partition_point(|pulse| pulse.start <= t);
+    let Some(Pulse { start, h, by, before, after }) = after.checked_sub(1).and_then(|last| pulses.get(last)) else {
+        return Default::default();
+    };
+    let length = t - start;
+    if length >= *h {
+        return (after.0 + (length - h) * after.1, after.1);
+    }
+    let (at, rate) = by.at(length / h);
+    (before.0 + length * before.1 + at, before.1 + rate / *h)
+}
+
+/// An event of a pair of the whole island.
+#[derive(Clone, Copy, Debug)]
+struct Event {
+    time: f64,
+    pair: u32,
+    bodies: [u32; 2],
+    to: Phase,
+    jumps: bool,
+}
+
+/// A body and what is near it.
+#[derive(Clone, Debug, Default)]
+struct Cell {
+    /// The body, then those that it has pairs with, ascending.
+    ids: Vec<u32>,
+    /// Its pairs; those whose events it finds come first.
+    pairs: Vec<u32>,
+    found: usize,
+    /// Others that act on its centre, with its number among what they act on.
+    incoming: Vec<(u32, u32)>,
+    parts: Parts,
+    schedule: Vec<Told>,
+    ends: Vec<f64>,
+    report: Report,
+    failure: Option<Failure>,
+    work: u64,
+    /// By how much what it sees has changed since it was last advanced, over [`settled`].
+    stale: f64,
+    rough: f64,
+    /// Bodies that see each other differ in it.
+    color: u32,
+    is_due: bool,
+}
+
+/// Buffers, used again by any island.
+#[derive(Debug, Default)]
+pub struct Relaxation {
+    cells: Vec<Cell>,
+    records: Vec<Record>,
+    fresh: Vec<Record>,
+    changes: Vec<f64>,
+    events: Vec<Event>,
+    scratches: Mutex<Vec<Scratch>>,
+    arch: Arch,
+}
+
+impl Clone for Relaxation {
+    fn clone(&self) -> Relaxation {
+        Relaxation::default()
+    }
+}
+
+/// The surroundings of a body in a round.
+struct Round<'a> {
+    island: &'a Island,
+    records: &'a [Record],
+    events: &'a [Event],
+    scratches: &'a Mutex<Vec<Scratch>>,
+    paths: &'a dyn Paths,
+    work: Option<&'a Work>,
+    arch: Arch,
+    span: (f64, f64),
+}
+
+/// The tracks that a body sees.
+struct Tracks<'a> {
+    round: &'a Round<'a>,
+    ids: &'a [u32],
+    incoming: &'a [(u32, u32)],
+}
+
+impl Paths for Tracks<'_> {
+    fn at(&self, body: usize, t: f64, before: bool) -> Driven {
+        let body = self.ids[body] as usize;
+        if self.round.island.bodies[body].is_prescribed() {
+            return self.round.paths.at(body, t, before);
+        }
+        let Place { centre, velocity } = self.round.records[body].place(t);
+        Driven { position: centre, velocity, carry: DVec3::ZERO }
+    }
+
+    fn reaction(&self, body: usize, t: f64) -> Option<(DVec3, DVec3)> {
+        let mass = self.round.island.bodies[self.ids[body] as usize].mass();
+        let of =
+            |&(other, number): &(u32, u32)| integrals(&self.round.records[other as usize].pulses[number as usize], t);
+        let (x, u) =
+            self.incoming.iter().map(of).fold((DVec3::ZERO, DVec3::ZERO), |sum, of| (sum.0 + of.0, sum.1 + of.1));
+        Some((x / mass, u / mass))
+    }
+}
+
+impl Cell {
+    /// Finds what is near body `own`; all but the incoming reactions.
+    fn gather(&mut self, own: u32, island: &Island, pairs_of: &[u32], stepped: usize) {
+        let Cell { ids, pairs, found, .. } = self;
+        let ends = |&pair: &u32| {
+            let pair = &island.pairs[pair as usize];
+            (pair.a.min(pair.b), pair.a.max(pair.b))
+        };
+        ids.clear();
+        ids.extend(pairs_of.iter().map(|pair| {
+            let (a, b) = ends(pair);
+            if a == own { b } else { a }
+        }));
+        ids.sort_unstable();
+        ids.insert(0, own);
+        // the first with vertices
+        let is_found = |pair: &u32| {
+            let (a, b) = ends(pair);
+            own == if (a as usize) < stepped { a } else { b }
+        };
+        pairs.clear();
+        pairs.extend(pairs_of.iter().filter(|pair| is_found(pair)));
+        *found = pairs.len();
+        pairs.extend(pairs_of.iter().filter(|pair| !is_found(pair)));
+    }
+
+    /// The place of a body among those near it.
+    fn place(&self, body: u32) -> Option<u32> {
+        if self.ids[0] == body {
+            return Some(0);
+        }
+        self.ids[1..].binary_search(&body).ok().map(|place| place as u32 + 1)
+    }
+
+    /// Where steps must end, and pairs that change, for events found elsewhere.
+    fn listen(&mut self, round: &Round<'_>) {
+        let mut schedule = std::mem::take(&mut self.schedule);
+        schedule.clear();
+        let closest = 1e-7 * (round.span.1 - round.span.0);
+        let mut last = f64::NEG_INFINITY;
+        for &Event { time, pair, bodies, to, jumps } in round.events {
+            let change = if bodies.contains(&self.ids[0]) {
+                let Some(place) = self.pairs[self.found..].iter().position(|&own| own == pair) else { continue };
+                Some((self.found + place, to))
+            } else if jumps && time - last > closest && bodies.iter().any(|&body| self.place(body).is_some()) {
+                None
+            } else {
+                continue;
+            };
+            if jumps {
+                last = time;
+            }
+            schedule.push(Told { time, change, stops: jumps });
+        }
+        self.schedule = schedule;
+    }
+
+    fn advance(&mut self, round: &Round<'_>, record: &mut Record) {
+        self.listen(round);
+        let Round { island, span: (start, end), .. } = *round;
+        let own = self.ids[0] as usize;
+        let mut parts = std::mem::take(&mut self.parts);
+        let Parts { bodies, pairs, field, paces, .. } = &mut parts;
+        let none = || Arc::new(Shape::none());
+        bodies.truncate(self.ids.len());
+        bodies.resize_with(self.ids.len(), || Body::prescribed(none(), 1.0, island.bodies[own].oscillator));
+        bodies[0].copy_from(&island.bodies[own]);
+        for (body, &id) in bodies.iter_mut().zip(&self.ids).skip(1) {
+            let known = &island.bodies[id as usize];
+            (body.radius, body.centre, body.velocity) = (known.radius, known.centre, known.velocity);
+            body.motion = if known.is_prescribed() { Motion::Prescribed } else { Motion::Tracked };
+        }
+        pairs.clear();
+        for &pair in &self.pairs {
+            let mut pair = island.pairs[pair as usize];
+            (pair.a, pair.b) = (self.place(pair.a).unwrap_or_default(), self.place(pair.b).unwrap_or_default());
+            pairs.push(pair);
+        }
+        let known = &island.field;
+        field.gravity = known.gravity;
+        field.planes.clone_from(&known.planes);
+        (field.reach, field.weight, field.scaling) = (known.reach, known.weight, known.scaling);
+        field.pushes.clear();
+        let pushes = known.pushes.iter().filter(|push| push.body as usize == own);
+        field.pushes.extend(pushes.map(|&push| Push { body: 0, ..push }));
+        field.forces.clear();
+        let forces = known.forces.iter().filter(|(body, _)| *body as usize == own);
+        field.forces.extend(forces.map(|(_, force)| (0, force.clone())));
+        paces.clear();
+        paces.push(island.paces[own]);
+
+        let mut part = Island::resume(parts, island.tolerance, start);
+        let mut kept = std::mem::take(record);
+        kept.clear(self.ids.len() - 1);
+        let schedule = std::mem::take(&mut self.schedule);
+        let (known, found, rough) = (std::mem::take(&mut self.ends), self.found, self.rough);
+        part.part = Some(Part { record: kept, schedule, next: 0, found, rough, ends: Vec::new(), known });
+        let pooled = round.scratches.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let mut scratch = pooled.unwrap_or_default();
+        scratch.arch = round.arch;
+        let tracks = Tracks { round, ids: &self.ids, incoming: &self.incoming };
+        let work = Tally::aside(round.work);
+        let mut changes = std::mem::take(&mut self.report.changes);
+        changes.clear();
+        self.report = Report { changes, ..Report::default() };
+        self.failure = part.advance_with(&mut scratch, end, &tracks, &work, &mut self.report).err();
+        self.work = work.done();
+        round.scratches.lock().unwrap_or_else(PoisonError::into_inner).push(scratch);
+        if let Some(Part { record: kept, schedule, ends, .. }) = part.part.take() {
+            (*record, self.schedule, self.ends) = (kept, schedule, ends);
+        }
+        self.parts = part.into_parts();
+    }
+}
+
+impl Relaxation {
+    /// Makes a cell of every body with vertices, and takes their tracks from a step of all together, if it is known.
+    fn start(&mut self, island: &Island, scratch: &Scratch, span: (f64, f64), is_known: bool) {
+        let stepped = island.stepped();
+        let Relaxation { cells, records, fresh, changes, events, arch, .. } = self;
+        *arch = scratch.arch;
+        cells.resize_with(stepped, Cell::default);
+        records.resize_with(stepped, Record::default);
+        fresh.resize_with(stepped, Record::default);
+        changes.clear();
+        changes.resize(stepped, 0.0);
+        events.clear();
+        for (own, cell) in cells.iter_mut().enumerate() {
+            cell.gather(own as u32, island, &scratch.pairs_of[own], stepped);
+            (cell.stale, cell.rough) = (f64::INFINITY, ROUGH);
+            cell.ends.clear();
+        }
+        for own in 0..stepped {
+            let mut incoming = std::mem::take(&mut cells[own].incoming);
+            incoming.clear();
+            for &other in cells[own].ids[1..].iter().filter(|&&other| (other as usize) < stepped) {
+                incoming.extend(cells[other as usize].place(own as u32).map(|place| (other, place - 1)));
+            }
+            cells[own].incoming = incoming;
+        }
+        for own in 0..stepped {
+            // the first that no earlier one nearby has
+            let mut used = 0u64;
+            for &other in cells[own].ids[1..].iter().filter(|&&other| (other as usize) < own) {
+                used |= 1 << cells[other as usize].color.min(63);
+            }
+            cells[own].color = used.trailing_ones();
+        }
+        for (own, (cell, record)) in cells.iter().zip(records).enumerate() {
+            let others = cell.ids.len() - 1;
+            if is_known {
+                record.clear(others);
+                let number = |source: u32| cell.place(source).and_then(|place| place.checked_sub(1));
+                record.add(&scratch.courses[own], &scratch.places[own], span, number);
+            } else {
+                record.throw(&island.bodies[own], island.field.gravity, span, others);
+            }
+        }
+    }
+
+    /// Advances all bodies over the span, each alone, until they agree.
+    fn agree(&mut self, island: &Island, span: (f64, f64), paths: &dyn Paths, work: &Tally<'_>) -> Result<(), Failure> {
+        let vertices = island.bodies.iter().map(|body| body.shape.rest.len()).sum::<usize>();
+        let colors = self.cells.iter().map(|cell| cell.color + 1).max().unwrap_or(0);
+        for count in 0..MOST_ROUNDS {
+            let patience = f64::from(1 << (count.max(PATIENCE) - PATIENCE).min(10));
+            let most = (MOST_STALE * patience).min(MOST_LEFT);
+            let mut any = false;
+            for color in 0..colors {
+                let Relaxation { cells, records, fresh, changes, events, scratches, arch } = self;
+                let round = Round { island, records, events, scratches, paths, work: work.common(), arch: *arch, span };
+                let advance = |(own, (cell, record)): (usize, (&mut Cell, &mut Record))| {
+                    cell.is_due = cell.color == color && (cell.stale > most || cell.rough > 1.0);
+                    if !cell.is_due {
+                        return 0.0;
+                    }
+                    // corrections need not be finer than what they are for
+                    cell.rough = (0.02 * cell.stale).clamp(1.0, ROUGH);
+                    cell.advance(&round, record);
+                    let mass = |number: usize| {
+                        let other = &island.bodies[cell.ids[number + 1] as usize];
+                        other.is_free().then(|| other.mass())
+                    };
+                    let change = record.change(&records[own], span, mass);
+                    change / settled(island.tolerance, island.bodies[own].radius, span.1 - span.0)
+                };
+                changes.clear();
+                if vertices >= PARALLEL_VERTICES {
+                    let all = cells.par_iter_mut().zip(fresh.par_iter_mut()).enumerate();
+                    changes.par_extend(all.map(advance));
+                } else {
+                    changes.extend(cells.iter_mut().zip(fresh.iter_mut()).enumerate().map(advance));
+                }
+                let due = |cell: &&Cell| cell.is_due;
+                any |= cells.iter().any(|cell| cell.is_due);
+                if !work.spend(cells.iter().filter(due).map(|cell| cell.work).sum()) {
+                    return Err(island.stopped());
+                }
+                events.clear();
+                for (own, cell) in cells.iter_mut().enumerate() {
+                    if let Some(failure) = &cell.failure {
+                        return Err(in_whole(failure, &cell.ids));
+                    }
+                    if cell.is_due {
+                        cell.stale = 0.0;
+                        std::mem::swap(&mut fresh[own], &mut records[own]);
+                    }
+                    for change in cell.report.changes.iter().filter(|change| change.pair < cell.found) {
+                        let pair = cell.pairs[change.pair];
+                        let known = &island.pairs[pair as usize];
+                        let jumps = !known.law.is_gradual(change.from, change.to);
+                        events.push(Event {
+                            time: change.time,
+                            pair,
+                            bodies: [known.a, known.b],
+                            to: change.to,
+                            jumps,
+                        });
+                    }
+                }
+                events.sort_by(|one, other| one.time.total_cmp(&other.time).then(one.pair.cmp(&other.pair)));
+                for cell in cells.iter_mut() {
+                    let seen = cell.ids[1..].iter().filter_map(|&other| changes.get(other as usize));
+                    cell.stale += seen.fold(0.0, |most, &change| larger(most, change));
+                }
+            }
+            if !any {
+                return Ok(());
+            }
+        }
+        let left = self.cells.iter().enumerate().max_by(|(_, a), (_, b)| a.stale.total_cmp(&b.stale));
+        match left {
+            Some((body, cell)) if !(cell.stale <= MOST_LEFT) => {
+                Err(Failure::Unresolved { body, time: span.0, step: span.1 - span.0 })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The result becomes the state of the island.
+    fn commit(&mut self, island: &mut Island, span: (f64, f64), paths: &dyn Paths, report: &mut Report) {
+        let (mut steps, mut error, first) = (0, 0.0, report.changes.len());
+        for (own, cell) in self.cells.iter_mut().enumerate() {
+            let Cell { parts, pairs, found, report: of_cell, .. } = cell;
+            let way = &mut island.ways[own];
+            if let (Some(body), Some(got), Some(&pace)) =
+                (parts.bodies.first_mut(), parts.ways.first(), parts.paces.first())
+            {
+                let from = island.bodies[own].centre.distance(way.from);
+                way.centre = larger(way.centre, from + got.centre);
+                way.extent = larger(way.extent, got.extent);
+                (way.displacement, way.speed) = (got.displacement, got.speed);
+                std::mem::swap(&mut island.bodies[own], body);
+                island.paces[own] = pace;
+            }
+            for (&pair, known) in pairs.iter().zip(&parts.pairs).take(*found) {
+                island.pairs[pair as usize].phase = known.phase;
+            }
+            let own_changes = of_cell.changes.iter().filter(|change| change.pair < *found);
+            report.changes.extend(own_changes.map(|&change| {
+                let pair = pairs[change.pair] as usize;
+                super::Change { pair, ..change }
+            }));
+            // a pair's energy counts in both of its bodies' cells, each with its own vertices
+            steps = steps.max(of_cell.steps);
+            report.body_steps += of_cell.steps;
+            report.rejected += of_cell.rejected;
+            report.sweeps += of_cell.sweeps;
+            error = larger(error, of_cell.error);
+            report.ledger += of_cell.ledger;
+        }
+        report.steps += steps;
+        report.error += error;
+        report.changes[first..].sort_by(|one, other| one.time.total_cmp(&other.time).then(one.pair.cmp(&other.pair)));
+        for (index, body) in island.bodies.iter_mut().enumerate().skip(self.cells.len()) {
+            let Driven { position, velocity, .. } = paths.at(index, span.1, true);
+            (body.centre, body.velocity) = (position, velocity);
+        }
+        island.time = span.1;
+    }
+}
+
+/// A failure of a part, by the numbers of the whole island's bodies.
+fn in_whole(failure: &Failure, ids: &[u32]) -> Failure {
+    let of = |body: usize| ids.get(body).copied().unwrap_or_default();
+    match *failure {
+        Failure::Chatter { a, b, time } => Failure::Chatter { a: of(a as usize), b: of(b as usize), time },
+        Failure::Unresolved { body, time, step } => Failure::Unresolved { body: of(body) as usize, time, step },
+        Failure::Stopped { body, time, step } => Failure::Stopped { body: of(body) as usize, time, step },
+    }
+}
+
+impl Island {
+    /// Advances to `end` body by body where a step of all together is not accurate, or something happens in it.
+    pub(super) fn advance_apart(
+        &mut self,
+        scratch: &mut Scratch,
+        end: f64,
+        paths: &dyn Paths,
+        work: &Tally<'_>,
+        report: &mut Report,
+    ) -> Result<(), Failure> {
+        let shortest = (end - self.time) * SHORTEST;
+        let mut longest = f64::INFINITY;
+        while self.time < end {
+            if self.is_at_break() {
+                self.kick(paths);
+                self.jump(paths, report);
+            }
+            self.leave_phases(scratch, paths, report)?;
+            let stop = f64::min(end, self.field.next_break(self.time));
+            let left = stop - self.time;
+            let parts = (left / longest).ceil().max(1.0);
+            let next = if parts > 1.0 { self.time + left / parts } else { stop };
+            let (start, h) = (self.time, next - self.time);
+            let outcome = self.step(scratch, next, paths, work, report);
+            if work.is_over() {
+                return Err(self.stopped());
+            }
+            if outcome.is_some_and(|outcome| outcome.error <= 1.0) && self.first_crossing(scratch, h).is_none() {
+                report.steps += 1;
+                report.body_steps += self.stepped() as u64;
+                report.error += outcome.map_or(0.0, |outcome| outcome.estimate);
+                self.commit(scratch, next, report);
+                self.pass_gradually(scratch, start, report)?;
+                self.paces.iter_mut().for_each(|pace| *pace = pace.max(h));
+                continue;
+            }
+            let mut relaxation = std::mem::take(&mut scratch.relaxation);
+            relaxation.start(self, scratch, (start, next), outcome.is_some());
+            let agreed = relaxation.agree(self, (start, next), paths, work);
+            if agreed.is_ok() {
+                relaxation.commit(self, (start, next), paths, report);
+            }
+            scratch.relaxation = relaxation;
+            match agreed {
+                Ok(()) => longest = 2.0 * longest,
+                Err(_) if work.is_over() => return Err(self.stopped()),
+                Err(failure) if h < shortest => return Err(failure),
+                Err(_) => longest = 0.5 * h,
+            }
+        }
+        self.finish(scratch, paths, report)
+    }
+}
