@@ -31,9 +31,9 @@ use super::{
     chunks::{Chunks, blueprint_time},
     focus::Focus,
     instant::STAGE,
-    palette,
+    light, palette,
     parts::{
-        forces,
+        batch, forces,
         heat::{self, LEGEND},
         marks::{AT_Q, ON_AXIS},
         merged::{self, DRAWN},
@@ -383,7 +383,8 @@ impl Layout {
             self.draw_unmerged(&view, &surface, &Mesh3D::update_fields().with_albedo_factor(palette::opaque(rgb)));
         }
         let opaque = Mesh3D::update_fields().with_albedo_factor(rerun::Rgba32::WHITE);
-        self.visualize(&view, merged::SURFACE.trim_start_matches('/'), &[("Mesh3D", &[], &opaque)]);
+        self.draw_lit(&view, merged::SURFACE, &opaque);
+        self.draw_resting(&view, schema, settings);
         let mut parts = Vec::new();
         if pairs::has_named_pairs(schema) {
             let titles = ["Gap and neck [radii of the smaller body]", "Overlap [its radius cubed]"];
@@ -420,7 +421,7 @@ impl Layout {
                         let rgb =
                             if settings.entities == Entities::Batch { WHITE } else { palette::of_body(schema, index) };
                         let sheer = Mesh3D::update_fields().with_albedo_factor(palette::sheer(rgb));
-                        self.visualize(&view, &surface, &[("Mesh3D", &[], &sheer)]);
+                        self.draw_lit(&view, &surface, &sheer);
                     }
                 }
                 view
@@ -435,7 +436,8 @@ impl Layout {
         let title = "Displacement from rest; select a vertex to see its numbers";
         let view = self.space(camera, title, &contents);
         let positions = Mapping { target: "Points3D:positions", source: "Mesh3D:vertex_positions" };
-        let opaque = Mesh3D::update_fields().with_albedo_factor(rerun::Rgba32::WHITE);
+        let white = rerun::Rgba32::WHITE;
+        let opaque = Mesh3D::update_fields().with_albedo_factor(white).with_vertex_colors([white]);
         let dots = Points3D::update_fields()
             .with_radii([rerun::Radius::new_ui_points(1.5)])
             .with_colors([palette::color(palette::DOT)]);
@@ -527,11 +529,13 @@ impl Layout {
     /// A 3D view of everything, with the forces that make bodies merge and split.
     fn scene_view(&mut self, camera: &EyeControls3D, schema: &Schema, name: &str, settings: &Settings) -> Part {
         let view = self.space(camera, name, &["+ /world/**"]);
-        if schema.bodies.len() > 1 {
-            for surface in surfaces(schema, settings) {
-                self.draw_unmerged(&view, &surface, &Mesh3D::update_fields());
-            }
+        for surface in surfaces(schema, settings) {
+            self.draw_unmerged(&view, &surface, &Mesh3D::update_fields());
         }
+        if schema.bodies.len() > 1 {
+            self.draw_lit(&view, merged::SURFACE, &Mesh3D::update_fields());
+        }
+        self.draw_resting(&view, schema, settings);
         let mut hide = |entity: &str| {
             let path = format!("{}/ViewContents/overrides{entity}/visualizers", view.path);
             self.log(&path, &EntityBehavior::new().with_visible(false));
@@ -584,7 +588,22 @@ impl Layout {
     /// Draws a body by its own surface only while it is not part of a merged one.
     fn draw_unmerged(&mut self, view: &Part, surface: &str, overrides: &dyn AsComponents) {
         let drawn = Mapping { target: "Mesh3D:triangle_indices", source: DRAWN };
-        self.visualize(view, surface, &[("Mesh3D", &[drawn], overrides)]);
+        self.visualize(view, surface, &[("Mesh3D", &[drawn, light::COLORS, light::NO_LIGHT], overrides)]);
+    }
+
+    /// Draws a surface with its own light.
+    fn draw_lit(&mut self, view: &Part, surface: &str, overrides: &dyn AsComponents) {
+        let mappings = [light::COLORS, light::NO_LIGHT];
+        self.visualize(view, surface.trim_start_matches('/'), &[("Mesh3D", &mappings, overrides)]);
+    }
+
+    /// Draws the undeformed bodies of a batched scene with light of their own.
+    fn draw_resting(&mut self, view: &Part, schema: &Schema, settings: &Settings) {
+        if settings.entities == Entities::Batch {
+            for shape in schema.shapes().keys() {
+                self.draw_lit(view, &batch::resting_entity(shape), &Mesh3D::update_fields());
+            }
+        }
     }
 
     /// Replaces the default visualizers of an entity in a view.

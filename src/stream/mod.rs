@@ -19,6 +19,7 @@
 //! | batching of rows into chunks and messages | [`chunks`]; [`columns`] for what is logged every frame |
 //! | the layout that the viewer opens with | [`blueprint`] |
 //! | colours and their meaning | [`palette`] |
+//! | the light on surfaces | `light` |
 //! | destinations of messages: files, viewers, servers | [`sinks`] |
 //! | files that an interrupt removes | [`unfinished`] |
 //!
@@ -48,7 +49,8 @@
 //! | `/timings/STAGE`, `/timings/stacked/STAGE`, `/timings/speed`, `/timings/lag`, `/diagnostics/…` | scalars over time; `stacked`: with the stages before it on the same thread |
 //! | `/marks/axis/KIND`, `/marks/q/KIND` | events as markers in plots: at 0, and at q |
 //! | `/world/names`, `/world/recent` | the names of up to 8 bodies; pairs that had an event in the last 24 frames |
-//! | `/legend/…` | the scale of colours of the displacement tab; `heat_…` on a surface: its texture, texture coordinates, and normals without light |
+//! | `/legend/…` | the scale of colours of the displacement tab; `heat_…` on a surface: its texture and texture coordinates |
+//! | `lit_colors`, `unlit_normals` on a surface | colours with the light in them, which the layout draws without the viewer's own lights |
 //! | `/stages` | on the timeline `stage`: one line per stage of the steps recorded in detail; the entities under `/world` have this timeline too |
 //! | `/checksum` | `checksum`, a hash of the exact state, for every step; a thin recording has several steps per row, at the time of the last one |
 //! | `/about` | the text of the panel |
@@ -62,6 +64,7 @@ pub mod extract;
 mod flight;
 mod focus;
 pub mod instant;
+mod light;
 pub mod machine;
 pub mod normals;
 pub mod palette;

@@ -6,7 +6,7 @@ use glam::DQuat;
 use rerun::{AnyValues, InstancePoses3D, Mesh3D, Quaternion, components::Text, external::arrow::array::UInt32Array};
 
 use super::{
-    Look, heat,
+    Look,
     merged::{HIDDEN, drawn},
     vertices::{self, Vertices},
 };
@@ -17,6 +17,7 @@ use crate::{
         chunks::{Chunks, TrackId},
         columns::Cell,
         extract::{Extractor, Surface},
+        light::{self, Light},
         normals::Float3,
         palette::{self, color},
         settings::Detail,
@@ -39,6 +40,8 @@ pub struct BatchedBodies {
     drawn: Option<Vec<usize>>,
     last: Surface,
     next: Surface,
+    /// Lit colours of the deformed bodies. Reused.
+    lit: Vec<u32>,
     resting: Option<Vec<Instance>>,
     /// The meshes of those that have torn.
     torn: Vec<Arc<Mesh>>,
@@ -53,18 +56,26 @@ impl BatchedBodies {
     /// Logs static data.
     pub fn new(schema: &Schema, detail: Detail, extractor: &mut Extractor, chunks: &mut Chunks) -> BatchedBodies {
         for (shape, mesh) in schema.shapes() {
+            let normals = extractor.normals(mesh, mesh.positions());
+            // instances share them: the light turns with an instance that has turned
+            let lit: Vec<u32> = normals.iter().map(|&normal| Light::in_world().white(normal)).collect();
+            let lit = light::unlit().with_component_from_data(light::LIT, Arc::new(UInt32Array::from(lit)));
+            chunks.log_static(&resting_entity(shape), &lit);
             let mesh = Mesh3D::new(mesh.positions().iter().map(|v| v.as_vec3()))
-                .with_vertex_normals(extractor.normals(mesh, mesh.positions()))
+                .with_vertex_normals(normals)
                 .with_triangle_indices(mesh.triangles().iter().copied())
                 .with_albedo_factor(palette::opaque(palette::RESTING));
             chunks.log_static(&resting_entity(shape), &mesh);
         }
-        let track =
-            chunks.track(DEFORMING, [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals()]);
+        chunks.log_static(DEFORMING, &light::unlit());
+        let components =
+            [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals(), light::descriptor()];
+        let track = chunks.track(DEFORMING, components);
         let vertices = (detail != Detail::Surface).then(|| Vertices::new(DEFORMING, chunks));
         let (last, next, numbers) = Default::default();
         let (drawn, resting, torn, has_turned) = (None, None, Vec::new(), false);
-        BatchedBodies { track, deforming: Vec::new(), drawn, last, next, resting, torn, has_turned, vertices, numbers }
+        let (deforming, lit) = (Vec::new(), Vec::new());
+        BatchedBodies { track, deforming, drawn, last, next, lit, resting, torn, has_turned, vertices, numbers }
     }
 
     /// Logs what has changed; `numbers` are the values of each body's vertices, if they are recorded. Bodies that are
@@ -110,7 +121,14 @@ impl BatchedBodies {
         if self.next != self.last {
             std::mem::swap(&mut self.next, &mut self.last);
             let Surface { positions, normals } = &self.last;
-            chunks.push(self.track, look.at, &[Cell::Vectors(positions), Cell::Vectors(normals)]);
+            let colors = self.deforming.iter().flat_map(|&i| {
+                let count = now[i].mesh_of(&bodies[i]).vertex_count();
+                std::iter::repeat_n(palette::of_body(look.schema, i), count)
+            });
+            self.lit.clear();
+            self.lit.extend(colors.zip(normals).map(|(rgb, &normal)| Light::in_world().on(rgb, normal)));
+            let cells = [Cell::Vectors(positions), Cell::Vectors(normals), Cell::Colors(&self.lit)];
+            chunks.push(self.track, look.at, &cells);
         }
         self.has_turned |= resting.iter().any(|&i| now[i].rotation != DQuat::IDENTITY);
         let instance = |i: usize| (i, now[i].centre.as_vec3().to_array(), now[i].rotation.as_quat().to_array());
@@ -138,9 +156,6 @@ impl BatchedBodies {
         chunks.log(DEFORMING, look.at, &mesh);
         let identity = body_names(&names).with_component_from_data("vertex", Arc::new(UInt32Array::from(indices)));
         chunks.log(DEFORMING, look.at, &identity);
-        if self.vertices.is_some() {
-            chunks.log(DEFORMING, look.at, &heat::unlit(first as usize));
-        }
     }
 
     /// Logs the triangles that are drawn.

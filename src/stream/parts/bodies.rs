@@ -6,7 +6,7 @@ use glam::DQuat;
 use rerun::{Mesh3D, Transform3D};
 
 use super::{
-    Look, heat,
+    Look,
     merged::{HIDDEN, drawn},
     vertices::{self, Vertices, identity},
 };
@@ -17,6 +17,7 @@ use crate::{
         chunks::{Chunks, TrackId},
         columns::Cell,
         extract::{Extractor, Surface},
+        light::{self, Light},
         normals::Float3,
         palette,
         settings::Detail,
@@ -34,6 +35,7 @@ struct Logged {
     transform: Transform,
     surface: TrackId,
     entity: String,
+    lit: Lit,
     last: Surface,
     /// Whether that is the shape at rest.
     is_at_rest: bool,
@@ -43,6 +45,33 @@ struct Logged {
     mesh: Option<Arc<Mesh>>,
     /// Values of single vertices, only if forces are recorded.
     vertices: Option<Vertices>,
+}
+
+/// The lit colours of a body.
+struct Lit {
+    track: TrackId,
+    /// The rotation with which they were last computed.
+    rotation: Option<DQuat>,
+    last: Vec<u32>,
+    next: Vec<u32>,
+}
+
+impl Lit {
+    /// Logs those of a surface that `has_changed`, or that has turned so far that the light on it is another.
+    fn log(&mut self, look: Look<'_>, rotation: DQuat, surface: &Surface, has_changed: bool, chunks: &mut Chunks) {
+        const VISIBLE: f64 = 0.05; // rad
+        if !has_changed && self.rotation.is_some_and(|last| last.angle_between(rotation) < VISIBLE) {
+            return;
+        }
+        self.rotation = Some(rotation);
+        let light = Light::in_body(rotation);
+        self.next.clear();
+        self.next.extend(surface.normals.iter().map(|&normal| light.white(normal)));
+        if self.next != self.last {
+            std::mem::swap(&mut self.next, &mut self.last);
+            chunks.push(self.track, look.at, &[Cell::Colors(&self.last)]);
+        }
+    }
 }
 
 /// Where a body is and, once it has rotated, how.
@@ -90,10 +119,10 @@ impl SeparateBodies {
             let triangles = body.mesh.triangles().iter().copied();
             // what is static cannot change any more
             chunks.log_static(&surface, &if body.can_tear { mesh } else { mesh.with_triangle_indices(triangles) });
+            chunks.log_static(&surface, &light::unlit());
             let vertices = (detail != Detail::Surface).then(|| {
                 if !body.can_tear {
                     chunks.log_static(&surface, &identity(&body.name, body.vertex_count()));
-                    chunks.log_static(&surface, &heat::unlit(body.vertex_count()));
                 }
                 Vertices::new(&surface, chunks)
             });
@@ -101,6 +130,12 @@ impl SeparateBodies {
                 transform: Transform::new(&entity, chunks),
                 surface: chunks
                     .track(&surface, [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals()]),
+                lit: Lit {
+                    track: chunks.track(&surface, [light::descriptor()]),
+                    rotation: None,
+                    last: Vec::new(),
+                    next: Vec::new(),
+                },
                 entity: surface,
                 last: Surface::default(),
                 is_at_rest: false,
@@ -135,7 +170,6 @@ impl SeparateBodies {
                 chunks.log(&track.entity, look.at, &triangles);
                 if track.vertices.is_some() {
                     chunks.log(&track.entity, look.at, &identity(&body.name, mesh.vertex_count()));
-                    chunks.log(&track.entity, look.at, &heat::unlit(mesh.vertex_count()));
                 }
                 track.mesh = Some(Arc::clone(mesh));
                 track.is_drawn = None;
@@ -147,16 +181,19 @@ impl SeparateBodies {
                 track.is_drawn = Some(is_drawn);
             }
             track.transform.log(look, now, chunks);
-            if std::mem::replace(&mut track.is_at_rest, now.is_at_rest) && now.is_at_rest {
-                continue;
+            let was_at_rest = std::mem::replace(&mut track.is_at_rest, now.is_at_rest);
+            let mut has_changed = false;
+            if !(was_at_rest && now.is_at_rest) {
+                self.next.clear();
+                self.next.append_in_body(body, now, extractor);
+                has_changed = self.next != track.last;
             }
-            self.next.clear();
-            self.next.append_in_body(body, now, extractor);
-            if self.next != track.last {
+            if has_changed {
                 std::mem::swap(&mut self.next, &mut track.last);
                 let Surface { positions, normals } = &track.last;
                 chunks.push(track.surface, look.at, &[Cell::Vectors(positions), Cell::Vectors(normals)]);
             }
+            track.lit.log(look, now.rotation, &track.last, has_changed, chunks);
         }
     }
 }

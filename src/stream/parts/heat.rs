@@ -3,20 +3,15 @@
 //! A vertex has its displacement as a texture coordinate, so that the range of colours can follow the data: it is that of
 //! the texture, which is logged again when a displacement exceeds it.
 
-use std::sync::Arc;
-
 use rerun::{
     AnyValues, ComponentDescriptor, Image, Points2D,
     components::{ImageBuffer, ImageFormat},
-    external::arrow::{
-        array::{FixedSizeListArray, Float32Array},
-        datatypes::{DataType, Field},
-    },
 };
 
 use crate::stream::{
     blueprint::Mapping,
     chunks::Chunks,
+    light,
     palette::{self, color},
 };
 
@@ -24,17 +19,16 @@ use crate::stream::{
 pub const LEGEND: &str = "/legend";
 /// The component of a surface that has its displacements as texture coordinates.
 const PLACES: &str = "heat_texcoords";
-/// The components of a surface that have the texture, and normals without light.
+/// The components of a surface that have the texture.
 const TEXTURE: &str = "heat_texture";
 const FORMAT: &str = "heat_format";
-const NORMALS: &str = "heat_normals";
 
 /// What the view of displacements draws surfaces by, instead of their own colours and normals.
 pub const MAPPINGS: [Mapping; 4] = [
     Mapping { target: "Mesh3D:vertex_texcoords", source: PLACES },
     Mapping { target: "Mesh3D:albedo_texture_buffer", source: TEXTURE },
     Mapping { target: "Mesh3D:albedo_texture_format", source: FORMAT },
-    Mapping { target: "Mesh3D:vertex_normals", source: NORMALS },
+    light::NO_LIGHT,
 ];
 
 /// Texels of the range of colours.
@@ -54,14 +48,6 @@ pub fn descriptor() -> ComponentDescriptor {
 /// so that its ends do not meet in another colour.
 pub fn place(displacement: f32) -> [f32; 2] {
     [0.5 * (displacement / END).sqrt().min(1.0), 0.5]
-}
-
-/// As many normals that no light falls on: colours are drawn as they are.
-pub fn unlit(count: usize) -> AnyValues {
-    let item = Field::new("item", DataType::Float32, false);
-    let zeros = Arc::new(Float32Array::from(vec![0.0; 3 * count]));
-    let normals = FixedSizeListArray::new(item.into(), 3, zeros, None);
-    AnyValues::default().with_component_from_data(NORMALS, Arc::new(normals))
 }
 
 /// The range of colours, and the surfaces that have it.

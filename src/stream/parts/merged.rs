@@ -14,6 +14,7 @@ use crate::{
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,
+        light::{self, Light},
         normals::Float3,
         palette::{self, color},
     },
@@ -53,6 +54,7 @@ struct Mesh {
     positions: Vec<Float3>,
     normals: Vec<Float3>,
     colors: Vec<u32>,
+    lit: Vec<u32>,
     classes: Vec<u16>,
     vertices: Vec<u32>,
     seams: Vec<Vec<Float3>>,
@@ -69,6 +71,7 @@ impl MergedEntities {
             Mesh3D::descriptor_vertex_positions(),
             Mesh3D::descriptor_vertex_normals(),
             Mesh3D::descriptor_vertex_colors(),
+            light::descriptor(),
             Mesh3D::descriptor_class_ids(),
             ComponentDescriptor::partial("vertex"),
         ];
@@ -82,6 +85,7 @@ impl MergedEntities {
             chunks.log_static(SEAMS, &style);
             let clear = Mesh3D::update_fields().with_albedo_factor(palette::translucent([0xFF; 3]));
             chunks.log_static(SURFACE, &clear);
+            chunks.log_static(SURFACE, &light::unlit());
         }
         MergedEntities {
             merger: Merger::new(schema, interrupt),
@@ -105,12 +109,13 @@ impl MergedEntities {
         for group in &merged.groups {
             self.mesh.append(look.schema, group);
         }
-        let Mesh { triangles, positions, normals, colors, classes, vertices, seams, names, .. } = &self.mesh;
+        let Mesh { triangles, positions, normals, colors, lit, classes, vertices, seams, names, .. } = &self.mesh;
         let cells = [
             Cell::Triangles(triangles),
             Cell::Vectors(positions),
             Cell::Vectors(normals),
             Cell::Colors(colors),
+            Cell::Colors(lit),
             Cell::Classes(classes),
             Cell::Indices(vertices),
         ];
@@ -126,11 +131,12 @@ impl MergedEntities {
 
 impl Mesh {
     fn clear(&mut self) {
-        let Mesh { triangles, positions, normals, colors, classes, vertices, seams, names, areas } = self;
+        let Mesh { triangles, positions, normals, colors, lit, classes, vertices, seams, names, areas } = self;
         triangles.clear();
         positions.clear();
         normals.clear();
         colors.clear();
+        lit.clear();
         classes.clear();
         vertices.clear();
         seams.clear();
@@ -152,7 +158,11 @@ impl Mesh {
             corners.iter().for_each(|&v| self.areas[v as usize] += area);
         }
         self.normals.extend(self.areas.iter().map(|area| area.normalize_or(DVec3::Z).as_vec3().to_array()));
-        self.colors.extend(group.origins.iter().map(|origin| color(palette::blended(schema, origin)).to_u32()));
+        for (origin, &normal) in group.origins.iter().zip(&self.normals[first as usize..]) {
+            let rgb = palette::blended(schema, origin);
+            self.colors.push(color(rgb).to_u32());
+            self.lit.push(Light::in_world().on(rgb, normal));
+        }
         let class = |origin: &VertexOrigin| match origin.vertex {
             Some(_) => u16::try_from(origin.bodies[0] + 1).unwrap_or(0),
             None => 0,

@@ -1,0 +1,131 @@
+//! The light on surfaces.
+//!
+//! The viewer lights a mesh from two nearly opposite directions, with little more than ambient light in between: a dark
+//! band around every body that looks like dirt. So a surface also carries colours with the light in them, and the views of
+//! the layout draw these, without normals. The surface's own colours and normals remain as they are for all other views.
+
+use std::sync::{Arc, LazyLock};
+
+use glam::{DQuat, DVec3};
+use rerun::{
+    AnyValues, ComponentDescriptor,
+    external::arrow::{
+        array::{FixedSizeListArray, Float32Array},
+        datatypes::{DataType, Field},
+    },
+};
+
+use super::{blueprint::Mapping, normals::Float3, palette::Rgb};
+
+/// The component with the lit colours of vertices, packed like `Mesh3D:vertex_colors`.
+pub const LIT: &str = "lit_colors";
+/// The component with a normal on which no light falls.
+const UNLIT: &str = "unlit_normals";
+
+/// What a view draws a surface by, so that no light of the viewer falls on it.
+pub const NO_LIGHT: Mapping = Mapping { target: "Mesh3D:vertex_normals", source: UNLIT };
+/// What a view draws a surface by that has lit colours.
+pub const COLORS: Mapping = Mapping { target: "Mesh3D:vertex_colors", source: LIT };
+
+/// The component with lit colours.
+pub fn descriptor() -> ComponentDescriptor {
+    ComponentDescriptor::partial(LIT)
+}
+
+/// The normal on which no light falls. The viewer repeats it for all vertices.
+pub fn unlit() -> AnyValues {
+    let item = Field::new("item", DataType::Float32, false);
+    let zero = FixedSizeListArray::new(item.into(), 3, Arc::new(Float32Array::from(vec![0.0; 3])), None);
+    AnyValues::default().with_component_from_data(UNLIT, Arc::new(zero))
+}
+
+/// A large soft light, above and beside the eye of the views when they open.
+#[derive(Clone, Copy, Debug)]
+pub struct Light {
+    /// Where it is [unit vector].
+    towards: [f32; 3],
+}
+
+impl Light {
+    /// The light in the axes of the world.
+    pub fn in_world() -> Light {
+        Light::in_body(DQuat::IDENTITY)
+    }
+
+    /// The light in the axes of a body.
+    pub fn in_body(rotation: DQuat) -> Light {
+        let towards = DVec3::new(-0.46, -0.62, 0.64).normalize();
+        Light { towards: (rotation.conjugate() * towards).as_vec3().to_array() }
+    }
+
+    /// White, as lit on a surface with a unit normal.
+    pub fn white(self, normal: Float3) -> u32 {
+        let shade = u32::from(self.shade(normal));
+        shade << 24 | shade << 16 | shade << 8 | 0xFF
+    }
+
+    /// A colour, as lit on a surface with a unit normal.
+    pub fn on(self, rgb: Rgb, normal: Float3) -> u32 {
+        let shade = u32::from(self.shade(normal));
+        let [r, g, b] = rgb.map(|channel| (u32::from(channel) * shade + 127) / 255);
+        r << 24 | g << 16 | b << 8 | 0xFF
+    }
+
+    /// The share of a colour that is seen, from 0 to 255 as colours are coded.
+    fn shade(self, normal: Float3) -> u8 {
+        static SHADES: LazyLock<[u8; 256]> = LazyLock::new(|| {
+            std::array::from_fn(|i| {
+                /// What is seen of a surface that looks away.
+                const AMBIENT: f64 = 0.13;
+                // the light wraps around: no surface that it does not reach at all has a shape
+                let facing = libm::pow(i as f64 / 255.0, 1.7);
+                let linear = AMBIENT + (1.0 - AMBIENT) * facing;
+                (255.0 * libm::pow(linear, 1.0 / 2.2)).round() as u8
+            })
+        });
+        let [x, y, z] = normal;
+        let [lx, ly, lz] = self.towards;
+        let facing = x * lx + y * ly + z * lz;
+        SHADES[(127.5 * facing + 128.0).clamp(0.0, 255.0) as usize]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_falls_off_from_where_it_comes_from_without_a_band() {
+        let light = Light::in_world();
+        let towards = DVec3::from_array(light.towards.map(f64::from));
+        let across = towards.any_orthonormal_vector();
+        let shade = |degrees: u32| {
+            let angle = f64::from(degrees).to_radians();
+            light.shade((angle.cos() * towards + angle.sin() * across).as_vec3().to_array())
+        };
+        assert_eq!(shade(0), 255);
+        let shades: Vec<u8> = (0..=180).map(shade).collect();
+        assert!(shades.is_sorted_by(|a, b| a >= b), "{shades:?}");
+        assert!(shades[180] > 80, "the far side is visible: {}", shades[180]);
+        for odd in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            light.shade([odd; 3]); // does not panic
+        }
+    }
+
+    #[test]
+    fn it_stays_where_it_is_while_a_body_turns() {
+        let rotation = DQuat::from_rotation_x(1.0) * DQuat::from_rotation_z(2.0);
+        for normal in [DVec3::X, DVec3::Y, DVec3::NEG_Z, DVec3::ONE.normalize()] {
+            let in_world = Light::in_world().white((rotation * normal).as_vec3().to_array());
+            let in_body = Light::in_body(rotation).white(normal.as_vec3().to_array());
+            assert!((in_world >> 24).abs_diff(in_body >> 24) <= 1, "{in_world:x} {in_body:x}");
+        }
+    }
+
+    #[test]
+    fn colors_are_lit_by_channel() {
+        let normal = DVec3::new(-0.46, -0.62, 0.64).normalize().as_vec3().to_array();
+        assert_eq!(Light::in_world().on([10, 20, 255], normal), 0x0A14_FFFF);
+        assert_eq!(Light::in_world().white(normal), u32::MAX);
+    }
+}
