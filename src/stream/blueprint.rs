@@ -33,7 +33,7 @@ use super::{
     instant::STAGE,
     light, palette,
     parts::{
-        batch, forces,
+        batch, forces, groups,
         heat::{self, LEGEND},
         marks::{AT_Q, ON_AXIS},
         merged::{self, DRAWN},
@@ -76,6 +76,8 @@ pub struct Measured<'a> {
     pub typical: Option<f64>,
     /// The least and the greatest q that was plotted, if any was [–].
     pub distances: Option<[f64; 2]>,
+    /// The pairs that have plots, as `A~B`.
+    pub pairs: Vec<String>,
     /// What to look at first.
     pub focus: Option<&'a Focus>,
 }
@@ -94,7 +96,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             let axis = ScalarAxis::new().with_range(Range1D::new(-0.02 * highest, HEADROOM * highest));
             layout.log(&format!("{}/ScalarAxis", plot.path), &axis);
         }
-        for (stage, median) in &measured.medians {
+        for (stage, median) in measured.medians.iter().filter(|(stage, _)| numbers::is_work(stage)) {
             let name = format!("{}, median {median:.4} ms", numbers::described(stage));
             let entity = numbers::stacked(stage);
             let style = SeriesLines::update_fields().with_names([name]);
@@ -104,7 +106,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     if let Some([low, high]) = measured.distances {
         // a plot that chooses its own axis begins at 0
         let axis = ScalarAxis::new().with_range(Range1D::new(low - 0.05 * (high - low), high + 0.05 * (high - low)));
-        for plot in std::mem::take(&mut layout.distances) {
+        for plot in layout.distances.clone() {
             layout.log(&format!("{plot}/ScalarAxis"), &axis);
         }
     }
@@ -115,8 +117,26 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             .with_loop_mode(LoopMode::Selection)
             .with_play_state(PlayState::Playing);
         layout.log("time_panel", &time_panel);
-        if let Some(scene) = layout.scene.take() {
-            layout.log(&format!("{scene}/EyeControls3D"), &camera_past(&focus.spheres, &focus.pair, &focus.others));
+        let camera = camera_past(&focus.spheres, &focus.pair, &focus.others);
+        for view in std::mem::take(&mut layout.spaces) {
+            layout.log(&format!("{view}/EyeControls3D"), &camera);
+        }
+    }
+    if !pairs::has_named_pairs(subject.schema) && !measured.pairs.is_empty() {
+        // only now is it known which of the many pairs there is something to see of
+        let of = |parts: &[&str]| -> Vec<String> {
+            let lines =
+                measured.pairs.iter().flat_map(|pair| parts.iter().map(move |part| format!("+ /pairs/{pair}/{part}")));
+            lines.collect()
+        };
+        let mut lines = of(&["distance", "merge_at", "split_at", "core_at"]);
+        lines.push(format!("+ {AT_Q}/**"));
+        let views =
+            [(std::mem::take(&mut layout.distances), lines), (std::mem::take(&mut layout.phases), of(&["phase"]))];
+        for (paths, lines) in views {
+            for path in paths {
+                layout.log(&format!("{path}/ViewContents"), &ViewContents::new(lines.iter().map(String::as_str)));
+            }
         }
     }
     let messages = layout.chunks.take();
@@ -224,8 +244,10 @@ struct Layout {
     timings: Vec<Part>,
     /// The plots of q.
     distances: Vec<String>,
-    /// The overview in 3D.
-    scene: Option<String>,
+    /// The lanes of phases.
+    phases: Vec<String>,
+    /// The views in 3D.
+    spaces: Vec<String>,
     /// The grid below everything, if there is one.
     ground: Option<Ground>,
     /// The timeline that the viewer opens with.
@@ -262,7 +284,8 @@ impl Layout {
             next_id: 0,
             timings: Vec::new(),
             distances: Vec::new(),
-            scene: None,
+            phases: Vec::new(),
+            spaces: Vec::new(),
             ground: None,
             timeline: "sim_time",
         }
@@ -355,7 +378,6 @@ impl Layout {
     /// An overview of everything.
     fn scene_tab(&mut self, camera: &EyeControls3D, schema: &Schema, settings: &Settings) -> Part {
         let scene_view = self.scene_view(camera, schema, "Bodies, influence spheres, forces", settings);
-        self.scene = Some(scene_view.path.clone());
         let about = self.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
         let left = self.container(ContainerKind::Vertical, "Space", vec![scene_view, about], &[2.6, 1.0]);
         let right = if schema.bodies.len() > 1 {
@@ -397,7 +419,20 @@ impl Layout {
         }
         let title = "Phases, and whether the surfaces touch (red, yellow: the two disagree)";
         parts.push(self.view("StateTimeline", title, "/pairs", &["+ /pairs/**"], &[]));
-        parts.push(self.plot("Groups: volume, area, topology, bodies", "/", &["+ /groups/**"], Corner2D::LeftTop));
+        if pairs::has_named_pairs(schema) {
+            let titles = ["Groups: volume and area", "Groups: bodies and topology"];
+            for (title, is_size) in titles.into_iter().zip([true, false]) {
+                let lines = groups::LINES.iter().filter(|(line, ..)| ["volume", "area"].contains(line) == is_size);
+                let entities = lines.flat_map(|(line, ..)| {
+                    schema.bodies.iter().map(move |body| format!("+ /groups/{}/{line}", body.name))
+                });
+                let contents: Vec<String> = entities.collect();
+                let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
+                parts.push(self.plot(title, "/", &contents, Corner2D::LeftTop));
+            }
+        } else {
+            parts.push(self.plot("Groups: volume, bodies, genus", "/", &["+ /groups/**"], Corner2D::LeftTop));
+        }
         let shares = vec![1.0; parts.len()];
         let right = self.container(ContainerKind::Vertical, "Measures", parts, &shares);
         self.container(ContainerKind::Horizontal, "Surface", vec![view, right], &[1.6, 1.0])
@@ -464,6 +499,7 @@ impl Layout {
         let contents = without(&[CONTACT]);
         let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
         let phases = self.view("StateTimeline", "Pair phases", "/pairs", &contents, &[]);
+        self.phases.push(phases.path.clone());
         let events = self.lines("Events", "/events");
         vec![distances, phases, events]
     }
@@ -477,8 +513,10 @@ impl Layout {
     /// Timings of the simulation's thread, each stage upon those before it, and of the recording's. Where there is little
     /// room a legend would hide them.
     fn timings(&mut self, schema: &Schema, has_legend: bool) -> Part {
-        let contents: Vec<String> =
-            numbers::timings(schema).map(|stage| format!("+ {}", numbers::stacked(stage))).collect();
+        let contents: Vec<String> = numbers::timings(schema)
+            .filter(|&stage| numbers::is_work(stage))
+            .map(|stage| format!("+ {}", numbers::stacked(stage)))
+            .collect();
         let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
         let title = "Timings, ms per step: each stage upon those below it";
         let plot = self.plot(title, "/", &contents, Corner2D::LeftTop);
@@ -582,7 +620,9 @@ impl Layout {
         let background = Background::new(BackgroundKind::SolidColor).with_color(palette::color(palette::BACKGROUND));
         let properties: [(&str, &dyn AsComponents); 3] =
             [("EyeControls3D", camera), ("LineGrid3D", &grid), ("Background", &background)];
-        self.view("3D", name, "/world", contents, &properties)
+        let view = self.view("3D", name, "/world", contents, &properties);
+        self.spaces.push(view.path.clone());
+        view
     }
 
     /// Draws a body by its own surface only while it is not part of a merged one.

@@ -54,7 +54,7 @@ impl Light {
 
     /// The light in the axes of a body.
     pub fn in_body(rotation: DQuat) -> Light {
-        let towards = DVec3::new(-0.46, -0.62, 0.64).normalize();
+        let towards = DVec3::new(-0.68, -0.36, 0.64).normalize();
         Light { towards: (rotation.conjugate() * towards).as_vec3().to_array() }
     }
 
@@ -76,7 +76,7 @@ impl Light {
         static SHADES: LazyLock<[u8; 256]> = LazyLock::new(|| {
             std::array::from_fn(|i| {
                 /// What is seen of a surface that looks away.
-                const AMBIENT: f64 = 0.13;
+                const AMBIENT: f64 = 0.09;
                 // the light wraps around: no surface that it does not reach at all has a shape
                 let facing = libm::pow(i as f64 / 255.0, 1.7);
                 let linear = AMBIENT + (1.0 - AMBIENT) * facing;
@@ -124,7 +124,7 @@ mod tests {
 
     #[test]
     fn colors_are_lit_by_channel() {
-        let normal = DVec3::new(-0.46, -0.62, 0.64).normalize().as_vec3().to_array();
+        let normal = DVec3::new(-0.68, -0.36, 0.64).normalize().as_vec3().to_array();
         assert_eq!(Light::in_world().on([10, 20, 255], normal), 0x0A14_FFFF);
         assert_eq!(Light::in_world().white(normal), u32::MAX);
     }

@@ -471,7 +471,8 @@ impl Run {
         let is_of_surfaces = |path: &String| path.starts_with("/groups/") || path == "/events/surfaces";
         entities.extend(self.recording.entities().iter().map(ToString::to_string).filter(is_of_surfaces));
         entities.extend(TIMINGS.map(|stage| format!("/timings/{stage}")));
-        entities.extend(TIMINGS.map(|stage| format!("/timings/stacked/{stage}")));
+        let stacked = TIMINGS.iter().filter(|&&stage| stage != "wait");
+        entities.extend(stacked.map(|stage| format!("/timings/stacked/{stage}")));
         entities.extend(["/timings/speed", "/timings/lag", "/world/pairs", "/world/recent"].map(str::to_owned));
         entities.extend((2..=8).contains(&self.scene.bodies.len()).then(|| "/world/names".to_owned()));
         if self.settings.detail == Detail::Forces {

@@ -107,9 +107,10 @@ impl GroupPlot {
         let name = &schema.bodies[first].name;
         let entity = format!("/groups/{name}");
         let lines = LINES.iter().take(if has_named_pairs(schema) { LINES.len() } else { LINES_OF_MANY });
-        let lines = lines.map(|&(of, label, shape)| {
+        let lines = lines.enumerate().map(|(index, &(of, label, shape))| {
             let entity = format!("{entity}/{of}");
-            Series::style(chunks, &entity, &format!("{label} of {name}'s group"), palette::line(number), 1.5, shape);
+            let rgb = palette::line(number * LINES.len() + index);
+            Series::style(chunks, &entity, &format!("{label} of {name}'s group"), rgb, 1.5, shape);
             series.line(chunks, &entity, shape)
         });
         let lines = lines.collect();

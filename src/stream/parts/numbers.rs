@@ -32,12 +32,16 @@ pub fn stacked(stage: &str) -> String {
     format!("/timings/stacked/{stage}")
 }
 
+/// Whether something is done in a stage: what waits for a slow disk or viewer is not stacked upon what a step costs.
+pub fn is_work(stage: &str) -> bool {
+    stage != OBSERVING[1]
+}
+
 /// What a stage is, in a legend.
 pub fn described(stage: &str) -> &str {
     match stage {
-        "wait" => "wait for the recording",
-        "extract" => "on a thread of its own: extract",
-        "log" => "and log",
+        "extract" => "recorder's thread: extract",
+        "log" => "recorder's thread: log",
         stage => stage,
     }
 }
@@ -81,7 +85,8 @@ struct ScalarLine {
 struct Timing {
     name: &'static str,
     track: TrackId,
-    stacked: TrackId,
+    /// With the stages before it on the same thread, if it [is work](is_work).
+    stacked: Option<TrackId>,
     /// Whether it is the first stage on its thread.
     is_first: bool,
     spent: Duration,
@@ -96,10 +101,12 @@ impl FrameNumbers {
             let (entity, rgb) = (format!("/timings/{name}"), palette::line(numbered.next().unwrap_or(0)));
             Series::style(chunks, &entity, &format!("{name} [ms]"), rgb, 1.5, Interpolation::Step);
             let track = chunks.track(&entity, [Scalars::descriptor_scalars()]);
-            let entity = stacked(name);
-            let label = format!("{} [ms]", described(name));
-            Series::style(chunks, &entity, &label, rgb, 1.5, Interpolation::Step);
-            let stacked = chunks.track(&entity, [Scalars::descriptor_scalars()]);
+            let stacked = is_work(name).then(|| {
+                let entity = stacked(name);
+                let label = format!("{} [ms]", described(name));
+                Series::style(chunks, &entity, &label, rgb, 1.5, Interpolation::Step);
+                chunks.track(&entity, [Scalars::descriptor_scalars()])
+            });
             let is_first = schema.stages.first() == Some(&name) || name == RECORDING[0];
             Timing { name, track, stacked, is_first, spent: Duration::ZERO, spread: Spread::default() }
         });
@@ -192,11 +199,12 @@ impl FrameNumbers {
             let milliseconds = 1e3 * std::mem::take(spent).as_secs_f64() / f64::from(steps);
             if steps > 0 {
                 spread.add(milliseconds);
+                chunks.push_apart(*track, at, &[Cell::Scalars(&[milliseconds])]);
+                let Some(stacked) = stacked else { continue };
                 stack = if *is_first { milliseconds } else { stack + milliseconds };
-                if *name == OBSERVING[1] {
+                if *name == OBSERVING[0] {
                     total = stack;
                 }
-                chunks.push_apart(*track, at, &[Cell::Scalars(&[milliseconds])]);
                 chunks.push_apart(*stacked, at, &[Cell::Scalars(&[stack])]);
             }
         }

@@ -109,7 +109,7 @@ impl Contact {
 /// The geometric measures of a pair: their entities, names with units, and colours.
 pub const MEASURES: [(&str, &str, palette::Rgb); 3] = [
     ("gap", "gap [R]", colors::SKY_BLUE),
-    ("overlap", "overlap [R³]", colors::ORANGE),
+    ("overlap", "overlap [R³]", colors::SILVER),
     ("neck", "neck [R]", colors::GREEN),
 ];
 
@@ -134,6 +134,11 @@ impl PairPlots {
             plotted: None,
             shown: Vec::new(),
         }
+    }
+
+    /// The pairs that have plots, as `A~B`.
+    pub fn names(&self, schema: &Schema) -> Vec<String> {
+        self.known.keys().map(|&(a, b)| schema.pair_name(a, b)).collect()
     }
 
     /// The least and the greatest number in any plot of distances, q or threshold.
