@@ -196,9 +196,9 @@ fn ask(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
         }
     }
     let was = &recorded.schema;
-    let named = |schema: &Schema| match schema.model.as_str() {
-        "" | "oscillators" => schema.integrator.clone(),
-        model => format!("{} of {model}", schema.integrator),
+    let named = |schema: &Schema| match schema.unusual_model() {
+        None => schema.integrator.clone(),
+        Some(model) => format!("{} of {model}", schema.integrator),
     };
     let experiment = models::read(&was.name, &was.source, &run)
         .map_err(|(Refusal::Source(what) | Refusal::Run(what))| Failure::Input(what))?;

@@ -756,10 +756,7 @@ fn summarize(console: &Console, outcome: &Outcome) {
         counted(steps, "step"),
         // six digits are enough to recognise a step size
         if schema.dt >= 1e-4 { format!("{:.6}", schema.dt) } else { format!("{:e}", schema.dt) },
-        match schema.model.as_str() {
-            "" | "oscillators" => String::new(),
-            model => format!("{model}, "),
-        },
+        schema.unusual_model().map(|model| format!("{model}, ")).unwrap_or_default(),
         schema.integrator,
         simulation.time(),
         thousands((steps as f64 / simulating.max(1e-9)) as u64),

@@ -16,7 +16,7 @@ pub struct Schema {
     pub source: String,
     /// Further settings needed to reproduce the run, as lines of TOML. A recording contains these too.
     pub run: String,
-    /// Name of the model that the bodies are simulated with, as one word; empty if there is only one.
+    /// Name of the model that the bodies are simulated with, as one word; may be empty if a simulation has only one.
     pub model: String,
     /// Name of the integrator, as one word.
     pub integrator: String,
@@ -275,6 +275,11 @@ impl Schema {
     /// Total number of vertices of all bodies.
     pub fn vertex_count(&self) -> u64 {
         self.bodies.iter().map(|body| body.vertex_count() as u64).sum()
+    }
+
+    /// The model, unless it is the usual one, which goes without saying: the oscillators, or a simulation's only one.
+    pub fn unusual_model(&self) -> Option<&str> {
+        Some(self.model.as_str()).filter(|model| !["", "oscillators"].contains(model))
     }
 
     /// Name of a pair: `A~B`, in the order of the bodies.

@@ -414,13 +414,14 @@ impl Layout {
                 let lines = measures.iter().flat_map(|measure| pairs::named(schema, measure));
                 let contents: Vec<String> = lines.map(|line| format!("+ {line}")).collect();
                 let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
-                parts.push(self.plot(title, "/", &contents, Corner2D::LeftTop));
+                parts.push(self.plot(title, "/", &contents, Corner2D::RightTop));
             }
         }
         let title = "Phases, and whether the surfaces touch (red, yellow: the two disagree)";
         parts.push(self.view("StateTimeline", title, "/pairs", &["+ /pairs/**"], &[]));
         if pairs::has_named_pairs(schema) {
-            let titles = ["Groups: volume and area", "Groups: bodies and topology"];
+            let titles =
+                ["Groups (by their first body): volume and area", "Groups (by their first body): bodies and topology"];
             for (title, is_size) in titles.into_iter().zip([true, false]) {
                 let lines = groups::LINES.iter().filter(|(line, ..)| ["volume", "area"].contains(line) == is_size);
                 let entities = lines.flat_map(|(line, ..)| {
@@ -428,10 +429,10 @@ impl Layout {
                 });
                 let contents: Vec<String> = entities.collect();
                 let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
-                parts.push(self.plot(title, "/", &contents, Corner2D::LeftTop));
+                parts.push(self.plot(title, "/", &contents, Corner2D::RightTop));
             }
         } else {
-            parts.push(self.plot("Groups: volume, bodies, genus", "/", &["+ /groups/**"], Corner2D::LeftTop));
+            parts.push(self.plot("Groups: volume, bodies, genus", "/", &["+ /groups/**"], Corner2D::RightTop));
         }
         let shares = vec![1.0; parts.len()];
         let right = self.container(ContainerKind::Vertical, "Measures", parts, &shares);
@@ -836,10 +837,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
         schema.bodies.len(),
         if schema.bodies.len() == 1 { "body" } else { "bodies" },
         schema.vertex_count(),
-        match schema.model.as_str() {
-            "" | "oscillators" => String::new(),
-            model => format!(", model **{model}**"),
-        },
+        schema.unusual_model().map(|model| format!(", model **{model}**")).unwrap_or_default(),
         schema.integrator,
         schema.dt,
         schema.law,

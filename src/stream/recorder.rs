@@ -542,9 +542,9 @@ fn log_properties(schema: &Schema, run: &str, overrides: &str, settings: &Settin
         .with_component::<Text>("machine", [machine::describe()])
         .with_component::<Text>("integrator", [schema.integrator.as_str()]);
     // oscillators do not say so, as nothing did before there were other models
-    let properties = match schema.model.as_str() {
-        "" | "oscillators" => properties,
-        model => properties.with_component::<Text>("model", [model]),
+    let properties = match schema.unusual_model() {
+        None => properties,
+        Some(model) => properties.with_component::<Text>("model", [model]),
     };
     chunks.log_static("/__properties/meldscope", &properties);
     chunks.log_static("/__properties", &rerun::RecordingInfo::new().with_name(schema.name.as_str()));

@@ -110,7 +110,7 @@ impl GroupPlot {
         let lines = lines.enumerate().map(|(index, &(of, label, shape))| {
             let entity = format!("{entity}/{of}");
             let rgb = palette::line(number * LINES.len() + index);
-            Series::style(chunks, &entity, &format!("{label} of {name}'s group"), rgb, 1.5, shape);
+            Series::style(chunks, &entity, &format!("{label} {name}"), rgb, 1.5, shape);
             series.line(chunks, &entity, shape)
         });
         let lines = lines.collect();

@@ -56,7 +56,7 @@ pub fn log_ends(ends: [Instant; 2], level: Option<f64>, chunks: &mut Chunks) {
         let Some(value) = value else { continue };
         let entity = format!("{place}/ends");
         let style = SeriesPoints::new()
-            .with_names(["run"])
+            .with_names(["start, end"])
             .with_colors([color(GREY)])
             .with_markers([MarkerShape::Plus])
             .with_marker_sizes([3.0]);
