@@ -77,6 +77,35 @@ pub struct Axis<'t> {
     pub number: fn(&f64) -> String,
 }
 
+impl<'t> Axis<'t> {
+    /// Run times in ms, with a margin on either side of all `times`.
+    pub fn of_run_times(times: impl Iterator<Item = f64> + Clone) -> Axis<'t> {
+        const MARGIN: f64 = 1.5;
+        let times = times.filter(|&time| time > 0.0);
+        let (least, most) = (times.clone().fold(f64::INFINITY, f64::min), times.fold(0.0, f64::max));
+        let range = if least <= most { least / MARGIN..most * MARGIN } else { 0.1..10.0 };
+        let multiples: &[f64] = if range.end / range.start < 1000.0 { &[1.0, 2.0, 5.0] } else { &[1.0] };
+        Axis {
+            name: "run time [ms]",
+            ticks: ticks(&range, multiples),
+            grid: ticks(&range, &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]),
+            range,
+            number: f64::to_string,
+        }
+    }
+
+    /// Powers of ten.
+    pub fn of_errors(name: &'t str, range: Range<f64>) -> Axis<'t> {
+        let number = |&error: &f64| power_of_ten(error);
+        Axis { name, ticks: ticks(&range, &[1.0]), range, grid: vec![], number }
+    }
+}
+
+/// The range of these errors and a tenth of a radius, with some margin.
+pub fn error_range(errors: impl Iterator<Item = f64> + Clone) -> Range<f64> {
+    errors.clone().fold(1e-1, f64::min) / 4.0..errors.fold(1e-1, f64::max) * 2.5
+}
+
 /// Draws two axes, inset from the top and the right end of `panel` [px]. Returns the mapping from a data point to its
 /// place on the panel.
 pub fn draw_axes(

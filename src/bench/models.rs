@@ -10,9 +10,7 @@ use plotters::style::RGBColor;
 use serde::Serialize;
 
 use super::{
-    drawing::{
-        Area, Axis, Failure, INK, LEFT, Line, Marker, Sheet, Style, draw_axes, draw_lines, power_of_ten, ticks, write,
-    },
+    drawing::{Area, Axis, Failure, INK, LEFT, Line, Marker, Sheet, Style, draw_axes, draw_lines, error_range, write},
     machine::Machine,
     tables::{self, missing},
 };
@@ -500,29 +498,14 @@ pub fn svg(reports: &[Report], machine: &Machine) -> Result<String, String> {
 fn draw(panel: &Area<'_>, report: &Report) -> Result<(), Failure> {
     let rows = || report.rows.iter().filter_map(|(model, row)| Some((*model, row.as_ref().ok()?)));
     let points = || rows().flat_map(|(_, row)| &row.points).filter(|point| point.seconds > 0.0);
-    let times = points().map(|point| 1e3 * point.seconds);
-    let (least, most) = times.fold((f64::INFINITY, 0.0), |(least, most), t| (f64::min(least, t), f64::max(most, t)));
-    let times = if least <= most { least / 1.5..most * 1.5 } else { 0.1..10.0 };
-    let errors = || points().filter_map(|point| point.error).map(|error| error.max(FLOOR));
-    let errors = errors().fold(1e-1, f64::min) / 4.0..errors().fold(1e-1, f64::max) * 2.5;
-    let time_axis = Axis {
-        name: "run time [ms]",
-        range: times.clone(),
-        ticks: ticks(&times, if times.end / times.start < 1000.0 { &[1.0, 2.0, 5.0] } else { &[1.0] }),
-        grid: ticks(&times, &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]),
-        number: f64::to_string,
-    };
-    let error_axis = Axis {
-        name: "largest error [radii]",
-        range: errors.clone(),
-        ticks: ticks(&errors, &[1.0]),
-        grid: vec![],
-        number: |&error| power_of_ten(error),
-    };
-    let at = draw_axes(panel, TOP, RIGHT, [time_axis, error_axis])?;
+    let times: Vec<f64> = points().map(|point| 1e3 * point.seconds).collect();
+    let errors: Vec<f64> = points().filter_map(|point| point.error).map(|error| error.max(FLOOR)).collect();
+    let (times, errors) = (Axis::of_run_times(times.into_iter()), error_range(errors.into_iter()));
+    let last = times.range.end;
+    let at = draw_axes(panel, TOP, RIGHT, [times, Axis::of_errors("largest error [radii]", errors.clone())])?;
     let title = format!("{} ({} vertices)", report.scene, report.vertices);
     write(panel, &title, (LEFT as i32, TOP as i32 / 2), 24.0, INK)?;
-    let right = at(times.end, errors.start).0;
+    let right = at(last, errors.start).0;
     let place = |point: &Point| {
         at(1e3 * point.seconds, point.error.map_or(errors.end, |error| error.clamp(errors.start, errors.end)))
     };

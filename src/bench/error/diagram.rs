@@ -12,8 +12,8 @@ use super::{Measurement, Report, Scheme};
 use crate::{
     bench::{
         drawing::{
-            Area, Axis, Failure, GREY, INK, LEFT, Line, Marker, Sheet, Style, draw_axes, draw_lines, power_of_ten,
-            ticks, write,
+            Area, Axis, Failure, GREY, INK, LEFT, Line, Marker, Sheet, Style, draw_axes, draw_lines, error_range,
+            power_of_ten, write,
         },
         machine::Machine,
     },
@@ -70,7 +70,12 @@ pub fn svg(reports: &[Report], machine: &Machine) -> Result<String, String> {
             &machine.to_string(),
         ],
     };
-    let errors = error_range(reports);
+    // the same range for all panels, so that they can be compared
+    let errors: Vec<f64> = reports
+        .iter()
+        .flat_map(|report| report.measurements.iter().filter_map(|it| Some(it.error?.max(floor(report)))))
+        .collect();
+    let errors = error_range(errors.into_iter());
     sheet.svg(|panels| {
         let panels = panels.split_evenly((rows, columns));
         for (panel, report) in panels.iter().zip(reports) {
@@ -99,19 +104,8 @@ fn draw_control(panel: &Area<'_>, reports: &[Report]) -> Result<(), Failure> {
     let made = all()
         .fold(asked.clone(), |range, (_, made)| f64::min(range.start, floor(made))..f64::max(range.end, floor(made)));
     let (asked, made) = (asked.start / 2.0..asked.end * 2.0, made.start / 4.0..made.end * 4.0);
-    let axis = |name, range: Range<f64>| Axis {
-        name,
-        ticks: ticks(&range, &[1.0]),
-        range,
-        grid: vec![],
-        number: |&error| power_of_ten(error),
-    };
-    let at = draw_axes(
-        panel,
-        TOP,
-        RIGHT,
-        [axis("error allowed by the tolerance [radii]", asked.clone()), axis("error made [radii]", made.clone())],
-    )?;
+    let axes = [("error allowed by the tolerance [radii]", &asked), ("error made [radii]", &made)];
+    let at = draw_axes(panel, TOP, RIGHT, axes.map(|(name, range)| Axis::of_errors(name, range.clone())))?;
     write(panel, "The error that is asked for, and the one that is made", (LEFT as i32, TOP as i32 / 2), 24.0, INK)?;
     for (share, name) in [(1.0, "as allowed"), (0.01, "a hundredth")] {
         let inside = |x: f64| (x * share).clamp(made.start, made.end) / share;
@@ -133,43 +127,10 @@ fn floor(report: &Report) -> f64 {
     f64::max(FLOOR, report.resolution())
 }
 
-/// The same range for all panels, so that they can be compared.
-fn error_range(reports: &[Report]) -> Range<f64> {
-    let errors = |report: &Report| {
-        let floor = floor(report);
-        report.measurements.iter().filter_map(move |it| Some(it.error?.max(floor))).collect::<Vec<f64>>()
-    };
-    let errors: Vec<f64> = reports.iter().flat_map(errors).collect();
-    let smallest = errors.iter().copied().fold(1e-1, f64::min);
-    let largest = errors.iter().copied().fold(1e-1, f64::max);
-    smallest / 4.0..largest * 2.5
-}
-
-/// Run times in ms, with a margin of a factor of 1.5 on either side.
-fn time_range(report: &Report) -> Range<f64> {
-    let times = || report.measurements.iter().map(|it| 1e3 * it.seconds).filter(|time| *time > 0.0);
-    let (least, most) = (times().fold(f64::INFINITY, f64::min), times().fold(0.0, f64::max));
-    if least <= most { least / 1.5..most * 1.5 } else { 0.1..10.0 }
-}
-
 fn draw_panel(panel: &Area<'_>, report: &Report, errors: Range<f64>, is_titled: bool) -> Result<(), Failure> {
-    let times = time_range(report);
-    let multiples: &[f64] = if times.end / times.start < 1000.0 { &[1.0, 2.0, 5.0] } else { &[1.0] };
-    let time_axis = Axis {
-        name: "run time [ms]",
-        range: times.clone(),
-        ticks: ticks(&times, multiples),
-        grid: ticks(&times, &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]),
-        number: f64::to_string,
-    };
-    let error_axis = Axis {
-        name: "largest error [radii]",
-        range: errors.clone(),
-        ticks: ticks(&errors, &[1.0]),
-        grid: vec![],
-        number: |&error| power_of_ten(error),
-    };
-    let at = draw_axes(panel, TOP, RIGHT, [time_axis, error_axis])?;
+    let time_axis = Axis::of_run_times(report.measurements.iter().map(|it| 1e3 * it.seconds));
+    let times = time_axis.range.clone();
+    let at = draw_axes(panel, TOP, RIGHT, [time_axis, Axis::of_errors("largest error [radii]", errors.clone())])?;
     if is_titled {
         let title = format!("{} ({} vertices)", report.scene, report.vertices);
         write(panel, &title, (LEFT as i32, TOP as i32 / 2), 24.0, INK)?;
