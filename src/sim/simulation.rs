@@ -334,14 +334,16 @@ impl Simulation for World {
     }
 
     fn within(&self, before: &Frame, time: f64, bodies: &[usize], frame: &mut Frame) {
-        let is_coupled = self.scene().is_coupled();
-        let is_exact = self.scene().integrator == Integrator::Exponential && !is_coupled;
-        if is_exact && stages::within(before, self, time, bodies, frame) {
+        let is_exact = self.scene().integrator == Integrator::Exponential;
+        if is_exact && self.coupled.is_none() && stages::within(before, self, time, bodies, frame) {
             return;
         }
         let mut after = Frame::default();
         self.observe(Want::default(), &mut after);
         between(&Simulation::schema(self), [before, &after], time, bodies, frame);
+        if is_exact {
+            stages::within_coupled(before, self, time, bodies, frame);
+        }
         for &index in bodies.iter().filter(|&&index| self.scene().bodies[index].path().is_some()) {
             frame.bodies[index].centre = self.track(index).position(time);
         }

@@ -130,6 +130,19 @@ pub fn within(before: &Frame, world: &World, time: f64, bodies: &[usize], frame:
     true
 }
 
+/// The same in a coupled scene, for the bodies that took steps: others are left as they are.
+pub fn within_coupled(before: &Frame, world: &World, time: f64, bodies: &[usize], frame: &mut Frame) {
+    let Some(coupled) = &world.coupled else { return };
+    let work = Work::limited(MOST_WORK_WITHIN, world.options().interrupt);
+    coupled.within(world.scene(), [before.at.time, time], bodies, &Tally::new(&work, None), |index, body| {
+        let now = &mut frame.bodies[index];
+        (now.centre, now.rotation) = (body.centre, body.rotation);
+        now.displacements.reset(body.x.len());
+        body.x.iter().enumerate().for_each(|(i, &x)| now.displacements.set(i, x));
+        now.displaced(world.bodies[index].rest());
+    });
+}
+
 /// The frame without the forces that do not come from influence spheres.
 fn influence_only(mut frame: Frame) -> Frame {
     let is_influence = |cause: Cause| matches!(cause, Cause::Attraction | Cause::Repulsion | Cause::Core);

@@ -128,6 +128,27 @@ impl Job {
         self.parts.bodies.iter().map(of).sum()
     }
 
+    /// The bodies of the island at `time` [s] within the last step, which began at `start` [s] and whose results have
+    /// become the state: the solver takes the step once more, up to there. `None` if that is more than `work` allows, or
+    /// fails.
+    pub fn bodies_at(&self, scene: &Scene, [start, time]: [f64; 2], arch: Arch, work: &Tally<'_>) -> Option<Vec<Body>> {
+        let mut parts = self.parts.clone(); // as before the step, but for what only acts on others, and phases
+        for (&body, copy) in self.all.iter().zip(&mut parts.bodies) {
+            if let Some(path) = scene.bodies[body as usize].path() {
+                let motion = path.at(start);
+                (copy.centre, copy.velocity) = (motion.position, motion.velocity);
+            }
+        }
+        for (index, pair) in parts.pairs.iter_mut().enumerate() {
+            let first = self.report.changes.iter().find(|change| change.pair == index);
+            pair.phase = first.map_or(pair.phase, |change| change.from);
+        }
+        let paths = OfScene { scene, bodies: &self.all };
+        let mut island = Island::resume(parts, scene.tolerance, start);
+        island.advance_with(&mut Scratch::new(arch), time, &paths, work, &mut Report::default()).ok()?;
+        Some(island.into_parts().bodies)
+    }
+
     fn advance(&mut self, turn: usize, conditions: &Conditions<'_>, scratch: &mut Scratch) {
         let Conditions { scene, members, near, span, work, .. } = *conditions;
         let Group { bodies, sources, pairs } = &self.group;

@@ -650,6 +650,31 @@ impl Coupled {
         self.members[index].neighbours.iter().map(|neighbour| (neighbour.other, self.near.pair(neighbour.pair)))
     }
 
+    /// Writes some bodies as they were at `time` [s] within the last step, which began at `start` [s], on the solver's own
+    /// solution; those that took no step, and those for which it would be too much work, are left out.
+    pub fn within(
+        &self,
+        scene: &Scene,
+        [start, time]: [f64; 2],
+        bodies: &[usize],
+        work: &Tally<'_>,
+        mut write: impl FnMut(usize, &free::Body),
+    ) {
+        for job in &self.jobs {
+            let own = |&&body: &&usize| job.group.bodies.binary_search(&(body as u32)).is_ok();
+            let mut own = bodies.iter().filter(own).peekable();
+            if own.peek().is_none() {
+                continue;
+            }
+            let Some(then) = job.bodies_at(scene, [start, time], self.arch, work) else { continue };
+            for &body in own {
+                if let Ok(place) = job.group.bodies.binary_search(&(body as u32)) {
+                    write(body, &then[place]);
+                }
+            }
+        }
+    }
+
     /// How many bodies do not rest.
     pub fn awake_count(&self) -> usize {
         self.awake.len()
