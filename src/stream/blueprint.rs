@@ -110,13 +110,15 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             layout.log(&format!("{plot}/ScalarAxis"), &axis);
         }
     }
-    if let Some(focus) = measured.focus.filter(|_| tab != Tab::Stages) {
-        let [start, end] = focus.interval(measured.duration).map(|time| ((1e9 * time) as i64).into());
-        let time_panel = TimePanelBlueprint::update_fields()
-            .with_time_selection(AbsoluteTimeRange::from(datatypes::AbsoluteTimeRange { min: start, max: end }))
-            .with_loop_mode(LoopMode::Selection)
-            .with_play_state(PlayState::Playing);
-        layout.log("time_panel", &time_panel);
+    if let Some(focus) = measured.focus {
+        if tab != Tab::Stages {
+            let [start, end] = focus.interval(measured.duration).map(|time| ((1e9 * time) as i64).into());
+            let time_panel = TimePanelBlueprint::update_fields()
+                .with_time_selection(AbsoluteTimeRange::from(datatypes::AbsoluteTimeRange { min: start, max: end }))
+                .with_loop_mode(LoopMode::Selection)
+                .with_play_state(PlayState::Playing);
+            layout.log("time_panel", &time_panel);
+        }
         let camera = camera_past(&focus.spheres, &focus.pair, &focus.others);
         for view in std::mem::take(&mut layout.spaces) {
             layout.log(&format!("{view}/EyeControls3D"), &camera);
@@ -397,7 +399,10 @@ impl Layout {
 
     /// The surfaces of groups, and the gap and overlap of pairs above their phases.
     fn surface_tab(&mut self, camera: &EyeControls3D, schema: &Schema, settings: &Settings) -> Part {
-        let contents = ["+ /world/bodies/**", "+ /world/deforming/**", "+ /world/resting/**", "+ /world/merged/**"];
+        // a seam lies within a surface that is smooth there, and would show through in places
+        let merged =
+            if schema.blend > 0.0 { format!("+ {}", merged::SURFACE) } else { "+ /world/merged/**".to_owned() };
+        let contents = ["+ /world/bodies/**", "+ /world/deforming/**", "+ /world/resting/**", merged.as_str()];
         let view = self.space(camera, "One surface per group", &contents);
         for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
             // a batch has a colour per vertex
