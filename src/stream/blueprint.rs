@@ -119,8 +119,8 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
                 .with_play_state(PlayState::Playing);
             layout.log("time_panel", &time_panel);
         }
-        let camera = camera_past(&focus.spheres, &focus.pair, &focus.others);
-        for view in std::mem::take(&mut layout.spaces) {
+        for (view, aspect) in std::mem::take(&mut layout.spaces) {
+            let camera = camera_past(&focus.spheres, &focus.pair, &focus.others, aspect);
             layout.log(&format!("{view}/EyeControls3D"), &camera);
         }
     }
@@ -149,8 +149,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
 pub fn of_comparison(spheres: &[(DVec3, f64)], recording: &StoreId) -> Vec<LogMsg> {
     let mut layout = Layout::of(recording);
     layout.ground = Ground::under(spheres);
-    let camera = camera_on(spheres);
-    let surfaces = layout.space(&camera, "Both surfaces, and arrows between them", &["+ /world/**"]);
+    let surfaces = layout.space((spheres, WIDE), "Both surfaces, and arrows between them", &["+ /world/**"]);
     let about = layout.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
     let left = layout.container(ContainerKind::Vertical, "Surfaces", vec![surfaces, about], &[3.4, 1.0]);
     let plot = layout.plot("Largest difference [radii]", "/difference", &["+ /difference/**"], Corner2D::LeftTop);
@@ -248,8 +247,8 @@ struct Layout {
     distances: Vec<String>,
     /// The lanes of phases.
     phases: Vec<String>,
-    /// The views in 3D.
-    spaces: Vec<String>,
+    /// The views in 3D, with their aspect ratios.
+    spaces: Vec<(String, f64)>,
     /// The grid below everything, if there is one.
     ground: Option<Ground>,
     /// The timeline that the viewer opens with.
@@ -321,19 +320,17 @@ impl Layout {
     fn root(&mut self, subject: &Subject<'_>, front: Tab) -> Part {
         let Subject { simulation, schema, settings } = *subject;
         let framing = simulation.framing(false);
-        let camera = camera_on(&framing);
+        let close = simulation.framing(true);
         // planes have grids of their own
         self.ground = Ground::under(&framing).filter(|_| schema.planes.is_empty());
         if front == Tab::Stages {
             self.timeline = STAGE;
         }
-        let mut tabs = vec![(Tab::Scene, self.scene_tab(&camera, schema, settings))];
+        let mut tabs = vec![(Tab::Scene, self.scene_tab(&framing, schema, settings))];
         if schema.bodies.len() > 1 {
-            let close = camera_on(&simulation.framing(true));
             tabs.push((Tab::Surface, self.surface_tab(&close, schema, settings)));
         }
         if settings.detail != Detail::Surface {
-            let close = camera_on(&simulation.framing(true));
             tabs.push((Tab::Forces, self.forces_tab(&close, schema, settings)));
             tabs.push((Tab::Displacement, self.displacement_tab(&close, schema, settings)));
         }
@@ -352,7 +349,7 @@ impl Layout {
         };
         tabs.push((Tab::Energy, energy));
         if matches!(settings.detail, Detail::Stages { .. }) {
-            tabs.push((Tab::Stages, self.stages_tab(&camera, schema, settings)));
+            tabs.push((Tab::Stages, self.stages_tab(&framing, schema, settings)));
         }
         let active = tabs.iter().find(|(tab, _)| *tab == front).map(|(_, part)| part.path.clone());
         let root =
@@ -364,8 +361,8 @@ impl Layout {
     }
 
     /// The stages inside steps, on the timeline `stage`.
-    fn stages_tab(&mut self, camera: &EyeControls3D, schema: &Schema, settings: &Settings) -> Part {
-        let view = self.scene_view(camera, schema, "Inside of a step (timeline: stage)", settings);
+    fn stages_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
+        let view = self.scene_view((framing, NARROW), schema, "Inside of a step (timeline: stage)", settings);
         let lines = self.lines("Stages", "/stages");
         self.container(ContainerKind::Horizontal, "Stages", vec![view, lines], &[2.0, 1.0])
     }
@@ -378,8 +375,8 @@ impl Layout {
     }
 
     /// An overview of everything.
-    fn scene_tab(&mut self, camera: &EyeControls3D, schema: &Schema, settings: &Settings) -> Part {
-        let scene_view = self.scene_view(camera, schema, "Bodies, influence spheres, forces", settings);
+    fn scene_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
+        let scene_view = self.scene_view((framing, WIDE), schema, "Bodies, influence spheres, forces", settings);
         let about = self.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
         let left = self.container(ContainerKind::Vertical, "Space", vec![scene_view, about], &[2.6, 1.0]);
         let right = if schema.bodies.len() > 1 {
@@ -398,12 +395,12 @@ impl Layout {
     }
 
     /// The surfaces of groups, and the gap and overlap of pairs above their phases.
-    fn surface_tab(&mut self, camera: &EyeControls3D, schema: &Schema, settings: &Settings) -> Part {
+    fn surface_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         // a seam lies within a surface that is smooth there, and would show through in places
         let merged =
             if schema.blend > 0.0 { format!("+ {}", merged::SURFACE) } else { "+ /world/merged/**".to_owned() };
         let contents = ["+ /world/bodies/**", "+ /world/deforming/**", "+ /world/resting/**", merged.as_str()];
-        let view = self.space(camera, "One surface per group", &contents);
+        let view = self.space((framing, NARROW), "One surface per group", &contents);
         for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
             // a batch has a colour per vertex
             let rgb = if settings.entities == Entities::Batch { [0xFF; 3] } else { palette::of_body(schema, index) };
@@ -446,7 +443,7 @@ impl Layout {
 
     /// One view for each force term that can act in the scene, all with the same initial camera. Afterwards each view
     /// is turned separately: Rerun 0.36 has a camera for every view and cannot link two of them.
-    fn forces_tab(&mut self, camera: &EyeControls3D, schema: &Schema, settings: &Settings) -> Part {
+    fn forces_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         const WHITE: palette::Rgb = [0xFF; 3];
         let views: Vec<Part> = schema
             .terms
@@ -455,7 +452,8 @@ impl Layout {
             .map(|term| {
                 let arrows = format!("+ {}", forces::entity(term.name));
                 let contents = ["+ /world/bodies/**", "+ /world/deforming/**", "+ /world/planes/**", arrows.as_str()];
-                let view = self.space(camera, &format!("{} ({})", term.label, colors::name(term.color)), &contents);
+                let view =
+                    self.space((framing, NARROW), &format!("{} ({})", term.label, colors::name(term.color)), &contents);
                 if schema.bodies.len() <= MOST_SHEER || settings.entities == Entities::Batch {
                     for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
                         // a batch has a colour per vertex
@@ -472,10 +470,10 @@ impl Layout {
     }
 
     /// Surfaces coloured by displacement, with selectable vertices, above the scale of colours.
-    fn displacement_tab(&mut self, camera: &EyeControls3D, schema: &Schema, settings: &Settings) -> Part {
+    fn displacement_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         let contents = ["+ /world/bodies/**", "+ /world/deforming/**", "+ /world/planes/**"];
         let title = "Displacement from rest; select a vertex to see its numbers";
-        let view = self.space(camera, title, &contents);
+        let view = self.space((framing, WIDE), title, &contents);
         let positions = Mapping { target: "Points3D:positions", source: "Mesh3D:vertex_positions" };
         let white = rerun::Rgba32::WHITE;
         let opaque = Mesh3D::update_fields().with_albedo_factor(white).with_vertex_colors([white]);
@@ -571,8 +569,8 @@ impl Layout {
     }
 
     /// A 3D view of everything, with the forces that make bodies merge and split.
-    fn scene_view(&mut self, camera: &EyeControls3D, schema: &Schema, name: &str, settings: &Settings) -> Part {
-        let view = self.space(camera, name, &["+ /world/**"]);
+    fn scene_view(&mut self, framing: Framing<'_>, schema: &Schema, name: &str, settings: &Settings) -> Part {
+        let view = self.space(framing, name, &["+ /world/**"]);
         for surface in surfaces(schema, settings) {
             self.draw_unmerged(&view, &surface, &Mesh3D::update_fields());
         }
@@ -613,7 +611,7 @@ impl Layout {
     }
 
     /// A 3D view.
-    fn space(&mut self, camera: &EyeControls3D, name: &str, contents: &[&str]) -> Part {
+    fn space(&mut self, (spheres, aspect): Framing<'_>, name: &str, contents: &[&str]) -> Part {
         let grid = match self.ground {
             None => LineGrid3D::new().with_visible(false),
             Some(Ground { height, spacing }) => LineGrid3D::new()
@@ -624,10 +622,11 @@ impl Layout {
                 .with_color(palette::color(palette::GROUND)),
         };
         let background = Background::new(BackgroundKind::SolidColor).with_color(palette::color(palette::BACKGROUND));
+        let camera = camera_past(spheres, &[], &[], aspect);
         let properties: [(&str, &dyn AsComponents); 3] =
-            [("EyeControls3D", camera), ("LineGrid3D", &grid), ("Background", &background)];
+            [("EyeControls3D", &camera), ("LineGrid3D", &grid), ("Background", &background)];
         let view = self.view("3D", name, "/world", contents, &properties);
-        self.spaces.push(view.path.clone());
+        self.spaces.push((view.path.clone(), aspect));
         view
     }
 
@@ -736,20 +735,28 @@ pub(super) fn surfaces(schema: &Schema, settings: &Settings) -> Vec<String> {
     }
 }
 
-/// A camera in front of the spheres (centre and radius), slightly to one side and above, that has all of them in view.
-/// Flat arrangements are viewed from higher up.
-fn camera_on(spheres: &[(DVec3, f64)]) -> EyeControls3D {
-    camera_past(spheres, &[], &[])
-}
+/// Spheres (centre and radius) to have in view, and the aspect ratio of the view.
+type Framing<'a> = (&'a [(DVec3, f64)], f64);
 
-/// Like [`camera_on`], but from where no sphere of `others` stands in front of one of `wanted`, as far as possible.
-fn camera_past(spheres: &[(DVec3, f64)], wanted: &[(DVec3, f64)], others: &[(DVec3, f64)]) -> EyeControls3D {
+/// Aspect ratios that views have at least, in a window of 16:9.
+const WIDE: f64 = 1.45;
+const NARROW: f64 = 1.2;
+
+/// A camera in front of the spheres (centre and radius), slightly to one side and above, that has all of them in view.
+/// Flat arrangements are viewed from higher up. As far as possible, no sphere of `others` stands in front of one of
+/// `wanted`.
+fn camera_past(
+    spheres: &[(DVec3, f64)],
+    wanted: &[(DVec3, f64)],
+    others: &[(DVec3, f64)],
+    aspect: f64,
+) -> EyeControls3D {
     let low = spheres.iter().fold(DVec3::INFINITY, |low, &(centre, radius)| low.min(centre - radius));
     let high = spheres.iter().fold(DVec3::NEG_INFINITY, |high, &(centre, radius)| high.max(centre + radius));
     let (middle, extent) = (0.5 * (low + high), high - low);
     let is_flat = extent.z < 0.2 * f64::min(extent.x, extent.y);
     let first = DVec3::new(-0.2, -1.0, if is_flat { 1.0 } else { 0.4 }).normalize(); // towards the eye
-    let mut best = (eye(spheres, middle, first), hidden(eye(spheres, middle, first), wanted, others));
+    let mut best = (eye(spheres, middle, first, aspect), hidden(eye(spheres, middle, first, aspect), wanted, others));
     // nothing is gained by turning away from the usual direction for less than this
     const WORTH: f64 = 0.02;
     for height in [0.4, 0.9, 1.6, -0.3] {
@@ -759,7 +766,7 @@ fn camera_past(spheres: &[(DVec3, f64)], wanted: &[(DVec3, f64)], others: &[(DVe
             }
             let angle = std::f64::consts::TAU * f64::from(twelfth) / 12.0 - 0.2;
             let back = DVec3::new(angle.sin(), -angle.cos(), height).normalize();
-            let from = eye(spheres, middle, back);
+            let from = eye(spheres, middle, back, aspect);
             let hidden = hidden(from, wanted, others);
             if hidden + WORTH < best.1 {
                 best = (from, hidden);
@@ -774,19 +781,20 @@ fn camera_past(spheres: &[(DVec3, f64)], wanted: &[(DVec3, f64)], others: &[(DVe
 }
 
 /// Where an eye in direction `back` of the middle has all spheres in view.
-fn eye(spheres: &[(DVec3, f64)], middle: DVec3, back: DVec3) -> DVec3 {
+fn eye(spheres: &[(DVec3, f64)], middle: DVec3, back: DVec3, aspect: f64) -> DVec3 {
     /// Half the viewer's vertical field of view, 55°.
     const HALF_HEIGHT: f64 = 0.5205;
-    /// Views have an aspect ratio of at least 1.45.
-    const HALF_WIDTH: f64 = 1.42 * HALF_HEIGHT;
+    /// Left free at either side.
+    const MARGIN: f64 = 0.02;
 
+    let half_width = (aspect - MARGIN) * HALF_HEIGHT;
     let right = DVec3::Z.cross(back).normalize();
     let up = back.cross(right);
     // The distance at which a sphere at `centre` just fits between the planes of the view frustum.
     let distance = |centre: DVec3, radius: f64| {
         let offset = centre - middle;
         let fits = |sideways: f64, half: f64| (sideways.abs() + radius * half.hypot(1.0)) / half;
-        offset.dot(back) + f64::max(fits(offset.dot(right), HALF_WIDTH), fits(offset.dot(up), HALF_HEIGHT))
+        offset.dot(back) + f64::max(fits(offset.dot(right), half_width), fits(offset.dot(up), HALF_HEIGHT))
     };
     middle + back * spheres.iter().map(|&(centre, radius)| distance(centre, radius)).fold(0.0, f64::max)
 }
