@@ -235,6 +235,14 @@ pub enum Motion {
 }
 
 impl Motion {
+    /// Where the centre is at t = 0 [scene unit].
+    pub fn start(&self) -> DVec3 {
+        match self {
+            Motion::Prescribed(path) => path.position(0.0),
+            Motion::Free(free) => free.from,
+        }
+    }
+
     /// The same motion, moved by `offset` [scene unit].
     pub fn moved_by(&self, offset: DVec3) -> Motion {
         match self {

@@ -350,8 +350,13 @@ impl Simulation for World {
     }
 
     fn framing(&self, only_what_happens: bool) -> Vec<(DVec3, f64)> {
-        if only_what_happens { what_happens(self.scene()) } else { all_there_is(self.scene()) }
+        framing(self.scene(), only_what_happens)
     }
+}
+
+/// What a camera should have in view of a scene, see [`Simulation::framing`].
+pub fn framing(scene: &Scene, only_what_happens: bool) -> Vec<(DVec3, f64)> {
+    if only_what_happens { what_happens(scene) } else { all_there_is(scene) }
 }
 
 /// Colour of a phase: that of the force it causes, if any.

@@ -4,7 +4,8 @@
 //! Lengths are in radii of the body: all bodies of a shape share one set of cells. The grid spans [−1, 1]³ about the
 //! centre of the body, with [`Cells::across`] cells along each axis. A cell belongs to the body if the surface passes
 //! through it or if its centre is inside: the cells cover the body, and stick out of it by less than a cell. Every cell has the same
-//! mass, an eighth of it at each corner (2.1.1: "each cell has a uniform mass"). Nodes and cells are in ascending order of
+//! mass, an eighth of it at each corner (2.1.1: "each cell has a uniform mass"); where that would put the mass centre of the
+//! nodes beside that of the mesh, about which everything else is, the density has a slope that brings it there. Nodes and cells are in ascending order of
 //! z, y, x, so the result depends on the mesh alone.
 
 mod boundary;
@@ -12,9 +13,12 @@ mod cover;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
-use crate::geometry::Mesh;
+use crate::{
+    geometry::Mesh,
+    model::shape_matching::{outer, solve},
+};
 
 pub use boundary::{BoundaryMesh, boundary};
 
@@ -33,6 +37,8 @@ pub struct Cells {
     pub nodes: Vec<DVec3>,
     /// The corner nodes of each cell, in the order of [`corner`], `[cell_count]`.
     pub corners: Vec<[u32; 8]>,
+    /// Fraction of the body's mass in each cell [–], `[cell_count]`; the sum is 1.
+    pub weights: Vec<f64>,
     /// Where each cell is in the grid, `[cell_count]`.
     pub places: Vec<[u32; 3]>,
     /// Where each vertex of the surface is, `[vertex_count]`.
@@ -118,7 +124,8 @@ impl Cells {
         let nodes = nodes.collect();
         let node = |place, i| keys.partition_point(|&other| other < key(place, i)) as u32;
         let corners = places.iter().map(|&place| std::array::from_fn(|i| node(place, i))).collect();
-        Cells { across, nodes, corners, places, embedded: Vec::new() }
+        let weights = weights(&places, across);
+        Cells { across, nodes, corners, weights, places, embedded: Vec::new() }
     }
 
     /// The side of a cell [radii].
@@ -139,8 +146,9 @@ impl Cells {
     /// Fraction of the body's mass at each node [–], `[node_count]`; the sum is 1.
     pub fn shares(&self) -> Vec<f64> {
         let mut shares = vec![0.0; self.nodes.len()];
-        let share = 0.125 / self.cell_count() as f64;
-        self.corners.iter().flatten().for_each(|&node| shares[node as usize] += share);
+        for (corners, weight) in self.corners.iter().zip(&self.weights) {
+            corners.iter().for_each(|&node| shares[node as usize] += 0.125 * weight);
+        }
         shares
     }
 
@@ -196,15 +204,46 @@ impl Cells {
             .collect()
     }
 
+    /// What was allocated for it [bytes].
+    pub fn memory(&self) -> usize {
+        self.nodes.capacity() * size_of::<DVec3>()
+            + self.corners.capacity() * size_of::<[u32; 8]>()
+            + self.weights.capacity() * size_of::<f64>()
+            + self.places.capacity() * size_of::<[u32; 3]>()
+            + self.embedded.capacity() * size_of::<Embedded>()
+    }
+
     /// Memory that covering a mesh of so many vertices can take [bytes]: the grid, every cell of it in the body.
     pub fn most_memory(across: u32, vertices: u64) -> u64 {
         const GRID_BYTES: u64 = 9; // whether it is inside, the winding number, the index
-        const CELL_BYTES: u64 = 8 * 8 + 32 + 12; // keys of the corners, corners, place
+        const CELL_BYTES: u64 = 8 * 8 + 32 + 12 + 8; // keys of the corners, corners, place, weight
         let across = u64::from(across);
         let cells = across * across * across;
         let nodes = (across + 1) * (across + 1) * (across + 1);
         cells * (GRID_BYTES + CELL_BYTES) + nodes * size_of::<DVec3>() as u64 + vertices * size_of::<Embedded>() as u64
     }
+}
+
+/// Fractions of the mass in cells at the given places: equal, but for a slope that brings their centre to that of the grid. One that
+/// would leave a cell with less than a fifth of the mean is not made.
+fn weights(places: &[[u32; 3]], across: u32) -> Vec<f64> {
+    const NONE: f64 = 1e-9;
+    const LEAST: f64 = 0.2;
+    let (mean, h) = (1.0 / places.len() as f64, 2.0 / f64::from(across));
+    let centre = |place: &[u32; 3]| (DVec3::from_array(place.map(f64::from)) + 0.5) * h - 1.0;
+    let middle = places.iter().map(centre).sum::<DVec3>() * mean;
+    let mut spread = DMat3::ZERO;
+    for place in places {
+        let apart = centre(place) - middle;
+        spread += outer(apart, apart) * mean;
+    }
+    let slope = solve(spread, -middle);
+    let weight = |place: &[u32; 3]| mean * (1.0 + slope.dot(centre(place) - middle));
+    // not finite for cells in one plane
+    if middle.length() > NONE && slope.is_finite() && places.iter().all(|place| weight(place) > LEAST * mean) {
+        return places.iter().map(weight).collect();
+    }
+    vec![mean; places.len()]
 }
 
 /// The representative of a set of a union-find forest; paths are halved on the way.

@@ -51,6 +51,12 @@ pub struct Part<'a> {
 struct Source<'a> {
     body: u32,
     path: &'a Path,
+    sphere: Sphere,
+}
+
+/// What an influence sphere does to a body.
+#[derive(Clone, Copy)]
+pub struct Sphere {
     law: PairLaw,
     phase: Phase,
     /// Factor by the sizes of the two [–].
@@ -60,6 +66,19 @@ struct Source<'a> {
     radii: f64,
     /// The part of the time that it acts [–].
     share: f64,
+}
+
+impl Sphere {
+    /// Its cause, its body, its place relative to the body acted on, its strength [1/s²] and radius.
+    fn at(&self, body: u32, apart: DVec3) -> (Cause, u32, DVec3, f64, f64) {
+        let strength = self.law.strength(self.phase, apart.length() / self.radii) * self.scale;
+        let cause = match (self.phase, strength > 0.0) {
+            (_, true) => Cause::Attraction,
+            (Phase::Core | Phase::Merged, false) => Cause::Core,
+            (Phase::Apart, false) => Cause::Repulsion,
+        };
+        (cause, body, apart, strength * self.share, self.radius)
+    }
 }
 
 /// The accelerations of nodes at an instant.
@@ -153,36 +172,84 @@ impl Around<'_> {
         pushes: &[Push],
         ends: [f64; 2],
     ) -> Part<'a> {
-        let [start, end] = ends;
         let mut part = self.part(path, index, &[], &[], ends);
         for &other in sources {
-            let pair = [index.min(other as usize), index.max(other as usize)];
-            let changes = self.events.iter().filter(|event| [event.a, event.b] == pair);
-            let mut from = start;
-            for to in changes.map(|event| event.time).filter(|time| (start..end).contains(time)).chain([end]) {
-                if to > from {
-                    part.sources.extend(self.source(index, other, from, (to - from) / (end - start)));
-                    from = to;
-                }
-            }
+            self.by_share(index, other, ends, |from, share| {
+                part.sources.extend(self.source(index, other, from, share))
+            });
         }
-        part.pushes.extend(pushes.iter().filter_map(|push| {
-            let acts = push.end().min(end) - push.start.max(start);
-            (acts > 0.0).then(|| (push.direction, push.strength * (acts / (end - start))))
-        }));
+        mean_pushes(pushes, ends, &mut part.pushes);
         part
     }
 
-    fn source(&self, index: usize, other: u32, t: f64, share: f64) -> Option<Source<'_>> {
+    /// The parts of a time in which a pair stays in its phase: the start of each [s], and its share.
+    fn by_share(&self, index: usize, other: u32, [start, end]: [f64; 2], mut found: impl FnMut(f64, f64)) {
+        let pair = [index.min(other as usize), index.max(other as usize)];
+        let changes = self.events.iter().filter(|event| [event.a, event.b] == pair);
+        let mut from = start;
+        for to in changes.map(|event| event.time).filter(|time| (start..end).contains(time)).chain([end]) {
+            if to > from {
+                found(from, (to - from) / (end - start));
+                from = to;
+            }
+        }
+    }
+
+    /// Writes what spheres and pushes do to a body in the mean over some time, with the centres of all bodies given.
+    pub fn acting(
+        &self,
+        index: usize,
+        sources: &[u32],
+        pushes: &[Push],
+        ends: [f64; 2],
+        centres: &[DVec3],
+        now: &mut Instantaneous,
+    ) {
+        now.spheres.clear();
+        now.pushes.clear();
+        for &other in sources {
+            let apart = centres[other as usize] - centres[index];
+            let mut add = |from: f64, share: f64| {
+                now.spheres.extend(self.sphere(index, other, from, share).map(|sphere| sphere.at(other, apart)));
+            };
+            if ends[1] > ends[0] {
+                self.by_share(index, other, ends, add);
+            } else {
+                add(ends[0], 1.0);
+            }
+        }
+        if ends[1] > ends[0] {
+            mean_pushes(pushes, ends, &mut now.pushes);
+        } else {
+            let acts = pushes.iter().filter(|push| push.start <= ends[0] && ends[0] < push.end());
+            now.pushes.extend(acts.map(|push| (push.direction, push.strength)));
+        }
+    }
+
+    /// A bound of the derivative of the accelerations of a body's nodes by spheres, and of its centre by what they do to it and
+    /// to others [1/s²].
+    pub fn stiffness(&self, index: usize, sources: &[u32]) -> f64 {
+        let own = self.scene.bodies[index].mass;
+        let of = |&other: &u32| {
+            let body = &self.scene.bodies[other as usize];
+            let law = self.scene.law(index, other as usize);
+            let scale = |to: usize, from: usize| {
+                self.scene.influence.scale(self.scene.bodies[to].radius, self.scene.bodies[from].radius)
+            };
+            let scales = [scale(index, other as usize), scale(other as usize, index)];
+            law.alpha.max(law.beta) * (2.0 * scales[0] + scales[1] * (body.mass / own))
+        };
+        sources.iter().map(of).sum::<f64>() * steep(self.scene.influence.weight)
+    }
+
+    fn sphere(&self, index: usize, other: u32, t: f64, share: f64) -> Option<Sphere> {
         let (scene, j) = (self.scene, other as usize);
         let [this, source] = [&scene.bodies[index], &scene.bodies[j]];
         let (law, phase) = (scene.law(index, j), self.phase(index, j, t));
         if phase == Phase::Apart && !law.apart_repels {
             return None;
         }
-        Some(Source {
-            body: other,
-            path: source.path()?,
+        Some(Sphere {
             law,
             phase,
             scale: scene.influence.scale(this.radius, source.radius),
@@ -191,6 +258,24 @@ impl Around<'_> {
             share,
         })
     }
+
+    fn source(&self, index: usize, other: u32, t: f64, share: f64) -> Option<Source<'_>> {
+        let path = self.scene.bodies[other as usize].path()?;
+        Some(Source { body: other, path, sphere: self.sphere(index, other, t, share)? })
+    }
+}
+
+/// |∂(c − r) W| ≤ 1 for the linear weight; Wendland's is steeper by less than 2.
+fn steep(weight: Weight) -> f64 {
+    if weight == Weight::Linear { 1.0 } else { 2.0 }
+}
+
+/// Pushes that act for a part of some time, in the mean.
+fn mean_pushes(pushes: &[Push], [start, end]: [f64; 2], into: &mut Vec<(DVec3, f64)>) {
+    into.extend(pushes.iter().filter_map(|push| {
+        let acts = push.end().min(end) - push.start.max(start);
+        (acts > 0.0).then(|| (push.direction, push.strength * (acts / (end - start))))
+    }));
 }
 
 impl Part<'_> {
@@ -208,17 +293,8 @@ impl Part<'_> {
         now.pushes.clear();
         now.pushes.extend_from_slice(&self.pushes);
         now.spheres.clear();
-        now.spheres.extend(self.sources.iter().map(|source| {
-            let apart = place(source.path) - centre;
-            let q = apart.length() / source.radii;
-            let strength = source.law.strength(source.phase, q) * source.scale;
-            let cause = match (source.phase, strength > 0.0) {
-                (_, true) => Cause::Attraction,
-                (Phase::Core | Phase::Merged, false) => Cause::Core,
-                (Phase::Apart, false) => Cause::Repulsion,
-            };
-            (cause, source.body, apart, strength * source.share, source.radius)
-        }));
+        let of = |source: &Source<'_>| source.sphere.at(source.body, place(source.path) - centre);
+        now.spheres.extend(self.sources.iter().map(of));
     }
 
     /// The same as the mean over the part: the carry is by how much the velocity changes, jumps included.
@@ -254,10 +330,8 @@ impl Part<'_> {
 
     /// A bound of the derivative of the accelerations by spheres [1/s²].
     pub fn stiffness(&self) -> f64 {
-        let of = |source: &Source<'_>| source.law.alpha.max(source.law.beta) * source.scale;
-        // |∂(c − r) W| ≤ 1 for the linear weight; Wendland's is steeper by less than 2
-        let steep = if self.scene.influence.weight == Weight::Linear { 1.0 } else { 2.0 };
-        self.sources.iter().map(of).sum::<f64>() * steep
+        let of = |Source { sphere, .. }: &Source<'_>| sphere.law.alpha.max(sphere.law.beta) * sphere.scale;
+        self.sources.iter().map(of).sum::<f64>() * steep(self.scene.influence.weight)
     }
 }
 

@@ -8,11 +8,12 @@ use std::{
     },
 };
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use super::{
     CORE,
     act::{Around, Instantaneous, Part},
+    coupled::{Acted, Free, is_coupled},
 };
 use crate::{
     geometry::{Mesh, Shape, Vectors},
@@ -22,15 +23,15 @@ use crate::{
         lattice::{self, Constants, Lattice, Scheme},
     },
     observe::StepFailure,
-    scene::{Integrator, Model, Plane, Push, Scene, TearMode},
+    scene::{Integrator, Model, Motion, Plane, Push, Scene, TearMode},
     sim::reach::Ball,
     text::bytes,
 };
 
 /// Explicit steps are this fraction of the limit: stretched springs are stiffer than those at rest.
-const OF_LIMIT: f64 = 0.7;
+pub const OF_LIMIT: f64 = 0.7;
 /// Springs that a body may move in a step; more is as good as endless.
-const MOST_WORK: f64 = 2e8;
+pub const MOST_WORK: f64 = 2e8;
 /// Springs moved between two looks at the interrupt.
 const GRAIN: u64 = 1 << 22;
 /// A body whose nodes are farther away than this has diverged [radii].
@@ -50,19 +51,19 @@ pub enum Matter {
 /// A lattice and its motion.
 pub struct Springs {
     pub lattice: Lattice,
-    motion: lattice::Motion,
+    pub motion: lattice::Motion,
 }
 
 /// Finite elements and their motion.
 pub struct Finite {
     pub element: Arc<Element>,
-    stepper: Arc<Stepper>,
-    motion: fem::Motion,
+    pub stepper: Arc<Stepper>,
+    pub motion: fem::Motion,
     /// Steps of the factor in a step of the scene.
-    divided: u64,
-    forces: Vec<DVec3>,
+    pub divided: u64,
+    pub forces: Vec<DVec3>,
     /// Whether each node is held.
-    held: Vec<bool>,
+    pub held: Vec<bool>,
     /// Whether each cell would have torn.
     torn: Vec<bool>,
 }
@@ -98,7 +99,12 @@ pub struct Body {
     /// Rest positions of the nodes [scene unit], and their directions [–], `[node_count]`.
     pub rest: Vec<DVec3>,
     pub directions: Vec<DVec3>,
-    /// Displacements [scene unit] and velocities [scene unit/s] of the nodes, `[node_count]`.
+    /// How it moves as a whole if forces move it; none of its nodes is held then.
+    pub free: Option<Free>,
+    /// What acted on it, in a scene with free bodies.
+    pub acted: Acted,
+    /// Displacements [scene unit] and velocities [scene unit/s] of the nodes, `[node_count]`; of a free body from the rest shape as it
+    /// is turned.
     pub x: Vec<DVec3>,
     pub u: Vec<DVec3>,
     /// Whether nothing is displaced or moves.
@@ -109,6 +115,8 @@ pub struct Body {
     pub pushes: Vec<Push>,
     /// The bodies whose spheres can reach it in this step, ascending.
     pub sources: Vec<u32>,
+    /// The bodies near it, ascending: with those whose phase may change.
+    pub near: Vec<u32>,
     /// Where it is in the broad phase.
     pub placed: Option<Ball>,
     pub reach: f64,
@@ -122,9 +130,9 @@ pub struct Body {
     pub tears: Vec<DVec3>,
     pub failure: Option<StepFailure>,
     /// What planes do to a node over what they do to a vertex, at the most [–].
-    contact: f64,
+    pub contact: f64,
     breaks: Vec<f64>,
-    now: Instantaneous,
+    pub now: Instantaneous,
 }
 
 /// What bodies of one kind share.
@@ -132,16 +140,34 @@ pub struct Shared {
     /// What is left for factors [bytes].
     room: u64,
     elements: HashMap<Kind, (Arc<Element>, Arc<Stepper>, u64)>,
+    /// Steps of a factor in one of the scene, if they are the same for all bodies.
+    divided: Option<u64>,
 }
 
-/// What the elements of a body depend on: its shape, and the bits of radius, mass, ω and κ.
-type Kind = (Shape, [u64; 4]);
+/// What the elements of a body depend on: its shape, the bits of radius, mass, ω and κ, and whether it is free.
+type Kind = (Shape, [u64; 4], bool);
 
 impl Shared {
-    /// With so much room for factors [bytes].
-    pub fn new(room: u64) -> Shared {
-        Shared { room, elements: HashMap::new() }
+    /// What was allocated for it [bytes].
+    pub fn memory(&self) -> usize {
+        let of = |(element, stepper, _): &(Arc<Element>, Arc<Stepper>, u64)| element.memory() + stepper.memory();
+        self.elements.values().map(of).sum()
     }
+
+    /// With so much room for factors [bytes]; `contact` is the largest of all bodies' if they are stepped together.
+    pub fn new(room: u64, scene: &Scene, contact: Option<f64>) -> Shared {
+        Shared { room, elements: HashMap::new(), divided: contact.map(|contact| divisions(scene, contact)) }
+    }
+}
+
+/// Steps of a factor in one of the scene. Spheres of two bodies at once, and planes, are known from the last half step; where bodies
+/// are free, what a heavy one does to a light one moves that too.
+fn divisions(scene: &Scene, contact: f64) -> u64 {
+    let strongest = scene.laws().map(|law| law.alpha.max(law.beta)).fold(0.0, f64::max);
+    let planes = scene.planes.iter().map(|plane| plane.stiffness).sum::<f64>() * contact;
+    let of = |pick: fn(f64, f64) -> f64, start| scene.bodies.iter().map(|body| body.mass).fold(start, pick);
+    let ratio = if is_coupled(scene) { of(f64::max, 0.0) / of(f64::min, f64::INFINITY) } else { 0.0 };
+    (scene.dt * ((2.0 + ratio) * strongest + planes).sqrt() / MOST_PHASE).ceil().max(1.0) as u64
 }
 
 /// Memory that a body takes without the factor [bytes]; `is_new` if no other is like it.
@@ -169,16 +195,19 @@ impl Body {
     ) -> Result<Body, String> {
         let described = &scene.bodies[index];
         let (radius, mass, material) = (described.radius, described.mass, described.material);
-        let held = cells.core(CORE);
+        let motion = match &described.motion {
+            Motion::Free(motion) => Some(motion),
+            Motion::Prescribed(_) => None,
+        };
+        let held = if motion.is_some() { vec![false; cells.node_count()] } else { cells.core(CORE) };
         let mesh = described.shape.mesh();
         let constants = |density| Constants::of(material.omega, material.damping, radius, density);
         let rest: Vec<DVec3> = cells.nodes.iter().map(|&node| node * radius).collect();
         let contact = contact(&cells, &mesh);
-        let planes = scene.planes.iter().map(|plane| plane.stiffness).sum::<f64>() * contact;
         let matter = match scene.model {
             Model::Fem => {
-                let kind =
-                    (described.shape.clone(), [radius, mass, material.omega, material.damping].map(f64::to_bits));
+                let bits = [radius, mass, material.omega, material.damping].map(f64::to_bits);
+                let kind = (described.shape.clone(), bits, motion.is_some());
                 let (element, stepper, divided) = match shared.elements.get(&kind) {
                     Some((element, stepper, divided)) => (Arc::clone(element), Arc::clone(stepper), *divided),
                     None => {
@@ -188,15 +217,13 @@ impl Body {
                             (Elasticity { young, poisson: scene.fem.poisson }, damping)
                         };
                         let element = Element::new(&cells, radius, mass, &held, of);
-                        // spheres of two bodies at once, and planes, are known from the last half step
-                        let strongest = scene.laws().map(|law| law.alpha.max(law.beta)).fold(0.0, f64::max);
-                        let divided = (scene.dt * (2.0 * strongest + planes).sqrt() / MOST_PHASE).ceil().max(1.0);
-                        let stepper = element.factor(scene.dt / divided, shared.room, interrupt);
+                        let divided = shared.divided.unwrap_or_else(|| divisions(scene, contact));
+                        let stepper = element.factor(scene.dt / divided as f64, shared.room, interrupt);
                         let stepper = stepper.map_err(|error| unfactored(scene, index, error))?;
                         shared.room = shared.room.saturating_sub(stepper.memory() as u64);
                         let (element, stepper) = (Arc::new(element), Arc::new(stepper));
-                        shared.elements.insert(kind, (Arc::clone(&element), Arc::clone(&stepper), divided as u64));
-                        (element, stepper, divided as u64)
+                        shared.elements.insert(kind, (Arc::clone(&element), Arc::clone(&stepper), divided));
+                        (element, stepper, divided)
                     }
                 };
                 let motion = fem::Motion::at_rest(&element);
@@ -210,12 +237,15 @@ impl Body {
             }
         };
         let n = rest.len();
-        Ok(Body {
+        let free = motion.map(|motion| Free::new(motion, &rest, scene.model == Model::Fem));
+        let mut body = Body {
             index,
             radius,
             extent: rest.iter().map(|l| l.length()).fold(0.0, f64::max),
             directions: rest.iter().map(|l| l.normalize_or_zero()).collect(),
             rest,
+            free,
+            acted: Acted::default(),
             x: vec![DVec3::ZERO; n],
             u: vec![DVec3::ZERO; n],
             cells,
@@ -225,6 +255,7 @@ impl Body {
             speed: 0.0,
             pushes: scene.pushes.iter().filter(|push| push.body == index).copied().collect(),
             sources: Vec::new(),
+            near: Vec::new(),
             placed: None,
             reach: 0.0,
             spread: 0.0,
@@ -236,7 +267,9 @@ impl Body {
             contact,
             breaks: Vec::new(),
             now: Instantaneous::default(),
-        })
+        };
+        body.start();
+        Ok(body)
     }
 
     /// Number of nodes.
@@ -331,8 +364,7 @@ impl Body {
             motion.accelerations.clear(); // forces jump here
         }
         if kick != DVec3::ZERO {
-            let free = motion.velocities.iter_mut().zip(&motion.inverse).filter(|(_, inverse)| **inverse > 0.0);
-            free.for_each(|(velocity, _)| *velocity += kick);
+            motion.kick(kick);
         }
         let of_planes = planes.iter().map(|plane| plane.stiffness).sum::<f64>() * *contact;
         let limit = lattice.step_limit(part.stiffness() + of_planes);
@@ -420,7 +452,7 @@ impl Body {
     }
 
     /// Tears a lattice where it is pulled too hard.
-    fn tear(&mut self, around: &Around<'_>, centre: DVec3) {
+    pub fn tear(&mut self, around: &Around<'_>, centre: DVec3) {
         let settings = around.scene.lattice;
         let Body { matter, statistics, tears, rest, directions, x, u, cells, mesh, torn, exposed, radius, .. } = self;
         let Matter::Lattice(springs) = matter else { return };
@@ -468,20 +500,26 @@ impl Body {
     }
 
     /// Notes the cells of finite elements where the body would tear.
-    fn strain(&mut self, around: &Around<'_>, centre: DVec3) {
+    pub fn strain(&mut self, around: &Around<'_>, centre: DVec3) {
         let Some(limit) = around.scene.fem.tear_stress else { return };
-        let Body { matter, statistics, tears, x, cells, rest, .. } = self;
+        let Body { matter, statistics, tears, x, cells, rest, free, .. } = self;
         let Matter::Fem(finite) = matter else { return };
         let Finite { element, torn, .. } = &mut **finite;
         statistics.tension = 0.0;
-        element.tensions(x, |tension| {
+        let axes = free.as_ref().map(|free| DMat3::from_quat(free.rotation));
+        let turned = axes.map(|axes| x.iter().map(|x| axes.transpose() * *x).collect::<Vec<_>>());
+        element.tensions(turned.as_ref().unwrap_or(x), |tension| {
             statistics.tension = statistics.tension.max(tension.stress);
             let is_torn = &mut torn[tension.cell as usize];
             if tension.stress > limit && !*is_torn {
                 *is_torn = true;
                 statistics.torn += 1;
                 let corners = cells.corners[tension.cell as usize];
-                let place = corners.map(|node| rest[node as usize] + x[node as usize]).iter().sum::<DVec3>() * 0.125;
+                let place = corners
+                    .map(|node| axes.unwrap_or(DMat3::IDENTITY) * rest[node as usize] + x[node as usize])
+                    .iter()
+                    .sum::<DVec3>()
+                    * 0.125;
                 statistics.first.get_or_insert((around.end, centre + place));
                 tears.push(centre + place);
             }
@@ -489,9 +527,9 @@ impl Body {
     }
 
     /// Takes over the state of the nodes, and says if it is one that cannot be.
-    fn look(&mut self, around: &Around<'_>) {
-        let Body { matter, rest, x, u, .. } = self;
-        if let Matter::Lattice(springs) = matter {
+    pub fn look(&mut self, around: &Around<'_>) {
+        let Body { matter, rest, x, u, free, .. } = self;
+        if let (Matter::Lattice(springs), None) = (matter, &free) {
             let motion = &springs.motion;
             for (i, ((position, velocity), rest)) in
                 motion.positions.iter().zip(&motion.velocities).zip(rest.iter()).enumerate()
@@ -499,15 +537,19 @@ impl Body {
                 (x[i], u[i]) = (*position - *rest, *velocity);
             }
         }
-        let (mut farthest, mut fastest, mut is_at_rest) = (0.0, 0.0, true);
+        let axes = free.as_ref().map_or(DMat3::IDENTITY, |free| DMat3::from_quat(free.rotation));
+        let is_somewhere = free.as_ref().is_none_or(|free| free.centre.is_finite() && free.velocity.is_finite());
+        let spinning = free.as_ref().map_or(0.0, |free| free.spin.length());
+        let (mut farthest, mut fastest, mut is_at_rest) = (0.0, 0.0, spinning == 0.0);
         for ((rest, x), u) in rest.iter().zip(x.iter()).zip(u.iter()) {
-            farthest = f64::max(farthest, (*rest + *x).length_squared());
+            farthest = f64::max(farthest, (axes * *rest + *x).length_squared());
             fastest = f64::max(fastest, u.length_squared());
             is_at_rest &= *x == DVec3::ZERO && *u == DVec3::ZERO;
         }
         let is_finite = x.iter().zip(u.iter()).all(|(x, u)| x.is_finite() && u.is_finite());
-        (self.extent, self.speed, self.is_at_rest) = (farthest.sqrt(), fastest.sqrt(), is_at_rest);
-        if self.failure.is_none() && (!is_finite || self.extent > DIVERGED * self.radius) {
+        (self.extent, self.speed, self.is_at_rest) =
+            (farthest.sqrt(), fastest.sqrt() + spinning * farthest.sqrt(), is_at_rest);
+        if self.failure.is_none() && (!(is_finite && is_somewhere) || self.extent > DIVERGED * self.radius) {
             let scene = around.scene;
             self.failure = Some(StepFailure::Diverged(format!(
                 "diverged at step {} (t = {:.6} s): body \"{}\", its nodes are {:e} scene units away; {} with dt = {:e} s, stable below {:.1e} s: use a \
@@ -527,7 +569,7 @@ impl Body {
     pub fn elastic_energy(&self) -> f64 {
         match &self.matter {
             Matter::Lattice(springs) => springs.lattice.energy(&springs.motion.positions),
-            Matter::Fem(finite) => finite.element.energy(&finite.motion.displacements),
+            Matter::Fem(finite) => finite.element.energy(&self.in_axes(&finite.element, &self.x)),
         }
     }
 
@@ -551,19 +593,30 @@ impl Body {
                 [per_mass(forces), per_mass(drags)]
             }
             Matter::Fem(finite) => {
-                let Finite { element, motion, .. } = &**finite;
+                let (element, axes) = (&*finite.element, self.axes());
                 let of = |values: &[DVec3], factor: f64| {
-                    let mut forces = vec![DVec3::ZERO; values.len()];
-                    element.forces(values, &mut forces);
+                    let mut forces = vec![DVec3::ZERO; element.free.len()];
+                    element.forces(&self.in_axes(element, values), &mut forces);
                     let mut all = vec![DVec3::ZERO; n];
                     for (force, &node) in forces.iter().zip(&element.free) {
-                        all[node as usize] = *force * (-factor / element.masses[node as usize]);
+                        all[node as usize] = axes * *force * (-factor / element.masses[node as usize]);
                     }
                     all
                 };
-                [of(&motion.displacements, 1.0), of(&motion.velocities, element.damping)]
+                [of(&self.x, 1.0), of(&self.u, element.damping)]
             }
         }
+    }
+
+    /// The axes of its rest shape.
+    pub fn axes(&self) -> DMat3 {
+        self.free.as_ref().map_or(DMat3::IDENTITY, |free| DMat3::from_quat(free.rotation))
+    }
+
+    /// Vectors of the free nodes in these axes, in the order of elimination.
+    fn in_axes(&self, element: &Element, of: &[DVec3]) -> Vec<DVec3> {
+        let back = self.axes().transpose();
+        element.free.iter().map(|&node| back * of[node as usize]).collect()
     }
 
     /// Whether a node is held.
@@ -580,30 +633,56 @@ impl Body {
             Matter::Lattice(springs) => &springs.lattice.corners,
             Matter::Fem(_) => &self.cells.corners,
         };
-        let positions: Vec<DVec3> = self.rest.iter().zip(&self.x).map(|(l, x)| *l + *x).collect();
+        let positions = self.places();
+        let velocities = self.velocities();
         let mut into = vec![DVec3::ZERO; positions.len()];
         let (mesh, cells) = (&*self.mesh, &*self.cells);
         let of = Contact { planes: &scene.planes, mesh, cells, corners, motion: [centre, velocity], most: 0.0 };
-        of.accelerate(self.masses(), scene.bodies[self.index].mass, &positions, &self.u, &mut into);
+        of.accelerate(self.masses(), scene.bodies[self.index].mass, &positions, velocities, &mut into);
         into
+    }
+
+    /// Places of the nodes relative to the centre [scene unit].
+    pub fn places(&self) -> Vec<DVec3> {
+        let axes = self.axes();
+        self.rest.iter().zip(&self.x).map(|(l, x)| axes * *l + *x).collect()
+    }
+
+    /// Velocities of the nodes relative to that of the centre [scene unit/s].
+    pub fn velocities(&self) -> &[DVec3] {
+        self.state().map_or(&self.u, |[_, velocities]| velocities)
+    }
+
+    /// What was allocated for it without what it shares with others [bytes].
+    pub fn memory(&self) -> usize {
+        let vectors = [&self.rest, &self.directions, &self.x, &self.u];
+        let matter = match &self.matter {
+            Matter::Lattice(springs) => springs.lattice.memory() + springs.motion.memory(),
+            Matter::Fem(finite) => finite.motion.memory() + finite.forces.capacity() * size_of::<DVec3>(),
+        };
+        vectors.iter().map(|of| of.capacity() * size_of::<DVec3>()).sum::<usize>()
+            + matter
+            + self.free.as_ref().map_or(0, Free::memory)
+            + self.acted.memory()
+            + self.torn.as_ref().map_or(0, |mesh| mesh.memory())
     }
 }
 
 /// Planes and the surface of a body.
-struct Contact<'a> {
-    planes: &'a [Plane],
-    mesh: &'a Mesh,
-    cells: &'a Cells,
-    corners: &'a [[u32; 8]],
+pub struct Contact<'a> {
+    pub planes: &'a [Plane],
+    pub mesh: &'a Mesh,
+    pub cells: &'a Cells,
+    pub corners: &'a [[u32; 8]],
     /// Place and velocity of the centre.
-    motion: [DVec3; 2],
+    pub motion: [DVec3; 2],
     /// Friction stops no node within less than this time [s]: a step, over what a vertex does to a node.
-    most: f64,
+    pub most: f64,
 }
 
 impl Contact<'_> {
     /// Adds the accelerations of the nodes: each vertex, which has its share of the body's mass, hands on what it feels.
-    fn accelerate(&self, masses: &[f64], mass: f64, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3]) {
+    pub fn accelerate(&self, masses: &[f64], mass: f64, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3]) {
         for (embedded, share) in self.cells.embedded.iter().zip(self.mesh.shares()) {
             let corners = &self.corners[embedded.cell as usize];
             let place = embedded.mean(corners, positions) + self.motion[0];
@@ -626,7 +705,7 @@ impl Contact<'_> {
 }
 
 /// The largest ratio of the mass of the vertices that act on a node to the mass of the node.
-fn contact(cells: &Cells, mesh: &Mesh) -> f64 {
+pub fn contact(cells: &Cells, mesh: &Mesh) -> f64 {
     let mut sums = vec![0.0; cells.node_count()];
     for (embedded, share) in cells.embedded.iter().zip(mesh.shares()) {
         for (&node, &weight) in cells.corners[embedded.cell as usize].iter().zip(&embedded.weights) {

@@ -1,18 +1,19 @@
 //! Bodies made of cells as a simulation: what lattices and finite elements have in common.
 //!
-//! Every body follows its prescribed path, held at the nodes of its core (those within half a radius of its centre). Its other nodes are
+//! A body on a path follows it, held at the nodes of its core (those within half a radius of its centre). Its other nodes are
 //! masses in the axes of the body, moved by what is between them, and by the same accelerations as a vertex of the
 //! oscillators at their place: influence spheres by phase (3.4), (3.5), pushes, carry. Planes act on the vertices of the surface,
 //! each of which hands what it feels to the nodes of its cell.
 //!
 //! The core is held, and not every node by a spring of its own, because that is what springs and elements are for: a deformation has to
-//! travel through the body, and what tears off is not pulled back. Bodies that forces move are refused.
+//! travel through the body, and what tears off is not pulled back. Of a body that forces move no node is held: see `coupled`.
 //!
-//! Phases change when those of the oscillators do, to the bit: a [`World`] of the same bodies without anything that
+//! Where all bodies are on paths, phases change when those of the oscillators do, to the bit: a [`World`] of the same bodies without anything that
 //! deforms them finds the events.
 
 mod act;
 mod body;
+mod coupled;
 mod observe;
 #[cfg(test)]
 mod tests;
@@ -30,7 +31,7 @@ use crate::{
     geometry::{Shape, Sphere},
     model::phase::Phase,
     observe::{BodyEvent, Instant, PairEvent, StepFailure},
-    scene::{Integrator, Model, Motion, Path, Scene, TearMode},
+    scene::{Integrator, Model, Motion, Path, Rotation, Scene, TearMode},
     sim::{
         Options, World, memory,
         reach::{Ball, Grid},
@@ -50,9 +51,11 @@ const PARALLEL_NODES: usize = 128;
 pub struct Elastic {
     scene: Scene,
     options: Options,
-    /// The same bodies without what deforms them: finds when phases change.
-    world: World,
+    /// The same bodies without what deforms them: finds when phases change. None where forces move bodies.
+    world: Option<World>,
     bodies: Vec<Body>,
+    /// What was allocated for what bodies share [bytes].
+    shared: usize,
     /// The phases of pairs that are not apart, at the end of the last step.
     phases: BTreeMap<[u32; 2], Phase>,
     /// Bounds of what each body acts on and is acted on by.
@@ -75,9 +78,19 @@ pub fn check(scene: &Scene) -> Result<(), Unsupported> {
         Err(Unsupported { scene: scene.name.clone(), model: scene.model, body, what, remedy: remedy.to_owned() })
     };
     for body in &scene.bodies {
-        if matches!(body.motion, Motion::Free(_)) {
-            let what = "motion = { free = … }, and its bodies are held by their cores".to_owned();
-            return refuse(Some(&body.name), what, "give it a path, or choose model = \"oscillators\"");
+        if let Motion::Free(motion) = &body.motion {
+            if motion.rotation == Rotation::Fixed {
+                let what = "rotation = \"fixed\", and its nodes turn a body as they are pushed".to_owned();
+                return refuse(Some(&body.name), what, "leave rotation out, or choose model = \"oscillators\"");
+            }
+            if body.force.is_some() {
+                let what = "a force that a program gives".to_owned();
+                return refuse(Some(&body.name), what, "take it away, or choose model = \"oscillators\"");
+            }
+            if scene.integrator == Integrator::Euler {
+                let what = "integrator = \"euler\" with motion = { free = … }".to_owned();
+                return refuse(Some(&body.name), what, "choose \"verlet\", or \"exponential\", the default");
+            }
         }
         if body.material.omega == 0.0 {
             let what = "omega = 0, from which its stiffness is derived".to_owned();
@@ -124,33 +137,46 @@ impl Elastic {
         };
         let room = room(&scene, across)?;
         let interrupted = || "interrupted while the bodies were built".to_owned();
-        let world = World::with_options(rigid(&scene), options).map_err(|error| error.to_string())?;
-        let phases = world.pairs().filter(|pair| pair.phase != Phase::Apart);
-        let phases = phases.map(|pair| ([pair.a as u32, pair.b as u32], pair.phase)).collect();
-        let mut covered: HashMap<Shape, Arc<Cells>> = HashMap::new();
-        let mut shared = body::Shared::new(room);
-        let mut bodies = Vec::with_capacity(scene.bodies.len());
-        for index in 0..scene.bodies.len() {
+        let is_coupled = coupled::is_coupled(&scene);
+        let (mut world, mut phases) = (None, BTreeMap::new());
+        if is_coupled {
+            phases = first_phases(&scene);
+        } else {
+            let rigid = World::with_options(rigid(&scene), options).map_err(|error| error.to_string())?;
+            let joined = rigid.pairs().filter(|pair| pair.phase != Phase::Apart);
+            phases.extend(joined.map(|pair| ([pair.a as u32, pair.b as u32], pair.phase)));
+            world = Some(rigid);
+        }
+        let mut covered: HashMap<&Shape, Arc<Cells>> = HashMap::new();
+        let mut contact = 0.0;
+        for body in &scene.bodies {
             if options.interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
                 return Err(interrupted());
             }
-            let shape = &scene.bodies[index].shape;
-            let cells = match covered.get(shape) {
-                Some(cells) => Arc::clone(cells),
-                None => {
-                    let cells = Cells::cover(&shape.mesh(), across, options.interrupt).ok_or_else(interrupted)?;
-                    let cells = Arc::new(cells);
-                    covered.insert(shape.clone(), Arc::clone(&cells));
-                    cells
-                }
-            };
+            if !covered.contains_key(&body.shape) {
+                let mesh = body.shape.mesh();
+                let cells = Cells::cover(&mesh, across, options.interrupt).ok_or_else(interrupted)?;
+                contact = f64::max(contact, body::contact(&cells, &mesh));
+                covered.insert(&body.shape, Arc::new(cells));
+            }
+        }
+        let mut shared = body::Shared::new(room, &scene, is_coupled.then_some(contact));
+        let mut bodies = Vec::with_capacity(scene.bodies.len());
+        for (index, body) in scene.bodies.iter().enumerate() {
+            if options.interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+                return Err(interrupted());
+            }
+            let Some(cells) = covered.get(&body.shape).map(Arc::clone) else { continue };
             bodies.push(Body::new(&scene, index, cells, &mut shared, options.interrupt)?);
         }
+        let shared = covered.values().map(|cells| cells.memory()).sum::<usize>() + shared.memory();
+        drop(covered);
         Ok(Elastic {
             scene,
             options,
             world,
             bodies,
+            shared,
             phases,
             grid: Grid::default(),
             step: 0,
@@ -178,12 +204,23 @@ impl Elastic {
         let (start, end) = (self.time_of(self.step), self.time_of(self.step + 1));
         let begun = Clock::now();
         self.failure = None;
-        let report = self.world.step();
         self.events.clear();
         self.tears.clear();
-        self.events.extend(report.events.iter().map(PairEvent::from));
-        if let Some(failure) = &report.failure {
-            self.failure = Some(failure.into());
+        if self.world.is_none() {
+            if let Err(failure) = self.take_coupled(start, end) {
+                self.failure = Some(failure);
+                return;
+            }
+            self.timings = [Duration::ZERO, Duration::ZERO, begun.elapsed()];
+            self.end_step(end);
+            return;
+        }
+        if let Some(world) = &mut self.world {
+            let report = world.step();
+            self.events.extend(report.events.iter().map(PairEvent::from));
+            self.failure = report.failure.as_ref().map(StepFailure::from);
+        }
+        if self.failure.is_some() {
             return;
         }
         let found = Clock::now();
@@ -211,37 +248,51 @@ impl Elastic {
                 Some(&phase) => _ = self.phases.insert(pair, phase),
             }
         }
+        self.timings = [reached - found, found - begun, reached.elapsed()];
+        self.end_step(end);
+    }
+
+    /// Counts the step that ends at `time`, and tells where bodies tore in it.
+    fn end_step(&mut self, time: f64) {
         self.step += 1;
         let name = match (self.scene.model, self.scene.lattice.tear) {
             (Model::Fem, _) => "would tear",
             (_, TearMode::Split) => "split node",
             _ => "cut cell",
         };
-        let (time, step) = (end, self.step);
+        let step = self.step;
         let of = |body: &Body| {
             let body_event = move |index| move |&place: &_| BodyEvent { name, time, step, body: index, place };
             body.tears.iter().map(body_event(body.index)).collect::<Vec<_>>()
         };
         self.tears.extend(self.bodies.iter().filter(|body| !body.tears.is_empty()).flat_map(of));
-        let done = Clock::now();
-        self.timings = [reached - found, found - begun, done - reached];
     }
 
     /// Finds the bodies whose spheres can reach each body within a step.
     fn find_sources(&mut self, start: f64, end: f64) {
-        let Elastic { scene, bodies, grid, .. } = self;
+        let Elastic { scene, bodies, grid, world, .. } = self;
+        // where phases are found here, they are looked for as far as thresholds reach
+        let farthest =
+            if world.is_none() { scene.laws().map(|law| law.thresholds.split_at).fold(0.0, f64::max) } else { 0.0 };
         for (body, described) in bodies.iter_mut().zip(&scene.bodies) {
-            let Some(path) = described.path() else { continue };
-            let (centre, spread) = path.ball(start, end);
-            let (jumps, extent) = (path.is_held(), body.extent + body.speed * (end - start));
-            // one that jumps is in two places; there are few of them, so that a ball around both will do
-            let spread = if jumps {
-                let places = path.knots().iter().filter(|&&knot| knot > start && knot <= end);
-                places.map(|&knot| path.position(knot).distance(centre)).fold(spread, f64::max)
-            } else {
-                spread
+            let (centre, spread, jumps) = match (&body.free, described.path()) {
+                (Some(free), _) => (free.centre, free.farthest(end - start), false),
+                (None, Some(path)) => {
+                    let (centre, spread) = path.ball(start, end);
+                    (centre, spread, path.is_held())
+                }
+                (None, None) => continue,
             };
-            let reach = scene.influence.sphere_radius(described.radius).max(extent);
+            let extent = body.extent + body.speed * (end - start);
+            // one that jumps is in two places; there are few of them, so that a ball around both will do
+            let spread = match described.path().filter(|_| jumps) {
+                Some(path) => {
+                    let places = path.knots().iter().filter(|&&knot| knot > start && knot <= end);
+                    places.map(|&knot| path.position(knot).distance(centre)).fold(spread, f64::max)
+                }
+                None => spread,
+            };
+            let reach = scene.influence.sphere_radius(described.radius).max(extent).max(farthest * described.radius);
             let ball = Ball { centre, radius: (reach + spread) * (1.0 + 1e-12) };
             body.reach = extent + spread;
             body.spread = spread;
@@ -260,6 +311,9 @@ impl Elastic {
         bodies.iter_mut().for_each(|body| {
             body.sources.clear();
             grid.touching(body.index as u32, &mut body.sources);
+            if farthest > 0.0 {
+                body.near.clone_from(&body.sources);
+            }
             let (centre, reach) = (centres[body.index], body.reach);
             body.sources.retain(|&other| {
                 let other = other as usize;
@@ -273,6 +327,22 @@ impl Elastic {
     fn now(&self) -> Instant {
         Instant { step: self.step, time: self.time_of(self.step) }
     }
+}
+
+/// The phases of pairs that are not apart at t = 0, by their distance.
+fn first_phases(scene: &Scene) -> BTreeMap<[u32; 2], Phase> {
+    let centres: Vec<_> = scene.bodies.iter().map(|body| body.motion.start()).collect();
+    let mut phases = BTreeMap::new();
+    for (b, body) in scene.bodies.iter().enumerate() {
+        for (a, other) in scene.bodies[..b].iter().enumerate() {
+            let q = centres[a].distance(centres[b]) / (body.radius + other.radius);
+            let phase = scene.law(a, b).thresholds.initial(q);
+            if phase != Phase::Apart {
+                phases.insert([a as u32, b as u32], phase);
+            }
+        }
+    }
+    phases
 }
 
 /// All phases in the order in which events number them.

@@ -8,17 +8,19 @@ use super::{
     Elastic,
     act::{Around, Instantaneous},
     body::{Body, Matter},
+    coupled::{Free, is_coupled},
 };
 use crate::{
     geometry::Vectors,
     model::phase::Phase,
     models::lattice::Constants,
     observe::{
-        BodyEvent, BodyFrame, Frame, Instant, PairFrame, Schema, Simulation, StepSummary, Want, checksum,
+        BodyEvent, BodyFrame, Frame, Instant, MotionFrame, PairFrame, Schema, Simulation, StepSummary, Want,
+        WholeFrame, checksum,
         schema::{ScalarOf, ScalarSchema},
     },
     scene::{Integrator, Model, Scene, TearMode},
-    sim::{Cause, Options, simulation},
+    sim::{Cause, Options, World, simulation},
 };
 
 /// The number of phases' index in frames.
@@ -63,6 +65,28 @@ fn scalars(scene: &Scene) -> Vec<Scalar> {
             simulation.bodies.iter().filter(|body| body.is_at_rest).count() as f64
         }),
     ];
+    if is_coupled(scene) {
+        all.extend([
+            of("momentum_x", "momentum x [mass·unit/s]", "Momentum", ScalarOf::State, |simulation, _| {
+                simulation.momentum().x
+            }),
+            of("momentum_y", "momentum y", "Momentum", ScalarOf::State, |simulation, _| simulation.momentum().y),
+            of("momentum_z", "momentum z", "Momentum", ScalarOf::State, |simulation, _| simulation.momentum().z),
+            of(
+                "angular_momentum_x",
+                "about the origin, x [mass·unit²/s]",
+                "Angular momentum",
+                ScalarOf::State,
+                |simulation, _| simulation.angular_momentum().x,
+            ),
+            of("angular_momentum_y", "y", "Angular momentum", ScalarOf::State, |simulation, _| {
+                simulation.angular_momentum().y
+            }),
+            of("angular_momentum_z", "z", "Angular momentum", ScalarOf::State, |simulation, _| {
+                simulation.angular_momentum().z
+            }),
+        ]);
+    }
     all.push(of("substeps", "steps of the integrator", "Counts", ScalarOf::SumOfSteps, |simulation, _| {
         simulation.bodies.iter().map(|body| body.statistics.substeps as f64).sum()
     }));
@@ -175,9 +199,49 @@ fn step_limit(scene: &Scene, body: &crate::scene::Body) -> f64 {
 impl Elastic {
     fn kinetic_energy(&self) -> f64 {
         let of = |body: &Body| -> f64 {
-            body.u.iter().zip(body.masses()).map(|(u, mass)| 0.5 * mass * u.length_squared()).sum()
+            let moving = body.free.as_ref().map_or(DVec3::ZERO, |free| free.velocity);
+            let nodes = body.velocities().iter().zip(body.masses()).enumerate();
+            let part = nodes.filter(|(node, _)| body.free.is_none() || !body.is_held(*node));
+            part.map(|(_, (u, mass))| 0.5 * mass * (moving + *u).length_squared()).sum()
         };
-        self.bodies.iter().filter(|body| !body.is_at_rest).map(of).sum()
+        self.bodies.iter().filter(|body| !body.is_at_rest || body.free.is_some()).map(of).sum()
+    }
+
+    /// Of free bodies [mass · scene unit/s].
+    pub fn momentum(&self) -> DVec3 {
+        let of = |body: &Body| body.free.as_ref().map_or(DVec3::ZERO, |free| free.velocity * body.free_mass());
+        self.bodies.iter().map(of).sum()
+    }
+
+    /// Of free bodies, about the origin [mass · scene unit²/s].
+    pub fn angular_momentum(&self) -> DVec3 {
+        let of = |body: &Body| {
+            let whole = |free: &Free| free.centre.cross(free.velocity) * body.free_mass();
+            body.free.as_ref().map_or(DVec3::ZERO, whole) + body.angular_momentum()
+        };
+        self.bodies.iter().map(of).sum()
+    }
+
+    /// The centre of a body [scene unit].
+    fn centre(&self, body: usize) -> DVec3 {
+        let path = || self.path(body).map_or(DVec3::ZERO, |path| path.position(self.time_of(self.step)));
+        self.bodies[body].free.as_ref().map_or_else(path, |free| free.centre)
+    }
+
+    /// The pairs of a scene with free bodies that can act on each other or are not apart.
+    fn near_pairs(&self, pairs: &mut Vec<PairFrame>) {
+        let centres: Vec<DVec3> = (0..self.bodies.len()).map(|body| self.centre(body)).collect();
+        for (a, one) in self.scene.bodies.iter().enumerate() {
+            for (b, other) in self.scene.bodies.iter().enumerate().skip(a + 1) {
+                let distance = centres[a].distance(centres[b]);
+                let of = |from: f64, to: f64| self.scene.influence.sphere_radius(from) + to;
+                let phase = self.phases.get(&[a as u32, b as u32]).copied().unwrap_or(Phase::Apart);
+                let reach = f64::max(of(one.radius, other.radius), of(other.radius, one.radius));
+                if phase != Phase::Apart || distance <= reach {
+                    pairs.push(PairFrame { a, b, q: distance / (one.radius + other.radius), phase: number(phase) });
+                }
+            }
+        }
     }
 
     fn elastic_energy(&self) -> f64 {
@@ -187,16 +251,17 @@ impl Elastic {
     /// Adds the forces on a body in its current state: what its nodes feel, at the vertices.
     fn add_forces(&self, body: &Body, sources: &[u32], now: &mut BodyFrame) {
         let causes: Vec<Cause> = Cause::of(self.scene.is_coupled()).collect();
-        let Some(path) = self.path(body.index) else { return };
         let (time, phases) = (self.time_of(self.step), &self.phases);
         let around = Around { scene: &self.scene, phases, events: &[], start: time, end: time, step: self.step };
-        let part = around.part(path, body.index, sources, &[], [time, time]);
         let mut acting = Instantaneous::default();
-        part.at(time, &mut acting);
-        let pushes = body.pushes.iter().filter(|push| push.start <= time && time < push.end());
-        acting.pushes.extend(pushes.map(|push| (push.direction, push.strength)));
-        let n = body.node_count();
-        let positions: Vec<DVec3> = body.rest.iter().zip(&body.x).map(|(l, x)| *l + *x).collect();
+        let part = self.path(body.index).map(|path| around.part(path, body.index, &[], &[], [time, time]));
+        if let Some(part) = &part {
+            part.at(time, &mut acting);
+        }
+        let centres: Vec<DVec3> = (0..self.bodies.len()).map(|body| self.centre(body)).collect();
+        around.acting(body.index, sources, &body.pushes, [time, time], &centres, &mut acting);
+        let (n, back) = (body.node_count(), body.axes().transpose());
+        let positions = body.places();
         let mut by_cause: Vec<(Cause, Vec<DVec3>)> = Vec::new();
         let mut add = |cause: Cause, of: &dyn Fn(usize) -> DVec3| {
             let at = by_cause.iter().position(|(known, _)| *known == cause).unwrap_or_else(|| {
@@ -214,19 +279,36 @@ impl Elastic {
             });
         }
         for &(direction, strength) in &acting.pushes {
-            add(Cause::Push, &|node| direction * (strength * f64::max(0.0, -body.directions[node].dot(direction))));
+            let towards = back * direction;
+            add(Cause::Push, &|node| direction * (strength * f64::max(0.0, -body.directions[node].dot(towards))));
         }
         if acting.carry != DVec3::ZERO {
             add(Cause::Carry, &|_| acting.carry);
         }
         if !self.scene.planes.is_empty() {
-            let pressed = body.pressed(&self.scene, part.centre(time), part.velocity(time));
+            let velocity = match (&body.free, &part) {
+                (Some(free), _) => free.velocity,
+                (None, Some(part)) => part.velocity(time),
+                (None, None) => DVec3::ZERO,
+            };
+            let pressed = body.pressed(&self.scene, centres[body.index], velocity);
             add(Cause::Plane, &|node| pressed[node]);
         }
         if !body.is_at_rest {
             let [springs, dampers] = body.internal();
             add(Cause::Restoring, &|node| springs[node]);
             add(Cause::Damping, &|node| dampers[node]);
+        }
+        let mut back_at_centre = DVec3::ZERO;
+        if body.free.is_some() {
+            let reaction = self.reaction(body, sources, &centres);
+            back_at_centre = reaction;
+            let per_mass = reaction / body.free_mass();
+            for (cause, whole) in [(Cause::Gravity, self.scene.gravity), (Cause::Reaction, per_mass)] {
+                if whole != DVec3::ZERO {
+                    add(cause, &|_| whole);
+                }
+            }
         }
         let count = now.mesh.as_ref().map_or(body.mesh.vertex_count(), |mesh| mesh.vertex_count());
         let held: Vec<bool> = (0..n).map(|node| body.is_held(node)).collect();
@@ -250,6 +332,17 @@ impl Elastic {
                 term.source = Some(only.1);
             }
         }
+        now.whole = body.free.is_some().then(|| {
+            let outer = [Cause::Attraction, Cause::Repulsion, Cause::Core, Cause::Push, Cause::Plane];
+            let (mut force, mut torque) = (back_at_centre + self.scene.gravity * body.free_mass(), DVec3::ZERO);
+            for (_, nodes) in by_cause.iter().filter(|(cause, _)| outer.contains(cause)) {
+                for ((f, m), place) in nodes.iter().zip(body.masses()).zip(&positions) {
+                    force += *f * *m;
+                    torque += place.cross(*f * *m);
+                }
+            }
+            WholeFrame { force, torque }
+        });
         let label = |i: usize| {
             simulation::label([Cause::Attraction, Cause::Repulsion, Cause::Core].map(|cause| {
                 let at = causes.iter().position(|known| *known == cause);
@@ -263,6 +356,29 @@ impl Elastic {
         if let Some(at) = causes.iter().position(|cause| *cause == Cause::Net) {
             now.terms[at].accelerations = net;
         }
+    }
+}
+
+impl Elastic {
+    /// The reaction to what the sphere of a free body does to others [mass · scene unit/s²].
+    fn reaction(&self, body: &Body, others: &[u32], centres: &[DVec3]) -> DVec3 {
+        let time = self.time_of(self.step);
+        let around =
+            Around { scene: &self.scene, phases: &self.phases, events: &[], start: time, end: time, step: self.step };
+        let (mut acting, weight) = (Instantaneous::default(), self.scene.influence.weight);
+        let mut sum = DVec3::ZERO;
+        for &other in others {
+            let other = &self.bodies[other as usize];
+            around.acting(other.index, &[body.index as u32], &[], [time, time], centres, &mut acting);
+            for &(_, _, centre, strength, radius) in &acting.spheres {
+                for ((node, place), mass) in other.places().iter().enumerate().zip(other.masses()) {
+                    if other.free.is_none() || !other.is_held(node) {
+                        sum -= crate::model::influence::acceleration(weight, strength, radius, centre - *place) * *mass;
+                    }
+                }
+            }
+        }
+        sum
     }
 }
 
@@ -318,6 +434,16 @@ impl Simulation for Elastic {
         summary.failure.clone_from(&self.failure);
     }
 
+    fn memory(&self) -> Option<u64> {
+        let own: usize = self.bodies.iter().map(Body::memory).sum();
+        let world = self.world.as_ref().map_or(0, World::memory);
+        Some((own + self.shared + self.grid.memory() + world) as u64)
+    }
+
+    fn framing(&self, only_what_happens: bool) -> Vec<(DVec3, f64)> {
+        simulation::framing(&self.scene, only_what_happens)
+    }
+
     fn interrupt(&self) -> Option<&'static AtomicBool> {
         self.options.interrupt
     }
@@ -357,25 +483,33 @@ impl Simulation for Elastic {
 
     fn checksum(&self) -> u64 {
         let words = self.bodies.iter().filter(|body| !body.is_at_rest).flat_map(|body| {
-            let vectors = body.x.iter().chain(&body.u).flat_map(|v| v.to_array());
+            let [places, velocities] = body.state().unwrap_or([&body.x, &body.u]);
+            let vectors = places.iter().chain(velocities).flat_map(|v| v.to_array());
             [body.index as u64, body.x.len() as u64, body.statistics.torn, body.statistics.split]
                 .into_iter()
                 .chain(vectors.map(checksum::bits))
         });
         let phases =
             self.phases.iter().flat_map(|(pair, phase)| [u64::from(pair[0]), u64::from(pair[1]), *phase as u64]);
-        checksum::sequence([self.step].into_iter().chain(words).chain(phases))
+        let free = self.bodies.iter().filter_map(|body| body.free.as_ref()).flat_map(|free| {
+            let vectors = [free.centre, free.velocity].into_iter().flat_map(|v| v.to_array());
+            vectors.chain(free.rotation.to_array()).map(checksum::bits)
+        });
+        checksum::sequence([self.step].into_iter().chain(words).chain(phases).chain(free))
     }
 
     fn observe(&self, want: Want, frame: &mut Frame) {
         frame.at = self.now();
         frame.pairs.clear();
-        frame.pairs.extend(self.world.pairs().map(|pair| PairFrame {
-            a: pair.a,
-            b: pair.b,
-            q: pair.q,
-            phase: number(pair.phase),
-        }));
+        match &self.world {
+            Some(world) => frame.pairs.extend(world.pairs().map(|pair| PairFrame {
+                a: pair.a,
+                b: pair.b,
+                q: pair.q,
+                phase: number(pair.phase),
+            })),
+            None => self.near_pairs(&mut frame.pairs),
+        }
         frame.bodies.resize_with(self.bodies.len(), BodyFrame::default);
         let mut around: Vec<Vec<u32>> = vec![Vec::new(); if want.forces { self.bodies.len() } else { 0 }];
         if want.forces {
@@ -385,8 +519,10 @@ impl Simulation for Elastic {
             }
         }
         for (body, now) in self.bodies.iter().zip(&mut frame.bodies) {
-            now.centre = self.path(body.index).map_or(DVec3::ZERO, |path| path.position(self.time_of(self.step)));
-            now.rotation = DQuat::IDENTITY;
+            now.centre = self.centre(body.index);
+            now.rotation = body.free.as_ref().map_or(DQuat::IDENTITY, |free| free.rotation);
+            now.motion = body.free.as_ref().map(|free| MotionFrame { velocity: free.velocity, spin: free.spin });
+            now.whole = None;
             now.mesh.clone_from(&body.torn);
             if body.is_at_rest {
                 now.rest();
@@ -399,7 +535,9 @@ impl Simulation for Elastic {
             }
             now.clear_forces();
             let sources = around.get_mut(body.index);
-            if let Some(sources) = sources.filter(|sources| !(body.is_at_rest && sources.is_empty())) {
+            if let Some(sources) =
+                sources.filter(|sources| !(body.is_at_rest && sources.is_empty() && body.free.is_none()))
+            {
                 sources.extend(body.sources.iter().copied());
                 sources.sort_unstable();
                 sources.dedup();

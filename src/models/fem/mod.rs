@@ -185,6 +185,14 @@ impl Element {
         }
     }
 
+    /// What was allocated for it [bytes].
+    pub fn memory(&self) -> usize {
+        self.corners.capacity() * size_of::<[u32; 8]>()
+            + self.masses.capacity() * size_of::<f64>()
+            + self.free.capacity() * size_of::<u32>()
+            + self.stiffness.memory()
+    }
+
     /// Memory that elements on so many cells along a diameter can take without the factor [bytes].
     pub fn most_memory(across: u32) -> u64 {
         const NODE_BYTES: u64 = 14 * (72 + 4) + 16 + 6 * 24;
@@ -228,6 +236,12 @@ impl Stepper {
 }
 
 impl Motion {
+    /// What was allocated for it [bytes].
+    pub fn memory(&self) -> usize {
+        let vectors = [&self.displacements, &self.velocities, &self.scratch];
+        vectors.iter().map(|of| of.capacity() * size_of::<DVec3>()).sum()
+    }
+
     /// A body at rest.
     pub fn at_rest(element: &Element) -> Motion {
         let zeros = vec![DVec3::ZERO; element.free.len()];

@@ -99,8 +99,9 @@ pub struct Lattice {
     pub stiffness: f64,
     /// Damping over stiffness, γ [s].
     pub damping: f64,
-    /// Mass of a cell.
-    pub cell_mass: f64,
+    /// Mass of each cell, `[cell_count]`, and of the lightest.
+    pub cell_masses: Vec<f64>,
+    lightest: f64,
     keys: Vec<(u64, u32)>,
 }
 
@@ -108,8 +109,9 @@ impl Lattice {
     /// The lattice on `cells` at the scale of a body of the given radius [scene unit] and mass.
     pub fn new(cells: &Cells, radius: f64, mass: f64, held: Vec<bool>, of: impl Fn(f64) -> Constants) -> Lattice {
         let size = cells.size() * radius;
-        let cell_mass = mass / cells.cell_count() as f64;
-        let Constants { young, damping } = of(cell_mass / (size * size * size));
+        let density = mass / (cells.cell_count() as f64 * size * size * size);
+        let Constants { young, damping } = of(density);
+        let cell_masses: Vec<f64> = cells.weights.iter().map(|weight| weight * mass).collect();
         let mut lattice = Lattice {
             corners: cells.corners.clone(),
             is_whole: vec![true; cells.cell_count()],
@@ -121,7 +123,8 @@ impl Lattice {
             spring_count: 0,
             stiffness: 4.0 * young * size / 15.0,
             damping,
-            cell_mass,
+            lightest: cell_masses.iter().copied().fold(f64::INFINITY, f64::min),
+            cell_masses,
             keys: Vec::new(),
         };
         lattice.tie();
@@ -175,12 +178,12 @@ impl Lattice {
 
     /// The highest frequency of the lattice at rest, at the most [rad/s].
     pub fn highest_frequency(&self) -> f64 {
-        (CELL_MODE * self.stiffness / self.cell_mass).sqrt()
+        (CELL_MODE * self.stiffness / self.lightest).sqrt()
     }
 
     /// The longest stable step [s], with forces from outside whose derivative is at most `outside` [1/s²].
     pub fn step_limit(&self, outside: f64) -> f64 {
-        let square = CELL_MODE * self.stiffness / self.cell_mass;
+        let square = CELL_MODE * self.stiffness / self.lightest;
         let fastest = (square + outside).sqrt();
         let ratio = self.damping * square / fastest;
         // (√(1 + z²) − z) without cancellation
@@ -230,7 +233,7 @@ impl Lattice {
         let (springs, nodes) = if can_split { (28 * cells, 8 * cells) } else { (13 * row.pow(3), row.pow(3)) };
         let groups = if can_split { springs } else { 13 * row * row * row.div_ceil(lanes::GROUP as u64) };
         let sizes = [size_of::<Spring>(), size_of::<Group>()].map(|size| size as u64);
-        cells * (33 + KEY_BYTES) + springs * sizes[0] + groups * sizes[1] + nodes * NODE_BYTES
+        cells * (41 + KEY_BYTES) + springs * sizes[0] + groups * sizes[1] + nodes * NODE_BYTES
     }
 
     /// What was allocated for it [bytes].
@@ -240,6 +243,7 @@ impl Lattice {
             + self.rest.capacity() * size_of::<DVec3>()
             + self.masses.capacity() * size_of::<f64>()
             + self.held.capacity()
+            + self.cell_masses.capacity() * size_of::<f64>()
             + self.groups.capacity() * size_of::<Group>()
             + self.keys.capacity() * size_of::<(u64, u32)>()
     }

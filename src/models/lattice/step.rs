@@ -61,6 +61,12 @@ impl Motion {
         self.weigh(lattice);
     }
 
+    /// Changes the velocities of the nodes that are not held [scene unit/s].
+    pub fn kick(&mut self, by: DVec3) {
+        let free = self.velocities.iter_mut().zip(&self.inverse).filter(|(_, inverse)| **inverse > 0.0);
+        free.for_each(|(velocity, _)| *velocity += by);
+    }
+
     fn weigh(&mut self, lattice: &Lattice) {
         let masses = lattice.masses.iter().zip(&lattice.held);
         self.inverse.clear();

@@ -64,8 +64,8 @@ impl Lattice {
             self.masses.push(0.0);
             self.held.push(false);
         }
-        let share = 0.125 * self.cell_mass;
-        for corners in &mut self.corners {
+        for (corners, mass) in self.corners.iter_mut().zip(&self.cell_masses) {
+            let share = 0.125 * mass;
             for i in 0..8 {
                 let node = corners[i] as usize;
                 // a cell is on the far side if the node is its near corner

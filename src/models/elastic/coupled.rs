@@ -1,0 +1,831 @@
+//! Scenes with bodies that forces move: all bodies are stepped together, since each needs the others' centres at the same instants,
+//! and they its pull.
+//!
+//! A free body is its nodes, none of which is held. Their places s are relative to the mass centre c, which is kept beside them:
+//!
+//! ```text
+//! c″ = f̄ + g + R/M        s″ = f − f̄ + what is between the nodes,   f̄ = Σ m f/M
+//! ```
+//!
+//! with f what acts on a node from outside, R the reaction to what its sphere does to others, at its centre. So what is between
+//! nodes moves no centre, however it is rounded, and a body that falls is at rest to the bit.
+//!
+//! # Lattice
+//! Velocity Verlet in steps that all bodies share. Its centres move on parabolas that are known before a step is taken: on these,
+//! changes of phase are found, and steps end there. Springs and dampers act along the line between two nodes, spheres along
+//! that to a centre: momentum and angular momentum are kept.
+//!
+//! # Finite elements
+//! They are linear about a body that does not turn, so the body as a whole is co-rotated: displacements are measured in axes Q that
+//! are turned with it, at the middle of a step, as the best fit to its nodes (Müller et al., Meshless Deformations Based
+//! on Shape Matching, 2005; Terzopoulos and Witkin, Physically based models with rigid and deformable components, 1988, have such
+//! axes too). Axes for each element would bear larger deformations, but A in [`fem`](crate::models::fem) would change with every step, and its factor
+//! with it: that factor is what makes the method fast. The price: a body that is bent by some
+//! tens of degrees within itself swells there.
+//!
+//! Linear forces have a moment of second order about the displaced nodes, which would turn a body that is alone. It is taken
+//! back at the end of each step by a rigid rotation, so that angular momentum changes by outer moments only. Where a pair changes
+//! its phase within a step, spheres act by the shares of time, as the factor is that of one length of step.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use glam::{DMat3, DQuat, DVec3};
+use rayon::prelude::*;
+
+use super::{
+    Elastic, PARALLEL_NODES, PHASES,
+    act::{Around, Instantaneous},
+    body::{Body, Contact, Finite, MOST_WORK, Matter, OF_LIMIT, Springs},
+};
+use crate::{
+    geometry::Mesh,
+    model::{
+        influence::{Weight, acceleration},
+        phase::Phase,
+        shape_matching::{best_rotation, moment, outer, resistance, solve},
+    },
+    models::{cells::Cells, lattice::Scheme},
+    observe::{PairEvent, StepFailure},
+    scene::{FreeMotion, Integrator, Model, Plane, Scene},
+    sim::Event,
+};
+
+/// Changes of phase in a step at most; more are as good as endless.
+const MOST_CHANGES: usize = 1000;
+/// Places in a step at which distances are looked at; a visit that is shorter is not seen.
+const LOOKS: u32 = 8;
+/// Halvings of the time between two of them.
+const HALVINGS: u32 = 60;
+
+/// A free body as a whole.
+#[derive(Clone, Debug)]
+pub struct Free {
+    /// Mass centre [scene unit], its velocity [scene unit/s] and acceleration [scene unit/s²].
+    pub centre: DVec3,
+    pub velocity: DVec3,
+    acceleration: DVec3,
+    /// The rotation Q that fits the nodes best, and its rate [rad/s].
+    pub rotation: DQuat,
+    pub spin: DVec3,
+    /// Places of the nodes relative to the centre [scene unit] and velocities relative to its [scene unit/s], `[node_count]`, of finite
+    /// elements; lattices have theirs.
+    positions: Vec<DVec3>,
+    velocities: Vec<DVec3>,
+}
+
+/// What acted on a body from outside.
+#[derive(Clone, Debug, Default)]
+pub struct Acted {
+    /// f̄ [scene unit/s²].
+    mean: DVec3,
+    /// Σ m f of each sphere, by its body [mass · scene unit/s²].
+    pub pulls: Vec<(u32, DVec3)>,
+    /// Accelerations of the nodes less their mean [scene unit/s²], `[node_count]`.
+    loads: Vec<DVec3>,
+    /// Where they acted, relative to the centre [scene unit], `[node_count]`.
+    places: Vec<DVec3>,
+}
+
+impl Acted {
+    /// What was allocated for it [bytes].
+    pub fn memory(&self) -> usize {
+        (self.loads.capacity() + self.places.capacity()) * size_of::<DVec3>()
+    }
+}
+
+/// The centre of a body and its velocity.
+#[derive(Clone, Copy, Debug, Default)]
+struct Place {
+    centre: DVec3,
+    velocity: DVec3,
+}
+
+impl Free {
+    /// A body at its start, its nodes at rest about their mass centre.
+    pub fn new(motion: &FreeMotion, rest: &[DVec3], has_nodes: bool) -> Free {
+        let FreeMotion { from, velocity, spin, .. } = *motion;
+        let own = |of: &dyn Fn(&DVec3) -> DVec3| if has_nodes { rest.iter().map(of).collect() } else { Vec::new() };
+        Free {
+            centre: from,
+            velocity,
+            acceleration: DVec3::ZERO,
+            rotation: DQuat::IDENTITY,
+            spin,
+            positions: own(&|l| *l),
+            velocities: own(&|l| spin.cross(*l)),
+        }
+    }
+
+    /// What was allocated for it [bytes].
+    pub fn memory(&self) -> usize {
+        (self.positions.capacity() + self.velocities.capacity()) * size_of::<DVec3>()
+    }
+
+    /// How far the centre is from where it is now within some time [scene unit].
+    pub fn farthest(&self, time: f64) -> f64 {
+        (self.velocity.length() + 0.5 * time * self.acceleration.length()) * time
+    }
+
+    /// c + c′τ + ½c″τ² after τ [s].
+    fn after(&self, time: f64) -> DVec3 {
+        self.centre + (self.velocity + self.acceleration * (0.5 * time)) * time
+    }
+}
+
+/// What acts on nodes, at an instant or in the mean.
+struct Acting<'a> {
+    now: &'a Instantaneous,
+    weight: Weight,
+    planes: &'a [Plane],
+    mesh: &'a Mesh,
+    cells: &'a Cells,
+    corners: &'a [[u32; 8]],
+    directions: &'a [DVec3],
+    /// Masses of the nodes, and that of the body as the scene gives it.
+    masses: &'a [f64],
+    mass: f64,
+    held: &'a [bool],
+    place: Place,
+    rotation: Option<DQuat>,
+    /// See [`Contact`].
+    most: f64,
+}
+
+impl Acting<'_> {
+    /// Writes accelerations to `into`, of a free body less their mean.
+    fn act(&self, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3], acted: &mut Acted) {
+        into.fill(self.now.carry);
+        acted.pulls.clear();
+        // what is no part of a free body any more has no mass
+        let mass = |node: usize| if self.rotation.is_some() && self.held[node] { 0.0 } else { self.masses[node] };
+        for &(_, body, centre, strength, radius) in &self.now.spheres {
+            let mut sum = DVec3::ZERO;
+            for (node, (into, position)) in into.iter_mut().zip(positions).enumerate() {
+                let to_centre = centre - *position;
+                if to_centre.length_squared() < radius * radius {
+                    let pull = acceleration(self.weight, strength, radius, to_centre);
+                    *into += pull;
+                    sum += pull * mass(node);
+                }
+            }
+            acted.pulls.push((body, sum));
+        }
+        let turned = self.rotation.unwrap_or_default().inverse();
+        for &(direction, strength) in &self.now.pushes {
+            let towards = turned * direction;
+            for (into, facing) in into.iter_mut().zip(self.directions) {
+                *into += direction * (strength * f64::max(0.0, -facing.dot(towards)));
+            }
+        }
+        if !self.planes.is_empty() {
+            let Acting { planes, mesh, cells, corners, most, place, .. } = *self;
+            let of = Contact { planes, mesh, cells, corners, motion: [place.centre, place.velocity], most };
+            of.accelerate(self.masses, self.mass, positions, velocities, into);
+        }
+        acted.mean = DVec3::ZERO;
+        if self.rotation.is_some() {
+            let (mut sum, mut all) = (DVec3::ZERO, 0.0);
+            for (node, into) in into.iter().enumerate() {
+                sum += *into * mass(node);
+                all += mass(node);
+            }
+            if all > 0.0 && sum != DVec3::ZERO {
+                acted.mean = sum / all;
+                into.iter_mut().for_each(|into| *into -= acted.mean);
+            }
+        }
+    }
+}
+
+impl Elastic {
+    /// Takes a step of a scene with free bodies.
+    pub(super) fn take_coupled(&mut self, start: f64, end: f64) -> Result<(), StepFailure> {
+        for body in &mut self.bodies {
+            body.statistics.substeps = 0;
+            body.statistics.strain = 0.0;
+            body.tears.clear();
+            body.failure = None;
+        }
+        match self.scene.model {
+            Model::Fem => self.take_implicit(start, end)?,
+            _ => {
+                let breaks = self.breaks(start, end);
+                for (number, ends) in breaks.windows(2).enumerate() {
+                    self.take_explicit([ends[0], ends[1]], number == 0)?;
+                }
+            }
+        }
+        let Elastic { scene, bodies, phases, step, .. } = self;
+        let around = Around { scene, phases, events: &[], start, end, step: *step + 1 };
+        bodies.iter_mut().for_each(|body| body.finish(&around));
+        match bodies.iter_mut().find_map(|body| body.failure.take()) {
+            Some(failure) if failure.is_whole_step() => {
+                self.failure = Some(failure);
+                Ok(())
+            }
+            Some(failure) => Err(failure),
+            None => Ok(()),
+        }
+    }
+
+    /// Instants in a step at which a path or a push jumps [s], its ends included, ascending.
+    fn breaks(&self, start: f64, end: f64) -> Vec<f64> {
+        let mut breaks = vec![start, end];
+        for path in self.scene.bodies.iter().filter_map(|body| body.path()) {
+            let knots = path.knots();
+            let first = knots.partition_point(|&knot| knot <= start);
+            breaks.extend(knots[first..].iter().take_while(|&&knot| knot < end));
+        }
+        breaks.extend(self.scene.pushes.iter().flat_map(|push| [push.start, push.end()]));
+        breaks.retain(|&time| (start..=end).contains(&time));
+        breaks.sort_unstable_by(f64::total_cmp);
+        breaks.dedup();
+        breaks
+    }
+
+    /// Where centres are some time after `t` [s], in a part of a step without jumps.
+    fn places(&self, t: f64, ahead: f64, part: [f64; 2]) -> Vec<Place> {
+        let of = |(body, described): (&Body, &crate::scene::Body)| match (&body.free, described.path()) {
+            (Some(free), _) => Place { centre: free.after(ahead), velocity: free.velocity + free.acceleration * ahead },
+            // what jumps from place to place stays where it is throughout the part
+            (None, Some(path)) if path.is_held() => {
+                Place { centre: path.position(part[0] + 0.5 * (part[1] - part[0])), velocity: DVec3::ZERO }
+            }
+            (None, Some(path)) => Place { centre: path.position(t + ahead), velocity: path.at(t + ahead).velocity },
+            (None, None) => Place::default(),
+        };
+        self.bodies.iter().zip(&self.scene.bodies).map(of).collect()
+    }
+
+    fn take_explicit(&mut self, part: [f64; 2], is_first: bool) -> Result<(), StepFailure> {
+        let [start, end] = part;
+        let step = self.step + 1;
+        let jumps = |push: &crate::scene::Push| push.start == start || push.end() == start;
+        let mut is_known = is_first && !self.scene.pushes.iter().any(jumps);
+        self.find_sources(start, end);
+        let Elastic { scene, bodies, phases, .. } = self;
+        let around = Around { scene, phases, events: &[], start, end, step };
+        let (mut limit, mut stiffest, mut springs) = (f64::INFINITY, 0, 0);
+        for body in bodies.iter_mut() {
+            let planes = near(&scene.planes, body.placed.unwrap_or_default().centre, body.reach);
+            let planes = planes.iter().map(|plane| plane.stiffness).sum::<f64>() * body.contact;
+            let outside = around.stiffness(body.index, &body.sources) + planes;
+            let Matter::Lattice(of) = &mut body.matter else { continue };
+            let Springs { lattice, motion } = &mut **of;
+            if let Some(path) = scene.bodies[body.index].path() {
+                let kick = around.part(path, body.index, &[], &[], part).kick();
+                if kick != DVec3::ZERO {
+                    motion.kick(kick);
+                    is_known = false;
+                }
+            }
+            body.statistics.step_limit = lattice.step_limit(outside);
+            springs += lattice.spring_count();
+            if body.statistics.step_limit < limit {
+                (limit, stiffest) = (body.statistics.step_limit, body.index);
+            }
+        }
+        is_known &= bodies.iter().all(Body::is_known);
+        let count = match scene.integrator {
+            Integrator::Verlet => 1.0,
+            _ => ((end - start) / (OF_LIMIT * limit)).ceil().max(1.0),
+        };
+        if count * springs as f64 > MOST_WORK {
+            return Err(StepFailure::NotTaken(format!(
+                "too much to do in step {step} (from t = {start:.6} s on): the springs of body \"{}\" allow steps of {limit:.1e} s, {count:.0} in \
+                 one of the scene, for all bodies; lower `omega`, `damping` or `cells` in [lattice]",
+                scene.bodies[stiffest].name
+            )));
+        }
+        let mut t = start;
+        for number in 1..=count as u64 {
+            let to = if number == count as u64 { end } else { start + (end - start) * (number as f64 / count) };
+            while t < to {
+                self.look_at_interrupt()?;
+                self.find_sources(t, to);
+                if !is_known {
+                    self.pull_all(t, 0.0, part, true);
+                }
+                let change = self.changes([t, to], part, true)?.pop();
+                let until = change.map_or(to, |change| change.time);
+                if until > t {
+                    self.move_all(t, until - t, part);
+                }
+                is_known = change.is_none();
+                if let Some(change) = change {
+                    self.record(change);
+                }
+                t = until;
+            }
+        }
+        Ok(())
+    }
+
+    /// A step of velocity Verlet.
+    fn move_all(&mut self, t: f64, h: f64, part: [f64; 2]) {
+        self.pull_all(t, h, part, false);
+    }
+
+    /// Evaluates what acts on all bodies at `t` [s], or at the end of a step of `h` from there that it takes.
+    fn pull_all(&mut self, t: f64, h: f64, part: [f64; 2], is_start: bool) {
+        let places = self.places(t, h, part);
+        let Elastic { scene, bodies, phases, step, .. } = self;
+        let around = Around { scene, phases, events: &[], start: part[0], end: part[1], step: *step + 1 };
+        let centres: Vec<DVec3> = places.iter().map(|place| place.centre).collect();
+        let at = f64::min(t + h, part[1]);
+        for_all(bodies, |body| {
+            if is_start {
+                body.forget();
+            }
+            body.pull(&around, at, h, u64::from(!is_start), &places, &centres);
+        });
+        if !is_start {
+            for free in bodies.iter_mut().filter_map(|body| body.free.as_mut()) {
+                (free.centre, free.velocity) = (free.after(h), free.velocity + free.acceleration * (0.5 * h));
+            }
+        }
+        self.settle();
+        if !is_start {
+            for free in self.bodies.iter_mut().filter_map(|body| body.free.as_mut()) {
+                free.velocity += free.acceleration * (0.5 * h);
+            }
+        }
+    }
+
+    /// c″ = f̄ + g + R/M of free bodies, from what acted.
+    fn settle(&mut self) {
+        let mut reactions = vec![DVec3::ZERO; self.bodies.len()];
+        for body in &self.bodies {
+            body.acted.pulls.iter().for_each(|&(source, pull)| reactions[source as usize] -= pull);
+        }
+        let gravity = self.scene.gravity;
+        for (body, reaction) in self.bodies.iter_mut().zip(reactions) {
+            let mass = body.free_mass();
+            if let Some(free) = &mut body.free {
+                let back = if mass > 0.0 { reaction / mass } else { DVec3::ZERO };
+                free.acceleration = body.acted.mean + gravity + back;
+            }
+        }
+    }
+
+    fn take_implicit(&mut self, start: f64, end: f64) -> Result<(), StepFailure> {
+        let divided = self.bodies.iter().find_map(Body::divided).unwrap_or(1);
+        let at = |step: u64| start + (end - start) * (step as f64 / divided as f64);
+        for number in 0..divided {
+            self.look_at_interrupt()?;
+            let (ends, h) = ([at(number), at(number + 1)], (end - start) / divided as f64);
+            self.find_sources(ends[0], ends[1]);
+            // the accelerations of the last step would move the centres: the middle is a matter of velocities
+            self.bodies
+                .iter_mut()
+                .filter_map(|body| body.free.as_mut())
+                .for_each(|free| free.acceleration = DVec3::ZERO);
+            let middle = self.places(ends[0], 0.5 * h, ends);
+            let mut changes: Vec<PairEvent> = Vec::new();
+            for is_last in [false, true] {
+                let Elastic { scene, bodies, phases, step, .. } = self;
+                let around = Around { scene, phases, events: &changes, start: ends[0], end: ends[1], step: *step + 1 };
+                let centres: Vec<DVec3> = middle.iter().map(|place| place.centre).collect();
+                for_all(bodies, |body| body.load(&around, ends, h, &middle, &centres));
+                self.settle();
+                if is_last {
+                    break;
+                }
+                changes = self.changes(ends, ends, false)?;
+                if changes.is_empty() {
+                    break;
+                }
+            }
+            for_all(&mut self.bodies, |body| body.step_implicit(h));
+            for free in self.bodies.iter_mut().filter_map(|body| body.free.as_mut()) {
+                (free.centre, free.velocity) = (free.after(h), free.velocity + free.acceleration * h);
+            }
+            changes.into_iter().for_each(|change| self.record(change));
+        }
+        self.bodies.iter_mut().for_each(|body| body.statistics.substeps = divided);
+        Ok(())
+    }
+
+    fn look_at_interrupt(&self) -> Result<(), StepFailure> {
+        let flag: Option<&AtomicBool> = self.options.interrupt;
+        match flag.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+            true => Err(StepFailure::Interrupted(format!("interrupted in step {}", self.step + 1))),
+            false => Ok(()),
+        }
+    }
+
+    /// Notes a change of phase.
+    fn record(&mut self, event: PairEvent) {
+        let pair = [event.a as u32, event.b as u32];
+        match PHASES.get(event.to) {
+            None | Some(Phase::Apart) => _ = self.phases.remove(&pair),
+            Some(&phase) => _ = self.phases.insert(pair, phase),
+        }
+        self.events.push(event);
+    }
+
+    /// The changes of phase while centres move as they are known to, by time; only the first of them if `is_one`.
+    fn changes(&self, [start, end]: [f64; 2], part: [f64; 2], is_one: bool) -> Result<Vec<PairEvent>, StepFailure> {
+        let mut pairs: Vec<[u32; 2]> = self.phases.keys().copied().collect();
+        for body in &self.bodies {
+            let index = body.index as u32;
+            pairs.extend(body.near.iter().filter(|&&other| other > index).map(|&other| [index, other]));
+        }
+        pairs.sort_unstable();
+        pairs.dedup();
+        let mut found: Vec<PairEvent> = Vec::new();
+        for pair in pairs {
+            let [a, b] = pair.map(|body| body as usize);
+            let radii = self.scene.bodies[a].radius + self.scene.bodies[b].radius;
+            let place = |body: usize, time: f64| match (&self.bodies[body].free, self.scene.bodies[body].path()) {
+                (Some(free), _) => free.after(time - start),
+                (None, Some(path)) if path.is_held() => path.position(part[0] + 0.5 * (part[1] - part[0])),
+                (None, Some(path)) => path.position(time),
+                (None, None) => DVec3::ZERO,
+            };
+            let apart = |time: f64| place(a, time) - place(b, time);
+            let thresholds = self.scene.law(a, b).thresholds;
+            let mut phase = self.phases.get(&pair).copied().unwrap_or(Phase::Apart);
+            let mut from = start;
+            while let Some((time, to)) = thresholds
+                .transitions(phase)
+                .filter_map(|way| {
+                    let level = way.level * radii;
+                    let is_beyond = |time: f64| {
+                        let distance = apart(time).length();
+                        if way.falling { distance < level } else { distance > level }
+                    };
+                    Some((first(is_beyond, from, end)?, way.to))
+                })
+                .min_by(|x, y| x.0.total_cmp(&y.0))
+            {
+                let (between, tick) = (apart(time), 1e-3 * (end - start));
+                let rate = (apart(time + tick) - apart(time - tick)) / (2.0 * tick);
+                let event = Event {
+                    time,
+                    step: self.step + 1,
+                    a: pair[0],
+                    b: pair[1],
+                    q: between.length() / radii,
+                    rate: between.dot(rate) / (between.length() * radii),
+                    from: phase,
+                    to,
+                    energy: 0.0,
+                };
+                found.push(PairEvent::from(&event));
+                (from, phase) = (time, to);
+                if found.len() + self.events.len() > MOST_CHANGES {
+                    let [a, b] = pair.map(|body| &self.scene.bodies[body as usize].name);
+                    return Err(StepFailure::NotTaken(format!(
+                        "too much to do in step {} (from t = {start:.6} s on): bodies \"{a}\" and \"{b}\" change their phase over and over; set \
+                         core_width, or move merge_at, split_at and core_at apart",
+                        self.step + 1
+                    )));
+                }
+                if is_one {
+                    break;
+                }
+            }
+        }
+        found.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
+        if is_one {
+            found.truncate(1);
+        }
+        Ok(found)
+    }
+}
+
+/// The first time in a span at which something holds [s], to rounding: at one of a few looks, or between two of them.
+fn first(holds: impl Fn(f64) -> bool, start: f64, end: f64) -> Option<f64> {
+    if holds(start) {
+        return Some(start);
+    }
+    let at = |look: u32| if look == LOOKS { end } else { start + (end - start) * (f64::from(look) / f64::from(LOOKS)) };
+    let look = (1..=LOOKS).find(|&look| holds(at(look)))?;
+    let (mut low, mut high) = (at(look - 1), at(look));
+    for _ in 0..HALVINGS {
+        let middle = low + 0.5 * (high - low);
+        if middle <= low || middle >= high {
+            break;
+        }
+        if holds(middle) { high = middle } else { low = middle }
+    }
+    Some(high)
+}
+
+fn for_all(bodies: &mut [Body], of: impl Fn(&mut Body) + Sync + Send) {
+    let nodes: usize = bodies.iter().map(Body::node_count).sum();
+    if nodes >= PARALLEL_NODES && bodies.len() > 1 {
+        bodies.par_iter_mut().for_each(of);
+    } else {
+        bodies.iter_mut().for_each(of);
+    }
+}
+
+impl Body {
+    /// Steps of the factor in a step of the scene, of finite elements.
+    fn divided(&self) -> Option<u64> {
+        match &self.matter {
+            Matter::Fem(finite) => Some(finite.divided),
+            Matter::Lattice(_) => None,
+        }
+    }
+
+    /// Mass of the nodes that are part of it.
+    pub fn free_mass(&self) -> f64 {
+        (0..self.node_count()).filter(|&node| !self.is_held(node)).map(|node| self.masses()[node]).sum()
+    }
+
+    /// Places of the nodes of a free body relative to its centre [scene unit], and velocities relative to its [scene unit/s].
+    pub fn state(&self) -> Option<[&[DVec3]; 2]> {
+        let free = self.free.as_ref()?;
+        Some(match &self.matter {
+            Matter::Lattice(springs) => [&springs.motion.positions, &springs.motion.velocities],
+            Matter::Fem(_) => [&free.positions, &free.velocities],
+        })
+    }
+
+    /// A free lattice begins with its spin.
+    pub fn start(&mut self) {
+        if let (Matter::Lattice(springs), Some(free)) = (&mut self.matter, &self.free) {
+            let Springs { lattice, motion } = &mut **springs;
+            motion.velocities = lattice.rest.iter().map(|l| free.spin.cross(*l)).collect();
+        }
+        if self.free.is_some() {
+            self.fit();
+            self.measure();
+            self.is_at_rest = self.speed == 0.0;
+        }
+    }
+
+    /// Whether what acts on its nodes is known where it is.
+    fn is_known(&self) -> bool {
+        match &self.matter {
+            Matter::Lattice(springs) => springs.motion.accelerations.len() == springs.lattice.node_count(),
+            Matter::Fem(_) => true,
+        }
+    }
+
+    fn forget(&mut self) {
+        if let Matter::Lattice(springs) = &mut self.matter {
+            springs.motion.accelerations.clear();
+        }
+    }
+
+    /// Takes so many steps of a lattice with what acts at time `t`, or only finds that.
+    fn pull(&mut self, around: &Around<'_>, t: f64, h: f64, count: u64, places: &[Place], centres: &[DVec3]) {
+        let mut now = std::mem::take(&mut self.now);
+        self.find_acting(around, [around.start, around.end], Some(t), centres, &mut now);
+        let Body { matter, statistics, mesh, cells, directions, contact, index, free, acted, radius, .. } = self;
+        let Matter::Lattice(springs) = matter else { return };
+        let Springs { lattice, motion } = &mut **springs;
+        let place = places[*index];
+        let acting = Acting {
+            now: &now,
+            weight: around.scene.influence.weight,
+            planes: near(&around.scene.planes, place.centre, self.extent.max(*radius)),
+            mesh,
+            cells,
+            corners: &lattice.corners,
+            directions,
+            masses: &lattice.masses,
+            mass: around.scene.bodies[*index].mass,
+            held: &lattice.held,
+            place,
+            rotation: free.as_ref().map(|free| free.rotation),
+            most: *contact * h,
+        };
+        let outside = |_: f64, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3]| {
+            acting.act(positions, velocities, into, acted);
+        };
+        let largest = lattice.advance(motion, Scheme::Verlet, h, count, outside);
+        statistics.strain = statistics.strain.max(largest - 1.0);
+        statistics.substeps += count;
+        self.now = now;
+        self.measure();
+    }
+
+    /// Writes what acts on it, in the mean or at time `t`.
+    fn find_acting(
+        &self,
+        around: &Around<'_>,
+        ends: [f64; 2],
+        t: Option<f64>,
+        centres: &[DVec3],
+        now: &mut Instantaneous,
+    ) {
+        now.carry = DVec3::ZERO;
+        if let Some(path) = around.scene.bodies[self.index].path() {
+            let part = around.part(path, self.index, &[], &[], ends);
+            match t {
+                Some(t) => part.at(t, now),
+                None => part.in_the_mean(now),
+            }
+        }
+        around.acting(self.index, &self.sources, &self.pushes, ends, centres, now);
+    }
+
+    /// Finds what acts on finite elements at the middle of a step.
+    fn load(&mut self, around: &Around<'_>, ends: [f64; 2], h: f64, places: &[Place], centres: &[DVec3]) {
+        let mut now = std::mem::take(&mut self.now);
+        self.find_acting(around, ends, None, centres, &mut now);
+        let Body { matter, mesh, cells, directions, contact, index, free, acted, radius, rest, x, u, .. } = self;
+        let Matter::Fem(finite) = matter else { return };
+        let place = places[*index];
+        let acting = Acting {
+            now: &now,
+            weight: around.scene.influence.weight,
+            planes: near(&around.scene.planes, place.centre, self.extent.max(*radius)),
+            mesh,
+            cells,
+            corners: &cells.corners,
+            directions,
+            masses: &finite.element.masses,
+            mass: around.scene.bodies[*index].mass,
+            held: &finite.held,
+            place,
+            rotation: free.as_ref().map(|free| free.rotation),
+            most: *contact * h,
+        };
+        let (mut loads, mut middle) = (std::mem::take(&mut acted.loads), std::mem::take(&mut acted.places));
+        let half = 0.5 * h;
+        middle.clear();
+        let velocities = match free {
+            Some(free) => {
+                middle.extend(free.positions.iter().zip(&free.velocities).map(|(s, u)| *s + *u * half));
+                &free.velocities
+            }
+            None => {
+                middle.extend(rest.iter().zip(x.iter()).zip(u.iter()).map(|((l, x), u)| *l + *x + *u * half));
+                &*u
+            }
+        };
+        loads.resize(middle.len(), DVec3::ZERO);
+        acting.act(&middle, velocities, &mut loads, acted);
+        (acted.loads, acted.places) = (loads, middle);
+        self.now = now;
+    }
+
+    /// Takes a step of finite elements with what was found to act.
+    fn step_implicit(&mut self, h: f64) {
+        let Body { matter, free, acted, rest, x, u, .. } = self;
+        let Matter::Fem(finite) = matter else { return };
+        let Finite { element, stepper, motion, forces, .. } = &mut **finite;
+        let masses = &element.masses;
+        let Some(Free { positions, velocities, rotation, .. }) = free else {
+            forces.clear();
+            forces.extend(element.free.iter().map(|&node| acted.loads[node as usize] * masses[node as usize]));
+            stepper.step(element, motion, forces);
+            for (i, &node) in element.free.iter().enumerate() {
+                (x[node as usize], u[node as usize]) = (motion.displacements[i], motion.velocities[i]);
+            }
+            return;
+        };
+        let is_at_rest = acted.loads.iter().chain(velocities.iter()).all(|v| *v == DVec3::ZERO) && positions == rest;
+        if is_at_rest {
+            return;
+        }
+        // L + h Σ m s×f, where the forces act
+        let momentum = |positions: &[DVec3], velocities: &[DVec3]| -> DVec3 {
+            positions.iter().zip(velocities).zip(masses).map(|((s, u), m)| s.cross(*u) * *m).sum()
+        };
+        let expected = momentum(positions, velocities) + momentum(&acted.places, &acted.loads) * h;
+        let mut fit = DMat3::ZERO;
+        for ((place, l), m) in acted.places.iter().zip(rest.iter()).zip(masses) {
+            fit += outer(*place * *m, *l);
+        }
+        *rotation = best_rotation(fit, *rotation);
+        let axes = DMat3::from_quat(*rotation);
+        let back = axes.transpose();
+        forces.clear();
+        for (i, &node) in element.free.iter().enumerate() {
+            let node = node as usize;
+            motion.displacements[i] = back * positions[node] - rest[node];
+            motion.velocities[i] = back * velocities[node];
+            forces.push(back * acted.loads[node] * masses[node]);
+        }
+        stepper.step(element, motion, forces);
+        for (i, &node) in element.free.iter().enumerate() {
+            let node = node as usize;
+            positions[node] = axes * (motion.displacements[i] + rest[node]);
+            velocities[node] = axes * motion.velocities[i];
+        }
+        // the mean is the centre's: what is left is rounding
+        let all: f64 = masses.iter().sum();
+        for of in [&mut *positions, &mut *velocities] {
+            let mean = of.iter().zip(masses).map(|(v, m)| *v * *m).sum::<DVec3>() / all;
+            of.iter_mut().for_each(|v| *v -= mean);
+        }
+        let mut spread = DMat3::ZERO;
+        for (s, m) in positions.iter().zip(masses) {
+            spread += outer(*s * *m, *s);
+        }
+        let turn = solve(resistance(spread), expected - momentum(positions, velocities));
+        if turn.is_finite() {
+            positions.iter().zip(velocities.iter_mut()).for_each(|(s, u)| *u += turn.cross(*s));
+        }
+    }
+
+    /// The farthest node and the fastest.
+    fn measure(&mut self) {
+        let Some([positions, velocities]) = self.state() else { return };
+        let most = |of: &[DVec3]| of.iter().map(|v| v.length_squared()).fold(0.0, f64::max).sqrt();
+        (self.extent, self.speed) = (most(positions), most(velocities));
+    }
+
+    /// Ends a step: tears, fits the rest shape, takes over displacements.
+    fn finish(&mut self, around: &Around<'_>) {
+        let centre = match (&self.free, around.scene.bodies[self.index].path()) {
+            (Some(free), _) => free.centre,
+            (None, Some(path)) => path.position(around.end),
+            (None, None) => DVec3::ZERO,
+        };
+        let before = self.statistics.torn;
+        match &self.matter {
+            Matter::Lattice(_) => self.tear(around, centre),
+            Matter::Fem(_) => {}
+        }
+        if self.statistics.torn != before {
+            self.recentre();
+        }
+        self.fit();
+        if matches!(self.matter, Matter::Fem(_)) {
+            self.strain(around, centre);
+        }
+        self.look(around);
+    }
+
+    /// Brings the centre of a lattice to the mass centre of what is left of it.
+    fn recentre(&mut self) {
+        let mass = self.free_mass();
+        let Body { matter, free: Some(free), .. } = self else { return };
+        let Matter::Lattice(springs) = matter else { return };
+        let Springs { lattice, motion } = &mut **springs;
+        let mean = |of: &[DVec3]| -> DVec3 {
+            let left = of.iter().zip(&lattice.masses).zip(&lattice.held).filter(|(_, held)| !**held);
+            left.map(|((v, m), _)| *v * *m).sum::<DVec3>() / mass
+        };
+        let [place, velocity] = [mean(&motion.positions), mean(&motion.velocities)];
+        if mass > 0.0 {
+            motion.positions.iter_mut().for_each(|s| *s -= place);
+            motion.velocities.iter_mut().for_each(|u| *u -= velocity);
+            free.centre += place;
+            free.velocity += velocity;
+            motion.accelerations.clear();
+        }
+    }
+
+    /// The rotation of a free body, its rate, and displacements from its rest shape.
+    fn fit(&mut self) {
+        let Some([positions, velocities]) = self.state() else { return };
+        let is_still = velocities.iter().all(|u| *u == DVec3::ZERO) && positions == self.rest;
+        let masses = self.masses();
+        let Some(Free { rotation, .. }) = self.free else { return };
+        let (mut rotation, mut spin) = (rotation, DVec3::ZERO);
+        if !is_still {
+            let held = |node: usize| self.is_held(node);
+            let nodes = || (0..positions.len()).filter(|&node| !held(node));
+            let mut fit = DMat3::ZERO;
+            nodes().for_each(|i| fit += outer(positions[i] * masses[i], self.rest[i]));
+            rotation = best_rotation(fit, rotation);
+            let axes = DMat3::from_quat(rotation);
+            let [mut spread, mut turning] = [DMat3::ZERO; 2];
+            for i in nodes() {
+                let a = axes * self.rest[i] * masses[i];
+                spread += outer(a, positions[i]);
+                turning += outer(a, velocities[i]);
+            }
+            // G Ω_Q = Σ m a×s′
+            spin = solve(resistance(spread), moment(turning));
+            if !spin.is_finite() {
+                spin = DVec3::ZERO;
+            }
+        }
+        let axes = DMat3::from_quat(rotation);
+        let placed = positions.iter().zip(&self.rest).map(|(s, l)| if is_still { DVec3::ZERO } else { *s - axes * *l });
+        let x: Vec<DVec3> = placed.collect();
+        let u: Vec<DVec3> = velocities.iter().zip(&self.rest).map(|(u, l)| *u - spin.cross(axes * *l)).collect();
+        (self.x, self.u) = (x, u);
+        if let Some(free) = &mut self.free {
+            (free.rotation, free.spin) = (rotation, spin);
+        }
+    }
+
+    /// Angular momentum of a free body about its centre [mass · scene unit²/s].
+    pub fn angular_momentum(&self) -> DVec3 {
+        let Some([positions, velocities]) = self.state() else { return DVec3::ZERO };
+        let of = positions.iter().zip(velocities).zip(self.masses()).enumerate();
+        of.filter(|(node, _)| !self.is_held(*node)).map(|(_, ((s, u), m))| s.cross(*u) * *m).sum()
+    }
+}
+
+/// The planes, if a body may be at one of them.
+fn near(planes: &[Plane], centre: DVec3, extent: f64) -> &[Plane] {
+    let is_near = planes.iter().any(|plane| plane.depth(centre) > -extent - 0.5 * extent);
+    if is_near { planes } else { &[] }
+}
+
+/// Whether a scene needs its bodies to be stepped together.
+pub fn is_coupled(scene: &Scene) -> bool {
+    scene.bodies.iter().any(|body| body.path().is_none())
+}
