@@ -62,6 +62,8 @@ const MOST_ROUNDS: u32 = 40;
 
 /// What steps ordinarily take of each vertex: a few sweeps of a few steps, at four nodes.
 const ORDINARY: u64 = 200;
+/// The same in large islands, where bodies are advanced several times.
+const ORDINARY_APART: u64 = 4000;
 
 /// The bodies of a coupled scene.
 pub(super) struct Coupled {
@@ -429,9 +431,14 @@ impl Coupled {
         match self.jobs.iter().find_map(|job| Some((job, job.failure.as_ref()?))) {
             Some((job, failure)) => Err(self.failure(scene, report, job, failure)),
             None => {
-                let vertices = |job: &Job| job.parts.bodies.iter().map(|body| body.x.len() as u64).sum::<u64>();
-                let vertices = self.jobs.iter().map(vertices).sum();
-                work.end(all, ORDINARY * vertices, vertices);
+                let (mut vertices, mut ordinary) = (0, 0);
+                for job in &self.jobs {
+                    let count = job.parts.bodies.iter().map(|body| body.x.len() as u64).sum::<u64>();
+                    vertices += count;
+                    ordinary +=
+                        count * if job.group.bodies.len() > free::MOST_TOGETHER { ORDINARY_APART } else { ORDINARY };
+                }
+                work.end(all, ordinary, vertices);
                 Ok(())
             }
         }

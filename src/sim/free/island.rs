@@ -43,7 +43,7 @@ const MOST_WAITING: usize = 8;
 /// one is tried.
 const MOST_ERROR_AGAIN: f64 = 3.0;
 /// Islands of more bodies than this take steps body by body: events of one would end the steps of all.
-const MOST_TOGETHER: usize = 16;
+pub(in crate::sim) const MOST_TOGETHER: usize = 100;
 /// Largest rotation of a body's frame in a step [rad].
 const MOST_TURN: f64 = 1.0;
 
@@ -532,10 +532,7 @@ impl Island {
         work: &Tally<'_>,
         report: &mut Report,
     ) -> Option<Outcome> {
-        let free = self.bodies.iter().filter(|body| body.is_free());
-        let (sum, count) = free.fold((DVec3::ZERO, 0.0), |(sum, n), body| (sum + body.centre, n + 1.0));
-        let origin = self.part.is_none().then(|| sum / f64::max(count, 1.0));
-        let span = Span::new(self.time, next, origin);
+        let span = self.span(next);
         // more vertices are active whenever some that are not may have come into reach
         let mut wide = 1.0;
         while self.converge(scratch, &span, wide, paths, work, report)? {
@@ -551,17 +548,25 @@ impl Island {
         None
     }
 
-    /// Solves the equations of a step with the active vertices that are found for bands `wide` times the expected ones;
-    /// false if the budget is spent, `None` if the iteration does not converge.
-    fn converge(
-        &self,
-        scratch: &mut Scratch,
-        span: &Span,
-        wide: f64,
-        paths: &dyn Paths,
-        work: &Tally<'_>,
-        report: &mut Report,
-    ) -> Option<bool> {
+    /// Finds what acts on all bodies at the start of a step to `next`.
+    pub(super) fn look(&self, scratch: &mut Scratch, next: f64, paths: &dyn Paths, work: &Tally<'_>) {
+        let span = self.span(next);
+        let vertices = self.select(scratch, &span, 1.0, paths);
+        work.spend((vertices + 16 * scratch.courses.len() + self.pairs.len()) as u64);
+        self.evaluate_at(scratch, &span, 0);
+    }
+
+    /// The step to `next`.
+    fn span(&self, next: f64) -> Span {
+        let free = self.bodies.iter().filter(|body| body.is_free());
+        let (sum, count) = free.fold((DVec3::ZERO, 0.0), |(sum, n), body| (sum + body.centre, n + 1.0));
+        let origin = self.part.is_none().then(|| sum / f64::max(count, 1.0));
+        Span::new(self.time, next, origin)
+    }
+
+    /// Begins a step, and finds the vertices that something may reach in it, for bands `wide` times the expected ones: how
+    /// many they are.
+    fn select(&self, scratch: &mut Scratch, span: &Span, wide: f64, paths: &dyn Paths) -> usize {
         let arch = scratch.arch;
         for (i, body) in self.bodies.iter().enumerate() {
             let places = &mut scratch.places[i];
@@ -581,9 +586,25 @@ impl Island {
             courses[i].select(view, &mut acting[i], wide);
             vertices += courses[i].active.len();
         }
+        vertices
+    }
+
+    /// Solves the equations of a step with the active vertices that are found for bands `wide` times the expected ones;
+    /// false if the budget is spent, `None` if the iteration does not converge.
+    fn converge(
+        &self,
+        scratch: &mut Scratch,
+        span: &Span,
+        wide: f64,
+        paths: &dyn Paths,
+        work: &Tally<'_>,
+        report: &mut Report,
+    ) -> Option<bool> {
+        let arch = scratch.arch;
+        let vertices = self.select(scratch, span, wide, paths);
         let parallel = vertices >= PARALLEL_VERTICES;
         // a sweep: every active vertex at four nodes, what is shared by the others, and every pair
-        let sweep_work = 4 * (vertices + 16 * courses.len() + self.pairs.len()) as u64;
+        let sweep_work = 4 * (vertices + 16 * scratch.courses.len() + self.pairs.len()) as u64;
         if !work.spend(sweep_work) {
             return Some(false);
         }

@@ -39,16 +39,22 @@ use crate::model::phase::Phase;
 const MOST_ROUNDS: u32 = 16;
 /// A body is advanced again when what it sees has changed by more than this times [`settled`]: of that, it would change by
 /// a small fraction.
-const MOST_STALE: f64 = 10.0;
+const MOST_STALE: f64 = 50.0;
 /// Steps that become shorter or longer from round to round change tracks by their errors. After this many rounds, ever
 /// larger changes are accepted, …
 const PATIENCE: u32 = 6;
 /// … up to this one: a third of the tolerance.
 const MOST_LEFT: f64 = 30.0;
-/// In the first rounds, corrections within a step end at a larger multiple of [`settled`].
-const ROUGH: f64 = 100.0;
+/// In the first rounds, corrections within a step end at a larger multiple of [`settled`] …
+const ROUGH: f64 = 1000.0;
+/// … and in the last at no larger one than this.
+const MOST_ROUGH: f64 = 10.0;
 /// A stretch that is shorter than this part of the whole is not divided any more.
 const SHORTEST: f64 = 1e-4;
+/// How many steps bodies take in a stretch, on average.
+const STEPS: f64 = 2.0;
+/// Most stretches that bodies ask for.
+const MOST_PARTS: f64 = 1000.0;
 /// With fewer vertices than this, a second thread does not pay off.
 const PARALLEL_VERTICES: usize = 1024;
 
@@ -192,13 +198,23 @@ impl Record {
         }
     }
 
-    /// The track of a body on which only `acceleration` acts.
-    fn throw(&mut self, body: &Body, acceleration: DVec3, (start, end): (f64, f64), others: usize) {
-        self.clear(others);
+    /// The track of a body if what acts at the start of a step goes on acting, also on others.
+    fn guess(&mut self, body: &Body, course: &Course, (start, end): (f64, f64), number: impl Fn(u32) -> Option<u32>) {
         let h = end - start;
+        let acceleration = course.frames[0].acceleration;
         let at = NODES.map(|node| body.centre + node * h * (body.velocity + 0.5 * node * h * acceleration));
         let rates = NODES.map(|node| h * (body.velocity + node * h * acceleration));
         self.legs.push(Leg { start, h, at: Curve::new(&at, &rates) });
+        for reaction in &course.reactions {
+            let Some(pulses) = number(reaction.source).and_then(|number| self.pulses.get_mut(number as usize)) else {
+                continue;
+            };
+            let force = reaction.force[0];
+            let x = NODES.map(|node| 0.5 * (node * h) * (node * h) * force);
+            let u = NODES.map(|node| node * h * h * force);
+            let (before, after) = (Default::default(), (x[3], h * force));
+            pulses.push(Pulse { start, h, by: Curve::new(&x, &u), before, after });
+        }
     }
 
     /// Where the centre is at `t` [s], and how fast.
@@ -483,20 +499,18 @@ impl Relaxation {
             cells[own].color = used.trailing_ones();
         }
         for (own, (cell, record)) in cells.iter().zip(records).enumerate() {
-            let others = cell.ids.len() - 1;
-            if is_known {
-                record.clear(others);
-                let number = |source: u32| cell.place(source).and_then(|place| place.checked_sub(1));
-                record.add(&scratch.courses[own], &scratch.places[own], span, number);
-            } else {
-                record.throw(&island.bodies[own], island.field.gravity, span, others);
+            record.clear(cell.ids.len() - 1);
+            let number = |source: u32| cell.place(source).and_then(|place| place.checked_sub(1));
+            match is_known {
+                true => record.add(&scratch.courses[own], &scratch.places[own], span, number),
+                false => record.guess(&island.bodies[own], &scratch.courses[own], span, number),
             }
         }
     }
 
     /// Advances all bodies over the span, each alone, until they agree.
     fn agree(&mut self, island: &Island, span: (f64, f64), paths: &dyn Paths, work: &Tally<'_>) -> Result<(), Failure> {
-        let vertices = island.bodies.iter().map(|body| body.shape.rest.len()).sum::<usize>();
+        let vertices: usize = island.bodies.iter().map(|body| body.shape.rest.len()).sum();
         let colors = self.cells.iter().map(|cell| cell.color + 1).max().unwrap_or(0);
         for count in 0..MOST_ROUNDS {
             let patience = f64::from(1 << (count.max(PATIENCE) - PATIENCE).min(10));
@@ -506,12 +520,12 @@ impl Relaxation {
                 let Relaxation { cells, records, fresh, changes, events, scratches, arch } = self;
                 let round = Round { island, records, events, scratches, paths, work: work.common(), arch: *arch, span };
                 let advance = |(own, (cell, record)): (usize, (&mut Cell, &mut Record))| {
-                    cell.is_due = cell.color == color && (cell.stale > most || cell.rough > 1.0);
+                    cell.is_due = cell.color == color && (cell.stale > most || cell.rough > MOST_ROUGH);
                     if !cell.is_due {
                         return 0.0;
                     }
                     // corrections need not be finer than what they are for
-                    cell.rough = (0.02 * cell.stale).clamp(1.0, ROUGH);
+                    cell.rough = (1e-3 * cell.stale).clamp(1.0, ROUGH);
                     cell.advance(&round, record);
                     let mass = |number: usize| {
                         let other = &island.bodies[cell.ids[number + 1] as usize];
@@ -646,10 +660,14 @@ impl Island {
             self.leave_phases(scratch, paths, report)?;
             let stop = f64::min(end, self.field.next_break(self.time));
             let left = stop - self.time;
-            let parts = (left / longest).ceil().max(1.0);
+            // a stretch in which bodies take a few steps each: in shorter ones they agree after fewer rounds
+            let steps: f64 = self.paces.iter().map(|pace| (left / pace).clamp(1.0, MOST_PARTS)).sum();
+            let parts = (steps / (STEPS * self.paces.len() as f64)).floor().max((left / longest).ceil()).max(1.0);
             let next = if parts > 1.0 { self.time + left / parts } else { stop };
             let (start, h) = (self.time, next - self.time);
-            let outcome = self.step(scratch, next, paths, work, report);
+            // all together, if they all met the tolerance with such steps
+            let may_do = self.paces.iter().all(|&pace| pace >= h);
+            let outcome = if may_do { self.step(scratch, next, paths, work, report) } else { None };
             if work.is_over() {
                 return Err(self.stopped());
             }
@@ -661,6 +679,9 @@ impl Island {
                 self.pass_gradually(scratch, start, report)?;
                 self.paces.iter_mut().for_each(|pace| *pace = pace.max(h));
                 continue;
+            }
+            if outcome.is_none() {
+                self.look(scratch, next, paths, work);
             }
             let mut relaxation = std::mem::take(&mut scratch.relaxation);
             relaxation.start(self, scratch, (start, next), outcome.is_some());

@@ -363,7 +363,7 @@ fn cube(tolerance: f64, damping: f64) -> Island {
 #[test]
 fn bodies_with_steps_of_their_own_go_the_same_way() {
     let (mut apart, mut together) = (cube(1e-6, 1.5), cube(1e-7, 1.5));
-    together.most_together = usize::MAX;
+    apart.most_together = 1;
     let [found, expected] = [&mut apart, &mut together].map(|island| run(island, 15.0 / 60.0, 1.0 / 60.0));
     assert!(found.changes.len() > 20 && found.changes.len() == expected.changes.len());
     for (found, expected) in found.changes.iter().zip(&expected.changes) {
@@ -377,6 +377,7 @@ fn bodies_with_steps_of_their_own_go_the_same_way() {
 #[test]
 fn bodies_with_steps_of_their_own_keep_momentum_and_their_ledger() {
     let mut island = cube(1e-6, 0.0);
+    island.most_together = 1;
     let first = island.conserved();
     let (error, ledger) = {
         let report = run(&mut island, 15.0 / 60.0, 1.0 / 60.0);
@@ -403,15 +404,18 @@ fn the_number_of_threads_makes_no_difference() {
             }
         }
     }
-    let outcome = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
-        let mut island = Island::new(bodies.clone(), pairs.clone(), Field::default(), 1e-4);
-        pool.install(|| run(&mut island, 2.0 / 60.0, 1.0 / 60.0));
-        island
-    };
-    let (one, three) = (outcome(1), outcome(3));
-    for (a, b) in one.bodies().iter().zip(three.bodies()) {
-        assert_eq!((a.centre, a.velocity, a.rotation, &a.x, &a.u), (b.centre, b.velocity, b.rotation, &b.x, &b.u));
+    for most_together in [1, 48] {
+        let outcome = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+            let mut island = Island::new(bodies.clone(), pairs.clone(), Field::default(), 1e-4);
+            island.most_together = most_together;
+            pool.install(|| run(&mut island, 2.0 / 60.0, 1.0 / 60.0));
+            island
+        };
+        let (one, three) = (outcome(1), outcome(3));
+        for (a, b) in one.bodies().iter().zip(three.bodies()) {
+            assert_eq!((a.centre, a.velocity, a.rotation, &a.x, &a.u), (b.centre, b.velocity, b.rotation, &b.x, &b.u));
+        }
     }
 }
 
