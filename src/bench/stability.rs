@@ -8,6 +8,7 @@
 //! | a million steps without damping | [`drift`] |
 //! | bodies of very different sizes | [`sizes`] |
 //! | free bodies | [`free`] |
+//! | the other models | [`models`] |
 //! | tables and CSV | [`table`] |
 //!
 //! A run passes if its state is finite after every step and within [`MARGIN`] of the energy bound. The exponential
@@ -19,6 +20,7 @@ pub mod cases;
 pub mod drift;
 pub mod exact;
 pub mod free;
+pub mod models;
 pub mod sizes;
 pub mod table;
 

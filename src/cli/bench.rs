@@ -8,6 +8,7 @@ use std::{
     fs::File,
     io::Read as _,
     path::{Path, PathBuf},
+    sync::atomic::{AtomicU64, Ordering},
 };
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -20,11 +21,11 @@ use crate::{
         error::{self, Settings, csv::csv, diagram, table},
         machine::Machine,
         output::Output,
-        stability::{self, cases::Case, drift, free, sizes, table as of_stability},
+        stability::{self, cases::Case, drift, free, models as of_models, sizes, table as of_stability},
         surface,
     },
     models::need_oscillators,
-    scene::Integrator,
+    scene::{Integrator, Model},
     sim::memory,
     text::thousands,
 };
@@ -92,6 +93,10 @@ struct StabilityArguments {
     /// Run this integrator only.
     #[arg(long, value_parser = super::run::parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential")]
     integrator: Option<Integrator>,
+    /// Run the cases with this model, and show which of them it endures.
+    #[arg(long, value_parser = crate::models::parse, value_name = "metaballs|lattice|fem",
+          conflicts_with_all = ["integrator", "case", "csv"])]
+    model: Option<Model>,
     /// Run a single case and show its details.
     #[arg(long, value_name = "N", conflicts_with_all = ["cases", "csv"],
           value_parser = clap::value_parser!(u64).range(0..stability::MOST_CASES))]
@@ -165,6 +170,9 @@ fn error(arguments: ErrorArguments) -> Result<(), Failure> {
 }
 
 fn stability(arguments: StabilityArguments) -> Result<(), Failure> {
+    if let Some(model) = arguments.model.filter(|model| *model != Model::Oscillators) {
+        return stability_of(model, arguments.cases);
+    }
     let integrators = arguments.integrator.map_or(Integrator::ALL.to_vec(), |integrator| vec![integrator]);
     let settings = stability::Settings { cases: arguments.cases, integrators, ..stability::Settings::default() };
     if let Some(index) = arguments.case {
@@ -207,6 +215,20 @@ fn stability(arguments: StabilityArguments) -> Result<(), Failure> {
         return Err(Failure::Run(format!("exponential fails with free bodies: {axis}, {what}")));
     }
     verdict(&rows)
+}
+
+fn stability_of(model: Model, cases: u64) -> Result<(), Failure> {
+    let (bar, done) = (progress_bar(model.name()), AtomicU64::new(0));
+    let progress = || bar.set_position(1000 * (done.fetch_add(1, Ordering::Relaxed) + 1) / cases.max(1));
+    let ends = of_models::measure(model, cases, &progress);
+    bar.finish_and_clear();
+    let ends = ends.map_err(|error| Failure::Run(error.to_string()))?;
+    print(&format!("{model}\n\n{}\n{}", of_models::table(&ends), Machine::detect().at_full_load()));
+    let defects: Vec<_> = (0..).zip(&ends).filter(|(_, (_, end))| *end == of_models::End::Defect).collect();
+    match defects.first() {
+        Some((first, _)) => Err(Failure::Run(format!("{model} fails {} cases, first case {first}", defects.len()))),
+        None => Ok(()),
+    }
 }
 
 /// The default integrator must pass every case; failures of the others are reported only.

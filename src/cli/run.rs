@@ -192,7 +192,7 @@ pub fn run(mut arguments: Arguments) -> Result<(), Failure> {
     let destinations = destinations(&arguments, &scene);
     // Check the scene first, then the destinations; only then start any work.
     let experiment = experiment(&arguments, scene);
-    let simulation = experiment.start().map_err(Failure::Input)?;
+    let simulation = start(&experiment)?;
     let schema = simulation.schema();
     let settings = settings(&arguments, &schema)?;
     if let (Some(from), Some(steps)) = (arguments.from, settings.steps)
@@ -642,6 +642,18 @@ fn with_overrides(arguments: &Arguments, mut scene: Scene) -> Scene {
         scene.tolerance = tolerance;
     }
     scene
+}
+
+/// Builds the bodies of a scene: says so while it takes long, as factoring a large stiffness does.
+fn start(experiment: &SceneRun) -> Result<Box<dyn Simulation>, Failure> {
+    let bar = ProgressBar::new_spinner().with_message(format!("building bodies: {}", experiment.scene.model));
+    if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}, {elapsed}; Ctrl-C ends it") {
+        bar.set_style(style);
+    }
+    bar.enable_steady_tick(Duration::from_millis(100)); // hidden if standard error is not a terminal
+    let started = experiment.start();
+    bar.finish_and_clear();
+    started.map_err(Failure::Input)
 }
 
 /// Reads a scene file, with a progress bar while a mesh takes long.

@@ -10,6 +10,13 @@
 //! Each is a [`Simulation`] of the same [`Scene`], so that all instruments show them alike. What a model has no use for in a
 //! scene, it says in [`Schema::warnings`]; what it cannot do without being wrong, it refuses as [`Unsupported`].
 //!
+//! | | free bodies | pushes, planes | shapes from meshes |
+//! | --- | --- | --- | --- |
+//! | `oscillators` | yes | yes | yes |
+//! | `metaballs` | refused: a density has no mass that a force could move | do nothing, and that is said | refused: a ball has no other form |
+//! | `lattice` | yes, but for `rotation = "fixed"` | yes | yes, as cells that cover them |
+//! | `fem` | yes, but for `rotation = "fixed"`; axes turn with the body as a whole | yes | yes, as cells that cover them |
+//!
 //! [`side_by_side`] runs several of them as one simulation, and `meldscope bench models` measures them.
 //!
 //! Models import `sim`, `observe`, `scene`, `geometry` and `model`; nothing of these imports models.

@@ -216,7 +216,8 @@ impl Body {
                             let young = scene.fem.young.unwrap_or(young);
                             (Elasticity { young, poisson: scene.fem.poisson }, damping)
                         };
-                        let element = Element::new(&cells, radius, mass, &held, of);
+                        let element = Element::new(&cells, radius, mass, &held, of, interrupt);
+                        let element = element.ok_or("interrupted while the stiffness was assembled")?;
                         let divided = shared.divided.unwrap_or_else(|| divisions(scene, contact));
                         let stepper = element.factor(scene.dt / divided as f64, shared.room, interrupt);
                         let stepper = stepper.map_err(|error| unfactored(scene, index, error))?;
@@ -231,7 +232,8 @@ impl Body {
                 Matter::Fem(Box::new(Finite { element, stepper, motion, divided, forces: Vec::new(), held, torn }))
             }
             _ => {
-                let lattice = Lattice::new(&cells, radius, mass, held, constants);
+                let lattice = Lattice::new(&cells, radius, mass, held, constants, interrupt);
+                let lattice = lattice.ok_or("interrupted while springs were tied")?;
                 let motion = lattice::Motion::at_rest(&lattice);
                 Matter::Lattice(Box::new(Springs { lattice, motion }))
             }

@@ -20,8 +20,18 @@ pub struct Symmetric {
 }
 
 impl Symmetric {
-    /// The sum of blocks at `(row, column)` with row ≥ column; those of one place are added in the order given.
-    pub fn sum(n: usize, mut parts: Vec<(u32, u32, DMat3)>) -> Symmetric {
+    /// The sum of blocks at `(row, column)` with row ≥ column; those of one place are added in the order given. `None` if it was
+    /// interrupted.
+    pub fn sum(n: usize, mut parts: Vec<(u32, u32, DMat3)>, interrupt: Option<&AtomicBool>) -> Option<Symmetric> {
+        /// Parts that are sorted between two looks at the interrupt.
+        const SOME: usize = 1 << 18;
+        // sorted pieces, which the last sort then merges
+        for some in parts.chunks_mut(SOME) {
+            some.sort_by_key(|&(row, column, _)| (column, row));
+            if interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+                return None;
+            }
+        }
         parts.sort_by_key(|&(row, column, _)| (column, row));
         let mut matrix = Symmetric { starts: vec![0; n + 1], rows: Vec::new(), blocks: Vec::new() };
         for same in parts.chunk_by(|x, y| (x.0, x.1) == (y.0, y.1)) {
@@ -33,7 +43,7 @@ impl Symmetric {
         for column in 0..n {
             matrix.starts[column + 1] += matrix.starts[column];
         }
-        matrix
+        Some(matrix)
     }
 
     /// What was allocated for it [bytes].
@@ -150,15 +160,20 @@ impl Cholesky {
         let mut work = vec![DMat3::ZERO; n];
         let mut diagonals: Vec<DMat3> = Vec::with_capacity(n);
         for column in 0..n {
-            if column % 16 == 0 && is_interrupted() {
+            if is_interrupted() {
                 return Err(Unfactored::Interrupted);
             }
             let own = matrix.starts[column]..matrix.starts[column + 1];
             for (&row, &block) in matrix.rows[own.clone()].iter().zip(&matrix.blocks[own]) {
                 work[row as usize] = block;
             }
-            let mut contributor = head[column];
+            let (mut contributor, mut number) = (head[column], 0u32);
             while contributor != NONE {
+                // those of the last columns are many, and long
+                number += 1;
+                if number.is_multiple_of(1024) && is_interrupted() {
+                    return Err(Unfactored::Interrupted);
+                }
                 let k = contributor as usize;
                 contributor = next[k];
                 let (from, end) = (reached[k], factor.starts[k + 1]);

@@ -43,7 +43,7 @@
 mod element;
 mod matrix;
 
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::{DMat3, DVec3};
 
@@ -104,8 +104,16 @@ pub struct Tension {
 }
 
 impl Element {
-    /// Elements in `cells` at the scale of a body of the given radius [scene unit] and mass, held at some nodes.
-    pub fn new(cells: &Cells, radius: f64, mass: f64, held: &[bool], of: impl Fn(f64) -> (Elasticity, f64)) -> Element {
+    /// Elements in `cells` at the scale of a body of the given radius [scene unit] and mass, held at some nodes. `None` if it was
+    /// interrupted.
+    pub fn new(
+        cells: &Cells,
+        radius: f64,
+        mass: f64,
+        held: &[bool],
+        of: impl Fn(f64) -> (Elasticity, f64),
+        interrupt: Option<&AtomicBool>,
+    ) -> Option<Element> {
         let size = cells.size() * radius;
         let density = mass / (cells.cell_count() as f64 * size * size * size);
         let (elasticity, damping) = of(density);
@@ -118,7 +126,10 @@ impl Element {
         (0..).zip(&free).for_each(|(i, &node)| number[node as usize] = i);
         let cube = cube_stiffness(elasticity);
         let mut parts = Vec::with_capacity(36 * cells.cell_count());
-        for corners in &cells.corners {
+        for (cell, corners) in cells.corners.iter().enumerate() {
+            if cell % 4096 == 0 && interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+                return None;
+            }
             for i in 0..8 {
                 for j in 0..8 {
                     let [row, column] = [corners[i], corners[j]].map(|node| number[node as usize]);
@@ -128,16 +139,17 @@ impl Element {
                 }
             }
         }
-        Element {
+        let stiffness = Symmetric::sum(free.len(), parts, interrupt)?;
+        Some(Element {
             elasticity,
             damping,
             size,
             corners: cells.corners.clone(),
             masses: cells.shares().into_iter().map(|share| share * mass).collect(),
-            stiffness: Symmetric::sum(free.len(), parts),
+            stiffness,
             free,
             gradients: TETRAHEDRA.map(|tetrahedron| gradients(tetrahedron).map(|gradient| gradient / size)),
-        }
+        })
     }
 
     /// Factors A for steps of `h` [s], or K itself for the equilibrium if it is infinite. The factor takes no more than

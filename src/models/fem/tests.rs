@@ -13,7 +13,7 @@ fn block(across: u32, cells: [u32; 3], elasticity: Elasticity, held: impl Fn(DVe
     let cells = Cells::block(across, cells);
     let held: Vec<bool> = cells.nodes.iter().map(|&node| held(node)).collect();
     let mass = cells.cell_count() as f64 * cells.size().powi(3);
-    let element = Element::new(&cells, 1.0, mass, &held, |_| (elasticity, 0.0));
+    let element = Element::new(&cells, 1.0, mass, &held, |_| (elasticity, 0.0), None).unwrap();
     (cells, element)
 }
 
@@ -100,9 +100,9 @@ fn the_patch_test_is_passed() {
     let top = DVec3::new(3.0, 4.0, 3.0) * size - 1.0;
     let inside = |node: DVec3| node.cmpgt(DVec3::NEG_ONE + 1e-9).all() && node.cmplt(top - 1e-9).all();
     let held = vec![false; cells.node_count()];
-    let all = Element::new(&cells, 1.0, 1.0, &held, |_| (STEEL, 0.0));
+    let all = Element::new(&cells, 1.0, 1.0, &held, |_| (STEEL, 0.0), None).unwrap();
     let held: Vec<bool> = cells.nodes.iter().map(|&node| !inside(node)).collect();
-    let element = Element::new(&cells, 1.0, 1.0, &held, |_| (STEEL, 0.0));
+    let element = Element::new(&cells, 1.0, 1.0, &held, |_| (STEEL, 0.0), None).unwrap();
     let gradient = DMat3::from_cols(DVec3::new(0.3, -0.2, 0.7), DVec3::new(0.1, 0.4, -0.6), DVec3::new(0.2, 0.5, -0.1));
     let affine = |node: DVec3| gradient * node + DVec3::new(0.1, 0.2, 0.3);
     // forces on the nodes inside by displacements of the boundary
@@ -173,7 +173,7 @@ fn a_cantilever_converges_to_beam_theory() {
 #[test]
 fn the_factor_solves_the_system() {
     let cells = Cells::cover(&Sphere { stacks: 12, slices: 24 }.mesh(), 6, None).unwrap();
-    let element = Element::new(&cells, 1.0, 1.0, &cells.core(0.5), |_| (STEEL, 0.01));
+    let element = Element::new(&cells, 1.0, 1.0, &cells.core(0.5), |_| (STEEL, 0.01), None).unwrap();
     let n = element.free.len();
     let expected: Vec<DVec3> = (0..n).map(|i| DVec3::new((i % 7) as f64, (i % 5) as f64, -((i % 3) as f64))).collect();
     let mut x = vec![DVec3::ZERO; n];
@@ -184,7 +184,7 @@ fn the_factor_solves_the_system() {
     // the order of elimination pays: in the order of the nodes the factor is a band
     assert!(stepper.block_count() < n * n / 8, "{} blocks for {n} nodes", stepper.block_count());
     assert!(matches!(element.factor(1.0, 1000, None), Err(Unfactored::TooLarge { .. })));
-    let free = Element::new(&cells, 1.0, 1.0, &vec![false; cells.node_count()], |_| (STEEL, 0.0));
+    let free = Element::new(&cells, 1.0, 1.0, &vec![false; cells.node_count()], |_| (STEEL, 0.0), None).unwrap();
     let flag = AtomicBool::new(true);
     assert!(matches!(free.factor(1.0, u64::MAX, Some(&flag)), Err(Unfactored::Interrupted)));
 }
@@ -196,7 +196,7 @@ fn steps_keep_the_energy_and_end_in_equilibrium() {
     let cells = Cells::block(6, [2, 2, 4]);
     let held: Vec<bool> = cells.nodes.iter().map(|node| node.z == -1.0).collect();
     for (damping, h) in [(0.0, 0.01), (0.0, 10.0), (0.3, 0.1), (0.3, 100.0)] {
-        let element = Element::new(&cells, 1.0, 1.0, &held, |_| (STEEL, damping));
+        let element = Element::new(&cells, 1.0, 1.0, &held, |_| (STEEL, damping), None).unwrap();
         let stepper = element.factor(h, u64::MAX, None).unwrap();
         let mut motion = Motion::at_rest(&element);
         let count = motion.velocities.len();
@@ -236,7 +236,7 @@ fn solvers() {
     let sizes: &[u32] = if std::env::var_os("MELDSCOPE_LONG").is_some() { &[2, 3, 4, 6, 8, 12, 16] } else { &[3] };
     for &across in sizes {
         let cells = Cells::cover(&mesh, across, None).unwrap();
-        let element = Element::new(&cells, 1.0, 1.0, &cells.core(0.5), |_| (STEEL, 0.01));
+        let element = Element::new(&cells, 1.0, 1.0, &cells.core(0.5), |_| (STEEL, 0.01), None).unwrap();
         let n = element.free.len();
         let start = std::time::Instant::now();
         let stepper = element.factor(0.01, u64::MAX, None).unwrap();

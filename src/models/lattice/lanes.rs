@@ -36,9 +36,9 @@ impl Group {
     }
 }
 
-/// Puts springs into groups, in ascending order of their nodes.
+/// Adds groups of springs, in ascending order of their nodes.
 pub fn group(mut springs: Vec<Spring>, groups: &mut Vec<Group>) {
-    groups.clear();
+    let first = groups.len();
     springs.sort_unstable_by_key(|spring| (spring.b - spring.a, spring.a));
     for run in springs.chunk_by(|x, y| (x.a + 1, x.b + 1) == (y.a, y.b)) {
         for some in run.chunks(GROUP) {
@@ -51,7 +51,7 @@ pub fn group(mut springs: Vec<Spring>, groups: &mut Vec<Group>) {
             groups.push(group);
         }
     }
-    groups.sort_unstable_by_key(|group| (group.a, group.b));
+    groups[first..].sort_unstable_by_key(|group| (group.a, group.b));
 }
 
 /// Places, velocities and forces by coordinate; reused.

@@ -34,6 +34,8 @@ mod lanes;
 mod step;
 mod tear;
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use glam::DVec3;
 
 use super::cells::Cells;
@@ -106,8 +108,15 @@ pub struct Lattice {
 }
 
 impl Lattice {
-    /// The lattice on `cells` at the scale of a body of the given radius [scene unit] and mass.
-    pub fn new(cells: &Cells, radius: f64, mass: f64, held: Vec<bool>, of: impl Fn(f64) -> Constants) -> Lattice {
+    /// The lattice on `cells` at the scale of a body of the given radius [scene unit] and mass. `None` if it was interrupted.
+    pub fn new(
+        cells: &Cells,
+        radius: f64,
+        mass: f64,
+        held: Vec<bool>,
+        of: impl Fn(f64) -> Constants,
+        interrupt: Option<&AtomicBool>,
+    ) -> Option<Lattice> {
         let size = cells.size() * radius;
         let density = mass / (cells.cell_count() as f64 * size * size * size);
         let Constants { young, damping } = of(density);
@@ -127,8 +136,8 @@ impl Lattice {
             cell_masses,
             keys: Vec::new(),
         };
-        lattice.tie();
-        lattice
+        lattice.tie(interrupt)?;
+        Some(lattice)
     }
 
     /// Number of nodes.
@@ -141,29 +150,65 @@ impl Lattice {
         3.75 * self.stiffness / self.size
     }
 
-    /// Ties the springs of all whole cells anew.
-    fn tie(&mut self) {
+    /// Ties the springs of all whole cells anew. `None` if it was interrupted.
+    fn tie(&mut self, interrupt: Option<&AtomicBool>) -> Option<()> {
+        /// Nodes whose springs are sorted together.
+        const STRETCH: usize = 1 << 16;
         let Lattice { corners, is_whole, keys, rest, .. } = self;
-        keys.clear();
-        for (corners, _) in corners.iter().zip(is_whole.iter()).filter(|(_, is_whole)| **is_whole) {
+        let go_on = || (!interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed))).then_some(());
+        let whole =
+            || corners.iter().zip(is_whole.iter()).filter(|(_, is_whole)| **is_whole).map(|(corners, _)| corners);
+        let pairs = |corners: &[u32; 8], found: &mut dyn FnMut(u32, u32, u32)| {
             for i in 0..8usize {
                 for j in 0..i {
                     let (a, b) = (corners[i].min(corners[j]), corners[i].max(corners[j]));
-                    keys.push((u64::from(a) << 32 | u64::from(b), (i ^ j).count_ones() - 1));
+                    found(a, b, (i ^ j).count_ones() - 1);
                 }
             }
+        };
+        // by stretches of first nodes: each is little enough to be sorted between two looks at the interrupt
+        let mut ends = vec![0usize; rest.len() / STRETCH + 2];
+        for (number, corners) in whole().enumerate() {
+            if number % STRETCH == 0 {
+                go_on()?;
+            }
+            pairs(corners, &mut |a, _, _| ends[a as usize / STRETCH + 1] += 1);
         }
-        keys.sort_unstable();
+        for stretch in 1..ends.len() {
+            ends[stretch] += ends[stretch - 1];
+        }
+        let mut next = ends.clone();
+        keys.clear();
+        keys.resize(ends[ends.len() - 1], (0, 0));
+        for (number, corners) in whole().enumerate() {
+            if number % STRETCH == 0 {
+                go_on()?;
+            }
+            pairs(corners, &mut |a, b, kind| {
+                let at = &mut next[a as usize / STRETCH];
+                keys[*at] = (u64::from(a) << 32 | u64::from(b), kind);
+                *at += 1;
+            });
+        }
+        let stiffness = self.stiffness;
         let spring = |same: &[(u64, u32)]| {
             let (key, kind) = same[0];
             let (a, b) = ((key >> 32) as u32, key as u32);
-            let stiffness = SHARES[kind as usize] * self.stiffness * same.len() as f64;
+            let stiffness = SHARES[kind as usize] * stiffness * same.len() as f64;
             // the length that the force computes at rest, to the bit: there it is exactly zero
             Spring { a, b, rest: (rest[b as usize] - rest[a as usize]).length(), stiffness }
         };
-        let springs: Vec<Spring> = keys.chunk_by(|x, y| x.0 == y.0).map(spring).collect();
-        self.spring_count = springs.len();
-        group(springs, &mut self.groups);
+        self.groups.clear();
+        self.spring_count = 0;
+        for ends in ends.windows(2) {
+            go_on()?;
+            let keys = &mut keys[ends[0]..ends[1]];
+            keys.sort_unstable();
+            let springs: Vec<Spring> = keys.chunk_by(|x, y| x.0 == y.0).map(spring).collect();
+            self.spring_count += springs.len();
+            group(springs, &mut self.groups);
+        }
+        Some(())
     }
 
     /// The springs.

@@ -14,7 +14,7 @@ fn bar(across: u32, cells: [u32; 3], damping: f64, is_held: bool) -> Lattice {
     let cells = Cells::block(across, cells);
     let held = cells.nodes.iter().map(|node| is_held && node.z == -1.0).collect();
     let mass = cells.cell_count() as f64 * cells.size().powi(3);
-    Lattice::new(&cells, 1.0, mass, held, |density| Constants::of(1.0, damping, 1.0, density))
+    Lattice::new(&cells, 1.0, mass, held, |density| Constants::of(1.0, damping, 1.0, density), None).unwrap()
 }
 
 /// Some numbers in [−1, 1], the same in every run.

@@ -466,12 +466,13 @@ fn kernel(scene: &Scene) -> Result<Kernel, Unsupported> {
     }
     for body in &scene.bodies {
         if body.path().is_none() {
-            let what = "motion = { free … } needs forces, and a density has none".to_owned();
+            let what = "motion = { free … }, and a density has no mass that a force could move".to_owned();
             return Err(refuse(Some(body), what, "give it a path, or choose model = \"oscillators\""));
         }
         if !body.shape.mesh().is_round() {
-            let what = format!("shape \"{}\" is not a ball", body.shape.label());
-            return Err(refuse(Some(body), what, "use shape = { sphere … }, or choose model = \"oscillators\""));
+            let what = format!("shape \"{}\", and the density about a centre is that of a ball", body.shape.label());
+            let remedy = "use shape = { sphere … }, or choose model = \"lattice\", \"fem\" or \"oscillators\"";
+            return Err(refuse(Some(body), what, remedy));
         }
     }
     let what =
