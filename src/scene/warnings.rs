@@ -1,6 +1,6 @@
-//! Thresholds that are valid, but that nobody can have meant.
+//! What is valid, but what nobody can have meant.
 
-use super::Scene;
+use super::{Motion, Scene};
 
 /// At most this many bodies are compared with each other.
 const MOST_BODIES: usize = 64;
@@ -8,9 +8,13 @@ const MOST_BODIES: usize = 64;
 /// How far below or beyond a limit a threshold is noticed, relative to it.
 const MARGIN: f64 = 1e-9;
 
+/// Vertices that are faster than this times ω R swing so far that they turn their body inside out.
+const INSIDE_OUT: f64 = 5.0;
+
 impl Scene {
     /// Thresholds that have no effect at their level, in words, with the number that would make sense: a `merge_at` at
-    /// which no sphere reaches the other body, a `split_at` at which the rest shapes still overlap.
+    /// which no sphere reaches the other body, a `split_at` at which the rest shapes still overlap. And free bodies that start
+    /// so deep in a plane that it tears them apart.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = [Vec::new(), Vec::new()];
         for b in 0..self.bodies.len().min(MOST_BODIES) {
@@ -34,18 +38,43 @@ impl Scene {
                 }
             }
         }
-        warnings.into_iter().filter_map(summary).collect()
+        let [merge, split] = warnings.map(|all| summary(all, "pair"));
+        merge.into_iter().chain(split).chain(summary(self.torn(), "body")).collect()
+    }
+
+    /// Free bodies that start so deep in a plane that it turns them inside out: then no rest shape fits their vertices best,
+    /// and no step is short enough.
+    fn torn(&self) -> Vec<String> {
+        let mut torn = Vec::new();
+        for body in &self.bodies {
+            let Motion::Free(free) = &body.motion else { continue };
+            let held = INSIDE_OUT * body.material.omega * body.radius;
+            for plane in &self.planes {
+                let depth = (plane.depth(free.from) + body.radius).min(2.0 * body.radius);
+                if depth > 0.0 && depth * plane.stiffness.sqrt() > held {
+                    let (name, speed, most) = (&body.name, depth * plane.stiffness.sqrt(), (held / depth).powi(2));
+                    torn.push(format!(
+                        "{name} starts {depth:.3} deep in a plane of stiffness {:e}, which throws its vertices off at {speed:.3e} \
+                         scene units/s: its springs do not hold them, and it may not be possible to follow it; start it \
+                         outside, or lower stiffness to {most:.3e}",
+                        plane.stiffness
+                    ));
+                }
+            }
+        }
+        torn
     }
 }
 
 /// The first of some warnings, and how many more there are.
-fn summary(all: Vec<String>) -> Option<String> {
+fn summary(all: Vec<String>, what: &str) -> Option<String> {
     let more = all.len().saturating_sub(1);
     let first = all.into_iter().next()?;
     Some(match more {
         0 => first,
-        1 => format!("{first} (and one more pair like it)"),
-        _ => format!("{first} (and {more} more pairs like it)"),
+        1 => format!("{first} (and one more {what} like it)"),
+        _ if what == "body" => format!("{first} (and {more} more bodies like it)"),
+        _ => format!("{first} (and {more} more {what}s like it)"),
     })
 }
 
@@ -68,5 +97,23 @@ mod tests {
         let found = warnings("merge_at = 0.8\nsplit_at = 0.9");
         assert!(found.len() == 1 && found[0].contains("split_at = 0.9 "), "{found:?}");
         assert_eq!(warnings(""), [""; 0]);
+    }
+
+    /// One that starts half a radius deep cannot be followed with a stiffness of 1e5, and can with 1e4.
+    #[test]
+    fn one_that_starts_deep_in_a_stiff_plane_is_told() {
+        let warnings = |stiffness: f64, z: f64| {
+            let text = format!(
+                "duration = 1.0\n[[plane]]\nnormal = [0, 0, 1]\nstiffness = {stiffness:e}\n[[body]]\nname = 'a'\nradius = 1.0\n\
+                 motion = {{ free = {{ from = [0, 0, {z:?}] }} }}\n"
+            );
+            Scene::parse(&text, "warned.toml").unwrap().warnings()
+        };
+        let found = warnings(1e5, 0.5);
+        assert!(
+            found.len() == 1 && found[0].contains("a starts 0.500 deep") && found[0].contains("1.440e4"),
+            "{found:?}"
+        );
+        assert!(warnings(1e4, 0.5).is_empty() && warnings(1e9, 1.0).is_empty());
     }
 }

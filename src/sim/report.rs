@@ -94,7 +94,7 @@ pub enum Toil {
     /// Forces that change too often, or too many of them.
     #[error(
         "the forces on body \"{body}\" change too fast for its {vertices} vertices to be followed through {spheres} influence \
-         spheres in reach; lower dt, frequencies or alpha and beta, raise tolerance, or put fewer bodies in one place"
+         spheres in reach; lower dt, frequencies, alpha and beta or planes' stiffness, raise tolerance, or put fewer bodies in one place"
     )]
     Forces {
         /// Name of the body that took the most work.

@@ -44,6 +44,8 @@ const MOST_WAITING: usize = 8;
 const MOST_ERROR_AGAIN: f64 = 3.0;
 /// Islands of more bodies than this take steps body by body: events of one would end the steps of all.
 pub(in crate::sim) const MOST_TOGETHER: usize = 100;
+/// Work of the force of a plane on a vertex, for which nine equations are solved.
+const HOLD: u64 = 200;
 /// Largest rotation of a body's frame in a step [rad].
 const MOST_TURN: f64 = 1.0;
 
@@ -624,6 +626,8 @@ impl Island {
             }
             self.evaluate(scratch, span, usize::from(sweep > 0), parallel);
             report.sweeps += 1;
+            let held: usize = scratch.courses.iter().map(|course| course.held.len()).sum();
+            work.spend(HOLD * held as u64);
             // how far this correction moved the vertices, over the tolerance
             let follow = |((body, course), places): ((&Body, &mut Course), &mut [Place; 5])| {
                 let rounding = 4e-15 * (places[0].centre.length() + body.shape.extent) * f64::max(1.0, 1.0 / span.h);
