@@ -21,6 +21,8 @@ use super::scenes::{Kind, Scene, Shape};
 
 /// Largest difference of two volumes that are equal, relative to the sum of those of the bodies.
 const VOLUME: f64 = 1e-7;
+/// What bodies in contact are displaced by to see whether a difference is due to that [radii].
+const SHIFT: f64 = 1e-4;
 /// The exact rationals of the oracle's robust mode take minutes for more triangles than this.
 const MOST_ROBUST: usize = 700;
 
@@ -135,17 +137,26 @@ fn look(scene: &Scene, tally: &mut Tally) -> Result<(), String> {
     }
     if (own.euler, own.components) != (oracle.euler, oracle.components) {
         for seed in 0..3 {
-            let shifted = scene.shifted(seed, 1e-4);
-            let (Some(own), Some(oracle)) = (unite(&shifted, &mut Tally::default())?, self::oracle(&shifted)) else {
-                continue;
-            };
-            if (own.euler, own.components) != (oracle.euler, oracle.components) {
-                return Err(format!("{own:?} instead of {oracle:?} ({})", scene.kind.name()));
+            let shifted = scene.shifted(seed, SHIFT);
+            // a shift may itself bring bodies into contact: in scene 104547 the second leaves two planes 4e-9 apart
+            if let Some(first) = difference_in_topology(&shifted)?
+                && difference_in_topology(&shifted.shifted(seed + 3, SHIFT))?.is_some()
+            {
+                return Err(format!("{first} ({})", scene.kind.name()));
             }
         }
         tally.ties += 1;
     }
     Ok(())
+}
+
+/// How Euler characteristic or components differ from the oracle's, if they do.
+fn difference_in_topology(scene: &Scene) -> Result<Option<String>, String> {
+    let (Some(own), Some(oracle)) = (unite(scene, &mut Tally::default())?, oracle(scene)) else {
+        return Ok(None);
+    };
+    let differs = (own.euler, own.components) != (oracle.euler, oracle.components);
+    Ok(differs.then(|| format!("{own:?} instead of {oracle:?}")))
 }
 
 /// The union, checked; `None` if bodies or the union were refused.
