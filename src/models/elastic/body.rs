@@ -32,6 +32,8 @@ use crate::{
 pub const OF_LIMIT: f64 = 0.7;
 /// Springs that a body may move in a step; more is as good as endless.
 pub const MOST_WORK: f64 = 2e8;
+/// Cells of finite elements that a body may move in a step; a step of one takes far longer than of a spring.
+const MOST_CELLS: f64 = 1e7;
 /// Springs moved between two looks at the interrupt.
 const GRAIN: u64 = 1 << 22;
 /// A body whose nodes are farther away than this has diverged [radii].
@@ -219,6 +221,13 @@ impl Body {
                         let element = Element::new(&cells, radius, mass, &held, of, interrupt);
                         let element = element.ok_or("interrupted while the stiffness was assembled")?;
                         let divided = shared.divided.unwrap_or_else(|| divisions(scene, contact));
+                        if divided as f64 * cells.cell_count() as f64 > MOST_CELLS {
+                            return Err(format!(
+                                "scene \"{}\": what acts on body \"{}\" would have to be looked at {divided} times in a step, which is as good \
+                                 as endless; lower `dt`, `alpha`, `beta` or the `stiffness` of planes",
+                                scene.name, described.name
+                            ));
+                        }
                         let stepper = element.factor(scene.dt / divided as f64, shared.room, interrupt);
                         let stepper = stepper.map_err(|error| unfactored(scene, index, error))?;
                         shared.room = shared.room.saturating_sub(stepper.memory() as u64);
