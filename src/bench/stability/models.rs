@@ -2,7 +2,13 @@
 //!
 //! A case that ends for a reason that is said is not a defect; a state that is not finite and is not said to be so is one.
 
-use std::time::{Duration, Instant};
+use std::{
+    sync::{
+        atomic::{AtomicBool, Ordering},
+        mpsc::{self, RecvTimeoutError},
+    },
+    time::Duration,
+};
 
 use rayon::prelude::*;
 
@@ -17,7 +23,7 @@ use crate::{
 
 /// Steps of a case at most.
 const MOST_STEPS: u64 = 60;
-/// Time of a case at most; it ends after the step in which that is over.
+/// Time of a case at most; then it is interrupted.
 const MOST_TIME: Duration = Duration::from_millis(300);
 /// Cells along a diameter: what bodies endure is hardly a matter of how many there are, what it takes is.
 const CELLS: u32 = 3;
@@ -56,16 +62,39 @@ pub fn measure(model: Model, cases: u64, progress: &(dyn Fn() + Sync)) -> Result
         case.scene.model = model;
         case.scene.integrator = Integrator::Exponential;
         (case.scene.lattice.cells, case.scene.fem.cells) = (CELLS, CELLS);
-        let end = end(&SceneRun { scene: case.scene, options: Options::default() });
+        let end = timed(|interrupt| {
+            end(&SceneRun { scene: case.scene, options: Options { interrupt: Some(interrupt), ..Options::default() } })
+        });
         progress();
         Ok((case.axis, end))
     };
     (0..cases).into_par_iter().map(of).collect()
 }
 
+/// Runs a case that is interrupted when its time is over.
+fn timed(case: impl FnOnce(&'static AtomicBool) -> End) -> End {
+    thread_local! {
+        // an interrupt lives as long as the program; there is one a thread
+        static INTERRUPT: &'static AtomicBool = Box::leak(Box::new(AtomicBool::new(false)));
+    }
+    let interrupt = INTERRUPT.with(|interrupt| *interrupt);
+    interrupt.store(false, Ordering::Relaxed);
+    std::thread::scope(|scope| {
+        let (done, ended) = mpsc::channel::<()>();
+        scope.spawn(move || {
+            if ended.recv_timeout(MOST_TIME) == Err(RecvTimeoutError::Timeout) {
+                interrupt.store(true, Ordering::Relaxed);
+            }
+        });
+        let end = case(interrupt);
+        drop(done);
+        if interrupt.load(Ordering::Relaxed) && end != End::Defect { End::Cut } else { end }
+    })
+}
+
 fn end(run: &SceneRun) -> End {
     let Ok(mut simulation) = run.start() else { return End::Refused };
-    let (mut summary, mut frame, start) = (StepSummary::default(), Frame::default(), Instant::now());
+    let (mut summary, mut frame) = (StepSummary::default(), Frame::default());
     for _ in 0..run.scene.steps().min(MOST_STEPS) {
         simulation.step();
         simulation.summary(&mut summary);
@@ -77,9 +106,6 @@ fn end(run: &SceneRun) -> End {
         simulation.observe(Want::default(), &mut frame);
         if !frame.bodies.iter().all(|body| body.centre.is_finite() && body.max_displacement.is_finite()) {
             return End::Defect;
-        }
-        if start.elapsed() > MOST_TIME {
-            return End::Cut;
         }
     }
     End::Endured

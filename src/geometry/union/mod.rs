@@ -28,21 +28,20 @@
 //!
 //! # What it costs
 //!
-//! Beside the exact mode of `manifold-rust`, by `cargo bench --bench union` on two cores of an AMD EPYC that had other things
-//! to do, which is why these are the medians of five runs, with the least and the greatest:
+//! Beside the exact mode of `manifold-rust`, by `cargo bench --bench union` on two cores of an AMD EPYC:
 //!
 //! | spheres | union, best | times as fast | goal |
 //! | --- | --- | --- | --- |
-//! | two of 266 vertices | 0.15 ms | 10.5 (10.2 to 11.8) | 15 |
-//! | two of 10,000 vertices | 1.8 ms | 51 (26 to 59) | 50 |
-//! | a chain of 300 | 148 ms | 7.1 (4.8 to 12.5) | 20 |
-//! | 64 in one place | 110 ms | 3.6 (3.4 to 6.6) | 1 |
+//! | two of 266 vertices | 0.15 ms | 10.9 | 15 |
+//! | two of 10,000 vertices | 1.8 ms | 35.5 | 50 |
+//! | a chain of 300 | 69 ms | 7.3 | 20 |
+//! | 64 in one place | 46 ms | 4.2 | 1 |
 //!
 //! Small unions miss the goal because nothing in them dominates: of two spheres of 266 vertices, cutting triangles takes 23 %,
 //! assembly with its audit 17 %, nodes and segments 15 %, signs of candidates 11 %, boxes 7 %, [`Body::new`] 7 %.
 //! Candidates are all that the last frame could save, because the rest depends on positions: unions keep nothing from frame
 //! to frame, only the search for gaps does ([`Hint`]). The chain is 299 such small unions.
-//! Ten times the vertices, all of them away from the overlap, cost 47 % more (goal 10 %): all of it is [`Body::new`], which
+//! Ten times the vertices, all of them away from the overlap, cost 46 % more (goal 10 %): all of it is [`Body::new`], which
 //! reads every triangle for volume, area and the proof that the body does not intersect itself, 15 ns a vertex.
 
 mod arrangement;

@@ -29,7 +29,8 @@ fn run(simulation: &mut Elastic, steps: u64) -> Vec<PairEvent> {
     events
 }
 
-/// Phases follow the paths: the events are those of the oscillators, to the bit.
+/// Phases follow the paths: the events are those of the oscillators. Their times are the same to rounding: how close to an event
+/// a search for it begins depends on which bodies may reach each other.
 #[test]
 fn events_are_those_of_the_oscillators() {
     for name in ["two", "three", "size_ratio"] {
@@ -43,9 +44,12 @@ fn events_are_those_of_the_oscillators() {
         assert!(!expected.is_empty());
         for model in [Model::Lattice, Model::Fem] {
             let events = run(&mut start(&scene(name, model)), steps);
-            let found: Vec<_> =
-                events.iter().map(|event| (event.name, event.time, event.a as u32, event.b as u32, event.q)).collect();
-            assert_eq!(found, expected, "{name} {model}");
+            assert_eq!(events.len(), expected.len(), "{name} {model}");
+            for (event, &(kind, time, a, b, q)) in events.iter().zip(&expected) {
+                assert_eq!((event.name, event.a as u32, event.b as u32), (kind, a, b), "{name} {model}");
+                let near = |found: f64, expected: f64| (found - expected).abs() <= 4.0 * f64::EPSILON * expected;
+                assert!(near(event.time, time) && near(event.q, q), "{name} {model}: {} {time}", event.time);
+            }
         }
     }
 }

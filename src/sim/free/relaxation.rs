@@ -691,7 +691,7 @@ impl Island {
             }
             scratch.relaxation = relaxation;
             match agreed {
-                Ok(()) => longest = 2.0 * longest,
+                Ok(()) => longest *= 2.0,
                 Err(_) if work.is_over() => return Err(self.stopped()),
                 Err(failure) if h < shortest => return Err(failure),
                 Err(_) => longest = 0.5 * h,
