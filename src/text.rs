@@ -40,6 +40,12 @@ pub fn listed(list: &[String]) -> String {
     }
 }
 
+/// A step Δt [s], with as many digits as it takes to recognise it.
+#[cfg(feature = "viewer")]
+pub fn step_size(dt: f64) -> String {
+    if dt >= 1e-4 { format!("{dt:.6}") } else { format!("{dt:e}") }
+}
+
 /// A number with three significant digits.
 #[cfg(feature = "cli")]
 pub fn significant(x: f64) -> String {

@@ -34,7 +34,7 @@ use crate::{
         sinks::{Destinations, Finished, Host, Serve, Serving, Sinks, Spawn},
         size,
     },
-    text::{bytes, counted, did_you_mean, printable, thousands},
+    text::{bytes, counted, did_you_mean, printable, step_size, thousands},
 };
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -766,8 +766,7 @@ fn summarize(console: &Console, outcome: &Outcome) {
         counted(bodies, "body"),
         counted(schema.vertex_count(), "vertex"),
         counted(steps, "step"),
-        // six digits are enough to recognise a step size
-        if schema.dt >= 1e-4 { format!("{:.6}", schema.dt) } else { format!("{:e}", schema.dt) },
+        step_size(schema.dt),
         schema.unusual_model().map(|model| format!("{model}, ")).unwrap_or_default(),
         schema.integrator,
         simulation.time(),

@@ -81,7 +81,8 @@ impl SideBySide {
             };
             place.schema.bodies.iter().map(named)
         });
-        let net = TermSchema::new("net", "Net", colors::WHITE);
+        // arrows on all vertices of all models would hide the bodies
+        let net = TermSchema { is_shown: false, ..TermSchema::new("net", "Net", colors::WHITE) };
         let mut warnings: Vec<String> = places.iter().flat_map(|place| place.schema.warnings.clone()).collect();
         warnings.dedup();
         let names: Vec<String> = self.models.iter().map(|model| format!("\"{model}\"")).collect();

@@ -22,6 +22,7 @@ use crate::{
         blueprint,
         chunks::Chunks,
         instant::Instant,
+        light::Light,
         normals,
         palette::{self, Rgb, color},
         series::{Interpolation, Series},
@@ -97,7 +98,7 @@ impl Comparison {
             schema.name,
             plan.labels[0],
             plan.labels[1],
-            if magnification > 1.5 { format!("{magnification:.2e}") } else { "1".to_owned() },
+            if magnification > 1.5 { format!("{magnification:.0}") } else { "1".to_owned() },
             match plan.bodies.len() {
                 0 => "No body differs.".to_owned(),
                 n if n > MOST_BODIES => format!("The {MOST_BODIES} bodies that differ most are shown, of {n}."),
@@ -138,7 +139,7 @@ impl Comparison {
         tolerance: f64,
         mut positions: impl FnMut(usize) -> [Option<Vec<DVec3>>; 2],
     ) -> Result<(), SinkError> {
-        let (mut origins, mut vectors) = (Vec::new(), Vec::new());
+        let (mut origins, mut vectors, light) = (Vec::new(), Vec::new(), Light::in_world());
         for (index, name, mesh) in &self.shown {
             let both = positions(*index);
             for (side, positions) in ["a", "b"].into_iter().zip(&both) {
@@ -148,7 +149,7 @@ impl Comparison {
                 normals::append(Arch::new(), mesh, &vectors, &mut scratch, &mut normals);
                 let mesh = Mesh3D::update_fields()
                     .with_vertex_positions(positions.iter().map(|p| p.as_vec3()))
-                    .with_vertex_normals(normals);
+                    .with_vertex_colors(normals.iter().map(|&normal| light.white(normal)));
                 self.chunks.log(&format!("/world/{side}/{name}"), at, &mesh);
             }
             if let [Some(a), Some(b)] = &both {

@@ -17,6 +17,7 @@ use crate::{
         settings::Frames,
         sinks::{Saved, SinkError},
     },
+    text::step_size,
 };
 
 /// Instants at most this far apart are the same [s]; recordings have a resolution of one nanosecond.
@@ -186,7 +187,7 @@ pub fn save(
     let plan = Plan {
         labels: recorded.map(|recorded| {
             let name = recorded.path.file_name().unwrap_or_default().to_string_lossy();
-            format!("{name} ({}, Δt = {} s)", recorded.schema.integrator, recorded.schema.dt)
+            format!("{name} ({}, Δt = {} s)", recorded.schema.integrator, step_size(recorded.schema.dt))
         }),
         largest: difference.bodies.iter().map(|worst| worst.recorded.distance(worst.found)).fold(0.0, f64::max),
         bodies,

@@ -19,7 +19,7 @@
 //! | batching of rows into chunks and messages | [`chunks`]; [`columns`] for what is logged every frame |
 //! | the layout that the viewer opens with | [`blueprint`] |
 //! | colours and their meaning | [`palette`] |
-//! | the light on surfaces | `light` |
+//! | the light on surfaces | [`light`] |
 //! | destinations of messages: files, viewers, servers | [`sinks`] |
 //! | files that an interrupt removes | [`unfinished`] |
 //!
@@ -64,7 +64,7 @@ pub mod extract;
 mod flight;
 mod focus;
 pub mod instant;
-mod light;
+pub mod light;
 pub mod machine;
 pub mod normals;
 pub mod palette;

@@ -2,6 +2,8 @@
 
 use super::{
     Pipeline, Recorder, Settings,
+    blueprint::Tab,
+    chunks::Audience,
     sinks::{Destinations, SinkError, Sinks},
 };
 use crate::observe::{Experiment, StepSummary};
@@ -53,6 +55,9 @@ pub fn record(
     let mut end = pipeline.finish().map_err(RecordError::Recording)?;
     if let Some(failure) = end.failure.take().or_else(|| end.finish(&*simulation)) {
         return Err(RecordError::Recording(failure));
+    }
+    for message in end.recorder.measured_layout(&*simulation, Tab::Scene) {
+        end.sinks.send_to(Audience::Files, message)?;
     }
     let frames = end.recorder.written();
     end.sinks.finish()?;
