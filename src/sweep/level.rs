@@ -108,6 +108,7 @@ pub fn run(
     let done = store.blocks(level, shard)?;
     let blocks = plan.of(shard).div_ceil(BLOCK);
     if (0..blocks).all(|block| done.contains(&block)) {
+        store.clean(level, shard)?; // a process that was killed here has not come to that
         progress(plan.of(shard));
         return Ok(Ended::Complete);
     }
