@@ -2,7 +2,7 @@
 //!
 //! It uses nothing of [`crate::sim`]. The equation of motion is implemented here a second time, from the model alone.
 //! Pair phases are found by scanning the distances and bisecting. Each vertex is integrated separately by
-//! [extrapolation](super::extrapolation), restarted wherever the right-hand side jumps (pair phases, pushes, keyframes)
+//! [extrapolation], restarted wherever the right-hand side jumps (pair phases, pushes, keyframes)
 //! and at every requested instant.
 //!
 //! The weight has a kink at the rim of an influence sphere. Within a step, a vertex inside a sphere keeps the inside

@@ -21,7 +21,7 @@ use crate::{
 };
 
 /// Steps that a vertex may take in one step of the scene; what is left then is taken in one, unchecked but within bounds.
-/// After half of them the acceptable error grows, by a factor of two with each of [`DOUBLINGS`] equal shares of the others.
+/// After half of them the acceptable error grows, by a factor of two with each of `DOUBLINGS` equal shares of the others.
 pub const MOST_STEPS: u32 = 3072;
 const DOUBLINGS: u32 = 32;
 

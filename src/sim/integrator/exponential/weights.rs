@@ -78,7 +78,7 @@ pub struct Weights {
     pub constant: f64,
     /// Largest displacement per error in the velocity, once the oscillator has converted it [s].
     pub swing: f64,
-    /// Set if more than [`RESOLVED`] time scales of the oscillator pass in the step: samples do not tell its oscillation
+    /// Set if more than `RESOLVED` time scales of the oscillator pass in the step: samples do not tell its oscillation
     /// from a polynomial then.
     pub ringing: Option<Ringing>,
 }
