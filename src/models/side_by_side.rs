@@ -14,7 +14,7 @@ use crate::{
         BodyEvent, BodyFrame, Experiment, Frame, Instant, PairEvent, PairFrame, Refusal, Schema, Simulation,
         StepFailure, StepSummary, SurfaceEvent, Want, checksum, colors,
         schema::{BodySchema, OwnLevels, OwnSurfaces, ScalarOf, ScalarSchema, TermSchema},
-        surface::{Group, Merger, PairMeasures, Surfaced, Surfaces},
+        surface::{Group, Merger, Surfaced, Surfaces},
         touch::{Finding, Touches},
     },
     scene::{Model, Scene},
@@ -191,16 +191,6 @@ impl Surfaces for Apart {
             asked.iter().zip(&merged.pairs).for_each(|(&k, measures)| all.pairs[k] = *measures);
         }
         all
-    }
-
-    fn measure(
-        &self,
-        schema: &Schema,
-        frame: &Frame,
-        pair: [usize; 2],
-        interrupt: Option<&AtomicBool>,
-    ) -> Option<PairMeasures> {
-        self.merge(schema, frame, &[pair], interrupt).pairs.first().copied().flatten()
     }
 }
 

@@ -117,14 +117,16 @@ pub trait Surfaces: Send + Sync {
     /// any more once the flag is raised.
     fn merge(&self, schema: &Schema, frame: &Frame, pairs: &[[usize; 2]], interrupt: Option<&AtomicBool>) -> Surfaced;
 
-    /// What there is to say of a pair alone.
+    /// What there is to say of a pair alone. Worth an implementation of its own where that needs no surface.
     fn measure(
         &self,
         schema: &Schema,
         frame: &Frame,
         pair: [usize; 2],
         interrupt: Option<&AtomicBool>,
-    ) -> Option<PairMeasures>;
+    ) -> Option<PairMeasures> {
+        self.merge(schema, frame, &[pair], interrupt).pairs.first().copied().flatten()
+    }
 }
 
 /// The surfaces of a frame as a simulation defines them.

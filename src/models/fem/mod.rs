@@ -24,7 +24,7 @@
 //!
 //! # Factor or inverse
 //! A⁻¹ precomputed in full takes 9n² multiplications a step for n free nodes, L D Lᵀ 18 for each of its blocks. Measured on one core (µs a
-//! solution; the test `solvers` measures it again), with spheres of so many cells along a diameter:
+//! solution), with spheres of so many cells along a diameter:
 //!
 //! | cells | free nodes | blocks of L | inverse | factor |
 //! | --- | --- | --- | --- | --- |
