@@ -125,7 +125,7 @@ fn row(name: &'static str, mesh: &Arc<Mesh>, centres: &[DVec3]) -> Row {
         union: best(|| drop(union(&placed(), &budget))),
         drawn: best(&mut draw),
         measures,
-        result: Ok((united.euler, united.statistics.retries)),
+        result: Ok((united.euler(), united.statistics.retries)),
     }
 }
 

@@ -394,8 +394,10 @@ impl<'a> Scene<'a> {
 
     fn measures(self, pair: [usize; 2], united: &Union, budget: &Budget, hint: &mut Hint) -> Option<PairMeasures> {
         let radius = pair.map(|body| self.schema.bodies[body].radius).into_iter().fold(f64::INFINITY, f64::min);
-        let volume = united.bodies().iter().map(Body::volume).fold(f64::INFINITY, f64::min);
         let measures = union::measures_of(united, budget, hint).ok()?;
+        let is_overlap = measures.overlap > 0.0; // volumes cost a look at every triangle
+        let volume =
+            if is_overlap { united.bodies().iter().map(Body::volume).fold(f64::INFINITY, f64::min) } else { 0.0 };
         Some(PairMeasures {
             gap: measures.gap / radius,
             overlap: measures.overlap / (radius * radius * radius),
@@ -446,14 +448,15 @@ impl Group {
             origin.share = (0.5 * share * share * (3.0 - 2.0 * share)) as f32;
         });
         go_on()?;
+        let euler = united.euler();
         Some(Group {
             bodies: bodies.to_vec(),
             seams,
             components,
-            euler: united.euler,
-            genus: components as i64 - united.euler / 2,
-            volume: united.volume,
-            area: united.area,
+            euler,
+            genus: components as i64 - euler / 2,
+            volume: united.volume(),
+            area: united.area(),
             normals: Vec::new(),
             positions: seamed.positions,
             origins: seamed.labels,

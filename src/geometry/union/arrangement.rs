@@ -6,12 +6,12 @@
 
 use glam::DVec3;
 use rayon::prelude::*;
-use rustc_hash::FxHashMap;
 
 use super::{
     candidates::EdgeAndTriangle,
-    exact::{Bounded, Number, Polynomial},
+    exact::{Bounded, Number, Plane, Polynomial},
     placement::Placement,
+    ranks::Ranks,
     report::{Failure, Meter},
 };
 
@@ -74,10 +74,10 @@ pub struct Arrangement {
     pub nodes: Vec<Node>,
     /// True position of every node on its edge, from 0 to 1.
     pub places: Vec<f64>,
-    /// For every edge with nodes, the range of its nodes.
-    pub nodes_of_edge: FxHashMap<u32, (u32, u32)>,
-    /// A bit for every edge that has nodes.
-    has_nodes: Vec<u64>,
+    /// The edges that have nodes.
+    edges: Ranks,
+    /// Where the nodes of each of them start, and where the last ones end.
+    first_node: Vec<u32>,
     /// Segments, sorted by triangles.
     pub segments: Vec<Segment>,
     /// (triangle, segment), ascending.
@@ -223,14 +223,24 @@ pub fn is_in_front(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> Result<bool, Failu
     Orientation([a, b, c, d]).is_positive().ok_or(Failure::Tie)
 }
 
+/// Whether the line through two points passes inside a triangle: it then turns the same way about all three sides.
+fn passes_inside([a, b]: [DVec3; 2], [x, y, z]: [DVec3; 3]) -> Result<bool, Failure> {
+    let beside_x = Plane::new(a, b, x);
+    let exactly = |from, to| Orientation([a, b, from, to]).exactly_positive();
+    let turn = beside_x.side(y).is_positive().or_else(|| exactly(x, y)).ok_or(Failure::Tie)?;
+    // the same volume as about the side from z to x, with the other sign
+    let behind = beside_x.side(z).is_positive().or_else(|| exactly(x, z)).ok_or(Failure::Tie)?;
+    Ok(behind != turn && is_in_front(a, b, y, z)? == turn)
+}
+
 impl Arrangement {
     /// The nodes and segments of the candidate edges and triangles.
     pub fn new(placement: &Placement, candidates: &[EdgeAndTriangle], threads: bool) -> Result<Arrangement, Failure> {
         let mut arrangement = Arrangement {
             nodes: Vec::new(),
             places: Vec::new(),
-            nodes_of_edge: FxHashMap::default(),
-            has_nodes: Vec::new(),
+            edges: Ranks::default(),
+            first_node: Vec::new(),
             segments: Vec::new(),
             segments_of_triangles: Vec::new(),
             triple_points: Vec::new(),
@@ -267,9 +277,7 @@ impl Arrangement {
                 }
                 let [a, b] = ends.map(|v| placement.placed(v));
                 let [x, y, z] = names.map(|v| placement.placed(v));
-                // The edge passes through the triangle if it turns the same way about all three sides.
-                let turn = is_in_front(a, b, x, y)?;
-                if is_in_front(a, b, y, z)? != turn || is_in_front(a, b, z, x)? != turn {
+                if !passes_inside([a, b], [x, y, z])? {
                     continue;
                 }
                 let heights = Height { placement, nodes: &[] };
@@ -289,17 +297,19 @@ impl Arrangement {
 
     fn order_nodes(&mut self, placement: &Placement) -> Result<(), Failure> {
         let heights = Height { placement, nodes: &[] };
-        self.has_nodes = vec![0; placement.first_edge[placement.bodies.len()] as usize / 64 + 1];
+        let mut edges = Vec::with_capacity(self.nodes.len());
         let mut from = 0;
         while from < self.nodes.len() {
             let Node { edge, edge_body, .. } = self.nodes[from];
             let count = self.nodes[from..].iter().take_while(|n| n.edge == edge).count();
             let ends = placement.ends(edge, edge_body).map(End::Vertex);
             heights.sort_along(ends, &mut self.nodes[from..from + count], |n| &n.passage)?;
-            self.nodes_of_edge.insert(edge, (from as u32, (from + count) as u32));
-            self.has_nodes[edge as usize / 64] |= 1 << (edge % 64);
+            edges.push(edge);
+            self.first_node.push(from as u32);
             from += count;
         }
+        self.first_node.push(from as u32);
+        self.edges = Ranks::new(placement.first_edge[placement.bodies.len()], &edges);
         Ok(())
     }
 
@@ -382,10 +392,14 @@ impl Arrangement {
     /// The nodes of an edge, in order from its first end.
     #[inline]
     pub fn nodes_of(&self, edge: u32) -> &[Node] {
-        if self.has_nodes[edge as usize / 64] & (1 << (edge % 64)) == 0 {
-            return &[];
-        }
-        self.nodes_of_edge.get(&edge).map_or(&[], |&(from, to)| &self.nodes[from as usize..to as usize])
+        let std::ops::Range { start, end } = self.numbers_of(edge);
+        &self.nodes[start as usize..end as usize]
+    }
+
+    /// The numbers of the nodes of an edge.
+    #[inline]
+    pub fn numbers_of(&self, edge: u32) -> std::ops::Range<u32> {
+        self.edges.of(edge).map_or(0..0, |k| self.first_node[k]..self.first_node[k + 1])
     }
 
     /// The number of segments of a triangle, and theirs.

@@ -1,5 +1,7 @@
 //! A closed mesh at its current positions, with data that does not depend on other bodies.
 
+use std::sync::OnceLock;
+
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 use thiserror::Error;
@@ -102,16 +104,28 @@ impl Hull {
 pub struct Body<'a> {
     pub(super) topology: &'a Topology,
     pub(super) positions: &'a [DVec3],
+    /// Those of further fans, which follow them.
+    copied: Vec<DVec3>,
     pub(super) bounds: Aabb,
     pub(super) block_bounds: Vec<Aabb>,
     /// Mean of the vertices.
     pub(super) centre: DVec3,
     /// Radius of the ball about the centre that contains all vertices.
     pub(super) radius: f64,
-    /// Radius of a ball about the centre that lies inside; 0 if none is known.
-    pub(super) inner_radius: f64,
-    /// Distance by which every vertex may be displaced without the surface intersecting itself; < 0 if unknown.
-    pub(super) slack: f64,
+    star: OnceLock<Star>,
+    extent: OnceLock<Extent>,
+}
+
+/// What is known of a body because its surface is seen from the centre from its inner side.
+#[derive(Clone, Copy, Debug)]
+struct Star {
+    inner_radius: f64,
+    slack: f64,
+}
+
+/// Volume [scene unit³] and area [scene unit²].
+#[derive(Clone, Copy, Debug)]
+struct Extent {
     volume: f64,
     area: f64,
 }
@@ -140,7 +154,8 @@ pub enum BodyError {
 impl<'a> Body<'a> {
     /// The mesh `topology` with its vertices at `positions` [scene unit], `[vertex_count]`.
     ///
-    /// Takes time proportional to the mesh; the union then takes time proportional to the overlap.
+    /// Takes time proportional to the mesh, for its boxes; so does the first union of it, for the proof that it does not
+    /// intersect itself. All else that a union takes is proportional to the overlap.
     ///
     /// # Errors
     ///
@@ -159,17 +174,15 @@ impl<'a> Body<'a> {
         let mut body = Body {
             topology,
             positions,
+            copied: topology.copies.iter().map(|&place| positions[place as usize]).collect(),
             bounds: Aabb::EMPTY,
             block_bounds: Vec::with_capacity(topology.block_count()),
             centre: sum / positions.len().max(1) as f64,
             radius: 0.0,
-            inner_radius: 0.0,
-            slack: -1.0,
-            volume: 0.0,
-            area: 0.0,
+            star: OnceLock::new(),
+            extent: OnceLock::new(),
         };
         body.bound();
-        body.measure();
         Ok(body)
     }
 
@@ -183,7 +196,8 @@ impl<'a> Body<'a> {
             self.block_bounds.push(hull);
         }
         // of all vertices that some triangle uses
-        let is_used = |v: usize| !self.topology.edges_at(v as u32).is_empty();
+        let is_every_used = self.topology.used_vertices as usize == self.topology.fan_count();
+        let is_used = |v: usize| is_every_used || !self.topology.edges_at(v as u32).is_empty();
         let distances = self.positions.iter().map(|p| p.distance_squared(self.centre));
         let mut farthest = 0.0;
         for (v, distance) in distances.enumerate() {
@@ -194,28 +208,63 @@ impl<'a> Body<'a> {
         self.radius = farthest.sqrt();
     }
 
-    /// Computes the volume, the area, and whether every triangle is seen from the centre from its inner side. A
-    /// connected mesh for which this holds, whatever its χ, covers the sphere of directions without a fold, so exactly
-    /// once: it does not intersect itself.
-    fn measure(&mut self) {
-        let (topology, positions) = (self.topology, self.positions);
+    /// Calls a kernel for all triangles.
+    fn of_triangles<K: Kernel>(&self, kernel: K) -> K {
         let every_fan: Vec<DVec3>;
-        let positions = if topology.copies.is_empty() {
-            positions
+        let positions = if self.copied.is_empty() {
+            self.positions
         } else {
-            every_fan = (0..topology.fan_count() as u32).map(|v| self.position(v)).collect();
+            every_fan = [self.positions, &self.copied].concat();
             &every_fan
         };
-        let of_all = Arch::new().dispatch(Measure { triangles: &topology.triangles, positions, centre: self.centre });
-        self.volume = of_all.volume / 6.0;
-        self.area = of_all.area / 2.0;
-        let (slack_squared, height_squared) = (of_all.least_slack_squared, of_all.least_height_squared);
-        // Beyond 1e50 scene units squares overflow and tell nothing.
-        let is_known = slack_squared > 0.0 && slack_squared.is_finite() && height_squared.is_finite();
-        if is_known && topology.components == 1 {
-            self.slack = slack_squared.sqrt() / (6.0 * self.radius);
-            self.inner_radius = height_squared.sqrt();
-        }
+        Arch::new().dispatch(OfTriangles {
+            triangles: &self.topology.triangles,
+            positions,
+            centre: self.centre,
+            kernel,
+        })
+    }
+
+    /// Whether every triangle is seen from the centre from its inner side. A connected mesh for which this holds,
+    /// whatever its χ, covers the sphere of directions without a fold, so exactly once: it does not intersect itself.
+    fn star(&self) -> &Star {
+        self.star.get_or_init(|| {
+            let least = self.of_triangles(Least::default());
+            let (slack_squared, height_squared) = (least.slack_squared.least(), least.height_squared.least());
+            // Beyond these, products of what is compared over- or underflow and tell nothing. Single triangles of other
+            // sizes do not matter: where they are so small that theirs underflow, there is no slack to speak of.
+            let is_known = (1e-30..1e30).contains(&self.radius) && slack_squared > 0.0 && slack_squared.is_finite();
+            if is_known && height_squared.is_finite() && self.topology.components == 1 {
+                Star { slack: slack_squared.sqrt() / (6.0 * self.radius), inner_radius: height_squared.sqrt() }
+            } else {
+                Star { slack: -1.0, inner_radius: 0.0 }
+            }
+        })
+    }
+
+    /// Distance by which every vertex may be displaced without the surface intersecting itself; < 0 if unknown.
+    pub(super) fn slack(&self) -> f64 {
+        self.star().slack
+    }
+
+    /// Radius of a ball about the centre that lies inside; 0 if none is known.
+    pub(super) fn inner_radius(&self) -> f64 {
+        self.star().inner_radius
+    }
+
+    /// The body as if nothing were known of what lies inside it.
+    #[cfg(test)]
+    pub(super) fn with_unknown_inside(mut self) -> Body<'a> {
+        let slack = self.slack();
+        self.star = OnceLock::from(Star { slack, inner_radius: 0.0 });
+        self
+    }
+
+    fn extent(&self) -> &Extent {
+        self.extent.get_or_init(|| {
+            let sums = self.of_triangles(Sums::default());
+            Extent { volume: sums.volume / 6.0, area: sums.area / 2.0 }
+        })
     }
 
     /// The topology.
@@ -235,12 +284,12 @@ impl<'a> Body<'a> {
 
     /// Signed volume [scene unit³]; for a mesh that intersects itself, volume times winding number.
     pub fn volume(&self) -> f64 {
-        self.volume
+        self.extent().volume
     }
 
     /// Area [scene unit²].
     pub fn area(&self) -> f64 {
-        self.area
+        self.extent().area
     }
 
     /// Contains the body after a displacement of its vertices by less than `margin` [scene unit].
@@ -251,7 +300,10 @@ impl<'a> Body<'a> {
 
     #[inline]
     pub(super) fn position(&self, vertex: u32) -> DVec3 {
-        self.positions[self.topology.place_of(vertex) as usize]
+        match self.positions.get(vertex as usize) {
+            Some(&position) => position,
+            None => self.copied[vertex as usize - self.positions.len()],
+        }
     }
 
     #[inline]
@@ -282,85 +334,132 @@ impl<'a> Body<'a> {
 /// instruction set.
 const AT_ONCE: usize = 8;
 
-/// Measures all triangles of a body.
-struct Measure<'m> {
+/// One number for each of the triangles that are measured at once.
+type Lanes = [f64; AT_ONCE];
+
+/// What is found from all triangles of a body.
+trait Kernel {
+    /// Takes note of `count` triangles with the corners a, b, c, relative to what their tetrahedra have in common; the
+    /// last one again in the lanes beyond.
+    fn take(&mut self, corners: &[[Lanes; 3]; 3], count: usize);
+}
+
+/// Calls a kernel for all triangles of a body.
+struct OfTriangles<'m, K> {
     triangles: &'m [[u32; 3]],
     positions: &'m [DVec3],
     /// What the tetrahedra of the triangles have in common [scene unit].
     centre: DVec3,
+    kernel: K,
 }
 
-/// What is known of the triangles of a body, each times a factor.
-struct Measured {
-    /// Six times the volume.
-    volume: f64,
-    /// Twice the area.
-    area: f64,
-    least_slack_squared: f64,
-    least_height_squared: f64,
-}
-
-impl WithSimd for Measure<'_> {
-    type Output = Measured;
+impl<K: Kernel> WithSimd for OfTriangles<'_, K> {
+    type Output = K;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> Measured {
-        let (mut volume, mut area) = (0.0, 0.0);
-        let (mut slack, mut height) = ([f64::INFINITY; AT_ONCE], [f64::INFINITY; AT_ONCE]);
-        for triangles in self.triangles.chunks(AT_ONCE) {
-            // the last one again, where there are fewer
-            let mut filled = [triangles[triangles.len() - 1]; AT_ONCE];
-            filled[..triangles.len()].copy_from_slice(triangles);
-            let (volumes, areas) = self.of(&filled, &mut slack, &mut height);
-            for k in 0..triangles.len() {
-                volume += volumes[k];
-                area += areas[k];
-            }
+    fn with_simd<S: Simd>(mut self, _: S) -> K {
+        let (whole, rest) = self.triangles.as_chunks::<AT_ONCE>();
+        for triangles in whole {
+            self.take(triangles, AT_ONCE);
         }
-        let least = |of: [f64; AT_ONCE]| of.into_iter().fold(f64::INFINITY, f64::min);
-        Measured { volume, area, least_slack_squared: least(slack), least_height_squared: least(height) }
+        if let Some(&last) = rest.last() {
+            let mut filled = [last; AT_ONCE];
+            filled[..rest.len()].copy_from_slice(rest);
+            self.take(&filled, rest.len());
+        }
+        self.kernel
     }
 }
 
-impl Measure<'_> {
-    /// The volumes and areas of some triangles, times six and two.
+impl<K: Kernel> OfTriangles<'_, K> {
     #[inline(always)]
-    fn of(
-        &self,
-        triangles: &[[u32; 3]; AT_ONCE],
-        least_slack_squared: &mut [f64; AT_ONCE],
-        least_height_squared: &mut [f64; AT_ONCE],
-    ) -> ([f64; AT_ONCE], [f64; AT_ONCE]) {
-        let mut corners = [[0.0; AT_ONCE]; 9];
-        for k in 0..AT_ONCE {
-            for (i, vertex) in triangles[k].into_iter().enumerate() {
-                let at = self.positions[vertex as usize];
-                (corners[3 * i][k], corners[3 * i + 1][k], corners[3 * i + 2][k]) = (at.x, at.y, at.z);
-            }
-        }
+    fn take(&mut self, triangles: &[[u32; 3]; AT_ONCE], count: usize) {
+        let corners = [0, 1, 2].map(|i| {
+            let at: [DVec3; AT_ONCE] = std::array::from_fn(|k| self.positions[triangles[k][i] as usize]);
+            let (x, y, z) = (at.map(|at| at.x), at.map(|at| at.y), at.map(|at| at.z));
+            let centre = self.centre;
+            [x.map(|x| x - centre.x), y.map(|y| y - centre.y), z.map(|z| z - centre.z)]
+        });
+        self.kernel.take(&corners, count);
+    }
+}
+
+#[inline(always)]
+fn corner([x, y, z]: &[Lanes; 3], k: usize) -> DVec3 {
+    DVec3::new(x[k], y[k], z[k])
+}
+
+/// Six times the volume and twice the area.
+#[derive(Default)]
+struct Sums {
+    volume: f64,
+    area: f64,
+}
+
+impl Kernel for Sums {
+    #[inline(always)]
+    fn take(&mut self, corners: &[[Lanes; 3]; 3], count: usize) {
         let (mut volumes, mut areas) = ([0.0; AT_ONCE], [0.0; AT_ONCE]);
         for k in 0..AT_ONCE {
-            let corner = |i: usize| DVec3::new(corners[3 * i][k], corners[3 * i + 1][k], corners[3 * i + 2][k]);
-            let (a, b, c) = (corner(0) - self.centre, corner(1) - self.centre, corner(2) - self.centre);
+            let [a, b, c] = [0, 1, 2].map(|i| corner(&corners[i], k));
+            let normal = (b - a).cross(c - a);
+            (volumes[k], areas[k]) = (a.dot(normal), normal.length_squared().sqrt());
+        }
+        for k in 0..count {
+            self.volume += volumes[k];
+            self.area += areas[k];
+        }
+    }
+}
+
+/// The least of fractions, as numerators and positive denominators: comparing products spares a division each.
+struct Fractions {
+    above: Lanes,
+    below: Lanes,
+}
+
+impl Default for Fractions {
+    fn default() -> Fractions {
+        Fractions { above: [f64::INFINITY; AT_ONCE], below: [1.0; AT_ONCE] }
+    }
+}
+
+impl Fractions {
+    #[inline(always)]
+    fn take(&mut self, k: usize, above: f64, below: f64) {
+        let is_less = above * self.below[k] < self.above[k] * below;
+        self.above[k] = if is_less { above } else { self.above[k] };
+        self.below[k] = if is_less { below } else { self.below[k] };
+    }
+
+    fn least(&self) -> f64 {
+        (0..AT_ONCE).map(|k| self.above[k] / self.below[k]).fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// Squares of the least slack and of the least height over the centre, times factors.
+#[derive(Default)]
+struct Least {
+    slack_squared: Fractions,
+    height_squared: Fractions,
+}
+
+impl Kernel for Least {
+    #[inline(always)]
+    fn take(&mut self, corners: &[[Lanes; 3]; 3], _: usize) {
+        for k in 0..AT_ONCE {
+            let [a, b, c] = [0, 1, 2].map(|i| corner(&corners[i], k));
             let (ab, bc, ca) = (b - a, c - b, a - c);
             let normal = ab.cross(-ca);
             let volume = a.dot(normal);
-            let normal_squared = normal.length_squared();
             // Displacing each corner by d changes the volume by at most d (|a×b| + |b×c| + |c×a|) to first order, and
             // |a×b| ≤ |a| |ab|; twice that covers the higher orders. With its sign, and squared: that spares a root.
             let sides = [ab.length_squared(), bc.length_squared(), ca.length_squared()];
             let longer = if sides[0] > sides[1] { sides[0] } else { sides[1] };
             let longest = if longer > sides[2] { longer } else { sides[2] };
-            let slack_squared = volume * volume.abs() / longest;
-            let height_squared = volume * volume / normal_squared;
-            let slack = &mut least_slack_squared[k];
-            *slack = if slack_squared < *slack { slack_squared } else { *slack };
-            let height = &mut least_height_squared[k];
-            *height = if height_squared < *height { height_squared } else { *height };
-            volumes[k] = volume;
-            areas[k] = normal_squared.sqrt();
+            self.slack_squared.take(k, volume * volume.abs(), longest);
+            self.height_squared.take(k, volume * volume, normal.length_squared());
         }
-        (volumes, areas)
     }
 }
 
@@ -385,9 +484,13 @@ mod tests {
         // whole groups of triangles, and some beside them
         for count in [mesh.triangles().len(), 16, 5, 1, 0] {
             let triangles = &mesh.triangles()[..count];
+            fn all<K: Kernel>(arch: Arch, triangles: &[[u32; 3]], positions: &[DVec3], centre: DVec3, kernel: K) -> K {
+                arch.dispatch(OfTriangles { triangles, positions, centre, kernel })
+            }
             let of = |arch: Arch| {
-                let of_all = arch.dispatch(Measure { triangles, positions: &positions, centre });
-                [of_all.volume, of_all.area, of_all.least_slack_squared, of_all.least_height_squared].map(f64::to_bits)
+                let Sums { volume, area } = all(arch, triangles, &positions, centre, Sums::default());
+                let least = all(arch, triangles, &positions, centre, Least::default());
+                [volume, area, least.slack_squared.least(), least.height_squared.least()].map(f64::to_bits)
             };
             let plain = of(Arch::Scalar);
             assert!(archs.into_iter().flatten().all(|arch| of(arch) == plain), "{count} triangles");

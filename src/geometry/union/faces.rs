@@ -165,7 +165,7 @@ impl Cutter<'_, '_, '_> {
         for k in 0..3 {
             let (from, to, edge) = (corners[k], corners[(k + 1) % 3], edges[k]);
             region.lines.extend([(from, k as u32), (to, k as u32)]);
-            let nodes = self.arrangement.nodes_of_edge.get(&edge).map_or(0..0, |&(from, to)| from..to);
+            let nodes = self.arrangement.numbers_of(edge);
             if nodes.is_empty() {
                 if self.classified.is_shown_at(from, edge, body) {
                     region.pieces.push([from, to]);

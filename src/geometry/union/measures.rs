@@ -56,18 +56,18 @@ pub fn pair_measures(a: &Body, b: &Body, budget: &Budget) -> Result<PairMeasures
 pub fn measures_of(united: &Union, budget: &Budget, hint: &mut Hint) -> Result<PairMeasures, UnionError> {
     let bodies = united.bodies;
     let volume = |body: usize| -> Result<f64, UnionError> {
-        if bodies[body].slack > 0.0 {
+        if bodies[body].slack() > 0.0 {
             return Ok(bodies[body].volume());
         }
         // Volume that is inside twice counts once.
-        Ok(union(&bodies[body..=body], budget)?.volume)
+        Ok(union(&bodies[body..=body], budget)?.volume())
     };
     let overlap = if bodies.len() != 2 {
         0.0
-    } else if bodies.iter().all(|body| body.slack > 0.0) {
-        united.taken
+    } else if bodies.iter().all(|body| body.slack() > 0.0) {
+        united.taken()
     } else {
-        volume(0)? + volume(1)? - united.volume
+        volume(0)? + volume(1)? - united.volume()
     };
     let vector_area: DVec3 = united.seams.iter().map(|seam| seam.vector_area).sum();
     Ok(PairMeasures {

@@ -53,6 +53,7 @@ mod exact;
 mod faces;
 mod measures;
 mod placement;
+mod ranks;
 mod report;
 mod seams;
 mod self_contact;

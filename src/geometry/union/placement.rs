@@ -83,7 +83,7 @@ impl<'a, 'b> Placement<'a, 'b> {
         let deflation: Vec<f64> = (jitter.iter().zip(colours(bodies.len(), &pairs)))
             .map(|(j, colour)| j * DEFLATION * f64::from(2 * (colour % COLOURS) + 1))
             .collect();
-        let folds = (0..bodies.len()).map(|b| bodies[b].slack <= (deflation[b] + 4.0 * jitter[b]) / scale).collect();
+        let folds = (0..bodies.len()).map(|b| bodies[b].slack() <= (deflation[b] + 4.0 * jitter[b]) / scale).collect();
 
         let ends = |count: &dyn Fn(&Body) -> usize| {
             let mut sum = 0;
@@ -128,7 +128,7 @@ impl<'a, 'b> Placement<'a, 'b> {
             for (k, blocks) in meeting.blocks.iter().enumerate() {
                 let (me, other) = (meeting.bodies[k] as usize, meeting.bodies[1 - k] as usize);
                 let (mesh, around) = (self.bodies[me], self.bodies[other]);
-                let radius = around.inner_radius * 0.999 - 4.0 * (self.displaced[me] + self.displaced[other]);
+                let radius = around.inner_radius() * 0.999 - 4.0 * (self.displaced[me] + self.displaced[other]);
                 if self.folds[me] || self.folds[other] || radius <= 0.0 {
                     continue;
                 }

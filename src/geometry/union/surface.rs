@@ -1,6 +1,6 @@
 //! The union, stored as what it takes from the bodies and what it adds.
 
-use std::collections::hash_map::Entry;
+use std::{collections::hash_map::Entry, sync::OnceLock};
 
 use glam::DVec3;
 use rustc_hash::FxHashMap;
@@ -112,16 +112,16 @@ pub struct Union<'a, 'b> {
     pub new_triangles: Vec<NewTriangle>,
     /// Where the surfaces of two bodies meet.
     pub seams: Vec<Seam>,
-    /// Volume [scene unit³].
-    pub volume: f64,
-    /// Area [scene unit²].
-    pub area: f64,
-    /// Euler characteristic: vertices − edges + triangles.
-    pub euler: i64,
     /// Statistics of the computation.
     pub statistics: Statistics,
-    /// Sum of the bodies' volumes minus the union's.
-    pub(super) taken: f64,
+    change: OnceLock<Change>,
+}
+
+/// The union's volume [scene unit³] and area [scene unit²] minus those of the bodies that are not left out.
+#[derive(Clone, Copy, Debug)]
+struct Change {
+    volume: f64,
+    area: f64,
 }
 
 /// A connected part of the surface of a union.
@@ -173,22 +173,11 @@ impl<'a, 'b> Union<'a, 'b> {
             new_vertices: Vec::new(),
             new_triangles: Vec::new(),
             seams: Vec::new(),
-            volume: 0.0,
-            area: 0.0,
-            euler: 0,
             statistics: Statistics::default(),
-            taken: 0.0,
+            change: OnceLock::new(),
         };
-        for (b, body) in bodies.iter().enumerate() {
-            if included[b] {
-                union.volume += body.volume();
-                union.area += body.area();
-                let topology = body.topology;
-                union.euler += i64::from(topology.used_vertices) - topology.triangles.len() as i64 / 2;
-            } else {
-                union.taken += body.volume();
-                union.removed[b] = (0..body.topology.triangles.len() as u32).collect();
-            }
+        for (b, body) in bodies.iter().enumerate().filter(|(b, _)| !included[*b]) {
+            union.removed[b] = (0..body.topology.triangles.len() as u32).collect();
         }
         union.mark_removed();
         union
@@ -215,9 +204,10 @@ impl<'a, 'b> Union<'a, 'b> {
         };
         let named =
             |body: u32, triangle: u32| [order[body as usize], triangle - placement.first_triangle[body as usize]];
-        let mut name = |union: &mut Self, point: u32| -> u32 {
+        let mut name = |union: &mut Self, point: u32, beside: u32| -> u32 {
             if point < points.first_node {
-                let body = placement.body_of_vertex(point);
+                let is_known = placement.is_vertex_of(point, beside);
+                let body = if is_known { beside } else { placement.body_of_vertex(point) };
                 return point - placement.first_vertex[body as usize]
                     + union.first_vertex[order[body as usize] as usize];
             }
@@ -255,13 +245,13 @@ impl<'a, 'b> Union<'a, 'b> {
             *known
         };
         for face in &faces.faces {
-            let corners = face.corners.map(|p| name(&mut self, p));
+            let corners = face.corners.map(|p| name(&mut self, p, face.body));
             self.new_triangles.push(NewTriangle { corners, part_of: named(face.body, face.triangle) });
         }
         let mut seam_edges = Vec::with_capacity(faces.seam.len());
         for edge in &faces.seam {
             let [a, b] = edge.bodies.map(|b| order[b as usize]);
-            let (from, to) = (name(&mut self, edge.from), name(&mut self, edge.to));
+            let (from, to) = (name(&mut self, edge.from, edge.bodies[0]), name(&mut self, edge.to, edge.bodies[0]));
             seam_edges.push(if a < b { ([a, b], from, to) } else { ([b, a], to, from) });
         }
         let mut body = 0;
@@ -275,7 +265,6 @@ impl<'a, 'b> Union<'a, 'b> {
         self.mark_removed();
 
         self.audit()?;
-        self.count_and_measure();
         if placement.folds.contains(&true) {
             self.split_touching_fans()?;
         }
@@ -285,10 +274,12 @@ impl<'a, 'b> Union<'a, 'b> {
 
     /// Position of a vertex [scene unit].
     pub fn position(&self, vertex: u32) -> DVec3 {
-        let body = self.body_of(vertex);
-        match self.bodies.get(body) {
-            Some(body_of_it) => body_of_it.position(vertex - self.first_vertex[body]),
-            None => self.new_vertices[(vertex - self.first_vertex[self.bodies.len()]) as usize].position,
+        match vertex.checked_sub(self.first_vertex[self.bodies.len()]) {
+            Some(number) => self.new_vertices[number as usize].position,
+            None => {
+                let body = self.body_of(vertex);
+                self.bodies[body].position(vertex - self.first_vertex[body])
+            }
         }
     }
 
@@ -327,18 +318,38 @@ impl<'a, 'b> Union<'a, 'b> {
             return Err(Failure::Inconsistent("too many vertices"));
         }
         // The edge from its lower vertex and whether the triangle runs along it, in one number; the triangle.
-        let mut edges: Vec<(u64, u32)> = Vec::with_capacity(3 * self.new_triangles.len());
-        for (i, triangle) in self.new_triangles.iter().enumerate() {
+        let mut edges = vec![(0u64, 0u32); 3 * self.new_triangles.len()];
+        // Nearly all have a new vertex, which is the higher one: they are sorted by counting. The others are in front.
+        let first_new = self.first_vertex[self.bodies.len()];
+        let place = |a: u32, b: u32| (a.max(b) + 1).saturating_sub(first_new) as usize;
+        let mut start = vec![0u32; self.new_vertices.len() + 2];
+        for corners in self.new_triangles.iter().map(|triangle| triangle.corners) {
             for k in 0..3 {
-                let (a, b) = (triangle.corners[k], triangle.corners[(k + 1) % 3]);
+                let (a, b) = (corners[k], corners[(k + 1) % 3]);
                 if a == b {
                     return Err(Failure::Inconsistent("a triangle of two corners"));
                 }
-                let ends = u64::from(a.min(b)) << 31 | u64::from(a.max(b));
-                edges.push((ends << 1 | u64::from(a < b), i as u32));
+                start[place(a, b) + 1] += 1;
             }
         }
-        edges.sort_unstable_by_key(|edge| edge.0);
+        for i in 1..start.len() {
+            start[i] += start[i - 1];
+        }
+        for (i, triangle) in self.new_triangles.iter().enumerate() {
+            for k in 0..3 {
+                let (a, b) = (triangle.corners[k], triangle.corners[(k + 1) % 3]);
+                let ends = u64::from(a.min(b)) << 31 | u64::from(a.max(b));
+                let next = &mut start[place(a, b)];
+                edges[*next as usize] = (ends << 1 | u64::from(a < b), i as u32);
+                *next += 1;
+            }
+        }
+        // each start is the next one by now
+        let mut from = 0;
+        for &to in &start[..start.len() - 1] {
+            edges[from..to as usize].sort_unstable_by_key(|edge| edge.0);
+            from = to as usize;
+        }
         let mut unpaired = 0;
         for group in edges.chunk_by(|a, b| a.0 >> 1 == b.0 >> 1) {
             match group {
@@ -405,35 +416,63 @@ impl<'a, 'b> Union<'a, 'b> {
         lost
     }
 
-    fn count_and_measure(&mut self) {
-        self.euler += self.new_vertices.len() as i64 - self.lost_vertices();
+    /// Volume [scene unit³]: that of the bodies, in time proportional to their meshes, and the change.
+    pub fn volume(&self) -> f64 {
+        let present = self.bodies.iter().zip(&self.absent).filter(|(_, absent)| !**absent);
+        present.fold(0.0, |sum, (body, _)| sum + body.volume()) + self.change().volume
+    }
+
+    /// Area [scene unit²], at the same cost.
+    pub fn area(&self) -> f64 {
+        let present = self.bodies.iter().zip(&self.absent).filter(|(_, absent)| !**absent);
+        present.fold(0.0, |sum, (body, _)| sum + body.area()) + self.change().area
+    }
+
+    /// Sum of the bodies' volumes minus the union's [scene unit³]; 0 at no cost where they are apart.
+    pub(super) fn taken(&self) -> f64 {
+        let absent = self.bodies.iter().zip(&self.absent).filter(|(_, absent)| **absent);
+        absent.fold(0.0, |sum, (body, _)| sum + body.volume()) - self.change().volume
+    }
+
+    /// Euler characteristic: vertices − edges + triangles.
+    pub fn euler(&self) -> i64 {
+        let present = self.bodies.iter().zip(&self.absent).filter(|(_, absent)| !**absent);
+        let of_bodies: i64 = present
+            .map(|(body, _)| i64::from(body.topology.used_vertices) - body.topology.triangles.len() as i64 / 2)
+            .sum();
         // The number of edges is 3/2 times that of triangles.
         let removed: usize = self.removed_of_present().map(|(_, removed)| removed.len()).sum();
-        self.euler -= (self.new_triangles.len() as i64 - removed as i64) / 2;
-        // Relative to a point where something changed.
-        let origin = self.new_triangles.first().map_or(DVec3::ZERO, |t| self.position(t.corners[0]));
-        let (mut volume, mut area) = (0.0, 0.0);
-        for (b, removed) in self.removed_of_present() {
-            let body = &self.bodies[b];
-            if removed.len() == body.topology.triangles.len() {
-                volume -= 6.0 * body.volume();
-                area -= 2.0 * body.area();
-                continue;
+        of_bodies + self.new_vertices.len() as i64
+            - self.lost_vertices()
+            - (self.new_triangles.len() as i64 - removed as i64) / 2
+    }
+
+    /// Computed when it is first asked for.
+    fn change(&self) -> &Change {
+        self.change.get_or_init(|| {
+            // Relative to a point where something changed.
+            let origin = self.new_triangles.first().map_or(DVec3::ZERO, |t| self.position(t.corners[0]));
+            let (mut volume, mut area) = (0.0, 0.0);
+            for (b, removed) in self.removed_of_present() {
+                let body = &self.bodies[b];
+                if removed.len() == body.topology.triangles.len() {
+                    volume -= 6.0 * body.volume();
+                    area -= 2.0 * body.area();
+                    continue;
+                }
+                for &t in removed {
+                    let [x, y, z] = body.topology.triangles[t as usize].map(|v| body.position(v) - origin);
+                    volume -= x.dot(y.cross(z));
+                    area -= (y - x).cross(z - x).length();
+                }
             }
-            for &t in removed {
-                let [x, y, z] = body.topology.triangles[t as usize].map(|v| body.position(v) - origin);
-                volume -= x.dot(y.cross(z));
-                area -= (y - x).cross(z - x).length();
+            for triangle in &self.new_triangles {
+                let [x, y, z] = triangle.corners.map(|v| self.position(v) - origin);
+                volume += x.dot(y.cross(z));
+                area += (y - x).cross(z - x).length();
             }
-        }
-        for triangle in &self.new_triangles {
-            let [x, y, z] = triangle.corners.map(|v| self.position(v) - origin);
-            volume += x.dot(y.cross(z));
-            area += (y - x).cross(z - x).length();
-        }
-        self.taken -= volume / 6.0;
-        self.volume += volume / 6.0;
-        self.area += area / 2.0;
+            Change { volume: volume / 6.0, area: area / 2.0 }
+        })
     }
 
     /// Gives every fan of triangles about a vertex of new triangles, except the first, a vertex of its own.
@@ -470,7 +509,6 @@ impl<'a, 'b> Union<'a, 'b> {
             for fan in &fans(vertex, &corners)?[1..] {
                 let (position, origin) = (self.position(vertex), self.origin(vertex));
                 self.new_vertices.push(NewVertex { position, origin });
-                self.euler += 1;
                 let name = self.first_vertex[self.bodies.len()] + self.new_vertices.len() as u32 - 1;
                 for &k in fan {
                     let corners = &mut self.new_triangles[about[k] as usize].corners;

@@ -11,6 +11,9 @@ use rustc_hash::FxHashSet;
 /// A corner of a triangle is a given point or, from this number on, an added one.
 pub const ADDED: u32 = 1 << 31;
 
+/// Up to this many, points are looked for one by one.
+const FEW: usize = 24;
+
 /// The region to triangulate, with buffers.
 #[derive(Default)]
 pub struct Region {
@@ -21,15 +24,17 @@ pub struct Region {
     pub lines: Vec<(u32, u32)>,
     /// The points' names, ascending; below, points are numbered by their index here.
     names: Vec<u32>,
-    first_line: Vec<u32>,
-    /// The lines of each point as bits, if there are few enough lines; otherwise empty.
+    /// The lines of each point as bits, if there are few enough lines; otherwise empty, and `first_line` is there.
     lines_as_bits: Vec<u64>,
+    first_line: Vec<u32>,
     flat: Vec<DVec2>,
     /// Loop i is `looped[first_of_loop[i]..first_of_loop[i + 1]]`.
     looped: Vec<u32>,
     first_of_loop: Vec<u32>,
     pieces_by_place: Vec<[u32; 2]>,
     used: Vec<bool>,
+    /// The first piece from each point, or after it.
+    first_from: Vec<u32>,
     scratch: RefCell<Ears>,
 }
 
@@ -65,25 +70,7 @@ fn pseudo_angle(d: DVec2) -> f64 {
 impl Region {
     /// Triangulates the region in a plane with this `normal`. `None` if the lines do not form loops.
     pub fn fill(&mut self, normal: DVec3, position: impl Fn(u32) -> DVec3, filling: &mut Filling) -> Option<()> {
-        self.lines.sort_unstable();
-        self.lines.dedup();
-        self.names.clear();
-        self.first_line.clear();
-        self.lines_as_bits.clear();
-        let has_bits = self.lines.iter().all(|line| line.1 < u64::BITS);
-        for (i, line) in self.lines.iter().enumerate() {
-            if self.names.last() != Some(&line.0) {
-                self.names.push(line.0);
-                self.first_line.push(i as u32);
-                if has_bits {
-                    self.lines_as_bits.push(0);
-                }
-            }
-            if let Some(bits) = self.lines_as_bits.last_mut() {
-                *bits |= 1 << line.1;
-            }
-        }
-        self.first_line.push(self.lines.len() as u32);
+        self.list_points();
         // Project along the axis nearest to the normal.
         let absolute = normal.abs();
         let axis = if absolute.x >= absolute.y.max(absolute.z) {
@@ -107,7 +94,45 @@ impl Region {
         Some(())
     }
 
+    /// Numbers the points, and lists their lines.
+    fn list_points(&mut self) {
+        self.names.clear();
+        self.first_line.clear();
+        self.lines_as_bits.clear();
+        let has_bits = self.lines.iter().all(|line| line.1 < u64::BITS);
+        if has_bits && self.lines.len() <= FEW {
+            // nearly all triangles are cut by one or two lines
+            for &(name, line) in &self.lines {
+                let place = self.names.iter().position(|&known| known >= name).unwrap_or(self.names.len());
+                if self.names.get(place) != Some(&name) {
+                    self.names.insert(place, name);
+                    self.lines_as_bits.insert(place, 0);
+                }
+                self.lines_as_bits[place] |= 1 << line;
+            }
+            return;
+        }
+        self.lines.sort_unstable();
+        self.lines.dedup();
+        for (i, line) in self.lines.iter().enumerate() {
+            if self.names.last() != Some(&line.0) {
+                self.names.push(line.0);
+                self.first_line.push(i as u32);
+                if has_bits {
+                    self.lines_as_bits.push(0);
+                }
+            }
+            if let Some(bits) = self.lines_as_bits.last_mut() {
+                *bits |= 1 << line.1;
+            }
+        }
+        self.first_line.push(self.lines.len() as u32);
+    }
+
     fn place(&self, name: u32) -> Option<u32> {
+        if self.names.len() <= FEW {
+            return self.names.iter().position(|&known| known == name).map(|i| i as u32);
+        }
         self.names.binary_search(&name).ok().map(|i| i as u32)
     }
 
@@ -135,6 +160,12 @@ impl Region {
         pieces.sort_unstable();
         used.clear();
         used.resize(pieces.len(), false);
+        let mut first_from = take(&mut self.first_from);
+        first_from.clear();
+        for (k, piece) in pieces.iter().enumerate() {
+            first_from.resize(piece[0] as usize + 1, k as u32);
+        }
+        first_from.resize(self.names.len() + 1, pieces.len() as u32);
         self.looped.clear();
         self.first_of_loop.clear();
         for start in 0..pieces.len() {
@@ -147,8 +178,8 @@ impl Region {
                 used[k] = true;
                 let [from, at] = pieces[k];
                 self.looped.push(from);
-                let first = pieces.partition_point(|p| p[0] < at);
-                let count = pieces[first..].iter().take_while(|p| p[0] == at).count();
+                let [first, end] = [at as usize, at as usize + 1].map(|at| first_from[at] as usize);
+                let count = end - first;
                 let may_follow = |&next: &usize| !used[next] || next == start;
                 if count == 1 {
                     k = Some(first).filter(may_follow)?;
@@ -175,7 +206,7 @@ impl Region {
             }
         }
         self.first_of_loop.push(self.looped.len() as u32);
-        (self.pieces_by_place, self.used) = (pieces, used);
+        (self.pieces_by_place, self.used, self.first_from) = (pieces, used, first_from);
         Some(())
     }
 

@@ -13,6 +13,7 @@ use super::{
     body::Aabb,
     candidates::Meeting,
     placement::Placement,
+    ranks::Ranks,
     report::{Failure, Meter},
 };
 
@@ -69,9 +70,10 @@ pub mod shown {
 
 /// What bounds the union, according to winding numbers.
 pub struct Classified {
-    /// Winding numbers in front of the surface at vertices, as ranges of `windings`; all are 0 at a vertex that is not
-    /// listed.
-    at_vertex: FxHashMap<u32, (u32, u32)>,
+    /// The vertices with winding numbers in front of the surface that are not 0.
+    wound: Ranks,
+    /// Where the winding numbers of each of them start, and where the last ones end.
+    first_winding: Vec<u32>,
     windings: Windings,
     /// For vertices from which segments start because triangles of their own body pass through their fan: the body's
     /// winding number in front of an edge there, relative to that in front of the first edge.
@@ -101,7 +103,8 @@ impl Classified {
         threads: bool,
     ) -> Result<Classified, Failure> {
         let mut classified = Classified {
-            at_vertex: FxHashMap::default(),
+            wound: Ranks::default(),
+            first_winding: Vec::new(),
             windings: Vec::new(),
             over_first_edge: FxHashMap::default(),
             fan_vertices: Vec::new(),
@@ -204,20 +207,25 @@ impl Classified {
         let mut found = found?.concat();
         found.sort_unstable();
         for group in found.chunk_by(|a, b| a.0 == b.0) {
-            let from = self.windings.len() as u32;
+            self.first_winding.push(self.windings.len() as u32);
             self.windings.extend(group.iter().map(|&(_, body, winding)| (body, winding)));
-            self.at_vertex.insert(group[0].0, (from, self.windings.len() as u32));
             self.vertices.push(group[0].0);
         }
+        self.first_winding.push(self.windings.len() as u32);
+        self.wound = Ranks::new(placement.first_vertex[placement.bodies.len()], &self.vertices);
         Ok(())
+    }
+
+    /// Winding numbers in front of the surface at a vertex, on its first edge.
+    fn at(&self, vertex: u32) -> &[(u32, i32)] {
+        let range = |k: usize| self.first_winding[k] as usize..self.first_winding[k + 1] as usize;
+        self.wound.of(vertex).map_or(&[], |k| &self.windings[range(k)])
     }
 
     /// Winding numbers in front of the surface at a vertex of an edge, on that edge.
     fn front_at(&self, vertex: u32, edge: u32, body: u32, windings: &mut Windings) {
         windings.clear();
-        if let Some(&(from, to)) = self.at_vertex.get(&vertex) {
-            windings.extend_from_slice(&self.windings[from as usize..to as usize]);
-        }
+        windings.extend_from_slice(self.at(vertex));
         let over = self.over_first_edge(vertex, edge);
         if over != 0 {
             add(windings, body, over);
@@ -231,7 +239,7 @@ impl Classified {
 
     /// Whether the surface bounds the union at a vertex of an edge that has no node, or before the first node.
     pub fn is_shown_at(&self, vertex: u32, edge: u32, body: u32) -> bool {
-        let at = self.at_vertex.get(&vertex).map_or(&[][..], |&(from, to)| &self.windings[from as usize..to as usize]);
+        let at = self.at(vertex);
         of(at, body) + self.over_first_edge(vertex, edge) == 0 && !is_inside_another(at, body, body)
     }
 
@@ -292,7 +300,7 @@ impl Classified {
                         return false;
                     }
                     let mesh = placement.bodies[body as usize];
-                    let radius = mesh.inner_radius * 0.999 - 4.0 * placement.displaced[body as usize];
+                    let radius = mesh.inner_radius() * 0.999 - 4.0 * placement.displaced[body as usize];
                     !placement.folds[body as usize]
                         && radius > 0.0
                         && segment.ends.iter().all(|&end| {

@@ -183,7 +183,7 @@ fn unite(scene: &Scene, tally: &mut Tally) -> Result<Option<Numbers>, String> {
         let mesh = united.mesh();
         closed(&mesh)?;
         let components = mesh.components().len();
-        Ok(Some(Numbers { volume: united.volume, euler: united.euler, components }))
+        Ok(Some(Numbers { volume: united.volume(), euler: united.euler(), components }))
     };
     let name = scene.kind.name();
     match catch_unwind(AssertUnwindSafe(attempt)) {

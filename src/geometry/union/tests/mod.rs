@@ -38,16 +38,16 @@ fn try_unite(shapes: &[Shape], budget: &Budget) -> Result<Checked, UnionError> {
     let extent =
         bodies.iter().map(|b| b.bounds().max.abs().max(b.bounds().min.abs()).max_element()).fold(0.0, f64::max);
     let sum = |of: &dyn Fn(&Component) -> f64| components.iter().map(of).sum::<f64>();
-    assert_eq!(components.iter().map(|c| c.euler).sum::<i64>(), union.euler);
+    assert_eq!(components.iter().map(|c| c.euler).sum::<i64>(), union.euler());
     assert_eq!(components.len(), union.component_count());
     assert!(
-        (sum(&|c| c.volume) - union.volume).abs() <= 1e-11 * size * extent,
+        (sum(&|c| c.volume) - union.volume()).abs() <= 1e-11 * size * extent,
         "{} {}",
         sum(&|c| c.volume),
-        union.volume
+        union.volume()
     );
-    assert!((sum(&|c| c.area) - union.area).abs() <= 1e-10 * size);
-    let (volume, area, seams, statistics) = (union.volume, union.area, union.seams.clone(), union.statistics);
+    assert!((sum(&|c| c.area) - union.area()).abs() <= 1e-10 * size);
+    let (volume, area, seams, statistics) = (union.volume(), union.area(), union.seams.clone(), union.statistics);
     Ok(Checked { mesh, components, volume, area, seams, statistics })
 }
 
