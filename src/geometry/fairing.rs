@@ -65,7 +65,7 @@ impl Near {
 impl<T: Copy> Seamed<T> {
     /// Smooths the surface within `blend` radii of its seams, whose radii are given [scene unit]. 0 leaves it sharp, and
     /// only removes edges at the seam that are too short to be drawn. The label of a new vertex is made of that of the
-    /// nearer end of the edge that it splits. In the end, `relabel` is called for every vertex within `reach` radii of a
+    /// nearer end of the edge that it splits, unless that is on the seam and the other end is not. In the end, `relabel` is called for every vertex within `reach` radii of a
     /// seam.
     pub fn fair(
         &mut self,
@@ -258,7 +258,8 @@ impl<T: Copy> Seamed<T> {
                 if a > b || !(first.distance < blend && second.distance < blend) {
                     continue;
                 }
-                let (nearer, closer) = if second.distance < first.distance { (b, second) } else { (a, first) };
+                let (nearer, farther, closer) =
+                    if second.distance < first.distance { (b, a, second) } else { (a, b, first) };
                 let (p, q) = (self.positions[a as usize], self.positions[b as usize]);
                 let longest = LONGEST * blend * radii[closer.seam as usize];
                 if closer.distance > DENSE * blend || p.distance_squared(q) <= longest * longest {
@@ -266,9 +267,11 @@ impl<T: Copy> Seamed<T> {
                 }
                 middles.insert([a, b], self.positions.len() as u32);
                 let is_on_seam = self.on_seam[a as usize].is_some() && self.on_seam[b as usize].is_some();
+                // what lies on the seam may be labelled as either side, what lies beside it only as its own
+                let like = if self.on_seam[nearer as usize].is_some() { farther } else { nearer };
                 visited.push(self.positions.len() as u32);
                 self.positions.push((p + q) / 2.0);
-                self.labels.push(of_new(self.labels[nearer as usize]));
+                self.labels.push(of_new(self.labels[like as usize]));
                 self.on_seam.push(is_on_seam.then_some(closer.seam));
                 let distance = if is_on_seam { 0.0 } else { (first.distance + second.distance) / 2.0 };
                 near.push(Near { distance, ..closer });

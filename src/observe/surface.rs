@@ -580,6 +580,27 @@ mod tests {
         assert!(kept > 400, "{kept}");
     }
 
+    /// A vertex that counted as of the other side of the seam would be a blotch there.
+    #[test]
+    fn colors_blend_evenly_across_the_seam() {
+        for (name, steps) in [("two", 150), ("collide", 100), ("collide", 120)] {
+            let (schema, frame) = after(name, steps);
+            let mut merger = Merger::new(&schema, None);
+            let group = &merger.merge(&schema, &frame, &[]).groups[0];
+            let share_of_second = |v: u32| {
+                let VertexOrigin { bodies, share, .. } = group.origins[v as usize];
+                if bodies[0] == 1 { 1.0 - f64::from(share) } else { f64::from(share) }
+            };
+            for [a, b] in group.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]) {
+                let length = group.positions[a as usize].distance(group.positions[b as usize]);
+                let change = (share_of_second(a) - share_of_second(b)).abs();
+                // the steepest that distances from the seam give, and what fairing changes of lengths
+                let most = 2.0 * 0.75 * length / COLORS_BLEND + 0.02;
+                assert!(change < most, "{name}, {steps} steps: {change} over {length}");
+            }
+        }
+    }
+
     #[test]
     fn what_does_not_move_is_not_computed_again() {
         let (schema, frame) = after("two", 150);
