@@ -6,19 +6,19 @@
 //! simulation and streams it to the [Rerun](https://rerun.io) viewer, where the merge and split thresholds can be
 //! inspected frame by frame.
 //!
-//! # Your simulation in this instrument
+//! # Your own simulation
 //!
-//! The instrument shows any simulation, not only this crate's: implement [`observe::Simulation`] for it, and
+//! The debugger works with any simulation, not only this crate's: implement [`observe::Simulation`] for it, and
 //! [`observe::Experiment`] for what starts it. It gets the viewer, forces by cause, thresholds and phases, events, stages,
-//! timings, checksums, `diff`, golden recordings, the flight recorder, and thin recordings that are replayed.
-//! This is a whole one, with two force terms and two thresholds of its own; the tests of this crate run it:
+//! timings, checksums, `diff`, golden recordings, the flight recorder, and thin recordings with replay.
+//! This is a complete example, with two force terms and two thresholds of its own; the tests of this crate run it:
 //!
 //! ```ignore
 #![doc = include_str!("../tests/suite/octahedra.rs")]
 //! ```
 //!
-//! [`stream::record()`] makes a recording of it, and [`recording`] replays, compares and checks
-//! recordings; `Octahedra::read` is how they start it again.
+//! [`stream::record()`] records it; [`recording`] replays, compares and checks recordings, and restarts the simulation
+//! with `Octahedra::read`.
 //!
 //! # Modules
 //!
@@ -28,7 +28,7 @@
 //! | [`geometry`] | rest shapes (positions, normals, triangles, masses) and the union of overlapping surfaces | | |
 //! | `text` | formatting of numbers and text for output | | |
 //! | [`scene`] | scene files: parsing, validation, centre paths | `model`, `geometry`, `text` | |
-//! | [`observe`] | what an instrument sees of any simulation: schema, frames, events | `geometry` | |
+//! | [`observe`] | what an observer sees of any simulation: schema, frames, events | `geometry` | |
 //! | [`sim`] | the world and its step: forces, integrators, events, solver of free bodies | all above | |
 //! | [`models`] | the models of a soft body, and which of them runs a scene | all above | |
 //! | [`stream`] | frames as Rerun data: entities, blueprint, sinks | `observe`, `geometry`, `text` | `viewer` |
@@ -44,8 +44,8 @@
 //! # Features
 //!
 //! With `default-features = false`, the crate is the simulation alone, without Rerun: a few dozen small dependencies.
-//! The feature `viewer` adds `stream` and `recording`, all that the example above needs; `cli`, the default, adds `viewer`,
-//! `bench` and the program. A program that needs only this crate's own simulation looks like this:
+//! The feature `viewer` adds `stream` and `recording`, which is all the example above needs; `cli`, the default, adds
+//! `viewer`, `bench` and the program. A program that needs only this crate's own simulation looks like this:
 //!
 //! ```
 //! use meldscope::{Scene, World};

@@ -1,4 +1,4 @@
-//! How near pairs came without leaving their first phase: the answer to "why did these two not merge?".
+//! How close pairs came without leaving their first phase: the answer to "why did these two not merge?".
 
 use std::collections::BTreeMap;
 
@@ -23,7 +23,7 @@ pub struct Approach {
 /// The closest approaches of all pairs that came within reach and stayed in their first phase, from the frames of a
 /// run.
 ///
-/// Between frames, q² is taken to be a parabola through three of them: exact for bodies that move steadily.
+/// Between frames, q² is interpolated by a parabola through three of them: exact for bodies at constant velocity.
 #[derive(Clone, Debug, Default)]
 pub struct Approaches {
     pairs: BTreeMap<(usize, usize), Watched>,
@@ -33,7 +33,7 @@ pub struct Approaches {
 #[derive(Clone, Copy, Debug)]
 struct Watched {
     closest: Approach,
-    /// Time and q² of the last frame, and of the one before it if that is the one before in the run, too.
+    /// Time and q² of the last frame, and of the one before if the pair was in that frame, too.
     last: (f64, f64),
     before: Option<(f64, f64)>,
     /// Whether the pair has left its first phase.
@@ -41,7 +41,7 @@ struct Watched {
 }
 
 impl Approaches {
-    /// Takes note of a frame. Frames come in order of time.
+    /// Adds a frame. Frames must come in order of time.
     pub fn add(&mut self, frame: &Frame) {
         let time = frame.at.time;
         for pair in &frame.pairs {
@@ -73,7 +73,7 @@ impl Approaches {
         }
     }
 
-    /// Takes note of a phase change.
+    /// Adds a phase change.
     pub fn change(&mut self, event: &PairEvent) {
         if let Some(watched) = self.pairs.get_mut(&(event.a, event.b)) {
             watched.has_changed = true;
@@ -90,7 +90,7 @@ impl Approaches {
 }
 
 impl Approach {
-    /// Describes the approach in words: how near, when, and by how much it missed which threshold.
+    /// Describes the approach in words: how close, when, and by how much it missed which threshold.
     pub fn describe(&self, schema: &Schema) -> String {
         let first = schema.thresholds.first().zip(schema.level(0, self.a, self.b));
         let missed = first.map_or(String::new(), |(threshold, level)| {

@@ -1,5 +1,5 @@
-//! Hashes for [`Simulation::checksum`](super::Simulation::checksum): equal for equal sequences of words, and for all others
-//! different (barring collisions).
+//! Hashes for [`Simulation::checksum`](super::Simulation::checksum): equal for equal sequences of words, different for
+//! different ones (barring collisions).
 
 /// The hash of a sequence; 0 for the empty one.
 pub fn sequence(words: impl IntoIterator<Item = u64>) -> u64 {

@@ -28,34 +28,33 @@ pub struct PairEvent {
     pub b: usize,
     /// Centre distance over the sum of the radii at that time [–].
     pub q: f64,
-    /// How fast that changes at that time [1/s].
+    /// Rate of change of q at that time [1/s].
     pub rate: f64,
     /// The previous phase, as an index into the schema's phases.
     pub from: usize,
     /// The new phase, as an index into the schema's phases.
     pub to: usize,
-    /// Energy that the event brought to free bodies, negative if it took some [mass · scene unit²/s²]; `None` where
-    /// there are none.
+    /// Energy that free bodies gained by the event [mass · scene unit²/s²]; `None` without free bodies.
     pub energy: Option<f64>,
 }
 
-/// Something that happened to a single body at a place of it: where it tore, say.
+/// Something that happened to a single body at some position: a tear, for example.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BodyEvent {
     /// What happened.
     pub name: &'static str,
-    /// When [s].
+    /// Time of the event [s].
     pub time: f64,
     /// The first step whose state is affected.
     pub step: u64,
     /// Index of the body.
     pub body: usize,
-    /// Where [scene unit].
+    /// Position of the event [scene unit].
     pub place: DVec3,
 }
 
 impl BodyEvent {
-    /// Describes it in words.
+    /// Describes the event in words.
     pub fn describe(&self, schema: &Schema) -> String {
         let BodyEvent { name, time, step, body, place: DVec3 { x, y, z } } = *self;
         let body = &schema.bodies[body].name;

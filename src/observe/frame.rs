@@ -44,12 +44,12 @@ pub struct BodyFrame {
     pub rotation: DQuat,
     /// Whether every displacement and velocity is exactly zero. If so, the vectors are empty.
     pub is_at_rest: bool,
-    /// The mesh of the body if it is not that of the schema any more: it has torn. A body that can tear says so in the
-    /// schema. Vertices are only added: the first ones are those of the schema's mesh, in its order, though there may be no
-    /// triangle that has them. Rest positions are in units of the schema's radius, see [`Mesh::version`]. All vectors here
-    /// have a vertex for each of this mesh.
+    /// The mesh of the body if it differs from the schema's because the body has torn, which only bodies with
+    /// [`BodySchema::can_tear`] do. Vertices are only added: the first ones are those of the schema's mesh, in its order,
+    /// though some may be in no triangle. Rest positions are in units of the schema's radius, see [`Mesh::version`]. The
+    /// vertex count of all vectors here is that of this mesh.
     pub mesh: Option<Arc<Mesh>>,
-    /// Displacements of the vertices from Q l, x, in world axes like all vectors here [scene unit], `[vertex_count]`.
+    /// Displacements x of the vertices from Q l, in world axes like all vectors here [scene unit], `[vertex_count]`.
     pub displacements: Vectors,
     /// Velocities x′ of the vertices [scene unit/s], `[vertex_count]`.
     pub velocities: Vectors,
@@ -65,13 +65,13 @@ pub struct BodyFrame {
     pub terms: Vec<TermFrame>,
     /// A label for each vertex, as an index into the schema's labels, `[vertex_count]`; empty if no force acts.
     pub labels: Vec<u8>,
-    /// How a free body moves as a whole; `None` of others.
+    /// Rigid motion of a free body; `None` for other bodies.
     pub motion: Option<MotionFrame>,
-    /// What acts on a free body as a whole; of other bodies, and where forces are not requested, `None`.
+    /// Net force and torque on a free body; `None` for other bodies, and if forces are not requested.
     pub whole: Option<WholeFrame>,
 }
 
-/// How a free body moves as a whole.
+/// Rigid motion of a free body.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MotionFrame {
     /// Velocity of its centre [scene unit/s].
@@ -80,7 +80,7 @@ pub struct MotionFrame {
     pub spin: DVec3,
 }
 
-/// What acts on a free body as a whole.
+/// Net force and torque on a free body.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WholeFrame {
     /// Force at its centre [mass · scene unit/s²].
@@ -117,7 +117,7 @@ impl BodyFrame {
         self.mesh.as_ref().unwrap_or(&body.mesh)
     }
 
-    /// The rest positions of the vertices that the body has now.
+    /// The rest positions of the body's current vertices.
     pub fn rest_of<'a>(&'a self, body: &'a BodySchema) -> Rest<'a> {
         self.mesh_of(body).at(body.radius)
     }
@@ -161,8 +161,8 @@ impl BodyFrame {
         }
     }
 
-    /// Writes the vertex positions in body axes, l + Q⁻¹ x [scene unit], to `positions` (reused). Where the body is not
-    /// deformed they are exactly those of its rest shape, however it is rotated.
+    /// Writes the vertex positions in body axes, l + Q⁻¹ x [scene unit], to `positions` (reused). For an undeformed body
+    /// they are exactly those of its rest shape, however it is rotated.
     pub fn body_positions(&self, rest: Rest<'_>, positions: &mut Vectors) {
         if self.rotation == DQuat::IDENTITY {
             return self.local_positions(rest, positions);

@@ -1,4 +1,4 @@
-//! The simulation as an instrument sees it: any simulation, not only this crate's [`World`](crate::World).
+//! The observer's interface to a simulation: any simulation, not only this crate's [`World`](crate::World).
 //!
 //! | contents | module |
 //! | --- | --- |
@@ -7,7 +7,7 @@
 //! | points in time, events | [`event`] |
 //! | the traits of a simulation that can be stepped and observed, and of the experiment that creates it |
 //! [`simulation`] |
-//! | how near pairs came that did not change their phase | [`approach`] |
+//! | how close pairs came that did not change their phase | [`approach`] |
 //! | the largest difference between two states | [`worst`] |
 //! | the merged surface of groups of bodies, and geometric measures of pairs | [`surface`] |
 //! | when surfaces touch and part | [`touch`] |

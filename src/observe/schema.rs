@@ -28,13 +28,13 @@ pub struct Schema {
     pub tolerance: f64,
     /// Description of the interaction between bodies, as Markdown.
     pub law: String,
-    /// Distance from a seam within which merged surfaces are smoothed [radii of the smaller body]; 0: sharp.
+    /// Distance from a seam within which merged surfaces are smoothed [radii of the smaller body]; 0 for sharp seams.
     pub blend: f64,
     /// The bodies: at least one, with unique names.
     pub bodies: Vec<BodySchema>,
-    /// Planes that bodies do not pass.
+    /// Planes that bodies cannot pass.
     pub planes: Vec<PlaneSchema>,
-    /// Length per acceleration of the arrows that stand for free bodies as a whole [scene unit per scene unit/s²].
+    /// Length per acceleration of the net force arrows of free bodies [scene unit per scene unit/s²].
     pub whole_scale: f64,
     /// Force terms that accelerate vertices. The last one is the sum of all others.
     pub terms: Vec<TermSchema>,
@@ -44,9 +44,9 @@ pub struct Schema {
     pub arrow_scale: f64,
     /// Phases of a pair, from the weakest interaction to the strongest.
     pub phases: Vec<PhaseSchema>,
-    /// Levels of q at which a pair changes phase; the first is that at which it leaves its first phase.
+    /// Levels of q at which a pair changes phase; at the first one it leaves its first phase.
     pub thresholds: Vec<Threshold>,
-    /// The levels of pairs that have their own.
+    /// Levels of pairs that have their own.
     pub own_levels: OwnLevels,
     /// The surfaces of groups, if they are not the unions of bodies.
     pub surfaces: OwnSurfaces,
@@ -54,7 +54,7 @@ pub struct Schema {
     pub scalars: Vec<ScalarSchema>,
     /// Stages of a step whose duration is measured, in order.
     pub stages: Vec<&'static str>,
-    /// What is odd about the scene, a sentence each.
+    /// Warnings about the scene, one sentence each.
     pub warnings: Vec<String>,
 }
 
@@ -71,17 +71,17 @@ pub struct BodySchema {
     pub shape: String,
     /// Mesh at rest, scaled to radius 1.
     pub mesh: Arc<Mesh>,
-    /// Whether forces move and rotate it; otherwise its path is known before the run.
+    /// Whether forces move and rotate it; otherwise its path is prescribed.
     pub is_free: bool,
     /// Total mass of its vertices, > 0; only ratios matter.
     pub mass: f64,
     /// Colour of its surface, if it has one of its own.
     pub color: Option<Rgb>,
-    /// Whether frames may have other triangles of it than `mesh`; see [`BodyFrame::mesh`](super::BodyFrame::mesh).
+    /// Whether its mesh may differ from `mesh` in some frames; see [`BodyFrame::mesh`](super::BodyFrame::mesh).
     pub can_tear: bool,
 }
 
-/// A plane that bodies do not pass.
+/// A plane that bodies cannot pass.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlaneSchema {
     /// Unit normal, towards the free side.
@@ -107,7 +107,7 @@ pub struct TermSchema {
     pub can_act: bool,
     /// Whether its arrows are visible when the recording is opened.
     pub is_shown: bool,
-    /// Whether it accelerates all vertices of a body alike: one arrow at the centre stands for all.
+    /// Whether it accelerates all vertices of a body alike: one arrow at the centre represents all.
     pub is_uniform: bool,
 }
 
@@ -118,7 +118,7 @@ pub struct PhaseSchema {
     pub name: &'static str,
     /// Colour of its lanes, lines and spheres.
     pub color: Rgb,
-    /// Whether two bodies in this phase count as one: bodies that such pairs connect are a group, with one surface.
+    /// Whether two bodies in this phase count as one: bodies connected by such pairs form a group, with one surface.
     pub is_joined: bool,
 }
 
@@ -135,7 +135,7 @@ pub struct Threshold {
     pub color: Rgb,
 }
 
-/// Levels of q of pairs that have their own, by threshold and pair; by default none has.
+/// Levels of q of pairs that have their own, by threshold and pair; none by default.
 #[derive(Clone, Default)]
 pub struct OwnLevels(Option<Arc<LevelOf>>);
 
@@ -154,12 +154,12 @@ impl fmt::Debug for OwnLevels {
     }
 }
 
-/// The surfaces of groups as the simulation defines them; by default they are the unions of their bodies.
+/// The surfaces of groups, if the simulation defines them; by default they are the unions of their bodies.
 #[derive(Clone, Default)]
 pub struct OwnSurfaces(Option<Arc<dyn Surfaces>>);
 
 impl OwnSurfaces {
-    /// Surfaces that are these, and not unions.
+    /// Replaces the unions by these surfaces.
     pub fn new(surfaces: impl Surfaces + 'static) -> OwnSurfaces {
         OwnSurfaces(Some(Arc::new(surfaces)))
     }
@@ -277,7 +277,7 @@ impl Schema {
         self.bodies.iter().map(|body| body.vertex_count() as u64).sum()
     }
 
-    /// The model, unless it is the usual one, which goes without saying: the oscillators, or a simulation's only one.
+    /// The model, or `None` for the default one (oscillators, or the only one of a simulation), which messages leave out.
     pub fn unusual_model(&self) -> Option<&str> {
         Some(self.model.as_str()).filter(|model| !["", "oscillators"].contains(model))
     }

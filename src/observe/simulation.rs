@@ -15,7 +15,7 @@ use super::{
     touch::SurfaceEvent,
 };
 
-/// A simulation that an instrument can step and observe. Observation never changes the simulation.
+/// A simulation that can be stepped and observed. Observation never changes the simulation.
 pub trait Simulation {
     /// The schema, which does not change during a run.
     fn schema(&self) -> Schema;
@@ -39,28 +39,28 @@ pub trait Simulation {
     /// Writes a summary of the last step to `summary` (reused).
     fn summary(&self, summary: &mut StepSummary);
 
-    /// What changed the energy since the start, in a few words; `None` if nothing is known of it.
+    /// What changed the energy since the start, in a few words; `None` if unknown.
     fn account(&self) -> Option<String> {
         None
     }
 
-    /// Memory allocated for the state and what it takes to step it, if that is known [bytes].
+    /// Memory allocated for the state and for stepping it, if known [bytes].
     fn memory(&self) -> Option<u64> {
         None
     }
 
-    /// A flag that, once raised, ends what the simulation does, and what is computed about it, as soon as possible.
+    /// A flag that, once raised, ends all computation of the simulation and about it as soon as possible.
     fn interrupt(&self) -> Option<&'static AtomicBool> {
         None
     }
 
-    /// Hash of the exact state: bit-identical states have equal hashes, all others differ (barring collisions).
+    /// Hash of the exact state: bit-identical states have equal hashes, all others different ones (barring collisions).
     fn checksum(&self) -> u64;
 
     /// Writes the requested parts of the state to `frame` (reused).
     fn observe(&self, want: Want, frame: &mut Frame);
 
-    /// States inside the step that led from `before` to the current state, in order. By default its start and end only.
+    /// States inside the step that led from `before` to the current state, in order; by default only its start and end.
     fn stages(&self, before: &Frame) -> Vec<StageFrame> {
         let mut frame = Frame::default();
         self.observe(Want { forces: true, scalars: false }, &mut frame);
@@ -68,18 +68,18 @@ pub trait Simulation {
         vec![stage("start", before.clone()), stage("end", frame)]
     }
 
-    /// Writes the positions of some bodies' vertices relative to their centres, and the centres, to `frame` (reused), at a
-    /// time within the step that led from `before` to the current state. By default, displacements are cubic in time, and
-    /// centres linear.
+    /// Writes the centres of some bodies, and the positions of their vertices relative to these [scene unit], to `frame`
+    /// (reused), at a time [s] within the step that led from `before` to the current state. By default, they are
+    /// interpolated by [`between`].
     fn within(&self, before: &Frame, time: f64, bodies: &[usize], frame: &mut Frame) {
         let mut after = Frame::default();
         self.observe(Want::default(), &mut after);
         between(&self.schema(), [before, &after], time, bodies, frame);
     }
 
-    /// When surfaces of pairs touched and parted in the last step, in order of time, if the simulation finds that itself:
-    /// [`Finding::Touch`](super::touch::Finding::Touch) and `Part` only. `None`: it is searched for in what
-    /// [`within`](Simulation::within) returns, see [`super::touch`].
+    /// Touch and part events of pairs in the last step, in order of time, if the simulation finds them itself
+    /// ([`Finding::Touch`](super::touch::Finding::Touch) and `Part` only). `None`: [`super::touch`] searches for them in
+    /// the states that [`within`](Simulation::within) returns.
     fn contacts(&self) -> Option<&[SurfaceEvent]> {
         None
     }
@@ -100,9 +100,9 @@ pub trait Simulation {
     }
 }
 
-/// The state of some bodies at a time between two frames: displacements as cubics that agree with the velocities, and so
-/// centres and rotations where these are known; otherwise centres on lines. Cubics are as exact as a step of fourth order,
-/// unless a force jumps within it.
+/// The state of some bodies at a time [s] between two frames, by cubic Hermite interpolation of the displacements, and of
+/// centres and rotations where their velocities are known; otherwise centres are linear. The error is of fourth order in
+/// the step, unless a force jumps within it.
 pub fn between(schema: &Schema, ends: [&Frame; 2], time: f64, bodies: &[usize], frame: &mut Frame) {
     let length = ends[1].at.time - ends[0].at.time;
     let z = if length > 0.0 { ((time - ends[0].at.time) / length).clamp(0.0, 1.0) } else { 1.0 };
@@ -120,7 +120,7 @@ pub fn between(schema: &Schema, ends: [&Frame; 2], time: f64, bodies: &[usize], 
                 from * value + to * next_value + rate * slope + last_rate * next_slope
             };
             now.centre = cubic([from.centre, to.centre], [start.velocity, end.velocity]);
-            // the rotation since the start as a vector, of which the rate is J⁻¹ times the angular velocity
+            // the rotation since the start as a rotation vector, whose rate is J⁻¹ times the angular velocity
             let turned = to.rotation * from.rotation.inverse();
             let turn = (if turned.w < 0.0 { -turned } else { turned }).to_scaled_axis();
             let rate = end.spin - 0.5 * turn.cross(end.spin) + turn.cross(turn.cross(end.spin)) / 12.0;
@@ -135,7 +135,7 @@ pub fn between(schema: &Schema, ends: [&Frame; 2], time: f64, bodies: &[usize], 
         let body = &schema.bodies[index];
         let count = to.mesh_of(body).vertex_count();
         if count != from.mesh_of(body).vertex_count() {
-            // it tore in this step: what it tore into has no state before
+            // it tore in this step: the new vertices have no previous state
             now.displacements.reset(count);
             now.displacements.add_times(1.0, &to.displacements);
             now.displaced(to.rest_of(body));
@@ -156,7 +156,7 @@ pub fn between(schema: &Schema, ends: [&Frame; 2], time: f64, bodies: &[usize], 
 
 /// A scene, from which a simulation can be started any number of times.
 pub trait Experiment: Debug + Send + Sync {
-    /// The schema of the simulations that it starts.
+    /// The schema of its simulations.
     fn schema(&self) -> Schema;
 
     /// Starts a simulation.
@@ -176,7 +176,7 @@ pub trait Experiment: Debug + Send + Sync {
 /// Recreates an experiment from the contents of a recording, see [`Experiment::read`].
 pub type ReadExperiment<'a> = dyn Fn(&str, &str, &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> + 'a;
 
-/// Why an experiment cannot be created, in words.
+/// Why an experiment cannot be recreated, in words.
 #[derive(Clone, Debug)]
 pub enum Refusal {
     /// The text is not a valid scene.
@@ -196,16 +196,16 @@ pub struct StepSummary {
     pub timings: Vec<Duration>,
     /// Scalars in the order of the schema; entries of scalars that do not describe a step are ignored.
     pub scalars: Vec<f64>,
-    /// Where the step is less accurate than it was asked to be, if it is.
+    /// Where the step is less accurate than requested, if anywhere.
     pub shortfall: Option<Shortfall>,
     /// Why the run should end here, if it should.
     pub failure: Option<StepFailure>,
 }
 
-/// A body that could not be followed within the tolerance.
+/// A body whose estimated error exceeds the tolerance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shortfall {
-    /// Index of the body: that with the largest ratio of the next two.
+    /// Index of the body with the largest ratio of the next two.
     pub body: usize,
     /// Estimated error of the step [radii of the body].
     pub error: f64,

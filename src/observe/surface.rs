@@ -2,15 +2,14 @@
 //!
 //! A group is a set of at least two bodies connected by pairs in a joined phase
 //! ([`PhaseSchema::is_joined`](super::schema::PhaseSchema::is_joined)). Everything here is a function of a frame: a
-//! simulation need not know of it, and no simulation pays for it unless somebody looks.
+//! simulation need not know of it, and does not pay for it unless frames are recorded.
 //!
-//! # What a frame pays for
-//! A body alone costs nothing, nor does a pair out of reach. Of a pair that is apart but within reach only the gap is
-//! computed, from the last frame's nearest triangles on: it is what says how far the surfaces are from the answer that
-//! the thresholds give. A group costs its union, its smooth seam, and gap, overlap and neck of its pairs, in every
-//! recorded frame: a surface drawn less often would disagree with the bodies, spheres and plots of its own frame. That is
-//! tenths of a millisecond for two spheres, more than all else that a frame of them costs. Whoever needs more frames a
-//! second than that allows records every Nth (`--every N`) or none (`--thin`), and replays what is to be seen.
+//! # Cost per frame
+//! A single body costs nothing, nor does a pair out of reach. For a pair that is apart but within reach, only the gap is
+//! computed, starting from the nearest triangles of the last frame. A group costs its union, its smooth seam, and gap,
+//! overlap and neck of its pairs, in every recorded frame: a surface drawn less often would disagree with the bodies,
+//! spheres and plots of its frame. For two spheres, this takes tenths of a millisecond, more than the rest of the frame.
+//! For more frames per second, record every Nth (`--every N`) or none (`--thin`), and replay the steps of interest.
 
 use std::{
     collections::BTreeMap,
@@ -27,19 +26,19 @@ use crate::geometry::{
     union::{self, Body, Budget, Hint, Origin, Topology, Union, is_raised},
 };
 
-/// Work steps that the unions of one frame may take, see [`Budget`]: a few tenths of a second. A count, not a time, so
+/// Budget of work steps for the unions of one frame, see [`Budget`]: a few tenths of a second. A count, not a time, so
 /// that equal frames give equal surfaces on every machine.
 pub const FRAME_WORK: u64 = 10_000_000;
 
 /// Distance from a seam within which the colours of two bodies blend [radii], unless the surface is smoothed farther.
 const COLORS_BLEND: f64 = 0.35;
 
-/// The merged surfaces of a frame, and the measures of the pairs that were asked for. Reused.
+/// The merged surfaces of a frame, and the measures of the requested pairs. Reused.
 #[derive(Clone, Debug, Default)]
 pub struct Merged {
     /// The groups with a surface, in ascending order of their first body.
     pub groups: Vec<Arc<Group>>,
-    /// Measures of pairs, in the order in which they were asked for; `None` if they could not be computed.
+    /// Measures of pairs, in the order of the request; `None` if they could not be computed.
     pub pairs: Vec<Option<PairMeasures>>,
     /// Whether the surface of each body is part of a group's, `[body_count]`.
     pub is_merged: Vec<bool>,
@@ -90,34 +89,34 @@ pub struct VertexOrigin {
 pub struct SeamLine {
     /// The two bodies, ascending.
     pub bodies: [usize; 2],
-    /// Positions along the seam, before the surface is smoothed [scene unit]; the first one again at the end, if the
-    /// seam is closed.
+    /// Positions along the seam, before the surface is smoothed [scene unit]; the last one equals the first if the seam is
+    /// closed.
     pub positions: Vec<DVec3>,
 }
 
-/// What geometry says of a pair, whatever its phase.
+/// Geometric measures of a pair, independent of its phase.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PairMeasures {
-    /// Smallest distance of the surfaces; where they overlap, minus the greatest depth [radii of the smaller body].
+    /// Smallest distance between the surfaces, or minus the penetration depth if they overlap [radii of the smaller body].
     pub gap: f64,
     /// Volume of the intersection [radius³ of the smaller body].
     pub overlap: f64,
     /// Volume of the intersection as a fraction of the smaller body's volume.
     pub share: f64,
-    /// Radius of the circle that has the area of the seam [radii of the smaller body]; 0 without a seam.
+    /// Radius of the circle with the area enclosed by the seam [radii of the smaller body]; 0 without a seam.
     pub neck: f64,
     /// Length of the seam [radii of the smaller body].
     pub perimeter: f64,
 }
 
-/// Surfaces of groups that are not the unions of their bodies. They are a function of the frame alone, so that they can be
-/// computed beside the simulation, and again from a replay.
+/// Surfaces of groups that are not the unions of their bodies. They must be a function of the frame alone, so that they can
+/// be computed in parallel to the simulation, and again in a replay.
 pub trait Surfaces: Send + Sync {
-    /// The surfaces of all groups of a frame, and what there is to say of some pairs; without what cannot be computed, or is not
-    /// any more once the flag is raised.
+    /// The surfaces of all groups of a frame, and the measures of some pairs. Leaves out what cannot be computed, and
+    /// everything once the interrupt flag is raised.
     fn merge(&self, schema: &Schema, frame: &Frame, pairs: &[[usize; 2]], interrupt: Option<&AtomicBool>) -> Surfaced;
 
-    /// What there is to say of a pair alone. Worth an implementation of its own where that needs no surface.
+    /// The measures of a single pair. Worth implementing if they can be computed without a surface.
     fn measure(
         &self,
         schema: &Schema,
@@ -129,13 +128,13 @@ pub trait Surfaces: Send + Sync {
     }
 }
 
-/// The surfaces of a frame as a simulation defines them.
+/// The surfaces of a frame, as defined by a simulation.
 #[derive(Clone, Debug, Default)]
 pub struct Surfaced {
-    /// The surface of each group of at least two bodies, closed and oriented, in ascending order of their first bodies, no body
-    /// in two of them; `None` for those that could not be computed.
+    /// The surface of each group of at least two bodies, closed and oriented, in ascending order of their first bodies; groups
+    /// are disjoint. `None` for those that could not be computed.
     pub groups: Vec<Option<Group>>,
-    /// Measures of the pairs, in the order in which they were asked for; `None` for those that could not be computed.
+    /// Measures of the pairs, in the order of the request; `None` for those that could not be computed.
     pub pairs: Vec<Option<PairMeasures>>,
 }
 
@@ -144,14 +143,14 @@ pub struct Closed {
     shapes: Vec<ClosedShape>,
     /// Index of each body's shape.
     of_body: Vec<usize>,
-    /// The present meshes of bodies that have torn.
+    /// Current meshes of bodies that have torn.
     torn: BTreeMap<usize, ClosedShape>,
     interrupt: Option<&'static AtomicBool>,
 }
 
 struct ClosedShape {
     mesh: Arc<Mesh>,
-    /// Computed when it is needed; `None` if the shape is not a closed mesh.
+    /// Computed on demand; `None` if the shape is not a closed mesh.
     topology: OnceLock<Option<Topology>>,
 }
 
@@ -169,7 +168,7 @@ impl Closed {
         Closed { shapes, of_body, torn: BTreeMap::new(), interrupt }
     }
 
-    /// Takes note of the mesh that a body has now: `None` for that of the schema. Says whether it is another one than before.
+    /// Sets the current mesh of a body (`None`: the schema's); returns whether it has changed.
     pub fn tear(&mut self, body: usize, mesh: Option<&Arc<Mesh>>) -> bool {
         let known = self.torn.get(&body).map(|torn| &torn.mesh);
         let is_same = match (known, mesh) {
@@ -186,8 +185,8 @@ impl Closed {
         !is_same
     }
 
-    /// A body with its vertices at these positions [scene unit]; `None` if it is not closed, or where nothing can be
-    /// computed, or after an interrupt.
+    /// A body with its vertices at these positions [scene unit]; `None` if it is not closed, if its coordinates are out of
+    /// range, or after an interrupt.
     pub fn body<'a>(&'a self, index: usize, positions: &'a [DVec3]) -> Option<Body<'a>> {
         Body::new(self.topology(index)?, positions).ok()
     }
@@ -198,19 +197,19 @@ impl Closed {
         if is_raised(self.interrupt) {
             return None;
         }
-        // if it is interrupted, nobody will ask again
+        // after an interrupt, it is never needed again
         let compute = || Topology::interruptible(mesh.vertex_count(), mesh.triangles(), self.interrupt).ok();
         topology.get_or_init(compute).as_ref()
     }
 }
 
-/// Computes merged surfaces, frame after frame. Keeps what it has computed for bodies that do not move.
+/// Computes merged surfaces, frame after frame. Reuses the results for bodies that do not move.
 pub struct Merger {
     closed: Closed,
     bodies: Vec<Placed>,
     /// The groups of the last frame; `None` for those without a surface.
     groups: BTreeMap<Vec<usize>, Option<Arc<Group>>>,
-    /// The measures of the last frame, and where surfaces were nearest.
+    /// The measures of the last frame, and the nearest triangles.
     pairs: BTreeMap<[usize; 2], (Option<PairMeasures>, Hint)>,
     merged: Merged,
     /// Number of the current frame, from 1.
@@ -223,14 +222,14 @@ pub struct Merger {
 #[derive(Default)]
 struct Placed {
     positions: Vec<DVec3>,
-    /// Number of the frame that the positions are of; 0 for none.
+    /// Number of the frame of these positions; 0 for none.
     frame: u64,
-    /// Whether they differ from those of the frame before, or those are unknown.
+    /// Whether they differ from those of the previous frame, or that is unknown.
     has_moved: bool,
 }
 
 impl Merger {
-    /// For the frames of a simulation. Once the flag is raised, what is not computed yet counts as too expensive.
+    /// For the frames of a simulation. Once the flag is raised, nothing more is computed.
     pub fn new(schema: &Schema, interrupt: Option<&'static AtomicBool>) -> Merger {
         Merger {
             closed: Closed::new(schema, interrupt),
@@ -305,7 +304,7 @@ impl Merger {
         &self.merged
     }
 
-    /// The same with surfaces as the simulation defines them. One that is as in the last frame is the same object.
+    /// The same, with surfaces defined by the simulation. Unchanged ones remain the same object.
     fn merge_own(&mut self, own: &dyn Surfaces, schema: &Schema, frame: &Frame, pairs: &[[usize; 2]]) -> &Merged {
         let Surfaced { groups, pairs } = own.merge(schema, frame, pairs, self.closed.interrupt);
         let merged = &mut self.merged;
@@ -326,7 +325,7 @@ impl Merger {
         &self.closed
     }
 
-    /// The same, to take note of bodies that have torn.
+    /// The same, mutable, to update bodies that have torn.
     pub(super) fn closed_mut(&mut self) -> &mut Closed {
         &mut self.closed
     }
@@ -336,7 +335,7 @@ impl Merger {
         &self.merged
     }
 
-    /// Brings the positions of a body to those of a frame.
+    /// Updates the positions of a body to those of a frame.
     fn place(&mut self, schema: &Schema, frame: &Frame, body: usize) {
         let placed = &mut self.bodies[body];
         if placed.frame == self.frame {
@@ -366,13 +365,13 @@ struct Scene<'a> {
 }
 
 impl<'a> Scene<'a> {
-    /// `None` if one of the bodies is not closed, or is where nothing can be computed.
+    /// `None` if one of the bodies is not closed, or its coordinates are out of range.
     fn bodies(self, indices: &[usize]) -> Option<Vec<Body<'a>>> {
         let body = |&index: &usize| self.closed.body(index, &self.bodies[index].positions);
         indices.iter().map(body).collect()
     }
 
-    /// The surface of a group, and the measures of a group of two if they are wanted.
+    /// The surface of a group, and the measures of a group of two if requested.
     fn unite(self, group: &[usize], budget: &Budget, has_measures: bool) -> (Option<Group>, Option<PairMeasures>) {
         let Some(bodies) = self.bodies(group) else { return (None, None) };
         let Ok(united) = union::union(&bodies, budget) else { return (None, None) };
@@ -383,7 +382,7 @@ impl<'a> Scene<'a> {
         (Group::new(self.schema, group, &united, budget.interrupt), measures)
     }
 
-    /// The measures of a pair, and where its surfaces are nearest.
+    /// The measures of a pair, and its nearest triangles.
     fn measure(self, pair: [usize; 2], budget: &Budget, mut hint: Hint) -> (Option<PairMeasures>, Hint) {
         let mut measures = || {
             let bodies = self.bodies(&pair)?;
@@ -496,7 +495,7 @@ pub fn connected(frame: &Frame, is_joined: impl Fn(&PairFrame) -> bool) -> Vec<V
     groups.into_values().filter(|group| group.len() > 1).collect()
 }
 
-/// Maps all items, on several threads if there are several.
+/// Maps all items, in parallel if there are several.
 pub fn for_all<T: Sync, R: Send>(items: &[T], map: impl Fn(&T) -> R + Sync + Send) -> Vec<R> {
     if items.len() > 1 { items.par_iter().map(map).collect() } else { items.iter().map(map).collect() }
 }
@@ -636,7 +635,7 @@ mod tests {
         bits
     }
 
-    /// Whoever starts in the middle of a run, or has other threads, sees the same surfaces.
+    /// Starting in the middle of a run, or with other threads, gives the same surfaces.
     #[test]
     fn neither_earlier_frames_nor_threads_change_a_bit() {
         for (name, last, every) in [("two", 230, 2), ("three", 200, 5), ("crowd", 60, 20)] {

@@ -1,10 +1,9 @@
-//! When surfaces touch and part, found in time, and what geometry says of a pair when its phase changes.
+//! Finds when surfaces touch and part, and compares the surfaces of a pair when its phase changes.
 //!
-//! Instants are bisected in the states within a step that the simulation gives ([`Simulation::within`]). The exponential
-//! integrator gives those of its own solution: the step is taken once more, up to that instant, so the error is that of
-//! its tolerance. This holds for bodies on paths and for free bodies. The explicit schemes have no solution between their
-//! steps but cubics that agree with positions and velocities at both ends: of fourth order in the length of the step, as
-//! exact as the best of them (`rk4`) and more so than the others, whose own order is then that of the instants.
+//! Times are found by bisection over the states within a step ([`Simulation::within`]). With the exponential integrator
+//! these are its own solution: the step is taken again, up to that time, so the error is within its tolerance. This holds
+//! for bodies on paths and for free bodies. The explicit schemes use cubic Hermite interpolation between steps. Its error
+//! is of fourth order in the step, like that of `rk4`; for the other schemes, their own order determines that of the times.
 
 use std::{collections::BTreeMap, sync::atomic::AtomicBool};
 
@@ -22,19 +21,19 @@ use crate::geometry::{
     union::{Contact, Crossing, contact, is_raised},
 };
 
-/// Instants are found to this precision [s].
+/// Precision of the times found [s].
 const PRECISION: f64 = 1e-7;
-/// Bisections of a step at most, whatever its length.
+/// Upper limit on the bisections of a step, whatever its length.
 const MOST_BISECTIONS: u32 = 60;
-/// Pairs watched at most, those that are closest.
+/// Upper limit on the pairs watched; the closest are chosen.
 const MOST_PAIRS: usize = 64;
-/// Phase changes of a step for which the surfaces are compared at most.
+/// Upper limit on the phase changes of a step for which the surfaces are compared.
 const MOST_CHANGES: usize = 16;
 
-/// Something that geometry says of a pair at an instant.
+/// A geometric finding about a pair at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfaceEvent {
-    /// What it says.
+    /// What was found.
     pub what: Finding,
     /// Time of the event [s].
     pub time: f64,
@@ -48,18 +47,18 @@ pub struct SurfaceEvent {
     pub q: f64,
 }
 
-/// What geometry says of a pair.
+/// A geometric finding about a pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Finding {
-    /// The surfaces touch, and did not before.
+    /// The surfaces begin to touch.
     Touch,
     /// The surfaces part.
     Part,
-    /// The phase changes, while the surfaces are like this.
+    /// The phase changes; the fields describe the surfaces at that time.
     Phase {
         /// Kind of event: `merge`, `split`, …
         name: &'static str,
-        /// When the surfaces touched last [s], if they still do and that was seen.
+        /// When the surfaces began to touch [s], if they still do and that was observed.
         touched: Option<f64>,
         /// The measures at that time, if they could be computed.
         measures: Option<PairMeasures>,
@@ -91,7 +90,7 @@ impl SurfaceEvent {
         }
     }
 
-    /// What the surfaces are like when the phase changes, in words.
+    /// Describes the surfaces when the phase changes, in words.
     pub fn findings(&self) -> Option<String> {
         let Finding::Phase { touched, measures, .. } = self.what else { return None };
         let PairMeasures { gap, share, neck, .. } = measures?;
@@ -111,7 +110,7 @@ pub struct Touches {
     schema: Schema,
     merger: Merger,
     pairs: BTreeMap<[usize; 2], Known>,
-    /// The state before the step, of bodies in pairs.
+    /// State before the step, for bodies in pairs.
     before: Frame,
     /// Scratch storage, reused.
     inside: Frame,
@@ -150,9 +149,9 @@ impl Touches {
         touches
     }
 
-    /// Finds what happened in the last step, whose phase changes are given; `now` is the state after it. Of a pair that
-    /// touches and parts within one step, nothing is seen. Nor is anything of a step before which there was no frame:
-    /// whoever records few frames does not pay for looking into all steps.
+    /// Finds what happened in the last step, given its phase changes; `now` is the state after it. Misses a pair that
+    /// touches and parts within one step. Also skips a step without a frame before it, so that recordings with few frames
+    /// do not pay for a search in every step.
     pub fn step(
         &mut self,
         simulation: &dyn Simulation,
@@ -172,7 +171,7 @@ impl Touches {
         }
         for pair in &watched {
             if is_raised(self.interrupt) {
-                return; // no further step will be looked at
+                return; // no further step will be searched
             }
             let bodies = [pair.a, pair.b];
             let before = self.pairs.get(&bodies).copied();
@@ -232,7 +231,7 @@ impl Touches {
         }
     }
 
-    /// Takes what the simulation found in a step without a frame.
+    /// Adds what the simulation found in a step without a frame.
     pub fn between_frames(&mut self, simulation: &dyn Simulation, found: &mut Vec<SurfaceEvent>) {
         found.clear();
         take(simulation.contacts().unwrap_or_default(), &mut self.pairs, found);
@@ -260,7 +259,7 @@ impl Touches {
         let [a, b] = bodies;
         let radii = self.schema.bodies[a].radius + self.schema.bodies[b].radius;
         let q = inside.bodies[a].centre.distance(inside.bodies[b].centre) / radii;
-        self.placed.retain(|body, _| !bodies.contains(body)); // they are of another time
+        self.placed.retain(|body, _| !bodies.contains(body)); // from another time
         self.inside = inside;
         (high, q)
     }
@@ -276,7 +275,7 @@ impl Touches {
         });
     }
 
-    /// Whether two bodies are so far apart that no vertex need be looked at.
+    /// Whether two bodies are so far apart that no vertex needs testing.
     fn is_far(&self, bodies: [usize; 2], now: &Frame) -> bool {
         let [a, b] = bodies.map(|body| &now.bodies[body]);
         let reach: f64 =
@@ -284,7 +283,7 @@ impl Touches {
         a.centre.distance(b.centre) > reach * (1.0 + 1e-9)
     }
 
-    /// Finds whether the surfaces of a pair touch where they are placed.
+    /// Whether the surfaces of a pair touch at their current positions.
     fn look(&self, [a, b]: [usize; 2], known: &mut Known) {
         let (Some(first), Some(second)) = (self.placed.get(&a), self.placed.get(&b)) else { return };
         if known.crossing.is_some_and(|crossing| crossing.is_at(first, second)) {
@@ -311,7 +310,7 @@ impl Touches {
     }
 }
 
-/// Takes touches and parts that the simulation found itself.
+/// Adds touch and part events that the simulation found itself.
 fn take(own: &[SurfaceEvent], pairs: &mut BTreeMap<[usize; 2], Known>, found: &mut Vec<SurfaceEvent>) {
     for event in own {
         if let Some(known) = pairs.get_mut(&[event.a, event.b]) {

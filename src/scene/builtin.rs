@@ -1,4 +1,4 @@
-//! The built-in scenes, compiled in: files in `recordings/`, where their golden recordings are, and one too large for that.
+//! The built-in scenes, compiled in: those in `recordings/`, beside their golden recordings, and one too large for that.
 
 use super::Scene;
 
@@ -9,7 +9,7 @@ pub struct Builtin {
     pub name: &'static str,
     /// The scene file.
     pub text: &'static str,
-    /// The mesh files that it names, and their contents.
+    /// Names and contents of the mesh files that it uses.
     pub meshes: &'static [(&'static str, &'static str)],
 }
 
@@ -39,7 +39,7 @@ const fn scene(name: &'static str, text: &'static str) -> Builtin {
 }
 
 impl Builtin {
-    /// What to watch for: the lines of the comment at the head of the file.
+    /// What to look for: the lines of the comment at the head of the file.
     pub fn what_to_look_at(&self) -> impl Iterator<Item = &'static str> {
         self.text.lines().map_while(|line| line.strip_prefix('#')).map(str::trim)
     }

@@ -1,6 +1,6 @@
 //! Bodies made of cells: `[lattice]` and `[fem]`.
 
-/// The cells along a body's diameter of scenes that do not say: a sphere of 266 vertices gets some 300 nodes.
+/// Default number of cells along a body's diameter: a sphere of 266 vertices gets about 300 nodes.
 pub const ACROSS: u32 = 6;
 /// The most cells along a diameter.
 pub const MOST_ACROSS: u32 = 256;
@@ -10,9 +10,9 @@ pub const MOST_ACROSS: u32 = 256;
 pub struct Lattice {
     /// Number of cells along a body's diameter.
     pub cells: u32,
-    /// How it tears.
+    /// How a body tears.
     pub tear: TearMode,
-    /// The strain at which it does [–], > 0.
+    /// Strain at which it tears [–], > 0.
     pub limit: f64,
 }
 
@@ -25,17 +25,17 @@ impl Default for Lattice {
 /// How a lattice tears.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TearMode {
-    /// Not at all.
+    /// It does not tear.
     #[default]
     None,
-    /// Springs that are too long are cut with their cells; volume is lost.
+    /// Overstretched springs are cut with their cells; volume is lost.
     Cut,
-    /// Nodes that are pulled too hard are split; volume is kept.
+    /// Overloaded nodes are split; volume is kept.
     Split,
 }
 
 impl TearMode {
-    /// All of them, in the order in which they are listed to users.
+    /// All modes, in the order in which they are listed to users.
     pub const ALL: [TearMode; 3] = [TearMode::None, TearMode::Cut, TearMode::Split];
 
     /// The name in scene files.
@@ -53,11 +53,11 @@ impl TearMode {
 pub struct Fem {
     /// Number of cells along a body's diameter.
     pub cells: u32,
-    /// Young's modulus [mass/(scene unit · s²)], > 0; `None`: such that a bar as long as the body's radius has its ω.
+    /// Young's modulus [mass/(scene unit · s²)], > 0; `None`: such that a bar one radius long has the body's ω.
     pub young: Option<f64>,
     /// Poisson's ratio [–], below 1/2.
     pub poisson: f64,
-    /// The tension beyond which a body would tear [mass/(scene unit · s²)], if that is looked for.
+    /// Tension above which tearing is reported [mass/(scene unit · s²)], if at all.
     pub tear_stress: Option<f64>,
 }
 

@@ -1,4 +1,4 @@
-//! Forces that a program gives.
+//! Forces set by a program.
 
 use std::{
     fmt,
@@ -8,9 +8,9 @@ use std::{
 
 use glam::DVec3;
 
-/// A force on a free body that a program gives, as an acceleration that all of its vertices share: it moves the centre,
-/// and neither turns nor deforms the body. There is no such force in a scene file, and no recording of it can be
-/// replayed. A body on which one acts never rests.
+/// A force on a free body, set by a program, as an acceleration shared by all of its vertices: it moves the centre, and
+/// neither rotates nor deforms the body. Scene files cannot express it, so a recording of it cannot be replayed. A body
+/// with such a force never comes to rest.
 ///
 /// ```
 /// # use meldscope::{Scene, World};
@@ -44,13 +44,12 @@ pub struct Force {
 }
 
 impl Force {
-    /// The acceleration `at` [scene unit/s²], of time t [s], position c [scene unit] and velocity c′ [scene unit/s] of the
-    /// centre.
+    /// The acceleration `at(t, c, c′)` [scene unit/s²] as a function of time [s] and of position [scene unit] and velocity
+    /// [scene unit/s] of the centre.
     ///
-    /// The function must be continuous, give the same for the same arguments, and be nowhere longer than `bound` where the
-    /// body gets: what the body may touch in a step is searched for as far as that takes it. It is called several times at
-    /// instants within a step, for estimates too, from any thread. The smoother it is the longer are the steps; one that
-    /// jumps ends the run as a step that cannot be followed.
+    /// The function must be continuous and deterministic, and its length must not exceed `bound` [scene unit/s²] anywhere
+    /// the body gets: `bound` limits the search for what the body may touch in a step. It is called several times within a
+    /// step, also for error estimates, from any thread. The smoother it is, the longer the substeps; a jump ends the run.
     pub fn new(bound: f64, at: impl Fn(f64, DVec3, DVec3) -> DVec3 + Send + Sync + 'static) -> Force {
         Force { at: Arc::new(at), bound }
     }
@@ -60,13 +59,13 @@ impl Force {
         (self.at)(t, centre, velocity)
     }
 
-    /// A bound of its length [scene unit/s²].
+    /// Upper bound of its length [scene unit/s²].
     pub fn bound(&self) -> f64 {
         self.bound
     }
 }
 
-// a function that gives the same for the same arguments has no state that a panic could leave half changed
+// a deterministic function has no state that a panic could leave half changed
 impl UnwindSafe for Force {}
 impl RefUnwindSafe for Force {}
 

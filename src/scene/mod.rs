@@ -1,21 +1,21 @@
 //! The scene: what is simulated, as typed values that are valid by construction.
 //!
-//! A scene is made by [`Scene::load`] (a file), [`Scene::parse`] (its text) or [`Scene::builtin`] (compiled in). All
-//! checking happens there, in [`mod@parse`]; nothing downstream checks again.
+//! A scene comes from [`Scene::load`] (a file), [`Scene::parse`] (its text) or [`Scene::builtin`] (compiled in). All
+//! validation happens there, in [`mod@parse`]; nothing downstream checks again.
 //!
 //! # The file
 //! TOML. Units are scene units, seconds and radians; defaults are in brackets; unknown keys are errors.
 //!
 //! ```toml
-//! name = "passing"              # [the file's name]
+//! name = "passing"              # [file name without extension]
 //! dt = 0.0166666666             # step, s [1/60]
 //! duration = 4.0                # s
 //! integrator = "exponential"    # thesis | mps | euler | verlet | rk4 | exponential [exponential]
-//! tolerance = 1e-6              # of exponential: error in radii per unit of scene time [1e-6]
+//! tolerance = 1e-6              # for exponential: error in radii per unit of scene time [1e-6]
 //! gravity = [0, 0, 0]           # acceleration of free bodies, scene unit/s² [0]
 //! model = "oscillators"         # oscillators | metaballs | lattice | fem: what a body is made of [oscillators]
 //!
-//! [material]                    # for every body; a body may override each
+//! [material]                    # for all bodies; a body may override each key
 //! omega = 12.0                  # restoring force: natural angular frequency, rad/s [12.0]
 //! damping = 1.5                 # 1/s [1.5]
 //! response = "inertial"         # to its own motion: rigid | inertial | world [inertial]
@@ -29,19 +29,19 @@
 //! merge_at = 1.05               # centre distance over the sum of the radii [1.05]
 //! split_at = 1.15               # [1.15]
 //! core_at = 0.0                 # [0 = none]
-//! core_width = 0.0              # in q: the strength changes gradually about core_at [0 = it jumps]
+//! core_width = 0.0              # in q: width over which the strength changes around core_at [0 = it jumps]
 //! apart = "repel"               # repel | none [repel]
 //!
-//! [lattice]                     # of model = "lattice"; see crate::models::lattice
+//! [lattice]                     # for model = "lattice"; see crate::models::lattice
 //! cells = 6                     # along the diameter of a body [6]
-//! tear = "none"                 # none | cut | split: springs that are too long with their cells | nodes pulled too hard [none]
-//! limit = 0.5                   # the strain at which it does [0.5]
+//! tear = "none"                 # none | cut (overstretched springs, with their cells) | split (overloaded nodes) [none]
+//! limit = 0.5                   # strain at which it tears [0.5]
 //!
-//! [fem]                         # of model = "fem"; see crate::models::fem
+//! [fem]                         # for model = "fem"; see crate::models::fem
 //! cells = 6                     # along the diameter of a body [6]
-//! young = 58.4                  # Young's modulus, mass/(scene unit·s²) [such that a bar as long as the radius has omega]
+//! young = 58.4                  # Young's modulus, mass/(scene unit·s²) [a bar one radius long has frequency omega]
 //! poisson = 0.25                # Poisson's ratio, from -0.9 to 0.49 [0.25]
-//! tear_stress = 20.0            # tension beyond which a body would tear is reported, mass/(scene unit·s²) [none]
+//! tear_stress = 20.0            # tension above which tearing is reported, mass/(scene unit·s²) [none]
 //!
 //! [surface]
 //! blend = 0.25                  # distance from a seam within which merged surfaces are smoothed, in radii; 0 = sharp [0.25]
@@ -62,25 +62,25 @@
 //! # or:    { keyframes = { keys = [[0, 2.6, 0, 0], …], interpolation = "spline" } }   # | linear | hold [spline]
 //! # or:    { sine = { center = [2, 0, 0], amplitude = [0.5, 0, 0], frequency = 0.25, phase = 0 } }
 //! # or:    { free = { from = [2, 0, 0], velocity = [0, 0, 0], spin = [0, 0, 0], rotation = "free" } }   # | fixed [free]
-//! mass = 0.512                  # of all its vertices; of free bodies only ratios matter [radius³]
+//! mass = 0.512                  # total; only the mass ratios of free bodies matter [radius³]
 //! group = "left"                # for [[pair]]; not the name of a body [none]
-//! color = "#ff8800"             # [one of the palette]
+//! color = "#ff8800"             # [from the palette]
 //!
-//! [[grid]]                      # many bodies of one description: all keys of a body, and these
+//! [[grid]]                      # many bodies from one description: all keys of a body, and these
 //! name = "drop"                 # the bodies are drop-0-0-0, drop-1-0-0 …
-//! count = [10, 10, 2]           # along x, y and z; 1,000,000 bodies at the most
+//! count = [10, 10, 2]           # along x, y and z; at most 1,000,000 bodies
 //! spacing = [2.5, 2.5, 3.0]     # between neighbours, scene unit
-//! jitter = 0.1                  # each coordinate moved by up to this, scene unit [0]
+//! jitter = 0.1                  # maximum random offset of each coordinate, scene unit [0]
 //! seed = 1                      # of the jitter, an integer [0]
 //! radius = 1.0
-//! motion = { fixed = [0, 9, 0] }                        # of the first; every other one is moved by its place
+//! motion = { fixed = [0, 9, 0] }                        # of the first body; the others are offset from it
 //!
-//! [[pair]]                      # another law for some pairs; what it leaves out is as in [influence]
-//! bodies = ["still", "left"]    # two names of bodies or groups; no pair is in two of these tables
+//! [[pair]]                      # another law for some pairs; missing keys are as in [influence]
+//! bodies = ["still", "left"]    # two names of bodies or groups; a pair may be in one such table only
 //! merge_at = 0.9                # and split_at, core_at, core_width, alpha, beta, apart
 //!
 //! [[plane]]                     # acts on the vertices of all bodies
-//! normal = [0, 0, 1]            # to the free side
+//! normal = [0, 0, 1]            # towards the free side
 //! offset = 0.0                  # normal · r of its points, scene unit [0]
 //! stiffness = 4000.0            # 1/s² [4000]
 //! friction = 0.0                # [0]
@@ -96,30 +96,30 @@
 //!
 //! # Shapes from files
 //! A mesh must be the surface of a body: closed, consistently oriented, manifold, its triangles counter-clockwise seen from
-//! outside; [`crate::geometry::files`] says what is read of which format. Vertices at the same place are one. The mesh is
-//! moved to its mass centre (the mass of a vertex is a third of the area of its triangles) and scaled so that its farthest
-//! vertex is `radius` away. A surface that crosses or touches itself is refused.
+//! outside; [`crate::geometry::files`] lists what is read from each format. Vertices at the same position are welded. The
+//! mesh is centred at its mass centre (the mass of a vertex is a third of the area of its triangles) and scaled so that its
+//! farthest vertex is `radius` away. A surface that crosses or touches itself is rejected.
 //!
-//! A file may be anywhere that its user can read: it must be a regular one, of 1 GiB at the most. Recordings read no files.
-//! [`Scene::source`], which they carry, has the meshes in it:
+//! The file may be anywhere, but must be a regular file of at most 1 GiB. Replaying a recording reads no mesh files:
+//! [`Scene::source`], which recordings store, contains the meshes:
 //!
 //! ```toml
 //! [[mesh]]
-//! file = "blob.obj"             # as the shape of a body names it: no file is read
+//! file = "blob.obj"             # the name that bodies use for it; no file is read
 //! data = "AQQ…"                 # see crate::geometry::files::embedded
 //! ```
 //!
 //! # Keyframes
 //! A `spline` is smooth (its acceleration is continuous) and at rest at the first and the last key; therefore it overshoots
-//! where keys change direction. Through 0, 1 and 1 at 0, 1 and 2 s it is at 1 + ¾ s (1 − s)² between the last two, s being
-//! the time since the second: as far as 10/9, at 4/3 s. Where a body must stay within its keys, move it on straight lines
-//! (`linear`) or from place to place (`hold`).
+//! where keys change direction. Through 0, 1 and 1 at 0, 1 and 2 s it follows 1 + ¾ s (1 − s)² between the last two, where s
+//! is the time since the second: it reaches 10/9 at 4/3 s. Where a body must stay within its keys, use straight lines
+//! (`linear`) or jumps (`hold`).
 //!
-//! At a key of straight lines the velocity of the centre jumps by some Δv, an infinite acceleration for an instant. Vertices
-//! of a body whose response is `inertial` or `world` stay in motion as they were: relative to the centre their velocity jumps
-//! by −Δv. Those of a `rigid` body do not feel it. At t = 0 all velocities are zero, however the path begins. A body that
-//! jumps from place to place takes its vertices along, deformed as they are, and they feel nothing of it. Its pairs change
-//! phase at the jump, by the distance after it; a jump from afar into a core is a merge and a core at the same instant.
+//! At a `linear` key the velocity of the centre jumps by some Δv, an impulse. Vertices of a body whose response is
+//! `inertial` or `world` keep their world velocity: relative to the centre it jumps by −Δv. Vertices of a `rigid` body are
+//! not affected. At t = 0 all velocities are zero, however the path begins. At a `hold` key the vertices move with the
+//! centre; their displacements and velocities do not change. Pairs change phase at the jump, by the distance after it; a
+//! jump from afar into a core is a merge and a core event at the same instant.
 
 pub mod builtin;
 pub mod cells;
@@ -161,11 +161,11 @@ pub struct Scene {
     pub duration: f64,
     /// Integrator of the scene.
     pub integrator: Integrator,
-    /// What its bodies are made of: which simulation runs it, see [`crate::models`].
+    /// Model of a soft body; decides which simulation runs the scene, see [`crate::models`].
     pub model: Model,
-    /// What lattices are.
+    /// Settings of [`Model::Lattice`].
     pub lattice: cells::Lattice,
-    /// What finite elements are.
+    /// Settings of [`Model::Fem`].
     pub fem: cells::Fem,
     /// Tolerance of [`Integrator::Exponential`]: the acceptable error, in radii of a vertex's body per unit of scene
     /// time [1/s], > 0.
@@ -174,7 +174,7 @@ pub struct Scene {
     pub influence: Influence,
     /// When pairs merge, split and enter their core.
     pub thresholds: Thresholds,
-    /// Width in q of the change of strength at the rim of the core [–]; 0 for a jump.
+    /// Width in q over which the strength changes at the rim of the core [–]; 0 for a jump.
     pub core_width: f64,
     /// The laws of pairs that have their own; see [`Scene::law`].
     pub pairs: PairLaws,
@@ -182,7 +182,7 @@ pub struct Scene {
     pub gravity: DVec3,
     /// The planes, in the order of the file. They act on every vertex of every body.
     pub planes: Vec<Plane>,
-    /// Distance from a seam within which merged surfaces are smoothed [radii of the smaller body]; 0: sharp.
+    /// Distance from a seam within which merged surfaces are smoothed [radii of the smaller body]; 0 for sharp seams.
     pub blend: f64,
     /// The bodies: at least one, with unique names.
     pub bodies: Vec<Body>,
@@ -199,19 +199,19 @@ pub struct Body {
     pub name: String,
     /// Radius R [scene unit], > 0.
     pub radius: f64,
-    /// The oscillators' constants.
+    /// Constants of the oscillators.
     pub material: Material,
     /// The rest shape, of unit radius.
     pub shape: Shape,
-    /// Mass of all vertices together, > 0: each has its share of the surface. Any unit; only ratios matter.
+    /// Total mass, > 0, distributed over the vertices by surface area. Any unit; only ratios matter.
     pub mass: f64,
-    /// The group that the body is in: pairs of groups can have their own law.
+    /// Group of the body, if any; pairs of groups can have their own law.
     pub group: Option<String>,
-    /// Its colour, if the scene gives one: red, green, blue.
+    /// Colour, if the scene gives one: red, green, blue.
     pub color: Option<[u8; 3]>,
     /// What moves the centre.
     pub motion: Motion,
-    /// A force that a program gives, if it is free.
+    /// A force set by a program, on a free body only.
     pub force: Option<Force>,
 }
 
@@ -228,14 +228,14 @@ impl Body {
 /// What moves the centre of a body.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Motion {
-    /// A path, whatever acts on the body.
+    /// A path, regardless of forces.
     Prescribed(Path),
     /// The forces that act on the body.
     Free(FreeMotion),
 }
 
 impl Motion {
-    /// Where the centre is at t = 0 [scene unit].
+    /// Position of the centre at t = 0 [scene unit].
     pub fn start(&self) -> DVec3 {
         match self {
             Motion::Prescribed(path) => path.position(0.0),
@@ -362,13 +362,13 @@ impl fmt::Display for Integrator {
     }
 }
 
-/// The models of a soft body: those that chapter 2 of the thesis weighs, and its own; see [`crate::models`].
+/// The models of a soft body: the thesis's own, and those that its chapter 2 discusses; see [`crate::models`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Model {
-    /// The thesis's own: every vertex is a damped oscillator about its rest position.
+    /// The thesis's model: every vertex is a damped oscillator about its rest position.
     #[default]
     Oscillators,
-    /// Density about each centre, and its level set as the surface (2.2.3).
+    /// A density around each centre, with a level set as the surface (2.2.3).
     Metaballs,
     /// Cubes of masses and springs (2.1.1, 2.2.2).
     Lattice,
@@ -406,8 +406,8 @@ impl Scene {
         (self.duration / self.dt).round() as u64 // saturates
     }
 
-    /// What a run of this scene differs in from what its own text says, as lines of that text: its integrator, model, step
-    /// and tolerance, and its number of steps (`None`: until stopped).
+    /// The settings in which a run of this scene differs from its text, as lines of TOML: integrator, model, step and
+    /// tolerance, and the number of steps (`None`: until stopped).
     pub fn overrides(&self, steps: Option<u64>) -> String {
         let Ok(own) = Scene::parse(&self.source, &self.name) else { return String::new() };
         let changed = [
@@ -420,8 +420,8 @@ impl Scene {
         changed.into_iter().flatten().collect()
     }
 
-    /// The settings with which the scene is run, as lines of TOML: what a recording needs besides the scene's text. A run
-    /// of oscillators does not name its model, as none did before there were others.
+    /// The settings of a run, as lines of TOML: what a recording needs besides the scene's text. The default model is
+    /// left out, so that recordings read as those made before there were other models.
     pub fn run_settings(&self) -> String {
         let model = match self.model {
             Model::Oscillators => String::new(),
@@ -430,8 +430,8 @@ impl Scene {
         format!("integrator = \"{}\"\ndt = {:?}\ntolerance = {:?}\n{model}", self.integrator, self.dt, self.tolerance)
     }
 
-    /// The same bodies on the same paths, with the same thresholds, where nothing acts on them: their pairs change phase when
-    /// they do in the scene, and nothing else happens.
+    /// The same scene without any force: pairs on the same paths, with the same thresholds, change phase at the same times,
+    /// and nothing else happens.
     pub fn without_forces(&self) -> Scene {
         let influence = Influence { alpha: 0.0, beta: 0.0, ..self.influence };
         let rigid =
@@ -464,28 +464,27 @@ impl Scene {
         std::iter::once(self.common_law()).chain(self.pairs.laws().iter().copied())
     }
 
-    /// Where the law of a pair is among [`Scene::laws`].
+    /// Index of a pair's law in [`Scene::laws`].
     pub fn law_index(&self, a: usize, b: usize) -> u32 {
         self.pairs.index(a, b).map_or(0, |index| index as u32 + 1)
     }
 
-    /// The law at a place among [`Scene::laws`].
+    /// The law at an index in [`Scene::laws`].
     #[inline]
     pub fn law_at(&self, index: u32) -> PairLaw {
         index.checked_sub(1).map_or_else(|| self.common_law(), |own| self.pairs.laws()[own as usize])
     }
 
-    /// The signed strength s of a source on a body in a phase of their pair [1/s²]: positive attracts (3.4), negative
-    /// repels (3.5).
+    /// Signed strength s with which a source acts on a body in a given phase of their pair [1/s²]: positive attracts
+    /// (3.4), negative repels (3.5).
     ///
-    /// `radius` is the radius of the body acted on and `source_radius` that of the source [scene unit]. The core has no
-    /// gradual rim: it has in no scene that is not coupled.
+    /// `radius` is the radius of the body acted on and `source_radius` that of the source [scene unit]. Ignores
+    /// [`Scene::core_width`]: only coupled scenes have a gradual rim.
     pub fn strength(&self, law: &PairLaw, phase: Phase, radius: f64, source_radius: f64) -> f64 {
         law.strength(phase, law.thresholds.merge_at) * self.influence.scale(radius, source_radius)
     }
 
-    /// Whether bodies act on each other's motion or need more than spheres: there is a free body, a plane, or a core
-    /// with a gradual rim.
+    /// Whether the scene needs the coupled solver: there is a free body, a plane, or a core with a gradual rim.
     pub fn is_coupled(&self) -> bool {
         !self.planes.is_empty()
             || self.laws().any(|law| law.core_width > 0.0)

@@ -1,4 +1,4 @@
-//! The laws of pairs that have their own: `[[pair]]`.
+//! Laws of specific pairs: `[[pair]]`.
 
 use std::collections::HashMap;
 
@@ -6,41 +6,41 @@ use rustc_hash::FxBuildHasher;
 
 use crate::model::PairLaw;
 
-/// Which bodies one side of a `[[pair]]` names.
+/// The bodies named by one side of a `[[pair]]`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Members {
     /// The body of this index.
     Body(u32),
-    /// All bodies of a group, counted in the order in which the bodies of the scene name them.
+    /// All bodies of a group; groups are numbered in the order in which bodies first name them.
     Group(u32),
 }
 
-/// The laws of pairs that differ from the scene's, looked up by body or group: as small as the file that gives them,
-/// however many pairs they are of.
+/// The laws of pairs that differ from the scene's, looked up by body or group. Memory is proportional to the number of
+/// rules, not of pairs.
 #[derive(Clone, Debug, Default)]
 pub struct PairLaws {
     laws: Vec<PairLaw>,
-    /// Index of the law of two sides, the lesser one first.
+    /// Index of the law by its two sides, the lesser one first.
     by_members: HashMap<[Members; 2], u32, FxBuildHasher>,
     /// The group of each body that is in one, `[body_count]`; empty if no group has a law.
     group_of: Vec<Option<u32>>,
 }
 
-/// Two `[[pair]]`s that are of the same pair, by their index.
+/// Two `[[pair]]` tables that apply to the same pair, by index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Overlap {
-    /// The one that comes first.
+    /// The first one.
     pub earlier: usize,
-    /// The other.
+    /// The second one.
     pub later: usize,
 }
 
 impl PairLaws {
-    /// The laws of all pairs of a body of one side and one of the other, by these rules; `group_of` has the group of each
-    /// body.
+    /// Builds the lookup from rules, each for all pairs of a body of one side with a body of the other; `group_of` gives the
+    /// group of each body, `[body_count]`.
     ///
     /// # Errors
-    /// Two rules are of the same pair.
+    /// Two rules apply to the same pair.
     pub fn new(group_of: Vec<Option<u32>>, rules: &[([Members; 2], PairLaw)]) -> Result<PairLaws, Overlap> {
         let overlap = |one: usize, other: usize| Overlap { earlier: one.min(other), later: one.max(other) };
         let mut laws = PairLaws { laws: rules.iter().map(|rule| rule.1).collect(), group_of, ..PairLaws::default() };
@@ -49,8 +49,8 @@ impl PairLaws {
                 return Err(overlap(found as usize, index));
             }
         }
-        // Rules of a body and a group, by the groups of both: each of those that name a body of one group shares a pair
-        // with each of those that name a body of the other.
+        // Rules for a body and a group, by the groups of both. A rule that names a body of one group always shares a
+        // pair with a rule that names a body of the other.
         let mut mixed: HashMap<[u32; 2], [Option<usize>; 2], FxBuildHasher> = HashMap::default();
         for (index, &(sides, _)) in rules.iter().enumerate() {
             let [a, b] = sorted(sides);
@@ -82,7 +82,7 @@ impl PairLaws {
         }
     }
 
-    /// Each of the laws, with the sides that it is for.
+    /// All laws with their sides.
     pub fn rules(&self) -> impl Iterator<Item = ([Members; 2], PairLaw)> + '_ {
         self.by_members.iter().map(|(&sides, &index)| (sides, self.laws[index as usize]))
     }
@@ -92,12 +92,12 @@ impl PairLaws {
         self.group_of.get(body).copied().flatten()
     }
 
-    /// Whether all pairs have the scene's law.
+    /// Whether every pair has the scene's law.
     pub fn is_empty(&self) -> bool {
         self.laws.is_empty()
     }
 
-    /// Every law that a pair can have beside the scene's.
+    /// All laws other than the scene's.
     pub fn laws(&self) -> &[PairLaw] {
         &self.laws
     }
@@ -123,12 +123,12 @@ impl PairLaws {
         all.into_iter().find_map(|sides| self.by_members.get(&sorted(sides)).map(|&index| index as usize))
     }
 
-    /// What a body can be named by.
+    /// The sides that a body can be part of.
     fn sides(&self, body: usize) -> [Option<Members>; 2] {
         [Some(Members::Body(body as u32)), self.group_of(body).map(Members::Group)]
     }
 
-    /// What was allocated for them [bytes].
+    /// Allocated memory [bytes].
     pub fn memory(&self) -> usize {
         self.laws.capacity() * size_of::<PairLaw>()
             + self.by_members.capacity() * size_of::<([Members; 2], u32)>()
@@ -171,7 +171,7 @@ mod tests {
     }
 
     proptest! {
-        /// Compared with writing out every pair.
+        /// Compares with a table of every pair.
         #[test]
         fn every_pair_has_at_most_one_law(rules in prop::collection::vec([side(), side()], 0..4)) {
             let rules: Vec<_> = rules.into_iter().filter(|sides| !pairs(*sides).is_empty()).collect();

@@ -1,13 +1,12 @@
-//! The scene file: from text to a [`Scene`] that is valid by construction, or to one [`SceneError`] that says where the
+//! The scene file: parses text to a [`Scene`] that is valid by construction, or to one [`SceneError`] that says where the
 //! text is wrong and what was expected there.
 //!
 //! # Limits
 //! Numbers are at most 10¹⁵ in magnitude, and those that must be positive (radius, dt, reach …) at least 10⁻¹², as must
 //! be the time between keys. Within these no product, quotient or square that the simulation forms comes near the range
-//! of a double, so nothing downstream has to look for overflow. They leave 27 orders of magnitude, more than double
-//! precision can relate to each other. `duration / dt` is at most 10¹², so that a step's number is exact and its time
-//! good to a microstep; a ring has at most 65,535 vertices, so that a vertex index fits 32 bits. A file has at most
-//! 32 MiB.
+//! of a double, so nothing downstream has to check for overflow. They leave 27 orders of magnitude, more than double
+//! precision resolves. `duration / dt` is at most 10¹², so that step numbers are exact and times are accurate to a
+//! millionth of a step; a ring has at most 65,535 vertices, so that a vertex index fits 32 bits. A file has at most 32 MiB.
 
 mod error;
 mod grid;
@@ -49,15 +48,15 @@ const LARGEST_FILE: u64 = 32 << 20;
 const POSITIVE: Number = Number { min: SMALLEST, max: LARGEST };
 const NON_NEGATIVE: Number = Number { min: 0.0, max: LARGEST };
 const ANY: Number = Number { min: -LARGEST, max: LARGEST };
-/// Up to half a radius, what is not near the seam stays as it is.
+/// Up to half a radius, the surface away from the seam keeps its shape.
 const BLEND: Number = Number { min: 0.0, max: 0.5 };
 /// Fewer than two cells have no free nodes.
 const CELLS: Integer = Integer { min: 2, max: cells::MOST_ACROSS };
-/// Springs that are shorter than at rest do not tear, and those that may become a thousand times as long never do.
+/// Springs shorter than at rest do not tear; those that may stretch a thousandfold never do.
 const STRAIN: Number = Number { min: 1e-3, max: 1e3 };
-/// Where an isotropic material does not keep its volume or its form exactly: there the stiffness has no bound.
+/// Below the values at which an isotropic material becomes incompressible or shear-rigid: there the stiffness is unbounded.
 const POISSON: Number = Number { min: -0.9, max: 0.49 };
-/// Of a direction only the direction matters.
+/// The length of a direction does not matter.
 const FINITE: Number = Number { min: f64::MIN, max: f64::MAX };
 
 static SCENE: Keys = Keys {
@@ -130,7 +129,7 @@ static SHAPE: Keys = Keys {
     form: "a table such as { sphere = { stacks = 12, slices = 24 } }",
     names: Shape::NAMES,
 };
-/// Of each kind of shape.
+/// For each kind of shape.
 static SHAPES: [Keys; Shape::KINDS.len()] = {
     let mut all = [const { Keys { home: "", form: "", names: &[] } }; Shape::KINDS.len()];
     let mut i = 0;
@@ -181,7 +180,7 @@ const WEIGHT: Choice<Weight, 2> = Choice([("linear", Weight::Linear), ("wendland
 const SCALING: Choice<Scaling, 2> = Choice([("relative", Scaling::Relative), ("absolute", Scaling::Absolute)]);
 const APART_REPELS: Choice<bool, 2> = Choice([("repel", true), ("none", false)]);
 
-/// How a path gets from key to key.
+/// Interpolation between the keys of a path.
 type Interpolation = fn(&[(f64, DVec3)]) -> Spline;
 const INTERPOLATION: Choice<Interpolation, 3> =
     Choice([("spline", Spline::new), ("linear", Spline::linear), ("hold", Spline::hold)]);
@@ -193,21 +192,22 @@ const GROUP_NAME: Text = Text { form: "a name of 1 to 64 letters, digits, - and 
 const COLOR: Text = Text { form: "a color \"#rrggbb\"", accepts: |text| color(text).is_some() };
 
 impl Scene {
-    /// The numbers that a scene can have where one must be positive: radii, steps, tolerances, and so on.
+    /// The range of numbers that must be positive: radii, steps, tolerances, and so on.
     pub const POSITIVE: RangeInclusive<f64> = SMALLEST..=LARGEST;
 
-    /// The most that a scene's text may have [bytes].
+    /// Maximum size of a scene's text [bytes].
     pub const LARGEST_TEXT: u64 = LARGEST_FILE;
 
-    /// The scene in the file at `path`.
+    /// Loads the scene in the file at `path`.
     ///
     /// # Errors
-    /// The file cannot be read, is larger than 32 MiB or not UTF-8, or what [`Scene::parse`] refuses.
+    /// The file cannot be read, is larger than 32 MiB, is not UTF-8, or is rejected by [`Scene::parse`].
     pub fn load(path: &std::path::Path) -> Result<Scene, SceneError> {
         Scene::load_watched(path, &|_, _| ())
     }
 
-    /// The same, for large meshes: `watch` is told the mesh file that is being read, and the share of it that is done.
+    /// Like [`Scene::load`], with progress for large meshes: `watch` is called with the mesh file being read and the
+    /// fraction done, from 0 to 1.
     ///
     /// # Errors
     /// Those of [`Scene::load`].
@@ -234,11 +234,11 @@ impl Scene {
         Scene::parse_with_files(text, path, watch)
     }
 
-    /// The scene that `text` describes, as [`Scene::load`] would read it from the file at `path`: meshes are read from
-    /// files, relative to its folder.
+    /// Parses `text` as [`Scene::load`] would read it from the file at `path`: meshes are read from files, relative to its
+    /// folder.
     ///
     /// # Errors
-    /// What [`Scene::parse`] refuses, and meshes that cannot be read or are not the surface of a body.
+    /// Those of [`Scene::parse`]; or a mesh cannot be read or is not the surface of a body.
     pub fn parse_beside(text: &str, path: &std::path::Path) -> Result<Scene, SceneError> {
         Scene::parse_with_files(text, path, &|_, _| ())
     }
@@ -258,39 +258,38 @@ impl Scene {
         on_deep_stack(|| read_scene(&Source { text, file }, &mut Meshes::beside(Files::Given(meshes))))
     }
 
-    /// The text of a scene's file, from that of [`Scene::source`]: without the meshes that it was given to carry.
+    /// The text of the scene's file, from that of [`Scene::source`]: without the embedded meshes.
     pub fn without_meshes(source: &str) -> &str {
         source.find(meshes::MARK).map_or(source, |end| &source[..end])
     }
 
-    /// The scene that `text` describes; `file` is its name in errors, and without its folder and extension the scene's
-    /// own if the text gives none.
+    /// Parses `text`; `file` is its name in errors. Without its folder and extension, `file` is also the name of a scene
+    /// whose text gives none.
     ///
     /// # Errors
-    /// The first thing that is wrong: not TOML, an unknown, missing or repeated key, a value of the wrong type or out
-    /// of range (see the [limits](self#limits)), values that do not fit together, a mesh that is not in the text: no other
-    /// file is read.
+    /// The first error: not TOML, an unknown, missing or repeated key, a value of the wrong type or out of range (see the
+    /// [limits](self#limits)), inconsistent values, or a mesh that is not embedded in the text (no other file is read).
     pub fn parse(text: &str, file: &str) -> Result<Scene, SceneError> {
         on_deep_stack(|| read_scene(&Source { text, file }, &mut Meshes::beside(Files::None)))
     }
 }
 
-/// The content of the file at `path`, but of a too large (or endless) one no more than shows that it is.
+/// The content of the file at `path`. Reading stops at the size limit, so that endless files end too.
 fn read(path: &std::path::Path) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     File::open(path)?.take(LARGEST_FILE + 1).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 
-/// Calls `work` where there is room for the deepest tree that the TOML parser makes: inline tables may nest 80 deep and
-/// a key have 80 parts, so 6,400 tables, and to drop them takes a stack frame each, several MB without optimisation.
+/// Calls `work` with a stack large enough for the deepest tree that the TOML parser makes: inline tables may nest 80 deep
+/// and keys may have 80 parts, so 6,400 tables. Dropping them takes a stack frame each, several MB without optimisation.
 pub(crate) fn on_deep_stack<T: Send>(work: impl Fn() -> T + Sync) -> T {
     std::thread::scope(|scope| {
         let thread = std::thread::Builder::new().stack_size(64 << 20).spawn_scoped(scope, &work);
         match thread.map(|thread| thread.join()) {
             Ok(Ok(result)) => result,
             Ok(Err(panic)) => std::panic::resume_unwind(panic),
-            Err(_) => work(), // no thread to be had: any sensible file does without
+            Err(_) => work(), // no thread available; any sensible file does without
         }
     })
 }
@@ -300,7 +299,7 @@ fn read_scene(source: &Source<'_>, meshes: &mut Meshes<'_>) -> Result<Scene, Sce
     Ok(Scene { source: meshes.carried_by(source.text), ..scene })
 }
 
-/// The scene of a document, which need not be that of the text; without its [`Scene::source`].
+/// The scene of a document, which may differ from the text; [`Scene::source`] is left empty.
 pub(super) fn read_document(
     source: &Source<'_>,
     document: &DeTable<'_>,
@@ -308,7 +307,7 @@ pub(super) fn read_document(
 ) -> Result<Scene, SceneError> {
     let root = Table::root(source, document, &SCENE)?;
 
-    // The tables first: a key below the wrong header is then reported as that, not as missing where it belongs.
+    // Tables first: a key below the wrong header is then reported as misplaced, not as missing where it belongs.
     let material = root.table("material", &MATERIAL)?;
     let influence = root.table("influence", &INFLUENCE)?;
     let lattice = root.table("lattice", &LATTICE)?;
@@ -387,12 +386,12 @@ pub(super) fn read_document(
     })
 }
 
-/// An array of tables, which may be missing.
+/// An optional array of tables.
 fn tables<'a>(array: &'a Option<Value<'_>>, keys: &Keys) -> Result<Vec<Table<'a>>, SceneError> {
     array.as_ref().map_or(Ok(Vec::new()), |array| array.tables(keys))
 }
 
-/// The `[material]` table, or a body: what it does not give is as in `default`.
+/// The `[material]` table, or a body; missing keys are as in `default`.
 fn read_material(table: &Table<'_>, default: Material) -> Result<Material, SceneError> {
     Ok(Material {
         omega: table.optional("omega", NON_NEGATIVE)?.unwrap_or(default.omega),
@@ -421,7 +420,7 @@ fn read_fem(table: &Table<'_>) -> Result<cells::Fem, SceneError> {
     })
 }
 
-/// The `[influence]` table without what pairs can have of their own.
+/// The `[influence]` table without the keys that a `[[pair]]` can set.
 fn read_influence(table: &Table<'_>) -> Result<Influence, SceneError> {
     Ok(Influence {
         alpha: PairLaw::DEFAULT.alpha,
@@ -433,7 +432,7 @@ fn read_influence(table: &Table<'_>) -> Result<Influence, SceneError> {
     })
 }
 
-/// The `[influence]` table, or a `[[pair]]`: what it does not give is as in `default`.
+/// The `[influence]` table, or a `[[pair]]`; missing keys are as in `default`.
 fn read_law(table: &Table<'_>, default: PairLaw) -> Result<PairLaw, SceneError> {
     let Thresholds { merge_at, split_at, core_at } = default.thresholds;
     let alpha = table.optional("alpha", NON_NEGATIVE)?.unwrap_or(default.alpha);
@@ -483,7 +482,7 @@ fn read_plane(table: &Table<'_>) -> Result<Plane, SceneError> {
     })
 }
 
-/// A vector of any length but 0, as a unit vector.
+/// A nonzero vector, normalised.
 fn read_direction(table: &Table<'_>, name: &'static str) -> Result<DVec3, SceneError> {
     let direction = table.required(name, Vector(FINITE))?;
     match table.get(name) {
@@ -494,7 +493,7 @@ fn read_direction(table: &Table<'_>, name: &'static str) -> Result<DVec3, SceneE
     }
 }
 
-/// A `[[body]]`, or the description of those of a `[[grid]]`.
+/// A `[[body]]`, or the common description of the bodies of a `[[grid]]`.
 fn read_body(table: &Table<'_>, material: Material, meshes: &mut Meshes<'_>) -> Result<Body, SceneError> {
     let name = table.required("name", BODY_NAME)?;
     let radius = table.required("radius", POSITIVE)?;
@@ -520,7 +519,7 @@ fn color(text: &str) -> Option<[u8; 3]> {
     Some([red, green, blue])
 }
 
-/// What a scene's names stand for.
+/// The names of a scene, resolved to bodies and groups.
 struct Names {
     bodies: HashMap<String, u32>,
     groups: HashMap<String, u32>,
@@ -528,7 +527,7 @@ struct Names {
 
 impl Names {
     /// # Errors
-    /// Two bodies have one name, or a body has that of a group.
+    /// Two bodies have the same name, or a body has the name of a group.
     fn of(bodies: &[Body], tables: &[&Table<'_>]) -> Result<Names, SceneError> {
         let mut names = Names { bodies: HashMap::with_capacity(bodies.len()), groups: HashMap::new() };
         for (index, (body, table)) in (0..).zip(bodies.iter().zip(tables)) {
@@ -619,7 +618,7 @@ fn read_free(table: &Table<'_>) -> Result<FreeMotion, SceneError> {
     })
 }
 
-/// A free body is moved by forces, which its vertices feel themselves: there is no other response to that.
+/// A free body is moved by forces that act on its vertices: no other response makes sense for it.
 fn check_response(body: &Table<'_>, motion: &Value<'_>, material: &Material) -> Result<(), SceneError> {
     if material.response == Response::Inertial {
         return Ok(());
@@ -678,7 +677,7 @@ fn read_push(table: &Table<'_>, bodies: &[Body], names: &Names) -> Result<Push, 
     })
 }
 
-/// The error that a value is none of the `known` names.
+/// The error for a value that is none of the `known` names.
 fn unknown_name<'n, I: Iterator<Item = &'n str>>(
     value: &Value<'_>,
     expected: &str,
@@ -691,8 +690,8 @@ fn unknown_name<'n, I: Iterator<Item = &'n str>>(
     value.error(format!("expected {expected}, found {found}{hint} (bodies: {}{more})", listed.join(", ")))
 }
 
-/// `vector` / |`vector`| for any finite `vector` but 0: brought near 1 by a power of two, which is exact, before its
-/// length is taken, which could overflow or vanish.
+/// `vector` / |`vector`| for any finite nonzero `vector`. It is first scaled near 1 by a power of two, which is exact,
+/// because its squared length could overflow or underflow.
 fn unit(vector: DVec3) -> DVec3 {
     let (_, exponent) = libm::frexp(vector.abs().max_element());
     let scaled = DVec3::from_array(vector.to_array().map(|x| libm::ldexp(x, -exponent)));
@@ -703,7 +702,7 @@ fn is_scene_name(name: &str) -> bool {
     (1..=200).contains(&name.chars().count()) && !name.chars().any(char::is_control)
 }
 
-/// The name of a scene that gives none: the stem of its file, as far as that can be one.
+/// The default name of a scene: the stem of its file, reduced to valid characters.
 fn name_from(file: &str) -> String {
     let stem = std::path::Path::new(file).file_stem().unwrap_or_default().to_string_lossy();
     let name: String = stem.chars().filter(|c| !c.is_control()).take(200).collect();

@@ -1,4 +1,4 @@
-//! Centre paths: where the centre of a body is, prescribed for all t ≥ 0.
+//! Centre paths: the position of a body's centre, prescribed for all t ≥ 0.
 
 use std::{
     f64::consts::TAU,
@@ -15,7 +15,7 @@ use rustc_hash::FxHasher;
 /// A prescribed path of a centre c(t), defined for every t.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Path {
-    /// Stays where it is [scene unit].
+    /// A fixed position [scene unit].
     Fixed(DVec3),
     /// `from + velocity · t` [scene unit, scene unit/s].
     Line {
@@ -35,13 +35,13 @@ pub enum Path {
         /// [rad]
         phase: f64,
     },
-    /// Through keys: a clamped cubic spline, straight lines, or from place to place.
+    /// Through keys: a clamped cubic spline, straight lines, or jumps.
     Keyframes(Spline),
-    /// Given by a program; there is no such path in a scene file, and no recording of it can be replayed.
+    /// Set by a program. Scene files cannot express it, so a recording of it cannot be replayed.
     Given(Given),
 }
 
-/// A path that a program gives as a function of time.
+/// A path set by a program as a function of time.
 #[derive(Clone)]
 pub struct Given {
     at: Arc<dyn Fn(f64) -> Kinematics + Send + Sync>,
@@ -49,15 +49,14 @@ pub struct Given {
 }
 
 impl Given {
-    /// The path c(t), c′(t), c″(t) of `at`, of t [s]. The function must be continuous, give the same for the same time,
-    /// and its velocity and acceleration must be the derivatives of its position and nowhere above `bounds`: events are
-    /// searched for where these allow them.
+    /// The path `at(t)` = c, c′, c″ at time t [s]. The function must be continuous and deterministic; velocity and
+    /// acceleration must be the derivatives of the position, and never exceed `bounds`, which limit the search for events.
     pub fn new(bounds: Bounds, at: impl Fn(f64) -> Kinematics + Send + Sync + 'static) -> Given {
         Given { at: Arc::new(at), bounds }
     }
 }
 
-// a function that gives the same for the same time has no state that a panic could leave half changed
+// a deterministic function has no state that a panic could leave half changed
 impl UnwindSafe for Given {}
 impl RefUnwindSafe for Given {}
 
@@ -74,7 +73,7 @@ impl PartialEq for Given {
     }
 }
 
-/// Where a centre is and how it moves at an instant.
+/// Position, velocity and acceleration of a centre at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Kinematics {
     /// c [scene unit]
@@ -85,21 +84,21 @@ pub struct Kinematics {
     pub acceleration: DVec3,
 }
 
-/// By what angles a path turns between instants at fixed times from each other: sine and cosine of each.
+/// Sine and cosine of the phase angles of a path at fixed offsets in time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Turns([(f64, f64); 5]);
 
 /// Upper bounds of a path over an interval, for root finding that can't miss a crossing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
-    /// |c′| is nowhere above this [scene unit/s].
+    /// Upper bound of |c′| [scene unit/s].
     pub speed: f64,
-    /// |c″| is nowhere above this [scene unit/s²].
+    /// Upper bound of |c″| [scene unit/s²].
     pub acceleration: f64,
 }
 
 impl Path {
-    /// c, c′ and c″ at time `t` [s]. At a key of a spline, the acceleration is that after it.
+    /// c, c′ and c″ at time `t` [s]; at a discontinuity, the values after it.
     #[inline]
     pub fn at(&self, t: f64) -> Kinematics {
         match self {
@@ -146,8 +145,8 @@ impl Path {
         }
     }
 
-    /// c, c′ and c″ at five instants `start + theta · (end − start)` at once, theta = 1 being just before `end`; a sine
-    /// is turned on from that at `start` by angles known in advance, which spares all sines but one.
+    /// c, c′ and c″ at five instants `start + theta · (end − start)` at once; theta = 1 is just before `end`. A sine path is
+    /// rotated from its phase at `start` by precomputed angles, so that only one sine is evaluated.
     pub fn kinematics(&self, start: f64, end: f64, thetas: &[f64; 5], turns: &Turns, found: &mut [Kinematics; 5]) {
         if let Path::Sine { center, amplitude, frequency, phase } = self {
             let rate = TAU * frequency;
@@ -167,7 +166,7 @@ impl Path {
         }
     }
 
-    /// A ball in which the centre is throughout `[start, end]` [s]: its centre and its radius [scene unit].
+    /// A bounding sphere of the path over `[start, end]` [s]: centre and radius [scene unit].
     pub fn ball(&self, start: f64, end: f64) -> (DVec3, f64) {
         let half = 0.5 * (end - start);
         let travelled = (self.position(start + half), self.bounds(start, end).speed * half);
@@ -177,7 +176,7 @@ impl Path {
         }
     }
 
-    /// How far apart two places of the path can be at the most [scene unit].
+    /// Upper bound of the distance between any two points of the path [scene unit].
     pub fn extent(&self) -> f64 {
         match self {
             Path::Fixed(_) => 0.0,
@@ -206,8 +205,8 @@ impl Path {
         }
     }
 
-    /// Bounds of the motion relative to another path over `[start, end]` [s]: the sum of the two, or less where both
-    /// move alike (bodies in formation would be a hard case for root finding otherwise).
+    /// Bounds of the motion relative to another path over `[start, end]` [s]: the sum of both, or less where both move
+    /// alike (otherwise, root finding would be slow for bodies in formation).
     pub fn relative_bounds(&self, other: &Path, start: f64, end: f64) -> Bounds {
         let sum = || {
             let (a, b) = (self.bounds(start, end), other.bounds(start, end));
@@ -262,7 +261,7 @@ impl Path {
         }
     }
 
-    /// Whether the centre jumps from place to place.
+    /// Whether the position of the centre jumps.
     pub fn is_held(&self) -> bool {
         matches!(self, Path::Keyframes(Spline { jumps: Jumps::Position, .. }))
     }
@@ -287,13 +286,13 @@ impl Path {
         }
     }
 
-    /// What was allocated for it [bytes].
+    /// Allocated memory [bytes].
     pub fn memory(&self) -> usize {
         let Path::Keyframes(spline) = self else { return 0 };
         size_of_val(&*spline.times) + size_of_val(&*spline.segments)
     }
 
-    /// Whether the centre does not move within `[start, end]` [s], nor anything about its motion changes there.
+    /// Whether the centre is at rest throughout `[start, end]` [s], without jumps.
     pub fn is_still(&self, start: f64, end: f64) -> bool {
         match self {
             Path::Fixed(_) => true,
@@ -315,7 +314,7 @@ impl Path {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spline {
     times: Arc<[f64]>,
-    /// A hash of the times: splines with other times are told apart by it without looking at all of them.
+    /// Hash of the times, to tell splines with different times apart without comparing them all.
     times_hash: u64,
     /// `[keys − 1]`
     segments: Arc<[Segment]>,
@@ -324,7 +323,7 @@ pub struct Spline {
     jumps: Jumps,
 }
 
-/// What of a spline jumps at its keys, beside its third derivative.
+/// What jumps at the keys of a spline, besides its third derivative.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Jumps {
     Nothing,
@@ -392,7 +391,7 @@ impl Spline {
         Spline::of(keys, keys.windows(2).map(line).collect(), Jumps::Velocity)
     }
 
-    /// At the place of a key until the next: the position jumps at the keys.
+    /// Stays at each key until the next: the position jumps at the keys.
     pub fn hold(keys: &[(f64, DVec3)]) -> Spline {
         let still = |ends: &[(f64, DVec3)]| Segment {
             position: ends[0].1,
@@ -431,7 +430,7 @@ impl Spline {
         self.on(self.times.partition_point(|&key| key <= t), t)
     }
 
-    /// At `t`, `keys_passed` of the keys being behind: held still before the first and after the last.
+    /// The state at `t`, where `keys_passed` keys have been passed. Before the first key and after the last, it is at rest.
     fn on(&self, keys_passed: usize, t: f64) -> Kinematics {
         let still = |position| Kinematics { position, velocity: DVec3::ZERO, acceleration: DVec3::ZERO };
         match keys_passed {
@@ -457,7 +456,7 @@ impl Spline {
         segment_bounds(&self.times, stretch, |k| self.segments[k], start, end)
     }
 
-    /// A speed at which half of `(start, end]` is long enough for all jumps in it, at the keys of these segments
+    /// A speed at which half of `(start, end]` suffices to cover all jumps in it, at the keys of these segments
     /// [scene unit/s].
     fn jumped(&self, stretch: Range<usize>, start: f64, end: f64) -> f64 {
         let inside = |k: &usize| start < self.times[*k] && self.times[*k] <= end;
@@ -468,7 +467,7 @@ impl Spline {
         if far > 0.0 { 2.0 * far / (end - start) } else { 0.0 }
     }
 
-    /// The segments that have a part in `[start, end]`.
+    /// The segments that overlap `[start, end]`.
     fn stretch(&self, start: f64, end: f64) -> Range<usize> {
         let first = self.times.partition_point(|&key| key <= start).saturating_sub(1);
         let beyond = self.times.partition_point(|&key| key <= end);
@@ -490,7 +489,7 @@ impl Spline {
         if are_held || self.times_hash != other.times_hash || self.times.len() != other.times.len() {
             return None;
         }
-        // what would be wrong if it were a coincidence is looked at, not all of them
+        // guards against a hash collision where it would matter; comparing all times would be slow
         let stretch = self.stretch(start, end);
         let (first, last) = (stretch.start, stretch.end.max(stretch.start));
         let is_same = stretch == other.stretch(start, end) && self.times[first..=last] == other.times[first..=last];
@@ -498,7 +497,7 @@ impl Spline {
     }
 }
 
-/// [`Path::bounds`] of a spline with keys at `times`, which has these segments there.
+/// [`Path::bounds`] of a spline with keys at `times`, from its segments there.
 fn segment_bounds(
     times: &[f64],
     stretch: Range<usize>,

@@ -1,7 +1,7 @@
 //! Variations of a scene: the same document with other values at some of its keys.
 //!
-//! The text is parsed once. A variation replaces values in the tree of tables, which is then read and validated as any
-//! scene is: every key of a scene can be varied, and defaults follow (the mass of a body is that of its radius).
+//! The text is parsed once. A variation replaces values in the tree of tables, which is then validated like any scene:
+//! every key can be varied, and defaults follow (the default mass of a body follows its radius).
 
 use std::{fmt, path::Path};
 
@@ -13,7 +13,7 @@ use super::{
 };
 use crate::text::did_you_mean;
 
-/// Nobody is told how far the reading of a mesh is.
+/// Ignores the progress of reading a mesh.
 const QUIET: Watch<'static> = &|_, _| ();
 /// Values are put at keys of at most this many parts; no key of a scene has as many.
 const MOST_PARTS: usize = 16;
@@ -42,10 +42,10 @@ impl fmt::Display for KeyPath {
 }
 
 impl KeyPath {
-    /// The path that `text` describes.
+    /// Parses `text`.
     ///
     /// # Errors
-    /// The text is not names, separated by dots, and indices in brackets; the error says what was expected.
+    /// The text is not names separated by dots, with indices in brackets; the error says what was expected.
     pub fn parse(text: &str) -> Result<KeyPath, String> {
         let expected = || "expected the path of a key, such as influence.merge_at or body.b.radius".to_owned();
         let is_name = |name: &str| {
@@ -76,7 +76,7 @@ impl KeyPath {
     }
 }
 
-/// A value that a variation has at a key.
+/// The value of a key in a variation.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Setting {
     /// A finite number; an integer where the scene needs one.
@@ -106,8 +106,8 @@ pub struct Template<'a> {
 }
 
 impl<'a> Template<'a> {
-    /// The scene that `text` describes; `file` is its name in errors. With a `folder`, meshes are read from files there,
-    /// without one they are those of the built-in scene of this name.
+    /// Parses the scene `text`; `file` is its name in errors. Meshes are read from `folder`, or without one taken from the
+    /// built-in scene of this name.
     ///
     /// # Errors
     /// What [`Scene::parse`] refuses.
@@ -121,7 +121,7 @@ impl<'a> Template<'a> {
             };
             let (mut document, mut meshes) = (source.document()?, Meshes::beside(files));
             let base = read_document(&source, &document, &mut meshes)?;
-            document.remove("mesh"); // the meshes are known from now on
+            document.remove("mesh"); // already read
             Ok(Template { source, document, files, meshes, base })
         })
     }
@@ -134,7 +134,7 @@ impl<'a> Template<'a> {
     /// The scene with these values at these keys. Its [`Scene::source`] is empty: see [`Template::text`].
     ///
     /// # Errors
-    /// There is no such key, or the scene with this value is refused.
+    /// A key does not exist, or the resulting scene is invalid.
     pub fn scene<'s>(
         &self,
         settings: impl IntoIterator<Item = (&'s KeyPath, &'s Setting)>,
@@ -152,7 +152,7 @@ impl<'a> Template<'a> {
     /// The text of the scene with these values at these keys, without comments. It reads as the same scene.
     ///
     /// # Errors
-    /// As of [`Template::scene`].
+    /// Those of [`Template::scene`].
     pub fn text<'s>(
         &self,
         settings: impl IntoIterator<Item = (&'s KeyPath, &'s Setting)>,
@@ -162,7 +162,7 @@ impl<'a> Template<'a> {
         let document = self.varied(&settings)?;
         read_document(&self.source, &document, &mut self.meshes.clone())?;
         let text = toml::to_string(&table(&document)).map_err(|error| self.error(String::new(), error.to_string()))?;
-        // its meshes go with it, because it may be read elsewhere
+        // includes the meshes, because it may be read elsewhere
         let mut meshes = Meshes::beside(self.files);
         let source = Source { text: &text, file: self.source.file };
         let carried = source.document().and_then(|document| read_document(&source, &document, &mut meshes));
@@ -189,8 +189,8 @@ impl<'a> Template<'a> {
     }
 }
 
-/// Puts `value` where `parts` lead to. Tables on the way are created, as is a vector of zeros; the scene's parser says of
-/// a name that it does not know.
+/// Sets the value at the path `parts`. Missing tables are created, as is a vector of zeros; the scene's parser reports
+/// unknown names.
 fn set<'a>(at: &mut DeValue<'a>, parts: &[Part], value: DeValue<'a>) -> Result<(), String> {
     let Some((part, rest)) = parts.split_first() else {
         *at = value;
@@ -239,12 +239,12 @@ fn set<'a>(at: &mut DeValue<'a>, parts: &[Part], value: DeValue<'a>) -> Result<(
     }
 }
 
-/// The vector that those which can be left out are by default.
+/// The default of optional vectors.
 fn zeros<'a>() -> DeValue<'a> {
     DeValue::parse("[0, 0, 0]").map_or_else(|_| DeValue::Table(DeTable::new()), toml::Spanned::into_inner)
 }
 
-/// A document as values, which can be written.
+/// A document as plain values, for writing.
 fn table(document: &DeTable<'_>) -> toml::Table {
     document.iter().map(|(key, value)| (key.get_ref().to_string(), owned(value.get_ref()))).collect()
 }

@@ -1,20 +1,20 @@
-//! What is valid, but what nobody can have meant.
+//! Warnings about scenes that are valid, but hardly what was meant.
 
 use super::{Motion, Scene};
 
 /// At most this many bodies are compared with each other.
 const MOST_BODIES: usize = 64;
 
-/// How far below or beyond a limit a threshold is noticed, relative to it.
+/// Relative margin around a limit within which a threshold gives no warning.
 const MARGIN: f64 = 1e-9;
 
-/// Vertices that are faster than this times ω R swing so far that they turn their body inside out.
+/// Vertices faster than this times ω R swing so far that they turn their body inside out.
 const INSIDE_OUT: f64 = 5.0;
 
 impl Scene {
-    /// Thresholds that have no effect at their level, in words, with the number that would make sense: a `merge_at` at
-    /// which no sphere reaches the other body, a `split_at` at which the rest shapes still overlap. And free bodies that start
-    /// so deep in a plane that it tears them apart.
+    /// Warnings about thresholds without effect, each with a level that has one: a `merge_at` at which no sphere reaches
+    /// the other body, a `split_at` at which the rest shapes still overlap. Also about free bodies that start so deep in a
+    /// plane that it tears them apart.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = [Vec::new(), Vec::new()];
         for b in 0..self.bodies.len().min(MOST_BODIES) {
@@ -42,8 +42,8 @@ impl Scene {
         merge.into_iter().chain(split).chain(summary(self.torn(), "body")).collect()
     }
 
-    /// Free bodies that start so deep in a plane that it turns them inside out: then no rest shape fits their vertices best,
-    /// and no step is short enough.
+    /// Free bodies that start so deep in a plane that it turns them inside out: their vertices then have no unique best-fit
+    /// rest shape, and no step is short enough.
     fn torn(&self) -> Vec<String> {
         let mut torn = Vec::new();
         for body in &self.bodies {
@@ -99,7 +99,7 @@ mod tests {
         assert_eq!(warnings(""), [""; 0]);
     }
 
-    /// One that starts half a radius deep cannot be followed with a stiffness of 1e5, and can with 1e4.
+    /// A body that starts half a radius deep fails at a stiffness of 1e5, but not at 1e4.
     #[test]
     fn one_that_starts_deep_in_a_stiff_plane_is_told() {
         let warnings = |stiffness: f64, z: f64| {

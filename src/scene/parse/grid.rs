@@ -1,4 +1,4 @@
-//! `[[grid]]`: many bodies of one description.
+//! `[[grid]]`: many bodies from one description.
 
 use glam::DVec3;
 
@@ -8,11 +8,11 @@ use super::{
 };
 use crate::scene::{Motion, Path};
 
-/// The most bodies that the grids of a scene have together, and the most keys of paths.
+/// Upper limit on the bodies of all grids of a scene together, and on the keys of their paths.
 const MOST: u64 = 1_000_000;
 const COUNT: &str = "an array of 3 integers of at least 1 [nx, ny, nz]";
 
-/// Appends the bodies of these tables, and of each the table that it is from.
+/// Appends the bodies of these tables, and for each body the table that it is from.
 pub(super) fn read<'t, 's>(
     tables: &'t [Table<'s>],
     material: Material,

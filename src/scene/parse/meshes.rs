@@ -1,11 +1,11 @@
-//! `shape = { mesh = "FILE" }`, and the `[[mesh]]`es that a scene carries instead of the files.
+//! `shape = { mesh = "FILE" }`, and the `[[mesh]]` tables that embed the files in a scene.
 
 use std::{collections::BTreeMap, path::Path};
 
 use super::{LARGEST_FILE, SceneError, Table, Text, Value};
 use crate::geometry::{self, MeshFile, Shape};
 
-/// Where the meshes begin that were added to the text of a scene.
+/// Marks the start of the meshes appended to the text of a scene.
 pub(super) const MARK: &str = "\n# The meshes of this scene, so that it needs no other files:\n";
 
 const FILE: Text = Text { form: "the name of a file, up to 4096 characters", accepts: is_file };
@@ -15,18 +15,18 @@ fn is_file(name: &str) -> bool {
     (1..=4096).contains(&name.len()) && !name.contains('\0')
 }
 
-/// Where the meshes are that the text of a scene does not carry.
+/// Where to find meshes that are not embedded in the text of a scene.
 #[derive(Clone, Copy)]
 pub(in crate::scene) enum Files<'a> {
     /// Nowhere.
     None,
-    /// In a folder. The function is told the file that is read and the share that is done.
+    /// In a folder. The function is called with the file being read and the fraction done.
     Folder(&'a Path, Watch<'a>),
     /// Compiled in: names and contents.
     Given(&'static [(&'static str, &'static str)]),
 }
 
-/// Told the name of a mesh file that is being read, and the share of it that is done, between 0 and 1.
+/// Called with the name of the mesh file being read and the fraction done, from 0 to 1.
 pub type Watch<'a> = &'a (dyn Fn(&str, f64) + Sync);
 
 /// The meshes of a scene, by the name of their file.
@@ -34,17 +34,17 @@ pub type Watch<'a> = &'a (dyn Fn(&str, f64) + Sync);
 pub(in crate::scene) struct Meshes<'a> {
     files: Files<'a>,
     known: BTreeMap<String, MeshFile>,
-    /// What the text has to carry of what was read from files.
+    /// Meshes read from files, to be embedded in the text.
     text: String,
 }
 
 impl<'a> Meshes<'a> {
-    /// None so far.
+    /// No meshes.
     pub fn beside(files: Files<'a>) -> Meshes<'a> {
         Meshes { files, known: BTreeMap::new(), text: String::new() }
     }
 
-    /// Adds those that the text has.
+    /// Adds the meshes embedded in the text.
     pub(super) fn embedded(&mut self, tables: &[Table<'_>]) -> Result<(), SceneError> {
         for table in tables {
             let file = table.required("file", FILE)?;
@@ -57,7 +57,7 @@ impl<'a> Meshes<'a> {
         Ok(())
     }
 
-    /// The shape in the file that `value` names: read once, however many bodies have it.
+    /// The shape in the file that `value` names; each file is read only once.
     pub(super) fn shape(&mut self, value: &Value<'_>) -> Result<Shape, SceneError> {
         let name = value.text().filter(|name| is_file(name)).ok_or_else(|| value.unexpected(FILE.form))?;
         if let Some(mesh) = self.known.get(name) {
@@ -88,7 +88,7 @@ impl<'a> Meshes<'a> {
         Ok(Shape::Mesh(loaded.mesh))
     }
 
-    /// The text of a scene with what it has to carry.
+    /// The text of a scene with its meshes embedded.
     pub fn carried_by(&self, text: &str) -> String {
         if self.text.is_empty() { text.to_owned() } else { format!("{text}{MARK}{}", self.text) }
     }

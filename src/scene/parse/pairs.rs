@@ -9,12 +9,12 @@ use crate::{
     },
 };
 
-/// More are groups that were not given a name.
+/// Upper limit on the number of tables; groups need far fewer.
 const MOST: usize = 10_000;
 
 const BODIES: &str = "an array of two names of bodies or groups";
 
-/// The laws that these tables give to pairs; what they leave out is as in `common`.
+/// The laws that these tables give to pairs; missing keys are as in `common`.
 pub(super) fn read(
     tables: &[Table<'_>],
     bodies: &[Body],
