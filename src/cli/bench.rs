@@ -45,7 +45,7 @@ enum What {
     Scale(scale::Arguments),
     /// Recording cost: frames per second, bytes per frame, slow-down of the simulation, cost of verification.
     Record(record::Arguments),
-    /// Models of a soft body side by side: cost, error, stability, volume, and when two bodies became one.
+    /// Models of a soft body side by side: cost, error, stability, volume, and when two bodies merged.
     Models(models::Arguments),
     /// Merged surfaces: time per frame of unions of 2 to 300 bodies, and frames per second of a scene.
     Surface,
@@ -74,7 +74,7 @@ struct Files {
 }
 
 impl Files {
-    /// Claims both files, as far as they are requested.
+    /// Claims those files that are requested.
     fn claim(&self, csv_mark: &str, svg_mark: &str) -> Result<[Option<Output>; 2], Failure> {
         let [csv, svg] = [claim(self.csv.as_deref(), csv_mark)?, claim(self.svg.as_deref(), svg_mark)?];
         if csv.is_some() && csv == svg {
@@ -93,7 +93,7 @@ struct StabilityArguments {
     /// Run this integrator only.
     #[arg(long, value_parser = super::run::parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential")]
     integrator: Option<Integrator>,
-    /// Run the cases with this model, and show which of them it endures.
+    /// Run the cases with this model, and show in which of them it is stable.
     #[arg(long, value_parser = crate::models::parse, value_name = "metaballs|lattice|fem",
           conflicts_with_all = ["integrator", "case", "csv"])]
     model: Option<Model>,

@@ -23,7 +23,7 @@ use crate::{
 use formats::{Format, GENERATOR};
 use tables::{Events, Pairs, Scalars, States};
 
-/// What a table may be called: its format follows from the name.
+/// Placeholder for the path of a table; its extension selects the format.
 const TABLE: &str = "F.csv|F.json|F.parquet";
 
 #[derive(clap::Args)]
@@ -31,14 +31,14 @@ const TABLE: &str = "F.csv|F.json|F.parquet";
 pub struct Arguments {
     /// A scene file, the name of a built-in scene, or a recording.
     scene: String,
-    /// Override the scene's model of a soft body; not of a recording, which has its own.
+    /// Override the scene's model of a soft body; not for a recording, which has its own.
     #[arg(long, value_parser = models::parse, value_name = "oscillators|metaballs|lattice|fem")]
     model: Option<Model>,
-    /// Write the surfaces to this folder, a file for every step: a closed mesh for every group of merged bodies, and one
-    /// for every other body.
+    /// Write the surfaces to this folder, one file per step: a closed mesh for every group of merged bodies, and for every
+    /// other body.
     #[arg(long, value_name = "DIR", group = "what")]
     mesh: Option<PathBuf>,
-    /// Write a table of events: exact time, pair, q and how fast it changed, phases before and after.
+    /// Write a table of events: exact time, pair, q and its rate of change, phases before and after.
     #[arg(long, value_name = TABLE, group = "what")]
     events: Option<PathBuf>,
     /// Write a table of q and phase of every pair within reach, by step.
@@ -64,7 +64,7 @@ pub struct Arguments {
     every: u64,
 }
 
-/// A run to be exported: its start, its last step, and the recording that it has to reproduce, if there is one.
+/// A run to be exported: its start, its last step, and the recording that it has to reproduce, if any.
 struct Source {
     simulation: Box<dyn Simulation>,
     last: u64,
@@ -178,7 +178,7 @@ fn source(arguments: &Arguments) -> Result<Source, Failure> {
     Ok(Source { simulation, last, recorded: None })
 }
 
-/// Where the files go.
+/// The output folder.
 struct Folder<'a> {
     path: &'a Path,
     stem: String,
@@ -190,7 +190,7 @@ impl Folder<'_> {
         self.path.join(format!("{}-{step:06}.{}", self.stem, self.format.name()))
     }
 
-    /// Creates the folder, and refuses it if files that are not this program's are in the way.
+    /// Creates the folder. Fails if files that this program did not write are in the way.
     fn prepare(&self, is_wanted: impl Fn(u64) -> bool) -> Result<(), Failure> {
         let failed = |what: &str, error: std::io::Error| {
             Failure::Input(format!("cannot {what} the folder {}: {error}", self.path.display()))
@@ -213,7 +213,7 @@ impl Folder<'_> {
         Ok(())
     }
 
-    /// Writes a file, which is there as a whole or not at all; returns its size [bytes].
+    /// Writes a file atomically; returns its size [bytes].
     fn write(&self, step: u64, parts: &[parts::Part]) -> Result<u64, Failure> {
         let path = self.file(step);
         let mut partial = path.clone().into_os_string();
@@ -246,7 +246,7 @@ impl Folder<'_> {
 
 const PARTIAL: &str = ".partial";
 
-/// Whether a file was written by this program: it says so at its beginning, unless it is empty.
+/// Whether a file was written by this program, as marked at its beginning, or is empty.
 fn is_ours(path: &Path) -> bool {
     let mut head = Vec::new();
     let is_file = path.symlink_metadata().is_ok_and(|metadata| metadata.is_file());

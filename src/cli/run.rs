@@ -95,7 +95,7 @@ pub struct Arguments {
     /// Number of steps, instead of the scene's duration; 0: run until Ctrl-C.
     #[arg(long, value_name = "N", help_heading = "Scene")]
     steps: Option<u64>,
-    /// Record every Nth step [default: 1, or what keeps the file of a large scene below 200 MB].
+    /// Record every Nth step [default: 1, or the least N that keeps the file of a large scene below 200 MB].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "What to record")]
     every: Option<u64>,
     /// Level of detail of each frame. `stages` also records what happens within a step; it cannot be combined with
@@ -112,16 +112,16 @@ pub struct Arguments {
     /// Log one entity per body, or batch all bodies into a few entities [default: batch above 64 bodies].
     #[arg(long, value_parser = one_of(&Entities::ALL, Entities::name), help_heading = "What to record")]
     entities: Option<Entities>,
-    /// The most pairs with plots, lanes and lines of their own; the closest within reach are chosen [default: 16, or 5
-    /// above 64 bodies].
+    /// Upper limit on pairs with plots, lanes and lines of their own; the closest within reach are chosen [default: 16, or
+    /// 5 above 64 bodies].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(..=1000),
           help_heading = "What to record")]
     pairs: Option<u64>,
-    /// Show this pair: plots, lanes and lines of it alone, and a file opens with its first event; may be repeated.
+    /// Show plots, lanes and lines of this pair only, and open a file at its first event; may be repeated.
     #[arg(long, value_name = "A~B", conflicts_with = "thin", help_heading = "What to record")]
     pair: Vec<String>,
-    /// The event that a file opens with, instead of the first: its kind, its pair, its number, or these together, such as
-    /// `merge`, `a~b` or "split a~b 2".
+    /// The event at which a file opens, instead of the first: its kind, pair, number, or a combination, such as `merge`,
+    /// `a~b` or "split a~b 2".
     #[arg(long, value_name = "EVENT", conflicts_with_all = ["thin", "keep"], help_heading = "What to record")]
     around: Option<String>,
     /// Record only the scene and checksums, about ten bytes per step; `replay --save` restores the frames.
@@ -277,7 +277,7 @@ struct Outcome {
     /// Number of frames in the recording.
     frames: u64,
     events: Events,
-    /// How near pairs came that did not change their phase.
+    /// How close pairs came that did not change their phase.
     approaches: Vec<String>,
     /// Wall time of simulating alone, and with the recording [s].
     seconds: [f64; 2],
@@ -288,7 +288,7 @@ struct Outcome {
 struct Events {
     first: Vec<PairEvent>,
     count: u64,
-    /// What the surfaces are like at the first of them.
+    /// Descriptions of the surfaces at the first of them.
     surfaces: Vec<SurfaceEvent>,
     /// Number of steps that missed the tolerance, and the first and the worst of them.
     inaccurate: u64,
@@ -296,7 +296,7 @@ struct Events {
 }
 
 impl Events {
-    /// Takes note of a step that missed the tolerance.
+    /// Adds a step that missed the tolerance.
     fn missed(&mut self, at: observe::Instant, shortfall: Shortfall) {
         self.inaccurate += 1;
         let [first, worst] = self.shortfalls.unwrap_or([(at, shortfall); 2]);
@@ -371,7 +371,7 @@ fn simulate(
     let warnings: Vec<String> = schema.warnings.iter().map(|warning| format!("warning: {warning}")).collect();
     console.notes(&warnings);
     let mut recorder = Recorder::numbered(&*simulation, settings.clone(), number);
-    // what a replay needs is written first: the run may be killed at any moment
+    // write first what a replay needs: the run may be killed at any moment
     let mut first = recorder.take();
     let rest = first.split_off(Recorder::HEAD.min(first.len()));
     let layout = recorder.blueprint_at(&*simulation, arguments.tab);
@@ -483,16 +483,16 @@ fn watch(
     }
 }
 
-/// The events of a run, as they are told and compared with those of the next.
+/// The events of a run, to be compared with those of the next.
 struct Told {
     events: Vec<ToldEvent>,
     /// Number of events that are not among these.
     more: u64,
-    /// How far the run went [s].
+    /// Simulated time at the end of the run [s].
     until: f64,
 }
 
-/// An event: what happened, which of several of its kind and pair it is, and when [s].
+/// An event: kind and pair, its number among those, and its time [s].
 struct ToldEvent {
     what: String,
     number: usize,
@@ -510,7 +510,7 @@ impl Told {
         Told { more: run.events.count - events.len() as u64, events, until: run.simulation.time() }
     }
 
-    /// A line for each event, and for each that there was in the run before and is no more.
+    /// A line for each event, and for each event of the previous run that no longer occurs.
     fn lines(&self, before: Option<&Told>) -> Vec<String> {
         let mut lines = Vec::new();
         let all = self.events.len() as u64 + self.more;
@@ -527,7 +527,7 @@ impl Told {
                 Some(time) if time == event.time => ", as before".to_owned(),
                 Some(time) if time < event.time => format!(", {} later", duration(event.time - time)),
                 Some(time) => format!(", {} earlier", duration(time - event.time)),
-                // one beyond the end of what was told of the run before is not new for certain
+                // an event beyond the end of the previous list is not necessarily new
                 None if before.more > 0 || before.until < event.time => String::new(),
                 None => ", new".to_owned(),
             });
@@ -548,7 +548,7 @@ fn three(seconds: f64) -> String {
     format!("{seconds:.3}")
 }
 
-/// A duration as people say it.
+/// A duration in readable form.
 fn duration(seconds: f64) -> String {
     match seconds {
         1.0.. => format!("{seconds:.3} s"),
@@ -644,7 +644,7 @@ fn with_overrides(arguments: &Arguments, mut scene: Scene) -> Scene {
     scene
 }
 
-/// Builds the bodies of a scene: says so while it takes long, as factoring a large stiffness does.
+/// Builds the bodies of a scene, with a progress message if it takes long, as factoring a large stiffness matrix does.
 fn start(experiment: &SceneRun) -> Result<Box<dyn Simulation>, Failure> {
     let bar = ProgressBar::new_spinner().with_message(format!("building bodies: {}", experiment.scene.model));
     if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}, {elapsed}; Ctrl-C ends it") {
@@ -656,7 +656,7 @@ fn start(experiment: &SceneRun) -> Result<Box<dyn Simulation>, Failure> {
     started.map_err(Failure::Input)
 }
 
-/// Reads a scene file, with a progress bar while a mesh takes long.
+/// Reads a scene file, with a progress bar if a mesh takes long.
 pub(super) fn read(path: &Path) -> Result<Scene, Failure> {
     let bar = ProgressBar::new(1000); // hidden if standard error is not a terminal
     if let Ok(style) = ProgressStyle::with_template("reading {msg} {bar:40} {percent} %") {
@@ -914,7 +914,7 @@ impl Console {
         }
     }
 
-    /// Prints a result while the run goes on.
+    /// Prints a result during the run.
     fn print_beside(&self, line: &str) {
         self.bar.suspend(|| self.print(line));
     }
@@ -956,7 +956,7 @@ mod tests {
                 "  no more: merge big~mid, which was at t = 3.000 s",
             ]
         );
-        // a run that was ended early does not say what it did not reach
+        // a run that ended early does not report what it did not reach
         assert_eq!(told(&[], 0.5).lines(Some(&before)), ["no events in 0.500 s"]);
         assert_eq!(duration(0.00123), "1.2 ms");
     }

@@ -41,7 +41,7 @@ pub struct Arguments {
     /// A sweep file, or the name of a built-in sweep: speed_merge_at, speed_offset, alpha_split_at, size_mass, runs_of_two.
     #[arg(value_name = "SWEEP.toml")]
     sweep: String,
-    /// The folder of the rows and maps. A sweep that was interrupted goes on in it.
+    /// The folder of the rows and maps. An interrupted sweep is resumed from it.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Refine the grid N times where neighbours differ in outcome, or by a [jump]: each level halves their distance.
@@ -56,7 +56,7 @@ pub struct Arguments {
     /// The level to run, from 0, whose predecessors are complete.
     #[arg(long, value_name = "L", requires = "shard")]
     level: Option<u32>,
-    /// Make the recording of a row, DIR/row-ROW.rrd, and compare its checksum.
+    /// Record the run of a row to DIR/row-ROW.rrd, and compare its checksum.
     #[arg(long, value_name = "ROW", conflicts_with = "shard")]
     open: Option<u64>,
     /// Number of threads [default: one per core].
@@ -90,7 +90,7 @@ impl From<LevelError> for Failure {
     }
 }
 
-/// Runs a sweep, or what the options ask of it.
+/// Runs a sweep, or the part of it that the options select.
 pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
     let sweep = match builtin::named(&arguments.sweep) {
         Some(builtin) => Sweep::parse(builtin.text, builtin.name, None),
@@ -131,7 +131,7 @@ pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
         return open(&sweep, &store, row);
     }
     interrupt::raise_stop()?;
-    // the shapes stay built as long as somebody has them
+    // shapes stay cached as long as they are referenced
     let _shapes: Vec<_> = template.base().bodies.iter().map(|body| body.shape.mesh()).collect();
     let doing = Doing {
         runner: Runner::new(&sweep, &template, Some(&STOP)),
@@ -179,7 +179,7 @@ pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// A sweep under way.
+/// A running sweep.
 struct Doing<'a> {
     runner: Runner<'a>,
     sweep: &'a Sweep,
@@ -188,7 +188,7 @@ struct Doing<'a> {
 }
 
 impl Doing<'_> {
-    /// Runs what a shard has of a level; does not return if that is interrupted.
+    /// Runs a shard's part of a level; does not return if interrupted.
     fn level(&self, level: u32, plan: &Plan, shard: Shard) -> Result<(), Failure> {
         let bar = ProgressBar::new(plan.of(shard));
         let template =
@@ -210,7 +210,7 @@ impl Doing<'_> {
         interrupt::exit()
     }
 
-    /// Prints what the rows say.
+    /// Prints a summary of the rows.
     fn summarize(&self, rows: u64, refine: u32) -> Result<(), Failure> {
         let (mut classes, mut steps, mut seconds) = ([0u64; FAILED as usize + 1], 0, 0.0);
         let mut failure = None;

@@ -58,7 +58,7 @@ pub struct Subject<'a> {
     pub settings: &'a Settings,
 }
 
-/// The messages that create the layout for `recording` and make it the active one.
+/// The messages that create the layout for `recording` and activate it.
 pub fn messages(subject: &Subject<'_>, tab: Tab, recording: &StoreId) -> Vec<LogMsg> {
     let mut layout = Layout::of(recording);
     let root = layout.root(subject, tab);
@@ -72,7 +72,7 @@ pub struct Measured<'a> {
     pub duration: f64,
     /// Stages and the medians of their durations [ms].
     pub medians: Vec<(&'static str, f64)>,
-    /// What all of a step typically takes: the upper end of the plots of timings [ms].
+    /// Typical total duration of a step [ms]: the upper end of the timing plots.
     pub typical: Option<f64>,
     /// The least and the greatest q that was plotted, if any was [–].
     pub distances: Option<[f64; 2]>,
@@ -82,8 +82,8 @@ pub struct Measured<'a> {
     pub focus: Option<&'a Focus>,
 }
 
-/// The changes to those messages once the run is over. The axes of timing plots exclude rare outliers. The viewer opens
-/// with the first event: playing it in a loop is the only way that a layout has of moving the time cursor there.
+/// The changes to those messages once the run is over. The axes of timing plots exclude rare outliers. The viewer opens at
+/// the first event: playing it in a loop is the only way in which a layout can move the time cursor.
 pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: &Measured<'_>) -> Vec<LogMsg> {
     /// Ratio of a plot's upper end to the typical value.
     const HEADROOM: f64 = 1.3;
@@ -125,7 +125,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         }
     }
     if !pairs::has_named_pairs(subject.schema) && !measured.pairs.is_empty() {
-        // only now is it known which of the many pairs there is something to see of
+        // only now is it known which of the many pairs have something to show
         let of = |parts: &[&str]| -> Vec<String> {
             let lines =
                 measured.pairs.iter().flat_map(|pair| parts.iter().map(move |part| format!("+ /pairs/{pair}/{part}")));
@@ -159,7 +159,7 @@ pub fn of_comparison(spheres: &[(DVec3, f64)], recording: &StoreId) -> Vec<LogMs
     layout.finish(root)
 }
 
-/// The layout of the map of a sweep: the map, what its colours are, and measures along a line.
+/// The layout of the map of a sweep: the map, its legend, and measures along a line.
 pub fn of_map(measures: &[&str], recording: &StoreId, has_slices: bool) -> Vec<LogMsg> {
     let mut layout = Layout::of(recording);
     layout.timeline = if has_slices { "slice" } else { "along" };
@@ -197,7 +197,7 @@ pub enum Tab {
     Forces,
     /// Surfaces coloured by displacement, with selectable vertices.
     Displacement,
-    /// The surfaces of groups, and what geometry says of pairs beside their phases.
+    /// The surfaces of groups, and geometric measures of pairs beside their phases.
     Surface,
     /// Distances, phases and events of pairs.
     Pairs,
@@ -255,7 +255,7 @@ struct Layout {
     timeline: &'static str,
 }
 
-/// A horizontal grid below everything that there is to see.
+/// A horizontal grid below everything visible.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Ground {
     /// Height [scene unit].
@@ -340,7 +340,7 @@ impl Layout {
         }
         tabs.push((Tab::Timings, self.timings_tab(schema)));
         let plots = self.diagnostics(schema);
-        // one below the other as long as there is room
+        // stacked as long as there is room
         let energy = if plots.len() > 5 {
             self.grid("Energy", plots, 2)
         } else {
@@ -442,7 +442,7 @@ impl Layout {
     }
 
     /// One view for each force term that can act in the scene, all with the same initial camera. Afterwards each view
-    /// is turned separately: Rerun 0.36 has a camera for every view and cannot link two of them.
+    /// has its own camera: Rerun 0.36 cannot link two of them.
     fn forces_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         const WHITE: palette::Rgb = [0xFF; 3];
         let views: Vec<Part> = schema
@@ -469,7 +469,7 @@ impl Layout {
         self.grid("Forces", views, 3)
     }
 
-    /// Surfaces coloured by displacement, with selectable vertices, above the scale of colours.
+    /// Surfaces coloured by displacement, with selectable vertices, above the colour scale.
     fn displacement_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         let contents = ["+ /world/bodies/**", "+ /world/deforming/**", "+ /world/planes/**"];
         let title = "Displacement from rest; select a vertex to see its numbers";
@@ -508,14 +508,13 @@ impl Layout {
         vec![distances, phases, events]
     }
 
-    /// What a step costs, stage upon stage, and the speed that comes of it.
+    /// The cost of a step as stacked stages, and the resulting speed.
     fn timings_tab(&mut self, schema: &Schema) -> Part {
         let parts = vec![self.timings(schema, true), self.speed()];
         self.container(ContainerKind::Vertical, "Timings", parts, &[2.2, 1.0])
     }
 
-    /// Timings of the simulation's thread, each stage upon those before it, and of the recording's. Where there is little
-    /// room a legend would hide them.
+    /// Stacked timings of the simulation thread and of the recording thread. In a small view, a legend would hide them.
     fn timings(&mut self, schema: &Schema, has_legend: bool) -> Part {
         let contents: Vec<String> = numbers::timings(schema)
             .filter(|&stage| numbers::is_work(stage))
@@ -735,14 +734,14 @@ pub(super) fn surfaces(schema: &Schema, settings: &Settings) -> Vec<String> {
     }
 }
 
-/// Spheres (centre and radius) to have in view, and the aspect ratio of the view.
+/// Spheres (centre and radius) to keep in view, and the aspect ratio of the view.
 type Framing<'a> = (&'a [(DVec3, f64)], f64);
 
-/// Aspect ratios that views have at least, in a window of 16:9.
+/// Minimum aspect ratios of views in a 16:9 window.
 const WIDE: f64 = 1.45;
 const NARROW: f64 = 1.2;
 
-/// A camera in front of the spheres (centre and radius), slightly to one side and above, that has all of them in view.
+/// A camera in front of the spheres (centre and radius), slightly to one side and above, with all of them in view.
 /// Flat arrangements are viewed from higher up. As far as possible, no sphere of `others` stands in front of one of
 /// `wanted`.
 fn camera_past(
@@ -757,7 +756,7 @@ fn camera_past(
     let is_flat = extent.z < 0.2 * f64::min(extent.x, extent.y);
     let first = DVec3::new(-0.2, -1.0, if is_flat { 1.0 } else { 0.4 }).normalize(); // towards the eye
     let mut best = (eye(spheres, middle, first, aspect), hidden(eye(spheres, middle, first, aspect), wanted, others));
-    // nothing is gained by turning away from the usual direction for less than this
+    // a smaller gain does not justify turning away from the default direction
     const WORTH: f64 = 0.02;
     for height in [0.4, 0.9, 1.6, -0.3] {
         for twelfth in [0, 1, 11, 2, 10, 3, 9, 4, 8, 5, 7, 6] {
@@ -780,7 +779,7 @@ fn camera_past(
         .with_eye_up(Vector3D::from(glam::Vec3::Z))
 }
 
-/// Where an eye in direction `back` of the middle has all spheres in view.
+/// The nearest eye position in direction `back` from the middle that has all spheres in view.
 fn eye(spheres: &[(DVec3, f64)], middle: DVec3, back: DVec3, aspect: f64) -> DVec3 {
     /// Half the viewer's vertical field of view, 55°.
     const HALF_HEIGHT: f64 = 0.5205;
@@ -800,7 +799,7 @@ fn eye(spheres: &[(DVec3, f64)], middle: DVec3, back: DVec3, aspect: f64) -> DVe
 }
 
 /// How much of the spheres `wanted` is hidden behind `others`, seen from an eye: 0 for nothing; each other sphere counts by
-/// the share of the smaller one's width that overlaps.
+/// its overlap as a fraction of the smaller one's width.
 fn hidden(eye: DVec3, wanted: &[(DVec3, f64)], others: &[(DVec3, f64)]) -> f64 {
     let mut sum = 0.0;
     for &(centre, radius) in wanted {
@@ -897,7 +896,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
         String::new()
     };
     let merged = if schema.surfaces.get().is_some() {
-        String::new() // the law says what a surface is
+        String::new() // the law describes the surface
     } else if schema.bodies.len() > 1 {
         let joined = schema.phases.iter().filter(|phase| phase.is_joined).map(|phase| format!("**{}**", phase.name));
         let smooth = match schema.blend {

@@ -166,7 +166,7 @@ impl Chunks {
     /// Like [`Chunks::take`], but includes tracks only if they have enough rows to fill a chunk.
     pub fn take_full(&mut self) -> Vec<LogMsg> {
         if self.tracks.iter().any(Columns::is_long) {
-            return self.take(); // numbers must not get ahead of the frames that they belong to
+            return self.take(); // scalars must not get ahead of their frames
         }
         for track in 0..self.tracks.len() {
             if self.tracks[track].is_full() {

@@ -1,5 +1,5 @@
-//! The instant that a recording opens with: its first event or the one asked for, or else the nearest that two bodies
-//! come.
+//! The instant at which a recording opens: its first event or the one requested, or else the closest approach of two
+//! bodies.
 
 use glam::DVec3;
 
@@ -9,21 +9,21 @@ use super::{
 };
 use crate::observe::{Frame, PairEvent, Schema};
 
-/// Upper limit on the number of bodies that are all in view.
+/// Upper limit on the number of bodies for which all are in view.
 const MOST_BODIES: usize = 8;
-/// With more of them, this factor of the pair's spheres shows what surrounds the two.
+/// With more bodies, the pair's spheres are enlarged by this factor, to show its surroundings.
 const AROUND: f64 = 2.0;
 
-/// An instant of a run, and what there is to see.
+/// An instant of a run, and what to look at.
 #[derive(Clone, Debug)]
 pub struct Focus {
     /// Time of the instant [s].
     pub time: f64,
-    /// Spheres (centre and radius) to have in view.
+    /// Spheres (centre and radius) to keep in view.
     pub spheres: Vec<(DVec3, f64)>,
-    /// The two bodies that matter.
+    /// The two bodies of the pair.
     pub pair: [(DVec3, f64); 2],
-    /// All other bodies, which may stand in front of them.
+    /// All other bodies, which may hide them.
     pub others: Vec<(DVec3, f64)>,
 }
 
@@ -52,14 +52,14 @@ impl Focus {
     }
 }
 
-/// Finds the focus of a run while it goes on.
+/// Finds the focus of a run while it proceeds.
 #[derive(Debug, Default)]
 pub struct FocusFinder {
-    /// The event asked for, and how many of its kind there were so far.
+    /// The requested event, and the number of matching events so far.
     around: Option<(Around, u64)>,
-    /// The only pairs that count, as `A~B`; empty: all.
+    /// The only pairs considered, as `A~B`; empty: all.
     only: Vec<String>,
-    /// Time and pair of the event that the focus is on.
+    /// Time and pair of the event in focus.
     event: Option<(f64, [usize; 2])>,
     /// The smallest q so far, if there was no event yet.
     nearest: Option<f64>,
@@ -67,13 +67,13 @@ pub struct FocusFinder {
 }
 
 impl FocusFinder {
-    /// Looks for the first event of the pairs that are shown, or for the one that the settings ask for.
+    /// Looks for the first event of the shown pairs, or for the one that the settings request.
     pub fn new(settings: &Settings) -> FocusFinder {
         let around = settings.around.clone().map(|around| (around, 0));
         FocusFinder { around, only: settings.only.clone(), ..FocusFinder::default() }
     }
 
-    /// Takes note of an event, before the first frame that it affects.
+    /// Adds an event, before the first frame that it affects.
     pub fn event(&mut self, schema: &Schema, event: &PairEvent) {
         let is_it = self.around.as_mut().is_some_and(|(around, seen)| {
             let is_kind = around.is_kind_of(event, schema);
@@ -87,7 +87,7 @@ impl FocusFinder {
         }
     }
 
-    /// Takes note of a frame.
+    /// Adds a frame.
     pub fn frame(&mut self, look: Look<'_>) {
         let Look { schema, frame, at } = look;
         match self.event {
@@ -105,12 +105,12 @@ impl FocusFinder {
         }
     }
 
-    /// The focus of the run so far, if bodies came near each other.
+    /// The focus of the run so far, if any bodies came within reach.
     pub fn focus(&self) -> Option<&Focus> {
         self.focus.as_ref()
     }
 
-    /// The event that was asked for and did not happen so far, and how many of its kind did.
+    /// The requested event, if it has not happened so far, and the number of matching events.
     pub fn missed(&self) -> Option<(&Around, u64)> {
         self.around.as_ref().filter(|(around, seen)| *seen < around.number).map(|(around, seen)| (around, *seen))
     }

@@ -1,8 +1,8 @@
-//! The light on surfaces.
+//! Lighting of surfaces, baked into vertex colours.
 //!
-//! The viewer lights a mesh from two nearly opposite directions, with little more than ambient light in between: a dark
-//! band around every body that looks like dirt. So a surface also carries colours with the light in them, and the views of
-//! the layout draw these, without normals. The surface's own colours and normals remain as they are for all other views.
+//! The viewer lights a mesh from two nearly opposite directions, with little more than ambient light in between, which
+//! leaves a dark band around every body. Surfaces therefore also have lit vertex colours, and the views of the layout draw
+//! these, unlit by the viewer. All other views use the surface's original colours and normals.
 
 use std::sync::{Arc, LazyLock};
 
@@ -19,12 +19,12 @@ use super::{blueprint::Mapping, normals::Float3, palette::Rgb};
 
 /// The component with the lit colours of vertices, packed like `Mesh3D:vertex_colors`.
 pub const LIT: &str = "lit_colors";
-/// The component with a normal on which no light falls.
+/// The component with the normal that receives no light.
 const UNLIT: &str = "unlit_normals";
 
-/// What a view draws a surface by, so that no light of the viewer falls on it.
+/// Visualizer sources of a surface that the viewer does not light.
 pub const NO_LIGHT: Mapping = Mapping { target: "Mesh3D:vertex_normals", source: UNLIT };
-/// What a view draws a surface by that has lit colours.
+/// Visualizer sources of a surface with lit colours.
 pub const COLORS: Mapping = Mapping { target: "Mesh3D:vertex_colors", source: LIT };
 
 /// The component with lit colours.
@@ -32,52 +32,52 @@ pub fn descriptor() -> ComponentDescriptor {
     ComponentDescriptor::partial(LIT)
 }
 
-/// The normal on which no light falls. The viewer repeats it for all vertices.
+/// The normal that receives no light. The viewer repeats it for all vertices.
 pub fn unlit() -> AnyValues {
     let item = Field::new("item", DataType::Float32, false);
     let zero = FixedSizeListArray::new(item.into(), 3, Arc::new(Float32Array::from(vec![0.0; 3])), None);
     AnyValues::default().with_component_from_data(UNLIT, Arc::new(zero))
 }
 
-/// A large soft light, above and beside the eye of the views when they open.
+/// A large soft light, above and beside the initial camera.
 #[derive(Clone, Copy, Debug)]
 pub struct Light {
-    /// Where it is [unit vector].
+    /// Direction towards the light [unit vector].
     towards: [f32; 3],
 }
 
 impl Light {
-    /// The light in the axes of the world.
+    /// The light in world axes.
     pub fn in_world() -> Light {
         Light::in_body(DQuat::IDENTITY)
     }
 
-    /// The light in the axes of a body.
+    /// The light in body axes.
     pub fn in_body(rotation: DQuat) -> Light {
         let towards = DVec3::new(-0.68, -0.36, 0.64).normalize();
         Light { towards: (rotation.conjugate() * towards).as_vec3().to_array() }
     }
 
-    /// White, as lit on a surface with a unit normal.
+    /// White on a surface with this unit normal, lit.
     pub fn white(self, normal: Float3) -> u32 {
         let shade = u32::from(self.shade(normal));
         shade << 24 | shade << 16 | shade << 8 | 0xFF
     }
 
-    /// A colour, as lit on a surface with a unit normal.
+    /// A colour on a surface with this unit normal, lit.
     pub fn on(self, rgb: Rgb, normal: Float3) -> u32 {
         let shade = u32::from(self.shade(normal));
         let [r, g, b] = rgb.map(|channel| (u32::from(channel) * shade + 127) / 255);
         r << 24 | g << 16 | b << 8 | 0xFF
     }
 
-    /// The share of a colour that is seen, from 0 to 255 as colours are coded.
+    /// Shading factor in the encoding of colours, from 0 to 255.
     fn shade(self, normal: Float3) -> u8 {
         static SHADES: LazyLock<[u8; 256]> = LazyLock::new(|| {
             std::array::from_fn(|i| {
-                /// What is seen of a surface that looks away.
+                /// Shading of a surface that faces away.
                 const AMBIENT: f64 = 0.09;
-                // the light wraps around: no surface that it does not reach at all has a shape
+                // wrap lighting: a surface without any direct light would look flat
                 let facing = libm::pow(i as f64 / 255.0, 1.7);
                 let linear = AMBIENT + (1.0 - AMBIENT) * facing;
                 (255.0 * libm::pow(linear, 1.0 / 2.2)).round() as u8

@@ -34,27 +34,27 @@
 //! | --- | --- |
 //! | `/world/bodies/NAME`, `…/surface` | transform to the centre; mesh in body coordinates |
 //! | `/world/resting/SHAPE`, `/world/deforming/surface` | replace the above for more than 64 bodies: undeformed ones as instances, the others as one mesh in world coordinates |
-//! | `/world/merged/surface`, `…/seams` | the surfaces of all groups (two or more bodies connected by joined pairs) as one mesh in world coordinates, with class ids that name the body of each vertex and `vertex`, its number there; the lines along which bodies meet. A body in a group keeps its own surface, whose component `drawn_triangles` is empty then: the layout draws it by those |
-//! | `/groups/A/volume`, `…/genus`, `…/bodies`, with few bodies also `…/area`, `…/components`, `…/euler` | volume, handles, area, connected components and Euler characteristic of the sharp union, of the group whose first body is A; as many groups as pairs have plots. `/diagnostics/overlapping_groups`: the number of groups that could not be united in time, and are drawn as overlapping meshes |
+//! | `/world/merged/surface`, `…/seams` | the surfaces of all groups (two or more bodies connected by joined pairs) as one mesh in world coordinates, with class ids that name the body of each vertex and `vertex`, its index there; the lines along which bodies meet. A body in a group keeps its own surface, but its component `drawn_triangles`, which the layout draws, is empty |
+//! | `/groups/A/volume`, `…/genus`, `…/bodies`, with few bodies also `…/area`, `…/components`, `…/euler` | volume, genus, number of bodies, area, connected components and Euler characteristic of the sharp union of the group whose first body is A; as many groups as pairs with plots. `/diagnostics/overlapping_groups`: the number of groups that could not be united in time and are drawn as overlapping meshes |
 //! | `/world/influence` | all influence spheres |
 //! | `/world/pairs` | lines between the centres of pairs within reach, labelled with q: the closest 16, or 5 in a batched scene (`--pairs N`); in a batched scene also the influence spheres that reach another body |
 //! | `/world/forces/CAUSE` | arrows of `attraction`, `repulsion` (of bodies apart), `core` (of bodies in their core), `restoring`, `damping`, `push`, `carry`, `net`: accelerations times the arrow scale given in the panel; classes, named at `/world/forces`, identify the two bodies between which an arrow acts |
 //! | on a surface, with forces | for each vertex: `body`, `vertex`, `displacement_in_radii`, `net_force`, `reach` |
-//! | `/pairs/A~B/distance`, `…/merge_at`, `…/split_at`, `…/core_at`, `…/phase` | q, its thresholds and the phase, for the first 16 pairs within reach, or 5 in a batched scene (`--pairs N`), and as many that have events; of pairs that come within reach together, the closest (`--pair A~B`: of that pair alone) |
-//! | `/pairs/A~B/gap`, `…/overlap`, `…/neck`, `…/contact` | of the same pairs: least distance of the surfaces or minus the greatest depth, volume of the intersection, radius of the seam (in radii of the smaller body); where these and the phase disagree |
+//! | `/pairs/A~B/distance`, `…/merge_at`, `…/split_at`, `…/core_at`, `…/phase` | q, its thresholds and the phase, for the first 16 pairs within reach, or 5 in a batched scene (`--pairs N`), and as many that have events; of pairs that come within reach together, the closest (`--pair A~B`: that pair alone) |
+//! | `/pairs/A~B/gap`, `…/overlap`, `…/neck`, `…/contact` | for the same pairs: smallest distance between the surfaces or minus the penetration depth, volume of the intersection, radius of the seam (in radii of the smaller body); where these and the phase disagree |
 //! | `/events` | one line per merge, split and core event, with the components `bodies`, `phases` (before and after), `time` (s, exact) and `q` |
-//! | `/events/accuracy` | one line per step in which a body could not be followed within the tolerance: which, and by how much |
-//! | `/events/surfaces` | one line when surfaces touch, when they part, and per merge, split and core event what the surfaces are like then |
+//! | `/events/accuracy` | one line per step in which the error of a body exceeds the tolerance: which body, and by how much |
+//! | `/events/surfaces` | one line when surfaces touch or part, and one per merge, split and core event that describes the surfaces |
 //! | `/events/bodies` | one line per cell of a body that was cut, or would have torn, and per node that was split, with its place |
 //! | `/timings/STAGE`, `/timings/stacked/STAGE`, `/timings/speed`, `/timings/lag`, `/diagnostics/…` | scalars over time; `stacked`: with the stages before it on the same thread |
 //! | `/marks/axis/KIND`, `/marks/q/KIND` | events as markers in plots: at 0, and at q |
 //! | `/world/names`, `/world/recent` | the names of up to 8 bodies; pairs that had an event in the last 24 frames |
-//! | `/legend/…` | the scale of colours of the displacement tab; `heat_…` on a surface: its texture and texture coordinates |
-//! | `lit_colors`, `unlit_normals` on a surface | colours with the light in them, which the layout draws without the viewer's own lights |
+//! | `/legend/…` | the colour scale of the displacement tab; `heat_…` on a surface: its texture and texture coordinates |
+//! | `lit_colors`, `unlit_normals` on a surface | colours with baked lighting, which the layout draws without the viewer's lights |
 //! | `/stages` | on the timeline `stage`: one line per stage of the steps recorded in detail; the entities under `/world` have this timeline too |
 //! | `/checksum` | `checksum`, a hash of the exact state, for every step; a thin recording has several steps per row, at the time of the last one |
 //! | `/about` | the text of the panel |
-//! | properties `meldscope` | text of the scene, resolved settings, what they change of the scene (`overrides`), program version, format, machine, integrator, number of steps, digest of all checksums |
+//! | properties `meldscope` | text of the scene, resolved settings, overrides of the scene's own (`overrides`), program version, format, machine, integrator, number of steps, digest of all checksums |
 
 pub mod blueprint;
 pub mod checksums;

@@ -1,4 +1,4 @@
-//! Colours of everything that the schema gives no colour, in the viewer's types; see
+//! Colours of everything without a colour in the schema, in the viewer's types; see
 //! [`colors`](crate::observe::colors).
 
 use rerun::{Color, Rgba32};
@@ -31,10 +31,10 @@ pub const GRID: Rgb = [0x3A, 0x41, 0x4B];
 /// Colour of the grid on the ground.
 pub const GROUND: Rgb = [0x24, 0x29, 0x31];
 
-/// Colour of dots that are there to be selected.
+/// Colour of selectable vertices.
 pub const DOT: Rgb = [0x8A, 0x92, 0x9C];
 
-/// Colours of q lines, in order: hues a golden angle apart, none like another. Legible on dark and light backgrounds.
+/// Colours of q lines, in order: hues a golden angle apart, all distinct. Legible on dark and light backgrounds.
 pub fn distance(index: usize) -> Rgb {
     const GOLDEN: f64 = 0.618_033_988_749_894_8;
     let hue = 6.0 * (0.25 + index as f64 * GOLDEN).fract();
@@ -71,7 +71,7 @@ pub fn of_body(schema: &Schema, index: usize) -> Rgb {
     schema.bodies.get(index).and_then(|of| of.color).unwrap_or_else(|| body(index))
 }
 
-/// Colours of plot lines without other meaning, in order: none comes twice.
+/// Colours of plot lines without other meaning, in order, all distinct.
 pub fn line(index: usize) -> Rgb {
     const LINES: [Rgb; 7] = [SKY_BLUE, ORANGE, GREEN, VERMILION, PURPLE, SILVER, BLUE];
     LINES.get(index).copied().unwrap_or_else(|| distance(index - LINES.len()))

@@ -28,8 +28,8 @@ use crate::observe::{Frame, Simulation, StageFrame, SurfaceEvent};
 const PACKETS: usize = 4;
 /// A packet is full with this many frames.
 const FRAMES: usize = 16;
-/// If the recording thread lets the simulation wait for longer than this, packets have one frame each, so that few frames
-/// are in transit when the run is interrupted.
+/// If the simulation waits for the recording thread longer than this, packets hold one frame each, so that few frames are
+/// in transit when the run is interrupted.
 const SLOW: Duration = Duration::from_millis(100);
 /// A packet is full with this many steps.
 const STEPS: usize = 4096;
@@ -47,12 +47,12 @@ pub struct Pipeline {
     settings: Settings,
     watch: StepWatch,
     packet: Packet,
-    /// Number of frames with which a packet is full at present.
+    /// Current number of frames in a full packet.
     most_frames: usize,
     handed_over: Clock,
     /// Time spent waiting since the last step.
     waiting: Duration,
-    /// What geometry said of pairs since the last [`Pipeline::surface_events`].
+    /// Geometric findings since the last [`Pipeline::surface_events`].
     surfaces: Vec<SurfaceEvent>,
     full: Option<Sender<Packet>>,
     empty: Receiver<Packet>,
@@ -175,7 +175,7 @@ impl Pipeline {
         }
     }
 
-    /// What geometry said of pairs since the last call.
+    /// Geometric findings about pairs since the last call.
     pub fn surface_events(&mut self) -> Vec<SurfaceEvent> {
         take(&mut self.surfaces)
     }

@@ -1,4 +1,4 @@
-//! A whole run, recorded: for programs that need no more control than that.
+//! Records a whole run: for programs that need no more control.
 
 use super::{
     Pipeline, Recorder, Settings,
@@ -8,7 +8,7 @@ use super::{
 };
 use crate::observe::{Experiment, StepSummary};
 
-/// Why a run was not recorded as a whole.
+/// Why a run was not recorded completely.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
     /// The experiment does not start; the text says why.
@@ -17,7 +17,7 @@ pub enum RecordError {
     /// A destination cannot be opened, or failed.
     #[error(transparent)]
     Sink(#[from] SinkError),
-    /// The recording failed on the way; what could be saved is.
+    /// The recording failed during the run; as much as possible was saved.
     #[error("{0}")]
     Recording(String),
 }

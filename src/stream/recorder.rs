@@ -214,9 +214,9 @@ impl Recorder {
         }
     }
 
-    /// Layout changes for the end of a file: it opens with its first event, and timing plots are scaled to typical
-    /// values, because the first frames and every wait for a disk take so long that they would dwarf everything else.
-    /// Not for open viewers: they would lose the user's arrangement.
+    /// Layout changes for the end of a file: it opens at its first event, and timing plots are scaled to typical values,
+    /// because the first frames and waits for the disk would dwarf everything else. Not for open viewers, which would
+    /// lose the user's arrangement.
     pub fn measured_layout(&self, simulation: &dyn Simulation, tab: Tab) -> Vec<LogMsg> {
         let Some(parts) = &self.parts else { return Vec::new() };
         let measured = Measured {
@@ -378,14 +378,14 @@ impl Recorder {
         }
     }
 
-    /// What became of the event that a file was to open with, if it did not happen, in words.
+    /// A note if the event at which the file should open did not happen.
     pub fn missed_event(&self) -> Option<String> {
         let (around, seen) = self.parts.as_ref()?.focus.missed()?;
         let seen = if seen > 0 { format!(", only {} of that kind", counted(seen, "event")) } else { String::new() };
         Some(format!("--around: there was no {around}{seen}; a file opens with the first event that there was"))
     }
 
-    /// How near the pairs came that stayed in their first phase, in words, the nearest first.
+    /// Describes how close pairs came that stayed in their first phase, the closest first.
     pub fn approaches(&self) -> Vec<String> {
         let closest = self.parts.as_ref().map(|parts| parts.approaches.closest()).unwrap_or_default();
         closest.iter().map(|approach| approach.describe(&self.schema)).collect()
@@ -541,7 +541,7 @@ fn log_properties(schema: &Schema, run: &str, overrides: &str, settings: &Settin
         .with_component::<Scalar>("format", [f64::from(FORMAT)])
         .with_component::<Text>("machine", [machine::describe()])
         .with_component::<Text>("integrator", [schema.integrator.as_str()]);
-    // oscillators do not say so, as nothing did before there were other models
+    // not for oscillators, as in recordings made before there were other models
     let properties = match schema.unusual_model() {
         None => properties,
         Some(model) => properties.with_component::<Text>("model", [model]),

@@ -94,7 +94,7 @@ pub enum Trigger {
     Split,
     /// A pair enters or leaves its core.
     Core,
-    /// The state diverges: no forces can have led to it.
+    /// The state diverges: no forces can explain it.
     Diverge,
 }
 
@@ -142,18 +142,18 @@ pub struct Settings {
     pub pairs: usize,
     /// The only pairs with their own plots, lanes and lines, as `A~B` in the order of the scene; empty: any.
     pub only: Vec<String>,
-    /// The event that a file opens with; `None`: the first.
+    /// The event at which a file opens; `None`: the first.
     pub around: Option<Around>,
 }
 
-/// An event, as a user names it: its kind, its pair, and which of several it is, or some of these.
+/// An event, as a user specifies it: by any of kind, pair and number.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Around {
     /// The kind; `None`: any.
     pub kind: Option<Trigger>,
     /// The pair, as `A~B` in the order of the scene; `None`: any.
     pub pair: Option<String>,
-    /// Which of the events of that kind and pair, from 1.
+    /// Number among the events of that kind and pair, from 1.
     pub number: u64,
 }
 
@@ -161,7 +161,7 @@ impl Around {
     /// Parses words such as `merge`, `a~b`, `merge a~b` or `split a~b 2`, separated by spaces or colons.
     ///
     /// # Errors
-    /// Names the word that is no kind, pair or number of an event of this scene, and the nearest one that is.
+    /// A word is no kind, pair or number of an event of this scene; the error names the word and the nearest valid one.
     pub fn parse(text: &str, schema: &Schema) -> Result<Around, String> {
         let kinds = || Trigger::ALL.into_iter().filter(|kind| *kind != Trigger::Diverge);
         let mut around = Around { number: 1, ..Around::default() };
@@ -206,7 +206,7 @@ impl fmt::Display for Around {
 /// The name of a pair of this scene, `A~B` in the order of its bodies.
 ///
 /// # Errors
-/// There is no such pair; names the body that is missing, and the nearest one.
+/// There is no such pair; the error names the missing body, and the nearest one.
 pub fn pair(text: &str, schema: &Schema) -> Result<String, String> {
     let Some((a, b)) = text.split_once('~') else {
         return Err(format!("{:?} is no pair: give two bodies as a~b", printable(text)));
@@ -234,7 +234,7 @@ impl Settings {
         self.frames != Frames::Thin && step.is_multiple_of(self.every)
     }
 
-    /// The contents that are needed of a frame.
+    /// The contents that a frame needs.
     pub fn want(&self) -> Want {
         Want { forces: self.detail != Detail::Surface, scalars: true }
     }

@@ -1,5 +1,5 @@
-//! How large a recording will be, before it is made: a few of its frames are recorded to nowhere. Which ones follows from
-//! the scene and the settings alone, so the same run always comes to the same answer.
+//! Predicts the size of a recording from a few sample frames, which are encoded and discarded. The choice of samples
+//! depends on the scene and the settings alone, so that equal runs give equal predictions.
 
 use std::{
     io::{self, Write},
@@ -21,23 +21,23 @@ use super::{
 };
 use crate::observe::{Experiment, Frame, Simulation, StepSummary, Want};
 
-/// A recording is made no larger than this unless it is asked for [bytes].
+/// Recordings stay below this size unless requested otherwise [bytes].
 pub const LARGE: u64 = 200_000_000;
-/// Frames that are looked at, spread over the run.
+/// Number of sample frames, spread over the run.
 const SAMPLES: u64 = 24;
-/// Frames that are looked at where only the beginning of the run is.
+/// Number of sample frames if only the beginning of the run is simulated.
 const FEWEST_SAMPLES: u64 = 4;
-/// Upper limit on what is simulated for it: steps times vertices of the scene. A second or two, for a run of minutes.
+/// Upper limit on the simulation for the prediction, in steps times vertices: a second or two, for a run of minutes.
 const MOST_VERTEX_STEPS: u64 = 1_500_000;
-/// A deformed vertex takes at most this much in a frame [bytes]; with forces, and without.
+/// Maximum size of a deformed vertex in a frame [bytes]; with forces, and without.
 const MOST_OF_VERTEX: [u64; 2] = [250, 90];
-/// And usually at least this much.
+/// Typical minimum size of the same [bytes].
 const LEAST_OF_VERTEX: u64 = 12;
 
-/// A row of timings takes about this much [bytes].
+/// Approximate size of a row of timings [bytes].
 const TIMING: u64 = 24;
 
-/// What a run's frames take of the size that a few of them suggest: those few hold the events of the frames between, and are
+/// Ratio of the actual size to that extrapolated from the samples, which also hold the events between them and are
 /// compressed in smaller batches. Measured on the built-in scenes (0.78 to 1.0).
 const BATCHED: (u128, u128) = (9, 10);
 
@@ -50,13 +50,13 @@ pub struct Projection {
     pub without_forces: Option<u64>,
     /// Number of frames.
     pub frames: u64,
-    /// The last step that was looked at.
+    /// The last step simulated.
     pub seen: u64,
 }
 
 impl Projection {
-    /// The least interval between frames, in steps, that keeps a file below [`LARGE`]. Where only the beginning of the run
-    /// was looked at, half as much again is allowed for: groups grow.
+    /// The least interval between frames, in steps, that keeps a file below [`LARGE`]. If only the beginning of the run was
+    /// simulated, this assumes 1.5 times the predicted size, because groups grow.
     pub fn every(&self, settings: &Settings) -> u64 {
         let is_whole = self.seen >= (self.frames - 1) * settings.every;
         let most = if is_whole { self.bytes } else { self.bytes.saturating_add(self.bytes / 2) };
@@ -65,7 +65,7 @@ impl Projection {
 }
 
 /// Projects the size of a run's recording: `None` if it cannot be larger than `least` [bytes], if it has no known end,
-/// or if the scene does not start. Of a large scene only the beginning is looked at: the rest is taken to be like it.
+/// or if the scene does not start. Of a large scene only the beginning is simulated, and extrapolated.
 pub fn project(experiment: &dyn Experiment, settings: &Settings, least: u64) -> Option<Projection> {
     let steps = settings.steps.filter(|_| settings.frames == Frames::All)?;
     let schema = experiment.schema();
@@ -113,11 +113,11 @@ pub fn project(experiment: &dyn Experiment, settings: &Settings, least: u64) -> 
     Some(Projection { bytes: bytes.max(least_there_is), without_forces, frames, seen })
 }
 
-/// A recording that is counted and thrown away.
+/// A recording whose messages are measured and discarded.
 struct Probe {
     recorder: Recorder,
     encoder: Encoder<Count>,
-    /// Size of what does not grow with the frames [bytes].
+    /// Size of what does not depend on the number of frames [bytes].
     head: u64,
     first: u64,
 }
@@ -145,8 +145,8 @@ impl Probe {
     }
 }
 
-/// Returns the encoded size of the messages [bytes]: of what differs from run to run, timings and the axes of their plots,
-/// the size that it usually has.
+/// Returns the encoded size of the messages [bytes]. Timings and the axes of their plots vary from run to run; they count
+/// with their usual size.
 fn append(encoder: &mut Encoder<Count>, messages: impl IntoIterator<Item = LogMsg>) -> Result<u64, EncodeError> {
     let size = |message: LogMsg| match timings(&message) {
         Some(rows) => Ok(rows * TIMING),

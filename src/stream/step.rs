@@ -20,9 +20,9 @@ pub struct StepRecord {
     pub lag: Option<Duration>,
     /// When the step was completed.
     pub end: Option<Clock>,
-    /// What geometry says of pairs in the course of the step.
+    /// Geometric findings in the step.
     pub surfaces: Vec<SurfaceEvent>,
-    /// What happened to single bodies in the step.
+    /// Events of single bodies in the step.
     pub bodies: Vec<BodyEvent>,
     /// Stages inside the step, if they are recorded.
     pub stages: Vec<StageFrame>,

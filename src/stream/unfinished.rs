@@ -18,7 +18,7 @@ fn files() -> MutexGuard<'static, Vec<PathBuf>> {
 /// # Errors
 /// The operating system's answer.
 pub fn create_new(path: &Path) -> io::Result<File> {
-    let mut files = files(); // held, so that no interrupt comes in between
+    let mut files = files(); // locked, so that no interrupt comes in between
     let file = OpenOptions::new().write(true).create_new(true).open(path)?;
     files.push(path.to_owned());
     Ok(file)
@@ -36,7 +36,7 @@ pub fn forget(path: &Path) {
 
 /// Removes all unfinished files and ends the program.
 pub fn exit(status: i32) -> ! {
-    let files = files(); // held, so that no other is created meanwhile
+    let files = files(); // locked, so that no other is created meanwhile
     for file in &*files {
         fs::remove_file(file).ok();
     }

@@ -1,10 +1,10 @@
-//! Mesh files. Each format is a page of its specification, so none of them takes a crate.
+//! Mesh files. Each format is simple enough to be written without a crate.
 
 use std::io::{self, Write};
 
 use super::parts::Part;
 
-/// The text by which a file says that this program wrote it.
+/// The text that marks a file as written by this program.
 pub const GENERATOR: &str = "meldscope export";
 
 /// A format of mesh files.
@@ -16,7 +16,7 @@ pub enum Format {
     Obj,
     /// Stanford PLY, binary: all surfaces as one mesh; normals and colours.
     Ply,
-    /// STL, binary: all triangles; neither normals of vertices nor colours.
+    /// STL, binary: all triangles; neither vertex normals nor colours.
     Stl,
 }
 
@@ -198,7 +198,7 @@ fn glb(parts: &[Part], to: &mut impl Write) -> io::Result<()> {
     to.write_all(&data)
 }
 
-/// A value in sRGB as a linear one of 16 bits.
+/// Converts an sRGB value to a linear 16-bit one.
 fn linear(value: u8) -> u16 {
     let value = f64::from(value) / 255.0;
     let linear = if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) };

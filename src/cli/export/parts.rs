@@ -22,7 +22,7 @@ pub struct Part {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// Names of groups with more bodies than this only say how many there are.
+/// Names of groups with more bodies than this only give their number.
 const MOST_NAMES: usize = 8;
 
 /// The surfaces of a frame: those of groups, then those of other bodies.

@@ -1,4 +1,4 @@
-//! What the tables of a run have in their columns.
+//! The tables of a run and their columns.
 
 use std::path::Path;
 

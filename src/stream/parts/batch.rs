@@ -36,14 +36,14 @@ const DEFORMING: &str = "/world/deforming/surface";
 pub struct BatchedBodies {
     track: TrackId,
     deforming: Vec<usize>,
-    /// Those of them that are not part of a merged surface; `None` if nothing was logged of that.
+    /// Those of them that are not part of a merged surface; `None` if that was not logged yet.
     drawn: Option<Vec<usize>>,
     last: Surface,
     next: Surface,
     /// Lit colours of the deformed bodies. Reused.
     lit: Vec<u32>,
     resting: Option<Vec<Instance>>,
-    /// The meshes of those that have torn.
+    /// Meshes of bodies that have torn.
     torn: Vec<Arc<Mesh>>,
     /// Whether any body has rotated yet: until then, instances have no rotations.
     has_turned: bool,
@@ -57,7 +57,7 @@ impl BatchedBodies {
     pub fn new(schema: &Schema, detail: Detail, extractor: &mut Extractor, chunks: &mut Chunks) -> BatchedBodies {
         for (shape, mesh) in schema.shapes() {
             let normals = extractor.normals(mesh, mesh.positions());
-            // instances share them: the light turns with an instance that has turned
+            // shared by all instances: the light rotates with a rotated instance
             let lit: Vec<u32> = normals.iter().map(|&normal| Light::in_world().white(normal)).collect();
             let lit = light::unlit().with_component_from_data(light::LIT, Arc::new(UInt32Array::from(lit)));
             chunks.log_static(&resting_entity(shape), &lit);
@@ -79,7 +79,7 @@ impl BatchedBodies {
     }
 
     /// Logs what has changed; `numbers` are the values of each body's vertices, if they are recorded. Bodies that are
-    /// part of a merged surface count as deformed, and are not drawn by their own.
+    /// part of a merged surface count as deformed; their own surfaces are not drawn.
     pub fn log(
         &mut self,
         look: Look<'_>,

@@ -39,9 +39,9 @@ struct Logged {
     last: Surface,
     /// Whether that is the shape at rest.
     is_at_rest: bool,
-    /// Whether the body is drawn by its own mesh; `None` if nothing was logged of that.
+    /// Whether the body's own mesh is drawn; `None` if that was not logged yet.
     is_drawn: Option<bool>,
-    /// The mesh that was last logged, of a body that can tear.
+    /// The mesh last logged, for a body that can tear.
     mesh: Option<Arc<Mesh>>,
     /// Values of single vertices, only if forces are recorded.
     vertices: Option<Vertices>,
@@ -57,7 +57,7 @@ struct Lit {
 }
 
 impl Lit {
-    /// Logs those of a surface that `has_changed`, or that has turned so far that the light on it is another.
+    /// Logs the lit colours of a surface that `has_changed`, or that has rotated so far that its lighting differs visibly.
     fn log(&mut self, look: Look<'_>, rotation: DQuat, surface: &Surface, has_changed: bool, chunks: &mut Chunks) {
         const VISIBLE: f64 = 0.05; // rad
         if !has_changed && self.rotation.is_some_and(|last| last.angle_between(rotation) < VISIBLE) {
@@ -74,12 +74,12 @@ impl Lit {
     }
 }
 
-/// Where a body is and, once it has rotated, how.
+/// The position of a body and, once it has rotated, its orientation.
 struct Transform {
     translation: TrackId,
     /// Translation and rotation: the viewer resets a transform to the identity where a row does not give it.
     both: TrackId,
-    /// Whether the body has rotated: one that never does has no rotation.
+    /// Whether the body has rotated; until then no rotation is logged.
     has_turned: bool,
     last: Option<(Float3, [f32; 4])>,
 }
@@ -117,7 +117,7 @@ impl SeparateBodies {
             let color = palette::translucent(palette::of_body(schema, index));
             let mesh = Mesh3D::update_fields().with_albedo_factor(color);
             let triangles = body.mesh.triangles().iter().copied();
-            // what is static cannot change any more
+            // a static value cannot change any more
             chunks.log_static(&surface, &if body.can_tear { mesh } else { mesh.with_triangle_indices(triangles) });
             chunks.log_static(&surface, &light::unlit());
             let vertices = (detail != Detail::Surface).then(|| {
@@ -148,7 +148,7 @@ impl SeparateBodies {
     }
 
     /// Logs what has changed; `numbers` are the values of each body's vertices, if they are recorded. Bodies that are
-    /// part of a merged surface are not drawn by their own.
+    /// part of a merged surface do not draw their own.
     pub fn log(
         &mut self,
         look: Look<'_>,

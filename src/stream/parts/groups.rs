@@ -31,7 +31,7 @@ pub struct GroupPlots {
 
 struct GroupPlot {
     entity: String,
-    /// As in [`values`].
+    /// Plots of the group, in the order of [`values`].
     lines: Vec<LineId>,
     /// The bodies that were last logged; empty while there is no such group.
     bodies: Vec<usize>,
@@ -46,10 +46,10 @@ pub const LINES: [(&str, &str, Interpolation); 6] = [
     ("components", "components", Interpolation::Step),
     ("euler", "Euler characteristic χ", Interpolation::Step),
 ];
-/// Of so many there are plots where bodies are many, and so are entities.
+/// Number of these plots in a batched scene, to limit the number of entities.
 const LINES_OF_MANY: usize = 3;
 
-/// What they show.
+/// The values of the plots.
 pub fn values(group: &Group) -> [f64; 6] {
     let Group { volume, area, components, euler, genus, bodies, .. } = group;
     [*volume, *genus as f64, bodies.len() as f64, *area, *components as f64, *euler as f64]

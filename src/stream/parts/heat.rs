@@ -1,7 +1,7 @@
-//! The colours of displacements: a texture that the view of displacements lays over surfaces, and its scale.
+//! The colours of displacements: a texture that the displacement view maps onto surfaces, and its colour scale.
 //!
-//! A vertex has its displacement as a texture coordinate, so that the range of colours can follow the data: it is that of
-//! the texture, which is logged again when a displacement exceeds it.
+//! The displacement of a vertex is its texture coordinate. The colour range can thus follow the data: only the texture is
+//! logged again when a displacement exceeds its range.
 
 use rerun::{
     AnyValues, ComponentDescriptor, Image, Points2D,
@@ -15,15 +15,15 @@ use crate::stream::{
     palette::{self, color},
 };
 
-/// The entity of the scale of colours.
+/// The entity of the colour scale.
 pub const LEGEND: &str = "/legend";
-/// The component of a surface that has its displacements as texture coordinates.
+/// The component of a surface with its displacements as texture coordinates.
 const PLACES: &str = "heat_texcoords";
-/// The components of a surface that have the texture.
+/// The components of a surface with the texture.
 const TEXTURE: &str = "heat_texture";
 const FORMAT: &str = "heat_format";
 
-/// What the view of displacements draws surfaces by, instead of their own colours and normals.
+/// Visualizer sources of surfaces in the displacement view, instead of their own colours and normals.
 pub const MAPPINGS: [Mapping; 4] = [
     Mapping { target: "Mesh3D:vertex_texcoords", source: PLACES },
     Mapping { target: "Mesh3D:albedo_texture_buffer", source: TEXTURE },
@@ -31,12 +31,12 @@ pub const MAPPINGS: [Mapping; 4] = [
     light::NO_LIGHT,
 ];
 
-/// Texels of the range of colours.
+/// Texels of the colour range.
 const WIDTH: usize = 256;
-/// The displacement at the end of the texture [radii]; a texture coordinate is the root of the share of it, so that small
-/// displacements have many texels, too.
+/// Displacement at the end of the texture [radii]. A texture coordinate is the root of the fraction of it, so that small
+/// displacements are resolved, too.
 const END: f32 = 16.0;
-/// Ends of the range of colours [radii].
+/// Possible ends of the colour range [radii].
 const RANGES: [f64; 14] = [0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0, 2.0, 4.0, 8.0, 16.0];
 
 /// The component with texture coordinates.
@@ -44,13 +44,13 @@ pub fn descriptor() -> ComponentDescriptor {
     ComponentDescriptor::partial(PLACES)
 }
 
-/// The texture coordinates of a displacement [radii]. The viewer repeats textures: this one goes back in its second half,
-/// so that its ends do not meet in another colour.
+/// The texture coordinates of a displacement [radii]. The viewer repeats textures, so this one is mirrored in its second
+/// half, to have the same colour at both ends.
 pub fn place(displacement: f32) -> [f32; 2] {
     [0.5 * (displacement / END).sqrt().min(1.0), 0.5]
 }
 
-/// The range of colours, and the surfaces that have it.
+/// The colour range, and the surfaces that use it.
 #[derive(Debug)]
 pub struct Heat {
     surfaces: Vec<String>,
@@ -65,7 +65,7 @@ impl Heat {
         heat
     }
 
-    /// Takes note of a displacement [radii].
+    /// Extends the range to a displacement [radii].
     pub fn add(&mut self, displacement: f64, chunks: &mut Chunks) {
         let before = self.range;
         while displacement > RANGES[self.range] && self.range + 1 < RANGES.len() {

@@ -1,5 +1,5 @@
 //! Lines in 3D between the centres of pairs within reach, coloured by phase and labelled with q; the names of bodies; and
-//! the pairs that had an event in the last frames, which stand out and say so.
+//! highlights of the pairs that had an event in the last frames.
 
 use std::collections::BTreeMap;
 
@@ -24,9 +24,9 @@ pub(super) const PAIRS: &str = "/world/pairs";
 const NAMES: &str = "/world/names";
 /// The entity of pairs with an event in the last frames.
 const RECENT: &str = "/world/recent";
-/// For how many frames an event is recent.
+/// Number of frames for which an event is recent.
 const RECENT_FRAMES: u64 = 24;
-/// At most so many pairs stand out, those of the latest events.
+/// Upper limit on the number of highlighted pairs; those of the latest events are chosen.
 const MOST_RECENT: usize = 4;
 
 /// Pair lines, with what was last logged of them.
@@ -52,7 +52,7 @@ struct LineRows {
     labels: Vec<String>,
 }
 
-/// The names of bodies, each on the far side of those that it meets: labels at the centres would cover each other.
+/// The names of bodies, each on the side away from its neighbours: labels at the centres would cover each other.
 struct Names {
     track: TrackId,
     last: Vec<Float3>,
@@ -62,7 +62,7 @@ struct Names {
 /// The pairs that had an event in the last frames.
 struct Recent {
     track: TrackId,
-    /// Frames since the event and what it says, by pair.
+    /// Frames since the event and its label, by pair.
     events: BTreeMap<(usize, usize), (u64, String, Rgb)>,
     last: LineRows,
     next: LineRows,
@@ -101,7 +101,7 @@ impl Lines {
         }
     }
 
-    /// Takes note of an event, before the first frame that it affects.
+    /// Adds an event, before the first frame that it affects.
     pub fn event(&mut self, schema: &Schema, event: &PairEvent) {
         let Recent { events, .. } = &mut self.recent;
         let name = format!("{} {}", event.name, schema.pair_name(event.a, event.b));
@@ -162,7 +162,7 @@ impl Names {
                 _ => None,
             });
             let away: DVec3 = met.map(|other| (now.centre - other).normalize_or_zero()).sum();
-            // of bodies in one place, every other is named on the left
+            // for bodies at the same position, every other name is on the left
             let aside = if index.is_multiple_of(2) { DVec3::NEG_X } else { DVec3::X };
             let direction = (away + 0.05 * aside).normalize_or(DVec3::Z);
             let place = now.centre + body.radius * (0.9 * direction + 0.35 * DVec3::Z);

@@ -49,8 +49,8 @@ fn entity(place: &str, event: &str) -> String {
     format!("{place}/{name}")
 }
 
-/// Marks the ends of a run in every plot, so that all of them show the same range of time; `level` is some q that is
-/// plotted, if any is.
+/// Marks the ends of a run in every plot, so that all of them show the same range of time; `level` is any plotted q, if
+/// there is one.
 pub fn log_ends(ends: [Instant; 2], level: Option<f64>, chunks: &mut Chunks) {
     for (place, value) in [(ON_AXIS, Some(0.0)), (AT_Q, level)] {
         let Some(value) = value else { continue };

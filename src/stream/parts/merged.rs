@@ -26,10 +26,10 @@ const SEAMS: &str = "/world/merged/seams";
 /// The entity that names the bodies of vertices.
 const CLASSES: &str = "/world/merged";
 
-/// Component of a body's own mesh: the triangles by which it is drawn beside merged surfaces.
+/// Component of a body's own mesh: the triangles drawn beside merged surfaces.
 pub const DRAWN: &str = "drawn_triangles";
-/// The triangles of a body that is drawn as part of a merged surface. (A mesh of no triangles would be one whose
-/// triangles are not known.)
+/// The triangles of a body that is drawn as part of a merged surface. (The viewer takes an empty list as unknown
+/// triangles.)
 pub const HIDDEN: [[u32; 3]; 1] = [[0; 3]];
 
 /// The component [`DRAWN`].
@@ -59,7 +59,7 @@ struct Mesh {
     vertices: Vec<u32>,
     seams: Vec<Vec<Float3>>,
     names: Vec<String>,
-    /// Scratch storage: sums of the areas beside each vertex.
+    /// Scratch storage: sums of the area vectors around each vertex.
     areas: Vec<DVec3>,
 }
 

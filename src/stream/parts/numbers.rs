@@ -32,12 +32,12 @@ pub fn stacked(stage: &str) -> String {
     format!("/timings/stacked/{stage}")
 }
 
-/// Whether something is done in a stage: what waits for a slow disk or viewer is not stacked upon what a step costs.
+/// Whether a stage does work: waiting for a slow disk or viewer is not part of the stacked cost of a step.
 pub fn is_work(stage: &str) -> bool {
     stage != OBSERVING[1]
 }
 
-/// What a stage is, in a legend.
+/// The name of a stage in a legend.
 pub fn described(stage: &str) -> &str {
     match stage {
         "extract" => "recorder's thread: extract",
@@ -68,7 +68,7 @@ pub struct FrameNumbers {
     speed: TrackId,
     lag: Option<Duration>,
     lag_track: TrackId,
-    /// What all stages of the simulation's thread take together.
+    /// Total duration of all stages on the simulation thread.
     total: Spread,
 }
 
@@ -166,7 +166,7 @@ impl FrameNumbers {
     }
 
     /// Logs the schema's scalars. Lines that jump when a pair changes its phase are interrupted where one has `changed`: a
-    /// steep line would look like something that happened in the course of a frame.
+    /// steep line would look like a change over the course of a frame.
     pub fn log_scalars(&mut self, look: Look<'_>, changed: Option<Instant>, series: &mut Series, chunks: &mut Chunks) {
         for (line, &of_state) in self.scalars.iter_mut().zip(&look.frame.scalars) {
             if let Some(at) = changed.filter(|_| line.jumps) {
@@ -182,7 +182,7 @@ impl FrameNumbers {
         self.timings.iter().filter_map(|timing| Some((timing.name, timing.spread.quantile(0.5)?))).collect()
     }
 
-    /// The 90th percentile of what a step takes [ms], and the recording of one; `None` if there were no frames.
+    /// The 90th percentile of the duration of a step and of its recording [ms]; `None` if there were no frames.
     pub fn typical(&self) -> Option<f64> {
         let recording: f64 = self.timings.iter().rev().take(2).filter_map(|timing| timing.spread.quantile(0.9)).sum();
         Some(f64::max(self.total.quantile(0.9)?, recording))

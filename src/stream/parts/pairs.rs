@@ -1,4 +1,4 @@
-//! Plots of pairs: q and its thresholds, the phase, events, and what geometry says: gap, overlap and neck.
+//! Plots of pairs: q and its thresholds, the phase, events, and geometric measures (gap, overlap and neck).
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -30,8 +30,8 @@ const KEPT_PAIRS: usize = 1024;
 
 /// The pairs that have their own entities.
 ///
-/// There is room for as many pairs that come within reach as the settings say, and for as many that have events: those
-/// get their plots, with q of the frames before, when they have one.
+/// The settings limit the number of pairs that get entities because they come within reach. As many again get them at their
+/// first event, with q of the previous frames.
 pub struct PairPlots {
     /// Upper limit on the number of pairs that have entities because they came within reach.
     most: usize,
@@ -66,7 +66,7 @@ struct PairPlot {
     last_contact: Option<Contact>,
 }
 
-/// Whether two bodies are one, by their phase and by their surfaces.
+/// Whether two bodies are joined, by their phase and by their surfaces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Contact {
     Apart,
@@ -116,7 +116,7 @@ pub const MEASURES: [(&str, &str, palette::Rgb); 3] = [
 /// The lane that shows where phase and surfaces disagree.
 pub const CONTACT: &str = "contact";
 
-/// Scenes with more pairs than this hide the lines of measures at first: the layout cannot name them all.
+/// Scenes with more pairs than this initially hide the lines of measures: the layout cannot name them all.
 pub const MOST_NAMED: usize = 120;
 
 impl PairPlots {
@@ -227,8 +227,8 @@ impl PairPlots {
         std::mem::swap(&mut self.in_reach, &mut self.next_in_reach);
     }
 
-    /// The phase entity of a pair. Creates the pair's entities unless there are `most` of them; `None` then, and of a pair
-    /// that is not to be shown.
+    /// The phase entity of a pair. Creates the pair's entities if needed; `None` if there are `most` of them already, or if
+    /// the pair is not to be shown.
     fn track(
         &mut self,
         schema: &Schema,
@@ -341,7 +341,7 @@ pub mod event {
     pub const TIME: &str = "time";
     /// Centre distance over the sum of the radii [–].
     pub const Q: &str = "q";
-    /// Energy that it brought to free bodies [mass · scene unit²/s²]; only where there are any.
+    /// Energy that free bodies gained [mass · scene unit²/s²]; only with free bodies.
     pub const ENERGY: &str = "energy";
     /// How fast q changes at that time [1/s].
     pub const RATE: &str = "rate";
@@ -366,7 +366,7 @@ pub fn log_event_line(schema: &Schema, event: &PairEvent, chunks: &mut Chunks) {
     chunks.log("/events", at, &Together(&[&line, &typed]));
 }
 
-/// The entity of what geometry says of pairs: apart from the phase changes, which it does not cause.
+/// The entity of geometric findings: separate from phase changes, which they do not cause.
 pub const SURFACE_EVENTS: &str = "/events/surfaces";
 
 /// Logs the line of a surface event.
@@ -381,17 +381,17 @@ pub fn log_surface_event(schema: &Schema, event: &SurfaceEvent, chunks: &mut Chu
     chunks.log(SURFACE_EVENTS, at, &line);
 }
 
-/// The entity of what happens to single bodies.
+/// The entity of events of single bodies.
 pub const BODY_EVENTS: &str = "/events/bodies";
 
-/// Logs the line of what happened to a body.
+/// Logs the line of a body event.
 pub fn log_body_event(schema: &Schema, event: &BodyEvent, chunks: &mut Chunks) {
     let at = Instant { step: event.step, time: event.time };
     let line = TextLog::new(event.describe(schema)).with_level(event.name).with_color(color(colors::VERMILION));
     chunks.log(BODY_EVENTS, at, &line);
 }
 
-/// The entity of what is said about steps that are less accurate than they were asked to be.
+/// The entity of warnings about steps that are less accurate than requested.
 pub const ACCURACY: &str = "/events/accuracy";
 
 /// Logs the line of a step that is not accurate enough.

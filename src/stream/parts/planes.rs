@@ -1,4 +1,4 @@
-//! Planes that bodies do not pass: a translucent sheet with a grid, as large as the scene.
+//! Planes that bodies cannot pass: a translucent sheet with a grid, as large as the scene.
 
 use glam::DVec3;
 use rerun::{LineStrips3D, Mesh3D};
@@ -15,7 +15,7 @@ const ENTITY: &str = "/world/planes";
 /// Lines of the grid in each direction.
 const LINES: i32 = 12;
 
-/// Logs the planes, which do not change; `spheres` (centre and radius) are all that there is to see.
+/// Logs the planes, which do not change; `spheres` (centre and radius) bound everything visible.
 pub fn log(schema: &Schema, spheres: &[(DVec3, f64)], chunks: &mut Chunks) {
     let low = spheres.iter().fold(DVec3::INFINITY, |low, &(centre, radius)| low.min(centre - radius));
     let high = spheres.iter().fold(DVec3::NEG_INFINITY, |high, &(centre, radius)| high.max(centre + radius));

@@ -19,7 +19,7 @@ pub const TRAILS: &str = "/world/trails";
 /// Length of the trails in the layout [s].
 pub const SECONDS: f64 = 3.0;
 
-/// The trails, with where the bodies were last.
+/// The trails, with the last positions of the bodies.
 pub struct Trails {
     track: TrackId,
     bodies: Vec<usize>,
@@ -42,7 +42,7 @@ impl Trails {
         Some(Trails { track, bodies, last: Vec::new(), segments: Vec::new() })
     }
 
-    /// Adds the way since the last frame.
+    /// Adds the segments since the last frame.
     pub fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) {
         let centre = |&i: &usize| look.frame.bodies[i].centre.as_vec3().to_array();
         let now: Vec<Float3> = self.bodies.iter().map(centre).collect();

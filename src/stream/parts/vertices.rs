@@ -29,7 +29,7 @@ pub struct VertexNumbers {
 }
 
 impl VertexNumbers {
-    /// Appends the values of others.
+    /// Appends the values of another set.
     pub fn extend(&mut self, of: &VertexNumbers) {
         self.displacement.extend_from_slice(&of.displacement);
         self.net.extend_from_slice(&of.net);

@@ -1,4 +1,4 @@
-//! What acts on free bodies as a whole: an arrow for the force and one for the torque at each centre.
+//! Net force and torque on free bodies: an arrow for each at the centre.
 
 use glam::DVec3;
 use rerun::Arrows3D;
@@ -17,8 +17,7 @@ use crate::{
 /// The arrow of a body [scene unit/s²].
 type Arrow = fn(&WholeFrame, &BodySchema) -> DVec3;
 
-/// The two kinds of arrows: name of the entity, colour, and what a frame has of it as an acceleration
-/// [scene unit/s²].
+/// The two kinds of arrows: name of the entity, colour, and its value in a frame as an acceleration [scene unit/s²].
 pub const KINDS: [(&str, Rgb, Arrow); 2] = [
     ("net_force", colors::WHITE, |whole, body| whole.force / body.mass),
     ("torque", colors::YELLOW, |whole, body| whole.torque / (body.mass * body.radius)),

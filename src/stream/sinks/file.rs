@@ -505,7 +505,7 @@ fn encode<W: Write>(target: &Target, queue: &Queue, encoder: &mut Encoder<W>) ->
         let idle = (!is_flushed).then(|| FLUSH_EVERY.saturating_sub(flushed_at.elapsed()));
         let batch = queue.take(BATCH, idle);
         if messages == 0 {
-            flushed_at = Instant::now(); // there was nothing to lose before
+            flushed_at = Instant::now(); // nothing was at risk before
         }
         for msg in &batch.messages {
             encoder.append(msg).map_err(|err| target.encode_error(err))?;

@@ -1,4 +1,4 @@
-//! The web viewer, which is embedded in this program, and the server that feeds it.
+//! The embedded web viewer, and the server that feeds it.
 //!
 //! Any client that reaches the two ports can read everything the run sends; only the run can write. The host name of a
 //! request must be this machine's own or allowed, and so must the host of the page that it comes from. No request can

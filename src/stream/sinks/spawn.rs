@@ -32,7 +32,7 @@ pub(super) struct Spawned {
     pub notes: Vec<String>,
 }
 
-/// Starts a viewer, or finds the one that listens on the port already, as `rerun` itself does. With `avoid`, the port
+/// Starts a viewer, or finds one that already listens on the port, as `rerun` itself does. With `avoid`, the port
 /// is known to be in use by something else, and a free one is used instead.
 pub(super) fn spawn(spawn: &Spawn, avoid: bool) -> Result<Spawned, SinkError> {
     let program = spawn.program.to_string_lossy().into_owned();
