@@ -1,8 +1,8 @@
-//! Tables in files that dataframe libraries read: CSV, JSON or Parquet, by the ending of the name. A file is there as a
-//! whole or not at all, and replaces only a table with the same columns.
+//! Tables in files that dataframe libraries read: CSV, JSON or Parquet, by file extension. Files are written atomically,
+//! and replace only tables with the same columns.
 //!
-//! Numbers keep every bit: texts have the shortest digits that read back as the same number. JSON knows no number that
-//! is not finite; there it is `null`.
+//! Numbers keep every bit: text formats use the shortest digits that read back as the same number. JSON has no NaN and no
+//! infinity; they become `null`.
 
 use std::{
     collections::HashMap,
@@ -26,15 +26,15 @@ use rerun::external::arrow::{
 
 use crate::stream::unfinished;
 
-/// Who wrote a Parquet file.
+/// The `created_by` of a Parquet file.
 const CREATED_BY: &str = concat!("meldscope ", env!("CARGO_PKG_VERSION"));
-/// A Parquet file begins and ends with this.
+/// Magic number at both ends of a Parquet file.
 const PARQUET: &[u8] = b"PAR1";
-/// How much is read of each end of a file that is to be replaced [bytes].
+/// Number of bytes read at each end of a file to be replaced.
 const LONGEST_HEADER: u64 = 1 << 16;
-/// Rows that are collected before they are encoded.
+/// Number of rows encoded together.
 const BATCH: usize = 8192;
-/// A row group of a Parquet file ends at about this size [bytes]: it is in memory until then.
+/// Approximate size of a row group of a Parquet file [bytes], which is kept in memory until complete.
 const GROUP: usize = 16 << 20;
 const PARTIAL: &str = ".partial";
 
@@ -49,7 +49,7 @@ pub enum Kind {
     Integer,
     /// UTF-8.
     Text,
-    /// f64, any number of them.
+    /// Any number of f64.
     List,
 }
 
@@ -73,15 +73,15 @@ pub struct Column {
     pub name: String,
     /// Its type.
     pub kind: Kind,
-    /// What it is, with its unit: stored as `about` in the metadata of a Parquet field, so that the table explains itself
-    /// wherever it is read. Not stored if empty.
+    /// Description with unit: stored as `about` in the metadata of a Parquet field, so that tables are self-explanatory.
+    /// Not stored if empty.
     pub about: &'static str,
     /// Whether values can be missing.
     pub is_nullable: bool,
 }
 
 impl Column {
-    /// A column of this name and type, of which values can be missing.
+    /// A nullable column of this name and type.
     pub fn new(name: &str, kind: Kind) -> Column {
         Column { name: name.to_owned(), kind, about: "", is_nullable: true }
     }
@@ -98,24 +98,24 @@ impl Column {
 /// A value of a row; a value of another type than its column's counts as missing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Cell<'a> {
-    /// Of a [`Kind::Float`].
+    /// For [`Kind::Float`].
     Float(f64),
-    /// Of a [`Kind::Count`].
+    /// For [`Kind::Count`].
     Count(u64),
-    /// Of a [`Kind::Integer`].
+    /// For [`Kind::Integer`].
     Integer(i64),
-    /// Of a [`Kind::Text`].
+    /// For [`Kind::Text`].
     Text(&'a str),
-    /// Of a [`Kind::List`].
+    /// For [`Kind::List`].
     List(&'a [f64]),
     /// Missing.
     Null,
 }
 
-/// Why a table is not written, in words.
+/// Why a table could not be written, in words.
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
-    /// What was asked for is not possible: nothing has been written.
+    /// The request is invalid; nothing has been written.
     #[error("{0}")]
     Refused(String),
     /// Writing failed.
@@ -141,7 +141,7 @@ impl Format {
     }
 }
 
-/// A table that is being written.
+/// A table being written.
 pub struct Table {
     path: PathBuf,
     partial: PathBuf,
@@ -160,7 +160,7 @@ impl Table {
     /// Begins a table with these columns.
     ///
     /// # Errors
-    /// The name ends in something else, the file is there and is not such a table, or it cannot be created.
+    /// The extension is unknown, an existing file is not such a table, or the file cannot be created.
     pub fn create(path: &Path, columns: Vec<Column>) -> Result<Table, TableError> {
         let Some(format) = Format::of(path) else {
             let path = path.display();
@@ -200,7 +200,7 @@ impl Table {
         written.map_err(|error| self.failed(&error))
     }
 
-    /// Puts the file in its place; returns its size [bytes].
+    /// Renames the file to its final name; returns its size [bytes].
     ///
     /// # Errors
     /// It cannot be written.
@@ -277,7 +277,7 @@ impl Writer {
     }
 }
 
-/// The shortest text of a value, to the last bit.
+/// The shortest text that reads back as the same value.
 fn plain(cell: Cell<'_>) -> String {
     match cell {
         Cell::Float(number) => format!("{number:?}"),
@@ -293,7 +293,7 @@ fn quoted(text: &str) -> io::Result<String> {
     Ok(serde_json::to_string(text)?)
 }
 
-/// Rows on their way to a Parquet file.
+/// Encodes rows to a Parquet file.
 pub struct ParquetTable<W: Write + Send> {
     writer: ArrowWriter<W>,
     schema: Arc<Schema>,
@@ -309,7 +309,7 @@ enum Builder {
     List(ListBuilder<Float64Builder>),
 }
 
-/// The error of the file behind an error of Parquet.
+/// The I/O error behind a Parquet error.
 fn failed(error: ParquetError) -> io::Error {
     match error {
         ParquetError::External(error) => match error.downcast::<io::Error>() {
@@ -390,7 +390,7 @@ impl<W: Write + Send> ParquetTable<W> {
         Ok(())
     }
 
-    /// Ends the table; returns what it was written to.
+    /// Ends the table; returns the underlying writer.
     ///
     /// # Errors
     /// It cannot be written.
@@ -400,7 +400,7 @@ impl<W: Write + Send> ParquetTable<W> {
     }
 }
 
-/// Whether a file is a table with these columns, or is empty; of one that is not whole, whether it can be one.
+/// Whether a file is empty or a table with these columns; for a truncated file, whether it may be one.
 fn is_table(path: &Path, format: Format, columns: &[Column], is_whole: bool) -> io::Result<bool> {
     if !path.symlink_metadata()?.is_file() {
         return Ok(false);

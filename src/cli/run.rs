@@ -871,8 +871,8 @@ impl Console {
         self.bar.finish_and_clear();
     }
 
-    /// Says how large the recording of a run will be, if it is or would be large, and what would make it another size.
-    /// Returns the interval between frames: the one that was asked for, or else one that keeps the file small.
+    /// Reports the predicted size of a large recording, and the options that change it. Returns the interval between
+    /// frames: the requested one, or else one that keeps the file small.
     fn say_size(&self, experiment: &SceneRun, settings: &Settings, asked: Option<u64>) -> Option<u64> {
         let size = size::project(experiment, settings, size::LARGE).filter(|size| size.bytes > size::LARGE);
         let Some(size) = size else { return asked };

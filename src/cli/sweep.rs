@@ -324,7 +324,7 @@ impl Doing<'_> {
     }
 }
 
-/// Makes the recording of a row.
+/// Records the run of a row.
 fn open(sweep: &Sweep, store: &Store, row: u64) -> Result<(), Failure> {
     let template = sweep.template().map_err(Failure::input)?;
     let mut known: Option<Row> = None;

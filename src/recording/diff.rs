@@ -41,7 +41,7 @@ pub struct Difference {
     pub events: Vec<Change>,
     /// Number of events of the first recording.
     pub event_count: usize,
-    /// What the surfaces are like, where that differs beyond the tolerance; `None` unless both recordings hold it.
+    /// Geometric quantities that differ beyond the tolerance; `None` unless both recordings have them.
     pub surfaces: Option<Vec<Deviation>>,
     /// Whether each recording had to be run again because it has no surfaces.
     pub run_again: [bool; 2],

@@ -2,7 +2,7 @@
 //!
 //! A golden recording is thin: the scene and a checksum of every step. To locate a difference, it also has the events,
 //! a two-byte hash for every displaced vertex at every step ([`VERTICES`]), which tells at which vertices two states
-//! diverge, and at regular intervals the full displacements ([`STATES`]) and what the surfaces are like ([`SURFACES`]).
+//! diverge, and at regular intervals the full displacements ([`STATES`]) and geometric quantities ([`SURFACES`]).
 
 use std::{
     collections::BTreeMap,
@@ -49,10 +49,10 @@ pub const VERTICES: &str = "/golden/vertices";
 /// `bodies` and `displacements`, the latter x, y and z of each vertex [scene unit], and, if there are free bodies,
 /// `frames`, the centre and the rotation (x, y, z, w) of each of these.
 pub const STATES: &str = "/golden/states";
-/// Entity with the quantities of surfaces, as often as states: components `names`, as of the entities that plot them, and
-/// `values`.
+/// Entity with the quantities of surfaces, as often as states: components `names`, those of the entities that plot them,
+/// and `values`.
 pub const SURFACES: &str = "/golden/surfaces";
-/// Pairs whose surfaces are measured at most.
+/// Upper limit on the pairs whose surfaces are measured.
 const MOST_PAIRS: usize = 64;
 /// Quantities of surfaces that differ by less than this are the same [tolerances].
 const ROUNDING: f64 = 1e-3;
@@ -152,7 +152,7 @@ pub fn digest(checksums: &[u64]) -> u64 {
     checksum::sequence(checksums.iter().copied())
 }
 
-/// What the surfaces of a frame are like.
+/// The geometric quantities of a frame.
 fn surfaces(merger: &mut Merger, schema: &Schema, frame: &Frame) -> Values {
     let pairs: Vec<[usize; 2]> = frame.pairs.iter().take(MOST_PAIRS).map(|pair| [pair.a, pair.b]).collect();
     quantities::of_frame(schema, merger.merge(schema, frame, &pairs), &pairs)
@@ -229,9 +229,9 @@ pub enum GoldenOutcome {
 /// The differences between a scene and its golden recording.
 #[derive(Clone, Debug)]
 pub struct GoldenDifference {
-    /// Golden and present number of steps, if they differ.
+    /// Golden and current number of steps, if they differ.
     pub steps: Option<[u64; 2]>,
-    /// Golden and present vertices and triangles, if they differ.
+    /// Golden and current vertices and triangles, if they differ.
     pub counts: Option<[String; 2]>,
     /// Whether the text of the scene differs from that of the golden recording.
     pub is_rewritten: bool,
@@ -244,7 +244,7 @@ pub struct GoldenDifference {
     pub is_within_tolerance: bool,
     /// Differences between the events.
     pub events: Vec<Change>,
-    /// Differences between what the surfaces are like, if the golden recording has that.
+    /// Differences between geometric quantities, if the golden recording has them.
     pub surfaces: Vec<Deviation>,
     /// Path of the comparison recording, or why it could not be written; `None` if none was requested.
     pub comparison: Option<Result<PathBuf, String>>,
@@ -271,11 +271,11 @@ pub struct First {
     pub time: f64,
     /// Checksum in the golden recording.
     pub golden: u64,
-    /// Checksum of the present run.
+    /// Checksum of the current run.
     pub found: u64,
     /// Bodies that differ, with the indices of the vertices that do; empty if only phases differ.
     pub bodies: Vec<(String, Vec<usize>)>,
-    /// Present displacement of the first of these vertices from its rest position [scene unit].
+    /// Current displacement of the first of these vertices from its rest position [scene unit].
     pub displacement: DVec3,
 }
 

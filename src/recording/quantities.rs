@@ -1,4 +1,4 @@
-//! What surfaces are like, compared between two runs: gap, overlap and neck of pairs; volume, area and topology of groups.
+//! Compares geometric quantities of two runs: gap, overlap and neck of pairs; volume, area and topology of groups.
 
 use std::{collections::BTreeMap, fmt, path::Path};
 
@@ -17,8 +17,8 @@ use crate::{
     },
 };
 
-/// Volumes, areas and distances of surfaces differ by at most some times what their vertices differ by: the volume of a
-/// unit sphere by three times, its area by two. This many are allowed.
+/// Volumes, areas and distances of surfaces differ by a small multiple of the difference of their vertices: the volume of
+/// a unit sphere by three times, its area by twice. This multiple is allowed.
 const SENSITIVITY: f64 = 10.0;
 
 /// Quantities by the entity that plots each, such as `/pairs/a~b/gap`.
@@ -43,12 +43,12 @@ pub fn of_frame(schema: &Schema, merged: &Merged, pairs: &[[usize; 2]]) -> Value
     values
 }
 
-/// A quantity that two runs do not agree on.
+/// A quantity that differs between two runs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Deviation {
     /// The quantity, such as `gap of a~b`.
     pub what: String,
-    /// The first step at which it deviates, of the first run.
+    /// The first step, of the first run, at which it deviates.
     pub step: u64,
     /// Simulated time of that step [s].
     pub time: f64,
@@ -56,7 +56,7 @@ pub struct Deviation {
     pub values: [f64; 2],
     /// The largest difference, and its step.
     pub largest: (f64, u64),
-    /// The largest difference over what the tolerance allows.
+    /// The largest ratio of the difference to what the tolerance allows.
     pub excess: f64,
 }
 
@@ -72,13 +72,13 @@ impl fmt::Display for Deviation {
 pub struct Deviations {
     /// Vertices may differ by this much [radii].
     tolerance: f64,
-    /// Smaller fractions of what the tolerance allows are no deviation.
+    /// Smaller ratios to what the tolerance allows do not count as a deviation.
     least: f64,
     found: BTreeMap<String, Deviation>,
 }
 
 impl Deviations {
-    /// Looks for deviations beyond `least` times what a tolerance [radii] allows.
+    /// Collects deviations beyond `least` times what a tolerance [radii] allows.
     pub fn new(tolerance: f64, least: f64) -> Deviations {
         Deviations { tolerance, least, found: BTreeMap::new() }
     }
@@ -128,7 +128,7 @@ impl Deviations {
     }
 }
 
-/// The quantities that a recording holds, step by step.
+/// The quantities in a recording, step by step.
 #[derive(Debug, Default)]
 pub struct Recorded {
     /// Points of each line, by step; `None` where a line is interrupted.
@@ -136,7 +136,7 @@ pub struct Recorded {
 }
 
 impl Recorded {
-    /// Reads them.
+    /// Reads the quantities.
     ///
     /// # Errors
     /// The recording cannot be read.

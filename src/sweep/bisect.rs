@@ -15,25 +15,25 @@ use crate::{
     table::{Column, Kind},
 };
 
-/// A threshold is found to within this, absolute or relative, whichever is larger.
+/// Precision of a threshold, absolute or relative, whichever is larger.
 pub const PRECISION: f64 = 1e-9;
-/// Changes of outcome between two neighbours of the grid at most; bisections at most.
+/// Upper limits on the changes of outcome between two neighbours of the grid, and on bisections.
 const MOST_CHANGES: usize = 16;
 const MOST_BISECTIONS: u32 = 200;
 
 /// A change of outcome along an axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Threshold {
-    /// The values on the axes; on that of the threshold, the lower end of the bracket.
+    /// The values on the axes; on the bisected axis, the lower end of the bracket.
     pub point: Vec<Setting>,
-    /// The ends of the bracket.
+    /// Ends of the bracket.
     pub bracket: [f64; 2],
     /// Outcomes at its ends, by their class.
     pub classes: [u8; 2],
 }
 
-/// Finds every change of outcome between neighbours of the grid on an axis; `outcome` has the class of a grid point.
-/// `None` if that was interrupted.
+/// Finds every change of outcome between neighbours of the grid on an axis; `outcome` gives the class of a grid point.
+/// `None` if interrupted.
 pub fn thresholds(
     runner: &Runner<'_>,
     design: &Design,
@@ -94,7 +94,7 @@ fn narrow(runner: &Runner<'_>, axis: usize, bracket: &Threshold, stop: &AtomicBo
             if there == threshold.classes[0] {
                 threshold.bracket[0] = middle;
             } else {
-                // above it there is another change, unless it is the same outcome
+                // there is another change above it, unless the outcome is the same
                 if there != threshold.classes[1] && found.len() + open.len() < MOST_CHANGES {
                     let mut above = threshold.clone();
                     (above.bracket[0], above.classes[0]) = (middle, there);

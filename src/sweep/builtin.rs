@@ -17,8 +17,8 @@ pub struct Builtin {
     pub text: &'static str,
 }
 
-/// All built-in sweeps. Approach speed and offset are the axes of the maps of droplet collisions (Ashgriz and Poo 1990, Qian
-/// and Law 1997, there as Weber number and impact parameter); the last is for measuring what a sweep costs beyond its steps.
+/// All built-in sweeps. Approach speed and offset are the axes of regime maps of droplet collisions (Ashgriz and Poo 1990,
+/// Qian and Law 1997: Weber number and impact parameter). The last one measures the overhead of a sweep beyond its steps.
 pub const ALL: [Builtin; 5] = [
     Builtin {
         name: "speed_merge_at",

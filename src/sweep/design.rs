@@ -1,19 +1,19 @@
-//! Which points a sweep has, and the number of each.
+//! The points of a sweep and their row numbers.
 //!
 //! # Rows
 //! A row is a point, and its number is a function of the point: it stays the same however a sweep is refined, resumed or
 //! divided among machines. On a grid, rows are counted level by level, and within a level with the last axis fastest.
-//! Level 0 is the grid as the file has it; each further level halves the distance of neighbours on every axis that is a
-//! range. A point that several levels have belongs to the first of them.
+//! Level 0 is the grid of the file; each further level halves the spacing on every axis that is a range. A point belongs
+//! to the first level that contains it.
 
 use crate::scene::template::{KeyPath, Setting};
 
-/// Most runs of a sweep.
+/// Maximum number of runs of a sweep.
 pub const MOST_ROWS: u64 = 100_000_000;
-/// Most levels of refinement.
+/// Maximum number of refinement levels.
 pub const MOST_LEVELS: u32 = 20;
 
-/// The axes of a sweep, and how points are chosen.
+/// The axes of a sweep, and its sampling.
 #[derive(Clone, Debug)]
 pub struct Design {
     /// The axes; at least one.
@@ -27,7 +27,7 @@ pub struct Design {
 pub struct Axis {
     /// The key that varies.
     pub key: KeyPath,
-    /// What the map calls it, if not by its key.
+    /// Its name on the map, if not the key.
     pub name: Option<String>,
     /// Its values.
     pub values: Values,
@@ -36,7 +36,7 @@ pub struct Axis {
 /// The values of an axis.
 #[derive(Clone, Debug)]
 pub enum Values {
-    /// From one end to the other.
+    /// A range.
     Range {
         /// The first value.
         from: f64,
@@ -44,14 +44,14 @@ pub enum Values {
         to: f64,
         /// Number of values on a grid, both ends included.
         count: u64,
-        /// Whether differences or ratios of neighbours are equal.
+        /// Spacing of the values.
         scale: Scale,
     },
-    /// As listed.
+    /// A list of values.
     List(Vec<Setting>),
 }
 
-/// What is alike between neighbours on an axis.
+/// What is constant between neighbours on an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
     /// The difference.
@@ -65,7 +65,7 @@ pub enum Scale {
 pub enum Sampling {
     /// Every combination of the axes' values.
     Grid,
-    /// A Latin hypercube: each axis is divided into as many intervals as there are points, and has one in each.
+    /// A Latin hypercube: each axis is divided into as many intervals as there are points, with one point in each.
     Latin {
         /// Number of points.
         count: u64,
@@ -82,7 +82,7 @@ pub enum Sampling {
 }
 
 impl Axis {
-    /// What the map calls it.
+    /// Its name on the map.
     pub fn label(&self) -> String {
         self.name.clone().unwrap_or_else(|| self.key.to_string())
     }
@@ -97,7 +97,7 @@ impl Axis {
         }
     }
 
-    /// Whether levels have more and more values on it.
+    /// Whether each level has more values on it than the last.
     pub fn is_range(&self) -> bool {
         matches!(self.values, Values::Range { .. })
     }
@@ -110,7 +110,7 @@ impl Axis {
         }
     }
 
-    /// The value at a share of a range, 0 to 1.
+    /// The value at a fraction of a range, 0 to 1.
     pub fn at(&self, share: f64) -> Setting {
         match &self.values {
             Values::Range { from, to, scale, .. } => Setting::Number(match scale {
@@ -126,7 +126,7 @@ impl Axis {
         }
     }
 
-    /// Where a number is in a range: the inverse of [`Axis::at`].
+    /// The fraction of the range at which a number lies: the inverse of [`Axis::at`].
     pub fn share(&self, value: f64) -> f64 {
         match &self.values {
             Values::Range { from, to, scale: Scale::Linear, .. } => (value - from) / (to - from),
@@ -142,19 +142,19 @@ impl Axis {
     pub fn value(&self, level: u32, index: u64) -> Setting {
         match &self.values {
             Values::Range { count, .. } => {
-                // by the coarsest level that has it, though the quotient is the same
+                // computed on the coarsest level that has it, though the quotient is mathematically the same
                 self.at(index as f64 / ((count - 1) << level) as f64)
             }
             Values::List(values) => values[index as usize].clone(),
         }
     }
 
-    /// Number of values that are tried before a sweep starts: those of its grid, or of a list.
+    /// Number of values that are validated before a sweep starts: those of its grid, or of a list.
     pub fn tries(&self) -> u64 {
         self.count(0).unwrap_or(2)
     }
 
-    /// One of them.
+    /// One of these values.
     pub fn tried(&self, index: u64) -> Setting {
         self.value(0, index)
     }
@@ -256,8 +256,8 @@ fn unit(bits: u64) -> f64 {
     (bits >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// The place of a row of a Latin hypercube on axis `k`. The permutation is a Feistel network over the next power of four,
-/// walked until it comes back into the range: no table, however many rows.
+/// The interval of a row of a Latin hypercube on axis `k`. The permutation is a Feistel network over the next power of
+/// four, iterated until the value is in range (cycle walking), so that it needs no table.
 fn latin(row: u64, count: u64, seed: u64, k: u64) -> f64 {
     let key = mix(mix(seed.wrapping_add(0x9e37_79b9_7f4a_7c15)).wrapping_add(k));
     let bits = (64 - (count.max(2) - 1).leading_zeros()).div_ceil(2);
@@ -288,7 +288,7 @@ const DIRECTIONS: [(u32, u32, &[u32]); 7] = [
     (5, 2, &[1, 1, 5, 5, 17]),
 ];
 
-/// The place of a point of the Sobol sequence on axis `k`.
+/// The coordinate of a point of the Sobol sequence on axis `k`.
 fn sobol(row: u64, seed: u64, k: u64) -> f64 {
     let mut numbers = [0u32; 32];
     match (k as usize).checked_sub(1).and_then(|k| DIRECTIONS.get(k)) {
@@ -371,8 +371,8 @@ mod tests {
         }
     }
 
-    /// Of 2^m points every interval of length 2^−m has one on each axis, and of the first two axes every elementary
-    /// rectangle.
+    /// With 2^m points, every interval of length 2^−m on each axis contains one, and so does every elementary rectangle
+    /// of the first two axes.
     #[test]
     fn sobol_points_are_a_net() {
         for k in 0..8 {

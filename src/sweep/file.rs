@@ -1,4 +1,4 @@
-//! The sweep file: from text to a [`Sweep`] that is valid by construction, or to an error that says where it is wrong.
+//! The sweep file: parses text to a [`Sweep`] that is valid by construction, or to an error that says where it is wrong.
 
 use std::{
     fs,
@@ -21,11 +21,11 @@ use crate::{
     text::{did_you_mean, thousands},
 };
 
-/// Most axes of a sweep.
+/// Maximum number of axes.
 const MOST_AXES: usize = 8;
-/// Most values that an axis lists.
+/// Maximum number of listed values of an axis.
 const MOST_VALUES: usize = 100_000;
-/// Values of an axis that are tried before anything runs, spread over it.
+/// Number of values of an axis that are validated before anything runs, spread over it.
 const MOST_TRIED: u64 = 4096;
 
 static SWEEP: Keys = Keys {
@@ -70,7 +70,7 @@ pub enum Until {
 }
 const UNTIL: Choice<Until, 2> = Choice([("certain", Until::Certain), ("end", Until::End)]);
 
-/// What the map is coloured by.
+/// The quantity by which the map is coloured.
 const COLORS: [&str; 9] = [
     "outcome",
     "max_displacement",
@@ -86,7 +86,7 @@ const COLORS: [&str; 9] = [
 const NOT_MEASURED: &str = "max_displacement is not measured";
 const MEASURE_IT: &str = "add measures = [\"displacement\"]";
 
-/// Measures whose jumps refine the grid.
+/// Measures whose jumps can refine the grid.
 const JUMPS: [&str; 8] = [
     "max_displacement",
     "closest",
@@ -114,15 +114,15 @@ pub struct Sweep {
     pub folder: Option<PathBuf>,
     /// Values that are the same in all runs.
     pub set: Vec<(KeyPath, Setting)>,
-    /// The axes and how points on them are chosen.
+    /// The axes and the sampling.
     pub design: Design,
-    /// What is measured beyond the rest.
+    /// Optional measures.
     pub measures: Measures,
     /// When a run ends.
     pub until: Until,
     /// The column by which the map is coloured.
     pub color: String,
-    /// Columns of which neighbours that differ by more than this, or of which one has none, are refined as if their
+    /// Columns with a limit: neighbours that differ by more, or of which only one has a value, are refined as if their
     /// outcomes differed.
     pub jumps: Vec<(String, f64)>,
 }
@@ -131,30 +131,30 @@ impl Sweep {
     /// The sweep in the file at `path`.
     ///
     /// # Errors
-    /// The file cannot be read or is not a valid sweep, or its scene is refused.
+    /// The file cannot be read or is not a valid sweep, or its scene is invalid.
     pub fn load(path: &Path) -> Result<Sweep, SceneError> {
         let file = path.display().to_string();
         let text = read(path, &file)?;
         Sweep::parse(&text, &file, path.parent())
     }
 
-    /// The sweep that `text` describes; `file` is its name in errors, and scenes are looked for in `folder`.
+    /// Parses `text`; `file` is its name in errors, and scenes are searched for in `folder`.
     ///
     /// # Errors
-    /// As of [`Sweep::load`].
+    /// Those of [`Sweep::load`].
     pub fn parse(text: &str, file: &str, folder: Option<&Path>) -> Result<Sweep, SceneError> {
         on_deep_stack(|| parse(text, file, folder))
     }
 
-    /// The scene, to be varied.
+    /// The scene as a template.
     ///
     /// # Errors
-    /// The scene is not valid, which [`Sweep::parse`] has refused before.
+    /// The scene is invalid; [`Sweep::parse`] has checked that already.
     pub fn template(&self) -> Result<Template<'_>, SceneError> {
         Template::new(&self.scene_text, &self.scene_file, self.folder.as_deref())
     }
 
-    /// The values of a point: those that are the same in all runs, and those on the axes.
+    /// The values of a point: those fixed for all runs, and those on the axes.
     pub fn settings<'s>(&'s self, point: &'s [Setting]) -> impl Iterator<Item = (&'s KeyPath, &'s Setting)> {
         let same = self.set.iter().map(|(key, setting)| (key, setting));
         same.chain(self.design.axes.iter().map(|axis| &axis.key).zip(point))
@@ -346,7 +346,7 @@ fn read_jumps(value: Option<Value<'_>>, measures: Measures) -> Result<Vec<(Strin
     Ok(jumps)
 }
 
-/// Refuses values that make a broken scene, and sweeps of too many runs, before anything runs.
+/// Rejects values that make the scene invalid, and sweeps of too many runs, before anything runs.
 fn try_values(sweep: &Sweep, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(), SceneError> {
     let template = sweep.template()?;
     let design = &sweep.design;
@@ -414,7 +414,7 @@ fn in_words(error: &SceneError) -> String {
     SceneError { place: None, ..error.clone() }.to_string()
 }
 
-/// A time in words [s].
+/// Describes a time [s] in words.
 pub fn duration(seconds: f64) -> String {
     const UNITS: [(&str, f64); 5] =
         [("years", 365.25 * 86_400.0), ("days", 86_400.0), ("hours", 3600.0), ("minutes", 60.0), ("seconds", 1.0)];

@@ -1,4 +1,4 @@
-//! The runs of a level: which are to be done, and doing them on all cores.
+//! The runs of a level: selects those to be done, and does them on all cores.
 
 use std::{
     collections::{BTreeMap, HashSet},
@@ -18,13 +18,13 @@ use super::{
     store::{Journal, Shard, Store, StoreError},
 };
 
-/// Rows of a file. Files are written one after the other, so this bounds the memory that rows take.
+/// Rows per file. Files are written one at a time, so this bounds the memory of rows.
 const BLOCK: u64 = 4096;
 
 /// The rows of a level, in order.
 #[derive(Clone, Debug)]
 pub enum Plan {
-    /// All from 0 to this.
+    /// All rows below this.
     First(u64),
     /// These.
     List(Vec<u64>),
@@ -51,12 +51,12 @@ impl Plan {
         }
     }
 
-    /// Number of rows that a shard has of it.
+    /// Number of rows of a shard.
     pub fn of(&self, shard: Shard) -> u64 {
         (self.len() + shard.count - 1 - shard.index) / shard.count
     }
 
-    /// The rows of a block of a shard.
+    /// Rows of a block of a shard.
     fn block(&self, shard: Shard, block: u64) -> Vec<u64> {
         let places = block * BLOCK..((block + 1) * BLOCK).min(self.of(shard));
         places.map(|place| self.row(shard.index + shard.count * place)).collect()
@@ -66,19 +66,19 @@ impl Plan {
 /// How a level ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ended {
-    /// All rows of the shard are there.
+    /// All rows of the shard are done.
     Complete,
-    /// It was interrupted; what is done is kept.
+    /// It was interrupted; finished rows are kept.
     Interrupted,
 }
 
-/// Why a level ended before its end.
+/// Why a level could not be completed.
 #[derive(Debug, thiserror::Error)]
 pub enum LevelError {
     /// The folder failed.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// A level before it is not complete.
+    /// A previous level is not complete.
     #[error(
         "level {level} is not complete: {missing} of its {planned} rows are missing; run all its shards before those of the next \
          level, with the same --refine"
@@ -88,16 +88,15 @@ pub enum LevelError {
         level: u32,
         /// Number of its rows.
         planned: u64,
-        /// Number of those that are missing.
+        /// Number of missing rows.
         missing: u64,
     },
 }
 
-/// Runs what a shard has to do of a level. Calls `progress` with the rows that are there, and again with each row that a
-/// run adds.
+/// Runs a shard's part of a level. Calls `progress` with the existing rows, and again with each new row.
 ///
 /// # Errors
-/// The folder failed; what was written before is kept.
+/// The folder cannot be read or written; rows written before are kept.
 pub fn run(
     runner: &Runner<'_>,
     store: &Store,
@@ -108,12 +107,12 @@ pub fn run(
     let done = store.blocks(level, shard)?;
     let blocks = plan.of(shard).div_ceil(BLOCK);
     if (0..blocks).all(|block| done.contains(&block)) {
-        store.clean(level, shard)?; // a process that was killed here has not come to that
+        store.clean(level, shard)?; // a process killed before this point has left its files
         progress(plan.of(shard));
         return Ok(Ended::Complete);
     }
     let mut kept = store.journals(level, shard)?;
-    // rows that were done as shards of another division
+    // rows that were done with another number of shards
     let mut elsewhere = HashSet::new();
     store.read(level..level + 1, Some(shard), &store.named(&[]), |(row, _)| _ = elsewhere.insert(row))?;
     let mut journal = store.journal(level, shard)?;
@@ -143,7 +142,7 @@ pub fn run(
     Ok(Ended::Complete)
 }
 
-/// Runs some rows; `None` if that was interrupted.
+/// Runs some rows; `None` if interrupted.
 fn run_rows(
     runner: &Runner<'_>,
     missing: &[u64],
@@ -173,7 +172,7 @@ fn run_rows(
     }
 }
 
-/// What the rows of a level gave.
+/// The results of the rows of a level.
 ///
 /// # Errors
 /// They cannot be read.
@@ -184,10 +183,10 @@ pub fn given(store: &Store, sweep: &Sweep, level: u32) -> Result<BTreeMap<u64, G
     Ok(given)
 }
 
-/// The rows of a level, from those of the levels before it, which have to be complete.
+/// The rows of a level, computed from those of the previous levels.
 ///
 /// # Errors
-/// They are not, or cannot be read.
+/// The previous levels are not complete, or cannot be read.
 pub fn plan(store: &Store, sweep: &Sweep, known: &mut Known<'_>, level: u32) -> Result<Plan, LevelError> {
     let mut plan = Plan::First(known.design().count().unwrap_or(0));
     for before in 0..level {

@@ -1,4 +1,4 @@
-//! The map of a sweep: outcomes, or a measure, over its first two axes of numbers; a map for each combination of values on
+//! The map of a sweep: outcomes, or a measure, over its first two numeric axes; one map for each combination of values on
 //! the others.
 
 use std::collections::{BTreeMap, HashMap};
@@ -12,45 +12,45 @@ use super::{
 };
 use crate::{scene::template::Setting, table::Kind};
 
-/// Most points along an axis that a map resolves.
+/// Maximum number of points along an axis that a map resolves.
 const MOST_POINTS: u64 = 1200;
-/// Most maps that are drawn.
+/// Maximum number of maps drawn.
 pub const MOST_SLICES: usize = 64;
-/// Most runs that are kept to be shown as points.
+/// Maximum number of runs shown as points.
 const MOST_DOTS: usize = 20_000;
 
-/// Colours of the outcomes, safe for colour-blind readers (Okabe & Ito 2008), and of runs that failed.
+/// Colours of the outcomes, distinguishable with any colour vision (Okabe & Ito 2008), and of failed runs.
 pub const COLORS: [[u8; 3]; FAILED as usize + 1] =
     [[222, 222, 222], [86, 180, 233], [230, 159, 0], [0, 158, 115], [204, 121, 167], [60, 60, 60]];
-/// Where nothing is known.
+/// Colour of unknown points.
 pub const UNKNOWN: [u8; 3] = [255, 255, 255];
 
 /// The maps of a sweep.
 pub struct Map {
-    /// What is drawn to the right, and upwards if there is a second axis of numbers.
+    /// The horizontal axis, and the vertical one if there is a second numeric axis.
     pub axes: Vec<Axis>,
-    /// The colour of the map is this.
+    /// The quantity by which the map is coloured.
     pub color: String,
-    /// The least and the greatest value of a measure, if the map is coloured by one.
+    /// Range of the measure, if the map is coloured by one.
     pub range: Option<[f64; 2]>,
-    /// One for each combination of the values of other axes.
+    /// One map for each combination of values on the other axes.
     pub slices: Vec<Slice>,
     /// Number of rows.
     pub rows: u64,
-    /// Whether points are those of a grid.
+    /// Whether the points form a grid.
     pub is_grid: bool,
 }
 
 /// A map.
 #[derive(Default)]
 pub struct Slice {
-    /// The values of other axes.
+    /// Values on the other axes.
     pub title: String,
-    /// Number of grid points to the right and upwards.
+    /// Number of grid points, horizontally and vertically.
     pub size: [usize; 2],
-    /// Between which values each grid point lies, as shares of the axis, `[size + 1]`.
+    /// Boundaries between the cells of the grid points, as fractions of the axis, `[size + 1]`.
     pub edges: [Vec<f64>; 2],
-    /// Outcomes of the points, by class; row after row upwards. `u8::MAX` where nothing is known.
+    /// Outcomes of the points, by class, row by row upwards; `u8::MAX` if unknown.
     pub classes: Vec<u8>,
     /// Values of the measure.
     pub values: Vec<f64>,
@@ -63,7 +63,7 @@ pub struct Slice {
 pub struct Dot {
     /// Number of the row.
     pub row: u64,
-    /// Place, as shares of the axes.
+    /// Position, as fractions of the axes.
     pub at: [f64; 2],
     /// Outcome, by class.
     pub class: u8,
@@ -71,15 +71,14 @@ pub struct Dot {
     pub label: String,
 }
 
-/// A row, as far as a map needs it.
+/// The parts of a row that a map needs.
 struct Seen {
     class: u8,
     value: f64,
 }
 
 impl Map {
-    /// The maps of the rows in a folder; `None` if the sweep has no axis of numbers, or rows in other combinations than can
-    /// be drawn.
+    /// The maps of the rows in a folder; `None` if the sweep has no numeric axis, or combinations that cannot be drawn.
     ///
     /// # Errors
     /// The rows cannot be read.
@@ -118,7 +117,7 @@ impl Map {
             let key = match (is_grid, design.place(*row)) {
                 (true, Some(place)) => {
                     let others = place.index.iter().enumerate().filter(|(axis, _)| !numbers.contains(axis));
-                    // of a third axis that was refined only the first values are drawn
+                    // of a refined third axis, only the first values are drawn
                     let at: Option<Vec<u64>> = others
                         .map(|(axis, &index)| match design.axes[axis].is_range() {
                             true => (index % (1 << place.level) == 0).then_some(index >> place.level),
@@ -191,7 +190,7 @@ fn slice(sweep: &Sweep, map: &Map, numbers: &[usize], rows: &[u64], seen: &BTree
     });
     slice.classes = vec![u8::MAX; slice.size[0] * slice.size[1]];
     slice.values = vec![f64::NAN; slice.classes.len()];
-    // a point of a level stands for what is nearer to it than to its neighbours there, where no finer level has a point
+    // a point represents its Voronoi cell among the points of its level, except where a finer level has points
     let mut by_level: HashMap<u32, Vec<u64>> = HashMap::new();
     for &row in rows {
         if let Some(place) = design.place(row) {
@@ -222,7 +221,7 @@ fn slice(sweep: &Sweep, map: &Map, numbers: &[usize], rows: &[u64], seen: &BTree
     slice
 }
 
-/// The ends of what each grid point stands for, as shares of the axis.
+/// The boundaries of the cell of each grid point, as fractions of the axis.
 fn edges(axis: &Axis, count: usize) -> Vec<f64> {
     if !axis.is_range() {
         return (0..=count).map(|k| k as f64 / count as f64).collect();
@@ -231,7 +230,7 @@ fn edges(axis: &Axis, count: usize) -> Vec<f64> {
     (0..=count).map(|k| ((k as f64 - 0.5) / cells).clamp(0.0, 1.0)).collect()
 }
 
-/// Dark blue to yellow, even to the eye (viridis, van der Walt and Smith 2015, by its quarters).
+/// Dark blue to yellow, perceptually uniform (viridis, van der Walt and Smith 2015, interpolated between its quarters).
 pub fn ramp(share: f64) -> [u8; 3] {
     const STOPS: [[f64; 3]; 5] =
         [[68.0, 1.0, 84.0], [59.0, 82.0, 139.0], [33.0, 145.0, 140.0], [94.0, 201.0, 98.0], [253.0, 231.0, 37.0]];
@@ -241,12 +240,12 @@ pub fn ramp(share: f64) -> [u8; 3] {
     std::array::from_fn(|k| (low[k] + (high[k] - low[k]) * rest).round() as u8)
 }
 
-/// The boundary between points of different outcomes, as lines between places in shares of the axes.
+/// The boundary between points of different outcomes, as line segments in fractions of the axes.
 pub fn boundary(slice: &Slice) -> Vec<[[f64; 2]; 2]> {
     let [width, height] = slice.size;
     let middle = |side: usize, k: usize| {
         let edges = &slice.edges[side];
-        // of the ends, where the point is, not the middle of what it stands for
+        // at the ends, the position of the point, not the middle of its cell
         match k {
             0 if edges.len() > 2 && edges[1] < 1.0 / (edges.len() - 1) as f64 => 0.0,
             k if k + 2 == edges.len() && edges.len() > 2 && edges[1] < 1.0 / (edges.len() - 1) as f64 => 1.0,
@@ -280,7 +279,7 @@ pub fn boundary(slice: &Slice) -> Vec<[[f64; 2]; 2]> {
     lines
 }
 
-/// Values along an axis to be written beside it, with their shares.
+/// Tick values of an axis, with their fractions of it.
 pub fn ticks(axis: &Axis) -> Vec<(f64, String)> {
     let (from, to, scale) = match &axis.values {
         Values::Range { from, to, scale, .. } => (*from, *to, *scale),

@@ -1,15 +1,15 @@
 //! Sweeps: one run for every point of a grid over a scene's parameters, and the map of their outcomes.
 //!
-//! | what | where |
+//! | contents | module |
 //! | --- | --- |
 //! | the sweep file | [`file`] |
-//! | which points there are, and their numbers | [`design`] |
+//! | the points and their row numbers | [`design`] |
 //! | one run: outcomes, measures, when it ends | [`run`] |
 //! | the columns of a row | [`row`] |
 //! | rows read back from Parquet | [`table`] |
-//! | the folder: what is done, what is under way | [`store`] |
+//! | the folder: finished and unfinished rows | [`store`] |
 //! | the runs of a level, on all cores | [`level`] |
-//! | where the grid is halved | [`refine`] |
+//! | where the grid is refined | [`refine`] |
 //! | thresholds along one axis | [`bisect`] |
 //! | the map: regions and boundaries | [`map`] |
 //! | the map as SVG, and as a recording | [`svg`], [`picture`] |
@@ -19,10 +19,10 @@
 //! ```toml
 //! scene = "collide"             # a file beside this one, or a built-in scene
 //! until = "certain"             # certain | end: when a run ends [certain]; see [`run`]
-//! measures = ["displacement"]   # displacement, surfaces: measures that cost time [none]
+//! measures = ["displacement"]   # displacement, surfaces: optional measures, which cost time [none]
 //! color = "outcome"             # the column by which the map is coloured [outcome]
 //!
-//! [jump]                        # --refine halves the grid where neighbours differ by more than this, too [none]
+//! [jump]                        # --refine also halves the grid where neighbours differ by more than this [none]
 //! first_merge = 0.05            # closest, time_merged, first_merge, first_split, merges, splits, energy_by_events or
 //! max_displacement = 0.2        # max_displacement, in the units of their columns
 //!
@@ -32,7 +32,7 @@
 //! to = 1.15
 //! count = 41
 //! scale = "linear"              # linear | log [linear]
-//! name = "merge_at"             # what the map calls it [the key]
+//! name = "merge_at"             # its name on the map [the key]
 //!
 //! [[axis]]
 //! key = "influence.scaling"
@@ -46,8 +46,8 @@
 //! With `sample = "latin"` or `"sobol"`, `count` and `seed` [0] are at the top of the sweep, and axes have none.
 //!
 //! # Rows
-//! The columns of the tables are described in their schema, and listed in [`row::columns`]. All but `run_time` are a function
-//! of the sweep: the same bits on any machine, for any number of threads, and however the sweep was divided or interrupted.
+//! The columns of the tables are described in their schema, and listed in [`row::columns`]. All but `run_time` are a
+//! function of the sweep: bit-identical on any machine, for any number of threads, shards and interruptions.
 
 pub mod bisect;
 pub mod builtin;

@@ -1,15 +1,15 @@
 //! The map as a recording for the Rerun viewer.
 //!
-//! | entity | what |
+//! | entity | contents |
 //! | --- | --- |
 //! | `/map/regions` | the map as an image |
 //! | `/map/boundary` | where the outcome changes |
-//! | `/map/runs` | every run as a point; when it is selected, its row and its values |
-//! | `/map/ticks` | values on the axes |
+//! | `/map/runs` | every run as a point, with its row and values on selection |
+//! | `/map/ticks` | tick values on the axes |
 //! | `/along/MEASURE/…` | measures along the first axis, for the least, middle and greatest value of the second |
 //!
-//! Maps for different values of further axes are on the timeline `slice`; measures are on the timeline `along`, which counts
-//! points of the first axis.
+//! Maps for different values of further axes are on the timeline `slice`; measures are on the timeline `along`, the index on
+//! the first axis.
 
 use std::path::Path;
 
@@ -40,10 +40,10 @@ use crate::{
 /// Size of the map [px].
 const WIDTH: usize = 840;
 const HEIGHT: usize = 600;
-/// Measures that are plotted, of those that a sweep has.
+/// Measures to plot, if the sweep has them.
 const MEASURES: [&str; 5] = ["closest", "time_merged", "first_merge", "energy_by_events", "max_displacement"];
 
-/// Why a map is not written.
+/// Why a map could not be written.
 #[derive(Debug, thiserror::Error)]
 pub enum PictureError {
     /// The rows cannot be read.
@@ -104,7 +104,7 @@ pub fn save(map: &Map, sweep: &Sweep, store: &Store, title: &str, path: &Path) -
     Ok(sinks.finish()?.save)
 }
 
-/// What the colours of outcomes are called.
+/// The legend of the outcome colours.
 const COLOR_NAMES: [&str; FAILED as usize + 1] = ["light grey", "light blue", "orange", "green", "pink", "dark grey"];
 
 fn place([x, y]: [f64; 2]) -> [f32; 2] {
@@ -173,7 +173,7 @@ fn log_ticks(chunks: &mut Chunks, map: &Map) {
     chunks.log_static("/map/ticks", &ticks);
 }
 
-/// Measures along the first axis, for three values of the second, and the first of all others.
+/// Measures along the first axis, for three values of the second and the first value of all others.
 fn log_along(
     chunks: &mut Chunks,
     map: &Map,

@@ -1,13 +1,13 @@
 //! Refinement: where neighbours differ in outcome, or by more than a jump in a measure, the grid is halved, level by level.
 //!
 //! A cell lies between neighbours of the grid of a level: it has 2ⁿ corners if n axes are ranges. It is divided if two
-//! known points of it, its corners or points of finer levels on its faces, differ. All 3ⁿ points of its halves
-//! then have to be known. This is repeated up to the last level, so every cell of the last level through whose corners or
-//! faces a boundary was seen to go is there. What a map shows between points of one outcome that lie farther apart, a
-//! region smaller than the first grid's cells for instance, is not found: the first grid has to show every region.
+//! known points of it, its corners or points of finer levels on its faces, differ. All 3ⁿ points of its halves are then
+//! required. This is repeated up to the last level, so that every cell of the last level whose corners or faces show a
+//! boundary is resolved. A region smaller than the cells of the first grid may be missed: the first grid has to hit every
+//! region.
 //!
-//! Which points are wanted depends on what the runs gave only, not on the order in which they become known. So a level can be divided
-//! among machines, and a sweep that was interrupted goes on with the same rows.
+//! The required points depend on the results of runs only, not on their order. A level can therefore be divided among
+//! machines, and an interrupted sweep resumes with the same rows.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
@@ -21,7 +21,7 @@ use super::{
 /// The class of a run that failed.
 pub const FAILED: u8 = Outcome::ALL.len() as u8;
 
-/// The class of an outcome: its place among [`Outcome::ALL`].
+/// The class of an outcome: its index in [`Outcome::ALL`].
 pub fn class(outcome: Option<&Cell>) -> u8 {
     let name = match outcome {
         Some(Cell::Text(name)) => name.as_str(),
@@ -30,17 +30,17 @@ pub fn class(outcome: Option<&Cell>) -> u8 {
     Outcome::ALL.iter().position(|outcome| outcome.name() == name).map_or(FAILED, |place| place as u8)
 }
 
-/// What a run gave, as far as it decides where the grid is halved.
+/// The results of a run that decide where the grid is refined.
 #[derive(Clone, Debug)]
 pub struct Given {
     /// The class of its outcome.
     pub class: u8,
-    /// The measures whose jumps count, in the order of [`Sweep::jumps`]; NaN for one that is missing.
+    /// The measures whose jumps count, in the order of [`Sweep::jumps`]; NaN if missing.
     pub measures: Box<[f64]>,
 }
 
 impl Given {
-    /// From the cells of the columns of [`columns`].
+    /// Reads the cells of the columns of [`columns`].
     pub fn new(cells: &[Cell]) -> Given {
         let measures = cells.iter().skip(1).map(|cell| match cell {
             Cell::F64(number) => *number,
@@ -51,26 +51,26 @@ impl Given {
     }
 }
 
-/// The columns that decide where the grid of a sweep is halved.
+/// The columns that decide where the grid of a sweep is refined.
 pub fn columns(sweep: &Sweep) -> Vec<&str> {
     std::iter::once("outcome").chain(sweep.jumps.iter().map(|(name, _)| name.as_str())).collect()
 }
 
-/// What is known of a grid, and which cells of it are divided.
+/// The known points of a grid, and its divided cells.
 pub struct Known<'a> {
     design: &'a Design,
-    /// How far measures of neighbours may be apart.
+    /// Largest difference of each measure between neighbours.
     jumps: Vec<f64>,
     /// The last level.
     last: u32,
     given: HashMap<u64, Given>,
-    /// Cells that are divided, by the number of their first corner on their level's grid.
+    /// Divided cells, by the number of their first corner on their level's grid.
     divided: HashSet<(u32, Vec<u64>)>,
     wanted: BTreeSet<u64>,
 }
 
 impl<'a> Known<'a> {
-    /// Nothing, of a sweep whose grid is refined up to `last`.
+    /// Starts without points, for a sweep refined up to level `last`.
     pub fn new(sweep: &'a Sweep, last: u32) -> Known<'a> {
         Known::of(&sweep.design, sweep.jumps.iter().map(|(_, jump)| *jump).collect(), last)
     }
@@ -84,7 +84,7 @@ impl<'a> Known<'a> {
         self.design
     }
 
-    /// Adds what rows gave, and divides cells accordingly.
+    /// Adds the results of rows, and divides cells accordingly.
     pub fn add(&mut self, rows: BTreeMap<u64, Given>) {
         for row in rows.keys() {
             self.wanted.remove(row);
@@ -115,12 +115,12 @@ impl<'a> Known<'a> {
         }
     }
 
-    /// The rows that are to be run next, in order.
+    /// The rows to run next, in order.
     pub fn wanted(&self) -> Vec<u64> {
         self.wanted.iter().copied().collect()
     }
 
-    /// What the run at a point of a grid gave, if it is known.
+    /// The result of the run at a grid point, if known.
     fn at(&self, level: u32, index: &[u64]) -> Option<&Given> {
         self.given.get(&self.design.row(level, index))
     }
@@ -135,12 +135,12 @@ impl<'a> Known<'a> {
         self.divided.contains(&(level, corner.to_vec()))
     }
 
-    /// The cells of the first grid that have this point of it.
+    /// The cells of the first grid that contain this point of it.
     fn first_cells(&self, place: &Place) -> Vec<Vec<u64>> {
         if place.level > 0 { Vec::new() } else { self.cells_at(0, place) }
     }
 
-    /// The cells of a level, as coarse as the point's or coarser, that have a point, on a face or within.
+    /// The cells of a level that contain a point, on a face or inside; the level is not finer than the point's.
     fn cells_at(&self, level: u32, place: &Place) -> Vec<Vec<u64>> {
         let shift = place.level - level;
         let mut cells = vec![Vec::with_capacity(place.index.len())];
@@ -214,7 +214,7 @@ impl<'a> Known<'a> {
         cells
     }
 
-    /// Compares a point with the cells that have it: from the first level down to the first that is not divided.
+    /// Compares a point with the cells that contain it, from the first level to the first undivided cell.
     fn descend(&mut self, row: u64, place: &Place) {
         let Some(given) = self.given.get(&row).cloned() else { return };
         let mut cells: Vec<Vec<u64>> = self.cells_at(0, place);
@@ -256,7 +256,7 @@ mod tests {
         Design { axes: axes.collect(), sampling: Sampling::Grid }
     }
 
-    /// Refines with outcomes by a rule, and compares every point of the last level with what the cells say of it.
+    /// Refines with outcomes given by a rule, and compares every point of the last level with what the cells predict.
     fn refine(design: &Design, last: u32, rule: impl Fn(&[f64]) -> u8) -> usize {
         let of_row = |row: u64| {
             let point = design.point(row).unwrap();

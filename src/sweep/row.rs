@@ -1,4 +1,4 @@
-//! What a row of a sweep's table has: the columns, and a binary form for the journal.
+//! Rows of a sweep's table: the columns, and a binary form for the journal.
 
 use std::hash::{BuildHasher as _, BuildHasherDefault};
 
@@ -10,12 +10,12 @@ use crate::{
     table::{self, Column, Kind},
 };
 
-/// Measures that cost more than a number a step.
+/// Optional measures, which cost more than a number per step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Measures {
-    /// The greatest displacement: every vertex is looked at in every step.
+    /// The largest displacement: examines every vertex in every step.
     pub displacement: bool,
-    /// Gap, overlap and neck at every event: every step has its surfaces compared.
+    /// Gap, overlap and neck at every event: compares the surfaces in every step.
     pub surfaces: bool,
 }
 
@@ -37,7 +37,7 @@ pub enum Cell {
 }
 
 impl Cell {
-    /// The value as a table takes it.
+    /// Converts to a value of a table.
     pub fn as_table_cell(&self) -> table::Cell<'_> {
         match self {
             Cell::Null => table::Cell::Null,
@@ -50,13 +50,13 @@ impl Cell {
     }
 }
 
-/// A row: its number and a cell for every column after that.
+/// A row: its number, and a cell for every further column.
 pub type Row = (u64, Vec<Cell>);
 
 /// The name of the column of run times, the only one that depends on the machine.
 pub const RUN_TIME: &str = "run_time";
 
-/// The columns of a sweep. The first is the number of the row, then come the axes.
+/// The columns of a sweep: the row number, the axes, then the results.
 pub fn columns(sweep: &Sweep) -> Vec<Column> {
     let column = |name: &str, kind, is_nullable, about| Column { name: name.to_owned(), kind, about, is_nullable };
     let mut columns = vec![column("row", Kind::Count, false, "number of the point")];
@@ -122,7 +122,7 @@ impl From<&Setting> for Cell {
     }
 }
 
-/// Appends a record of the journal: length, hash, and the row. What is cut short or damaged is not read.
+/// Appends a record to a journal: length, hash, row. Truncated and damaged records are not read.
 pub fn append_record((row, cells): &Row, to: &mut Vec<u8>) {
     let start = to.len();
     to.extend([0; 12]);
@@ -153,7 +153,7 @@ pub fn append_record((row, cells): &Row, to: &mut Vec<u8>) {
     to[start + 4..start + 12].copy_from_slice(&hash);
 }
 
-/// Takes the first record off `bytes`; `None` at the end or where the journal is cut short.
+/// Takes the first record off `bytes`; `None` at the end or where the journal is truncated.
 pub fn take_record(bytes: &mut &[u8]) -> Option<Row> {
     let length = u32::from_le_bytes(take(bytes)?) as usize;
     let expected = u64::from_le_bytes(take(bytes)?);

@@ -1,29 +1,29 @@
-//! One run of a sweep, and what is measured of it.
+//! One run of a sweep, and its measures.
 //!
 //! # Outcomes
-//! Of a pair of bodies:
+//! For a pair of bodies:
 //!
 //! | outcome | |
 //! | --- | --- |
 //! | `merged` | merged, or in its core, at the end |
-//! | `passed` | merged and split, and went through: between the first merge and the last split the line of centres turned by more than a right angle, and the relative velocity by less |
-//! | `split` | merged and split, and did not go through: torn off, or pushed back |
+//! | `passed` | merged and split after passing through: between the first merge and the last split the line of centres turned by more than a right angle, and the relative velocity by less |
+//! | `split` | merged and split without passing through: torn off, or pushed back |
 //! | `bounced` | never merged, but turned back: the relative velocity at the end is at more than a right angle to that when the pair came within reach, one of the bodies is free, and they move apart |
-//! | `apart` | anything else: the pair never came within reach, went by, or is still in reach |
+//! | `apart` | anything else: the pair never came within reach, passed by, or is still within reach |
 //!
-//! A run has the first of these that any of its pairs has, in this order.
+//! The outcome of a run is the first of these, in this order, that applies to any of its pairs.
 //!
 //! # When a run ends
 //! With `until = "certain"`, the default, a run ends after the step after which no pair can change its phase:
 //!
-//! - where all bodies are on paths that are lines, keyframes or fixed, after the last change of phase, which the paths give
+//! - if all bodies are on paths that are lines, keyframes or fixed: after the last phase change, which the paths determine
 //!   in advance; a run without one goes to the end of the scene, so that its closest approach is known;
-//! - where bodies are free, once no pair is merged, nothing else acts (no gravity, plane or push to come), and of every
-//!   pair the centres move apart with each body out of reach of the other's sphere, even if all its vertices were
+//! - if there are free bodies: once no pair is merged, nothing else acts (no gravity, plane or further push), and for every
+//!   pair the centres move apart and each body is out of reach of the other's sphere, even if all its vertices were
 //!   displaced by one and a half times what their energy allows.
 //!
-//! A pair that is merged may split as long as the scene lasts. Scenes of more than eight bodies go to the end. Every
-//! measure is that of the steps taken.
+//! A merged pair may split until the end of the scene. Scenes of more than eight bodies run to the end. All measures are
+//! over the steps taken.
 
 use std::{collections::BTreeMap, sync::atomic::AtomicBool, time::Instant};
 
@@ -49,23 +49,23 @@ use crate::{
     sim::{Event, Failure, Options, States, events::PairTracks},
 };
 
-/// Most events that a row lists.
+/// Maximum number of events that a row lists.
 const MOST_EVENTS: usize = 64;
-/// In scenes of more bodies, runs go to the end.
+/// With more bodies, runs go to the end of the scene.
 const MOST_BODIES: usize = 8;
-/// Displacements may grow to this factor of what the energy of the vertex allows.
+/// Safety factor on the displacement that the energy of a vertex allows.
 const ROOM: f64 = 1.5;
 
-/// What pairs did, from the least to what a run is named after.
+/// Outcomes of pairs, by ascending precedence for the outcome of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Outcome {
-    /// Nothing of the others.
+    /// None of the others.
     Apart,
     /// Never merged, and turned back.
     Bounced,
     /// Merged and split.
     Split,
-    /// Merged, went through, and split.
+    /// Merged, passed through, and split.
     Passed,
     /// Merged at the end.
     Merged,
@@ -87,7 +87,7 @@ impl Outcome {
     }
 }
 
-/// What runs share, and their buffers.
+/// Data shared by runs, and their buffers.
 pub struct Runner<'a> {
     sweep: &'a Sweep,
     template: &'a Template<'a>,
@@ -99,7 +99,7 @@ pub struct Runner<'a> {
 pub struct Interrupted;
 
 impl<'a> Runner<'a> {
-    /// For the runs of a sweep; they end when `interrupt` is set.
+    /// Prepares the runs of a sweep; they end when `interrupt` is set.
     pub fn new(sweep: &'a Sweep, template: &'a Template<'a>, interrupt: Option<&'static AtomicBool>) -> Runner<'a> {
         Runner { sweep, template, interrupt }
     }
@@ -147,7 +147,7 @@ fn refused(sweep: &Sweep, error: String, cells: &mut Vec<Cell>) {
     cells.push(Text(error));
 }
 
-/// About how long a run takes [s], from the beginning of one.
+/// Estimated duration of a run [s], measured at the beginning of one.
 pub fn estimate(template: &Template<'_>, sweep: &Sweep, point: &[Setting]) -> f64 {
     let Some(mut world) = template.scene(sweep.settings(point)).ok().and_then(|scene| World::new(scene).ok()) else {
         return 0.0;
@@ -157,7 +157,7 @@ pub fn estimate(template: &Template<'_>, sweep: &Sweep, point: &[Setting]) -> f6
     start.elapsed().as_secs_f64() * steps as f64 / world.steps_taken().max(1) as f64
 }
 
-/// What is known of a pair.
+/// The state of a pair.
 struct Pair {
     /// Whether it is merged or in its core.
     is_merged: bool,
@@ -313,7 +313,7 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Takes note of the distances of pairs.
+    /// Records the distances of pairs.
     fn look(&mut self) {
         let time = self.world.time();
         for view in self.world.pairs() {
@@ -342,7 +342,7 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Takes note of the displacements.
+    /// Records the largest displacement.
     fn displace(&mut self) {
         for body in self.world.bodies().filter(|body| !body.is_at_rest()) {
             body.states_into(&mut self.states);
@@ -451,8 +451,8 @@ impl Pair {
     }
 }
 
-/// The last change of phase of a scene whose bodies are all on paths that do not swing [s]; `None` if there is none, or
-/// nothing is known of it.
+/// Time of the last phase change of a scene whose bodies are all on non-periodic paths [s]; `None` if there is none or it
+/// is unknown.
 fn last_change(scene: &Scene) -> Option<f64> {
     if scene.bodies.len() > MOST_BODIES || scene.is_coupled() {
         return None;

@@ -1,13 +1,13 @@
-//! The folder of a sweep: what is done, and what is under way.
+//! The folder of a sweep: finished and unfinished rows.
 //!
 //! | file | |
 //! | --- | --- |
-//! | `sweep.toml`, `scene.toml` | the sweep and its scene, compared when the sweep goes on |
-//! | `rows-LEVEL-SHARDofSHARDS-BLOCK.parquet` | rows; each file is there as a whole or not at all |
-//! | `.rows-….journal` | rows of a block that is not complete, each as soon as its run ends |
+//! | `sweep.toml`, `scene.toml` | the sweep and its scene, compared when the sweep is resumed |
+//! | `rows-LEVEL-SHARDofSHARDS-BLOCK.parquet` | rows; each file is written atomically |
+//! | `.rows-….journal` | rows of an incomplete block, each written as soon as its run ends |
 //!
-//! Which rows a block has is determined by the sweep, so two processes that do the same shard by mistake, or because the
-//! first one was thought lost, write the same file. No process needs to know of another, nor of locks.
+//! The sweep determines the rows of a block. Two processes that run the same shard, by mistake or because the first one was
+//! presumed lost, therefore write the same file. Processes need neither communication nor locks.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -25,12 +25,12 @@ use super::{
 use crate::table::Column;
 
 const PARTIAL: &str = ".partial";
-/// What nobody has written to for so long is not written any more.
+/// A temporary file not written to for this long is abandoned.
 const ABANDONED: Duration = Duration::from_secs(600);
 const JOURNAL: &str = ".journal";
 const PARQUET: &str = ".parquet";
 
-/// Why a sweep cannot go on in its folder.
+/// Why a sweep cannot continue in its folder.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// The operating system's answer.
@@ -65,12 +65,12 @@ fn help(error: &io::Error) -> &'static str {
     }
 }
 
-/// The part of a level that a process does: rows whose place in the level leaves `index` when divided by `count`.
+/// The part of a level that a process runs: rows whose index in the level is `index` modulo `count`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Shard {
-    /// Which, from 0.
+    /// Index of the shard, from 0.
     pub index: u64,
-    /// Of how many.
+    /// Number of shards.
     pub count: u64,
 }
 
@@ -113,7 +113,7 @@ pub struct Store {
 }
 
 impl Store {
-    /// Creates the folder of a sweep, or goes on in it.
+    /// Creates the folder of a sweep, or resumes in it.
     ///
     /// # Errors
     /// The folder cannot be written, or has another sweep.
@@ -148,7 +148,7 @@ impl Store {
         StoreError::File { doing, path: path.display().to_string(), source }
     }
 
-    /// Writes a file, which is there as a whole or not at all, even if the machine stops.
+    /// Writes a file atomically, even if the machine crashes.
     ///
     /// # Errors
     /// The operating system's answer; nothing is left behind.
@@ -196,7 +196,7 @@ impl Store {
         Ok(parts)
     }
 
-    /// The blocks of a shard that are done.
+    /// The finished blocks of a shard.
     ///
     /// # Errors
     /// The folder cannot be read.
@@ -206,7 +206,7 @@ impl Store {
     }
 
     /// Reads some columns of the rows of some levels, in the order of their files; the first column is the number of the
-    /// row. With `other`, only what others than this shard did.
+    /// row. With `other`, only rows of shards other than this one.
     ///
     /// # Errors
     /// A table cannot be read.
@@ -226,13 +226,13 @@ impl Store {
         Ok(())
     }
 
-    /// The columns of these names; the first is the number of the row.
+    /// The columns with these names, after the row number.
     pub fn named(&self, names: &[&str]) -> Vec<Column> {
         let named = names.iter().filter_map(|name| self.columns.iter().find(|column| column.name == *name));
         self.columns.first().into_iter().chain(named).cloned().collect()
     }
 
-    /// The rows that the journals of a shard have, of blocks that are not written.
+    /// The rows in the journals of a shard, for blocks not yet written.
     ///
     /// # Errors
     /// A journal cannot be read.
@@ -272,12 +272,12 @@ impl Store {
         Ok(Journal { file, path, buffer: Vec::new() })
     }
 
-    /// Removes what is left of a shard that is complete: its journals, and what a killed process was writing.
+    /// Removes the leftovers of a complete shard: its journals, and temporary files of killed processes.
     pub fn clean(&self, level: u32, shard: Shard) -> Result<(), StoreError> {
         for path in self.journal_paths(level, shard)? {
             fs::remove_file(path).ok();
         }
-        // what others may be writing is not touched
+        // keep what others may be writing
         let start = format!(".{}", stem(level, shard));
         for name in self.names()?.iter().filter(|name| name.starts_with('.') && name.ends_with(PARTIAL)) {
             let path = self.path.join(name);
@@ -290,7 +290,7 @@ impl Store {
     }
 }
 
-/// Rows of a block that is under way.
+/// Rows of a block in progress.
 pub struct Journal {
     file: File,
     path: PathBuf,
@@ -298,7 +298,7 @@ pub struct Journal {
 }
 
 impl Journal {
-    /// Adds a row. It survives the process, though not the machine.
+    /// Adds a row. It survives a crash of the process, though not of the machine.
     ///
     /// # Errors
     /// The disk is full, or failed.
@@ -308,7 +308,7 @@ impl Journal {
         self.file.write_all(&self.buffer).map_err(|error| self.error(error))
     }
 
-    /// Forgets all rows: they are written.
+    /// Clears the journal, once its rows are written.
     ///
     /// # Errors
     /// The disk failed.

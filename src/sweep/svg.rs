@@ -1,4 +1,4 @@
-//! The map as an SVG diagram. Written as text: rectangles of one colour are joined, so a map of a million points is small.
+//! The map as an SVG diagram. Rectangles of one colour are joined, so that even a map of a million points is small.
 
 use std::fmt::Write as _;
 
@@ -8,7 +8,7 @@ use super::{
     refine::FAILED,
 };
 
-/// Size of a panel's map, and the space about it [px].
+/// Size of a panel's map, and the margins around it [px].
 const MAP: [f64; 2] = [560.0, 400.0];
 const LEFT: f64 = 86.0;
 const BELOW: f64 = 66.0;
@@ -16,7 +16,7 @@ const ABOVE: f64 = 40.0;
 const RIGHT: f64 = 30.0;
 const HEADER: f64 = 62.0;
 const LEGEND: f64 = 170.0;
-/// Most panels of a diagram.
+/// Maximum number of panels of a diagram.
 const MOST_PANELS: usize = 6;
 
 /// Draws the maps.
@@ -110,7 +110,7 @@ fn draw(text: &mut String, map: &Map, slice: &Slice, height: f64) {
     write(text, [0.0, -12.0], 16.0, "start", &slice.title);
 }
 
-/// Fills what points of one colour stand for: runs of equal points, extended over equal runs above them.
+/// Fills the cells of the points of one colour: runs of equal points, extended over equal runs above them.
 fn fill(text: &mut String, map: &Map, slice: &Slice, height: f64) {
     let [columns, rows] = slice.size;
     let x = |k: usize| slice.edges[0][k] * MAP[0];

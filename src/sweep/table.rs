@@ -26,7 +26,7 @@ pub struct TableError {
 /// Writes rows as a table; every row has a cell for each column but the first, which is its number.
 ///
 /// # Errors
-/// It cannot be written.
+/// The table cannot be written.
 pub fn write(columns: &[Column], rows: &[Row], to: impl Write + Send) -> io::Result<()> {
     let mut table = ParquetTable::new(columns, to)?;
     for (row, cells) in rows {
@@ -49,7 +49,7 @@ pub fn read(path: &Path, columns: &[Column], mut each: impl FnMut(Row)) -> Resul
             return Err(refuse(format!("it has no column \"{}\" of this type", column.name)));
         }
     }
-    // whole names, which may have dots
+    // compare whole names, which may contain dots
     let roots: Vec<usize> = columns.iter().filter_map(|column| builder.schema().index_of(&column.name).ok()).collect();
     let mask = ProjectionMask::roots(builder.parquet_schema(), roots);
     let reader = builder.with_projection(mask).build().map_err(|error| refuse(error.to_string()))?;
