@@ -4,13 +4,13 @@ use std::{ops::Add, sync::Arc};
 
 use glam::{DMat3, DQuat, DVec3};
 
-use super::{kernels::WIDTH, passive::Linear};
-use crate::{
-    geometry::Vectors,
-    model::{
-        oscillator::Oscillator,
-        shape_matching::{Inner, Rotation, best_rotation, cross_matrix, moment, outer, resistance, solve},
-    },
+use super::{
+    kernels::{Lane, Lanes, WIDTH, by_coordinate},
+    passive::Linear,
+};
+use crate::model::{
+    oscillator::Oscillator,
+    shape_matching::{Inner, Rotation, best_rotation, cross_matrix, moment, outer, resistance, solve},
 };
 
 /// A rest shape, relative to its mass centre.
@@ -27,9 +27,9 @@ pub struct Shape {
     /// The largest |l| [scene unit].
     pub(super) extent: f64,
     /// Rest positions by coordinate, padded to full lanes.
-    pub(super) lanes: Vectors,
+    pub(super) lanes: Vec<Lanes>,
     /// Masses, padded by zeros.
-    pub(super) lanes_masses: Vec<f64>,
+    pub(super) lanes_masses: Vec<Lane>,
 }
 
 impl Shape {
@@ -42,17 +42,18 @@ impl Shape {
         }
         let spread = rest.iter().zip(&masses).fold(DMat3::ZERO, |sum, (&l, &m)| sum + outer(m * l, l));
         let extent = rest.iter().map(|l| l.length()).fold(0.0, f64::max);
-        let room = rest.len().next_multiple_of(WIDTH);
-        let mut lanes: Vectors = rest.iter().copied().collect();
-        lanes.resize(room);
-        let mut lanes_masses = masses.clone();
-        lanes_masses.resize(room, 0.0);
+        let mut lanes = Vec::new();
+        by_coordinate(&rest, &mut lanes);
+        let mut lanes_masses = vec![[0.0; WIDTH]; lanes.len()];
+        for (into, from) in lanes_masses.iter_mut().zip(masses.chunks(WIDTH)) {
+            into[..from.len()].copy_from_slice(from);
+        }
         Shape { rest, masses, mass, spread, extent, lanes, lanes_masses }
     }
 
     /// The shape of a body that only acts on others: it has no vertices.
     pub fn none() -> Shape {
-        let (lanes, lanes_masses) = (Vectors::default(), Vec::new());
+        let (lanes, lanes_masses) = (Vec::new(), Vec::new());
         Shape { rest: Vec::new(), masses: Vec::new(), mass: 0.0, spread: DMat3::ZERO, extent: 0.0, lanes, lanes_masses }
     }
 

@@ -13,8 +13,16 @@ use super::super::nodes::NODES;
 /// Largest number of crossings in a step that are distinguished.
 pub const MOST: usize = 7;
 
-/// `BASIS[i][k]`: weight in coefficient i of datum k of (values at the nodes, rates at the nodes).
-static BASIS: LazyLock<[[f64; 8]; 8]> = LazyLock::new(|| {
+/// `[i][k]`: weight in Bernstein coefficient i of datum k of (values at the nodes, rates at the nodes). Coefficients 0 and
+/// 7 are the first value and the last.
+pub(super) type Basis = [[f64; 8]; 8];
+
+/// The weights of the polynomials.
+pub(super) fn basis() -> &'static Basis {
+    &BASIS
+}
+
+static BASIS: LazyLock<Basis> = LazyLock::new(|| {
     // Row k of the system expresses datum k in the Bernstein coefficients; invert by Gauss–Jordan.
     const CHOOSE: [f64; 8] = [1.0, 7.0, 21.0, 35.0, 35.0, 21.0, 7.0, 1.0];
     let mut a = [[0.0; 16]; 8];
@@ -130,7 +138,7 @@ impl Course {
 
     /// The value at `theta`.
     pub fn at(&self, theta: f64) -> f64 {
-        split(&self.0, theta).0[7]
+        value(&self.0, theta)
     }
 
     /// The rate at `theta`, per step length.
@@ -158,6 +166,17 @@ fn split(b: &[f64; 8], theta: f64) -> ([f64; 8], [f64; 8]) {
         }
     }
     (left, right)
+}
+
+/// The value at `theta` (de Casteljau).
+fn value(b: &[f64; 8], theta: f64) -> f64 {
+    let mut row = *b;
+    for count in (1..8).rev() {
+        for k in 0..count {
+            row[k] += theta * (row[k + 1] - row[k]);
+        }
+    }
+    row[0]
 }
 
 fn sign_changes(b: &[f64; 8]) -> usize {
@@ -210,7 +229,7 @@ fn only_root(b: &[f64; 8]) -> f64 {
         if high - low <= 1e-15 || t <= low || t >= high {
             return t;
         }
-        let value = split(b, t).0[7];
+        let value = value(b, t);
         if value == 0.0 {
             return t;
         }

@@ -5,7 +5,7 @@ use pulp::Arch;
 
 use super::{
     body::Body,
-    crossing::{Course as Polynomial, Crossings},
+    crossing::{self, Course as Polynomial, Crossings},
     field::{Field, Pair, Push},
     kernels::{self, Pull},
     step::{Course, Held, Own, Piece, Place, Reaction, Span},
@@ -165,9 +165,6 @@ impl Acting {
         course.held.clear();
         course.pushed.clear();
         course.stiffness = self.spheres.iter().map(|sphere| sphere.strength[0].abs()).sum();
-        for look in first..4 {
-            course.active.f[look].fill(DVec3::ZERO);
-        }
         let extent = (0..4).map(|look| course.frames[look].extent).fold(0.0, f64::max);
         let speed = (0..4).map(|look| {
             let frame = &course.frames[look];
@@ -175,6 +172,7 @@ impl Acting {
         });
         let speed = speed.fold(0.0, f64::max);
         let mut crossing = std::mem::take(&mut course.crossing);
+        let mut fresh = true;
         for sphere in &self.spheres {
             let apart: [DVec3; 4] = std::array::from_fn(|look| sphere.places[look].centre - places[look].centre);
             let nearest = apart.iter().map(|apart| apart.length()).fold(f64::INFINITY, f64::min);
@@ -189,8 +187,11 @@ impl Acting {
             let turning = std::array::from_fn(|node| course.frames[node].frame_spin);
             let (weight, h) = (field.weight, span.h);
             let (active, crossing) = (&mut course.active, &mut crossing);
-            let pull = Pull { active, sphere, weight, apart, passing, turning, h, band, crossing, power, first };
+            let basis = crossing::basis();
+            let pull =
+                Pull { active, sphere, weight, apart, passing, turning, h, band, crossing, power, first, fresh, basis };
             let pulled = pull.find(arch);
+            fresh = false;
             let mut reaction = Reaction { source: sphere.source, force: [DVec3::ZERO; 5], power: [0.0; 4] };
             for node in 0..4 {
                 reaction.force[node] = -pulled.force[node];
@@ -202,6 +203,9 @@ impl Acting {
             course.reactions.push(reaction);
         }
         course.crossing = crossing;
+        if fresh {
+            course.active.clear_forces(first..4);
+        }
         for (number, plane) in (0..).zip(&field.planes) {
             let depth = |look: usize| plane.depth(places[look].centre);
             let deepest = (0..4).map(depth).fold(f64::NEG_INFINITY, f64::max);
@@ -211,7 +215,7 @@ impl Acting {
                 continue;
             }
             for i in 0..course.active.len() {
-                let depth = |look: usize| plane.depth(places[look].centre + course.active.s[look].get(i));
+                let depth = |look: usize| plane.depth(places[look].centre + course.active.s(look, i));
                 let depths = [depth(0), depth(1), depth(2), depth(3)];
                 if depths.iter().all(|&d| d < -band) {
                     continue;
@@ -233,7 +237,7 @@ impl Acting {
     /// Evaluates the forces at a single sample, of what acts there.
     pub fn evaluate_at(&self, look: usize, view: &View<'_>, course: &mut Course) {
         let View { body, field, places, arch, .. } = *view;
-        course.active.f[look].fill(DVec3::ZERO);
+        course.active.clear_forces(look..look + 1);
         let extent = course.frames[look].extent;
         for sphere in &self.spheres {
             let apart = sphere.places[look].centre - places[look].centre;
@@ -262,8 +266,7 @@ impl Acting {
                 let seen = see(course, places, look, i);
                 if contact.depth(look, &seen).0 > 0.0 {
                     let g = contact.acceleration(field.weight, look, &seen);
-                    let f = &mut course.active.f[look];
-                    f.set(i, f.get(i) + g);
+                    course.active.accelerate(look, i, g);
                     if let (0, Contact::Plane(contact, _)) = (look, contact) {
                         let (vertex, crossings) = (i as u32, Crossings::default());
                         course.held.push(Held { contact, vertex, g: [g; 4], starts_inside: true, crossings });
@@ -307,7 +310,7 @@ impl View<'_> {
         if !starts_inside && crossings.is_empty() {
             return;
         }
-        let mass = course.active.masses[i];
+        let mass = course.active.mass(i);
         let pull = |look: usize| contact.acceleration(field.weight, look, &seen[look]);
         let mut g = [pull(0), pull(1), pull(2), pull(3)];
         let held = |contact: u32, g| Held { contact, vertex: i as u32, g, starts_inside, crossings: toggles };
@@ -337,8 +340,7 @@ impl View<'_> {
         }
         if starts_inside {
             for look in first..4 {
-                let f = &mut course.active.f[look];
-                f.set(i, f.get(i) + g[look]);
+                course.active.accelerate(look, i, g[look]);
             }
         }
         let mut sign = if starts_inside { -1.0 } else { 1.0 };
@@ -365,9 +367,9 @@ impl View<'_> {
 #[inline(always)]
 fn see(course: &Course, places: &[Place; 5], look: usize, i: usize) -> Seen {
     let (frame, active) = (&course.frames[look], &course.active);
-    let s = active.s[look].get(i);
-    let a = s - active.x[look].get(i);
-    let rate = frame.frame_spin.cross(a) + active.u[look].get(i);
+    let s = active.s(look, i);
+    let a = s - active.x(look, i);
+    let rate = frame.frame_spin.cross(a) + active.u(look, i);
     Seen { a, s, rate, place: places[look], turning: frame.frame_spin }
 }
 

@@ -610,11 +610,13 @@ impl Island {
         if !work.spend(sweep_work) {
             return Some(false);
         }
-        self.evaluate_at(scratch, span, 0);
-        let Scratch { courses, places, .. } = scratch;
-        for ((body, course), places) in self.bodies.iter().zip(courses).zip(places) {
-            course.guess(body);
-            course.follow(arch, body, span, 1..4, places);
+        // the first estimate, from node to node
+        for node in 0..3 {
+            self.evaluate_at(scratch, span, node);
+            let Scratch { courses, places, .. } = &mut *scratch;
+            for ((body, course), places) in self.bodies.iter().zip(courses).zip(places) {
+                course.predict(arch, body, span, node + 1, places);
+            }
         }
         let rough = self.part.as_ref().map_or(1.0, |part| part.rough);
         let wanted = |body: &Body| rough * settled(self.tolerance, body.radius, span.h);
@@ -682,7 +684,7 @@ impl Island {
                 };
                 let body = &self.bodies[source];
                 if body.is_free() {
-                    let mass = courses[i].active.masses[own.vertex as usize];
+                    let mass = courses[i].active.mass(own.vertex as usize);
                     let force = own.g.map(|g| -mass * g);
                     let place = &places[source];
                     let torque = std::array::from_fn(|node| span.arm(place[node].centre).cross(force[node]));

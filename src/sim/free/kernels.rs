@@ -9,15 +9,49 @@ use super::{
         lanes::{Mask, Reals, Vector},
         weights::Dense,
     },
-    body::Sums,
+    crossing::Basis,
     force::Sphere,
     passive::{Linear, Moments},
     step::larger,
 };
-use crate::{geometry::Vectors, model::influence::Weight};
+use crate::model::{energy::influence_potential, influence::Weight};
 
 /// Vertices side by side. Arrays are padded to multiples of it, by vertices without mass.
 pub const WIDTH: usize = 8;
+
+/// One number for each of some vertices side by side.
+pub type Lane = [f64; WIDTH];
+
+/// One vector for each of some vertices side by side, by coordinate. Loops over arrays of these check no bounds.
+pub type Lanes = [Lane; 3];
+
+#[inline(always)]
+fn load<S: Simd, const W: usize>(simd: S, [x, y, z]: &Lanes) -> Vector<S, W> {
+    Vector { x: Reals::load(simd, x, 0), y: Reals::load(simd, y, 0), z: Reals::load(simd, z, 0) }
+}
+
+#[inline(always)]
+fn store<S: Simd, const W: usize>(v: Vector<S, W>, [x, y, z]: &mut Lanes) {
+    v.x.store(x, 0);
+    v.y.store(y, 0);
+    v.z.store(z, 0);
+}
+
+#[inline(always)]
+fn get([x, y, z]: &Lanes, lane: usize) -> DVec3 {
+    DVec3::new(x[lane], y[lane], z[lane])
+}
+
+#[inline(always)]
+fn set([x, y, z]: &mut Lanes, lane: usize, v: DVec3) {
+    (x[lane], y[lane], z[lane]) = (v.x, v.y, v.z);
+}
+
+/// Replaces vector `i` of an array; panics beyond the end, like a slice.
+#[inline]
+pub fn replace(of: &mut [Lanes], i: usize, v: DVec3) {
+    set(&mut of[i / WIDTH], i % WIDTH, v);
+}
 
 /// A loop over vertices.
 trait Kernel {
@@ -101,38 +135,44 @@ fn cross<S: Simd, const W: usize>(p: Vector<S, W>, q: Vector<S, W>) -> Vector<S,
     Vector { x: p.y * q.z - p.z * q.y, y: p.z * q.x - p.x * q.z, z: p.x * q.y - p.y * q.x }
 }
 
-/// Vectors by coordinate, with zeros up to `room`.
-pub fn by_coordinate(from: &[DVec3], room: usize, into: &mut Vectors) {
-    into.resize(room);
-    for ((v, x), (y, z)) in from.iter().zip(&mut into.x).zip(into.y.iter_mut().zip(&mut into.z)) {
-        (*x, *y, *z) = (v.x, v.y, v.z);
+/// Vectors by coordinate, with zeros up to full lanes.
+pub fn by_coordinate(from: &[DVec3], into: &mut Vec<Lanes>) {
+    into.resize(from.len().div_ceil(WIDTH), [[0.0; WIDTH]; 3]);
+    for (from, into) in from.chunks(WIDTH).zip(into) {
+        if from.len() < WIDTH {
+            *into = [[0.0; WIDTH]; 3];
+        }
+        for (lane, &v) in from.iter().enumerate() {
+            set(into, lane, v);
+        }
     }
-    (from.len()..room).for_each(|i| into.set(i, DVec3::ZERO));
 }
 
 /// Vectors one by one, without padding.
-pub fn by_vertex(from: &Vectors, into: &mut [DVec3]) {
-    for ((v, &x), (&y, &z)) in into.iter_mut().zip(&from.x).zip(from.y.iter().zip(&from.z)) {
-        *v = DVec3::new(x, y, z);
+pub fn by_vertex(from: &[Lanes], into: &mut [DVec3]) {
+    for (from, into) in from.iter().zip(into.chunks_mut(WIDTH)) {
+        for (lane, v) in into.iter_mut().enumerate() {
+            *v = get(from, lane);
+        }
     }
 }
 
 /// State of all vertices of a body at the start of a step, padded.
 #[derive(Clone, Debug, Default)]
 pub struct Start {
-    pub x: Vectors,
-    pub u: Vectors,
+    pub x: Vec<Lanes>,
+    pub u: Vec<Lanes>,
     /// Masses, zero of those that something can reach.
-    pub masses: Vec<f64>,
+    pub masses: Vec<Lane>,
     /// How much nearer than it may get each vertex is to something that acts, at the start; positive if it is out of
     /// reach in the whole step.
-    pub gap: Vec<f64>,
+    pub gap: Vec<Lane>,
 }
 
 /// Sets which vertices of a body may be reached in a step: those that start less than `band` outside a sphere or plane.
 pub struct Reach<'a> {
     pub start: &'a mut Start,
-    pub rest: &'a Vectors,
+    pub rest: &'a [Lanes],
     pub axes: DMat3,
     /// Where spheres are relative to the centre, and how near to that a vertex has to be.
     pub spheres: &'a [(DVec3, f64)],
@@ -146,8 +186,9 @@ impl Kernel for Reach<'_> {
     #[inline(always)]
     fn run<S: Simd, const W: usize>(self, simd: S) {
         let axes = columns::<S, W>(simd, self.axes);
-        for first in (0..self.rest.len()).step_by(WIDTH) {
-            let s = times(&axes, Vector::load(simd, self.rest, first)) + Vector::load(simd, &self.start.x, first);
+        let Start { x, gap: gaps, .. } = self.start;
+        for ((rest, x), into) in self.rest.iter().zip(x).zip(gaps) {
+            let s = times(&axes, load(simd, rest)) + load(simd, x);
             let mut gap = Reals::splat(simd, f64::INFINITY);
             for &(centre, radius) in self.spheres {
                 let square = (Vector::splat(simd, centre) - s).length_squared();
@@ -157,7 +198,7 @@ impl Kernel for Reach<'_> {
                 let along = s.x * normal.x + s.y * normal.y + s.z * normal.z;
                 gap = gap.smaller(along - Reals::splat(simd, side));
             }
-            gap.store(&mut self.start.gap, first);
+            gap.store(into, 0);
         }
     }
 }
@@ -169,11 +210,11 @@ impl Reach<'_> {
 }
 
 /// The largest |v|².
-pub fn largest_square(arch: Arch, v: &Vectors) -> f64 {
+pub fn largest_square(arch: Arch, v: &[Lanes]) -> f64 {
     arch.dispatch(InLanes(Largest(v)))
 }
 
-struct Largest<'a>(&'a Vectors);
+struct Largest<'a>(&'a [Lanes]);
 
 impl Kernel for Largest<'_> {
     type Output = f64;
@@ -181,21 +222,21 @@ impl Kernel for Largest<'_> {
     #[inline(always)]
     fn run<S: Simd, const W: usize>(self, simd: S) -> f64 {
         let mut most = Reals::<S, W>::splat(simd, 0.0);
-        for first in (0..self.0.len()).step_by(WIDTH) {
-            most = most.larger_or_nan(Vector::load(simd, self.0, first).length_squared());
+        for v in self.0 {
+            most = most.larger_or_nan(load(simd, v).length_squared());
         }
         largest(most)
     }
 }
 
 /// Moments of vertices with the masses of [`Start`].
-pub fn moments(arch: Arch, start: &Start, rest: &Vectors) -> Moments {
+pub fn moments(arch: Arch, start: &Start, rest: &[Lanes]) -> Moments {
     arch.dispatch(InLanes(Sum { start, rest }))
 }
 
 struct Sum<'a> {
     start: &'a Start,
-    rest: &'a Vectors,
+    rest: &'a [Lanes],
 }
 
 impl Kernel for Sum<'_> {
@@ -203,47 +244,71 @@ impl Kernel for Sum<'_> {
 
     #[inline(always)]
     fn run<S: Simd, const W: usize>(self, simd: S) -> Moments {
-        let Sum { start, rest } = self;
-        let n = rest.len();
-        let none = [zero::<S, W>(simd); 3];
-        let mut moments = Moments::default();
-        // in several loops, so that sums stay in registers
-        let (mut xx, mut xu, mut x) = (none, none, zero::<S, W>(simd));
-        for first in (0..n).step_by(WIDTH) {
-            let at = Vector::<S, W>::load(simd, &start.x, first);
-            let mx = at * Reals::load(simd, &start.masses, first);
-            add_outer(&mut xx, mx, at);
-            add_outer(&mut xu, mx, Vector::load(simd, &start.u, first));
-            x = x + mx;
-        }
-        (moments.xx, moments.xu, moments.x) = (total_matrix(&xx), total_matrix(&xu), total_vector(x));
-        let (mut xl, mut ul) = (none, none);
-        for first in (0..n).step_by(WIDTH) {
-            let ml = Vector::<S, W>::load(simd, rest, first) * Reals::load(simd, &start.masses, first);
-            add_outer(&mut xl, Vector::load(simd, &start.x, first), ml);
-            add_outer(&mut ul, Vector::load(simd, &start.u, first), ml);
-        }
-        (moments.xl, moments.ul) = (total_matrix(&xl), total_matrix(&ul));
-        let (mut uu, mut ll, mut u, mut l) = (none, none, zero::<S, W>(simd), zero::<S, W>(simd));
-        let mut mass = Reals::splat(simd, 0.0);
-        for first in (0..n).step_by(WIDTH) {
-            let m = Reals::load(simd, &start.masses, first);
-            let (rate, at) = (Vector::<S, W>::load(simd, &start.u, first), Vector::<S, W>::load(simd, rest, first));
-            let (mu, ml) = (rate * m, at * m);
-            add_outer(&mut uu, mu, rate);
-            add_outer(&mut ll, ml, at);
-            (u, l, mass) = (u + mu, l + ml, mass + m);
-        }
-        (moments.uu, moments.ll) = (total_matrix(&uu), total_matrix(&ll));
-        (moments.u, moments.l, moments.mass) = (total_vector(u), total_vector(l), total(mass));
-        moments
+        let Start { x, u, masses, .. } = self.start;
+        sum::<S, W, _>(simd, || masses.iter().zip(self.rest).zip(x.iter().zip(u)).map(|((m, l), (x, u))| (m, l, x, u)))
     }
+}
+
+/// Moments of active vertices at the start.
+pub fn moments_of_active(arch: Arch, active: &Active) -> Moments {
+    arch.dispatch(InLanes(SumActive(&active.blocks)))
+}
+
+struct SumActive<'a>(&'a [Block]);
+
+impl Kernel for SumActive<'_> {
+    type Output = Moments;
+
+    #[inline(always)]
+    fn run<S: Simd, const W: usize>(self, simd: S) -> Moments {
+        sum::<S, W, _>(simd, || self.0.iter().map(|b| (&b.masses, &b.rest, &b.x[0], &b.u[0])))
+    }
+}
+
+/// Moments of vertices with these masses, rest positions, displacements and velocities.
+#[inline(always)]
+fn sum<'a, S: Simd, const W: usize, I>(simd: S, vertices: impl Fn() -> I) -> Moments
+where
+    I: Iterator<Item = (&'a Lane, &'a Lanes, &'a Lanes, &'a Lanes)>,
+{
+    let none = [zero::<S, W>(simd); 3];
+    let mut moments = Moments::default();
+    // in several loops, so that sums stay in registers
+    let (mut xx, mut xu, mut x) = (none, none, zero::<S, W>(simd));
+    for (m, _, x0, u0) in vertices() {
+        let at = load::<S, W>(simd, x0);
+        let mx = at * Reals::load(simd, m, 0);
+        add_outer(&mut xx, mx, at);
+        add_outer(&mut xu, mx, load(simd, u0));
+        x = x + mx;
+    }
+    (moments.xx, moments.xu, moments.x) = (total_matrix(&xx), total_matrix(&xu), total_vector(x));
+    let (mut xl, mut ul) = (none, none);
+    for (m, rest, x0, u0) in vertices() {
+        let ml = load::<S, W>(simd, rest) * Reals::load(simd, m, 0);
+        add_outer(&mut xl, load(simd, x0), ml);
+        add_outer(&mut ul, load(simd, u0), ml);
+    }
+    (moments.xl, moments.ul) = (total_matrix(&xl), total_matrix(&ul));
+    let (mut uu, mut ll, mut u, mut l) = (none, none, zero::<S, W>(simd), zero::<S, W>(simd));
+    let mut mass = Reals::splat(simd, 0.0);
+    for (m, rest, _, u0) in vertices() {
+        let m = Reals::load(simd, m, 0);
+        let (rate, at) = (load::<S, W>(simd, u0), load::<S, W>(simd, rest));
+        let (mu, ml) = (rate * m, at * m);
+        add_outer(&mut uu, mu, rate);
+        add_outer(&mut ll, ml, at);
+        (u, l, mass) = (u + mu, l + ml, mass + m);
+    }
+    (moments.uu, moments.ll) = (total_matrix(&uu), total_matrix(&ll));
+    (moments.u, moments.l, moments.mass) = (total_vector(u), total_vector(l), total(mass));
+    moments
 }
 
 /// The state of all vertices at the end of a step, into `x` and `u`, as if nothing reached them.
 pub struct Finish<'a> {
     pub start: &'a mut Start,
-    pub rest: &'a Vectors,
+    pub rest: &'a [Lanes],
     pub x: &'a Linear,
     pub u: &'a Linear,
 }
@@ -272,11 +337,11 @@ impl Kernel for Finish<'_> {
     #[inline(always)]
     fn run<S: Simd, const W: usize>(self, simd: S) {
         let (x, u) = (spread::<S, W>(simd, self.x), spread::<S, W>(simd, self.u));
-        for first in (0..self.rest.len()).step_by(WIDTH) {
-            let (x0, u0) = (Vector::load(simd, &self.start.x, first), Vector::load(simd, &self.start.u, first));
-            let rest = Vector::load(simd, self.rest, first);
-            linear(&x, x0, u0, rest).store(&mut self.start.x, first);
-            linear(&u, x0, u0, rest).store(&mut self.start.u, first);
+        let Start { x: displacements, u: rates, .. } = self.start;
+        for ((into_x, into_u), rest) in displacements.iter_mut().zip(rates).zip(self.rest) {
+            let (x0, u0, rest) = (load(simd, into_x), load(simd, into_u), load(simd, rest));
+            store(linear(&x, x0, u0, rest), into_x);
+            store(linear(&u, x0, u0, rest), into_u);
         }
     }
 }
@@ -287,22 +352,32 @@ impl Finish<'_> {
     }
 }
 
+/// Active vertices side by side.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(64))] // whole cache lines
+pub struct Block {
+    pub masses: Lane,
+    pub rest: Lanes,
+    /// Displacements x at the samples [scene unit].
+    pub x: [Lanes; 5],
+    /// Velocities u at the samples [scene unit/s].
+    pub u: [Lanes; 5],
+    /// Positions relative to the centre at the samples, s = Q l + x [scene unit].
+    pub s: [Lanes; 5],
+    /// Accelerations at the samples without those that begin or end in the step, and without those that all vertices
+    /// share [scene unit/s²].
+    pub f: [Lanes; 5],
+    /// Without it blocks are of 4 KiB, and the same vectors of all of them compete for a few lines of the cache.
+    _apart: Lane,
+}
+
 /// The vertices of a body that something may reach in a step, padded.
 #[derive(Clone, Debug, Default)]
 pub struct Active {
     /// Their indices, ascending.
     pub vertices: Vec<u32>,
-    pub masses: Vec<f64>,
-    pub rest: Vectors,
-    /// Displacements x at the samples [scene unit].
-    pub x: [Vectors; 5],
-    /// Velocities u at the samples [scene unit/s].
-    pub u: [Vectors; 5],
-    /// Positions relative to the centre at the samples, s = Q l + x [scene unit].
-    pub s: [Vectors; 5],
-    /// Accelerations at the samples without those that begin or end in the step, and without those that all vertices
-    /// share [scene unit/s²].
-    pub f: [Vectors; 5],
+    /// The last lanes of the last block repeat the last vertex, without its mass.
+    pub blocks: Vec<Block>,
 }
 
 impl Active {
@@ -311,15 +386,72 @@ impl Active {
         self.vertices.len()
     }
 
-    /// Makes room for the vertices; what is in it has no meaning but for masses of zero.
+    /// Makes room for the vertices; what is in it has no meaning.
     pub fn resize(&mut self) {
-        let room = self.vertices.len().next_multiple_of(WIDTH);
-        if room != self.rest.len() {
-            let all = [&mut self.x, &mut self.u, &mut self.s, &mut self.f].into_iter().flatten();
-            all.chain([&mut self.rest]).for_each(|vectors| vectors.resize(room));
+        self.blocks.resize(self.vertices.len().div_ceil(WIDTH), Block::default());
+    }
+
+    /// Mass of vertex `i`.
+    #[inline(always)]
+    pub fn mass(&self, i: usize) -> f64 {
+        self.blocks[i / WIDTH].masses[i % WIDTH]
+    }
+
+    /// Rest position of vertex `i` [scene unit].
+    #[inline(always)]
+    pub fn rest(&self, i: usize) -> DVec3 {
+        get(&self.blocks[i / WIDTH].rest, i % WIDTH)
+    }
+
+    /// Displacement of vertex `i` at a sample [scene unit].
+    #[inline(always)]
+    pub fn x(&self, look: usize, i: usize) -> DVec3 {
+        get(&self.blocks[i / WIDTH].x[look], i % WIDTH)
+    }
+
+    /// Velocity of vertex `i` at a sample [scene unit/s].
+    #[inline(always)]
+    pub fn u(&self, look: usize, i: usize) -> DVec3 {
+        get(&self.blocks[i / WIDTH].u[look], i % WIDTH)
+    }
+
+    /// Position of vertex `i` relative to the centre at a sample [scene unit].
+    #[inline(always)]
+    pub fn s(&self, look: usize, i: usize) -> DVec3 {
+        get(&self.blocks[i / WIDTH].s[look], i % WIDTH)
+    }
+
+    /// Sets vertex `i`, with this rest position, to its state at the start; it has no mass if it only fills the lanes.
+    pub fn begin(&mut self, i: usize, mass: f64, rest: DVec3, x: DVec3, u: DVec3) {
+        let (block, lane) = (&mut self.blocks[i / WIDTH], i % WIDTH);
+        block.masses[lane] = mass;
+        set(&mut block.rest, lane, rest);
+        set(&mut block.x[0], lane, x);
+        set(&mut block.u[0], lane, u);
+    }
+
+    /// Adds to the displacement and the velocity of vertex `i` at a sample.
+    pub fn shift(&mut self, look: usize, i: usize, x: DVec3, u: DVec3) {
+        let (block, lane) = (&mut self.blocks[i / WIDTH], i % WIDTH);
+        for (of, by) in [(&mut block.x[look], x), (&mut block.u[look], u)] {
+            let moved = get(of, lane) + by;
+            set(of, lane, moved);
         }
-        self.masses.clear();
-        self.masses.resize(room, 0.0);
+    }
+
+    /// Adds to the acceleration of vertex `i` at a sample.
+    #[inline(always)]
+    pub fn accelerate(&mut self, look: usize, i: usize, by: DVec3) {
+        let (f, lane) = (&mut self.blocks[i / WIDTH].f[look], i % WIDTH);
+        let changed = get(f, lane) + by;
+        set(f, lane, changed);
+    }
+
+    /// Sets all accelerations at samples to zero.
+    pub fn clear_forces(&mut self, looks: std::ops::Range<usize>) {
+        for block in &mut self.blocks {
+            block.f[looks.clone()].fill([[0.0; WIDTH]; 3]);
+        }
     }
 }
 
@@ -329,10 +461,17 @@ fn combine<S: Simd, const W: usize>(w: &[f64; 4], v: &[Vector<S, W>; 4]) -> Vect
     (v[0] * w[0] + v[1] * w[1]) + (v[2] * w[2] + v[3] * w[3])
 }
 
+/// The accelerations at the nodes.
+#[inline(always)]
+fn forces<S: Simd, const W: usize>(simd: S, block: &Block) -> [Vector<S, W>; 4] {
+    let [a, b, c, d, _] = &block.f;
+    [load(simd, a), load(simd, b), load(simd, c), load(simd, d)]
+}
+
 /// The lanes that are vertices, not padding.
 #[inline(always)]
-fn real<S: Simd, const W: usize>(simd: S, active: &Active, first: usize) -> Mask<S, W> {
-    Reals::splat(simd, 0.0).below(Reals::load(simd, &active.masses, first))
+fn real<S: Simd, const W: usize>(simd: S, block: &Block) -> Mask<S, W> {
+    Reals::splat(simd, 0.0).below(Reals::load(simd, &block.masses, 0))
 }
 
 /// What moves active vertices to a sample.
@@ -346,89 +485,62 @@ pub struct Move<'a> {
     pub by_rest: [DMat3; 2],
 }
 
+/// How active vertices moved, and where they are then.
+#[derive(Clone, Copy, Debug)]
+pub struct Moved {
+    /// The largest squares of a change in x and in u.
+    pub changes: [f64; 2],
+    /// The largest |x|² and |u|².
+    pub most: [f64; 2],
+    /// Σ m x xᵀ
+    pub xx: DMat3,
+    /// Σ m x×u
+    pub xu: DVec3,
+}
+
 impl Kernel for Move<'_> {
-    /// The largest square of a change in x and in u.
-    type Output = [f64; 2];
+    type Output = Moved;
 
     #[inline(always)]
-    fn run<S: Simd, const W: usize>(self, simd: S) -> [f64; 2] {
+    fn run<S: Simd, const W: usize>(self, simd: S) -> Moved {
         let Move { active, look, weights: w, common, by_rest } = self;
         let common = [Vector::<S, W>::splat(simd, common[0]), Vector::splat(simd, common[1])];
         let by_rest = [columns::<S, W>(simd, by_rest[0]), columns(simd, by_rest[1])];
         let none = Reals::splat(simd, 0.0);
-        let [mut far, mut fast] = [none; 2];
-        for first in (0..active.rest.len()).step_by(WIDTH) {
-            let (x0, u0) = (Vector::load(simd, &active.x[0], first), Vector::load(simd, &active.u[0], first));
-            let rest = Vector::load(simd, &active.rest, first);
-            let f: [Vector<S, W>; 4] = [
-                Vector::load(simd, &active.f[0], first),
-                Vector::load(simd, &active.f[1], first),
-                Vector::load(simd, &active.f[2], first),
-                Vector::load(simd, &active.f[3], first),
-            ];
+        let [mut far, mut fast, mut most_x, mut most_u] = [none; 4];
+        let (mut diagonal, mut beside, mut xu) = (zero::<S, W>(simd), zero::<S, W>(simd), zero::<S, W>(simd));
+        for block in &mut active.blocks {
+            let (x0, u0) = (load(simd, &block.x[0]), load(simd, &block.u[0]));
+            let rest = load(simd, &block.rest);
+            let f = forces::<S, W>(simd, block);
             let x = x0 * w.xx + u0 * w.xu + (combine(&w.x, &f) + (common[0] + times(&by_rest[0], rest)));
             let u = x0 * w.ux + u0 * w.uu + (combine(&w.u, &f) + (common[1] + times(&by_rest[1], rest)));
-            let (x_before, u_before) =
-                (Vector::load(simd, &active.x[look], first), Vector::load(simd, &active.u[look], first));
-            let real = real(simd, active, first);
-            far = far.larger_or_nan(real.select((x - x_before).length_squared(), none));
-            fast = fast.larger_or_nan(real.select((u - u_before).length_squared(), none));
-            x.store(&mut active.x[look], first);
-            u.store(&mut active.u[look], first);
+            let (x_before, u_before) = (load(simd, &block.x[look]), load(simd, &block.u[look]));
+            // lanes that only fill the block are like the last vertex
+            far = far.larger((x - x_before).length_squared());
+            fast = fast.larger((u - u_before).length_squared());
+            most_x = most_x.larger(x.length_squared());
+            most_u = most_u.larger(u.length_squared());
+            store(x, &mut block.x[look]);
+            store(u, &mut block.u[look]);
+            let mx = x * Reals::load(simd, &block.masses, 0);
+            diagonal = diagonal + Vector { x: mx.x * x.x, y: mx.y * x.y, z: mx.z * x.z };
+            beside = beside + Vector { x: mx.y * x.z, y: mx.z * x.x, z: mx.x * x.y };
+            xu = xu + cross(mx, u);
         }
-        [largest(far), largest(fast)]
+        let (d, b) = (total_vector(diagonal), total_vector(beside));
+        let xx = DMat3::from_cols(DVec3::new(d.x, b.z, b.y), DVec3::new(b.z, d.y, b.x), DVec3::new(b.y, b.x, d.z));
+        let (mut far, xu) = (largest(far), total_vector(xu));
+        if (d + xu).is_nan() {
+            far = f64::NAN; // which is larger than nothing
+        }
+        Moved { changes: [far, largest(fast)], most: [largest(most_x), largest(most_u)], xx, xu }
     }
 }
 
 impl Move<'_> {
-    /// The largest square of a change in x and in u.
-    pub fn find(self, arch: Arch) -> [f64; 2] {
+    pub fn find(self, arch: Arch) -> Moved {
         arch.dispatch(InLanes(self))
-    }
-}
-
-/// The sums over active vertices at a sample, and their largest |x|² and |u|².
-pub fn sums(arch: Arch, active: &Active, look: usize) -> (Sums, [f64; 2]) {
-    arch.dispatch(InLanes(SumUp { active, look }))
-}
-
-struct SumUp<'a> {
-    active: &'a Active,
-    look: usize,
-}
-
-impl Kernel for SumUp<'_> {
-    type Output = (Sums, [f64; 2]);
-
-    #[inline(always)]
-    fn run<S: Simd, const W: usize>(self, simd: S) -> (Sums, [f64; 2]) {
-        let SumUp { active, look } = self;
-        let none = zero::<S, W>(simd);
-        let (mut lx, mut lu, mut xx) = ([none; 3], [none; 3], [none; 3]);
-        let (mut xu, mut mean_x, mut mean_u) = (none, none, none);
-        let [mut most_x, mut most_u] = [Reals::splat(simd, 0.0); 2];
-        for first in (0..active.rest.len()).step_by(WIDTH) {
-            let m = Reals::load(simd, &active.masses, first);
-            let ml = Vector::load(simd, &active.rest, first) * m;
-            let (x, u) = (Vector::load(simd, &active.x[look], first), Vector::load(simd, &active.u[look], first));
-            let (mx, mu) = (x * m, u * m);
-            add_outer(&mut lx, ml, x);
-            add_outer(&mut lu, ml, u);
-            add_outer(&mut xx, mx, x);
-            xu = xu + cross(mx, u);
-            (mean_x, mean_u) = (mean_x + mx, mean_u + mu);
-            most_x = most_x.larger_or_nan(x.length_squared());
-            most_u = most_u.larger_or_nan(u.length_squared());
-        }
-        let sums = Sums {
-            lx: total_matrix(&lx),
-            lu: total_matrix(&lu),
-            xx: total_matrix(&xx),
-            xu: total_vector(xu),
-            x: total_vector(mean_x),
-            u: total_vector(mean_u),
-        };
-        (sums, [largest(most_x), largest(most_u)])
     }
 }
 
@@ -450,9 +562,8 @@ impl Kernel for PlaceAll<'_> {
     fn run<S: Simd, const W: usize>(self, simd: S) {
         let PlaceAll { active, look, axes } = self;
         let axes = columns::<S, W>(simd, axes);
-        for first in (0..active.rest.len()).step_by(WIDTH) {
-            let s = times(&axes, Vector::load(simd, &active.rest, first)) + Vector::load(simd, &active.x[look], first);
-            s.store(&mut active.s[look], first);
+        for block in &mut active.blocks {
+            store(times(&axes, load(simd, &block.rest)) + load(simd, &block.x[look]), &mut block.s[look]);
         }
     }
 }
@@ -478,6 +589,9 @@ pub struct Pull<'a> {
     pub power: Option<[DVec3; 4]>,
     /// The first node at which accelerations are wanted.
     pub first: usize,
+    /// Whether these are the first ones: they replace what is there.
+    pub fresh: bool,
+    pub basis: &'a Basis,
 }
 
 /// Σ m f on a sphere's vertices, and their power.
@@ -504,6 +618,8 @@ impl Kernel for Pull<'_> {
             crossing,
             power: moving,
             first: first_node,
+            fresh,
+            basis,
         } = self;
         let rim = Reals::splat(simd, sphere.radius * sphere.radius);
         let (inner, outer) = ((sphere.radius - band).max(0.0), sphere.radius + band);
@@ -518,11 +634,14 @@ impl Kernel for Pull<'_> {
         let mut force = [no_force; 4];
         let mut power = [none; 4];
         let one = Reals::splat(simd, 1.0);
-        for first in (0..active.rest.len()).step_by(WIDTH) {
+        // differences of rounding decide nothing
+        let (above, below) = (rim * 1e-14, rim * -1e-14);
+        let Active { vertices, blocks } = active;
+        for (first, block) in (0..).step_by(WIDTH).zip(blocks) {
             let mut d = [no_force; 4];
             let mut square = [none; 4];
             for node in 0..4 {
-                d[node] = apart[node] - Vector::load(simd, &active.s[node], first);
+                d[node] = apart[node] - load(simd, &block.s[node]);
                 square[node] = d[node].length_squared();
             }
             let least = square[0].smaller(square[1]).smaller(square[2].smaller(square[3]));
@@ -533,32 +652,48 @@ impl Kernel for Pull<'_> {
             if crosses.any() {
                 // nor do those cross it that are farther from it at all nodes than they get in the step at any one's rate
                 let (mut fastest, mut nearest) = (none, Reals::splat(simd, f64::INFINITY));
+                let [mut values, mut rates] = [[none; 4]; 2];
                 for node in 0..4 {
-                    let s = Vector::load(simd, &active.s[node], first);
-                    let a = s - Vector::load(simd, &active.x[node], first);
-                    let rate =
-                        cross(Vector::splat(simd, turning[node]), a) + Vector::load(simd, &active.u[node], first);
+                    let a = load(simd, &block.s[node]) - load(simd, &block.x[node]);
+                    let rate = cross(Vector::splat(simd, turning[node]), a) + load(simd, &block.u[node]);
                     let v = Vector::splat(simd, passing[node]) - rate;
                     let along = d[node].x * v.x + d[node].y * v.y + d[node].z * v.z;
-                    fastest = fastest.larger_or_nan((along * (2.0 * h)).abs());
-                    nearest = nearest.smaller((rim - square[node]).abs());
+                    (values[node], rates[node]) = (rim - square[node], along * (-2.0 * h));
+                    fastest = fastest.larger_or_nan(rates[node].abs());
+                    nearest = nearest.smaller(values[node].abs());
                 }
                 let passes = fastest.below(nearest).negated();
                 let mixed = most.below(rim).or(rim.below(least)).negated();
                 crosses = crosses.and(passes.or(mixed));
                 inside = inside.or(crosses.negated().and(most.below(rim)));
+                if crosses.any() {
+                    // nor those whose polynomial has coefficients of one sign
+                    let (mut low, mut high) = (values[0].smaller(values[3]), values[0].larger_or_nan(values[3]));
+                    for row in &basis[1..7] {
+                        let b = (values[0] * row[0] + values[1] * row[1])
+                            + (values[2] * row[2] + values[3] * row[3])
+                            + ((rates[0] * row[4] + rates[1] * row[5]) + (rates[2] * row[6] + rates[3] * row[7]));
+                        (low, high) = (low.smaller(b), high.larger_or_nan(b));
+                    }
+                    let within = above.below(low);
+                    inside = inside.or(crosses.and(within));
+                    crosses = crosses.and(within.or(high.below(below)).negated());
+                }
             }
             if crosses.any() {
                 let mut flags = [0.0; WIDTH];
                 crosses.select(one, none).store(&mut flags, 0);
-                let count = active.vertices.len();
+                let count = vertices.len();
                 let flagged = (first..count.min(first + WIDTH)).filter(|&i| flags[i - first] != 0.0);
                 crossing.extend(flagged.map(|i| i as u32));
             }
             if !inside.any() {
+                if fresh {
+                    block.f[first_node..4].fill([[0.0; WIDTH]; 3]);
+                }
                 continue;
             }
-            let m = Reals::load(simd, &active.masses, first);
+            let m = Reals::load(simd, &block.masses, 0);
             for node in 0..4 {
                 let z = square[node].sqrt() * (1.0 / sphere.radius);
                 let y = one - z;
@@ -568,13 +703,13 @@ impl Kernel for Pull<'_> {
                 };
                 let g = inside.select_vector(d[node] * (w * sphere.strength[node]), no_force);
                 if node >= first_node {
-                    let f = &mut active.f[node];
-                    (Vector::load(simd, f, first) + g).store(f, first);
+                    let f = &mut block.f[node];
+                    store(if fresh { g } else { load(simd, f) + g }, f);
                 }
                 let pull = g * m;
                 force[node] = force[node] + pull;
                 if let Some(velocity) = moving {
-                    let v = Vector::load(simd, &active.u[node], first) + Vector::splat(simd, velocity[node]);
+                    let v = load(simd, &block.u[node]) + Vector::splat(simd, velocity[node]);
                     power[node] = power[node] + (pull.x * v.x + pull.y * v.y + pull.z * v.z);
                 }
             }
@@ -616,8 +751,8 @@ impl Kernel for PullAt<'_> {
         let apart = Vector::<S, W>::splat(simd, apart);
         let (one, no_force) = (Reals::splat(simd, 1.0), zero::<S, W>(simd));
         let mut force = no_force;
-        for first in (0..active.rest.len()).step_by(WIDTH) {
-            let d = apart - Vector::load(simd, &active.s[look], first);
+        for block in &mut active.blocks {
+            let d = apart - load(simd, &block.s[look]);
             let square = d.length_squared();
             let inside = square.below(rim);
             if !inside.any() {
@@ -630,16 +765,34 @@ impl Kernel for PullAt<'_> {
                 Weight::Wendland => (y * y) * (y * y) * (z * 4.0 + one),
             };
             let g = inside.select_vector(d * (w * sphere.strength[look]), no_force);
-            let f = &mut active.f[look];
-            (Vector::load(simd, f, first) + g).store(f, first);
-            force = force + g * Reals::load(simd, &active.masses, first);
+            let f = &mut block.f[look];
+            store(load(simd, f) + g, f);
+            force = force + g * Reals::load(simd, &block.masses, 0);
         }
         total_vector(force)
     }
 }
 
-/// Σ m f, Σ m a×f and Σ m s×f of the accelerations of active vertices at a sample; then adds `turning`×x to them.
-pub fn gather(arch: Arch, active: &mut Active, look: usize, turning: DVec3) -> [DVec3; 3] {
+/// Sums over the accelerations of active vertices at a sample.
+#[derive(Clone, Copy, Debug)]
+pub struct Gathered {
+    /// Σ m f
+    pub force: DVec3,
+    /// Σ m l fᵀ
+    pub by_rest: DMat3,
+    /// Σ m s×f
+    pub spinning: DVec3,
+}
+
+impl Default for Gathered {
+    fn default() -> Gathered {
+        // the default of a matrix is the identity
+        Gathered { force: DVec3::ZERO, by_rest: DMat3::ZERO, spinning: DVec3::ZERO }
+    }
+}
+
+/// Sums the accelerations of active vertices at a sample; then adds `turning`×x to them.
+pub fn gather(arch: Arch, active: &mut Active, look: usize, turning: DVec3) -> Gathered {
     arch.dispatch(InLanes(Gather { active, look, turning }))
 }
 
@@ -650,23 +803,67 @@ struct Gather<'a> {
 }
 
 impl Kernel for Gather<'_> {
-    type Output = [DVec3; 3];
+    type Output = Gathered;
 
     #[inline(always)]
-    fn run<S: Simd, const W: usize>(self, simd: S) -> [DVec3; 3] {
+    fn run<S: Simd, const W: usize>(self, simd: S) -> Gathered {
         let Gather { active, look, turning } = self;
-        let turning = Vector::<S, W>::splat(simd, turning);
-        let mut sums = [zero::<S, W>(simd); 3];
-        for first in (0..active.rest.len()).step_by(WIDTH) {
-            let f = Vector::load(simd, &active.f[look], first);
-            let (s, x) = (Vector::load(simd, &active.s[look], first), Vector::load(simd, &active.x[look], first));
-            let force = f * Reals::load(simd, &active.masses, first);
-            sums[0] = sums[0] + force;
-            sums[1] = sums[1] + cross(s - x, force);
-            sums[2] = sums[2] + cross(s, force);
-            (f + cross(turning, x)).store(&mut active.f[look], first);
+        let none = zero::<S, W>(simd);
+        let (mut sum, mut by_rest, mut spinning) = (none, [none; 3], none);
+        for block in &active.blocks {
+            let force = load(simd, &block.f[look]) * Reals::load(simd, &block.masses, 0);
+            sum = sum + force;
+            add_outer(&mut by_rest, load(simd, &block.rest), force);
+            spinning = spinning + cross(load(simd, &block.s[look]), force);
         }
-        [total_vector(sums[0]), total_vector(sums[1]), total_vector(sums[2])]
+        if turning != DVec3::ZERO {
+            let turning = Vector::<S, W>::splat(simd, turning);
+            for block in &mut active.blocks {
+                let f = &mut block.f[look];
+                store(load(simd, f) + cross(turning, load(simd, &block.x[look])), f);
+            }
+        }
+        Gathered { force: total_vector(sum), by_rest: total_matrix(&by_rest), spinning: total_vector(spinning) }
+    }
+}
+
+/// Σ m (Φ − Φ(r_e)) of the active vertices at a node, in a sphere of radius r_e that is at `apart` from the centre.
+pub fn potential(arch: Arch, active: &Active, node: usize, weight: Weight, radius: f64, apart: DVec3) -> f64 {
+    arch.dispatch(InLanes(Potential { active, node, weight, radius, apart }))
+}
+
+struct Potential<'a> {
+    active: &'a Active,
+    node: usize,
+    weight: Weight,
+    radius: f64,
+    apart: DVec3,
+}
+
+impl Kernel for Potential<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn run<S: Simd, const W: usize>(self, simd: S) -> f64 {
+        let Potential { active, node, weight, radius, apart } = self;
+        let apart = Vector::<S, W>::splat(simd, apart);
+        let number = |value: f64| Reals::<S, W>::splat(simd, value);
+        let (one, mut sum) = (number(1.0), number(0.0));
+        let outside = influence_potential(weight, 1.0, 1.0);
+        for block in &active.blocks {
+            let z = (apart - load(simd, &block.s[node])).length_squared().sqrt() * (1.0 / radius);
+            let z = z.smaller(one);
+            let z2 = z * z;
+            let phi = match weight {
+                Weight::Linear => z2 * (number(1.0 / 2.0) - z * (1.0 / 3.0)),
+                Weight::Wendland => {
+                    let inner = number(-2.5) + z * (number(4.0) + z * (number(-2.5) + z * (4.0 / 7.0)));
+                    z2 * (number(0.5) + z2 * inner)
+                }
+            };
+            sum = sum + (phi - number(outside)) * Reals::load(simd, &block.masses, 0);
+        }
+        total(sum) * radius * radius
     }
 }
 
@@ -691,17 +888,12 @@ impl Kernel for Bend<'_> {
         let (common, by_rest) = (Vector::<S, W>::splat(simd, common), columns::<S, W>(simd, by_rest));
         let none = Reals::splat(simd, 0.0);
         let mut most = none;
-        for first in (0..active.rest.len()).step_by(WIDTH) {
-            let f: [Vector<S, W>; 4] = [
-                Vector::load(simd, &active.f[0], first),
-                Vector::load(simd, &active.f[1], first),
-                Vector::load(simd, &active.f[2], first),
-                Vector::load(simd, &active.f[3], first),
-            ];
-            let middle = Vector::load(simd, &active.f[4], first);
-            let shared = common + times(&by_rest, Vector::load(simd, &active.rest, first));
+        for block in &active.blocks {
+            let f = forces::<S, W>(simd, block);
+            let middle = load(simd, &block.f[4]);
+            let shared = common + times(&by_rest, load(simd, &block.rest));
             let square = (middle - combine(&w, &f) + shared).length_squared();
-            most = most.larger_or_nan(real(simd, active, first).select(square, none));
+            most = most.larger_or_nan(real(simd, block).select(square, none));
         }
         largest(most)
     }
@@ -727,10 +919,10 @@ impl Kernel for Slipping<'_> {
         let Slipping { active, node, spin, slip } = self;
         let (spin, slip) = (Vector::<S, W>::splat(simd, spin), columns::<S, W>(simd, slip));
         let mut sum = Reals::splat(simd, 0.0);
-        for first in (0..active.rest.len()).step_by(WIDTH) {
-            let (x, u) = (Vector::load(simd, &active.x[node], first), Vector::load(simd, &active.u[node], first));
-            let rate = u - cross(spin, x) + times(&slip, Vector::load(simd, &active.rest, first));
-            sum = sum + rate.length_squared() * Reals::load(simd, &active.masses, first);
+        for block in &active.blocks {
+            let (x, u) = (load(simd, &block.x[node]), load(simd, &block.u[node]));
+            let rate = u - cross(spin, x) + times(&slip, load(simd, &block.rest));
+            sum = sum + rate.length_squared() * Reals::load(simd, &block.masses, 0);
         }
         total(sum)
     }

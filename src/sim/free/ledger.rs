@@ -12,7 +12,6 @@ use pulp::Arch;
 use super::{
     super::nodes::NODES,
     body::Body,
-    conserved::potential,
     field::{Field, Pair},
     kernels,
     step::{Course, Held, Place},
@@ -102,8 +101,8 @@ impl Done<'_> {
     /// Velocity r′ of an active vertex at a node [scene unit/s].
     fn velocity(self, body: usize, node: usize, vertex: usize) -> DVec3 {
         let (frame, active) = (&self.courses[body].frames[node], &self.courses[body].active);
-        let a = frame.axes * active.rest.get(vertex);
-        self.places[body][node].velocity + (frame.frame_spin.cross(a) + active.u[node].get(vertex))
+        let a = frame.axes * active.rest(vertex);
+        self.places[body][node].velocity + (frame.frame_spin.cross(a) + active.u(node, vertex))
     }
 
     fn damping(self, index: usize) -> f64 {
@@ -135,13 +134,13 @@ impl Done<'_> {
     }
 
     fn friction(self, index: usize) -> f64 {
-        let (masses, planes) = (&self.courses[index].active.masses, &self.field.planes);
+        let (active, planes) = (&self.courses[index].active, &self.field.planes);
         let rough = self.courses[index].held.iter().filter(|held| planes[held.contact as usize].friction != 0.0);
         let work = rough.map(|held| {
             let (n, vertex) = (planes[held.contact as usize].normal, held.vertex as usize);
             let power = std::array::from_fn(|node| {
                 let g = held.g[node];
-                masses[vertex] * (g - n.dot(g) * n).dot(self.velocity(index, node, vertex))
+                active.mass(vertex) * (g - n.dot(g) * n).dot(self.velocity(index, node, vertex))
             });
             self.contact(held, power)
         });
@@ -149,11 +148,11 @@ impl Done<'_> {
     }
 
     fn pushes(self, index: usize) -> f64 {
-        let masses = &self.courses[index].active.masses;
+        let active = &self.courses[index].active;
         let work = self.courses[index].pushed.iter().map(|held| {
             let vertex = held.vertex as usize;
             let power =
-                std::array::from_fn(|node| masses[vertex] * held.g[node].dot(self.velocity(index, node, vertex)));
+                std::array::from_fn(|node| active.mass(vertex) * held.g[node].dot(self.velocity(index, node, vertex)));
             self.contact(held, power)
         });
         work.sum()
@@ -189,7 +188,7 @@ impl Done<'_> {
             let Some(own) = &piece.own else { continue };
             let Some(source) = own.source.filter(|&source| counts(source)) else { continue };
             let vertex = own.vertex as usize;
-            let mass = course.active.masses[vertex];
+            let mass = course.active.mass(vertex);
             let power = std::array::from_fn(|node| {
                 if body.is_free() {
                     mass * own.g[node].dot(self.places[source as usize][node].velocity)
@@ -226,9 +225,10 @@ impl Done<'_> {
                 let (course, place) = (&self.courses[own], &self.places[own][node]);
                 let to_source = self.places[source][node].centre - place.centre;
                 let own = &self.bodies[own];
-                let active = &course.active;
-                let vertices = (0..active.len()).map(|i| (active.masses[i], active.s[node].get(i)));
-                potential(own, vertices, to_source, &self.bodies[source], self.field)
+                let (field, source) = (self.field, &self.bodies[source]);
+                let radius = field.reach * source.radius;
+                let sum = kernels::potential(self.arch, &course.active, node, field.weight, radius, to_source);
+                field.scale(own.radius, source.radius) * sum
             };
             slope * rate * (of(a, b) + of(b, a))
         }))

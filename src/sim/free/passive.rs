@@ -79,6 +79,35 @@ fn size(a: &DMat3) -> f64 {
     if columns.is_nan() { f64::NAN } else { (columns * (x + y + z).max_element()).sqrt() }
 }
 
+/// A [`Linear`] vector whose matrices by x and u are multiples of the identity.
+#[derive(Clone, Copy, Debug)]
+pub struct Scaled {
+    pub by_x: f64,
+    pub by_u: f64,
+    pub by_rest: DMat3,
+    pub shift: DVec3,
+}
+
+impl Scaled {
+    pub fn linear(&self) -> Linear {
+        let [by_x, by_u] = [self.by_x, self.by_u].map(|by| DMat3::from_diagonal(DVec3::splat(by)));
+        Linear { by_x, by_u, by_rest: self.by_rest, shift: self.shift }
+    }
+
+    /// No less than the length of this vector for any vertex. `at_start` bounds it at the start, and `more` how far the
+    /// free motion takes it from there.
+    pub fn bound(&self, most: &Most, at_start: f64, more: f64) -> f64 {
+        let Scaled { by_x, by_u, by_rest, shift } = self;
+        let own = by_x.abs() * most.x + by_u.abs() * most.u;
+        own.min(at_start + more) + (size(by_rest) * most.rest + shift.length())
+    }
+
+    /// No less than the difference of this vector to another with the same multiples for any vertex.
+    pub fn difference(&self, other: &Linear, most: &Most) -> f64 {
+        size(&(self.by_rest - other.by_rest)) * most.rest + (self.shift - other.shift).length()
+    }
+}
+
 /// Second moments Σ m p qᵀ of x, u and l at the start of the step, first moments and the mass.
 #[derive(Clone, Copy, Debug)]
 pub struct Moments {
@@ -123,10 +152,44 @@ impl Moments {
         }
     }
 
+    /// The sums over the vertices at the start.
+    pub fn at_start(&self) -> Sums {
+        let Moments { xx, xu, xl, ul, x, u, .. } = *self;
+        Sums { lx: xl.transpose(), lu: ul.transpose(), xx, xu: moment(xu), x, u }
+    }
+
     /// Σ m |q|².
     pub fn square(&self, q: &Linear) -> f64 {
         let p = product(q, &self.with(q));
         p.x_axis.x + p.y_axis.y + p.z_axis.z
+    }
+
+    fn with_scaled(&self, q: &Scaled) -> With {
+        let Scaled { by_x, by_u, by_rest, shift } = *q;
+        let by_rest = by_rest.transpose();
+        let Moments { xx, xu, xl, uu, ul, ll, .. } = *self;
+        With {
+            x: xx * by_x + xu * by_u + (xl * by_rest + outer(self.x, shift)),
+            u: xu.transpose() * by_x + uu * by_u + (ul * by_rest + outer(self.u, shift)),
+            l: xl.transpose() * by_x + ul.transpose() * by_u + (ll * by_rest + outer(self.l, shift)),
+            one: by_x * self.x + by_u * self.u + (q.by_rest * self.l + self.mass * shift),
+        }
+    }
+
+    /// Σ m l qᵀ and Σ m q.
+    pub fn linear_sums(&self, q: &Scaled) -> (DMat3, DVec3) {
+        let Scaled { by_x, by_u, by_rest, shift } = *q;
+        let by_l = self.xl.transpose() * by_x
+            + self.ul.transpose() * by_u
+            + (self.ll * by_rest.transpose() + outer(self.l, shift));
+        (by_l, by_x * self.x + by_u * self.u + (by_rest * self.l + self.mass * shift))
+    }
+
+    /// The sums over the vertices at an instant at which their states are x and u.
+    pub fn scaled_sums(&self, x: &Scaled, u: &Scaled) -> Sums {
+        let (with_x, with_u) = (self.with_scaled(x), self.with_scaled(u));
+        let by_x = |q: &With| q.x * x.by_x + q.u * x.by_u + (x.by_rest * q.l + outer(x.shift, q.one));
+        Sums { lx: with_x.l, lu: with_u.l, xx: by_x(&with_x), xu: moment(by_x(&with_u)), x: with_x.one, u: with_u.one }
     }
 
     /// The sums over the vertices at an instant at which their states are x and u.
@@ -203,5 +266,17 @@ mod tests {
             assert!(found.abs_diff_eq(expected, 1e-12), "{found} {expected}");
         }
         assert!((moments.square(&p) - square).abs() < 1e-12);
+
+        let scaled = |by_x, by_u, of: &Linear| Scaled { by_x, by_u, by_rest: of.by_rest, shift: of.shift };
+        let (p, q) = (scaled(0.3, -0.7, &p), scaled(1.1, 0.2, &q));
+        let (found, expected) = (moments.scaled_sums(&p, &q), moments.sums(&p.linear(), &q.linear()));
+        for (found, expected) in [(found.lx, expected.lx), (found.lu, expected.lu), (found.xx, expected.xx)] {
+            assert!(found.abs_diff_eq(expected, 1e-12), "{found} {expected}");
+        }
+        for (found, expected) in [(found.xu, expected.xu), (found.x, expected.x), (found.u, expected.u)] {
+            assert!(found.abs_diff_eq(expected, 1e-12), "{found} {expected}");
+        }
+        let (by_l, sum) = moments.linear_sums(&p);
+        assert!(by_l.abs_diff_eq(found.lx, 1e-12) && sum.abs_diff_eq(found.x, 1e-12));
     }
 }

@@ -185,7 +185,7 @@ impl Record {
         }
         for piece in &course.pieces {
             if let Some((own, source)) = piece.own.as_ref().and_then(|own| Some((own, own.source?))) {
-                let mass = piece.sign * course.active.masses[own.vertex as usize];
+                let mass = piece.sign * course.active.mass(own.vertex as usize);
                 add(source, piece.from, own.g.map(|g| -mass * g));
             }
         }

@@ -22,17 +22,24 @@ use super::{
     crossing::Crossings,
     field::{Driven, Field, Paths},
     force::{Acting, View},
-    kernels::{self, Active, Finish, Move, Reach, Start},
-    passive::{Linear, Moments, Most},
-    weights::{BALLISTIC, Late, cubic, looks},
+    kernels::{self, Active, Finish, Gathered, Move, Reach, Start, WIDTH},
+    passive::{Linear, Moments, Most, Scaled},
+    weights::{Late, ballistic, cubic, early, early_ballistic, looks},
 };
 use crate::model::{
     oscillator::Oscillator,
-    shape_matching::{Inner, cross_matrix, frame_drive, resistance, rotation_by, rotation_vector_rate, solve},
+    shape_matching::{
+        Inner, cross_matrix, frame_drive, moment, outer, resistance, rotation_by, rotation_vector_rate, solve,
+    },
 };
 
 /// Index of the sample in the middle of the step.
 pub const MIDDLE: usize = 4;
+
+/// Rotations at the nodes are corrected at most this many times in a sweep …
+const MOST_ROUNDS: usize = 4;
+/// … and no more when they change by less than this fraction of what the sweep changes.
+const LEFT_TO_SWEEP: f64 = 1e-6;
 
 /// Position and velocity of a frame at an instant of a step, as other bodies see it.
 #[derive(Clone, Copy, Debug, Default)]
@@ -147,6 +154,12 @@ pub struct Course {
     pub others: [[Linear; 2]; 5],
     /// Moments of the others at the start.
     pub moments: Moments,
+    /// Moments of the active vertices at the start.
+    first: Moments,
+    /// Sums over the accelerations of the active vertices at the samples, with the damping that rotates.
+    gathered: [Gathered; 5],
+    /// Sums over the active vertices at the samples.
+    sums: [Sums; 5],
     /// The part of the others' accelerations at the samples that depends on their states: damping that rotates.
     coupling: [Linear; 5],
     /// The states of all vertices at the start.
@@ -155,6 +168,7 @@ pub struct Course {
     pub pieces: Vec<Piece>,
     pub reactions: Vec<Reaction>,
     weights: [Dense; 4],
+    early: [[Dense; 3]; 3],
     known: (Oscillator, f64),
     /// Effect of the pieces by each sample after the start.
     late: [LateSum; 4],
@@ -224,12 +238,13 @@ pub struct Span {
     pub origin: Option<DVec3>,
     /// Weights for the motion of centres.
     pub ballistic: [Dense; 4],
+    early: [[Dense; 3]; 3],
 }
 
 impl Span {
     pub fn new(start: f64, end: f64, origin: Option<DVec3>) -> Span {
         let h = end - start;
-        Span { start, h, end, origin, ballistic: looks(BALLISTIC, h) }
+        Span { start, h, end, origin, ballistic: ballistic(h), early: early_ballistic(h) }
     }
 
     /// From the reference point of angular momentum to a body's centre [scene unit].
@@ -280,9 +295,10 @@ impl Course {
         if self.known != (body.oscillator, span.h) {
             self.known = (body.oscillator, span.h);
             self.weights = looks(body.oscillator, span.h);
+            self.early = early(body.oscillator, span.h);
         }
         for (into, from) in [(&mut self.start.x, &body.x), (&mut self.start.u, &body.u)] {
-            kernels::by_coordinate(from, body.shape.lanes.len(), into);
+            kernels::by_coordinate(from, into);
         }
         let [x, u] = [&self.start.x, &self.start.u].map(|v| kernels::largest_square(arch, v).sqrt());
         self.most = Most { x, u, rest: body.shape.extent };
@@ -371,29 +387,36 @@ impl Course {
         if !acting.pushes.is_empty() {
             active.vertices.extend(0..n as u32);
         } else if !(self.spheres.is_empty() && self.planes.is_empty()) {
-            start.gap.resize(shape.lanes.len(), 0.0);
+            start.gap.resize(shape.lanes.len(), [0.0; WIDTH]);
             let (axes, rest) = (self.frames[0].axes, &shape.lanes);
             Reach { start, rest, axes, spheres: &self.spheres, planes: &self.planes }.find(arch);
-            active.vertices.extend((0..n as u32).filter(|&i| !(start.gap[i as usize] > 0.0)));
+            let gaps = start.gap.as_flattened()[..n].iter().zip(0u32..);
+            active.vertices.extend(gaps.filter(|(gap, _)| !(**gap > 0.0)).map(|(_, i)| i));
         }
         active.resize();
-        let room = active.rest.len();
-        for place in 0..room {
-            // the last lanes repeat the last vertex, without its mass
+        active.clear_forces(1..4);
+        for place in 0..WIDTH * active.blocks.len() {
             let vertex = active.vertices[place.min(active.vertices.len() - 1)] as usize;
-            active.rest.set(place, shape.rest[vertex]);
-            active.x[0].set(place, start.x.get(vertex));
-            active.u[0].set(place, start.u.get(vertex));
-            if place < active.vertices.len() {
-                active.masses[place] = shape.masses[vertex];
-            }
-            start.masses[vertex] = 0.0;
+            let mass = if place < active.vertices.len() { shape.masses[vertex] } else { 0.0 };
+            active.begin(place, mass, shape.rest[vertex], body.x[vertex], body.u[vertex]);
+            start.masses[vertex / WIDTH][vertex % WIDTH] = 0.0;
         }
         self.moments = Moments::default();
-        if body.is_free() && active.len() < n {
-            self.moments = kernels::moments(arch, &self.start, &shape.lanes);
+        self.first = Moments::default();
+        let frame = &mut self.frames[0];
+        if body.is_free() {
+            if active.len() < n {
+                self.moments = kernels::moments(arch, &self.start, &shape.lanes);
+            }
+            if active.len() > 0 {
+                self.first = kernels::moments_of_active(arch, active);
+            }
+            self.sums[0] = self.first.at_start();
+            frame.sums = self.moments.at_start() + self.sums[0];
         }
-        self.sum_up(arch, body, 0);
+        frame.extent = extent + x;
+        frame.speed = u;
+        self.gathered = Default::default();
         self.orient(body, 0);
         self.place(arch, 0);
     }
@@ -421,6 +444,14 @@ impl Course {
         })
     }
 
+    /// A first estimate of the centre and the vertices at a node, from the forces at those before it; at the last node, of
+    /// all others anew.
+    pub fn predict(&mut self, arch: Arch, body: &Body, span: &Span, node: usize, places: &mut [Place; 5]) {
+        let weights = self.early[node - 1];
+        let first = if node == 3 { 1 } else { node };
+        self.advance(arch, body, span, [&weights, &span.early[node - 1]], (first..node + 1, 1), places);
+    }
+
     /// Updates the centre and the vertices at the samples from the forces last found at the nodes. Returns by how much:
     /// displacements, and velocities times how long they last [scene unit].
     pub fn follow(
@@ -429,6 +460,22 @@ impl Course {
         body: &Body,
         span: &Span,
         looks: std::ops::Range<usize>,
+        places: &mut [Place; 5],
+    ) -> f64 {
+        let weights = self.weights;
+        // what is in the middle does not act on the nodes
+        let rounds = if looks.start == MIDDLE { 1 } else { MOST_ROUNDS };
+        self.advance(arch, body, span, [&weights, &span.ballistic], (looks, rounds), places)
+    }
+
+    /// The same with these weights of the vertices and of centres, and with as many corrections of the rotations.
+    fn advance(
+        &mut self,
+        arch: Arch,
+        body: &Body,
+        span: &Span,
+        [weights, ballistic]: [&[Dense]; 2],
+        (looks, rounds): (std::ops::Range<usize>, usize),
         places: &mut [Place; 5],
     ) -> f64 {
         // an oscillator turns its velocity into a displacement; nothing bounds that of a centre, so count one second
@@ -445,9 +492,9 @@ impl Course {
         let orbital = |place: &Place| mass * span.arm(place.centre).cross(place.velocity);
         let momentum = orbital(&start) + body.spin;
         for look in looks.clone() {
-            let (w, late) = (self.weights[look - 1], self.late[look - 1]);
+            let (w, late) = (&weights[look - 1], self.late[look - 1]);
             if body.is_free() {
-                let b = &span.ballistic[look - 1];
+                let b = &ballistic[look - 1];
                 let mut place = Place {
                     centre: start.centre + (b.xu * start.velocity + (combine(&b.x, acceleration) + late.centre)),
                     velocity: start.velocity + (combine(&b.u, acceleration) + late.velocity),
@@ -464,32 +511,35 @@ impl Course {
             let (x_common, u_common) = (combine(&w.x, common) + late.x, combine(&w.u, common) + late.u);
             let x_by_rest = combine_matrices(&w.x, drive) + late.x_by_rest;
             let u_by_rest = combine_matrices(&w.u, drive) + late.u_by_rest;
-            let [x, u] = [(w.xx, w.xu, x_by_rest, x_common), (w.ux, w.uu, u_by_rest, u_common)].map(
-                |(by_x, by_u, by_rest, shift)| {
-                    let [by_x, by_u] = [by_x, by_u].map(|by| DMat3::from_diagonal(DVec3::splat(by)));
-                    Linear { by_x, by_u, by_rest, shift }
-                },
-            );
-            let mut others = [x, u];
+            let x = Scaled { by_x: w.xx, by_u: w.xu, by_rest: x_by_rest, shift: x_common };
+            let u = Scaled { by_x: w.ux, by_u: w.uu, by_rest: u_by_rest, shift: u_common };
+            let mut others = [x.linear(), u.linear()];
             if is_coupled {
                 for node in 0..4 {
                     others[0].add_times(w.x[node], &self.coupling[node]);
                     others[1].add_times(w.u[node], &self.coupling[node]);
                 }
             }
-            change = larger(change, others[0].difference(&self.others[look][0], &self.most));
-            change = larger(change, swing * others[1].difference(&self.others[look][1], &self.most));
+            let are_others = self.active.len() < body.shape.rest.len();
+            if is_coupled {
+                change = larger(change, others[0].difference(&self.others[look][0], &self.most));
+                change = larger(change, swing * others[1].difference(&self.others[look][1], &self.most));
+            } else if are_others {
+                change = larger(change, x.difference(&self.others[look][0], &self.most));
+                change = larger(change, swing * u.difference(&self.others[look][1], &self.most));
+            }
             self.others[look] = others;
 
             // single-vertex effects are added below; the change of the rest is measured without them
             let active = &mut self.active;
             for (vertex, late) in &self.own_before {
-                let (vertex, (x, u)) = (*vertex as usize, late[look - 1]);
-                active.x[look].set(vertex, active.x[look].get(vertex) - x);
-                active.u[look].set(vertex, active.u[look].get(vertex) - u);
+                let (x, u) = late[look - 1];
+                active.shift(look, *vertex as usize, -x, -u);
             }
             let (common, by_rest) = ([x_common, u_common], [x_by_rest, u_by_rest]);
-            let [mut far, mut fast] = Move { active, look, weights: &w, common, by_rest }.find(arch);
+            let mut moved = Move { active, look, weights: w, common, by_rest }.find(arch);
+            let [mut far, mut fast] = moved.changes;
+            let mut sums = Sums::default();
             for (vertex, late) in &self.own {
                 let (x, u) = late[look - 1];
                 let known = self.own_before.iter().find(|(before, _)| before == vertex);
@@ -497,14 +547,55 @@ impl Course {
                 far = larger(far, (x - x_before).length_squared());
                 fast = larger(fast, (u - u_before).length_squared());
                 let (vertex, active) = (*vertex as usize, &mut self.active);
-                active.x[look].set(vertex, active.x[look].get(vertex) + x);
-                active.u[look].set(vertex, active.u[look].get(vertex) + u);
+                let (m, before) = (active.mass(vertex), [active.x(look, vertex), active.u(look, vertex)]);
+                active.shift(look, vertex, x, u);
+                let (after, l) = ([before[0] + x, before[1] + u], m * active.rest(vertex));
+                sums.lx += outer(l, x);
+                sums.lu += outer(l, u);
+                sums.xx += outer(m * x, after[0]) + outer(m * before[0], x);
+                sums.xu += m * (x.cross(after[1]) + before[0].cross(u));
+                sums.x += m * x;
+                sums.u += m * u;
+                moved.most = [0, 1].map(|k| larger(moved.most[k], after[k].length_squared()));
             }
             change = larger(larger(change, far.sqrt()), swing * fast.sqrt());
-            self.sum_up(arch, body, look);
+            if body.turns() || (look == 3 && body.is_free()) {
+                let linear = |q: &Scaled, w: &[f64; 4]| {
+                    let (by_l, sum) = self.first.linear_sums(q);
+                    let [a, b, c, d, _] = &self.gathered;
+                    let by_force = combine_matrices(w, [a.by_rest, b.by_rest, c.by_rest, d.by_rest]);
+                    (by_l + by_force, sum + combine(w, [a.force, b.force, c.force, d.force]))
+                };
+                let ((lx, mean_x), (lu, mean_u)) = (linear(&x, &w.x), linear(&u, &w.u));
+                self.sums[look] = Sums { lx, lu, xx: moved.xx, xu: moved.xu, x: mean_x, u: mean_u } + sums;
+                self.frames[look].sums = self.sums[look];
+                if are_others {
+                    let sums = if is_coupled {
+                        self.moments.sums(&others[0], &others[1])
+                    } else {
+                        self.moments.scaled_sums(&x, &u)
+                    };
+                    self.frames[look].sums = sums + self.sums[look];
+                }
+            }
+            let [mut far, mut fast] = moved.most.map(f64::sqrt);
+            if is_coupled {
+                // of the others, by two bounds
+                let ([x, u], [x0, u0], most) = (&others, &self.others[0], &self.most);
+                far = larger(far, x.bound(most).min(most.x + x.difference(x0, most)));
+                fast = larger(fast, u.bound(most).min(most.u + u.difference(u0, most)));
+            } else if are_others {
+                let most = &self.most;
+                let way_x = (w.xx - 1.0).abs() * most.x + w.xu.abs() * most.u;
+                let way_u = w.ux.abs() * most.x + (w.uu - 1.0).abs() * most.u;
+                far = larger(far, x.bound(most, most.x, way_x));
+                fast = larger(fast, u.bound(most, most.u, way_u));
+            }
+            let frame = &mut self.frames[look];
+            (frame.extent, frame.speed) = (body.shape.extent + far, fast);
         }
         if body.turns() {
-            change = larger(change, self.turn(body, span, looks.clone()));
+            change = self.turn(body, ballistic, looks.clone(), rounds, change);
         } else {
             for look in looks.clone() {
                 self.frames[look].rotation = body.rotation;
@@ -517,41 +608,35 @@ impl Course {
         change
     }
 
-    /// Computes the rotations at samples and the frame's angular velocities there, which depend on each other. Returns
-    /// how far this moves points on the frame [scene unit].
-    fn turn(&mut self, body: &Body, span: &Span, looks: std::ops::Range<usize>) -> f64 {
-        const ROUNDS: usize = 3;
-        let mut change: f64 = 0.0;
-        for _ in 0..ROUNDS {
+    /// Computes the rotations at samples and the frame's angular velocities there, which depend on each other. Returns the
+    /// larger of `change` and how far this moves points on the frame [scene unit].
+    fn turn(
+        &mut self,
+        body: &Body,
+        ballistic: &[Dense],
+        looks: std::ops::Range<usize>,
+        rounds: usize,
+        mut change: f64,
+    ) -> f64 {
+        for _ in 0..rounds {
             let rates: [DVec3; 4] = std::array::from_fn(|node| {
                 rotation_vector_rate(self.frames[node].turned, self.frames[node].frame_spin)
             });
+            let mut moved = 0.0;
             for look in looks.clone() {
-                let turned = combine(&span.ballistic[look - 1].u, rates) + self.late[look - 1].turned;
+                let turned = combine(&ballistic[look - 1].u, rates) + self.late[look - 1].turned;
                 let frame = &mut self.frames[look];
-                change = larger(change, (turned - frame.turned).length() * body.shape.extent);
+                moved = larger(moved, (turned - frame.turned).length() * body.shape.extent);
                 frame.turned = turned;
                 frame.rotation = rotation_by(turned) * body.rotation;
                 self.orient(body, look);
             }
+            change = larger(change, moved);
+            if moved <= LEFT_TO_SWEEP * change {
+                break;
+            }
         }
         change
-    }
-
-    /// Computes the sums over the vertices at a sample.
-    fn sum_up(&mut self, arch: Arch, body: &Body, look: usize) {
-        let (frame, [x, u]) = (&mut self.frames[look], &self.others[look]);
-        let (sums, [most_x, most_u]) = kernels::sums(arch, &self.active, look);
-        if body.turns() || (look == 3 && body.is_free()) {
-            frame.sums = self.moments.sums(x, u) + sums;
-        }
-        // of the others, by two bounds
-        let [x0, u0] = &self.others[0];
-        let far = x.bound(&self.most).min(self.most.x + x.difference(x0, &self.most));
-        let fast = u.bound(&self.most).min(self.most.u + u.difference(u0, &self.most));
-        let frame = &mut self.frames[look];
-        frame.extent = body.shape.extent + larger(far, most_x.sqrt());
-        frame.speed = larger(fast, most_u.sqrt());
     }
 
     /// Places the active vertices at a sample.
@@ -566,8 +651,13 @@ impl Course {
         }
         let frame = &mut self.frames[look];
         let twice_damped = 2.0 * body.oscillator.damping * frame.spin;
-        let [force, turning, spinning] = kernels::gather(arch, &mut self.active, look, twice_damped);
-        (frame.mean, frame.turning, frame.spinning) = (force / body.mass(), turning, spinning);
+        let mut gathered = kernels::gather(arch, &mut self.active, look, twice_damped);
+        let Gathered { force, by_rest, spinning } = gathered;
+        (frame.mean, frame.turning, frame.spinning) = (force / body.mass(), moment(frame.axes * by_rest), spinning);
+        let damping = cross_matrix(twice_damped);
+        gathered.force += damping * self.sums[look].x;
+        gathered.by_rest += self.sums[look].lx * damping.transpose();
+        self.gathered[look] = gathered;
         if body.turns() && body.oscillator.damping != 0.0 {
             self.coupling[look] = self.others[look][0].crossed(twice_damped);
         }
@@ -603,20 +693,6 @@ impl Course {
         }
     }
 
-    /// The initial guess: what acts at the start goes on acting.
-    pub fn guess(&mut self, body: &Body) {
-        let first = self.frames[0];
-        for look in 1..4 {
-            let [f0, others @ ..] = &mut self.active.f;
-            others[look - 1].copy_from(f0);
-            self.coupling[look] = self.coupling[0];
-            self.frames[look] = Frame { turned: DVec3::ZERO, ..first };
-            if !body.is_free() {
-                self.frames[look].common = -self.driven[look].carry;
-            }
-        }
-    }
-
     /// Adds the effects of pieces at each sample.
     fn add_pieces(&mut self, body: &Body, span: &Span) {
         self.late = Default::default();
@@ -631,7 +707,7 @@ impl Course {
                 late.momentum += piece.sign * combine(&weights.u, piece.torque);
             }
             let Some(own) = &piece.own else { continue };
-            let mass = self.active.masses[own.vertex as usize];
+            let mass = self.active.mass(own.vertex as usize);
             let mut alone = [(DVec3::ZERO, DVec3::ZERO); 4];
             // Q l × … of all vertices: −[turn]× Q
             let turn: [DMat3; 4] = std::array::from_fn(|node| cross_matrix(own.turn[node]) * self.frames[node].axes);
@@ -703,10 +779,10 @@ impl Course {
             acceleration -= piece.sign * combine(&w, piece.acceleration);
             let Some(own) = &piece.own else { continue };
             let g = piece.sign * combine(&w, own.g);
-            let (f, vertex) = (&mut self.active.f[MIDDLE], own.vertex as usize);
-            f.set(vertex, f.get(vertex) - g);
+            let vertex = own.vertex as usize;
+            self.active.accelerate(MIDDLE, vertex, -g);
             if body.is_free() {
-                common += self.active.masses[vertex] / body.mass() * g;
+                common += self.active.mass(vertex) / body.mass() * g;
             }
             if body.turns() {
                 let turn: [DMat3; 4] =
@@ -740,13 +816,15 @@ impl Course {
         let [x, u] = &others;
         Finish { start: &mut self.start, rest: &body.shape.lanes, x, u }.find(arch);
         for (place, &vertex) in self.active.vertices.iter().enumerate() {
-            let (vertex, l) = (vertex as usize, self.active.rest.get(place));
-            self.start.x.set(vertex, self.active.x[3].get(place) + (fit[0].by_rest * l + fit[0].shift));
-            self.start.u.set(vertex, self.active.u[3].get(place) + (fit[1].by_rest * l + fit[1].shift));
+            let (vertex, l) = (vertex as usize, self.active.rest(place));
+            let x = self.active.x(3, place) + (fit[0].by_rest * l + fit[0].shift);
+            let u = self.active.u(3, place) + (fit[1].by_rest * l + fit[1].shift);
+            kernels::replace(&mut self.start.x, vertex, x);
+            kernels::replace(&mut self.start.u, vertex, u);
         }
         let most = [(&mut body.x, &mut self.start.x), (&mut body.u, &mut self.start.u)].map(|(into, from)| {
             // padding does not count
-            (into.len()..from.len()).for_each(|i| from.set(i, DVec3::ZERO));
+            (into.len()..WIDTH * from.len()).for_each(|i| kernels::replace(from, i, DVec3::ZERO));
             kernels::by_vertex(from, into);
             kernels::largest_square(arch, from).sqrt()
         });

@@ -12,12 +12,15 @@ use crate::model::oscillator::Oscillator;
 /// An oscillator without spring and damping: the motion of a centre.
 pub const BALLISTIC: Oscillator = Oscillator { omega: 0.0, damping: 0.0 };
 
-/// `CUBIC[i]` holds the coefficients of the cubic that is 1 at node i and 0 at the others.
-static CUBIC: LazyLock<[[f64; 4]; 4]> = LazyLock::new(|| {
+/// `[i]` holds the coefficients of the polynomial that is 1 at node i and 0 at the others of the first `count` nodes.
+fn basis(count: usize) -> [[f64; 4]; 4] {
     std::array::from_fn(|i| {
+        if i >= count {
+            return [0.0; 4];
+        }
         // Π (θ − θ_j)/(θ_i − θ_j), multiplied out
         let mut c = [1.0, 0.0, 0.0, 0.0];
-        for (degree, j) in (0..4).filter(|&j| j != i).enumerate() {
+        for (degree, j) in (0..count).filter(|&j| j != i).enumerate() {
             let scale = 1.0 / (NODES[i] - NODES[j]);
             for k in (0..=degree + 1).rev() {
                 let lower = if k > 0 { c[k - 1] } else { 0.0 };
@@ -26,7 +29,12 @@ static CUBIC: LazyLock<[[f64; 4]; 4]> = LazyLock::new(|| {
         }
         c
     })
-});
+}
+
+static CUBIC: LazyLock<[[f64; 4]; 4]> = LazyLock::new(|| basis(4));
+
+/// Of the first node, of the first two and of the first three.
+static EARLY: LazyLock<[[[f64; 4]; 4]; 3]> = LazyLock::new(|| [basis(1), basis(2), basis(3)]);
 
 /// Weights at `theta` of the values at each node, in the cubic through them.
 pub fn cubic(theta: f64) -> [f64; 4] {
@@ -36,6 +44,35 @@ pub fn cubic(theta: f64) -> [f64; 4] {
 /// Dense output at each sample after the start of a step of length `h` [s]: the three other nodes, and the middle.
 pub fn looks(oscillator: Oscillator, h: f64) -> [Dense; 4] {
     std::array::from_fn(|look| Dense::new(oscillator, h, SAMPLES[look + 1]))
+}
+
+/// The same without spring and damping: they scale with the length of the step.
+pub fn ballistic(h: f64) -> [Dense; 4] {
+    static UNIT: LazyLock<[Dense; 4]> = LazyLock::new(|| looks(BALLISTIC, 1.0));
+    UNIT.map(|unit| scaled(unit, h))
+}
+
+fn scaled(unit: Dense, h: f64) -> Dense {
+    Dense { xu: unit.xu * h, x: unit.x.map(|w| w * h * h), u: unit.u.map(|w| w * h), bend: unit.bend * h, ..unit }
+}
+
+/// `[n][i]`: the same at node i + 1, if the forces are the polynomial through those at the first n + 1 nodes.
+pub fn early(oscillator: Oscillator, h: f64) -> [[Dense; 3]; 3] {
+    let at = [1, 2, 3].map(|node| (NODES[node], oscillator.propagator(NODES[node] * h)));
+    EARLY.map(|basis| {
+        at.map(|(theta, p)| {
+            let response = |powers: &[f64; 4]| {
+                basis.map(|[a, b, c, _]| a * powers[0] + theta * (b * powers[1] + theta * (c * powers[2])))
+            };
+            Dense { x: response(&p.x), u: response(&p.u), ..Dense::new(oscillator, h, theta) }
+        })
+    })
+}
+
+/// The same without spring and damping.
+pub fn early_ballistic(h: f64) -> [[Dense; 3]; 3] {
+    static UNIT: LazyLock<[[Dense; 3]; 3]> = LazyLock::new(|| early(BALLISTIC, 1.0));
+    UNIT.map(|known| known.map(|unit| scaled(unit, h)))
 }
 
 /// Weights of forces that begin within the step, in the state at a later instant: weights of their values at the four
