@@ -26,7 +26,7 @@ use crate::geometry::{
     union::{self, Body, Budget, Hint, Origin, Topology, Union, is_raised},
 };
 
-/// Budget of work steps for the unions of one frame, see [`Budget`]: a few tenths of a second. A count, not a time, so
+/// Budget of work steps for the unions of one frame, see [`Budget`]: about a second. A count, not a time, so
 /// that equal frames give equal surfaces on every machine.
 pub const FRAME_WORK: u64 = 10_000_000;
 
@@ -53,7 +53,8 @@ pub struct Group {
     pub bodies: Vec<usize>,
     /// Positions of the vertices in the world [scene unit], `[vertex_count]`.
     pub positions: Vec<DVec3>,
-    /// Outward unit normals of the vertices [–], `[vertex_count]`; empty if they are the means of those of the triangles.
+    /// Outward unit normals of the vertices [–], `[vertex_count]`; empty if they follow from the triangles
+    /// ([`Group::append_normals`]).
     pub normals: Vec<DVec3>,
     /// Where each vertex is from, `[vertex_count]`.
     pub origins: Vec<VertexOrigin>,
@@ -214,6 +215,8 @@ pub struct Merger {
     merged: Merged,
     /// Number of the current frame, from 1.
     frame: u64,
+    /// Work steps that the unions of a frame may take.
+    work: u64,
     /// Scratch storage, reused.
     local: Vectors,
 }
@@ -238,6 +241,7 @@ impl Merger {
             pairs: BTreeMap::new(),
             merged: Merged::default(),
             frame: 0,
+            work: FRAME_WORK,
             local: Vectors::default(),
         }
     }
@@ -252,11 +256,11 @@ impl Merger {
         for &body in groups.iter().flatten().chain(pairs.iter().flatten()) {
             self.place(schema, frame, body);
         }
-        let Merger { closed, bodies, groups: last_groups, pairs: last_pairs, merged, .. } = self;
+        let Merger { closed, bodies, groups: last_groups, pairs: last_pairs, merged, work, .. } = self;
         let scene = Scene { schema, closed, bodies };
 
         let interrupt = closed.interrupt;
-        let budget = Budget { work: FRAME_WORK / groups.len().max(1) as u64, time: None, interrupt };
+        let budget = Budget { work: *work / groups.len().max(1) as u64, time: None, interrupt };
         let united: Vec<(Option<Arc<Group>>, Option<PairMeasures>)> = for_all(&groups, |group| {
             let is_asked_for = || pairs.iter().any(|pair| pair[..] == group[..]);
             match last_groups.get(group) {
@@ -273,7 +277,7 @@ impl Merger {
         let of_groups: BTreeMap<&[usize], PairMeasures> = (groups.iter().zip(&united))
             .filter_map(|(group, (_, measures))| Some((group.as_slice(), (*measures)?)))
             .collect();
-        let budget = Budget { work: FRAME_WORK / pairs.len().max(1) as u64, time: None, interrupt };
+        let budget = Budget { work: *work / pairs.len().max(1) as u64, time: None, interrupt };
         let measured = for_all(pairs, |pair| {
             if let Some(measures) = of_groups.get(&pair[..]) {
                 return (Some(*measures), Hint::default());
@@ -464,6 +468,29 @@ impl Group {
     }
 }
 
+impl Group {
+    /// Appends the outward unit normals of the vertices; `sums` is scratch storage.
+    ///
+    /// They are the means of those of the triangles, weighted by the sine of the angle at the vertex: at a seam, where
+    /// large triangles are beside slivers, areas would follow whichever is large.
+    pub fn append_normals(&self, sums: &mut Vec<DVec3>, normals: &mut Vec<[f32; 3]>) {
+        sums.clear();
+        sums.extend_from_slice(&self.normals);
+        sums.resize(self.positions.len(), DVec3::ZERO);
+        for corners in self.triangles.iter().filter(|_| self.normals.is_empty()) {
+            let [a, b, c] = corners.map(|v| self.positions[v as usize]);
+            let (ab, bc, ca) = (b - a, c - b, a - c);
+            let lengths = [ab.length(), bc.length(), ca.length()];
+            let area = ab.cross(bc) / (lengths[0] * lengths[1] * lengths[2]);
+            if area.is_finite() {
+                // divided by the lengths of both sides at a corner, so times that of the opposite one
+                (0..3).for_each(|k| sums[corners[k] as usize] += area * lengths[(k + 1) % 3]);
+            }
+        }
+        normals.extend(sums.iter().map(|sum| sum.normalize_or(DVec3::Z).as_vec3().to_array()));
+    }
+}
+
 /// The groups of at least two bodies that pairs in a joined phase connect, in ascending order of their first body.
 fn groups(schema: &Schema, frame: &Frame) -> Vec<Vec<usize>> {
     connected(frame, |pair| schema.phases[pair.phase].is_joined)
@@ -507,6 +534,7 @@ mod tests {
     use super::*;
     use crate::{
         World,
+        geometry::{shape::Solid as _, sphere::Sphere},
         observe::{Simulation as _, Want},
         scene,
     };
@@ -560,6 +588,30 @@ mod tests {
     }
 
     #[test]
+    fn normals_of_a_surface_point_outwards_however_it_is_divided() {
+        let mut sphere = Group::default();
+        let mesh = Sphere { stacks: 12, slices: 24 }.mesh();
+        sphere.positions = mesh.positions().iter().collect();
+        sphere.triangles = mesh.triangles().to_vec();
+        // a sliver on an edge, and a triangle without area
+        let (far, [a, b, c]) = (sphere.positions.len() as u32, sphere.triangles[100]);
+        sphere.positions.push(sphere.positions[a as usize] * 0.999 + sphere.positions[b as usize] * 0.001);
+        sphere.triangles[100] = [far, b, c];
+        sphere.triangles.extend([[a, far, c], [a, a, b]]);
+        let mut normals = Vec::new();
+        sphere.append_normals(&mut Vec::new(), &mut normals);
+        for (normal, at) in normals.iter().zip(&sphere.positions) {
+            let angle = DVec3::from_array(normal.map(f64::from)).angle_between(*at).to_degrees();
+            // the new vertex has triangles on one side of its edge only
+            assert!(angle < 10.0, "{angle}° at {at}");
+        }
+        sphere.normals = vec![DVec3::X; sphere.positions.len()];
+        normals.clear();
+        sphere.append_normals(&mut Vec::new(), &mut normals);
+        assert!(normals.iter().all(|&normal| normal == [1.0, 0.0, 0.0]), "a surface's own normals are kept");
+    }
+
+    #[test]
     fn what_is_beyond_the_blend_keeps_its_place() {
         let (mut schema, frame) = after("two", 150);
         schema.blend = 0.25;
@@ -598,6 +650,28 @@ mod tests {
                 assert!(change < most, "{name}, {steps} steps: {change} over {length}");
             }
         }
+    }
+
+    /// A frame whose unions would take too long shows the bodies themselves, says so, and the next one starts anew. It is the
+    /// same frame for any number of threads, because work is counted, not timed.
+    #[test]
+    fn a_frame_beyond_its_budget_is_flagged_and_the_next_goes_on() {
+        let (schema, frame) = after("two", 150);
+        let mut merger = Merger::new(&schema, None);
+        let whole = merger.merge(&schema, &frame, &[[0, 1]]).clone();
+        let mut moved = frame.clone();
+        let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        for (work, threads) in [(0, 1), (20, 1), (500, 2), (500, 8)] {
+            merger.work = work;
+            moved.bodies[0].centre.x += 1e-3; // what does not move is kept, whatever it would cost
+            let beyond = pool(threads).install(|| merger.merge(&schema, &moved, &[[0, 1]]).clone());
+            assert_eq!((beyond.overlapping, beyond.groups.len()), (1, 0), "{work}");
+            assert_eq!((beyond.is_merged, beyond.pairs), (vec![false; 2], vec![None]), "{work}");
+        }
+        merger.work = FRAME_WORK;
+        let again = merger.merge(&schema, &frame, &[[0, 1]]);
+        assert_eq!((again.overlapping, &again.is_merged), (0, &vec![true; 2]));
+        assert_eq!((&again.groups, &again.pairs), (&whole.groups, &whole.pairs));
     }
 
     #[test]

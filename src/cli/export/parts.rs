@@ -27,7 +27,7 @@ const MOST_NAMES: usize = 8;
 
 /// The surfaces of a frame: those of groups, then those of other bodies.
 pub fn parts(schema: &Schema, frame: &Frame, merged: &Merged) -> Vec<Part> {
-    let mut parts = Vec::new();
+    let (mut parts, mut sums) = (Vec::new(), Vec::new());
     for group in &merged.groups {
         let names: Vec<&str> = group.bodies.iter().map(|&body| schema.bodies[body].name.as_str()).collect();
         let name = match names.as_slice() {
@@ -35,7 +35,10 @@ pub fn parts(schema: &Schema, frame: &Frame, merged: &Merged) -> Vec<Part> {
             names => names.join("+"),
         };
         let colors = group.origins.iter().map(|origin| palette::blended(schema, origin)).collect();
-        parts.push(Part::new(name, &group.positions, colors, group.triangles.clone()));
+        let mut normals = Vec::new();
+        group.append_normals(&mut sums, &mut normals);
+        let positions = group.positions.iter().map(|position| position.as_vec3().to_array()).collect();
+        parts.push(Part { name, positions, normals, colors, triangles: group.triangles.clone() });
     }
     let mut local = Vectors::default();
     for (index, (body, now)) in schema.bodies.iter().zip(&frame.bodies).enumerate() {
@@ -46,13 +49,13 @@ pub fn parts(schema: &Schema, frame: &Frame, merged: &Merged) -> Vec<Part> {
         now.local_positions(mesh.at(body.radius), &mut local);
         let positions: Vec<DVec3> = local.iter().map(|position| position + now.centre).collect();
         let colors = vec![palette::of_body(schema, index); positions.len()];
-        parts.push(Part::new(body.name.clone(), &positions, colors, mesh.triangles().to_vec()));
+        parts.push(Part::of_body(body.name.clone(), &positions, colors, mesh.triangles().to_vec()));
     }
     parts
 }
 
 impl Part {
-    fn new(name: String, positions: &[DVec3], colors: Vec<[u8; 3]>, triangles: Vec<[u32; 3]>) -> Part {
+    fn of_body(name: String, positions: &[DVec3], colors: Vec<[u8; 3]>, triangles: Vec<[u32; 3]>) -> Part {
         let mut areas = vec![DVec3::ZERO; positions.len()];
         for corners in &triangles {
             let [a, b, c] = corners.map(|v| positions[v as usize]);

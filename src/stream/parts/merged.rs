@@ -59,8 +59,8 @@ struct Mesh {
     vertices: Vec<u32>,
     seams: Vec<Vec<Float3>>,
     names: Vec<String>,
-    /// Scratch storage: sums of the area vectors around each vertex.
-    areas: Vec<DVec3>,
+    /// Scratch storage: sums of the normals beside each vertex.
+    sums: Vec<DVec3>,
 }
 
 impl MergedEntities {
@@ -131,7 +131,7 @@ impl MergedEntities {
 
 impl Mesh {
     fn clear(&mut self) {
-        let Mesh { triangles, positions, normals, colors, lit, classes, vertices, seams, names, areas } = self;
+        let Mesh { triangles, positions, normals, colors, lit, classes, vertices, seams, names, sums } = self;
         triangles.clear();
         positions.clear();
         normals.clear();
@@ -141,7 +141,7 @@ impl Mesh {
         vertices.clear();
         seams.clear();
         names.clear();
-        areas.clear();
+        sums.clear();
     }
 
     fn append(&mut self, schema: &Schema, group: &Group) {
@@ -149,15 +149,7 @@ impl Mesh {
         let single = |position: &DVec3| position.as_vec3().to_array();
         self.positions.extend(group.positions.iter().map(single));
         self.triangles.extend(group.triangles.iter().map(|corners| corners.map(|v| v + first)));
-        self.areas.clear();
-        self.areas.extend_from_slice(&group.normals);
-        self.areas.resize(group.positions.len(), DVec3::ZERO);
-        for corners in group.triangles.iter().filter(|_| group.normals.is_empty()) {
-            let [a, b, c] = corners.map(|v| group.positions[v as usize]);
-            let area = (b - a).cross(c - a);
-            corners.iter().for_each(|&v| self.areas[v as usize] += area);
-        }
-        self.normals.extend(self.areas.iter().map(|area| area.normalize_or(DVec3::Z).as_vec3().to_array()));
+        group.append_normals(&mut self.sums, &mut self.normals);
         for (origin, &normal) in group.origins.iter().zip(&self.normals[first as usize..]) {
             let rgb = palette::blended(schema, origin);
             self.colors.push(color(rgb).to_u32());
