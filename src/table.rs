@@ -1,8 +1,8 @@
-//! Tables in files that dataframe libraries read: CSV, JSON or Parquet, by file extension. Files are written atomically,
-//! and replace only tables with the same columns.
+//! Tables in files that dataframe libraries read: CSV, JSON or Parquet, by file extension. Files are written
+//! atomically, and replace only tables with the same columns.
 //!
-//! Numbers keep every bit: text formats use the shortest digits that read back as the same number. JSON has no NaN and no
-//! infinity; they become `null`.
+//! Numbers keep every bit: text formats use the shortest digits that read back as the same number. JSON has no NaN and
+//! no infinity; they become `null`.
 
 use std::{
     collections::HashMap,
@@ -73,8 +73,8 @@ pub struct Column {
     pub name: String,
     /// Its type.
     pub kind: Kind,
-    /// Description with unit: stored as `about` in the metadata of a Parquet field, so that tables are self-explanatory.
-    /// Not stored if empty.
+    /// Description with unit: stored as `about` in the metadata of a Parquet field, so that tables are
+    /// self-explanatory. Not stored if empty.
     pub about: &'static str,
     /// Whether values can be missing.
     pub is_nullable: bool,

@@ -68,9 +68,9 @@ impl Settings {
 const LONGEST: Duration = Duration::from_secs(10);
 /// A tolerance that every step meets.
 const NO_CONTROL: f64 = 1e15;
-/// A vertex farther off than this has diverged [radii].
+/// A vertex with a larger error than this has diverged [radii].
 const DIVERGED: f64 = 1e3;
-/// The reference is compared at no more instants than this.
+/// Upper limit on the instants at which the reference is compared.
 const MOST_INSTANTS: u64 = 1024;
 
 /// An integrator and its step control.
@@ -247,7 +247,7 @@ fn cases(scene: &Scene, settings: &Settings) -> Vec<Case> {
 }
 
 impl Case {
-    /// Free bodies rest when they move little by the standard of the tolerance: without one, none may rest.
+    /// Free bodies come to rest when their motion is small compared with the tolerance: without one, none may.
     fn world(&self) -> Result<World, TooLarge> {
         let skip = !(self.scene.is_coupled() && self.scheme == Scheme::Fixed(Integrator::Exponential));
         World::with_options(self.scene.clone(), Options { skip, ..Options::default() })

@@ -7,7 +7,7 @@ use crate::stream::machine;
 /// The machine and the version of the program that ran on it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Machine {
-    /// The processor's name for itself.
+    /// The processor's model name.
     pub cpu: String,
     /// Number of cores available to the program.
     pub cores: usize,

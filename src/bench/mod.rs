@@ -1,6 +1,6 @@
-//! Benchmarks. Each reports every speed together with the error it was reached at and the machine.
+//! Benchmarks. Every speed is reported together with its error and the machine.
 //!
-//! | what | where |
+//! | contents | module |
 //! | --- | --- |
 //! | error against run time, for every integrator and a range of step sizes | [`mod@error`] |
 //! | cost against the number of bodies, and the goals for it | [`scale`] |
@@ -16,8 +16,8 @@
 //! | output files, checked before and written after measuring | [`output`] |
 //!
 //! # Results
-//! The figures are of 2026-11-21, before the work of a step was counted. Callgrind counts 7 to 11 % more instructions per
-//! step since then. Run the commands for the figures of this version on your machine.
+//! The figures are from 2026-11-21, before steps counted their work, which takes 7 to 11 % more instructions per step
+//! (Callgrind). Run the commands to get the figures of this version on your machine.
 //!
 //! **Error against run time** (`bench error`): every integrator over a range of step sizes, compared with an
 //! independent solution by extrapolation that shares no code with the integrators. The table shows the largest error
@@ -32,7 +32,7 @@
 //! | size_ratio | 4.3e-1 | 3.8e-1 | 1.1e-2 | 6.8e-3 | 7.1e-3 | 1.5e-12 |
 //!
 //! **Stability** (`bench stability`): thousands of small scenes at the limits of every setting (step sizes of 1e-6 to
-//! 10 s, ω and κ up to 1e6, size ratios 1:1 to 1:1e4, coincident centres, hundreds of bodies in one place, resonances).
+//! 10 s, ω and κ up to 1e6, size ratios 1:1 to 1:1e4, coincident centres, hundreds of overlapping bodies, resonances).
 //! For each integrator it counts the runs that stayed finite and within twice the energy bound. `exponential` must also
 //! match an exact solution to within its tolerance where one exists (2,278 of the runs). The sweep takes three minutes
 //! and exits with status 1 if `exponential` fails a case. `--case N` runs a single case again; `--write F.toml` saves
@@ -71,9 +71,10 @@
 //! 0.4.
 //!
 //! **Free bodies**: `bench error collide` compares every integrator with an independent solution whose vertices are
-//! particles. `bench stability` ends with free bodies at their limits (mass ratios to 1e6, spins to 1e4 rad/s, deep overlap,
-//! corners of planes, stacks of 50, ωΔt to 1e3) and says which of them an integrator could not follow, and why. `bench
-//! scale` ends with the rate of free pairs in contact against that of prescribed ones, and with bodies that rest on a plane.
+//! particles. `bench stability` ends with free bodies at their limits (mass ratios up to 1e6, spins up to 1e4 rad/s,
+//! deep overlap, corners of planes, stacks of 50, ωΔt up to 1e3) and reports where an integrator gave up, and why.
+//! `bench scale` ends with the rate of free pairs in contact relative to prescribed ones, and with bodies at rest on a
+//! plane.
 //!
 //! **Recording** (`bench record`): frames per second and bytes per frame by detail and destination, with and without
 //! simulating, compared with the size of the payload and with a plain `log()` of the same data, one entity at a time.
@@ -120,7 +121,7 @@ pub enum MeasureError {
     /// No reference solution of free bodies is available.
     #[error(transparent)]
     NoParticles(#[from] NoParticles),
-    /// The scene needs more memory than there is.
+    /// The scene needs more memory than is available.
     #[error(transparent)]
     TooLarge(#[from] TooLarge),
     /// The scene's own run fails before its end.
@@ -131,7 +132,7 @@ pub enum MeasureError {
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
-/// The path of a body whose motion is prescribed, as that of all bodies is in these measurements.
+/// The path of a body; in these measurements, all motion is prescribed.
 fn path(body: &Body) -> &Path {
     static NONE: Path = Path::Fixed(glam::DVec3::ZERO);
     body.path().unwrap_or(&NONE)

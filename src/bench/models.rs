@@ -1,7 +1,6 @@
-//! The models of a soft body side by side: what each costs, how exact it is, what it loses, and when it says that one became
-//! two.
+//! The models of a soft body side by side: cost, error, stability, loss of volume, and times of merging and splitting.
 //!
-//! Nothing here knows a model: whatever [`crate::models`] can start is measured, through [`Simulation`] alone.
+//! Nothing here depends on a particular model: everything is measured through [`Simulation`].
 
 use std::time::Instant;
 
@@ -28,19 +27,19 @@ use crate::{
     text::{bytes, counted, significant},
 };
 
-/// Steps of a scene that are measured, at most.
+/// Upper limit on the steps of a scene that are measured.
 const MOST_STEPS: u64 = 1200;
-/// A run is timed this often; the median counts.
+/// Number of times that a run is timed; the median counts.
 const RUNS: usize = 3;
-/// Steps of the work-precision diagram: the scene's own over these.
+/// Steps of the work-precision diagram: the scene's own divided by these.
 const DIVISORS: [f64; 5] = [0.5, 1.0, 2.0, 4.0, 8.0];
-/// What each model converges to is taken from its own run with the scene's step over this.
+/// The converged solution of each model is its own run with the scene's step divided by this.
 const FINEST: f64 = 32.0;
-/// Longer steps are tried up to this many of the scene's.
+/// Longer steps are tried up to this multiple of the scene's.
 const LONGEST: f64 = 64.0;
-/// A run is stable as long as no vertex is farther from its rest position than this [radii] …
+/// A run is stable while no vertex is farther from its rest position than this [radii] …
 const FAR: f64 = 10.0;
-/// … or than this many times as far as in the run with the scene's own step.
+/// … or than this multiple of the maximum in the run with the scene's own step.
 const TIMES_AS_FAR: f64 = 3.0;
 /// Smaller errors are drawn at this value [radii].
 const FLOOR: f64 = 1e-12;
@@ -54,30 +53,30 @@ pub struct Report {
     pub vertices: u64,
     /// The scene's own step [s].
     pub dt: f64,
-    /// Each model, or why it cannot run this scene.
+    /// Measurements of each model, or why it cannot run this scene.
     pub rows: Vec<(Model, Result<Row, String>)>,
 }
 
-/// What was measured of a model.
+/// The measurements of a model.
 #[derive(Clone, Debug)]
 pub struct Row {
     /// Time until the first step can be taken [s].
     pub build: f64,
     /// Time of a step [s].
     pub step: f64,
-    /// Time of a step with what a frame needs: the state with its forces, and the merged surface [s].
+    /// Time of a step with its frame: the state with its forces, and the merged surface [s].
     pub frame: f64,
-    /// Memory of the simulation, if it knows that [bytes].
+    /// Memory of the simulation, if known [bytes].
     pub memory: Option<u64>,
-    /// Steps of the diagram, with the largest difference over time and vertices from the model's own converged solution.
+    /// Runs of the diagram, with the largest error over time and vertices against the model's own converged solution.
     pub points: Vec<Point>,
-    /// The largest step with which the run is stable [s]; none of those tried is not.
+    /// The largest step with which the run is stable [s]; `None` if none of those tried is.
     pub largest_step: Option<f64>,
     /// Whether all longer steps that were tried are stable.
     pub is_unlimited: bool,
-    /// The largest loss of volume of all surfaces together, in the course of the run [–].
+    /// The largest relative loss of total volume during the run [–].
     pub volume_lost: f64,
-    /// When surfaces touched and parted, and pairs changed their phase, in order.
+    /// Touch and part events, and phase changes, in order of time.
     pub events: Vec<(String, f64)>,
 }
 
@@ -177,7 +176,7 @@ fn plain(run: &SceneRun) -> Result<f64, String> {
     Ok(start.elapsed().as_secs_f64())
 }
 
-/// What is seen of a run.
+/// Observations of a run.
 struct Looked {
     frame: f64,
     memory: Option<u64>,
@@ -247,15 +246,15 @@ fn volume(schema: &Schema, frame: &Frame, body: usize, local: &mut Vectors) -> f
     now.mesh_of(of).triangles().iter().map(|&[a, b, c]| corner(a).dot(corner(b).cross(corner(c))) / 6.0).sum()
 }
 
-/// The vertices of all bodies, from their centres, at the instants of the scene's own steps or as many of them as a longer
-/// step has [scene unit]; and the largest displacement [radii].
+/// The positions of all vertices relative to their centres [scene unit] at the instants of the scene's own steps, as
+/// far as the step hits them; and the largest displacement [radii].
 type States = Vec<(f64, Vec<Vec<DVec3>>)>;
 
 fn states(run: &SceneRun, dt: f64) -> Result<(States, f64), String> {
     let with = with_step(run, dt);
     let (mut simulation, mut summary, mut frame) = (with.start()?, StepSummary::default(), Frame::default());
     let schema = simulation.schema();
-    let every = (2.0 * run.scene.dt / dt).round().max(1.0) as u64; // all of them have every second instant
+    let every = (2.0 * run.scene.dt / dt).round().max(1.0) as u64; // all runs include every second instant
     let (mut states, mut largest, mut local) = (Vec::new(), 0.0f64, Vectors::default());
     for step in 1..=with.scene.steps() {
         simulation.step();
@@ -277,7 +276,7 @@ fn states(run: &SceneRun, dt: f64) -> Result<(States, f64), String> {
     Ok((states, largest))
 }
 
-/// The largest distance of a vertex in two runs, at the instants that both have [radii]; `None` if it is no number.
+/// The largest distance between a vertex's positions in two runs, at common instants [radii]; `None` if NaN.
 fn difference(scene: &Scene, run: &States, finest: &States) -> Option<f64> {
     let mut largest = 0.0f64;
     for ((_, one), (_, other)) in run.iter().zip(finest) {
@@ -294,11 +293,11 @@ fn difference(scene: &Scene, run: &States, finest: &States) -> Option<f64> {
     Some(largest)
 }
 
-/// The largest step with which a run is stable [s], among doublings and halvings of the scene's; and whether all are.
+/// The largest stable step [s] among doublings and halvings of the scene's; and whether all longer ones are stable.
 fn largest_step(run: &SceneRun, displacement: f64) -> (Option<f64>, bool) {
     let most = f64::max(FAR, TIMES_AS_FAR * displacement);
     let is_stable = |dt: f64| {
-        // in phase with the scene's own instants or not: only the size of what comes out matters
+        // need not align with the scene's own instants: only the largest displacement matters
         let scene = Scene { dt, ..run.scene.clone() };
         let with = SceneRun { scene, options: run.options };
         let Ok(mut simulation) = with.start() else { return false };
@@ -338,7 +337,7 @@ fn median(mut times: Vec<f64>, one: f64) -> f64 {
     times[times.len() / 2]
 }
 
-/// The models on one scene, and what they said of it.
+/// A table of the models on one scene, and their warnings.
 pub fn table(report: &Report) -> String {
     let heading = [
         "model",
@@ -395,7 +394,7 @@ pub fn table(report: &Report) -> String {
     text
 }
 
-/// What the columns mean.
+/// Explains the columns.
 pub fn footer(machine: &Machine) -> String {
     format!(
         "step: median of {RUNS} runs; frame: a step, its state with forces, and the merged surface; error: the largest over time and\n\
@@ -422,7 +421,7 @@ struct CsvLine<'a> {
     version: &'a str,
 }
 
-/// All measurements, a line for each step of each model.
+/// All measurements, one line per step of each model.
 ///
 /// # Errors
 /// None is known to occur.

@@ -1,10 +1,10 @@
 //! An independent solution of a scene with free bodies, for judging the integrators.
 //!
-//! It uses nothing of [`crate::sim`]. Every vertex is a particle, as in `model.md`: its acceleration is evaluated from the
-//! positions and velocities of all particles, with mass centres and best rotations (by Newton's iteration for the polar
-//! decomposition) found anew each time. The classical Runge–Kutta method takes many small steps of fixed length; a step in
-//! which a pair reaches a threshold ends there. Rims of spheres and planes are passed within steps, which is what limits the
-//! accuracy: to some 1e-8 of a radius, which is measured by halving the steps.
+//! It uses nothing of [`crate::sim`]. Every vertex is a particle: its acceleration is evaluated from the positions and
+//! velocities of all particles, with mass centres and best-fit rotations (Newton's iteration for the polar
+//! decomposition) recomputed each time. The classical Runge–Kutta method takes many small steps of fixed length; a step
+//! in which a pair reaches a threshold ends there. Rims of spheres and planes are crossed within steps, which limits
+//! the accuracy to about 1e-8 radii, as measured by halving the steps.
 
 use std::ops::Range;
 
@@ -23,9 +23,9 @@ use crate::{
 const STEPS: f64 = 400.0;
 /// … and per second.
 const LEAST: f64 = 8_000.0;
-/// The most evaluations of a particle's acceleration: a minute or so.
+/// Upper limit on evaluations of a particle's acceleration: about a minute.
 const MOST_EVALUATIONS: f64 = 2e9;
-/// A threshold is located to this share of a step.
+/// A threshold crossing is located to this fraction of a step.
 const LOCATED: f64 = 1e-9;
 
 /// World positions at given instants.
@@ -51,10 +51,10 @@ pub enum NoParticles {
 }
 
 impl Particles {
-    /// Solves the scene; `divided` is the number of parts of each usual step.
+    /// Solves the scene; `divided` is the number of parts of each default step.
     ///
     /// # Errors
-    /// It has pushes, or would take too long.
+    /// The scene has pushes, or would take too long.
     pub fn solve(scene: &Scene, instants: &[f64], divided: u32) -> Result<Particles, NoParticles> {
         if !scene.pushes.is_empty() {
             return Err(NoParticles::Pushes);
@@ -87,7 +87,7 @@ impl Particles {
         Ok(Particles { positions, ranges: system.ranges })
     }
 
-    /// The largest distance of a body's vertices from where they are found at an instant [scene unit].
+    /// The largest distance between a body's vertices in this solution and those `found` at an instant [scene unit].
     pub fn distance(&self, body: usize, instant: usize, found: impl Iterator<Item = DVec3>) -> f64 {
         let own = &self.positions[instant][self.ranges[body].clone()];
         let distances = own.iter().zip(found).map(|(here, there)| here.distance(there));
@@ -95,7 +95,7 @@ impl Particles {
             .fold(0.0, |largest, distance| if distance > largest || distance.is_nan() { distance } else { largest })
     }
 
-    /// The largest distance of any vertex from where another solution has it [radii of its body].
+    /// The largest distance of any vertex from its position in another solution [radii of its body].
     pub fn largest_difference(&self, other: &Particles, scene: &Scene) -> f64 {
         let each =
             (0..self.positions.len()).flat_map(|instant| (0..scene.bodies.len()).map(move |body| (instant, body)));
@@ -126,7 +126,7 @@ struct Buffers {
 }
 
 struct Particle {
-    /// Where it rests, about the mass centre [scene unit].
+    /// Rest position relative to the mass centre [scene unit].
     rest: DVec3,
     mass: f64,
 }
@@ -134,7 +134,7 @@ struct Particle {
 struct System<'a> {
     scene: &'a Scene,
     particles: Vec<Particle>,
-    /// Those of each body, and their mass.
+    /// Particles of each body, and their total mass.
     ranges: Vec<Range<usize>>,
     masses: Vec<f64>,
     /// The phase of each pair of bodies a < b.
@@ -178,7 +178,7 @@ impl<'a> System<'a> {
             let particles = &self.particles[range.clone()];
             let (centre, velocity, spin) = match &body.motion {
                 Motion::Free(free) => (free.from, free.velocity, free.spin),
-                // x′ = 0, whatever the path does
+                // x′ = 0, regardless of the path
                 Motion::Prescribed(path) => (path.at(0.0).position, path.at(0.0).velocity, DVec3::ZERO),
             };
             state.positions.extend(particles.iter().map(|p| centre + p.rest));
@@ -198,7 +198,7 @@ impl<'a> System<'a> {
         }
     }
 
-    /// The mean over a body's particles, by their masses.
+    /// The mass-weighted mean over a body's particles.
     fn mean(&self, body: usize, of: &[DVec3]) -> DVec3 {
         let own = self.ranges[body].clone();
         let sum: DVec3 = self.particles[own.clone()].iter().zip(&of[own]).map(|(p, v)| p.mass * *v).sum();
@@ -211,7 +211,7 @@ impl<'a> System<'a> {
         self.centre(state, t, a).distance(self.centre(state, t, b)) / radii
     }
 
-    /// Takes a step, in parts if thresholds are reached in it.
+    /// Takes a step, divided where thresholds are reached.
     fn advance(&mut self, state: &mut State, mut t: f64, end: f64, buffers: &mut Buffers) {
         let mut next = std::mem::take(&mut buffers.next);
         while t < end {
@@ -220,7 +220,7 @@ impl<'a> System<'a> {
                 std::mem::swap(state, &mut next);
                 break;
             };
-            // of those that change in the step, the first: by bisection of the time at which any has changed
+            // the first change in the step, by bisection of the time at which any pair has changed
             let (mut low, mut high) = (0.0, 1.0);
             let mut change = first;
             while high - low > LOCATED {
@@ -241,7 +241,7 @@ impl<'a> System<'a> {
         buffers.next = next;
     }
 
-    /// A pair that has passed a threshold on the way from one state to another, and its new phase.
+    /// A pair that has passed a threshold between two states, and its new phase.
     fn first_change(&self, before: &State, after: &State, t: f64, end: f64) -> Option<(usize, Phase)> {
         self.phases.iter().enumerate().find_map(|(index, &(a, b, phase))| {
             let (from, to) = (self.distance(before, t, a, b), self.distance(after, end, a, b));
@@ -275,7 +275,7 @@ impl<'a> System<'a> {
         buffers.stage = stage;
     }
 
-    /// The accelerations of all particles, into the buffer for them.
+    /// Writes the accelerations of all particles to their buffer.
     fn accelerate(&self, state: &State, t: f64, buffers: &mut Buffers) {
         let scene = self.scene;
         let count = self.ranges.len();

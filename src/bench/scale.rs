@@ -64,7 +64,7 @@ const LONG_BLOCKS: usize = 3;
 const LONGEST_PLAIN_STEP: Duration = Duration::from_secs(4);
 /// Errors are checked every so many steps, for up to a period.
 const JUDGED_EVERY: u64 = 20;
-/// The most pairs that are checked, spread over the scene.
+/// Upper limit on the pairs checked, spread over the scene.
 const MOST_JUDGED: usize = 64;
 /// How many times per period the vertices inside spheres are counted.
 const COUNTS: u64 = 24;
@@ -169,7 +169,7 @@ pub struct Report {
     pub decay: Vec<Decay>,
     /// Free bodies.
     pub free: free::Free,
-    /// Scenes that need more memory than there is.
+    /// Scenes that need more memory than is available.
     pub too_large: Vec<TooLarge>,
     /// Number of threads used for all cores.
     pub threads: usize,

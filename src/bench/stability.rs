@@ -1,6 +1,6 @@
 //! A stress sweep: thousands of small scenes at the limits of every setting, run with every integrator.
 //!
-//! | what | where |
+//! | contents | module |
 //! | --- | --- |
 //! | the cases, each generated from its number | [`cases`] |
 //! | the energy bound | [`bound`] |

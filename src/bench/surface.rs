@@ -21,11 +21,11 @@ use crate::{
     text::thousands,
 };
 
-/// Each arrangement is computed until it has taken this long in all [s], and at least [`LEAST`] times.
+/// Each arrangement is computed until this total time [s], and at least [`LEAST`] times.
 const SECONDS: f64 = 0.5;
 const LEAST: u32 = 3;
 
-/// The cost of an arrangement of spheres, best of several times.
+/// The cost of an arrangement of spheres, best of several runs.
 #[derive(Clone, Debug)]
 pub struct Row {
     /// The arrangement.
@@ -38,9 +38,9 @@ pub struct Row {
     pub union: f64,
     /// Time of the drawn surface: union, mesh, components, fairing [s].
     pub drawn: f64,
-    /// Time of gap, overlap and neck, beyond the union [s]; only of two bodies.
+    /// Time of gap, overlap and neck, in addition to the union [s]; only for two bodies.
     pub measures: Option<f64>,
-    /// Euler characteristic, and further attempts, of the union; why there is none.
+    /// Euler characteristic of the union and number of further attempts, or why it failed.
     pub result: Result<(i64, u32), UnionError>,
 }
 
@@ -63,7 +63,7 @@ pub fn measure() -> Vec<Row> {
     let coarse = Arc::new(Sphere { stacks: 12, slices: 24 }.mesh());
     let fine = Arc::new(Sphere { stacks: 72, slices: 141 }.mesh());
     let line = |count: u32, step: f64| -> Vec<DVec3> {
-        // off the axes, as bodies that move are
+        // not aligned with the axes, like moving bodies
         (0..count).map(|i| f64::from(i) * step * DVec3::new(0.96, 0.224, 0.168)).collect()
     };
     let heap = |count: u32| -> Vec<DVec3> {
@@ -100,14 +100,14 @@ fn row(name: &'static str, mesh: &Arc<Mesh>, centres: &[DVec3]) -> Row {
     };
     let measures = (bodies == 2).then(|| best(|| drop(measures_of(&united, &budget, &mut Hint::default()))));
 
-    // one group whatever the phases
+    // one group regardless of phases
     let schema = Schema {
         bodies: (0..bodies).map(|i| BodySchema::new(&i.to_string(), "sphere", Arc::clone(mesh), 1.0, 0.0)).collect(),
         phases: vec![PhaseSchema { is_joined: true, ..("merged", [0; 3]).into() }],
         ..Schema::default()
     };
     let at_rest = |centre: DVec3| BodyFrame { centre, is_at_rest: true, ..BodyFrame::default() };
-    // two places in turn: what has not moved would not be computed again
+    // alternates between two positions: results are reused for bodies that have not moved
     let frames = [0.0, 1e-3].map(|by| Frame {
         bodies: centres.iter().map(|&centre| at_rest(centre + DVec3::splat(by))).collect(),
         pairs: (1..bodies).map(|b| PairFrame { a: 0, b, q: 1.0, phase: 0 }).collect(),

@@ -34,8 +34,8 @@ pub struct Arguments {
     /// Override the scene's model of a soft body; not for a recording, which has its own.
     #[arg(long, value_parser = models::parse, value_name = "oscillators|metaballs|lattice|fem")]
     model: Option<Model>,
-    /// Write the surfaces to this folder, one file per step: a closed mesh for every group of merged bodies, and for every
-    /// other body.
+    /// Write the surfaces to this folder, one file per step: a closed mesh for every group of merged bodies, and for
+    /// every other body.
     #[arg(long, value_name = "DIR", group = "what")]
     mesh: Option<PathBuf>,
     /// Write a table of events: exact time, pair, q and its rate of change, phases before and after.

@@ -112,16 +112,16 @@ pub struct Arguments {
     /// Log one entity per body, or batch all bodies into a few entities [default: batch above 64 bodies].
     #[arg(long, value_parser = one_of(&Entities::ALL, Entities::name), help_heading = "What to record")]
     entities: Option<Entities>,
-    /// Upper limit on pairs with plots, lanes and lines of their own; the closest within reach are chosen [default: 16, or
-    /// 5 above 64 bodies].
+    /// Upper limit on pairs with plots, lanes and lines of their own; the closest within reach are chosen [default: 16,
+    /// or 5 above 64 bodies].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(..=1000),
           help_heading = "What to record")]
     pairs: Option<u64>,
     /// Show plots, lanes and lines of this pair only, and open a file at its first event; may be repeated.
     #[arg(long, value_name = "A~B", conflicts_with = "thin", help_heading = "What to record")]
     pair: Vec<String>,
-    /// The event at which a file opens, instead of the first: its kind, pair, number, or a combination, such as `merge`,
-    /// `a~b` or "split a~b 2".
+    /// The event at which a file opens, instead of the first: its kind, pair, number, or a combination, such as
+    /// `merge`, `a~b` or "split a~b 2".
     #[arg(long, value_name = "EVENT", conflicts_with_all = ["thin", "keep"], help_heading = "What to record")]
     around: Option<String>,
     /// Record only the scene and checksums, about ten bytes per step; `replay --save` restores the frames.

@@ -1,43 +1,45 @@
 //! The models of a soft body that a scene can be simulated with, and the one place that chooses between them.
 //!
-//! | `model` | what a body is | where |
+//! | `model` | a body is | module |
 //! | --- | --- | --- |
 //! | `oscillators` | vertices that are damped oscillators about their rest positions (the thesis's own, chapter 3) | [`crate::sim`] |
-//! | `metaballs` | a density about its centre, and a level of it as surface (2.2.3) | [`metaballs`] |
+//! | `metaballs` | a density around its centre, with a level set as surface (2.2.3) | [`metaballs`] |
 //! | `lattice` | cubes of masses and springs (2.1.1, 2.2.2) | [`lattice`], [`elastic`] |
 //! | `fem` | linear finite elements (2.1.2) | [`fem`], [`elastic`] |
 //!
-//! Each is a [`Simulation`] of the same [`Scene`], so that all instruments show them alike. What a model has no use for in a
-//! scene, it says in [`Schema::warnings`]; what it cannot do without being wrong, it refuses as [`Unsupported`].
+//! Each is a [`Simulation`] of the same [`Scene`], and is observed in the same way. A model lists the parts of a scene
+//! that it ignores in [`Schema::warnings`], and rejects what it cannot simulate correctly as [`Unsupported`].
 //!
 //! | | free bodies | pushes, planes | shapes from meshes |
 //! | --- | --- | --- | --- |
 //! | `oscillators` | yes | yes | yes |
-//! | `metaballs` | refused: a density has no mass that a force could move | do nothing, and that is said | refused: a ball has no other form |
-//! | `lattice` | yes, but for `rotation = "fixed"` | yes | yes, as cells that cover them |
-//! | `fem` | yes, but for `rotation = "fixed"`; axes turn with the body as a whole | yes | yes, as cells that cover them |
+//! | `metaballs` | rejected: a density has no mass that a force could move | ignored, with a warning | rejected: a ball has no other shape |
+//! | `lattice` | yes, except `rotation = "fixed"` | yes | yes, as the cells that cover them |
+//! | `fem` | yes, except `rotation = "fixed"`; co-rotated as a whole | yes | yes, as the cells that cover them |
 //!
 //! [`side_by_side`] runs several of them as one simulation, and `meldscope bench models` measures them.
 //!
-//! Models import `sim`, `observe`, `scene`, `geometry` and `model`; nothing of these imports models.
+//! Models import `sim`, `observe`, `scene`, `geometry` and `model`; none of these imports models.
 //!
-//! # What the thesis says of each, and what was measured
-//! Chapter 2 weighs the models by the literature. Measured here: `bench models two` (two bodies of 266 vertices, steps of 1/60 s;
-//! lattice and finite elements of 6 cells along a diameter) on one core of an AMD EPYC. A frame is a step, the state with its forces, and the merged surface.
+//! # Claims of the thesis, and measurements
+//! Chapter 2 compares the models from the literature. Measured here with `bench models two` (two bodies of 266
+//! vertices, steps of 1/60 s; lattice and finite elements of 6 cells along a diameter) on one core of an AMD EPYC. A
+//! frame is a step, the state with its forces, and the merged surface.
 //!
-//! | model | a step | a frame | to build | error, against its own converged run | surfaces one from – to |
+//! | model | step | frame | build | error against its own converged run | surfaces joined from – to |
 //! | --- | --- | --- | --- | --- | --- |
 //! | `oscillators` | 0.003 ms | 0.25 ms | 0.01 ms | 8e-9 R | 1.480 – 3.389 s |
 //! | `metaballs` | 0.002 ms | 0.75 ms | 0.04 ms | below 1e-12 R | 1.214 – 2.928 s |
 //! | `lattice` | 0.082 ms | 0.41 ms | 1.1 ms | 6e-4 R | 1.465 – 2.831 s |
 //! | `fem` | 0.097 ms | 0.54 ms | 3.2 ms | 1e-3 R | 1.464 – 2.830 s |
 //!
-//! By the thresholds on q all four merge at 1.397 s and split at 3.315 s. In steps a second that is 303,000, 654,000, 12,200 and
-//! 10,300, where the soft bodies of Jolt make 6,400: the oscillators are 25 and 30 times as fast as the lattice and the elements.
-//! On `collide`, where forces move the bodies, lattice and finite elements merge within 2e-5 s of each other, and enter and leave the core
-//! within 3e-3 s: they are two discretisations of nearly the same solid. For memory, see `bench models`: 0.9 and 1.1 MiB on `two`.
+//! By the thresholds on q all four merge at 1.397 s and split at 3.315 s. They make 303,000, 654,000, 12,200 and 10,300
+//! steps per second, where Jolt's soft bodies make 6,400: the oscillators are 25 and 30 times as fast as lattice and
+//! finite elements. On `collide`, with free bodies, lattice and finite elements merge within 2e-5 s of each other, and
+//! enter and leave the core within 3e-3 s: they are two discretisations of nearly the same solid. They take 0.9 and 1.1
+//! MiB on `two` (`bench models`).
 //!
-//! Of 1,000 cases of `bench stability --model`, which end after 60 steps or 0.3 s; none ended without a reason that was said:
+//! 1,000 cases of `bench stability --model`, which end after 60 steps or 0.3 s; every failure reported its cause:
 //!
 //! | model | endured | cut short | refused | diverged | not taken |
 //! | --- | --- | --- | --- | --- | --- |
@@ -45,25 +47,25 @@
 //! | `lattice` | 863 | 82 | 31 | 3 | 21 |
 //! | `fem` | 947 | 9 | 41 | 3 | 0 |
 //!
-//! What lattices do not endure or have no time for are cases of ω, damping, free bodies and mixtures of all; of 100 cases of influence
+//! The lattice cases that fail or are cut short vary ω, damping, free bodies or everything; of 100 cases of influence
 //! alone, one was cut short.
 //!
-//! | the thesis | measured |
+//! | thesis | measured |
 //! | --- | --- |
-//! | 2.1.1: springs cannot describe the physical properties of a real object directly | no: the springs of a cubic cell have a Young's modulus; only Poisson's ratio is not free, 1/4 ([`lattice`]) |
+//! | 2.1.1: springs cannot describe the physical properties of a real object directly | no: the springs of a cubic cell have a Young's modulus; only Poisson's ratio is fixed, at 1/4 ([`lattice`]) |
 //! | 2.1.1: force reaches only the neighbours of a mass, so too much of it breaks the structure locally | not measured |
-//! | 2.1.1: with too large a step the model oscillates and diverges; the limit has to be found by experience | yes that there is a limit, 10.2 ms on `two`, less than its step of 16.7 ms; no that it takes experience: it is computed, and the step divided by it |
-//! | 2.1.1: the cost of a cycle grows with the number of masses and springs | yes: a step of `two` pulls 2 × 2,842 springs three times, 41 µs of one core for a body, some 4.8 ns a spring |
-//! | 2.1.2: finite elements describe Young's modulus and Poisson's ratio directly, with good accuracy | yes that they describe them; their accuracy is a matter of the tests of [`fem`] |
+//! | 2.1.1: with too large a step the model oscillates and diverges; the limit has to be found by experience | there is a limit (10.2 ms on `two`, below its step of 16.7 ms), but it can be computed, and the step is divided accordingly |
+//! | 2.1.1: the cost of a cycle grows with the number of masses and springs | yes: a step of `two` evaluates 2 × 2,842 springs three times, 41 µs of one core per body, about 4.8 ns per spring |
+//! | 2.1.2: finite elements describe Young's modulus and Poisson's ratio directly, with good accuracy | they do describe them; for the accuracy, see the tests of [`fem`] |
 //! | 2.1.2: they take an enormous amount of computation, and do not suit real time | no, at this size: 0.1 ms of the 16.7 ms of a frame, after 3.2 ms to build |
-//! | 2.1.2: with the inverse computed beforehand they do, as long as the topology does not change | yes, with the factor in its place: the inverse is slower from some 30 nodes on |
-//! | 2.2.1: where stress tears the body the matrix has to be made anew, which real time does not allow | not measured: the place and the time are reported as `would tear` |
+//! | 2.1.2: with a precomputed inverse they do, as long as the topology does not change | yes, with a factorisation instead: the inverse is slower from about 30 nodes on |
+//! | 2.2.1: where stress tears the body the matrix has to be rebuilt, which real time does not allow | not measured: position and time are reported as `would tear` |
 //! | 2.2.2: springs beyond a length are cut with their cells, which loses volume | yes: 22 % of it, 80 cells, on `two` with `tear = "cut"`, `limit = 0.12` |
-//! | 2.2.2: nodes beyond a force are split, which keeps the volume and costs more | yes that it keeps it: no cell is lost by 298 split nodes with `limit = 0.1`; its cost was not measured |
-//! | 2.2.3: densities add up, so that sides that face each other bulge and join | yes: at q = 1.0983, before lone balls would touch (q = 1), 0.184 s before the thesis's threshold; they part 0.387 s before it |
-//! | 2.2.3: merging and splitting take a simple algorithm | yes: all of a step is 0.002 ms; the exact instant is a root of one function of time |
-//! | 2.2.3: ray casting is too expensive for real time, marching cubes are usual | the second: extraction takes most of a frame of 0.75 ms (by tetrahedra) |
-//! | 2.2.3: physical properties are not considered, so that it is hard to simulate with them | yes: pushes, planes and materials do nothing, and free bodies are refused |
+//! | 2.2.2: nodes beyond a force are split, which keeps the volume and costs more | volume is kept: 298 split nodes lose no cell with `limit = 0.1`; the cost was not measured |
+//! | 2.2.3: densities add up, so that facing sides bulge and join | yes: at q = 1.0983, before lone balls would touch (q = 1), 0.184 s before the thesis's threshold; they part 0.387 s before it |
+//! | 2.2.3: merging and splitting take a simple algorithm | yes: a whole step takes 0.002 ms; the exact time is a root of one function of time |
+//! | 2.2.3: ray casting is too expensive for real time, marching cubes are usual | second claim only: extraction (marching tetrahedra) takes most of a frame of 0.75 ms |
+//! | 2.2.3: physical properties are not considered, so that it is hard to simulate with them | yes: pushes, planes and materials do nothing, and free bodies are rejected |
 
 pub mod cells;
 pub mod elastic;
@@ -88,11 +90,11 @@ use side_by_side::SideBySide;
 pub struct SceneRun {
     /// The scene to simulate.
     pub scene: Scene,
-    /// How it is stepped.
+    /// Options of its step.
     pub options: Options,
 }
 
-/// Something of a scene that its model cannot do.
+/// A part of a scene that its model does not support.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
     "scene \"{scene}\" cannot run with model = \"{model}\": {}{what}; {remedy}",
@@ -103,9 +105,9 @@ pub struct Unsupported {
     pub scene: String,
     /// The model.
     pub model: Model,
-    /// The body that it cannot simulate, if it is a single one.
+    /// The unsupported body, if it is a single one.
     pub body: Option<String>,
-    /// The key of the scene and what the model cannot do with it.
+    /// The key of the scene, and why it is unsupported.
     pub what: String,
     /// What to do.
     pub remedy: String,
@@ -166,7 +168,7 @@ pub fn read(name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experim
         .into_iter()
         .find(|known| known.name() == integrator)
         .ok_or_else(|| Refusal::Run(format!("this program has no integrator \"{integrator}\"")))?;
-    // what was recorded before there were other models does not name its own
+    // recordings made before there were other models do not name theirs
     let model = run.get("model").map_or(Some(Model::Oscillators.name()), toml::Value::as_str).unwrap_or("none");
     scene.model = parse(model).map_err(|_| Refusal::Run(format!("this program has no model \"{model}\"")))?;
     scene.dt = positive("dt")?;
@@ -185,14 +187,14 @@ pub fn read(name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experim
 /// The model of this name.
 ///
 /// # Errors
-/// There is none; says which there are, and the nearest one.
+/// There is none; the error lists all names and the nearest one.
 pub fn parse(name: &str) -> Result<Model, String> {
     let names = Model::ALL.map(Model::name);
     let known = Model::ALL.into_iter().find(|model| model.name() == name);
     known.ok_or_else(|| format!("expected one of {}{}", names.join(", "), did_you_mean(name, names.into_iter())))
 }
 
-/// Refuses a scene whose model is not the oscillators, for `what` works with [`World`] alone.
+/// Rejects a scene whose model is not `oscillators`, because `what` works with [`World`] only.
 ///
 /// # Errors
 /// The scene has another model.

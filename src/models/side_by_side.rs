@@ -1,5 +1,5 @@
-//! Several models of one scene as one simulation: beside each other in space, aligned in time, so that one recording shows
-//! them and one set of instruments measures them.
+//! Several models of one scene as one simulation: side by side in space, aligned in time, so that one recording shows
+//! and measures them all.
 
 use std::{
     sync::{Arc, Mutex, PoisonError, atomic::AtomicBool},
@@ -21,17 +21,17 @@ use crate::{
     sim::Options,
 };
 
-/// Room between neighbours [extents of the scene].
+/// Gap between neighbours [extents of the scene].
 const ROOM: f64 = 1.05;
 
-/// Some models of a scene. The scene's own model is not among them unless it is named.
+/// Several models of a scene. The scene's own model is included only if it is listed.
 #[derive(Clone, Debug)]
 pub struct SideBySide {
     /// The scene.
     pub scene: Scene,
-    /// How each model is stepped.
+    /// Options of each model's step.
     pub options: Options,
-    /// The models, in the order in which they stand beside each other; at least one.
+    /// The models, in their order in space; at least one.
     pub models: Vec<Model>,
 }
 
@@ -48,7 +48,7 @@ impl SideBySide {
         self.models.iter().map(move |model| SceneRun { scene: run(model), options: self.options })
     }
 
-    /// The places of the models, given what a camera should see of one.
+    /// Offsets of the models, given the spheres that a camera should see of one.
     fn places(&self, spheres: &[(DVec3, f64)]) -> Vec<Place> {
         let extent = |axis: DVec3| {
             let ends = spheres.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (centre, radius)| {
@@ -57,7 +57,7 @@ impl SideBySide {
             });
             if ends.0 < ends.1 { ROOM * (ends.1 - ends.0) } else { 0.0 }
         };
-        // two in a row, the rows below each other, as the camera sees them
+        // two per row, rows from top to bottom as the camera sees them
         let (right, down) = (extent(DVec3::X) * DVec3::X, -extent(DVec3::Z) * DVec3::Z);
         let bodies = self.scene.bodies.len();
         let place = |(k, run): (usize, SceneRun)| Place {
@@ -122,7 +122,7 @@ fn displacement(model: Model) -> ScalarSchema {
     ScalarSchema { plot: "Largest displacement [radii]", ..ScalarSchema::new(name, label, ScalarOf::State) }
 }
 
-/// Where a model stands.
+/// The position of a model.
 #[derive(Clone, Debug)]
 struct Place {
     schema: Schema,
@@ -136,7 +136,7 @@ impl Place {
         (self.first..self.first + self.schema.bodies.len()).contains(&body)
     }
 
-    /// What a frame has of this model, as if it were alone.
+    /// The part of a frame that belongs to this model, as if it were alone.
     fn alone(&self, frame: &Frame) -> Frame {
         let bodies = frame.bodies.iter().skip(self.first).take(self.schema.bodies.len());
         let back = |body: &BodyFrame| BodyFrame { centre: body.centre - self.offset, ..body.clone() };
@@ -151,7 +151,7 @@ impl Place {
 }
 
 impl Place {
-    /// A group of this model, where the model stands.
+    /// A group of this model, moved to the model's position.
     fn moved(&self, group: &Group) -> Group {
         let mut moved = group.clone();
         moved.bodies.iter_mut().for_each(|body| *body += self.first);
@@ -171,7 +171,7 @@ fn mergers(places: &[Place]) -> Vec<Mutex<Merger>> {
     places.iter().map(|place| Mutex::new(Merger::new(&place.schema, None))).collect()
 }
 
-/// The surfaces of models that stand apart: each as its own schema says.
+/// The surfaces of the models, each as defined by its own schema.
 struct Apart {
     places: Vec<Place>,
     mergers: Vec<Mutex<Merger>>,
@@ -226,14 +226,14 @@ impl Experiment for SideBySide {
     }
 }
 
-/// Models that are stepped together.
+/// Models stepped together.
 struct Beside {
     schema: Schema,
     scene: Scene,
     parts: Vec<Part>,
-    /// When surfaces touched and parted in the last step.
+    /// Touch and part events of the last step.
     contacts: Vec<SurfaceEvent>,
-    /// What happened to single bodies in it.
+    /// Events of single bodies in the last step.
     body_events: Vec<BodyEvent>,
     /// Scratch storage, reused.
     frame: Frame,
@@ -241,10 +241,10 @@ struct Beside {
 
 struct Part {
     simulation: Box<dyn Simulation>,
-    /// What it does not find itself.
+    /// Finds the touch and part events that the model does not find itself.
     touches: Option<Touches>,
     place: Place,
-    /// How long its last step took.
+    /// Duration of its last step.
     took: Duration,
 }
 

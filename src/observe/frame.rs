@@ -45,9 +45,9 @@ pub struct BodyFrame {
     /// Whether every displacement and velocity is exactly zero. If so, the vectors are empty.
     pub is_at_rest: bool,
     /// The mesh of the body if it differs from the schema's because the body has torn, which only bodies with
-    /// [`BodySchema::can_tear`] do. Vertices are only added: the first ones are those of the schema's mesh, in its order,
-    /// though some may be in no triangle. Rest positions are in units of the schema's radius, see [`Mesh::version`]. The
-    /// vertex count of all vectors here is that of this mesh.
+    /// [`BodySchema::can_tear`] do. Vertices are only added: the first ones are those of the schema's mesh, in its
+    /// order, though some may be in no triangle. Rest positions are in units of the schema's radius, see
+    /// [`Mesh::version`]. The vertex count of all vectors here is that of this mesh.
     pub mesh: Option<Arc<Mesh>>,
     /// Displacements x of the vertices from Q l, in world axes like all vectors here [scene unit], `[vertex_count]`.
     pub displacements: Vectors,
@@ -161,8 +161,8 @@ impl BodyFrame {
         }
     }
 
-    /// Writes the vertex positions in body axes, l + Q⁻¹ x [scene unit], to `positions` (reused). For an undeformed body
-    /// they are exactly those of its rest shape, however it is rotated.
+    /// Writes the vertex positions in body axes, l + Q⁻¹ x [scene unit], to `positions` (reused). For an undeformed
+    /// body they are exactly those of its rest shape, however it is rotated.
     pub fn body_positions(&self, rest: Rest<'_>, positions: &mut Vectors) {
         if self.rotation == DQuat::IDENTITY {
             return self.local_positions(rest, positions);

@@ -277,7 +277,8 @@ impl Schema {
         self.bodies.iter().map(|body| body.vertex_count() as u64).sum()
     }
 
-    /// The model, or `None` for the default one (oscillators, or the only one of a simulation), which messages leave out.
+    /// The model, or `None` for the default one (oscillators, or the only one of a simulation), which messages leave
+    /// out.
     pub fn unusual_model(&self) -> Option<&str> {
         Some(self.model.as_str()).filter(|model| !["", "oscillators"].contains(model))
     }

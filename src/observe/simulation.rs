@@ -68,9 +68,9 @@ pub trait Simulation {
         vec![stage("start", before.clone()), stage("end", frame)]
     }
 
-    /// Writes the centres of some bodies, and the positions of their vertices relative to these [scene unit], to `frame`
-    /// (reused), at a time [s] within the step that led from `before` to the current state. By default, they are
-    /// interpolated by [`between`].
+    /// Writes the centres of some bodies, and the positions of their vertices relative to these [scene unit], to
+    /// `frame` (reused), at a time [s] within the step that led from `before` to the current state. By default, they
+    /// are interpolated by [`between`].
     fn within(&self, before: &Frame, time: f64, bodies: &[usize], frame: &mut Frame) {
         let mut after = Frame::default();
         self.observe(Want::default(), &mut after);
@@ -78,8 +78,8 @@ pub trait Simulation {
     }
 
     /// Touch and part events of pairs in the last step, in order of time, if the simulation finds them itself
-    /// ([`Finding::Touch`](super::touch::Finding::Touch) and `Part` only). `None`: [`super::touch`] searches for them in
-    /// the states that [`within`](Simulation::within) returns.
+    /// ([`Finding::Touch`](super::touch::Finding::Touch) and `Part` only). `None`: [`super::touch`] searches for them
+    /// in the states that [`within`](Simulation::within) returns.
     fn contacts(&self) -> Option<&[SurfaceEvent]> {
         None
     }
@@ -100,9 +100,9 @@ pub trait Simulation {
     }
 }
 
-/// The state of some bodies at a time [s] between two frames, by cubic Hermite interpolation of the displacements, and of
-/// centres and rotations where their velocities are known; otherwise centres are linear. The error is of fourth order in
-/// the step, unless a force jumps within it.
+/// The state of some bodies at a time [s] between two frames, by cubic Hermite interpolation of the displacements, and
+/// of centres and rotations where their velocities are known; otherwise centres are linear. The error is of fourth
+/// order in the step, unless a force jumps within it.
 pub fn between(schema: &Schema, ends: [&Frame; 2], time: f64, bodies: &[usize], frame: &mut Frame) {
     let length = ends[1].at.time - ends[0].at.time;
     let z = if length > 0.0 { ((time - ends[0].at.time) / length).clamp(0.0, 1.0) } else { 1.0 };

@@ -5,11 +5,12 @@
 //! simulation need not know of it, and does not pay for it unless frames are recorded.
 //!
 //! # Cost per frame
-//! A single body costs nothing, nor does a pair out of reach. For a pair that is apart but within reach, only the gap is
-//! computed, starting from the nearest triangles of the last frame. A group costs its union, its smooth seam, and gap,
-//! overlap and neck of its pairs, in every recorded frame: a surface drawn less often would disagree with the bodies,
-//! spheres and plots of its frame. For two spheres, this takes tenths of a millisecond, more than the rest of the frame.
-//! For more frames per second, record every Nth (`--every N`) or none (`--thin`), and replay the steps of interest.
+//! A single body costs nothing, nor does a pair out of reach. For a pair that is apart but within reach, only the gap
+//! is computed, starting from the nearest triangles of the last frame. A group costs its union, its smooth seam, and
+//! gap, overlap and neck of its pairs, in every recorded frame: a surface drawn less often would disagree with the
+//! bodies, spheres and plots of its frame. For two spheres, this takes tenths of a millisecond, more than the rest of
+//! the frame. For more frames per second, record every Nth (`--every N`) or none (`--thin`), and replay the steps of
+//! interest.
 
 use std::{
     collections::BTreeMap,
@@ -90,15 +91,16 @@ pub struct VertexOrigin {
 pub struct SeamLine {
     /// The two bodies, ascending.
     pub bodies: [usize; 2],
-    /// Positions along the seam, before the surface is smoothed [scene unit]; the last one equals the first if the seam is
-    /// closed.
+    /// Positions along the seam, before the surface is smoothed [scene unit]; the last one equals the first if the seam
+    /// is closed.
     pub positions: Vec<DVec3>,
 }
 
 /// Geometric measures of a pair, independent of its phase.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PairMeasures {
-    /// Smallest distance between the surfaces, or minus the penetration depth if they overlap [radii of the smaller body].
+    /// Smallest distance between the surfaces, or minus the penetration depth if they overlap [radii of the smaller
+    /// body].
     pub gap: f64,
     /// Volume of the intersection [radius³ of the smaller body].
     pub overlap: f64,
@@ -110,8 +112,8 @@ pub struct PairMeasures {
     pub perimeter: f64,
 }
 
-/// Surfaces of groups that are not the unions of their bodies. They must be a function of the frame alone, so that they can
-/// be computed in parallel to the simulation, and again in a replay.
+/// Surfaces of groups that are not the unions of their bodies. They must be a function of the frame alone, so that they
+/// can be computed in parallel to the simulation, and again in a replay.
 pub trait Surfaces: Send + Sync {
     /// The surfaces of all groups of a frame, and the measures of some pairs. Leaves out what cannot be computed, and
     /// everything once the interrupt flag is raised.
@@ -132,8 +134,8 @@ pub trait Surfaces: Send + Sync {
 /// The surfaces of a frame, as defined by a simulation.
 #[derive(Clone, Debug, Default)]
 pub struct Surfaced {
-    /// The surface of each group of at least two bodies, closed and oriented, in ascending order of their first bodies; groups
-    /// are disjoint. `None` for those that could not be computed.
+    /// The surface of each group of at least two bodies, closed and oriented, in ascending order of their first bodies;
+    /// groups are disjoint. `None` for those that could not be computed.
     pub groups: Vec<Option<Group>>,
     /// Measures of the pairs, in the order of the request; `None` for those that could not be computed.
     pub pairs: Vec<Option<PairMeasures>>,
@@ -186,8 +188,8 @@ impl Closed {
         !is_same
     }
 
-    /// A body with its vertices at these positions [scene unit]; `None` if it is not closed, if its coordinates are out of
-    /// range, or after an interrupt.
+    /// A body with its vertices at these positions [scene unit]; `None` if it is not closed, if its coordinates are out
+    /// of range, or after an interrupt.
     pub fn body<'a>(&'a self, index: usize, positions: &'a [DVec3]) -> Option<Body<'a>> {
         Body::new(self.topology(index)?, positions).ok()
     }

@@ -1,9 +1,10 @@
 //! Finds when surfaces touch and part, and compares the surfaces of a pair when its phase changes.
 //!
 //! Times are found by bisection over the states within a step ([`Simulation::within`]). With the exponential integrator
-//! these are its own solution: the step is taken again, up to that time, so the error is within its tolerance. This holds
-//! for bodies on paths and for free bodies. The explicit schemes use cubic Hermite interpolation between steps. Its error
-//! is of fourth order in the step, like that of `rk4`; for the other schemes, their own order determines that of the times.
+//! these are its own solution: the step is taken again, up to that time, so the error is within its tolerance. This
+//! holds for bodies on paths and for free bodies. The explicit schemes use cubic Hermite interpolation between steps.
+//! Its error is of fourth order in the step, like that of `rk4`; for the other schemes, their own order determines that
+//! of the times.
 
 use std::{collections::BTreeMap, sync::atomic::AtomicBool};
 
@@ -150,8 +151,8 @@ impl Touches {
     }
 
     /// Finds what happened in the last step, given its phase changes; `now` is the state after it. Misses a pair that
-    /// touches and parts within one step. Also skips a step without a frame before it, so that recordings with few frames
-    /// do not pay for a search in every step.
+    /// touches and parts within one step. Also skips a step without a frame before it, so that recordings with few
+    /// frames do not pay for a search in every step.
     pub fn step(
         &mut self,
         simulation: &dyn Simulation,

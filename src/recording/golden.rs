@@ -49,8 +49,8 @@ pub const VERTICES: &str = "/golden/vertices";
 /// `bodies` and `displacements`, the latter x, y and z of each vertex [scene unit], and, if there are free bodies,
 /// `frames`, the centre and the rotation (x, y, z, w) of each of these.
 pub const STATES: &str = "/golden/states";
-/// Entity with the quantities of surfaces, as often as states: components `names`, those of the entities that plot them,
-/// and `values`.
+/// Entity with the quantities of surfaces, as often as states: components `names`, those of the entities that plot
+/// them, and `values`.
 pub const SURFACES: &str = "/golden/surfaces";
 /// Upper limit on the pairs whose surfaces are measured.
 const MOST_PAIRS: usize = 64;

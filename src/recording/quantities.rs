@@ -17,8 +17,8 @@ use crate::{
     },
 };
 
-/// Volumes, areas and distances of surfaces differ by a small multiple of the difference of their vertices: the volume of
-/// a unit sphere by three times, its area by twice. This multiple is allowed.
+/// Volumes, areas and distances of surfaces differ by a small multiple of the difference of their vertices: the volume
+/// of a unit sphere by three times, its area by twice. This multiple is allowed.
 const SENSITIVITY: f64 = 10.0;
 
 /// Quantities by the entity that plots each, such as `/pairs/a~b/gap`.

@@ -1,4 +1,5 @@
-//! The built-in scenes, compiled in: those in `recordings/`, beside their golden recordings, and one too large for that.
+//! The built-in scenes, compiled in: those in `recordings/`, beside their golden recordings, and one too large for
+//! that.
 
 use super::Scene;
 

@@ -95,10 +95,10 @@
 //! ```
 //!
 //! # Shapes from files
-//! A mesh must be the surface of a body: closed, consistently oriented, manifold, its triangles counter-clockwise seen from
-//! outside; [`crate::geometry::files`] lists what is read from each format. Vertices at the same position are welded. The
-//! mesh is centred at its mass centre (the mass of a vertex is a third of the area of its triangles) and scaled so that its
-//! farthest vertex is `radius` away. A surface that crosses or touches itself is rejected.
+//! A mesh must be the surface of a body: closed, consistently oriented, manifold, its triangles counter-clockwise seen
+//! from outside; [`crate::geometry::files`] lists what is read from each format. Vertices at the same position are
+//! welded. The mesh is centred at its mass centre (the mass of a vertex is a third of the area of its triangles) and
+//! scaled so that its farthest vertex is `radius` away. A surface that crosses or touches itself is rejected.
 //!
 //! The file may be anywhere, but must be a regular file of at most 1 GiB. Replaying a recording reads no mesh files:
 //! [`Scene::source`], which recordings store, contains the meshes:
@@ -110,16 +110,16 @@
 //! ```
 //!
 //! # Keyframes
-//! A `spline` is smooth (its acceleration is continuous) and at rest at the first and the last key; therefore it overshoots
-//! where keys change direction. Through 0, 1 and 1 at 0, 1 and 2 s it follows 1 + ¾ s (1 − s)² between the last two, where s
-//! is the time since the second: it reaches 10/9 at 4/3 s. Where a body must stay within its keys, use straight lines
-//! (`linear`) or jumps (`hold`).
+//! A `spline` is smooth (its acceleration is continuous) and at rest at the first and the last key; therefore it
+//! overshoots where keys change direction. Through 0, 1 and 1 at 0, 1 and 2 s it follows 1 + ¾ s (1 − s)² between the
+//! last two, where s is the time since the second: it reaches 10/9 at 4/3 s. Where a body must stay within its keys,
+//! use straight lines (`linear`) or jumps (`hold`).
 //!
 //! At a `linear` key the velocity of the centre jumps by some Δv, an impulse. Vertices of a body whose response is
-//! `inertial` or `world` keep their world velocity: relative to the centre it jumps by −Δv. Vertices of a `rigid` body are
-//! not affected. At t = 0 all velocities are zero, however the path begins. At a `hold` key the vertices move with the
-//! centre; their displacements and velocities do not change. Pairs change phase at the jump, by the distance after it; a
-//! jump from afar into a core is a merge and a core event at the same instant.
+//! `inertial` or `world` keep their world velocity: relative to the centre it jumps by −Δv. Vertices of a `rigid` body
+//! are not affected. At t = 0 all velocities are zero, however the path begins. At a `hold` key the vertices move with
+//! the centre; their displacements and velocities do not change. Pairs change phase at the jump, by the distance after
+//! it; a jump from afar into a core is a merge and a core event at the same instant.
 
 pub mod builtin;
 pub mod cells;
@@ -430,8 +430,8 @@ impl Scene {
         format!("integrator = \"{}\"\ndt = {:?}\ntolerance = {:?}\n{model}", self.integrator, self.dt, self.tolerance)
     }
 
-    /// The same scene without any force: pairs on the same paths, with the same thresholds, change phase at the same times,
-    /// and nothing else happens.
+    /// The same scene without any force: pairs on the same paths, with the same thresholds, change phase at the same
+    /// times, and nothing else happens.
     pub fn without_forces(&self) -> Scene {
         let influence = Influence { alpha: 0.0, beta: 0.0, ..self.influence };
         let rigid =

@@ -1,12 +1,13 @@
-//! The scene file: parses text to a [`Scene`] that is valid by construction, or to one [`SceneError`] that says where the
-//! text is wrong and what was expected there.
+//! The scene file: parses text to a [`Scene`] that is valid by construction, or to one [`SceneError`] that says where
+//! the text is wrong and what was expected there.
 //!
 //! # Limits
 //! Numbers are at most 10¹⁵ in magnitude, and those that must be positive (radius, dt, reach …) at least 10⁻¹², as must
 //! be the time between keys. Within these no product, quotient or square that the simulation forms comes near the range
 //! of a double, so nothing downstream has to check for overflow. They leave 27 orders of magnitude, more than double
 //! precision resolves. `duration / dt` is at most 10¹², so that step numbers are exact and times are accurate to a
-//! millionth of a step; a ring has at most 65,535 vertices, so that a vertex index fits 32 bits. A file has at most 32 MiB.
+//! millionth of a step; a ring has at most 65,535 vertices, so that a vertex index fits 32 bits. A file has at most 32
+//! MiB.
 
 mod error;
 mod grid;
@@ -54,7 +55,8 @@ const BLEND: Number = Number { min: 0.0, max: 0.5 };
 const CELLS: Integer = Integer { min: 2, max: cells::MOST_ACROSS };
 /// Springs shorter than at rest do not tear; those that may stretch a thousandfold never do.
 const STRAIN: Number = Number { min: 1e-3, max: 1e3 };
-/// Below the values at which an isotropic material becomes incompressible or shear-rigid: there the stiffness is unbounded.
+/// Below the values at which an isotropic material becomes incompressible or shear-rigid: there the stiffness is
+/// unbounded.
 const POISSON: Number = Number { min: -0.9, max: 0.49 };
 /// The length of a direction does not matter.
 const FINITE: Number = Number { min: f64::MIN, max: f64::MAX };
@@ -234,8 +236,8 @@ impl Scene {
         Scene::parse_with_files(text, path, watch)
     }
 
-    /// Parses `text` as [`Scene::load`] would read it from the file at `path`: meshes are read from files, relative to its
-    /// folder.
+    /// Parses `text` as [`Scene::load`] would read it from the file at `path`: meshes are read from files, relative to
+    /// its folder.
     ///
     /// # Errors
     /// Those of [`Scene::parse`]; or a mesh cannot be read or is not the surface of a body.
@@ -263,12 +265,13 @@ impl Scene {
         source.find(meshes::MARK).map_or(source, |end| &source[..end])
     }
 
-    /// Parses `text`; `file` is its name in errors. Without its folder and extension, `file` is also the name of a scene
-    /// whose text gives none.
+    /// Parses `text`; `file` is its name in errors. Without its folder and extension, `file` is also the name of a
+    /// scene whose text gives none.
     ///
     /// # Errors
-    /// The first error: not TOML, an unknown, missing or repeated key, a value of the wrong type or out of range (see the
-    /// [limits](self#limits)), inconsistent values, or a mesh that is not embedded in the text (no other file is read).
+    /// The first error: not TOML, an unknown, missing or repeated key, a value of the wrong type or out of range (see
+    /// the [limits](self#limits)), inconsistent values, or a mesh that is not embedded in the text (no other file is
+    /// read).
     pub fn parse(text: &str, file: &str) -> Result<Scene, SceneError> {
         on_deep_stack(|| read_scene(&Source { text, file }, &mut Meshes::beside(Files::None)))
     }
@@ -281,8 +284,9 @@ fn read(path: &std::path::Path) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Calls `work` with a stack large enough for the deepest tree that the TOML parser makes: inline tables may nest 80 deep
-/// and keys may have 80 parts, so 6,400 tables. Dropping them takes a stack frame each, several MB without optimisation.
+/// Calls `work` with a stack large enough for the deepest tree that the TOML parser makes: inline tables may nest 80
+/// deep and keys may have 80 parts, so 6,400 tables. Dropping them takes a stack frame each, several MB without
+/// optimisation.
 pub(crate) fn on_deep_stack<T: Send>(work: impl Fn() -> T + Sync) -> T {
     std::thread::scope(|scope| {
         let thread = std::thread::Builder::new().stack_size(64 << 20).spawn_scoped(scope, &work);

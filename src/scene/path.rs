@@ -50,7 +50,8 @@ pub struct Given {
 
 impl Given {
     /// The path `at(t)` = c, c′, c″ at time t [s]. The function must be continuous and deterministic; velocity and
-    /// acceleration must be the derivatives of the position, and never exceed `bounds`, which limit the search for events.
+    /// acceleration must be the derivatives of the position, and never exceed `bounds`, which limit the search for
+    /// events.
     pub fn new(bounds: Bounds, at: impl Fn(f64) -> Kinematics + Send + Sync + 'static) -> Given {
         Given { at: Arc::new(at), bounds }
     }
@@ -145,8 +146,8 @@ impl Path {
         }
     }
 
-    /// c, c′ and c″ at five instants `start + theta · (end − start)` at once; theta = 1 is just before `end`. A sine path is
-    /// rotated from its phase at `start` by precomputed angles, so that only one sine is evaluated.
+    /// c, c′ and c″ at five instants `start + theta · (end − start)` at once; theta = 1 is just before `end`. A sine
+    /// path is rotated from its phase at `start` by precomputed angles, so that only one sine is evaluated.
     pub fn kinematics(&self, start: f64, end: f64, thetas: &[f64; 5], turns: &Turns, found: &mut [Kinematics; 5]) {
         if let Path::Sine { center, amplitude, frequency, phase } = self {
             let rate = TAU * frequency;
@@ -430,7 +431,8 @@ impl Spline {
         self.on(self.times.partition_point(|&key| key <= t), t)
     }
 
-    /// The state at `t`, where `keys_passed` keys have been passed. Before the first key and after the last, it is at rest.
+    /// The state at `t`, where `keys_passed` keys have been passed. Before the first key and after the last, it is at
+    /// rest.
     fn on(&self, keys_passed: usize, t: f64) -> Kinematics {
         let still = |position| Kinematics { position, velocity: DVec3::ZERO, acceleration: DVec3::ZERO };
         match keys_passed {

@@ -106,8 +106,8 @@ pub struct Template<'a> {
 }
 
 impl<'a> Template<'a> {
-    /// Parses the scene `text`; `file` is its name in errors. Meshes are read from `folder`, or without one taken from the
-    /// built-in scene of this name.
+    /// Parses the scene `text`; `file` is its name in errors. Meshes are read from `folder`, or without one taken from
+    /// the built-in scene of this name.
     ///
     /// # Errors
     /// What [`Scene::parse`] refuses.

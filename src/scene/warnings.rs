@@ -12,9 +12,9 @@ const MARGIN: f64 = 1e-9;
 const INSIDE_OUT: f64 = 5.0;
 
 impl Scene {
-    /// Warnings about thresholds without effect, each with a level that has one: a `merge_at` at which no sphere reaches
-    /// the other body, a `split_at` at which the rest shapes still overlap. Also about free bodies that start so deep in a
-    /// plane that it tears them apart.
+    /// Warnings about thresholds without effect, each with a level that has one: a `merge_at` at which no sphere
+    /// reaches the other body, a `split_at` at which the rest shapes still overlap. Also about free bodies that start
+    /// so deep in a plane that it tears them apart.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = [Vec::new(), Vec::new()];
         for b in 0..self.bodies.len().min(MOST_BODIES) {
@@ -42,8 +42,8 @@ impl Scene {
         merge.into_iter().chain(split).chain(summary(self.torn(), "body")).collect()
     }
 
-    /// Free bodies that start so deep in a plane that it turns them inside out: their vertices then have no unique best-fit
-    /// rest shape, and no step is short enough.
+    /// Free bodies that start so deep in a plane that it turns them inside out: their vertices then have no unique
+    /// best-fit rest shape, and no step is short enough.
     fn torn(&self) -> Vec<String> {
         let mut torn = Vec::new();
         for body in &self.bodies {

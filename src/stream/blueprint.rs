@@ -82,8 +82,8 @@ pub struct Measured<'a> {
     pub focus: Option<&'a Focus>,
 }
 
-/// The changes to those messages once the run is over. The axes of timing plots exclude rare outliers. The viewer opens at
-/// the first event: playing it in a loop is the only way in which a layout can move the time cursor.
+/// The changes to those messages once the run is over. The axes of timing plots exclude rare outliers. The viewer opens
+/// at the first event: playing it in a loop is the only way in which a layout can move the time cursor.
 pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: &Measured<'_>) -> Vec<LogMsg> {
     /// Ratio of a plot's upper end to the typical value.
     const HEADROOM: f64 = 1.3;

@@ -1,8 +1,8 @@
 //! Lighting of surfaces, baked into vertex colours.
 //!
 //! The viewer lights a mesh from two nearly opposite directions, with little more than ambient light in between, which
-//! leaves a dark band around every body. Surfaces therefore also have lit vertex colours, and the views of the layout draw
-//! these, unlit by the viewer. All other views use the surface's original colours and normals.
+//! leaves a dark band around every body. Surfaces therefore also have lit vertex colours, and the views of the layout
+//! draw these, unlit by the viewer. All other views use the surface's original colours and normals.
 
 use std::sync::{Arc, LazyLock};
 

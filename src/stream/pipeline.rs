@@ -28,8 +28,8 @@ use crate::observe::{Frame, Simulation, StageFrame, SurfaceEvent};
 const PACKETS: usize = 4;
 /// A packet is full with this many frames.
 const FRAMES: usize = 16;
-/// If the simulation waits for the recording thread longer than this, packets hold one frame each, so that few frames are
-/// in transit when the run is interrupted.
+/// If the simulation waits for the recording thread longer than this, packets hold one frame each, so that few frames
+/// are in transit when the run is interrupted.
 const SLOW: Duration = Duration::from_millis(100);
 /// A packet is full with this many steps.
 const STEPS: usize = 4096;

@@ -55,8 +55,8 @@ pub struct Projection {
 }
 
 impl Projection {
-    /// The least interval between frames, in steps, that keeps a file below [`LARGE`]. If only the beginning of the run was
-    /// simulated, this assumes 1.5 times the predicted size, because groups grow.
+    /// The least interval between frames, in steps, that keeps a file below [`LARGE`]. If only the beginning of the run
+    /// was simulated, this assumes 1.5 times the predicted size, because groups grow.
     pub fn every(&self, settings: &Settings) -> u64 {
         let is_whole = self.seen >= (self.frames - 1) * settings.every;
         let most = if is_whole { self.bytes } else { self.bytes.saturating_add(self.bytes / 2) };
@@ -145,8 +145,8 @@ impl Probe {
     }
 }
 
-/// Returns the encoded size of the messages [bytes]. Timings and the axes of their plots vary from run to run; they count
-/// with their usual size.
+/// Returns the encoded size of the messages [bytes]. Timings and the axes of their plots vary from run to run; they
+/// count with their usual size.
 fn append(encoder: &mut Encoder<Count>, messages: impl IntoIterator<Item = LogMsg>) -> Result<u64, EncodeError> {
     let size = |message: LogMsg| match timings(&message) {
         Some(rows) => Ok(rows * TIMING),

@@ -17,8 +17,9 @@ pub struct Builtin {
     pub text: &'static str,
 }
 
-/// All built-in sweeps. Approach speed and offset are the axes of regime maps of droplet collisions (Ashgriz and Poo 1990,
-/// Qian and Law 1997: Weber number and impact parameter). The last one measures the overhead of a sweep beyond its steps.
+/// All built-in sweeps. Approach speed and offset are the axes of regime maps of droplet collisions (Ashgriz and Poo
+/// 1990, Qian and Law 1997: Weber number and impact parameter). The last one measures the overhead of a sweep beyond
+/// its steps.
 pub const ALL: [Builtin; 5] = [
     Builtin {
         name: "speed_merge_at",

@@ -1,10 +1,10 @@
 //! The points of a sweep and their row numbers.
 //!
 //! # Rows
-//! A row is a point, and its number is a function of the point: it stays the same however a sweep is refined, resumed or
-//! divided among machines. On a grid, rows are counted level by level, and within a level with the last axis fastest.
-//! Level 0 is the grid of the file; each further level halves the spacing on every axis that is a range. A point belongs
-//! to the first level that contains it.
+//! A row is a point, and its number is a function of the point: it stays the same however a sweep is refined, resumed
+//! or divided among machines. On a grid, rows are counted level by level, and within a level with the last axis
+//! fastest. Level 0 is the grid of the file; each further level halves the spacing on every axis that is a range. A
+//! point belongs to the first level that contains it.
 
 use crate::scene::template::{KeyPath, Setting};
 

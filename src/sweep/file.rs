@@ -1,4 +1,5 @@
-//! The sweep file: parses text to a [`Sweep`] that is valid by construction, or to an error that says where it is wrong.
+//! The sweep file: parses text to a [`Sweep`] that is valid by construction, or to an error that says where it is
+//! wrong.
 
 use std::{
     fs,

@@ -1,5 +1,5 @@
-//! The map of a sweep: outcomes, or a measure, over its first two numeric axes; one map for each combination of values on
-//! the others.
+//! The map of a sweep: outcomes, or a measure, over its first two numeric axes; one map for each combination of values
+//! on the others.
 
 use std::collections::{BTreeMap, HashMap};
 

@@ -8,8 +8,8 @@
 //! | `/map/ticks` | tick values on the axes |
 //! | `/along/MEASURE/…` | measures along the first axis, for the least, middle and greatest value of the second |
 //!
-//! Maps for different values of further axes are on the timeline `slice`; measures are on the timeline `along`, the index on
-//! the first axis.
+//! Maps for different values of further axes are on the timeline `slice`; measures are on the timeline `along`, the
+//! index on the first axis.
 
 use std::path::Path;
 

@@ -3,8 +3,8 @@
 //! A cell lies between neighbours of the grid of a level: it has 2ⁿ corners if n axes are ranges. It is divided if two
 //! known points of it, its corners or points of finer levels on its faces, differ. All 3ⁿ points of its halves are then
 //! required. This is repeated up to the last level, so that every cell of the last level whose corners or faces show a
-//! boundary is resolved. A region smaller than the cells of the first grid may be missed: the first grid has to hit every
-//! region.
+//! boundary is resolved. A region smaller than the cells of the first grid may be missed: the first grid has to hit
+//! every region.
 //!
 //! The required points depend on the results of runs only, not on their order. A level can therefore be divided among
 //! machines, and an interrupted sweep resumes with the same rows.

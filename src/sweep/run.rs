@@ -22,8 +22,8 @@
 //!   pair the centres move apart and each body is out of reach of the other's sphere, even if all its vertices were
 //!   displaced by one and a half times what their energy allows.
 //!
-//! A merged pair may split until the end of the scene. Scenes of more than eight bodies run to the end. All measures are
-//! over the steps taken.
+//! A merged pair may split until the end of the scene. Scenes of more than eight bodies run to the end. All measures
+//! are over the steps taken.
 
 use std::{collections::BTreeMap, sync::atomic::AtomicBool, time::Instant};
 
@@ -451,8 +451,8 @@ impl Pair {
     }
 }
 
-/// Time of the last phase change of a scene whose bodies are all on non-periodic paths [s]; `None` if there is none or it
-/// is unknown.
+/// Time of the last phase change of a scene whose bodies are all on non-periodic paths [s]; `None` if there is none or
+/// it is unknown.
 fn last_change(scene: &Scene) -> Option<f64> {
     if scene.bodies.len() > MOST_BODIES || scene.is_coupled() {
         return None;

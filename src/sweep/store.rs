@@ -6,8 +6,8 @@
 //! | `rows-LEVEL-SHARDofSHARDS-BLOCK.parquet` | rows; each file is written atomically |
 //! | `.rows-….journal` | rows of an incomplete block, each written as soon as its run ends |
 //!
-//! The sweep determines the rows of a block. Two processes that run the same shard, by mistake or because the first one was
-//! presumed lost, therefore write the same file. Processes need neither communication nor locks.
+//! The sweep determines the rows of a block. Two processes that run the same shard, by mistake or because the first one
+//! was presumed lost, therefore write the same file. Processes need neither communication nor locks.
 
 use std::{
     collections::{BTreeMap, BTreeSet},

@@ -1,5 +1,5 @@
-//! The work-precision diagram: error against run time, one line per integrator, one panel per scene. The last panel has the
-//! errors that are made against those that are asked for, one line per scene.
+//! The work-precision diagram: error against run time, one line per integrator, one panel per scene. The last panel
+//! shows actual against requested errors, one line per scene.
 
 use std::ops::Range;
 
@@ -28,7 +28,7 @@ const RIGHT: u32 = 246;
 /// The smallest error drawn, unless the reference resolves less [radii].
 const FLOOR: f64 = 1e-12;
 
-/// A style per scheme: colours that are safe for colour-blind readers (Okabe & Ito 2008), and distinct markers.
+/// A style per scheme: colours distinguishable with any colour vision (Okabe & Ito 2008), and distinct markers.
 fn style(scheme: Scheme) -> Style {
     let (color, marker, width) = match scheme {
         Scheme::Fixed(Integrator::Thesis) => (RGBColor(213, 94, 0), Marker::Cross, 3),
@@ -88,7 +88,7 @@ pub fn svg(reports: &[Report], machine: &Machine) -> Result<String, String> {
     })
 }
 
-/// The errors that are made against those that are asked for.
+/// Actual against requested errors.
 fn draw_control(panel: &Area<'_>, reports: &[Report]) -> Result<(), Failure> {
     const COLORS: [RGBColor; 6] = [
         RGBColor(0, 158, 115),

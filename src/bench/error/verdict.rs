@@ -113,8 +113,8 @@ impl Report {
         lines
     }
 
-    /// What the tolerances allow over the whole run and the errors that were made [radii], of runs with error control that
-    /// the reference can tell.
+    /// The errors that the tolerances allow over the whole run, and the actual errors [radii], for runs with error
+    /// control whose error the reference resolves.
     pub(super) fn asked_and_made(&self) -> Vec<(f64, f64)> {
         let of = |it: &Measurement| match it.scheme {
             Scheme::Controlled { tolerance } => Some((tolerance * self.duration, it.error?)),
@@ -123,7 +123,7 @@ impl Report {
         self.measurements.iter().filter_map(of).filter(|(allowed, _)| *allowed > self.resolution()).collect()
     }
 
-    /// A sentence on how the error that is made compares with the one that is asked for.
+    /// A sentence that compares the actual error with the requested one.
     fn control_verdict(&self) -> Option<String> {
         let shares: Vec<f64> = self.asked_and_made().into_iter().map(|(allowed, made)| made / allowed).collect();
         let within = shares.iter().filter(|share| (0.01..=1.0).contains(*share)).count();

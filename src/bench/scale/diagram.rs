@@ -13,7 +13,7 @@ use crate::bench::{
 /// Space right of the axes [px].
 const RIGHT: u32 = 330;
 
-/// A style per family: colours that are safe for colour-blind readers (Okabe & Ito 2008), and distinct markers. The
+/// A style per family: colours distinguishable with any colour vision (Okabe & Ito 2008), and distinct markers. The
 /// naive baseline is drawn in the colour of its family.
 fn style(family: Family, is_plain: bool) -> Style {
     let (color, marker) = match family {

@@ -1,5 +1,5 @@
-//! Free bodies: pairs in contact, against such pairs on prescribed paths, and bodies that rest on a plane beside one that
-//! moves, against that one alone.
+//! Free bodies: pairs in contact compared with pairs on prescribed paths, and bodies at rest on a plane next to a
+//! moving one compared with the moving one alone.
 
 use std::time::{Duration, Instant};
 
@@ -14,9 +14,9 @@ use crate::{
     sim::TooLarge,
 };
 
-/// No scene is measured whose step is expected to take longer.
+/// Scenes whose step is expected to take longer are skipped.
 const LONGEST_STEP: f64 = 0.5;
-/// Bodies that have not come to rest after this time are not waited for.
+/// Longest time to wait for bodies to come to rest.
 const LONGEST_SETTLING: Duration = Duration::from_secs(20);
 
 /// Pairs in contact.
@@ -42,7 +42,7 @@ impl Contact {
 pub struct Resting {
     /// Number of bodies that rest, or should.
     pub bodies: usize,
-    /// How many of them do.
+    /// Number of those at rest.
     pub asleep: usize,
     /// Time of a step on one core [s] …
     pub seconds: f64,
@@ -59,8 +59,8 @@ pub struct Free {
     pub resting: Vec<Resting>,
 }
 
-/// Measures pairs of up to the given numbers of bodies, and as many resting ones; `prescribed` has the time of a step on one
-/// core of that many on paths [s].
+/// Measures pairs of up to the given numbers of bodies, and as many resting ones; `prescribed` gives the time of a step
+/// on one core for the same number of bodies on paths [s].
 ///
 /// # Errors
 /// [`TooLarge`]
@@ -122,7 +122,7 @@ fn thrown(from: DVec3, velocity: DVec3, rotation: Rotation) -> crate::scene::Mot
     crate::scene::Motion::Free(FreeMotion { from, velocity, spin: DVec3::ZERO, rotation })
 }
 
-/// Pairs that swing within each other's spheres for ever: the material of `two` without its damping.
+/// Pairs that oscillate within each other's spheres forever: the material of `two` without damping.
 fn in_contact(two: &Scene, bodies: usize) -> Scene {
     let layout = Layout::new(Family::Contact, bodies);
     let cells = bodies.div_ceil(2);
@@ -146,7 +146,7 @@ fn in_contact(two: &Scene, bodies: usize) -> Scene {
     scene
 }
 
-/// Bodies on a plane, out of each other's reach, and one that moves, by another on a path.
+/// Bodies on a plane, out of each other's reach, and one that is moved by another on a path.
 fn resting(two: &Scene, bodies: usize) -> Scene {
     let mut scene = super::scenes::scene(two, (0..bodies + 2).map(|_| Path::Fixed(DVec3::ZERO)).collect());
     let side = (bodies as f64).sqrt().ceil().max(1.0) as usize;
@@ -159,7 +159,7 @@ fn resting(two: &Scene, bodies: usize) -> Scene {
         let place = DVec3::new((index % side) as f64, (index / side) as f64, 0.0) * 3.0 * body.radius;
         body.motion = thrown(place + 0.99 * body.radius * DVec3::Z, DVec3::ZERO, Rotation::Fixed);
     }
-    // far from the others: one on a path, and the one that hangs on it
+    // far from the others: one on a path, and the one that it moves
     let center = -30.0 * DVec3::X + 9.0 * DVec3::Z;
     let [.., leads, led] = &mut scene.bodies[..] else { return scene };
     let path = Path::Sine { center, amplitude: 0.3 * DVec3::X, frequency: 1.0, phase: 0.0 };

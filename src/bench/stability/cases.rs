@@ -496,7 +496,7 @@ fn draft(axis: Axis, number: u64, dice: &mut Dice) -> Draft {
             draft.neighbours(dice);
             draft.shift(dice.of(&[[far, 0.0, 0.0], [far, -far, far], [-far, 0.0, far]]));
             if dice.chance(4) {
-                // one that arrives from afar, and another that leaves for there
+                // one body that arrives from afar, and another that leaves
                 let speed = rounded(far / draft.duration());
                 for (from, velocity) in [(-2.0 * far, speed), (far, -speed)] {
                     let [from, velocity] = [[from, 0.0, 0.5], [velocity, 0.0, 0.0]];

@@ -1,9 +1,9 @@
 //! Free bodies at the limits: mass ratios, spins, deep overlap, corners of planes, stacks, stiff springs.
 //!
-//! The energy of free bodies comes from how they start and from what events bring, and none of these cases has more to offer
-//! than its bound: the energy of its motion, of its planes and of gravity at the start, and the most that spheres can
-//! bring, at the start and with each event. A run that exceeds that by [`super::MARGIN`], or is not finite, is no solution.
-//! One that ends because its integrator gives up, with a reason, is not followed: that is told apart.
+//! The energy of free bodies is bounded by the initial kinetic energy, the initial potential energy of planes and
+//! gravity, and the most that spheres can add initially and at each event. A run that exceeds this bound by
+//! [`super::MARGIN`], or is not finite, is not a solution. Runs that end because the integrator gives up with a reason
+//! are counted separately.
 
 use std::fmt::Write as _;
 
@@ -20,20 +20,20 @@ use crate::{
 /// Steps of each case.
 const STEPS: u32 = 60;
 
-/// What a case takes to its limits.
+/// The setting that a case takes to its limits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Axis {
-    /// Mass ratios from 10 to 1e6, of bodies that meet and merge.
+    /// Mass ratios from 10 to 1e6, for bodies that meet and merge.
     Masses,
-    /// Spins from 10 to 1e4 rad/s, of soft and stiff bodies, alone, on a plane and merged.
+    /// Spins from 10 to 1e4 rad/s, for soft and stiff bodies, alone, on a plane and merged.
     Spins,
-    /// Centres that are close, or in the same place.
+    /// Centres that are close or coincident.
     Overlap,
     /// A body thrown into a corner of three planes, soft and stiff, smooth and rough.
     Corners,
-    /// Fifty bodies on each other, on a plane.
+    /// A stack of fifty bodies on a plane.
     Stacks,
-    /// ωΔt from 1 to 1e3, of bodies that meet.
+    /// ωΔt from 1 to 1e3, for bodies that meet.
     Stiffness,
 }
 
@@ -57,7 +57,7 @@ impl Axis {
 /// A scene with free bodies that is hard for integrators.
 #[derive(Clone, Debug)]
 pub struct Case {
-    /// What it takes to its limits.
+    /// The setting that it takes to its limits.
     pub axis: Axis,
     /// A short description with the relevant numbers.
     pub what: String,
@@ -176,12 +176,12 @@ pub enum Verdict {
 pub struct Row {
     /// The case.
     pub case: Case,
-    /// In the order of the integrators that were asked for.
+    /// In the order of the requested integrators.
     pub verdicts: Vec<(Integrator, Verdict)>,
 }
 
 impl Row {
-    /// Whether the one integrator failed that must pass or give up.
+    /// Whether the exponential integrator, which must pass or give up, failed.
     pub fn is_defect(&self) -> bool {
         let is_failure = |verdict: &Verdict| matches!(verdict, Verdict::NotFinite | Verdict::BeyondBound(_));
         self.verdicts.iter().any(|(of, verdict)| *of == Integrator::Exponential && is_failure(verdict))
@@ -221,7 +221,7 @@ fn run(scene: &Scene, integrator: Integrator) -> Result<Verdict, MeasureError> {
     Ok(if used > MARGIN { Verdict::BeyondBound(used) } else { Verdict::Passed })
 }
 
-/// The energy that bodies have at the start, with that of falling as far as they can within the run.
+/// The initial energy of bodies, including that of the farthest possible fall within the run.
 fn energy_at_start(world: &World) -> f64 {
     let Some(first) = world.conserved() else { return 0.0 };
     let (scene, time) = (world.scene(), f64::from(STEPS) * world.scene().dt);
@@ -240,7 +240,7 @@ fn energy_at_start(world: &World) -> f64 {
         + scene.bodies.iter().map(fall).sum::<f64>()
 }
 
-/// The most energy that the spheres can give by being there, or by an event.
+/// Upper bound of the energy that spheres can add initially, or at an event.
 fn most_of_influence(scene: &Scene) -> f64 {
     let mut most = 0.0;
     for (a, body) in scene.bodies.iter().enumerate() {
@@ -254,7 +254,7 @@ fn most_of_influence(scene: &Scene) -> f64 {
     most
 }
 
-/// How many cases of each axis each integrator passed, gave up, or failed.
+/// Number of cases of each axis that each integrator passed, gave up, or failed.
 pub fn table(rows: &[Row]) -> String {
     let integrators: Vec<Integrator> =
         rows.first().map_or(vec![], |row| row.verdicts.iter().map(|verdict| verdict.0).collect());
@@ -281,7 +281,7 @@ pub fn table(rows: &[Row]) -> String {
     tables::table(heading.collect::<Vec<_>>(), Axis::ALL.into_iter().map(line))
 }
 
-/// The cases that an integrator could not follow or failed, each with what happened; empty if there is none.
+/// The cases that an integrator gave up or failed, each with the reason; empty if there is none.
 pub fn troubles(rows: &[Row], of: Integrator) -> Vec<String> {
     let trouble = |row: &Row| {
         let (_, verdict) = row.verdicts.iter().find(|verdict| verdict.0 == of)?;

@@ -1,6 +1,6 @@
-//! What the other models endure: the cases of the sweep, each with one of them.
+//! Stability of the other models: the cases of the sweep, each with one of them.
 //!
-//! A case that ends for a reason that is said is not a defect; a state that is not finite and is not said to be so is one.
+//! A case that ends with a reported reason is not a defect; an unreported non-finite state is.
 
 use std::{
     sync::{
@@ -21,11 +21,11 @@ use crate::{
     sim::Options,
 };
 
-/// Steps of a case at most.
+/// Upper limit on the steps of a case.
 const MOST_STEPS: u64 = 60;
-/// Time of a case at most; then it is interrupted.
+/// Time limit of a case, at which it is interrupted.
 const MOST_TIME: Duration = Duration::from_millis(300);
-/// Cells along a diameter: what bodies endure is hardly a matter of how many there are, what it takes is.
+/// Cells along a diameter: their number hardly affects stability, but does affect the cost.
 const CELLS: u32 = 3;
 
 /// How a case ended.
@@ -33,15 +33,15 @@ const CELLS: u32 = 3;
 pub enum End {
     /// All steps were taken.
     Endured,
-    /// As many as there was time for.
+    /// The time limit ended it.
     Cut,
-    /// The model says at the start that it cannot run the scene.
+    /// The model rejected the scene at the start.
     Refused,
-    /// It diverged, and said so.
+    /// It diverged, and reported it.
     Diverged,
-    /// It did not take a step, and said why.
+    /// It did not complete a step, and reported why.
     NotTaken,
-    /// A state is not finite, and nothing was said.
+    /// A state is not finite, and this was not reported.
     Defect,
 }
 
@@ -52,7 +52,7 @@ impl End {
 /// The end of each case, by its number.
 pub type Ends = Vec<(Axis, End)>;
 
-/// Runs the first cases with a model. Where the limits of its own steps allow it, they are divided.
+/// Runs the first cases with a model. Steps above its step limit are divided.
 ///
 /// # Errors
 /// A case is not a valid scene.
@@ -71,10 +71,10 @@ pub fn measure(model: Model, cases: u64, progress: &(dyn Fn() + Sync)) -> Result
     (0..cases).into_par_iter().map(of).collect()
 }
 
-/// Runs a case that is interrupted when its time is over.
+/// Runs a case, and interrupts it at the time limit.
 fn timed(case: impl FnOnce(&'static AtomicBool) -> End) -> End {
     thread_local! {
-        // an interrupt lives as long as the program; there is one a thread
+        // interrupt flags are leaked: one per thread
         static INTERRUPT: &'static AtomicBool = Box::leak(Box::new(AtomicBool::new(false)));
     }
     let interrupt = INTERRUPT.with(|interrupt| *interrupt);

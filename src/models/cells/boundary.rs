@@ -1,4 +1,4 @@
-//! The surface of a set of cells: closed and oriented, whatever cells there are.
+//! The surface of a set of cells: closed and oriented for any set.
 
 use std::collections::{HashMap, HashSet};
 
@@ -9,27 +9,27 @@ use super::root;
 /// The faces of a cell as corners, counter-clockwise seen from outside.
 const FACES: [[usize; 4]; 6] = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
 
-/// The faces that belong to one cell alone.
+/// The faces that belong to only one cell.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct BoundaryMesh {
-    /// The node and a cell of each vertex: `(node, cell)`, `[vertex_count]`.
+    /// Node of each vertex and one of its cells: `(node, cell)`, `[vertex_count]`.
     pub vertices: Vec<(u32, u32)>,
     /// Vertex indices, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// The boundary of cells, given by their corner nodes at first and as they are now, some of them split; of those for which `is_there`
-/// does not hold, nothing is left.
+/// The boundary of the cells for which `is_there` holds, given their initial and current corner nodes, some of them
+/// split.
 ///
-/// Two cells are joined if they shared the four nodes of a face at first, and share one of them still: a crack shows where a face has
-/// come apart, not on the way there, when its two sides are in the same place. A node at which cells meet that are not joined
-/// through faces around it has one vertex for each set of joined cells. So an edge has two triangles, or four where two
-/// cells that touch there alone are joined around both of its ends.
+/// Two cells are joined if they initially shared the four nodes of a face, and still share at least one: a crack
+/// appears only where a face has come apart completely, since the two sides of a partly split face coincide. A node
+/// between cells that are not joined through faces around it has one vertex for each set of joined cells. An edge
+/// therefore has two triangles, or four if two cells that touch only there are joined around both of its ends.
 pub fn boundary(first: &[[u32; 8]], corners: &[[u32; 8]], is_there: impl Fn(usize) -> bool) -> BoundaryMesh {
     let present = || (0..corners.len()).filter(|&cell| is_there(cell));
     let face_of = |cell: usize, face: usize| FACES[face].map(|corner| first[cell][corner]);
     let mut faces: HashMap<[u32; 4], (u32, u32)> = HashMap::new();
-    // second sides of faces that have come apart
+    // other sides of faces that have come apart
     let mut apart: HashSet<(u32, u32)> = HashSet::new();
     // cells around a node, joined through faces: a forest of the cells' corners
     let mut parent: Vec<u32> = (0..8 * corners.len() as u32).collect();
@@ -42,7 +42,7 @@ pub fn boundary(first: &[[u32; 8]], corners: &[[u32; 8]], is_there: impl Fn(usiz
                 faces.insert(key, (cell as u32, face as u32));
                 continue;
             };
-            // the corners of the two cells that were the same node
+            // the corners of the two cells that were initially the same node
             let pairs = FACES[face].map(|corner| {
                 let its = FACES[other_face as usize];
                 (corner, its.into_iter().find(|&across| first[other as usize][across] == first[cell][corner]))
@@ -89,7 +89,7 @@ pub fn boundary(first: &[[u32; 8]], corners: &[[u32; 8]], is_there: impl Fn(usiz
 }
 
 impl BoundaryMesh {
-    /// The enclosed volume with the vertices at the given places.
+    /// The enclosed volume with the vertices at the given positions.
     pub fn volume(&self, place: impl Fn(usize) -> DVec3) -> f64 {
         let of = |corners: &[u32; 3]| {
             let [a, b, c] = corners.map(|i| place(i as usize));

@@ -1,4 +1,4 @@
-//! Which cubes of a grid a closed mesh covers.
+//! Voxelisation: the cubes of a grid that a closed mesh covers.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -6,14 +6,14 @@ use glam::DVec3;
 
 use crate::geometry::Mesh;
 
-/// Cells that the surface merely touches are not part of the body: boxes are tested this much smaller.
+/// Cells that the surface only touches are not part of the body: boxes are tested at this size.
 const SHRINK: f64 = 1.0 - 1e-9;
-/// Lines through the centres of cells are moved aside by this fraction of a cell, off the vertices and edges of meshes that
-/// are aligned with the grid.
+/// Lines through the centres of cells are shifted by this fraction of a cell, off the vertices and edges of meshes
+/// aligned with the grid.
 const ASIDE: [f64; 2] = [7.34e-7, 4.12e-7];
 
-/// Whether each cell of the grid of `across`³ cells over [−1, 1]³ has a part of the body, in ascending order of z, y, x.
-/// `None` if it was interrupted.
+/// Whether each of the `across`³ grid cells over [−1, 1]³ overlaps the body, in ascending order of z, y, x. `None` if
+/// interrupted.
 pub fn cover(mesh: &Mesh, across: u32, interrupt: Option<&AtomicBool>) -> Option<Vec<bool>> {
     let n = across as usize;
     let scale = 0.5 * f64::from(across);
@@ -61,8 +61,8 @@ pub fn cover(mesh: &Mesh, across: u32, interrupt: Option<&AtomicBool>) -> Option
     Some(inside)
 }
 
-/// Where the line along z through (x, y) crosses a triangle, and by how much the winding number changes there. The sides
-/// of an edge are decided alike for both of its triangles.
+/// The height at which the line along z through (x, y) crosses a triangle, and the change of the winding number there.
+/// The side of an edge is decided consistently for both of its triangles.
 fn crossing([a, b, c]: [DVec3; 3], corners: [u32; 3], x: f64, y: f64) -> Option<(f64, i32)> {
     let side = |(p, i): (DVec3, u32), (q, j): (DVec3, u32)| {
         let of = |p: DVec3, q: DVec3| (q.x - p.x) * (y - p.y) - (q.y - p.y) * (x - p.x);

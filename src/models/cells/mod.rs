@@ -1,12 +1,12 @@
 //! Bodies as cubes of a regular grid: the cells that cover a closed mesh, their corner nodes, and the mesh's vertices
 //! embedded in them. Lattices and finite elements share them.
 //!
-//! Lengths are in radii of the body: all bodies of a shape share one set of cells. The grid spans [−1, 1]³ about the
+//! Lengths are in radii of the body: all bodies of a shape share one set of cells. The grid spans [−1, 1]³ around the
 //! centre of the body, with [`Cells::across`] cells along each axis. A cell belongs to the body if the surface passes
-//! through it or if its centre is inside: the cells cover the body, and stick out of it by less than a cell. Every cell has the same
-//! mass, an eighth of it at each corner (2.1.1: "each cell has a uniform mass"); where that would put the mass centre of the
-//! nodes beside that of the mesh, about which everything else is, the density has a slope that brings it there. Nodes and cells are in ascending order of
-//! z, y, x, so the result depends on the mesh alone.
+//! through it or if its centre is inside: the cells cover the body, and protrude from it by less than a cell. All cells
+//! have the same mass, an eighth of it at each corner (2.1.1: "each cell has a uniform mass"). If the mass centre of
+//! the nodes would then differ from that of the mesh, which is the body's centre, a linear density gradient corrects
+//! it. Nodes and cells are in ascending order of z, y, x, so the result depends on the mesh alone.
 
 mod boundary;
 mod cover;
@@ -39,9 +39,9 @@ pub struct Cells {
     pub corners: Vec<[u32; 8]>,
     /// Fraction of the body's mass in each cell [–], `[cell_count]`; the sum is 1.
     pub weights: Vec<f64>,
-    /// Where each cell is in the grid, `[cell_count]`.
+    /// Grid coordinates of each cell, `[cell_count]`.
     pub places: Vec<[u32; 3]>,
-    /// Where each vertex of the surface is, `[vertex_count]`.
+    /// Cell and weights of each surface vertex, `[vertex_count]`.
     pub embedded: Vec<Embedded>,
 }
 
@@ -55,7 +55,7 @@ pub struct Embedded {
 }
 
 impl Embedded {
-    /// The point at `place` within a cell, from 0 to 1 along each axis; somewhat beyond that, it is extrapolated.
+    /// The point at `place` within a cell, from 0 to 1 along each axis; slightly outside, it is extrapolated.
     pub fn at(cell: u32, place: DVec3) -> Embedded {
         let weights = std::array::from_fn(|i| {
             let along = |axis: usize| if i >> axis & 1 == 1 { place[axis] } else { 1.0 - place[axis] };
@@ -76,7 +76,7 @@ impl Embedded {
 }
 
 impl Cells {
-    /// The cells that cover a mesh of radius 1, `across` along its diameter. `None` if it was interrupted.
+    /// The cells that cover a mesh of radius 1, `across` along its diameter. `None` if interrupted.
     pub fn cover(mesh: &Mesh, across: u32, interrupt: Option<&AtomicBool>) -> Option<Cells> {
         let inside = cover::cover(mesh, across, interrupt)?;
         let n = across as usize;
@@ -97,7 +97,7 @@ impl Cells {
         Some(cells)
     }
 
-    /// A block of cells with a corner at the lowest corner of the grid: a bar, a chain.
+    /// A block of cells (a bar, a chain) at the lowest corner of the grid.
     pub fn block(across: u32, [x, y, z]: [u32; 3]) -> Cells {
         let mut places = Vec::new();
         for k in 0..z {
@@ -108,9 +108,9 @@ impl Cells {
         Cells::of(across, places)
     }
 
-    /// The cells at the given places, in ascending order of z, y, x.
+    /// The cells at the given grid coordinates, in ascending order of z, y, x.
     fn of(across: u32, places: Vec<[u32; 3]>) -> Cells {
-        // one sorted list of the corners, so that memory follows the cells and not the grid
+        // one sorted list of the corners, so that memory is proportional to the cells, not to the grid
         let key = |place: [u32; 3], i: usize| {
             let at = |axis: usize| u64::from(place[axis]) + (i >> axis & 1) as u64;
             at(2) << 42 | at(1) << 21 | at(0)
@@ -152,8 +152,8 @@ impl Cells {
         shares
     }
 
-    /// The nodes that hold a body on a prescribed path: those within `radius` of its centre [radii], and of every
-    /// connected part that has none of these, the corners of the cell nearest the centre.
+    /// The nodes that hold a body on a prescribed path: those within `radius` of its centre [radii], and for every
+    /// connected component without such nodes, the corners of its cell nearest to the centre.
     pub fn core(&self, radius: f64) -> Vec<bool> {
         let mut held: Vec<bool> = self.nodes.iter().map(|node| node.length() <= radius).collect();
         let part = self.parts();
@@ -174,7 +174,7 @@ impl Cells {
         held
     }
 
-    /// The part that each cell is in, `[cell_count]`: cells that share a node are connected.
+    /// The connected component of each cell, `[cell_count]`: cells that share a node are connected.
     fn parts(&self) -> Vec<u32> {
         const NONE: u32 = u32::MAX;
         let mut parent: Vec<u32> = (0..self.cell_count() as u32).collect();
@@ -204,7 +204,7 @@ impl Cells {
             .collect()
     }
 
-    /// What was allocated for it [bytes].
+    /// Allocated memory [bytes].
     pub fn memory(&self) -> usize {
         self.nodes.capacity() * size_of::<DVec3>()
             + self.corners.capacity() * size_of::<[u32; 8]>()
@@ -213,7 +213,7 @@ impl Cells {
             + self.embedded.capacity() * size_of::<Embedded>()
     }
 
-    /// Memory that covering a mesh of so many vertices can take [bytes]: the grid, every cell of it in the body.
+    /// Upper bound of the memory to cover a mesh with this many vertices [bytes]: as if the body filled the grid.
     pub fn most_memory(across: u32, vertices: u64) -> u64 {
         const GRID_BYTES: u64 = 9; // whether it is inside, the winding number, the index
         const CELL_BYTES: u64 = 8 * 8 + 32 + 12 + 8; // keys of the corners, corners, place, weight
@@ -224,8 +224,8 @@ impl Cells {
     }
 }
 
-/// Fractions of the mass in cells at the given places: equal, but for a slope that brings their centre to that of the grid. One that
-/// would leave a cell with less than a fifth of the mean is not made.
+/// Fractions of the mass in cells at the given grid coordinates: equal, except for a linear gradient that brings their
+/// mass centre to that of the grid. No gradient if it would leave a cell with less than a fifth of the mean.
 fn weights(places: &[[u32; 3]], across: u32) -> Vec<f64> {
     const NONE: f64 = 1e-9;
     const LEAST: f64 = 0.2;
@@ -246,7 +246,7 @@ fn weights(places: &[[u32; 3]], across: u32) -> Vec<f64> {
     vec![mean; places.len()]
 }
 
-/// The representative of a set of a union-find forest; paths are halved on the way.
+/// The representative of a set in a union-find forest, with path halving.
 fn root(parent: &mut [u32], mut i: u32) -> u32 {
     while parent[i as usize] != i {
         parent[i as usize] = parent[parent[i as usize] as usize];
@@ -255,13 +255,13 @@ fn root(parent: &mut [u32], mut i: u32) -> u32 {
     i
 }
 
-/// Where a cell is in an array of the whole grid.
+/// Index of a cell in an array of the whole grid.
 fn flat([x, y, z]: [u32; 3], n: usize) -> usize {
     (z as usize * n + y as usize) * n + x as usize
 }
 
-/// Finds the cell of a point. On a face between two cells either of them will do; the one that is part of the body is
-/// taken. `None` if the body has no cell there, which no point of its surface is far enough from one for.
+/// Finds the cell of a point. On a face between two cells, the one that is part of the body. `None` if the body has no
+/// cell there, which cannot happen for points of its surface.
 fn embed(position: DVec3, n: usize, index: &[u32], places: &[[u32; 3]]) -> Option<Embedded> {
     let scaled = (position + 1.0) * (0.5 * n as f64);
     let mut best: Option<(f64, u32)> = None;

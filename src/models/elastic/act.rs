@@ -1,4 +1,4 @@
-//! What acts on the nodes of a body from outside.
+//! External accelerations of the nodes of a body.
 
 use std::collections::BTreeMap;
 
@@ -17,13 +17,13 @@ use crate::{
 
 use super::PHASES;
 
-/// What a body can know of a step.
+/// The data of a step that all bodies share.
 pub struct Around<'a> {
     /// The scene.
     pub scene: &'a Scene,
-    /// The phases of pairs that are not apart, at the start of the step.
+    /// Phases at the start of the step, of pairs that are not apart.
     pub phases: &'a BTreeMap<[u32; 2], Phase>,
-    /// The changes of phase in the step, by time.
+    /// Phase changes in the step, by time.
     pub events: &'a [PairEvent],
     /// Start of the step [s].
     pub start: f64,
@@ -54,22 +54,22 @@ struct Source<'a> {
     sphere: Sphere,
 }
 
-/// What an influence sphere does to a body.
+/// The effect of an influence sphere on a body.
 #[derive(Clone, Copy)]
 pub struct Sphere {
     law: PairLaw,
     phase: Phase,
-    /// Factor by the sizes of the two [–].
+    /// Scaling factor by the radii of the two bodies [–].
     scale: f64,
     radius: f64,
     /// Sum of the radii of the bodies [scene unit].
     radii: f64,
-    /// The part of the time that it acts [–].
+    /// Fraction of the time during which it acts [–].
     share: f64,
 }
 
 impl Sphere {
-    /// Its cause, its body, its place relative to the body acted on, its strength [1/s²] and radius.
+    /// Cause, source body, position relative to the body acted on, strength [1/s²] and radius [scene unit].
     fn at(&self, body: u32, apart: DVec3) -> (Cause, u32, DVec3, f64, f64) {
         let strength = self.law.strength(self.phase, apart.length() / self.radii) * self.scale;
         let cause = match (self.phase, strength > 0.0) {
@@ -81,7 +81,7 @@ impl Sphere {
     }
 }
 
-/// The accelerations of nodes at an instant.
+/// What accelerates the nodes at an instant.
 #[derive(Clone, Debug, Default)]
 pub struct Instantaneous {
     /// Spheres: cause, body, centre relative to that of the body, strength [1/s²], radius.
@@ -93,7 +93,7 @@ pub struct Instantaneous {
 }
 
 impl Around<'_> {
-    /// The phase of a pair at time `t` [s], after a change at that very time.
+    /// The phase of a pair at time `t` [s]; at a change, the new phase.
     fn phase(&self, a: usize, b: usize, t: f64) -> Phase {
         let pair = [a.min(b), a.max(b)];
         let changes = self.events.iter().take_while(|event| event.time <= t);
@@ -102,7 +102,7 @@ impl Around<'_> {
         last.map_or_else(before, |event| PHASES.get(event.to).copied().unwrap_or(Phase::Apart))
     }
 
-    /// Whether the step has nothing that could act on a body at rest.
+    /// Whether nothing in the step could act on a body at rest.
     pub fn is_calm(&self, index: usize, sources: &[u32], pushes: &[Push]) -> bool {
         let body = &self.scene.bodies[index];
         let Some(path) = body.path() else { return true };
@@ -111,7 +111,7 @@ impl Around<'_> {
             && (body.material.response == Response::Rigid || path.is_still(self.start, self.end))
     }
 
-    /// Whether a sphere does nothing to a body throughout the step.
+    /// Whether a sphere has no effect on a body throughout the step.
     fn is_silent(&self, index: usize, other: usize) -> bool {
         let law = self.scene.law(index, other);
         let is_apart = self.phase(index, other, self.start) == Phase::Apart
@@ -119,7 +119,7 @@ impl Around<'_> {
         is_apart && law.strength(Phase::Apart, f64::INFINITY) == 0.0
     }
 
-    /// Instants in the step at which something that acts on a body jumps [s], its start and end included, ascending.
+    /// Instants in the step at which something that acts on a body jumps [s], including its start and end, ascending.
     pub fn breaks(&self, index: usize, sources: &[u32], pushes: &[Push], breaks: &mut Vec<f64>) {
         breaks.clear();
         breaks.extend([self.start, self.end]);
@@ -163,7 +163,7 @@ impl Around<'_> {
         }
     }
 
-    /// What acts on a body in a step that has breaks inside, in the mean.
+    /// The average of what acts on a body over a step with breaks inside.
     pub fn mean<'a>(
         &'a self,
         path: &'a Path,
@@ -182,7 +182,7 @@ impl Around<'_> {
         part
     }
 
-    /// The parts of a time in which a pair stays in its phase: the start of each [s], and its share.
+    /// The intervals in which a pair stays in its phase: the start of each [s], and its fraction of the time.
     fn by_share(&self, index: usize, other: u32, [start, end]: [f64; 2], mut found: impl FnMut(f64, f64)) {
         let pair = [index.min(other as usize), index.max(other as usize)];
         let changes = self.events.iter().filter(|event| [event.a, event.b] == pair);
@@ -195,7 +195,7 @@ impl Around<'_> {
         }
     }
 
-    /// Writes what spheres and pushes do to a body in the mean over some time, with the centres of all bodies given.
+    /// Writes the average effect of spheres and pushes on a body over some time, given the centres of all bodies.
     pub fn acting(
         &self,
         index: usize,
@@ -226,8 +226,8 @@ impl Around<'_> {
         }
     }
 
-    /// A bound of the derivative of the accelerations of a body's nodes by spheres, and of its centre by what they do to it and
-    /// to others [1/s²].
+    /// Upper bound of the spatial derivative of the accelerations by spheres [1/s²]: of a body's nodes, and of its
+    /// centre, which also feels the reaction to its own sphere.
     pub fn stiffness(&self, index: usize, sources: &[u32]) -> f64 {
         let own = self.scene.bodies[index].mass;
         let of = |&other: &u32| {
@@ -270,7 +270,7 @@ fn steep(weight: Weight) -> f64 {
     if weight == Weight::Linear { 1.0 } else { 2.0 }
 }
 
-/// Pushes that act for a part of some time, in the mean.
+/// The average of pushes that act during a fraction of some time.
 fn mean_pushes(pushes: &[Push], [start, end]: [f64; 2], into: &mut Vec<(DVec3, f64)>) {
     into.extend(pushes.iter().filter_map(|push| {
         let acts = push.end().min(end) - push.start.max(start);
@@ -281,7 +281,7 @@ fn mean_pushes(pushes: &[Push], [start, end]: [f64; 2], into: &mut Vec<(DVec3, f
 impl Part<'_> {
     /// The accelerations at time `t` in the part [s], into `now`.
     pub fn at(&self, t: f64, now: &mut Instantaneous) {
-        // what jumps from place to place stays where it is throughout the part
+        // a centre with position jumps stays in place throughout the part
         let place = |path: &Path| path.position(if path.is_held() { 0.5 * (self.start + self.end) } else { t });
         let own = if t == self.end { self.path.before(t) } else { self.path.at(t) };
         let centre = place(self.path);
@@ -297,7 +297,7 @@ impl Part<'_> {
         now.spheres.extend(self.sources.iter().map(of));
     }
 
-    /// The same as the mean over the part: the carry is by how much the velocity changes, jumps included.
+    /// The same, averaged over the part: the carry is the change of velocity, including jumps.
     pub fn in_the_mean(&self, now: &mut Instantaneous) {
         let middle = 0.5 * (self.start + self.end);
         self.at(middle, now);
@@ -312,7 +312,7 @@ impl Part<'_> {
         };
     }
 
-    /// By how much the nodes' velocities jump where the part begins [scene unit/s]. At t = 0 every velocity is zero.
+    /// Jump of the nodes' velocities at the start of the part [scene unit/s]. At t = 0 every velocity is zero.
     pub fn kick(&self) -> DVec3 {
         let feels = self.response != Response::Rigid && self.start > 0.0;
         if feels { -self.path.kick(self.start) } else { DVec3::ZERO }
@@ -323,12 +323,12 @@ impl Part<'_> {
         self.path.at(t).velocity
     }
 
-    /// The place of the centre at time `t` [scene unit].
+    /// The position of the centre at time `t` [scene unit].
     pub fn centre(&self, t: f64) -> DVec3 {
         self.path.position(if self.path.is_held() { 0.5 * (self.start + self.end) } else { t })
     }
 
-    /// A bound of the derivative of the accelerations by spheres [1/s²].
+    /// Upper bound of the derivative of the accelerations by spheres [1/s²].
     pub fn stiffness(&self) -> f64 {
         let of = |Source { sphere, .. }: &Source<'_>| sphere.law.alpha.max(sphere.law.beta) * sphere.scale;
         self.sources.iter().map(of).sum::<f64>() * steep(self.scene.influence.weight)
@@ -336,8 +336,8 @@ impl Part<'_> {
 }
 
 impl Instantaneous {
-    /// The acceleration at a place relative to the centre, whose rest position has the direction `facing`
-    /// [scene unit/s²].
+    /// The acceleration at a position relative to the centre, for a rest position in direction `facing` [scene
+    /// unit/s²].
     #[inline]
     pub fn acceleration(&self, weight: Weight, place: DVec3, facing: DVec3) -> DVec3 {
         let mut sum = self.carry;

@@ -28,21 +28,20 @@ use crate::{
     text::bytes,
 };
 
-/// Explicit steps are this fraction of the limit: stretched springs are stiffer than those at rest.
+/// Safety factor of explicit steps below the limit: stretched springs are stiffer than at rest.
 pub const OF_LIMIT: f64 = 0.7;
-/// Springs that a body may move in a step; more is as good as endless.
+/// Upper limit on the springs that a body evaluates in a step; more would take forever.
 pub const MOST_WORK: f64 = 2e8;
-/// Cells of finite elements that a body may move in a step; a step of one takes far longer than of a spring.
+/// The same for the cells of finite elements, which take far longer than springs.
 const MOST_CELLS: f64 = 1e7;
-/// Springs moved between two looks at the interrupt.
+/// Springs evaluated between two checks of the interrupt.
 const GRAIN: u64 = 1 << 22;
 /// A body whose nodes are farther away than this has diverged [radii].
 const DIVERGED: f64 = 1e6;
-/// So much of a step of implicit integration may what acts from outside move on by itself: the square of this over the step is its
-/// stiffness.
+/// External forces are explicit in an implicit step h; their stiffness is at most (this/h)².
 const MOST_PHASE: f64 = 1.0;
 
-/// What a body is made of.
+/// The material model of a body.
 pub enum Matter {
     /// Masses and springs.
     Lattice(Box<Springs>),
@@ -61,7 +60,7 @@ pub struct Finite {
     pub element: Arc<Element>,
     pub stepper: Arc<Stepper>,
     pub motion: fem::Motion,
-    /// Steps of the factor in a step of the scene.
+    /// Number of implicit steps in a step of the scene.
     pub divided: u64,
     pub forces: Vec<DVec3>,
     /// Whether each node is held.
@@ -70,7 +69,7 @@ pub struct Finite {
     torn: Vec<bool>,
 }
 
-/// What happened to a body in its last step, and so far.
+/// Statistics of a body's last step, and of the run so far.
 #[derive(Clone, Debug, Default)]
 pub struct Statistics {
     /// Steps of the integrator in the last step.
@@ -81,13 +80,13 @@ pub struct Statistics {
     pub strain: f64,
     /// The largest tension in the last step [mass/(scene unit · s²)].
     pub tension: f64,
-    /// Share of the volume that is lost [–].
+    /// Fraction of the volume that is lost [–].
     pub lost: f64,
     /// Nodes split so far.
     pub split: u64,
     /// Cells cut, or that would have torn, so far.
     pub torn: u64,
-    /// When the first was, and where [s, scene unit].
+    /// Time and position of the first of these [s, scene unit].
     pub first: Option<(f64, DVec3)>,
 }
 
@@ -101,15 +100,15 @@ pub struct Body {
     /// Rest positions of the nodes [scene unit], and their directions [–], `[node_count]`.
     pub rest: Vec<DVec3>,
     pub directions: Vec<DVec3>,
-    /// How it moves as a whole if forces move it; none of its nodes is held then.
+    /// Rigid motion of a free body, of which no node is held; `None` on a path.
     pub free: Option<Free>,
-    /// What acted on it, in a scene with free bodies.
+    /// External forces of the last step, in a scene with free bodies.
     pub acted: Acted,
-    /// Displacements [scene unit] and velocities [scene unit/s] of the nodes, `[node_count]`; of a free body from the rest shape as it
-    /// is turned.
+    /// Displacements [scene unit] and velocities [scene unit/s] of the nodes, `[node_count]`; for a free body relative
+    /// to the rotated rest shape.
     pub x: Vec<DVec3>,
     pub u: Vec<DVec3>,
-    /// Whether nothing is displaced or moves.
+    /// Whether all displacements and velocities are zero.
     pub is_at_rest: bool,
     /// Distance of the farthest node from the centre [scene unit], and the largest speed [scene unit/s].
     pub extent: f64,
@@ -117,53 +116,54 @@ pub struct Body {
     pub pushes: Vec<Push>,
     /// The bodies whose spheres can reach it in this step, ascending.
     pub sources: Vec<u32>,
-    /// The bodies near it, ascending: with those whose phase may change.
+    /// The bodies near it, including those whose phase may change, ascending.
     pub near: Vec<u32>,
-    /// Where it is in the broad phase.
+    /// Its entry in the broad phase.
     pub placed: Option<Ball>,
     pub reach: f64,
     pub spread: f64,
-    /// The mesh of a body that has torn.
+    /// Mesh of a body that has torn.
     pub torn: Option<Arc<Mesh>>,
-    /// The node of each vertex of that mesh beyond those of its first.
+    /// Nodes of the vertices that were added to the original mesh.
     pub exposed: Vec<u32>,
     pub statistics: Statistics,
-    /// Where it tore in the last step, or would have [scene unit].
+    /// Positions at which it tore in the last step, or would have [scene unit].
     pub tears: Vec<DVec3>,
     pub failure: Option<StepFailure>,
-    /// What planes do to a node over what they do to a vertex, at the most [–].
+    /// Largest ratio of the effect of planes on a node to that on a vertex [–].
     pub contact: f64,
     breaks: Vec<f64>,
     pub now: Instantaneous,
 }
 
-/// What bodies of one kind share.
+/// Data shared by bodies of one kind.
 pub struct Shared {
-    /// What is left for factors [bytes].
+    /// Memory left for factors [bytes].
     room: u64,
     elements: HashMap<Kind, (Arc<Element>, Arc<Stepper>, u64)>,
-    /// Steps of a factor in one of the scene, if they are the same for all bodies.
+    /// Number of implicit steps in a step of the scene, if it is the same for all bodies.
     divided: Option<u64>,
 }
 
-/// What the elements of a body depend on: its shape, the bits of radius, mass, ω and κ, and whether it is free.
+/// Key of shared elements: shape, the bits of radius, mass, ω and κ, and whether the body is free.
 type Kind = (Shape, [u64; 4], bool);
 
 impl Shared {
-    /// What was allocated for it [bytes].
+    /// Allocated memory [bytes].
     pub fn memory(&self) -> usize {
         let of = |(element, stepper, _): &(Arc<Element>, Arc<Stepper>, u64)| element.memory() + stepper.memory();
         self.elements.values().map(of).sum()
     }
 
-    /// With so much room for factors [bytes]; `contact` is the largest of all bodies' if they are stepped together.
+    /// Starts with this much memory for factors [bytes]; `contact` is the largest of all bodies if they are stepped
+    /// together.
     pub fn new(room: u64, scene: &Scene, contact: Option<f64>) -> Shared {
         Shared { room, elements: HashMap::new(), divided: contact.map(|contact| divisions(scene, contact)) }
     }
 }
 
-/// Steps of a factor in one of the scene. Spheres of two bodies at once, and planes, are known from the last half step; where bodies
-/// are free, what a heavy one does to a light one moves that too.
+/// Number of implicit steps in a step of the scene. The forces of two spheres at once, and of planes, are explicit,
+/// from the last half step. With free bodies, the effect of a heavy one on a light one counts, too.
 fn divisions(scene: &Scene, contact: f64) -> u64 {
     let strongest = scene.laws().map(|law| law.alpha.max(law.beta)).fold(0.0, f64::max);
     let planes = scene.planes.iter().map(|plane| plane.stiffness).sum::<f64>() * contact;
@@ -172,7 +172,7 @@ fn divisions(scene: &Scene, contact: f64) -> u64 {
     (scene.dt * ((2.0 + ratio) * strongest + planes).sqrt() / MOST_PHASE).ceil().max(1.0) as u64
 }
 
-/// Memory that a body takes without the factor [bytes]; `is_new` if no other is like it.
+/// Upper bound of a body's memory without the factor [bytes]; `is_new` if no earlier body shares its elements.
 pub fn most_memory(scene: &Scene, across: u32, vertices: u64, is_new: bool) -> u64 {
     let nodes = (u64::from(across) + 1).pow(3);
     let own = match scene.model {
@@ -187,7 +187,7 @@ impl Body {
     /// A body of a valid scene, at rest.
     ///
     /// # Errors
-    /// Its factor does not fit into the memory, or it was interrupted.
+    /// Its factor does not fit into memory, or it was interrupted.
     pub fn new(
         scene: &Scene,
         index: usize,
@@ -295,7 +295,7 @@ impl Body {
             && self.planes(around).next().is_none()
     }
 
-    /// The planes that it can reach in a step.
+    /// The planes within reach in a step.
     fn planes<'a>(&'a self, around: &Around<'a>) -> impl Iterator<Item = &'a Plane> + 'a {
         let centre = self.placed.unwrap_or_default().centre;
         around.scene.planes.iter().filter(move |plane| plane.depth(centre) > -self.reach)
@@ -372,7 +372,7 @@ impl Body {
         let (scene, length) = (around.scene, part.end - part.start);
         let kick = part.kick();
         if is_later || kick != DVec3::ZERO || around.events.iter().any(|event| event.time == part.start) {
-            motion.accelerations.clear(); // forces jump here
+            motion.accelerations.clear(); // forces are discontinuous here
         }
         if kick != DVec3::ZERO {
             motion.kick(kick);
@@ -462,7 +462,7 @@ impl Body {
         }
     }
 
-    /// Tears a lattice where it is pulled too hard.
+    /// Tears a lattice where it is overloaded.
     pub fn tear(&mut self, around: &Around<'_>, centre: DVec3) {
         let settings = around.scene.lattice;
         let Body { matter, statistics, tears, rest, directions, x, u, cells, mesh, torn, exposed, radius, .. } = self;
@@ -510,7 +510,7 @@ impl Body {
         u.resize(rest.len(), DVec3::ZERO);
     }
 
-    /// Notes the cells of finite elements where the body would tear.
+    /// Records the cells of finite elements in which the body would tear.
     pub fn strain(&mut self, around: &Around<'_>, centre: DVec3) {
         let Some(limit) = around.scene.fem.tear_stress else { return };
         let Body { matter, statistics, tears, x, cells, rest, free, .. } = self;
@@ -537,7 +537,7 @@ impl Body {
         });
     }
 
-    /// Takes over the state of the nodes, and says if it is one that cannot be.
+    /// Copies the state of the nodes, and reports a diverged one.
     pub fn look(&mut self, around: &Around<'_>) {
         let Body { matter, rest, x, u, free, .. } = self;
         if let (Matter::Lattice(springs), None) = (matter, &free) {
@@ -592,7 +592,7 @@ impl Body {
         }
     }
 
-    /// Accelerations by what is between the nodes, and by its damping [scene unit/s²]; none of nodes that are held.
+    /// Accelerations by internal forces, and by internal damping [scene unit/s²]; zero for held nodes.
     pub fn internal(&self) -> [Vec<DVec3>; 2] {
         let n = self.node_count();
         match &self.matter {
@@ -653,7 +653,7 @@ impl Body {
         into
     }
 
-    /// Places of the nodes relative to the centre [scene unit].
+    /// Positions of the nodes relative to the centre [scene unit].
     pub fn places(&self) -> Vec<DVec3> {
         let axes = self.axes();
         self.rest.iter().zip(&self.x).map(|(l, x)| axes * *l + *x).collect()
@@ -664,7 +664,7 @@ impl Body {
         self.state().map_or(&self.u, |[_, velocities]| velocities)
     }
 
-    /// What was allocated for it without what it shares with others [bytes].
+    /// Allocated memory, without what is shared with other bodies [bytes].
     pub fn memory(&self) -> usize {
         let vectors = [&self.rest, &self.directions, &self.x, &self.u];
         let matter = match &self.matter {
@@ -685,14 +685,15 @@ pub struct Contact<'a> {
     pub mesh: &'a Mesh,
     pub cells: &'a Cells,
     pub corners: &'a [[u32; 8]],
-    /// Place and velocity of the centre.
+    /// Position and velocity of the centre.
     pub motion: [DVec3; 2],
-    /// Friction stops no node within less than this time [s]: a step, over what a vertex does to a node.
+    /// Friction takes at least this time to stop a node [s]: a step, divided by the effect of a vertex on a node.
     pub most: f64,
 }
 
 impl Contact<'_> {
-    /// Adds the accelerations of the nodes: each vertex, which has its share of the body's mass, hands on what it feels.
+    /// Adds the accelerations of the nodes: each vertex, with its share of the body's mass, distributes its force to
+    /// them.
     pub fn accelerate(&self, masses: &[f64], mass: f64, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3]) {
         for (embedded, share) in self.cells.embedded.iter().zip(self.mesh.shares()) {
             let corners = &self.corners[embedded.cell as usize];
@@ -715,7 +716,7 @@ impl Contact<'_> {
     }
 }
 
-/// The largest ratio of the mass of the vertices that act on a node to the mass of the node.
+/// The largest ratio of the mass of the vertices that act on a node to the mass of that node.
 pub fn contact(cells: &Cells, mesh: &Mesh) -> f64 {
     let mut sums = vec![0.0; cells.node_count()];
     for (embedded, share) in cells.embedded.iter().zip(mesh.shares()) {

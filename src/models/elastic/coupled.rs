@@ -1,31 +1,33 @@
-//! Scenes with bodies that forces move: all bodies are stepped together, since each needs the others' centres at the same instants,
-//! and they its pull.
+//! Scenes with free bodies: all bodies are stepped together, since each needs the others' centres at the same instants,
+//! and acts on them.
 //!
-//! A free body is its nodes, none of which is held. Their places s are relative to the mass centre c, which is kept beside them:
+//! A free body consists of its nodes, none of which is held. Their positions s are relative to the mass centre c, which
+//! is integrated separately:
 //!
 //! ```text
-//! c″ = f̄ + g + R/M        s″ = f − f̄ + what is between the nodes,   f̄ = Σ m f/M
+//! c″ = f̄ + g + R/M        s″ = f − f̄ + internal accelerations,   f̄ = Σ m f/M
 //! ```
 //!
-//! with f what acts on a node from outside, R the reaction to what its sphere does to others, at its centre. So what is between
-//! nodes moves no centre, however it is rounded, and a body that falls is at rest to the bit.
+//! where f is the external acceleration of a node, and R the reaction, at the centre, to the forces of the body's
+//! sphere on others. Internal forces thus never move the centre, not even by rounding, and a falling body is undeformed
+//! to the bit.
 //!
 //! # Lattice
-//! Velocity Verlet in steps that all bodies share. Its centres move on parabolas that are known before a step is taken: on these,
-//! changes of phase are found, and steps end there. Springs and dampers act along the line between two nodes, spheres along
-//! that to a centre: momentum and angular momentum are kept.
+//! Velocity Verlet in steps that all bodies share. The centres move on parabolas that are known before a step is taken.
+//! Phase changes are located on these, and steps end there. Springs and dampers act along the line between two nodes,
+//! spheres along the line to a centre: momentum and angular momentum are conserved.
 //!
 //! # Finite elements
-//! They are linear about a body that does not turn, so the body as a whole is co-rotated: displacements are measured in axes Q that
-//! are turned with it, at the middle of a step, as the best fit to its nodes (Müller et al., Meshless Deformations Based
-//! on Shape Matching, 2005; Terzopoulos and Witkin, Physically based models with rigid and deformable components, 1988, have such
-//! axes too). Axes for each element would bear larger deformations, but A in [`fem`](crate::models::fem) would change with every step, and its factor
-//! with it: that factor is what makes the method fast. The price: a body that is bent by some
-//! tens of degrees within itself swells there.
+//! They are linear in the absence of rotation, so the body as a whole is co-rotated: displacements are measured in axes
+//! Q that rotate with it, the best fit to its nodes at the middle of a step (Müller et al., Meshless Deformations Based
+//! on Shape Matching, 2005; Terzopoulos and Witkin, Physically based models with rigid and deformable components, 1988,
+//! use such axes too). Axes per element would handle larger deformations, but A in [`fem`](crate::models::fem), and the
+//! factor that makes the method fast, would change in every step. The price: a body bent by tens of degrees swells
+//! there.
 //!
-//! Linear forces have a moment of second order about the displaced nodes, which would turn a body that is alone. It is taken
-//! back at the end of each step by a rigid rotation, so that angular momentum changes by outer moments only. Where a pair changes
-//! its phase within a step, spheres act by the shares of time, as the factor is that of one length of step.
+//! Linear forces exert a second-order torque about the displaced nodes, which would rotate an isolated body. A rigid
+//! rotation at the end of each step removes it, so that only external torques change the angular momentum. If a pair
+//! changes its phase within a step, spheres act in proportion to time, as the factor is for a fixed step.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -50,30 +52,30 @@ use crate::{
     sim::Event,
 };
 
-/// Changes of phase in a step at most; more are as good as endless.
+/// Upper limit on phase changes in a step; more would take forever.
 const MOST_CHANGES: usize = 1000;
-/// Places in a step at which distances are looked at; a visit that is shorter is not seen.
+/// Number of samples of the distances in a step; shorter visits are missed.
 const LOOKS: u32 = 8;
 /// Halvings of the time between two of them.
 const HALVINGS: u32 = 60;
 
-/// A free body as a whole.
+/// The rigid motion of a free body.
 #[derive(Clone, Debug)]
 pub struct Free {
     /// Mass centre [scene unit], its velocity [scene unit/s] and acceleration [scene unit/s²].
     pub centre: DVec3,
     pub velocity: DVec3,
     acceleration: DVec3,
-    /// The rotation Q that fits the nodes best, and its rate [rad/s].
+    /// The rotation Q that best fits the nodes, and its rate [rad/s].
     pub rotation: DQuat,
     pub spin: DVec3,
-    /// Places of the nodes relative to the centre [scene unit] and velocities relative to its [scene unit/s], `[node_count]`, of finite
-    /// elements; lattices have theirs.
+    /// Positions of the nodes relative to the centre [scene unit], and velocities relative to it [scene unit/s],
+    /// `[node_count]`, for finite elements only; lattices have their own.
     positions: Vec<DVec3>,
     velocities: Vec<DVec3>,
 }
 
-/// What acted on a body from outside.
+/// External forces on a body.
 #[derive(Clone, Debug, Default)]
 pub struct Acted {
     /// f̄ [scene unit/s²].
@@ -82,12 +84,12 @@ pub struct Acted {
     pub pulls: Vec<(u32, DVec3)>,
     /// Accelerations of the nodes less their mean [scene unit/s²], `[node_count]`.
     loads: Vec<DVec3>,
-    /// Where they acted, relative to the centre [scene unit], `[node_count]`.
+    /// Positions at which they acted, relative to the centre [scene unit], `[node_count]`.
     places: Vec<DVec3>,
 }
 
 impl Acted {
-    /// What was allocated for it [bytes].
+    /// Allocated memory [bytes].
     pub fn memory(&self) -> usize {
         (self.loads.capacity() + self.places.capacity()) * size_of::<DVec3>()
     }
@@ -116,12 +118,12 @@ impl Free {
         }
     }
 
-    /// What was allocated for it [bytes].
+    /// Allocated memory [bytes].
     pub fn memory(&self) -> usize {
         (self.positions.capacity() + self.velocities.capacity()) * size_of::<DVec3>()
     }
 
-    /// How far the centre is from where it is now within some time [scene unit].
+    /// Upper bound of the distance that the centre moves within some time [scene unit].
     pub fn farthest(&self, time: f64) -> f64 {
         (self.velocity.length() + 0.5 * time * self.acceleration.length()) * time
     }
@@ -132,7 +134,7 @@ impl Free {
     }
 }
 
-/// What acts on nodes, at an instant or in the mean.
+/// The external forces on nodes, at an instant or averaged.
 struct Acting<'a> {
     now: &'a Instantaneous,
     weight: Weight,
@@ -152,11 +154,11 @@ struct Acting<'a> {
 }
 
 impl Acting<'_> {
-    /// Writes accelerations to `into`, of a free body less their mean.
+    /// Writes accelerations to `into`, for a free body minus their mean.
     fn act(&self, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3], acted: &mut Acted) {
         into.fill(self.now.carry);
         acted.pulls.clear();
-        // what is no part of a free body any more has no mass
+        // nodes that are no longer part of a free body have no mass
         let mass = |node: usize| if self.rotation.is_some() && self.held[node] { 0.0 } else { self.masses[node] };
         for &(_, body, centre, strength, radius) in &self.now.spheres {
             let mut sum = DVec3::ZERO;
@@ -228,7 +230,7 @@ impl Elastic {
         }
     }
 
-    /// Instants in a step at which a path or a push jumps [s], its ends included, ascending.
+    /// Instants in a step at which a path or a push jumps [s], including its ends, ascending.
     fn breaks(&self, start: f64, end: f64) -> Vec<f64> {
         let mut breaks = vec![start, end];
         for path in self.scene.bodies.iter().filter_map(|body| body.path()) {
@@ -243,11 +245,11 @@ impl Elastic {
         breaks
     }
 
-    /// Where centres are some time after `t` [s], in a part of a step without jumps.
+    /// Positions of the centres some time after `t` [s], in a part of a step without jumps.
     fn places(&self, t: f64, ahead: f64, part: [f64; 2]) -> Vec<Place> {
         let of = |(body, described): (&Body, &crate::scene::Body)| match (&body.free, described.path()) {
             (Some(free), _) => Place { centre: free.after(ahead), velocity: free.velocity + free.acceleration * ahead },
-            // what jumps from place to place stays where it is throughout the part
+            // a centre with position jumps stays in place throughout the part
             (None, Some(path)) if path.is_held() => {
                 Place { centre: path.position(part[0] + 0.5 * (part[1] - part[0])), velocity: DVec3::ZERO }
             }
@@ -326,7 +328,7 @@ impl Elastic {
         self.pull_all(t, h, part, false);
     }
 
-    /// Evaluates what acts on all bodies at `t` [s], or at the end of a step of `h` from there that it takes.
+    /// Evaluates the forces on all bodies at `t` [s], or takes a step of `h` from there and evaluates them at its end.
     fn pull_all(&mut self, t: f64, h: f64, part: [f64; 2], is_start: bool) {
         let places = self.places(t, h, part);
         let Elastic { scene, bodies, phases, step, .. } = self;
@@ -352,7 +354,7 @@ impl Elastic {
         }
     }
 
-    /// c″ = f̄ + g + R/M of free bodies, from what acted.
+    /// c″ = f̄ + g + R/M of free bodies, from the last external forces.
     fn settle(&mut self) {
         let mut reactions = vec![DVec3::ZERO; self.bodies.len()];
         for body in &self.bodies {
@@ -375,7 +377,7 @@ impl Elastic {
             self.look_at_interrupt()?;
             let (ends, h) = ([at(number), at(number + 1)], (end - start) / divided as f64);
             self.find_sources(ends[0], ends[1]);
-            // the accelerations of the last step would move the centres: the middle is a matter of velocities
+            // without the accelerations of the last step: only velocities determine the middle
             self.bodies
                 .iter_mut()
                 .filter_map(|body| body.free.as_mut())
@@ -414,7 +416,7 @@ impl Elastic {
         }
     }
 
-    /// Notes a change of phase.
+    /// Records a phase change.
     fn record(&mut self, event: PairEvent) {
         let pair = [event.a as u32, event.b as u32];
         match PHASES.get(event.to) {
@@ -424,7 +426,7 @@ impl Elastic {
         self.events.push(event);
     }
 
-    /// The changes of phase while centres move as they are known to, by time; only the first of them if `is_one`.
+    /// The phase changes on the known motion of the centres, by time; only the first if `is_one`.
     fn changes(&self, [start, end]: [f64; 2], part: [f64; 2], is_one: bool) -> Result<Vec<PairEvent>, StepFailure> {
         let mut pairs: Vec<[u32; 2]> = self.phases.keys().copied().collect();
         for body in &self.bodies {
@@ -495,7 +497,7 @@ impl Elastic {
     }
 }
 
-/// The first time in a span at which something holds [s], to rounding: at one of a few looks, or between two of them.
+/// The first time in a span at which something holds [s], to rounding: at one of a few samples, or between two of them.
 fn first(holds: impl Fn(f64) -> bool, start: f64, end: f64) -> Option<f64> {
     if holds(start) {
         return Some(start);
@@ -523,7 +525,7 @@ fn for_all(bodies: &mut [Body], of: impl Fn(&mut Body) + Sync + Send) {
 }
 
 impl Body {
-    /// Steps of the factor in a step of the scene, of finite elements.
+    /// Number of implicit steps in a step of the scene, for finite elements.
     fn divided(&self) -> Option<u64> {
         match &self.matter {
             Matter::Fem(finite) => Some(finite.divided),
@@ -536,7 +538,8 @@ impl Body {
         (0..self.node_count()).filter(|&node| !self.is_held(node)).map(|node| self.masses()[node]).sum()
     }
 
-    /// Places of the nodes of a free body relative to its centre [scene unit], and velocities relative to its [scene unit/s].
+    /// Positions of a free body's nodes relative to its centre [scene unit], and velocities relative to it [scene
+    /// unit/s].
     pub fn state(&self) -> Option<[&[DVec3]; 2]> {
         let free = self.free.as_ref()?;
         Some(match &self.matter {
@@ -545,7 +548,7 @@ impl Body {
         })
     }
 
-    /// A free lattice begins with its spin.
+    /// Starts a free lattice with its spin.
     pub fn start(&mut self) {
         if let (Matter::Lattice(springs), Some(free)) = (&mut self.matter, &self.free) {
             let Springs { lattice, motion } = &mut **springs;
@@ -558,7 +561,7 @@ impl Body {
         }
     }
 
-    /// Whether what acts on its nodes is known where it is.
+    /// Whether the forces on its nodes are known at its current position.
     fn is_known(&self) -> bool {
         match &self.matter {
             Matter::Lattice(springs) => springs.motion.accelerations.len() == springs.lattice.node_count(),
@@ -572,7 +575,7 @@ impl Body {
         }
     }
 
-    /// Takes so many steps of a lattice with what acts at time `t`, or only finds that.
+    /// Takes some steps of a lattice with the forces at time `t`, or only evaluates these.
     fn pull(&mut self, around: &Around<'_>, t: f64, h: f64, count: u64, places: &[Place], centres: &[DVec3]) {
         let mut now = std::mem::take(&mut self.now);
         self.find_acting(around, [around.start, around.end], Some(t), centres, &mut now);
@@ -605,7 +608,7 @@ impl Body {
         self.measure();
     }
 
-    /// Writes what acts on it, in the mean or at time `t`.
+    /// Writes the external forces on it, averaged or at time `t`.
     fn find_acting(
         &self,
         around: &Around<'_>,
@@ -625,7 +628,7 @@ impl Body {
         around.acting(self.index, &self.sources, &self.pushes, ends, centres, now);
     }
 
-    /// Finds what acts on finite elements at the middle of a step.
+    /// Evaluates the external forces on finite elements at the middle of a step.
     fn load(&mut self, around: &Around<'_>, ends: [f64; 2], h: f64, places: &[Place], centres: &[DVec3]) {
         let mut now = std::mem::take(&mut self.now);
         self.find_acting(around, ends, None, centres, &mut now);
@@ -666,7 +669,7 @@ impl Body {
         self.now = now;
     }
 
-    /// Takes a step of finite elements with what was found to act.
+    /// Takes a step of finite elements with the forces evaluated before.
     fn step_implicit(&mut self, h: f64) {
         let Body { matter, free, acted, rest, x, u, .. } = self;
         let Matter::Fem(finite) = matter else { return };
@@ -710,7 +713,7 @@ impl Body {
             positions[node] = axes * (motion.displacements[i] + rest[node]);
             velocities[node] = axes * motion.velocities[i];
         }
-        // the mean is the centre's: what is left is rounding
+        // the mean belongs to the centre: only rounding errors remain
         let all: f64 = masses.iter().sum();
         for of in [&mut *positions, &mut *velocities] {
             let mean = of.iter().zip(masses).map(|(v, m)| *v * *m).sum::<DVec3>() / all;
@@ -733,7 +736,7 @@ impl Body {
         (self.extent, self.speed) = (most(positions), most(velocities));
     }
 
-    /// Ends a step: tears, fits the rest shape, takes over displacements.
+    /// Ends a step: tears, fits the rest shape, updates displacements.
     fn finish(&mut self, around: &Around<'_>) {
         let centre = match (&self.free, around.scene.bodies[self.index].path()) {
             (Some(free), _) => free.centre,
@@ -755,7 +758,7 @@ impl Body {
         self.look(around);
     }
 
-    /// Brings the centre of a lattice to the mass centre of what is left of it.
+    /// Moves the centre of a lattice to the mass centre of its remaining nodes.
     fn recentre(&mut self) {
         let mass = self.free_mass();
         let Body { matter, free: Some(free), .. } = self else { return };
@@ -819,13 +822,13 @@ impl Body {
     }
 }
 
-/// The planes, if a body may be at one of them.
+/// The planes, if a body may reach one of them.
 fn near(planes: &[Plane], centre: DVec3, extent: f64) -> &[Plane] {
     let is_near = planes.iter().any(|plane| plane.depth(centre) > -extent - 0.5 * extent);
     if is_near { planes } else { &[] }
 }
 
-/// Whether a scene needs its bodies to be stepped together.
+/// Whether the bodies of a scene must be stepped together.
 pub fn is_coupled(scene: &Scene) -> bool {
     scene.bodies.iter().any(|body| body.path().is_none())
 }

@@ -1,15 +1,15 @@
-//! Bodies made of cells as a simulation: what lattices and finite elements have in common.
+//! Simulation of bodies made of cells: the common part of lattices and finite elements.
 //!
-//! A body on a path follows it, held at the nodes of its core (those within half a radius of its centre). Its other nodes are
-//! masses in the axes of the body, moved by what is between them, and by the same accelerations as a vertex of the
-//! oscillators at their place: influence spheres by phase (3.4), (3.5), pushes, carry. Planes act on the vertices of the surface,
-//! each of which hands what it feels to the nodes of its cell.
+//! A body on a path follows it, held at the nodes of its core (those within half a radius of its centre). Its other
+//! nodes are masses in body axes, moved by internal forces, and by the same accelerations as a vertex of the
+//! oscillators at the same position: influence spheres by phase (3.4), (3.5), pushes, carry. Planes act on the vertices
+//! of the surface, each of which distributes its force to the nodes of its cell.
 //!
-//! The core is held, and not every node by a spring of its own, because that is what springs and elements are for: a deformation has to
-//! travel through the body, and what tears off is not pulled back. Of a body that forces move no node is held: see `coupled`.
+//! Only the core is held, instead of every node by its own spring, so that deformations travel through the body, and
+//! torn-off parts are not pulled back. No node of a free body is held: see `coupled`.
 //!
-//! Where all bodies are on paths, phases change when those of the oscillators do, to the bit: a [`World`] of the same bodies without anything that
-//! deforms them finds the events.
+//! If all bodies are on paths, phases change at the same times as those of the oscillators, to the bit: a [`World`] of
+//! the same bodies without forces finds the events.
 
 mod act;
 mod body;
@@ -44,31 +44,31 @@ pub use observe::schema;
 
 /// The core of a body that is held [radii].
 const CORE: f64 = 0.5;
-/// Fewer nodes than this are not worth a second thread.
+/// Below this number of nodes, a second thread does not pay.
 const PARALLEL_NODES: usize = 128;
 
 /// The bodies of a scene, made of cells.
 pub struct Elastic {
     scene: Scene,
     options: Options,
-    /// The same bodies without what deforms them: finds when phases change. None where forces move bodies.
+    /// The same bodies without forces, to find phase changes; `None` with free bodies.
     world: Option<World>,
     bodies: Vec<Body>,
-    /// What was allocated for what bodies share [bytes].
+    /// Memory of data shared by bodies [bytes].
     shared: usize,
-    /// The phases of pairs that are not apart, at the end of the last step.
+    /// Phases at the end of the last step, of pairs that are not apart.
     phases: BTreeMap<[u32; 2], Phase>,
-    /// Bounds of what each body acts on and is acted on by.
+    /// Broad phase: bounds of each body and of its influence sphere.
     grid: Grid,
     step: u64,
     events: Vec<PairEvent>,
-    /// Where bodies tore in the last step, or would have.
+    /// Tear events of the last step, also those that would have happened.
     tears: Vec<BodyEvent>,
     failure: Option<StepFailure>,
     timings: [Duration; 3],
 }
 
-/// Refuses what the model cannot do.
+/// Rejects what the model does not support.
 ///
 /// # Errors
 /// [`Unsupported`], naming the body and the key.
@@ -117,7 +117,7 @@ pub fn check(scene: &Scene) -> Result<(), Unsupported> {
     Ok(())
 }
 
-/// The bodies of a scene without anything that deforms them, as few vertices as can be.
+/// The bodies of a scene without forces, with as few vertices as possible.
 fn rigid(scene: &Scene) -> Scene {
     let mut rigid = Scene { integrator: Integrator::Exponential, ..scene.without_forces() };
     rigid.bodies.iter_mut().for_each(|body| body.shape = Shape::Sphere(Sphere { stacks: 2, slices: 3 }));
@@ -128,7 +128,7 @@ impl Elastic {
     /// The scene at rest.
     ///
     /// # Errors
-    /// The model cannot run the scene, the machine is too small for it, or it was interrupted; says which.
+    /// The model cannot run the scene, memory is too small, or it was interrupted; the error says which.
     pub fn new(scene: Scene, options: Options) -> Result<Elastic, String> {
         check(&scene).map_err(|error| error.to_string())?;
         let across = match scene.model {
@@ -187,7 +187,7 @@ impl Elastic {
         })
     }
 
-    /// The time after so many steps [s].
+    /// The time after a number of steps [s].
     fn time_of(&self, step: u64) -> f64 {
         step as f64 * self.scene.dt
     }
@@ -252,7 +252,7 @@ impl Elastic {
         self.end_step(end);
     }
 
-    /// Counts the step that ends at `time`, and tells where bodies tore in it.
+    /// Counts the step that ends at `time`, and collects its tear events.
     fn end_step(&mut self, time: f64) {
         self.step += 1;
         let name = match (self.scene.model, self.scene.lattice.tear) {
@@ -271,7 +271,7 @@ impl Elastic {
     /// Finds the bodies whose spheres can reach each body within a step.
     fn find_sources(&mut self, start: f64, end: f64) {
         let Elastic { scene, bodies, grid, world, .. } = self;
-        // where phases are found here, they are looked for as far as thresholds reach
+        // if phases are found here, thresholds extend the search distance
         let farthest =
             if world.is_none() { scene.laws().map(|law| law.thresholds.split_at).fold(0.0, f64::max) } else { 0.0 };
         for (body, described) in bodies.iter_mut().zip(&scene.bodies) {
@@ -284,7 +284,7 @@ impl Elastic {
                 (None, None) => continue,
             };
             let extent = body.extent + body.speed * (end - start);
-            // one that jumps is in two places; there are few of them, so that a ball around both will do
+            // a body that jumps is in two places; jumps are rare, so a sphere around both is good enough
             let spread = match described.path().filter(|_| jumps) {
                 Some(path) => {
                     let places = path.knots().iter().filter(|&&knot| knot > start && knot <= end);
@@ -323,7 +323,7 @@ impl Elastic {
         });
     }
 
-    /// When the simulation is [s].
+    /// Simulated time [s].
     fn now(&self) -> Instant {
         Instant { step: self.step, time: self.time_of(self.step) }
     }
@@ -345,13 +345,13 @@ fn first_phases(scene: &Scene) -> BTreeMap<[u32; 2], Phase> {
     phases
 }
 
-/// All phases in the order in which events number them.
+/// All phases, in the order of their indices in events.
 const PHASES: [Phase; 3] = [Phase::Apart, Phase::Merged, Phase::Core];
 
-/// What is left for the factors of finite elements when a scene is built [bytes].
+/// Memory left for the factors of finite elements once a scene is built [bytes].
 ///
 /// # Errors
-/// The scene needs more memory than there is.
+/// The scene needs more memory than is available.
 fn room(scene: &Scene, across: u32) -> Result<u64, String> {
     let mut shapes = std::collections::HashSet::new();
     let mut kinds = std::collections::HashSet::new();

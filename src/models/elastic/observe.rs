@@ -1,4 +1,4 @@
-//! What instruments see of bodies made of cells.
+//! Frames, schema and scalars of bodies made of cells.
 
 use std::sync::atomic::AtomicBool;
 
@@ -23,7 +23,7 @@ use crate::{
     sim::{Cause, Options, World, simulation},
 };
 
-/// The number of phases' index in frames.
+/// Index of a phase in frames.
 fn number(phase: Phase) -> usize {
     phase as usize
 }
@@ -185,8 +185,8 @@ pub fn schema(scene: &Scene, options: Options) -> Schema {
     schema
 }
 
-/// The longest stable step of a body at rest that nothing acts on [s]: that of [`Lattice::step_limit`](crate::models::lattice::Lattice::step_limit), where the
-/// density and the radius cancel.
+/// The longest stable step of a body at rest without external forces [s]:
+/// [`Lattice::step_limit`](crate::models::lattice::Lattice::step_limit), where density and radius cancel.
 fn step_limit(scene: &Scene, body: &crate::scene::Body) -> f64 {
     let material = body.material;
     let Constants { young, damping } = Constants::of(material.omega, material.damping, 1.0, 1.0);
@@ -248,7 +248,7 @@ impl Elastic {
         self.bodies.iter().filter(|body| !body.is_at_rest).map(Body::elastic_energy).sum()
     }
 
-    /// Adds the forces on a body in its current state: what its nodes feel, at the vertices.
+    /// Adds the forces on a body in its current state, interpolated from its nodes to the vertices.
     fn add_forces(&self, body: &Body, sources: &[u32], now: &mut BodyFrame) {
         let causes: Vec<Cause> = Cause::of(self.scene.is_coupled()).collect();
         let (time, phases) = (self.time_of(self.step), &self.phases);
@@ -319,7 +319,7 @@ impl Elastic {
             term.source = None;
             term.accelerations.clear();
             let Some((_, nodes)) = by_cause.iter_mut().find(|(known, _)| known == cause) else { continue };
-            // what is held feels nothing
+            // held nodes feel no force
             nodes.iter_mut().zip(&held).filter(|(_, held)| **held).for_each(|(sum, _)| *sum = DVec3::ZERO);
             if nodes.iter().all(|sum| *sum == DVec3::ZERO) {
                 continue;
@@ -360,7 +360,7 @@ impl Elastic {
 }
 
 impl Elastic {
-    /// The reaction to what the sphere of a free body does to others [mass · scene unit/s²].
+    /// The reaction to the forces of a free body's sphere on others [mass · scene unit/s²].
     fn reaction(&self, body: &Body, others: &[u32], centres: &[DVec3]) -> DVec3 {
         let time = self.time_of(self.step);
         let around =
@@ -382,7 +382,7 @@ impl Elastic {
     }
 }
 
-/// A quantity of the nodes at the vertices of a body as it is now.
+/// A quantity of the nodes, interpolated to the current vertices of a body.
 fn at_vertices(body: &Body, nodes: &[DVec3], count: usize, vertices: &mut Vectors) {
     vertices.clear();
     for embedded in &body.cells.embedded {

@@ -29,8 +29,8 @@ fn run(simulation: &mut Elastic, steps: u64) -> Vec<PairEvent> {
     events
 }
 
-/// Phases follow the paths: the events are those of the oscillators. Their times are the same to rounding: how close to an event
-/// a search for it begins depends on which bodies may reach each other.
+/// Phases follow the paths: the events are those of the oscillators. Their times are equal to rounding: the interval in
+/// which an event is searched for depends on which bodies may reach each other.
 #[test]
 fn events_are_those_of_the_oscillators() {
     for name in ["two", "three", "size_ratio"] {
@@ -54,7 +54,7 @@ fn events_are_those_of_the_oscillators() {
     }
 }
 
-/// Any number of threads gives the same bits, and so does looking; both models run every built-in scene of bodies on paths.
+/// The bits do not depend on the number of threads, nor on observation; both models run every built-in scene on paths.
 #[test]
 fn bits_do_not_depend_on_threads_or_observers() {
     for (name, steps) in [("two", 120), ("three", 60), ("size_ratio", 60), ("push", 60), ("crowd", 3)] {
@@ -79,7 +79,7 @@ fn bits_do_not_depend_on_threads_or_observers() {
     }
 }
 
-/// One body that is pushed or carried, with other lines for the scene and the body.
+/// One body that is pushed or carried, with additional lines for the scene and the body.
 fn single(model: Model, scene: &str, body: &str) -> Scene {
     let text = format!(
         "duration = 4.0\nmodel = '{model}'\n{scene}\n[[body]]\nname = 'a'\nradius = 0.5\nshape = {{ sphere = {{ stacks = 6, slices = 8 }} }}\n{body}"
@@ -87,8 +87,8 @@ fn single(model: Model, scene: &str, body: &str) -> Scene {
     Scene::parse(&text, "single.toml").unwrap()
 }
 
-/// Lattice and elements of the same E and ν converge to the same body: the displacement of a body in a constant acceleration is the
-/// same but for what six cells cannot resolve, less with more of them.
+/// Lattice and finite elements with the same E and ν converge to the same body: displacements under constant
+/// acceleration are equal up to the discretisation error of six cells, which decreases with more cells.
 #[test]
 fn lattice_and_elements_agree() {
     let sag = |model: Model, cells: u32| {
@@ -127,8 +127,8 @@ fn steps_converge() {
     }
 }
 
-/// Where a path turns sharply, what is not held stays in motion as it was; at t = 0 everything is at rest, however the path
-/// begins.
+/// At a sharp turn of a path, nodes that are not held keep their velocity; at t = 0 everything is at rest, however the
+/// path begins.
 #[test]
 fn sharp_turns_kick_the_nodes() {
     for model in [Model::Lattice, Model::Fem] {
@@ -148,7 +148,7 @@ fn sharp_turns_kick_the_nodes() {
     }
 }
 
-/// An explicit scheme at a dt beyond the limit diverges, and says so with the limit; the default divides dt.
+/// An explicit scheme at a dt beyond the limit diverges, and reports the limit; the default divides dt.
 #[test]
 fn instability_is_shown() {
     let scene = Scene { integrator: Integrator::Euler, dt: 0.05, ..scene("two", Model::Lattice) };
@@ -164,7 +164,7 @@ fn instability_is_shown() {
     run(&mut start(&Scene { integrator: Integrator::Exponential, ..scene }), 100);
 }
 
-/// What a body endures: dt, ω, κ, α and β over decades. Every case ends, and none of the default integrator is wrong without saying so.
+/// Stability over decades of dt, ω, κ, α and β. Every case ends, and the default integrator reports every failure.
 /// (`bench stability --model` runs a thousand.)
 #[test]
 fn hard_cases_end() {
@@ -205,7 +205,8 @@ fn hard_cases_end() {
     assert_eq!(endured.map(|[whole, ..]| whole), [CASES - endured[0][2], CASES]);
 }
 
-/// A body held by its core, shaken hard: `cut` loses volume and says so, `split` does not, and both change the mesh of the frame.
+/// A body held by its core, shaken hard: `cut` loses volume and reports it, `split` does not; both change the frame's
+/// mesh.
 #[test]
 fn both_ways_to_tear_show_in_frames() {
     let motion = "motion = { sine = { center = [0, 0, 0], amplitude = [3.0, 0, 0], frequency = 1.5, phase = 0.0 } }";
@@ -248,7 +249,7 @@ fn both_ways_to_tear_show_in_frames() {
     }
 }
 
-/// Finite elements say where they would tear, once a place, and go on.
+/// Finite elements report where they would tear, once per cell, and continue.
 #[test]
 fn elements_say_where_they_would_tear() {
     let motion = "motion = { sine = { center = [0, 0, 0], amplitude = [1.0, 0, 0], frequency = 1.0, phase = 0.0 } }";
@@ -265,7 +266,7 @@ fn elements_say_where_they_would_tear() {
     assert_eq!(simulation.account(), None);
 }
 
-/// Planes press on the surface: a body that its path lowers onto a plane is dented, and not by more than without the plane.
+/// Planes press on the surface: a body lowered onto a plane by its path is dented.
 #[test]
 fn planes_dent_bodies() {
     let lines = "[[plane]]\nnormal = [0, 0, 1]\nfriction = 0.5\n[material]\nresponse = 'rigid'\ndamping = 6.0";
@@ -284,7 +285,7 @@ fn planes_dent_bodies() {
     }
 }
 
-/// A push bends a body as far as statics say: with the load of the push on its nodes for long, the equilibrium of (2.1).
+/// A long push deforms a body to its static equilibrium (2.1) under the same load.
 #[test]
 fn a_push_that_lasts_leads_to_the_equilibrium() {
     let lines = "[material]\ndamping = 8.0\n[[push]]\nbody = 'a'\ndirection = [1, 0, 0]\nstrength = 0.5\nstart = 0.0\nduration = 9.0";
@@ -335,7 +336,7 @@ fn what_the_models_cannot_do_they_refuse() {
     assert!(matches!(&failure, Some(StepFailure::NotTaken(words)) if words.contains("omega")), "{failure:?}");
 }
 
-/// The stiffness from ω: a bar of the radius' length has that frequency, by its closed form.
+/// The stiffness from ω: a bar one radius long has that frequency, by its closed form.
 #[test]
 fn stiffness_follows_omega() {
     let (omega, radius, density) = (12.0, 0.5, 3.0);
@@ -343,14 +344,14 @@ fn stiffness_follows_omega() {
     assert!((PI / (2.0 * radius) * (young / density).sqrt() - omega).abs() < 1e-12);
 }
 
-/// One free body, with other lines for the scene and its motion.
+/// One free body, with additional lines for the scene and its motion.
 fn free(model: Model, scene: &str, motion: &str) -> Scene {
     let comma = if motion.is_empty() { "" } else { ", " };
     let body = format!("motion = {{ free = {{ from = [0.5, 0, 1.0]{comma}{motion} }} }}");
     single(model, scene, &body)
 }
 
-/// What the scalars say of a state.
+/// The scalars of a state.
 fn scalar(simulation: &Elastic, name: &str) -> f64 {
     let mut frame = Frame::default();
     simulation.observe(Want::ALL, &mut frame);
@@ -358,7 +359,7 @@ fn scalar(simulation: &Elastic, name: &str) -> f64 {
     frame.scalars[schema.scalars.iter().position(|scalar| scalar.name == name).unwrap()]
 }
 
-/// A body that falls follows its parabola, and nothing of it is deformed.
+/// A falling body follows its parabola, and is not deformed.
 #[test]
 fn free_bodies_fall() {
     for model in [Model::Lattice, Model::Fem] {
@@ -374,8 +375,8 @@ fn free_bodies_fall() {
     }
 }
 
-/// A body that spins keeps its angular momentum, for three turns, and its energy to what the length of a step resolves; its shape
-/// turns with it. The centrifugal stretch is that of statics: of the order ω²ρR²/E.
+/// A spinning body keeps its angular momentum for three turns, and its energy up to the error of the step; its shape
+/// rotates with it. The centrifugal stretch is the static one, of the order ω²ρR²/E.
 #[test]
 fn free_bodies_spin_without_growing() {
     for model in [Model::Lattice, Model::Fem] {
@@ -397,7 +398,7 @@ fn free_bodies_spin_without_growing() {
     }
 }
 
-/// Bodies that collide keep momentum and angular momentum, whatever they do to each other; with damping inside them too.
+/// Colliding bodies conserve momentum and angular momentum, also with internal damping.
 #[test]
 fn free_bodies_keep_momentum() {
     for model in [Model::Lattice, Model::Fem] {
@@ -412,8 +413,8 @@ fn free_bodies_keep_momentum() {
     }
 }
 
-/// A body without dampers that falls on a plane without friction comes back with the energy it had, though part of it is in its
-/// vibration; the error falls with the step.
+/// An undamped body that falls on a frictionless plane rebounds with the same energy, partly as vibration; the error
+/// decreases with the step.
 #[test]
 fn a_bounce_keeps_energy() {
     for model in [Model::Lattice, Model::Fem] {
@@ -441,7 +442,7 @@ fn a_bounce_keeps_energy() {
     }
 }
 
-/// Friction slows what slides on a plane, and turns it; the plane bears its weight.
+/// Friction slows a body that slides on a plane, and rotates it; the plane bears its weight.
 #[test]
 fn free_bodies_lie_on_planes() {
     let lines = "gravity = [0, 0, -9.81]\n[material]\nomega = 40.0\ndamping = 10.0\n[[plane]]\nnormal = [0, 0, 1]\noffset = 0.5\nfriction = 0.5\nstiffness = 20000.0";

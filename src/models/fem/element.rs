@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3};
 use crate::models::cells::corner;
 
 /// The corners of the six tetrahedra of a cell: the paths from corner 0 to corner 7 along the three axes in every order
-/// (Kuhn). All of them share the diagonal, and the cuts through the faces of neighbours agree.
+/// (Kuhn). All share the diagonal, and match across the faces of neighbours.
 pub const TETRAHEDRA: [[usize; 4]; 6] =
     [[0, 1, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 3, 2, 7], [0, 6, 4, 7], [0, 5, 1, 7]];
 
@@ -33,7 +33,7 @@ impl Elasticity {
     }
 }
 
-/// The gradients of the shape functions of a tetrahedron in a cube of side 1, by its corners.
+/// The gradients of the shape functions of a tetrahedron in a cube of side 1, given its corners.
 pub fn gradients(tetrahedron: [usize; 4]) -> [DVec3; 4] {
     let [a, b, c, d] = tetrahedron.map(corner);
     // rows of the inverse of [b − a, c − a, d − a]
@@ -42,8 +42,8 @@ pub fn gradients(tetrahedron: [usize; 4]) -> [DVec3; 4] {
     [-(p + q + r), p, q, r]
 }
 
-/// The stiffness of a cube of side 1 as 3×3 blocks: force on corner i by a displacement of corner j is −block (i, j) times
-/// it. For a cube of side h it is h times that.
+/// The stiffness matrix of a cube of side 1 as 3×3 blocks: a displacement of corner j exerts a force of −block (i, j)
+/// times it on corner i. For a cube of side h, it is h times that.
 pub fn cube_stiffness(elasticity: Elasticity) -> [[DMat3; 8]; 8] {
     let [lambda, mu] = elasticity.lame();
     let mut sum = [[DMat3::ZERO; 8]; 8];

@@ -1,8 +1,8 @@
-//! Symmetric matrices of 3×3 blocks, one row and column a node, and their Cholesky factors.
+//! Symmetric sparse matrices of 3×3 blocks, one block row per node, and their Cholesky factors.
 //!
-//! The order of elimination comes from the grid: nested dissection (George, Nested dissection of a regular finite element mesh,
-//! 1973). A plane of nodes separates the nodes on its two sides, each of which is ordered the same way, before the plane. The
-//! factorisation and the solution are scalar code without fused multiply-adds: the same bits on every machine.
+//! The elimination order is nested dissection of the grid (George, Nested dissection of a regular finite element mesh,
+//! 1973): a plane of nodes separates the nodes on its two sides, which are ordered recursively, before the plane.
+//! Factorisation and solution are scalar code without fused multiply-adds: the same bits on every machine.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -20,10 +20,10 @@ pub struct Symmetric {
 }
 
 impl Symmetric {
-    /// The sum of blocks at `(row, column)` with row ≥ column; those of one place are added in the order given. `None` if it was
-    /// interrupted.
+    /// Assembles blocks at `(row, column)` with row ≥ column; blocks at the same position are added in the order given.
+    /// `None` if interrupted.
     pub fn sum(n: usize, mut parts: Vec<(u32, u32, DMat3)>, interrupt: Option<&AtomicBool>) -> Option<Symmetric> {
-        /// Parts that are sorted between two looks at the interrupt.
+        /// Blocks sorted between two checks of the interrupt.
         const SOME: usize = 1 << 18;
         // sorted pieces, which the last sort then merges
         for some in parts.chunks_mut(SOME) {
@@ -46,7 +46,7 @@ impl Symmetric {
         Some(matrix)
     }
 
-    /// What was allocated for it [bytes].
+    /// Allocated memory [bytes].
     pub fn memory(&self) -> usize {
         self.blocks.capacity() * size_of::<DMat3>()
             + self.rows.capacity() * size_of::<u32>()
@@ -58,7 +58,7 @@ impl Symmetric {
         self.starts.len() - 1
     }
 
-    /// Whether there are none.
+    /// Whether the matrix is empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -90,18 +90,18 @@ pub struct Cholesky {
     /// Where each column begins among the blocks below the diagonal, `[n + 1]`.
     starts: Vec<usize>,
     rows: Vec<u32>,
-    /// The blocks below the diagonal, each times the inverse of its column's diagonal block …
+    /// The blocks below the diagonal, each multiplied by the inverse of its column's diagonal block …
     blocks: Vec<DMat3>,
     /// … and the inverses of the diagonal blocks of D in L D Lᵀ.
     inverses: Vec<DMat3>,
 }
 
-/// Why a matrix has no factor.
+/// Why a matrix could not be factored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unfactored {
     /// It is not positive definite.
     Singular,
-    /// It would take more than it may.
+    /// The factor would exceed the memory limit.
     TooLarge {
         /// Bytes that the factor takes.
         bytes: u64,
@@ -111,7 +111,7 @@ pub enum Unfactored {
 }
 
 impl Cholesky {
-    /// L D Lᵀ with blocks of 3×3: L has unit diagonal blocks. No more than `most` bytes are allocated for it.
+    /// L D Lᵀ with 3×3 blocks, where L has unit diagonal blocks. Allocates at most `most` bytes.
     ///
     /// # Errors
     /// [`Unfactored`].
@@ -208,7 +208,7 @@ impl Cholesky {
         Ok(factor)
     }
 
-    /// Replaces `x` by the solution of the system with `x` on the right-hand side.
+    /// Solves the system with right-hand side `x` in place.
     pub fn solve(&self, x: &mut [DVec3]) {
         let n = self.inverses.len();
         for column in 0..n {
@@ -234,7 +234,7 @@ impl Cholesky {
         self.blocks.len()
     }
 
-    /// What was allocated for it [bytes].
+    /// Allocated memory [bytes].
     pub fn memory(&self) -> usize {
         self.blocks.capacity() * size_of::<DMat3>()
             + self.rows.capacity() * size_of::<u32>()
@@ -284,8 +284,8 @@ fn is_positive(block: DMat3) -> bool {
     block.x_axis.x > 0.0 && minor > 0.0 && block.determinant() > 0.0 && block.is_finite()
 }
 
-/// The order of elimination of nodes at places of a grid, two of which are coupled only if no coordinate differs by more
-/// than 1: nested dissection. The result lists the nodes in that order.
+/// The elimination order of nodes at grid positions, by nested dissection. Two nodes are coupled only if no coordinate
+/// differs by more than 1.
 pub fn dissection(places: &[[i32; 3]]) -> Vec<u32> {
     let mut nodes: Vec<u32> = (0..places.len() as u32).collect();
     let mut order = Vec::with_capacity(nodes.len());

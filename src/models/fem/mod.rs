@@ -9,7 +9,7 @@
 //! A body on a prescribed path is held at the nodes of its core, so K is positive definite for the others.
 //!
 //! # Motion
-//! (2.1) is an equilibrium; a body that swings needs M δ″ + C δ′ + K δ = F, with the masses M at the nodes and C = γK, γ = 2κ/ω², so that a
+//! (2.1) is an equilibrium. Dynamics needs M δ″ + C δ′ + K δ = F, with lumped masses M and C = γK, γ = 2κ/ω², so that a
 //! mode of the scene's ω decays at its κ. The implicit midpoint rule solves, for the mean velocity v of a step h,
 //!
 //! ```text
@@ -17,14 +17,14 @@
 //! δ ← δ + h v,   u ← 2v − u
 //! ```
 //!
-//! It is second order, keeps the energy of an undamped body and has no step limit. A does not change while the body's
-//! topology does not: it is factored once, as 2.1.2 says of K (Hirota and Kaneko; Cotin et al.). That is what makes the method fast,
-//! and what forbids to tear: where stress passes a limit, the body [would tear](Element::tension), which is reported and no
-//! more.
+//! It is second order, conserves the energy of an undamped body and has no step limit. A is constant as long as the
+//! body's topology is: it is factored once, as 2.1.2 proposes for K (Hirota and Kaneko; Cotin et al.). That makes the
+//! method fast, but rules out tearing: where stress exceeds a limit, it is only reported that the body [would
+//! tear](Element::tension).
 //!
 //! # Factor or inverse
-//! A⁻¹ precomputed in full takes 9n² multiplications a step for n free nodes, L D Lᵀ 18 for each of its blocks. Measured on one core (µs a
-//! solution), with spheres of so many cells along a diameter:
+//! A precomputed A⁻¹ takes 9n² multiplications per step for n free nodes, L D Lᵀ 18 per block. Measured on one core (µs
+//! per solution), for spheres with this many cells along a diameter:
 //!
 //! | cells | free nodes | blocks of L | inverse | factor |
 //! | --- | --- | --- | --- | --- |
@@ -34,11 +34,11 @@
 //! | 6 | 292 | 8,516 | 146 | 34 |
 //! | 8 | 580 | 25,635 | 2,500 | 204 |
 //!
-//! The inverse is nowhere faster, so only the factor is kept.
+//! The inverse is never faster, so only the factor is used.
 //!
 //! # Constants from the scene
-//! Young's modulus is that of the lattice, [`Constants::of`](super::lattice::Constants::of), unless the scene gives one: a bar as long as
-//! the radius has the scene's ω. Poisson's ratio is 1/4 by default, that of any lattice of springs.
+//! Young's modulus is that of the lattice, [`Constants::of`](super::lattice::Constants::of), unless the scene gives
+//! one: a bar one radius long has the scene's ω. Poisson's ratio is 1/4 by default, that of any lattice of springs.
 
 mod element;
 mod matrix;
@@ -55,7 +55,7 @@ pub use matrix::{Cholesky, Symmetric, Unfactored, dissection};
 /// No node.
 const NONE: u32 = u32::MAX;
 
-/// What does not change of a body of finite elements; bodies that agree in all that it is made of share one.
+/// The constant data of a body of finite elements, shared by equal bodies.
 #[derive(Clone, Debug)]
 pub struct Element {
     /// Elastic constants.
@@ -104,8 +104,8 @@ pub struct Tension {
 }
 
 impl Element {
-    /// Elements in `cells` at the scale of a body of the given radius [scene unit] and mass, held at some nodes. `None` if it was
-    /// interrupted.
+    /// Elements in `cells` at the scale of a body of the given radius [scene unit] and mass, held at some nodes. `None`
+    /// if interrupted.
     pub fn new(
         cells: &Cells,
         radius: f64,
@@ -152,8 +152,8 @@ impl Element {
         })
     }
 
-    /// Factors A for steps of `h` [s], or K itself for the equilibrium if it is infinite. The factor takes no more than
-    /// `most` bytes.
+    /// Factors A for steps of `h` [s], or K if `h` is infinite, for the equilibrium. The factor takes at most `most`
+    /// bytes.
     ///
     /// # Errors
     /// [`Unfactored`].
@@ -197,7 +197,7 @@ impl Element {
         }
     }
 
-    /// What was allocated for it [bytes].
+    /// Allocated memory [bytes].
     pub fn memory(&self) -> usize {
         self.corners.capacity() * size_of::<[u32; 8]>()
             + self.masses.capacity() * size_of::<f64>()
@@ -205,7 +205,7 @@ impl Element {
             + self.stiffness.memory()
     }
 
-    /// Memory that elements on so many cells along a diameter can take without the factor [bytes].
+    /// Upper bound of the memory for this many cells along a diameter, without the factor [bytes].
     pub fn most_memory(across: u32) -> u64 {
         const NODE_BYTES: u64 = 14 * (72 + 4) + 16 + 6 * 24;
         let (cells, nodes) = (u64::from(across).pow(3), (u64::from(across) + 1).pow(3));
@@ -214,7 +214,7 @@ impl Element {
 }
 
 impl Stepper {
-    /// Takes a step, with forces at its middle [mass · scene unit/s²], `[free_count]`, which it overwrites.
+    /// Takes a step with the forces at its middle [mass · scene unit/s²], `[free_count]`, which are overwritten.
     pub fn step(&self, element: &Element, motion: &mut Motion, forces: &mut [DVec3]) {
         let half = 0.5 * self.h;
         let Motion { displacements, velocities, scratch } = motion;
@@ -231,7 +231,7 @@ impl Stepper {
         }
     }
 
-    /// Replaces forces by the displacements of the equilibrium (2.1), with the factor of K.
+    /// Solves for the equilibrium (2.1) with the factor of K: replaces forces by displacements.
     pub fn equilibrium(&self, forces: &mut [DVec3]) {
         self.factor.solve(forces);
     }
@@ -241,14 +241,14 @@ impl Stepper {
         self.factor.block_count()
     }
 
-    /// What was allocated for the factor [bytes].
+    /// Allocated memory of the factor [bytes].
     pub fn memory(&self) -> usize {
         self.factor.memory()
     }
 }
 
 impl Motion {
-    /// What was allocated for it [bytes].
+    /// Allocated memory [bytes].
     pub fn memory(&self) -> usize {
         let vectors = [&self.displacements, &self.velocities, &self.scratch];
         vectors.iter().map(|of| of.capacity() * size_of::<DVec3>()).sum()

@@ -92,7 +92,7 @@ fn the_stiffness_knows_the_rigid_motions_and_no_others() {
     assert_eq!(rank, n - 6);
 }
 
-/// Nodes inside follow an affine displacement of the nodes on the boundary exactly, and the stress is the same everywhere.
+/// Patch test: interior nodes follow an affine displacement of the boundary nodes exactly, and stress is uniform.
 #[test]
 fn the_patch_test_is_passed() {
     let cells = Cells::block(8, [3, 4, 3]);
@@ -135,8 +135,8 @@ fn the_largest_eigenvalue_is_that_of_a_rotated_diagonal() {
     }
 }
 
-/// A cantilever with a load across its end bends by FL³/3EI + FL/κGA (Timoshenko, κ = 10(1 + ν)/(12 + 11ν)). Linear tetrahedra are too stiff;
-/// the error falls with the square of their size.
+/// A cantilever with a transverse end load deflects by FL³/3EI + FL/κGA (Timoshenko, κ = 10(1 + ν)/(12 + 11ν)). Linear
+/// tetrahedra are too stiff; the error decreases with the square of their size.
 #[test]
 fn a_cantilever_converges_to_beam_theory() {
     let elasticity = Elasticity { young: 1.0, poisson: 0.0 };
@@ -145,7 +145,7 @@ fn a_cantilever_converges_to_beam_theory() {
         let side = across / 4;
         let (cells, element) = block(across, [across, side, side], elasticity, |node| node.x == -1.0);
         let is_end = |node: &u32| cells.nodes[*node as usize].x > 1.0 - 1e-9;
-        // shear as it is distributed in the section, by faces: constant does for the deflection of the end
+        // shear distributed over the section by faces: a constant distribution is enough for the end deflection
         let mut forces: Vec<DVec3> = element.free.iter().map(|_| DVec3::ZERO).collect();
         let (mut area, mut ends) = (0.0, Vec::new());
         for (i, node) in element.free.iter().enumerate().filter(|(_, node)| is_end(node)) {
@@ -169,7 +169,7 @@ fn a_cantilever_converges_to_beam_theory() {
     assert!(fine < 0.06, "{fine}");
 }
 
-/// The factor solves what the matrix multiplies, for a sphere with a held core.
+/// The factor inverts the multiplication by the matrix, for a sphere with a held core.
 #[test]
 fn the_factor_solves_the_system() {
     let cells = Cells::cover(&Sphere { stacks: 12, slices: 24 }.mesh(), 6, None).unwrap();
@@ -189,8 +189,8 @@ fn the_factor_solves_the_system() {
     assert!(matches!(free.factor(1.0, u64::MAX, Some(&flag)), Err(Unfactored::Interrupted)));
 }
 
-/// Without damping the midpoint rule keeps the energy, whatever the step; with it, energy falls. A step of any length is
-/// stable, and a load that stays leads to the equilibrium (2.1).
+/// Without damping, the midpoint rule conserves energy for any step; with damping, energy decreases. Any step is
+/// stable, and a constant load leads to the equilibrium (2.1).
 #[test]
 fn steps_keep_the_energy_and_end_in_equilibrium() {
     let cells = Cells::block(6, [2, 2, 4]);

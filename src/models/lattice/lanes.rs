@@ -1,28 +1,28 @@
-//! Springs side by side.
+//! SIMD evaluation of springs.
 //!
-//! On a lattice of cubes, nodes that follow each other have neighbours that follow each other: the springs of a row of nodes in one
-//! direction read two stretches of every array, and a group of them is a few instructions. Springs about split nodes, whose
-//! numbers are apart, are groups of their own.
+//! On a cubic lattice, consecutive nodes have consecutive neighbours: the springs of a row of nodes in one direction
+//! read two contiguous ranges of every array, and a group of them takes a few instructions. Springs at split nodes,
+//! whose indices are not consecutive, form groups of their own.
 //!
-//! Every sum is in one order: groups as they are kept, in a group all forces on first nodes and then all on second ones, whatever
-//! the width of the registers. No multiply-adds are fused. So bits do not depend on the instruction set.
+//! Sums have a fixed order for any register width: group by group, in each group first all forces on first nodes, then
+//! all on second ones. There are no fused multiply-adds. The bits therefore do not depend on the instruction set.
 
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::Spring;
 
-/// Springs of a group.
+/// Number of springs in a group.
 pub const GROUP: usize = 8;
 
-/// Springs between the nodes a, a + 1, … and b, b + 1, …; those beyond its last have no stiffness.
+/// Springs between the nodes a, a + 1, … and b, b + 1, …; unused ones have no stiffness.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Group {
     a: u32,
     b: u32,
-    /// Lengths at rest [scene unit].
+    /// Rest lengths [scene unit].
     rest: [f64; GROUP],
-    /// Over their squares.
+    /// Inverse squares of the rest lengths.
     per_square: [f64; GROUP],
     /// Stiffnesses [mass/s²].
     stiffness: [f64; GROUP],
@@ -54,7 +54,7 @@ pub fn group(mut springs: Vec<Spring>, groups: &mut Vec<Group>) {
     groups[first..].sort_unstable_by_key(|group| (group.a, group.b));
 }
 
-/// Places, velocities and forces by coordinate; reused.
+/// Positions, velocities and forces by coordinate; reused.
 #[derive(Clone, Debug, Default)]
 pub struct Lanes {
     positions: [Vec<f64>; 3],
@@ -63,8 +63,8 @@ pub struct Lanes {
 }
 
 impl Lanes {
-    /// Forces of springs and dampers on the nodes [mass · scene unit/s²], into `forces`; returns the largest length of a spring
-    /// over its rest length [–]. `damping` is damping over stiffness [s].
+    /// Writes the forces of springs and dampers on the nodes [mass · scene unit/s²] to `forces`; returns the largest
+    /// ratio of a spring's length to its rest length [–]. `damping` is damping over stiffness [s].
     pub fn pull(
         &mut self,
         groups: &[Group],
@@ -92,7 +92,7 @@ impl Lanes {
         largest.sqrt()
     }
 
-    /// What was allocated for them [bytes].
+    /// Allocated memory [bytes].
     pub fn memory(&self) -> usize {
         let of = |lanes: &[Vec<f64>; 3]| lanes.iter().map(|lane| lane.capacity() * size_of::<f64>()).sum::<usize>();
         of(&self.positions) + of(&self.velocities) + of(&self.forces)
@@ -106,7 +106,7 @@ struct Pull<'a> {
 }
 
 impl WithSimd for Pull<'_> {
-    /// The largest square of a length over that at rest.
+    /// The largest squared ratio of length to rest length.
     type Output = f64;
 
     #[inline(always)]
@@ -134,7 +134,7 @@ impl WithSimd for Pull<'_> {
                 let drag = simd.mul_f64s(damping, dot([x, y, z], [u, v, w]));
                 let stiffness = at(stiffness, k);
                 let tension = simd.div_f64s(simd.mul_f64s(stiffness, simd.add_f64s(stretch, drag)), square);
-                // one of no length has no direction, and what is beyond the last is no spring
+                // a spring of zero length has no direction, and unused lanes are not springs
                 let is_spring = simd.and_m64s(simd.less_than_f64s(zero, stiffness), simd.less_than_f64s(zero, square));
                 for (pull, along) in pulls.iter_mut().zip([x, y, z]) {
                     let force = simd.select_f64s(is_spring, simd.mul_f64s(tension, along), zero);

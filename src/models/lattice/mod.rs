@@ -2,7 +2,7 @@
 //!
 //! A cell has 28 springs: 12 along its edges, 12 along the diagonals of its faces, 4 along those of the cube. Springs on
 //! edges and faces are shared with the neighbouring cells; each cell contributes its share of their stiffness, so that a
-//! lattice is the same everywhere, its rim included:
+//! lattice is homogeneous, including its boundary:
 //!
 //! ```text
 //! k_edge : k_face : k_space = 2 : 1 : 3/8        a cell's share: 1/4, 1/2, 1
@@ -10,25 +10,25 @@
 //!
 //! These are the proportions of fourth-order isotropic lattices (the weights 16 : 4 : 1 of D3Q27, times the squared
 //! lengths 1 : 2 : 3): with k_face = k, C_11 = 9k/2h and C_12 = C_44 = 3k/2h, an isotropic solid with λ = μ. Its Poisson's
-//! ratio is 1/4, as of every lattice of central forces (Cauchy); Young's modulus is E = 15k/4h.
+//! ratio is 1/4, as for every lattice of central forces (Cauchy); Young's modulus is E = 15k/4h.
 //!
 //! # Constants from the scene
-//! The thesis says that springs describe no physical property (2.1.1). Here one is given: E is such that a bar as long as the
-//! body's radius, held at one end, has the scene's ω as its lowest frequency, ω = (π/2R) √(E/ρ), so
+//! The thesis says that springs describe no physical property (2.1.1). Here they do: E is such that a bar one radius
+//! long, held at one end, has the scene's ω as its lowest frequency, ω = (π/2R) √(E/ρ), so
 //!
 //! ```text
 //! E = ρ c²,   c = 2ωR/π          k = 4Eh/15
 //! ```
 //!
-//! with ρ the mass over the volume of the cells. Every spring has a damper beside it, of γ = 2κ/ω² times its stiffness: a mode of
-//! frequency ω decays at the scene's rate κ, higher ones faster. Springs and dampers are internal: they change neither
-//! momentum nor angular momentum.
+//! with ρ the mass over the volume of the cells. Every spring has a parallel damper, of γ = 2κ/ω² times its stiffness:
+//! a mode of frequency ω decays at the scene's rate κ, higher ones faster. Springs and dampers are internal: they
+//! change neither momentum nor angular momentum.
 //!
 //! # Step limit
-//! A step of velocity Verlet with its damping at a predicted velocity is stable for h < (2/ω_max)(√(1 + (γω_max)²) − γω_max): there its
-//! amplification reaches −1. No mode of a lattice is faster than that of a single free cell (Irons' bound), which is √(30 k/m) for
-//! a cell of mass m: ω_max ≤ √8 c/h. Stretched springs do not raise it by more than 9/5, the ratio to Gershgorin's bound, which
-//! holds for any deformation under tension.
+//! Velocity Verlet with damping at a predicted velocity is stable for h < (2/ω_max)(√(1 + (γω_max)²) − γω_max), where
+//! its amplification factor reaches −1. No mode of a lattice is faster than that of a single free cell (Irons' bound),
+//! √(30 k/m) for a cell of mass m: ω_max ≤ √8 c/h. Stretched springs raise it by at most 9/5, the ratio to Gershgorin's
+//! bound, which holds for any deformation under tension.
 
 mod lanes;
 mod step;
@@ -59,8 +59,8 @@ pub struct Constants {
 }
 
 impl Constants {
-    /// Those of a body of the given radius [scene unit] and density [mass/scene unit³], for the scene's ω [rad/s], > 0, and
-    /// κ [1/s].
+    /// The constants of a body of the given radius [scene unit] and density [mass/scene unit³], for the scene's ω
+    /// [rad/s], > 0, and κ [1/s].
     pub fn of(omega: f64, damping: f64, radius: f64, density: f64) -> Constants {
         let speed = omega * radius / std::f64::consts::FRAC_PI_2;
         Constants { young: density * speed * speed, damping: 2.0 * damping / (omega * omega) }
@@ -74,18 +74,18 @@ pub struct Spring {
     pub a: u32,
     /// … and of the other.
     pub b: u32,
-    /// Length at rest [scene unit].
+    /// Rest length [scene unit].
     pub rest: f64,
     /// Stiffness [mass/s²].
     pub stiffness: f64,
 }
 
-/// Masses and springs. Positions and velocities of its nodes are kept by who steps it.
+/// Masses and springs. The caller that steps it keeps the positions and velocities of its nodes.
 #[derive(Clone, Debug)]
 pub struct Lattice {
     /// The corner nodes of each cell, `[cell_count]`.
     pub corners: Vec<[u32; 8]>,
-    /// Whether each cell is whole, `[cell_count]`.
+    /// Whether each cell is intact, `[cell_count]`.
     pub is_whole: Vec<bool>,
     /// Rest positions of the nodes [scene unit], `[node_count]`.
     pub rest: Vec<DVec3>,
@@ -108,7 +108,7 @@ pub struct Lattice {
 }
 
 impl Lattice {
-    /// The lattice on `cells` at the scale of a body of the given radius [scene unit] and mass. `None` if it was interrupted.
+    /// The lattice on `cells` at the scale of a body of the given radius [scene unit] and mass. `None` if interrupted.
     pub fn new(
         cells: &Cells,
         radius: f64,
@@ -150,7 +150,7 @@ impl Lattice {
         3.75 * self.stiffness / self.size
     }
 
-    /// Ties the springs of all whole cells anew. `None` if it was interrupted.
+    /// Rebuilds the springs of all intact cells. `None` if interrupted.
     fn tie(&mut self, interrupt: Option<&AtomicBool>) -> Option<()> {
         /// Nodes whose springs are sorted together.
         const STRETCH: usize = 1 << 16;
@@ -166,7 +166,7 @@ impl Lattice {
                 }
             }
         };
-        // by stretches of first nodes: each is little enough to be sorted between two looks at the interrupt
+        // by ranges of first nodes, each small enough to be sorted between two checks of the interrupt
         let mut ends = vec![0usize; rest.len() / STRETCH + 2];
         for (number, corners) in whole().enumerate() {
             if number % STRETCH == 0 {
@@ -195,7 +195,7 @@ impl Lattice {
             let (key, kind) = same[0];
             let (a, b) = ((key >> 32) as u32, key as u32);
             let stiffness = SHARES[kind as usize] * stiffness * same.len() as f64;
-            // the length that the force computes at rest, to the bit: there it is exactly zero
+            // the length as the force computes it at rest, to the bit, so that the force is exactly zero there
             Spring { a, b, rest: (rest[b as usize] - rest[a as usize]).length(), stiffness }
         };
         self.groups.clear();
@@ -221,12 +221,12 @@ impl Lattice {
         self.spring_count
     }
 
-    /// The highest frequency of the lattice at rest, at the most [rad/s].
+    /// Upper bound of the highest frequency of the lattice at rest [rad/s].
     pub fn highest_frequency(&self) -> f64 {
         (CELL_MODE * self.stiffness / self.lightest).sqrt()
     }
 
-    /// The longest stable step [s], with forces from outside whose derivative is at most `outside` [1/s²].
+    /// The longest stable step [s], with external accelerations whose derivative is at most `outside` [1/s²].
     pub fn step_limit(&self, outside: f64) -> f64 {
         let square = CELL_MODE * self.stiffness / self.lightest;
         let fastest = (square + outside).sqrt();
@@ -235,7 +235,7 @@ impl Lattice {
         2.0 / (fastest * ((1.0 + ratio * ratio).sqrt() + ratio))
     }
 
-    /// Forces of the springs on the nodes, and those of the dampers [mass · scene unit/s²], into `forces` and `drags`.
+    /// Writes the forces of springs and of dampers on the nodes [mass · scene unit/s²] to `forces` and `drags`.
     pub fn forces(&self, positions: &[DVec3], velocities: &[DVec3], forces: &mut Vec<DVec3>, drags: &mut Vec<DVec3>) {
         for sums in [&mut *forces, &mut *drags] {
             sums.clear();
@@ -264,13 +264,13 @@ impl Lattice {
         self.springs().map(of).sum()
     }
 
-    /// The share of the volume that tearing has taken away [–].
+    /// Fraction of the volume lost by tearing [–].
     pub fn lost(&self) -> f64 {
         self.is_whole.iter().filter(|is_whole| !**is_whole).count() as f64 / self.is_whole.len() as f64
     }
 
-    /// Memory that a lattice on so many cells along a diameter can take, whole or, if it can be split, with cells apart, each with
-    /// nodes of its own [bytes].
+    /// Upper bound of the memory of a lattice with this many cells along a diameter [bytes]; if it can be split, with
+    /// all cells separate, each with its own nodes.
     pub fn most_memory(across: u32, can_split: bool) -> u64 {
         const NODE_BYTES: u64 = 24 * 8 + 9 * 8;
         const KEY_BYTES: u64 = 28 * 16;
@@ -281,7 +281,7 @@ impl Lattice {
         cells * (41 + KEY_BYTES) + springs * sizes[0] + groups * sizes[1] + nodes * NODE_BYTES
     }
 
-    /// What was allocated for it [bytes].
+    /// Allocated memory [bytes].
     pub fn memory(&self) -> usize {
         self.corners.capacity() * size_of::<[u32; 8]>()
             + self.is_whole.capacity()

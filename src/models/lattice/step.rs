@@ -11,19 +11,19 @@ pub struct Motion {
     pub positions: Vec<DVec3>,
     /// Velocities [scene unit/s], `[node_count]`.
     pub velocities: Vec<DVec3>,
-    /// Accelerations at the end of the last step [scene unit/s²], `[node_count]`; empty if they are unknown, as after a
-    /// jump of the forces.
+    /// Accelerations at the end of the last step [scene unit/s²], `[node_count]`; empty if unknown, as after a
+    /// discontinuity of the forces.
     pub accelerations: Vec<DVec3>,
-    /// Over the masses of the nodes, 0 for those that are held, `[node_count]`.
+    /// Inverse masses of the nodes, 0 for held ones, `[node_count]`.
     pub inverse: Vec<f64>,
-    /// Velocities by which dampers are evaluated; reused.
+    /// Velocities at which dampers are evaluated; reused.
     predicted: Vec<DVec3>,
     /// Forces of springs and dampers; reused.
     forces: Vec<DVec3>,
     lanes: Lanes,
 }
 
-/// How a step is taken.
+/// Time integration schemes of a lattice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scheme {
     /// Velocity Verlet: second order. Damping is evaluated at the velocity u + h a, as by Groot and Warren (Dissipative particle
@@ -45,7 +45,7 @@ impl Motion {
         motion
     }
 
-    /// Takes the masses of the nodes as they are now, after some were added as copies of `originals`.
+    /// Updates the masses of the nodes, after some were added as copies of `originals`.
     pub fn split(&mut self, lattice: &Lattice, originals: &[u32]) {
         for &original in originals {
             self.positions.push(self.positions[original as usize]);
@@ -54,14 +54,14 @@ impl Motion {
         self.weigh(lattice);
     }
 
-    /// Stops the nodes of which no cell is left.
+    /// Stops the nodes without remaining cells.
     pub fn cut(&mut self, lattice: &Lattice) {
         let held = self.velocities.iter_mut().zip(&lattice.held).filter(|(_, held)| **held);
         held.for_each(|(velocity, _)| *velocity = DVec3::ZERO);
         self.weigh(lattice);
     }
 
-    /// Changes the velocities of the nodes that are not held [scene unit/s].
+    /// Adds to the velocities of the nodes that are not held [scene unit/s].
     pub fn kick(&mut self, by: DVec3) {
         let free = self.velocities.iter_mut().zip(&self.inverse).filter(|(_, inverse)| **inverse > 0.0);
         free.for_each(|(velocity, _)| *velocity += by);
@@ -74,7 +74,7 @@ impl Motion {
         self.accelerations.clear();
     }
 
-    /// What was allocated for it [bytes].
+    /// Allocated memory [bytes].
     pub fn memory(&self) -> usize {
         let vectors = [&self.positions, &self.velocities, &self.accelerations, &self.predicted, &self.forces];
         vectors.iter().map(|of| of.capacity() * size_of::<DVec3>()).sum::<usize>()
@@ -93,13 +93,13 @@ impl Motion {
     }
 }
 
-/// Accelerations from outside, given the time within the steps [s], positions and velocities; they are to be written to
-/// the last.
+/// External accelerations [scene unit/s²], given the time within the steps [s], positions and velocities; written to
+/// the last argument.
 pub trait Outside: FnMut(f64, &[DVec3], &[DVec3], &mut [DVec3]) {}
 impl<F: FnMut(f64, &[DVec3], &[DVec3], &mut [DVec3])> Outside for F {}
 
 impl Lattice {
-    /// Takes `count` steps of `h` [s] and returns the largest length of a spring over its rest length seen [–].
+    /// Takes `count` steps of `h` [s]; returns the largest ratio of a spring's length to its rest length [–].
     pub fn advance(&self, motion: &mut Motion, scheme: Scheme, h: f64, count: u64, mut outside: impl Outside) -> f64 {
         let mut largest: f64 = 0.0;
         let n = self.node_count();

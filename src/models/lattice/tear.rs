@@ -1,19 +1,19 @@
 //! Both ways to tear a lattice (2.2.2, Fig. 2.2).
 //!
-//! - `cut` (Fig. 2.2b; [11, 12] of the thesis): a spring that is longer than it may be is cut with all springs of the cells
-//!   that it belongs to. That is little work, and the volume of the cells is lost.
-//! - `split` (Fig. 2.2c; [9, 12]): a node that is pulled apart by more than it may be becomes two, one for the cells on either side
-//!   of the plane across which the pull is strongest, and the springs are tied anew. The volume is kept.
+//! - `cut` (Fig. 2.2b; [11, 12] of the thesis): an overstretched spring is cut with all springs of the cells that it belongs
+//!   to. That is cheap, but the volume of the cells is lost.
+//! - `split` (Fig. 2.2c; [9, 12]): an overloaded node becomes two, one for the cells on either side of the plane across which
+//!   the tension is strongest, and the springs are rebuilt. The volume is kept.
 //!
-//! Both limits are strains, so that they can be compared: a spring is cut at the length (1 + limit) L, a node is split at
-//! the force that the strain `limit` of a bar has across the node's share of a section, E · limit · h²/4 for each pair
-//! of cells that the plane parts.
+//! Both limits are strains, so that they can be compared: a spring is cut at the length (1 + limit) L; a node is split
+//! at the force of a bar under the strain `limit` on the node's share of its section, E · limit · h²/4 for each pair of
+//! cells separated by the plane.
 
 use glam::DVec3;
 
 use super::{Lattice, SHARES};
 
-/// Where cells are about a node, by the corner of theirs that it is: a bit an axis, set for those on the far side.
+/// Cells around a node, by which of their corners it is: one bit per axis, set for cells on the far side.
 type Sides = u8;
 
 /// A node to be split, and the axis of its plane.
@@ -23,8 +23,8 @@ struct Split {
 }
 
 impl Lattice {
-    /// Cuts the cells whose springs are longer than (1 + limit) L, and returns them. Nodes of which no cell is left are out of the
-    /// body: from now on they are held.
+    /// Cuts the cells whose springs are longer than (1 + limit) L, and returns them. Nodes without remaining cells
+    /// leave the body, and are held from now on.
     pub fn cut(&mut self, positions: &[DVec3], limit: f64) -> Vec<usize> {
         let is_torn = |corners: &[u32; 8]| {
             (0..8).any(|i| {
@@ -48,8 +48,8 @@ impl Lattice {
         torn
     }
 
-    /// Splits the nodes that are pulled apart harder than a strain of `limit` does, and returns those that were, in the order
-    /// of the nodes that were added: the state of each of these is that of its original.
+    /// Splits the nodes whose load exceeds that of a strain of `limit`, and returns them in the order of the added
+    /// nodes, each of which has the state of its original.
     pub fn split(&mut self, positions: &[DVec3], limit: f64) -> Vec<u32> {
         let splits = self.overpulled(positions, limit);
         if splits.is_empty() {
@@ -84,7 +84,7 @@ impl Lattice {
 
     /// The nodes to be split, ascending.
     fn overpulled(&self, positions: &[DVec3], limit: f64) -> Vec<Split> {
-        // force on each node by the cells on the far side of it less that by those on the near side, an axis each
+        // force on each node by the cells on its far side minus that by the cells on its near side, along each axis
         let mut pulls = vec![[DVec3::ZERO; 3]; self.node_count()];
         let mut towards = vec![[DVec3::ZERO; 3]; self.node_count()];
         let mut sides: Vec<[[u8; 2]; 3]> = vec![[[0; 2]; 3]; self.node_count()];

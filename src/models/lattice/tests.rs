@@ -3,7 +3,7 @@ use std::f64::consts::FRAC_PI_2;
 use super::*;
 use crate::{models::cells::boundary, scene::TearMode};
 
-/// Nothing acts from outside.
+/// No external accelerations.
 fn nothing(_: f64, _: &[DVec3], _: &[DVec3], accelerations: &mut [DVec3]) {
     accelerations.fill(DVec3::ZERO);
 }
@@ -52,7 +52,7 @@ fn a_cell_has_28_springs_and_shares_those_on_its_faces() {
     assert_eq!(forces, still, "a lattice at rest is exactly at rest");
 }
 
-/// Side by side, springs and dampers pull as one by one, also where nodes were split.
+/// SIMD springs and dampers exert the same forces as one at a time, also where nodes were split.
 #[test]
 fn springs_side_by_side_are_those_one_by_one() {
     let mut lattice = bar(8, [3, 4, 5], 0.4, false);
@@ -142,8 +142,8 @@ fn steps_are_stable_up_to_the_limit() {
     }
 }
 
-/// A bar held at one end swings along itself at ω = (π/2L) √(E/ρ), ever more so as cells shrink: at its side they are what keeps
-/// it from being a line.
+/// A bar held at one end oscillates lengthwise at ω = (π/2L) √(E/ρ), more exactly as cells shrink, because its
+/// thickness is that of a cell.
 #[test]
 fn a_bar_has_the_frequency_of_its_closed_form() {
     let error = |across: u32| {
@@ -182,8 +182,8 @@ fn a_bar_has_the_frequency_of_its_closed_form() {
     assert!(fine.abs() < 5e-3, "{fine:e}");
 }
 
-/// A chain of cells hangs from its lowest nodes, weight away from them: each section carries what hangs below it, exactly, and the
-/// chain is longer by ρgL²/2E, up to what holding its end does.
+/// A chain of cells hangs from its lowest nodes, with its weight pointing away from them: each section carries exactly
+/// what hangs below it, and the chain is longer by ρgL²/2E, up to the effect of holding its end.
 #[test]
 fn a_hanging_chain_is_in_balance() {
     let weight = 1e-4;
@@ -210,7 +210,7 @@ fn a_hanging_chain_is_in_balance() {
     assert!(coarse.abs() < 0.1 && fine.abs() < 0.6 * coarse.abs(), "{coarse} {fine}");
 }
 
-/// Pulls a bar of so many cells of 1/4 apart, from its middle.
+/// Pulls a bar of some cells of size 1/4 apart, from its middle.
 fn pull(layers: u32) -> impl Fn(f64, &[DVec3], &[DVec3], &mut [DVec3]) + Copy {
     let middle = 0.125 * f64::from(layers) - 1.0;
     move |_, positions, _, accelerations| {
@@ -220,7 +220,7 @@ fn pull(layers: u32) -> impl Fn(f64, &[DVec3], &[DVec3], &mut [DVec3]) + Copy {
     }
 }
 
-/// Fig. 2.2: a bar that is pulled apart at its ends tears in the middle, where the pull is strongest.
+/// Fig. 2.2: a bar pulled apart at its ends tears in the middle, where the tension is strongest.
 fn pulled(tear: TearMode, layers: u32) -> (Lattice, Motion, usize) {
     let mut lattice = bar(8, [2, 2, layers], 0.3, false);
     let mut motion = Motion::at_rest(&lattice);

@@ -1,34 +1,34 @@
-//! When two metaballs are one: the saddle of the density between them.
+//! When two metaballs are joined: the saddle of the density between them.
 //!
-//! By Morse theory the level set of the density at the threshold changes its topology only where a critical point crosses
-//! it: two parts become one when a saddle of index 1 does (a minimum along the way from one to the other, a maximum across
-//! it). For two balls the saddle is on the line of their centres. Further balls shift it off that line: from the lowest point
-//! of the line Newton's method finds it.
+//! By Morse theory, the level set at the threshold changes its topology only when a critical point of the density
+//! crosses the threshold. Two components join when a saddle of index 1 does (a minimum along the path from one to the
+//! other, a maximum across it). For two balls, the saddle is on the line of their centres. Other balls shift it off
+//! that line; Newton's method finds it from the minimum on the line.
 
 use glam::{DMat3, DVec3};
 
 use super::density::{Ball, Jet, Kernel};
 
-/// Places on the line of centres that are looked at.
+/// Number of samples on the line of centres.
 const SAMPLES: u32 = 32;
-/// Newton steps at most.
+/// Upper limit on Newton steps.
 const MOST_STEPS: u32 = 60;
 /// The longest Newton step [centre distances].
 const STRIDE: f64 = 0.05;
 
-/// Where the way from one ball to another is thinnest.
+/// The saddle between two balls.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Saddle {
-    /// The place [scene unit].
+    /// Position [scene unit].
     pub place: DVec3,
-    /// The density there, in units of the threshold: the balls are one if it is at least 1.
+    /// The density there, in units of the threshold: the balls are joined if it is at least 1.
     pub density: f64,
 }
 
 impl Saddle {
     /// The saddle between the first two balls, in the density of all. `None` if there is none: they are so close that the
-    /// density rises all the way from one centre, or so far that there is no density between them, or a third ball
-    /// fills the place between.
+    /// density is monotonic between the centres, so far apart that there is no density between them, or a third ball
+    /// fills the space between.
     pub fn between(kernel: &Kernel, balls: &[Ball]) -> Option<Saddle> {
         let (a, b) = (balls.first()?, balls.get(1)?);
         let along = b.centre - a.centre;
@@ -52,14 +52,14 @@ impl Saddle {
             }
             place += step * f64::min(1.0, STRIDE * distance / length);
         }
-        // at the limit of rounding steps need not become shorter: good enough, if it stands still
+        // near rounding errors, steps need not shrink: accept a stationary point
         let Jet { value, gradient, hessian } = kernel.jet(balls, place);
         let is_still = gradient.length() * distance < 1e-10 && place.distance(start) < 0.5 * distance;
         (is_still && has_index_one(&hessian)).then_some(Saddle { place, density: value })
     }
 }
 
-/// Whether the first two balls are one at the threshold, directly: not by way of others.
+/// Whether the first two balls are joined directly at the threshold, not through other balls.
 pub fn are_one(kernel: &Kernel, balls: &[Ball]) -> bool {
     let [a, b, ..] = balls else { return false };
     let distance = a.centre.distance(b.centre);
@@ -69,7 +69,7 @@ pub fn are_one(kernel: &Kernel, balls: &[Ball]) -> bool {
     if distance >= kernel.support(a) + kernel.support(b) {
         return false;
     }
-    // the straight way, if it is dense enough, is answer enough
+    // a straight path that is dense enough suffices
     match lowest(kernel, balls) {
         None => true,
         Some(place) if kernel.at(balls, place) >= 1.0 => true,
@@ -77,8 +77,8 @@ pub fn are_one(kernel: &Kernel, balls: &[Ball]) -> bool {
     }
 }
 
-/// The lowest point of the line from the first ball's centre to the second's: between their surfaces, if they would be
-/// apart when alone. `None` if that is an end of the line.
+/// The point of minimum density on the line from the first ball's centre to the second's: between their surfaces, if
+/// these would be apart without other balls. `None` if that is an end of the line.
 fn lowest(kernel: &Kernel, balls: &[Ball]) -> Option<DVec3> {
     let (a, b) = (balls.first()?, balls.get(1)?);
     let along = b.centre - a.centre;
@@ -97,7 +97,7 @@ fn lowest(kernel: &Kernel, balls: &[Ball]) -> Option<DVec3> {
     if least == 0 || least == SAMPLES {
         return None;
     }
-    // its slope along the line changes its sign there
+    // the slope along the line changes sign there
     let slope = |z: f64| -kernel.slope(balls, a.centre + z * along).dot(along);
     let (low, high) = (of(least - 1), of(least + 1));
     let z = if slope(low) > 0.0 && slope(high) < 0.0 { super::density::root(low, high, slope) } else { of(least) };
@@ -137,15 +137,15 @@ mod tests {
         }
     }
 
-    /// Of balls at the corners of a regular triangle: the saddle is on the height of the triangle, where the density is a
-    /// function of one variable.
+    /// Balls at the corners of an equilateral triangle: the saddle is on an altitude, where the density is a function
+    /// of one variable.
     #[test]
     fn a_third_ball_moves_the_saddle_off_the_line() {
         let (kernel, d) = (kernel(3.0), 3.2);
         let height = d * 0.75f64.sqrt();
         let balls = [ball(-0.5 * d, 0.0, 1.0), ball(0.5 * d, 0.0, 1.0), ball(0.0, height, 1.0)];
         let saddle = Saddle::between(&kernel, &balls).unwrap();
-        // the first place from the side inwards at which the density along the height does not change
+        // the first stationary point of the density along the altitude, from the side inwards
         let f = |y: f64| {
             let of = |r2: f64| (1.0 - r2 / 9.0).max(0.0).powi(3) / (8.0f64 / 9.0).powi(3);
             2.0 * of(0.25 * d * d + y * y) + of((height - y) * (height - y))

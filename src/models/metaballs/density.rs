@@ -1,18 +1,18 @@
-//! The density of metaballs, its slope and its curvature.
+//! The density of metaballs, its gradient and its Hessian.
 
 use glam::{DMat3, DVec3};
 
-/// The density of a ball, by the distance r from its centre, in units of the threshold:
+/// The density of a ball at distance r from its centre, in units of the threshold:
 ///
 /// ```text
 /// f(r) = (1 − r²/r_e²)³ / (1 − R²/r_e²)³   for r < r_e, else 0
 /// ```
 ///
-/// so that the surface of a lone ball, f = 1, is the sphere of its radius R. This is the simplest of the polynomials in r²
-/// that soft objects are made of (Wyvill, McPheeters, Wyvill: *Data Structure for Soft Objects*, 1986), with the finite
-/// support that Nishimura et al. (1985) gave Blinn's (1982) exponentials. Nishimura's own pieces are quadratic, with a jump of
-/// the second derivative inside the support; this one has two continuous derivatives everywhere, so that critical points can
-/// be found by Newton's method and volumes by quadrature.
+/// so that the surface of a lone ball, f = 1, is the sphere of its radius R. This is the simplest of the polynomials in
+/// r² used for soft objects (Wyvill, McPheeters, Wyvill: *Data Structure for Soft Objects*, 1986), with the finite
+/// support that Nishimura et al. (1985) introduced in place of Blinn's (1982) exponentials. Nishimura's function is
+/// piecewise quadratic, with a jump of the second derivative inside the support; this one is C² everywhere, so that
+/// critical points can be found by Newton's method and volumes by quadrature.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Kernel {
     /// r_e / R [–], > 1.
@@ -26,7 +26,7 @@ pub struct Kernel {
 pub struct Ball {
     /// Its centre [scene unit].
     pub centre: DVec3,
-    /// The radius of its surface where it is alone [scene unit].
+    /// The radius of its surface when alone [scene unit].
     pub radius: f64,
 }
 
@@ -42,7 +42,7 @@ pub struct Jet {
 }
 
 impl Kernel {
-    /// For supports of `reach` radii; `None` if a support is not larger than its ball.
+    /// The density for supports of `reach` radii; `None` if a support is not larger than its ball.
     pub fn new(reach: f64) -> Option<Kernel> {
         let inside = 1.0 - 1.0 / (reach * reach);
         let height = 1.0 / (inside * inside * inside);
@@ -62,7 +62,7 @@ impl Kernel {
         if u > 0.0 { self.height * (u * u * u) } else { 0.0 }
     }
 
-    /// The density F of some balls at `at`: the sum of theirs, in their order.
+    /// The density F of some balls at `at`, summed in their order.
     #[inline]
     pub fn at(&self, balls: &[Ball], at: DVec3) -> f64 {
         balls.iter().map(|ball| self.of_one(ball, at)).sum()
@@ -104,8 +104,8 @@ impl Kernel {
     }
 }
 
-/// The place in `[low, high]` where a function that is ≥ 0 at `low` and < 0 at `high` changes its sign, to the last bit or so
-/// (the Illinois variant of false position).
+/// The root in `[low, high]` of a function that is ≥ 0 at `low` and < 0 at `high`, to about the last bit (regula falsi,
+/// Illinois variant).
 pub fn root(mut low: f64, mut high: f64, mut at: impl FnMut(f64) -> f64) -> f64 {
     let (mut above, mut below) = (at(low), at(high));
     if above <= 0.0 {

@@ -1,26 +1,26 @@
-//! Metaballs (2.2.3): a body is a density about its centre, and its surface where the density of all bodies together is that
-//! of a threshold. Blinn: *A Generalization of Algebraic Surface Drawing* (1982); Nishimura et al. (1985).
+//! Metaballs (2.2.3): a body is a density around its centre; the surface is the level set of the total density of all
+//! bodies at a threshold. Blinn: *A Generalization of Algebraic Surface Drawing* (1982); Nishimura et al. (1985).
 //!
-//! | what | where |
+//! | contents | module |
 //! | --- | --- |
 //! | the density of a ball | [`density`] |
-//! | when two balls are one | [`contact`] |
-//! | the surface as a mesh, its volume, the distance of two balls | [`surface`] |
+//! | when two balls are joined | [`contact`] |
+//! | the surface as a mesh, its volume, the distance between two balls | [`surface`] |
 //!
 //! A lone ball is the sphere of its body's radius; the support of its density is the influence sphere. Bodies follow their
-//! paths. Nothing else moves: a metaball has no mass, so that the material, the strengths, pushes and planes do nothing
-//! here ([`Schema::warnings`] says which of them a scene has), and a body that forces should move is refused.
+//! paths. Nothing else moves: a metaball has no mass, so material, strengths, pushes and planes have no effect
+//! ([`Schema::warnings`] lists those in a scene), and free bodies are rejected.
 //!
-//! # Two answers to "are they one?"
-//! The thesis's thresholds on the distance of centres make `merge` and `split` events, at the times of the oscillators. The
-//! surface has its own: it becomes one when the density at the saddle between two centres reaches the threshold. These
-//! instants are `touch` and `part` events, found to the precision of the time itself. How far the two answers are apart is
-//! part of the summary of a run.
+//! # Two criteria for merging
+//! The thesis's thresholds on the centre distance give `merge` and `split` events, at the same times as for the
+//! oscillators. The surface has its own criterion: it joins when the density at the saddle between two centres reaches
+//! the threshold. These instants are `touch` and `part` events, found to rounding. The summary of a run compares the
+//! two.
 //!
 //! # The mesh of a body
-//! Each vertex is on the ray of its rest position, where the density falls below the threshold for the first time, or where
-//! another ball is denser: the bodies' meshes divide the volume of merged balls among them. It is drawn for a body that is
-//! alone; merged ones are drawn by the surface of their group.
+//! Each vertex is on the ray of its rest position, where the density first falls below the threshold, or where another
+//! ball is denser: the bodies' meshes divide the volume of merged balls among them. This mesh is drawn for a single
+//! body; merged bodies are drawn by the surface of their group.
 
 pub mod contact;
 pub mod density;
@@ -50,38 +50,38 @@ use contact::are_one;
 use density::{Ball, Kernel, root};
 use surface::LevelSet;
 
-/// Every ball may matter to every other.
+/// Upper limit on the number of balls, as any two may interact.
 const MOST_BODIES: usize = 2000;
-/// Halvings of a step in which a pair becomes one or two, at most.
+/// Upper limit on the bisections of a step in which a pair joins or separates.
 const MOST_HALVINGS: u32 = 200;
-/// Places on the ray of a vertex that are looked at, within the support of its body.
+/// Number of samples on the ray of a vertex, within the support of its body.
 const LOOKS: u32 = 24;
-/// What happened to pairs is kept for the summary up to this many.
+/// Maximum number of changes kept for the summary.
 const MOST_TOLD: usize = 256;
-/// Pairs of which the summary tells the two answers.
+/// Number of pairs for which the summary compares the two criteria.
 const MOST_COMPARED: usize = 8;
 
 /// Metaballs on their paths.
 pub struct Metaballs {
     scene: Scene,
     kernel: Kernel,
-    /// The paths, and the phases by the thresholds on q.
+    /// The paths, and the phases given by the thresholds on q.
     world: World,
-    /// Centres of the bodies now [scene unit].
+    /// Current centres of the bodies [scene unit].
     centres: Vec<DVec3>,
-    /// Pairs that are known, and whether they are one surface.
+    /// Known pairs, and whether their surfaces are joined.
     ones: BTreeMap<[usize; 2], bool>,
-    /// What became one or two in the last step.
+    /// Pairs that joined or separated in the last step.
     contacts: Vec<SurfaceEvent>,
-    /// How long that took to find.
+    /// Time spent finding them.
     finding: Duration,
     told: Vec<Told>,
 }
 
-/// A pair that became one or two.
+/// A pair that joined or separated.
 struct Told {
     pair: [usize; 2],
-    /// By the surface, or by the thresholds on q.
+    /// Criterion: the surface, or the thresholds on q.
     is_of_surface: bool,
     is_one: bool,
     time: f64,
@@ -91,7 +91,7 @@ impl Metaballs {
     /// The scene at t = 0.
     ///
     /// # Errors
-    /// Something of it is not for metaballs, or it is too large for this machine; in words.
+    /// Metaballs do not support a part of it, or it is too large for this machine; in words.
     pub fn new(scene: &Scene, options: Options) -> Result<Metaballs, String> {
         let kernel = kernel(scene).map_err(|error| error.to_string())?;
         let world = World::with_options(scene.without_forces(), options).map_err(|error| error.to_string())?;
@@ -122,7 +122,7 @@ impl Metaballs {
         self.scene.bodies.iter().map(|body| path(body).position(time)).collect()
     }
 
-    /// The pairs that may be one surface now.
+    /// The pairs whose surfaces may be joined now.
     fn near(&self) -> Vec<[usize; 2]> {
         self.world.pairs().map(|pair| [pair.a, pair.b]).collect()
     }
@@ -136,7 +136,7 @@ impl Metaballs {
         are_one(&self.kernel, &self.around(&pair, centres))
     }
 
-    /// Finds which pairs became one or two in the step that began at `start`.
+    /// Finds the pairs that joined or separated in the step that began at `start`.
     fn find_contacts(&mut self, start: f64) {
         self.contacts.clear();
         let (end, step) = (self.world.time(), self.world.steps_taken());
@@ -194,7 +194,7 @@ impl Metaballs {
         self.told.extend(of_surface.chain(by_phase).take(room));
     }
 
-    /// Number of pieces that the bodies form: connected by pairs that are one.
+    /// Number of connected components of the bodies, connected by joined pairs.
     fn components(&self) -> usize {
         let mut roots: Vec<usize> = (0..self.scene.bodies.len()).collect();
         let find = |roots: &[usize], mut body: usize| {
@@ -212,12 +212,12 @@ impl Metaballs {
         count
     }
 
-    /// Writes the vertices of a body, with its centre and those of others given, to its frame.
+    /// Writes the vertices of a body to its frame, given its centre and those of others.
     fn deform(&self, index: usize, centres: &[DVec3], time: f64, now: &mut BodyFrame) {
         let body = &self.scene.bodies[index];
         (now.centre, now.mesh) = (centres[index], None);
         let balls = self.around(&[index], centres);
-        // a ball whose own surface no other density reaches is a sphere
+        // a ball whose surface is not reached by any other density is a sphere
         let reaches = |other: &Ball| {
             other.centre.distance(centres[index]) < (self.kernel.support(other) + body.radius) * (1.0 + 1e-12)
         };
@@ -251,7 +251,7 @@ impl Metaballs {
         Ball { centre: centres[body], radius: self.scene.bodies[body].radius }
     }
 
-    /// How far the surface is along a ray from the first ball's centre [scene unit], and how fast that changes
+    /// Distance of the surface along a ray from the first ball's centre [scene unit], and its rate of change
     /// [scene unit/s].
     fn ray(&self, balls: &[Ball], velocities: &[DVec3], direction: DVec3) -> (f64, f64) {
         let Some((own, others)) = balls.split_first() else { return (0.0, 0.0) };
@@ -268,7 +268,7 @@ impl Metaballs {
         let high = f64::from(outside) * step;
         let r = root(high - step, high, both);
         let at = place(r);
-        // d/dt of what is zero there, F − 1 or the lead: the place moves with the centre, and along the ray
+        // d/dt of what is zero there, F − 1 or the lead: the point moves with the centre, and along the ray
         let mut slopes: Vec<DVec3> = balls.iter().map(|ball| kernel.slope_of_one(ball, at)).collect();
         if lead(at) < excess(at) {
             let most = densest(at);
@@ -384,7 +384,7 @@ impl Simulation for Metaballs {
         frame.bodies.resize_with(self.scene.bodies.len(), BodyFrame::default);
         let centres = self.centres_at(time);
         for (now, centre) in frame.bodies.iter_mut().zip(&centres) {
-            now.centre = *centre; // all of them are part of the density
+            now.centre = *centre; // all contribute to the density
         }
         bodies.iter().for_each(|&body| self.deform(body, &centres, time, &mut frame.bodies[body]));
     }
@@ -436,7 +436,7 @@ fn count(name: &'static str, label: &'static str) -> ScalarSchema {
     ScalarSchema { plot: "Counts", is_smooth: false, ..ScalarSchema::new(name, label, ScalarOf::State) }
 }
 
-/// What a scene has that does nothing here.
+/// Warnings about parts of a scene that have no effect here.
 fn idle(scene: &Scene) -> Option<String> {
     let given = [
         (!scene.pushes.is_empty(), "[[push]]"),
@@ -451,7 +451,7 @@ fn idle(scene: &Scene) -> Option<String> {
 /// The density of a scene's balls.
 ///
 /// # Errors
-/// The scene has something that metaballs cannot do.
+/// The scene has something that metaballs do not support.
 fn kernel(scene: &Scene) -> Result<Kernel, Unsupported> {
     let refuse = |body: Option<&Body>, what: String, remedy: &str| Unsupported {
         scene: scene.name.clone(),
@@ -482,7 +482,7 @@ fn kernel(scene: &Scene) -> Result<Kernel, Unsupported> {
 
 fn path(body: &Body) -> &Path {
     const STILL: &Path = &Path::Fixed(DVec3::ZERO);
-    body.path().unwrap_or(STILL) // others are refused
+    body.path().unwrap_or(STILL) // free bodies are rejected
 }
 
 /// Some bodies, and then all others whose supports reach theirs, in ascending order.

@@ -1,14 +1,14 @@
-//! The surface of metaballs: where their density is that of the threshold.
+//! The surface of metaballs: the level set of their density at the threshold.
 //!
 //! # Extraction
-//! Marching tetrahedra on a grid about the group: every cube of the grid is cut into the six tetrahedra about its diagonal
-//! (Freudenthal's, or Kuhn's, triangulation), which fit those of its neighbours. A tetrahedron has no ambiguous cases, so
-//! that whatever is inside, the surface is closed, manifold and oriented. Each vertex is on an edge of a tetrahedron, at the
-//! root of the density: exactly on the surface. The triangles are chords of it, so that the volume of the mesh is too small by
-//! an error of second order in the spacing; [`volume`] is the volume to rounding.
+//! Marching tetrahedra on a grid around the group: every cube of the grid is cut into the six tetrahedra around its
+//! diagonal (Freudenthal's, or Kuhn's, triangulation), which match those of its neighbours. Tetrahedra have no
+//! ambiguous cases, so the surface is always closed, manifold and oriented. Each vertex is on an edge of a tetrahedron,
+//! at the root of the density: exactly on the surface. The triangles are chords of it, so the volume of the mesh is too
+//! small by an error of second order in the spacing; [`volume`] corrects it.
 //!
-//! The grid of two balls lies along the line of their centres, with a node at the saddle: the mesh is one piece exactly if
-//! the surface is.
+//! The grid of two balls is aligned with the line of their centres, with a node at the saddle: the mesh is connected
+//! exactly if the surface is.
 
 use std::sync::atomic::AtomicBool;
 
@@ -28,12 +28,12 @@ use crate::{
 
 /// Spacing of the grid [radii of the smallest ball of a group].
 const SPACING: f64 = 0.2;
-/// Squares of the grid on the surfaces of a group's lone balls, at most, for each ball: beside a ball that is much larger, a
-/// small one has fewer.
+/// Upper limit on the grid squares on the surfaces of a group's balls, per ball: next to a much larger ball, a small
+/// one gets fewer.
 const MOST_SQUARES: f64 = 2000.0;
-/// Nodes of a grid at most: more of them, and the grid is coarser.
+/// Upper limit on the nodes of a grid; beyond it, the grid is coarser.
 const MOST_NODES: f64 = 2e6;
-/// Balls of a group at most; more are not united.
+/// Upper limit on the balls of a group; larger groups get no surface.
 const MOST_BALLS: usize = 4096;
 
 /// The surfaces of a scene of metaballs.
@@ -45,7 +45,7 @@ pub struct LevelSet {
 
 impl Surfaces for LevelSet {
     fn merge(&self, schema: &Schema, frame: &Frame, pairs: &[[usize; 2]], interrupt: Option<&AtomicBool>) -> Surfaced {
-        // balls that the thresholds on q call merged, and balls that are one surface, are a group
+        // groups are connected by merged pairs (thresholds on q) and by joined surfaces
         let groups = connected(frame, |pair| {
             schema.phases[pair.phase].is_joined || {
                 let balls = around(&self.kernel, schema, frame, &[pair.a, pair.b]);
@@ -111,14 +111,15 @@ impl LevelSet {
         })
     }
 
-    /// The distance of the surfaces of the first two balls, which are not one, on the line of their centres [scene unit].
+    /// The distance between the surfaces of the first two balls, which are not joined, on the line of their centres
+    /// [scene unit].
     fn gap(&self, balls: &[Ball]) -> f64 {
         let (a, b) = (&balls[0], &balls[1]);
         let distance = a.centre.distance(b.centre);
         let end = |from: &Ball, to: &Ball| {
             let along = (to.centre - from.centre) / distance;
             let excess = |r: f64| self.kernel.at(balls, from.centre + r * along) - 1.0;
-            // from inside to the first place that is outside
+            // from inside to the first point outside
             let step = (distance - a.radius - b.radius) / 64.0;
             let outside = (1..=64).map(|k| from.radius + f64::from(k) * step).find(|&r| excess(r) < 0.0);
             outside.map(|r| root(r - step, r, excess))
@@ -129,14 +130,14 @@ impl LevelSet {
         }
     }
 
-    /// The radius of the circle that has the area of the cut through the first two balls, which are one, where they are
-    /// thinnest [scene unit]: exact for two.
+    /// The radius of the circle with the area of the thinnest cross-section of the first two balls, which are joined
+    /// [scene unit]; exact without other balls.
     fn neck(&self, balls: &[Ball]) -> f64 {
         const DIRECTIONS: u32 = 16;
         let (a, b) = (&balls[0], &balls[1]);
         let Some(along) = (b.centre - a.centre).try_normalize() else { return f64::max(a.radius, b.radius) };
         let waist = || {
-            // without a saddle: where both densities are the same, or the smaller ball is within the larger
+            // without a saddle: where both densities are equal, or the smaller ball is within the larger
             let excess = |r: f64| {
                 let at = a.centre + r * along;
                 self.kernel.of_one(a, at) - self.kernel.of_one(b, at)
@@ -165,7 +166,7 @@ fn around(kernel: &Kernel, schema: &Schema, frame: &Frame, group: &[usize]) -> V
     super::around(kernel, frame.bodies.len(), ball, group)
 }
 
-/// The two bodies of a group that are densest at a place.
+/// The two bodies of a group with the largest densities at a point.
 fn origin(kernel: &Kernel, balls: &[Ball], group: &[usize], at: DVec3) -> VertexOrigin {
     let (mut first, mut second) = ((0, 0.0), (0, 0.0));
     for (ball, &body) in balls.iter().zip(group) {
@@ -221,7 +222,7 @@ struct Grid {
 }
 
 impl Grid {
-    /// A grid that has all of the surface of the first `own` balls within.
+    /// A grid that encloses the surface of the first `own` balls.
     fn about(kernel: &Kernel, balls: &[Ball], own: usize) -> Option<Grid> {
         let balls_own = balls.get(..own)?;
         let (axes, centre) = match balls_own {
@@ -271,15 +272,14 @@ impl Grid {
         (k * self.counts[1] + j) * self.counts[0] + i
     }
 
-    /// How far apart the indices of the two ends of an edge are; bit m of `edge` is set if it leads along axis m.
+    /// Index difference between the two ends of an edge; bit m of `edge` is set if it leads along axis m.
     fn stride(&self, edge: usize) -> usize {
         let strides = [1, self.counts[0], self.counts[0] * self.counts[1]];
         (0..3).filter(|m| edge >> m & 1 == 1).map(|m| strides[m]).sum()
     }
 }
 
-/// The tetrahedra of a cube: the corners between its corner 0 and its corner 7 (bit m: along axis m), in an
-/// order that is positively oriented.
+/// The tetrahedra of a cube: the corners between its corners 0 and 7 (bit m: along axis m), positively oriented.
 const TETRAHEDRA: [[usize; 4]; 6] =
     [[0, 1, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 3, 2, 7], [0, 6, 4, 7], [0, 5, 1, 7]];
 
@@ -287,7 +287,7 @@ const TETRAHEDRA: [[usize; 4]; 6] =
 const PAIRS: [[usize; 4]; 6] = [[0, 1, 2, 3], [0, 2, 3, 1], [0, 3, 1, 2], [1, 2, 0, 3], [1, 3, 2, 0], [2, 3, 0, 1]];
 const SINGLES: [[usize; 4]; 4] = [[0, 1, 2, 3], [1, 0, 3, 2], [2, 0, 1, 3], [3, 0, 2, 1]];
 
-/// The surface of the first `own` balls in the density of all of them; `None` if there is no room for it, or after an
+/// The surface of the first `own` balls in the density of all; `None` if it exceeds the grid limits, or after an
 /// interrupt.
 pub fn extract(kernel: &Kernel, balls: &[Ball], own: usize, interrupt: Option<&AtomicBool>) -> Option<Mesh> {
     let grid = Grid::about(kernel, balls, own)?;
@@ -304,7 +304,7 @@ pub fn extract(kernel: &Kernel, balls: &[Ball], own: usize, interrupt: Option<&A
         }
     }
     let mut mesh = Mesh::default();
-    // the vertex on each edge, by the node where it begins and the axes along which it leads
+    // the vertex on each edge, by the edge's first node and its axes
     // of this layer of nodes and the next
     let layer = nx * ny;
     let mut known = [vec![u32::MAX; 8 * layer], vec![u32::MAX; 8 * layer]];
@@ -347,8 +347,8 @@ pub fn extract(kernel: &Kernel, balls: &[Ball], own: usize, interrupt: Option<&A
     Some(mesh)
 }
 
-/// The triangles in which the surface cuts a tetrahedron, each by the edges that have its corners: from one corner of the cube
-/// to another.
+/// The triangles in which the surface cuts a tetrahedron, each given by the edges of its corners: pairs of corners of
+/// the cube.
 fn cut(of: &[usize; 4], inside: &[bool; 8], cuts: &mut Vec<[[usize; 2]; 3]>) {
     let is_in = |m: usize| inside[of[m]];
     let edge = |a: usize, b: usize| [of[a], of[b]];
@@ -372,13 +372,13 @@ fn cut(of: &[usize; 4], inside: &[bool; 8], cuts: &mut Vec<[[usize; 2]; 3]>) {
     }
 }
 
-/// Whether a place is inside, and nowhere as dense by another ball as by one of the first `own`.
+/// Whether a point is inside, and the densest ball there is one of the first `own`.
 fn is_inside(kernel: &Kernel, balls: &[Ball], own: usize, at: DVec3) -> bool {
     let most = |balls: &[Ball]| balls.iter().map(|ball| kernel.of_one(ball, at)).fold(0.0, f64::max);
     kernel.at(balls, at) >= 1.0 && (own == balls.len() || most(&balls[..own]) >= most(&balls[own..]))
 }
 
-/// The place of the surface between one inside and one outside.
+/// The point of the surface between a point inside and a point outside.
 fn on_surface(kernel: &Kernel, balls: &[Ball], inner: DVec3, outer: DVec3) -> DVec3 {
     let excess = |z: f64| kernel.at(balls, inner.lerp(outer, z)) - 1.0;
     // where the surface of another group begins, both are inside
@@ -386,7 +386,7 @@ fn on_surface(kernel: &Kernel, balls: &[Ball], inner: DVec3, outer: DVec3) -> DV
     inner.lerp(outer, z)
 }
 
-/// Number of connected pieces of a mesh.
+/// Number of connected components of a mesh.
 fn components(vertices: usize, triangles: &[[u32; 3]]) -> usize {
     fn find(roots: &mut [u32], mut v: u32) -> u32 {
         while roots[v as usize] != v {
@@ -425,8 +425,8 @@ const GAUSS: [[f64; 2]; 5] = [
     [0.953_089_922_969_332, 0.118_463_442_528_094_5],
 ];
 
-/// The volume within the surface that a mesh is of [scene unit³]: that of the mesh, and that between each of its triangles
-/// and the surface.
+/// The volume within the exact surface of a mesh [scene unit³]: that of the mesh, plus that between its triangles and
+/// the surface.
 ///
 /// The gap between a triangle p(u, v) and the surface is filled with the lines p + s d, where d is interpolated linearly
 /// between the normals at the corners, so that neighbours fit. It is integrated in s exactly and by a Gauss product rule
@@ -458,7 +458,7 @@ pub fn volume(kernel: &Kernel, balls: &[Ball], mesh: &Mesh) -> f64 {
     measures(&mesh.positions, &mesh.triangles)[0] + beyond.sum::<f64>()
 }
 
-/// How far from a place near the surface it is along a direction [scene unit]: no farther than `most` either way.
+/// The signed distance from a point to the surface along a direction [scene unit], at most `most` either way.
 fn height(kernel: &Kernel, balls: &[Ball], at: DVec3, direction: DVec3, most: f64) -> f64 {
     let mut s = 0.0;
     for _ in 0..20 {

@@ -24,7 +24,7 @@ fn ball(centre: DVec3, radius: f64) -> Ball {
     Ball { centre, radius }
 }
 
-/// Euler characteristic and number of pieces of a mesh, which must be closed and oriented.
+/// Euler characteristic and number of components of a mesh, which must be closed and oriented.
 fn topology(mesh: &Mesh) -> (i64, u32) {
     let topology = Topology::new(mesh.positions.len(), &mesh.triangles).expect("closed and oriented");
     let used: HashSet<u32> = mesh.triangles.iter().flatten().copied().collect();
@@ -32,9 +32,9 @@ fn topology(mesh: &Mesh) -> (i64, u32) {
     (mesh.positions.len() as i64 - mesh.triangles.len() as i64 / 2, topology.components)
 }
 
-/// The volume of balls whose centres are on the x axis, by Simpson's rule over the area of the cuts across it.
+/// The volume of balls whose centres are on the x axis, by Simpson's rule over the areas of cross-sections.
 fn turned(reach: f64, balls: &[(f64, f64)]) -> f64 {
-    // F as a function of x and the square of the distance from the axis; written down anew
+    // F as a function of x and the squared distance from the axis, implemented independently
     let density = |x: f64, square: f64| -> f64 {
         let of = |&(at, radius): &(f64, f64)| {
             let u = 1.0 - ((x - at) * (x - at) + square) / (reach * reach * radius * radius);
@@ -91,7 +91,7 @@ fn volumes_are_those_of_an_independent_quadrature() {
     assert!((volume(&kernel, &[alone], &mesh) / sphere - 1.0).abs() < 1e-9);
 }
 
-/// One piece exactly if the saddle is above the threshold, however thin the neck; a ring of balls has a hole.
+/// Connected exactly if the saddle is above the threshold, however thin the neck; a ring of balls has a hole.
 #[test]
 fn surfaces_have_the_topology_that_they_should() {
     let kernel = kernel(std::f64::consts::SQRT_2);
@@ -110,7 +110,7 @@ fn surfaces_have_the_topology_that_they_should() {
         .collect();
     let mesh = extract(&kernel, &ring, 8, None).unwrap();
     assert_eq!(topology(&mesh), (0, 1), "a torus");
-    // of a neighbour that is in the way, but of no part of the group, there is nothing in its mesh
+    // a neighbour outside the group contributes nothing to the mesh
     let mesh = extract(&kernel, &[ring[0], ring[2], ring[1]], 2, None).unwrap();
     assert_eq!(topology(&mesh), (4, 2));
 }
@@ -147,8 +147,8 @@ fn two_balls_become_one_and_two_at_times_in_closed_form() {
     }
 }
 
-/// Three balls on their way to the middle of their triangle: by symmetry the saddle of a pair is on a height of the triangle,
-/// where the density is a function of one variable.
+/// Three balls moving to the middle of their triangle: by symmetry the saddle of a pair is on an altitude of the
+/// triangle, where the density is a function of one variable.
 #[test]
 fn three_balls_become_one_at_the_time_of_a_one_dimensional_problem() {
     let body = |name: &str, k: f64| {
@@ -168,13 +168,13 @@ fn three_balls_become_one_at_the_time_of_a_one_dimensional_problem() {
         body("c", 2.0)
     );
     let events = contacts(&text);
-    // from the middle of the triangle: the balls at distance s, the saddle at −y along the height of the third
+    // from the middle of the triangle: the balls at distance s, the saddle at −y along the altitude of the third
     let density = |s: f64, y: f64| {
         let of = |square: f64| ((1.0 - square / 9.0).max(0.0) * 1.125).powi(3);
         let (side, along) = (0.75f64.sqrt() * s, 0.5 * s - y);
         2.0 * of(side * side + along * along) + of((s + y) * (s + y))
     };
-    // the greatest density from the outside to the middle, across the way from one ball to the other
+    // the largest density from the outside to the middle, across the path from one ball to the other
     let highest = |s: f64| {
         let coarse = (0..=1000)
             .map(|k| 0.5 * s * f64::from(k) / 1000.0)
@@ -215,7 +215,7 @@ fn vertices_are_on_the_surface_and_move_with_it() {
                 assert!((own + other - 1.0).abs() < 1e-12 || is_shared, "{own} {other}");
                 let [from, to] = [&before, &after].map(|frame| frame.bodies[index].displacements.get(i));
                 let rate = (to - from) / (2.0 * h);
-                // but for the vertex at which the surface meets the other share
+                // except the vertex at which the surface meets the other body's part
                 if (own - other).abs() > 1e-3 || own + other > 1.001 {
                     assert!(rate.distance(now.velocities.get(i)) < 1e-6, "{rate} {}", now.velocities.get(i));
                     seen += 1;

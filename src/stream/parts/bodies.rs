@@ -57,7 +57,8 @@ struct Lit {
 }
 
 impl Lit {
-    /// Logs the lit colours of a surface that `has_changed`, or that has rotated so far that its lighting differs visibly.
+    /// Logs the lit colours of a surface that `has_changed`, or that has rotated so far that its lighting differs
+    /// visibly.
     fn log(&mut self, look: Look<'_>, rotation: DQuat, surface: &Surface, has_changed: bool, chunks: &mut Chunks) {
         const VISIBLE: f64 = 0.05; // rad
         if !has_changed && self.rotation.is_some_and(|last| last.angle_between(rotation) < VISIBLE) {

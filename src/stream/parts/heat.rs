@@ -1,7 +1,7 @@
 //! The colours of displacements: a texture that the displacement view maps onto surfaces, and its colour scale.
 //!
-//! The displacement of a vertex is its texture coordinate. The colour range can thus follow the data: only the texture is
-//! logged again when a displacement exceeds its range.
+//! The displacement of a vertex is its texture coordinate. The colour range can thus follow the data: only the texture
+//! is logged again when a displacement exceeds its range.
 
 use rerun::{
     AnyValues, ComponentDescriptor, Image, Points2D,
@@ -33,8 +33,8 @@ pub const MAPPINGS: [Mapping; 4] = [
 
 /// Texels of the colour range.
 const WIDTH: usize = 256;
-/// Displacement at the end of the texture [radii]. A texture coordinate is the root of the fraction of it, so that small
-/// displacements are resolved, too.
+/// Displacement at the end of the texture [radii]. A texture coordinate is the root of the fraction of it, so that
+/// small displacements are resolved, too.
 const END: f32 = 16.0;
 /// Possible ends of the colour range [radii].
 const RANGES: [f64; 14] = [0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0, 2.0, 4.0, 8.0, 16.0];
@@ -44,8 +44,8 @@ pub fn descriptor() -> ComponentDescriptor {
     ComponentDescriptor::partial(PLACES)
 }
 
-/// The texture coordinates of a displacement [radii]. The viewer repeats textures, so this one is mirrored in its second
-/// half, to have the same colour at both ends.
+/// The texture coordinates of a displacement [radii]. The viewer repeats textures, so this one is mirrored in its
+/// second half, to have the same colour at both ends.
 pub fn place(displacement: f32) -> [f32; 2] {
     [0.5 * (displacement / END).sqrt().min(1.0), 0.5]
 }

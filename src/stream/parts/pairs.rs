@@ -30,8 +30,8 @@ const KEPT_PAIRS: usize = 1024;
 
 /// The pairs that have their own entities.
 ///
-/// The settings limit the number of pairs that get entities because they come within reach. As many again get them at their
-/// first event, with q of the previous frames.
+/// The settings limit the number of pairs that get entities because they come within reach. As many again get them at
+/// their first event, with q of the previous frames.
 pub struct PairPlots {
     /// Upper limit on the number of pairs that have entities because they came within reach.
     most: usize,
@@ -227,8 +227,8 @@ impl PairPlots {
         std::mem::swap(&mut self.in_reach, &mut self.next_in_reach);
     }
 
-    /// The phase entity of a pair. Creates the pair's entities if needed; `None` if there are `most` of them already, or if
-    /// the pair is not to be shown.
+    /// The phase entity of a pair. Creates the pair's entities if needed; `None` if there are `most` of them already,
+    /// or if the pair is not to be shown.
     fn track(
         &mut self,
         schema: &Schema,
