@@ -1,4 +1,4 @@
-//! The models of a soft body that a scene can be simulated with, and the one place that chooses between them.
+//! The models of a soft body, and the one place that chooses between them.
 //!
 //! | `model` | a body is | module |
 //! | --- | --- | --- |

@@ -400,7 +400,7 @@ impl<'a> Scene<'a> {
     fn measures(self, pair: [usize; 2], united: &Union, budget: &Budget, hint: &mut Hint) -> Option<PairMeasures> {
         let radius = pair.map(|body| self.schema.bodies[body].radius).into_iter().fold(f64::INFINITY, f64::min);
         let measures = union::measures_of(united, budget, hint).ok()?;
-        let is_overlap = measures.overlap > 0.0; // volumes cost a look at every triangle
+        let is_overlap = measures.overlap > 0.0; // volumes are a sum over every triangle
         let volume =
             if is_overlap { united.bodies().iter().map(Body::volume).fold(f64::INFINITY, f64::min) } else { 0.0 };
         Some(PairMeasures {
@@ -473,8 +473,8 @@ impl Group {
 impl Group {
     /// Appends the outward unit normals of the vertices; `sums` is scratch storage.
     ///
-    /// They are the means of those of the triangles, weighted by the sine of the angle at the vertex: at a seam, where
-    /// large triangles are beside slivers, areas would follow whichever is large.
+    /// A normal is the mean of the adjacent triangles' normals, weighted by the sine of the angle at the vertex. With area
+    /// weights, large triangles would dominate the slivers along a seam.
     pub fn append_normals(&self, sums: &mut Vec<DVec3>, normals: &mut Vec<[f32; 3]>) {
         sums.clear();
         sums.extend_from_slice(&self.normals);
@@ -633,7 +633,7 @@ mod tests {
         assert!(kept > 400, "{kept}");
     }
 
-    /// A vertex that counted as of the other side of the seam would be a blotch there.
+    /// A vertex assigned to the wrong side of the seam would show as a blotch.
     #[test]
     fn colors_blend_evenly_across_the_seam() {
         for (name, steps) in [("two", 150), ("collide", 100), ("collide", 120)] {
@@ -654,8 +654,8 @@ mod tests {
         }
     }
 
-    /// A frame whose unions would take too long shows the bodies themselves, says so, and the next one starts anew. It is the
-    /// same frame for any number of threads, because work is counted, not timed.
+    /// A frame beyond its work budget shows the bodies themselves and is flagged; the next frame starts over. The result
+    /// does not depend on the number of threads, because work is counted, not timed.
     #[test]
     fn a_frame_beyond_its_budget_is_flagged_and_the_next_goes_on() {
         let (schema, frame) = after("two", 150);
@@ -665,7 +665,7 @@ mod tests {
         let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         for (work, threads) in [(0, 1), (20, 1), (500, 2), (500, 8)] {
             merger.work = work;
-            moved.bodies[0].centre.x += 1e-3; // what does not move is kept, whatever it would cost
+            moved.bodies[0].centre.x += 1e-3; // results for bodies at rest would be reused
             let beyond = pool(threads).install(|| merger.merge(&schema, &moved, &[[0, 1]]).clone());
             assert_eq!((beyond.overlapping, beyond.groups.len()), (1, 0), "{work}");
             assert_eq!((beyond.is_merged, beyond.pairs), (vec![false; 2], vec![None]), "{work}");

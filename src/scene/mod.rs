@@ -13,7 +13,7 @@
 //! integrator = "exponential"    # thesis | mps | euler | verlet | rk4 | exponential [exponential]
 //! tolerance = 1e-6              # for exponential: error in radii per unit of scene time [1e-6]
 //! gravity = [0, 0, 0]           # acceleration of free bodies, scene unit/s² [0]
-//! model = "oscillators"         # oscillators | metaballs | lattice | fem: what a body is made of [oscillators]
+//! model = "oscillators"         # of a soft body: oscillators | metaballs | lattice | fem [oscillators]
 //!
 //! [material]                    # for all bodies; a body may override each key
 //! omega = 12.0                  # restoring force: natural angular frequency, rad/s [12.0]
@@ -362,7 +362,7 @@ impl fmt::Display for Integrator {
     }
 }
 
-/// The models of a soft body: the thesis's own, and those that its chapter 2 discusses; see [`crate::models`].
+/// Models of a soft body: the thesis's own, and those that its chapter 2 discusses; see [`crate::models`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Model {
     /// The thesis's model: every vertex is a damped oscillator about its rest position.

@@ -144,7 +144,7 @@ impl<'a> Template<'a> {
         let document = self.varied(&settings)?;
         // a mesh that the text does not name may be read from its file
         read_document(&self.source, &document, &mut self.meshes.clone()).map_err(|error| {
-            // its place would be that of the value before
+            // its position would be that of the replaced value
             SceneError { place: None, ..error }
         })
     }

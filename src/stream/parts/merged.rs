@@ -59,7 +59,7 @@ struct Mesh {
     vertices: Vec<u32>,
     seams: Vec<Vec<Float3>>,
     names: Vec<String>,
-    /// Scratch storage: sums of the normals beside each vertex.
+    /// Scratch storage: sums of the triangle normals around each vertex.
     sums: Vec<DVec3>,
 }
 
