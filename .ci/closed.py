@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Whether mesh files hold closed surfaces, as trimesh sees them: closed.py FILE ..."""
+"""Checks with trimesh that mesh files contain closed surfaces: closed.py FILE ..."""
 import sys
 
 import trimesh
@@ -14,7 +14,7 @@ for path in sys.argv[1:]:
             failed += 1
     if path.endswith((".glb", ".ply")):
         for mesh in meshes:
-            # of a glTF mesh with a material they are an attribute beside it
+            # for a glTF mesh with a material, trimesh keeps them as a vertex attribute
             visual = mesh.visual
             colors = visual.vertex_colors if visual.kind == "vertex" else visual.vertex_attributes.get("color")
             if colors is None or len(colors) != len(mesh.vertices):

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Whether a sweep survives a cluster: cluster.py PROGRAM.
+"""Checks that a sweep survives failures of a cluster: cluster.py PROGRAM.
 
-Starts a Ray cluster of two nodes on this machine, runs a sweep on it, kills a worker and then a node in the middle, and
-compares the rows with those of a plain run: every bit but the run times.
+Starts a Ray cluster of two nodes on this machine, runs a sweep on it, kills a worker and then a node during the sweep, and
+compares all rows but the run times bit by bit with those of a single-machine run.
 """
 import glob
 import os

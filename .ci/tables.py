@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Reads exported tables with polars, DuckDB and Python itself: tables.py FOLDER.
 
-FOLDER has the same tables (events, pairs, scalars, states) as .csv, .json and .parquet. Every reader has to find the
-same bits in each. That those of the .csv are the bits of the state is tested in tests/suite/cli.rs.
+FOLDER has the same tables (events, pairs, scalars, states) as .csv, .json and .parquet. All readers must find the same
+bits in all formats. tests/suite/cli.rs tests that the .csv has the bits of the state.
 """
 import csv
 import json

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Opens a recording in the real viewer, without a screen, and asserts on what it shows.
+"""Opens a recording in the real viewer, headless, and asserts on what it shows.
 
     viewer.py RECORDING.rrd TIMELINE@VALUE TEXT [TEXT ...]    [PICTURE=F.png in the environment: keeps a picture]
                                                     [PICTURE_OF=text: nothing is drawn in 3D]
@@ -110,7 +110,7 @@ def main():
         missing = wanted
         def complete():
             nonlocal missing
-            # again each time: while a file loads, the cursor does not get beyond what has been read
+            # repeat: while a file loads, the cursor cannot pass the data read so far
             viewer.tool("set_time", timeline=timeline, time=int(value))
             shown = viewer.texts()
             missing = [text for text in wanted if not any(text in line for line in shown)]

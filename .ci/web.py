@@ -3,8 +3,8 @@
 
     web.py MELDSCOPE          [PICTURE=F.png in the environment: keeps a picture]
 
-The viewer draws on a canvas, so the texts are read off a picture. Exit status 1 if the page does not come up, if the
-recording's name or the views' titles are not there, or if the 3D view is empty.
+The viewer draws on a canvas, so texts are read from a screenshot by OCR. Exit status 1 if the page does not load, if the
+recording's name or the views' titles are missing, or if the 3D view is empty.
 """
 import os
 import re

@@ -126,7 +126,7 @@ fn row(run: &SceneRun, progress: &mut dyn FnMut(f64)) -> Result<Row, String> {
     let build = median((1..RUNS).map(|_| timed().map(|(seconds, _)| seconds)).collect::<Result<Vec<_>, _>>()?, build);
     progress(0.1);
 
-    let looked = look(run)?;
+    let observed = observe(run)?;
     progress(0.2);
     let steps = run.scene.steps();
     let times = (0..RUNS).map(|_| plain(run)).collect::<Result<Vec<_>, _>>()?;
@@ -144,17 +144,17 @@ fn row(run: &SceneRun, progress: &mut dyn FnMut(f64)) -> Result<Row, String> {
         points.push(Point { dt: dt / divisor, seconds, error });
     }
     progress(0.8);
-    let (largest_step, is_unlimited) = largest_step(run, looked.displacement);
+    let (largest_step, is_unlimited) = largest_step(run, observed.displacement);
     Ok(Row {
         build,
         step,
-        frame: looked.frame,
-        memory: looked.memory,
+        frame: observed.frame,
+        memory: observed.memory,
         points,
         largest_step,
         is_unlimited,
-        volume_lost: looked.volume_lost,
-        events: looked.events,
+        volume_lost: observed.volume_lost,
+        events: observed.events,
     })
 }
 
@@ -177,7 +177,7 @@ fn plain(run: &SceneRun) -> Result<f64, String> {
 }
 
 /// Observations of a run.
-struct Looked {
+struct Observed {
     frame: f64,
     memory: Option<u64>,
     volume_lost: f64,
@@ -185,7 +185,7 @@ struct Looked {
     events: Vec<(String, f64)>,
 }
 
-fn look(run: &SceneRun) -> Result<Looked, String> {
+fn observe(run: &SceneRun) -> Result<Observed, String> {
     let mut simulation = run.start()?;
     let schema = simulation.schema();
     let mut merger = Merger::new(&schema, simulation.interrupt());
@@ -229,7 +229,7 @@ fn look(run: &SceneRun) -> Result<Looked, String> {
     events.sort_by(|x, y| x.1.total_cmp(&y.1));
     let first = volumes.first().copied().unwrap_or(0.0);
     let least = volumes.iter().copied().fold(f64::INFINITY, f64::min);
-    Ok(Looked {
+    Ok(Observed {
         frame: seconds / steps.max(1) as f64,
         memory: simulation.memory(),
         volume_lost: if first > 0.0 { 1.0 - least / first } else { 0.0 },

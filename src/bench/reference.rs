@@ -229,7 +229,7 @@ const SHORTEST_VISIT: f64 = 1e-6;
 /// … if q changes by less than this during it [–].
 const SHORTEST_WAY: f64 = 1e-4;
 /// The largest number of times that a pair is sampled; takes about a second.
-const MOST_LOOKS: u64 = 10_000_000;
+const MOST_SAMPLES: u64 = 10_000_000;
 
 /// The histories of all pairs that are ever in another phase than apart, ascending.
 fn histories(scene: &Scene, end: f64) -> Result<Vec<History>, NoReference> {
@@ -260,7 +260,7 @@ fn history(scene: &Scene, a: usize, b: usize, end: f64) -> Result<History, NoRef
     }
     let mut t = 0.0;
     let mut watch = Watch::default();
-    for _ in 0..MOST_LOOKS {
+    for _ in 0..MOST_SAMPLES {
         if t >= end {
             return Ok(history);
         }
@@ -276,7 +276,7 @@ fn history(scene: &Scene, a: usize, b: usize, end: f64) -> Result<History, NoRef
         }
         let places = [one, other].map(|body| path(body).position(0.0).length() + path(body).position(later).length());
         let doubt = ROUNDING * (1.0 + places.iter().sum::<f64>() / radii);
-        if let Some(fall) = watch.look(&ways(phase, &thresholds), q(t), q(later), doubt) {
+        if let Some(fall) = watch.check(&transitions(phase, &thresholds), q(t), q(later), doubt) {
             let mut earlier = t;
             loop {
                 let middle = 0.5 * (earlier + later);
@@ -285,7 +285,7 @@ fn history(scene: &Scene, a: usize, b: usize, end: f64) -> Result<History, NoRef
                 }
                 if fall.has_happened(q(middle)) { later = middle } else { earlier = middle }
             }
-            phase = fall.way.to;
+            phase = fall.transition.to;
             history.changes.push(PhaseChange { time: later, a, b, to: phase });
             watch = Watch::default();
         }
@@ -296,7 +296,7 @@ fn history(scene: &Scene, a: usize, b: usize, end: f64) -> Result<History, NoRef
 
 /// A transition out of a phase: q passes a level, falling or rising.
 #[derive(Clone, Copy)]
-struct Way {
+struct Transition {
     level: f64,
     falls: bool,
     /// Whether reaching the level is enough, without passing it.
@@ -304,7 +304,7 @@ struct Way {
     to: Phase,
 }
 
-impl Way {
+impl Transition {
     /// Distance of q from completing the transition [–]: zero on the level, negative beyond.
     fn gap(self, q: f64) -> f64 {
         if self.falls { q - self.level } else { self.level - q }
@@ -312,15 +312,15 @@ impl Way {
 }
 
 /// The transitions out of `phase`.
-fn ways(phase: Phase, thresholds: &crate::model::phase::Thresholds) -> Vec<Way> {
+fn transitions(phase: Phase, thresholds: &crate::model::phase::Thresholds) -> Vec<Transition> {
     let crate::model::phase::Thresholds { merge_at, split_at, core_at } = *thresholds;
     match phase {
-        Phase::Apart => vec![Way { level: merge_at, falls: true, on_level: true, to: Phase::Merged }],
+        Phase::Apart => vec![Transition { level: merge_at, falls: true, on_level: true, to: Phase::Merged }],
         Phase::Merged => vec![
-            Way { level: split_at, falls: false, on_level: true, to: Phase::Apart },
-            Way { level: core_at, falls: true, on_level: false, to: Phase::Core },
+            Transition { level: split_at, falls: false, on_level: true, to: Phase::Apart },
+            Transition { level: core_at, falls: true, on_level: false, to: Phase::Core },
         ],
-        Phase::Core => vec![Way { level: core_at, falls: false, on_level: true, to: Phase::Merged }],
+        Phase::Core => vec![Transition { level: core_at, falls: false, on_level: true, to: Phase::Merged }],
     }
 }
 
@@ -336,26 +336,26 @@ struct Watch {
 
 /// A level has been passed, or approached to within the tolerance.
 struct Fall {
-    way: Way,
+    transition: Transition,
     within: f64,
 }
 
 impl Fall {
     fn has_happened(&self, q: f64) -> bool {
-        let gap = self.way.gap(q) - self.within;
-        gap < 0.0 || gap == 0.0 && self.way.on_level
+        let gap = self.transition.gap(q) - self.within;
+        gap < 0.0 || gap == 0.0 && self.transition.on_level
     }
 }
 
 impl Watch {
     /// Checks q at two successive times, with an uncertainty of `doubt`.
-    fn look(&mut self, ways: &[Way], before: f64, now: f64, doubt: f64) -> Option<Fall> {
-        for (&way, was_clear) in ways.iter().zip(&mut self.was_clear) {
-            *was_clear |= way.gap(before) > doubt;
-            let gap = way.gap(now);
-            if gap < -doubt || *was_clear && way.on_level && gap <= doubt {
+    fn check(&mut self, transitions: &[Transition], before: f64, now: f64, doubt: f64) -> Option<Fall> {
+        for (&transition, was_clear) in transitions.iter().zip(&mut self.was_clear) {
+            *was_clear |= transition.gap(before) > doubt;
+            let gap = transition.gap(now);
+            if gap < -doubt || *was_clear && transition.on_level && gap <= doubt {
                 // the level itself, unless the pair comes to rest just short of it
-                return Some(Fall { way, within: f64::max(0.0, gap) });
+                return Some(Fall { transition, within: f64::max(0.0, gap) });
             }
         }
         None

@@ -200,7 +200,7 @@ fn stability(arguments: StabilityArguments) -> Result<(), Failure> {
     print(&format!("\n{}", of_stability::sizes(&sizes::measure().map_err(failed)?)));
     let free_rows = free::measure(&settings.integrators).map_err(failed)?;
     print(&format!("\n{}", free::table(&free_rows)));
-    for trouble in settings.integrators.iter().flat_map(|&of| free::troubles(&free_rows, of)) {
+    for trouble in settings.integrators.iter().flat_map(|&of| free::failures(&free_rows, of)) {
         print(&trouble);
     }
     let whole = clock.elapsed().as_secs_f64();

@@ -196,7 +196,7 @@ fn ask(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
         }
     }
     let was = &recorded.schema;
-    let named = |schema: &Schema| match schema.unusual_model() {
+    let named = |schema: &Schema| match schema.non_default_model() {
         None => schema.integrator.clone(),
         Some(model) => format!("{} of {model}", schema.integrator),
     };

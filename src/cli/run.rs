@@ -39,8 +39,8 @@ use crate::{
 use indicatif::{ProgressBar, ProgressStyle};
 
 /// The progress bar is updated, and a watched file is checked, at this interval, but only every few steps.
-const LOOK_INTERVAL: Duration = Duration::from_millis(50);
-const STEPS_BETWEEN_LOOKS: u64 = 16;
+const CHECK_INTERVAL: Duration = Duration::from_millis(50);
+const STEPS_BETWEEN_CHECKS: u64 = 16;
 /// At most this many events are listed; the rest are counted.
 const LISTED_EVENTS: usize = 20;
 
@@ -413,8 +413,8 @@ fn simulate(
             failure = failure.or(pipeline.hand_over().err());
             wait_until(due, stop);
         }
-        let is_time = simulation.steps_taken().is_multiple_of(STEPS_BETWEEN_LOOKS) || arguments.realtime;
-        if is_time && looked.elapsed() >= LOOK_INTERVAL {
+        let is_time = simulation.steps_taken().is_multiple_of(STEPS_BETWEEN_CHECKS) || arguments.realtime;
+        if is_time && looked.elapsed() >= CHECK_INTERVAL {
             looked = Instant::now();
             console.progress(simulation.steps_taken(), pipeline.notes());
             next = changes.as_mut().and_then(|changes| changes.scene(arguments, console));
@@ -468,7 +468,7 @@ fn watch(
             console.notes(std::slice::from_ref(failure));
         }
         while run.next.is_none() && !stop.load(Ordering::Relaxed) {
-            std::thread::sleep(LOOK_INTERVAL);
+            std::thread::sleep(CHECK_INTERVAL);
             console.notes(&run.sinks.notes());
             run.next = changes.scene(arguments, console);
         }
@@ -767,7 +767,7 @@ fn summarize(console: &Console, outcome: &Outcome) {
         counted(schema.vertex_count(), "vertex"),
         counted(steps, "step"),
         step_size(schema.dt),
-        schema.unusual_model().map(|model| format!("{model}, ")).unwrap_or_default(),
+        schema.non_default_model().map(|model| format!("{model}, ")).unwrap_or_default(),
         schema.integrator,
         simulation.time(),
         thousands((steps as f64 / simulating.max(1e-9)) as u64),

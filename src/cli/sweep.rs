@@ -133,7 +133,7 @@ pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
     interrupt::raise_stop()?;
     // shapes stay cached as long as they are referenced
     let _shapes: Vec<_> = template.base().bodies.iter().map(|body| body.shape.mesh()).collect();
-    let doing = Doing {
+    let doing = RunningSweep {
         runner: Runner::new(&sweep, &template, Some(&STOP)),
         sweep: &sweep,
         store: &store,
@@ -180,14 +180,14 @@ pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
 }
 
 /// A running sweep.
-struct Doing<'a> {
+struct RunningSweep<'a> {
     runner: Runner<'a>,
     sweep: &'a Sweep,
     store: &'a Store,
     start: Instant,
 }
 
-impl Doing<'_> {
+impl RunningSweep<'_> {
     /// Runs a shard's part of a level; does not return if interrupted.
     fn level(&self, level: u32, plan: &Plan, shard: Shard) -> Result<(), Failure> {
         let bar = ProgressBar::new(plan.of(shard));

@@ -102,7 +102,7 @@ impl SideBySide {
             terms: vec![net],
             labels: vec!["as in its own recording"],
             own_levels: if self.scene.pairs.is_empty() { OwnLevels::default() } else { own_levels },
-            surfaces: OwnSurfaces::new(Apart { places: places.to_vec(), mergers: mergers(places) }),
+            surfaces: OwnSurfaces::new(OffsetSurfaces { places: places.to_vec(), mergers: mergers(places) }),
             scalars: self.models.iter().map(|model| displacement(*model)).collect(),
             stages: self.models.iter().map(|model| model.name()).collect(),
             warnings,
@@ -172,12 +172,12 @@ fn mergers(places: &[Place]) -> Vec<Mutex<Merger>> {
 }
 
 /// The surfaces of the models, each as defined by its own schema.
-struct Apart {
+struct OffsetSurfaces {
     places: Vec<Place>,
     mergers: Vec<Mutex<Merger>>,
 }
 
-impl Surfaces for Apart {
+impl Surfaces for OffsetSurfaces {
     fn merge(&self, _: &Schema, frame: &Frame, pairs: &[[usize; 2]], _: Option<&AtomicBool>) -> Surfaced {
         let mut all = Surfaced { groups: Vec::new(), pairs: vec![None; pairs.len()] };
         for (place, merger) in self.places.iter().zip(&self.mergers) {
@@ -211,7 +211,7 @@ impl Experiment for SideBySide {
             return Err("there is no model to be run".to_owned());
         }
         let (schema, scene) = (self.combined(&places), self.scene.clone());
-        Ok(Box::new(Beside {
+        Ok(Box::new(SideBySideRun {
             schema,
             scene,
             parts,
@@ -227,7 +227,7 @@ impl Experiment for SideBySide {
 }
 
 /// Models stepped together.
-struct Beside {
+struct SideBySideRun {
     schema: Schema,
     scene: Scene,
     parts: Vec<Part>,
@@ -248,7 +248,7 @@ struct Part {
     took: Duration,
 }
 
-impl Simulation for Beside {
+impl Simulation for SideBySideRun {
     fn schema(&self) -> Schema {
         self.schema.clone()
     }

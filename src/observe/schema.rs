@@ -279,7 +279,7 @@ impl Schema {
 
     /// The model, or `None` for the default one (oscillators, or the only one of a simulation), which messages leave
     /// out.
-    pub fn unusual_model(&self) -> Option<&str> {
+    pub fn non_default_model(&self) -> Option<&str> {
         Some(self.model.as_str()).filter(|model| !["", "oscillators"].contains(model))
     }
 

@@ -185,7 +185,7 @@ impl Touches {
                 (known.is_touching, known.crossing) = (false, None);
             } else {
                 bodies.iter().for_each(|&body| self.place(body, now));
-                self.look(bodies, &mut known);
+                self.update_contact(bodies, &mut known);
             }
             let changed = before.filter(|before| before.is_touching != known.is_touching);
             if changed.is_some() && !is_next {
@@ -253,7 +253,7 @@ impl Touches {
                 self.placed.remove(&body);
                 self.place(body, &inside);
             }
-            self.look(bodies, &mut known);
+            self.update_contact(bodies, &mut known);
             if known.is_touching == before.is_touching { low = middle } else { high = middle }
         }
         simulation.within(&self.before, high, &bodies, &mut inside);
@@ -284,8 +284,8 @@ impl Touches {
         a.centre.distance(b.centre) > reach * (1.0 + 1e-9)
     }
 
-    /// Whether the surfaces of a pair touch at their current positions.
-    fn look(&self, [a, b]: [usize; 2], known: &mut Known) {
+    /// Updates whether the surfaces of a pair touch, at their current positions.
+    fn update_contact(&self, [a, b]: [usize; 2], known: &mut Known) {
         let (Some(first), Some(second)) = (self.placed.get(&a), self.placed.get(&b)) else { return };
         if known.crossing.is_some_and(|crossing| crossing.is_at(first, second)) {
             known.is_touching = true;

@@ -132,7 +132,7 @@ impl RecordedFrame {
         Some(match surface.kind {
             SurfaceKind::World => surface.positions.iter().map(|position| position.as_dvec3()).collect(),
             SurfaceKind::Local | SurfaceKind::Resting => {
-                self.turned(body, surface).map(|position| position + centre).collect()
+                self.rotated(body, surface).map(|position| position + centre).collect()
             }
         })
     }
@@ -143,12 +143,12 @@ impl RecordedFrame {
         let centre = self.centres[body].as_dvec3();
         Some(match surface.kind {
             SurfaceKind::World => surface.positions.iter().map(|position| position.as_dvec3() - centre).collect(),
-            SurfaceKind::Local | SurfaceKind::Resting => self.turned(body, surface).collect(),
+            SurfaceKind::Local | SurfaceKind::Resting => self.rotated(body, surface).collect(),
         })
     }
 
     /// The vertices of a surface in body axes, in world axes.
-    fn turned<'a>(&self, body: usize, surface: &'a RecordedSurface) -> impl Iterator<Item = DVec3> + 'a {
+    fn rotated<'a>(&self, body: usize, surface: &'a RecordedSurface) -> impl Iterator<Item = DVec3> + 'a {
         let rotation = self.rotations[body].as_dquat();
         surface.positions.iter().map(move |position| {
             let position = position.as_dvec3();

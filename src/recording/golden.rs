@@ -338,7 +338,7 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
         && difference.counts.is_none()
     {
         let details = Details::read(&recorded, step)?;
-        look(start(scene, golden)?, &schema, &recorded, &details, step, &mut difference)?;
+        compare_details(start(scene, golden)?, &schema, &recorded, &details, step, &mut difference)?;
         if let Some(path) = comparison {
             let shown = show(start(scene, golden)?, &schema, &details, &difference, path);
             difference.comparison = Some(shown.map(|()| path.to_owned()).map_err(|error| error.to_string()));
@@ -366,7 +366,7 @@ fn read_surfaces(path: &Path) -> Result<BTreeMap<u64, Values>, ReadError> {
 }
 
 /// Runs a scene again and compares it with the details of its golden recording from `step` on.
-fn look(
+fn compare_details(
     mut simulation: Box<dyn Simulation>,
     schema: &Schema,
     recorded: &Recorded,

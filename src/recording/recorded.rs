@@ -130,7 +130,7 @@ impl Recorded {
             }
         }
         let id = reader.id().unwrap_or_default().to_owned();
-        properties.understand(path, read, &id, sums, events, reader.end().unwrap_or(End::Cut))
+        properties.into_recorded(path, read, &id, sums, events, reader.end().unwrap_or(End::Cut))
     }
 
     /// Starts the recorded experiment.
@@ -195,7 +195,7 @@ impl Properties {
         Ok(())
     }
 
-    fn understand(
+    fn into_recorded(
         self,
         path: &Path,
         read: &ReadExperiment<'_>,

@@ -849,7 +849,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
         schema.bodies.len(),
         if schema.bodies.len() == 1 { "body" } else { "bodies" },
         schema.vertex_count(),
-        schema.unusual_model().map(|model| format!(", model **{model}**")).unwrap_or_default(),
+        schema.non_default_model().map(|model| format!(", model **{model}**")).unwrap_or_default(),
         schema.integrator,
         schema.dt,
         schema.law,

@@ -542,7 +542,7 @@ fn log_properties(schema: &Schema, run: &str, overrides: &str, settings: &Settin
         .with_component::<Text>("machine", [machine::describe()])
         .with_component::<Text>("integrator", [schema.integrator.as_str()]);
     // not for oscillators, as in recordings made before there were other models
-    let properties = match schema.unusual_model() {
+    let properties = match schema.non_default_model() {
         None => properties,
         Some(model) => properties.with_component::<Text>("model", [model]),
     };

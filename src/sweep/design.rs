@@ -150,12 +150,12 @@ impl Axis {
     }
 
     /// Number of values that are validated before a sweep starts: those of its grid, or of a list.
-    pub fn tries(&self) -> u64 {
+    pub fn sample_count(&self) -> u64 {
         self.count(0).unwrap_or(2)
     }
 
     /// One of these values.
-    pub fn tried(&self, index: u64) -> Setting {
+    pub fn sample(&self, index: u64) -> Setting {
         self.value(0, index)
     }
 }

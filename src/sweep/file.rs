@@ -27,7 +27,7 @@ const MOST_AXES: usize = 8;
 /// Maximum number of listed values of an axis.
 const MOST_VALUES: usize = 100_000;
 /// Number of values of an axis that are validated before anything runs, spread over it.
-const MOST_TRIED: u64 = 4096;
+const MOST_VALIDATED: u64 = 4096;
 
 static SWEEP: Keys = Keys {
     home: "at the top of the sweep",
@@ -351,7 +351,7 @@ fn read_jumps(value: Option<Value<'_>>, measures: Measures) -> Result<Vec<(Strin
 fn try_values(sweep: &Sweep, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(), SceneError> {
     let template = sweep.template()?;
     let design = &sweep.design;
-    let first: Vec<Setting> = design.axes.iter().map(|axis| axis.tried(0)).collect();
+    let first: Vec<Setting> = design.axes.iter().map(|axis| axis.sample(0)).collect();
     for (index, (key, setting)) in sweep.set.iter().enumerate() {
         let before = sweep.set[..index].iter().map(|(key, setting)| (key, setting));
         if let Err(error) = template.scene(before.chain([(key, setting)])) {
@@ -359,11 +359,11 @@ fn try_values(sweep: &Sweep, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(
         }
     }
     for (index, axis) in design.axes.iter().enumerate() {
-        let stride = axis.tries().div_ceil(MOST_TRIED).max(1);
-        let all = (0..axis.tries()).step_by(stride as usize).chain([axis.tries() - 1]);
-        for tried in all {
+        let stride = axis.sample_count().div_ceil(MOST_VALIDATED).max(1);
+        let all = (0..axis.sample_count()).step_by(stride as usize).chain([axis.sample_count() - 1]);
+        for sample in all {
             let mut point = first.clone();
-            point[index] = axis.tried(tried);
+            point[index] = axis.sample(sample);
             if let Err(error) = template.scene(sweep.settings(&point)) {
                 let (key, value) = (&axis.key, &point[index]);
                 let table = &axes[index];
@@ -378,10 +378,9 @@ fn try_values(sweep: &Sweep, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(
         }
     }
     for corner in 1..1u32 << design.axes.len() {
-        let ends =
-            design.axes.iter().enumerate().map(|(index, axis)| {
-                if corner >> index & 1 == 1 { axis.tried(axis.tries() - 1) } else { axis.tried(0) }
-            });
+        let ends = design.axes.iter().enumerate().map(|(index, axis)| {
+            if corner >> index & 1 == 1 { axis.sample(axis.sample_count() - 1) } else { axis.sample(0) }
+        });
         let point: Vec<Setting> = ends.collect();
         if let Err(error) = template.scene(sweep.settings(&point)) {
             let values = design.axes.iter().zip(&point).map(|(axis, value)| format!("{} = {value}", axis.key));
@@ -393,7 +392,7 @@ fn try_values(sweep: &Sweep, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(
         Some(count) if count <= MOST_ROWS => Ok(()),
         count => {
             let seconds = super::run::estimate(&template, sweep, &first);
-            let product = || design.axes.iter().map(|axis| axis.tries() as f64).product::<f64>();
+            let product = || design.axes.iter().map(|axis| axis.sample_count() as f64).product::<f64>();
             let runs = count.map_or_else(|| format!("{:e}", product()), thousands);
             let time = count.map_or_else(product, |count| count as f64) * seconds;
             Err(axes[0].error("count", format!("{runs} runs would take {} on this machine", duration(time))).with_help(

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Runs a sweep on a Ray cluster: level by level, each level as shards, lost ones again.
+"""Runs a sweep on a Ray cluster level by level, each level as shards; retries lost shards.
 
     pip install ray
     python3 on_ray.py SWEEP.toml --out DIR [--refine N] [--shards N] [--address auto] [--program meldscope]
 
-DIR and the program are at the same path on all nodes. There is nothing to merge: a shard writes its own files, which are
-there as a whole or not at all, and a shard that runs twice writes the same ones. The last command draws the map.
+DIR and the program are at the same path on all nodes. There is nothing to merge: each shard writes its own files atomically,
+and a shard that runs twice writes the same files. The last command draws the map.
 """
 import argparse
 import ctypes
@@ -27,7 +27,7 @@ def end_with_parent():
 
 
 class ShardFailed(Exception):
-    """The program ended with a status that another attempt may not have: a full disk, a folder that was not there."""
+    """The program failed in a way that a retry may fix: a full disk, a missing folder."""
 
 
 @ray.remote(num_cpus=1, max_retries=10, retry_exceptions=[ShardFailed])

@@ -216,7 +216,7 @@ impl<'a> Run<'a> {
             surfaces: Default::default(),
             states: States::default(),
         };
-        run.look();
+        run.record_distances();
         run
     }
 
@@ -239,7 +239,7 @@ impl<'a> Run<'a> {
             if !report.events.is_empty() {
                 self.take_events();
             }
-            self.look();
+            self.record_distances();
             if self.sweep.measures.displacement {
                 self.displace();
             }
@@ -314,7 +314,7 @@ impl<'a> Run<'a> {
     }
 
     /// Records the distances of pairs.
-    fn look(&mut self) {
+    fn record_distances(&mut self) {
         let time = self.world.time();
         for view in self.world.pairs() {
             let squared = view.q * view.q;

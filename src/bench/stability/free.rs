@@ -282,7 +282,7 @@ pub fn table(rows: &[Row]) -> String {
 }
 
 /// The cases that an integrator gave up or failed, each with the reason; empty if there is none.
-pub fn troubles(rows: &[Row], of: Integrator) -> Vec<String> {
+pub fn failures(rows: &[Row], of: Integrator) -> Vec<String> {
     let trouble = |row: &Row| {
         let (_, verdict) = row.verdicts.iter().find(|verdict| verdict.0 == of)?;
         let what = match verdict {

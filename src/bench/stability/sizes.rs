@@ -16,7 +16,7 @@ pub const MOST: f64 = 0.5;
 
 /// The deformation of one body.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Harm {
+pub struct Deformation {
     /// The largest displacement [radii].
     pub displacement: f64,
     /// The most triangles that faced inwards at the same time.
@@ -31,9 +31,9 @@ pub struct Passage {
     /// The scaling law.
     pub scaling: Scaling,
     /// Deformation of the large body …
-    pub large: Harm,
+    pub large: Deformation,
     /// … and of the small one.
-    pub small: Harm,
+    pub small: Deformation,
 }
 
 /// The scene of a passage, as a scene file.
@@ -87,7 +87,7 @@ pub fn measure() -> Result<Vec<Passage>, MeasureError> {
 fn passage(ratio: f64, scaling: Scaling) -> Result<Passage, MeasureError> {
     let mut world = World::new(Scene::parse(&scene(ratio, scaling), "sizes.toml")?)?;
     let meshes: Vec<_> = world.bodies().map(|body| body.scene().shape.mesh()).collect();
-    let mut harm = [Harm::default(); 2];
+    let mut harm = [Deformation::default(); 2];
     for _ in 0..world.scene().steps() {
         world.step();
         for ((body, mesh), harm) in world.bodies().zip(&meshes).zip(&mut harm) {

@@ -18,7 +18,7 @@ use crate::{
 use super::PHASES;
 
 /// The data of a step that all bodies share.
-pub struct Around<'a> {
+pub struct StepContext<'a> {
     /// The scene.
     pub scene: &'a Scene,
     /// Phases at the start of the step, of pairs that are not apart.
@@ -92,7 +92,7 @@ pub struct Instantaneous {
     pub carry: DVec3,
 }
 
-impl Around<'_> {
+impl StepContext<'_> {
     /// The phase of a pair at time `t` [s]; at a change, the new phase.
     fn phase(&self, a: usize, b: usize, t: f64) -> Phase {
         let pair = [a.min(b), a.max(b)];
@@ -298,7 +298,7 @@ impl Part<'_> {
     }
 
     /// The same, averaged over the part: the carry is the change of velocity, including jumps.
-    pub fn in_the_mean(&self, now: &mut Instantaneous) {
+    pub fn averaged(&self, now: &mut Instantaneous) {
         let middle = 0.5 * (self.start + self.end);
         self.at(middle, now);
         let (first, last) = (self.path.at(self.start), self.path.at(self.end));

@@ -12,8 +12,8 @@ use glam::{DMat3, DVec3};
 
 use super::{
     CORE,
-    act::{Around, Instantaneous, Part},
-    coupled::{Acted, Free, is_coupled},
+    act::{Instantaneous, Part, StepContext},
+    coupled::{ExternalForces, Free, is_coupled},
 };
 use crate::{
     geometry::{Mesh, Shape, Vectors},
@@ -35,7 +35,7 @@ pub const MOST_WORK: f64 = 2e8;
 /// The same for the cells of finite elements, which take far longer than springs.
 const MOST_CELLS: f64 = 1e7;
 /// Springs evaluated between two checks of the interrupt.
-const GRAIN: u64 = 1 << 22;
+const SPRINGS_PER_CHECK: u64 = 1 << 22;
 /// A body whose nodes are farther away than this has diverged [radii].
 const DIVERGED: f64 = 1e6;
 /// External forces are explicit in an implicit step h; their stiffness is at most (this/h)².
@@ -103,7 +103,7 @@ pub struct Body {
     /// Rigid motion of a free body, of which no node is held; `None` on a path.
     pub free: Option<Free>,
     /// External forces of the last step, in a scene with free bodies.
-    pub acted: Acted,
+    pub acted: ExternalForces,
     /// Displacements [scene unit] and velocities [scene unit/s] of the nodes, `[node_count]`; for a free body relative
     /// to the rotated rest shape.
     pub x: Vec<DVec3>,
@@ -256,7 +256,7 @@ impl Body {
             directions: rest.iter().map(|l| l.normalize_or_zero()).collect(),
             rest,
             free,
-            acted: Acted::default(),
+            acted: ExternalForces::default(),
             x: vec![DVec3::ZERO; n],
             u: vec![DVec3::ZERO; n],
             cells,
@@ -289,14 +289,14 @@ impl Body {
     }
 
     /// Whether it is at rest and nothing acts on it in a step.
-    pub fn sleeps(&self, around: &Around<'_>) -> bool {
+    pub fn sleeps(&self, around: &StepContext<'_>) -> bool {
         self.is_at_rest
             && around.is_calm(self.index, &self.sources, &self.pushes)
             && self.planes(around).next().is_none()
     }
 
     /// The planes within reach in a step.
-    fn planes<'a>(&'a self, around: &Around<'a>) -> impl Iterator<Item = &'a Plane> + 'a {
+    fn planes<'a>(&'a self, around: &StepContext<'a>) -> impl Iterator<Item = &'a Plane> + 'a {
         let centre = self.placed.unwrap_or_default().centre;
         around.scene.planes.iter().filter(move |plane| plane.depth(centre) > -self.reach)
     }
@@ -310,7 +310,7 @@ impl Body {
     }
 
     /// Takes the step.
-    pub fn advance(&mut self, around: &Around<'_>, interrupt: Option<&'static AtomicBool>) {
+    pub fn advance(&mut self, around: &StepContext<'_>, interrupt: Option<&'static AtomicBool>) {
         self.statistics.substeps = 0;
         self.tears.clear();
         self.failure = None;
@@ -354,12 +354,12 @@ impl Body {
             }
         }
         self.now = now;
-        self.look(around);
+        self.update_state(around);
     }
 
     fn take_explicit(
         &mut self,
-        around: &Around<'_>,
+        around: &StepContext<'_>,
         part: &Part<'_>,
         is_later: bool,
         planes: &[Plane],
@@ -395,7 +395,7 @@ impl Body {
         }
         let (count, weight) = (count as u64, scene.influence.weight);
         let h = length / count as f64;
-        let chunk = (GRAIN / (lattice.spring_count() as u64 + 1)).max(1);
+        let chunk = (SPRINGS_PER_CHECK / (lattice.spring_count() as u64 + 1)).max(1);
         let mut done = 0;
         while done < count {
             if interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
@@ -430,12 +430,12 @@ impl Body {
         statistics.substeps += count;
     }
 
-    fn take_implicit(&mut self, around: &Around<'_>, part: &Part<'_>, planes: &[Plane], now: &mut Instantaneous) {
+    fn take_implicit(&mut self, around: &StepContext<'_>, part: &Part<'_>, planes: &[Plane], now: &mut Instantaneous) {
         let Body { matter, mesh, cells, directions, contact, index, rest, x, u, .. } = self;
         let Matter::Fem(finite) = matter else { return };
         let Finite { element, stepper, motion, forces, .. } = &mut **finite;
         let scene = around.scene;
-        part.in_the_mean(now);
+        part.averaged(now);
         forces.clear();
         let half = 0.5 * stepper.h;
         for (i, &node) in element.free.iter().enumerate() {
@@ -463,7 +463,7 @@ impl Body {
     }
 
     /// Tears a lattice where it is overloaded.
-    pub fn tear(&mut self, around: &Around<'_>, centre: DVec3) {
+    pub fn tear(&mut self, around: &StepContext<'_>, centre: DVec3) {
         let settings = around.scene.lattice;
         let Body { matter, statistics, tears, rest, directions, x, u, cells, mesh, torn, exposed, radius, .. } = self;
         let Matter::Lattice(springs) = matter else { return };
@@ -511,7 +511,7 @@ impl Body {
     }
 
     /// Records the cells of finite elements in which the body would tear.
-    pub fn strain(&mut self, around: &Around<'_>, centre: DVec3) {
+    pub fn strain(&mut self, around: &StepContext<'_>, centre: DVec3) {
         let Some(limit) = around.scene.fem.tear_stress else { return };
         let Body { matter, statistics, tears, x, cells, rest, free, .. } = self;
         let Matter::Fem(finite) = matter else { return };
@@ -538,7 +538,7 @@ impl Body {
     }
 
     /// Copies the state of the nodes, and reports a diverged one.
-    pub fn look(&mut self, around: &Around<'_>) {
+    pub fn update_state(&mut self, around: &StepContext<'_>) {
         let Body { matter, rest, x, u, free, .. } = self;
         if let (Matter::Lattice(springs), None) = (matter, &free) {
             let motion = &springs.motion;

@@ -36,7 +36,7 @@ use rayon::prelude::*;
 
 use super::{
     Elastic, PARALLEL_NODES, PHASES,
-    act::{Around, Instantaneous},
+    act::{Instantaneous, StepContext},
     body::{Body, Contact, Finite, MOST_WORK, Matter, OF_LIMIT, Springs},
 };
 use crate::{
@@ -55,7 +55,7 @@ use crate::{
 /// Upper limit on phase changes in a step; more would take forever.
 const MOST_CHANGES: usize = 1000;
 /// Number of samples of the distances in a step; shorter visits are missed.
-const LOOKS: u32 = 8;
+const SAMPLES: u32 = 8;
 /// Halvings of the time between two of them.
 const HALVINGS: u32 = 60;
 
@@ -77,7 +77,7 @@ pub struct Free {
 
 /// External forces on a body.
 #[derive(Clone, Debug, Default)]
-pub struct Acted {
+pub struct ExternalForces {
     /// f̄ [scene unit/s²].
     mean: DVec3,
     /// Σ m f of each sphere, by its body [mass · scene unit/s²].
@@ -88,7 +88,7 @@ pub struct Acted {
     places: Vec<DVec3>,
 }
 
-impl Acted {
+impl ExternalForces {
     /// Allocated memory [bytes].
     pub fn memory(&self) -> usize {
         (self.loads.capacity() + self.places.capacity()) * size_of::<DVec3>()
@@ -135,7 +135,7 @@ impl Free {
 }
 
 /// The external forces on nodes, at an instant or averaged.
-struct Acting<'a> {
+struct Loads<'a> {
     now: &'a Instantaneous,
     weight: Weight,
     planes: &'a [Plane],
@@ -153,9 +153,9 @@ struct Acting<'a> {
     most: f64,
 }
 
-impl Acting<'_> {
+impl Loads<'_> {
     /// Writes accelerations to `into`, for a free body minus their mean.
-    fn act(&self, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3], acted: &mut Acted) {
+    fn act(&self, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3], acted: &mut ExternalForces) {
         into.fill(self.now.carry);
         acted.pulls.clear();
         // nodes that are no longer part of a free body have no mass
@@ -180,7 +180,7 @@ impl Acting<'_> {
             }
         }
         if !self.planes.is_empty() {
-            let Acting { planes, mesh, cells, corners, most, place, .. } = *self;
+            let Loads { planes, mesh, cells, corners, most, place, .. } = *self;
             let of = Contact { planes, mesh, cells, corners, motion: [place.centre, place.velocity], most };
             of.accelerate(self.masses, self.mass, positions, velocities, into);
         }
@@ -218,7 +218,7 @@ impl Elastic {
             }
         }
         let Elastic { scene, bodies, phases, step, .. } = self;
-        let around = Around { scene, phases, events: &[], start, end, step: *step + 1 };
+        let around = StepContext { scene, phases, events: &[], start, end, step: *step + 1 };
         bodies.iter_mut().for_each(|body| body.finish(&around));
         match bodies.iter_mut().find_map(|body| body.failure.take()) {
             Some(failure) if failure.is_whole_step() => {
@@ -266,7 +266,7 @@ impl Elastic {
         let mut is_known = is_first && !self.scene.pushes.iter().any(jumps);
         self.find_sources(start, end);
         let Elastic { scene, bodies, phases, .. } = self;
-        let around = Around { scene, phases, events: &[], start, end, step };
+        let around = StepContext { scene, phases, events: &[], start, end, step };
         let (mut limit, mut stiffest, mut springs) = (f64::INFINITY, 0, 0);
         for body in bodies.iter_mut() {
             let planes = near(&scene.planes, body.placed.unwrap_or_default().centre, body.reach);
@@ -303,7 +303,7 @@ impl Elastic {
         for number in 1..=count as u64 {
             let to = if number == count as u64 { end } else { start + (end - start) * (number as f64 / count) };
             while t < to {
-                self.look_at_interrupt()?;
+                self.check_interrupt()?;
                 self.find_sources(t, to);
                 if !is_known {
                     self.pull_all(t, 0.0, part, true);
@@ -332,10 +332,10 @@ impl Elastic {
     fn pull_all(&mut self, t: f64, h: f64, part: [f64; 2], is_start: bool) {
         let places = self.places(t, h, part);
         let Elastic { scene, bodies, phases, step, .. } = self;
-        let around = Around { scene, phases, events: &[], start: part[0], end: part[1], step: *step + 1 };
+        let around = StepContext { scene, phases, events: &[], start: part[0], end: part[1], step: *step + 1 };
         let centres: Vec<DVec3> = places.iter().map(|place| place.centre).collect();
         let at = f64::min(t + h, part[1]);
-        for_all(bodies, |body| {
+        for_each_body(bodies, |body| {
             if is_start {
                 body.forget();
             }
@@ -374,7 +374,7 @@ impl Elastic {
         let divided = self.bodies.iter().find_map(Body::divided).unwrap_or(1);
         let at = |step: u64| start + (end - start) * (step as f64 / divided as f64);
         for number in 0..divided {
-            self.look_at_interrupt()?;
+            self.check_interrupt()?;
             let (ends, h) = ([at(number), at(number + 1)], (end - start) / divided as f64);
             self.find_sources(ends[0], ends[1]);
             // without the accelerations of the last step: only velocities determine the middle
@@ -386,9 +386,10 @@ impl Elastic {
             let mut changes: Vec<PairEvent> = Vec::new();
             for is_last in [false, true] {
                 let Elastic { scene, bodies, phases, step, .. } = self;
-                let around = Around { scene, phases, events: &changes, start: ends[0], end: ends[1], step: *step + 1 };
+                let around =
+                    StepContext { scene, phases, events: &changes, start: ends[0], end: ends[1], step: *step + 1 };
                 let centres: Vec<DVec3> = middle.iter().map(|place| place.centre).collect();
-                for_all(bodies, |body| body.load(&around, ends, h, &middle, &centres));
+                for_each_body(bodies, |body| body.load(&around, ends, h, &middle, &centres));
                 self.settle();
                 if is_last {
                     break;
@@ -398,7 +399,7 @@ impl Elastic {
                     break;
                 }
             }
-            for_all(&mut self.bodies, |body| body.step_implicit(h));
+            for_each_body(&mut self.bodies, |body| body.step_implicit(h));
             for free in self.bodies.iter_mut().filter_map(|body| body.free.as_mut()) {
                 (free.centre, free.velocity) = (free.after(h), free.velocity + free.acceleration * h);
             }
@@ -408,7 +409,7 @@ impl Elastic {
         Ok(())
     }
 
-    fn look_at_interrupt(&self) -> Result<(), StepFailure> {
+    fn check_interrupt(&self) -> Result<(), StepFailure> {
         let flag: Option<&AtomicBool> = self.options.interrupt;
         match flag.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
             true => Err(StepFailure::Interrupted(format!("interrupted in step {}", self.step + 1))),
@@ -502,9 +503,11 @@ fn first(holds: impl Fn(f64) -> bool, start: f64, end: f64) -> Option<f64> {
     if holds(start) {
         return Some(start);
     }
-    let at = |look: u32| if look == LOOKS { end } else { start + (end - start) * (f64::from(look) / f64::from(LOOKS)) };
-    let look = (1..=LOOKS).find(|&look| holds(at(look)))?;
-    let (mut low, mut high) = (at(look - 1), at(look));
+    let at = |sample: u32| {
+        if sample == SAMPLES { end } else { start + (end - start) * (f64::from(sample) / f64::from(SAMPLES)) }
+    };
+    let sample = (1..=SAMPLES).find(|&sample| holds(at(sample)))?;
+    let (mut low, mut high) = (at(sample - 1), at(sample));
     for _ in 0..HALVINGS {
         let middle = low + 0.5 * (high - low);
         if middle <= low || middle >= high {
@@ -515,7 +518,7 @@ fn first(holds: impl Fn(f64) -> bool, start: f64, end: f64) -> Option<f64> {
     Some(high)
 }
 
-fn for_all(bodies: &mut [Body], of: impl Fn(&mut Body) + Sync + Send) {
+fn for_each_body(bodies: &mut [Body], of: impl Fn(&mut Body) + Sync + Send) {
     let nodes: usize = bodies.iter().map(Body::node_count).sum();
     if nodes >= PARALLEL_NODES && bodies.len() > 1 {
         bodies.par_iter_mut().for_each(of);
@@ -576,14 +579,14 @@ impl Body {
     }
 
     /// Takes some steps of a lattice with the forces at time `t`, or only evaluates these.
-    fn pull(&mut self, around: &Around<'_>, t: f64, h: f64, count: u64, places: &[Place], centres: &[DVec3]) {
+    fn pull(&mut self, around: &StepContext<'_>, t: f64, h: f64, count: u64, places: &[Place], centres: &[DVec3]) {
         let mut now = std::mem::take(&mut self.now);
         self.find_acting(around, [around.start, around.end], Some(t), centres, &mut now);
         let Body { matter, statistics, mesh, cells, directions, contact, index, free, acted, radius, .. } = self;
         let Matter::Lattice(springs) = matter else { return };
         let Springs { lattice, motion } = &mut **springs;
         let place = places[*index];
-        let acting = Acting {
+        let acting = Loads {
             now: &now,
             weight: around.scene.influence.weight,
             planes: near(&around.scene.planes, place.centre, self.extent.max(*radius)),
@@ -611,7 +614,7 @@ impl Body {
     /// Writes the external forces on it, averaged or at time `t`.
     fn find_acting(
         &self,
-        around: &Around<'_>,
+        around: &StepContext<'_>,
         ends: [f64; 2],
         t: Option<f64>,
         centres: &[DVec3],
@@ -622,20 +625,20 @@ impl Body {
             let part = around.part(path, self.index, &[], &[], ends);
             match t {
                 Some(t) => part.at(t, now),
-                None => part.in_the_mean(now),
+                None => part.averaged(now),
             }
         }
         around.acting(self.index, &self.sources, &self.pushes, ends, centres, now);
     }
 
     /// Evaluates the external forces on finite elements at the middle of a step.
-    fn load(&mut self, around: &Around<'_>, ends: [f64; 2], h: f64, places: &[Place], centres: &[DVec3]) {
+    fn load(&mut self, around: &StepContext<'_>, ends: [f64; 2], h: f64, places: &[Place], centres: &[DVec3]) {
         let mut now = std::mem::take(&mut self.now);
         self.find_acting(around, ends, None, centres, &mut now);
         let Body { matter, mesh, cells, directions, contact, index, free, acted, radius, rest, x, u, .. } = self;
         let Matter::Fem(finite) = matter else { return };
         let place = places[*index];
-        let acting = Acting {
+        let acting = Loads {
             now: &now,
             weight: around.scene.influence.weight,
             planes: near(&around.scene.planes, place.centre, self.extent.max(*radius)),
@@ -737,7 +740,7 @@ impl Body {
     }
 
     /// Ends a step: tears, fits the rest shape, updates displacements.
-    fn finish(&mut self, around: &Around<'_>) {
+    fn finish(&mut self, around: &StepContext<'_>) {
         let centre = match (&self.free, around.scene.bodies[self.index].path()) {
             (Some(free), _) => free.centre,
             (None, Some(path)) => path.position(around.end),
@@ -755,7 +758,7 @@ impl Body {
         if matches!(self.matter, Matter::Fem(_)) {
             self.strain(around, centre);
         }
-        self.look(around);
+        self.update_state(around);
     }
 
     /// Moves the centre of a lattice to the mass centre of its remaining nodes.

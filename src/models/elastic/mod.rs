@@ -38,7 +38,7 @@ use crate::{
     },
     text::bytes,
 };
-use act::Around;
+use act::StepContext;
 use body::Body;
 pub use observe::schema;
 
@@ -228,7 +228,7 @@ impl Elastic {
         let reached = Clock::now();
 
         let Elastic { scene, bodies, phases, events, options, step, .. } = self;
-        let around = Around { scene, phases, events, start, end, step: *step + 1 };
+        let around = StepContext { scene, phases, events, start, end, step: *step + 1 };
         let nodes: usize = bodies.iter().filter(|body| !body.sleeps(&around)).map(Body::node_count).sum();
         let advance = |body: &mut Body| body.advance(&around, options.interrupt);
         if nodes >= PARALLEL_NODES && bodies.len() > 1 {

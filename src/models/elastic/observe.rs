@@ -6,7 +6,7 @@ use glam::{DQuat, DVec3};
 
 use super::{
     Elastic,
-    act::{Around, Instantaneous},
+    act::{Instantaneous, StepContext},
     body::{Body, Matter},
     coupled::{Free, is_coupled},
 };
@@ -252,7 +252,7 @@ impl Elastic {
     fn add_forces(&self, body: &Body, sources: &[u32], now: &mut BodyFrame) {
         let causes: Vec<Cause> = Cause::of(self.scene.is_coupled()).collect();
         let (time, phases) = (self.time_of(self.step), &self.phases);
-        let around = Around { scene: &self.scene, phases, events: &[], start: time, end: time, step: self.step };
+        let around = StepContext { scene: &self.scene, phases, events: &[], start: time, end: time, step: self.step };
         let mut acting = Instantaneous::default();
         let part = self.path(body.index).map(|path| around.part(path, body.index, &[], &[], [time, time]));
         if let Some(part) = &part {
@@ -363,8 +363,14 @@ impl Elastic {
     /// The reaction to the forces of a free body's sphere on others [mass · scene unit/s²].
     fn reaction(&self, body: &Body, others: &[u32], centres: &[DVec3]) -> DVec3 {
         let time = self.time_of(self.step);
-        let around =
-            Around { scene: &self.scene, phases: &self.phases, events: &[], start: time, end: time, step: self.step };
+        let around = StepContext {
+            scene: &self.scene,
+            phases: &self.phases,
+            events: &[],
+            start: time,
+            end: time,
+            step: self.step,
+        };
         let (mut acting, weight) = (Instantaneous::default(), self.scene.influence.weight);
         let mut sum = DVec3::ZERO;
         for &other in others {

@@ -24,9 +24,9 @@ impl Symmetric {
     /// `None` if interrupted.
     pub fn sum(n: usize, mut parts: Vec<(u32, u32, DMat3)>, interrupt: Option<&AtomicBool>) -> Option<Symmetric> {
         /// Blocks sorted between two checks of the interrupt.
-        const SOME: usize = 1 << 18;
+        const CHUNK: usize = 1 << 18;
         // sorted pieces, which the last sort then merges
-        for some in parts.chunks_mut(SOME) {
+        for some in parts.chunks_mut(CHUNK) {
             some.sort_by_key(|&(row, column, _)| (column, row));
             if interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
                 return None;

@@ -136,7 +136,7 @@ impl Lattice {
             cell_masses,
             keys: Vec::new(),
         };
-        lattice.tie(interrupt)?;
+        lattice.connect(interrupt)?;
         Some(lattice)
     }
 
@@ -151,7 +151,7 @@ impl Lattice {
     }
 
     /// Rebuilds the springs of all intact cells. `None` if interrupted.
-    fn tie(&mut self, interrupt: Option<&AtomicBool>) -> Option<()> {
+    fn connect(&mut self, interrupt: Option<&AtomicBool>) -> Option<()> {
         /// Nodes whose springs are sorted together.
         const STRETCH: usize = 1 << 16;
         let Lattice { corners, is_whole, keys, rest, .. } = self;

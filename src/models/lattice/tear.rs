@@ -39,7 +39,7 @@ impl Lattice {
         let torn: Vec<usize> = torn.collect();
         torn.iter().for_each(|&cell| self.is_whole[cell] = false);
         if !torn.is_empty() {
-            self.tie(None); // what is torn is a part of what was tied before
+            self.connect(None); // not interruptible: a subset of what was connected before
             let mut is_left = vec![false; self.node_count()];
             let whole = self.corners.iter().zip(&self.is_whole).filter(|(_, is_whole)| **is_whole);
             whole.flat_map(|(corners, _)| corners).for_each(|&node| is_left[node as usize] = true);
@@ -78,7 +78,7 @@ impl Lattice {
                 }
             }
         }
-        self.tie(None); // what is torn is a part of what was tied before
+        self.connect(None); // not interruptible: a subset of what was connected before
         splits.iter().map(|split| split.node).collect()
     }
 

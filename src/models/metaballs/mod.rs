@@ -55,9 +55,9 @@ const MOST_BODIES: usize = 2000;
 /// Upper limit on the bisections of a step in which a pair joins or separates.
 const MOST_HALVINGS: u32 = 200;
 /// Number of samples on the ray of a vertex, within the support of its body.
-const LOOKS: u32 = 24;
+const SAMPLES: u32 = 24;
 /// Maximum number of changes kept for the summary.
-const MOST_TOLD: usize = 256;
+const MOST_CHANGES: usize = 256;
 /// Number of pairs for which the summary compares the two criteria.
 const MOST_COMPARED: usize = 8;
 
@@ -75,11 +75,11 @@ pub struct Metaballs {
     contacts: Vec<SurfaceEvent>,
     /// Time spent finding them.
     finding: Duration,
-    told: Vec<Told>,
+    changes: Vec<Change>,
 }
 
 /// A pair that joined or separated.
-struct Told {
+struct Change {
     pair: [usize; 2],
     /// Criterion: the surface, or the thresholds on q.
     is_of_surface: bool,
@@ -103,7 +103,7 @@ impl Metaballs {
             ones: BTreeMap::new(),
             contacts: Vec::new(),
             finding: Duration::ZERO,
-            told: Vec::new(),
+            changes: Vec::new(),
         };
         balls.centres = balls.centres_at(0.0);
         for pair in balls.near() {
@@ -175,8 +175,8 @@ impl Metaballs {
         self.contacts.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
     }
 
-    fn tell(&mut self) {
-        let of_surface = self.contacts.iter().map(|event| Told {
+    fn record_changes(&mut self) {
+        let of_surface = self.contacts.iter().map(|event| Change {
             pair: [event.a, event.b],
             is_of_surface: true,
             is_one: event.what == Finding::Touch,
@@ -188,10 +188,10 @@ impl Metaballs {
                 "split" => false,
                 _ => return None,
             };
-            Some(Told { pair: [event.a as usize, event.b as usize], is_of_surface: false, is_one, time: event.time })
+            Some(Change { pair: [event.a as usize, event.b as usize], is_of_surface: false, is_one, time: event.time })
         });
-        let room = MOST_TOLD.saturating_sub(self.told.len());
-        self.told.extend(of_surface.chain(by_phase).take(room));
+        let room = MOST_CHANGES.saturating_sub(self.changes.len());
+        self.changes.extend(of_surface.chain(by_phase).take(room));
     }
 
     /// Number of connected components of the bodies, connected by joined pairs.
@@ -261,8 +261,8 @@ impl Metaballs {
         let lead = |at: DVec3| kernel.of_one(own, at) - densest(at);
         let place = |r: f64| own.centre + r * direction;
         let both = |r: f64| f64::min(excess(place(r)), lead(place(r)));
-        let step = kernel.support(own) / f64::from(LOOKS);
-        let Some(outside) = (1..=LOOKS).find(|&k| both(f64::from(k) * step) < 0.0) else {
+        let step = kernel.support(own) / f64::from(SAMPLES);
+        let Some(outside) = (1..=SAMPLES).find(|&k| both(f64::from(k) * step) < 0.0) else {
             return (kernel.support(own), 0.0);
         };
         let high = f64::from(outside) * step;
@@ -306,7 +306,7 @@ impl Simulation for Metaballs {
         if self.world.step().failure.is_none() {
             let clock = Clock::now();
             self.find_contacts(start);
-            self.tell();
+            self.record_changes();
             self.finding = clock.elapsed();
         }
     }
@@ -328,22 +328,23 @@ impl Simulation for Metaballs {
 
     fn account(&self) -> Option<String> {
         let mut lines = Vec::new();
-        for told in self.told.iter().filter(|told| told.is_of_surface) {
-            let same = |other: &&Told| !other.is_of_surface && (other.pair, other.is_one) == (told.pair, told.is_one);
-            let nearest = self.told.iter().filter(same).min_by(|x, y| {
-                let apart = |other: &Told| (other.time - told.time).abs();
+        for change in self.changes.iter().filter(|change| change.is_of_surface) {
+            let same =
+                |other: &&Change| !other.is_of_surface && (other.pair, other.is_one) == (change.pair, change.is_one);
+            let nearest = self.changes.iter().filter(same).min_by(|x, y| {
+                let apart = |other: &Change| (other.time - change.time).abs();
                 apart(x).total_cmp(&apart(y))
             });
-            let pair = told.pair.map(|body| self.scene.bodies[body].name.as_str()).join("~");
-            let [one, phase] = if told.is_one { ["one", "merged"] } else { ["two", "split"] };
-            let other = match nearest.map(|other| other.time - told.time) {
+            let pair = change.pair.map(|body| self.scene.bodies[body].name.as_str()).join("~");
+            let [one, phase] = if change.is_one { ["one", "merged"] } else { ["two", "split"] };
+            let other = match nearest.map(|other| other.time - change.time) {
                 None => format!("never {phase} by q"),
                 Some(later) => {
                     let side = if later < 0.0 { "before" } else { "after" };
                     format!("{phase} by q {:.6} s {side}", later.abs())
                 }
             };
-            lines.push(format!("{pair} became {one} at t = {:.9} s, {other}", told.time));
+            lines.push(format!("{pair} became {one} at t = {:.9} s, {other}", change.time));
         }
         let more = lines.len().saturating_sub(MOST_COMPARED);
         lines.truncate(MOST_COMPARED);

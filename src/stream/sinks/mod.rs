@@ -248,7 +248,7 @@ impl Sinks {
 
     /// Notes for the user since the last call: whole sentences, each given once.
     pub fn notes(&mut self) -> Vec<String> {
-        self.look();
+        self.update_notes();
         std::mem::take(&mut self.notes)
     }
 
@@ -345,7 +345,7 @@ impl Sinks {
         {
             self.notes.push("the data server is behind; it goes on meanwhile".to_owned());
         }
-        self.look();
+        self.update_notes();
         let is_saved = save.is_some() || stdout.is_some();
         if failure.is_none() && !is_saved && !self.is_anyone_left() {
             failure = self.viewers.iter().map(Live::failure).chain([self.server_failure()]).flatten().next();
@@ -376,7 +376,7 @@ impl Sinks {
     }
 
     /// Adds notes about changes in the state of viewers and the server.
-    fn look(&mut self) {
+    fn update_notes(&mut self) {
         let is_news = |live: &Live| !live.said_gone && live.failure().is_some();
         let has_news = self.viewers.iter().chain(self.server.as_ref().map(|server| &server.live)).any(is_news);
         let rest = if has_news { self.rest() } else { String::new() };

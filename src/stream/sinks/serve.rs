@@ -40,7 +40,7 @@ const WHEN_FULL: WhenFull = WhenFull::WaitThenThin(Duration::from_secs(1));
 const HISTORY: u64 = 1 << 30;
 /// Timeout of stopping the server, including the time for viewers to receive the last messages.
 const STOP: Duration = Duration::from_secs(1);
-const FAREWELL: Duration = Duration::from_millis(200);
+const STOP_TIMEOUT: Duration = Duration::from_millis(200);
 /// Send buffer of a connection [bytes].
 const SEND: usize = 256 << 10;
 /// Connections that may wait to be accepted.
@@ -88,8 +88,8 @@ impl Server {
             stopping.await.ok();
             tasks.iter().for_each(tokio::task::JoinHandle::abort);
             let started = Instant::now();
-            while data.is_busy() && started.elapsed() < FAREWELL {
-                tokio::time::sleep(FAREWELL / 20).await;
+            while data.is_busy() && started.elapsed() < STOP_TIMEOUT {
+                tokio::time::sleep(STOP_TIMEOUT / 20).await;
             }
         };
         let thread = std::thread::Builder::new().name("server".to_owned()).spawn(move || {
