@@ -12,8 +12,8 @@ use rerun::{
 };
 
 use super::{
+    events::Change,
     existing::{self, Existing},
-    happenings::Change,
 };
 use crate::{
     geometry::Mesh,

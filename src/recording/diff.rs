@@ -6,8 +6,8 @@
 use super::{
     ReadError, Recorded,
     comparison::{Comparison, Plan},
+    events::{self, Change},
     frames::{FrameReader, RecordedFrame},
-    happenings::{self, Change},
     quantities::{self, Deviation, Deviations},
     recorded::RecordedEvent,
 };
@@ -163,7 +163,7 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
         bodies,
         first_beyond,
         event_count: events.as_ref().map_or(0, |[first, _]| first.len()),
-        events: events.map(|[first, second]| happenings::compare(&first, &second)).unwrap_or_default(),
+        events: events.map(|[first, second]| events::compare(&first, &second)).unwrap_or_default(),
         run_again: recorded.map(|recorded| recorded.settings.frames == Frames::Thin),
     })
 }

@@ -23,7 +23,7 @@ use rerun::{
 use super::{
     ReadError, Recorded,
     comparison::{Comparison, Plan},
-    happenings::{self, Change},
+    events::{self, Change},
     quantities::{self, Deviation, Deviations, Values},
     read::Reader,
     recorded::{RecordedEvent, cell, raw, start, step_of},
@@ -330,7 +330,7 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
         first: None,
         worst: None,
         is_within_tolerance: true,
-        events: happenings::compare(&recorded.events, &events),
+        events: events::compare(&recorded.events, &events),
         surfaces,
         comparison: None,
     };

@@ -8,7 +8,7 @@
 //! | what a new recording would overwrite | [`existing`] |
 //! | running a recording again and comparing every checksum | [`replay`] |
 //! | golden recordings: the expected results of a scene | [`golden`] |
-//! | the events of two runs compared | [`happenings`] |
+//! | the events of two runs compared | [`events`] |
 //! | gap, overlap, volume, components … of two runs compared | [`quantities`] |
 //! | two recordings of a scene compared | [`diff`] |
 //! | a recording that shows the differences between two runs | [`comparison`] |
@@ -16,10 +16,10 @@
 pub mod comparison;
 pub mod diff;
 pub mod error;
+pub mod events;
 pub mod existing;
 pub mod frames;
 pub mod golden;
-pub mod happenings;
 pub mod quantities;
 pub mod read;
 pub mod recorded;

@@ -37,9 +37,10 @@ use super::{
         heat::{self, LEGEND},
         marks::{AT_Q, ON_AXIS},
         merged::{self, DRAWN},
+        net_forces,
         numbers::{self, LAG, SPEED},
         pairs::{self, CONTACT, MEASURES},
-        trails, wholes,
+        trails,
     },
     settings::{Detail, Entities, Frames, Settings},
 };
@@ -911,9 +912,9 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
         String::new()
     };
     let is_free = schema.bodies.iter().any(|body| body.is_free);
-    let wholes = match settings.detail {
+    let net_forces = match settings.detail {
         Detail::Forces | Detail::Stages { .. } if is_free => {
-            let of = wholes::KINDS.map(|(name, rgb, _)| format!("{} **{name}**", colors::name(rgb)));
+            let of = net_forces::KINDS.map(|(name, rgb, _)| format!("{} **{name}**", colors::name(rgb)));
             format!(
                 "At the centres of free bodies: {}, {} unit long per unit/s² (over M, and over M R).  \n",
                 of.join(", "),
@@ -927,5 +928,5 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
     } else {
         String::new()
     };
-    head + &spheres + &merged + &arrows + &wholes + &trails + &bound
+    head + &spheres + &merged + &arrows + &net_forces + &trails + &bound
 }

@@ -4,7 +4,7 @@
 use glam::DVec3;
 
 use super::{
-    parts::Look,
+    parts::FrameView,
     settings::{Around, Settings},
 };
 use crate::observe::{Frame, PairEvent, Schema};
@@ -88,8 +88,8 @@ impl FocusFinder {
     }
 
     /// Adds a frame.
-    pub fn frame(&mut self, look: Look<'_>) {
-        let Look { schema, frame, at } = look;
+    pub fn frame(&mut self, view: FrameView<'_>) {
+        let FrameView { schema, frame, at } = view;
         match self.event {
             Some(_) if self.focus.is_some() => {}
             Some((time, pair)) => self.focus = Some(Focus::on(frame, schema, time, pair)),

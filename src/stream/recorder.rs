@@ -25,9 +25,9 @@ use super::{
     instant::Instant,
     machine,
     parts::{
-        Look, batch::BatchedBodies, bodies::SeparateBodies, forces::Forces, groups::GroupPlots, heat::Heat,
-        lines::Lines, marks, merged::MergedEntities, numbers::FrameNumbers, pairs, pairs::PairPlots, planes,
-        spheres::SphereEntities, trails::Trails, wholes::Wholes,
+        FrameView, batch::BatchedBodies, bodies::SeparateBodies, forces::Forces, groups::GroupPlots, heat::Heat,
+        lines::Lines, marks, merged::MergedEntities, net_forces::NetForces, numbers::FrameNumbers, pairs,
+        pairs::PairPlots, planes, spheres::SphereEntities, trails::Trails,
     },
     series::Series,
     settings::{FORMAT, Frames, Trigger, application, recording_id},
@@ -96,7 +96,7 @@ struct StateParts {
     surfaces: Surfaces,
     spheres: SphereEntities,
     forces: Option<Forces>,
-    wholes: Option<Wholes>,
+    net_forces: Option<NetForces>,
     lines: Lines,
 }
 
@@ -306,15 +306,15 @@ impl Recorder {
             self.stage_count += 1;
             let line = format!("step {}: {}", at.step, stage.name);
             self.chunks.log("/stages", at, &TextLog::new(line).with_level("stage"));
-            state.log(Look { schema: &self.schema, frame: &stage.frame, at }, &[], &mut self.chunks);
+            state.log(FrameView { schema: &self.schema, frame: &stage.frame, at }, &[], &mut self.chunks);
         }
         self.chunks.set_stage(None);
     }
 
     fn log_frame(&mut self, frame: &Frame, at: Instant) {
-        let look = Look { schema: &self.schema, frame, at };
+        let view = FrameView { schema: &self.schema, frame, at };
         if let Some(parts) = &mut self.parts {
-            parts.log(look, self.frames, &mut self.chunks);
+            parts.log(view, self.frames, &mut self.chunks);
             self.frames += 1;
             self.written += u64::from(self.flight.is_none());
         }
@@ -458,24 +458,24 @@ impl FrameParts {
     }
 
     /// Logs what has changed; `number` is the number of the frame.
-    fn log(&mut self, look: Look<'_>, number: u64, chunks: &mut Chunks) {
+    fn log(&mut self, view: FrameView<'_>, number: u64, chunks: &mut Chunks) {
         let start = Clock::now();
         let FrameParts { state, pairs, groups, numbers, trails, series, approaches, focus, heat, changed } = self;
-        approaches.add(look.frame);
-        focus.frame(look);
-        let extracting = state.log(look, pairs.choose(look, series, chunks), chunks);
+        approaches.add(view.frame);
+        focus.frame(view);
+        let extracting = state.log(view, pairs.choose(view, series, chunks), chunks);
         if let Some(trails) = trails {
-            trails.log(look, chunks);
+            trails.log(view, chunks);
         }
         if let Some(heat) = heat {
-            heat.add(look.bodies().map(|(body, now)| now.max_displacement / body.radius).fold(0.0, f64::max), chunks);
+            heat.add(view.bodies().map(|(body, now)| now.max_displacement / body.radius).fold(0.0, f64::max), chunks);
         }
         let merged = state.merged.merged();
-        pairs.log(look, &merged.pairs, number, series, chunks);
-        groups.log(look, merged, series, chunks);
-        numbers.log_scalars(look, changed.take(), series, chunks);
+        pairs.log(view, &merged.pairs, number, series, chunks);
+        groups.log(view, merged, series, chunks);
+        numbers.log_scalars(view, changed.take(), series, chunks);
         numbers.add_recording(extracting, start.elapsed().saturating_sub(extracting));
-        numbers.log_timings(look.at, chunks);
+        numbers.log_timings(view.at, chunks);
     }
 }
 
@@ -495,35 +495,35 @@ impl StateParts {
             Entities::Batch => Surfaces::Batch(BatchedBodies::new(schema, detail, &mut extractor, chunks)),
         };
         let forces = (detail != Detail::Surface).then(|| Forces::new(schema, settings.entities, chunks));
-        let wholes = if detail != Detail::Surface { Wholes::new(schema, chunks) } else { None };
+        let net_forces = if detail != Detail::Surface { NetForces::new(schema, chunks) } else { None };
         let lines = Lines::new(schema, settings, chunks);
         let merged = MergedEntities::new(schema, interrupt, chunks);
-        StateParts { extractor, merged, surfaces, spheres, forces, wholes, lines }
+        StateParts { extractor, merged, surfaces, spheres, forces, net_forces, lines }
     }
 
     /// Logs what has changed, and measures `pairs`; returns the time spent on extraction.
-    fn log(&mut self, look: Look<'_>, pairs: &[[usize; 2]], chunks: &mut Chunks) -> Duration {
+    fn log(&mut self, view: FrameView<'_>, pairs: &[[usize; 2]], chunks: &mut Chunks) -> Duration {
         let start = Clock::now();
-        let StateParts { extractor, merged, surfaces, spheres, forces, wholes, lines } = self;
+        let StateParts { extractor, merged, surfaces, spheres, forces, net_forces, lines } = self;
         if let Some(forces) = forces {
-            forces.extract(look, extractor);
+            forces.extract(view, extractor);
         }
         let vertices = forces.as_ref().map_or(&[] as &[_], |forces| &forces.vertices);
-        merged.log(look, pairs, chunks);
+        merged.log(view, pairs, chunks);
         let is_merged = &merged.merged().is_merged;
         match surfaces {
-            Surfaces::Bodies(bodies) => bodies.log(look, is_merged, vertices, extractor, chunks),
-            Surfaces::Batch(batch) => batch.log(look, is_merged, vertices, extractor, chunks),
+            Surfaces::Bodies(bodies) => bodies.log(view, is_merged, vertices, extractor, chunks),
+            Surfaces::Batch(batch) => batch.log(view, is_merged, vertices, extractor, chunks),
         }
         let extracting = start.elapsed();
         if let Some(forces) = forces {
-            forces.log(look, chunks);
+            forces.log(view, chunks);
         }
-        if let Some(wholes) = wholes {
-            wholes.log(look, chunks);
+        if let Some(net_forces) = net_forces {
+            net_forces.log(view, chunks);
         }
-        spheres.log(look, chunks);
-        lines.log(look, chunks);
+        spheres.log(view, chunks);
+        lines.log(view, chunks);
         extracting
     }
 }

@@ -149,22 +149,22 @@ fn on_core() -> f64 {
     1e-9 * nanoseconds.unwrap_or(0.0)
 }
 
-type Look<'a> = &'a mut dyn FnMut(&World, Duration) -> Result<(), String>;
+type Observe<'a> = &'a mut dyn FnMut(&World, Duration) -> Result<(), String>;
 
 /// Takes steps for the duration of a block, and records a frame now and then.
-fn block(world: &mut World, look: Look<'_>) -> Result<Block, String> {
+fn block(world: &mut World, observe: Observe<'_>) -> Result<Block, String> {
     take(world, |world, elapsed| {
         (0..STEPS).for_each(|_| _ = world.step());
-        look(world, elapsed)
+        observe(world, elapsed)
     })
 }
 
 /// The same, and every step is recorded.
-fn block_of_every_step(world: &mut World, look: Look<'_>) -> Result<Block, String> {
+fn block_of_every_step(world: &mut World, observe: Observe<'_>) -> Result<Block, String> {
     take(world, |world, elapsed| {
         for _ in 0..STEPS {
             world.step();
-            look(world, elapsed)?;
+            observe(world, elapsed)?;
         }
         Ok(())
     })

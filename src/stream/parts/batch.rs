@@ -6,7 +6,7 @@ use glam::DQuat;
 use rerun::{AnyValues, InstancePoses3D, Mesh3D, Quaternion, components::Text, external::arrow::array::UInt32Array};
 
 use super::{
-    Look,
+    FrameView,
     merged::{HIDDEN, drawn},
     vertices::{self, Vertices},
 };
@@ -82,13 +82,13 @@ impl BatchedBodies {
     /// part of a merged surface count as deformed; their own surfaces are not drawn.
     pub fn log(
         &mut self,
-        look: Look<'_>,
+        view: FrameView<'_>,
         is_merged: &[bool],
         numbers: &[vertices::VertexNumbers],
         extractor: &mut Extractor,
         chunks: &mut Chunks,
     ) {
-        let (bodies, now) = (&look.schema.bodies, &look.frame.bodies);
+        let (bodies, now) = (&view.schema.bodies, &view.frame.bodies);
         let is_merged = |i: usize| is_merged.get(i).copied().unwrap_or(false);
         let (deforming, resting): (Vec<usize>, Vec<usize>) = (0..now.len()).partition(|&i| {
             is_merged(i) || now[i].mesh.is_some() || now[i].max_displacement > DEFORMED * bodies[i].radius
@@ -100,21 +100,21 @@ impl BatchedBodies {
         if let Some(vertices) = &mut self.vertices {
             self.numbers.clear();
             deforming.iter().filter_map(|&i| numbers.get(i)).for_each(|numbers| self.numbers.extend(numbers));
-            vertices.log(look.at, &self.numbers, chunks);
+            vertices.log(view.at, &self.numbers, chunks);
         }
         let torn = || now.iter().filter_map(|now| now.mesh.as_ref());
         let is_same =
             torn().count() == self.torn.len() && torn().zip(&self.torn).all(|(now, last)| Arc::ptr_eq(now, last));
         if deforming != self.deforming || !is_same {
             self.torn = torn().cloned().collect();
-            self.log_layout(look, &deforming, chunks);
+            self.log_layout(view, &deforming, chunks);
             self.deforming = deforming;
             self.drawn = None;
         }
         if !self.deforming.is_empty() {
             let now_drawn: Vec<usize> = self.deforming.iter().copied().filter(|&i| !is_merged(i)).collect();
             if self.drawn.as_ref() != Some(&now_drawn) {
-                self.log_drawn(look, is_merged, chunks);
+                self.log_drawn(view, is_merged, chunks);
                 self.drawn = Some(now_drawn);
             }
         }
@@ -123,65 +123,65 @@ impl BatchedBodies {
             let Surface { positions, normals } = &self.last;
             let colors = self.deforming.iter().flat_map(|&i| {
                 let count = now[i].mesh_of(&bodies[i]).vertex_count();
-                std::iter::repeat_n(palette::of_body(look.schema, i), count)
+                std::iter::repeat_n(palette::of_body(view.schema, i), count)
             });
             self.lit.clear();
             self.lit.extend(colors.zip(normals).map(|(rgb, &normal)| Light::in_world().on(rgb, normal)));
             let cells = [Cell::Vectors(positions), Cell::Vectors(normals), Cell::Colors(&self.lit)];
-            chunks.push(self.track, look.at, &cells);
+            chunks.push(self.track, view.at, &cells);
         }
         self.has_turned |= resting.iter().any(|&i| now[i].rotation != DQuat::IDENTITY);
         let instance = |i: usize| (i, now[i].centre.as_vec3().to_array(), now[i].rotation.as_quat().to_array());
         let resting = resting.into_iter().map(instance).collect();
         if self.resting.as_ref() != Some(&resting) {
-            self.log_resting(look, &resting, chunks);
+            self.log_resting(view, &resting, chunks);
             self.resting = Some(resting);
         }
     }
 
     /// Logs the triangles, and the body to which each vertex belongs.
-    fn log_layout(&self, look: Look<'_>, deforming: &[usize], chunks: &mut Chunks) {
+    fn log_layout(&self, view: FrameView<'_>, deforming: &[usize], chunks: &mut Chunks) {
         let (mut first, mut triangles, mut colors, mut names, mut indices) = (0, vec![], vec![], vec![], vec![]);
         for &i in deforming {
-            let body = &look.schema.bodies[i];
-            let mesh = look.frame.bodies[i].mesh_of(body);
+            let body = &view.schema.bodies[i];
+            let mesh = view.frame.bodies[i].mesh_of(body);
             let count = mesh.vertex_count();
             triangles.extend(mesh.triangles().iter().map(|t| t.map(|v| v + first)));
-            colors.extend(std::iter::repeat_n(color(palette::of_body(look.schema, i)), count));
+            colors.extend(std::iter::repeat_n(color(palette::of_body(view.schema, i)), count));
             names.extend(std::iter::repeat_n(body.name.as_str(), count));
             indices.extend(0..count as u32);
             first += count as u32;
         }
         let mesh = Mesh3D::update_fields().with_triangle_indices(triangles).with_vertex_colors(colors);
-        chunks.log(DEFORMING, look.at, &mesh);
+        chunks.log(DEFORMING, view.at, &mesh);
         let identity = body_names(&names).with_component_from_data("vertex", Arc::new(UInt32Array::from(indices)));
-        chunks.log(DEFORMING, look.at, &identity);
+        chunks.log(DEFORMING, view.at, &identity);
     }
 
     /// Logs the triangles that are drawn.
-    fn log_drawn(&self, look: Look<'_>, is_merged: impl Fn(usize) -> bool, chunks: &mut Chunks) {
+    fn log_drawn(&self, view: FrameView<'_>, is_merged: impl Fn(usize) -> bool, chunks: &mut Chunks) {
         let (mut first, mut triangles) = (0, HIDDEN.to_vec());
         for &i in &self.deforming {
-            let mesh = look.frame.bodies[i].mesh_of(&look.schema.bodies[i]);
+            let mesh = view.frame.bodies[i].mesh_of(&view.schema.bodies[i]);
             if !is_merged(i) {
                 triangles.extend(mesh.triangles().iter().map(|t| t.map(|v| v + first)));
             }
             first += mesh.vertex_count() as u32;
         }
-        chunks.log(DEFORMING, look.at, &drawn(&triangles));
+        chunks.log(DEFORMING, view.at, &drawn(&triangles));
     }
 
     /// Logs the instances of the shapes whose instances have changed.
-    fn log_resting(&self, look: Look<'_>, resting: &[Instance], chunks: &mut Chunks) {
-        for shape in look.schema.shapes().keys() {
+    fn log_resting(&self, view: FrameView<'_>, resting: &[Instance], chunks: &mut Chunks) {
+        for shape in view.schema.shapes().keys() {
             let of_shape = |list: &[Instance]| -> Vec<Instance> {
-                list.iter().copied().filter(|&(i, ..)| look.schema.bodies[i].shape == *shape).collect()
+                list.iter().copied().filter(|&(i, ..)| view.schema.bodies[i].shape == *shape).collect()
             };
             let instances = of_shape(resting);
             if self.resting.as_ref().is_some_and(|last| of_shape(last) == instances) {
                 continue;
             }
-            let bodies = || instances.iter().map(|&(i, ..)| &look.schema.bodies[i]);
+            let bodies = || instances.iter().map(|&(i, ..)| &view.schema.bodies[i]);
             let mut poses = InstancePoses3D::update_fields()
                 .with_translations(instances.iter().map(|&(_, centre, _)| centre))
                 .with_scales(bodies().map(|body| [body.radius as f32; 3]));
@@ -189,8 +189,8 @@ impl BatchedBodies {
                 poses = poses.with_quaternions(instances.iter().map(|&(.., rotation)| Quaternion::from_xyzw(rotation)));
             }
             let names: Vec<&str> = bodies().map(|body| body.name.as_str()).collect();
-            chunks.log(&resting_entity(shape), look.at, &poses);
-            chunks.log(&resting_entity(shape), look.at, &body_names(&names));
+            chunks.log(&resting_entity(shape), view.at, &poses);
+            chunks.log(&resting_entity(shape), view.at, &body_names(&names));
         }
     }
 }

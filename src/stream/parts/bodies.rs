@@ -6,7 +6,7 @@ use glam::DQuat;
 use rerun::{Mesh3D, Transform3D};
 
 use super::{
-    Look,
+    FrameView,
     merged::{HIDDEN, drawn},
     vertices::{self, Vertices, identity},
 };
@@ -59,7 +59,7 @@ struct Lit {
 impl Lit {
     /// Logs the lit colours of a surface that `has_changed`, or that has rotated so far that its lighting differs
     /// visibly.
-    fn log(&mut self, look: Look<'_>, rotation: DQuat, surface: &Surface, has_changed: bool, chunks: &mut Chunks) {
+    fn log(&mut self, view: FrameView<'_>, rotation: DQuat, surface: &Surface, has_changed: bool, chunks: &mut Chunks) {
         const VISIBLE: f64 = 0.05; // rad
         if !has_changed && self.rotation.is_some_and(|last| last.angle_between(rotation) < VISIBLE) {
             return;
@@ -70,7 +70,7 @@ impl Lit {
         self.next.extend(surface.normals.iter().map(|&normal| light.white(normal)));
         if self.next != self.last {
             std::mem::swap(&mut self.next, &mut self.last);
-            chunks.push(self.track, look.at, &[Cell::Colors(&self.last)]);
+            chunks.push(self.track, view.at, &[Cell::Colors(&self.last)]);
         }
     }
 }
@@ -93,7 +93,7 @@ impl Transform {
         Transform { translation, both, has_turned: false, last: None }
     }
 
-    fn log(&mut self, look: Look<'_>, now: &BodyFrame, chunks: &mut Chunks) {
+    fn log(&mut self, view: FrameView<'_>, now: &BodyFrame, chunks: &mut Chunks) {
         let next = (now.centre.as_vec3().to_array(), now.rotation.as_quat().to_array());
         if self.last == Some(next) {
             return;
@@ -101,9 +101,9 @@ impl Transform {
         self.has_turned |= now.rotation != DQuat::IDENTITY;
         let (centre, rotation) = next;
         if self.has_turned {
-            chunks.push(self.both, look.at, &[Cell::Vectors(&[centre]), Cell::Quaternions(&[rotation])]);
+            chunks.push(self.both, view.at, &[Cell::Vectors(&[centre]), Cell::Quaternions(&[rotation])]);
         } else {
-            chunks.push(self.translation, look.at, &[Cell::Vectors(&[centre])]);
+            chunks.push(self.translation, view.at, &[Cell::Vectors(&[centre])]);
         }
         self.last = Some(next);
     }
@@ -152,7 +152,7 @@ impl SeparateBodies {
     /// part of a merged surface do not draw their own.
     pub fn log(
         &mut self,
-        look: Look<'_>,
+        view: FrameView<'_>,
         is_merged: &[bool],
         numbers: &[vertices::VertexNumbers],
         extractor: &mut Extractor,
@@ -160,17 +160,17 @@ impl SeparateBodies {
     ) {
         for (vertices, numbers) in self.bodies.iter_mut().map(|body| &mut body.vertices).zip(numbers) {
             if let Some(vertices) = vertices {
-                vertices.log(look.at, numbers, chunks);
+                vertices.log(view.at, numbers, chunks);
             }
         }
-        for (index, ((body, now), track)) in look.bodies().zip(&mut self.bodies).enumerate() {
+        for (index, ((body, now), track)) in view.bodies().zip(&mut self.bodies).enumerate() {
             let is_drawn = !is_merged.get(index).copied().unwrap_or(false);
             let mesh = now.mesh_of(body);
             if body.can_tear && !track.mesh.as_ref().is_some_and(|last| Arc::ptr_eq(last, mesh)) {
                 let triangles = Mesh3D::update_fields().with_triangle_indices(mesh.triangles().iter().copied());
-                chunks.log(&track.entity, look.at, &triangles);
+                chunks.log(&track.entity, view.at, &triangles);
                 if track.vertices.is_some() {
-                    chunks.log(&track.entity, look.at, &identity(&body.name, mesh.vertex_count()));
+                    chunks.log(&track.entity, view.at, &identity(&body.name, mesh.vertex_count()));
                 }
                 track.mesh = Some(Arc::clone(mesh));
                 track.is_drawn = None;
@@ -178,10 +178,10 @@ impl SeparateBodies {
             }
             if track.is_drawn != Some(is_drawn) {
                 let triangles = if is_drawn { mesh.triangles() } else { HIDDEN.as_slice() };
-                chunks.log(&track.entity, look.at, &drawn(triangles));
+                chunks.log(&track.entity, view.at, &drawn(triangles));
                 track.is_drawn = Some(is_drawn);
             }
-            track.transform.log(look, now, chunks);
+            track.transform.log(view, now, chunks);
             let was_at_rest = std::mem::replace(&mut track.is_at_rest, now.is_at_rest);
             let mut has_changed = false;
             if !(was_at_rest && now.is_at_rest) {
@@ -192,9 +192,9 @@ impl SeparateBodies {
             if has_changed {
                 std::mem::swap(&mut self.next, &mut track.last);
                 let Surface { positions, normals } = &track.last;
-                chunks.push(track.surface, look.at, &[Cell::Vectors(positions), Cell::Vectors(normals)]);
+                chunks.push(track.surface, view.at, &[Cell::Vectors(positions), Cell::Vectors(normals)]);
             }
-            track.lit.log(look, now.rotation, &track.last, has_changed, chunks);
+            track.lit.log(view, now.rotation, &track.last, has_changed, chunks);
         }
     }
 }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, btree_map::Entry};
 
 use rerun::{AnnotationContext, Arrows3D};
 
-use super::{Look, vertices};
+use super::{FrameView, vertices};
 use crate::{
     observe::Schema,
     stream::{
@@ -69,10 +69,10 @@ impl Forces {
     }
 
     /// Extracts the forces of a frame.
-    pub fn extract(&mut self, look: Look<'_>, extractor: &mut Extractor) {
-        let Look { schema, .. } = look;
+    pub fn extract(&mut self, view: FrameView<'_>, extractor: &mut Extractor) {
+        let FrameView { schema, .. } = view;
         self.terms.iter_mut().for_each(|term| term.next.clear());
-        for (index, (body, now)) in look.bodies().enumerate() {
+        for (index, (body, now)) in view.bodies().enumerate() {
             let numbers = &mut self.vertices[index];
             if now.is_at_rest && !now.has_forces {
                 if !std::mem::replace(&mut self.at_rest[index], true) {
@@ -102,13 +102,13 @@ impl Forces {
     }
 
     /// Logs what has changed.
-    pub fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) {
-        self.sources.log(look.schema, chunks);
-        for (of_schema, TermArrows { track, last, next }) in look.schema.terms.iter().zip(&mut self.terms) {
+    pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
+        self.sources.log(view.schema, chunks);
+        for (of_schema, TermArrows { track, last, next }) in view.schema.terms.iter().zip(&mut self.terms) {
             if next != last {
                 std::mem::swap(next, last);
                 let cells = [Cell::Vectors(&last.origins), Cell::Vectors(&last.vectors), Cell::Classes(&last.classes)];
-                chunks.push(*track, look.at, if of_schema.has_source { &cells } else { &cells[..2] });
+                chunks.push(*track, view.at, if of_schema.has_source { &cells } else { &cells[..2] });
             }
         }
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use rerun::{AnyValues, components::Text};
 
-use super::{Look, pairs::has_named_pairs};
+use super::{FrameView, pairs::has_named_pairs};
 use crate::{
     observe::{
         Schema,
@@ -62,8 +62,8 @@ impl GroupPlots {
     }
 
     /// Logs what has changed.
-    pub fn log(&mut self, look: Look<'_>, merged: &Merged, series: &mut Series, chunks: &mut Chunks) {
-        let Look { schema, at, .. } = look;
+    pub fn log(&mut self, view: FrameView<'_>, merged: &Merged, series: &mut Series, chunks: &mut Chunks) {
+        let FrameView { schema, at, .. } = view;
         if merged.overlapping > 0 || self.overlapping.is_some() {
             let line = *self.overlapping.get_or_insert_with(|| {
                 let name = "groups shown as overlapping meshes";

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 use rerun::{LineStrips3D, Points3D};
 
-use super::{Look, MOST_LABELS};
+use super::{FrameView, MOST_LABELS};
 use crate::{
     observe::{PairEvent, PairFrame, Schema},
     stream::{
@@ -113,32 +113,32 @@ impl Lines {
     }
 
     /// Logs what has changed.
-    pub fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) {
+    pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         let LineRows { segments, colors, labels } = &mut self.next;
         let is_shown =
-            |pair: &&PairFrame| self.only.is_empty() || self.only.contains(&look.schema.pair_name(pair.a, pair.b));
+            |pair: &&PairFrame| self.only.is_empty() || self.only.contains(&view.schema.pair_name(pair.a, pair.b));
         self.closest.clear();
-        self.closest.extend(look.frame.pairs.iter().filter(is_shown));
+        self.closest.extend(view.frame.pairs.iter().filter(is_shown));
         self.closest.sort_by(|x, y| x.q.total_cmp(&y.q));
         self.closest.truncate(self.most);
-        let centre = |i: usize| look.frame.bodies[i].centre.as_vec3().to_array();
+        let centre = |i: usize| view.frame.bodies[i].centre.as_vec3().to_array();
         segments.clear();
         segments.extend(self.closest.iter().map(|pair| [centre(pair.a), centre(pair.b)]));
         colors.clear();
-        colors.extend(self.closest.iter().map(|pair| color(look.schema.phases[pair.phase].color).to_u32()));
+        colors.extend(self.closest.iter().map(|pair| color(view.schema.phases[pair.phase].color).to_u32()));
         labels.clear();
         labels.extend(self.closest.iter().map(|pair| format!("q = {:.3}", pair.q)));
         if self.last.as_ref() != Some(&self.next) {
             let LineRows { segments, colors, labels } = &self.next;
             let cells = [Cell::Segments(segments), Cell::Colors(colors), Cell::Texts(labels)];
-            chunks.push(self.track, look.at, &cells);
+            chunks.push(self.track, view.at, &cells);
             let last = self.last.get_or_insert_default();
             std::mem::swap(last, &mut self.next);
         }
         if let Some(names) = &mut self.names {
-            names.log(look, chunks);
+            names.log(view, chunks);
         }
-        self.recent.log(look, chunks);
+        self.recent.log(view, chunks);
     }
 }
 
@@ -153,12 +153,12 @@ impl Names {
         Names { track: chunks.track(NAMES, [Points3D::descriptor_positions()]), last: Vec::new(), next: Vec::new() }
     }
 
-    fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) {
+    fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         self.next.clear();
-        for (index, (body, now)) in look.bodies().enumerate() {
-            let met = look.frame.pairs.iter().filter_map(|pair| match (pair.a == index, pair.b == index) {
-                (true, _) => Some(look.frame.bodies[pair.b].centre),
-                (_, true) => Some(look.frame.bodies[pair.a].centre),
+        for (index, (body, now)) in view.bodies().enumerate() {
+            let met = view.frame.pairs.iter().filter_map(|pair| match (pair.a == index, pair.b == index) {
+                (true, _) => Some(view.frame.bodies[pair.b].centre),
+                (_, true) => Some(view.frame.bodies[pair.a].centre),
                 _ => None,
             });
             let away: DVec3 = met.map(|other| (now.centre - other).normalize_or_zero()).sum();
@@ -170,13 +170,13 @@ impl Names {
         }
         if self.next != self.last {
             std::mem::swap(&mut self.next, &mut self.last);
-            chunks.push(self.track, look.at, &[Cell::Vectors(&self.last)]);
+            chunks.push(self.track, view.at, &[Cell::Vectors(&self.last)]);
         }
     }
 }
 
 impl Recent {
-    fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) {
+    fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         if self.events.is_empty() && self.last.labels.is_empty() {
             return;
         }
@@ -186,7 +186,7 @@ impl Recent {
         colors.clear();
         labels.clear();
         for (&(a, b), (age, name, rgb)) in &mut self.events {
-            segments.push([a, b].map(|body| look.frame.bodies[body].centre.as_vec3().to_array()));
+            segments.push([a, b].map(|body| view.frame.bodies[body].centre.as_vec3().to_array()));
             colors.push(color(*rgb).to_u32());
             labels.push(name.clone());
             *age += 1;
@@ -194,7 +194,7 @@ impl Recent {
         if self.next != self.last {
             std::mem::swap(&mut self.next, &mut self.last);
             let LineRows { segments, colors, labels } = &self.last;
-            chunks.push(self.track, look.at, &[Cell::Segments(segments), Cell::Colors(colors), Cell::Texts(labels)]);
+            chunks.push(self.track, view.at, &[Cell::Segments(segments), Cell::Colors(colors), Cell::Texts(labels)]);
         }
     }
 }

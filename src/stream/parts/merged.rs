@@ -5,7 +5,7 @@ use std::sync::{Arc, atomic::AtomicBool};
 use glam::DVec3;
 use rerun::{AnnotationContext, AnyValues, ComponentDescriptor, LineStrips3D, Mesh3D, components::TriangleIndices};
 
-use super::Look;
+use super::FrameView;
 use crate::{
     observe::{
         Schema,
@@ -97,8 +97,8 @@ impl MergedEntities {
     }
 
     /// Computes the surfaces of a frame, measures `pairs`, and logs what has changed.
-    pub fn log(&mut self, look: Look<'_>, pairs: &[[usize; 2]], chunks: &mut Chunks) {
-        let merged = self.merger.merge(look.schema, look.frame, pairs);
+    pub fn log(&mut self, view: FrameView<'_>, pairs: &[[usize; 2]], chunks: &mut Chunks) {
+        let merged = self.merger.merge(view.schema, view.frame, pairs);
         let is_same = self.last.len() == merged.groups.len()
             && self.last.iter().zip(&merged.groups).all(|(last, now)| Arc::ptr_eq(last, now));
         if is_same {
@@ -107,7 +107,7 @@ impl MergedEntities {
         self.last.clone_from(&merged.groups);
         self.mesh.clear();
         for group in &merged.groups {
-            self.mesh.append(look.schema, group);
+            self.mesh.append(view.schema, group);
         }
         let Mesh { triangles, positions, normals, colors, lit, classes, vertices, seams, names, .. } = &self.mesh;
         let cells = [
@@ -119,8 +119,8 @@ impl MergedEntities {
             Cell::Classes(classes),
             Cell::Indices(vertices),
         ];
-        chunks.push(self.surface, look.at, &cells);
-        chunks.push(self.seams, look.at, &[Cell::Strips(seams), Cell::Texts(names)]);
+        chunks.push(self.surface, view.at, &cells);
+        chunks.push(self.seams, view.at, &[Cell::Strips(seams), Cell::Texts(names)]);
     }
 
     /// The surfaces and measures of the last frame.

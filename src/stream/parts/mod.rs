@@ -7,7 +7,7 @@
 //! | `/world/resting/SHAPE`, `/world/deforming/surface` | [`batch`] |
 //! | `/world/influence` | [`spheres`] |
 //! | `/world/forces/TERM` | [`forces`] |
-//! | `/world/forces/net_force`, `…/torque` | [`wholes`] |
+//! | `/world/forces/net_force`, `…/torque` | [`net_forces`] |
 //! | `/world/merged/surface`, `/world/merged/seams` | [`merged`] |
 //! | `/groups/A/…` | [`groups`] |
 //! | `/world/trails` | [`trails`] |
@@ -27,13 +27,13 @@ pub mod heat;
 pub mod lines;
 pub mod marks;
 pub mod merged;
+pub mod net_forces;
 pub mod numbers;
 pub mod pairs;
 pub mod planes;
 pub mod spheres;
 pub mod trails;
 pub mod vertices;
-pub mod wholes;
 
 use super::instant::Instant;
 use crate::observe::{BodyFrame, Frame, Schema, schema::BodySchema};
@@ -43,7 +43,7 @@ const MOST_LABELS: usize = 8;
 
 /// The input of a part: what is logged of a frame.
 #[derive(Clone, Copy)]
-pub struct Look<'a> {
+pub struct FrameView<'a> {
     /// The schema of the simulation.
     pub schema: &'a Schema,
     /// The state to be logged.
@@ -52,7 +52,7 @@ pub struct Look<'a> {
     pub at: Instant,
 }
 
-impl<'a> Look<'a> {
+impl<'a> FrameView<'a> {
     pub(in crate::stream) fn bodies(self) -> impl Iterator<Item = (&'a BodySchema, &'a BodyFrame)> {
         self.schema.bodies.iter().zip(&self.frame.bodies)
     }

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant as Clock};
 
 use rerun::Scalars;
 
-use super::Look;
+use super::FrameView;
 use crate::{
     observe::{Schema, schema::ScalarOf},
     stream::{
@@ -167,13 +167,19 @@ impl FrameNumbers {
 
     /// Logs the schema's scalars. Lines that jump when a pair changes its phase are interrupted where one has `changed`: a
     /// steep line would look like a change over the course of a frame.
-    pub fn log_scalars(&mut self, look: Look<'_>, changed: Option<Instant>, series: &mut Series, chunks: &mut Chunks) {
-        for (line, &of_state) in self.scalars.iter_mut().zip(&look.frame.scalars) {
+    pub fn log_scalars(
+        &mut self,
+        view: FrameView<'_>,
+        changed: Option<Instant>,
+        series: &mut Series,
+        chunks: &mut Chunks,
+    ) {
+        for (line, &of_state) in self.scalars.iter_mut().zip(&view.frame.scalars) {
             if let Some(at) = changed.filter(|_| line.jumps) {
                 series.interrupt(chunks, line.id, at);
             }
             let value = if line.of == ScalarOf::State { of_state } else { std::mem::take(&mut line.value) };
-            series.log(chunks, line.id, value, look.at);
+            series.log(chunks, line.id, value, view.at);
         }
     }
 

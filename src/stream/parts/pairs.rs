@@ -7,7 +7,7 @@ use rerun::{
     components::{Scalar, Text},
 };
 
-use super::{Look, marks::Marks};
+use super::{FrameView, marks::Marks};
 use crate::{
     observe::{
         BodyEvent, PairEvent, PairFrame, Schema, Shortfall, SurfaceEvent, colors, surface::PairMeasures, touch::Finding,
@@ -147,8 +147,8 @@ impl PairPlots {
     }
 
     /// Chooses the pairs of a frame that have their own entities, and creates those of new ones.
-    pub fn choose(&mut self, look: Look<'_>, series: &mut Series, chunks: &mut Chunks) -> &[[usize; 2]] {
-        let Look { schema, frame: now, at } = look;
+    pub fn choose(&mut self, view: FrameView<'_>, series: &mut Series, chunks: &mut Chunks) -> &[[usize; 2]] {
+        let FrameView { schema, frame: now, at } = view;
         if self.known.len() < self.most {
             // of pairs that come within reach in the same frame, take the closest first
             self.new.clear();
@@ -159,7 +159,7 @@ impl PairPlots {
             }
         }
         if self.known.len() >= self.most && self.most > 0 {
-            self.keep(look);
+            self.keep(view);
         }
         self.shown.clear();
         let is_known = |pair: &&PairFrame| self.known.contains_key(&(pair.a, pair.b));
@@ -168,7 +168,7 @@ impl PairPlots {
     }
 
     /// Keeps q of the pairs without a plot.
-    fn keep(&mut self, Look { frame, at, .. }: Look<'_>) {
+    fn keep(&mut self, FrameView { frame, at, .. }: FrameView<'_>) {
         let mut last = std::mem::take(&mut self.kept);
         for pair in frame.pairs.iter().filter(|pair| !self.known.contains_key(&(pair.a, pair.b))).take(KEPT_PAIRS) {
             let mut kept = last.remove(&(pair.a, pair.b)).unwrap_or_default();
@@ -183,19 +183,19 @@ impl PairPlots {
     /// Logs the q and the measures of the chosen pairs; `frame` is the number of the frame.
     pub fn log(
         &mut self,
-        look: Look<'_>,
+        view: FrameView<'_>,
         measures: &[Option<PairMeasures>],
         frame: u64,
         series: &mut Series,
         chunks: &mut Chunks,
     ) {
-        let Look { frame: now, at, .. } = look;
+        let FrameView { frame: now, at, .. } = view;
         self.next_in_reach.clear();
         let mut measures = measures.iter();
         for pair in &now.pairs {
             let Some(known) = self.known.get_mut(&(pair.a, pair.b)) else { continue };
             if let Some(Some(PairMeasures { gap, overlap, neck, .. })) = measures.next() {
-                let contact = Contact::of(look.schema.phases[pair.phase].is_joined, *gap <= 0.0);
+                let contact = Contact::of(view.schema.phases[pair.phase].is_joined, *gap <= 0.0);
                 if known.last_contact.replace(contact) != Some(contact) {
                     chunks.log(&known.contact, at, &StateChange::single(contact.name()));
                 }

@@ -2,7 +2,7 @@
 
 use rerun::{Ellipsoids3D, components::FillMode};
 
-use super::{Look, lines::PAIRS};
+use super::{FrameView, lines::PAIRS};
 use crate::{
     observe::Schema,
     stream::{
@@ -76,30 +76,30 @@ impl SphereEntities {
     }
 
     /// Logs what has changed.
-    pub fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) {
+    pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         self.phases.clear();
-        self.phases.resize(look.frame.bodies.len(), None);
-        for pair in &look.frame.pairs {
+        self.phases.resize(view.frame.bodies.len(), None);
+        for pair in &view.frame.pairs {
             for i in [pair.a, pair.b] {
                 self.phases[i] = self.phases[i].max(Some(pair.phase));
             }
         }
         self.next_centres.clear();
-        self.next_centres.extend(look.frame.bodies.iter().map(|body| body.centre.as_vec3().to_array()));
+        self.next_centres.extend(view.frame.bodies.iter().map(|body| body.centre.as_vec3().to_array()));
         if self.next_centres != self.centres {
             std::mem::swap(&mut self.next_centres, &mut self.centres);
-            chunks.push(self.track, look.at, &[Cell::Vectors(&self.centres)]);
+            chunks.push(self.track, view.at, &[Cell::Vectors(&self.centres)]);
         }
         if let Some(reaching) = &mut self.reaching {
-            reaching.log(look, &self.phases, chunks);
+            reaching.log(view, &self.phases, chunks);
         }
         self.next_colors.clear();
         self.next_colors
-            .extend(self.phases.iter().map(|phase| phase.map_or(self.idle, |phase| look.schema.phases[phase].color)));
+            .extend(self.phases.iter().map(|phase| phase.map_or(self.idle, |phase| view.schema.phases[phase].color)));
         if self.next_colors != self.colors {
             std::mem::swap(&mut self.next_colors, &mut self.colors);
             let spheres = Ellipsoids3D::update_fields().with_colors(self.colors.iter().map(|&rgb| color(rgb)));
-            chunks.log(ENTITY, look.at, &spheres);
+            chunks.log(ENTITY, view.at, &spheres);
         }
     }
 }
@@ -118,22 +118,22 @@ impl Reaching {
         Reaching { track: chunks.track(PAIRS, components), last: None, next: SphereRows::default() }
     }
 
-    fn log(&mut self, look: Look<'_>, phases: &[Option<usize>], chunks: &mut Chunks) {
+    fn log(&mut self, view: FrameView<'_>, phases: &[Option<usize>], chunks: &mut Chunks) {
         let SphereRows { centres, half_sizes, colors } = &mut self.next;
         centres.clear();
         half_sizes.clear();
         colors.clear();
         for (i, phase) in phases.iter().enumerate() {
             let Some(phase) = *phase else { continue };
-            centres.push(look.frame.bodies[i].centre.as_vec3().to_array());
-            half_sizes.push([look.schema.bodies[i].reach as f32; 3]);
-            colors.push(color(look.schema.phases[phase].color).to_u32());
+            centres.push(view.frame.bodies[i].centre.as_vec3().to_array());
+            half_sizes.push([view.schema.bodies[i].reach as f32; 3]);
+            colors.push(color(view.schema.phases[phase].color).to_u32());
         }
         if self.last.as_ref() != Some(&self.next) {
             let SphereRows { centres, half_sizes, colors } = &self.next;
             chunks.push(
                 self.track,
-                look.at,
+                view.at,
                 &[Cell::Vectors(centres), Cell::Vectors(half_sizes), Cell::Colors(colors)],
             );
             std::mem::swap(self.last.get_or_insert_default(), &mut self.next);

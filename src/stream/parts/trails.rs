@@ -3,7 +3,7 @@
 
 use rerun::LineStrips3D;
 
-use super::Look;
+use super::FrameView;
 use crate::{
     observe::Schema,
     stream::{
@@ -43,13 +43,13 @@ impl Trails {
     }
 
     /// Adds the segments since the last frame.
-    pub fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) {
-        let centre = |&i: &usize| look.frame.bodies[i].centre.as_vec3().to_array();
+    pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
+        let centre = |&i: &usize| view.frame.bodies[i].centre.as_vec3().to_array();
         let now: Vec<Float3> = self.bodies.iter().map(centre).collect();
         if !self.last.is_empty() && self.last != now {
             self.segments.clear();
             self.segments.extend(self.last.iter().zip(&now).map(|(&from, &to)| [from, to]));
-            chunks.push(self.track, look.at, &[Cell::Segments(&self.segments)]);
+            chunks.push(self.track, view.at, &[Cell::Segments(&self.segments)]);
         }
         self.last = now;
     }

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use rerun::Arrows3D;
 
-use super::{Look, forces};
+use super::{FrameView, forces};
 use crate::{
     observe::{Schema, WholeFrame, colors, schema::BodySchema},
     stream::{
@@ -24,7 +24,7 @@ pub const KINDS: [(&str, Rgb, Arrow); 2] = [
 ];
 
 /// The arrows, with what was last logged of them.
-pub struct Wholes {
+pub struct NetForces {
     tracks: [TrackId; KINDS.len()],
     last: [Rows; KINDS.len()],
 }
@@ -32,9 +32,9 @@ pub struct Wholes {
 /// Origins and vectors.
 type Rows = (Vec<Float3>, Vec<Float3>);
 
-impl Wholes {
+impl NetForces {
     /// Logs static data; `None` if no body is free.
-    pub fn new(schema: &Schema, chunks: &mut Chunks) -> Option<Wholes> {
+    pub fn new(schema: &Schema, chunks: &mut Chunks) -> Option<NetForces> {
         if !schema.bodies.iter().any(|body| body.is_free) {
             return None;
         }
@@ -47,23 +47,23 @@ impl Wholes {
             chunks.log_static(&entity, &style);
             chunks.track(&entity, [Arrows3D::descriptor_origins(), Arrows3D::descriptor_vectors()])
         });
-        Some(Wholes { tracks, last: Default::default() })
+        Some(NetForces { tracks, last: Default::default() })
     }
 
     /// Logs what has changed.
-    pub fn log(&mut self, look: Look<'_>, chunks: &mut Chunks) {
+    pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         for ((track, last), (.., acceleration)) in self.tracks.iter().zip(&mut self.last).zip(KINDS) {
             let (mut origins, mut vectors) = Rows::default();
-            for (body, now) in look.bodies() {
+            for (body, now) in view.bodies() {
                 let Some(whole) = &now.whole else { continue };
-                let vector = (look.schema.whole_scale * acceleration(whole, body)).as_vec3().to_array();
+                let vector = (view.schema.whole_scale * acceleration(whole, body)).as_vec3().to_array();
                 if vector != [0.0; 3] {
                     origins.push(now.centre.as_vec3().to_array());
                     vectors.push(vector);
                 }
             }
             if *last != (origins.clone(), vectors.clone()) {
-                chunks.push(*track, look.at, &[Cell::Vectors(&origins), Cell::Vectors(&vectors)]);
+                chunks.push(*track, view.at, &[Cell::Vectors(&origins), Cell::Vectors(&vectors)]);
                 *last = (origins, vectors);
             }
         }
