@@ -319,9 +319,9 @@ fn try_out(scene: &Scene) -> Result<(), MeasureError> {
 
 /// A reference solution.
 enum Solution {
-    /// Of prescribed paths: each vertex by itself.
+    /// For prescribed paths: each vertex by itself.
     Vertices(Reference),
-    /// Of free bodies: all vertices together.
+    /// For free bodies: all vertices together.
     Particles(Particles),
 }
 

@@ -57,11 +57,11 @@ pub struct Group {
     /// Outward unit normals of the vertices [–], `[vertex_count]`; empty if they follow from the triangles
     /// ([`Group::append_normals`]).
     pub normals: Vec<DVec3>,
-    /// Where each vertex is from, `[vertex_count]`.
+    /// Origin of each vertex, `[vertex_count]`.
     pub origins: Vec<VertexOrigin>,
     /// Vertices of each triangle, counter-clockwise from outside.
     pub triangles: Vec<[u32; 3]>,
-    /// Where the surfaces of two bodies meet.
+    /// The curves along which the surfaces of two bodies meet.
     pub seams: Vec<SeamLine>,
     /// Number of connected components of the surface.
     pub components: usize,
@@ -75,10 +75,10 @@ pub struct Group {
     pub area: f64,
 }
 
-/// Where a vertex of a merged surface is from.
+/// Origin of a vertex of a merged surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VertexOrigin {
-    /// The body it belongs to, and the one that it meets at the nearest seam; the same twice far from any.
+    /// The body it belongs to, and the one that meets it at the nearest seam; both the same far from any seam.
     pub bodies: [u32; 2],
     /// Share of the second body in the colour of the vertex: ½ on the seam, 0 far from it.
     pub share: f32,

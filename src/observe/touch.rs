@@ -120,11 +120,11 @@ pub struct Touches {
     interrupt: Option<&'static AtomicBool>,
 }
 
-/// What is known of a pair.
+/// The last known state of a pair.
 #[derive(Clone, Copy, Default)]
 struct Known {
     is_touching: bool,
-    /// Where the surfaces were last found to cross.
+    /// The crossing of the surfaces that was found last.
     crossing: Option<Crossing>,
     /// When they touched.
     touched: Option<f64>,

@@ -347,7 +347,7 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
     Ok(GoldenOutcome::Different(Box::new(difference)))
 }
 
-/// What a golden recording has about surfaces, by step.
+/// The geometric quantities of a golden recording, by step.
 fn read_surfaces(path: &Path) -> Result<BTreeMap<u64, Values>, ReadError> {
     let mut held: BTreeMap<u64, Values> = BTreeMap::new();
     let mut reader = Reader::open(path)?;
@@ -484,7 +484,7 @@ impl GoldenState {
     }
 }
 
-/// What a golden recording has besides checksums, as far as it is relevant to a step.
+/// The details of a golden recording that are relevant to a step.
 #[derive(Default)]
 struct Details {
     /// Vertex hashes of bodies that are not at rest, at that step.

@@ -138,7 +138,7 @@ impl Path {
         }
     }
 
-    /// What [`Path::kinematics`] needs to know of instants at the given times after any start [s].
+    /// The precomputed angles of [`Path::kinematics`] for instants at the given times after any start [s].
     pub fn turns(&self, after: &[f64; 5]) -> Turns {
         match self {
             Path::Sine { frequency, .. } => Turns(after.map(|t| libm::sincos(TAU * frequency * t))),

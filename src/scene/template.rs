@@ -110,7 +110,7 @@ impl<'a> Template<'a> {
     /// the built-in scene of this name.
     ///
     /// # Errors
-    /// What [`Scene::parse`] refuses.
+    /// Those of [`Scene::parse`].
     pub fn new(text: &'a str, file: &'a str, folder: Option<&'a Path>) -> Result<Template<'a>, SceneError> {
         on_deep_stack(|| {
             let source = Source { text, file };

@@ -66,7 +66,7 @@ pub fn messages(subject: &Subject<'_>, tab: Tab, recording: &StoreId) -> Vec<Log
     layout.finish(root)
 }
 
-/// What is known of a run only at its end.
+/// Data of a run that is known only at its end.
 #[derive(Clone, Debug, Default)]
 pub struct Measured<'a> {
     /// Duration of the run [s].
@@ -233,9 +233,9 @@ impl Tab {
 /// Source of a component of a visualizer.
 #[derive(Clone, Copy, Debug)]
 pub struct Mapping {
-    /// What the visualizer takes.
+    /// The component of the visualizer.
     pub target: &'static str,
-    /// The component of the entity that it takes instead.
+    /// The component of the entity that supplies it.
     pub source: &'static str,
 }
 

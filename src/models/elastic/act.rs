@@ -81,7 +81,7 @@ impl Sphere {
     }
 }
 
-/// What accelerates the nodes at an instant.
+/// The sources of acceleration at an instant.
 #[derive(Clone, Debug, Default)]
 pub struct Instantaneous {
     /// Spheres: cause, body, centre relative to that of the body, strength [1/s²], radius.
@@ -137,7 +137,7 @@ impl StepContext<'_> {
         breaks.dedup();
     }
 
-    /// What acts on a body between two breaks.
+    /// The external accelerations of a body between two breaks.
     pub fn part<'a>(
         &'a self,
         path: &'a Path,

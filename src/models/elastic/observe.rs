@@ -23,7 +23,7 @@ use crate::{
     sim::{Cause, Options, World, simulation},
 };
 
-/// Index of a phase in frames.
+/// Index of a phase, as used in frames.
 fn number(phase: Phase) -> usize {
     phase as usize
 }
@@ -207,13 +207,13 @@ impl Elastic {
         self.bodies.iter().filter(|body| !body.is_at_rest || body.free.is_some()).map(of).sum()
     }
 
-    /// Of free bodies [mass · scene unit/s].
+    /// Momentum of free bodies [mass · scene unit/s].
     pub fn momentum(&self) -> DVec3 {
         let of = |body: &Body| body.free.as_ref().map_or(DVec3::ZERO, |free| free.velocity * body.free_mass());
         self.bodies.iter().map(of).sum()
     }
 
-    /// Of free bodies, about the origin [mass · scene unit²/s].
+    /// Angular momentum of free bodies about the origin [mass · scene unit²/s].
     pub fn angular_momentum(&self) -> DVec3 {
         let of = |body: &Body| {
             let whole = |free: &Free| free.centre.cross(free.velocity) * body.free_mass();
