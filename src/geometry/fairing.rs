@@ -1,12 +1,11 @@
-//! A smooth seam: fairing of the crease along which two surfaces meet.
+//! Fairing of the crease along which two surfaces meet.
 //!
-//! The crease of a union is as sharp as its bodies' angle. Within a distance of the seam, its short edges are collapsed,
-//! its long ones split, and its vertices moved towards the means of their neighbours, by weights that end at that
-//! distance. What is beyond keeps its position to the bit. Moving the vertices along their normals, by the same
-//! weights, then restores the volume.
+//! Within a given distance of the seam, short edges are collapsed, long ones split, and vertices moved towards the
+//! means of their neighbours, by weights that fall to zero at that distance. Farther vertices keep their position to
+//! the bit. Moving the vertices along their normals, by the same weights, then restores the volume.
 //!
-//! Apart from one list of the triangles about each vertex, the cost follows the number of vertices near the seams.
-//! Displacements are in single precision, because they are only drawn; positions are not.
+//! Apart from one list of the triangles around each vertex, the cost is proportional to the number of vertices near the
+//! seams. Displacements are in single precision, because they are only drawn; positions are not.
 
 use glam::{DVec3, Vec3A};
 use rustc_hash::FxHashMap;

@@ -1,4 +1,4 @@
-//! A rest shape: a closed triangle mesh about its centre of mass.
+//! A rest shape: a closed triangle mesh, centred at its mass centre.
 
 use glam::DVec3;
 

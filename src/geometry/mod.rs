@@ -1,6 +1,6 @@
 //! Rest shapes: positions, normals, triangles and masses, and the shapes that a scene can name.
 //!
-//! | what | where |
+//! | contents | module |
 //! | --- | --- |
 //! | a closed triangle mesh | [`mesh`] |
 //! | the parameters of a shape, and its mesh shared by all bodies | [`shape`] |

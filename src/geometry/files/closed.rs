@@ -1,4 +1,4 @@
-//! Whether triangles are the surface of a body: closed, consistently oriented, manifold, outward.
+//! Checks that triangles are the surface of a body: closed, manifold, consistently oriented, outward.
 
 use std::collections::{HashMap, hash_map::Entry};
 

@@ -1,7 +1,7 @@
 //! A mesh as text, to the bit: a version, counts, positions and triangles in base64.
 //!
-//! Positions are doubles, or singles where that is exact, as it is for most files. A triangle is three differences to the
-//! corner before, zigzag and in groups of seven bits. A million triangles take some 16 MB.
+//! Positions are doubles, or singles if that is exact, as for most files. A triangle is three differences to the
+//! previous corner, as zigzag varints. A million triangles take about 16 MB.
 
 use base64::{Engine as _, engine::general_purpose::STANDARD_NO_PAD};
 use glam::DVec3;

@@ -1,15 +1,15 @@
 //! Closed triangle meshes from files: OBJ, STL, PLY, glTF and GLB.
 //!
-//! | what | where |
+//! | contents | module |
 //! | --- | --- |
 //! | one file per format | `obj`, `stl`, `ply`, `gltf` |
-//! | whether the triangles are the surface of a body | [`closed`] |
-//! | a mesh as text, exactly: recordings carry it | [`embedded`] |
+//! | checks that the triangles are the surface of a body | [`closed`] |
+//! | a mesh as text, exactly, as recordings store it | [`embedded`] |
 //!
-//! The readers take positions and triangles and skip the rest. They are our own: a few dozen lines each, which take
-//! nothing that a file claims for granted. Crates for these formats reserve memory for as many elements as the header
-//! says, or panic where an index is out of range. Polygons are cut into triangles from their first corner, as all of them
-//! do. glTF is y-up by its specification, scenes are z-up: (x, y, z) becomes (x, −z, y).
+//! The readers take positions and triangles and skip the rest. They are our own, a few dozen lines each, and do not
+//! trust the file: crates for these formats allocate whatever the header claims, or panic on an index out of range.
+//! Polygons are triangulated as fans from their first corner. glTF is y-up by its specification, scenes are z-up:
+//! (x, y, z) becomes (x, −z, y).
 
 pub mod closed;
 pub mod embedded;

@@ -1,5 +1,5 @@
-//! Wavefront OBJ: `v x y z` and `f a b c …`, indices from 1, or from the end if negative. A line that ends in `\` goes on in
-//! the next.
+//! Wavefront OBJ: `v x y z` and `f a b c …`, indices from 1, or from the end if negative. A `\` at the end of a line
+//! continues it.
 
 use std::borrow::Cow;
 

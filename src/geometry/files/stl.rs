@@ -1,4 +1,4 @@
-//! STL, binary and ASCII: triangles with corners of their own.
+//! STL, binary and ASCII: triangles without shared vertices.
 
 use glam::DVec3;
 

@@ -1,8 +1,8 @@
 //! Distances from a point to a surface and between surfaces.
 //!
-//! Searches go through a tree of boxes whose structure is that of the first positions of a topology, with the boxes of the
-//! current ones. Results do not depend on the structure: they are the least of all computed distances, the first triangle's
-//! where several are equal, and boxes are left out only if rounding cannot matter.
+//! Searches use a bounding volume hierarchy that is built once per topology and refitted to current positions. Results
+//! do not depend on its structure: they are the least of all computed distances (of equal ones, that of the first
+//! triangle), and boxes are skipped only if rounding cannot matter.
 
 use glam::DVec3;
 

@@ -16,7 +16,7 @@
 //!    Cherchi et al. (*Fast and Robust Mesh Arrangements*, 2020; *Interactive and Robust Mesh Booleans*, 2022).
 //! 3. Boxes of bodies, of blocks of triangles and of triangles find candidates (`candidates`); signs determine
 //!    which of them intersect (`arrangement`).
-//!    Triangles well inside another body (`placement`) bound nothing: where two of them meet is not looked for.
+//!    Triangles well inside another body (`placement`) bound nothing: intersections of two such triangles are skipped.
 //! 4. Winding numbers (Zhou et al., *Mesh Arrangements for Solid Geometry*, 2016) are flood-filled from where they are
 //!    known (`winding`), and checked at the end of every edge and segment. A side of a triangle bounds the union if
 //!    nothing is in front of it and something behind it.
@@ -28,7 +28,7 @@
 //!
 //! # What it costs
 //!
-//! Beside the exact mode of `manifold-rust`, by `cargo bench --bench union` on two cores of an AMD EPYC:
+//! Compared with the exact mode of `manifold-rust`, by `cargo bench --bench union` on two cores of an AMD EPYC:
 //!
 //! | spheres | union, best | times as fast | goal |
 //! | --- | --- | --- | --- |

@@ -1,9 +1,9 @@
-//! The bodies as the predicates see them: in general position.
+//! General position: the perturbed bodies on which predicates are evaluated.
 //!
 //! Bodies often touch, coincide or are aligned: scenes along the axes, copies, stacks. The predicates therefore see
 //! every body deflated by a small amount of its own, and every vertex displaced by a hundredth of that, pseudo-randomly
-//! but reproducibly. So bodies in contact are apart, one of two identical bodies is inside the other, and degeneracies
-//! such as four coplanar points do not occur; if one occurs nevertheless, everything is repeated with other
+//! but reproducibly. Bodies in contact are then apart, one of two identical bodies is inside the other, and
+//! degeneracies such as four coplanar points do not occur; if one does, everything is repeated with other
 //! displacements. The result has the true positions.
 
 use glam::DVec3;

@@ -1,4 +1,4 @@
-//! Few numbers of many, each with its place among them.
+//! A sparse subset of many numbers, with the rank of each.
 
 /// Ascending numbers below a limit: a bit for each, and how many are below every 64th.
 #[derive(Default)]

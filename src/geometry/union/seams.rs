@@ -1,4 +1,4 @@
-//! Where the surfaces of two bodies meet on a union.
+//! Seams: the curves along which the surfaces of two bodies meet on a union.
 
 use glam::DVec3;
 

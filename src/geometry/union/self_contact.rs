@@ -1,7 +1,7 @@
-//! Where a surface meets itself: triangles that cross, touch or lie on each other where they are not neighbours.
+//! Self-contact of a surface: triangles that cross, touch or overlap without being neighbours.
 //!
-//! Blocks of neighbouring triangles and their boxes find candidates, as for a union; signs that are exact decide. Unlike
-//! there, positions are taken as they are: surfaces that touch are found, too.
+//! Boxes of blocks of neighbouring triangles find candidates, as for a union; exact signs decide. Unlike there,
+//! positions are not perturbed: surfaces that touch are found, too.
 
 use glam::DVec3;
 

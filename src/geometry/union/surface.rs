@@ -1,4 +1,4 @@
-//! The union, stored as what it takes from the bodies and what it adds.
+//! The union, stored as the parts kept from the bodies plus the new ones.
 
 use std::{collections::hash_map::Entry, sync::OnceLock};
 

@@ -1,7 +1,7 @@
 //! Triangulates a plane region given by directed lines, which have the region on their left.
 //!
-//! The result is closed whatever the coordinates are: every line is an edge of exactly one triangle, every other edge
-//! of exactly two. Coordinates affect only the quality of the triangles.
+//! The result is closed for any coordinates: every line is an edge of exactly one triangle, every other edge of exactly
+//! two. Coordinates affect only the quality of the triangles.
 
 use std::{cell::RefCell, mem::take};
 

@@ -1,7 +1,7 @@
 //! Winding numbers of bodies: at vertices by flood fill from where they are known, along edges and segments by counting
 //! the triangles that these pass through.
 //!
-//! "In front" of a surface means beside it on the outer side. Behind a triangle of a body its winding number is larger
+//! "In front" of a surface means next to it on the outer side. Behind a triangle of a body its winding number is larger
 //! by one.
 
 use glam::DVec3;
