@@ -1,4 +1,4 @@
-//! One body over one step: where its sub-steps end, what acts on it in each, and the scheme's turn.
+//! Advances one body over one step: determines its sub-steps and the forces in each, and calls the integrator.
 
 use std::cell::RefCell;
 

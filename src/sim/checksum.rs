@@ -1,4 +1,4 @@
-//! One number for the exact state of a world, so that two runs can be compared step by step.
+//! Hash of the exact state of a world, so that two runs can be compared step by step.
 //!
 //! The hash covers what is stored, however old it is: so observation does not change it, and its cost follows the
 //! bodies that are stepped. Bodies and pairs are hashed separately and their hashes added, so that unchanged ones need

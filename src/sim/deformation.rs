@@ -1,8 +1,8 @@
-//! The motion of single vertices of a body, beyond the motion that all of them share.
+//! The motion of single vertices of a body, in addition to their shared motion.
 //!
 //! A vertex that has only ever followed the shared motion has no state here. One near a sphere is in the active set,
-//! which holds its state at the end of the last step. One that no sphere reaches any more is free: its state is kept as
-//! of the time it was released, and the exact flow advances it to any later time at once, on request.
+//! which holds its state at the end of the last step. One that no sphere reaches any more is free: its state is kept
+//! from the time of its release, and the exact flow advances it to any later time on request.
 
 use std::cell::Cell;
 

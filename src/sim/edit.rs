@@ -1,7 +1,7 @@
-//! Changes of a world between steps: bodies are added, removed, pushed, or get another motion.
+//! Changes to a world between steps: adding and removing bodies, pushes, other motions.
 //!
-//! The world goes on as if its scene had said so: pushes and bodies that are given before the instant at which they begin to
-//! matter lead to the same states, bit by bit.
+//! The result is the same as if the scene had contained the change: pushes and bodies added before they begin to act
+//! lead to bit-identical states.
 
 use super::{report::EditError, world::World};
 use crate::scene::{Body, Force, Motion, Push};

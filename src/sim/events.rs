@@ -1,9 +1,9 @@
 //! When a pair of bodies changes phase: exact times, by root finding on the prescribed paths.
 //!
 //! The distance of two centres reaches a threshold L where `g(t) = |c_a(t) − c_b(t)|² − L²` crosses zero. The paths
-//! bound |g″| over any interval of time, so intervals that can't hold a root are passed over whole, intervals on which
-//! g is monotone are searched by safeguarded Newton steps, and others are halved: no crossing is missed, however
-//! short the visit. A pair within a few roundings of a threshold is taken to stand on it until it has left.
+//! bound |g″| over any interval of time, so intervals that cannot contain a root are skipped, intervals on which g is
+//! monotone are searched by safeguarded Newton steps, and others are halved: no crossing is missed, however short the
+//! visit. A pair within a few rounding errors of a threshold counts as on it until it has left.
 
 use std::f64::consts::TAU;
 

@@ -1,4 +1,4 @@
-//! Parts of the world as frames represent them.
+//! Converts parts of the world to frames.
 
 use std::mem::take;
 

@@ -1,4 +1,4 @@
-//! What a scene needs before it is built: a slip of the finger must not take the machine down.
+//! Estimates the memory that a scene needs before it is built: a typing error must not exhaust the machine's memory.
 
 use std::{
     collections::HashSet,

@@ -1,6 +1,6 @@
 //! The simulation: a [`World`] built from a scene, its time step, and access to its state.
 //!
-//! | what | where |
+//! | contents | module |
 //! | --- | --- |
 //! | the world and its step | `world` |
 //! | the state of one body and how a step advances it | `body`, `advance` |
@@ -15,11 +15,11 @@
 //! | scenes with free bodies or planes: their step | `coupled` |
 //! | changes between steps | `edit` |
 //! | observation: forces by cause, energy | `observe` |
-//! | the interface to instruments | `simulation` |
+//! | the observer's interface | `simulation` |
 //! | the stages inside a step, on request | `stages` |
 //! | what a step reports | `report` |
 //! | how much work a step may do | `work` |
-//! | one number for the exact state | `checksum` |
+//! | hash of the exact state | `checksum` |
 //! | memory that a scene needs, estimated before it is built | `memory` |
 //!
 //! This module does not depend on Rerun or files, nor on clocks other than the step's own timers.

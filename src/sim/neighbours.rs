@@ -1,4 +1,4 @@
-//! Which bodies are near a body, and for how long that holds.
+//! The bodies near a body, and for how long the list is valid.
 
 /// Another body that is near this one.
 #[derive(Clone, Copy, Debug)]

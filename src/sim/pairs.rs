@@ -1,8 +1,8 @@
-//! Pairs of bodies that are near each other, their phases, and when these change.
+//! Near pairs of bodies, their phases, and when these change.
 //!
-//! A body's fat bounds holds everything that it can touch or be touched at until it has moved, or its vertices have swung, by
-//! more than was allowed for. Pairs whose fat bounds overlap are known, and so is every pair that is not apart. (Molecular
-//! dynamics knows such lists as Verlet's, with a skin.)
+//! A body's fat bounds contain everything that it can touch, or where it can be touched, until it has moved, or its
+//! vertices have swung, by more than their margin. All pairs with overlapping fat bounds are listed, and all pairs that
+//! are not apart. (In molecular dynamics: Verlet lists with a skin.)
 
 use std::{
     ops::Range,

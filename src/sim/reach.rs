@@ -1,8 +1,9 @@
-//! Broad phase: a grid of balls, each of which bounds where a body can act or be acted on for a while.
+//! Broad phase: a hierarchical grid of bounding spheres, each of which bounds where a body can act or be acted on for a
+//! while.
 //!
-//! Balls of very different sizes share the space because there is one grid per power of two: a ball is in one cell of
-//! the grid whose cells are just larger than it (Ericson, Real-Time Collision Detection, 7.2.1). A ball that stays
-//! within its bounds costs nothing; one that leaves them is inserted again, in time proportional to its surroundings.
+//! For spheres of very different sizes, there is one grid per power of two: a sphere is in one cell of the grid whose
+//! cells are just larger than it (Ericson, Real-Time Collision Detection, 7.2.1). A sphere that stays within its bounds
+//! costs nothing; one that leaves them is reinserted, in time proportional to its surroundings.
 
 use std::{collections::HashMap, hash::BuildHasherDefault};
 

@@ -1,8 +1,8 @@
-//! The first fall of a function through zero within an interval, by bounds of its second derivative: none is missed,
-//! however short the visit below zero.
+//! Finds the first time at which a function falls through zero within an interval, using bounds of its second
+//! derivative: none is missed, however short the visit below zero.
 //!
-//! Intervals that cannot hold a root are passed over whole, those on which the function is monotone are solved by
-//! Newton's method with bisection where a step leaves the bracket, and others are halved.
+//! Intervals that cannot contain a root are skipped, those on which the function is monotone are solved by Newton's
+//! method with bisection where a step leaves the bracket, and others are halved.
 
 /// Far from the origin rounded positions have stairs, on which Newton's steps are too small: after this many, bisect.
 const MOST_NEWTON: u32 = 32;

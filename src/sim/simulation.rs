@@ -1,4 +1,4 @@
-//! [`World`] as a simulation that instruments observe. Recorder, replay, check and diff know nothing else of it.
+//! [`World`] as a [`Simulation`]: the only interface that recorder, replay, check and diff use.
 
 use std::{mem::take, sync::atomic::AtomicBool};
 

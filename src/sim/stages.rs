@@ -1,7 +1,7 @@
 //! The stages inside a step, recomputed outside the world, for debugging integrators.
 //!
 //! Starting from the state before a step and the events in it, every interval between two jumps is integrated again
-//! with the components that the step itself uses. The world is only read, and a step that nobody inspects costs
+//! with the components that the step itself uses. The world is only read, and steps that are not inspected cost
 //! nothing.
 
 use glam::DVec3;

@@ -1,5 +1,5 @@
-//! What is known of the frame of a body in the course of a step: where its centre is, how that moves, how the rest shape is
-//! turned. All who step or look at a world ask this and not what the scene says of a body's motion.
+//! The frame of a body during a step: position and motion of its centre, and rotation of its rest shape. Integrators
+//! and observers use tracks only, not the motion that the scene prescribes.
 
 use glam::{DQuat, DVec3};
 

@@ -1,4 +1,4 @@
-//! Where moving bodies are in the course of a step: looked up once a step, by whoever needs it.
+//! The frames of moving bodies during a step, evaluated once per step and shared.
 
 use glam::DVec3;
 use rayon::prelude::*;

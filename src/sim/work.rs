@@ -1,10 +1,10 @@
-//! How much a step may take. Work is counted, never timed, so that a run that would not end does so at the same place on
-//! every machine, with any number of threads, whatever else goes on.
+//! Limits the work of a step. Work is counted, never timed, so that a run that would take forever ends at the same step
+//! on every machine, with any number of threads and under any load.
 //!
-//! A unit is about the force of a sphere on a vertex. A step may always take what steps ordinarily take; what it takes
-//! beyond that is owed, and a run that owes too much is over. Bodies are stepped side by side, but count as if they took
-//! turns: it is over with the first whose work, and that of those before it, is too much. Those before it go on to
-//! their ends, so that it is the same one in every run.
+//! A unit is about the force of a sphere on a vertex. Every step has an allowance; work beyond it accumulates as debt,
+//! and too much debt ends the run. Bodies are stepped in parallel, but counted in order: the run ends at the first body
+//! whose work, together with that of the bodies before it, is too much. The bodies before it are always completed, so
+//! that it is the same body in every run.
 
 use std::{
     cell::Cell,

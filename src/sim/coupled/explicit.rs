@@ -1,9 +1,9 @@
-//! The explicit schemes in coupled scenes, as their authors would: vertices as particles, and every step of the scene's
-//! length; phases change at the ends of steps.
+//! The explicit schemes in coupled scenes, in their usual form: vertices as particles, steps of the scene's length,
+//! phase changes at the ends of steps.
 //!
-//! The rest shape that the springs pull to is found anew for each evaluation (shape matching, Müller et al. 2005). A
-//! scheme is that of [`integrator::explicit`](crate::sim::integrator::explicit), for all vertices together because
-//! they act on each other here.
+//! The rest shape to which the springs pull is recomputed for each evaluation (shape matching, Müller et al. 2005). The
+//! schemes are those of [`integrator::explicit`](crate::sim::integrator::explicit), applied to all vertices together
+//! because they act on each other here.
 
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;

@@ -1,4 +1,4 @@
-//! A body of a coupled scene: its state, how far it may get in a step, and whether it rests.
+//! A body of a coupled scene: its state, bounds of its motion in a step, and whether it rests.
 
 use std::{collections::HashMap, sync::Arc};
 

@@ -1,25 +1,25 @@
 //! Coupled scenes: free bodies, planes, and pairs whose strength changes gradually at the rim of the core.
 //!
-//! | what | where |
+//! | contents | module |
 //! | --- | --- |
 //! | the step | here |
-//! | a body, how far it may get in a step, when it rests | [`member`] |
+//! | a body, bounds of its motion in a step, when it rests | [`member`] |
 //! | broad phase, pairs and their phases | [`near`], [`neighbours`] |
-//! | which bodies act on each other in a step, and advancing them | [`islands`] |
-//! | the schemes with steps of fixed length | [`explicit`] |
+//! | islands of bodies that act on each other in a step, and advancing them | [`islands`] |
+//! | the schemes with fixed steps | [`explicit`] |
 //!
-//! A body acts on others whose motion it depends on, so unlike in other scenes bodies cannot be stepped one by one, nor
-//! events be found beforehand. In each step, bodies that can act on each other form an island, which [`free`] advances
-//! with steps of its own that end at its events; a body on a path does not couple bodies by its mere presence, because
-//! its centre is known.
+//! A body acts on others whose motion it depends on. Unlike in other scenes, bodies can therefore not be stepped one by
+//! one, and events cannot be found beforehand. In each step, bodies that can act on each other form an island, which
+//! [`free`] advances with its own steps, which end at its events. A body on a path does not couple other bodies,
+//! because its centre is known.
 //!
-//! How far a free body gets is known only afterwards. Islands are made for what can be expected; those with a body that
-//! got farther are made again and advanced again from the start of the step.
+//! How far a free body moves is known only afterwards. Islands are built for the expected motion; those with a body
+//! that moved farther are rebuilt and advanced again from the start of the step.
 //!
 //! # What a step skips
-//! - A body that nothing reaches and that is not deformed flies on in closed form.
-//! - A body rests when it and its whole island hardly move ([`member::Member::is_calm`]), and costs nothing until
-//!   something that moves comes near it, or a push begins. Its island then wakes as a whole.
+//! - A body that is undeformed and out of reach of everything moves in closed form.
+//! - A body comes to rest when its whole island hardly moves ([`member::Member::is_calm`]), and costs nothing until
+//!   a moving body comes near it or a push begins. Its island then wakes as a whole.
 
 mod explicit;
 mod islands;

@@ -1,7 +1,7 @@
-//! Which bodies of a coupled scene are near each other, and the phases of their pairs.
+//! Broad phase of coupled scenes, and the phases of near pairs.
 //!
-//! As for prescribed bodies, a body's fat bounds hold everything that it can touch, or be touched at, until it has moved
-//! by more than was allowed for. But how far a free body gets is known only afterwards.
+//! As for prescribed bodies, a body's fat bounds contain everything that it can touch, or where it can be touched,
+//! until it has moved by more than their margin. But how far a free body moves is known only afterwards.
 
 use super::{
     member::Member,

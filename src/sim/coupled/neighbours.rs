@@ -1,4 +1,4 @@
-//! What a body knows of others near it.
+//! The neighbours of a body.
 
 use glam::DVec3;
 

@@ -1,4 +1,4 @@
-//! A free or prescribed body: vertices with masses about a rest shape that follows them.
+//! A free or prescribed body: vertices with masses around a rest shape that follows them.
 
 use std::{ops::Add, sync::Arc};
 

@@ -1,4 +1,4 @@
-//! What acts on free bodies.
+//! External influences on free bodies: pairs, planes, pushes, gravity.
 
 use glam::DVec3;
 

@@ -1,4 +1,4 @@
-//! What acts on the vertices of a body at the samples of a step, and where that has kinks.
+//! Forces on the vertices of a body at the samples of a step, and the instants of their kinks.
 
 use glam::DVec3;
 use pulp::Arch;

@@ -1,8 +1,8 @@
-//! What changes the energy of free bodies: every step adds what was done in it.
+//! Energy ledger of free bodies: accumulates the work done by each cause.
 //!
-//! Powers are known at the nodes of a step, from the motion that the step found, and are integrated as the forces are:
-//! by Lobatto quadrature, and from the instant of a kink on where a force begins or ends within the step. So the energy
-//! of [`Conserved`](super::Conserved) minus [`Ledger::total`] is constant to the error of the steps.
+//! Powers are known at the nodes of a step, from its solution, and are integrated like the forces: by Lobatto
+//! quadrature, and from the instant of a kink where a force begins or ends within the step. The energy of
+//! [`Conserved`](super::Conserved) minus [`Ledger::total`] is therefore constant to the error of the steps.
 
 use std::ops::AddAssign;
 

@@ -1,21 +1,21 @@
-//! Bodies that nobody moves: a solver for free bodies, coupled by their influence spheres, on planes and under gravity.
+//! Solver for free bodies, coupled by their influence spheres, on planes and under gravity.
 //!
-//! | what | where |
+//! | contents | module |
 //! | --- | --- |
-//! | a body: vertices with masses about a rest shape that follows them | [`body`] |
-//! | what acts on bodies: pairs, planes, pushes, gravity | [`field`] |
-//! | the solver: steps of the right length, that end where a pair changes its phase | [`island`] |
+//! | a body: vertices with masses around a rest shape that follows them | [`body`] |
+//! | external influences: pairs, planes, pushes, gravity | [`field`] |
+//! | the solver: adaptive steps that end where a pair changes its phase | [`island`] |
 //! | one step: exponential collocation of vertices, centres and frames together | `step`, `force` |
-//! | islands so large that bodies take steps of their own | `relaxation` |
+//! | large islands, in which every body takes its own steps | `relaxation` |
 //! | its loops over vertices, in SIMD lanes | `kernels` |
 //! | vertices that nothing reaches in a step | `passive` |
-//! | where something passes zero within a step: rims and thresholds | [`crossing`] |
-//! | what forces do to an oscillator and to a centre | [`weights`] |
+//! | zero crossings within a step: rims and thresholds | [`crossing`] |
+//! | responses of an oscillator and of a centre to forces | [`weights`] |
 //! | momentum, angular momentum, energy | [`conserved`] |
-//! | what changed the energy | [`ledger`] |
+//! | energy ledger | [`ledger`] |
 //! | forces in the current state, by cause | [`observed`] |
 //!
-//! It takes plain data and knows nothing of a world or a scene file:
+//! It takes plain data and does not depend on a world or a scene file:
 //!
 //! ```
 //! # use std::sync::Arc;

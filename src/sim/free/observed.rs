@@ -1,4 +1,4 @@
-//! Forces in the current state, by cause, for observation: by the formulas that the solver uses.
+//! Forces in the current state, by cause, for observation, with the formulas of the solver.
 
 use glam::{DMat3, DVec3};
 

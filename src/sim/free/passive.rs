@@ -1,9 +1,9 @@
 //! Vertices that nothing reaches within a step.
 //!
-//! Beyond its oscillator, such a vertex feels only what all vertices of its body share: an acceleration, one that
-//! depends on its rest position l, and the damping that rotates with the body. So its state at any instant of the step is
-//! linear in its state at the start and in l, with the same matrices for all of them, and their sums follow from their
-//! second moments at the start: what an iteration costs does not depend on their number.
+//! Apart from its oscillator, such a vertex feels only what all vertices of its body share: a uniform acceleration, one
+//! linear in its rest position l, and the damping that rotates with the body. Its state at any instant of the step is
+//! therefore linear in its state at the start and in l, with the same matrices for all such vertices, and their sums
+//! follow from their second moments at the start: the cost of an iteration does not depend on their number.
 
 use glam::{DMat3, DVec3};
 

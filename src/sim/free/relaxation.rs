@@ -1,19 +1,19 @@
-//! Large islands: every body takes steps of its own.
+//! Large islands: every body takes its own steps.
 //!
-//! If all bodies of an island take the same steps, the event of one pair ends the step of all. In a heap of hundreds, events
-//! follow each other so fast that nothing gets anywhere. But over the length of a frame, a body hardly notices what its
-//! neighbours' neighbours do. So a large island is advanced by waveform relaxation (Lelarasmee, Ruehli &
-//! Sangiovanni-Vincentelli 1982): each body alone, as an island of one, among the tracks that the others took when last
-//! found. That is repeated until no track changes any more; each round makes the difference smaller by about the square
-//! of the frame's length over the time scale of the influence. A body whose neighbours' tracks did not change is not advanced again.
+//! If all bodies of an island take the same steps, the event of one pair ends the step of all. In a heap of hundreds,
+//! events are so frequent that steps become too short. But over the length of a frame, a body is hardly affected by its
+//! neighbours' neighbours. A large island is therefore advanced by waveform relaxation (Lelarasmee, Ruehli &
+//! Sangiovanni-Vincentelli 1982): each body alone, as an island of one, on the latest tracks of the others. This is
+//! repeated until no track changes; each round reduces the difference by about the square of the frame's length over
+//! the time scale of the influence. A body whose neighbours' tracks did not change is not advanced again.
 //!
-//! Bodies see of each other where centres are, and how far reactions move these. The reaction on a sphere is found with
-//! the vertices that the sphere acts on, at the instants of their steps. It acts on the centre alone, so its first and
-//! second integrals, which are known exactly for every step, are all that the other body needs: momentum is conserved
-//! although steps differ, up to what is left of the rounds' differences.
+//! Bodies exchange only the positions of centres and their displacements by reactions. The reaction on a sphere is
+//! computed with the vertices on which the sphere acts, at the instants of their steps. It acts on the centre alone, so
+//! its first and second integrals, known exactly for every step, are all that the other body needs: momentum is
+//! conserved although steps differ, up to the remaining difference between rounds.
 //!
-//! The pair's first body finds its events; the second is told of them, and ends its step there. So do bodies near
-//! either: the acceleration of what acts on them jumps there.
+//! The pair's first body finds its events; the second one ends its step at these times, too. So do bodies near either,
+//! because the acceleration of their sources jumps there.
 
 use std::sync::{Arc, Mutex, PoisonError};
 

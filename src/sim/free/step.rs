@@ -2,16 +2,16 @@
 //!
 //! The acceleration of a vertex beyond its oscillator is interpolated by the cubic through its values at the four
 //! Lobatto nodes, and so are the acceleration of a centre, the torque on a body and the angular velocity of a frame.
-//! Against the exact oscillator that is exponential collocation (Hochbruck & Ostermann 2005); the spring is not part of
-//! what is approximated. All these quantities depend on each other and are corrected until they converge.
+//! With the exact flow of the oscillator, this is exponential collocation (Hochbruck & Ostermann 2005): the spring is
+//! not approximated. All these quantities depend on each other and are corrected until they converge.
 //!
 //! A force with a kink in the step, because a vertex crosses the rim of a sphere or of a plane, is split into two
 //! smooth forces, of which one ends and the other begins at that instant: the cubic through each smooth force is
 //! integrated exactly over its part of the step.
 //!
 //! Angular momentum is a state variable of its own, with the torque as its rate, and determines the angular velocity of
-//! a frame. So where reactions equal actions at every node, momentum and angular momentum are conserved to rounding,
-//! whatever the step's error.
+//! a frame. Where reactions equal actions at every node, momentum and angular momentum are conserved to rounding,
+//! independently of the step's error.
 
 use glam::{DMat3, DQuat, DVec3};
 use pulp::Arch;

@@ -1,4 +1,4 @@
-//! The explicit schemes: the thesis's own, the one it builds on, and common alternatives.
+//! The explicit schemes: that of the thesis, the one it builds on, and common alternatives.
 
 use glam::DVec3;
 

@@ -1,10 +1,10 @@
-//! Force terms: what acts on the vertices of a body beyond their own oscillators, one file per term.
+//! Force terms: everything that acts on the vertices of a body except their own oscillators, one file per term.
 //!
 //! A term contributes in the three kinds that integrators know, see [`Surroundings`]: the same acceleration for all
 //! vertices, an acceleration times a weight per vertex, and one that depends on a vertex's position. It also gives a
 //! bound of its contribution, the instants at which it jumps, and the times at which it wakes a body at rest.
 //! Everything that sums what acts on a body (integrators, motion bounds, arrows, energy, the stages of a step) uses the
-//! table below. A new term is a file beside this one and its line there.
+//! table below. A new term is a file next to this one and a line in that table.
 
 pub(super) mod carry;
 mod free;

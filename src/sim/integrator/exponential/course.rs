@@ -1,4 +1,4 @@
-//! What acts on a body over an interval of time in which nothing jumps, at any instant of it.
+//! The forces on a body at any instant of an interval without jumps.
 
 use glam::DVec3;
 

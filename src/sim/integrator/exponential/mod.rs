@@ -1,18 +1,18 @@
 //! The exponential integrator: the oscillator's flow is exact; only the force is approximated, to a given tolerance.
 //!
-//! | what | where |
+//! | contents | module |
 //! | --- | --- |
-//! | what acts on a body over an interval, and the motion that all its vertices share | [`course`] |
+//! | forces on a body over an interval, and the motion that all its vertices share | [`course`] |
 //! | the weights of a step, from the oscillator's φ-functions | [`weights`] |
 //! | one step of several vertices side by side, and its error | [`step`], [`lanes`] |
 //! | a step of all vertices near a sphere | [`together`] |
 //! | a vertex that crosses a rim or needs shorter steps | [`single`], [`rim`] |
 //!
 //! [`advance`] takes a body over an interval without jumps. The effect of its own motion and of pushes on all vertices
-//! is a few numbers. A vertex near a sphere takes one step; if the error is too large, the step is repeated in halves. Where
-//! that happens to many vertices of a body, all of its vertices take shorter steps from then on, side by side.
-//! Where a vertex crosses a rim, at which the linear weight has a kink, its step ends and another begins. All other
-//! vertices are left to the exact flow, which advances them to the time at which they are next needed.
+//! is a few numbers. A vertex near a sphere takes one step; if the error is too large, the step is repeated in halves.
+//! If this happens to many vertices of a body, all of its vertices take shorter steps from then on, side by side. Where
+//! a vertex crosses a rim, at which the linear weight has a kink, its step ends and another begins. All other vertices
+//! are left to the exact flow, which advances them to the time at which they are next needed.
 
 pub mod course;
 pub mod lanes;

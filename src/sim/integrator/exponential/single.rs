@@ -1,4 +1,4 @@
-//! A vertex that has to be looked at by itself: one that crosses a rim, or needs shorter steps than its body.
+//! Steps a vertex individually: one that crosses a rim, or needs shorter steps than its body.
 
 use glam::DVec3;
 use pulp::Scalar;

@@ -1,4 +1,4 @@
-//! One step: what acts at its nodes, and exponential collocation of several vertices side by side.
+//! One step: forces at its nodes, and exponential collocation of several vertices side by side.
 
 use glam::DVec3;
 use pulp::Simd;
