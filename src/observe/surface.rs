@@ -485,7 +485,8 @@ impl Group {
             let lengths = [ab.length(), bc.length(), ca.length()];
             let area = ab.cross(bc) / (lengths[0] * lengths[1] * lengths[2]);
             if area.is_finite() {
-                // divided by the lengths of both sides at a corner, so times that of the opposite one
+                // sin(angle) = |ab×bc| / (lengths of both sides at the corner): divided by all three, times the
+                // opposite
                 (0..3).for_each(|k| sums[corners[k] as usize] += area * lengths[(k + 1) % 3]);
             }
         }
@@ -647,7 +648,7 @@ mod tests {
             for [a, b] in group.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]) {
                 let length = group.positions[a as usize].distance(group.positions[b as usize]);
                 let change = (share_of_second(a) - share_of_second(b)).abs();
-                // the steepest that distances from the seam give, and what fairing changes of lengths
+                // the steepest gradient of the blend, and the change of lengths by fairing
                 let most = 2.0 * 0.75 * length / COLORS_BLEND + 0.02;
                 assert!(change < most, "{name}, {steps} steps: {change} over {length}");
             }
