@@ -29,7 +29,7 @@ use crate::geometry::{
 
 /// Budget of work steps for the unions of one frame, see [`Budget`]: about a second. A count, not a time, so
 /// that equal frames give equal surfaces on every machine.
-pub const FRAME_WORK: u64 = 10_000_000;
+pub const FRAME_WORK: u64 = 20_000_000;
 
 /// Distance from a seam within which the colours of two bodies blend [radii], unless the surface is smoothed farther.
 const COLORS_BLEND: f64 = 0.35;

@@ -8,7 +8,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{
-    candidates::EdgeAndTriangle,
+    candidates::{AT_ONCE, EdgeAndTriangle},
     exact::{Bounded, Number, Plane, Polynomial},
     placement::Placement,
     ranks::Ranks,
@@ -235,7 +235,12 @@ fn passes_inside([a, b]: [DVec3; 2], [x, y, z]: [DVec3; 3]) -> Result<bool, Fail
 
 impl Arrangement {
     /// The nodes and segments of the candidate edges and triangles.
-    pub fn new(placement: &Placement, candidates: &[EdgeAndTriangle], threads: bool) -> Result<Arrangement, Failure> {
+    pub fn new(
+        placement: &Placement,
+        candidates: &[EdgeAndTriangle],
+        meter: &Meter,
+        threads: bool,
+    ) -> Result<Arrangement, Failure> {
         let mut arrangement = Arrangement {
             nodes: Vec::new(),
             places: Vec::new(),
@@ -246,7 +251,7 @@ impl Arrangement {
             triple_points: Vec::new(),
             triple_point_triangles: Vec::new(),
         };
-        arrangement.find_nodes(placement, candidates, threads)?;
+        arrangement.find_nodes(placement, candidates, meter, threads)?;
         arrangement.order_nodes(placement)?;
         arrangement.places = arrangement.nodes.iter().map(|node| Self::place_on_edge(placement, node)).collect();
         arrangement.connect(placement)?;
@@ -257,10 +262,11 @@ impl Arrangement {
         &mut self,
         placement: &Placement,
         candidates: &[EdgeAndTriangle],
+        meter: &Meter,
         threads: bool,
     ) -> Result<(), Failure> {
-        let look = |candidates: &[EdgeAndTriangle]| -> Result<Vec<Node>, Failure> {
-            let mut nodes = Vec::with_capacity(candidates.len() / 4);
+        let look = |candidates: &[EdgeAndTriangle], nodes: &mut Vec<Node>| -> Result<(), Failure> {
+            meter.spend(candidates.len() as u64)?;
             let (mut edge_body, mut body) = (0, 0);
             for &candidate in candidates {
                 let (edge, triangle) = ((candidate >> 32) as u32, candidate as u32);
@@ -285,13 +291,18 @@ impl Arrangement {
                 let passage = passage.ok_or(Failure::Inconsistent("an edge that crosses a plane does not"))?;
                 nodes.push(Node { edge, edge_body, passage });
             }
-            Ok(nodes)
+            Ok(())
         };
-        self.nodes = if threads && candidates.len() > 2048 {
-            candidates.par_chunks(512).map(look).collect::<Result<Vec<_>, _>>()?.concat()
+        if threads && candidates.len() > 4 * AT_ONCE {
+            let look = |candidates| {
+                let mut nodes = Vec::new();
+                look(candidates, &mut nodes).map(|()| nodes)
+            };
+            self.nodes = candidates.par_chunks(AT_ONCE).map(look).collect::<Result<Vec<_>, _>>()?.concat();
         } else {
-            look(candidates)?
-        };
+            self.nodes.reserve(candidates.len() / 4);
+            candidates.chunks(AT_ONCE).try_for_each(|candidates| look(candidates, &mut self.nodes))?;
+        }
         Ok(())
     }
 

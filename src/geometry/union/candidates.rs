@@ -104,6 +104,9 @@ impl Near {
     }
 }
 
+/// Number of candidates that are tested between two looks at the budget.
+pub const AT_ONCE: usize = 512;
+
 /// An edge and a triangle of two triangles that straddle each other's plane: the edge in the upper half, the triangle
 /// in the lower, so that candidates sort by edge.
 pub type EdgeAndTriangle = u64;
@@ -118,11 +121,13 @@ pub fn edges_and_triangles(
     let of_near = |near: &Near| {
         let (mut found, [a, b]) = (Vec::new(), near.bodies);
         let mut straddle: Option<Straddle> = None;
-        for &[ta, tb] in &near.pairs {
-            let known = straddle.take().filter(|straddle| straddle.triangle == tb);
-            straddle.insert(known.unwrap_or_else(|| Straddle::new(placement, tb, b, a))).test(ta, &mut found)?;
+        for pairs in near.pairs.chunks(AT_ONCE) {
+            meter.spend(pairs.len() as u64)?;
+            for &[ta, tb] in pairs {
+                let known = straddle.take().filter(|straddle| straddle.triangle == tb);
+                straddle.insert(known.unwrap_or_else(|| Straddle::new(placement, tb, b, a))).test(ta, &mut found)?;
+            }
         }
-        meter.check()?;
         Ok(found)
     };
     let found: Result<Vec<Vec<EdgeAndTriangle>>, Failure> =
@@ -270,7 +275,7 @@ impl Listed {
                     }
                 }
             }
-            meter.spend((near.len() + (found.pairs.len() - before) / 16) as u64 + 1)?;
+            meter.spend((near.len() + (found.pairs.len() - before)) as u64 + 1)?;
         }
         for ((list, is_near), triangles) in
             [(self, is_near), (other, is_other_near)].into_iter().zip(&mut found.triangles)

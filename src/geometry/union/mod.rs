@@ -149,7 +149,7 @@ fn attempt_union<'a, 'b>(
     let candidates = candidates::edges_and_triangles(&placement, &near, meter, threads)?;
     drop(near);
     union.statistics.tests = candidates.len();
-    let mut arrangement = Arrangement::new(&placement, &candidates, threads)?;
+    let mut arrangement = Arrangement::new(&placement, &candidates, meter, threads)?;
     meter.check()?;
     let mut classified = Classified::new(&placement, &meetings, &mut arrangement, meter, threads)?;
     arrangement.find_triple_points(&placement, meter, threads)?;

@@ -152,6 +152,14 @@ fn a_budget_ends_it() {
     assert!(matches!(try_unite(&shapes, &budget), Err(UnionError::GaveUp { .. })));
 }
 
+/// What takes most of the time of a body that is all folds: otherwise neither a budget nor an interrupt would end it.
+#[test]
+fn every_candidate_is_counted() {
+    let crumpled = [sphere(12, 24).shaken(&mut Random::new(1), 0.5)];
+    let statistics = unite(&crumpled).statistics;
+    assert!(statistics.work > 2 * statistics.tests as u64, "{statistics:?}");
+}
+
 /// The triangles by their corners' positions, each from its least corner.
 fn canonical(mesh: &UnionMesh) -> Vec<[[u64; 3]; 3]> {
     let mut triangles: Vec<[[u64; 3]; 3]> = (mesh.triangles.iter())
