@@ -27,7 +27,7 @@ use crate::geometry::{
     union::{self, Body, Budget, Hint, Origin, Topology, Union, is_raised},
 };
 
-/// Budget of work steps for the unions of one frame, see [`Budget`]: about a second. A count, not a time, so
+/// Budget of work steps for the unions of one frame, see [`Budget`]: one to three seconds. A count, not a time, so
 /// that equal frames give equal surfaces on every machine.
 pub const FRAME_WORK: u64 = 20_000_000;
 

@@ -67,6 +67,7 @@ impl Near {
         if blocks.iter().any(|blocks| blocks.is_empty()) {
             return Ok(found);
         }
+        meter.spend((blocks[0].len() + blocks[1].len()) as u64)?;
         let is_one = bodies[0] == bodies[1];
         let hulls = [0, 1].map(|k| {
             let (mesh, margin) = (placement.bodies[bodies[k] as usize], placement.displaced[bodies[k] as usize]);

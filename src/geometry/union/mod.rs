@@ -28,21 +28,26 @@
 //!
 //! # What it costs
 //!
-//! Compared with the exact mode of `manifold-rust`, by `cargo bench --bench union` on two cores of an AMD EPYC:
+//! Compared with the exact mode of `manifold-rust`, by `cargo bench --bench union` on two cores of an AMD EPYC that other
+//! builds were using, too; neither computes volumes:
 //!
 //! | spheres | union, best | times as fast | goal |
 //! | --- | --- | --- | --- |
-//! | two of 266 vertices | 0.15 ms | 10.9 | 15 |
-//! | two of 10,000 vertices | 1.8 ms | 35.5 | 50 |
-//! | a chain of 300 | 69 ms | 7.3 | 20 |
-//! | 64 in one place | 46 ms | 4.2 | 1 |
+//! | two of 266 vertices | 0.12 ms | 14 | 15 |
+//! | two of 10,000 vertices | 1.4 ms | 40 | 50 |
+//! | a chain of 300 | 40 ms | 8 to 10 | 20 |
+//! | 64 in one place | 45 ms | 3.5 | 1 |
 //!
-//! Small unions miss the goal because nothing in them dominates: of two spheres of 266 vertices, cutting triangles takes 23 %,
-//! assembly with its audit 17 %, nodes and segments 15 %, signs of candidates 11 %, boxes 7 %, [`Body::new`] 7 %.
-//! Candidates are all that the last frame could save, because the rest depends on positions: unions keep nothing from frame
-//! to frame, only the search for gaps does ([`Hint`]). The chain is 299 such small unions.
-//! Ten times the vertices, all of them away from the overlap, cost 46 % more (goal 10 %): all of it is [`Body::new`], which
-//! reads every triangle for volume, area and the proof that the body does not intersect itself, 15 ns a vertex.
+//! Small unions miss the goal because nothing in them dominates: of two spheres of 266 vertices, cutting triangles takes 24 %,
+//! nodes and segments 16 %, signs of candidates 13 %, assembly with its audit 12 %, boxes 8 %, [`Body::new`] and the proof
+//! that a body does not intersect itself 8 %. Candidates are all that the last frame could save, because the rest depends on
+//! positions: unions keep nothing from frame to frame, only the search for gaps does ([`Hint`]). The chain is 299 such small
+//! unions, each of which costs no more there than alone.
+//!
+//! Ten times the vertices, all of them away from the overlap, cost 60 % more (goal 10 %): 4 ns a vertex for boxes in
+//! [`Body::new`], and 12 ns for the proof, which reads the corners of every triangle. Loading them is what it costs: in single
+//! precision it takes as long, and so it does with fewer divisions. Volume and area read them once more, and are computed
+//! when they are asked for.
 
 mod arrangement;
 mod body;

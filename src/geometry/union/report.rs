@@ -10,8 +10,8 @@ use thiserror::Error;
 /// The largest cost of a union; beyond it, the union is given up.
 #[derive(Clone, Copy, Debug)]
 pub struct Budget {
-    /// Work steps, each some tens of nanoseconds and bytes; the count is the same on every machine and for any number
-    /// of threads.
+    /// Work steps, each 50 to 300 nanoseconds and some tens of bytes; the count is the same on every machine and for any
+    /// number of threads.
     pub work: u64,
     /// Wall-clock time. Whether it suffices depends on the machine, but a result obtained within it does not.
     pub time: Option<Duration>,
@@ -20,7 +20,7 @@ pub struct Budget {
 }
 
 impl Default for Budget {
-    /// A hundred million steps: seconds, and at most a few gigabytes.
+    /// A hundred million steps: some ten seconds, and at most a few gigabytes.
     fn default() -> Self {
         Budget { work: 100_000_000, time: None, interrupt: None }
     }

@@ -420,7 +420,7 @@ impl Flood<'_, '_, '_> {
                 }
             }
         }
-        meter.spend(inside.len() as u64 + 1)?;
+        meter.spend((inside.len() + blocks.len()) as u64)?;
 
         // Outside the hull all winding numbers are 0: start there and proceed inwards.
         let mut queue = Vec::new();
