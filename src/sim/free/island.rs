@@ -31,7 +31,7 @@ const PARALLEL_VERTICES: usize = 4096;
 const SETTLED: f64 = 1e-2;
 /// A larger tolerance than this [radii/s] makes steps longer, but does not end their iteration earlier: otherwise its
 /// remainder, which is of low order, would be the error of steps that are much shorter than the tolerance asks for.
-const FINEST: f64 = 1e-6;
+pub(super) const FINEST: f64 = 1e-6;
 /// Distances this close to a threshold, relative to it, count as on it.
 const STANDING: f64 = 1e-12;
 /// Largest ratio of a step's length to that of the previous step.

@@ -29,7 +29,7 @@ use super::{
     body::{Body, Motion, Shape},
     crossing::Curve,
     field::{Driven, Paths, Push},
-    island::{Failure, Island, Parts, Report, Scratch, settled},
+    island::{FINEST, Failure, Island, Parts, Report, Scratch, settled},
     step::{Course, Place, combine, larger},
     weights::Late,
 };
@@ -37,14 +37,11 @@ use crate::model::phase::Phase;
 
 /// Rounds after which a shorter stretch is tried.
 const MOST_ROUNDS: u32 = 16;
-/// A body is advanced again when what it sees has changed by more than this times [`settled`]: of that, it would change by
-/// a small fraction.
-const MOST_STALE: f64 = 50.0;
-/// Steps that become shorter or longer from round to round change tracks by their errors. After this many rounds, ever
-/// larger changes are accepted, …
-const PATIENCE: u32 = 6;
-/// … up to this one: a third of the tolerance.
-const MOST_LEFT: f64 = 30.0;
+/// A body is advanced again when what it sees has changed by more than this times [`settled`], a third of the tolerance: of
+/// that, it would change by a small fraction.
+const MOST_STALE: f64 = 30.0;
+/// The same share of a tolerance that is larger than what [`settled`] goes by.
+const LOOSE: f64 = 0.1;
 /// In the first rounds, corrections within a step end at a larger multiple of [`settled`] …
 const ROUGH: f64 = 1000.0;
 /// … and in the last at no larger one than this.
@@ -512,9 +509,8 @@ impl Relaxation {
     fn agree(&mut self, island: &Island, span: (f64, f64), paths: &dyn Paths, work: &Tally<'_>) -> Result<(), Failure> {
         let vertices: usize = island.bodies.iter().map(|body| body.shape.rest.len()).sum();
         let colors = self.cells.iter().map(|cell| cell.color + 1).max().unwrap_or(0);
-        for count in 0..MOST_ROUNDS {
-            let patience = f64::from(1 << (count.max(PATIENCE) - PATIENCE).min(10));
-            let most = (MOST_STALE * patience).min(MOST_LEFT);
+        let most = MOST_STALE * (LOOSE * island.tolerance / FINEST).max(1.0);
+        for _ in 0..MOST_ROUNDS {
             let mut any = false;
             for color in 0..colors {
                 let Relaxation { cells, records, fresh, changes, events, scratches, arch } = self;
@@ -580,7 +576,7 @@ impl Relaxation {
         }
         let left = self.cells.iter().enumerate().max_by(|(_, a), (_, b)| a.stale.total_cmp(&b.stale));
         match left {
-            Some((body, cell)) if !(cell.stale <= MOST_LEFT) => {
+            Some((body, cell)) if !(cell.stale <= most) => {
                 Err(Failure::Unresolved { body, time: span.0, step: span.1 - span.0 })
             }
             _ => Ok(()),

@@ -403,6 +403,7 @@ impl Course {
         }
         self.moments = Moments::default();
         self.first = Moments::default();
+        self.sums = Default::default();
         let frame = &mut self.frames[0];
         if body.is_free() {
             if active.len() < n {
@@ -566,8 +567,10 @@ impl Course {
                     let by_force = combine_matrices(w, [a.by_rest, b.by_rest, c.by_rest, d.by_rest]);
                     (by_l + by_force, sum + combine(w, [a.force, b.force, c.force, d.force]))
                 };
-                let ((lx, mean_x), (lu, mean_u)) = (linear(&x, &w.x), linear(&u, &w.u));
-                self.sums[look] = Sums { lx, lu, xx: moved.xx, xu: moved.xu, x: mean_x, u: mean_u } + sums;
+                if self.active.len() > 0 {
+                    let ((lx, mean_x), (lu, mean_u)) = (linear(&x, &w.x), linear(&u, &w.u));
+                    self.sums[look] = Sums { lx, lu, xx: moved.xx, xu: moved.xu, x: mean_x, u: mean_u } + sums;
+                }
                 self.frames[look].sums = self.sums[look];
                 if are_others {
                     let sums = if is_coupled {
@@ -651,13 +654,15 @@ impl Course {
         }
         let frame = &mut self.frames[look];
         let twice_damped = 2.0 * body.oscillator.damping * frame.spin;
-        let mut gathered = kernels::gather(arch, &mut self.active, look, twice_damped);
-        let Gathered { force, by_rest, spinning } = gathered;
-        (frame.mean, frame.turning, frame.spinning) = (force / body.mass(), moment(frame.axes * by_rest), spinning);
-        let damping = cross_matrix(twice_damped);
-        gathered.force += damping * self.sums[look].x;
-        gathered.by_rest += self.sums[look].lx * damping.transpose();
-        self.gathered[look] = gathered;
+        if self.active.len() > 0 {
+            let mut gathered = kernels::gather(arch, &mut self.active, look, twice_damped);
+            let Gathered { force, by_rest, spinning } = gathered;
+            (frame.mean, frame.turning, frame.spinning) = (force / body.mass(), moment(frame.axes * by_rest), spinning);
+            let damping = cross_matrix(twice_damped);
+            gathered.force += damping * self.sums[look].x;
+            gathered.by_rest += self.sums[look].lx * damping.transpose();
+            self.gathered[look] = gathered;
+        }
         if body.turns() && body.oscillator.damping != 0.0 {
             self.coupling[look] = self.others[look][0].crossed(twice_damped);
         }
