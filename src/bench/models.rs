@@ -383,7 +383,7 @@ pub fn table(report: &Report) -> String {
     );
     for (model, row) in measured {
         let events: Vec<String> = row.events.iter().take(12).map(|(name, time)| format!("{name} {time:.6}")).collect();
-        let events = if events.is_empty() { "one never became two, nor two one".to_owned() } else { events.join(", ") };
+        let events = if events.is_empty() { "no merges or splits".to_owned() } else { events.join(", ") };
         text += &format!("\n{model} [s]: {events}");
     }
     for (model, row) in &report.rows {

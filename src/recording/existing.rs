@@ -139,7 +139,7 @@ pub fn replace(path: &Path, new: &Existing) -> Result<Option<String>, SinkError>
     let is_golden = there.as_ref().is_some_and(|there| there.kind == Some(Kind::Golden)) || is_checked(path);
     if is_golden && new.kind != Some(Kind::Golden) {
         return Err(taken(
-            "it is a golden recording, which `meldscope check --bless REASON` alone makes anew; save under another name"
+            "it is a golden recording, which only `meldscope check --bless REASON` replaces; save under another name"
                 .to_owned(),
         ));
     }

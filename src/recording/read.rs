@@ -122,7 +122,7 @@ impl Reader {
                 return Err(ReadError::Unsupported { path: self.path.clone(), what });
             }
             b"RRF2" if *compression > 1 || *serializer != 2 || zeros != [0, 0] => {
-                return Err(self.damaged("its header has options that nobody writes"));
+                return Err(self.damaged("its header has unknown options"));
             }
             b"RRF2" => return Ok(()),
             b"RRF0" | b"RRF1" | b"RRIO" => "it is an .rrd file of an early version of Rerun".to_owned(),

@@ -213,7 +213,7 @@ impl Properties {
                     "was made before recordings carried checksums, so that there is nothing to verify: run its scene again"
                         .to_owned(),
                 ),
-                (None, End::Cut) => foreign("it ends before it says what it is"),
+                (None, End::Cut) => foreign("it ends before its header is complete"),
                 (None, End::Whole) => foreign("it has no properties of one"),
             });
         };

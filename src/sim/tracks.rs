@@ -70,8 +70,8 @@ pub struct Mover {
 }
 
 impl Tracks {
-    /// Of all bodies of a scene that move, before the first step. What is free stands still here: forces on a body are
-    /// none of a track's business.
+    /// Of all bodies of a scene that move, before the first step. Free bodies do not move here: tracks know no
+    /// forces.
     pub fn new(scene: &Scene) -> Tracks {
         let path = |body: &Body| match &body.motion {
             Motion::Prescribed(path) => path.clone(),
@@ -209,7 +209,7 @@ fn each(movers: &mut [Mover], work: impl Fn(&mut Mover) + Sync + Send) {
 mod tests {
     use super::*;
 
-    /// Looking five times at once is looking five times, to rounding.
+    /// Five samples at once equal five single ones, to rounding.
     #[test]
     fn tracks_follow_their_paths() {
         for name in ["two", "three", "crowd", "size_ratio"] {

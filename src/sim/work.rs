@@ -1,7 +1,7 @@
 //! Limits the work of a step. Work is counted, never timed, so that a run that would take forever ends at the same step
 //! on every machine, with any number of threads and under any load.
 //!
-//! A unit is about the force of a sphere on a vertex. Every step has an allowance; work beyond it accumulates as debt,
+//! A unit is about one evaluation of the force of a sphere on a vertex. Every step has an allowance; work beyond it accumulates as debt,
 //! and too much debt ends the run. Bodies are stepped in parallel, but counted in order: the run ends at the first body
 //! whose work, together with that of the bodies before it, is too much. The bodies before it are always completed, so
 //! that it is the same body in every run.
@@ -11,44 +11,44 @@ use std::{
     sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering},
 };
 
-/// What a run may owe [units].
+/// Debt that ends a run [units].
 const MOST_OWED: u64 = 600_000_000;
-/// What every step may take, …
+/// Allowance of a step [units]: a constant, …
 const FREE: u64 = 500_000;
-/// … what it may take for each vertex of the scene that takes steps, …
+/// … so much for each vertex that is stepped, …
 const FREE_PER_VERTEX: u64 = 100;
-/// … and what it may take of [`StepStatistics::base`](super::integrator::exponential::StepStatistics::base), twice over, but no more than this.
+/// … and twice the [base](super::integrator::exponential::StepStatistics::base) of the last step, up to this.
 const MOST_BASE: u64 = 300_000_000;
-/// Work is told to others when it has come to so much.
+/// A tally is added to the total after so much work [units].
 const GRAIN: u64 = 1 << 15;
-/// A body that has done no more has nothing to tell.
+/// A body that did less is not added while others run [units].
 const LITTLE: u64 = 1 << 10;
 
-/// An evaluation of the distance of two centres.
+/// Evaluating the distance of two centres.
 pub(super) const LOOK_AT_PATHS: u64 = 80;
-/// A change of phase: to be found, kept, looked up and recorded.
+/// Finding, storing and recording a change of phase.
 pub(super) const EVENT: u64 = 2000;
-/// Two bodies whose fat bounds may overlap.
+/// Testing two bodies whose fat bounds may overlap.
 pub(super) const NEAR_ENOUGH: u64 = 8;
-/// A pair that is not known yet: to be found, and kept.
+/// Finding and storing a new pair.
 pub(super) const NEW_PAIR: u64 = 600;
 
 /// The work of a step.
 #[derive(Default)]
 pub(super) struct Work {
-    /// What the steps so far took beyond what they may.
+    /// Debt: work of the steps so far beyond their allowances.
     owed: u64,
-    /// [`StepStatistics::base`](super::integrator::exponential::StepStatistics::base) of the last step, or what it may be in the first.
+    /// [Base](super::integrator::exponential::StepStatistics::base) of the last step; before the first, an estimate.
     base: u64,
-    /// What this one may take.
+    /// Limit of this step.
     limit: u64,
-    /// What it took so far: a little less than that where it is done side by side.
+    /// Work of this step so far. Tallies of running bodies are added in grains, so it lags a little.
     total: AtomicU64,
-    /// What it took before bodies were stepped.
+    /// Work of this step before bodies were stepped.
     before: u64,
-    /// No more than each body took so far, in the order of their turns.
+    /// Lower bound of the work of each body so far, by turn.
     of_each: Vec<AtomicU64>,
-    /// From this turn on it is too much.
+    /// The first turn known to exceed the limit.
     last_turn: AtomicUsize,
     /// Raised to end the run.
     interrupt: Option<&'static AtomicBool>,
@@ -67,24 +67,24 @@ impl Work {
         Work { interrupt, limit: u64::MAX, ..Work::default() }
     }
 
-    /// For what takes no more than `limit`.
+    /// A single task of at most `limit`.
     pub fn limited(limit: u64, interrupt: Option<&'static AtomicBool>) -> Work {
         Work { limit, ..Work::new(interrupt) }
     }
 
-    /// What the first step may be expected to take.
+    /// Sets the base that the first step is expected to have.
     pub fn expect(&mut self, base: u64) {
         self.base = base;
     }
 
-    /// A step of a scene of so many vertices begins.
+    /// Begins a step of a scene of `vertices`.
     pub fn begin(&mut self, vertices: u64) {
         self.limit = MOST_OWED.saturating_sub(self.owed).saturating_add(self.free(vertices));
         self.total = AtomicU64::new(0);
         self.before = 0;
     }
 
-    /// So many bodies are about to be stepped.
+    /// Begins the turns of `count` bodies.
     pub fn begin_turns(&mut self, count: usize) {
         self.before = *self.total.get_mut();
         self.last_turn = AtomicUsize::new(usize::MAX);
@@ -93,14 +93,14 @@ impl Work {
         self.of_each.resize_with(count, AtomicU64::default);
     }
 
-    /// Bodies came to this together, of which `base` was to be expected for `vertices`.
+    /// Ends a step whose bodies did `work`, of which `base` is usual for their `vertices`.
     pub fn end(&mut self, work: u64, base: u64, vertices: u64) {
         self.base = base;
         let free = self.free(vertices);
         self.owed = self.owed.saturating_add(self.before.saturating_add(work)).saturating_sub(free);
     }
 
-    /// What a step may take of which so many vertices are part, without owing anything.
+    /// The allowance of a step of `vertices`.
     fn free(&self, vertices: u64) -> u64 {
         let of_base = self.base.saturating_mul(2).min(MOST_BASE);
         FREE.saturating_add(of_base).saturating_add(FREE_PER_VERTEX.saturating_mul(vertices))
@@ -115,13 +115,13 @@ impl Work {
         }
     }
 
-    /// Whether somebody wants the run to end.
+    /// Whether the run was interrupted.
     pub fn is_interrupted(&self) -> bool {
         self.interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed))
     }
 
-    /// The turn of the body with the most work of those that took theirs before it was too much, given what all came to
-    /// and what each did; `None` if it was not.
+    /// The turn of the body that did most up to the one that exceeded the limit, given the work of all and of each; `None` if
+    /// the limit holds.
     pub fn busiest(&self, all: u64, of_each: impl Iterator<Item = u64>) -> Option<usize> {
         let mut left = self.limit.saturating_sub(self.before);
         if all <= left {
@@ -167,27 +167,26 @@ impl Tally<'static> {
 }
 
 impl<'a> Tally<'a> {
-    /// Work that is counted for another, who tells of it afterwards; it ends when somebody wants the run to end, or with
-    /// more than a whole step may take.
+    /// A tally that the caller adds to the total itself. It is over on an interrupt, and beyond the limit of a whole step.
     pub(super) fn aside(work: Option<&'a Work>) -> Tally<'a> {
         let mut aside = Tally::unlimited();
         (aside.work, aside.is_aside) = (work, true);
         aside
     }
 
-    /// What all count for.
+    /// The work that this is a tally of.
     pub(super) fn common(&self) -> Option<&'a Work> {
         self.work
     }
 
-    /// Work of a step, in turn `turn` of the bodies, or before them.
+    /// A tally of a step: of the body in turn `turn`, or of what precedes the bodies.
     pub(super) fn new(work: &'a Work, turn: Option<usize>) -> Tally<'a> {
         let is_too_much = turn.is_some_and(|turn| turn > work.last_turn.load(Ordering::Relaxed));
         let is_over = Cell::new(is_too_much || work.is_interrupted());
         Tally { work: Some(work), turn, done: Cell::new(0), told: Cell::new(0), is_over, is_aside: false }
     }
 
-    /// Counts what is about to be done, and whether to do it: if not, the step is of no use any more.
+    /// Counts work that is about to be done. Returns whether to do it; if not, the step is void.
     #[inline]
     pub fn spend(&self, units: u64) -> bool {
         let done = self.done.get().saturating_add(units);
@@ -198,13 +197,13 @@ impl<'a> Tally<'a> {
         !self.is_over.get()
     }
 
-    /// Whether the step is of no use any more.
+    /// Whether the step is void.
     #[inline]
     pub fn is_over(&self) -> bool {
         self.is_over.get()
     }
 
-    /// What was done.
+    /// Work done so far.
     pub fn done(&self) -> u64 {
         self.done.get()
     }
@@ -240,7 +239,7 @@ impl<'a> Tally<'a> {
 
 impl Drop for Tally<'_> {
     fn drop(&mut self) {
-        // few are worth the others' attention, and none of those before bodies are stepped may be lost
+        // a small tally is not worth a contended write, but none from before the turns may be lost
         if self.turn.is_none() || self.done.get() - self.told.get() >= LITTLE {
             self.tell();
         }

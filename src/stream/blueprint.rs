@@ -867,7 +867,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
     }
     let phases = schema.phases.iter().map(|phase| format!("{} **{}**", colors::name(phase.color), phase.name));
     let spheres = format!(
-        "Influence spheres, lines, lanes: {}, grey: reaches nobody{}.  \n",
+        "Influence spheres, lines, lanes: {}, grey: reaches no body{}.  \n",
         phases.collect::<Vec<_>>().join(", "),
         if settings.entities == Entities::Batch { " (hidden at first)" } else { "" },
     );

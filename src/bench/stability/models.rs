@@ -113,7 +113,8 @@ fn end(run: &SceneRun) -> End {
 
 /// The ends by axis.
 pub fn table(ends: &Ends) -> String {
-    let heading = ["axis", "cases", "endured", "cut short", "refused", "diverged, said", "not taken, said", "defects"];
+    let heading =
+        ["axis", "cases", "endured", "cut short", "refused", "diverged, reported", "missed, reported", "defects"];
     let line = |name: &str, axis: Option<Axis>| {
         let of_axis = || ends.iter().filter(|(of, _)| axis.is_none_or(|axis| axis == *of));
         let counts = End::ALL.map(|end| of_axis().filter(|(_, of)| *of == end).count().to_string());

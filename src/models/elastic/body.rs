@@ -223,8 +223,8 @@ impl Body {
                         let divided = shared.divided.unwrap_or_else(|| divisions(scene, contact));
                         if divided as f64 * cells.cell_count() as f64 > MOST_CELLS {
                             return Err(format!(
-                                "scene \"{}\": what acts on body \"{}\" would have to be looked at {divided} times in a step, which is as good \
-                                 as endless; lower `dt`, `alpha`, `beta` or the `stiffness` of planes",
+                                "scene \"{}\": the forces on body \"{}\" would need {divided} sub-steps a step, \
+                                 which would take too long; lower `dt`, `alpha`, `beta` or the `stiffness` of planes",
                                 scene.name, described.name
                             ));
                         }
