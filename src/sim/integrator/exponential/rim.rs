@@ -21,6 +21,17 @@ pub const MOST_SAMPLES: u32 = 4096;
 #[derive(Clone, Copy, Debug)]
 pub struct Unresolved;
 
+/// The rim of a sphere that a vertex may cross in a step.
+#[derive(Clone, Copy, Debug)]
+pub struct Rim {
+    /// The number of the sphere.
+    pub sphere: usize,
+    /// Whether the vertex is inside at the start of the step, so that it crosses outwards; otherwise inwards.
+    pub is_inside: bool,
+    /// Whether it is at the rim at the start of the step, to within rounding: it has just crossed it.
+    pub is_start: bool,
+}
+
 /// The motion of a vertex over a completed step, interpolated by the quintic that matches displacement, velocity and
 /// acceleration at both ends.
 pub struct Motion<'a> {
@@ -64,8 +75,7 @@ impl<'a> Motion<'a> {
         }
     }
 
-    /// The first time in the step at which the vertex crosses the rim of `sphere`: outwards if it is `inside` now,
-    /// inwards otherwise. The step must be the one that this motion belongs to. `looks` is the number of samples that
+    /// The first time after the start of the step at which the vertex crosses a rim. The step must be the one that this motion belongs to. `looks` is the number of samples that
     /// may still be taken; the search decrements it.
     ///
     /// # Errors
@@ -74,8 +84,7 @@ impl<'a> Motion<'a> {
         &self,
         trajectories: Trajectories<'_>,
         step: &Step,
-        sphere: usize,
-        inside: bool,
+        Rim { sphere, is_inside, is_start }: Rim,
         looks: &mut u32,
     ) -> Result<Option<f64>, Unresolved> {
         let rim = trajectories.course.spheres[sphere].radius;
@@ -96,12 +105,16 @@ impl<'a> Motion<'a> {
         });
         let mut gap = Gap {
             looks: Cell::new(*looks),
-            sign: if inside { -1.0 } else { 1.0 },
+            sign: if is_inside { -1.0 } else { 1.0 },
             rim,
             curvature: 2.0 * speed * speed + 2.0 * (d0.max(d1) + speed) * acceleration,
         };
         let [g0, g1] = [d0, d1].map(|d| gap.of(d));
         if g0.min(g1) > gap.curvature / 8.0 {
+            return Ok(None);
+        }
+        // From zero at the start it grows at least as t (g₁ − curvature (1 − t)/2): most vertices cross a rim once in a step.
+        if is_start && g1 > gap.curvature / 2.0 {
             return Ok(None);
         }
 

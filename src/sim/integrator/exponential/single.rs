@@ -6,7 +6,7 @@ use pulp::Scalar;
 use super::{
     course::Course,
     lanes::{LANES, Vector},
-    rim::{self, Motion, Unresolved},
+    rim::{self, Motion, Rim, Unresolved},
     step::{Collocated, Group, Outcome, Pull, SHORTER, Step, Trajectories, Vertex, is_sampled_aside},
     weights::{Dense, KnownWeights, Stage, Weights},
     work_of,
@@ -98,6 +98,8 @@ impl Single<'_> {
         // steps longer than this are not worth trying, because one was not accurate enough
         let mut longest = f64::INFINITY;
         left.clear();
+        // the sphere at whose rim a step starts, because the one before it ended there
+        let mut crossed = None;
         loop {
             let step = if is_whole { self.whole } else { &*part };
             let (middle, end) = (start + 0.5 * h, start + h);
@@ -108,7 +110,7 @@ impl Single<'_> {
             let mut will_do = start >= middle || (outcome.error <= wanted && resolved);
             let mut crossing = None;
             if will_do {
-                match self.first_crossing(step, (&vertex, inside), state, &outcome) {
+                match self.first_crossing(step, (&vertex, inside), (state, crossed), &outcome) {
                     Ok(found) => crossing = found,
                     // a vertex that swings many times in the step is left to where crossings make no difference
                     Err(Unresolved) => will_do = start >= middle || is_stiff(course, h),
@@ -119,6 +121,7 @@ impl Single<'_> {
                 left.push((start, h));
             } else if let Some((t, sphere)) = crossing {
                 // Up to the rim as the step goes, and on from there on its other side.
+                crossed = Some(sphere);
                 error += outcome.error;
                 if t >= end {
                     state = outcome.end;
@@ -131,6 +134,7 @@ impl Single<'_> {
                     left.push((t, end - t));
                 }
             } else {
+                crossed = None;
                 state = outcome.end;
                 error += outcome.error;
                 // of sixth order: an error of a step that a step of twice the length would not take beyond the tolerance
@@ -248,12 +252,13 @@ impl Single<'_> {
         kink <= self.tolerance * h || self.near_rims(step, vertex, state).next().is_none()
     }
 
-    /// The first crossing of a rim in a step that was taken: when, and of which sphere.
+    /// The first crossing of a rim in a step that was taken: when, and of which sphere. The vertex starts from the rim of
+    /// sphere `crossed`, if any.
     fn first_crossing(
         &self,
         step: &Step,
         (vertex, inside): (&Vertex, Inside<'_>),
-        state: State,
+        (state, crossed): (State, Option<usize>),
         outcome: &Outcome,
     ) -> Result<Option<(f64, usize)>, Unresolved> {
         let Some(inside) = inside else { return Ok(None) };
@@ -266,7 +271,8 @@ impl Single<'_> {
         let mut first: Option<(f64, usize)> = None;
         for j in near {
             let mut looks = rim::MOST_SAMPLES;
-            let crossing = motion.crossing(trajectories, step, j, is_inside(inside, j), &mut looks);
+            let rim = Rim { sphere: j, is_inside: is_inside(inside, j), is_start: crossed == Some(j) };
+            let crossing = motion.crossing(trajectories, step, rim, &mut looks);
             let looks = u64::from(rim::MOST_SAMPLES - looks);
             let look_takes = if self.whole.smooth { LOOK } else { LOOK_EXACTLY + self.course.weighted.len() as u64 };
             if !self.work.spend(looks * look_takes) {
