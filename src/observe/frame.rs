@@ -68,7 +68,7 @@ pub struct BodyFrame {
     /// Rigid motion of a free body; `None` for other bodies.
     pub motion: Option<MotionFrame>,
     /// Net force and torque on a free body; `None` for other bodies, and if forces are not requested.
-    pub whole: Option<WholeFrame>,
+    pub net_force: Option<NetForce>,
 }
 
 /// Rigid motion of a free body.
@@ -82,7 +82,7 @@ pub struct MotionFrame {
 
 /// Net force and torque on a free body.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct WholeFrame {
+pub struct NetForce {
     /// Force at its centre [mass · scene unit/s²].
     pub force: DVec3,
     /// Torque about its centre [mass · scene unit²/s²].
@@ -149,7 +149,7 @@ impl BodyFrame {
         self.has_forces = false;
         self.terms.iter_mut().for_each(|term| term.accelerations.clear());
         self.labels.clear();
-        self.whole = None;
+        self.net_force = None;
     }
 
     /// Writes the vertex positions relative to the centre [scene unit] to `positions` (reused), whether at rest or not.

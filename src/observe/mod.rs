@@ -30,7 +30,7 @@ pub mod worst;
 
 pub use approach::{Approach, Approaches};
 pub use event::{BodyEvent, Instant, PairEvent};
-pub use frame::{BodyFrame, Frame, MotionFrame, PairFrame, Want, WholeFrame};
+pub use frame::{BodyFrame, Frame, MotionFrame, NetForce, PairFrame, Want};
 pub use schema::Schema;
 pub use simulation::{Experiment, Refusal, Shortfall, Simulation, StageFrame, StepFailure, StepSummary, between};
 pub use touch::SurfaceEvent;

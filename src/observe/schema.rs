@@ -35,7 +35,7 @@ pub struct Schema {
     /// Planes that bodies cannot pass.
     pub planes: Vec<PlaneSchema>,
     /// Length per acceleration of the net force arrows of free bodies [scene unit per scene unit/s²].
-    pub whole_scale: f64,
+    pub net_force_scale: f64,
     /// Force terms that accelerate vertices. The last one is the sum of all others.
     pub terms: Vec<TermSchema>,
     /// Texts of [`BodyFrame::labels`](super::BodyFrame::labels). The first one is for vertices on which no force acts.
@@ -220,7 +220,7 @@ impl Default for Schema {
             blend: fairing::BLEND,
             bodies: Vec::new(),
             planes: Vec::new(),
-            whole_scale: 0.01,
+            net_force_scale: 0.01,
             terms: Vec::new(),
             labels: Vec::new(),
             arrow_scale: 0.01,

@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     geometry::Vectors,
-    observe::{BodyFrame, PairFrame, WholeFrame},
+    observe::{BodyFrame, NetForce, PairFrame},
 };
 
 /// A pair, as frames represent it.
@@ -39,7 +39,7 @@ pub(super) fn add_coupled_forces(
         std::mem::swap(&mut term.accelerations, &mut forces.by_cause[cause as usize]);
     }
     let is_free = world.scene().bodies[index].path().is_none();
-    now.whole = is_free.then_some(WholeFrame { force: forces.force, torque: forces.torque });
+    now.net_force = is_free.then_some(NetForce { force: forces.force, torque: forces.torque });
 }
 
 /// Labels the vertices of a body by the spheres that act on them.

@@ -421,7 +421,7 @@ pub fn schema(scene: &Scene, options: Options) -> Schema {
             .iter()
             .map(|&Plane { normal, offset, friction, .. }| PlaneSchema { normal, offset, friction })
             .collect(),
-        whole_scale: whole_scale(scene),
+        net_force_scale: net_force_scale(scene),
         phases: PHASES
             .map(|phase| PhaseSchema {
                 name: phase.name(),
@@ -499,9 +499,9 @@ fn law(scene: &Scene) -> String {
     )
 }
 
-/// Length per acceleration of the arrows for bodies as a whole: about a radius for gravity, or for a quarter of what the
+/// Length per acceleration of net force arrows: about a radius for gravity, or for a quarter of what the
 /// strongest influence does to a vertex.
-fn whole_scale(scene: &Scene) -> f64 {
+fn net_force_scale(scene: &Scene) -> f64 {
     let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
     schema::arrow_scale(2.5 * radius, f64::max(scene.gravity.length(), 0.25 * strongest_pull(scene, radius)))
 }

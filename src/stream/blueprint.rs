@@ -918,7 +918,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
             format!(
                 "At the centres of free bodies: {}, {} unit long per unit/s² (over M, and over M R).  \n",
                 of.join(", "),
-                schema.whole_scale,
+                schema.net_force_scale,
             )
         }
         _ => String::new(),

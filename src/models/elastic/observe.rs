@@ -15,8 +15,8 @@ use crate::{
     model::phase::Phase,
     models::lattice::Constants,
     observe::{
-        BodyEvent, BodyFrame, Frame, Instant, MotionFrame, PairFrame, Schema, Simulation, StepSummary, Want,
-        WholeFrame, checksum,
+        BodyEvent, BodyFrame, Frame, Instant, MotionFrame, NetForce, PairFrame, Schema, Simulation, StepSummary, Want,
+        checksum,
         schema::{ScalarOf, ScalarSchema},
     },
     scene::{Integrator, Model, Scene, TearMode},
@@ -332,7 +332,7 @@ impl Elastic {
                 term.source = Some(only.1);
             }
         }
-        now.whole = body.free.is_some().then(|| {
+        now.net_force = body.free.is_some().then(|| {
             let outer = [Cause::Attraction, Cause::Repulsion, Cause::Core, Cause::Push, Cause::Plane];
             let (mut force, mut torque) = (back_at_centre + self.scene.gravity * body.free_mass(), DVec3::ZERO);
             for (_, nodes) in by_cause.iter().filter(|(cause, _)| outer.contains(cause)) {
@@ -341,7 +341,7 @@ impl Elastic {
                     torque += place.cross(*f * *m);
                 }
             }
-            WholeFrame { force, torque }
+            NetForce { force, torque }
         });
         let label = |i: usize| {
             simulation::label([Cause::Attraction, Cause::Repulsion, Cause::Core].map(|cause| {
@@ -528,7 +528,7 @@ impl Simulation for Elastic {
             now.centre = self.centre(body.index);
             now.rotation = body.free.as_ref().map_or(DQuat::IDENTITY, |free| free.rotation);
             now.motion = body.free.as_ref().map(|free| MotionFrame { velocity: free.velocity, spin: free.spin });
-            now.whole = None;
+            now.net_force = None;
             now.mesh.clone_from(&body.torn);
             if body.is_at_rest {
                 now.rest();

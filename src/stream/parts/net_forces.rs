@@ -5,7 +5,7 @@ use rerun::Arrows3D;
 
 use super::{FrameView, forces};
 use crate::{
-    observe::{Schema, WholeFrame, colors, schema::BodySchema},
+    observe::{NetForce, Schema, colors, schema::BodySchema},
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,
@@ -15,12 +15,12 @@ use crate::{
 };
 
 /// The arrow of a body [scene unit/s²].
-type Arrow = fn(&WholeFrame, &BodySchema) -> DVec3;
+type Arrow = fn(&NetForce, &BodySchema) -> DVec3;
 
 /// The two kinds of arrows: name of the entity, colour, and its value in a frame as an acceleration [scene unit/s²].
 pub const KINDS: [(&str, Rgb, Arrow); 2] = [
-    ("net_force", colors::WHITE, |whole, body| whole.force / body.mass),
-    ("torque", colors::YELLOW, |whole, body| whole.torque / (body.mass * body.radius)),
+    ("net_force", colors::WHITE, |net, body| net.force / body.mass),
+    ("torque", colors::YELLOW, |net, body| net.torque / (body.mass * body.radius)),
 ];
 
 /// The arrows, with what was last logged of them.
@@ -55,8 +55,8 @@ impl NetForces {
         for ((track, last), (.., acceleration)) in self.tracks.iter().zip(&mut self.last).zip(KINDS) {
             let (mut origins, mut vectors) = Rows::default();
             for (body, now) in view.bodies() {
-                let Some(whole) = &now.whole else { continue };
-                let vector = (view.schema.whole_scale * acceleration(whole, body)).as_vec3().to_array();
+                let Some(net) = &now.net_force else { continue };
+                let vector = (view.schema.net_force_scale * acceleration(net, body)).as_vec3().to_array();
                 if vector != [0.0; 3] {
                     origins.push(now.centre.as_vec3().to_array());
                     vectors.push(vector);
