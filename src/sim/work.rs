@@ -18,7 +18,7 @@ const FREE: u64 = 500_000;
 /// … so much for each vertex that is stepped, …
 const FREE_PER_VERTEX: u64 = 100;
 /// … and twice the [base](super::integrator::exponential::StepStatistics::base) of the last step, up to this.
-const MOST_BASE: u64 = 300_000_000;
+const MOST_BASE: u64 = 1_000_000_000;
 /// A tally is added to the total after so much work [units].
 const GRAIN: u64 = 1 << 15;
 /// A body that did less is not added while others run [units].

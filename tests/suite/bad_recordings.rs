@@ -243,7 +243,7 @@ fn broken_recordings_are_refused_with_what_is_wrong() {
     refused(b"", "it is empty");
     refused(b"RRF2", "ends within its header");
     refused(b"hello, world; this is a letter", "no .rrd file at all");
-    refused(&full[..200], "before it says what it is");
+    refused(&full[..200], "before its header is complete");
     refused(&full[..full.len() / 2], "cut short");
     refused(&full[..full.len() - 10], "cut short");
     refused(&[full.as_slice(), b"more"].concat(), "something after its end");

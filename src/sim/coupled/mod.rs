@@ -62,7 +62,9 @@ const MOST_ROUNDS: u32 = 40;
 
 /// What steps ordinarily take of each vertex: a few sweeps of a few steps, at four nodes.
 const ORDINARY: u64 = 200;
-/// The same in large islands, where bodies are advanced several times.
+/// What they take besides of each vertex in contact with a plane.
+const ORDINARY_HELD: u64 = 2000;
+/// What steps take of each vertex in large islands, where bodies are advanced several times.
 const ORDINARY_APART: u64 = 4000;
 
 /// The bodies of a coupled scene.
@@ -435,8 +437,10 @@ impl Coupled {
                 for job in &self.jobs {
                     let count = job.parts.bodies.iter().map(|body| body.x.len() as u64).sum::<u64>();
                     vertices += count;
-                    ordinary +=
-                        count * if job.group.bodies.len() > free::MOST_TOGETHER { ORDINARY_APART } else { ORDINARY };
+                    ordinary += match job.group.bodies.len() > free::MOST_TOGETHER {
+                        true => ORDINARY_APART * count,
+                        false => ORDINARY * count + ORDINARY_HELD * job.report.held,
+                    };
                 }
                 work.end(all, ordinary, vertices);
                 Ok(())

@@ -81,6 +81,8 @@ pub struct Report {
     pub rejected: u64,
     /// Number of correction sweeps over all bodies.
     pub sweeps: u64,
+    /// Largest number of vertices in contact with planes in a sweep, counted once for every plane.
+    pub held: u64,
     /// Sum over the steps of the largest estimated error [radii].
     pub error: f64,
     /// What changed the energy of the bodies.
@@ -628,8 +630,9 @@ impl Island {
             }
             self.evaluate(scratch, span, usize::from(sweep > 0), parallel);
             report.sweeps += 1;
-            let held: usize = scratch.courses.iter().map(|course| course.held.len()).sum();
-            work.spend(HOLD * held as u64);
+            let held = scratch.courses.iter().map(|course| course.held.len() as u64).sum();
+            report.held = report.held.max(held);
+            work.spend(HOLD * held);
             // how far this correction moved the vertices, over the tolerance
             let follow = |((body, course), places): ((&Body, &mut Course), &mut [Place; 5])| {
                 let rounding = 4e-15 * (places[0].centre.length() + body.shape.extent) * f64::max(1.0, 1.0 / span.h);
