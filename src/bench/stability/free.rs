@@ -281,7 +281,8 @@ pub fn table(rows: &[Row]) -> String {
     tables::table(heading.collect::<Vec<_>>(), Axis::ALL.into_iter().map(line))
 }
 
-/// The cases that an integrator gave up or failed, each with the reason; empty if there is none.
+/// The cases that an integrator gave up or failed, with the reasons; empty if there are none. Every case of the exponential
+/// integrator; of the explicit schemes, which fail many for the same reason, the first of each axis.
 pub fn failures(rows: &[Row], of: Integrator) -> Vec<String> {
     let trouble = |row: &Row| {
         let (_, verdict) = row.verdicts.iter().find(|verdict| verdict.0 == of)?;
@@ -293,5 +294,12 @@ pub fn failures(rows: &[Row], of: Integrator) -> Vec<String> {
         };
         Some(format!("{of}, {}, {}: {what}", row.case.axis.name(), row.case.what))
     };
-    rows.iter().filter_map(trouble).collect()
+    let of_axis = |axis: Axis| {
+        let all: Vec<String> = rows.iter().filter(|row| row.case.axis == axis).filter_map(trouble).collect();
+        match &all[..] {
+            [first, _, ..] if of != Integrator::Exponential => vec![format!("{first}; {} more", all.len() - 1)],
+            _ => all,
+        }
+    };
+    Axis::ALL.into_iter().flat_map(of_axis).collect()
 }
