@@ -62,6 +62,8 @@ const BLOCKS: usize = 9;
 const LONG_BLOCKS: usize = 3;
 /// The naive baseline is skipped in scenes where a step of it is expected to take longer.
 const LONGEST_PLAIN_STEP: Duration = Duration::from_secs(4);
+/// The naive baseline is skipped in scenes of more bodies if no smaller ones were measured before.
+const LARGEST_FIRST_PLAIN: usize = 1000;
 /// Errors are checked every so many steps, for up to a period.
 const JUDGED_EVERY: u64 = 20;
 /// Upper limit on the pairs checked, spread over the scene.
@@ -246,11 +248,15 @@ pub fn measure(settings: &Settings, progress: &mut dyn FnMut(f64)) -> Result<Rep
                 Ok(mut point) => {
                     // a step over all pairs and every vertex
                     let expected = plain_step * (bodies as f64 / before as f64).powi(2);
-                    if before == 0 || expected <= LONGEST_PLAIN_STEP.as_secs_f64() {
-                        let plain = measure_plain(&layout, scene, &judge, &pools, settings.time)?;
-                        plain_step = plain.run.seconds;
-                        before = bodies;
-                        point.plain = Some(plain);
+                    let is_short = expected <= LONGEST_PLAIN_STEP.as_secs_f64();
+                    let is_worth = if before == 0 { bodies <= LARGEST_FIRST_PLAIN } else { is_short };
+                    if is_worth {
+                        // refused where there are more pairs than can be stepped
+                        if let Ok(plain) = measure_plain(&layout, scene, &judge, &pools, settings.time) {
+                            plain_step = plain.run.seconds;
+                            before = bodies;
+                            point.plain = Some(plain);
+                        }
                     }
                     points.push(point);
                 }
