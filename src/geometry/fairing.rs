@@ -64,8 +64,8 @@ impl Near {
 impl<T: Copy> Seamed<T> {
     /// Smooths the surface within `blend` radii of its seams, whose radii are given [scene unit]. 0 leaves it sharp, and
     /// only removes edges at the seam that are too short to be drawn. The label of a new vertex is made of that of the
-    /// nearer end of the edge that it splits, unless that is on the seam and the other end is not. In the end, `relabel` is called for every vertex within `reach` radii of a
-    /// seam.
+    /// nearer end of the edge that it splits, unless that is on the seam and the other end is not. In the end, `relabel`
+    /// is called for every vertex within `reach` radii of a seam.
     pub fn fair(
         &mut self,
         blend: f64,

@@ -27,8 +27,8 @@ use crate::geometry::{
     union::{self, Body, Budget, Hint, Origin, Topology, Union, is_raised},
 };
 
-/// Budget of work steps for the unions of one frame, see [`Budget`]: one to three seconds. A count, not a time, so
-/// that equal frames give equal surfaces on every machine.
+/// Budget of work steps for the unions of one frame, see [`Budget`]: an estimated one to three seconds. A count, not a
+/// time, so that equal frames give equal surfaces on every machine.
 pub const FRAME_WORK: u64 = 20_000_000;
 
 /// Distance from a seam within which the colours of two bodies blend [radii], unless the surface is smoothed farther.
