@@ -28,15 +28,15 @@
 //!
 //! # What it costs
 //!
-//! Compared with the exact mode of `manifold-rust`, by `cargo bench --bench union` on two cores of an AMD EPYC that other
-//! builds were using, too; neither computes volumes:
+//! Compared with the exact mode of `manifold-rust`, by `cargo bench --bench union` on one core of an AMD EPYC;
+//! neither computes volumes:
 //!
 //! | spheres | union, best | times as fast | goal |
 //! | --- | --- | --- | --- |
-//! | two of 266 vertices | 0.12 ms | 13.7 | 15 |
-//! | two of 10,000 vertices | 1.4 ms | 45 | 50 |
-//! | a chain of 300 | 51 ms | 8 to 10 | 20 |
-//! | 64 in one place | 57 ms | 3.4 to 4 | 1 |
+//! | two of 266 vertices | 0.12 ms | 13.4 | 15 |
+//! | two of 10,000 vertices | 1.5 ms | 40.8 | 50 |
+//! | a chain of 300 | 61 ms | 13.1 | 20 |
+//! | 64 in one place | 43 ms | 4.5 | 1 |
 //!
 //! Small unions miss the goal because nothing in them dominates: of two spheres of 266 vertices, cutting triangles takes 24 %,
 //! nodes and segments 16 %, signs of candidates 13 %, assembly with its audit 12 %, boxes 8 %, [`Body::new`] and the proof
@@ -44,7 +44,7 @@
 //! positions: unions keep nothing from frame to frame, only the search for gaps does ([`Hint`]). The chain is 299 such small
 //! unions, each of which takes as many instructions there as alone, and 40 % more time.
 //!
-//! Ten times the vertices, all of them away from the overlap, cost 63 % more (goal 10 %): 4 ns a vertex for boxes in
+//! Ten times the vertices, all of them away from the overlap, cost 63 to 70 % more (goal 10 %): 4 ns a vertex for boxes in
 //! [`Body::new`], and 12 ns for the proof, which reads the corners of every triangle. Loading them is what it costs: in single
 //! precision it takes as long, and so it does with fewer divisions. Volume and area read them once more, and are computed
 //! when they are asked for.
