@@ -112,7 +112,7 @@ pub enum Cell<'a> {
     Null,
 }
 
-/// Why a table could not be written, in words.
+/// Why a table could not be written. The text is a complete message.
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
     /// The request is invalid; nothing has been written.
@@ -146,7 +146,7 @@ pub struct Table {
     path: PathBuf,
     partial: PathBuf,
     columns: Vec<Column>,
-    /// `None` once it is finished.
+    /// `None` once the table is finished.
     writer: Option<Writer>,
 }
 
@@ -165,7 +165,7 @@ impl Table {
         let Some(format) = Format::of(path) else {
             let path = path.display();
             return Err(TableError::Refused(format!(
-                "{path}: what a table is written as follows from its name: end it in .csv, .json or .parquet"
+                "{path}: the extension selects the table's format: use .csv, .json or .parquet"
             )));
         };
         let mut partial = path.as_os_str().to_owned();
@@ -175,7 +175,7 @@ impl Table {
             if path.symlink_metadata().is_ok() && !is_table(path, format, &columns, is_whole).unwrap_or(false) {
                 let path = path.display();
                 return Err(TableError::Refused(format!(
-                    "{path} is not such a table and is not replaced: choose another name"
+                    "{path} is not a table with these columns and is not replaced: choose another name"
                 )));
             }
         }
@@ -188,10 +188,10 @@ impl Table {
         Ok(table)
     }
 
-    /// Adds a row, a cell for each column.
+    /// Adds a row, with one cell per column.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The row cannot be written.
     pub fn row(&mut self, cells: &[Cell<'_>]) -> Result<(), TableError> {
         let written = match &mut self.writer {
             Some(writer) => writer.row(&self.columns, cells),
@@ -203,14 +203,14 @@ impl Table {
     /// Renames the file to its final name; returns its size [bytes].
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The file cannot be written or renamed.
     pub fn finish(mut self) -> Result<u64, TableError> {
-        let placed = |table: &mut Table| -> io::Result<u64> {
+        let finish = |table: &mut Table| -> io::Result<u64> {
             table.writer.take().map_or(Ok(()), Writer::finish)?;
             fs::rename(&table.partial, &table.path)?;
             Ok(table.path.metadata()?.len())
         };
-        placed(&mut self).map_err(|error| self.failed(&error))
+        finish(&mut self).map_err(|error| self.failed(&error))
     }
 
     fn failed(&self, error: &dyn std::fmt::Display) -> TableError {
@@ -324,7 +324,7 @@ impl<W: Write + Send> ParquetTable<W> {
     /// Begins a table with these columns.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The table cannot be written.
     pub fn new(columns: &[Column], to: W) -> io::Result<ParquetTable<W>> {
         let schema = Arc::new(Schema::new(columns.iter().map(Column::field).collect::<Vec<_>>()));
         let level = ZstdLevel::try_new(3).map_err(failed)?;
@@ -344,10 +344,10 @@ impl<W: Write + Send> ParquetTable<W> {
         Ok(ParquetTable { writer, schema, builders, rows: 0 })
     }
 
-    /// Adds a row, a cell for each column.
+    /// Adds a row, with one cell per column.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The row cannot be written.
     pub fn row<'a>(&mut self, cells: impl Iterator<Item = Cell<'a>>) -> io::Result<()> {
         for (builder, cell) in self.builders.iter_mut().zip(cells) {
             match (builder, cell) {
@@ -393,7 +393,7 @@ impl<W: Write + Send> ParquetTable<W> {
     /// Ends the table; returns the underlying writer.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The table cannot be written.
     pub fn finish(mut self) -> io::Result<W> {
         self.encode()?;
         self.writer.into_inner().map_err(failed)
@@ -426,7 +426,7 @@ fn is_table(path: &Path, format: Format, columns: &[Column], is_whole: bool) -> 
             let mut rest = row.strip_prefix('{').unwrap_or_default();
             let mut has = |column: &Column| {
                 let key = quoted(&column.name).unwrap_or_default() + ":";
-                let after = rest.find(&key).map(|place| &rest[place + key.len()..]);
+                let after = rest.find(&key).map(|index| &rest[index + key.len()..]);
                 rest = after.unwrap_or_default();
                 after.is_some()
             };
@@ -533,7 +533,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_of_somebody_else_is_replaced() {
+    fn foreign_files_are_not_replaced() {
         for (name, content) in [("mine.csv", "a,b\n"), ("mine.json", "[{\"a\":1}]"), ("mine.parquet", "PAR1....PAR1")] {
             let path = std::env::temp_dir().join(format!("meldscope-{}-{name}", std::process::id()));
             fs::write(&path, content).unwrap();

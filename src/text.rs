@@ -40,7 +40,7 @@ pub fn listed(list: &[String]) -> String {
     }
 }
 
-/// A step Δt [s], with as many digits as it takes to recognise it.
+/// A step Δt [s], with enough digits to recognise it.
 #[cfg(feature = "viewer")]
 pub fn step_size(dt: f64) -> String {
     if dt >= 1e-4 { format!("{dt:.6}") } else { format!("{dt:e}") }
@@ -68,17 +68,17 @@ pub fn did_you_mean<'k>(word: &str, known: impl Iterator<Item = &'k str>) -> Str
         let abbreviated = word.len() >= 3 && plain.starts_with(&word);
         let distance = usize::min(strsim::osa_distance(&word, &plain), if abbreviated { 1 } else { usize::MAX });
         // a third of the letters, but never all letters of a short word
-        let most = usize::min((word.chars().count().max(candidate.chars().count()) + 1) / 3, 3);
-        (distance <= most).then_some((distance, candidate))
+        let limit = usize::min((word.chars().count().max(candidate.chars().count()) + 1) / 3, 3);
+        (distance <= limit).then_some((distance, candidate))
     });
     near.min_by_key(|(distance, _)| *distance).map_or(String::new(), |(_, word)| format!("; did you mean \"{word}\"?"))
 }
 
-/// Escapes `text` for output on one line. Escaped is every character that a terminal would act on instead of showing:
+/// Escapes `text` for output on one line: every character that a terminal would act on instead of showing. These are
 /// control characters (C0, C1 and DEL: they move the cursor, set titles, erase), and characters that change the text
 /// direction or end a line.
 ///
-/// All text that comes from files is escaped with this, names and paths included: its author is not trusted.
+/// Use this for all text from files, including names and paths: their author is not trusted.
 pub fn printable(text: &str) -> Cow<'_, str> {
     if !text.contains(is_unsafe) {
         return Cow::Borrowed(text);
@@ -94,7 +94,7 @@ pub fn printable(text: &str) -> Cow<'_, str> {
     Cow::Owned(escaped)
 }
 
-/// Whether a terminal does more than show this character.
+/// Whether a terminal acts on this character instead of showing it.
 fn is_unsafe(c: char) -> bool {
     c.is_control()
         || matches!(c,
@@ -114,7 +114,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn figures_are_grouped_and_nouns_agree() {
+    fn digits_are_grouped_and_nouns_agree() {
         let cases = [(0, "0 messages"), (1, "1 message"), (999, "999 messages"), (1_234, "1,234 messages")];
         for (n, expected) in cases {
             assert_eq!(counted(n, "message"), expected);
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn lists_read_as_sentences() {
+    fn lists_are_joined_as_prose() {
         let of = |n: usize| listed(&["a", "b", "c"].map(str::to_owned)[..n]);
         assert_eq!([of(0), of(1), of(2), of(3)], ["", "a", "a and b", "a, b and c"]);
     }
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_terminal_obeys_is_escaped_and_the_rest_kept() {
+    fn only_characters_that_a_terminal_acts_on_are_escaped() {
         let cases = [
             ("größe 大きさ ~ q = 1.05 → b\\c", "größe 大きさ ~ q = 1.05 → b\\c"),
             ("\u{1b}[2J\u{1b}]0;title\u{7}", r"\u{1b}[2J\u{1b}]0;title\u{7}"),
@@ -155,7 +155,7 @@ mod tests {
     }
 
     /// Independent of the list above: Unicode's control characters, line separators and bidirectional controls.
-    fn is_obeyed(c: char) -> bool {
+    fn acts_on_terminal(c: char) -> bool {
         let code = u32::from(c);
         code < 0x20
             || (0x7f..0xa0).contains(&code)
@@ -166,10 +166,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn nothing_gets_through(text in any::<String>(), more in prop::collection::vec(0u32..0x2100, 0..40)) {
+        fn no_control_character_remains(text in any::<String>(), more in prop::collection::vec(0u32..0x2100, 0..40)) {
             let text = text + &more.into_iter().filter_map(char::from_u32).collect::<String>();
             let shown = printable(&text).into_owned();
-            prop_assert!(!shown.contains(is_obeyed), "{shown:?}");
+            prop_assert!(!shown.contains(acts_on_terminal), "{shown:?}");
             prop_assert_eq!(printable(&shown), shown.as_str());
         }
     }

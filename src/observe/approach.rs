@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use super::{Frame, PairEvent, Schema};
 
-/// Upper limit on the number of pairs that are remembered.
-const MOST_PAIRS: usize = 1 << 16;
+/// Upper limit on the number of tracked pairs.
+const MAX_PAIRS: usize = 1 << 16;
 
 /// The closest approach of a pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,7 +23,7 @@ pub struct Approach {
 /// The closest approaches of all pairs that came within reach and stayed in their first phase, from the frames of a
 /// run.
 ///
-/// Between frames, q² is interpolated by a parabola through three of them: exact for bodies at constant velocity.
+/// Between frames, q² is interpolated by a parabola through three frames: exact for bodies at constant velocity.
 #[derive(Clone, Debug, Default)]
 pub struct Approaches {
     pairs: BTreeMap<(usize, usize), Watched>,
@@ -33,7 +33,7 @@ pub struct Approaches {
 #[derive(Clone, Copy, Debug)]
 struct Watched {
     closest: Approach,
-    /// Time and q² of the last frame, and of the one before if the pair was in that frame, too.
+    /// Time and q² in the last frame, and in the previous one if it contained the pair.
     last: (f64, f64),
     before: Option<(f64, f64)>,
     /// Whether the pair has left its first phase.
@@ -41,12 +41,12 @@ struct Watched {
 }
 
 impl Approaches {
-    /// Adds a frame. Frames must come in order of time.
+    /// Adds a frame. Frames must be added in order of time.
     pub fn add(&mut self, frame: &Frame) {
         let time = frame.at.time;
         for pair in &frame.pairs {
             let now = (time, pair.q * pair.q);
-            let is_full = self.pairs.len() >= MOST_PAIRS;
+            let is_full = self.pairs.len() >= MAX_PAIRS;
             let closest = Approach { a: pair.a, b: pair.b, q: pair.q, time };
             let Some(watched) = self.pairs.get_mut(&(pair.a, pair.b)) else {
                 if !is_full {
@@ -90,7 +90,7 @@ impl Approaches {
 }
 
 impl Approach {
-    /// Describes the approach in words: how close, when, and by how much it missed which threshold.
+    /// Describes the approach in words: its distance, its time, and by how much it missed the first threshold.
     pub fn describe(&self, schema: &Schema) -> String {
         let first = schema.thresholds.first().zip(schema.level(0, self.a, self.b));
         let missed = first.map_or(String::new(), |(threshold, level)| {
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pair_that_merges_needs_no_excuse() {
+    fn a_pair_that_merges_is_not_listed() {
         let mut world = World::new(Scene::builtin("two").unwrap()).unwrap();
         let (mut approaches, mut frame) = (Approaches::default(), Frame::default());
         for _ in 0..240 {

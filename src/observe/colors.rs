@@ -1,4 +1,4 @@
-//! Colours from the palette of Okabe and Ito, distinguishable with any colour vision, chosen for a dark background.
+//! Colours from the palette of Okabe and Ito, distinguishable with any colour vision, for use on a dark background.
 
 /// Red, green, blue.
 pub type Rgb = [u8; 3];

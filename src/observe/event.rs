@@ -38,10 +38,10 @@ pub struct PairEvent {
     pub energy: Option<f64>,
 }
 
-/// Something that happened to a single body at some position: a tear, for example.
+/// An event of a single body at a position, for example a tear.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BodyEvent {
-    /// What happened.
+    /// Kind of event: `cut cell`, `split node`, …
     pub name: &'static str,
     /// Time of the event [s].
     pub time: f64,

@@ -42,12 +42,12 @@ pub struct BodyFrame {
     pub centre: DVec3,
     /// Rotation Q of its rest shape: a vertex at rest is at centre + Q l. The identity for a body that does not rotate.
     pub rotation: DQuat,
-    /// Whether every displacement and velocity is exactly zero. If so, the vectors are empty.
+    /// Whether every displacement and velocity is exactly zero; if so, the vectors are empty.
     pub is_at_rest: bool,
-    /// The mesh of the body if it differs from the schema's because the body has torn, which only bodies with
-    /// [`BodySchema::can_tear`] do. Vertices are only added: the first ones are those of the schema's mesh, in its
-    /// order, though some may be in no triangle. Rest positions are in units of the schema's radius, see
-    /// [`Mesh::version`]. The vertex count of all vectors here is that of this mesh.
+    /// The mesh of a body that has torn ([`BodySchema::can_tear`]); `None` for the schema's mesh. Tearing only adds
+    /// vertices: the first ones are those of the schema's mesh, in the same order, though some may be in no triangle.
+    /// Rest positions are in units of the schema's radius, see [`Mesh::version`]. All vectors here have one entry per
+    /// vertex of this mesh.
     pub mesh: Option<Arc<Mesh>>,
     /// Displacements x of the vertices from Q l, in world axes like all vectors here [scene unit], `[vertex_count]`.
     pub displacements: Vectors,
@@ -122,7 +122,7 @@ impl BodyFrame {
         self.mesh_of(body).at(body.radius)
     }
 
-    /// Sets the body to rest: no vertex is displaced and no force is known to act.
+    /// Sets the body to rest: no vertex is displaced. Leaves the forces unchanged.
     pub fn rest(&mut self) {
         self.is_at_rest = true;
         for vectors in [&mut self.displacements, &mut self.velocities, &mut self.positions] {
@@ -162,7 +162,7 @@ impl BodyFrame {
     }
 
     /// Writes the vertex positions in body axes, l + Q⁻¹ x [scene unit], to `positions` (reused). For an undeformed
-    /// body they are exactly those of its rest shape, however it is rotated.
+    /// body, they are exactly those of its rest shape at any rotation.
     pub fn body_positions(&self, rest: Rest<'_>, positions: &mut Vectors) {
         if self.rotation == DQuat::IDENTITY {
             return self.local_positions(rest, positions);

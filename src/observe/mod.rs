@@ -1,4 +1,4 @@
-//! The observer's interface to a simulation: any simulation, not only this crate's [`World`](crate::World).
+//! The observer's interface to any simulation, not only this crate's [`World`](crate::World).
 //!
 //! | contents | module |
 //! | --- | --- |
@@ -7,10 +7,10 @@
 //! | points in time, events | [`event`] |
 //! | the traits of a simulation that can be stepped and observed, and of the experiment that creates it |
 //! [`simulation`] |
-//! | how close pairs came that did not change their phase | [`approach`] |
+//! | closest approaches of pairs that did not change phase | [`approach`] |
 //! | the largest difference between two states | [`worst`] |
 //! | the merged surface of groups of bodies, and geometric measures of pairs | [`surface`] |
-//! | when surfaces touch and part | [`touch`] |
+//! | times at which surfaces touch and part | [`touch`] |
 //! | hashes of exact states | [`checksum`] |
 //! | colours | [`colors`] |
 //!

@@ -7,7 +7,7 @@ use glam::DVec3;
 use super::{colors::Rgb, event::PairEvent, surface::Surfaces};
 use crate::geometry::{Mesh, Rest, fairing};
 
-/// The schema of a simulation, which does not change during a run. Frames refer to its entries by index.
+/// The schema of a simulation. Frames refer to its entries by index.
 #[derive(Clone, Debug)]
 pub struct Schema {
     /// Name of the scene, of its recording and of its default output file.
@@ -16,7 +16,7 @@ pub struct Schema {
     pub source: String,
     /// Further settings needed to reproduce the run, as lines of TOML. A recording contains these too.
     pub run: String,
-    /// Name of the model that the bodies are simulated with, as one word; may be empty if a simulation has only one.
+    /// Name of the soft-body model, as one word; may be empty if the simulation has only one.
     pub model: String,
     /// Name of the integrator, as one word.
     pub integrator: String,
@@ -44,11 +44,11 @@ pub struct Schema {
     pub arrow_scale: f64,
     /// Phases of a pair, from the weakest interaction to the strongest.
     pub phases: Vec<PhaseSchema>,
-    /// Levels of q at which a pair changes phase; at the first one it leaves its first phase.
+    /// Levels of q at which a pair changes phase. At the first level, it leaves its first phase.
     pub thresholds: Vec<Threshold>,
-    /// Levels of pairs that have their own.
+    /// Levels for pairs with their own thresholds.
     pub own_levels: OwnLevels,
-    /// The surfaces of groups, if they are not the unions of bodies.
+    /// The surfaces of groups, if they are not the unions of their bodies.
     pub surfaces: OwnSurfaces,
     /// Scalars plotted over time.
     pub scalars: Vec<ScalarSchema>,
@@ -73,7 +73,7 @@ pub struct BodySchema {
     pub mesh: Arc<Mesh>,
     /// Whether forces move and rotate it; otherwise its path is prescribed.
     pub is_free: bool,
-    /// Total mass of its vertices, > 0; only ratios matter.
+    /// Total mass of its vertices, > 0; only mass ratios matter.
     pub mass: f64,
     /// Colour of its surface, if it has one of its own.
     pub color: Option<Rgb>,
@@ -86,7 +86,7 @@ pub struct BodySchema {
 pub struct PlaneSchema {
     /// Unit normal, towards the free side.
     pub normal: DVec3,
-    /// normal · r of its points [scene unit].
+    /// normal · r for any point r of the plane [scene unit].
     pub offset: f64,
     /// Coefficient of friction [–].
     pub friction: f64,
@@ -101,7 +101,7 @@ pub struct TermSchema {
     pub label: &'static str,
     /// Colour of its arrows.
     pub color: Rgb,
-    /// Whether other bodies cause it. If so, each arrow names the body that causes it.
+    /// Whether other bodies cause it. If so, each arrow names its source.
     pub has_source: bool,
     /// Whether it can act in this scene at all.
     pub can_act: bool,
@@ -135,7 +135,7 @@ pub struct Threshold {
     pub color: Rgb,
 }
 
-/// Levels of q of pairs that have their own, by threshold and pair; none by default.
+/// Levels of q for pairs with their own thresholds, by threshold and pair; none by default.
 #[derive(Clone, Default)]
 pub struct OwnLevels(Option<Arc<LevelOf>>);
 
@@ -159,7 +159,7 @@ impl fmt::Debug for OwnLevels {
 pub struct OwnSurfaces(Option<Arc<dyn Surfaces>>);
 
 impl OwnSurfaces {
-    /// Replaces the unions by these surfaces.
+    /// Replaces the unions with these surfaces.
     pub fn new(surfaces: impl Surfaces + 'static) -> OwnSurfaces {
         OwnSurfaces(Some(Arc::new(surfaces)))
     }
@@ -185,9 +185,9 @@ pub struct ScalarSchema {
     pub label: &'static str,
     /// Name of the plot that shows it.
     pub plot: &'static str,
-    /// Whether it describes the state or a step, and how a frame aggregates it over several steps.
+    /// Whether it describes the state or a step, and how a frame aggregates it over steps.
     pub of: ScalarOf,
-    /// Whether it varies continuously: its line interpolates linearly between values instead of holding each value.
+    /// Whether it varies continuously: its line interpolates between values instead of holding each value.
     pub is_smooth: bool,
     /// Whether it jumps when a pair changes its phase: its line is interrupted there.
     pub jumps: bool,
@@ -236,8 +236,8 @@ impl Default for Schema {
 }
 
 impl BodySchema {
-    /// A body on a known path, whose farthest vertex is at distance `radius` and which acts on others within `reach`
-    /// [scene unit].
+    /// A body on a prescribed path. `radius` is the distance of its farthest vertex, `reach` the radius of its influence
+    /// sphere [scene unit].
     pub fn new(name: &str, shape: &str, mesh: Arc<Mesh>, radius: f64, reach: f64) -> BodySchema {
         let (name, shape) = (name.to_owned(), shape.to_owned());
         BodySchema { name, radius, reach, shape, mesh, is_free: false, mass: 1.0, color: None, can_tear: false }
@@ -245,7 +245,7 @@ impl BodySchema {
 }
 
 impl From<(&'static str, Rgb)> for PhaseSchema {
-    /// A phase in which bodies remain two.
+    /// A phase in which the bodies remain separate.
     fn from((name, color): (&'static str, Rgb)) -> PhaseSchema {
         PhaseSchema { name, color, is_joined: false }
     }
@@ -277,8 +277,7 @@ impl Schema {
         self.bodies.iter().map(|body| body.vertex_count() as u64).sum()
     }
 
-    /// The model, or `None` for the default one (oscillators, or the only one of a simulation), which messages leave
-    /// out.
+    /// The model; `None` for the default (oscillators, or a simulation's only model), which messages omit.
     pub fn non_default_model(&self) -> Option<&str> {
         Some(self.model.as_str()).filter(|model| !["", "oscillators"].contains(model))
     }
@@ -293,7 +292,7 @@ impl Schema {
         self.own_levels.0.as_ref().map_or(Some(self.thresholds[index].level), |own| own(index, a, b))
     }
 
-    /// Describes an event in words: its kind, its pair, its exact time, its q, and the first step affected.
+    /// Describes an event in words: kind, pair, exact time, q, and the first affected step.
     pub fn describe(&self, event: &PairEvent) -> String {
         let pair = self.pair_name(event.a, event.b);
         let energy = event.energy.filter(|&energy| energy != 0.0);
@@ -320,7 +319,7 @@ impl BodySchema {
 }
 
 /// Arrow length per acceleration [scene unit per scene unit/s²]: 1, 2 or 5 times a power of ten, chosen so that the
-/// `strongest` acceleration [scene unit/s²] is drawn at about 0.4 of `radius`.
+/// arrow of the `strongest` acceleration [scene unit/s²] is about 0.4 `radius` long.
 pub fn arrow_scale(radius: f64, strongest: f64) -> f64 {
     let wanted = 0.4 * radius / strongest;
     if !(wanted.is_finite() && wanted > 0.0) {

@@ -39,7 +39,7 @@ pub trait Simulation {
     /// Writes a summary of the last step to `summary` (reused).
     fn summary(&self, summary: &mut StepSummary);
 
-    /// What changed the energy since the start, in a few words; `None` if unknown.
+    /// The causes of energy changes since the start, in a few words; `None` if unknown.
     fn account(&self) -> Option<String> {
         None
     }
@@ -49,12 +49,12 @@ pub trait Simulation {
         None
     }
 
-    /// A flag that, once raised, ends all computation of the simulation and about it as soon as possible.
+    /// A flag that, once raised, ends the simulation and all analysis of its states as soon as possible.
     fn interrupt(&self) -> Option<&'static AtomicBool> {
         None
     }
 
-    /// Hash of the exact state: bit-identical states have equal hashes, all others different ones (barring collisions).
+    /// Hash of the exact state. Bit-identical states have equal hashes, other states different ones (barring collisions).
     fn checksum(&self) -> u64;
 
     /// Writes the requested parts of the state to `frame` (reused).
@@ -68,29 +68,29 @@ pub trait Simulation {
         vec![stage("start", before.clone()), stage("end", frame)]
     }
 
-    /// Writes the centres of some bodies, and the positions of their vertices relative to these [scene unit], to
-    /// `frame` (reused), at a time [s] within the step that led from `before` to the current state. By default, they
-    /// are interpolated by [`between`].
+    /// Writes the centres of some bodies and their vertex positions relative to these [scene unit] to `frame` (reused),
+    /// at a time [s] within the step that led from `before` to the current state. The default interpolates with
+    /// [`between`].
     fn within(&self, before: &Frame, time: f64, bodies: &[usize], frame: &mut Frame) {
         let mut after = Frame::default();
         self.observe(Want::default(), &mut after);
         between(&self.schema(), [before, &after], time, bodies, frame);
     }
 
-    /// Touch and part events of pairs in the last step, in order of time, if the simulation finds them itself
-    /// ([`Finding::Touch`](super::touch::Finding::Touch) and `Part` only). `None`: [`super::touch`] searches for them
+    /// Touch and part events of pairs in the last step, in order of time, if the simulation detects them itself
+    /// ([`Finding::Touch`](super::touch::Finding::Touch) and `Part` only). If `None`, [`super::touch`] searches for them
     /// in the states that [`within`](Simulation::within) returns.
     fn contacts(&self) -> Option<&[SurfaceEvent]> {
         None
     }
 
-    /// What happened to single bodies in the last step, in order of time.
+    /// Events of single bodies in the last step, in order of time.
     fn body_events(&self) -> &[BodyEvent] {
         &[]
     }
 
-    /// Spheres (centre and radius) that a camera should have in view: everything visible in the course of the run, or
-    /// only the places where something happens.
+    /// Spheres (centre and radius) for the camera to frame: everything visible during the run, or only the regions in
+    /// which something happens.
     fn framing(&self, only_what_happens: bool) -> Vec<(DVec3, f64)> {
         let _ = only_what_happens;
         let (mut frame, schema) = (Frame::default(), self.schema());
@@ -100,9 +100,10 @@ pub trait Simulation {
     }
 }
 
-/// The state of some bodies at a time [s] between two frames, by cubic Hermite interpolation of the displacements, and
-/// of centres and rotations where their velocities are known; otherwise centres are linear. The error is of fourth
-/// order in the step, unless a force jumps within it.
+/// The state of some bodies at a time [s] between two frames. Displacements are interpolated by cubic Hermite
+/// polynomials, and so are centres and rotations where their velocities are known; otherwise centres are interpolated
+/// linearly, rotations spherically. The error of the cubics is of fourth order in the step, unless a force jumps within
+/// it.
 pub fn between(schema: &Schema, ends: [&Frame; 2], time: f64, bodies: &[usize], frame: &mut Frame) {
     let length = ends[1].at.time - ends[0].at.time;
     let z = if length > 0.0 { ((time - ends[0].at.time) / length).clamp(0.0, 1.0) } else { 1.0 };
@@ -148,7 +149,7 @@ pub fn between(schema: &Schema, ends: [&Frame; 2], time: f64, bodies: &[usize], 
             (slope, &from.velocities),
             (next_slope, &to.velocities),
         ] {
-            now.displacements.add_times(factor, vectors); // nothing at rest
+            now.displacements.add_times(factor, vectors); // adds nothing for a body at rest
         }
         now.displaced(to.rest_of(body));
     }
@@ -162,7 +163,7 @@ pub trait Experiment: Debug + Send + Sync {
     /// Starts a simulation.
     ///
     /// # Errors
-    /// The simulation cannot run here; the text says why.
+    /// The simulation cannot run here, for the returned reason.
     fn start(&self) -> Result<Box<dyn Simulation>, String>;
 
     /// Creates an experiment of the same kind from the contents of a recording: the file name, [`Schema::source`] and
@@ -176,7 +177,7 @@ pub trait Experiment: Debug + Send + Sync {
 /// Recreates an experiment from the contents of a recording, see [`Experiment::read`].
 pub type ReadExperiment<'a> = dyn Fn(&str, &str, &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> + 'a;
 
-/// Why an experiment cannot be recreated, in words.
+/// Why an experiment cannot be recreated. The text is the reason.
 #[derive(Clone, Debug)]
 pub enum Refusal {
     /// The text is not a valid scene.
@@ -205,7 +206,7 @@ pub struct StepSummary {
 /// A body whose estimated error exceeds the tolerance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shortfall {
-    /// Index of the body with the largest ratio of the next two.
+    /// Index of the body with the largest ratio of `error` to `allowed`.
     pub body: usize,
     /// Estimated error of the step [radii of the body].
     pub error: f64,
@@ -214,12 +215,12 @@ pub struct Shortfall {
 }
 
 impl Shortfall {
-    /// How many times too large the error is [–].
+    /// Ratio of the error to the allowed error [–].
     pub fn ratio(&self) -> f64 {
         self.error / self.allowed
     }
 
-    /// Says where it was and how large.
+    /// Describes the shortfall in words: step, time, body and size.
     pub fn describe(&self, schema: &Schema, Instant { step, time }: Instant) -> String {
         let Shortfall { body, error, .. } = *self;
         let (body, ratio) = (&schema.bodies[body].name, self.ratio());
@@ -229,7 +230,7 @@ impl Shortfall {
     }
 }
 
-/// Why a run should end with this step, in words.
+/// Why a run should end with this step. The text is the reason.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum StepFailure {
     /// The step led to an impossible state.
@@ -253,7 +254,7 @@ impl StepFailure {
 /// The state at a stage inside a step.
 #[derive(Clone, Debug)]
 pub struct StageFrame {
-    /// Name of the operation that was just completed.
+    /// Name of the operation just completed.
     pub name: String,
     /// State and forces at that point.
     pub frame: Frame,

@@ -1,16 +1,16 @@
 //! The merged surface of a frame: one closed mesh for every group of bodies, and geometric measures of pairs.
 //!
 //! A group is a set of at least two bodies connected by pairs in a joined phase
-//! ([`PhaseSchema::is_joined`](super::schema::PhaseSchema::is_joined)). Everything here is a function of a frame: a
-//! simulation need not know of it, and does not pay for it unless frames are recorded.
+//! ([`PhaseSchema::is_joined`](super::schema::PhaseSchema::is_joined)). Everything here is a function of a frame, so a
+//! simulation needs no support for it, and does not pay for it unless frames are recorded.
 //!
 //! # Cost per frame
-//! A single body costs nothing, nor does a pair out of reach. For a pair that is apart but within reach, only the gap
-//! is computed, starting from the nearest triangles of the last frame. A group costs its union, its smooth seam, and
-//! gap, overlap and neck of its pairs, in every recorded frame: a surface drawn less often would disagree with the
-//! bodies, spheres and plots of its frame. For two spheres, this takes tenths of a millisecond, more than the rest of
-//! the frame. For more frames per second, record every Nth (`--every N`) or none (`--thin`), and replay the steps of
-//! interest.
+//! Single bodies and pairs out of reach cost nothing. For a pair that is apart but within reach, only the gap is
+//! computed, starting from the nearest triangles of the last frame. For a group, the union, the smooth seam, and the
+//! gap, overlap and neck of its pairs are computed in every recorded frame: a surface drawn less often would disagree
+//! with the bodies, spheres and plots of its frame. For two spheres, this takes tenths of a millisecond, more than the
+//! rest of the frame. To record faster, record every Nth frame (`--every N`) or none (`--thin`), and replay the steps
+//! of interest.
 
 use std::{
     collections::BTreeMap,
@@ -27,11 +27,11 @@ use crate::geometry::{
     union::{self, Body, Budget, Hint, Origin, Topology, Union, is_raised},
 };
 
-/// Budget of work steps for the unions of one frame, see [`Budget`]: an estimated one to three seconds. A count, not a
-/// time, so that equal frames give equal surfaces on every machine.
+/// Budget of work steps for the unions of one frame, see [`Budget`]: an estimated one to three seconds. It is a count
+/// instead of a time so that equal frames give equal surfaces on every machine.
 pub const FRAME_WORK: u64 = 20_000_000;
 
-/// Distance from a seam within which the colours of two bodies blend [radii], unless the surface is smoothed farther.
+/// Distance from a seam within which the colours of two bodies blend [radii], unless the surface is smoothed further out.
 const COLORS_BLEND: f64 = 0.35;
 
 /// The merged surfaces of a frame, and the measures of the requested pairs. Reused.
@@ -43,7 +43,7 @@ pub struct Merged {
     pub pairs: Vec<Option<PairMeasures>>,
     /// Whether the surface of each body is part of a group's, `[body_count]`.
     pub is_merged: Vec<bool>,
-    /// Number of groups without a surface: its computation was too expensive or failed, and their bodies overlap.
+    /// Number of groups whose surface was too expensive or failed: their bodies are drawn overlapping.
     pub overlapping: usize,
 }
 
@@ -54,8 +54,8 @@ pub struct Group {
     pub bodies: Vec<usize>,
     /// Positions of the vertices in the world [scene unit], `[vertex_count]`.
     pub positions: Vec<DVec3>,
-    /// Outward unit normals of the vertices [–], `[vertex_count]`; empty if they follow from the triangles
-    /// ([`Group::append_normals`]).
+    /// Outward unit normals of the vertices [–], `[vertex_count]`; empty if [`Group::append_normals`] computes them from
+    /// the triangles.
     pub normals: Vec<DVec3>,
     /// Origin of each vertex, `[vertex_count]`.
     pub origins: Vec<VertexOrigin>,
@@ -78,11 +78,11 @@ pub struct Group {
 /// Origin of a vertex of a merged surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VertexOrigin {
-    /// The body it belongs to, and the one that meets it at the nearest seam; both the same far from any seam.
+    /// The body it belongs to, and the one that meets it at the nearest seam; equal far from any seam.
     pub bodies: [u32; 2],
     /// Share of the second body in the colour of the vertex: ½ on the seam, 0 far from it.
     pub share: f32,
-    /// Index of the vertex in its body; `None` for a vertex that arose where surfaces meet.
+    /// Index of the vertex in its body; `None` for a vertex created where surfaces meet.
     pub vertex: Option<u32>,
 }
 
@@ -112,11 +112,11 @@ pub struct PairMeasures {
     pub perimeter: f64,
 }
 
-/// Surfaces of groups that are not the unions of their bodies. They must be a function of the frame alone, so that they
-/// can be computed in parallel to the simulation, and again in a replay.
+/// Surfaces of groups that are not the unions of their bodies. They must depend on the frame alone, so that they can be
+/// computed in parallel with the simulation, and again in a replay.
 pub trait Surfaces: Send + Sync {
-    /// The surfaces of all groups of a frame, and the measures of some pairs. Leaves out what cannot be computed, and
-    /// everything once the interrupt flag is raised.
+    /// The surfaces of all groups of a frame, and the measures of some pairs. Results that cannot be computed are
+    /// omitted, and so are all results once the interrupt flag is raised.
     fn merge(&self, schema: &Schema, frame: &Frame, pairs: &[[usize; 2]], interrupt: Option<&AtomicBool>) -> Surfaced;
 
     /// The measures of a single pair. Worth implementing if they can be computed without a surface.
@@ -135,9 +135,9 @@ pub trait Surfaces: Send + Sync {
 #[derive(Clone, Debug, Default)]
 pub struct Surfaced {
     /// The surface of each group of at least two bodies, closed and oriented, in ascending order of their first bodies;
-    /// groups are disjoint. `None` for those that could not be computed.
+    /// groups are disjoint. `None` for a surface that could not be computed.
     pub groups: Vec<Option<Group>>,
-    /// Measures of the pairs, in the order of the request; `None` for those that could not be computed.
+    /// Measures of the pairs, in the order of the request; `None` if they could not be computed.
     pub pairs: Vec<Option<PairMeasures>>,
 }
 
@@ -200,17 +200,17 @@ impl Closed {
         if is_raised(self.interrupt) {
             return None;
         }
-        // after an interrupt, it is never needed again
+        // an interrupted (`None`) topology is never needed again
         let compute = || Topology::interruptible(mesh.vertex_count(), mesh.triangles(), self.interrupt).ok();
         topology.get_or_init(compute).as_ref()
     }
 }
 
-/// Computes merged surfaces, frame after frame. Reuses the results for bodies that do not move.
+/// Computes the merged surfaces of successive frames. Reuses the results for bodies that do not move.
 pub struct Merger {
     closed: Closed,
     bodies: Vec<Placed>,
-    /// The groups of the last frame; `None` for those without a surface.
+    /// The groups of the last frame; `None` for a group without a surface.
     groups: BTreeMap<Vec<usize>, Option<Arc<Group>>>,
     /// The measures of the last frame, and the nearest triangles.
     pairs: BTreeMap<[usize; 2], (Option<PairMeasures>, Hint)>,
@@ -229,12 +229,12 @@ struct Placed {
     positions: Vec<DVec3>,
     /// Number of the frame of these positions; 0 for none.
     frame: u64,
-    /// Whether they differ from those of the previous frame, or that is unknown.
+    /// Whether the positions differ from those of the previous frame, or may differ.
     has_moved: bool,
 }
 
 impl Merger {
-    /// For the frames of a simulation. Once the flag is raised, nothing more is computed.
+    /// Creates a merger for the frames of a simulation. Once the flag is raised, nothing more is computed.
     pub fn new(schema: &Schema, interrupt: Option<&'static AtomicBool>) -> Merger {
         Merger {
             closed: Closed::new(schema, interrupt),
@@ -310,7 +310,7 @@ impl Merger {
         &self.merged
     }
 
-    /// The same, with surfaces defined by the simulation. Unchanged ones remain the same object.
+    /// Like [`Merger::merge`], with surfaces defined by the simulation. Unchanged surfaces remain the same object.
     fn merge_own(&mut self, own: &dyn Surfaces, schema: &Schema, frame: &Frame, pairs: &[[usize; 2]]) -> &Merged {
         let Surfaced { groups, pairs } = own.merge(schema, frame, pairs, self.closed.interrupt);
         let merged = &mut self.merged;
@@ -331,7 +331,7 @@ impl Merger {
         &self.closed
     }
 
-    /// The same, mutable, to update bodies that have torn.
+    /// The shapes of the bodies, mutable to update bodies that have torn.
     pub(super) fn closed_mut(&mut self) -> &mut Closed {
         &mut self.closed
     }
@@ -371,7 +371,7 @@ struct Scene<'a> {
 }
 
 impl<'a> Scene<'a> {
-    /// `None` if one of the bodies is not closed, or its coordinates are out of range.
+    /// Bodies as input of a union; `None` if one of them is not closed, or its coordinates are out of range.
     fn bodies(self, indices: &[usize]) -> Option<Vec<Body<'a>>> {
         let body = |&index: &usize| self.closed.body(index, &self.bodies[index].positions);
         indices.iter().map(body).collect()
@@ -400,7 +400,7 @@ impl<'a> Scene<'a> {
     fn measures(self, pair: [usize; 2], united: &Union, budget: &Budget, hint: &mut Hint) -> Option<PairMeasures> {
         let radius = pair.map(|body| self.schema.bodies[body].radius).into_iter().fold(f64::INFINITY, f64::min);
         let measures = union::measures_of(united, budget, hint).ok()?;
-        let is_overlap = measures.overlap > 0.0; // volumes are a sum over every triangle
+        let is_overlap = measures.overlap > 0.0; // skips the volumes, which are sums over all triangles
         let volume =
             if is_overlap { united.bodies().iter().map(Body::volume).fold(f64::INFINITY, f64::min) } else { 0.0 };
         Some(PairMeasures {
@@ -485,8 +485,8 @@ impl Group {
             let lengths = [ab.length(), bc.length(), ca.length()];
             let area = ab.cross(bc) / (lengths[0] * lengths[1] * lengths[2]);
             if area.is_finite() {
-                // sin(angle) = |ab×bc| / (lengths of both sides at the corner): divided by all three, times the
-                // opposite
+                // sin(angle) = |ab×bc| / (product of both side lengths at the corner): divide by all three, multiply by
+                // the opposite one
                 (0..3).for_each(|k| sums[corners[k] as usize] += area * lengths[(k + 1) % 3]);
             }
         }
@@ -494,14 +494,14 @@ impl Group {
     }
 }
 
-/// The groups of at least two bodies that pairs in a joined phase connect, in ascending order of their first body.
+/// The groups of at least two bodies connected by pairs in a joined phase, in ascending order of their first body.
 fn groups(schema: &Schema, frame: &Frame) -> Vec<Vec<usize>> {
     connected(frame, |pair| schema.phases[pair.phase].is_joined)
 }
 
-/// The groups of at least two bodies that some of a frame's pairs connect, in ascending order of their first body.
+/// The groups of at least two bodies connected by selected pairs of a frame, in ascending order of their first body.
 pub fn connected(frame: &Frame, is_joined: impl Fn(&PairFrame) -> bool) -> Vec<Vec<usize>> {
-    // the root of a body is the first body known to be in its group
+    // union-find: the root of a body is the first known body of its group
     fn root(roots: &mut [usize], mut body: usize) -> usize {
         while roots[body] != body {
             roots[body] = roots[roots[body]];
@@ -591,7 +591,7 @@ mod tests {
     }
 
     #[test]
-    fn normals_of_a_surface_point_outwards_however_it_is_divided() {
+    fn normals_point_outwards_for_any_triangulation() {
         let mut sphere = Group::default();
         let mesh = Sphere { stacks: 12, slices: 24 }.mesh();
         sphere.positions = mesh.positions().iter().collect();
@@ -605,7 +605,7 @@ mod tests {
         sphere.append_normals(&mut Vec::new(), &mut normals);
         for (normal, at) in normals.iter().zip(&sphere.positions) {
             let angle = DVec3::from_array(normal.map(f64::from)).angle_between(*at).to_degrees();
-            // the new vertex has triangles on one side of its edge only
+            // all triangles of the new vertex are on one side of its edge
             assert!(angle < 10.0, "{angle}° at {at}");
         }
         sphere.normals = vec![DVec3::X; sphere.positions.len()];
@@ -615,7 +615,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_beyond_the_blend_keeps_its_place() {
+    fn vertices_beyond_the_blend_are_not_moved() {
         let (mut schema, frame) = after("two", 150);
         schema.blend = 0.25;
         let mut merger = Merger::new(&schema, None);
@@ -648,17 +648,17 @@ mod tests {
             for [a, b] in group.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]) {
                 let length = group.positions[a as usize].distance(group.positions[b as usize]);
                 let change = (share_of_second(a) - share_of_second(b)).abs();
-                // the steepest gradient of the blend, and the change of lengths by fairing
-                let most = 2.0 * 0.75 * length / COLORS_BLEND + 0.02;
-                assert!(change < most, "{name}, {steps} steps: {change} over {length}");
+                // the steepest gradient of the blend, plus a margin for lengths that fairing changes
+                let limit = 2.0 * 0.75 * length / COLORS_BLEND + 0.02;
+                assert!(change < limit, "{name}, {steps} steps: {change} over {length}");
             }
         }
     }
 
-    /// A frame beyond its work budget shows the bodies themselves and is flagged; the next frame starts over. The result
+    /// A frame over its work budget shows the bodies themselves and is flagged; the next frame starts afresh. The result
     /// does not depend on the number of threads, because work is counted, not timed.
     #[test]
-    fn a_frame_beyond_its_budget_is_flagged_and_the_next_goes_on() {
+    fn a_frame_over_budget_is_flagged_and_the_next_recovers() {
         let (schema, frame) = after("two", 150);
         let mut merger = Merger::new(&schema, None);
         let whole = merger.merge(&schema, &frame, &[[0, 1]]).clone();
@@ -678,7 +678,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_move_is_not_computed_again() {
+    fn surfaces_of_bodies_at_rest_are_reused() {
         let (schema, frame) = after("two", 150);
         let mut merger = Merger::new(&schema, None);
         let first = merger.merge(&schema, &frame, &[[0, 1]]).clone();
@@ -687,7 +687,7 @@ mod tests {
         assert_eq!(first.pairs, second.pairs);
         let measures = first.pairs[0].unwrap();
         assert!(measures.gap < 0.0 && measures.neck > 0.1 && measures.overlap > 0.0, "{measures:?}");
-        // the same alone as in a group
+        // the measures are the same whether or not the pair is a group
         let mut apart = schema.clone();
         apart.phases.iter_mut().for_each(|phase| phase.is_joined = false);
         let mut merger = Merger::new(&apart, None);
@@ -712,7 +712,7 @@ mod tests {
         bits
     }
 
-    /// Starting in the middle of a run, or with other threads, gives the same surfaces.
+    /// Surfaces depend neither on the frame at which a run is entered nor on the number of threads.
     #[test]
     fn neither_earlier_frames_nor_threads_change_a_bit() {
         for (name, last, every) in [("two", 230, 2), ("three", 200, 5), ("crowd", 60, 20)] {

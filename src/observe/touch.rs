@@ -1,10 +1,10 @@
-//! Finds when surfaces touch and part, and compares the surfaces of a pair when its phase changes.
+//! Finds the times at which surfaces touch and part, and compares the surfaces of a pair when its phase changes.
 //!
-//! Times are found by bisection over the states within a step ([`Simulation::within`]). With the exponential integrator
-//! these are its own solution: the step is taken again, up to that time, so the error is within its tolerance. This
-//! holds for bodies on paths and for free bodies. The explicit schemes use cubic Hermite interpolation between steps.
-//! Its error is of fourth order in the step, like that of `rk4`; for the other schemes, their own order determines that
-//! of the times.
+//! Times are found by bisection over the states within a step ([`Simulation::within`]). With the exponential integrator,
+//! these states are its own solution: the step is repeated up to that time, so the error is within its tolerance. This
+//! holds for bodies on paths and for free bodies. The explicit schemes use cubic Hermite interpolation between steps,
+//! whose error is of fourth order in the step. This is also the order of `rk4`; with the other schemes, the times have
+//! the lower order of the scheme.
 
 use std::{collections::BTreeMap, sync::atomic::AtomicBool};
 
@@ -24,12 +24,12 @@ use crate::geometry::{
 
 /// Precision of the times found [s].
 const PRECISION: f64 = 1e-7;
-/// Upper limit on the bisections of a step, whatever its length.
-const MOST_BISECTIONS: u32 = 60;
-/// Upper limit on the pairs watched; the closest are chosen.
-const MOST_PAIRS: usize = 64;
+/// Upper limit on the bisections within a step.
+const MAX_BISECTIONS: u32 = 60;
+/// Upper limit on the watched pairs. If there are more, the closest are watched.
+const MAX_PAIRS: usize = 64;
 /// Upper limit on the phase changes of a step for which the surfaces are compared.
-const MOST_CHANGES: usize = 16;
+const MAX_CHANGES: usize = 16;
 
 /// A geometric finding about a pair at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,7 +59,7 @@ pub enum Finding {
     Phase {
         /// Kind of event: `merge`, `split`, …
         name: &'static str,
-        /// When the surfaces began to touch [s], if they still do and that was observed.
+        /// Time at which the surfaces began to touch [s], if they still touch and the time is known.
         touched: Option<f64>,
         /// The measures at that time, if they could be computed.
         measures: Option<PairMeasures>,
@@ -76,7 +76,7 @@ impl SurfaceEvent {
         }
     }
 
-    /// The event in words.
+    /// Describes the event in words.
     pub fn describe(&self, schema: &Schema) -> String {
         let pair = schema.pair_name(self.a, self.b);
         match self.what {
@@ -91,7 +91,7 @@ impl SurfaceEvent {
         }
     }
 
-    /// Describes the surfaces when the phase changes, in words.
+    /// Describes the surfaces at a phase change in words; `None` if there are no measures.
     pub fn findings(&self) -> Option<String> {
         let Finding::Phase { touched, measures, .. } = self.what else { return None };
         let PairMeasures { gap, share, neck, .. } = measures?;
@@ -106,7 +106,7 @@ impl SurfaceEvent {
     }
 }
 
-/// Watches the surfaces of pairs, step after step.
+/// Watches the surfaces of pairs over successive steps.
 pub struct Touches {
     schema: Schema,
     merger: Merger,
@@ -124,9 +124,9 @@ pub struct Touches {
 #[derive(Clone, Copy, Default)]
 struct Known {
     is_touching: bool,
-    /// The crossing of the surfaces that was found last.
+    /// The last crossing of the surfaces that was found.
     crossing: Option<Crossing>,
-    /// When they touched.
+    /// Time at which they began to touch [s].
     touched: Option<f64>,
 }
 
@@ -150,9 +150,9 @@ impl Touches {
         touches
     }
 
-    /// Finds what happened in the last step, given its phase changes; `now` is the state after it. Misses a pair that
-    /// touches and parts within one step. Also skips a step without a frame before it, so that recordings with few
-    /// frames do not pay for a search in every step.
+    /// Finds the events of the last step, given its phase changes and the state `now` after it. Misses a pair that
+    /// touches and parts within one step. Skips a step without a frame before it, so that recordings with few frames do
+    /// not pay for a search in every step.
     pub fn step(
         &mut self,
         simulation: &dyn Simulation,
@@ -166,9 +166,9 @@ impl Touches {
         let own = simulation.contacts();
         let mut pairs = BTreeMap::new();
         let mut watched: Vec<PairFrame> = now.pairs.clone();
-        if watched.len() > MOST_PAIRS {
+        if watched.len() > MAX_PAIRS {
             watched.sort_by(|x, y| x.q.total_cmp(&y.q).then((x.a, x.b).cmp(&(y.a, y.b))));
-            watched.truncate(MOST_PAIRS);
+            watched.truncate(MAX_PAIRS);
         }
         for pair in &watched {
             if is_raised(self.interrupt) {
@@ -193,7 +193,7 @@ impl Touches {
             } else if let Some(before) = changed {
                 let (time, q) = self.when(simulation, bodies, before, now.at.time);
                 if is_raised(self.interrupt) {
-                    return; // that time is not precise
+                    return; // the time is not accurate yet
                 }
                 let what = if known.is_touching { Finding::Touch } else { Finding::Part };
                 known.touched = known.is_touching.then_some(time);
@@ -202,7 +202,7 @@ impl Touches {
             pairs.insert(bodies, known);
         }
         take(own.unwrap_or_default(), &mut pairs, found);
-        for change in changes.iter().filter(|_| is_next && !is_raised(self.interrupt)).take(MOST_CHANGES) {
+        for change in changes.iter().filter(|_| is_next && !is_raised(self.interrupt)).take(MAX_CHANGES) {
             let bodies = [change.a, change.b];
             let Some(known) = self.pairs.get(&bodies) else { continue };
             let is_touch = |event: &&SurfaceEvent| [event.a, event.b] == bodies && event.what == Finding::Touch;
@@ -232,18 +232,18 @@ impl Touches {
         }
     }
 
-    /// Adds what the simulation found in a step without a frame.
+    /// Adds the events that the simulation found itself in a step without a frame.
     pub fn between_frames(&mut self, simulation: &dyn Simulation, found: &mut Vec<SurfaceEvent>) {
         found.clear();
         take(simulation.contacts().unwrap_or_default(), &mut self.pairs, found);
     }
 
-    /// When the surfaces of a pair touched or parted in the step that ends at `end`, and q at that time.
+    /// Time at which the surfaces of a pair touched or parted in the step that ends at `end` [s], and q at that time.
     fn when(&mut self, simulation: &dyn Simulation, bodies: [usize; 2], before: Known, end: f64) -> (f64, f64) {
         let (mut low, mut high) = (self.before.at.time, end);
         let mut inside = std::mem::take(&mut self.inside);
         let mut known = before;
-        for _ in 0..MOST_BISECTIONS {
+        for _ in 0..MAX_BISECTIONS {
             let middle = 0.5 * (low + high);
             if high - low <= PRECISION || middle <= low || middle >= high || is_raised(self.interrupt) {
                 break;
@@ -260,7 +260,7 @@ impl Touches {
         let [a, b] = bodies;
         let radii = self.schema.bodies[a].radius + self.schema.bodies[b].radius;
         let q = inside.bodies[a].centre.distance(inside.bodies[b].centre) / radii;
-        self.placed.retain(|body, _| !bodies.contains(body)); // from another time
+        self.placed.retain(|body, _| !bodies.contains(body)); // their positions are of another time
         self.inside = inside;
         (high, q)
     }
@@ -346,8 +346,8 @@ mod tests {
     }
 
     #[test]
-    fn spheres_on_paths_touch_and_part_when_they_should() {
-        // poles and equators are vertices, so that along an axis the meshes touch where the spheres do
+    fn spheres_on_paths_touch_and_part_at_the_exact_times() {
+        // poles and equators are vertices, so along an axis the meshes touch where the spheres do
         for (along, radius) in [("[1, 0, 0]", 0.5), ("[0, 0, 1]", 0.5), ("[0, 1, 0]", 1.25)] {
             let from = along.replace('1', "-4");
             let text = format!(
@@ -369,8 +369,8 @@ mod tests {
     }
 
     #[test]
-    fn a_falling_body_touches_and_parts_when_it_should() {
-        // onto a body that is fixed, and one that swings as a whole
+    fn a_falling_body_touches_and_parts_at_the_exact_times() {
+        // onto a fixed body, and onto one that oscillates as a whole
         for (motion, swing) in [
             ("{ fixed = [0, 0, 0] }", 0.0),
             ("{ sine = { center = [0, 0, 0], amplitude = [0, 0, 0.3], frequency = 0.5 } }", 0.3),
@@ -394,7 +394,7 @@ mod tests {
         }
     }
 
-    /// Two free spheres that deform each other, before and while they touch, one of them turning.
+    /// Two free spheres, one of them spinning, that deform each other before and while they touch.
     const FREE: &str = "duration = 0.7\n[influence]\nreach = 1.8\n[[body]]\nname = \"a\"\nradius = 1.0\nmotion = { free = \
         { from = [0, 0, 0], velocity = [1.5, 0, 0], spin = [0.3, 1.0, 2.0] } }\n[[body]]\nname = \"b\"\nradius = 0.8\n\
         motion = { free = { from = [2.6, 0.25, 0.1], velocity = [-1.2, 0, 0] } }\n";
@@ -405,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn free_spheres_touch_when_a_converged_run_says() {
+    fn touch_times_of_free_spheres_match_a_converged_run() {
         let converged = touches_of(&format!("tolerance = 1e-10\n{FREE}"), 1.0 / 960.0);
         for dt in [1.0 / 60.0, 1.0 / 25.0, 1.0 / 10.0] {
             let times = touches_of(FREE, dt);
@@ -414,12 +414,12 @@ mod tests {
         }
     }
 
-    /// The cubics of explicit schemes keep the schemes' order, where no phase changes before.
+    /// The cubic interpolation preserves the order of the explicit schemes if no phase changes earlier.
     #[test]
     fn touches_of_explicit_schemes_converge() {
         let text = FREE.replace("reach = 1.8", "reach = 1.8\nbeta = 10\nmerge_at = 0.4\nsplit_at = 0.5");
         let converged = touches_of(&text, 1.0 / 240.0)[0];
-        // seen: 9e-4 and 2.3e-4, 5e-5 and 4e-6, 1.1e-6 and what bisection leaves
+        // measured: 9e-4 and 2.3e-4, 5e-5 and 4e-6, 1.1e-6 and the error of the bisection
         for (scheme, largest, least_gain) in [("euler", 2e-3, 3.5), ("verlet", 1e-4, 10.0), ("rk4", 3e-6, 5.0)] {
             let text = format!("integrator = \"{scheme}\"\n{text}");
             let errors = [1.0 / 60.0, 1.0 / 240.0].map(|dt| (touches_of(&text, dt)[0] - converged).abs());
@@ -431,11 +431,11 @@ mod tests {
     fn deformed_bodies_touch_at_the_same_time_in_shorter_steps() {
         for name in ["two", "collide"] {
             let text = crate::scene::builtin::ALL.iter().find(|scene| scene.name == name).unwrap().text;
-            in_shorter_steps(text, if name == "two" { 960.0 } else { 240.0 });
+            check_in_shorter_steps(text, if name == "two" { 960.0 } else { 240.0 });
         }
     }
 
-    fn in_shorter_steps(text: &str, rate: f64) {
+    fn check_in_shorter_steps(text: &str, rate: f64) {
         let (coarse, fine) = (found(text, 1.0 / 60.0), found(text, 1.0 / rate));
         let times = |events: &[SurfaceEvent], what: &str| -> Vec<f64> {
             events.iter().filter(|event| event.name() == what).map(|event| event.time).collect()

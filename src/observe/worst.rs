@@ -15,27 +15,27 @@ pub struct Worst {
     pub body: String,
     /// Index of the vertex in the body.
     pub vertex: usize,
-    /// Its position in the first state, which was recorded [scene unit].
+    /// Its position in the first, recorded state [scene unit].
     pub recorded: DVec3,
     /// Its position in the second state [scene unit].
     pub found: DVec3,
     /// Distance between the two positions [radii of the body].
     pub difference: f64,
-    /// Number of vertices that differ at all.
+    /// Number of vertices that differ.
     pub vertices: usize,
 }
 
 impl Worst {
-    /// The worst vertex of a body, given its vertex positions in two states. Distances of at most `noise` [scene unit]
-    /// do not count as a difference. NaN is worse than any number. `None` if there is no difference.
+    /// The worst vertex of a body, given its vertex positions in two states. Distances up to `noise` [scene unit] do not
+    /// count as a difference. NaN is worse than any number. `None` if there is no difference.
     pub fn of(
         at: Instant,
         body: &BodySchema,
         noise: f64,
-        places: impl Iterator<Item = (DVec3, DVec3)>,
+        positions: impl Iterator<Item = (DVec3, DVec3)>,
     ) -> Option<Worst> {
         let (mut worst, mut largest, mut vertices) = (None, 0.0, 0);
-        for (vertex, (recorded, found)) in places.enumerate() {
+        for (vertex, (recorded, found)) in positions.enumerate() {
             let distance = recorded.distance(found);
             if recorded == found || distance <= noise {
                 continue;
@@ -50,7 +50,7 @@ impl Worst {
         Some(Worst { step: at.step, time: at.time, body, vertex, recorded, found, difference, vertices })
     }
 
-    /// The worse of two differences at the same instant; the vertices of both are counted.
+    /// The worse of two differences at the same instant, with the vertex counts of both added.
     pub fn and(one: Option<Worst>, other: Option<Worst>) -> Option<Worst> {
         let (one, other) = match (one, other) {
             (Some(one), Some(other)) => (one, other),
