@@ -74,7 +74,7 @@ struct Files {
 }
 
 impl Files {
-    /// Claims those files that are requested.
+    /// Claims the requested files.
     fn claim(&self, csv_mark: &str, svg_mark: &str) -> Result<[Option<Output>; 2], Failure> {
         let [csv, svg] = [claim(self.csv.as_deref(), csv_mark)?, claim(self.svg.as_deref(), svg_mark)?];
         if csv.is_some() && csv == svg {
@@ -93,7 +93,7 @@ struct StabilityArguments {
     /// Run this integrator only.
     #[arg(long, value_parser = super::run::parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential")]
     integrator: Option<Integrator>,
-    /// Run the cases with this model, and show in which of them it is stable.
+    /// Run the cases with this model, and show which of them are stable.
     #[arg(long, value_parser = crate::models::parse, value_name = "metaballs|lattice|fem",
           conflicts_with_all = ["integrator", "case", "csv"])]
     model: Option<Model>,
@@ -128,7 +128,7 @@ fn surface() -> Result<(), Failure> {
         let surface::Run { merged, plain, share, costs } = surface::run(&scene(name)?).map_err(Failure::Run)?;
         print(&format!(
             "{name}, stepped and observed: {} frames/s with surfaces and measures, {} without; {:.0} % of the frames have a \
-             group, which costs {:.3} ms, the others {:.3} ms",
+             group and cost {:.3} ms, the others {:.3} ms",
             thousands(merged as u64),
             thousands(plain as u64),
             100.0 * share,
@@ -200,15 +200,15 @@ fn stability(arguments: StabilityArguments) -> Result<(), Failure> {
     print(&format!("\n{}", of_stability::sizes(&sizes::measure().map_err(failed)?)));
     let free_rows = free::measure(&settings.integrators).map_err(failed)?;
     print(&format!("\n{}", free::table(&free_rows)));
-    for trouble in settings.integrators.iter().flat_map(|&of| free::failures(&free_rows, of)) {
-        print(&trouble);
+    for failure in settings.integrators.iter().flat_map(|&of| free::failures(&free_rows, of)) {
+        print(&failure);
     }
     let whole = clock.elapsed().as_secs_f64();
     print(&format!("\n{}; {whole:.0} s, of which the cases took {swept:.0} s", Machine::detect().at_full_load()));
     write(csv_file, || of_stability::csv(&rows))?;
 
     if drifts.iter().any(|drift| drift.integrator == Integrator::Exponential && !drift.is_small()) {
-        return Err(Failure::Run("exponential does not keep the energy over a million steps".to_owned()));
+        return Err(Failure::Run("exponential does not conserve energy over a million steps".to_owned()));
     }
     if let Some(row) = free_rows.iter().find(|row| row.is_defect()) {
         let (axis, what) = (row.case.axis.name(), &row.case.what);
@@ -231,7 +231,7 @@ fn stability_of(model: Model, cases: u64) -> Result<(), Failure> {
     }
 }
 
-/// The default integrator must pass every case; failures of the others are reported only.
+/// The default integrator must pass every case; failures of the others are only reported.
 fn verdict(rows: &[stability::Row]) -> Result<(), Failure> {
     let is_defective = |row: &&stability::Row| row.outcomes.iter().any(stability::Outcome::is_defect);
     let failed: Vec<_> = rows.iter().filter(is_defective).map(|row| row.case.index.to_string()).collect();
@@ -262,13 +262,13 @@ fn progress_bar(scene: &str) -> ProgressBar {
     bar
 }
 
-/// How scene files written by a benchmark begin.
+/// First words of the scene files that benchmarks write.
 const WRITTEN: &str = "# Written by `meldscope bench";
-/// Files written by benchmarks are recognised by their first bytes, up to this many.
+/// Number of bytes within which a file written by a benchmark has its mark.
 const HEAD: u64 = 4096;
 
-/// Checks the output path before anything is measured. Refuses a path that cannot be written, and an existing file that
-/// no benchmark has written: one without `mark` near its beginning.
+/// Checks the output path before anything is measured. Rejects a path that cannot be written, and an existing file that
+/// this benchmark did not write: one without `mark` near its beginning.
 fn claim(path: Option<&Path>, mark: &str) -> Result<Option<Output>, Failure> {
     let Some(path) = path else { return Ok(None) };
     let output = Output::claim(path).map_err(|error| unwritable(path, &error))?;
@@ -279,7 +279,7 @@ fn claim(path: Option<&Path>, mark: &str) -> Result<Option<Output>, Failure> {
         if !head.is_empty() && !String::from_utf8_lossy(&head).contains(mark) {
             let path = path.display();
             return Err(Failure::Input(format!(
-                "{path} is no such file of `meldscope bench`, and nothing else is replaced; write elsewhere or remove it first"
+                "{path} was not written by this benchmark and is not replaced; write elsewhere or remove it first"
             )));
         }
     }

@@ -22,7 +22,7 @@ use crate::{
 
 /// The folder to check if no path is given.
 const DEFAULT: &str = "recordings";
-/// At most this many vertices or events are listed; the rest are counted.
+/// Upper limit on listed vertices or events; the rest are counted.
 const LISTED: usize = 8;
 
 #[derive(clap::Args)]
@@ -47,7 +47,7 @@ pub struct Arguments {
 
 fn parse_reason(text: &str) -> Result<String, String> {
     let reason = text.split_whitespace().collect::<Vec<_>>().join(" ");
-    if reason.is_empty() { Err("expected the reason why they may differ".to_owned()) } else { Ok(reason) }
+    if reason.is_empty() { Err("expected the reason for the change".to_owned()) } else { Ok(reason) }
 }
 
 /// A scene and the path of its golden recording.
@@ -90,7 +90,7 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
             false => Ok(None),
         })
         .collect();
-    let (mut failed, mut refused) = (Vec::new(), None);
+    let (mut failed, mut rejected) = (Vec::new(), None);
     for (script, result) in scripts.iter().zip(results) {
         let name = &script.name;
         match result {
@@ -100,17 +100,17 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
             }
             Err(error) => {
                 print(&format!("{name}: {error}"));
-                refused = refused.or(Some(error.to_string()));
+                rejected = rejected.or(Some(error.to_string()));
             }
             Ok(None) => {
                 print(&format!(
-                    "{name}: no golden recording; `meldscope check --bless REASON` makes {}",
+                    "{name}: no golden recording; `meldscope check --bless REASON` creates {}",
                     script.golden.display()
                 ));
                 failed.push(name.as_str());
             }
             Ok(Some(GoldenOutcome::Identical { steps, events, digest, is_rewritten })) => {
-                let rewritten = if is_rewritten { " (its text has changed, to no effect)" } else { "" };
+                let rewritten = if is_rewritten { " (its text has changed, without effect)" } else { "" };
                 print(&format!(
                     "{name}: identical, {}, {}, {digest:016x}{rewritten}",
                     counted(steps, "step"),
@@ -126,7 +126,7 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
             }
         }
     }
-    match (refused, failed.len()) {
+    match (rejected, failed.len()) {
         (Some(error), _) => Err(Failure::Input(error)),
         (None, 0) => Ok(()),
         (None, count) => Err(Failure::Run(format!(
@@ -137,16 +137,16 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// Prints one line with the result and, below it, where and by how much the recording differs.
+/// Prints the result on one line, followed by where and by how much the recording differs.
 fn report(name: &str, difference: &GoldenDifference, is_accepted: bool) {
     let verdict = match (is_accepted, difference.is_tolerable()) {
-        (true, _) => "other bits, accepted: values within tolerance, events the same",
-        (false, true) => "DIFFERENT bits, though values are within tolerance and events the same",
+        (true, _) => "different bits, accepted: values are within tolerance, events are the same",
+        (false, true) => "DIFFERENT bits, though values are within tolerance and events are the same",
         (false, false) => "DIFFERENT",
     };
     print(&format!("{name}: {verdict}"));
     if difference.is_rewritten {
-        print("  the scene's text is not that of its golden recording");
+        print("  the scene's text differs from that of its golden recording");
     }
     if let Some([then, now]) = difference.steps {
         print(&format!("  {}, {} in the golden recording", counted(now, "step"), thousands(then)));
@@ -160,7 +160,9 @@ fn report(name: &str, difference: &GoldenDifference, is_accepted: bool) {
             first.step, first.time, first.golden, first.found
         ));
         match first.bodies.first() {
-            None => print("    no vertex differs there: it is the phase of a pair, or since when a state is kept"),
+            None => print(
+                "    no vertex differs there: the difference is in a pair's phase, or in the time of a stored state",
+            ),
             Some((body, vertices)) => {
                 let listed: Vec<String> = vertices.iter().take(LISTED).map(usize::to_string).collect();
                 let more = if vertices.len() > LISTED { ", …" } else { "" };
@@ -194,7 +196,7 @@ fn report(name: &str, difference: &GoldenDifference, is_accepted: bool) {
             if difference.is_within_tolerance { "within" } else { "BEYOND" },
             thousands(worst.vertices as u64),
         )),
-        None if difference.first.is_some() => print("  no state of the golden recording shows it any more"),
+        None if difference.first.is_some() => print("  no state of the golden recording shows the difference"),
         None => {}
     }
     for change in difference.events.iter().take(LISTED) {
@@ -210,8 +212,8 @@ fn report(name: &str, difference: &GoldenDifference, is_accepted: bool) {
         print(&format!("  … and {}", counted((difference.surfaces.len() - LISTED) as u64, "more difference")));
     }
     match &difference.comparison {
-        Some(Ok(path)) => print(&format!("  look at both: rerun {}", path.display())),
-        Some(Err(error)) => print(&format!("  the recording of both could not be written: {error}")),
+        Some(Ok(path)) => print(&format!("  compare them in the viewer: rerun {}", path.display())),
+        Some(Err(error)) => print(&format!("  the comparison could not be written: {error}")),
         None => {}
     }
 }
@@ -279,11 +281,11 @@ fn scripts(paths: &[PathBuf]) -> Result<Vec<Script>, Failure> {
     let paths = if paths.is_empty() { &default } else { paths };
     let mut files = Vec::new();
     for path in paths {
-        let refuse = |error: std::io::Error| Failure::Input(format!("cannot read {}: {error}", path.display()));
+        let unreadable = |error: std::io::Error| Failure::Input(format!("cannot read {}: {error}", path.display()));
         if path.is_dir() {
             let mut found = Vec::new();
-            for entry in fs::read_dir(path).map_err(refuse)? {
-                let file = entry.map_err(refuse)?.path();
+            for entry in fs::read_dir(path).map_err(unreadable)? {
+                let file = entry.map_err(unreadable)?.path();
                 if file.extension().is_some_and(|extension| extension == "toml") {
                     found.push(file);
                 }

@@ -8,7 +8,7 @@ use crate::{
     text::{bytes, counted, thousands},
 };
 
-/// At most this many bodies or events are listed; the rest are counted.
+/// Upper limit on listed bodies or events; the rest are counted.
 const LISTED: usize = 8;
 
 #[derive(clap::Args)]
@@ -16,13 +16,13 @@ pub struct Arguments {
     /// A recording of the scene.
     #[arg(value_name = "A.rrd")]
     first: PathBuf,
-    /// Another recording of it, made with another integrator, step size, or version of the program.
+    /// Another recording of it, made with a different integrator, step size or version of the program.
     #[arg(value_name = "B.rrd")]
     second: PathBuf,
     /// Record both side by side, with arrows between corresponding vertices and their distances.
     #[arg(long, value_name = "D.rrd")]
     save: Option<PathBuf>,
-    /// Differences up to this are ignored, in radii [default: the larger tolerance of the two scenes].
+    /// Ignore differences up to this, in radii [default: the larger tolerance of the two scenes].
     #[arg(long, value_name = "R", value_parser = parse_tolerance)]
     tolerance: Option<f64>,
 }
@@ -41,7 +41,7 @@ pub fn diff(arguments: Arguments) -> Result<(), Failure> {
     let difference = diff::diff([&a, &b], tolerance)?;
     let (first, second) = (a.path.display(), b.path.display());
     for (recorded, again) in [&a, &b].into_iter().zip(difference.run_again) {
-        let again = if again { "; without surfaces, so it was run again" } else { "" };
+        let again = if again { "; recorded without surfaces, so it was run again" } else { "" };
         print(&format!(
             "{}: {}, {} of {} s with {}, by meldscope {}{again}",
             recorded.path.display(),
@@ -56,13 +56,13 @@ pub fn diff(arguments: Arguments) -> Result<(), Failure> {
         print("the texts of the two scenes differ");
     }
     match difference.first_bits {
-        Some(step) => print(&format!("bits: other ones from step {step} (t = {:.6} s) on", step as f64 * a.schema.dt)),
-        None if difference.has_bits => print("bits: the same at every step that both have"),
+        Some(step) => print(&format!("bits: different from step {step} (t = {:.6} s) on", step as f64 * a.schema.dt)),
+        None if difference.has_bits => print("bits: identical at every common step"),
         None => {}
     }
     if difference.instants < 2 {
         return Err(Failure::Input(format!(
-            "{first} and {second} have {} in common: record them with steps of which one is a multiple of the other",
+            "{first} and {second} have {} in common: record them with step sizes of which one is a multiple of the other",
             if difference.instants == 0 { "no instant" } else { "one instant" }
         )));
     }

@@ -1,4 +1,4 @@
-//! `meldscope export`: writes what a run shows to files that other programs read.
+//! `meldscope export`: writes the surfaces and tables of a run to files for other programs.
 
 mod formats;
 mod parts;
@@ -31,11 +31,11 @@ const TABLE: &str = "F.csv|F.json|F.parquet";
 pub struct Arguments {
     /// A scene file, the name of a built-in scene, or a recording.
     scene: String,
-    /// Override the scene's model of a soft body; not for a recording, which has its own.
+    /// Override the scene's soft-body model; not for a recording, which has its own.
     #[arg(long, value_parser = models::parse, value_name = "oscillators|metaballs|lattice|fem")]
     model: Option<Model>,
-    /// Write the surfaces to this folder, one file per step: a closed mesh for every group of merged bodies, and for
-    /// every other body.
+    /// Write the surfaces to this folder, one file per step: one closed mesh per group of merged bodies, and one per
+    /// single body.
     #[arg(long, value_name = "DIR", group = "what")]
     mesh: Option<PathBuf>,
     /// Write a table of events: exact time, pair, q and its rate of change, phases before and after.
@@ -64,7 +64,7 @@ pub struct Arguments {
     every: u64,
 }
 
-/// A run to be exported: its start, its last step, and the recording that it has to reproduce, if any.
+/// A run to export: its initial state, its last step, and the recording that it must reproduce, if any.
 struct Source {
     simulation: Box<dyn Simulation>,
     last: u64,
@@ -86,7 +86,7 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
     let paths = [&arguments.events, &arguments.pairs, &arguments.scalars, &arguments.states];
     let given = || paths.iter().filter_map(|path| path.as_ref());
     if let Some(twice) = given().enumerate().find_map(|(i, path)| given().take(i).find(|other| *other == path)) {
-        return Err(Failure::Input(format!("two tables cannot both be {}", twice.display())));
+        return Err(Failure::Input(format!("{} is given for two tables: give each its own file", twice.display())));
     }
     let mut events = arguments.events.as_deref().map(Events::create).transpose()?;
     let mut pairs = arguments.pairs.as_deref().map(Pairs::create).transpose()?;
@@ -129,7 +129,8 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
         simulation.step();
         simulation.summary(&mut summary);
         if let Some(failure) = &summary.failure {
-            let written = folder.as_ref().map(|folder| format!("; {} has the steps up to here", folder.path.display()));
+            let written =
+                folder.as_ref().map(|folder| format!("; {} contains the steps up to here", folder.path.display()));
             return Err(Failure::Run(format!("{failure}{}", written.unwrap_or_default())));
         }
         if let Some(table) = &mut events {
@@ -190,7 +191,7 @@ impl Folder<'_> {
         self.path.join(format!("{}-{step:06}.{}", self.stem, self.format.name()))
     }
 
-    /// Creates the folder. Fails if files that this program did not write are in the way.
+    /// Creates the folder. Fails if it would have to replace files that this program did not write.
     fn prepare(&self, is_wanted: impl Fn(u64) -> bool) -> Result<(), Failure> {
         let failed = |what: &str, error: std::io::Error| {
             Failure::Input(format!("cannot {what} the folder {}: {error}", self.path.display()))
@@ -246,7 +247,7 @@ impl Folder<'_> {
 
 const PARTIAL: &str = ".partial";
 
-/// Whether a file was written by this program, as marked at its beginning, or is empty.
+/// Whether a file is empty, or marked at its beginning as written by this program.
 fn is_ours(path: &Path) -> bool {
     let mut head = Vec::new();
     let is_file = path.symlink_metadata().is_ok_and(|metadata| metadata.is_file());

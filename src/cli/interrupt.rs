@@ -17,7 +17,7 @@ const STATUS: i32 = 130;
 /// Set by Ctrl-C or a termination request; the run then finishes cleanly.
 pub static STOP: AtomicBool = AtomicBool::new(false);
 
-/// From here on, the first interrupt sets [`STOP`] and a second one ends the program at once.
+/// Installs a handler: the first interrupt sets [`STOP`], a second one ends the program at once.
 pub fn raise_stop() -> Result<(), Failure> {
     let mut first: Option<Instant> = None;
     listen(move || match first {
@@ -30,7 +30,7 @@ pub fn raise_stop() -> Result<(), Failure> {
     })
 }
 
-/// From here on, the first interrupt ends the program and removes its unfinished files.
+/// Installs a handler: the first interrupt removes unfinished files and ends the program.
 pub fn end() -> Result<(), Failure> {
     listen(|| {
         say("error: interrupted");
@@ -38,7 +38,7 @@ pub fn end() -> Result<(), Failure> {
     })
 }
 
-/// Ends the program as interrupted.
+/// Ends the program with the exit status of an interrupt.
 pub fn exit() -> ! {
     std::process::exit(STATUS)
 }

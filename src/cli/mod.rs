@@ -100,7 +100,7 @@ impl Failure {
 
 /// The program's entry point.
 pub fn main() -> ExitCode {
-    // The decoder may panic on a damaged recording. That is reported as an ordinary error on one line.
+    // The decoder may panic on a damaged recording, which is reported as an ordinary error on one line.
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
         if !expects_panics() {
@@ -161,7 +161,7 @@ fn record(scene: &Path, recording: &Path, steps: u64) -> Result<(), Failure> {
 /// The first error in writing results to standard output.
 static UNPRINTED: Mutex<Option<io::Error>> = Mutex::new(None);
 
-/// A closed pipe is not an error: nobody is reading any more.
+/// Records a failed write. A closed pipe is not an error: its reader has all it needs.
 fn note_unprinted(printed: io::Result<()>) {
     if let Err(error) = printed
         && error.kind() != io::ErrorKind::BrokenPipe
@@ -186,16 +186,16 @@ fn say(line: &str) {
     let _ = writeln!(io::stderr(), "{}", printable(line));
 }
 
-/// A parser for an argument that takes one of `all` by name; the help lists the names.
+/// A parser for an argument that selects one of `all` by name; the help lists the names.
 fn one_of<T: Copy + Send + Sync + 'static>(
     all: &'static [T],
     name: fn(T) -> &'static str,
 ) -> impl TypedValueParser<Value = T> {
     let names = PossibleValuesParser::new(all.iter().map(|&one| name(one)));
-    names.try_map(move |text| all.iter().copied().find(|&one| name(one) == text).ok_or("there is none of that name"))
+    names.try_map(move |text| all.iter().copied().find(|&one| name(one) == text).ok_or("there is no such name"))
 }
 
-/// Refuses to overwrite an input of the recording, or a file that the program must not replace.
+/// Rejects an output path that is an input of the recording, or a file that the program must not replace.
 fn may_save(path: &Path, inputs: &[(&Path, &str)], new: &Existing) -> Result<(), Failure> {
     let mut partial = path.as_os_str().to_owned();
     partial.push(".partial");
@@ -206,26 +206,26 @@ fn may_save(path: &Path, inputs: &[(&Path, &str)], new: &Existing) -> Result<(),
         if is_same_file(Path::new(&partial), input) {
             let (path, input) = (path.display(), input.display());
             return Err(Failure::Input(format!(
-                "{input} is {what}, and where {path} would be written first: save under another name"
+                "{input} is {what}, and the file that {path} is first written to: save under another name"
             )));
         }
     }
     existing::replace(path, new).map(drop).map_err(sink_failure)
 }
 
-/// Refuses to print results into a file that is also read.
+/// Rejects an input file that is also standard output.
 fn may_print(input: &Path) -> Result<(), Failure> {
     let is_stdout = || Ok::<_, io::Error>(same_file::Handle::stdout()? == same_file::Handle::from_path(input)?);
     match input.is_file() && is_stdout().unwrap_or(false) {
         true => {
-            Err(Failure::Input(format!("{} is standard output as well: send the results elsewhere", input.display())))
+            Err(Failure::Input(format!("{} is also standard output: redirect the results elsewhere", input.display())))
         }
         false => Ok(()),
     }
 }
 
-/// Reports that a file of another kind or scene is replaced. Called once the path is claimed, so that the note is
-/// accurate.
+/// Reports that a file of another kind or scene is replaced. Called once the path is claimed, so that the file is indeed
+/// replaced.
 fn announce(path: &Path, new: &Existing) -> Result<(), Failure> {
     if let Some(note) = existing::replace(path, new).map_err(sink_failure)? {
         say(&format!("note: {note}"));

@@ -28,14 +28,14 @@ use crate::{
     text::{bytes, counted, thousands},
 };
 
-/// Messages are taken from the recorder after this many frames.
+/// Number of frames after which the recorder's messages are sent.
 const FRAMES_PER_CHUNK: u64 = 64;
 
 #[derive(clap::Args)]
 pub struct Arguments {
     /// The recording: from `run`, `run --thin` or `replay --save`, or left by a killed run (F.rrd.partial).
     recording: PathBuf,
-    /// Record the replay, with every frame, even those that the original recording lacks.
+    /// Record the replay with every frame, including those that the original recording lacks.
     #[arg(long, value_name = "G.rrd")]
     save: Option<PathBuf>,
     /// The first step to record [default: 0].
@@ -50,17 +50,16 @@ pub struct Arguments {
     /// Accept a truncated recording, such as that of a killed run [default for F.rrd.partial].
     #[arg(long)]
     partial: bool,
-    /// Use another integrator to see how the result changes; nothing is verified then.
+    /// Use another integrator to see how the result changes; verifies nothing.
     #[arg(long, value_parser = parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential")]
     integrator: Option<Integrator>,
-    /// Use another model to see how the result changes; nothing is verified then.
+    /// Use another model to see how the result changes; verifies nothing.
     #[arg(long, value_parser = models::parse, value_name = "oscillators|metaballs|lattice|fem")]
     model: Option<Model>,
-    /// Use another step size, in seconds; nothing is verified then.
+    /// Use another step size, in seconds; verifies nothing.
     #[arg(long, value_name = "S", value_parser = parse_step)]
     dt: Option<f64>,
-    /// Use another error tolerance of the exponential integrator, in radii per unit of scene time; nothing is verified
-    /// then.
+    /// Use another error tolerance of the exponential integrator, in radii per unit of scene time; verifies nothing.
     #[arg(long, value_name = "R", value_parser = parse_tolerance)]
     tolerance: Option<f64>,
 }
@@ -76,7 +75,7 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
     may_print(&arguments.recording)?;
     let recorded = Recorded::open(&arguments.recording).map_err(Failure::input)?;
     if arguments.has_overrides() {
-        return ask(&arguments, &recorded);
+        return vary(&arguments, &recorded);
     }
     let (from, to) = range(&arguments, recorded.last())?;
     let mut saver = Saver::open(&arguments, &recorded, &recorded.schema, from..=to)?;
@@ -107,16 +106,19 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
                 print(&format!("  and it fails as it did: {failure}"));
             }
             saver.finish()?;
-            cut_short(&arguments, &recorded)
+            check_end(&arguments, &recorded)
         }
         Verdict::OtherEnd { replayed } => {
             let recorded = recorded.failure.as_deref().unwrap_or("nothing");
             let now = replayed.as_deref().unwrap_or("nothing");
-            print(&format!("{path}: {} steps are identical, but not why it ends{settings}", thousands(steps)));
+            print(&format!(
+                "{path}: {} steps are identical, but the reason for its end is not{settings}",
+                thousands(steps)
+            ));
             print(&format!("  recorded: {recorded}"));
             print(&format!("  now: {now}"));
             saver.finish()?;
-            Err(Failure::Run(format!("{path} does not end as it did")))
+            Err(Failure::Run(format!("{path} now ends for another reason")))
         }
         Verdict::Divergent(divergence) => {
             print(&format!(
@@ -125,7 +127,7 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
             ));
             print(&match divergence.step.checked_sub(1) {
                 Some(before) if before >= recorded.first => format!("  up to step {before} the states are identical"),
-                _ => "  no step is the same".to_owned(),
+                _ => "  no step is identical".to_owned(),
             });
             match divergence.worst(&recorded)? {
                 Some(worst) => {
@@ -145,7 +147,7 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
                     ));
                 }
                 None if recorded.settings.frames == Frames::Thin => {
-                    print("  it is a thin recording: which vertex it is, and by how much, cannot be told from it");
+                    print("  a thin recording has no states that show which vertex differs, and by how much");
                 }
                 None => print("  no recorded frame shows it: the difference stays below single precision"),
             }
@@ -161,14 +163,14 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
     }
 }
 
-/// Refuses a truncated recording unless that is expected.
-fn cut_short(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
+/// Rejects a truncated recording unless one is expected.
+fn check_end(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
     if recorded.end == End::Whole {
         return Ok(());
     }
     let planned = recorded.settings.steps.map_or(String::new(), |steps| format!(" of {}", thousands(steps)));
     let what = format!(
-        "{} is cut short after step {}{planned}: the run was killed, or the file did not arrive whole",
+        "{} is cut short after step {}{planned}: the run was killed, or the file is incomplete",
         recorded.path.display(),
         thousands(recorded.last())
     );
@@ -177,12 +179,12 @@ fn cut_short(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> 
         say(&format!("note: {what}"));
         return Ok(());
     }
-    Err(Failure::Input(format!("{what}; --partial takes what is there")))
+    Err(Failure::Input(format!("{what}; --partial accepts it")))
 }
 
-/// Answers "does it go away?": runs the scene with changed settings and compares it with the recorded events and
-/// surfaces.
-fn ask(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
+/// Runs the scene with changed settings, to answer "does it go away?". Lists its events beside the number of recorded
+/// ones.
+fn vary(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
     let mut run = recorded.run.clone();
     if let Some(integrator) = arguments.integrator {
         run.insert("integrator".to_owned(), integrator.name().into());
@@ -248,7 +250,7 @@ fn ask(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
     ));
     print(&match recorded.settings.frames {
         Frames::Thin => {
-            format!("  {} (a thin recording has none to compare them with):", counted(events.len() as u64, "event"))
+            format!("  {} (a thin recording has no events to compare):", counted(events.len() as u64, "event"))
         }
         _ => format!("  {}, {} recorded:", counted(events.len() as u64, "event"), recorded.events.len()),
     });
@@ -300,7 +302,7 @@ impl Saver {
         if let Some(save) = &arguments.save {
             announce(save, &new)?;
         }
-        // stages of a step are recorded starting from the step before it
+        // the stages of a step start from the state of the previous step
         let steps = match arguments.detail {
             Detail::Stages { .. } => steps.start().saturating_sub(1)..=*steps.end(),
             Detail::Surface | Detail::Forces => steps,
@@ -351,7 +353,7 @@ impl Saver {
         let (Some(mut sinks), recorder) = (self.sinks.take(), self.recorder.take()) else { return Ok(()) };
         let frames = recorder.as_ref().map_or(0, Recorder::written);
         if let Some(mut recorder) = recorder {
-            // the replay ended before the last step
+            // the replay ended before its last step, whose frames `observe` would have sent
             self.failure = self.failure.take().or(send(&mut sinks, recorder.take()));
         }
         let finished = sinks.finish().map_err(sink_failure)?;

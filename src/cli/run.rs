@@ -71,7 +71,7 @@ pub struct Arguments {
     /// The port of the web viewer for --serve; 0 for any free port.
     #[arg(long, value_name = "PORT", default_value_t = 9090, requires = "serve", help_heading = "Destinations")]
     web_port: u16,
-    /// The port of the data for --serve; 0 for any free port.
+    /// The data port for --serve; 0 for any free port.
     #[arg(long, value_name = "PORT", default_value_t = rerun::DEFAULT_SERVER_PORT, requires = "serve",
           help_heading = "Destinations")]
     grpc_port: u16,
@@ -83,7 +83,7 @@ pub struct Arguments {
     #[arg(long, value_parser = parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential",
           help_heading = "Scene")]
     integrator: Option<Integrator>,
-    /// Override the scene's model of a soft body.
+    /// Override the scene's soft-body model.
     #[arg(long, value_parser = models::parse, value_name = "oscillators|metaballs|lattice|fem", help_heading = "Scene")]
     model: Option<Model>,
     /// Override the scene's step size, in seconds.
@@ -95,10 +95,10 @@ pub struct Arguments {
     /// Number of steps, instead of the scene's duration; 0: run until Ctrl-C.
     #[arg(long, value_name = "N", help_heading = "Scene")]
     steps: Option<u64>,
-    /// Record every Nth step [default: 1, or the least N that keeps the file of a large scene below 200 MB].
+    /// Record every Nth step [default: 1, or the smallest N that keeps the file of a large scene below 200 MB].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "What to record")]
     every: Option<u64>,
-    /// Level of detail of each frame. `stages` also records what happens within a step; it cannot be combined with
+    /// Level of detail of each frame. `stages` also records the states within a step; it cannot be combined with
     /// --thin or --keep.
     #[arg(long, default_value = Detail::Forces.name(), value_parser = one_of(&Detail::ALL, Detail::name),
           help_heading = "What to record")]
@@ -112,7 +112,7 @@ pub struct Arguments {
     /// Log one entity per body, or batch all bodies into a few entities [default: batch above 64 bodies].
     #[arg(long, value_parser = one_of(&Entities::ALL, Entities::name), help_heading = "What to record")]
     entities: Option<Entities>,
-    /// Upper limit on pairs with plots, lanes and lines of their own; the closest within reach are chosen [default: 16,
+    /// Maximum number of pairs with their own plots, lanes and lines; the closest within reach are chosen [default: 16,
     /// or 5 above 64 bodies].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(..=1000),
           help_heading = "What to record")]
@@ -143,7 +143,7 @@ pub struct Arguments {
     /// Restart in the same viewer whenever the scene file changes; requires --spawn, --connect or --serve.
     #[arg(long, conflicts_with_all = ["save", "stdout"], help_heading = "Viewer")]
     watch: bool,
-    /// The tab that the viewer opens with.
+    /// The tab that the viewer opens first.
     #[arg(long, default_value = Tab::Scene.name(), value_parser = one_of(&Tab::ALL, Tab::name),
           help_heading = "Viewer")]
     tab: Tab,
@@ -239,25 +239,25 @@ pub fn run(mut arguments: Arguments) -> Result<(), Failure> {
 fn check(arguments: &Arguments) -> Result<(), Failure> {
     let is_viewed = arguments.spawn || arguments.connect.is_some() || arguments.serve;
     let has_range = arguments.from.is_some() || arguments.to.is_some();
-    let refuse = |what: &str| Err(Failure::Input(what.to_owned()));
+    let reject = |what: &str| Err(Failure::Input(what.to_owned()));
     match arguments.detail {
-        _ if arguments.watch && !is_viewed => refuse("--watch is for a viewer: add --spawn, --connect or --serve"),
+        _ if arguments.watch && !is_viewed => reject("--watch is for a viewer: add --spawn, --connect or --serve"),
         _ if arguments.watch && !Path::new(&arguments.scene).is_file() => {
-            refuse(&format!("--watch waits for a file to change, and there is none of the name {:?}", arguments.scene))
+            reject(&format!("--watch needs a scene file, and there is no file {:?}", arguments.scene))
         }
         Detail::Surface | Detail::Forces if has_range => {
-            refuse("--from and --to say which steps --detail stages looks into: add that")
+            reject("--from and --to select the steps that --detail stages records: add it")
         }
-        _ if arguments.from > arguments.to && arguments.to.is_some() => refuse("--from is after --to"),
+        _ if arguments.from > arguments.to && arguments.to.is_some() => reject("--from is after --to"),
         Detail::Surface | Detail::Forces if arguments.tab == Tab::Stages => {
-            refuse("--tab stages shows the inside of steps, which --detail stages records: add that")
+            reject("--tab stages shows the states within steps, which --detail stages records: add it")
         }
         Detail::Surface if matches!(arguments.tab, Tab::Forces | Tab::Displacement) => {
-            refuse(&format!("--tab {} shows what --detail surface leaves out", arguments.tab.name()))
+            reject(&format!("--tab {} shows data that --detail surface omits", arguments.tab.name()))
         }
-        Detail::Stages { .. } if arguments.keep.is_some() => refuse(
-            "--detail stages looks into steps, and --keep holds frames only: leave one of them out, and look into the steps in \
-             question afterwards (`meldscope replay F.rrd --save G.rrd --from STEP --to STEP --detail stages`)",
+        Detail::Stages { .. } if arguments.keep.is_some() => reject(
+            "--detail stages records states within steps, but --keep holds only frames: omit one of them, and record the \
+             stages later (`meldscope replay F.rrd --save G.rrd --from STEP --to STEP --detail stages`)",
         ),
         _ => Ok(()),
     }
@@ -277,9 +277,9 @@ struct Outcome {
     /// Number of frames in the recording.
     frames: u64,
     events: Events,
-    /// How close pairs came that did not change their phase.
+    /// Closest approaches of pairs that did not change phase.
     approaches: Vec<String>,
-    /// Wall time of simulating alone, and with the recording [s].
+    /// Wall time of the simulation alone, and including recording [s].
     seconds: [f64; 2],
 }
 
@@ -290,8 +290,9 @@ struct Events {
     count: u64,
     /// Descriptions of the surfaces at the first of them.
     surfaces: Vec<SurfaceEvent>,
-    /// Number of steps that missed the tolerance, and the first and the worst of them.
+    /// Number of steps that missed the tolerance.
     inaccurate: u64,
+    /// The first and the worst of these steps.
     shortfalls: Option<[(observe::Instant, Shortfall); 2]>,
 }
 
@@ -304,7 +305,7 @@ impl Events {
         self.shortfalls = Some([first, if is_worse { (at, shortfall) } else { worst }]);
     }
 
-    /// Says where the tolerance was missed, if it was.
+    /// Describes where the tolerance was missed; `None` if it was met.
     fn inaccuracy(&self, schema: &Schema) -> Option<String> {
         let [(at, first), (worst_at, worst)] = self.shortfalls?;
         let steps = counted(self.inaccurate, "step");
@@ -346,7 +347,7 @@ impl Simulated {
                 let serving = finished.as_ref().and_then(|finished| finished.serving.as_ref());
                 console.notes(serving.and_then(Serving::refused).as_slice());
                 let saved = finished.and_then(|finished| finished.save);
-                let saved = saved.map(|saved| format!("; {} has the steps up to here", saved.path.display()));
+                let saved = saved.map(|saved| format!("; {} contains the steps up to here", saved.path.display()));
                 Err(Failure::Run(format!("{failure}{}", saved.unwrap_or_default())))
             }
             (None, Err(error)) => Err(Failure::Run(error.to_string())),
@@ -366,12 +367,12 @@ fn simulate(
     let is_live = destined_live(arguments);
     let schema = simulation.schema();
     let settings = settings(arguments, &schema)?;
-    // a viewer would append a run with the id of an earlier one to that recording
+    // without its own number, a restarted run would have the id of the previous one, and a viewer would append to that
     let number = changes.as_mut().map_or(0, |changes| changes.next_run());
     let warnings: Vec<String> = schema.warnings.iter().map(|warning| format!("warning: {warning}")).collect();
     console.notes(&warnings);
     let mut recorder = Recorder::numbered(&*simulation, settings.clone(), number);
-    // write first what a replay needs: the run may be killed at any moment
+    // first write what a replay needs, because the run may be killed at any moment
     let mut first = recorder.take();
     let rest = first.split_off(Recorder::HEAD.min(first.len()));
     let layout = recorder.blueprint_at(&*simulation, arguments.tab);
@@ -421,7 +422,7 @@ fn simulate(
         }
     }
 
-    // Whatever ended the run, the steps simulated so far are saved.
+    // The steps simulated so far are saved, however the run ended.
     let mut end = pipeline.finish().map_err(Failure::Run)?;
     let seconds = [simulating, start.elapsed()].map(|time| time.as_secs_f64());
     let failed =
@@ -453,14 +454,17 @@ fn watch(
     stop: &AtomicBool,
     console: &mut Console,
 ) -> Result<Outcome, Failure> {
-    let mut changes =
-        Changes { text: Scene::without_meshes(&simulation.schema().source).to_owned(), said: String::new(), runs: 0 };
+    let mut changes = Changes {
+        text: Scene::without_meshes(&simulation.schema().source).to_owned(),
+        reported: String::new(),
+        runs: 0,
+    };
     let mut run = simulate(simulation, sinks, arguments, stop, Some(&mut changes), console)?;
-    let mut before: Option<Told> = None;
+    let mut before: Option<EventList> = None;
     loop {
-        let told = Told::of(&run);
-        told.lines(before.as_ref()).iter().for_each(|line| console.print_beside(line));
-        before = Some(told);
+        let listed = EventList::of(&run);
+        listed.lines(before.as_ref()).iter().for_each(|line| console.print_beside(line));
+        before = Some(listed);
         if let Some(failure) = &run.failure {
             if run.sinks.failed() {
                 return run.conclude(console);
@@ -475,51 +479,51 @@ fn watch(
         let Some(scene) = run.next.take() else { return run.conclude(console) };
         match experiment(arguments, scene).start() {
             Ok(simulation) => {
-                console.say(&format!("{} has changed: starting again", arguments.scene));
+                console.say(&format!("{} has changed: restarting", arguments.scene));
                 run = simulate(simulation, run.sinks, arguments, stop, Some(&mut changes), console)?;
             }
-            Err(error) => console.notes(&[format!("{error}; going on with the scene as it was")]),
+            Err(error) => console.notes(&[format!("{error}; continuing with the previous scene")]),
         }
     }
 }
 
-/// The events of a run, to be compared with those of the next.
-struct Told {
-    events: Vec<ToldEvent>,
-    /// Number of events that are not among these.
+/// The events of a run, for comparison with those of the next.
+struct EventList {
+    events: Vec<ListedEvent>,
+    /// Number of further events.
     more: u64,
     /// Simulated time at the end of the run [s].
     until: f64,
 }
 
-/// An event: kind and pair, its number among those, and its time [s].
-struct ToldEvent {
+/// An event: kind and pair, number among the events of that kind and pair, and time [s].
+struct ListedEvent {
     what: String,
     number: usize,
     time: f64,
 }
 
-impl Told {
-    fn of(run: &Simulated) -> Told {
-        let mut events: Vec<ToldEvent> = Vec::new();
+impl EventList {
+    fn of(run: &Simulated) -> EventList {
+        let mut events: Vec<ListedEvent> = Vec::new();
         for event in &run.events.first {
             let what = format!("{} {}", event.name, run.schema.pair_name(event.a, event.b));
             let number = 1 + events.iter().filter(|other| other.what == what).count();
-            events.push(ToldEvent { what, number, time: event.time });
+            events.push(ListedEvent { what, number, time: event.time });
         }
-        Told { more: run.events.count - events.len() as u64, events, until: run.simulation.time() }
+        EventList { more: run.events.count - events.len() as u64, events, until: run.simulation.time() }
     }
 
     /// A line for each event, and for each event of the previous run that no longer occurs.
-    fn lines(&self, before: Option<&Told>) -> Vec<String> {
+    fn lines(&self, before: Option<&EventList>) -> Vec<String> {
         let mut lines = Vec::new();
         let all = self.events.len() as u64 + self.more;
         lines.push(match all {
             0 => format!("no events in {} s", three(self.until)),
             n => format!("{} in {} s:", counted(n, "event"), three(self.until)),
         });
-        let of = |told: &Told, event: &ToldEvent| {
-            let same = told.events.iter().find(|other| (&other.what, other.number) == (&event.what, event.number));
+        let of = |listed: &EventList, event: &ListedEvent| {
+            let same = listed.events.iter().find(|other| (&other.what, other.number) == (&event.what, event.number));
             same.map(|other| other.time)
         };
         for event in &self.events {
@@ -527,7 +531,7 @@ impl Told {
                 Some(time) if time == event.time => ", as before".to_owned(),
                 Some(time) if time < event.time => format!(", {} later", duration(event.time - time)),
                 Some(time) => format!(", {} earlier", duration(time - event.time)),
-                // an event beyond the end of the previous list is not necessarily new
+                // an event after the end of the previous list is not necessarily new
                 None if before.more > 0 || before.until < event.time => String::new(),
                 None => ", new".to_owned(),
             });
@@ -535,7 +539,7 @@ impl Told {
         }
         let was = before.into_iter().flat_map(|before| &before.events);
         for gone in was.filter(|event| self.more == 0 && event.time <= self.until && of(self, event).is_none()) {
-            lines.push(format!("  no more: {}, which was at t = {} s", gone.what, three(gone.time)));
+            lines.push(format!("  gone: {}, previously at t = {} s", gone.what, three(gone.time)));
         }
         if self.more > 0 {
             lines.push(format!("  … and {} more", thousands(self.more)));
@@ -562,8 +566,8 @@ fn duration(seconds: f64) -> String {
 struct Changes {
     /// Its content when last read.
     text: String,
-    /// The last error reported about it.
-    said: String,
+    /// The last reported error in it.
+    reported: String,
     /// Number of runs started.
     runs: u64,
 }
@@ -572,12 +576,12 @@ impl Changes {
     /// Returns the new scene if the file has changed and is valid. An error in it is reported once.
     fn scene(&mut self, arguments: &Arguments, console: &Console) -> Option<Scene> {
         let path = Path::new(&arguments.scene);
-        // a missing file may be about to be written; anything but a file may be endless or block forever
-        let there = std::fs::metadata(path).ok()?;
-        let scene = if !there.is_file() {
-            Err(format!("{} is no file any more", path.display()))
-        } else if there.len() > Scene::LARGEST_TEXT {
-            Err(format!("{} has become larger than a scene may be", path.display()))
+        // a missing file may be about to be written; anything but a regular file may be endless or block forever
+        let metadata = std::fs::metadata(path).ok()?;
+        let scene = if !metadata.is_file() {
+            Err(format!("{} is no longer a file", path.display()))
+        } else if metadata.len() > Scene::LARGEST_TEXT {
+            Err(format!("{} now exceeds the size limit of a scene", path.display()))
         } else {
             let mut bytes = Vec::new();
             File::open(path).ok()?.take(Scene::LARGEST_TEXT).read_to_end(&mut bytes).ok()?;
@@ -592,13 +596,13 @@ impl Changes {
         };
         match scene {
             Ok(scene) => {
-                self.said.clear();
+                self.reported.clear();
                 Some(scene)
             }
             Err(why) => {
-                if why != self.said {
-                    console.notes(&[format!("{why}; going on with the scene as it was")]);
-                    self.said = why;
+                if why != self.reported {
+                    console.notes(&[format!("{why}; continuing with the previous scene")]);
+                    self.reported = why;
                 }
                 None
             }
@@ -612,7 +616,7 @@ impl Changes {
     }
 }
 
-/// Sleeps until `due`, or until the run is to stop.
+/// Sleeps until `due`, or until `stop` is set.
 fn wait_until(due: Instant, stop: &AtomicBool) {
     while !stop.load(Ordering::Relaxed) {
         let left = due.saturating_duration_since(Instant::now());
@@ -644,7 +648,7 @@ fn with_overrides(arguments: &Arguments, mut scene: Scene) -> Scene {
     scene
 }
 
-/// Builds the bodies of a scene, with a progress message if it takes long, as factoring a large stiffness matrix does.
+/// Builds the bodies of a scene, with a progress message: factoring a large stiffness matrix may take long.
 fn start(experiment: &SceneRun) -> Result<Box<dyn Simulation>, Failure> {
     let bar = ProgressBar::new_spinner().with_message(format!("building bodies: {}", experiment.scene.model));
     if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}, {elapsed}; Ctrl-C ends it") {
@@ -690,7 +694,7 @@ pub(super) fn scene(name: &str) -> Result<Scene, Failure> {
             if Existing::is_recording(path) {
                 let word = shell_word(name);
                 return Err(Failure::Input(format!(
-                    "{name} is a recording, not a scene: `meldscope replay {word}` runs what it holds again"
+                    "{name} is a recording, not a scene: `meldscope replay {word}` runs it again"
                 )));
             }
             read(path)
@@ -753,7 +757,7 @@ fn destinations(arguments: &Arguments, scene: &Scene) -> Destinations {
     }
 }
 
-/// Prints what the run did, and how to open what it wrote.
+/// Prints a summary of the run, and how to open its recording.
 fn summarize(console: &Console, outcome: &Outcome) {
     let Outcome { simulation, schema, settings, finished, frames, events, approaches, seconds: [simulating, all] } =
         outcome;
@@ -804,13 +808,13 @@ fn summarize(console: &Console, outcome: &Outcome) {
         if settings.frames == Frames::Thin {
             console.print(&format!("saved {path}: the scene and {}, {size}", counted(steps + 1, "checksum")));
             console.print(&format!(
-                "verify it with `meldscope replay {word}`; `meldscope replay {word} --save full.rrd` makes the frames"
+                "verify it with `meldscope replay {word}`; `meldscope replay {word} --save full.rrd` restores the frames"
             ));
             return;
         }
         console.print(&format!("saved {path}: {}, {size}", counted(*frames, "frame")));
         if *frames == 0 {
-            console.print("nothing happened that --on waits for, so no frame was written");
+            console.print("no --on event occurred, so no frame was written");
         }
         console.print(&format!(
             "open it with `rerun {word}` (pip install rerun-sdk==0.36.3), or install nothing: \
@@ -860,7 +864,7 @@ impl Console {
         self.notes(&notes);
     }
 
-    /// What happened to a destination is always reported, even with --quiet.
+    /// Prints notes, even with --quiet: they report failed destinations and warnings.
     fn notes(&self, notes: &[String]) {
         for note in notes {
             self.bar.suspend(|| say(note));
@@ -872,7 +876,7 @@ impl Console {
     }
 
     /// Reports the predicted size of a large recording, and the options that change it. Returns the interval between
-    /// frames: the requested one, or else one that keeps the file small.
+    /// frames: the requested one, or one that keeps the file small.
     fn say_size(&self, experiment: &SceneRun, settings: &Settings, asked: Option<u64>) -> Option<u64> {
         let size = size::project(experiment, settings, size::LARGE).filter(|size| size.bytes > size::LARGE);
         let Some(size) = size else { return asked };
@@ -880,7 +884,7 @@ impl Console {
         if self.quiet {
             return asked.or(Some(every));
         }
-        let about = |bytes: u64| format!("some {} MB", thousands(bytes / 1_000_000));
+        let about = |bytes: u64| format!("about {} MB", thousands(bytes / 1_000_000));
         let all = about(size.bytes);
         let few = about(size.bytes / (every / settings.every).max(1));
         let from = match settings.steps {
@@ -889,7 +893,7 @@ impl Console {
         };
         let frames = counted(size.frames, "frame");
         let mut others = match asked {
-            Some(_) => vec![format!("`--every {every}` makes it {few}")],
+            Some(_) => vec![format!("`--every {every}` reduces it to {few}")],
             None => vec![format!("`--every 1` records all {frames}, {all}")],
         };
         others.extend(size.without_forces.map(|bytes| match asked {
@@ -902,7 +906,7 @@ impl Console {
             None => format!("the recording has a frame every {every} steps and will take {few}{from}"),
         };
         self.notes(&[format!(
-            "note: {taken}; {}; `--thin` takes some {thin} (`meldscope replay` makes the frames of any part of it later)",
+            "note: {taken}; {}; `--thin` takes about {thin} (`meldscope replay` restores the frames of any part later)",
             others.join(", ")
         )]);
         asked.or(Some(every))
@@ -932,20 +936,20 @@ impl Console {
 mod tests {
     use super::*;
 
-    fn told(events: &[(&str, f64)], until: f64) -> Told {
-        let mut list: Vec<ToldEvent> = Vec::new();
+    fn listed(events: &[(&str, f64)], until: f64) -> EventList {
+        let mut list: Vec<ListedEvent> = Vec::new();
         for &(what, time) in events {
             let number = 1 + list.iter().filter(|other| other.what == what).count();
-            list.push(ToldEvent { what: what.to_owned(), number, time });
+            list.push(ListedEvent { what: what.to_owned(), number, time });
         }
-        Told { events: list, more: 0, until }
+        EventList { events: list, more: 0, until }
     }
 
     #[test]
-    fn a_run_is_told_by_what_moved_since_the_one_before() {
-        let before = told(&[("merge big~mid", 1.224), ("split big~mid", 2.0), ("merge big~mid", 3.0)], 4.0);
+    fn events_are_listed_with_their_shift_since_the_previous_run() {
+        let before = listed(&[("merge big~mid", 1.224), ("split big~mid", 2.0), ("merge big~mid", 3.0)], 4.0);
         assert_eq!(before.lines(None)[..2], ["3 events in 4.000 s:", "  merge big~mid at t = 1.224 s"]);
-        let now = told(&[("merge big~mid", 1.2), ("split big~mid", 2.0), ("core big~mid", 2.5)], 3.5);
+        let now = listed(&[("merge big~mid", 1.2), ("split big~mid", 2.0), ("core big~mid", 2.5)], 3.5);
         assert_eq!(
             now.lines(Some(&before)),
             [
@@ -953,11 +957,11 @@ mod tests {
                 "  merge big~mid at t = 1.200 s, 24 ms earlier",
                 "  split big~mid at t = 2.000 s, as before",
                 "  core big~mid at t = 2.500 s, new",
-                "  no more: merge big~mid, which was at t = 3.000 s",
+                "  gone: merge big~mid, previously at t = 3.000 s",
             ]
         );
-        // a run that ended early does not report what it did not reach
-        assert_eq!(told(&[], 0.5).lines(Some(&before)), ["no events in 0.500 s"]);
+        // a run that ended early does not report events after its end as gone
+        assert_eq!(listed(&[], 0.5).lines(Some(&before)), ["no events in 0.500 s"]);
         assert_eq!(duration(0.00123), "1.2 ms");
     }
 }

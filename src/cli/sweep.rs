@@ -44,13 +44,13 @@ pub struct Arguments {
     /// The folder of the rows and maps. An interrupted sweep is resumed from it.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Refine the grid N times where neighbours differ in outcome, or by a [jump]: each level halves their distance.
+    /// Refine the grid N times where neighbours differ in outcome, or by a [jump]. Each level halves their distance.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=i64::from(MOST_LEVELS)))]
     refine: u32,
     /// Find every change of outcome along this axis, to 1e-9: KEY of an [[axis]], or its name.
     #[arg(long, value_name = "AXIS", conflicts_with_all = ["shard", "open"])]
     bisect: Option<String>,
-    /// Run only part I, from 0, of N equal parts of a level. Nothing but the folder is shared between processes.
+    /// Run only part I, from 0, of N equal parts of a level. Processes share only the folder.
     #[arg(long, value_name = "I/N", requires = "level", value_parser = parse_shard)]
     shard: Option<Shard>,
     /// The level to run, from 0, whose predecessors are complete.
@@ -115,7 +115,7 @@ pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
         let most = sweep.design.most_levels();
         if arguments.refine > most {
             return Err(Failure::Input(format!(
-                "--refine {} has more points than can be counted: at most {most}",
+                "--refine {} has more points than can be counted: the maximum is {most}",
                 arguments.refine
             )));
         }
@@ -133,7 +133,7 @@ pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
     interrupt::raise_stop()?;
     // shapes stay cached as long as they are referenced
     let _shapes: Vec<_> = template.base().bodies.iter().map(|body| body.shape.mesh()).collect();
-    let doing = RunningSweep {
+    let running = RunningSweep {
         runner: Runner::new(&sweep, &template, Some(&STOP)),
         sweep: &sweep,
         store: &store,
@@ -153,14 +153,14 @@ pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
             shard.index,
             shard.count
         ));
-        return doing.level(level, &plan, shard);
+        return running.level(level, &plan, shard);
     }
 
     let mut known = Known::new(&sweep, arguments.refine);
     let mut plan = level::plan(&store, &sweep, &mut known, 0)?;
     let mut total = 0;
     for level in 0.. {
-        doing.level(level, &plan, Shard::ALL)?;
+        running.level(level, &plan, Shard::ALL)?;
         total += plan.len();
         if arguments.refine == 0 {
             break;
@@ -171,10 +171,10 @@ pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
             break;
         }
     }
-    doing.summarize(total, arguments.refine)?;
-    doing.draw()?;
+    running.summarize(total, arguments.refine)?;
+    running.draw()?;
     if let Some(axis) = &arguments.bisect {
-        doing.bisect(axis)?;
+        running.bisect(axis)?;
     }
     Ok(())
 }
@@ -188,7 +188,7 @@ struct RunningSweep<'a> {
 }
 
 impl RunningSweep<'_> {
-    /// Runs a shard's part of a level; does not return if interrupted.
+    /// Runs a shard of a level; does not return if interrupted.
     fn level(&self, level: u32, plan: &Plan, shard: Shard) -> Result<(), Failure> {
         let bar = ProgressBar::new(plan.of(shard));
         let template =
@@ -206,7 +206,7 @@ impl RunningSweep<'_> {
 
     fn interrupted(&self) -> ! {
         let path = self.store.path().display();
-        say(&format!("interrupted: {path} has every run that was finished; the same command goes on"));
+        say(&format!("interrupted: {path} contains every finished run; the same command resumes"));
         interrupt::exit()
     }
 
@@ -309,7 +309,7 @@ impl RunningSweep<'_> {
             let others: Vec<String> = others.map(|(_, (axis, value))| format!("{} = {value}", axis.key)).collect();
             let at = if others.is_empty() { String::new() } else { format!("{}: ", others.join(", ")) };
             print(&format!(
-                "{at}{} turns into {} at {} = {:?}",
+                "{at}{} changes to {} at {} = {:?}",
                 bisect::name(*below),
                 bisect::name(*above),
                 keys[axis],
@@ -336,10 +336,7 @@ fn open(sweep: &Sweep, store: &Store, row: u64) -> Result<(), Failure> {
     })?;
     let point: Vec<Setting> = sweep.design.point(row).unwrap_or_default();
     let (Some((_, cells)), false) = (known, point.is_empty()) else {
-        return Err(Failure::Input(format!(
-            "row {row} is not among those of {}: run the sweep first",
-            store.path().display()
-        )));
+        return Err(Failure::Input(format!("{} has no row {row}: run the sweep first", store.path().display())));
     };
     let [outcome, Cell::I64(steps), Cell::U64(checksum)] = &cells[..] else {
         return Err(Failure::Run(format!("row {row} has no checksum")));
@@ -365,7 +362,7 @@ fn open(sweep: &Sweep, store: &Store, row: u64) -> Result<(), Failure> {
             Ok(())
         }
         Some(found) => Err(Failure::Run(format!(
-            "checksum {found:016x}, but the table has {checksum:016x}: another version made it"
+            "checksum {found:016x}, but the table has {checksum:016x}: it was made by another version"
         ))),
         None => Err(Failure::Run(format!("the recording ends before step {steps}"))),
     }

@@ -17,9 +17,9 @@ use crate::{
 
 /// Precision of a threshold, absolute or relative, whichever is larger.
 pub const PRECISION: f64 = 1e-9;
-/// Upper limits on the changes of outcome between two neighbours of the grid, and on bisections.
-const MOST_CHANGES: usize = 16;
-const MOST_BISECTIONS: u32 = 200;
+/// Upper limits on the changes of outcome between two neighbours of the grid, and on the bisections of each.
+const MAX_CHANGES: usize = 16;
+const MAX_BISECTIONS: u32 = 200;
 
 /// A change of outcome along an axis.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,12 +28,12 @@ pub struct Threshold {
     pub point: Vec<Setting>,
     /// Ends of the bracket.
     pub bracket: [f64; 2],
-    /// Outcomes at its ends, by their class.
+    /// Classes of the outcomes at its ends.
     pub classes: [u8; 2],
 }
 
-/// Finds every change of outcome between neighbours of the grid on an axis; `outcome` gives the class of a grid point.
-/// `None` if interrupted.
+/// Finds every change of outcome between neighbours of the grid along an axis; `outcome` returns the class of a grid
+/// point. `None` if interrupted.
 pub fn thresholds(
     runner: &Runner<'_>,
     design: &Design,
@@ -76,7 +76,7 @@ pub fn thresholds(
 fn narrow(runner: &Runner<'_>, axis: usize, bracket: &Threshold, stop: &AtomicBool) -> Option<Vec<Threshold>> {
     let (mut open, mut found) = (vec![bracket.clone()], Vec::new());
     while let Some(mut threshold) = open.pop() {
-        for _ in 0..MOST_BISECTIONS {
+        for _ in 0..MAX_BISECTIONS {
             let [low, high] = threshold.bracket;
             let middle = 0.5 * (low + high);
             let width = (high - low).abs();
@@ -90,17 +90,17 @@ fn narrow(runner: &Runner<'_>, axis: usize, bracket: &Threshold, stop: &AtomicBo
             let mut point = threshold.point.clone();
             point[axis] = Setting::Number(middle);
             let cells = runner.cells(&point).ok()?;
-            let there = class(cells.get(point.len()));
-            if there == threshold.classes[0] {
+            let at_middle = class(cells.get(point.len()));
+            if at_middle == threshold.classes[0] {
                 threshold.bracket[0] = middle;
             } else {
-                // there is another change above it, unless the outcome is the same
-                if there != threshold.classes[1] && found.len() + open.len() < MOST_CHANGES {
+                // if this outcome also differs from that at the upper end, there is another change above
+                if at_middle != threshold.classes[1] && found.len() + open.len() < MAX_CHANGES {
                     let mut above = threshold.clone();
-                    (above.bracket[0], above.classes[0]) = (middle, there);
+                    (above.bracket[0], above.classes[0]) = (middle, at_middle);
                     open.push(above);
                 }
-                (threshold.bracket[1], threshold.classes[1]) = (middle, there);
+                (threshold.bracket[1], threshold.classes[1]) = (middle, at_middle);
             }
         }
         threshold.point[axis] = Setting::Number(threshold.bracket[0]);
@@ -114,22 +114,18 @@ pub fn columns(design: &Design) -> Vec<Column> {
     let column = |name: &str, kind, about| Column { name: name.to_owned(), kind, about, is_nullable: false };
     let axes = design.axes.iter().map(|axis| {
         let kind = if axis.is_number() { Kind::Float } else { Kind::Text };
-        column(
-            &axis.key.to_string(),
-            kind,
-            "value at this key of the scene; on the axis that was bisected, the lower end",
-        )
+        column(&axis.key.to_string(), kind, "value at this key of the scene; on the bisected axis, the lower end")
     });
     let rest = [
         column("threshold", Kind::Float, "the middle of the bracket"),
-        column("width", Kind::Float, "how far its ends are apart"),
+        column("width", Kind::Float, "width of the bracket"),
         column("below", Kind::Text, "outcome at its first end"),
         column("above", Kind::Text, "outcome at its second end"),
     ];
     std::iter::once(column("row", Kind::Count, "number of the threshold")).chain(axes).chain(rest).collect()
 }
 
-/// The rows of that table.
+/// The rows of a table of thresholds.
 pub fn rows(thresholds: &[Threshold]) -> Vec<Row> {
     let rows = thresholds.iter().zip(0..).map(|(threshold, number)| {
         let [low, high] = threshold.bracket;

@@ -18,8 +18,8 @@ pub struct Builtin {
 }
 
 /// All built-in sweeps. Approach speed and offset are the axes of regime maps of droplet collisions (Ashgriz and Poo
-/// 1990, Qian and Law 1997: Weber number and impact parameter). The last one measures the overhead of a sweep beyond
-/// its steps.
+/// 1990, Qian and Law 1997: Weber number and impact parameter). The last sweep measures the overhead of a sweep in
+/// addition to its steps.
 pub const ALL: [Builtin; 5] = [
     Builtin {
         name: "speed_merge_at",
@@ -164,7 +164,7 @@ count = 1000
     },
 ];
 
-/// The built-in sweep of this name.
+/// The built-in sweep with this name.
 pub fn named(name: &str) -> Option<&'static Builtin> {
     ALL.iter().find(|builtin| builtin.name == name)
 }

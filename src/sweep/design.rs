@@ -1,8 +1,8 @@
 //! The points of a sweep and their row numbers.
 //!
 //! # Rows
-//! A row is a point, and its number is a function of the point: it stays the same however a sweep is refined, resumed
-//! or divided among machines. On a grid, rows are counted level by level, and within a level with the last axis
+//! A row is a point, and its number is a function of the point alone, so it does not depend on how a sweep is refined,
+//! resumed or divided among machines. On a grid, rows are counted level by level, and within a level with the last axis
 //! fastest. Level 0 is the grid of the file; each further level halves the spacing on every axis that is a range. A
 //! point belongs to the first level that contains it.
 
@@ -27,7 +27,7 @@ pub struct Design {
 pub struct Axis {
     /// The key that varies.
     pub key: KeyPath,
-    /// Its name on the map, if not the key.
+    /// Its name on the map; `None` for the key.
     pub name: Option<String>,
     /// Its values.
     pub values: Values,
@@ -42,7 +42,7 @@ pub enum Values {
         from: f64,
         /// The last value.
         to: f64,
-        /// Number of values on a grid, both ends included.
+        /// Number of values on a grid, including both ends.
         count: u64,
         /// Spacing of the values.
         scale: Scale,
@@ -51,12 +51,12 @@ pub enum Values {
     List(Vec<Setting>),
 }
 
-/// What is constant between neighbours on an axis.
+/// Spacing of the values of an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
-    /// The difference.
+    /// Constant difference between neighbours.
     Linear,
-    /// The ratio.
+    /// Constant ratio between neighbours.
     Log,
 }
 
@@ -97,7 +97,7 @@ impl Axis {
         }
     }
 
-    /// Whether each level has more values on it than the last.
+    /// Whether each level adds values to it.
     pub fn is_range(&self) -> bool {
         matches!(self.values, Values::Range { .. })
     }
@@ -126,7 +126,7 @@ impl Axis {
         }
     }
 
-    /// The fraction of the range at which a number lies: the inverse of [`Axis::at`].
+    /// The position of a number as a fraction of the range: the inverse of [`Axis::at`].
     pub fn share(&self, value: f64) -> f64 {
         match &self.values {
             Values::Range { from, to, scale: Scale::Linear, .. } => (value - from) / (to - from),
@@ -142,19 +142,19 @@ impl Axis {
     pub fn value(&self, level: u32, index: u64) -> Setting {
         match &self.values {
             Values::Range { count, .. } => {
-                // computed on the coarsest level that has it, though the quotient is mathematically the same
+                // powers of two cancel exactly, so the value does not depend on the level
                 self.at(index as f64 / ((count - 1) << level) as f64)
             }
             Values::List(values) => values[index as usize].clone(),
         }
     }
 
-    /// Number of values that are validated before a sweep starts: those of its grid, or of a list.
+    /// Number of values to validate before a sweep starts: those of the grid or list.
     pub fn sample_count(&self) -> u64 {
         self.count(0).unwrap_or(2)
     }
 
-    /// One of these values.
+    /// One of the values to validate.
     pub fn sample(&self, index: u64) -> Setting {
         self.value(0, index)
     }
@@ -163,14 +163,14 @@ impl Axis {
 /// A point of the grid of a level.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Place {
-    /// The first level that has it.
+    /// The first level that contains it.
     pub level: u32,
     /// Its index on each axis.
     pub index: Vec<u64>,
 }
 
 impl Design {
-    /// Number of rows without refinement; `None` if that is beyond 64 bits.
+    /// Number of rows without refinement; `None` if it exceeds 64 bits.
     pub fn count(&self) -> Option<u64> {
         match self.sampling {
             Sampling::Grid => self.size(0),
@@ -178,7 +178,7 @@ impl Design {
         }
     }
 
-    /// Number of points of the grid of a level; `None` if that is beyond 64 bits.
+    /// Number of points of the grid of a level; `None` if it exceeds 64 bits.
     pub fn size(&self, level: u32) -> Option<u64> {
         self.axes.iter().try_fold(1u64, |size, axis| size.checked_mul(axis.count(level)?))
     }
@@ -196,7 +196,7 @@ impl Design {
         (0..=MOST_LEVELS).take_while(numbered).last().unwrap_or(0)
     }
 
-    /// The number of a point: `index` is on the grid of `level`, which is at most [`Design::most_levels`].
+    /// The row number of the point `index` on the grid of `level`, which is at most [`Design::most_levels`].
     pub fn row(&self, mut level: u32, index: &[u64]) -> u64 {
         let mut index: Vec<u64> = index.to_vec();
         let ranges = || self.axes.iter().map(Axis::is_range);
@@ -205,11 +205,11 @@ impl Design {
             level -= 1;
         }
         let before: u64 = (0..level).filter_map(|level| self.size(level)).sum();
-        let place = index.iter().zip(&self.axes);
-        before + place.fold(0, |sum, (index, axis)| sum * axis.count(level).unwrap_or(1) + index)
+        let digits = index.iter().zip(&self.axes);
+        before + digits.fold(0, |sum, (index, axis)| sum * axis.count(level).unwrap_or(1) + index)
     }
 
-    /// The point of a row of a grid.
+    /// The grid point of a row.
     pub fn place(&self, row: u64) -> Option<Place> {
         let (mut level, mut rest) = (0, row);
         loop {
@@ -227,7 +227,7 @@ impl Design {
         Some(Place { level, index })
     }
 
-    /// The values of a row on the axes.
+    /// The values of a row's axes.
     pub fn point(&self, row: u64) -> Option<Vec<Setting>> {
         match self.sampling {
             Sampling::Grid => {
@@ -251,13 +251,14 @@ fn mix(x: u64) -> u64 {
     x ^ (x >> 31)
 }
 
-/// A number in [0, 1) of 53 bits.
+/// A number in [0, 1) with 53 bits.
 fn unit(bits: u64) -> f64 {
     (bits >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// The interval of a row of a Latin hypercube on axis `k`. The permutation is a Feistel network over the next power of
-/// four, iterated until the value is in range (cycle walking), so that it needs no table.
+/// The coordinate of a row of a Latin hypercube on axis `k`, in [0, 1). Its interval is a permutation of the row: a
+/// Feistel network over the next power of four, iterated until the value is in range (cycle walking), which needs no
+/// table.
 fn latin(row: u64, count: u64, seed: u64, k: u64) -> f64 {
     let key = mix(mix(seed.wrapping_add(0x9e37_79b9_7f4a_7c15)).wrapping_add(k));
     let bits = (64 - (count.max(2) - 1).leading_zeros()).div_ceil(2);
@@ -277,7 +278,7 @@ fn latin(row: u64, count: u64, seed: u64, k: u64) -> f64 {
     (x as f64 + within) / count as f64
 }
 
-/// Degree, coefficients and first direction numbers of the second and further dimensions (Joe and Kuo 2008).
+/// Degree, coefficients and first direction numbers of the second and higher dimensions (Joe and Kuo 2008).
 const DIRECTIONS: [(u32, u32, &[u32]); 7] = [
     (1, 0, &[1]),
     (2, 1, &[1, 3]),
@@ -362,9 +363,9 @@ mod tests {
             for k in 0..3 {
                 let mut hit = vec![false; count as usize];
                 for row in 0..count {
-                    let place = latin(row, count, seed, k);
-                    assert!((0.0..1.0).contains(&place));
-                    hit[(place * count as f64) as usize] = true;
+                    let share = latin(row, count, seed, k);
+                    assert!((0.0..1.0).contains(&share));
+                    hit[(share * count as f64) as usize] = true;
                 }
                 assert!(hit.iter().all(|hit| *hit), "{count} {k}");
             }

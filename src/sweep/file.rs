@@ -1,5 +1,4 @@
-//! The sweep file: parses text to a [`Sweep`] that is valid by construction, or to an error that says where it is
-//! wrong.
+//! The sweep file: parses text to a [`Sweep`] that is valid by construction, or to an error that locates the mistake.
 
 use std::{
     fs,
@@ -23,11 +22,11 @@ use crate::{
 };
 
 /// Maximum number of axes.
-const MOST_AXES: usize = 8;
+const MAX_AXES: usize = 8;
 /// Maximum number of listed values of an axis.
-const MOST_VALUES: usize = 100_000;
-/// Number of values of an axis that are validated before anything runs, spread over it.
-const MOST_VALIDATED: u64 = 4096;
+const MAX_VALUES: usize = 100_000;
+/// Approximate maximum number of values of an axis that are validated before anything runs, at equal intervals.
+const MAX_VALIDATED: u64 = 4096;
 
 static SWEEP: Keys = Keys {
     home: "at the top of the sweep",
@@ -71,7 +70,7 @@ pub enum Until {
 }
 const UNTIL: Choice<Until, 2> = Choice([("certain", Until::Certain), ("end", Until::End)]);
 
-/// The quantity by which the map is coloured.
+/// Columns by which the map can be coloured.
 const COLORS: [&str; 9] = [
     "outcome",
     "max_displacement",
@@ -101,7 +100,7 @@ const JUMPS: [&str; 8] = [
 static JUMP: Keys = Keys { home: "in [jump]", form: "a table", names: &JUMPS };
 const JUMP_SIZE: Number = Number { min: 1e-12, max: 1e15 };
 
-/// A sweep: a scene, the axes along which it is varied, and what is measured of every run.
+/// A sweep: a scene, the axes along which it varies, and the measures of each run.
 pub struct Sweep {
     /// The text of its file.
     pub text: String,
@@ -123,8 +122,8 @@ pub struct Sweep {
     pub until: Until,
     /// The column by which the map is coloured.
     pub color: String,
-    /// Columns with a limit: neighbours that differ by more, or of which only one has a value, are refined as if their
-    /// outcomes differed.
+    /// Columns and their limits: neighbours that differ by more, or of which only one has a value, are refined as if
+    /// their outcomes differed.
     pub jumps: Vec<(String, f64)>,
 }
 
@@ -142,7 +141,7 @@ impl Sweep {
     /// Parses `text`; `file` is its name in errors, and scenes are searched for in `folder`.
     ///
     /// # Errors
-    /// Those of [`Sweep::load`].
+    /// The text is not a valid sweep, or its scene is invalid.
     pub fn parse(text: &str, file: &str, folder: Option<&Path>) -> Result<Sweep, SceneError> {
         on_deep_stack(|| parse(text, file, folder))
     }
@@ -150,12 +149,12 @@ impl Sweep {
     /// The scene as a template.
     ///
     /// # Errors
-    /// The scene is invalid; [`Sweep::parse`] has checked that already.
+    /// The scene is invalid, which [`Sweep::parse`] rules out.
     pub fn template(&self) -> Result<Template<'_>, SceneError> {
         Template::new(&self.scene_text, &self.scene_file, self.folder.as_deref())
     }
 
-    /// The values of a point: those fixed for all runs, and those on the axes.
+    /// The settings of a point: those fixed for all runs, and those of the axes.
     pub fn settings<'s>(&'s self, point: &'s [Setting]) -> impl Iterator<Item = (&'s KeyPath, &'s Setting)> {
         let same = self.set.iter().map(|(key, setting)| (key, setting));
         same.chain(self.design.axes.iter().map(|axis| &axis.key).zip(point))
@@ -163,13 +162,13 @@ impl Sweep {
 }
 
 fn read(path: &Path, file: &str) -> Result<String, SceneError> {
-    let refuse =
+    let error_of =
         |message: String| SceneError { file: file.to_owned(), place: None, key: String::new(), message, help: None };
-    let length = fs::metadata(path).map_err(|error| refuse(format!("cannot read \"{file}\": {error}")))?;
-    if !length.is_file() || length.len() > Scene::LARGEST_TEXT {
-        return Err(refuse(format!("\"{file}\" is no file of at most {} MiB", Scene::LARGEST_TEXT >> 20)));
+    let metadata = fs::metadata(path).map_err(|error| error_of(format!("cannot read \"{file}\": {error}")))?;
+    if !metadata.is_file() || metadata.len() > Scene::LARGEST_TEXT {
+        return Err(error_of(format!("\"{file}\" is not a file of at most {} MiB", Scene::LARGEST_TEXT >> 20)));
     }
-    fs::read_to_string(path).map_err(|error| refuse(format!("cannot read \"{file}\": {error}")))
+    fs::read_to_string(path).map_err(|error| error_of(format!("cannot read \"{file}\": {error}")))
 }
 
 fn parse(text: &str, file: &str, folder: Option<&Path>) -> Result<Sweep, SceneError> {
@@ -182,8 +181,8 @@ fn parse(text: &str, file: &str, folder: Option<&Path>) -> Result<Sweep, SceneEr
     };
     let axis_tables = axis_array.tables(&AXIS)?;
     let set_tables = set_array.as_ref().map_or(Ok(Vec::new()), |array| array.tables(&SET))?;
-    if axis_tables.is_empty() || axis_tables.len() > MOST_AXES {
-        return Err(axis_array.unexpected(format_args!("1 to {MOST_AXES} axes")));
+    if axis_tables.is_empty() || axis_tables.len() > MAX_AXES {
+        return Err(axis_array.unexpected(format_args!("1 to {MAX_AXES} axes")));
     }
 
     let sample = root.optional("sample", SAMPLE)?.unwrap_or(Sample::Grid);
@@ -192,7 +191,7 @@ fn parse(text: &str, file: &str, folder: Option<&Path>) -> Result<Sweep, SceneEr
         Sample::Grid => {
             for name in ["count", "seed"] {
                 if let Some(value) = root.get(name) {
-                    let help = "of a grid, each [[axis]] has its count; or set sample = \"latin\" or \"sobol\"";
+                    let help = "each [[axis]] of a grid has its own count; or set sample = \"latin\" or \"sobol\"";
                     return Err(value.error("not for a grid".to_owned()).with_help(help));
                 }
             }
@@ -263,10 +262,10 @@ fn read_axis(table: &Table<'_>, sampling: Sampling) -> Result<Axis, SceneError> 
     if let Some(values) = table.get("values") {
         for other in ["from", "to", "count", "scale"] {
             if table.get(other).is_some() {
-                return Err(table.error(other, "not beside values".to_owned()));
+                return Err(table.error(other, "not allowed together with values".to_owned()));
             }
         }
-        let items = values.items().filter(|items| (1..=MOST_VALUES).contains(&items.len()));
+        let items = values.items().filter(|items| (1..=MAX_VALUES).contains(&items.len()));
         let items = items.ok_or_else(|| values.unexpected("an array of numbers or of strings"))?;
         let values = items.map(|item| read_setting(&item)).collect::<Result<Vec<_>, _>>()?;
         let is_number = |setting: &Setting| matches!(setting, Setting::Number(_));
@@ -290,7 +289,7 @@ fn read_axis(table: &Table<'_>, sampling: Sampling) -> Result<Axis, SceneError> 
     let count = match sampling {
         Sampling::Grid => u64::from(table.required("count", COUNT)?),
         _ if table.get("count").is_some() => {
-            return Err(table.error("count", "not for samples, whose count is at the top of the sweep".to_owned()));
+            return Err(table.error("count", "not for samples: their count is at the top of the sweep".to_owned()));
         }
         _ => 2,
     };
@@ -347,7 +346,7 @@ fn read_jumps(value: Option<Value<'_>>, measures: Measures) -> Result<Vec<(Strin
     Ok(jumps)
 }
 
-/// Rejects values that make the scene invalid, and sweeps of too many runs, before anything runs.
+/// Rejects values that make the scene invalid, and sweeps with too many runs, before anything runs.
 fn try_values(sweep: &Sweep, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(), SceneError> {
     let template = sweep.template()?;
     let design = &sweep.design;
@@ -359,7 +358,7 @@ fn try_values(sweep: &Sweep, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(
         }
     }
     for (index, axis) in design.axes.iter().enumerate() {
-        let stride = axis.sample_count().div_ceil(MOST_VALIDATED).max(1);
+        let stride = axis.sample_count().div_ceil(MAX_VALIDATED).max(1);
         let all = (0..axis.sample_count()).step_by(stride as usize).chain([axis.sample_count() - 1]);
         for sample in all {
             let mut point = first.clone();
@@ -371,7 +370,7 @@ fn try_values(sweep: &Sweep, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(
                     true => table.error("key", in_words(&error)),
                     false => {
                         let at = if table.get("values").is_some() { "values" } else { "from" };
-                        table.error(at, format!("{key} = {value} makes a broken scene: {}", in_words(&error)))
+                        table.error(at, format!("{key} = {value} makes the scene invalid: {}", in_words(&error)))
                     }
                 });
             }
@@ -385,7 +384,7 @@ fn try_values(sweep: &Sweep, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(
         if let Err(error) = template.scene(sweep.settings(&point)) {
             let values = design.axes.iter().zip(&point).map(|(axis, value)| format!("{} = {value}", axis.key));
             let values = crate::text::listed(&values.collect::<Vec<_>>());
-            return Err(axes[0].error("key", format!("{values} together make a broken scene: {}", in_words(&error))));
+            return Err(axes[0].error("key", format!("{values} together make the scene invalid: {}", in_words(&error))));
         }
     }
     match design.count() {
@@ -409,7 +408,7 @@ fn is_unknown(error: &SceneError) -> bool {
     error.message.starts_with("unknown key") || error.message.starts_with("there is no")
 }
 
-/// An error in a variation of the scene, without the name of a file that does not exist.
+/// Describes an error in a variation of the scene, without a position: its text is in no file.
 fn in_words(error: &SceneError) -> String {
     SceneError { place: None, ..error.clone() }.to_string()
 }
@@ -418,7 +417,7 @@ fn in_words(error: &SceneError) -> String {
 pub fn duration(seconds: f64) -> String {
     const UNITS: [(&str, f64); 5] =
         [("years", 365.25 * 86_400.0), ("days", 86_400.0), ("hours", 3600.0), ("minutes", 60.0), ("seconds", 1.0)];
-    let unit = UNITS.iter().find(|(_, length)| seconds >= 2.0 * length).unwrap_or(&UNITS[4]);
+    let unit = UNITS.iter().find(|(_, metadata)| seconds >= 2.0 * metadata).unwrap_or(&UNITS[4]);
     let number = seconds / unit.1;
     if number >= 1e6 {
         format!("{number:.1e} {}", unit.0)

@@ -1,4 +1,4 @@
-//! The runs of a level: selects those to be done, and does them on all cores.
+//! The runs of a level: selects the missing ones, and runs them on all cores.
 
 use std::{
     collections::{BTreeMap, HashSet},
@@ -18,15 +18,15 @@ use super::{
     store::{Journal, Shard, Store, StoreError},
 };
 
-/// Rows per file. Files are written one at a time, so this bounds the memory of rows.
+/// Rows per file. Files are written one at a time, so this limits the memory for rows.
 const BLOCK: u64 = 4096;
 
 /// The rows of a level, in order.
 #[derive(Clone, Debug)]
 pub enum Plan {
-    /// All rows below this.
+    /// All rows below this number.
     First(u64),
-    /// These.
+    /// The listed rows.
     List(Vec<u64>),
 }
 
@@ -44,10 +44,10 @@ impl Plan {
         self.len() == 0
     }
 
-    fn row(&self, place: u64) -> u64 {
+    fn row(&self, index: u64) -> u64 {
         match self {
-            Plan::First(_) => place,
-            Plan::List(rows) => rows[place as usize],
+            Plan::First(_) => index,
+            Plan::List(rows) => rows[index as usize],
         }
     }
 
@@ -58,8 +58,8 @@ impl Plan {
 
     /// Rows of a block of a shard.
     fn block(&self, shard: Shard, block: u64) -> Vec<u64> {
-        let places = block * BLOCK..((block + 1) * BLOCK).min(self.of(shard));
-        places.map(|place| self.row(shard.index + shard.count * place)).collect()
+        let indices = block * BLOCK..((block + 1) * BLOCK).min(self.of(shard));
+        indices.map(|index| self.row(shard.index + shard.count * index)).collect()
     }
 }
 
@@ -75,7 +75,7 @@ pub enum Ended {
 /// Why a level could not be completed.
 #[derive(Debug, thiserror::Error)]
 pub enum LevelError {
-    /// The folder failed.
+    /// The folder cannot be read or written.
     #[error(transparent)]
     Store(#[from] StoreError),
     /// A previous level is not complete.
@@ -93,10 +93,10 @@ pub enum LevelError {
     },
 }
 
-/// Runs a shard's part of a level. Calls `progress` with the existing rows, and again with each new row.
+/// Runs a shard of a level. Calls `progress` with the number of existing rows, and with 1 after each new row.
 ///
 /// # Errors
-/// The folder cannot be read or written; rows written before are kept.
+/// The folder cannot be read or written; rows already written are kept.
 pub fn run(
     runner: &Runner<'_>,
     store: &Store,
@@ -107,12 +107,12 @@ pub fn run(
     let done = store.blocks(level, shard)?;
     let blocks = plan.of(shard).div_ceil(BLOCK);
     if (0..blocks).all(|block| done.contains(&block)) {
-        store.clean(level, shard)?; // a process killed before this point has left its files
+        store.clean(level, shard)?; // a process killed just before this point left its files behind
         progress(plan.of(shard));
         return Ok(Ended::Complete);
     }
     let mut kept = store.journals(level, shard)?;
-    // rows that were done with another number of shards
+    // rows that are finished, from a division into another number of shards
     let mut elsewhere = HashSet::new();
     store.read(level..level + 1, Some(shard), &store.named(&[]), |(row, _)| _ = elsewhere.insert(row))?;
     let mut journal = store.journal(level, shard)?;
@@ -123,9 +123,9 @@ pub fn run(
             continue;
         }
         let mut rows: Vec<Row> = wanted.iter().filter_map(|row| kept.remove(row)).collect();
-        let there: HashSet<u64> = rows.iter().map(|(row, _)| *row).collect();
+        let present: HashSet<u64> = rows.iter().map(|(row, _)| *row).collect();
         let missing: Vec<u64> =
-            wanted.iter().copied().filter(|row| !there.contains(row) && !elsewhere.contains(row)).collect();
+            wanted.iter().copied().filter(|row| !present.contains(row) && !elsewhere.contains(row)).collect();
         progress((wanted.len() - missing.len()) as u64);
         match run_rows(runner, &missing, &mut journal, stop, progress)? {
             Some(new) => rows.extend(new),
@@ -175,7 +175,7 @@ fn run_rows(
 /// The results of the rows of a level.
 ///
 /// # Errors
-/// They cannot be read.
+/// The rows cannot be read.
 pub fn given(store: &Store, sweep: &Sweep, level: u32) -> Result<BTreeMap<u64, Given>, StoreError> {
     let mut given = BTreeMap::new();
     let columns = store.named(&refine::columns(sweep));
@@ -190,12 +190,12 @@ pub fn given(store: &Store, sweep: &Sweep, level: u32) -> Result<BTreeMap<u64, G
 pub fn plan(store: &Store, sweep: &Sweep, known: &mut Known<'_>, level: u32) -> Result<Plan, LevelError> {
     let mut plan = Plan::First(known.design().count().unwrap_or(0));
     for before in 0..level {
-        let there = given(store, sweep, before)?;
-        let missing = (0..plan.len()).filter(|&place| !there.contains_key(&plan.row(place))).count() as u64;
+        let results = given(store, sweep, before)?;
+        let missing = (0..plan.len()).filter(|&index| !results.contains_key(&plan.row(index))).count() as u64;
         if missing > 0 {
             return Err(LevelError::Incomplete { level: before, planned: plan.len(), missing });
         }
-        known.add(there);
+        known.add(results);
         plan = Plan::List(known.wanted());
     }
     Ok(plan)

@@ -1,5 +1,5 @@
-//! The map of a sweep: outcomes, or a measure, over its first two numeric axes; one map for each combination of values
-//! on the others.
+//! The map of a sweep: outcomes, or a measure, over its first two numeric axes. There is one map for each combination of
+//! values on the other axes.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -12,12 +12,12 @@ use super::{
 };
 use crate::{scene::template::Setting, table::Kind};
 
-/// Maximum number of points along an axis that a map resolves.
-const MOST_POINTS: u64 = 1200;
+/// Maximum number of points of a map along an axis.
+const MAX_POINTS: u64 = 1200;
 /// Maximum number of maps drawn.
 pub const MOST_SLICES: usize = 64;
 /// Maximum number of runs shown as points.
-const MOST_DOTS: usize = 20_000;
+const MAX_DOTS: usize = 20_000;
 
 /// Colours of the outcomes, distinguishable with any colour vision (Okabe & Ito 2008), and of failed runs.
 pub const COLORS: [[u8; 3]; FAILED as usize + 1] =
@@ -50,11 +50,11 @@ pub struct Slice {
     pub size: [usize; 2],
     /// Boundaries between the cells of the grid points, as fractions of the axis, `[size + 1]`.
     pub edges: [Vec<f64>; 2],
-    /// Outcomes of the points, by class, row by row upwards; `u8::MAX` if unknown.
+    /// Classes of the points' outcomes, row by row upwards; `u8::MAX` if unknown.
     pub classes: Vec<u8>,
-    /// Values of the measure.
+    /// Values of the measure at the points; NaN if unknown.
     pub values: Vec<f64>,
-    /// Runs.
+    /// The runs.
     pub dots: Vec<Dot>,
 }
 
@@ -65,7 +65,7 @@ pub struct Dot {
     pub row: u64,
     /// Position, as fractions of the axes.
     pub at: [f64; 2],
-    /// Outcome, by class.
+    /// Class of the outcome.
     pub class: u8,
     /// Values on all axes, and the outcome.
     pub label: String,
@@ -117,7 +117,7 @@ impl Map {
             let key = match (is_grid, design.place(*row)) {
                 (true, Some(place)) => {
                     let others = place.index.iter().enumerate().filter(|(axis, _)| !numbers.contains(axis));
-                    // of a refined third axis, only the first values are drawn
+                    // on a refined third axis, only the values of level 0 are drawn
                     let at: Option<Vec<u64>> = others
                         .map(|(axis, &index)| match design.axes[axis].is_range() {
                             true => (index % (1 << place.level) == 0).then_some(index >> place.level),
@@ -168,7 +168,7 @@ fn slice(sweep: &Sweep, map: &Map, numbers: &[usize], rows: &[u64], seen: &BTree
         Some(Setting::Number(value)) => design.axes[axis].share(*value),
         _ => 0.5,
     };
-    for &row in rows.iter().take(MOST_DOTS) {
+    for &row in rows.iter().take(MAX_DOTS) {
         let (Some(Seen { class, .. }), Some(point)) = (seen.get(&row), design.point(row)) else { continue };
         let values = design.axes.iter().zip(&point).map(|(axis, value)| format!("{} = {value}", axis.label()));
         let label = format!("row {row}: {}, {}", bisect::name(*class), values.collect::<Vec<_>>().join(", "));
@@ -179,8 +179,7 @@ fn slice(sweep: &Sweep, map: &Map, numbers: &[usize], rows: &[u64], seen: &BTree
         return slice;
     }
     let deepest = rows.iter().filter_map(|&row| Some(design.place(row)?.level)).max().unwrap_or(0);
-    let fits =
-        |level: u32| numbers.iter().all(|&axis| design.axes[axis].count(level).is_some_and(|n| n <= MOST_POINTS));
+    let fits = |level: u32| numbers.iter().all(|&axis| design.axes[axis].count(level).is_some_and(|n| n <= MAX_POINTS));
     let level = (0..=deepest).take_while(|&level| fits(level)).last().unwrap_or(0);
     let counts: Vec<usize> = numbers.iter().map(|&axis| design.axes[axis].count(level).unwrap_or(1) as usize).collect();
     slice.size = [counts[0], counts.get(1).copied().unwrap_or(1)];
@@ -234,8 +233,8 @@ fn edges(axis: &Axis, count: usize) -> Vec<f64> {
 pub fn ramp(share: f64) -> [u8; 3] {
     const STOPS: [[f64; 3]; 5] =
         [[68.0, 1.0, 84.0], [59.0, 82.0, 139.0], [33.0, 145.0, 140.0], [94.0, 201.0, 98.0], [253.0, 231.0, 37.0]];
-    let place = (share.clamp(0.0, 1.0) * 31.0).round() / 31.0 * 4.0;
-    let (from, rest) = (place.floor().min(3.0), place - place.floor().min(3.0));
+    let stop = (share.clamp(0.0, 1.0) * 31.0).round() / 31.0 * 4.0;
+    let (from, rest) = (stop.floor().min(3.0), stop - stop.floor().min(3.0));
     let [low, high] = [STOPS[from as usize], STOPS[from as usize + 1]];
     std::array::from_fn(|k| (low[k] + (high[k] - low[k]) * rest).round() as u8)
 }
@@ -245,7 +244,7 @@ pub fn boundary(slice: &Slice) -> Vec<[[f64; 2]; 2]> {
     let [width, height] = slice.size;
     let middle = |side: usize, k: usize| {
         let edges = &slice.edges[side];
-        // at the ends, the position of the point, not the middle of its cell
+        // the first and last cell of a range are half cells: return the point at the end, not the middle
         match k {
             0 if edges.len() > 2 && edges[1] < 1.0 / (edges.len() - 1) as f64 => 0.0,
             k if k + 2 == edges.len() && edges.len() > 2 && edges[1] < 1.0 / (edges.len() - 1) as f64 => 1.0,
@@ -260,17 +259,17 @@ pub fn boundary(slice: &Slice) -> Vec<[[f64; 2]; 2]> {
             if corners.iter().all(|&(x, y)| class(x, y) == class(i, j)) {
                 continue;
             }
-            let place = |(x, y): (usize, usize)| [middle(0, x), middle(1, y)];
+            let position = |(x, y): (usize, usize)| [middle(0, x), middle(1, y)];
             let between = |a: [f64; 2], b: [f64; 2]| [0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])];
             let crossings: Vec<[f64; 2]> = (0..4)
                 .map(|k| (corners[k], corners[(k + 1) % 4]))
                 .filter(|&((ax, ay), (bx, by))| class(ax, ay) != class(bx, by))
-                .map(|(a, b)| between(place(a), place(b)))
+                .map(|(a, b)| between(position(a), position(b)))
                 .collect();
             match crossings[..] {
                 [a, b] => lines.push([a, b]),
                 _ => {
-                    let centre = between(place(corners[0]), place(corners[2]));
+                    let centre = between(position(corners[0]), position(corners[2]));
                     lines.extend(crossings.iter().map(|&crossing| [crossing, centre]));
                 }
             }
@@ -279,7 +278,7 @@ pub fn boundary(slice: &Slice) -> Vec<[[f64; 2]; 2]> {
     lines
 }
 
-/// Tick values of an axis, with their fractions of it.
+/// Tick positions of an axis, as fractions of it, with their labels.
 pub fn ticks(axis: &Axis) -> Vec<(f64, String)> {
     let (from, to, scale) = match &axis.values {
         Values::Range { from, to, scale, .. } => (*from, *to, *scale),

@@ -4,22 +4,22 @@
 //! | --- | --- |
 //! | the sweep file | [`file`] |
 //! | the points and their row numbers | [`design`] |
-//! | one run: outcomes, measures, when it ends | [`run`] |
+//! | one run: its outcome, its measures, its end | [`run`] |
 //! | the columns of a row | [`row`] |
 //! | rows read back from Parquet | [`table`] |
 //! | the folder: finished and unfinished rows | [`store`] |
 //! | the runs of a level, on all cores | [`level`] |
-//! | where the grid is refined | [`refine`] |
+//! | refinement of the grid | [`refine`] |
 //! | thresholds along one axis | [`bisect`] |
 //! | the map: regions and boundaries | [`map`] |
 //! | the map as SVG, and as a recording | [`svg`], [`picture`] |
-//! | sweeps that are compiled in | [`builtin`] |
+//! | built-in sweeps | [`builtin`] |
 //!
 //! # The sweep file
 //! ```toml
 //! scene = "collide"             # a file beside this one, or a built-in scene
 //! until = "certain"             # certain | end: when a run ends [certain]; see [`run`]
-//! measures = ["displacement"]   # displacement, surfaces: optional measures, which cost time [none]
+//! measures = ["displacement"]   # displacement, surfaces: optional measures, which take time [none]
 //! color = "outcome"             # the column by which the map is coloured [outcome]
 //!
 //! [jump]                        # --refine also halves the grid where neighbours differ by more than this [none]
@@ -43,11 +43,11 @@
 //! value = 0.0
 //! ```
 //!
-//! With `sample = "latin"` or `"sobol"`, `count` and `seed` [0] are at the top of the sweep, and axes have none.
+//! With `sample = "latin"` or `"sobol"`, `count` and `seed` [0] are at the top of the sweep, not in its axes.
 //!
 //! # Rows
-//! The columns of the tables are described in their schema, and listed in [`row::columns`]. All but `run_time` are a
-//! function of the sweep: bit-identical on any machine, for any number of threads, shards and interruptions.
+//! The columns of the tables are described in their schema, and listed in [`row::columns`]. All except `run_time` depend
+//! only on the sweep: they are bit-identical on any machine, for any number of threads, shards and interruptions.
 
 pub mod bisect;
 pub mod builtin;

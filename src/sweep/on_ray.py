@@ -21,7 +21,7 @@ COMPLETE = "complete, nothing is left to refine"
 
 
 def end_with_parent():
-    """The program ends when the worker that started it is killed (Linux)."""
+    """Ends the program when the worker that started it is killed (Linux)."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
@@ -32,7 +32,7 @@ class ShardFailed(Exception):
 
 @ray.remote(num_cpus=1, max_retries=10, retry_exceptions=[ShardFailed])
 def shard(command, index, count, level):
-    """Runs a shard of a level; returns what it printed, or raises SystemError for input that is wrong on any node."""
+    """Runs a shard of a level; returns its output. Raises SystemError for bad input, which a retry cannot fix."""
     options = ["--shard", f"{index}/{count}", "--level", str(level), "--threads", "1"]
     ran = subprocess.run(command + options, capture_output=True, text=True, preexec_fn=end_with_parent, check=False)
     if ran.returncode == 2:
@@ -50,7 +50,7 @@ def run(command, refine, shards, say=print):
         waiting = [shard.remote(command, index, shards, level) for index in range(shards)]
         for done in itertools.count(1):
             finished, waiting = ray.wait(waiting)
-            ray.get(finished)  # raises what the shard raised
+            ray.get(finished)  # raises the shard's exception
             say(f"level {level}: {done} of {shards} shards")
             if not waiting:
                 break
@@ -62,7 +62,7 @@ def main():
     parser.add_argument("--out", required=True)
     parser.add_argument("--refine", type=int, default=0)
     parser.add_argument("--shards", type=int, help="per level [4 for each processor of the cluster]")
-    parser.add_argument("--address", default=None, help="of the cluster; auto: the one that runs here [a new one]")
+    parser.add_argument("--address", default=None, help="of the cluster; auto: the one running here [a new one]")
     parser.add_argument("--program", default="meldscope")
     arguments = parser.parse_args()
 

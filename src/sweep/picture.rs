@@ -3,10 +3,10 @@
 //! | entity | contents |
 //! | --- | --- |
 //! | `/map/regions` | the map as an image |
-//! | `/map/boundary` | where the outcome changes |
+//! | `/map/boundary` | the boundaries between outcomes |
 //! | `/map/runs` | every run as a point, with its row and values on selection |
 //! | `/map/ticks` | tick values on the axes |
-//! | `/along/MEASURE/…` | measures along the first axis, for the least, middle and greatest value of the second |
+//! | `/along/MEASURE/…` | measures along the first axis, for the first, middle and last value of the second |
 //!
 //! Maps for different values of further axes are on the timeline `slice`; measures are on the timeline `along`, the
 //! index on the first axis.
@@ -83,7 +83,7 @@ pub fn save(map: &Map, sweep: &Sweep, store: &Store, title: &str, path: &Path) -
         None => String::new(),
     };
     let about = format!(
-        "**{title}**: {}; {}.  \n{colored}{}. Select a point to see its row: `meldscope sweep … --open ROW` makes its recording.",
+        "**{title}**: {}; {}.  \n{colored}{}. Select a point to see its row: `meldscope sweep … --open ROW` records it.",
         counted(map.rows, "run"),
         axes.join(", "),
         classes.join(", "),
@@ -107,7 +107,8 @@ pub fn save(map: &Map, sweep: &Sweep, store: &Store, title: &str, path: &Path) -
 /// The legend of the outcome colours.
 const COLOR_NAMES: [&str; FAILED as usize + 1] = ["light grey", "light blue", "orange", "green", "pink", "dark grey"];
 
-fn place([x, y]: [f64; 2]) -> [f32; 2] {
+/// Position on the image [px], given fractions of the axes.
+fn pixel([x, y]: [f64; 2]) -> [f32; 2] {
     [(x * WIDTH as f64) as f32, ((1.0 - y) * HEIGHT as f64) as f32]
 }
 
@@ -126,12 +127,12 @@ fn log_slice(chunks: &mut Chunks, map: &Map, slice: &Slice, at: &TimePoint) {
         }
         chunks.row("/map/regions", at.clone(), &Image::from_rgb24(pixels, [WIDTH as u32, HEIGHT as u32]));
         let lines: Vec<[[f32; 2]; 2]> =
-            boundary(slice).into_iter().map(|[from, to]| [place(from), place(to)]).collect();
+            boundary(slice).into_iter().map(|[from, to]| [pixel(from), pixel(to)]).collect();
         let lines =
             LineStrips2D::new(lines).with_colors([color([30, 30, 30])]).with_radii([Radius::new_ui_points(0.9)]);
         chunks.row("/map/boundary", at.clone(), &lines.with_draw_order(10.0));
     }
-    let points = Points2D::new(slice.dots.iter().map(|dot| place(dot.at)))
+    let points = Points2D::new(slice.dots.iter().map(|dot| pixel(dot.at)))
         .with_colors(
             slice
                 .dots
@@ -154,18 +155,18 @@ fn log_slice(chunks: &mut Chunks, map: &Map, slice: &Slice, at: &TimePoint) {
 }
 
 fn log_ticks(chunks: &mut Chunks, map: &Map) {
-    let (mut places, mut labels) = (Vec::new(), Vec::new());
+    let (mut positions, mut labels) = (Vec::new(), Vec::new());
     for (side, axis) in map.axes.iter().enumerate() {
         for (share, number) in ticks(axis) {
-            let [x, y] = place(if side == 0 { [share, 0.0] } else { [0.0, share] });
-            places.push(if side == 0 { [x, y + 10.0] } else { [x - 18.0, y] });
+            let [x, y] = pixel(if side == 0 { [share, 0.0] } else { [0.0, share] });
+            positions.push(if side == 0 { [x, y + 10.0] } else { [x - 18.0, y] });
             labels.push(number);
         }
-        let [x, y] = place(if side == 0 { [0.5, 0.0] } else { [0.0, 0.5] });
-        places.push(if side == 0 { [x, y + 44.0] } else { [x - 70.0, y] });
+        let [x, y] = pixel(if side == 0 { [0.5, 0.0] } else { [0.0, 0.5] });
+        positions.push(if side == 0 { [x, y + 44.0] } else { [x - 70.0, y] });
         labels.push(axis.label());
     }
-    let ticks = Points2D::new(places)
+    let ticks = Points2D::new(positions)
         .with_labels(labels)
         .with_show_labels(true)
         .with_colors([color([120, 120, 120])])
@@ -173,7 +174,7 @@ fn log_ticks(chunks: &mut Chunks, map: &Map) {
     chunks.log_static("/map/ticks", &ticks);
 }
 
-/// Measures along the first axis, for three values of the second and the first value of all others.
+/// Logs measures along the first axis, for three values of the second and the first value of all others.
 fn log_along(
     chunks: &mut Chunks,
     map: &Map,

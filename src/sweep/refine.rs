@@ -1,12 +1,12 @@
 //! Refinement: where neighbours differ in outcome, or by more than a jump in a measure, the grid is halved, level by level.
 //!
-//! A cell lies between neighbours of the grid of a level: it has 2ⁿ corners if n axes are ranges. It is divided if two
-//! known points of it, its corners or points of finer levels on its faces, differ. All 3ⁿ points of its halves are then
+//! A cell lies between neighbours of the grid of a level: it has 2ⁿ corners if n axes are ranges. It is divided if two of
+//! its known points differ: its corners, or points of finer levels on its faces. All 3ⁿ points of its halves are then
 //! required. This is repeated up to the last level, so that every cell of the last level whose corners or faces show a
-//! boundary is resolved. A region smaller than the cells of the first grid may be missed: the first grid has to hit
-//! every region.
+//! boundary is resolved. A region smaller than the cells of the first grid may be missed: the first grid must hit every
+//! region.
 //!
-//! The required points depend on the results of runs only, not on their order. A level can therefore be divided among
+//! The required points depend only on the results of runs, not on their order. A level can therefore be divided among
 //! machines, and an interrupted sweep resumes with the same rows.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
@@ -27,7 +27,7 @@ pub fn class(outcome: Option<&Cell>) -> u8 {
         Some(Cell::Text(name)) => name.as_str(),
         _ => return FAILED,
     };
-    Outcome::ALL.iter().position(|outcome| outcome.name() == name).map_or(FAILED, |place| place as u8)
+    Outcome::ALL.iter().position(|outcome| outcome.name() == name).map_or(FAILED, |index| index as u8)
 }
 
 /// The results of a run that decide where the grid is refined.
@@ -40,7 +40,7 @@ pub struct Given {
 }
 
 impl Given {
-    /// Reads the cells of the columns of [`columns`].
+    /// Reads the cells of the columns listed by [`columns`].
     pub fn new(cells: &[Cell]) -> Given {
         let measures = cells.iter().skip(1).map(|cell| match cell {
             Cell::F64(number) => *number,
@@ -64,7 +64,7 @@ pub struct Known<'a> {
     /// The last level.
     last: u32,
     given: HashMap<u64, Given>,
-    /// Divided cells, by the number of their first corner on their level's grid.
+    /// Divided cells, by level and first corner.
     divided: HashSet<(u32, Vec<u64>)>,
     wanted: BTreeSet<u64>,
 }
@@ -94,7 +94,7 @@ impl<'a> Known<'a> {
         if self.last == 0 {
             return;
         }
-        // cells of the first grid, then what follows from points within them
+        // first the cells of level 0, then the consequences of points within them
         let corners: Vec<Vec<u64>> =
             new.iter().filter_map(|&row| self.design.place(row)).flat_map(|place| self.first_cells(&place)).collect();
         for corner in corners {
@@ -135,21 +135,21 @@ impl<'a> Known<'a> {
         self.divided.contains(&(level, corner.to_vec()))
     }
 
-    /// The cells of the first grid that contain this point of it.
+    /// The cells of level 0 that have this point as a corner; none for a point of a finer level.
     fn first_cells(&self, place: &Place) -> Vec<Vec<u64>> {
         if place.level > 0 { Vec::new() } else { self.cells_at(0, place) }
     }
 
-    /// The cells of a level that contain a point, on a face or inside; the level is not finer than the point's.
+    /// The cells of a level that contain a point, inside or on a face. The level must not be finer than the point's.
     fn cells_at(&self, level: u32, place: &Place) -> Vec<Vec<u64>> {
         let shift = place.level - level;
         let mut cells = vec![Vec::with_capacity(place.index.len())];
         for (axis, &index) in self.design.axes.iter().zip(&place.index) {
             let choices: Vec<u64> = if axis.is_range() {
-                let most = axis.count(level).unwrap_or(1) - 1; // cells
+                let cell_count = axis.count(level).unwrap_or(1) - 1;
                 let (whole, is_on_grid) = (index >> shift, index & ((1 << shift) - 1) == 0);
                 let below = if is_on_grid { whole.checked_sub(1) } else { None };
-                below.into_iter().chain((whole < most).then_some(whole)).collect()
+                below.into_iter().chain((whole < cell_count).then_some(whole)).collect()
             } else {
                 vec![index]
             };
@@ -256,7 +256,8 @@ mod tests {
         Design { axes: axes.collect(), sampling: Sampling::Grid }
     }
 
-    /// Refines with outcomes given by a rule, and compares every point of the last level with what the cells predict.
+    /// Refines with outcomes given by a rule, and checks that the cells predict every point of the last level. Returns
+    /// the number of runs.
     fn refine(design: &Design, last: u32, rule: impl Fn(&[f64]) -> u8) -> usize {
         let of_row = |row: u64| {
             let point = design.point(row).unwrap();
@@ -277,26 +278,27 @@ mod tests {
             let count = design.axes[0].count(last).unwrap();
             let index = [linear / count, linear % count];
             let row = design.row(last, &index);
-            let mut said = None;
+            let mut predicted = None;
             let place = Place { level: last, index: index.to_vec() };
             for level in 0..=last {
                 for cell in known.cells_at(level, &place) {
                     if !known.is_divided(level, &cell)
                         && (level == 0 || known.is_divided(level - 1, &[cell[0] / 2, cell[1] / 2]))
                     {
-                        said = said.or(if level == last { known.at(last, &index) } else { known.at(level, &cell) }
-                            .map(|given| given.class));
+                        predicted =
+                            predicted.or(if level == last { known.at(last, &index) } else { known.at(level, &cell) }
+                                .map(|given| given.class));
                     }
                 }
             }
-            wrong += usize::from(said != Some(of_row(row)));
+            wrong += usize::from(predicted != Some(of_row(row)));
         }
         assert_eq!(wrong, 0);
         runs
     }
 
     #[test]
-    fn boundaries_are_followed_and_nothing_else_is_run() {
+    fn only_points_near_boundaries_are_run() {
         let design = design(&[9, 9]);
         let disc = |p: &[f64]| u8::from((p[0] - 0.47).hypot(p[1] - 0.52) < 0.31);
         let runs = refine(&design, 5, disc);
@@ -309,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_of_a_measure_is_followed_like_a_boundary() {
+    fn a_jump_of_a_measure_is_refined_like_a_boundary() {
         let (design, last) = (design(&[9]), 6);
         let front = 0.377;
         let measure = |x: f64| if x < front { 0.1 * x } else { 0.1 * x + 0.5 };

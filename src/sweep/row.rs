@@ -1,4 +1,4 @@
-//! Rows of a sweep's table: the columns, and a binary form for the journal.
+//! Rows of a sweep's table: the columns, and a binary format for the journal.
 
 use std::hash::{BuildHasher as _, BuildHasherDefault};
 
@@ -10,7 +10,7 @@ use crate::{
     table::{self, Column, Kind},
 };
 
-/// Optional measures, which cost more than a number per step.
+/// Optional measures, which need much more work than a number per step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Measures {
     /// The largest displacement: examines every vertex in every step.
@@ -50,10 +50,10 @@ impl Cell {
     }
 }
 
-/// A row: its number, and a cell for every further column.
+/// A row: its number, and one cell per further column.
 pub type Row = (u64, Vec<Cell>);
 
-/// The name of the column of run times, the only one that depends on the machine.
+/// The name of the run time column, the only one that depends on the machine.
 pub const RUN_TIME: &str = "run_time";
 
 /// The columns of a sweep: the row number, the axes, then the results.
@@ -67,7 +67,7 @@ pub fn columns(sweep: &Sweep) -> Vec<Column> {
     let fixed: [(&str, Kind, bool, &'static str); 19] = [
         ("outcome", Kind::Text, true, "apart, bounced, merged, passed or split; null if the run failed"),
         ("events", Kind::Text, false, "the phase changes in order, the first 64 of them"),
-        ("event_times", Kind::List, false, "exact times of these [s]"),
+        ("event_times", Kind::List, false, "exact times of these events [s]"),
         ("merges", Kind::Integer, false, "number of merges"),
         ("splits", Kind::Integer, false, "number of splits"),
         ("cores", Kind::Integer, false, "number of times that a pair entered its core"),
@@ -78,13 +78,13 @@ pub fn columns(sweep: &Sweep) -> Vec<Column> {
             "closest",
             Kind::Float,
             true,
-            "least centre distance of a pair over its radii, of pairs that came within reach",
+            "smallest centre distance over the sum of the radii, among pairs that came within reach",
         ),
-        ("closest_time", Kind::Float, true, "time of that [s]"),
+        ("closest_time", Kind::Float, true, "time of the closest approach [s]"),
         ("energy_by_events", Kind::Float, true, "energy that phase changes brought to free bodies [mass unit²/s²]"),
-        ("momentum_x", Kind::Float, true, "momentum of the free bodies at the end [mass unit/s]"),
-        ("momentum_y", Kind::Float, true, "its y"),
-        ("momentum_z", Kind::Float, true, "its z"),
+        ("momentum_x", Kind::Float, true, "x component of the momentum of the free bodies at the end [mass unit/s]"),
+        ("momentum_y", Kind::Float, true, "y component of the momentum"),
+        ("momentum_z", Kind::Float, true, "z component of the momentum"),
         ("estimated_error", Kind::Float, false, "sum over steps of the largest estimated error of a vertex [radii]"),
         ("steps", Kind::Integer, false, "steps taken until the outcome was certain"),
         ("end", Kind::Float, false, "simulated time at the end [s]"),
@@ -92,7 +92,7 @@ pub fn columns(sweep: &Sweep) -> Vec<Column> {
     ];
     columns.extend(fixed.map(|(name, kind, is_nullable, about)| column(name, kind, is_nullable, about)));
     if sweep.measures.displacement {
-        let about = "greatest displacement of a vertex at the end of a step [radii]";
+        let about = "largest displacement of a vertex at the end of a step [radii]";
         columns.push(column("max_displacement", Kind::Float, false, about));
     }
     if sweep.measures.surfaces {
@@ -122,7 +122,7 @@ impl From<&Setting> for Cell {
     }
 }
 
-/// Appends a record to a journal: length, hash, row. Truncated and damaged records are not read.
+/// Appends a record to a journal: length, hash, row. [`take_record`] ignores truncated and damaged records.
 pub fn append_record((row, cells): &Row, to: &mut Vec<u8>) {
     let start = to.len();
     to.extend([0; 12]);
@@ -153,7 +153,7 @@ pub fn append_record((row, cells): &Row, to: &mut Vec<u8>) {
     to[start + 4..start + 12].copy_from_slice(&hash);
 }
 
-/// Takes the first record off `bytes`; `None` at the end or where the journal is truncated.
+/// Removes the first record from `bytes`; `None` at the end, or if the record is truncated or damaged.
 pub fn take_record(bytes: &mut &[u8]) -> Option<Row> {
     let length = u32::from_le_bytes(take(bytes)?) as usize;
     let expected = u64::from_le_bytes(take(bytes)?);
@@ -202,7 +202,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn records_survive_and_broken_ones_do_not() {
+    fn intact_records_are_read_and_damaged_ones_rejected() {
         let cells = vec![
             Cell::Null,
             Cell::I64(-5),

@@ -8,22 +8,22 @@
 //! | `merged` | merged, or in its core, at the end |
 //! | `passed` | merged and split after passing through: between the first merge and the last split the line of centres turned by more than a right angle, and the relative velocity by less |
 //! | `split` | merged and split without passing through: torn off, or pushed back |
-//! | `bounced` | never merged, but turned back: the relative velocity at the end is at more than a right angle to that when the pair came within reach, one of the bodies is free, and they move apart |
+//! | `bounced` | never merged, but turned back: the angle between the relative velocities at the end and when the pair came within reach exceeds a right angle, one of the bodies is free, and they move apart |
 //! | `apart` | anything else: the pair never came within reach, passed by, or is still within reach |
 //!
 //! The outcome of a run is the first of these, in this order, that applies to any of its pairs.
 //!
 //! # When a run ends
-//! With `until = "certain"`, the default, a run ends after the step after which no pair can change its phase:
+//! With `until = "certain"`, the default, a run ends as soon as no pair can change its phase any more:
 //!
 //! - if all bodies are on paths that are lines, keyframes or fixed: after the last phase change, which the paths determine
-//!   in advance; a run without one goes to the end of the scene, so that its closest approach is known;
+//!   in advance; a run without one continues to the end of the scene, so that its closest approach is known;
 //! - if there are free bodies: once no pair is merged, nothing else acts (no gravity, plane or further push), and for every
-//!   pair the centres move apart and each body is out of reach of the other's sphere, even if all its vertices were
-//!   displaced by one and a half times what their energy allows.
+//!   pair the centres move apart and each body is out of reach of the other's sphere, even if its vertices were displaced
+//!   by one and a half times the distance that their energy allows.
 //!
-//! A merged pair may split until the end of the scene. Scenes of more than eight bodies run to the end. All measures
-//! are over the steps taken.
+//! While a pair is merged, it may still split, so the run goes on. Scenes of more than eight bodies run to the end. All
+//! measures are over the steps taken.
 
 use std::{collections::BTreeMap, sync::atomic::AtomicBool, time::Instant};
 
@@ -49,17 +49,17 @@ use crate::{
     sim::{Event, Failure, Options, States, events::PairTracks},
 };
 
-/// Maximum number of events that a row lists.
-const MOST_EVENTS: usize = 64;
-/// With more bodies, runs go to the end of the scene.
-const MOST_BODIES: usize = 8;
+/// Maximum number of events listed in a row.
+const MAX_EVENTS: usize = 64;
+/// Maximum number of bodies of a run that may end before its scene.
+const MAX_BODIES: usize = 8;
 /// Safety factor on the displacement that the energy of a vertex allows.
-const ROOM: f64 = 1.5;
+const MARGIN: f64 = 1.5;
 
-/// Outcomes of pairs, by ascending precedence for the outcome of a run.
+/// Outcomes of pairs, in ascending order of precedence for the outcome of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Outcome {
-    /// None of the others.
+    /// None of the other outcomes.
     Apart,
     /// Never merged, and turned back.
     Bounced,
@@ -72,7 +72,7 @@ pub enum Outcome {
 }
 
 impl Outcome {
-    /// All outcomes, in the order in which they are listed to users.
+    /// All outcomes, in the order of output.
     pub const ALL: [Outcome; 5] = [Outcome::Apart, Outcome::Bounced, Outcome::Merged, Outcome::Passed, Outcome::Split];
 
     /// The name in tables and maps.
@@ -87,14 +87,14 @@ impl Outcome {
     }
 }
 
-/// Data shared by runs, and their buffers.
+/// Data shared by runs.
 pub struct Runner<'a> {
     sweep: &'a Sweep,
     template: &'a Template<'a>,
     interrupt: Option<&'static AtomicBool>,
 }
 
-/// Why there is no row.
+/// The run was interrupted, so there is no row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Interrupted;
 
@@ -128,15 +128,15 @@ impl<'a> Runner<'a> {
         let mut cells: Vec<Cell> = point.iter().map(Cell::from).collect();
         match world {
             Ok(world) => Run::new(world, self.sweep).finish(&mut cells)?,
-            Err(error) => refused(self.sweep, error, &mut cells),
+            Err(error) => rejected(self.sweep, error, &mut cells),
         }
         cells.push(Cell::F64(start.elapsed().as_secs_f64()));
         Ok(cells)
     }
 }
 
-/// The cells of a scene that cannot be run.
-fn refused(sweep: &Sweep, error: String, cells: &mut Vec<Cell>) {
+/// Adds the cells of a scene that cannot be run.
+fn rejected(sweep: &Sweep, error: String, cells: &mut Vec<Cell>) {
     use Cell::{F64, I64, List, Null, Text, U64};
     cells.extend([Null, Text(String::new()), List(vec![]), I64(0), I64(0), I64(0), Null, Null, F64(0.0), Null, Null]);
     cells.extend([Null, Null, Null, Null, F64(0.0), I64(0), F64(0.0), U64(0)]);
@@ -161,15 +161,15 @@ pub fn estimate(template: &Template<'_>, sweep: &Sweep, point: &[Setting]) -> f6
 struct Pair {
     /// Whether it is merged or in its core.
     is_merged: bool,
-    /// Since when [s].
+    /// Time from which it has been merged [s].
     since: f64,
-    /// Positions and velocities of b relative to a: when it came within reach, …
+    /// Position and velocity of b relative to a when the pair came within reach.
     met: [DVec3; 2],
-    /// … at its first merge, …
+    /// Position and velocity of b relative to a at the first merge.
     merged: Option<[DVec3; 2]>,
-    /// … and at its last split.
+    /// Position and velocity of b relative to a at the last split.
     split: Option<[DVec3; 2]>,
-    /// The last two distances: time and q².
+    /// Time and q² after the last two steps.
     last: [(f64, f64); 2],
 }
 
@@ -178,7 +178,7 @@ struct Run<'a> {
     world: World,
     sweep: &'a Sweep,
     pairs: BTreeMap<(usize, usize), Pair>,
-    /// Names and times of events, in order.
+    /// Names of the events, in order; their times are in `times`.
     events: String,
     times: Vec<f64>,
     counts: [i64; 3],
@@ -191,7 +191,7 @@ struct Run<'a> {
     error: f64,
     displacement: f64,
     surfaces: [Vec<f64>; 3],
-    /// The last change of phase of bodies on paths [s].
+    /// Time of the last phase change of bodies on paths [s].
     last_change: Option<f64>,
     states: States,
 }
@@ -249,7 +249,7 @@ impl<'a> Run<'a> {
                 touches.step(&self.world, frame, &summary.events, &mut found);
                 for found in found.drain(..) {
                     if let Finding::Phase { measures, .. } = found.what
-                        && self.surfaces[0].len() < MOST_EVENTS
+                        && self.surfaces[0].len() < MAX_EVENTS
                     {
                         let of =
                             measures.map_or([f64::NAN; 3], |measures| [measures.gap, measures.share, measures.neck]);
@@ -277,7 +277,7 @@ impl<'a> Run<'a> {
         let is_single = self.world.body_count() == 2;
         for event in events {
             let (a, b) = (event.a as usize, event.b as usize);
-            if self.times.len() < MOST_EVENTS {
+            if self.times.len() < MAX_EVENTS {
                 if !self.events.is_empty() {
                     self.events.push_str(", ");
                 }
@@ -358,7 +358,7 @@ impl<'a> Run<'a> {
         }
         let count = self.world.body_count();
         let scene = self.world.scene();
-        if count > MOST_BODIES
+        if count > MAX_BODIES
             || self.pairs.values().any(|pair| pair.is_merged)
             || !scene.is_coupled()
             || scene.gravity != DVec3::ZERO
@@ -387,7 +387,7 @@ impl<'a> Run<'a> {
                 largest =
                     squared.map(|(x, u)| x.length_squared() + u.length_squared() / (omega * omega)).fold(0.0, f64::max);
             }
-            extents.push((radius + ROOM * largest.sqrt(), self.world.scene().influence.sphere_radius(radius)));
+            extents.push((radius + MARGIN * largest.sqrt(), self.world.scene().influence.sphere_radius(radius)));
         }
         let apart = |a: usize, b: usize| {
             let [position, velocity] = self.relative(a, b);
@@ -451,10 +451,10 @@ impl Pair {
     }
 }
 
-/// Time of the last phase change of a scene whose bodies are all on non-periodic paths [s]; `None` if there is none or
-/// it is unknown.
+/// Time of the last phase change of a scene whose bodies are all on non-periodic paths [s]; `None` if there is none, or
+/// if it is unknown.
 fn last_change(scene: &Scene) -> Option<f64> {
-    if scene.bodies.len() > MOST_BODIES || scene.is_coupled() {
+    if scene.bodies.len() > MAX_BODIES || scene.is_coupled() {
         return None;
     }
     let paths: Option<Vec<&Path>> =

@@ -25,7 +25,7 @@ use super::{
 use crate::table::Column;
 
 const PARTIAL: &str = ".partial";
-/// A temporary file not written to for this long is abandoned.
+/// Age of the last write at which a temporary file counts as abandoned.
 const ABANDONED: Duration = Duration::from_secs(600);
 const JOURNAL: &str = ".journal";
 const PARQUET: &str = ".parquet";
@@ -33,17 +33,17 @@ const PARQUET: &str = ".parquet";
 /// Why a sweep cannot continue in its folder.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
-    /// The operating system's answer.
+    /// A file operation failed.
     #[error("cannot {doing} {path}: {source}{}", help(source))]
     File {
         /// What was attempted.
         doing: &'static str,
         /// The file or folder.
         path: String,
-        /// The operating system's answer.
+        /// The operating system's error.
         source: io::Error,
     },
-    /// The folder has another sweep.
+    /// The folder belongs to another sweep.
     #[error("{path} has the rows of another sweep (its {file} differs): choose another folder")]
     Other {
         /// The folder.
@@ -59,13 +59,13 @@ pub enum StoreError {
 fn help(error: &io::Error) -> &'static str {
     match error.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-            "; what was written before is kept: make room, and start again to go on"
+            "; rows already written are kept: free some space, and run the same command to resume"
         }
         _ => "",
     }
 }
 
-/// The part of a level that a process runs: rows whose index in the level is `index` modulo `count`.
+/// The part of a level that a process runs: rows whose index in the level is congruent to `index` modulo `count`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Shard {
     /// Index of the shard, from 0.
@@ -113,22 +113,22 @@ pub struct Store {
 }
 
 impl Store {
-    /// Creates the folder of a sweep, or resumes in it.
+    /// Creates the folder of a sweep, or opens it to resume the sweep.
     ///
     /// # Errors
-    /// The folder cannot be written, or has another sweep.
+    /// The folder cannot be written, or belongs to another sweep.
     pub fn open(path: &Path, sweep: &Sweep, columns: Vec<Column>) -> Result<Store, StoreError> {
         let store = Store { path: path.to_owned(), columns };
         fs::create_dir_all(path).map_err(|error| store.error("create the folder", path, error))?;
         for (file, text) in [("sweep.toml", &sweep.text), ("scene.toml", &sweep.scene_text)] {
-            let there = path.join(file);
-            match fs::read(&there) {
+            let existing = path.join(file);
+            match fs::read(&existing) {
                 Ok(known) if known == text.as_bytes() => {}
                 Ok(_) => return Err(StoreError::Other { path: path.display().to_string(), file }),
                 Err(error) if error.kind() == io::ErrorKind::NotFound => {
                     store.write(file, |to| to.write_all(text.as_bytes()))?;
                 }
-                Err(error) => return Err(store.error("read", &there, error)),
+                Err(error) => return Err(store.error("read", &existing, error)),
             }
         }
         Ok(store)
@@ -151,7 +151,7 @@ impl Store {
     /// Writes a file atomically, even if the machine crashes.
     ///
     /// # Errors
-    /// The operating system's answer; nothing is left behind.
+    /// The file cannot be written; no temporary file is left behind.
     pub fn write(&self, name: &str, write: impl FnOnce(&mut File) -> io::Result<()>) -> Result<PathBuf, StoreError> {
         let (path, partial) =
             (self.path.join(name), self.path.join(format!(".{name}.{}{PARTIAL}", std::process::id())));
@@ -160,7 +160,7 @@ impl Store {
             write(&mut file)?;
             file.sync_all()?;
             fs::rename(&partial, &path)?;
-            // a folder cannot be opened on every system
+            // make the new name durable, on systems that can open a folder
             File::open(&self.path).and_then(|folder| folder.sync_all()).ok();
             Ok(())
         };
@@ -174,7 +174,7 @@ impl Store {
     /// Writes the rows of a block.
     ///
     /// # Errors
-    /// As of [`Store::write`].
+    /// The file cannot be written.
     pub fn write_block(&self, level: u32, shard: Shard, block: u64, rows: &[Row]) -> Result<(), StoreError> {
         let name = Part { level, shard, block }.name();
         self.write(&name, |to| table::write(&self.columns, rows, to)).map(drop)
@@ -205,8 +205,8 @@ impl Store {
         Ok(parts.map(|part| part.block).collect())
     }
 
-    /// Reads some columns of the rows of some levels, in the order of their files; the first column is the number of the
-    /// row. With `other`, only rows of shards other than this one.
+    /// Reads some columns of the rows of some levels, in the order of their files; the first column is the row number.
+    /// With `other`, only rows from divisions into another number of shards than this one's.
     ///
     /// # Errors
     /// A table cannot be read.
@@ -240,7 +240,7 @@ impl Store {
         let mut rows = BTreeMap::new();
         for path in self.journal_paths(level, shard)? {
             let bytes = match fs::read(&path) {
-                Err(error) if error.kind() == io::ErrorKind::NotFound => continue, // done by now
+                Err(error) if error.kind() == io::ErrorKind::NotFound => continue, // its shard is complete by now
                 read => read.map_err(|error| self.error("read", &path, error))?,
             };
             let mut bytes = &bytes[..];
@@ -259,10 +259,10 @@ impl Store {
         Ok(names.map(|name| self.path.join(name)).collect())
     }
 
-    /// A journal of this process.
+    /// Creates a journal of this process.
     ///
     /// # Errors
-    /// It cannot be created.
+    /// The journal cannot be created.
     pub fn journal(&self, level: u32, shard: Shard) -> Result<Journal, StoreError> {
         let nanoseconds = std::time::UNIX_EPOCH.elapsed().map_or(0, |time| time.subsec_nanos());
         let name = format!(".{}{}-{nanoseconds}{JOURNAL}", stem(level, shard), std::process::id());
@@ -277,7 +277,7 @@ impl Store {
         for path in self.journal_paths(level, shard)? {
             fs::remove_file(path).ok();
         }
-        // keep what others may be writing
+        // keep files that other processes may be writing
         let start = format!(".{}", stem(level, shard));
         for name in self.names()?.iter().filter(|name| name.starts_with('.') && name.ends_with(PARTIAL)) {
             let path = self.path.join(name);
@@ -290,7 +290,7 @@ impl Store {
     }
 }
 
-/// Rows of a block in progress.
+/// The rows of a block in progress.
 pub struct Journal {
     file: File,
     path: PathBuf,
@@ -301,17 +301,17 @@ impl Journal {
     /// Adds a row. It survives a crash of the process, though not of the machine.
     ///
     /// # Errors
-    /// The disk is full, or failed.
+    /// The journal cannot be written.
     pub fn add(&mut self, row: &Row) -> Result<(), StoreError> {
         self.buffer.clear();
         append_record(row, &mut self.buffer);
         self.file.write_all(&self.buffer).map_err(|error| self.error(error))
     }
 
-    /// Clears the journal, once its rows are written.
+    /// Clears the journal after its rows have been written to a table.
     ///
     /// # Errors
-    /// The disk failed.
+    /// The journal cannot be truncated.
     pub fn clear(&mut self) -> Result<(), StoreError> {
         self.file.set_len(0).map_err(|error| self.error(error))
     }

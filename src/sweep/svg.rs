@@ -1,4 +1,4 @@
-//! The map as an SVG diagram. Rectangles of one colour are joined, so that even a map of a million points is small.
+//! The map as an SVG diagram. Rectangles of one colour are joined, so that even a map of a million points is a small file.
 
 use std::fmt::Write as _;
 
@@ -17,11 +17,11 @@ const RIGHT: f64 = 30.0;
 const HEADER: f64 = 62.0;
 const LEGEND: f64 = 170.0;
 /// Maximum number of panels of a diagram.
-const MOST_PANELS: usize = 6;
+const MAX_PANELS: usize = 6;
 
 /// Draws the maps.
 pub fn svg(map: &Map, title: &str, about: &str) -> String {
-    let panels = &map.slices[..map.slices.len().min(MOST_PANELS)];
+    let panels = &map.slices[..map.slices.len().min(MAX_PANELS)];
     let columns = if panels.len() > 1 { 2 } else { 1 };
     let rows = panels.len().div_ceil(columns);
     let height_of_map = if map.axes.len() > 1 { MAP[1] } else { 60.0 };
@@ -69,21 +69,21 @@ fn hex([r, g, b]: [u8; 3]) -> String {
 
 fn draw(text: &mut String, map: &Map, slice: &Slice, height: f64) {
     let width = MAP[0];
-    let place = |[x, y]: [f64; 2]| [x * width, (1.0 - y) * height];
+    let pixel = |[x, y]: [f64; 2]| [x * width, (1.0 - y) * height];
     if map.is_grid {
         fill(text, map, slice, height);
         let lines = boundary(slice);
         if !lines.is_empty() {
             text.push_str("<path fill=\"none\" stroke=\"#222\" stroke-width=\"1.2\" stroke-linecap=\"round\" d=\"");
             for [from, to] in lines {
-                let ([x, y], [to_x, to_y]) = (place(from), place(to));
+                let ([x, y], [to_x, to_y]) = (pixel(from), pixel(to));
                 let _ = write!(text, "M{x:.1} {y:.1}L{to_x:.1} {to_y:.1}");
             }
             text.push_str("\"/>\n");
         }
     } else {
         for dot in &slice.dots {
-            let [x, y] = place(dot.at);
+            let [x, y] = pixel(dot.at);
             let color = hex(COLORS.get(dot.class as usize).copied().unwrap_or_default());
             let _ = writeln!(text, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3\" fill=\"{color}\"/>");
         }
@@ -110,12 +110,13 @@ fn draw(text: &mut String, map: &Map, slice: &Slice, height: f64) {
     write(text, [0.0, -12.0], 16.0, "start", &slice.title);
 }
 
-/// Fills the cells of the points of one colour: runs of equal points, extended over equal runs above them.
+/// Fills the cells of the points with one path per colour. A rectangle is a run of equal points, extended over equal runs
+/// above it.
 fn fill(text: &mut String, map: &Map, slice: &Slice, height: f64) {
     let [columns, rows] = slice.size;
     let x = |k: usize| slice.edges[0][k] * MAP[0];
     let y = |k: usize| (1.0 - slice.edges[1][k]) * height;
-    // by colour: rectangles as (first column, past the last, first row)
+    // open rectangles are (first column, column past the last, first row, colour)
     let mut paths: Vec<([u8; 3], String)> = Vec::new();
     let mut open: Vec<(usize, usize, usize, [u8; 3])> = Vec::new();
     let mut close = |(from, to, row, color): (usize, usize, usize, [u8; 3]), end: usize| {

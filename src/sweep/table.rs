@@ -23,7 +23,7 @@ pub struct TableError {
     why: String,
 }
 
-/// Writes rows as a table; every row has a cell for each column but the first, which is its number.
+/// Writes rows as a table. A row has one cell per column except the first, which is its number.
 ///
 /// # Errors
 /// The table cannot be written.
@@ -35,31 +35,31 @@ pub fn write(columns: &[Column], rows: &[Row], to: impl Write + Send) -> io::Res
     table.finish().map(drop)
 }
 
-/// Reads some columns of a table, by their names; the first is the number of the row.
+/// Reads some columns of a table by name; the first is the row number.
 ///
 /// # Errors
-/// The file cannot be read, or has no such columns.
+/// The file cannot be read, or lacks one of the columns.
 pub fn read(path: &Path, columns: &[Column], mut each: impl FnMut(Row)) -> Result<(), TableError> {
-    let refuse = |why: String| TableError { path: path.display().to_string(), why };
-    let file = File::open(path).map_err(|error| refuse(error.to_string()))?;
-    let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|error| refuse(error.to_string()))?;
+    let error_of = |why: String| TableError { path: path.display().to_string(), why };
+    let file = File::open(path).map_err(|error| error_of(error.to_string()))?;
+    let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|error| error_of(error.to_string()))?;
     for column in columns {
         let field = builder.schema().field_with_name(&column.name);
         if !field.is_ok_and(|field| *field.data_type() == column.kind.data_type()) {
-            return Err(refuse(format!("it has no column \"{}\" of this type", column.name)));
+            return Err(error_of(format!("it has no column \"{}\" of this type", column.name)));
         }
     }
-    // compare whole names, which may contain dots
+    // match whole names, because they may contain dots
     let roots: Vec<usize> = columns.iter().filter_map(|column| builder.schema().index_of(&column.name).ok()).collect();
     let mask = ProjectionMask::roots(builder.parquet_schema(), roots);
-    let reader = builder.with_projection(mask).build().map_err(|error| refuse(error.to_string()))?;
+    let reader = builder.with_projection(mask).build().map_err(|error| error_of(error.to_string()))?;
     for batch in reader {
-        let batch = batch.map_err(|error| refuse(error.to_string()))?;
+        let batch = batch.map_err(|error| error_of(error.to_string()))?;
         let arrays: Vec<&ArrayRef> = columns.iter().filter_map(|column| batch.column_by_name(&column.name)).collect();
         for i in 0..batch.num_rows() {
             let mut cells = columns.iter().zip(&arrays).map(|(column, array)| cell(column.kind, array, i));
             let Some(Cell::U64(row)) = cells.next() else {
-                return Err(refuse("a row has no number".to_owned()));
+                return Err(error_of("a row has no number".to_owned()));
             };
             each((row, cells.collect()));
         }

@@ -902,10 +902,10 @@ fn a_scene_that_is_edited_starts_again_and_one_that_is_broken_does_not() {
         said(&lines, "serving at");
         fs::write(&scene, format!("{SCENE}\nwrong = 1\n")).expect("room");
         let why = lines.iter().find(|line| line.contains("wrong")).expect("it says why");
-        assert!(why.contains("small.toml") && why.contains("going on with the scene as it was"), "{why}");
+        assert!(why.contains("small.toml") && why.contains("continuing with the previous scene"), "{why}");
         for comment in ["one", "two"] {
             fs::write(&scene, format!("# {comment}\n{SCENE}")).expect("room");
-            said(&lines, "small.toml has changed: starting again");
+            said(&lines, "small.toml has changed: restarting");
         }
         running.signal("INT");
         said(&lines, "Serving until Ctrl-C");
@@ -1034,7 +1034,7 @@ fn a_scene_that_is_edited_back_is_another_run() {
     for text in [format!("# other\n{SCENE}"), SCENE.to_owned()] {
         std::thread::sleep(Duration::from_millis(500));
         fs::write(dir.file("small.toml"), text).expect("room");
-        said(&lines, "small.toml has changed: starting again");
+        said(&lines, "small.toml has changed: restarting");
     }
     std::thread::sleep(Duration::from_millis(500));
     running.signal("INT");
@@ -1052,7 +1052,7 @@ fn only_a_file_is_watched() {
     let serve = ["--watch", "--serve", "--web-port", "0", "--grpc-port", "0"];
     for name in ["pipe", "/dev/zero"] {
         let said = run(&dir, &[&["run", name], &serve[..]].concat()).failed(2);
-        assert!(said.contains("waits for a file to change"), "{said}");
+        assert!(said.contains("--watch needs a scene file"), "{said}");
     }
     let mut running = Running::start(&dir, &[&["run", "small.toml", "--steps", "3"], &serve[..]].concat());
     let lines = running.lines();
@@ -1063,15 +1063,15 @@ fn only_a_file_is_watched() {
     };
     replace(&|| fs::rename(dir.file("pipe"), &scene).expect("room"));
     let why = lines.iter().find(|line| line.contains("going on")).expect("it says why");
-    assert!(why.contains("is no file any more"), "{why}");
+    assert!(why.contains("is no longer a file"), "{why}");
     replace(&|| std::os::unix::fs::symlink("/dev/zero", &scene).expect("room"));
     std::thread::sleep(Duration::from_millis(200));
     replace(&|| fs::File::create(&scene).and_then(|file| file.set_len(64 << 30)).expect("a file can have a hole"));
     let why = lines.iter().find(|line| line.contains("going on")).expect("it says why");
-    assert!(why.contains("larger than a scene may be"), "{why}");
+    assert!(why.contains("exceeds the size limit of a scene"), "{why}");
     // and back again
     replace(&|| fs::write(&scene, format!("# back\n{SCENE}")).expect("room"));
-    said(&lines, "small.toml has changed: starting again");
+    said(&lines, "small.toml has changed: restarting");
     running.signal("INT");
     std::thread::sleep(Duration::from_millis(1100)); // a second interrupt, not an echo of the first
     running.signal("INT");
@@ -1134,12 +1134,12 @@ fn exported_tables_are_the_run_to_the_bit() {
     run(&dir, &["export", "two", "--events", "events.csv"]).succeeded();
     fs::write(dir.path().join("mine.csv"), "a,b\n").expect("a file");
     let error = run(&dir, &["export", "two", "--events", "mine.csv"]).failed(2);
-    assert!(error.contains("mine.csv is not such a table and is not replaced"), "{error}");
+    assert!(error.contains("mine.csv is not a table with these columns and is not replaced"), "{error}");
     assert_eq!(fs::read_to_string(dir.path().join("mine.csv")).expect("the file"), "a,b\n");
     let error = run(&dir, &["export", "two", "--pairs", "pairs.xlsx"]).failed(2);
     assert!(error.contains("end it in .csv, .json or .parquet"), "{error}");
     let error = run(&dir, &["export", "two", "--pairs", "one.csv", "--states", "one.csv"]).failed(2);
-    assert!(error.contains("two tables cannot both be one.csv"), "{error}");
+    assert!(error.contains("one.csv is given for two tables"), "{error}");
     assert!(fs::read_dir(dir.path()).expect("a folder").all(|entry| {
         let name = entry.expect("an entry").file_name();
         !name.to_string_lossy().ends_with(".partial")

@@ -106,7 +106,7 @@ fn a_scene_is_never_replaced_by_its_recording() {
         let output = Command::new("sh").args(["-c", &script]).current_dir(dir.path()).output().expect("a shell");
         let said = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{said}");
-        assert!(said.contains("holds something already") || said.contains("is standard output as well"), "{said}");
+        assert!(said.contains("holds something already") || said.contains("is also standard output"), "{said}");
         let script = format!("'{}' run s.toml --save /dev/stdout {redirection}", env!("CARGO_BIN_EXE_meldscope"));
         if redirection != ">> a.rrd" {
             let output = Command::new("sh").args(["-c", &script]).current_dir(dir.path()).output().expect("a shell");
@@ -235,7 +235,7 @@ fn benchmarks_replace_only_what_they_have_written() {
     let dir = scene_dir();
     let crowd = ["bench", "record", "--crowd", "3", "--write"];
     let said = refused(&dir, &[&crowd[..], &["s.toml"]].concat());
-    assert!(said.contains("nothing else is replaced"), "{said}");
+    assert!(said.contains("was not written by this benchmark and is not replaced"), "{said}");
     for _ in 0..2 {
         succeeds(&dir, &[&crowd[..], &["crowd.toml"]].concat());
     }

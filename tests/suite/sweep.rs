@@ -90,15 +90,15 @@ fn broken_sweeps_are_refused_with_their_place() {
         ),
         (
             &axis.replace("alpha", "merge_at"),
-            "s.toml:4:8: axis[0].from: influence.merge_at = 0 makes a broken scene: influence.merge_at: expected a number between",
+            "s.toml:4:8: axis[0].from: influence.merge_at = 0 makes the scene invalid: influence.merge_at: expected a number between",
         ),
         (
             "[[axis]]\nkey = 'influence.merge_at'\nvalues = [1.0, 1.1, 1.3, 1.2]\n",
-            "s.toml:4:10: axis[0].values: influence.merge_at = 1.3 makes a broken scene: influence.split_at: expected a number of at least merge_at (1.3), found 1.2",
+            "s.toml:4:10: axis[0].values: influence.merge_at = 1.3 makes the scene invalid: influence.split_at: expected a number of at least merge_at (1.3), found 1.2",
         ),
         (
             "[[axis]]\nkey = 'influence.weight'\nvalues = ['linear', 'cubic']\n",
-            "influence.weight = \"cubic\" makes a broken scene: influence.weight: expected one of",
+            "influence.weight = \"cubic\" makes the scene invalid: influence.weight: expected one of",
         ),
         (
             "[[axis]]\nkey = 'influence.alpha'\nfrom = 0\nto = 1\ncount = 3\nscale = 'log'\n",
@@ -268,7 +268,7 @@ fn a_row_opens_as_a_recording_with_its_checksum() {
     assert!(said.contains("the same as in the table"), "{said}");
     assert!(dir.file("out/row-1.rrd").exists());
     let (status, said) = run(&dir, "s.toml --out out --open 2");
-    assert!(status == 2 && said.contains("row 2 is not among those"), "{said}");
+    assert!(status == 2 && said.contains("has no row 2"), "{said}");
     let columns = of(&dir);
     let rows = rows(&dir.file("out"), &columns);
     let cell = |name: &str| rows[&1][columns.iter().position(|column| column.name == name).unwrap() - 1].clone();

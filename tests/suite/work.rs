@@ -207,7 +207,7 @@ fn the_recording_of_a_run_that_failed_replays_to_the_same_failure() {
     let (status, _, said) = program(&["run", "endless.toml", "--quiet", "--save", "endless.rrd"]);
     assert_eq!(status, Some(1), "{said}");
     assert!(
-        said.contains("too much to do in step ") && said.contains("endless.rrd has the steps up to here"),
+        said.contains("too much to do in step ") && said.contains("endless.rrd contains the steps up to here"),
         "{said}"
     );
     let recorded = Recorded::open(&dir.file("endless.rrd")).expect("a recording");

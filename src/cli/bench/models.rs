@@ -26,7 +26,7 @@ pub struct Arguments {
     /// Scene files, or names of built-in scenes (see `meldscope scenes`).
     #[arg(default_values = ["two"])]
     scene: Vec<String>,
-    /// Record the models of the first scene side by side, aligned in time.
+    /// Record all models of the first scene side by side, aligned in time.
     #[arg(long, value_name = "F.rrd")]
     save: Option<PathBuf>,
     #[command(flatten)]

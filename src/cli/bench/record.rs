@@ -20,8 +20,8 @@ const CROWD: u32 = 1000;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Scene files, or names of built-in scenes [default: two, crowd and a crowd of 1000; also measures the slow-down
-    /// of steps by saving, and the cost of checksums and replays].
+    /// Scene files, or names of built-in scenes [default: two, crowd and a crowd of 1000, and also the slow-down of
+    /// steps by saving, and the cost of checksums and replays].
     scene: Vec<String>,
     /// Also measure a crowd of this many bodies.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]

@@ -15,7 +15,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N", num_args = 1.., default_values = ["2", "10", "100", "1000", "10000", "100000"],
           value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
     bodies: Vec<u32>,
-    /// How long to time steps for each combination of body count, scene family, and one core or all.
+    /// Seconds of timed steps per combination of body count, scene family, and one core or all.
     #[arg(long, value_name = "S", default_value = "0.5", value_parser = parse_seconds)]
     seconds: f64,
     #[command(flatten)]

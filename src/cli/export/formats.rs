@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use super::parts::Part;
 
-/// The text that marks a file as written by this program.
+/// The mark of a file written by this program.
 pub const GENERATOR: &str = "meldscope export";
 
 /// A format of mesh files.

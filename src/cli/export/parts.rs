@@ -10,7 +10,7 @@ use crate::{
 
 /// A closed mesh.
 pub struct Part {
-    /// Name: that of its body, or those of its group's bodies, joined by `+`.
+    /// Name of its body, or names of its group's bodies, joined by `+`.
     pub name: String,
     /// Positions of the vertices in the world [scene unit], `[vertex_count]`.
     pub positions: Vec<[f32; 3]>,
@@ -22,16 +22,16 @@ pub struct Part {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// Names of groups with more bodies than this only give their number.
-const MOST_NAMES: usize = 8;
+/// Upper limit on the body names in a group's name. For more bodies, it is the first name and the number of the others.
+const MAX_NAMES: usize = 8;
 
-/// The surfaces of a frame: those of groups, then those of other bodies.
+/// The surfaces of a frame: first groups, then single bodies.
 pub fn parts(schema: &Schema, frame: &Frame, merged: &Merged) -> Vec<Part> {
     let (mut parts, mut sums) = (Vec::new(), Vec::new());
     for group in &merged.groups {
         let names: Vec<&str> = group.bodies.iter().map(|&body| schema.bodies[body].name.as_str()).collect();
         let name = match names.as_slice() {
-            [first, rest @ ..] if names.len() > MOST_NAMES => format!("{first}+{}", rest.len()),
+            [first, rest @ ..] if names.len() > MAX_NAMES => format!("{first}+{}", rest.len()),
             names => names.join("+"),
         };
         let colors = group.origins.iter().map(|origin| palette::blended(schema, origin)).collect();

@@ -64,7 +64,7 @@ impl Events {
 pub struct Pairs(pub Table);
 
 impl Pairs {
-    /// `step`, `time` [s], the bodies `a` and `b`, `q`, `phase`.
+    /// `step`, `time` [s], the bodies `a` and `b`, `q`, and the `phase`.
     pub fn create(path: &Path) -> Result<Pairs, Failure> {
         use Kind::{Count, Float, Text};
         let columns =
@@ -103,7 +103,7 @@ impl Scalars {
     }
 }
 
-/// A table of exact states: a row for each vertex.
+/// A table of exact states, with one row per vertex.
 pub struct States {
     /// The file.
     pub table: Table,
@@ -112,9 +112,9 @@ pub struct States {
 }
 
 impl States {
-    /// `step`, `time` [s], the `body`, the number of the `vertex`, its position in the world `x`, `y`, `z`
+    /// `step`, `time` [s], the `body`, the index of the `vertex`, its position in the world `x`, `y`, `z`
     /// [scene unit], its displacement from rest `dx`, `dy`, `dz` [scene unit], and the velocity of that displacement
-    /// `vx`, `vy`, `vz` [scene unit/s]. The last six are the state that is integrated.
+    /// `vx`, `vy`, `vz` [scene unit/s]. The last six are the integrated state.
     pub fn create(path: &Path) -> Result<States, Failure> {
         let head = [("step", Kind::Count), ("time", Kind::Float), ("body", Kind::Text), ("vertex", Kind::Count)];
         let numbers = ["x", "y", "z", "dx", "dy", "dz", "vx", "vy", "vz"].map(|name| (name, Kind::Float));
