@@ -7,7 +7,7 @@ use super::{report::EditError, world::World};
 use crate::scene::{Body, Force, Motion, Push};
 
 impl World {
-    /// Adds a body, and returns its index. A free body starts now as its motion says.
+    /// Adds a body and returns its index. A free body starts now, with the position and velocity of its motion.
     ///
     /// # Errors
     /// [`EditError`]; the world is then as it was.
@@ -23,7 +23,7 @@ impl World {
         Ok(last)
     }
 
-    /// Removes a body and its pushes; those after it move up by one. All others wake.
+    /// Removes a body and its pushes; the indices of later bodies decrease by one. All other bodies wake.
     ///
     /// # Errors
     /// [`EditError`]; the world is then as it was.
@@ -56,7 +56,7 @@ impl World {
         self.restart(scene, &kept, false)
     }
 
-    /// Gives a free body a force that acts on it from now on, or none. All bodies wake.
+    /// Sets or removes the force on a free body from now on. All bodies wake.
     ///
     /// # Errors
     /// [`EditError`]; the world is then as it was.
@@ -71,8 +71,9 @@ impl World {
         self.restart(scene, &kept, true)
     }
 
-    /// Gives a body another motion from now on: a path, which may be a function ([`Given`](crate::scene::path::Given)), or
-    /// a throw. It becomes undeformed; all others wake.
+    /// Sets the motion of a body from now on: a path, which may be a function ([`Given`](crate::scene::path::Given)),
+    /// or free
+    /// motion. The body becomes undeformed; all other bodies wake.
     ///
     /// # Errors
     /// [`EditError`]; the world is then as it was.

@@ -1,8 +1,8 @@
 //! Near pairs of bodies, their phases, and when these change.
 //!
-//! A body's fat bounds contain everything that it can touch, or where it can be touched, until it has moved, or its
-//! vertices have swung, by more than their margin. All pairs with overlapping fat bounds are listed, and all pairs that
-//! are not apart. (In molecular dynamics: Verlet lists with a skin.)
+//! A body's fat bounds contain everything that it can touch and every place where it can be touched, until its centre
+//! or its vertices have moved by more than their margin. All pairs with overlapping fat bounds are listed, and all
+//! pairs that are not apart. (In molecular dynamics: Verlet lists with a skin.)
 
 use std::{
     ops::Range,
@@ -26,13 +26,13 @@ use super::{
 };
 use crate::{model::phase::Phase, scene::Scene};
 
-/// How far a body may move before its pairs are looked for anew [radii].
+/// How far a body may move before its neighbours are searched for again [radii].
 const SKIN: f64 = 0.25;
-/// Steps for which the next phase change of a pair is looked for in advance.
+/// Number of steps ahead that the next phase change of a pair is searched for.
 const AHEAD: f64 = 16.0;
-/// Steps for which it is told in advance how far a body moves.
-const LONGEST_STAY: f64 = 256.0;
-/// So many pairs are not worth counting before they are taken up.
+/// Largest number of steps for which fat bounds are valid.
+const MAX_STAY: f64 = 256.0;
+/// Up to this many pairs are listed without counting them first.
 const FEW_PAIRS: u64 = 1 << 16;
 
 /// Two bodies that are near each other.
@@ -42,19 +42,19 @@ pub(super) struct Pair {
     pub a: u32,
     /// … and of the other, a < b.
     pub b: u32,
-    /// Where its law is among those of the scene.
+    /// Index of its law in the scene.
     law: u32,
-    /// At the start of the step, and at its end once it is done.
+    /// Phase at the start of the step; at its end once the step is done.
     pub phase: Phase,
     /// The next change of phase, if there is one before `known_until`.
     upcoming: Option<(f64, Phase)>,
-    /// No change is unknown up to this time [s].
+    /// All changes up to this time are known [s].
     known_until: f64,
-    /// The phase changes within the step, into the list of them.
+    /// The phase changes within the step, as a range of [`Pairs::changes`].
     pub changes: Range<u32>,
 }
 
-/// What neighbours are looked for in.
+/// The input of a neighbour search.
 pub(super) struct Surrounded<'a> {
     pub scene: &'a Scene,
     pub bodies: &'a mut [Body],
@@ -62,7 +62,7 @@ pub(super) struct Surrounded<'a> {
     pub work: Tally<'a>,
 }
 
-/// The bodies of a step, and what it may take.
+/// The bodies of a step, and its work limit.
 pub(super) struct Moving<'a> {
     pub scene: &'a Scene,
     pub bodies: &'a mut [Body],
@@ -74,35 +74,36 @@ pub(super) struct Moving<'a> {
 #[derive(Default)]
 pub(super) struct Pairs {
     pairs: Vec<Pair>,
-    /// Places in `pairs` that are free.
+    /// Unused indices of `pairs`.
     free: Vec<u32>,
     grid: Grid,
     /// Phase changes of the current step, grouped by pair.
     changes: Vec<(f64, Phase)>,
-    /// Pairs that have any.
+    /// Pairs with phase changes in the current step.
     changed: Vec<u32>,
-    /// Sum of their hashes, once it was asked for.
+    /// Sum of the hashes of all pairs, once requested.
     hash: Cached,
     /// The largest q at which a pair can merge [–].
-    most_merge_at: f64,
-    /// Whether these are all pairs, each looked at in every step.
-    plain: bool,
-    /// Reused.
+    max_merge_at: f64,
+    /// Whether all pairs are listed and each is examined in every step (the naive baseline).
+    is_naive: bool,
+    /// Buffers, reused.
     found: Vec<u32>,
     kept: Vec<Neighbour>,
 }
 
 impl Pairs {
-    /// All pairs that are near each other at the start, if these are no more than `most`: they are counted first. When
-    /// interrupted, those found until then.
-    pub fn start(&mut self, scene: &Scene, bodies: &mut [Body], tracks: &Tracks, most: u64, work: &Work) -> bool {
+    /// Finds all pairs that are near each other at the start; false if there are more than `max`. Pairs are counted
+    /// before
+    /// they are stored. When interrupted, keeps those found until then.
+    pub fn start(&mut self, scene: &Scene, bodies: &mut [Body], tracks: &Tracks, max: u64, work: &Work) -> bool {
         let mut of = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
-        self.most_merge_at = scene.laws().map(|law| law.thresholds.merge_at).fold(0.0, f64::max);
+        self.max_merge_at = scene.laws().map(|law| law.thresholds.merge_at).fold(0.0, f64::max);
         for i in 0..of.bodies.len() {
             let radius = scene.bodies[i].radius;
             self.place(&mut of, i, radius, 0.0);
         }
-        let Some(count) = self.count_near(scene, of.bodies, most, work) else { return work.is_interrupted() };
+        let Some(count) = self.count_near(scene, of.bodies, max, work) else { return work.is_interrupted() };
         self.pairs.reserve_exact(count as usize);
         for i in 0..of.bodies.len() {
             self.find_neighbours(&mut of, i, 0.0);
@@ -112,38 +113,38 @@ impl Pairs {
         true
     }
 
-    /// How many pairs of bodies are near each other, if these are no more than `most`.
-    fn count_near(&self, scene: &Scene, bodies: &[Body], most: u64, work: &Work) -> Option<u64> {
+    /// Number of pairs of bodies that are near each other; `None` if more than `max`.
+    fn count_near(&self, scene: &Scene, bodies: &[Body], max: u64, work: &Work) -> Option<u64> {
         let n = bodies.len() as u64;
-        if n * n.saturating_sub(1) / 2 <= most.min(FEW_PAIRS) {
-            return Some(0); // so few that they need not be counted
+        if n * n.saturating_sub(1) / 2 <= max.min(FEW_PAIRS) {
+            return Some(0); // too few to be worth counting
         }
         let (grid, all) = (&self.grid, AtomicU64::new(0));
         let counted = (0..n as u32).into_par_iter().try_for_each(|i| {
             let mut near = 0;
             grid.each_touching(i, |j| near += u64::from(j > i && are_near(scene, bodies, grid, i, j)));
             let sum = all.fetch_add(near, Ordering::Relaxed) + near;
-            (sum <= most && !work.is_interrupted()).then_some(())
+            (sum <= max && !work.is_interrupted()).then_some(())
         });
         counted.map(|()| all.into_inner())
     }
 
-    /// The naive baseline: every pair.
+    /// Lists every pair (the naive baseline); false if there are more than `max`.
     pub fn start_with_all(
         &mut self,
         scene: &Scene,
         bodies: &mut [Body],
         tracks: &Tracks,
-        most: u64,
+        max: u64,
         work: &Work,
     ) -> bool {
         let n = bodies.len() as u64;
-        if n * n.saturating_sub(1) / 2 > most {
+        if n * n.saturating_sub(1) / 2 > max {
             return false;
         }
         let mut of = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
-        self.plain = true;
-        self.most_merge_at = scene.laws().map(|law| law.thresholds.merge_at).fold(0.0, f64::max);
+        self.is_naive = true;
+        self.max_merge_at = scene.laws().map(|law| law.thresholds.merge_at).fold(0.0, f64::max);
         for body in of.bodies.iter_mut() {
             body.fat_bounds = FatBounds { vertices: f64::INFINITY, skin: 0.0, until: f64::INFINITY };
         }
@@ -155,10 +156,10 @@ impl Pairs {
         true
     }
 
-    /// Looks for the neighbours of bodies that move out of their fat bounds before the end of `span`.
+    /// Finds the neighbours of bodies that leave their fat bounds before the end of `span`.
     ///
     /// # Errors
-    /// If they are too many: the body that it ended with.
+    /// If there are too many: the body at which the search stopped.
     pub fn follow(&mut self, among: Moving<'_>, span: Span) -> Result<(), (Stop, u32)> {
         let Moving { scene, bodies, tracks, work } = among;
         tracks.watch(|track| bodies[track.body as usize].fat_bounds.until < span.end);
@@ -173,7 +174,8 @@ impl Pairs {
         Ok(())
     }
 
-    /// Gives a body a fat bounds for vertices up to `vertices` from its centre, from time `t` on, and finds its neighbours.
+    /// Gives a body fat bounds from time `t` on, for vertices up to `vertices` from its centre, and finds its
+    /// neighbours.
     pub fn anchor(&mut self, of: &mut Surrounded<'_>, i: usize, vertices: f64, t: f64) {
         self.place(of, i, vertices, t);
         self.find_neighbours(of, i, t);
@@ -183,10 +185,10 @@ impl Pairs {
         let scene = of.scene;
         let (this, track) = (&scene.bodies[i], of.tracks.track(i));
         let (skin, until) = stay(track, SKIN * this.radius, t, scene.dt);
-        let merging = self.most_merge_at * this.radius;
+        let merging = self.max_merge_at * this.radius;
         let reach = scene.influence.sphere_radius(this.radius).max(vertices).max(merging) + skin;
         let centre = track.position(t);
-        // a pair that stands exactly on a threshold is not lost to rounding of the centres
+        // so that a pair exactly on a threshold is not lost to rounding of the centres
         let rounding = 16.0 * f64::EPSILON * (centre.abs().max_element() + reach);
         of.bodies[i].fat_bounds = FatBounds { vertices, skin: skin + rounding, until };
         self.grid.place(i as u32, Ball { centre, radius: reach + rounding });
@@ -202,8 +204,9 @@ impl Pairs {
         }
     }
 
-    /// Makes `found` the neighbours of body `i`; a pair that was known keeps its phase, one that is not apart stays known
-    /// however far it is.
+    /// Makes `found` the neighbours of body `i`. A known pair keeps its phase; a pair that is not apart stays listed at
+    /// any
+    /// distance.
     fn meet(&mut self, of: &mut Surrounded<'_>, i: usize, t: f64) {
         let Surrounded { scene, bodies, tracks, work } = of;
         let found = std::mem::take(&mut self.found);
@@ -217,8 +220,8 @@ impl Pairs {
                 return;
             }
             let others = &mut bodies[neighbour.other as usize].neighbours;
-            if let Ok(place) = others.binary_search_by_key(&(i as u32), |other| other.other) {
-                others.remove(place);
+            if let Ok(index) = others.binary_search_by_key(&(i as u32), |other| other.other) {
+                others.remove(index);
             }
             pairs.free.push(neighbour.pair);
         };
@@ -230,8 +233,8 @@ impl Pairs {
                 work.spend(NEW_PAIR);
                 let pair = self.add(tracks.pair(i as u32, other), [i as u32, other], scene, t);
                 let others = &mut bodies[other as usize].neighbours;
-                let place = others.partition_point(|neighbour| neighbour.other < i as u32);
-                others.insert(place, spheres::neighbour(scene, other, i as u32, pair));
+                let index = others.partition_point(|neighbour| neighbour.other < i as u32);
+                others.insert(index, spheres::neighbour(scene, other, i as u32, pair));
                 spheres::neighbour(scene, i as u32, other, pair)
             });
             bodies[i].neighbours.push(neighbour);
@@ -250,18 +253,18 @@ impl Pairs {
         let law = scene.law_index(a as usize, b as usize);
         let phase = if t == 0.0 { scene.law_at(law).thresholds.initial(tracks.q(0.0)) } else { Phase::Apart };
         let pair = Pair { a, b, law, phase, upcoming: None, known_until: t, changes: 0..0 };
-        if let Some(place) = self.free.pop() {
-            self.pairs[place as usize] = pair;
-            return place;
+        if let Some(index) = self.free.pop() {
+            self.pairs[index as usize] = pair;
+            return index;
         }
         self.pairs.push(pair);
         self.pairs.len() as u32 - 1
     }
 
-    /// When pairs change phase during `span`, exactly; reported by time.
+    /// Finds the exact times at which pairs change phase during `span`; reports them in order of time.
     ///
     /// # Errors
-    /// If that takes too much: the pair that took most.
+    /// If that takes too much work: the pair that took the most.
     pub fn find_events(
         &mut self,
         among: Moving<'_>,
@@ -291,7 +294,7 @@ impl Pairs {
                 let pair = &mut self.pairs[index];
                 let both = tracks.pair(pair.a, pair.b);
                 let rests = || [both.a, both.b].into_iter().all(|track| track.is_still(span.start, f64::INFINITY));
-                let horizon = match self.plain {
+                let horizon = match self.is_naive {
                     true => span.end,
                     false if rests() => f64::INFINITY,
                     false => (span.start + AHEAD * span.length()).min(both.known_until()),
@@ -331,12 +334,12 @@ impl Pairs {
         }
     }
 
-    /// How many there are.
+    /// Number of pairs.
     pub fn count(&self) -> usize {
         self.pairs.len() - self.free.len()
     }
 
-    /// What was allocated for them [bytes].
+    /// Memory allocated for the pairs [bytes].
     pub fn memory(&self) -> usize {
         self.pairs.capacity() * size_of::<Pair>() + self.free.capacity() * size_of::<u32>() + self.grid.memory()
     }
@@ -346,12 +349,12 @@ impl Pairs {
         self.hash.get(|| self.pairs.iter().map(Pair::hash).fold(0, u64::wrapping_add))
     }
 
-    /// A pair.
+    /// The pair with an index.
     pub fn get(&self, index: u32) -> &Pair {
         &self.pairs[index as usize]
     }
 
-    /// The phase changes of a pair in the current step, in order: when, and to what.
+    /// The phase changes of a pair in the current step, in order: time and new phase.
     pub fn changes(&self, index: u32) -> &[(f64, Phase)] {
         self.changes_of(self.get(index))
     }
@@ -373,8 +376,9 @@ impl Pair {
         self.known_until < span.end || self.upcoming.is_some_and(|(time, _)| time <= span.end)
     }
 
-    /// Tells of the changes up to the end of `span`, looking no farther than `horizon` for the next; there is none if that
-    /// is infinite.
+    /// Reports the changes up to the end of `span`, searching up to `horizon` for the next. An infinite `horizon` means
+    /// that
+    /// no further change is possible.
     fn advance(&mut self, search: Search<'_>, span: Span, horizon: f64, mut found: impl FnMut(f64, Phase)) {
         let work = search.work;
         let mut phase = self.phase;
@@ -399,7 +403,7 @@ impl Pair {
                     work.spend(EVENT);
                     found(time, to);
                     (from, phase) = (time, to);
-                    // where a centre jumps from afar into a core
+                    // a jump of a centre can lead through two phases at once
                     while let Some(next) = search.tracks.jump(search.thresholds, phase, time) {
                         found(time, next);
                         phase = next;
@@ -416,8 +420,9 @@ impl Pair {
     }
 }
 
-/// Whether one of two bodies can have vertices inside of the other's sphere, or they can merge, as far as their fat bounds let
-/// them. (That their fat bounds overlap says less: what has no vertices out there isn't touched there.)
+/// Whether, within their fat bounds, one of two bodies can have vertices inside the other's sphere, or the two can
+/// merge.
+/// (Stricter than overlap of the fat bounds: a sphere does not act on another sphere.)
 fn are_near(scene: &Scene, bodies: &[Body], grid: &Grid, i: u32, j: u32) -> bool {
     let [a, b] = [i, j].map(|k| (&bodies[k as usize].fat_bounds, scene.bodies[k as usize].radius));
     let sphere = |radius| scene.influence.sphere_radius(radius);
@@ -427,17 +432,18 @@ fn are_near(scene: &Scene, bodies: &[Body], grid: &Grid, i: u32, j: u32) -> bool
     !(grid.ball(i).centre.distance(grid.ball(j).centre) > near)
 }
 
-/// How far a body may move from where it is at `t`, no less than `skin` [scene unit], and until when it does not.
+/// A margin for the motion of a body's centre from time `t`, at least `skin` [scene unit], and the time until which the
+/// centre stays within it [s].
 fn stay(track: Track<'_>, skin: f64, t: f64, dt: f64) -> (f64, f64) {
     if track.is_fixed() {
         return (0.0, f64::INFINITY);
     }
     let moved = |steps: f64| track.bounds(t, t + steps * dt).speed * steps * dt;
     if moved(1.0) > track.extent() {
-        return (skin.max(track.extent()), t + LONGEST_STAY * dt);
+        return (skin.max(track.extent()), t + MAX_STAY * dt);
     }
     let skin = skin.max(moved(1.0));
-    let mut steps = LONGEST_STAY;
+    let mut steps = MAX_STAY;
     while steps > 1.0 && moved(steps) > skin {
         steps /= 2.0;
     }
@@ -448,7 +454,7 @@ fn stay(track: Track<'_>, skin: f64, t: f64, dt: f64) -> (f64, f64) {
 mod tests {
     use crate::{Scene, World};
 
-    /// A pair with its own law does what it would do if that were the law of the scene, to the bit.
+    /// A pair with its own law is bit-identical to the pair in a scene with that law.
     #[test]
     fn a_pair_can_have_its_own_law() {
         let law = "merge_at = 0.9\nsplit_at = 1.0\ncore_at = 0.7\nalpha = 70.0\nbeta = 90.0\napart = \"none\"\n";
@@ -470,20 +476,21 @@ mod tests {
         };
         let head = "duration = 4.0\n";
         let both = head.to_owned() + &pair(0.0, ["a", "b"]) + &pair(100.0, ["c", "d"]);
-        let (alone, alone_at) = run(&(head.to_owned() + "[influence]\n" + law + &pair(100.0, ["c", "d"])));
-        let (plain, plain_at) = run(&(head.to_owned() + &pair(0.0, ["a", "b"])));
-        assert_ne!(alone, plain);
+        let (own, own_at) = run(&(head.to_owned() + "[influence]\n" + law + &pair(100.0, ["c", "d"])));
+        let (common, common_at) = run(&(head.to_owned() + &pair(0.0, ["a", "b"])));
+        assert_ne!(own, common);
         for named in ["[\"c\", \"d\"]", "[\"ds\", \"cs\"]", "[\"cs\", \"d\"]"] {
             let (events, at) = run(&format!("{both}[[pair]]\nbodies = {named}\n{law}"));
-            let mut expected = [plain.clone(), alone.clone()].concat();
+            let mut expected = [common.clone(), own.clone()].concat();
             expected.sort_by(|x, y| x.0.total_cmp(&y.0));
             assert_eq!(events, expected, "{named}");
-            assert_eq!(at, [plain_at.clone(), alone_at.clone()].concat(), "{named}");
+            assert_eq!(at, [common_at.clone(), own_at.clone()].concat(), "{named}");
         }
     }
 
-    /// Two centres that jump and hold: what a jump leads to happens at it, whether found ahead or within the step, and a
-    /// jump into a core is a merge and a core at once.
+    /// Two centres that jump and hold: phases change at the jump, whether it is found ahead or within the step, and a
+    /// jump
+    /// into a core is a merge and a core event at the same time.
     #[test]
     fn phases_change_at_jumps() {
         let text = |times: [f64; 5]| {
@@ -513,16 +520,16 @@ mod tests {
                 }
                 (events, found)
             };
-            let ((events, found), (plain_events, plain)) = (run(true), run(false));
+            let ((events, found), (naive_events, naive)) = (run(true), run(false));
             assert_eq!(events.iter().map(|&(_, t, to)| (t, to)).collect::<Vec<_>>(), expected);
-            assert_eq!(events, plain_events);
-            let apart = found.iter().zip(&plain).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
+            assert_eq!(events, naive_events);
+            let apart = found.iter().zip(&naive).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
             assert!(apart < 1e-6, "{apart:e}");
         }
     }
 
-    /// Where the velocity of a centre jumps, every vertex gets the opposite: x = Δv sin(ω(t − t₀))/ω, whatever the scheme,
-    /// and the whole of it, whether it falls within a step or between two.
+    /// A jump Δv of a centre's velocity changes that of every vertex by −Δv in full: |x| = Δv sin(ω(t − t₀))/ω for any
+    /// scheme, within a step or between two.
     #[test]
     fn a_kink_of_a_path_is_an_impulse() {
         for (at, integrator, accuracy) in [

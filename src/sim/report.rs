@@ -39,7 +39,7 @@ impl Stage {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
     "diverged at step {step} (t = {time:.6} s): body \"{body}\", vertex {vertex}: displacement {:e} scene units, speed {:e} \
-     scene units/s, beyond what any forces so far can have done; integrator {integrator} with dt = {dt:e} s: use a smaller dt \
+     scene units/s, beyond what any forces so far can have caused; integrator {integrator} with dt = {dt:e} s: use a smaller dt \
      or `exponential`, which is stable at any",
     displacement.length(), velocity.length()
 )]
@@ -62,8 +62,8 @@ pub struct Diverged {
     pub velocity: DVec3,
 }
 
-/// A step that would take so long that the run appears to hang; it is not taken. The limit counts work, not time, so
-/// the run ends at the same step on every machine.
+/// A step that would take so long that the run would appear to hang; it is not taken. The limit counts work, not time,
+/// so the run ends at the same step on every machine.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("too much to do in step {step} (from t = {time:.6} s on): {toil}")]
 pub struct Overworked {
@@ -91,7 +91,7 @@ pub enum Toil {
         /// Number of phase changes of all pairs found in the step.
         found: usize,
     },
-    /// Forces that change too often, or too many of them.
+    /// Forces that change too often, or too many forces.
     #[error(
         "the forces on body \"{body}\" change too fast for its {vertices} vertices to be followed through {spheres} influence \
          spheres in reach; lower dt, frequencies, alpha and beta or planes' stiffness, raise tolerance, or put fewer bodies in one place"
@@ -104,7 +104,7 @@ pub enum Toil {
         /// Number of influence spheres that can reach it.
         spheres: usize,
     },
-    /// A pair that changes its phase over and over.
+    /// A pair that changes its phase again and again without end.
     #[error(
         "bodies \"{a}\" and \"{b}\" chatter: they change their phase without end where attraction turns into repulsion at \
          once; set core_width, or move merge_at, split_at and core_at apart"
@@ -126,7 +126,7 @@ pub enum Toil {
         /// Length of the last steps tried [s].
         length: f64,
     },
-    /// Bodies that come near each other.
+    /// Too many bodies that come near each other.
     #[error(
         "too many bodies come near body \"{body}\" and others, {pairs} pairs in all; lower reach or dt, or use fewer or slower bodies"
     )]
@@ -138,7 +138,7 @@ pub enum Toil {
     },
 }
 
-/// Why a run should end with a step.
+/// Why a run should end after a step.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Failure {
     /// The step led to an invalid state.
@@ -176,27 +176,27 @@ impl From<&Failure> for StepFailure {
 /// What happened in one step. Reused for every step.
 #[derive(Clone, Debug, Default)]
 pub struct StepReport {
-    /// Number of this step, whose final state is that at `time`.
+    /// Number of this step, which ends at `time`.
     pub step: u64,
     /// Simulated time at the end of the step [s].
     pub time: f64,
-    /// Phase changes within the step, by time.
+    /// Phase changes within the step, in order of time.
     pub events: Vec<Event>,
-    /// What changed the energy of free bodies in this step; zero in scenes that are not coupled, and for integrators
+    /// Energy brought to free bodies in this step, by cause; zero in scenes that are not coupled, and for integrators
     /// without an error estimate.
     pub ledger: Ledger,
-    /// Steps taken by the integrator: one per body and interval without a jump, plus the substeps of single vertices.
+    /// Number of integrator steps: one per body and interval without a jump, plus the substeps of single vertices.
     pub substeps: u64,
     /// The largest error of any vertex in this step, as estimated by the integrator [radii of its body]; 0 for
     /// integrators without an error estimate.
     pub error: f64,
-    /// Where the error exceeds the tolerance because steps cannot be made shorter, if it does.
+    /// Where the error exceeds the tolerance because steps cannot be made shorter.
     pub shortfall: Option<Shortfall>,
     /// Why the run should end here, if it should.
     pub failure: Option<Failure>,
-    /// Bodies at rest for the whole step, which were skipped.
+    /// Number of bodies at rest for the whole step, which were skipped.
     pub sleeping_bodies: u64,
-    /// Time spent in each stage, by [`Stage::ALL`].
+    /// Time spent in each stage, in the order of [`Stage::ALL`].
     pub timings: [Duration; Stage::ALL.len()],
 }
 
@@ -216,16 +216,16 @@ pub enum EditError {
     /// There is no such body.
     #[error("there is no body {0}")]
     NoBody(usize),
-    /// Another body has the name.
+    /// Another body already has this name.
     #[error("there is a body \"{0}\" already; names are unique")]
     Name(String),
-    /// A body on a path takes no force.
+    /// Forces cannot move a body on a path.
     #[error("the body \"{0}\" is on a path: no force moves it")]
     OnPath(String),
     /// It is the only body.
     #[error("a world has at least one body")]
     LastBody,
-    /// Bodies of scenes with laws for certain pairs cannot be removed.
+    /// Bodies of a scene with laws for particular pairs cannot be removed.
     #[error("a scene with laws of pairs ([[pair]]) keeps its bodies")]
     Laws,
     /// After the first step, only coupled worlds can be changed.

@@ -31,13 +31,13 @@ use crate::{
     scene::{Body, Integrator, Model, Motion, Plane, Scene},
 };
 
-/// All phases in order of depth, the deepest last.
+/// All phases in order of depth, deepest last.
 const PHASES: [Phase; 3] = [Phase::Apart, Phase::Merged, Phase::Core];
 
 /// Label of a vertex, by what influence spheres do to it.
 const LABELS: [&str; 5] = ["out of reach", "attracted", "repelled", "attracted and repelled", "in a core"];
 
-/// The label of a vertex on which spheres act by attraction, by repulsion of bodies apart, in a core.
+/// The label of a vertex, given which kinds of sphere act on it: attraction, repulsion of bodies apart, core.
 pub fn label([is_attracted, is_repelled, is_in_core]: [bool; 3]) -> u8 {
     match (is_attracted, is_repelled, is_in_core) {
         (_, _, true) => 4,
@@ -45,7 +45,7 @@ pub fn label([is_attracted, is_repelled, is_in_core]: [bool; 3]) -> u8 {
     }
 }
 
-/// A scalar over time and its source. One more line in the table is one more plot.
+/// A scalar over time and its source. Each entry of the tables below becomes a plot.
 struct Scalar {
     name: &'static str,
     label: &'static str,
@@ -63,11 +63,11 @@ enum ScalarValue {
 /// The input for scalars of the state.
 struct StateNumbers<'a> {
     scene: &'a Scene,
-    /// How many bodies are undeformed, or rest on or by each other.
+    /// Number of bodies that are undeformed, or that rest on or against each other.
     resting: usize,
     energy: Energy,
     bodies: &'a [BodyFrame],
-    /// Of coupled scenes.
+    /// Zero unless the scene is coupled.
     conserved: Conserved,
     ledger: Ledger,
     /// Energy at t = 0 [mass · scene unit²/s²].
@@ -96,13 +96,13 @@ const fn smooth(
 const PARTS: &[Scalar] = &[
     smooth("energy_vibration", "kinetic [unit²/s²]", DEFORMED, |state| state.energy.kinetic),
     smooth("energy_elastic", "elastic", DEFORMED, |state| state.energy.elastic),
-    // thousands of times as large, most of it of vertices that no sphere reaches
+    // in its own plot: it is thousands of times as large, mostly from vertices that no sphere reaches
     smooth("energy_influence", "influence", "Energy", |state| state.energy.influence),
 ];
 
 const DEFORMED: &str = "Energy of deformation";
 
-/// What free bodies conserve. Energies are in units of mass · scene unit²/s².
+/// Conserved quantities of free bodies. Energies are in units of mass · scene unit²/s².
 const CONSERVED: &[Scalar] = &[
     smooth("energy_kinetic", "kinetic", "Energy", |state| state.conserved.kinetic),
     smooth("energy_spin", "spin", "Energy", |state| state.conserved.spin),
@@ -121,7 +121,7 @@ const CONSERVED: &[Scalar] = &[
     smooth("angular_momentum_z", "z", "Angular momentum", |state| state.conserved.angular_momentum.z),
 ];
 
-/// What changed the energy of free bodies since t = 0, and what is left of it when all that is subtracted: the
+/// Energy brought to free bodies since t = 0 by cause, and the remainder when all causes are subtracted: the
 /// integrator's error.
 const LEDGER: &[Scalar] = &[
     smooth("brought_by_events", "by events", BROUGHT, |state| state.ledger.events),
@@ -354,12 +354,12 @@ impl Simulation for World {
     }
 }
 
-/// What a camera should have in view of a scene, see [`Simulation::framing`].
+/// What a camera should have in view, see [`Simulation::framing`].
 pub fn framing(scene: &Scene, only_what_happens: bool) -> Vec<(DVec3, f64)> {
     if only_what_happens { what_happens(scene) } else { all_there_is(scene) }
 }
 
-/// Colour of a phase: that of the force it causes, if any.
+/// Colour of a phase: the colour of the force that it causes.
 pub fn phase_color(phase: Phase) -> Rgb {
     match phase {
         Phase::Apart => colors::SKY_BLUE,
@@ -368,7 +368,7 @@ pub fn phase_color(phase: Phase) -> Rgb {
     }
 }
 
-/// The schema of a scene's world. Other models of the same scene start from it and say what is different with them.
+/// The schema of a scene's world. Other models of the same scene start from it and override what differs.
 pub fn schema(scene: &Scene, options: Options) -> Schema {
     let bodies = scene.bodies.iter().map(|body| BodySchema {
         name: body.name.clone(),
@@ -439,7 +439,7 @@ pub fn schema(scene: &Scene, options: Options) -> Schema {
                     ScalarValue::SumOfSteps(_) => ScalarOf::SumOfSteps,
                     ScalarValue::MaxOfSteps(_) => ScalarOf::MaxOfSteps,
                 };
-                // energies do: another phase has another potential
+                // energies jump with the phase: each phase has its own potential
                 ScalarSchema { name, label, plot, of, is_smooth, jumps: name.starts_with("energy") }
             })
             .collect(),
@@ -499,8 +499,8 @@ fn law(scene: &Scene) -> String {
     )
 }
 
-/// Length per acceleration of net force arrows: about a radius for gravity, or for a quarter of what the
-/// strongest influence does to a vertex.
+/// Length per acceleration of net force arrows: about a radius for gravity or for a quarter of the strongest influence,
+/// whichever is larger.
 fn net_force_scale(scene: &Scene) -> f64 {
     let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
     schema::arrow_scale(2.5 * radius, f64::max(scene.gravity.length(), 0.25 * strongest_pull(scene, radius)))
@@ -520,39 +520,41 @@ pub fn arrow_scale(scene: &Scene) -> f64 {
     schema::arrow_scale(radius, scene.pushes.iter().map(|push| push.strength.abs()).fold(pull, f64::max))
 }
 
-/// Instants, within the first minute, at which the camera framing samples positions.
+/// Instants within the first minute at which the camera framing samples positions [s].
 fn instants(scene: &Scene) -> impl Iterator<Item = f64> {
     let duration = scene.duration.min(60.0);
     (0..=32).map(move |k| duration * f64::from(k) / 32.0)
 }
 
-/// Where bodies are at each instant, roughly: free bodies fly until they lie on a plane or come near another body, and
-/// stay there.
-fn places(scene: &Scene) -> Vec<Vec<DVec3>> {
-    /// With more free bodies than this, encounters of two are not looked for.
-    const MOST: usize = 300;
+/// Approximate positions of the bodies at each instant: free bodies fly until they touch a plane or come near another
+/// body, and stay there.
+fn positions(scene: &Scene) -> Vec<Vec<DVec3>> {
+    /// With more free bodies than this, encounters are not searched for.
+    const MAX_FREE: usize = 300;
 
     let bodies = &scene.bodies;
     let free = bodies.iter().filter(|body| body.path().is_none()).count();
     let mut stays: Vec<Option<DVec3>> = vec![None; bodies.len()];
     let mut at = |time: f64| {
-        let place = |(body, stays): (&Body, &Option<DVec3>)| match (&body.motion, stays) {
+        let position = |(body, stays): (&Body, &Option<DVec3>)| match (&body.motion, stays) {
             (_, Some(stays)) => *stays,
             (Motion::Prescribed(path), _) => path.position(time),
             (Motion::Free(free), _) => free.from + time * (free.velocity + 0.5 * time * scene.gravity),
         };
-        let places: Vec<DVec3> = bodies.iter().zip(&stays).map(place).collect();
+        let positions: Vec<DVec3> = bodies.iter().zip(&stays).map(position).collect();
         for (i, body) in bodies.iter().enumerate().filter(|(_, body)| body.path().is_none()) {
-            let near = |j: usize| i != j && places[i].distance(places[j]) < 0.9 * (body.radius + bodies[j].radius);
-            let lies = |plane: &&Plane| plane.depth(places[i]) > -body.radius;
+            let near =
+                |j: usize| i != j && positions[i].distance(positions[j]) < 0.9 * (body.radius + bodies[j].radius);
+            let lies = |plane: &&Plane| plane.depth(positions[i]) > -body.radius;
             if stays[i].is_none() {
                 let on_plane = scene.planes.iter().find(lies);
-                let lifted = on_plane.map(|plane| places[i] + (plane.depth(places[i]) + body.radius) * plane.normal);
-                let is_near = || free <= MOST && (0..bodies.len()).any(near);
-                stays[i] = lifted.or_else(|| is_near().then_some(places[i]));
+                let lifted =
+                    on_plane.map(|plane| positions[i] + (plane.depth(positions[i]) + body.radius) * plane.normal);
+                let is_near = || free <= MAX_FREE && (0..bodies.len()).any(near);
+                stays[i] = lifted.or_else(|| is_near().then_some(positions[i]));
             }
         }
-        places
+        positions
     };
     instants(scene).map(&mut at).collect()
 }
@@ -560,44 +562,45 @@ fn places(scene: &Scene) -> Vec<Vec<DVec3>> {
 /// Every influence sphere along its path.
 fn all_there_is(scene: &Scene) -> Vec<(DVec3, f64)> {
     let radius = |body: &Body| scene.influence.sphere_radius(body.radius).min(2.0 * body.radius);
-    let of = |places: Vec<DVec3>| places.into_iter().zip(&scene.bodies).map(|(place, body)| (place, radius(body)));
-    places(scene).into_iter().flat_map(|places| of(places).collect::<Vec<_>>()).collect()
+    let spheres =
+        |centres: Vec<DVec3>| centres.into_iter().zip(&scene.bodies).map(|(centre, body)| (centre, radius(body)));
+    positions(scene).into_iter().flat_map(|centres| spheres(centres).collect::<Vec<_>>()).collect()
 }
 
 /// The bodies that something acts on, while it acts; everything if there are none.
 fn what_happens(scene: &Scene) -> Vec<(DVec3, f64)> {
     /// With more bodies than this, pairs are not examined.
-    const MOST: usize = 1000;
+    const MAX_BODIES: usize = 1000;
     /// Size of a body including its displacements [radii].
-    const ROOM: f64 = 1.15;
+    const SIZE: f64 = 1.15;
     /// A body larger than this is shown only in part [radii of the other].
-    const SIDE: f64 = 3.0;
+    const MAX_SHOWN: f64 = 3.0;
 
     let bodies = &scene.bodies;
     let mut acted_on = Vec::new();
     for push in &scene.pushes {
         let body = &bodies[push.body];
-        let place = match &body.motion {
+        let centre = match &body.motion {
             Motion::Prescribed(path) => path.position(push.start),
             Motion::Free(free) => free.from,
         };
-        acted_on.push((place, ROOM * body.radius));
+        acted_on.push((centre, SIZE * body.radius));
     }
-    let pairs_of = if bodies.len() > MOST { 0 } else { bodies.len() };
+    let pairs_of = if bodies.len() > MAX_BODIES { 0 } else { bodies.len() };
     let movers: Vec<usize> = (0..pairs_of).filter(|&i| bodies[i].path().is_none_or(|path| !path.is_fixed())).collect();
     let all: Vec<usize> = (0..pairs_of).collect();
-    for (k, centres) in places(scene).into_iter().enumerate() {
-        // bodies that do not move are as at the first instant
+    for (k, centres) in positions(scene).into_iter().enumerate() {
+        // pairs of fixed bodies are examined only at the first instant
         for &b in if k == 0 { &all } else { &movers } {
             for a in (0..pairs_of).filter(|&a| a != b) {
                 let reach =
                     |from: usize, to: usize| scene.influence.sphere_radius(bodies[from].radius) + bodies[to].radius;
                 if centres[a].distance(centres[b]) < f64::max(reach(a, b), reach(b, a)) {
-                    // of a body that is much larger than the other, only the side near the other
+                    // of a body that is much larger than the other, only the side towards the other
                     let shown = |i: usize, other: usize| {
-                        let radius = f64::min(bodies[i].radius, SIDE * bodies[other].radius);
+                        let radius = f64::min(bodies[i].radius, MAX_SHOWN * bodies[other].radius);
                         let towards = (centres[other] - centres[i]).normalize_or_zero();
-                        (centres[i] + (bodies[i].radius - radius) * towards, ROOM * radius)
+                        (centres[i] + (bodies[i].radius - radius) * towards, SIZE * radius)
                     };
                     acted_on.extend([shown(a, b), shown(b, a)]);
                 }

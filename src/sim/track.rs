@@ -8,9 +8,9 @@ use crate::scene::path::{Bounds, Kinematics, Path};
 /// The frame of a body, at any time in a step.
 #[derive(Clone, Copy, Debug)]
 pub enum Track<'a> {
-    /// Of a body on a prescribed path: exact, at any time, and never turned.
+    /// A prescribed path: exact at any time, without rotation.
     Prescribed(&'a Path),
-    /// Of one that jumps from place to place, between two jumps [scene unit].
+    /// Centre of a body that jumps between positions, valid between two jumps [scene unit].
     Held(DVec3),
 }
 
@@ -21,7 +21,7 @@ impl<'a> From<&'a Path> for Track<'a> {
 }
 
 impl<'a> Track<'a> {
-    /// The same between two breaks: what jumps at `start` has done so, what jumps at `end` has not [s].
+    /// The track between two breaks [s]: after any jump at `start`, before any jump at `end`.
     #[inline]
     pub fn between(self, start: f64, end: f64) -> Track<'a> {
         match self {
@@ -30,12 +30,12 @@ impl<'a> Track<'a> {
         }
     }
 
-    /// Whether the centre jumps from place to place at breaks.
+    /// Whether the centre jumps between positions at breaks.
     pub fn is_held(self) -> bool {
         matches!(self, Track::Prescribed(path) if path.is_held())
     }
 
-    /// By how much the velocity jumps at time `t` [scene unit/s].
+    /// The jump of the velocity at time `t` [scene unit/s].
     pub fn kick(self, t: f64) -> DVec3 {
         match self {
             Track::Prescribed(path) => path.kick(t),
@@ -43,7 +43,7 @@ impl<'a> Track<'a> {
         }
     }
 
-    /// The centre and its motion at time `t` [s]; where a derivative jumps, that after it.
+    /// The centre and its motion at time `t` [s]; where a derivative jumps, the right limit.
     #[inline]
     pub fn at(self, t: f64) -> Kinematics {
         match self {
@@ -52,7 +52,7 @@ impl<'a> Track<'a> {
         }
     }
 
-    /// The same just before `t` [s].
+    /// Like [`Track::at`], but the left limit at `t` [s].
     pub fn before(self, t: f64) -> Kinematics {
         match self {
             Track::Prescribed(path) => path.before(t),
@@ -69,7 +69,7 @@ impl<'a> Track<'a> {
         }
     }
 
-    /// What turns the rest shape at time `t` [s].
+    /// Rotation of the rest shape at time `t` [s].
     pub fn rotation(self, _t: f64) -> DQuat {
         match self {
             Track::Prescribed(_) | Track::Held(_) => DQuat::IDENTITY,
@@ -84,8 +84,9 @@ impl<'a> Track<'a> {
         }
     }
 
-    /// Bounds of its motion relative to another over `[start, end]` [s]: tighter than the sum of the two where both move
-    /// alike.
+    /// Bounds of the motion relative to another track over `[start, end]` [s]: tighter than the sum of both where the
+    /// two
+    /// move alike.
     pub fn relative_bounds(self, other: Track<'_>, start: f64, end: f64) -> Bounds {
         match (self, other) {
             (Track::Prescribed(path), Track::Prescribed(other)) => path.relative_bounds(other, start, end),
@@ -109,7 +110,7 @@ impl<'a> Track<'a> {
         }
     }
 
-    /// How far apart two places of the centre can be at the most [scene unit].
+    /// Upper bound of the distance between any two positions of the centre [scene unit].
     pub fn extent(self) -> f64 {
         match self {
             Track::Prescribed(path) => path.extent(),
@@ -117,7 +118,7 @@ impl<'a> Track<'a> {
         }
     }
 
-    /// The path that it follows exactly for ever, if it does.
+    /// The path that the centre follows exactly and for all time, if there is one.
     pub fn path(self) -> Option<&'a Path> {
         match self {
             Track::Prescribed(path) => Some(path),
@@ -125,7 +126,7 @@ impl<'a> Track<'a> {
         }
     }
 
-    /// Whether the centre does not move within `[start, end]` [s], nor anything about its motion changes there.
+    /// Whether neither the centre nor its motion changes within `[start, end]` [s].
     pub fn is_still(self, start: f64, end: f64) -> bool {
         match self {
             Track::Prescribed(path) => path.is_still(start, end),
@@ -141,7 +142,7 @@ impl<'a> Track<'a> {
         }
     }
 
-    /// Until when it is known [s]: the end of the step, unless it is prescribed.
+    /// End of the interval on which the track is defined [s]; prescribed tracks have none.
     pub fn known_until(self) -> f64 {
         match self {
             Track::Prescribed(_) | Track::Held(_) => f64::INFINITY,

@@ -1,10 +1,10 @@
 //! Limits the work of a step. Work is counted, never timed, so that a run that would take forever ends at the same step
 //! on every machine, with any number of threads and under any load.
 //!
-//! A unit is about one evaluation of the force of a sphere on a vertex. Every step has an allowance; work beyond it accumulates as debt,
-//! and too much debt ends the run. Bodies are stepped in parallel, but counted in order: the run ends at the first body
-//! whose work, together with that of the bodies before it, is too much. The bodies before it are always completed, so
-//! that it is the same body in every run.
+//! A unit is about one evaluation of the force of a sphere on a vertex. Every step has an allowance; work beyond it
+//! accumulates as debt, and too much debt ends the run. Bodies are stepped in parallel, but counted in order: the run
+//! ends at the first body whose work, together with that of the bodies before it, exceeds the limit. The bodies before
+//! it are always completed, so that it is the same body in every run.
 
 use std::{
     cell::Cell,
@@ -12,49 +12,49 @@ use std::{
 };
 
 /// Debt that ends a run [units].
-const MOST_OWED: u64 = 600_000_000;
+const MAX_DEBT: u64 = 600_000_000;
 /// Allowance of a step [units]: a constant, …
 const FREE: u64 = 500_000;
-/// … so much for each vertex that is stepped, …
+/// … plus this much per stepped vertex, …
 const FREE_PER_VERTEX: u64 = 100;
-/// … and twice the [base](super::integrator::exponential::StepStatistics::base) of the last step, up to this.
-const MOST_BASE: u64 = 1_000_000_000;
-/// A tally is added to the total after so much work [units].
+/// … plus twice the [base](super::integrator::exponential::StepStatistics::base) of the last step, at most this.
+const MAX_BASE: u64 = 1_000_000_000;
+/// A tally is added to the total each time it has grown by this much [units].
 const GRAIN: u64 = 1 << 15;
-/// A body that did less is not added while others run [units].
-const LITTLE: u64 = 1 << 10;
+/// A final remainder smaller than this is not added while other bodies run [units].
+const MIN_REPORTED: u64 = 1 << 10;
 
-/// Evaluating the distance of two centres.
+/// Cost of evaluating the distance of two centres [units].
 pub(super) const LOOK_AT_PATHS: u64 = 80;
-/// Finding, storing and recording a change of phase.
+/// Cost of finding, storing and recording a change of phase [units].
 pub(super) const EVENT: u64 = 2000;
-/// Testing two bodies whose fat bounds may overlap.
+/// Cost of testing two bodies whose fat bounds may overlap [units].
 pub(super) const NEAR_ENOUGH: u64 = 8;
-/// Finding and storing a new pair.
+/// Cost of finding and storing a new pair [units].
 pub(super) const NEW_PAIR: u64 = 600;
 
 /// The work of a step.
 #[derive(Default)]
 pub(super) struct Work {
     /// Debt: work of the steps so far beyond their allowances.
-    owed: u64,
+    debt: u64,
     /// [Base](super::integrator::exponential::StepStatistics::base) of the last step; before the first, an estimate.
     base: u64,
     /// Limit of this step.
     limit: u64,
-    /// Work of this step so far. Tallies of running bodies are added in grains, so it lags a little.
+    /// Work of this step so far. Tallies of running bodies are added in grains, so it lags slightly.
     total: AtomicU64,
     /// Work of this step before bodies were stepped.
     before: u64,
-    /// Lower bound of the work of each body so far, by turn.
-    of_each: Vec<AtomicU64>,
+    /// Lower bound of each body's work so far, by turn.
+    by_turn: Vec<AtomicU64>,
     /// The first turn known to exceed the limit.
     last_turn: AtomicUsize,
-    /// Raised to end the run.
+    /// Set to end the run.
     interrupt: Option<&'static AtomicBool>,
 }
 
-/// Why a step is not taken to its end.
+/// Why a step is not completed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Stop {
     Interrupted,
@@ -67,19 +67,19 @@ impl Work {
         Work { interrupt, limit: u64::MAX, ..Work::default() }
     }
 
-    /// A single task of at most `limit`.
+    /// A single task of at most `limit` [units].
     pub fn limited(limit: u64, interrupt: Option<&'static AtomicBool>) -> Work {
         Work { limit, ..Work::new(interrupt) }
     }
 
-    /// Sets the base that the first step is expected to have.
+    /// Sets the expected base of the first step.
     pub fn expect(&mut self, base: u64) {
         self.base = base;
     }
 
     /// Begins a step of a scene of `vertices`.
     pub fn begin(&mut self, vertices: u64) {
-        self.limit = MOST_OWED.saturating_sub(self.owed).saturating_add(self.free(vertices));
+        self.limit = MAX_DEBT.saturating_sub(self.debt).saturating_add(self.allowance(vertices));
         self.total = AtomicU64::new(0);
         self.before = 0;
     }
@@ -88,25 +88,25 @@ impl Work {
     pub fn begin_turns(&mut self, count: usize) {
         self.before = *self.total.get_mut();
         self.last_turn = AtomicUsize::new(usize::MAX);
-        self.of_each.truncate(count);
-        self.of_each.iter_mut().for_each(|of_one| *of_one.get_mut() = 0);
-        self.of_each.resize_with(count, AtomicU64::default);
+        self.by_turn.truncate(count);
+        self.by_turn.iter_mut().for_each(|work| *work.get_mut() = 0);
+        self.by_turn.resize_with(count, AtomicU64::default);
     }
 
     /// Ends a step whose bodies did `work`, of which `base` is usual for their `vertices`.
     pub fn end(&mut self, work: u64, base: u64, vertices: u64) {
         self.base = base;
-        let free = self.free(vertices);
-        self.owed = self.owed.saturating_add(self.before.saturating_add(work)).saturating_sub(free);
+        let allowance = self.allowance(vertices);
+        self.debt = self.debt.saturating_add(self.before.saturating_add(work)).saturating_sub(allowance);
     }
 
     /// The allowance of a step of `vertices`.
-    fn free(&self, vertices: u64) -> u64 {
-        let of_base = self.base.saturating_mul(2).min(MOST_BASE);
-        FREE.saturating_add(of_base).saturating_add(FREE_PER_VERTEX.saturating_mul(vertices))
+    fn allowance(&self, vertices: u64) -> u64 {
+        let from_base = self.base.saturating_mul(2).min(MAX_BASE);
+        FREE.saturating_add(from_base).saturating_add(FREE_PER_VERTEX.saturating_mul(vertices))
     }
 
-    /// Whether the step can go on.
+    /// Whether the step can continue.
     pub fn check(&self) -> Result<(), Stop> {
         match () {
             () if self.is_interrupted() => Err(Stop::Interrupted),
@@ -120,16 +120,17 @@ impl Work {
         self.interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed))
     }
 
-    /// The turn of the body that did most up to the one that exceeded the limit, given the work of all and of each; `None` if
-    /// the limit holds.
-    pub fn busiest(&self, all: u64, of_each: impl Iterator<Item = u64>) -> Option<usize> {
+    /// The turn of the body that did the most work, among those up to the one that exceeded the limit, given the total
+    /// and
+    /// the work by turn; `None` if the limit holds.
+    pub fn busiest(&self, all: u64, by_turn: impl Iterator<Item = u64>) -> Option<usize> {
         let mut left = self.limit.saturating_sub(self.before);
         if all <= left {
             return None;
         }
         let mut busiest = (0, 0);
-        for (turn, work) in of_each.enumerate() {
-            let own = work.min(left.saturating_add(1)); // it may have gone on for a while
+        for (turn, work) in by_turn.enumerate() {
+            let own = work.min(left.saturating_add(1)); // it may have continued past the limit
             if own > busiest.1 {
                 busiest = (turn, own);
             }
@@ -142,12 +143,12 @@ impl Work {
     }
 }
 
-/// The work of one body, or of something that is done before bodies are stepped.
+/// Counts the work of one body, or of a task before bodies are stepped.
 pub struct Tally<'a> {
     work: Option<&'a Work>,
     turn: Option<usize>,
     done: Cell<u64>,
-    told: Cell<u64>,
+    reported: Cell<u64>,
     is_over: Cell<bool>,
     is_aside: bool,
 }
@@ -159,7 +160,7 @@ impl Tally<'static> {
             work: None,
             turn: None,
             done: Cell::new(0),
-            told: Cell::new(0),
+            reported: Cell::new(0),
             is_over: Cell::new(false),
             is_aside: false,
         }
@@ -167,32 +168,34 @@ impl Tally<'static> {
 }
 
 impl<'a> Tally<'a> {
-    /// A tally that the caller adds to the total itself. It is over on an interrupt, and beyond the limit of a whole step.
+    /// A tally that the caller adds to the total itself. It is over on an interrupt, or when it alone exceeds the limit
+    /// of a
+    /// step.
     pub(super) fn aside(work: Option<&'a Work>) -> Tally<'a> {
         let mut aside = Tally::unlimited();
         (aside.work, aside.is_aside) = (work, true);
         aside
     }
 
-    /// The work that this is a tally of.
+    /// The step's work that this tally counts towards.
     pub(super) fn common(&self) -> Option<&'a Work> {
         self.work
     }
 
-    /// A tally of a step: of the body in turn `turn`, or of what precedes the bodies.
+    /// A tally of a step: of the body in turn `turn`, or of the work before bodies are stepped.
     pub(super) fn new(work: &'a Work, turn: Option<usize>) -> Tally<'a> {
         let is_too_much = turn.is_some_and(|turn| turn > work.last_turn.load(Ordering::Relaxed));
         let is_over = Cell::new(is_too_much || work.is_interrupted());
-        Tally { work: Some(work), turn, done: Cell::new(0), told: Cell::new(0), is_over, is_aside: false }
+        Tally { work: Some(work), turn, done: Cell::new(0), reported: Cell::new(0), is_over, is_aside: false }
     }
 
-    /// Counts work that is about to be done. Returns whether to do it; if not, the step is void.
+    /// Counts work that is about to be done. Returns whether to do it; if false, the step is void.
     #[inline]
     pub fn spend(&self, units: u64) -> bool {
         let done = self.done.get().saturating_add(units);
         self.done.set(done);
-        if done - self.told.get() >= GRAIN {
-            self.tell();
+        if done - self.reported.get() >= GRAIN {
+            self.report();
         }
         !self.is_over.get()
     }
@@ -203,27 +206,27 @@ impl<'a> Tally<'a> {
         self.is_over.get()
     }
 
-    /// Work done so far.
+    /// Work counted so far [units].
     pub fn done(&self) -> u64 {
         self.done.get()
     }
 
     #[cold]
-    fn tell(&self) {
+    fn report(&self) {
         let Some(work) = self.work else { return };
         let done = self.done.get();
-        let news = done - self.told.replace(done);
+        let new = done - self.reported.replace(done);
         if self.is_aside {
             self.is_over.set(done > work.limit || work.is_interrupted());
             return;
         }
-        let total = work.total.fetch_add(news, Ordering::Relaxed).saturating_add(news);
+        let total = work.total.fetch_add(new, Ordering::Relaxed).saturating_add(new);
         let is_too_much = match self.turn {
             None => total > work.limit,
             Some(turn) => {
-                work.of_each[turn].store(done, Ordering::Relaxed);
+                work.by_turn[turn].store(done, Ordering::Relaxed);
                 if total > work.limit {
-                    let before = work.of_each[..turn].iter().map(|of_one| of_one.load(Ordering::Relaxed));
+                    let before = work.by_turn[..turn].iter().map(|work| work.load(Ordering::Relaxed));
                     if before.fold(work.before.saturating_add(done), u64::saturating_add) > work.limit {
                         work.last_turn.fetch_min(turn, Ordering::Relaxed);
                     }
@@ -239,9 +242,9 @@ impl<'a> Tally<'a> {
 
 impl Drop for Tally<'_> {
     fn drop(&mut self) {
-        // a small tally is not worth a contended write, but none from before the turns may be lost
-        if self.turn.is_none() || self.done.get() - self.told.get() >= LITTLE {
-            self.tell();
+        // a small remainder is not worth a contended write; work before the turns must all be counted
+        if self.turn.is_none() || self.done.get() - self.reported.get() >= MIN_REPORTED {
+            self.report();
         }
     }
 }

@@ -78,8 +78,9 @@ pub struct World {
     pub(super) pairs: Pairs,
     /// Buffer, reused.
     woken: Vec<u32>,
-    /// When terms begin to act on bodies by themselves, with the bodies' indices, by time; and how many have begun.
+    /// Times at which terms begin to act on bodies by themselves [s], ascending, with the bodies' indices; …
     starts: Vec<(f64, u32)>,
+    /// … and how many of them have begun.
     started: usize,
     /// Total number of vertices.
     vertices: u64,
@@ -87,8 +88,9 @@ pub struct World {
     report: StepReport,
     /// The bodies of a coupled scene, in place of `actives`, `tracks` and `pairs`.
     pub(super) coupled: Option<Coupled>,
-    /// What changed the energy of free bodies so far, and that energy at t = 0.
+    /// Energy brought to free bodies so far, by cause.
     pub(super) ledger: Ledger,
+    /// Energy of free bodies at t = 0.
     pub(super) first_energy: f64,
     /// Computed when the energy is first requested.
     pub(super) energy_of_distant_pairs: OnceLock<f64>,
@@ -108,7 +110,7 @@ impl World {
     /// # Errors
     /// [`TooLarge`], as for [`World::new`].
     pub fn with_options(scene: Scene, options: Options) -> Result<World, TooLarge> {
-        let room = memory::check(&scene)?;
+        let budget = memory::check(&scene)?;
         let mut pushes = vec![Vec::new(); scene.bodies.len()];
         scene.pushes.iter().for_each(|push| pushes[push.body].push(*push));
         let bodies = pushes.into_iter().enumerate().map(|(index, pushes)| Body::new(&scene, index, pushes)).collect();
@@ -131,14 +133,14 @@ impl World {
             options,
             scene,
         };
-        let most_pairs = room.most_pairs(&world.scene);
-        if !world.start(most_pairs) {
-            return Err(room.refuse(&world.scene, Some(most_pairs)));
+        let max_pairs = budget.max_pairs(&world.scene);
+        if !world.start(max_pairs) {
+            return Err(budget.exceeded(&world.scene, Some(max_pairs)));
         }
         Ok(world)
     }
 
-    /// Goes on with a changed scene: `kept` has the former index of each body that keeps its state.
+    /// Continues with a changed scene; `kept` is the former index of each body that keeps its state.
     pub(super) fn restart(&mut self, scene: Scene, kept: &[Option<usize>], wake_all: bool) -> Result<(), EditError> {
         let mut world = World::with_options(scene, self.options)?;
         if self.step > 0 {
@@ -155,25 +157,27 @@ impl World {
         Ok(())
     }
 
-    /// Finds the initial pairs; false if there are more than `most_pairs`.
-    fn start(&mut self, most_pairs: u64) -> bool {
+    /// Finds the initial pairs; false if there are more than `max_pairs`.
+    fn start(&mut self, max_pairs: u64) -> bool {
         if self.scene.is_coupled() {
             let meshes: Vec<Arc<Mesh>> = self.bodies.iter().map(|body| Arc::clone(&body.mesh)).collect();
             self.coupled =
-                Coupled::new(&self.scene, &meshes, (self.options.skip, self.options.arch), most_pairs, &self.work);
+                Coupled::new(&self.scene, &meshes, (self.options.skip, self.options.arch), max_pairs, &self.work);
             self.first_energy = self.conserved().map_or(0.0, |conserved| conserved.energy());
             return self.coupled.is_some();
         }
         let World { scene, bodies, tracks, pairs, work, .. } = self;
         let start = if self.options.skip { Pairs::start } else { Pairs::start_with_all };
-        if !start(pairs, scene, bodies, tracks, most_pairs, work) {
+        if !start(pairs, scene, bodies, tracks, max_pairs, work) {
             return false;
         }
         let first_step = bodies.iter().map(|body| {
             exponential::work_of(body.mesh.vertex_count(), body.neighbours.len(), body.pushes.shared().len())
         });
         self.work.expect(first_step.fold(0, u64::saturating_add));
-        // A body with neighbours may be reached from the start; those that aren't go back to sleep in the first step.
+        // A body with neighbours may be reached from the start; bodies that are not reached go back to sleep in the
+        // first
+        // step.
         for index in 0..self.bodies.len() {
             if !self.options.skip || !self.bodies[index].neighbours.is_empty() {
                 self.wake_one(index as u32);
@@ -227,7 +231,7 @@ impl World {
         Ok(())
     }
 
-    /// Finds where moving bodies go and which bodies they come near.
+    /// Bounds the motion of moving bodies during `span` and finds which bodies they come near.
     fn broad_phase(&mut self, span: Span) -> Result<(), Failure> {
         let World { scene, bodies, tracks, pairs, work, .. } = self;
         tracks.follow(span);
@@ -267,7 +271,7 @@ impl World {
         }
     }
 
-    /// Bounds how far vertices of awake bodies can get during `span`, and finds which bodies can reach them.
+    /// Bounds how far vertices of awake bodies can move during `span`, and finds which bodies can reach them.
     fn find_bounds(&mut self, span: Span) -> Result<(), Failure> {
         let (context, actives) = self.context();
         let awake = actives.len();
@@ -313,7 +317,7 @@ impl World {
     }
 
     /// Wakes the bodies that respond to their own motion during `span`, those that a moving sphere can reach, and those
-    /// whose vertices move to a sphere.
+    /// whose vertices can move into a sphere.
     fn wake_moved(&mut self, span: Span) {
         let World { tracks, bodies, actives, woken, .. } = self;
         let is_awake = |body: u32| actives.is_awake(&bodies[body as usize]);
@@ -392,7 +396,7 @@ impl World {
         Ok(sum)
     }
 
-    /// Sums the results of the step over bodies.
+    /// Sums the results of the step over all awake bodies.
     fn sum(&self) -> Sum {
         let actives = self.actives.awake();
         let scene = &self.scene;
@@ -405,7 +409,7 @@ impl World {
         }
     }
 
-    /// Reports the results of the step, and whether it led to an invalid state.
+    /// Writes the results of the step to the report, and whether it led to an invalid state.
     fn finish(&mut self, sum: &Sum) {
         self.report.substeps = sum.substeps;
         self.report.error = sum.error;
@@ -414,7 +418,7 @@ impl World {
         self.report.failure = sum.diverged.map(|index| self.divergence(index as usize).into());
     }
 
-    /// Puts bodies to sleep that nothing acted on.
+    /// Puts bodies to sleep on which nothing acted.
     fn sleep(&mut self, sum: &Sum, span: Span) {
         if !self.options.skip || !sum.any_idle {
             return;
@@ -474,7 +478,7 @@ struct Sum {
     stepped: u64,
     substeps: u64,
     error: f64,
-    /// The largest, by its ratio; the first of several.
+    /// The one with the largest ratio to the tolerance; of equal ones the first body's.
     shortfall: Option<Shortfall>,
     work: u64,
     base: u64,
@@ -482,7 +486,7 @@ struct Sum {
     vertices: u64,
     /// The first body in an invalid state.
     diverged: Option<u32>,
-    /// Whether nothing acted on some of the bodies.
+    /// Whether there is a body on which nothing acted.
     any_idle: bool,
 }
 
@@ -518,14 +522,14 @@ impl Sum {
     }
 }
 
-/// By how much the error of a body's step exceeds the tolerance, if it had to.
+/// The error of a body's step, if it exceeds the tolerance because steps cannot be made shorter.
 fn shortfall(active: &Active, scene: &Scene) -> Option<Shortfall> {
     let body = active.body as usize;
     let (allowed, excess) = (scene.tolerance * scene.dt, active.statistics.excess / scene.bodies[body].radius);
     (excess > 0.0).then_some(Shortfall { body, error: allowed + excess, allowed })
 }
 
-/// The one with the larger ratio; of equal ones that of the first body.
+/// The shortfall with the larger error; of equal ones the first body's.
 fn worse(a: Option<Shortfall>, b: Option<Shortfall>) -> Option<Shortfall> {
     let (Some(one), Some(other)) = (a, b) else { return a.or(b) };
     let is_other = other.error > one.error || other.error == one.error && other.body < one.body;
@@ -608,12 +612,12 @@ impl World {
         self.actives.get(&self.bodies[index])
     }
 
-    /// The options with which this world is stepped.
+    /// The options of this world.
     pub fn options(&self) -> Options {
         self.options
     }
 
-    /// Memory allocated for its state [bytes].
+    /// Memory allocated for the state [bytes].
     pub fn memory(&self) -> usize {
         self.bodies.iter().map(Body::memory).sum::<usize>()
             + self.actives.memory()
@@ -621,7 +625,7 @@ impl World {
             + self.pairs.memory()
             + self.tracks.memory()
             + self.coupled.as_ref().map_or(0, Coupled::memory)
-            + memory::of_bodies(&self.scene)
+            + memory::of_scene_bodies(&self.scene)
     }
 
     /// All bodies, in the order of the scene.
@@ -686,7 +690,7 @@ impl World {
         }
         let neighbours = &self.bodies[a].neighbours;
         let found = neighbours.binary_search_by_key(&(b as u32), |neighbour| neighbour.other);
-        found.map_or(Phase::Apart, |place| self.pairs.get(neighbours[place].pair).phase)
+        found.map_or(Phase::Apart, |index| self.pairs.get(neighbours[index].pair).phase)
     }
 
     /// What acts on body `index` in the current state, except its own oscillators.
@@ -746,7 +750,7 @@ impl<'a> BodyView<'a> {
         self.centre
     }
 
-    /// Rotation of its rest shape.
+    /// Rotation of the body from its rest orientation.
     pub fn rotation(&self) -> DQuat {
         match self.member {
             Some(member) => member.body.rotation,
@@ -762,12 +766,12 @@ impl<'a> BodyView<'a> {
         }
     }
 
-    /// Angular velocity of its rest shape [rad/s].
+    /// Angular velocity of the body [rad/s].
     pub fn angular_velocity(&self) -> DVec3 {
         self.member.map_or(DVec3::ZERO, |member| member.spin())
     }
 
-    /// Whether nothing has acted on it yet: every displacement and velocity is exactly zero.
+    /// Whether every displacement and velocity is exactly zero.
     pub fn is_at_rest(&self) -> bool {
         self.active.is_none_or(Active::is_at_rest) && !self.member.is_some_and(Member::is_deformed)
     }
@@ -793,7 +797,7 @@ impl<'a> BodyView<'a> {
         self.fixed.rest().direction(i)
     }
 
-    /// The states of all vertices, computed faster than one by one.
+    /// The states of all vertices; faster than computing them one by one.
     pub fn states(&self) -> States {
         let mut states = States::default();
         self.states_into(&mut states);
@@ -838,7 +842,7 @@ impl<'a> BodyView<'a> {
         self.state_of(i).x
     }
 
-    /// Velocity x′ of that displacement [scene unit/s].
+    /// Velocity x′ of the displacement of vertex `i` [scene unit/s].
     pub fn velocity(&self, i: usize) -> DVec3 {
         self.state_of(i).u
     }
@@ -891,7 +895,7 @@ mod tests {
     use super::*;
     use crate::sim::deformation::Deformation;
 
-    /// The cost of single precision: the state rounded to f32 after every step, compared with the exact state.
+    /// The error of single precision: a run whose state is rounded to f32 after every step, compared with the f64 run.
     #[test]
     fn single_precision_is_not_enough() {
         let scene = Scene::builtin("two").unwrap();
