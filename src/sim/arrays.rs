@@ -2,27 +2,28 @@
 //! are stepped side by side.
 //!
 //! # Precision
-//! The error budget is 1e-6 of a radius over a scene, of which the integrator at 60 steps a second takes about 1e-9.
+//! The error budget is 1e-6 of a radius over a scene, of which the integrator uses about 1e-9 at 60 steps per second.
 //!
-//! | quantity | kept as | why |
+//! | quantity | stored as | why |
 //! | --- | --- | --- |
 //! | displacement, velocity | f64, in body coordinates | f32 would add 1.5e-7 of a radius (measured on the built-in `two`; see the test of `sim::world`), a hundred times the integrator's error, and would hide its order |
 //! | rest positions, in radii | f64 | a constant error of the rest shape, but visible where forces are compared |
 //! | centres, paths, times | f64 | 1e6 units from the origin a centre is still accurate to 1e-10, and so are displacements, which depend only on differences of centres; events are accurate to 1e-12 s |
 //! | weights of a step | f64 | computed once per step length |
-//! | what is recorded | f32 | what the viewer takes; recording does not change the state |
+//! | recorded data | f32 | the viewer's format; recording does not change the state |
 
 use glam::DVec3;
 
 pub use crate::geometry::Vectors;
 
-/// The most vertices that any instruction set processes side by side. Arrays that are read in lanes are padded to this.
+/// The largest number of vertices that any instruction set processes in parallel. Arrays that are read in lanes are
+/// padded to a multiple of this.
 pub const LANES: usize = 16;
 
-/// One vector for each of some vertices side by side, by coordinate.
+/// One vector for each vertex of a block, by coordinate.
 pub type Lanes = [[f64; LANES]; 3];
 
-/// `V` vectors for each of some vertices side by side.
+/// `V` vectors for each vertex of a block.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(64))] // whole cache lines
 pub struct Block<const V: usize>(pub [Lanes; V]);
@@ -33,7 +34,7 @@ pub struct Block<const V: usize>(pub [Lanes; V]);
 pub struct Blocks<const V: usize>(Vec<Block<V>>);
 
 impl<const V: usize> Blocks<V> {
-    /// Number of vertices that there is room for.
+    /// Number of vertices for which there is room.
     pub fn room(&self) -> usize {
         self.0.len() * LANES
     }

@@ -1,9 +1,10 @@
 //! Hash of the exact state of a world, so that two runs can be compared step by step.
 //!
-//! The hash covers what is stored, however old it is: so observation does not change it, and its cost follows the
-//! bodies that are stepped. Bodies and pairs are hashed separately and their hashes added, so that unchanged ones need
-//! not be hashed again. Every instruction set gives the same hash because it gives the same state, except for the sign
-//! of zero, which has no effect and is left out.
+//! The hash covers the stored state, even where it is from an earlier step: so observation does not change the hash,
+//! and
+//! its cost scales with the bodies that are stepped. Bodies and pairs are hashed separately and their hashes added, so
+//! that unchanged ones need not be hashed again. Every instruction set gives the same hash because it gives the same
+//! state, except for the sign of zero, which has no effect and is ignored.
 
 use pulp::{Arch, Simd, WithSimd, bytemuck};
 
@@ -57,7 +58,7 @@ pub(super) fn of_pair(a: u32, b: u32, phase: Phase) -> u64 {
     mix(mix(u64::from(a) << 32 | u64::from(b)).wrapping_add(phase))
 }
 
-/// A hash of the state of a body of a coupled scene, and of other numbers that belong to it.
+/// A hash of the state of a body of a coupled scene, and of `others`, further words of its state.
 pub(super) fn of_body(arch: Arch, index: u32, body: &Body, others: [u64; 3]) -> u64 {
     arch.dispatch(Coupled { index, body, others })
 }
@@ -121,8 +122,9 @@ impl Active {
 }
 
 impl Deformation {
-    /// A hash of all that is constant from step to step, cached until it changes: the free vertices, and which vertices
-    /// are active.
+    /// A hash of the part that is constant from step to step, cached until it changes: the free vertices, and the
+    /// indices
+    /// of the active ones.
     #[inline(always)]
     fn hash_of_kept<S: Simd>(&self, simd: S) -> u64 {
         if let Some(hash) = self.hash_of_kept.known() {
@@ -153,16 +155,17 @@ impl Pair {
 }
 
 /// A hash of a sequence of numbers, in parallel lanes like the vertices: one rotation and one addition for several
-/// numbers at once, which is negligible beside the cost of computing them. Each update is one-to-one in the old state
-/// and in the input.
+/// numbers at once, which costs little compared with computing them. Each update is one-to-one in the old state and in
+/// the input.
 struct Lanes<S: Simd> {
     simd: S,
     /// The first `LANES / S::U64_LANES` are used.
     state: [S::u64s; LANES],
 }
 
-/// Number of bits by which the two halves of a number are rotated. Among odd numbers, this is one of those after which
-/// a bit takes longest to return near its old place.
+/// Number of bits by which the two halves of a number are rotated. Among odd numbers, it is one of those for which a
+/// bit
+/// takes the longest to return near its original position.
 const ROTATION: u32 = 15;
 /// One odd factor per lane, so that lanes cannot be swapped and changes in several lanes cannot cancel.
 const FACTORS: [u64; LANES] = {
@@ -174,7 +177,7 @@ const FACTORS: [u64; LANES] = {
     }
     factors
 };
-/// Masks: ones for a whole block, then zeros for what follows it.
+/// Masks: ones for a whole block, then zeros for another.
 const MASKS: [f64; 2 * LANES] = {
     let mut masks = [0.0; 2 * LANES];
     let mut lane = 0;

@@ -1,9 +1,9 @@
-//! When a pair of bodies changes phase: exact times, by root finding on the prescribed paths.
+//! The exact times at which a pair of bodies changes phase, by root finding on the prescribed paths.
 //!
 //! The distance of two centres reaches a threshold L where `g(t) = |c_a(t) − c_b(t)|² − L²` crosses zero. The paths
 //! bound |g″| over any interval of time, so intervals that cannot contain a root are skipped, intervals on which g is
-//! monotone are searched by safeguarded Newton steps, and others are halved: no crossing is missed, however short the
-//! visit. A pair within a few rounding errors of a threshold counts as on it until it has left.
+//! monotone are searched by safeguarded Newton steps, and others are halved: no crossing is missed, however brief. A
+//! pair within a few rounding errors of a threshold counts as on it until it has left.
 
 use std::f64::consts::TAU;
 
@@ -28,7 +28,7 @@ use crate::{
 pub struct Event {
     /// When it happened [s].
     pub time: f64,
-    /// The first step whose state has felt it.
+    /// The first step whose final state it affects.
     pub step: u64,
     /// Index of one body of the pair …
     pub a: u32,
@@ -36,19 +36,19 @@ pub struct Event {
     pub b: u32,
     /// Centre distance over the sum of the radii at that time [–].
     pub q: f64,
-    /// How fast q changes at that time [1/s].
+    /// Rate of change of q at that time [1/s].
     pub rate: f64,
     /// The phase that ended.
     pub from: Phase,
     /// The phase that began.
     pub to: Phase,
-    /// Energy that the change of strength brought, Σ m Δs (Φ − Φ(r_e)) [mass · scene unit²/s²]; 0 in scenes where no forces move
-    /// bodies.
+    /// Energy brought by the change of strength, Σ m Δs (Φ − Φ(r_e)) [mass · scene unit²/s²]; 0 in scenes that are not
+    /// coupled.
     pub energy: f64,
 }
 
 impl Event {
-    /// What happened, as recordings and summaries call it.
+    /// The name used in recordings and summaries.
     pub fn name(&self) -> &'static str {
         match (self.from, self.to) {
             (_, Phase::Apart) => "split",
@@ -60,7 +60,7 @@ impl Event {
 }
 
 impl From<&Event> for PairEvent {
-    /// As instruments see it, without the energy.
+    /// The observer's view of an event, without the energy.
     fn from(event: &Event) -> PairEvent {
         PairEvent {
             name: event.name(),
@@ -80,7 +80,7 @@ impl From<&Event> for PairEvent {
 /// Two tracks whose distance is watched.
 #[derive(Clone, Copy, Debug)]
 pub struct PairTracks<'a> {
-    /// Of one body …
+    /// Track of one body …
     pub a: Track<'a>,
     /// … and of the other.
     pub b: Track<'a>,
@@ -94,14 +94,14 @@ impl PairTracks<'_> {
         (self.a.position(t) - self.b.position(t)).length() / self.radii
     }
 
-    /// How fast that changes at time `t` [1/s].
+    /// Rate of change of q at time `t` [1/s].
     pub fn rate(&self, t: f64) -> f64 {
         let (a, b) = (self.a.at(t), self.b.at(t));
         let apart = a.position - b.position;
         apart.dot(a.velocity - b.velocity) / (apart.length() * self.radii)
     }
 
-    /// Until when both are known [s].
+    /// Time until which both tracks are defined [s].
     pub fn known_until(&self) -> f64 {
         self.a.known_until().min(self.b.known_until())
     }
@@ -109,7 +109,7 @@ impl PairTracks<'_> {
     /// The phase changes in `(start, end]` of a pair that is in `phase` at `start`, in order: `(time, new phase)`.
     /// A pair that stands exactly on a threshold at `start` and moves across it changes at `start`.
     ///
-    /// `phase` is taken at its word: a pair that is found beyond a way out of it changes as soon as that is seen.
+    /// `phase` is not checked: a pair that has already passed a threshold out of it changes as soon as that is found.
     pub fn phase_changes(
         &self,
         thresholds: &Thresholds,
@@ -125,14 +125,13 @@ impl PairTracks<'_> {
         }
     }
 
-    /// The first of these.
+    /// The first of the [`PairTracks::phase_changes`].
     pub fn first_change(&self, thresholds: &Thresholds, phase: Phase, start: f64, end: f64) -> Option<(f64, Phase)> {
         Search { tracks: *self, thresholds, work: &Tally::unlimited() }.first_change(phase, start, end)
     }
 }
 
-/// A search for the phase changes of a pair, for no more than `work` has left: what is found when that is over means
-/// nothing.
+/// A search for the phase changes of a pair, limited by `work`: results are meaningless once that is over.
 #[derive(Clone, Copy)]
 pub(super) struct Search<'a> {
     pub tracks: PairTracks<'a>,
@@ -143,7 +142,7 @@ pub(super) struct Search<'a> {
 impl Search<'_> {
     /// See [`PairTracks::first_change`].
     pub fn first_change(&self, phase: Phase, start: f64, end: f64) -> Option<(f64, Phase)> {
-        // From knot to knot, so that a pair that comes to stand on a threshold is there at an end.
+        // From knot to knot, so that a pair that comes to rest on a threshold does so at the end of an interval.
         let mut from = start;
         let Search { tracks, thresholds, work } = self;
         let may_jump = tracks.a.is_held() || tracks.b.is_held();
@@ -171,7 +170,7 @@ impl Search<'_> {
     fn first_change_between_knots(&self, phase: Phase, start: f64, end: f64) -> Option<(f64, Phase)> {
         let Search { tracks, thresholds, work } = self;
         if tracks.a.relative_bounds(tracks.b, start, end).speed == 0.0 {
-            return None; // Still, or in formation: only rounding could change the distance.
+            return None; // at rest, or moving together: only rounding could change the distance
         }
         let swing = tracks.swing();
         thresholds
@@ -187,7 +186,8 @@ impl Search<'_> {
 }
 
 impl PairTracks<'_> {
-    /// The phase that a pair in `phase` enters at `t` [s] if a centre jumps there: by where the jump ends.
+    /// The phase that a pair in `phase` enters at `t` [s] if a centre jumps at that time, by the position after the
+    /// jump.
     pub(super) fn jump(&self, thresholds: &Thresholds, phase: Phase, t: f64) -> Option<Phase> {
         let jumps =
             |track: Track<'_>| track.is_held() && track.breaks().binary_search_by(|at| at.total_cmp(&t)).is_ok();
@@ -213,7 +213,8 @@ impl PairTracks<'_> {
         after(self.a).min(after(self.b))
     }
 
-    /// How the square of the distance swings for ever, if both swing at the same frequency, or one stands still.
+    /// How the squared distance oscillates for all time, if both centres oscillate at the same frequency, or one is
+    /// fixed.
     ///
     /// With Δc = D + S sin θ + C cos θ, θ = ωt, it is
     /// `D² + (S² + C²)/2 + 2 D·S sin θ + 2 D·C cos θ + (C² − S²)/2 cos 2θ + S·C sin 2θ`.
@@ -250,69 +251,71 @@ impl PairTracks<'_> {
     }
 }
 
-/// How the square of a distance swings.
+/// How a squared distance oscillates.
 #[derive(Clone, Copy, Debug)]
 struct Swing {
-    /// The root of its mean [scene unit].
+    /// Square root of its mean [scene unit].
     mean: f64,
-    /// By how much it differs from the mean, at most [scene unit²].
+    /// Largest deviation from the mean [scene unit²].
     by: f64,
     /// Bound of its second derivative [scene unit²/s²].
     curvature: f64,
 }
 
-/// `g(t) = |c_a − c_b|² − level²`, times a sign so that the crossing looked for is always a fall through zero.
+/// `g(t) = |c_a − c_b|² − level²`, with a sign such that the crossing is always a fall through zero.
 struct Gap<'a> {
     pair: &'a PairTracks<'a>,
     level: f64,
     /// 1 if the pair crosses the threshold by coming nearer, otherwise −1.
     sign: f64,
     swing: Option<Swing>,
-    /// Whether it was above zero by more than rounding when the search began.
+    /// Whether g was above zero by more than rounding when the search began.
     was_above: bool,
     work: &'a Tally<'a>,
 }
 
 impl Gap<'_> {
-    /// g and g′ from the motion of the two centres, times the sign.
+    /// Signed g and g′ from the motion of the two centres.
     fn of(&self, a: &Kinematics, b: &Kinematics) -> (f64, f64) {
         let (apart, relative) = (a.position - b.position, a.velocity - b.velocity);
-        // (d − L)(d + L): no cancellation where it matters, at d ≈ L
+        // (d − L)(d + L) avoids cancellation at d ≈ L
         let d = apart.length();
         (self.sign * ((d - self.level) * (d + self.level)), self.sign * (2.0 * apart.dot(relative)))
     }
 
-    /// g in the mean.
+    /// Mean of the unsigned g.
     fn mean(&self, swing: &Swing) -> f64 {
         (swing.mean - self.level) * (swing.mean + self.level)
     }
 
-    /// Whether the centres swing so often in an interval that where they can be at all says more than how fast they are.
+    /// Whether a centre oscillates so often in an interval that its extent bounds the motion better than its speed
+    /// does.
     fn is_restless(&self, length: f64) -> bool {
         let swings =
             |track: Track<'_>| matches!(track.path(), Some(Path::Sine { frequency, .. }) if frequency * length > 1.0);
         swings(self.pair.a) || swings(self.pair.b)
     }
 
-    /// Whether the distance is on one side of the threshold throughout an interval, by where the centres can be.
+    /// Whether the distance stays on one side of the threshold throughout an interval, given the balls that contain the
+    /// centres.
     fn is_out_of_reach(&self, start: f64, end: f64) -> bool {
         let [(a, spread_a), (b, spread_b)] = [self.pair.a, self.pair.b].map(|track| track.ball(start, end));
         let far = a.abs().max_element() + b.abs().max_element() + spread_a + spread_b + self.level;
         (a.distance(b) - self.level).abs() > spread_a + spread_b + 64.0 * f64::EPSILON * far
     }
 
-    /// What rounding of the centres can do to a g near zero.
+    /// Effect of rounding of the centres on a g near zero.
     fn rounding(&self, a: &Kinematics, b: &Kinematics) -> f64 {
         let far = a.position.abs().max_element() + b.position.abs().max_element();
         8.0 * f64::EPSILON * self.level * (self.level + far)
     }
 
-    /// The first time in `[start, end]` at which it falls through zero, being above at `start` or on it.
+    /// The first time in `[start, end]` at which g falls through zero, given that it is above or on zero at `start`.
     fn first_fall(&mut self, start: f64, end: f64) -> Option<f64> {
         let (a, b) = (self.pair.a.at(start), self.pair.b.at(start));
         let (g, rounding) = (self.of(&a, &b).0, self.rounding(&a, &b));
         self.was_above = g > rounding;
-        // no more than rounding moves it: as where an interval is too close to the threshold to tell more
+        // g varies by no more than rounding: treat it like an unresolved interval
         if self.swing.is_some_and(|swing| self.mean(&swing).abs() + swing.by <= 8.0 * rounding) {
             let (a, b) = (self.pair.a.at(end), self.pair.b.at(end));
             return (self.was_above && self.of(&a, &b).0 <= rounding).then_some(end);
@@ -324,7 +327,7 @@ impl Gap<'_> {
 impl Falling for Gap<'_> {
     const LAST_STEP: f64 = 0.0;
 
-    /// g and g′ at `t`, times the sign.
+    /// Signed g and g′ at `t`.
     fn at(&self, t: f64) -> (f64, f64) {
         self.work.spend(LOOK_AT_PATHS);
         self.of(&self.pair.a.at(t), &self.pair.b.at(t))
@@ -343,14 +346,14 @@ impl Falling for Gap<'_> {
         let (g, slope) = self.of(&a, &b);
         let apart = (a.position - b.position).length();
 
-        // |g″| = |2|Δv|² + 2Δc·Δa| on the interval, and by how much g can differ there from its value in the middle
+        // bounds over the interval: |g″| = |2|Δv|² + 2Δc·Δa|, and the range of g about its value in the middle
         let Bounds { speed, acceleration } = self.pair.a.relative_bounds(self.pair.b, start, end);
         let curvature = 2.0 * speed * speed + 2.0 * (apart + speed * half) * acceleration;
         let range = slope.abs() * half + 0.5 * curvature * half * half;
         let rounding = self.rounding(&a, &b);
         let close = 8.0 * rounding;
 
-        // No root: on the near side still, or on the far side since it passed `close` to the threshold just before.
+        // no root: still above zero, or below since it passed within `close` of zero just before
         let (mut tighter, mut is_out_of_reach) = (range, false);
         if let Some(swing) = &self.swing {
             tighter = range.min(slope.abs() * half + 0.5 * swing.curvature * half * half);

@@ -16,7 +16,7 @@ use crate::{
     observe::{BodyFrame, NetForce, PairFrame},
 };
 
-/// A pair, as frames represent it.
+/// The frame of a pair.
 pub(super) fn pair_frame(pair: PairView) -> PairFrame {
     PairFrame { a: pair.a, b: pair.b, q: pair.q, phase: pair.phase as usize }
 }
@@ -42,7 +42,7 @@ pub(super) fn add_coupled_forces(
     now.net_force = is_free.then_some(NetForce { force: forces.force, torque: forces.torque });
 }
 
-/// Labels the vertices of a body by the spheres that act on them.
+/// Labels the vertices of a body by the kinds of sphere that act on them.
 fn label(count: usize, by_cause: &[Vectors; Cause::ALL.len()], now: &mut BodyFrame) {
     let contributing = [Cause::Attraction, Cause::Repulsion, Cause::Core].map(|cause| &by_cause[cause as usize]);
     now.labels.clear();
@@ -50,7 +50,7 @@ fn label(count: usize, by_cause: &[Vectors; Cause::ALL.len()], now: &mut BodyFra
     now.labels.extend((0..count).map(|i| simulation::label(feels(i))));
 }
 
-/// Adds the forces on a body of a scene that is not coupled in a frame's state, and the labels of its vertices.
+/// Adds the forces on a body in the state of `now`, in a scene that is not coupled, and the labels of its vertices.
 pub(super) fn add_forces(world: &World, index: usize, surroundings: &Surroundings, now: &mut BodyFrame) {
     now.has_forces = true;
     now.terms.resize_with(Cause::of(false).count(), Default::default);

@@ -1,26 +1,26 @@
-//! The bodies near a body, and for how long the list is valid.
+//! The neighbours of a body, and the fat bounds for which they are valid.
 
-/// Another body that is near this one.
+/// A nearby body.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Neighbour {
     /// Index of the other body.
     pub other: u32,
     /// Index of the pair.
     pub pair: u32,
-    /// Where the law of the pair is among those of the scene.
+    /// Index of the pair's law in the scene.
     pub law: u32,
-    /// A bound of the acceleration of any vertex of this body by the other's sphere, in any phase [scene unit/s²].
+    /// A bound on the acceleration of any vertex of this body by the other's sphere, in any phase [scene unit/s²].
     pub pull: f64,
 }
 
-/// What a body's fat bounds allow for.
+/// The limits within which a body's neighbours are complete.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FatBounds {
-    /// Largest distance of its vertices from its centre [scene unit].
+    /// Largest allowed distance of a vertex from the centre [scene unit].
     pub vertices: f64,
-    /// How far its centre may move [scene unit].
+    /// Largest allowed displacement of the centre [scene unit].
     pub skin: f64,
-    /// Time until which its centre stays within the bounds [s].
+    /// Time until which the centre stays within `skin` [s].
     pub until: f64,
 }
 

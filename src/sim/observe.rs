@@ -54,7 +54,7 @@ impl World {
         }
     }
 
-    /// All bodies of a coupled scene as they are.
+    /// The current state of all bodies of a coupled scene; `None` for other scenes.
     pub(super) fn snapshot(&self) -> Option<Snapshot<'_>> {
         Some(self.coupled.as_ref()?.snapshot(self.scene(), self.time()))
     }
@@ -69,13 +69,14 @@ impl World {
         self.snapshot().map(|snapshot| snapshot.conserved())
     }
 
-    /// What changed the energy of the free bodies since t = 0: their energy minus [`Ledger::total`] is constant, to the
-    /// integrator's error. Only [`Integrator::Exponential`](crate::scene::Integrator::Exponential) accounts for it.
+    /// Energy brought to the free bodies since t = 0, by cause: their energy minus [`Ledger::total`] is constant up to
+    /// the
+    /// integrator's error. Only [`Integrator::Exponential`](crate::scene::Integrator::Exponential) keeps this account.
     pub fn ledger(&self) -> Ledger {
         self.ledger
     }
 
-    /// The energy of the current state. In a coupled scene it is that of the free bodies, in units of mass ·
+    /// The energy of the current state. In a coupled scene, the energy of the free bodies, in units of mass ·
     /// scene unit²/s²; see [`World::conserved`].
     pub fn energy(&self) -> Energy {
         if let Some(snapshot) = self.snapshot() {
@@ -93,12 +94,12 @@ impl World {
         energy.sum
     }
 
-    /// The energy of the influence if every pair were apart and out of reach [scene unit²/s²].
+    /// The influence energy as if every pair were apart and out of reach [scene unit²/s²].
     pub(super) fn energy_of_distant_pairs(&self) -> f64 {
         *self.energy_of_distant_pairs.get_or_init(|| spheres::energy_of_distant_pairs(self.scene()))
     }
 
-    /// A body in a given state: displacements and velocities, empty if all are zero.
+    /// A body in the given state. Displacements and velocities are empty if all are zero.
     pub(super) fn seen<'a>(
         &'a self,
         index: usize,
@@ -110,13 +111,14 @@ impl World {
     }
 }
 
-/// A body in a state and what acts on it: the input for its forces and its energy.
+/// A body in some state and what acts on it: the input for its forces and its energy.
 #[derive(Clone, Copy)]
 pub(super) struct Observed<'a> {
     pub body: &'a Body,
     pub rest: Rest<'a>,
-    /// Empty if all are zero, and so are the velocities.
+    /// Empty if all are zero.
     pub displacement: &'a Vectors,
+    /// Empty if all displacements and velocities are zero.
     pub velocity: &'a Vectors,
     pub surroundings: &'a Surroundings,
 }
@@ -170,7 +172,7 @@ pub struct Energy {
     pub influence: f64,
     /// Gravity and planes, in coupled scenes.
     pub external: f64,
-    /// Vertices inside at least one influence sphere that acts on them.
+    /// Number of vertices inside at least one influence sphere that acts on them.
     pub reached_vertices: u64,
 }
 

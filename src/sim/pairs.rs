@@ -50,7 +50,7 @@ pub(super) struct Pair {
     upcoming: Option<(f64, Phase)>,
     /// All changes up to this time are known [s].
     known_until: f64,
-    /// The phase changes within the step, as a range of [`Pairs::changes`].
+    /// The phase changes within the step, as a range of the list of all pairs' changes.
     pub changes: Range<u32>,
 }
 

@@ -1,33 +1,32 @@
 //! The pushes on one body, found by time, and the acceleration of its vertices by many of them.
 //!
 //! The response of a body to a push is one number for all vertices, see [`Common`](super::state::Common), which every
-//! step advances and every vertex near a sphere sums. That is the cheapest for a few pushes. Beyond [`MOST_SHARED`] a
-//! body keeps the sum of what acts on each vertex instead: a push then costs something when it begins and when it ends,
-//! and nothing otherwise, however many there are.
+//! step advances and every vertex near a sphere sums. That is cheapest for a few pushes. With more than [`MAX_SHARED`]
+//! pushes, a body keeps the sum of their accelerations per vertex instead: a push then costs something only when it
+//! begins and when it ends.
 
 use super::{arrays::Vectors, span::Span};
 use crate::scene::Push;
 
-/// The most pushes on a body whose responses are kept one by one.
-const MOST_SHARED: usize = 16;
-/// What sums of strengths can lose to rounding, relative to all of them.
+/// The largest number of pushes on a body whose responses are kept separately.
+const MAX_SHARED: usize = 16;
+/// Bound on the rounding error of sums of strengths, relative to the sum of all of them.
 const ROUNDING: f64 = 1e-9;
 
 /// The pushes on one body.
 pub(super) struct PushList {
     /// In the order of the scene.
     all: Box<[Push]>,
-    /// Of a body with many.
+    /// Present if there are more than [`MAX_SHARED`].
     index: Option<Index>,
 }
 
-/// Many pushes, by time.
+/// An index of many pushes by time.
 struct Index {
-    /// When each begins, ascending [s], and which it is.
     starts: Edges,
-    /// When each ends, ascending [s], and which it is.
     ends: Edges,
-    /// A tree over `starts`: node 1 is the root, node n has the children 2n and 2n + 1, and each is the latest end of
+    /// A tree over `starts`: node 1 is the root, node n has the children 2n and 2n + 1, and each holds the latest end
+    /// of
     /// the pushes below it [s].
     latest_end: Box<[f64]>,
     /// Number of leaves.
@@ -36,9 +35,11 @@ struct Index {
 
 /// The starts or the ends of pushes.
 struct Edges {
+    /// Ascending [s].
     times: Box<[f64]>,
+    /// Index of the push of each time.
     pushes: Box<[u32]>,
-    /// Sum of the absolute strengths of the pushes before each [scene unit/s²], and that of all.
+    /// Sums of the absolute strengths of the pushes before each, and of all [scene unit/s²].
     strengths: Box<[f64]>,
 }
 
@@ -59,12 +60,12 @@ impl Edges {
         }
     }
 
-    /// How many are at `t` or before.
+    /// Number of times at or before `t`.
     fn until(&self, t: f64) -> usize {
         self.times.partition_point(|&time| time <= t)
     }
 
-    /// How many are before `t`.
+    /// Number of times before `t`.
     fn before(&self, t: f64) -> usize {
         self.times.partition_point(|&time| time < t)
     }
@@ -92,13 +93,13 @@ impl Index {
         Index { starts, ends, latest_end: latest_end.into(), leaves }
     }
 
-    /// How many pushes act at some time within `span`.
+    /// Number of pushes that act at some time within `span`.
     fn count_within(&self, span: Span) -> usize {
-        // one of no duration may have ended before it began
+        // a push without duration may count as ended before it has begun
         self.starts.before(span.end).saturating_sub(self.ends.until(span.start))
     }
 
-    /// Appends those of the first `count` pushes by start that end after `t` [s], below `node`.
+    /// Appends the pushes below `node` that are among the first `count` by start and end after `t` [s].
     fn lasting(&self, node: usize, first: usize, leaves: usize, count: usize, t: f64, found: &mut Vec<u32>) {
         if first >= count || self.latest_end[node] <= t {
             return;
@@ -114,23 +115,23 @@ impl Index {
 }
 
 impl PushList {
-    /// Pushes on one body, in the order of the scene.
+    /// The list of the pushes on one body, given in the order of the scene.
     pub fn new(all: Vec<Push>) -> PushList {
-        let index = (all.len() > MOST_SHARED).then(|| Index::new(&all));
+        let index = (all.len() > MAX_SHARED).then(|| Index::new(&all));
         PushList { all: all.into(), index }
     }
 
-    /// The pushes whose responses the body's vertices share; none if there are many.
+    /// The pushes whose responses the body's vertices share; empty if there are more than [`MAX_SHARED`].
     pub fn shared(&self) -> &[Push] {
         if self.index.is_some() { &[] } else { &self.all }
     }
 
-    /// Whether some of many pushes act within `span`: the body needs a [`PushField`].
+    /// Whether the body needs a [`PushField`]: it has more than [`MAX_SHARED`] pushes, and some act within `span`.
     pub fn many_act(&self, span: Span) -> bool {
         self.index.as_ref().is_some_and(|index| index.count_within(span) > 0)
     }
 
-    /// Those that act at `t` [s], in the order of the scene.
+    /// The pushes that act at `t` [s], in the order of the scene.
     pub fn acting(&self, t: f64) -> impl Iterator<Item = &Push> {
         let (few, many) = match &self.index {
             None => (&*self.all, Vec::new()),
@@ -145,7 +146,7 @@ impl PushList {
         few.chain(many.into_iter().map(|push| &self.all[push as usize]))
     }
 
-    /// A bound of the acceleration of any vertex by those that act within `span` [scene unit/s²].
+    /// A bound on the acceleration of any vertex by the pushes that act within `span` [scene unit/s²].
     pub fn bound(&self, span: Span) -> f64 {
         let Some(index) = &self.index else {
             let acting = self.all.iter().filter(|push| push.start < span.end && span.start < push.end());
@@ -159,7 +160,7 @@ impl PushList {
         f64::max(0.0, begun - over) + ROUNDING * begun
     }
 
-    /// Appends the times within `span` at which one begins or ends [s].
+    /// Appends the times within `span` at which a push begins or ends [s].
     pub fn jumps(&self, span: Span, jumps: &mut Vec<f64>) {
         match &self.index {
             None => {
@@ -188,31 +189,32 @@ impl PushList {
 pub(super) struct PushField {
     /// [scene unit/s²], `[vertex_count]`.
     accelerations: Vectors,
-    /// How many pushes have begun, …
+    /// Number of pushes that have begun …
     begun: usize,
-    /// … and how many have ended.
+    /// … and that have ended.
     ended: usize,
-    /// Pushes that were added or taken away since the sum was last computed.
+    /// Number of pushes added or subtracted since the sum was last computed from scratch.
     changes: usize,
 }
 
 impl PushField {
-    /// The accelerations at `t` [s], later than at the call before; `facing` are the directions of the vertices' rest
-    /// positions. Returns the number of pushes that had to be summed.
+    /// Updates the accelerations to time `t` [s], not before that of the last call; `facing` are the directions of the
+    /// vertices' rest positions. Returns the number of pushes that were summed.
     pub fn advance(&mut self, list: &PushList, facing: &Vectors, t: f64) -> usize {
         let Some(index) = &list.index else { return 0 };
         let (begun, ended) = (index.starts.until(t), index.ends.until(t));
         let [begins, ends] = [self.begun..begun, self.ended..ended];
         let is_first = self.accelerations.len() != facing.len();
-        let news = begins.len() + ends.len();
-        if news == 0 && !is_first {
+        let new = begins.len() + ends.len();
+        if new == 0 && !is_first {
             return 0;
         }
         (self.begun, self.ended) = (begun, ended);
-        self.changes += news;
+        self.changes += new;
         let acting = begun.saturating_sub(ended);
         if is_first || self.changes > acting {
-            // by no more work than what changed since the last time: what was taken away leaves no rounding behind
+            // costs no more than the changes since the last full sum, and removes the rounding error of subtracted
+            // pushes
             self.accelerations.reset(facing.len());
             self.changes = 0;
             let mut summed = 0;
@@ -228,7 +230,7 @@ impl PushField {
         for &push in &index.ends.pushes[ends] {
             self.add(&list.all[push as usize], -1.0, facing);
         }
-        news
+        new
     }
 
     fn add(&mut self, push: &Push, sign: f64, facing: &Vectors) {
@@ -247,8 +249,8 @@ impl PushField {
         }
     }
 
-    /// The accelerations of some vertices, in this order, padded to a multiple of `lanes` [scene unit/s²]; and the
-    /// largest.
+    /// Writes the accelerations of some vertices to `found`, in this order and padded to a multiple of `lanes`
+    /// [scene unit/s²]. Returns the largest.
     pub fn of(&self, vertices: &[u32], lanes: usize, found: &mut Vectors) -> f64 {
         found.reset(vertices.len().next_multiple_of(lanes));
         let mut largest = 0.0;
@@ -260,7 +262,7 @@ impl PushField {
         largest.sqrt()
     }
 
-    /// Memory allocated for it [bytes].
+    /// Memory allocated for the field [bytes].
     pub fn memory(&self) -> usize {
         self.accelerations.memory()
     }
@@ -273,7 +275,7 @@ mod tests {
     use super::*;
     use crate::{scene::Scene, sim::World};
 
-    /// A body beside a sphere, with pushes in several parts each.
+    /// A body beside a sphere, with each push split into several equal parts.
     fn scene(parts: u32, count: usize, length: f64, weight: &str) -> Scene {
         let mut text = format!("duration = 1.5\n[influence]\nweight = \"{weight}\"\n");
         for (name, motion) in
@@ -294,11 +296,11 @@ mod tests {
         Scene::parse(&text, "pushes.toml").unwrap()
     }
 
-    /// A push in eight parts, of which there are many, is the push.
+    /// Splitting each push into eight parts, and thereby switching to a push field, changes nothing.
     #[test]
-    fn the_parts_of_a_push_do_what_it_does() {
+    fn split_pushes_have_the_same_effect() {
         for weight in ["linear", "wendland"] {
-            let [mut few, mut many] = [1, 8].map(|parts| World::new(scene(parts, MOST_SHARED, 0.5, weight)).unwrap());
+            let [mut few, mut many] = [1, 8].map(|parts| World::new(scene(parts, MAX_SHARED, 0.5, weight)).unwrap());
             assert!(!few.bodies[0].pushes.shared().is_empty() && many.bodies[0].pushes.shared().is_empty());
             let (mut moved, mut error): (f64, f64) = (0.0, 0.0);
             while few.steps_taken() < few.scene().steps() {
@@ -312,8 +314,9 @@ mod tests {
         }
     }
 
-    /// The cost of a step does not depend on how many pushes there are at other times, nor does a push cost more the
-    /// more of them act.
+    /// A hundred thousand pushes can be stepped, both short and overlapping: the cost of a step depends only on the
+    /// pushes
+    /// that begin or end in it.
     #[test]
     fn a_hundred_thousand_pushes_are_stepped() {
         for length in [1e-5, 1.0] {
@@ -339,7 +342,7 @@ mod tests {
         (0..count).map(push).collect()
     }
 
-    /// Found by the index or one by one: the same pushes, times, bounds and accelerations.
+    /// The index gives the same pushes, times, bounds and accelerations as a linear search.
     #[test]
     fn many_pushes_are_found_like_few() {
         let all = pushes(300);

@@ -1,9 +1,8 @@
-//! Broad phase: a hierarchical grid of bounding spheres, each of which bounds where a body can act or be acted on for a
-//! while.
+//! Broad phase: a hierarchical grid of balls, each of which bounds where a body can act or be acted on for some time.
 //!
-//! For spheres of very different sizes, there is one grid per power of two: a sphere is in one cell of the grid whose
-//! cells are just larger than it (Ericson, Real-Time Collision Detection, 7.2.1). A sphere that stays within its bounds
-//! costs nothing; one that leaves them is reinserted, in time proportional to its surroundings.
+//! For balls of very different sizes, there is one grid per power of two: a ball is in one cell of the grid whose cells
+//! are just larger than it (Ericson, Real-Time Collision Detection, 7.2.1). A body that stays within its ball costs
+//! nothing; one that leaves it is reinserted, in time proportional to the number of nearby bodies.
 
 use std::{collections::HashMap, hash::BuildHasherDefault};
 
@@ -13,9 +12,9 @@ use rustc_hash::FxHasher;
 /// A ball that bounds where a body acts or can be acted on.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ball {
-    /// [scene unit]
+    /// Centre [scene unit].
     pub centre: DVec3,
-    /// [scene unit]
+    /// Radius [scene unit].
     pub radius: f64,
 }
 
@@ -41,10 +40,11 @@ const NONE: u32 = u32::MAX;
 #[derive(Clone, Copy, Debug)]
 struct Placed {
     ball: Ball,
-    /// Its grid, or [`NONE`] if the ball has not been placed.
+    /// Index of its grid, or [`NONE`] if the ball has not been placed.
     level: u32,
-    /// The previous ball in the same cell.
+    /// The previous ball in the same cell, or [`NONE`].
     before: u32,
+    /// The next ball in the same cell, or [`NONE`].
     after: u32,
 }
 
@@ -72,7 +72,7 @@ impl Grid {
         self.balls.capacity() * size_of::<Placed>() + cells * size_of::<([i64; 3], u32)>()
     }
 
-    /// Ball `i`, as it was placed.
+    /// Ball `i`, as placed.
     pub fn ball(&self, i: u32) -> &Ball {
         &self.balls[i as usize].ball
     }
@@ -144,7 +144,7 @@ impl Grid {
                     head = placed.after;
                 }
             };
-            // A ball of this grid that touches is no farther than this from the cell that contains its centre.
+            // a touching ball of this grid has its centre within this distance along each axis
             let far = ball.radius + 0.5 * level.size;
             let far = far + 1e-12 * (far + ball.centre.abs().max_element());
             let (low, high) = (level.cell(ball.centre - far), level.cell(ball.centre + far));
@@ -166,7 +166,7 @@ impl Grid {
     }
 }
 
-/// The smallest n for which 2ⁿ is above `x`, for any `x` that is not NaN.
+/// The smallest n for which 2ⁿ exceeds `x`, for any `x` that is not NaN.
 fn exponent_above(x: f64) -> i32 {
     let biased = (x.to_bits() >> 52 & 0x7ff) as i32;
     (biased - 1022).clamp(-1000, 1000)

@@ -1,45 +1,46 @@
-//! Finds the first time at which a function falls through zero within an interval, using bounds of its second
-//! derivative: none is missed, however short the visit below zero.
+//! Finds the first time at which a function falls through zero within an interval, using bounds on its second
+//! derivative: no fall is missed, however briefly the function is below zero.
 //!
 //! Intervals that cannot contain a root are skipped, those on which the function is monotone are solved by Newton's
 //! method with bisection where a step leaves the bracket, and others are halved.
 
-/// Far from the origin rounded positions have stairs, on which Newton's steps are too small: after this many, bisect.
-const MOST_NEWTON: u32 = 32;
+/// Number of Newton steps before bisecting. Far from the origin, rounding turns positions into a staircase on which
+/// Newton steps are too small.
+const MAX_NEWTON: u32 = 32;
 
 /// A function of time whose second derivative is bounded.
 pub(super) trait Falling {
-    /// Newton's method ends with a step of this size or smaller; zero: when it no longer moves, with the first instant
-    /// after the fall.
+    /// Newton's method ends with a step of this size or smaller. If zero, it ends when it no longer moves, at the first
+    /// instant after the fall.
     const LAST_STEP: f64;
 
-    /// Its value and its slope at `t`.
+    /// Value and slope at `t`.
     fn at(&self, t: f64) -> (f64, f64);
 
-    /// What is known of it between `start` and `end` from its value and slope in the `middle`; `None` ends the search.
+    /// Bounds on the function between `start` and `end`, from its value and slope at `middle`; `None` ends the search.
     fn sample(&self, start: f64, middle: f64, end: f64) -> Option<Sample>;
 
-    /// Whether it was above zero by more than rounding before the interval.
+    /// Whether the function was above zero by more than rounding before the interval.
     fn was_above(&self) -> bool {
         false
     }
 }
 
-/// What is known of a function in an interval.
+/// Bounds on a function in an interval.
 pub(super) struct Sample {
-    /// Its value in the middle.
+    /// Value in the middle.
     pub value: f64,
-    /// Its slope there.
+    /// Slope in the middle.
     pub slope: f64,
-    /// A bound of its second derivative.
+    /// A bound on the absolute second derivative.
     pub curvature: f64,
-    /// Whether it is too far from zero for a root.
+    /// Whether the function is too far from zero for a root.
     pub is_clear: bool,
-    /// Whether all of it is too close to zero to tell more.
+    /// Whether the function is within rounding of zero throughout.
     pub is_unresolved: bool,
-    /// Up to this value it counts as zero where it is not resolved.
+    /// Largest value that counts as zero where the function is unresolved.
     pub rounding: f64,
-    /// Where Newton's method starts.
+    /// Start of Newton's method.
     pub guess: f64,
 }
 
@@ -51,19 +52,19 @@ pub(super) fn first_fall<F: Falling>(f: &F, start: f64, end: f64) -> Option<f64>
     if sample.is_clear {
         return (sample.value < 0.0).then_some(start);
     }
-    // too close to zero, or too short: does it come to stand on zero, from above?
+    // unresolved, or too short to halve: check whether it falls from above zero to zero
     if sample.is_unresolved || middle <= start || middle >= end {
         let (before, after) = (f.at(start).0, f.at(end).0);
         return ((f.was_above() || before > sample.rounding) && after <= sample.rounding).then_some(end);
     }
-    // its slope keeps its sign: at most one root, and only if it falls
+    // the slope does not change sign: at most one root, and only if the function falls
     if sample.slope.abs() > sample.curvature * half {
         return if sample.slope < 0.0 { root(f, start, end, sample.guess) } else { None };
     }
     first_fall(f, start, middle).or_else(|| first_fall(f, middle, end))
 }
 
-/// The root of a function that falls throughout `[low, high]`; `low` only if it has fallen already there.
+/// The root of a function that falls throughout `[low, high]`; `low` if it has already fallen there.
 fn root<F: Falling>(f: &F, mut low: f64, mut high: f64, guess: f64) -> Option<f64> {
     if f.at(high).0 > 0.0 {
         return None;
@@ -89,7 +90,7 @@ fn root<F: Falling>(f: &F, mut low: f64, mut high: f64, guess: f64) -> Option<f6
             let is_before = F::LAST_STEP == 0.0 && t == low;
             return Some(if is_before { t.next_up() } else { newton.clamp(low, high) });
         }
-        let is_newton = newton > low && newton < high && tries < MOST_NEWTON;
+        let is_newton = newton > low && newton < high && tries < MAX_NEWTON;
         t = if is_newton { newton } else { low + 0.5 * (high - low) };
     }
     Some(high)

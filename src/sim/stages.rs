@@ -32,27 +32,28 @@ use crate::{
     scene::Integrator,
 };
 
-/// Parts of a step that are recomputed at most to find the state inside of it.
-const MOST_PARTS: usize = 64;
+/// The largest number of intervals that are recomputed to find a state within a step.
+const MAX_PARTS: usize = 64;
 
 /// What a stage's frame contains.
 const WANT: Want = Want { forces: true, scalars: false };
 
 /// Frames of all stages of a step have no more vertices than this, …
-const MOST_VERTICES: u64 = 1 << 20;
-/// … unless there are fewer stages than these.
-const FEW_STAGES: u64 = 16;
-/// The work that a step may take when it is recomputed [units].
-const MOST_WORK: u64 = 100_000_000;
-/// The same for the state of a few bodies at one instant inside of it [units].
-const MOST_WORK_WITHIN: u64 = 4_000_000;
+const MAX_VERTICES: u64 = 1 << 20;
+/// … but at least this many stages are always kept.
+const MIN_STAGES: u64 = 16;
+/// Work limit for recomputing a step [units].
+const MAX_WORK: u64 = 100_000_000;
+/// Work limit for the state of a few bodies at one instant within a step [units].
+const MAX_WORK_WITHIN: u64 = 4_000_000;
 
-/// The stages of the step that led from `before` to the world as it is, in order. Where that would be too many, or too
-/// much work, or the world was interrupted, those in between are left out, and the last one says so.
+/// The stages of the step that led from `before` to the current state of the world, in order. If there are too many, or
+/// they are too much work, or the world was interrupted, the ones in between are left out, and the name of the last one
+/// says so.
 pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
-    let work = Work::limited(MOST_WORK, world.options().interrupt);
+    let work = Work::limited(MAX_WORK, world.options().interrupt);
     let recomputed = Recomputed { world, before, work: Tally::new(&work, None) };
-    let most = (MOST_VERTICES / world.scene().vertex_count().max(1)).max(FEW_STAGES) as usize;
+    let max = (MAX_VERTICES / world.scene().vertex_count().max(1)).max(MIN_STAGES) as usize;
     let mut last = "end".to_owned();
     let (start, end) = (before.at.time, world.time());
     let mut stages = vec![
@@ -68,7 +69,7 @@ pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
             let breaks = recomputed.breaks();
             for (number, ends) in (1..).zip(breaks.windows(2)) {
                 let (from, to) = (ends[0], ends[1]);
-                if stages.len() >= most || recomputed.work.is_over() {
+                if stages.len() >= max || recomputed.work.is_over() {
                     last = format!("end; sub-steps from {number} to {} are left out", breaks.len() - 1);
                     break;
                 }
@@ -80,7 +81,7 @@ pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
                     stages.push(StageFrame { name, frame: recomputed.frame(to, from, states.clone()) });
                 }
                 let events = world.report().events.iter().filter(|event| event.time == to);
-                for event in events.take(most.saturating_sub(stages.len())) {
+                for event in events.take(max.saturating_sub(stages.len())) {
                     let name = |i: u32| &world.scene().bodies[i as usize].name;
                     let name = format!("{} {}~{}, at t = {to:.9} s", event.name(), name(event.a), name(event.b));
                     stages.push(StageFrame { name, frame: recomputed.frame(to, to, states.clone()) });
@@ -100,15 +101,15 @@ pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
     stages
 }
 
-/// Writes the state of some bodies at a time within the step that led from `before` to the world as it is, on the same
-/// solution as that of the step; false if that is too much work. Only for the exponential integrator: the others have no
-/// dense solution.
+/// Writes the state of some bodies at a time within the step that led from `before` to the current state of the world,
+/// on the solution of the step; false if that is too much work. Only for the exponential integrator: the others have no
+/// dense output.
 pub fn within(before: &Frame, world: &World, time: f64, bodies: &[usize], frame: &mut Frame) -> bool {
-    let work = Work::limited(MOST_WORK_WITHIN, world.options().interrupt);
+    let work = Work::limited(MAX_WORK_WITHIN, world.options().interrupt);
     let recomputed = Recomputed { world, before, work: Tally::new(&work, None) };
     let mut breaks = recomputed.breaks();
     breaks.retain(|&at| at < time);
-    if breaks.len() > MOST_PARTS {
+    if breaks.len() > MAX_PARTS {
         return false;
     }
     breaks.push(time);
@@ -130,10 +131,10 @@ pub fn within(before: &Frame, world: &World, time: f64, bodies: &[usize], frame:
     true
 }
 
-/// The same in a coupled scene, for the bodies that took steps: others are left as they are.
+/// Like [`within`] for a coupled scene. Bodies that took no steps are left unchanged.
 pub fn within_coupled(before: &Frame, world: &World, time: f64, bodies: &[usize], frame: &mut Frame) {
     let Some(coupled) = &world.coupled else { return };
-    let work = Work::limited(MOST_WORK_WITHIN, world.options().interrupt);
+    let work = Work::limited(MAX_WORK_WITHIN, world.options().interrupt);
     coupled.within(world.scene(), [before.at.time, time], bodies, &Tally::new(&work, None), |index, body| {
         let now = &mut frame.bodies[index];
         (now.centre, now.rotation) = (body.centre, body.rotation);
@@ -200,7 +201,7 @@ impl Recomputed<'_> {
         last.map(|event| event.to).or_else(before).unwrap_or(Phase::Apart)
     }
 
-    /// The instants at which something jumps, and both ends of the step.
+    /// The instants at which something jumps, and both ends of the step [s].
     fn breaks(&self) -> Vec<f64> {
         let scene = self.world.scene();
         let span = Span { start: self.before.at.time, end: self.world.time() };
@@ -215,7 +216,7 @@ impl Recomputed<'_> {
         breaks
     }
 
-    /// What force terms may know about a body.
+    /// The input of force terms for a body.
     fn on(&self, index: usize) -> On<'_, &Self> {
         self.world.reading().on(index as u32).with_phases(self)
     }
@@ -251,7 +252,7 @@ impl Recomputed<'_> {
         Frame { at, pairs: pairs.collect(), bodies, scalars: Vec::new() }
     }
 
-    /// The states after a step under the oscillators alone.
+    /// The states after the step under the oscillators alone.
     fn flow(&self, index: usize, states: &States) -> States {
         let [xx, xu, ux, uu] = self.oscillator(index).flow(self.world.time() - self.before.at.time);
         let both = || states.displacement.iter().zip(states.velocity.iter());
@@ -349,7 +350,7 @@ mod tests {
     use super::*;
     use crate::scene::Scene;
 
-    /// A step with events without number has a bounded number of stages, which say what is missing.
+    /// A step with very many events has a bounded number of stages, and the last one reports how many are missing.
     #[test]
     fn a_step_with_very_many_events_has_few_stages() {
         let text = "duration = 1.0\n[material]\nresponse = \"rigid\"\n[influence]\nreach = 0.01\n\
@@ -365,7 +366,7 @@ mod tests {
         let stages = inside(&before, &world);
         let last = &stages[stages.len() - 1];
         assert!(
-            stages.len() as u64 <= MOST_VERTICES / 10 + 2 && last.name.starts_with("end; sub-steps from "),
+            stages.len() as u64 <= MAX_VERTICES / 10 + 2 && last.name.starts_with("end; sub-steps from "),
             "{}",
             last.name
         );

@@ -1,4 +1,4 @@
-//! Stored state of vertices: displacement from rest and its velocity, per vertex and shared by all.
+//! Stored state of vertices: displacement from rest and its velocity, per vertex and shared by all vertices.
 
 use glam::DVec3;
 

@@ -9,28 +9,29 @@ use crate::scene::{
     path::{Bounds, Kinematics, Turns},
 };
 
-/// Fewer moving bodies than this are not worth a second thread.
+/// With fewer moving bodies than this, a second thread does not pay off.
 const PARALLEL_TRACKS: usize = 256;
-/// Index of a body that stands still.
+/// Mover index of a body that never moves.
 const STILL: u32 = u32::MAX;
 
-/// The tracks of all bodies that move.
+/// The tracks of all bodies.
 pub struct Tracks {
-    /// Of every body.
+    /// The path of each body.
     paths: Vec<Path>,
+    /// The bodies that move, ascending.
     movers: Vec<Mover>,
-    /// Of every body, close together: neighbours look each other up in every step.
+    /// Motion bounds of each body, contiguous because neighbours look each other up in every step.
     motion_bounds: Vec<MotionBounds>,
-    /// Track of each body, or [`STILL`].
+    /// Index in `movers` of each body, or [`STILL`].
     of_body: Vec<u32>,
 }
 
-/// Where a body is, and what of it reaches others.
+/// Bounds of a body's motion and extent during a step.
 #[derive(Clone, Copy, Debug)]
 pub struct MotionBounds {
     /// Its centre at the start of the step [scene unit].
     pub centre: DVec3,
-    /// Bound of how far it gets from there within the step, over the step [scene unit/s].
+    /// A bound on the distance that it moves from there within the step, divided by the step length [scene unit/s].
     pub speed: f64,
     /// Its radius [scene unit].
     pub radius: f64,
@@ -39,7 +40,7 @@ pub struct MotionBounds {
 }
 
 impl MotionBounds {
-    /// How near the centres of two bodies can come within `h` [s], less what rounding of them can do [scene unit].
+    /// Lower bound of the distance of two centres within `h` [s], allowing for rounding [scene unit].
     #[inline]
     pub fn nearest(&self, other: &MotionBounds, h: f64) -> f64 {
         let distance = self.centre.distance(other.centre);
@@ -48,30 +49,29 @@ impl MotionBounds {
     }
 }
 
-/// A moving body's way through a step.
+/// A moving body during a step.
 pub struct Mover {
     /// Index of the body.
     pub body: u32,
     /// Whether something may happen between the body and its neighbours in the step, for [`Tracks::watch`].
     pub is_watched: bool,
     turns: Turns,
-    /// How far it can ever get from anywhere on its way [scene unit].
+    /// Upper bound of the distance between any two positions of its centre [scene unit].
     extent: f64,
     /// Whether the body stands still in the step …
     stands_still: bool,
-    /// … and did so in the one before: to its neighbours it is what it was.
+    /// … and did so in the step before: nothing changes for its neighbours.
     pub is_idle: bool,
-    /// At each of the five looks of the step.
+    /// Motion at each of the step's [`SAMPLES`].
     pub kinematics: [Kinematics; 5],
-    /// Over the step.
+    /// Bounds of the motion over the step.
     pub bounds: Bounds,
-    /// A bound of the jumps of the velocity in it, that at its start included [scene unit/s].
+    /// A bound on the sum of the jumps of the velocity in the step, including one at its start [scene unit/s].
     pub kicks: f64,
 }
 
 impl Tracks {
-    /// Of all bodies of a scene that move, before the first step. Free bodies do not move here: tracks know no
-    /// forces.
+    /// The tracks of a scene before the first step. Free bodies count as fixed, because tracks know no forces.
     pub fn new(scene: &Scene) -> Tracks {
         let path = |body: &Body| match &body.motion {
             Motion::Prescribed(path) => path.clone(),
@@ -87,10 +87,10 @@ impl Tracks {
             sphere: scene.influence.sphere_radius(body.radius),
         });
         let motion_bounds = motion_bounds.collect();
-        for (body, place) in (0..).zip(&mut of_body) {
+        for (body, mover) in (0..).zip(&mut of_body) {
             let path = &paths[body as usize];
             if !path.is_fixed() {
-                *place = movers.len() as u32;
+                *mover = movers.len() as u32;
                 let turns = path.turns(&SAMPLES.map(|theta| theta * scene.dt));
                 let bounds = Bounds { speed: 0.0, acceleration: 0.0 };
                 let kinematics = [path.at(0.0); 5];
@@ -110,7 +110,7 @@ impl Tracks {
         Tracks { paths, movers, motion_bounds, of_body }
     }
 
-    /// Follows all of them over a step.
+    /// Evaluates the motion of all movers over a step.
     pub(super) fn follow(&mut self, span: Span) {
         let paths = &self.paths;
         let follow = |track: &mut Mover| {
@@ -131,12 +131,12 @@ impl Tracks {
             let motion_bounds = &mut self.motion_bounds[track.body as usize];
             motion_bounds.centre = track.kinematics[0].position;
             let (speed, extent) = (track.bounds.speed, track.extent);
-            // who swings many times in a step gets nowhere
+            // the extent is the tighter bound for a body that oscillates many times in a step
             motion_bounds.speed = if speed * h > extent { extent / h } else { speed };
         }
     }
 
-    /// Watches those for which `may` holds: most have nothing to do with their neighbours but what they did before.
+    /// Selects the movers for which `may` holds. For most, nothing changes relative to their neighbours.
     pub(super) fn watch(&mut self, may: impl Fn(&Mover) -> bool + Sync + Send) {
         each(&mut self.movers, |track| track.is_watched = may(track));
     }
@@ -146,13 +146,13 @@ impl Tracks {
         self.movers.iter().filter(|track| track.is_watched).map(|track| track.body)
     }
 
-    /// Where a body is at the start of the step.
+    /// The motion bounds of a body over the step.
     #[inline]
     pub fn motion_bounds(&self, body: u32) -> &MotionBounds {
         &self.motion_bounds[body as usize]
     }
 
-    /// What was allocated for them [bytes].
+    /// Memory allocated for the tracks [bytes].
     pub fn memory(&self) -> usize {
         self.movers.capacity() * size_of::<Mover>()
             + self.motion_bounds.capacity() * size_of::<MotionBounds>()
@@ -160,12 +160,12 @@ impl Tracks {
             + self.paths.capacity() * size_of::<Path>()
     }
 
-    /// The tracks, in the order of their bodies.
+    /// The movers, in ascending order of their bodies.
     pub fn all(&self) -> &[Mover] {
         &self.movers
     }
 
-    /// The track of a body, if it moves.
+    /// The mover of a body, if it moves.
     pub fn of(&self, body: usize) -> Option<&Mover> {
         self.movers.get(self.of_body[body] as usize)
     }
@@ -175,17 +175,17 @@ impl Tracks {
         Track::Prescribed(&self.paths[body])
     }
 
-    /// Those of a pair of bodies, that of lower index first.
+    /// The tracks of a pair of bodies, lower index first.
     pub fn pair(&self, i: u32, j: u32) -> PairTracks<'_> {
         let [a, b] = [i.min(j), i.max(j)].map(|body| body as usize);
         let radii = self.motion_bounds[a].radius + self.motion_bounds[b].radius;
         PairTracks { a: self.track(a), b: self.track(b), radii }
     }
 
-    /// A body's centre and its motion at one of the five looks of the step.
-    pub fn kinematics(&self, body: usize, look: usize) -> Kinematics {
+    /// A body's centre and its motion at one of the step's [`SAMPLES`].
+    pub fn kinematics(&self, body: usize, sample: usize) -> Kinematics {
         match self.of(body) {
-            Some(track) => track.kinematics[look],
+            Some(track) => track.kinematics[sample],
             None => self.track(body).at(0.0),
         }
     }
@@ -196,7 +196,7 @@ impl Tracks {
     }
 }
 
-/// Does the same with all of them, on several threads where that pays.
+/// Applies `work` to all movers, on several threads if that pays off.
 fn each(movers: &mut [Mover], work: impl Fn(&mut Mover) + Sync + Send) {
     if movers.len() < PARALLEL_TRACKS {
         movers.iter_mut().for_each(work);
@@ -209,7 +209,7 @@ fn each(movers: &mut [Mover], work: impl Fn(&mut Mover) + Sync + Send) {
 mod tests {
     use super::*;
 
-    /// Five samples at once equal five single ones, to rounding.
+    /// Evaluating all samples at once equals evaluating each, to rounding.
     #[test]
     fn tracks_follow_their_paths() {
         for name in ["two", "three", "crowd", "size_ratio"] {
@@ -220,9 +220,9 @@ mod tests {
                 tracks.follow(span);
                 for track in tracks.all() {
                     let path = scene.bodies[track.body as usize].path().unwrap();
-                    for (look, theta) in SAMPLES.into_iter().enumerate() {
+                    for (sample, theta) in SAMPLES.into_iter().enumerate() {
                         let t = if theta == 1.0 { span.end } else { span.start + theta * scene.dt };
-                        let (seen, exact) = (track.kinematics[look], path.at(t));
+                        let (seen, exact) = (track.kinematics[sample], path.at(t));
                         assert!(seen.position.distance(exact.position) < 1e-14 * exact.position.length().max(1.0));
                         assert!(seen.velocity.distance(exact.velocity) < 1e-13 * exact.velocity.length().max(1.0));
                     }

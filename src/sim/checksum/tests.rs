@@ -1,4 +1,4 @@
-//! Every bit of the state counts, and how it is stored does not.
+//! The checksum depends on every bit of the state and not on how the state is stored.
 
 use super::*;
 use crate::scene::Scene;
@@ -61,7 +61,7 @@ fn every_bit_of_the_state_counts() {
     assert_ne!(world.checksum(), before);
 }
 
-/// Differences that come in pairs, as in a symmetric motion, don't cancel.
+/// Changes that come in pairs, as in a symmetric motion, do not cancel.
 #[test]
 fn pairs_of_changes_count() {
     let mut world = merged();

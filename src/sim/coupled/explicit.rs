@@ -28,11 +28,11 @@ use crate::{
     },
 };
 
-/// A displacement of so many radii has diverged.
-const FAR: f64 = 1e6;
+/// A displacement beyond this counts as diverged [radii].
+const MAX_DISPLACEMENT: f64 = 1e6;
 
-/// Positions and velocities of the vertices of a body: in the world of a free one, relative to the centre of one on a
-/// path.
+/// Positions and velocities of the vertices of a body: in world coordinates for a free body, relative to the centre for
+/// a body on a path.
 #[derive(Clone, Debug, Default)]
 struct Particles {
     r: Vec<DVec3>,
@@ -41,15 +41,15 @@ struct Particles {
 
 /// Accelerations of the vertices of a body.
 struct Forces {
-    /// F: of spheres, planes, pushes, gravity, and the reactions to the body's sphere.
+    /// F, by spheres, planes, pushes, gravity, and the reactions to the body's sphere.
     outer: Vec<DVec3>,
-    /// T: of springs and damping.
+    /// T, by springs and damping.
     inner: Vec<DVec3>,
-    /// Forces on other bodies' spheres.
+    /// Reactions on the spheres of other bodies, by body.
     reactions: Vec<(u32, DVec3)>,
 }
 
-/// Where a body is and how it turns.
+/// A body's frame and its motion.
 #[derive(Clone, Copy)]
 struct Frame {
     centre: DVec3,
@@ -90,7 +90,7 @@ impl Frame {
     }
 }
 
-/// What evaluations have in common in a step.
+/// The common input of all force evaluations of a step.
 struct Step<'a> {
     scene: &'a Scene,
     members: &'a [Member],
@@ -105,7 +105,7 @@ impl Step<'_> {
         all.par_iter().enumerate().map(of).collect()
     }
 
-    /// The forces at an instant; without damping if it is left to the caller.
+    /// The forces at an instant, including damping if `is_damped`.
     fn forces(&self, all: &[Particles], t: f64, is_damped: bool) -> Vec<Forces> {
         let frames = self.frames(all, t);
         let indexed = all.par_iter().enumerate();
@@ -212,7 +212,9 @@ impl Step<'_> {
         }
     }
 
-    /// Velocity Verlet. Damping leaves the rigid motion alone, so the second half kick is implicit in what is beyond it.
+    /// Velocity Verlet, with damping implicit in the second half kick. Damping acts only on the motion relative to the
+    /// rigid
+    /// motion.
     fn verlet(&self, all: &[Particles], t: f64, dt: f64) -> Vec<Particles> {
         let mut next = all.to_vec();
         for (body, forces) in next.iter_mut().zip(self.forces(all, t, true)) {
@@ -292,7 +294,7 @@ impl Particles {
         Particles { r, v }
     }
 
-    /// Makes them the state of a body.
+    /// Writes the particles to a body as its state.
     fn end(&self, frame: &Frame, body: &mut Body) {
         (body.centre, body.velocity, body.rotation) = (frame.centre, frame.velocity, frame.rotation);
         let axes = DMat3::from_quat(frame.rotation);
@@ -322,7 +324,7 @@ impl Particles {
     }
 }
 
-/// Takes one step; returns a body that is in an invalid state then.
+/// Takes one step. Returns the first body whose state is invalid afterwards.
 pub(super) fn step(
     scheme: Scheme,
     scene: &Scene,
@@ -333,7 +335,7 @@ pub(super) fn step(
 ) -> Option<usize> {
     let particles = |(index, member): (usize, &Member)| {
         let mut particles = Particles::of(&member.body);
-        // a step knows nothing within itself: jumps of a path's velocity are felt at its start
+        // fixed steps do not resolve events within a step: velocity jumps of a path act at its start
         let knots = scene.bodies[index].path().map_or(&[][..], Path::knots);
         let first = knots.partition_point(|&t| t < span.start);
         let kicks = knots[first..].iter().take_while(|&&t| t < span.end).map(|&t| kick(scene, index as u32, t));
@@ -353,7 +355,7 @@ pub(super) fn step(
         let largest = |vectors: &[DVec3]| vectors.iter().map(|v| v.length_squared()).fold(0.0, larger).sqrt();
         let (x, u) = (largest(&member.body.x), largest(&member.body.u));
         (member.extent, member.speed) = (member.body.shape.extent() + x, u);
-        if !(x < FAR * member.body.radius && u.is_finite()) && diverged.is_none() {
+        if !(x < MAX_DISPLACEMENT * member.body.radius && u.is_finite()) && diverged.is_none() {
             diverged = Some(i);
         }
     }

@@ -1,4 +1,4 @@
-//! Islands: bodies that can act on each other within a step, and how these are advanced.
+//! Islands: bodies that can act on each other within a step, and how they are advanced.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -22,11 +22,11 @@ use crate::{
 /// With fewer vertices than this to step, a second thread does not pay off.
 const PARALLEL_VERTICES: usize = 512;
 
-/// Which bodies act on each other: a forest of bodies, each tree an island.
+/// A union-find forest of bodies that act on each other; each tree is an island.
 #[derive(Default)]
 pub(super) struct Forest {
     leader: Vec<u32>,
-    /// The pairs that couple their bodies, by their index.
+    /// Indices of the pairs that couple their bodies.
     pub coupled: Vec<u32>,
 }
 
@@ -36,7 +36,7 @@ impl Forest {
         self.coupled.clear();
     }
 
-    /// A body that may become part of an island.
+    /// Makes a body an island of its own.
     pub fn plant(&mut self, body: u32) {
         self.leader[body as usize] = body;
     }
@@ -56,13 +56,13 @@ impl Forest {
     }
 }
 
-/// The bodies and pairs of an island, by their indices, in ascending order.
+/// Indices of the bodies and pairs of an island, ascending.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Group {
     pub bodies: Vec<u32>,
-    /// Bodies on paths that only act on those of the island, and are advanced elsewhere.
+    /// Bodies on paths that act on the island but are advanced elsewhere.
     pub sources: Vec<u32>,
-    /// With whether the phase of the pair is this island's to tell.
+    /// Each pair, and whether this island reports its phase changes.
     pub pairs: Vec<(u32, bool)>,
 }
 
@@ -80,16 +80,16 @@ impl Group {
 pub(super) struct Job {
     pub group: Group,
     pub is_done: bool,
-    /// The bodies as they are at the end of the step, pairs, what acts, and how far each body got.
+    /// The bodies at the end of the step, pairs, forces, and how far each body moved.
     pub parts: Parts,
-    /// The bodies of the island, then those that only act on it.
+    /// The bodies of the island, then its sources.
     all: Vec<u32>,
     pub report: Report,
     pub failure: Option<free::Failure>,
     pub work: u64,
 }
 
-/// What islands are advanced with.
+/// The input for advancing islands.
 pub(super) struct Conditions<'a> {
     pub scene: &'a Scene,
     pub members: &'a [Member],
@@ -100,7 +100,7 @@ pub(super) struct Conditions<'a> {
     pub arch: Arch,
 }
 
-/// Advances the islands that are not done, side by side.
+/// Advances the islands that are not done, in parallel.
 pub(super) fn advance(jobs: &mut [Job], conditions: &Conditions<'_>) {
     let vertices = |job: &Job| {
         let of = |&body: &u32| conditions.members[body as usize].body.shape.rest().len();
@@ -129,10 +129,9 @@ impl Job {
     }
 
     /// The bodies of the island at `time` [s] within the last step, which began at `start` [s] and whose results have
-    /// become the state: the solver takes the step once more, up to there. `None` if that is more than `work` allows, or
-    /// fails.
+    /// become the state: the solver repeats the step up to `time`. `None` if that fails or exceeds `work`.
     pub fn bodies_at(&self, scene: &Scene, [start, time]: [f64; 2], arch: Arch, work: &Tally<'_>) -> Option<Vec<Body>> {
-        let mut parts = self.parts.clone(); // as before the step, but for what only acts on others, and phases
+        let mut parts = self.parts.clone(); // as before the step, except for the bodies on paths and the phases
         for (&body, copy) in self.all.iter().zip(&mut parts.bodies) {
             if let Some(path) = scene.bodies[body as usize].path() {
                 let motion = path.at(start);
@@ -154,8 +153,8 @@ impl Job {
         let Group { bodies, sources, pairs } = &self.group;
         self.all.clear();
         self.all.extend(bodies.iter().chain(sources));
-        let place = |body: u32| match bodies.binary_search(&body) {
-            Ok(place) => place as u32,
+        let local = |body: u32| match bodies.binary_search(&body) {
+            Ok(index) => index as u32,
             Err(_) => (bodies.len() + sources.binary_search(&body).unwrap_or_default()) as u32,
         };
         let mut parts = std::mem::take(&mut self.parts);
@@ -191,12 +190,12 @@ impl Job {
             copy.u.resize(count, DVec3::ZERO);
         }
         field.breaks.sort_by(f64::total_cmp);
-        let local = |&(pair, _): &(u32, bool)| {
+        let local_pair = |&(pair, _): &(u32, bool)| {
             let pair = near.pair(pair);
-            free::Pair { a: place(pair.a), b: place(pair.b), ..*pair }
+            free::Pair { a: local(pair.a), b: local(pair.b), ..*pair }
         };
         between.clear();
-        between.extend(pairs.iter().map(local));
+        between.extend(pairs.iter().map(local_pair));
         let paths = OfScene { scene, bodies: &self.all };
         let tally = Tally::new(work, Some(turn));
         let mut island = Island::resume(parts, scene.tolerance, span.start);
@@ -210,7 +209,7 @@ impl Job {
     }
 }
 
-/// The paths of a scene's bodies, by their places in an island.
+/// The paths of a scene's bodies, by their indices in an island.
 struct OfScene<'a> {
     scene: &'a Scene,
     bodies: &'a [u32],

@@ -1,4 +1,4 @@
-//! A body of a coupled scene: its state, bounds of its motion in a step, and whether it rests.
+//! A body of a coupled scene: its state, bounds of its motion in a step, and whether it is at rest.
 
 use std::{collections::HashMap, sync::Arc};
 
@@ -18,47 +18,48 @@ use crate::{
     },
 };
 
-/// Steps at the end of which a body must be [calm](Member::is_calm), one after another, before it rests, at the least …
+/// Number of consecutive steps that a body must end [calm](Member::is_calm) before it rests, at least …
 const CALM_STEPS: f64 = 12.0;
-/// … and for how long [s]. Engines for games take as long.
+/// … and for at least this time, as is usual in game engines [s].
 const CALM_TIME: f64 = 0.5;
-/// The share of the tolerance that the motion of a calm body may be. The integrator's own errors are far below the
-/// other half.
+/// Share of the tolerance within which the motion of a body counts as calm. The integrator's own errors are far below
+/// the rest.
 const CALM: f64 = 0.5;
-/// A larger tolerance than this [radii/s] lets bodies rest no sooner: what they would have done yet is an error that no
-/// shorter step would make smaller.
-const MOST_CALM: f64 = 1e-2;
-/// The share of the tolerance that the deformation of a body may be that counts as none.
+/// Larger tolerances than this do not let bodies rest any sooner [radii/s]: the motion lost by resting is an error that
+/// shorter steps do not reduce.
+const MAX_CALM_TOLERANCE: f64 = 1e-2;
+/// Share of the tolerance within which the deformation of a body counts as zero.
 const STRAIGHT: f64 = 0.1;
-/// A larger tolerance than this [radii/s] lets no larger deformation count as none.
-const FINEST: f64 = 1e-5;
-/// How much farther than in free flight a body may get in a step, before its pairs are looked for again [radii].
+/// Larger tolerances than this do not allow a larger deformation to count as zero [radii/s].
+const MAX_STRAIGHT_TOLERANCE: f64 = 1e-5;
+/// How much farther than in free flight a body may move in a step before the step is repeated [radii].
 const SLACK: f64 = 0.05;
 
-/// A body, and what the engine keeps of it.
+/// A body, and the engine's bookkeeping for it.
 pub(in crate::sim) struct Member {
-    /// Its state. A body that is not deformed has neither displacements nor velocities: the lists are empty.
+    /// Its state. An undeformed body has empty lists of displacements and velocities.
     pub body: Body,
-    /// Step length that its island last met the tolerance with [s].
+    /// Step length with which its island last met the tolerance [s].
     pub pace: f64,
-    /// At how many ends of steps in a row it was calm, and how it moved at the first of them.
+    /// Number of consecutive steps that it ended calm.
     pub calm: u32,
+    /// Its motion at the end of the first of these steps.
     pub calm_from: Drift,
-    /// Whether it takes steps; else it rests, and keeps its state.
+    /// Whether it takes steps; otherwise it rests and keeps its state.
     pub is_awake: bool,
-    /// How far it may get in the current step.
+    /// How far it may move in the current step.
     pub bounds: StepBounds,
-    /// The bounds for which its neighbours were found.
+    /// The fat bounds for which its neighbours were found.
     pub fat: FatBounds,
     /// Nearby bodies, ascending.
     pub neighbours: Vec<Neighbour>,
-    /// The largest distance of a vertex from the centre, or more [scene unit].
+    /// A bound on the distance of its vertices from the centre [scene unit].
     pub extent: f64,
-    /// The largest speed of a vertex relative to the frame, or more [scene unit/s].
+    /// A bound on the speed of its vertices relative to the frame [scene unit/s].
     pub speed: f64,
     /// [`Member::hash`] while it rests.
     pub resting_hash: u64,
-    /// The pushes on it, by their starts.
+    /// The pushes on it, in order of their starts.
     pub pushes: Box<[Push]>,
 }
 
@@ -69,16 +70,16 @@ pub(in crate::sim) struct Drift {
     spin: DVec3,
 }
 
-/// How far a body may get in a step.
+/// Bounds on the motion of a body in a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(in crate::sim) struct StepBounds {
-    /// Distance of its centre from where it was at the start [scene unit].
+    /// Largest distance of the centre from its initial position [scene unit].
     pub way: f64,
-    /// Distance of its vertices from the centre [scene unit].
+    /// Largest distance of a vertex from the centre [scene unit].
     pub extent: f64,
 }
 
-/// The rest shapes at the scale of bodies, one for all that are alike.
+/// Rest shapes at the scale of bodies, shared by equal bodies.
 #[derive(Default)]
 pub(in crate::sim) struct Shapes(HashMap<(usize, u64, u64), Arc<Shape>, FxBuildHasher>);
 
@@ -137,7 +138,7 @@ impl Member {
         member
     }
 
-    /// Takes over the state of another of the same shape.
+    /// Takes over the state of another body with the same shape.
     pub fn resume(&mut self, before: &Member) {
         let Member { body, pace, calm, calm_from, is_awake, extent, speed, .. } = before;
         self.body = Body { shape: Arc::clone(&self.body.shape), ..body.clone() };
@@ -145,19 +146,20 @@ impl Member {
         (self.extent, self.speed) = (*extent, *speed);
     }
 
-    /// Makes it undeformed.
+    /// Makes the body undeformed.
     pub fn straighten(&mut self) {
         (self.body.x, self.body.u) = (Vec::new(), Vec::new());
         (self.extent, self.speed) = (self.body.shape.extent(), 0.0);
     }
 
-    /// Whether it has displacements and velocities.
+    /// Whether the body has displacements and velocities.
     pub fn is_deformed(&self) -> bool {
         !self.body.x.is_empty()
     }
 
-    /// How far it can be expected to get in a step of `h` [s] when nothing unforeseen happens; what does is noticed, and
-    /// the step taken again.
+    /// Sets the expected bounds on its motion during `span`. If it moves farther, [`Member::strayed`] detects that and
+    /// the
+    /// step is repeated.
     pub fn expect(&mut self, scene: &scene::Body, gravity: DVec3, span: Span) {
         let Member { body, extent, speed, .. } = self;
         let (slack, h) = (SLACK * body.radius, span.length());
@@ -171,37 +173,40 @@ impl Member {
         self.bounds = StepBounds { way: slack + way, extent: *extent + slack + 1.5 * *speed * h };
     }
 
-    /// Whether it got farther than was expected; then more is expected of it.
+    /// Whether the body moved farther than expected; if so, widens its bounds.
     pub fn strayed(&mut self, way: &Way) -> bool {
-        let StepBounds { way: most, extent } = &mut self.bounds;
-        let strays = [(way.centre, most), (way.extent, extent)].map(|(got, most)| {
-            let strays = got > *most;
+        let StepBounds { way: max_way, extent } = &mut self.bounds;
+        let strays = [(way.centre, max_way), (way.extent, extent)].map(|(moved, max)| {
+            let strays = moved > *max;
             if strays {
-                *most = 2.0 * got;
+                *max = 2.0 * moved;
             }
             strays
         });
         strays != [false; 2]
     }
 
-    /// Whether everything about it moves so little that it may count as standing still: no vertex gets farther than half
-    /// of what the tolerance allows an error to grow, be it by the motion of the body or about a resting place.
+    /// Whether the body is nearly still: neither its rigid motion nor its vibration moves a vertex faster than half of
+    /// the
+    /// error growth that the tolerance allows.
     ///
-    /// A body that is calm for half a second, and [does not speed up](Member::stays_calm), rests: its velocities are set to
-    /// zero and its displacements kept. The error that this makes grows by less than half of the tolerance. What moves faster
-    /// than it did wakes by no rule, so a body has to be calm for as long as it takes an unstable balance to show.
+    /// A body that is calm for half a second and [does not speed up](Member::stays_calm) rests: its velocities are set
+    /// to
+    /// zero and its displacements kept. The resulting error grows by less than half of the tolerance. No rule wakes a
+    /// resting body that would have sped up, so a body must be calm for long enough to reveal an unstable equilibrium.
     pub fn is_calm(&self, tolerance: f64) -> bool {
-        let most = self.most_calm(tolerance);
+        let max = self.max_calm_speed(tolerance);
         let swing = self.speed / self.body.oscillator.omega.max(1.0);
-        swing <= most && self.body.velocity.length() + self.body.frame_spin().length() * self.extent <= most
+        swing <= max && self.body.velocity.length() + self.body.frame_spin().length() * self.extent <= max
     }
 
-    /// The largest speed of any of its points while it is calm [scene unit/s].
-    fn most_calm(&self, tolerance: f64) -> f64 {
-        CALM * tolerance.min(MOST_CALM) * self.body.radius
+    /// The largest speed of any point of a calm body [scene unit/s].
+    fn max_calm_speed(&self, tolerance: f64) -> f64 {
+        CALM * tolerance.min(MAX_CALM_TOLERANCE) * self.body.radius
     }
 
-    /// Counts another end of a step of `h` [s] at which it is calm; whether it has been so for long enough to rest.
+    /// Counts another step of `h` [s] that the body ends calm. Returns whether it has been calm for long enough to
+    /// rest.
     pub fn stays_calm(&mut self, tolerance: f64, h: f64) -> bool {
         let now = Drift { velocity: self.body.velocity, spin: self.body.frame_spin() };
         if self.calm == 0 {
@@ -211,25 +216,26 @@ impl Member {
         if f64::from(self.calm) < (CALM_TIME / h).ceil().max(CALM_STEPS) {
             return false;
         }
-        // a steady acceleration would take it as far in a second as its speed may
+        // a steady acceleration must gain no more than the calm speed per second
         let Drift { velocity, spin } = self.calm_from;
         let gained = (now.velocity - velocity).length() + (now.spin - spin).length() * self.extent;
-        let steady = gained <= self.most_calm(tolerance) * f64::from(self.calm) * h;
+        let steady = gained <= self.max_calm_speed(tolerance) * f64::from(self.calm) * h;
         if !steady {
             self.calm = 0;
         }
         steady
     }
 
-    /// Whether its deformation is so little that leaving it out is an error of less than a tenth of the tolerance: then
-    /// it is left out, if nothing acts on it.
+    /// Whether its deformation is so small that setting it to zero is an error of less than a tenth of the tolerance.
+    /// That
+    /// is done if nothing acts on the body.
     pub fn is_nearly_straight(&self, tolerance: f64) -> bool {
-        let most = STRAIGHT * tolerance.min(FINEST) * self.body.radius;
+        let max = STRAIGHT * tolerance.min(MAX_STRAIGHT_TOLERANCE) * self.body.radius;
         let x = self.body.x.iter().map(|x| x.length_squared()).fold(0.0, f64::max).sqrt();
-        x <= most && self.speed <= most * self.body.oscillator.omega.max(1.0)
+        x <= max && self.speed <= max * self.body.oscillator.omega.max(1.0)
     }
 
-    /// Its kinetic energy, if it is free: of its centre, its rotation and its vertices [mass · scene unit²/s²].
+    /// Kinetic energy of a free body: translation, rotation and vibration [mass · scene unit²/s²]; zero on a path.
     fn kinetic_energy(&self) -> f64 {
         let Body { shape, velocity, rotation, .. } = &self.body;
         if !self.body.is_free() {
@@ -244,7 +250,7 @@ impl Member {
         0.5 * shape.mass() * velocity.length_squared() + vertices.sum::<f64>()
     }
 
-    /// Makes it stand still. Returns the energy that it loses [mass · scene unit²/s²].
+    /// Sets all velocities to zero. Returns the lost energy [mass · scene unit²/s²].
     pub fn halt(&mut self) -> f64 {
         let lost = self.kinetic_energy();
         let Body { velocity, spin, u, .. } = &mut self.body;
@@ -254,7 +260,7 @@ impl Member {
         lost
     }
 
-    /// Angular velocity of its rest shape [rad/s].
+    /// Angular velocity of its frame [rad/s].
     pub fn spin(&self) -> DVec3 {
         self.body.frame_spin()
     }
@@ -267,7 +273,7 @@ impl Member {
         }
     }
 
-    /// A hash of its state; 0 of one that rests on a fixed path and is not deformed.
+    /// A hash of its state; 0 for an undeformed body at rest on a path.
     pub fn hash(&self, arch: Arch, index: u32) -> u64 {
         if !self.body.is_free() && !self.is_awake && !self.is_deformed() {
             return 0;
@@ -276,7 +282,7 @@ impl Member {
         checksum::of_body(arch, index, &self.body, others)
     }
 
-    /// How much work its forces are: number of vertices times that of the bodies nearby.
+    /// Approximate work of evaluating its forces: number of vertices times one plus the number of neighbours.
     pub fn size(&self) -> u64 {
         self.body.shape.rest().len() as u64 * (1 + self.neighbours.len() as u64)
     }
@@ -293,7 +299,7 @@ fn pushed(push: &scene::Push) -> Push {
     Push { body: body as u32, direction, strength, start, end: push.end() }
 }
 
-/// The motion of a body on a path at `t` [s], just before it if `before` is set.
+/// The motion of a body on a path at `t` [s]; the left limit if `before` is set.
 pub(in crate::sim) fn driven(scene: &Scene, body: u32, t: f64, before: bool) -> Driven {
     let body = &scene.bodies[body as usize];
     let Some(path) = body.path() else { return Driven::default() };
@@ -306,8 +312,8 @@ pub(in crate::sim) fn driven(scene: &Scene, body: u32, t: f64, before: bool) -> 
     Driven { position: motion.position, velocity: motion.velocity, carry }
 }
 
-/// By how much the velocities of a body's vertices jump at `t` [s], because that of its path does: they stay in motion as
-/// they were, unless the body is rigid. At t = 0 every velocity is zero [scene unit/s].
+/// The jump of the velocities of a body's vertices at `t` [s] due to the velocity jump of its path [scene unit/s]: the
+/// vertices keep their world velocity, unless the body is rigid. At t = 0 every velocity is zero.
 pub(in crate::sim) fn kick(scene: &Scene, body: u32, t: f64) -> DVec3 {
     let body = &scene.bodies[body as usize];
     match (body.path(), body.material.response) {

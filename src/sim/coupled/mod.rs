@@ -1,4 +1,4 @@
-//! Coupled scenes: free bodies, planes, and pairs whose strength changes gradually at the rim of the core.
+//! Coupled scenes: free bodies, planes, and pairs whose strength changes gradually at the edge of the core.
 //!
 //! | contents | module |
 //! | --- | --- |
@@ -8,12 +8,11 @@
 //! | islands of bodies that act on each other in a step, and advancing them | [`islands`] |
 //! | the schemes with fixed steps | [`explicit`] |
 //!
-//! A body acts on others whose motion it depends on. Unlike in other scenes, bodies can therefore not be stepped one by
-//! one, and events cannot be found beforehand. In each step, bodies that can act on each other form an island, which
-//! [`free`] advances with its own steps, which end at its events. A body on a path does not couple other bodies,
-//! because its centre is known.
+//! Free bodies act on each other, so unlike in other scenes, bodies cannot be stepped one by one and events cannot be
+//! found in advance. In each step, bodies that can act on each other form an island. [`free`] advances it with steps of
+//! its own, which end at its events. A body on a path does not couple other bodies, because its centre is known.
 //!
-//! How far a free body moves is known only afterwards. Islands are built for the expected motion; those with a body
+//! How far a free body moves is known only after the step. Islands are built for the expected motion; those with a body
 //! that moved farther are rebuilt and advanced again from the start of the step.
 //!
 //! # What a step skips
@@ -57,14 +56,14 @@ use crate::{
     scene::{Response, Scene},
 };
 
-/// Most times that a step is taken again because bodies got farther than was expected.
-const MOST_ROUNDS: u32 = 40;
+/// Limit on repetitions of a step because bodies moved farther than expected.
+const MAX_ROUNDS: u32 = 40;
 
-/// What steps ordinarily take of each vertex: a few sweeps of a few steps, at four nodes.
+/// Ordinary work of a step per vertex: a few sweeps of a few steps, at four nodes [units].
 const ORDINARY: u64 = 200;
-/// What they take besides of each vertex in contact with a plane.
+/// Additional ordinary work per vertex in contact with a plane [units].
 const ORDINARY_HELD: u64 = 2000;
-/// What steps take of each vertex in large islands, where bodies are advanced several times.
+/// Ordinary work per vertex in large islands, whose bodies are advanced separately and several times [units].
 const ORDINARY_APART: u64 = 4000;
 
 /// The bodies of a coupled scene.
@@ -73,16 +72,17 @@ pub(super) struct Coupled {
     near: Near,
     /// The bodies that take steps, ascending.
     awake: Vec<u32>,
-    /// Sum of the hashes of all others.
+    /// Sum of the hashes of the bodies that are not awake.
     resting_hash: u64,
-    /// When pushes begin, by time, with their bodies; and how many have begun.
+    /// Times at which pushes begin [s], ascending, with the bodies' indices; …
     starts: Vec<(f64, u32)>,
+    /// … and how many have begun.
     started: usize,
     arch: Arch,
     skip: bool,
     forest: Forest,
     jobs: Vec<Job>,
-    /// Buffers: the islands of the step before, lists of bodies and pairs, bodies.
+    /// Buffers, reused; `before` holds the islands of the previous step.
     before: Vec<Job>,
     groups: Vec<Group>,
     flying: Vec<u32>,
@@ -93,12 +93,12 @@ pub(super) struct Coupled {
 }
 
 impl Coupled {
-    /// The bodies at t = 0; `None` if more than `most_pairs` are near each other.
+    /// The bodies at t = 0; `None` if there are more than `max_pairs` pairs of nearby bodies.
     pub fn new(
         scene: &Scene,
         meshes: &[Arc<Mesh>],
         (skip, arch): (bool, Arch),
-        most_pairs: u64,
+        max_pairs: u64,
         work: &Work,
     ) -> Option<Coupled> {
         let mut shapes = Shapes::default();
@@ -127,7 +127,7 @@ impl Coupled {
         for (member, body) in coupled.members.iter_mut().zip(&scene.bodies) {
             member.expect(body, scene.gravity, first);
         }
-        if !coupled.near.start(scene, &mut coupled.members, most_pairs, &Tally::new(work, None)) {
+        if !coupled.near.start(scene, &mut coupled.members, max_pairs, &Tally::new(work, None)) {
             return None;
         }
         for body in 0..coupled.members.len() as u32 {
@@ -137,8 +137,9 @@ impl Coupled {
         Some(coupled)
     }
 
-    /// Takes over the state of others at `time` [s]: `kept` has the former index of each body that keeps its state. Those
-    /// at rest go on resting, unless all are to wake.
+    /// Takes over the state of another world at `time` [s]; `kept` is the former index of each body that keeps its
+    /// state.
+    /// Bodies at rest stay at rest unless `wake_all` is set.
     pub fn resume(&mut self, scene: &Scene, before: &Coupled, kept: &[Option<usize>], wake_all: bool, time: f64) {
         let span = Span { start: time, end: time + scene.dt };
         for (index, (member, kept)) in self.members.iter_mut().zip(kept).enumerate() {
@@ -186,8 +187,8 @@ impl Coupled {
             self.resting_hash = self.resting_hash.wrapping_add(member.resting_hash);
         }
         self.started = self.starts.partition_point(|start| start.0 < time);
-        for place in 0..self.started {
-            let body = self.starts[place].1;
+        for start in 0..self.started {
+            let body = self.starts[start].1;
             let member = &self.members[body as usize];
             if !member.is_awake && member.pushes.iter().any(|push| push.start < time && time < push.end) {
                 self.wake(body);
@@ -209,7 +210,7 @@ impl Coupled {
     ) -> Result<Option<usize>, Failure> {
         let start = Instant::now();
         self.wake_pushed(span);
-        self.look_ahead(scene, span, work);
+        self.bound_motion(scene, span, work);
         if let Some(scheme) = Scheme::of(scene.integrator) {
             let tally = Tally::new(work, None);
             tally.spend(self.members.iter().map(Member::size).sum());
@@ -241,7 +242,7 @@ impl Coupled {
                 break;
             }
             rounds += 1;
-            if rounds >= MOST_ROUNDS {
+            if rounds >= MAX_ROUNDS {
                 let body = self.jobs.iter().find(|job| !job.is_done).map_or(0, |job| job.group.bodies[0]);
                 return Err(self.overworked(scene, span, report, body));
             }
@@ -270,8 +271,8 @@ impl Coupled {
         self.awake.push(body);
     }
 
-    /// Finds how far bodies may get, and what they may come near.
-    fn look_ahead(&mut self, scene: &Scene, span: Span, work: &Work) {
+    /// Bounds how far awake bodies may move during `span`, and updates their neighbours.
+    fn bound_motion(&mut self, scene: &Scene, span: Span, work: &Work) {
         for &body in &self.awake {
             let member = &mut self.members[body as usize];
             if let Some(path) = scene.bodies[body as usize].path() {
@@ -297,8 +298,8 @@ impl Coupled {
             let body = self.awake[next];
             next += 1;
             self.near.follow(scene, &mut self.members, body as usize, span.start, &tally);
-            for place in 0..self.members[body as usize].neighbours.len() {
-                let Neighbour { other, pair } = self.members[body as usize].neighbours[place];
+            for index in 0..self.members[body as usize].neighbours.len() {
+                let Neighbour { other, pair } = self.members[body as usize].neighbours[index];
                 let is_awake = self.members[other as usize].is_awake;
                 if (is_awake && other < body) || !self.near.is_coupled(scene, pair, &self.members) {
                     continue;
@@ -372,7 +373,7 @@ impl Coupled {
             while next < before.len() && first(&before[next]) < group.bodies[0] {
                 next += 1;
             }
-            // the lists of one that has changed are used again
+            // an island that has changed reuses the allocations of the old one
             let known = before.get_mut(next).filter(|job| first(job) == group.bodies[0]);
             let mut job = known.map(take).unwrap_or_default();
             job.is_done &= job.group == *group;
@@ -386,7 +387,7 @@ impl Coupled {
         (self.before, self.groups) = (before, groups);
     }
 
-    /// Whether something acts on the bodies of an island, or they are deformed.
+    /// Whether an island must be integrated: something acts on its bodies, or they are deformed.
     fn needs_steps(&self, scene: &Scene, span: Span, group: &Group) -> bool {
         if !self.skip || group.bodies.len() > 1 || !group.pairs.is_empty() {
             return true;
@@ -416,7 +417,7 @@ impl Coupled {
         }
     }
 
-    /// Advances the islands to the end of `span`, in results of their own.
+    /// Advances copies of the islands' bodies to the end of `span`.
     fn advance(&mut self, scene: &Scene, span: Span, work: &mut Work, report: &StepReport) -> Result<(), Failure> {
         work.begin_turns(self.jobs.len());
         let Coupled { members, near, scratches, jobs, arch, .. } = self;
@@ -448,12 +449,12 @@ impl Coupled {
         }
     }
 
-    /// The results become the state.
+    /// Makes the results of the islands the state, and advances all other bodies.
     fn end(&mut self, scene: &Scene, span: Span, report: &mut StepReport) {
         let mut jobs = take(&mut self.jobs);
         let mut stepped = 0;
         for job in &mut jobs {
-            self.tell(job, report);
+            self.report_events(job, report);
             let bodies = job.group.bodies.len() as u64;
             report.substeps += job.report.body_steps;
             report.error = report.error.max(job.report.error);
@@ -464,7 +465,7 @@ impl Coupled {
                 let member = &mut self.members[index as usize];
                 std::mem::swap(&mut member.body, body);
                 if let Some(path) = scene.bodies[index as usize].path().filter(|path| !path.knots().is_empty()) {
-                    // what jumps now has done so
+                    // the right limit: after any jump at the end of the step
                     let motion = path.at(span.end);
                     (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
                 }
@@ -485,7 +486,7 @@ impl Coupled {
         awake.retain(|&body| members[body as usize].is_awake);
     }
 
-    /// All bodies as they are, for the forces on them and what they conserve.
+    /// The current state of all bodies, for their forces and conserved quantities.
     pub fn snapshot(&self, scene: &Scene, time: f64) -> Snapshot<'_> {
         let pushes = self.members.iter().zip(0..).flat_map(|(member, body)| {
             let acting = member.pushes.iter().filter(move |push| push.start <= time && time < push.end);
@@ -507,7 +508,7 @@ impl Coupled {
     }
 
     /// Reports the events of an island.
-    fn tell(&mut self, job: &Job, report: &mut StepReport) {
+    fn report_events(&mut self, job: &Job, report: &mut StepReport) {
         for change in &job.report.changes {
             let (pair, is_own) = job.group.pairs[change.pair];
             let free::Change { time, q, rate, from, to, energy, .. } = *change;
@@ -519,7 +520,7 @@ impl Coupled {
         }
     }
 
-    /// Moves the bodies that nothing acts on.
+    /// Moves the awake bodies on which nothing acts, in closed form.
     fn fly(&mut self, scene: &Scene, span: Span, jobs: &[Job]) {
         let (mut stepped, mut flying) = (take(&mut self.stepped), take(&mut self.flying));
         stepped.clear();
@@ -549,7 +550,7 @@ impl Coupled {
         (self.stepped, self.flying) = (stepped, flying);
     }
 
-    /// Lets islands rest that are calm, and straightens bodies that nothing acts on any more.
+    /// Puts calm islands to rest, and straightens bodies on which nothing acts any more.
     fn rest(&mut self, scene: &Scene, span: Span, jobs: &[Job], report: &mut StepReport) {
         for job in jobs {
             let Group { bodies, sources, pairs } = &job.group;
@@ -589,7 +590,7 @@ impl Coupled {
         }
     }
 
-    /// Lets a body rest.
+    /// Puts a body to rest.
     fn settle(&mut self, body: u32) {
         let arch = self.arch;
         let member = &mut self.members[body as usize];
@@ -661,8 +662,9 @@ impl Coupled {
         self.members[index].neighbours.iter().map(|neighbour| (neighbour.other, self.near.pair(neighbour.pair)))
     }
 
-    /// Writes some bodies as they were at `time` [s] within the last step, which began at `start` [s], on the solver's own
-    /// solution; those that took no step, and those for which it would be too much work, are left out.
+    /// Writes the states of some bodies at `time` [s] within the last step, which began at `start` [s], on the solver's
+    /// own
+    /// solution. Bodies that took no step, and those that would be too much work, are omitted.
     pub fn within(
         &self,
         scene: &Scene,
@@ -679,14 +681,14 @@ impl Coupled {
             }
             let Some(then) = job.bodies_at(scene, [start, time], self.arch, work) else { continue };
             for &body in own {
-                if let Ok(place) = job.group.bodies.binary_search(&(body as u32)) {
-                    write(body, &then[place]);
+                if let Ok(index) = job.group.bodies.binary_search(&(body as u32)) {
+                    write(body, &then[index]);
                 }
             }
         }
     }
 
-    /// How many bodies do not rest.
+    /// Number of bodies that are awake.
     pub fn awake_count(&self) -> usize {
         self.awake.len()
     }

@@ -1,7 +1,7 @@
 //! Broad phase of coupled scenes, and the phases of near pairs.
 //!
-//! As for prescribed bodies, a body's fat bounds contain everything that it can touch, or where it can be touched,
-//! until it has moved by more than their margin. But how far a free body moves is known only afterwards.
+//! As for prescribed bodies, a body's fat bounds contain everything that it can touch and every place where it can be
+//! touched, until it has moved by more than their margin. But how far a free body moves is known only after the step.
 
 use super::{
     member::Member,
@@ -18,14 +18,14 @@ use crate::{
     },
 };
 
-/// How far a body may move before its neighbours are looked for again [radii].
+/// How far a body may move before its neighbours are searched for again [radii].
 const SKIN: f64 = 0.3;
 
 /// All pairs of bodies that are near each other.
 #[derive(Default)]
 pub(in crate::sim) struct Near {
     pairs: Vec<Pair>,
-    /// Places in `pairs` that are free.
+    /// Unused indices of `pairs`.
     free: Vec<u32>,
     grid: Grid,
     /// The largest merge_at of any law [–].
@@ -34,7 +34,7 @@ pub(in crate::sim) struct Near {
     hash: u64,
     found: Vec<u32>,
     kept: Vec<Neighbour>,
-    /// Whether all bodies are neighbours of all others.
+    /// Whether every body is a neighbour of every other (the naive baseline).
     pub all: bool,
 }
 
@@ -44,11 +44,11 @@ impl Near {
         Near { merge_at, all, ..Near::default() }
     }
 
-    /// The pairs of all bodies at the start; false if there are more than `most`.
-    pub fn start(&mut self, scene: &Scene, members: &mut [Member], most: u64, work: &Tally<'_>) -> bool {
+    /// Finds the pairs of all bodies at the start; false if there are more than `max`.
+    pub fn start(&mut self, scene: &Scene, members: &mut [Member], max: u64, work: &Tally<'_>) -> bool {
         if self.all {
             let n = members.len() as u64;
-            if n * n.saturating_sub(1) / 2 > most {
+            if n * n.saturating_sub(1) / 2 > max {
                 return false;
             }
         }
@@ -57,7 +57,7 @@ impl Near {
         }
         for i in 0..members.len() {
             self.find(scene, members, i, 0.0, work);
-            if self.count() as u64 > most {
+            if self.count() as u64 > max {
                 return false;
             }
             if work.is_over() {
@@ -67,7 +67,7 @@ impl Near {
         true
     }
 
-    /// Finds the neighbours of a body again if it may leave the bounds that they were found for.
+    /// Finds the neighbours of a body again if it may leave its fat bounds in this step.
     pub fn follow(&mut self, scene: &Scene, members: &mut [Member], i: usize, t: f64, work: &Tally<'_>) {
         if self.all {
             return;
@@ -89,8 +89,9 @@ impl Near {
         self.grid.place(i as u32, Ball { centre: body.centre, radius: reach + rounding });
     }
 
-    /// Makes the bodies whose bounds touch those of body `i` its neighbours. A pair that was known keeps its phase; one
-    /// that is not apart stays known however far it is.
+    /// Makes the bodies whose bounds touch those of body `i` its neighbours. A known pair keeps its phase; a pair that
+    /// is
+    /// not apart stays listed at any distance.
     fn find(&mut self, scene: &Scene, members: &mut [Member], i: usize, t: f64, work: &Tally<'_>) {
         let (mut found, mut kept) = (std::mem::take(&mut self.found), std::mem::take(&mut self.kept));
         found.clear();
@@ -111,8 +112,8 @@ impl Near {
                 work.spend(NEW_PAIR);
                 let pair = self.add(scene, members, i, other as usize, t);
                 let others = &mut members[other as usize].neighbours;
-                let place = others.partition_point(|neighbour| neighbour.other < i as u32);
-                others.insert(place, Neighbour { other: i as u32, pair });
+                let index = others.partition_point(|neighbour| neighbour.other < i as u32);
+                others.insert(index, Neighbour { other: i as u32, pair });
                 Neighbour { other, pair }
             });
             members[i].neighbours.push(neighbour);
@@ -132,8 +133,8 @@ impl Near {
             return;
         }
         let others = &mut members[neighbour.other as usize].neighbours;
-        if let Ok(place) = others.binary_search_by_key(&(i as u32), |other| other.other) {
-            others.remove(place);
+        if let Ok(index) = others.binary_search_by_key(&(i as u32), |other| other.other) {
+            others.remove(index);
         }
         self.free.push(neighbour.pair);
     }
@@ -146,25 +147,25 @@ impl Near {
         let phase = if t == 0.0 { law.thresholds.initial(q) } else { Phase::Apart };
         let pair = Pair { a: a as u32, b: b as u32, phase, law };
         self.hash = self.hash.wrapping_add(checksum::of_pair(pair.a, pair.b, phase));
-        if let Some(place) = self.free.pop() {
-            self.pairs[place as usize] = pair;
-            return place;
+        if let Some(index) = self.free.pop() {
+            self.pairs[index as usize] = pair;
+            return index;
         }
         self.pairs.push(pair);
         self.pairs.len() as u32 - 1
     }
 
-    /// Makes a pair known, in a phase that it entered before.
+    /// Lists a pair that entered `phase` earlier.
     pub fn restore(&mut self, scene: &Scene, members: &mut [Member], a: usize, b: usize, phase: Phase) {
         let known = members[a].neighbours.binary_search_by_key(&(b as u32), |neighbour| neighbour.other);
         let pair = match known {
-            Ok(place) => members[a].neighbours[place].pair,
+            Ok(index) => members[a].neighbours[index].pair,
             Err(_) => {
                 let pair = self.add(scene, members, a, b, 0.0);
                 for (i, j) in [(a, b), (b, a)] {
                     let others = &mut members[i].neighbours;
-                    let place = others.partition_point(|neighbour| neighbour.other < j as u32);
-                    others.insert(place, Neighbour { other: j as u32, pair });
+                    let index = others.partition_point(|neighbour| neighbour.other < j as u32);
+                    others.insert(index, Neighbour { other: j as u32, pair });
                 }
                 pair
             }
@@ -172,12 +173,12 @@ impl Near {
         self.enter(pair, phase);
     }
 
-    /// A pair; its bodies are those of the scene.
+    /// The pair with an index; its bodies are indices of the scene.
     pub fn pair(&self, index: u32) -> &Pair {
         &self.pairs[index as usize]
     }
 
-    /// A pair enters a phase.
+    /// Sets the phase of a pair.
     pub fn enter(&mut self, index: u32, phase: Phase) {
         let pair = &mut self.pairs[index as usize];
         let (before, after) = (pair.phase, phase);
@@ -186,8 +187,8 @@ impl Near {
         self.hash = self.hash.wrapping_sub(before).wrapping_add(after);
     }
 
-    /// Whether, within the step, one of two bodies can have vertices inside the other's sphere, or their pair can change
-    /// its phase.
+    /// Whether, within the step, one body of a pair can have vertices inside the other's sphere, or the pair can change
+    /// phase.
     pub fn is_coupled(&self, scene: &Scene, index: u32, members: &[Member]) -> bool {
         let pair = &self.pairs[index as usize];
         let (a, b) = (&members[pair.a as usize], &members[pair.b as usize]);
@@ -205,7 +206,7 @@ impl Near {
         !(from.distance(to) > near + a.bounds.way + b.bounds.way + rounding)
     }
 
-    /// How many pairs there are.
+    /// Number of pairs.
     pub fn count(&self) -> usize {
         self.pairs.len() - self.free.len()
     }
@@ -215,7 +216,7 @@ impl Near {
         self.hash
     }
 
-    /// Memory allocated [bytes].
+    /// Memory allocated for the pairs [bytes].
     pub fn memory(&self) -> usize {
         self.pairs.capacity() * size_of::<Pair>() + self.free.capacity() * size_of::<u32>() + self.grid.memory()
     }

@@ -1,15 +1,15 @@
-//! The neighbours of a body.
+//! The neighbours of a body, and the fat bounds for which they are valid.
 
 use glam::DVec3;
 
-/// What neighbours were found for.
+/// The limits within which a body's neighbours are complete.
 #[derive(Clone, Copy, Debug, Default)]
 pub(in crate::sim) struct FatBounds {
-    /// Where the centre was [scene unit].
+    /// Centre when the neighbours were found [scene unit].
     pub centre: DVec3,
-    /// How far it may get from there [scene unit].
+    /// Largest allowed displacement of the centre from there [scene unit].
     pub skin: f64,
-    /// How far vertices may be from it [scene unit].
+    /// Largest allowed distance of a vertex from the centre [scene unit].
     pub extent: f64,
 }
 

@@ -1,4 +1,4 @@
-//! Coupled scenes: what is skipped changes nothing, nothing hangs, and rest is rest.
+//! Coupled scenes: skipping changes nothing, no step hangs, and bodies at rest stay at rest.
 
 use glam::DVec3;
 
@@ -43,7 +43,7 @@ fn difference(a: &World, b: &World) -> f64 {
 }
 
 #[test]
-fn a_body_that_nothing_reaches_flies_in_closed_form() {
+fn an_isolated_body_flies_in_closed_form() {
     let text = format!("gravity = [0, 0, -9.81]\n{}", free("a", [1.0, 0.0, 5.0], [2.0, 0.0, 3.0]));
     let mut world = World::new(scene(&text)).unwrap();
     for _ in 0..60 {
@@ -55,9 +55,9 @@ fn a_body_that_nothing_reaches_flies_in_closed_form() {
     assert!(world.body(0).is_at_rest());
 }
 
-/// Bodies that fall on a plane and on each other come to rest, cost nothing then, and wake when another falls on them.
+/// Bodies that fall on a plane come to rest, cost nothing then, and wake when another body touches them.
 #[test]
-fn what_rests_costs_nothing_until_it_is_touched() {
+fn resting_bodies_cost_nothing_until_touched() {
     let text = format!(
         "gravity = [0, 0, -9.81]\ntolerance = 1e-3\n[material]\nomega = 20.0\ndamping = 8.0\n[influence]\ncore_at = 0.9\ncore_width = 0.3\n{FLOOR}{}{}{}",
         ball("a", "{ free = { from = [0, 0, 0.02], rotation = \"fixed\" } }"),
@@ -82,7 +82,7 @@ fn what_rests_costs_nothing_until_it_is_touched() {
 }
 
 #[test]
-fn what_is_skipped_makes_no_difference() {
+fn skipping_makes_no_difference() {
     let text = format!(
         "gravity = [0, 0, -3]\n[material]\ndamping = 3.0\n[influence]\ncore_at = 0.6\ncore_width = 0.3\n{FLOOR}{}{}{}{}{}{}[[push]]\nbody = \"e\"\ndirection = [1, 0, 1]\nstrength = 20.0\nstart = 0.71\nduration = 0.2\n",
         free("a", [0.0, 0.0, 1.2], [0.5, 0.0, 0.0]),
@@ -112,9 +112,9 @@ fn what_is_skipped_makes_no_difference() {
     }
 }
 
-/// With a plane that nothing reaches, the coupled engine steps a scene of prescribed paths: two engines, one result.
+/// With a plane out of reach, the coupled engine steps a scene of prescribed paths: both engines give the same result.
 #[test]
-fn both_engines_agree_about_prescribed_paths() {
+fn both_engines_agree_on_prescribed_paths() {
     let jumping = |interpolation: &str| {
         let path = |shift: f64| {
             format!(
@@ -174,9 +174,9 @@ fn the_number_of_threads_makes_no_difference() {
     assert_eq!(checksums(1), checksums(3));
 }
 
-/// Whatever a scene asks for, a step ends, with a state or a reason.
+/// Every step of an extreme scene ends in bounded time, with a state or a failure.
 #[test]
-fn no_input_is_endless() {
+fn extreme_scenes_do_not_hang() {
     let fast = |spin: f64| ball("a", &format!("{{ free = {{ from = [0, 0, 0.4], spin = [0, {spin:e}, 0] }} }}"));
     let light = "[[body]]\nname = \"light\"\nradius = 1.0\nmass = 1e-6\nshape = { sphere = { stacks = 6, slices = 8 } }\nmotion = { free = { from = [0.9, 0, 0] } }\n";
     let deep = |k: f64| {
@@ -223,7 +223,7 @@ fn a_pair_that_chatters_is_named() {
     assert!(overworked.to_string().contains("core_width"));
 }
 
-/// The explicit schemes converge to the same motion, each by its order; that of the thesis to another.
+/// The explicit schemes converge to the same motion, each with its order; the thesis's scheme converges to another.
 #[test]
 fn explicit_schemes_converge() {
     let text = free("a", [0.0; 3], [0.6, 0.0, 0.0])
@@ -248,27 +248,27 @@ fn explicit_schemes_converge() {
     assert!(errors[2] > 1e-3, "{errors:?}");
 }
 
-/// Pushes and bodies that are given between steps, before they matter, lead to the same states as in the scene's file.
+/// Pushes and bodies added between steps, before they act, lead to the same states as in the scene file.
 #[test]
-fn changes_between_steps_are_as_if_the_scene_had_said_so() {
+fn changes_between_steps_equal_changes_of_the_scene() {
     let text = format!(
         "gravity = [0, 0, -3]\n[influence]\ncore_at = 0.6\ncore_width = 0.3\n{FLOOR}{}{}",
         free("a", [0.0, 0.0, 0.3], [0.0; 3]),
         free("b", [1.8, 0.2, 0.3], [0.0; 3]),
     );
     let push = "[[push]]\nbody = \"b\"\ndirection = [1, 0, 0]\nstrength = 9.0\nstart = 0.5\nduration = 0.2\n";
-    let told = scene(&format!("{text}{push}"));
-    let mut known = World::new(told.clone()).unwrap();
+    let full = scene(&format!("{text}{push}"));
+    let mut known = World::new(full.clone()).unwrap();
     let mut pushed = World::new(scene(&text)).unwrap();
     for step in 0..45 {
         if step == 20 {
-            pushed.push(told.pushes[0]).unwrap();
+            pushed.push(full.pushes[0]).unwrap();
         }
         run(&mut known, 1);
         run(&mut pushed, 1);
         assert_eq!(known.checksum(), pushed.checksum(), "step {step}");
     }
-    // what is added far away and removed again leaves the others as they were
+    // a body added far away and removed again does not change the others
     let far = scene(&format!("{text}{push}{}", free("far", [90.0, 0.0, 50.0], [0.0; 3]))).bodies[2].clone();
     assert_eq!(pushed.add(far.clone()), Ok(2));
     assert!(matches!(pushed.add(far), Err(EditError::Name(_))));
@@ -286,9 +286,10 @@ fn changes_between_steps_are_as_if_the_scene_had_said_so() {
     assert_eq!(prescribed.remove(0), Err(EditError::Prescribed));
 }
 
-/// A path that a program gives, from the start or between steps, leads to the same states as that path in the scene's file.
+/// A path given as a function, from the start or between steps, leads to the same states as that path in the scene
+/// file.
 #[test]
-fn a_path_by_a_function_is_as_if_the_scene_had_said_so() {
+fn a_path_by_a_function_equals_that_path_in_the_scene() {
     let text = free("a", [0.0; 3], [0.1, 0.0, 0.0])
         + &ball("leads", "{ line = { from = [2, 0, 0], velocity = [-0.3, 0, 0] } }");
     let line = |from: DVec3, velocity: DVec3| {
@@ -298,26 +299,26 @@ fn a_path_by_a_function_is_as_if_the_scene_had_said_so() {
     };
     let mut own = scene(&text);
     own.bodies[1].motion = line(2.0 * DVec3::X, -0.3 * DVec3::X)[1].clone();
-    let mut told = World::new(scene(&text)).unwrap();
+    let mut parsed = World::new(scene(&text)).unwrap();
     let mut given = World::new(own).unwrap();
     let later = line(DVec3::new(1.5, 0.1, 0.0), DVec3::new(0.1, 0.4, 0.0));
     for step in 0..50 {
         if step == 30 {
-            for (world, motion) in [&mut told, &mut given].into_iter().zip(later.clone()) {
+            for (world, motion) in [&mut parsed, &mut given].into_iter().zip(later.clone()) {
                 world.set_motion(1, motion).unwrap();
             }
         }
-        run(&mut told, 1);
+        run(&mut parsed, 1);
         run(&mut given, 1);
-        assert_eq!(told.checksum(), given.checksum(), "step {step}");
+        assert_eq!(parsed.checksum(), given.checksum(), "step {step}");
     }
-    assert_eq!(told.phase(0, 1), Phase::Merged);
+    assert_eq!(parsed.phase(0, 1), Phase::Merged);
 }
 
-/// Bodies that lie on each other and on a plane rest together, within the tolerance of what they would have done yet; what
-/// they lose by it is in the ledger. A touch wakes all of them.
+/// Bodies that lie on each other and on a plane rest together, within the tolerance of the motion without rest; the
+/// ledger holds the lost energy. A push on one wakes all of them.
 #[test]
-fn a_heap_rests_as_a_whole_and_wakes_when_it_is_touched() {
+fn a_pile_rests_and_wakes_as_a_whole() {
     let rough = FLOOR.replace("slip = 0.05", "slip = 0.5");
     let fixed =
         |name: &str, from: [f64; 3]| ball(name, &format!("{{ free = {{ from = {from:?}, rotation = \"fixed\" }} }}"));
@@ -352,16 +353,16 @@ fn a_heap_rests_as_a_whole_and_wakes_when_it_is_touched() {
     assert_eq!(world.report().sleeping_bodies, 0);
 }
 
-/// What starts from rest and gathers speed is not taken for something at rest, however slow it is at first.
+/// A body that starts from rest and speeds up does not count as resting, however slow it is at first.
 #[test]
-fn what_gathers_speed_does_not_rest() {
+fn an_accelerating_body_does_not_rest() {
     let spun = ball("a", "{ free = { from = [0, 0, 0], spin = [0, 0, 1e-3] } }");
     let mut world = World::new(scene(&format!("gravity = [0, 0, -0.008]\ntolerance = 1e-2\n{spun}"))).unwrap();
     run(&mut world, 300);
     assert!((world.body(0).centre().z + 0.004 * 25.0).abs() < 1e-9, "{}", world.body(0).centre());
 }
 
-/// Once lists have reached their sizes, steps of islands allocate no memory.
+/// Once buffers have grown to their final sizes, steps of islands allocate no memory.
 #[test]
 fn a_warm_step_of_islands_allocates_nothing() {
     let text = format!(
@@ -385,10 +386,11 @@ fn a_warm_step_of_islands_allocates_nothing() {
     assert!(world.report().failure.is_none() && world.report().sleeping_bodies == 1);
 }
 
-/// A force that a program gives acts like gravity where it is the same, its work is in the ledger, and it ends when it is
-/// taken away.
+/// A force given as a function acts like gravity of the same strength, its work is in the ledger, and it ends when it
+/// is
+/// removed.
 #[test]
-fn a_force_by_a_function_is_as_good_as_gravity() {
+fn a_force_by_a_function_equals_gravity() {
     let text = |gravity: f64| {
         let bodies = free("a", [0.0; 3], [0.1, 0.0, 0.0]) + &free("b", [1.9, 0.2, 0.0], [0.0; 3]);
         scene(&format!("gravity = [0, 0, {gravity}]\n[influence]\ncore_at = 0.6\ncore_width = 0.3\n{bodies}"))
@@ -404,13 +406,13 @@ fn a_force_by_a_function_is_as_good_as_gravity() {
         run(&mut fallen, 1);
         run(&mut forced, 1);
         let error = difference(&fallen, &forced);
-        // steps differ: the time scales of a function are not known
+        // the steps differ, because the time scales of a function are unknown
         assert!(error < 1e-7, "{}: {error:e}", forced.time());
     }
     assert_ne!(forced.phase(0, 1), Phase::Apart);
     let left = forced.conserved().unwrap().energy() - first - forced.ledger().total();
     assert!(forced.ledger().pushes > 1.0 && left.abs() < 1e-5, "{left:e} of {:?}", forced.ledger());
-    // without it, the pair's centre flies on
+    // without forces, the momentum of the pair is conserved
     let momentum = forced.conserved().unwrap().momentum;
     (0..2).for_each(|body| forced.set_force(body, None).unwrap());
     run(&mut forced, 15);
@@ -427,7 +429,7 @@ fn a_force_by_a_function_is_as_good_as_gravity() {
     assert_eq!(world.set_force(1, None), Err(EditError::OnPath("p".to_owned())));
 }
 
-/// The energy of a scene minus its ledger does not change, though its bodies start and end out of each other's reach.
+/// The energy of a scene minus its ledger is constant, even though its bodies start and end out of each other's reach.
 #[test]
 fn the_ledger_of_a_world_accounts_for_its_energy() {
     for name in ["collide", "drop"] {

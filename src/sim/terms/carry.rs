@@ -15,8 +15,8 @@ use crate::{
 
 pub struct Carry;
 
-/// By how much the velocities of a body's vertices jump at time `t` because that of its centre does [scene unit/s]: the
-/// vertices stay in motion as they were, unless the body is rigid. A body that jumps from place to place takes its
+/// The jump of the velocities of a body's vertices at time `t` due to the jump of its centre's velocity [scene unit/s]:
+/// the vertices keep their world velocity, unless the body is rigid. A centre that jumps between positions takes the
 /// vertices along. At t = 0 every velocity is zero.
 pub fn kick(scene: &Scene, tracks: &Tracks, index: usize, t: f64) -> DVec3 {
     match scene.bodies[index].material.response {
@@ -40,7 +40,7 @@ impl Term for Carry {
         let material = &on.scene.bodies[on.index as usize].material;
         let Some(mover) = on.tracks.of(on.index as usize) else { return 0.0 };
         let Bounds { speed, acceleration } = mover.bounds;
-        // a jump of the velocity, spread over the step, changes that of a vertex by as much
+        // a velocity jump acts on a vertex like the same change spread over the step
         let kicked = || if mover.kicks > 0.0 { acceleration + mover.kicks / span.length() } else { acceleration };
         match material.response {
             Response::Rigid => 0.0,
@@ -50,8 +50,9 @@ impl Term for Carry {
     }
 }
 
-/// The steady response of the vertices of a body that follows a sine, the one that neither grows nor decays. What their
-/// own oscillators add to it swings freely, so that both are known at any time without a step.
+/// The steady-state response of the vertices of a body that follows a sine. The transient is a free oscillation, so
+/// both
+/// are known in closed form at any time.
 #[derive(Clone, Copy, Debug)]
 pub struct Steady {
     amplitude: DVec3,
@@ -63,8 +64,9 @@ pub struct Steady {
 }
 
 impl Steady {
-    /// That of body `index`, if carry acts on it and it swings more than once in `h` [s], so that steps do not resolve
-    /// the motion.
+    /// The response of body `index`, if carry acts on it and it oscillates more than once in `h` [s], so that steps do
+    /// not
+    /// resolve the motion.
     pub fn of(scene: &Scene, index: usize, track: Track<'_>, h: f64) -> Option<Steady> {
         let Some(Path::Sine { amplitude, frequency, phase, .. }) = track.path() else { return None };
         let material = &scene.bodies[index].material;
@@ -80,7 +82,7 @@ impl Steady {
         let force = rate * rate;
         let sine = (force * real - from_drag * imaginary) / square;
         let cosine = -(force * imaginary + from_drag * real) / square;
-        // at resonance there is none
+        // there is none at undamped resonance
         let is_some = sine.abs() + cosine.abs() < 1e3;
         is_some.then_some(Steady { amplitude: *amplitude, rate, phase: *phase, sine, cosine })
     }
@@ -114,9 +116,9 @@ mod tests {
         World::new(Scene::parse(&text, "sine.toml").unwrap()).unwrap()
     }
 
-    /// A body that swings many times in a step is where short steps take it.
+    /// The closed form for a body that oscillates many times in a step agrees with short steps.
     #[test]
-    fn what_swings_too_fast_for_steps_is_known_in_closed_form() {
+    fn motion_too_fast_for_steps_is_known_in_closed_form() {
         for response in ["inertial", "world"] {
             for phase in [0.0, 1.0, std::f64::consts::FRAC_PI_2] {
                 let (mut long, mut short) = (world(response, 130.0, phase, 1.0), world(response, 130.0, phase, 128.0));

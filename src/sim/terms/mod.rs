@@ -2,9 +2,9 @@
 //!
 //! A term contributes in the three kinds that integrators know, see [`Surroundings`]: the same acceleration for all
 //! vertices, an acceleration times a weight per vertex, and one that depends on a vertex's position. It also gives a
-//! bound of its contribution, the instants at which it jumps, and the times at which it wakes a body at rest.
+//! bound on its contribution, the instants at which it jumps, and the times at which it wakes a body at rest.
 //! Everything that sums what acts on a body (integrators, motion bounds, arrows, energy, the stages of a step) uses the
-//! table below. A new term is a file next to this one and a line in that table.
+//! table below.
 
 pub(super) mod carry;
 mod free;
@@ -50,7 +50,7 @@ macro_rules! terms {
         }
 
         impl Cause {
-            /// The causes that there can be in a scene, in the order of [`Cause::ALL`]: more of them if it is coupled.
+            /// The causes that can occur in a scene, in the order of [`Cause::ALL`]; some occur only in coupled scenes.
             pub fn of(is_coupled: bool) -> impl Iterator<Item = Cause> {
                 let needs = |cause: &Cause| matches!(cause, Cause::Gravity | Cause::Plane | Cause::Reaction);
                 Cause::ALL.into_iter().filter(move |cause| is_coupled || !needs(cause))
@@ -135,7 +135,7 @@ terms! {
         Gravity: "gravity",
         /// Planes: their pressure and friction.
         Plane: "plane",
-        /// Of free bodies: the reaction to what their spheres do to the vertices of others.
+        /// Of free bodies: the reaction to the forces of their spheres on other bodies' vertices.
         Reaction: "reaction"
     ];
 }
@@ -167,7 +167,7 @@ trait Term {
     fn starts(_: &Scene, _: &mut Vec<(f64, u32)>) {}
 }
 
-/// A body that terms act on, with all that they may know about it.
+/// A body that terms act on, with everything that they may depend on.
 #[derive(Clone, Copy)]
 pub(super) struct On<'a, P> {
     pub scene: &'a Scene,
@@ -204,7 +204,7 @@ pub(super) trait Phases {
 pub(super) struct Moment {
     /// Time of the instant [s].
     pub time: f64,
-    /// Time whose phases apply: pairs have the phases that hold from here on [s].
+    /// Pairs have the phases that hold from this time on [s].
     pub phases_at: f64,
 }
 
@@ -214,7 +214,7 @@ pub(super) struct Moment {
 pub struct Surroundings {
     /// Accelerations that all vertices share [scene unit/s²], one per cause.
     pub uniform: Vec<(Cause, DVec3)>,
-    /// Accelerations that act on each vertex by a weight of its own.
+    /// Accelerations with a weight per vertex.
     pub weighted: Vec<Weighted>,
     /// The influence spheres that can reach the body: accelerations that depend on a vertex's position.
     pub sources: Vec<Source>,

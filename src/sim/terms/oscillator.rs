@@ -8,7 +8,7 @@ pub struct Springs;
 
 impl Term for Springs {}
 
-/// Their accelerations: multiples of the displacements and of the velocities [scene unit/s²].
+/// The accelerations by springs and damping, as multiples of the displacements and velocities [scene unit/s²].
 pub fn accelerations<'a>(
     material: Material,
     displacement: &'a Vectors,

@@ -129,8 +129,8 @@ fn strongest_pull(scene: &Scene, law: &PairLaw, this: u32, source: u32) -> f64 {
 /// Number of vertices whose distances are computed together.
 const STRIP: usize = 64;
 
-/// Σ s Φ over a body's vertices, less its value if all were outside every sphere [scene unit²/s²], and the number of
-/// vertices inside any sphere. `displacement` is empty if all are zero.
+/// Adds Σ s Φ over a body's vertices, minus its value if all were outside every sphere, to `sum` [scene unit²/s²].
+/// Returns the number of vertices inside any sphere. `displacement` is empty if all are zero.
 pub fn energy_inside(rest: Rest<'_>, displacement: &Vectors, sources: &[Source], weight: Weight, sum: &mut f64) -> u64 {
     let mut count = 0;
     if sources.is_empty() {
@@ -204,20 +204,22 @@ pub fn energy_of_distant_pairs(scene: &Scene) -> f64 {
         others * body.shape.vertex_count() as f64
     };
     let sum: f64 = scene.bodies.iter().map(energy).sum();
-    if scene.pairs.is_empty() { sum } else { sum + more_of_own_laws(scene, &common) }
+    if scene.pairs.is_empty() { sum } else { sum + excess_of_own_laws(scene, &common) }
 }
 
-/// Some bodies of one radius.
+/// Bodies of the same radius.
 #[derive(Clone, Copy, Default)]
 struct Alike {
     radius: f64,
+    /// Number of bodies.
     bodies: f64,
-    /// Of all of them.
+    /// Number of vertices of all of them.
     vertices: f64,
 }
 
-/// What pairs with laws of their own have more than by the common law, in O(laws · distinct radii²) of their groups.
-fn more_of_own_laws(scene: &Scene, common: &PairLaw) -> f64 {
+/// The difference in [`energy_of_distant_pairs`] between pairs' own laws and the common law, in
+/// O(laws · distinct radii²) of their groups.
+fn excess_of_own_laws(scene: &Scene, common: &PairLaw) -> f64 {
     let mut groups: BTreeMap<u32, BTreeMap<u64, Alike>> = BTreeMap::new();
     for (index, body) in scene.bodies.iter().enumerate() {
         let Some(group) = scene.pairs.group_of(index) else { continue };
@@ -235,8 +237,8 @@ fn more_of_own_laws(scene: &Scene, common: &PairLaw) -> f64 {
         Members::Group(group) => groups.get(&group).map_or(vec![], |group| group.values().copied().collect()),
     };
     let mut rules: Vec<_> = scene.pairs.rules().collect();
-    rules.sort_by_key(|&(sides, _)| sides); // a sum has an order
-    let more = |(sides, law): ([Members; 2], PairLaw)| {
+    rules.sort_by_key(|&(sides, _)| sides); // for a fixed order of summation
+    let excess = |(sides, law): ([Members; 2], PairLaw)| {
         let of = |radius, source| {
             outside_per_vertex(scene, &law, radius, source, Phase::Apart)
                 - outside_per_vertex(scene, common, radius, source, Phase::Apart)
@@ -257,7 +259,7 @@ fn more_of_own_laws(scene: &Scene, common: &PairLaw) -> f64 {
             _ => on(&a, &b) + on(&b, &a),
         }
     };
-    rules.into_iter().map(more).sum()
+    rules.into_iter().map(excess).sum()
 }
 
 #[cfg(test)]
@@ -266,7 +268,7 @@ mod tests {
 
     /// Compared with the sum over all pairs, for laws of bodies, of groups, within a group and across.
     #[test]
-    fn pairs_with_laws_of_their_own_count() {
+    fn the_energy_of_distant_pairs_includes_own_laws() {
         let mut text = "duration = 1.0\n[influence]\nbeta = 40.0\n".to_owned();
         for (k, group) in ["", "g", "g", "h", "h", "h", "", ""].into_iter().enumerate() {
             let group = if group.is_empty() { String::new() } else { format!("group = \"{group}\"\n") };
