@@ -1,5 +1,5 @@
-//! The built-in scenes, compiled in: those in `recordings/`, beside their golden recordings, and one too large for
-//! that.
+//! The built-in scenes: those in `recordings/`, beside their golden recordings, and one that is too large to have a
+//! golden recording.
 
 use super::Scene;
 
@@ -51,8 +51,7 @@ impl Scene {
     /// for other names.
     pub fn builtin(name: &str) -> Option<Scene> {
         let builtin = ALL.iter().find(|builtin| builtin.name == name)?;
-        // A test parses every built-in scene, so an error would mean a broken build; the scene is then treated as
-        // absent.
+        // a test parses every built-in scene, so an error means a broken build; the scene then counts as unknown
         Scene::parse_given(builtin.text, builtin.name, builtin.meshes).ok()
     }
 }

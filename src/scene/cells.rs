@@ -2,7 +2,7 @@
 
 /// Default number of cells along a body's diameter: a sphere of 266 vertices gets about 300 nodes.
 pub const ACROSS: u32 = 6;
-/// The most cells along a diameter.
+/// The largest number of cells along a diameter.
 pub const MOST_ACROSS: u32 = 256;
 
 /// Lattices of masses and springs: `[lattice]`.
@@ -12,7 +12,7 @@ pub struct Lattice {
     pub cells: u32,
     /// How a body tears.
     pub tear: TearMode,
-    /// Strain at which it tears [–], > 0.
+    /// Strain at which a body tears [–], > 0.
     pub limit: f64,
 }
 

@@ -47,10 +47,11 @@ impl Force {
     /// The acceleration `at(t, c, c′)` [scene unit/s²] as a function of time [s] and of position [scene unit] and
     /// velocity [scene unit/s] of the centre.
     ///
-    /// The function must be continuous and deterministic, and its length must not exceed `bound` [scene unit/s²]
-    /// anywhere the body gets: `bound` limits the search for what the body may touch in a step. It is called several
+    /// The function must be continuous and deterministic, and its magnitude must not exceed `bound` [scene unit/s²]
+    /// anywhere that the body moves: `bound` limits the search for what the body may touch in a step. It is called
+    /// several
     /// times within a step, also for error estimates, from any thread. The smoother it is, the longer the substeps; a
-    /// jump ends the run.
+    /// discontinuity ends the run.
     pub fn new(bound: f64, at: impl Fn(f64, DVec3, DVec3) -> DVec3 + Send + Sync + 'static) -> Force {
         Force { at: Arc::new(at), bound }
     }
@@ -60,7 +61,7 @@ impl Force {
         (self.at)(t, centre, velocity)
     }
 
-    /// Upper bound of its length [scene unit/s²].
+    /// Upper bound of its magnitude [scene unit/s²].
     pub fn bound(&self) -> f64 {
         self.bound
     }

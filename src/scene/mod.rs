@@ -119,7 +119,7 @@
 //! `inertial` or `world` keep their world velocity: relative to the centre it jumps by −Δv. Vertices of a `rigid` body
 //! are not affected. At t = 0 all velocities are zero, however the path begins. At a `hold` key the vertices move with
 //! the centre; their displacements and velocities do not change. Pairs change phase at the jump, by the distance after
-//! it; a jump from afar into a core is a merge and a core event at the same instant.
+//! it; a jump from outside merge_at into a core is a merge and a core event at the same instant.
 
 pub mod builtin;
 pub mod cells;
@@ -174,7 +174,7 @@ pub struct Scene {
     pub influence: Influence,
     /// When pairs merge, split and enter their core.
     pub thresholds: Thresholds,
-    /// Width in q over which the strength changes at the rim of the core [–]; 0 for a jump.
+    /// Width in q over which the strength changes around the edge of the core [–]; 0 for a jump.
     pub core_width: f64,
     /// The laws of pairs that have their own; see [`Scene::law`].
     pub pairs: PairLaws,
@@ -406,7 +406,7 @@ impl Scene {
         (self.duration / self.dt).round() as u64 // saturates
     }
 
-    /// The settings in which a run of this scene differs from its text, as lines of TOML: integrator, model, step and
+    /// The settings in which a run of this scene differs from its text, as lines of TOML: model, integrator, step,
     /// tolerance, and the number of steps (`None`: until stopped).
     pub fn overrides(&self, steps: Option<u64>) -> String {
         let Ok(own) = Scene::parse(&self.source, &self.name) else { return String::new() };
@@ -421,7 +421,7 @@ impl Scene {
     }
 
     /// The settings of a run, as lines of TOML: what a recording needs besides the scene's text. The default model is
-    /// left out, so that recordings read as those made before there were other models.
+    /// omitted, for compatibility with recordings made before other models existed.
     pub fn run_settings(&self) -> String {
         let model = match self.model {
             Model::Oscillators => String::new(),
@@ -479,12 +479,12 @@ impl Scene {
     /// (3.4), negative repels (3.5).
     ///
     /// `radius` is the radius of the body acted on and `source_radius` that of the source [scene unit]. Ignores
-    /// [`Scene::core_width`]: only coupled scenes have a gradual rim.
+    /// [`Scene::core_width`]: only coupled scenes have cores with a gradual edge.
     pub fn strength(&self, law: &PairLaw, phase: Phase, radius: f64, source_radius: f64) -> f64 {
         law.strength(phase, law.thresholds.merge_at) * self.influence.scale(radius, source_radius)
     }
 
-    /// Whether the scene needs the coupled solver: there is a free body, a plane, or a core with a gradual rim.
+    /// Whether the scene needs the coupled solver: there is a free body, a plane, or a core with a gradual edge.
     pub fn is_coupled(&self) -> bool {
         !self.planes.is_empty()
             || self.laws().any(|law| law.core_width > 0.0)

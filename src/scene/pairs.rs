@@ -20,9 +20,9 @@ pub enum Members {
 #[derive(Clone, Debug, Default)]
 pub struct PairLaws {
     laws: Vec<PairLaw>,
-    /// Index of the law by its two sides, the lesser one first.
+    /// Index of the law by its two sides, in ascending order.
     by_members: HashMap<[Members; 2], u32, FxBuildHasher>,
-    /// The group of each body that is in one, `[body_count]`; empty if no group has a law.
+    /// The group of each body, `[body_count]`; empty if there are no rules.
     group_of: Vec<Option<u32>>,
 }
 
@@ -36,8 +36,9 @@ pub struct Overlap {
 }
 
 impl PairLaws {
-    /// Builds the lookup from rules, each for all pairs of a body of one side with a body of the other; `group_of`
-    /// gives the group of each body, `[body_count]`.
+    /// Builds the lookup from rules, each for all pairs of a body of one side with a body of the other. `group_of` is
+    /// the
+    /// group of each body, `[body_count]`.
     ///
     /// # Errors
     /// Two rules apply to the same pair.
@@ -74,7 +75,7 @@ impl PairLaws {
         Ok(laws)
     }
 
-    /// The group of a body.
+    /// The group of a body, as a side of a rule.
     fn wider(&self, side: Members) -> Option<Members> {
         match side {
             Members::Body(body) => self.group_of[body as usize].map(Members::Group),
@@ -87,7 +88,7 @@ impl PairLaws {
         self.by_members.iter().map(|(&sides, &index)| (sides, self.laws[index as usize]))
     }
 
-    /// The group of a body, if it is in one that has a law.
+    /// The group of a body, if it is in one; `None` for all bodies if there are no rules.
     pub fn group_of(&self, body: usize) -> Option<u32> {
         self.group_of.get(body).copied().flatten()
     }
@@ -113,7 +114,7 @@ impl PairLaws {
         Some(self.laws[self.index(a, b)?])
     }
 
-    /// Its index in [`PairLaws::laws`].
+    /// Index in [`PairLaws::laws`] of the law of the pair of bodies `a` and `b`, in either order.
     pub fn index(&self, a: usize, b: usize) -> Option<usize> {
         if self.is_empty() {
             return None;
@@ -123,7 +124,7 @@ impl PairLaws {
         all.into_iter().find_map(|sides| self.by_members.get(&sorted(sides)).map(|&index| index as usize))
     }
 
-    /// The sides that a body can be part of.
+    /// The sides of rules that a body matches.
     fn sides(&self, body: usize) -> [Option<Members>; 2] {
         [Some(Members::Body(body as u32)), self.group_of(body).map(Members::Group)]
     }
@@ -136,7 +137,7 @@ impl PairLaws {
     }
 }
 
-/// Bodies before groups.
+/// Sides in ascending order: bodies before groups.
 fn sorted([a, b]: [Members; 2]) -> [Members; 2] {
     if a <= b { [a, b] } else { [b, a] }
 }

@@ -3,11 +3,13 @@
 //!
 //! # Limits
 //! Numbers are at most 10¹⁵ in magnitude, and those that must be positive (radius, dt, reach …) at least 10⁻¹², as must
-//! be the time between keys. Within these no product, quotient or square that the simulation forms comes near the range
-//! of a double, so nothing downstream has to check for overflow. They leave 27 orders of magnitude, more than double
+//! be the time between keys. Within these limits, no product, quotient or square that the simulation computes comes
+//! near
+//! the range of a double, so nothing downstream checks for overflow. They leave 27 orders of magnitude, more than
+//! double
 //! precision resolves. `duration / dt` is at most 10¹², so that step numbers are exact and times are accurate to a
-//! millionth of a step; a ring has at most 65,535 vertices, so that a vertex index fits 32 bits. A file has at most 32
-//! MiB.
+//! millionth of a step; a ring has at most 65,535 vertices, so that a vertex index fits 32 bits. A file has at most
+//! 32 MiB.
 
 mod error;
 mod grid;
@@ -43,19 +45,19 @@ use reader::{Choice, Integer, Keys, Kind, Number, Source, Table, Text, Value, Ve
 /// See the [limits](self#limits).
 const LARGEST: f64 = 1e15;
 const SMALLEST: f64 = 1e-12;
-const MOST_STEPS: f64 = 1e12;
+const MAX_STEPS: f64 = 1e12;
 const LARGEST_FILE: u64 = 32 << 20;
 
 const POSITIVE: Number = Number { min: SMALLEST, max: LARGEST };
 const NON_NEGATIVE: Number = Number { min: 0.0, max: LARGEST };
 const ANY: Number = Number { min: -LARGEST, max: LARGEST };
-/// Up to half a radius, the surface away from the seam keeps its shape.
+/// Blending by more than half a radius would also change the surface away from the seam.
 const BLEND: Number = Number { min: 0.0, max: 0.5 };
 /// Fewer than two cells have no free nodes.
 const CELLS: Integer = Integer { min: 2, max: cells::MOST_ACROSS };
-/// Springs shorter than at rest do not tear; those that may stretch a thousandfold never do.
+/// At zero, springs at rest would tear; springs that may stretch a thousandfold never tear.
 const STRAIN: Number = Number { min: 1e-3, max: 1e3 };
-/// Below the values at which an isotropic material becomes incompressible or shear-rigid: there the stiffness is
+/// Excludes the limits at which an isotropic material becomes incompressible or shear-rigid, where the stiffness is
 /// unbounded.
 const POISSON: Number = Number { min: -0.9, max: 0.49 };
 /// The length of a direction does not matter.
@@ -131,7 +133,7 @@ static SHAPE: Keys = Keys {
     form: "a table such as { sphere = { stacks = 12, slices = 24 } }",
     names: Shape::NAMES,
 };
-/// For each kind of shape.
+/// The keys of each kind of shape.
 static SHAPES: [Keys; Shape::KINDS.len()] = {
     let mut all = [const { Keys { home: "", form: "", names: &[] } }; Shape::KINDS.len()];
     let mut i = 0;
@@ -215,29 +217,31 @@ impl Scene {
     /// Those of [`Scene::load`].
     pub fn load_watched(path: &std::path::Path, watch: Watch<'_>) -> Result<Scene, SceneError> {
         let file = path.display().to_string();
-        let refuse = |message| SceneError { file: file.clone(), place: None, key: String::new(), message, help: None };
+        let rejected =
+            |message| SceneError { file: file.clone(), place: None, key: String::new(), message, help: None };
         let shown = one_line(&file);
 
         let bytes = read(path).map_err(|error| {
-            refuse(format!("cannot read \"{shown}\": {error}")).with_help(
+            rejected(format!("cannot read \"{shown}\": {error}")).with_help(
                 "give the path of a scene file or the name of a built-in scene (`meldscope scenes` lists them)",
             )
         })?;
         if bytes.len() as u64 > LARGEST_FILE {
             let limit = LARGEST_FILE >> 20;
-            return Err(refuse(format!("\"{shown}\" is larger than {limit} MiB, the most that a scene file may have")));
+            return Err(rejected(format!("\"{shown}\" is larger than {limit} MiB, the limit for scene files")));
         }
         let text = std::str::from_utf8(&bytes).map_err(|error| {
             let offset = error.valid_up_to();
             let valid = String::from_utf8_lossy(&bytes[..offset]);
             let message = format!("not UTF-8: found the byte 0x{:02x} at offset {offset}", bytes[offset]);
-            SceneError { place: Some(Place::of(&valid, offset)), ..refuse(message) }.with_help("save the file as UTF-8")
+            SceneError { place: Some(Place::of(&valid, offset)), ..rejected(message) }
+                .with_help("save the file as UTF-8")
         })?;
         Scene::parse_with_files(text, path, watch)
     }
 
-    /// Parses `text` as [`Scene::load`] would read it from the file at `path`: meshes are read from files, relative to
-    /// its folder.
+    /// Parses `text` as [`Scene::load`] would from the file at `path`: meshes are read from files, relative to its
+    /// folder.
     ///
     /// # Errors
     /// Those of [`Scene::parse`]; or a mesh cannot be read or is not the surface of a body.
@@ -251,7 +255,7 @@ impl Scene {
         on_deep_stack(|| read_scene(&Source { text, file: &file }, &mut Meshes::beside(Files::Folder(folder, watch))))
     }
 
-    /// A scene that is compiled in, with the files of its meshes.
+    /// Parses a built-in scene, with its mesh files.
     pub(super) fn parse_given(
         text: &str,
         file: &str,
@@ -260,7 +264,7 @@ impl Scene {
         on_deep_stack(|| read_scene(&Source { text, file }, &mut Meshes::beside(Files::Given(meshes))))
     }
 
-    /// The text of the scene's file, from that of [`Scene::source`]: without the embedded meshes.
+    /// The text of the scene's file, given [`Scene::source`]: without the embedded meshes.
     pub fn without_meshes(source: &str) -> &str {
         source.find(meshes::MARK).map_or(source, |end| &source[..end])
     }
@@ -277,7 +281,7 @@ impl Scene {
     }
 }
 
-/// The content of the file at `path`. Reading stops at the size limit, so that endless files end too.
+/// The content of the file at `path`, up to just beyond the size limit: the file may be endless.
 fn read(path: &std::path::Path) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     File::open(path)?.take(LARGEST_FILE + 1).read_to_end(&mut bytes)?;
@@ -285,7 +289,7 @@ fn read(path: &std::path::Path) -> io::Result<Vec<u8>> {
 }
 
 /// Calls `work` with a stack large enough for the deepest tree that the TOML parser makes: inline tables may nest 80
-/// deep and keys may have 80 parts, so 6,400 tables. Dropping them takes a stack frame each, several MB without
+/// deep and keys may have 80 parts, so 6,400 tables. Dropping each uses a stack frame, several MB in total without
 /// optimisation.
 pub(crate) fn on_deep_stack<T: Send>(work: impl Fn() -> T + Sync) -> T {
     std::thread::scope(|scope| {
@@ -293,7 +297,7 @@ pub(crate) fn on_deep_stack<T: Send>(work: impl Fn() -> T + Sync) -> T {
         match thread.map(|thread| thread.join()) {
             Ok(Ok(result)) => result,
             Ok(Err(panic)) => std::panic::resume_unwind(panic),
-            Err(_) => work(), // no thread available; any sensible file does without
+            Err(_) => work(), // no thread available; ordinary files do not need the deep stack
         }
     })
 }
@@ -311,7 +315,7 @@ pub(super) fn read_document(
 ) -> Result<Scene, SceneError> {
     let root = Table::root(source, document, &SCENE)?;
 
-    // Tables first: a key below the wrong header is then reported as misplaced, not as missing where it belongs.
+    // tables first, so that a key below the wrong header is reported as misplaced, not as missing where it belongs
     let material = root.table("material", &MATERIAL)?;
     let influence = root.table("influence", &INFLUENCE)?;
     let lattice = root.table("lattice", &LATTICE)?;
@@ -333,9 +337,9 @@ pub(super) fn read_document(
     let name = root.optional("name", SCENE_NAME)?.unwrap_or_else(|| name_from(source.file));
     let dt = root.optional("dt", POSITIVE)?.unwrap_or(1.0 / 60.0);
     let duration = root.required("duration", POSITIVE)?;
-    if let Some(value) = root.get("duration").filter(|_| duration / dt > MOST_STEPS) {
+    if let Some(value) = root.get("duration").filter(|_| duration / dt > MAX_STEPS) {
         return Err(value
-            .unexpected(format_args!("at most {MOST_STEPS:e} steps of dt ({dt:?} s)"))
+            .unexpected(format_args!("at most {MAX_STEPS:e} steps of dt ({dt:?} s)"))
             .with_help("shorten duration or raise dt"));
     }
     let integrator = Choice(Integrator::ALL.map(|integrator| (integrator.name(), integrator)));
@@ -622,7 +626,7 @@ fn read_free(table: &Table<'_>) -> Result<FreeMotion, SceneError> {
     })
 }
 
-/// A free body is moved by forces that act on its vertices: no other response makes sense for it.
+/// A free body is moved by the forces on its vertices, so only the inertial response makes sense.
 fn check_response(body: &Table<'_>, motion: &Value<'_>, material: &Material) -> Result<(), SceneError> {
     if material.response == Response::Inertial {
         return Ok(());
@@ -656,7 +660,7 @@ fn read_keys(value: &Value<'_>) -> Result<Vec<(f64, DVec3)>, SceneError> {
         if let Some(&(previous, _)) = keys.last()
             && t - previous < SMALLEST
         {
-            let expected = format!("a time at least {SMALLEST:e} after that of the key before ({previous:?})");
+            let expected = format!("a time at least {SMALLEST:e} after that of the previous key ({previous:?})");
             return Err(item
                 .error(format!("expected {expected}, found {t:?}"))
                 .with_help("the times of keys must increase"));
@@ -681,7 +685,7 @@ fn read_push(table: &Table<'_>, bodies: &[Body], names: &Names) -> Result<Push, 
     })
 }
 
-/// The error for a value that is none of the `known` names.
+/// The error for a value that is not one of the `known` names.
 fn unknown_name<'n, I: Iterator<Item = &'n str>>(
     value: &Value<'_>,
     expected: &str,

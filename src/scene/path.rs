@@ -89,7 +89,7 @@ pub struct Kinematics {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Turns([(f64, f64); 5]);
 
-/// Upper bounds of a path over an interval, for root finding that can't miss a crossing.
+/// Upper bounds of a path over an interval, for root finding that cannot miss a crossing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
     /// Upper bound of |c′| [scene unit/s].
@@ -106,11 +106,11 @@ impl Path {
             Path::Fixed(position) => {
                 Kinematics { position: *position, velocity: DVec3::ZERO, acceleration: DVec3::ZERO }
             }
-            _ => self.at_on_its_way(t),
+            _ => self.at_moving(t),
         }
     }
 
-    fn at_on_its_way(&self, t: f64) -> Kinematics {
+    fn at_moving(&self, t: f64) -> Kinematics {
         match self {
             Path::Fixed(_) => self.at(t),
             Path::Line { from, velocity } => {
@@ -206,8 +206,9 @@ impl Path {
         }
     }
 
-    /// Bounds of the motion relative to another path over `[start, end]` [s]: the sum of both, or less where both move
-    /// alike (otherwise, root finding would be slow for bodies in formation).
+    /// Bounds of the motion relative to another path over `[start, end]` [s]: the sum of both, or less where the two
+    /// move
+    /// alike (otherwise, root finding would be slow for bodies that move together).
     pub fn relative_bounds(&self, other: &Path, start: f64, end: f64) -> Bounds {
         let sum = || {
             let (a, b) = (self.bounds(start, end), other.bounds(start, end));
@@ -237,7 +238,7 @@ impl Path {
         }
     }
 
-    /// By how much the velocity jumps at time `t` [scene unit/s]: at the keys of straight lines.
+    /// The jump of the velocity at time `t` [scene unit/s]; nonzero only at the keys of straight lines.
     pub fn kick(&self, t: f64) -> DVec3 {
         match self {
             Path::Keyframes(spline)
@@ -250,7 +251,7 @@ impl Path {
         }
     }
 
-    /// A bound of the sum of these jumps in `[start, end)` [scene unit/s].
+    /// The sum of the magnitudes of the velocity jumps in `[start, end)` [scene unit/s].
     pub fn kicks(&self, start: f64, end: f64) -> f64 {
         match self {
             Path::Keyframes(spline) if spline.jumps == Jumps::Velocity => {
@@ -262,7 +263,7 @@ impl Path {
         }
     }
 
-    /// Whether the position of the centre jumps.
+    /// Whether the position of the centre jumps at the keys.
     pub fn is_held(&self) -> bool {
         matches!(self, Path::Keyframes(Spline { jumps: Jumps::Position, .. }))
     }
@@ -311,11 +312,11 @@ impl Path {
     }
 }
 
-/// A piecewise polynomial per coordinate through keys, held still outside of them. Copies share the keys.
+/// A piecewise polynomial per coordinate through keys, constant outside of them. Copies share the keys.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spline {
     times: Arc<[f64]>,
-    /// Hash of the times, to tell splines with different times apart without comparing them all.
+    /// Hash of the times, to distinguish splines with different times without comparing all times.
     times_hash: u64,
     /// `[keys − 1]`
     segments: Arc<[Segment]>,
@@ -346,7 +347,7 @@ impl Spline {
     /// zero velocity at the first and the last.
     ///
     /// The accelerations M_k at the keys solve the tridiagonal system of the clamped spline,
-    /// `h₋ M₋ + 2 (h₋ + h₊) M + h₊ M₊ = 6 (Δ₊ − Δ₋)`, with Δ the slope of a segment and 0 that beyond the ends
+    /// `h₋ M₋ + 2 (h₋ + h₊) M + h₊ M₊ = 6 (Δ₊ − Δ₋)`, with Δ the slope of a segment, 0 beyond the ends
     /// (de Boor, A Practical Guide to Splines, chapter IV).
     pub fn new(keys: &[(f64, DVec3)]) -> Spline {
         let n = keys.len();
@@ -453,19 +454,19 @@ impl Spline {
     fn bounds(&self, start: f64, end: f64) -> Bounds {
         let stretch = self.stretch(start, end);
         if self.jumps == Jumps::Position {
-            return Bounds { speed: self.jumped(stretch, start, end), acceleration: 0.0 };
+            return Bounds { speed: self.jump_speed(stretch, start, end), acceleration: 0.0 };
         }
         segment_bounds(&self.times, stretch, |k| self.segments[k], start, end)
     }
 
-    /// A speed at which half of `(start, end]` suffices to cover all jumps in it, at the keys of these segments
-    /// [scene unit/s].
-    fn jumped(&self, stretch: Range<usize>, start: f64, end: f64) -> f64 {
+    /// The speed that covers the distance of all jumps in `(start, end]`, at the keys of these segments, within half of
+    /// that interval [scene unit/s].
+    fn jump_speed(&self, stretch: Range<usize>, start: f64, end: f64) -> f64 {
         let inside = |k: &usize| start < self.times[*k] && self.times[*k] <= end;
-        let place = |k: usize| self.segments.get(k).map_or(self.last, |segment| segment.position);
-        let before = |k: usize| if k == 0 { self.first } else { place(k - 1) };
+        let position = |k: usize| self.segments.get(k).map_or(self.last, |segment| segment.position);
+        let before = |k: usize| if k == 0 { self.first } else { position(k - 1) };
         let keys = (stretch.start..stretch.end + 2).filter(|&k| k < self.times.len());
-        let far: f64 = keys.filter(inside).map(|k| place(k).distance(before(k))).sum();
+        let far: f64 = keys.filter(inside).map(|k| position(k).distance(before(k))).sum();
         if far > 0.0 { 2.0 * far / (end - start) } else { 0.0 }
     }
 
@@ -514,7 +515,7 @@ fn segment_bounds(
         if from > to {
             continue;
         }
-        // acceleration is linear in t, so largest at an end; speed changes by at most that times the time
+        // acceleration is linear in t, so largest at an end; the speed changes by at most that times the elapsed time
         let Segment { velocity, acceleration, jerk, .. } = segment(k);
         let ends = [from, to].map(|s| (acceleration + s * jerk).length());
         let largest = f64::max(ends[0], ends[1]);
@@ -533,7 +534,9 @@ mod tests {
         values.iter().enumerate().map(|(t, &x)| (t as f64, DVec3::X * x)).collect()
     }
 
-    /// The example of the scene file: between the keys at 1 s and 2 s it is at 1 + ¾ s (1 − s)², s the time since the first.
+    /// The example of the module's documentation: between the keys at 1 s and 2 s, the position is 1 + ¾ s (1 − s)²,
+    /// where s
+    /// is the time since 1 s.
     #[test]
     fn a_spline_overshoots_as_documented() {
         let path = Path::Keyframes(Spline::new(&through(&[0.0, 1.0, 1.0])));

@@ -1,4 +1,4 @@
-//! Variations of a scene: the same document with other values at some of its keys.
+//! Variations of a scene: the same document with different values at some of its keys.
 //!
 //! The text is parsed once. A variation replaces values in the tree of tables, which is then validated like any scene:
 //! every key can be varied, and defaults follow (the default mass of a body follows its radius).
@@ -15,10 +15,10 @@ use crate::text::did_you_mean;
 
 /// Ignores the progress of reading a mesh.
 const QUIET: Watch<'static> = &|_, _| ();
-/// Values are put at keys of at most this many parts; no key of a scene has as many.
-const MOST_PARTS: usize = 16;
-/// Indices in key paths are at most this.
-const LARGEST_INDEX: usize = 1 << 20;
+/// Limit on the parts of a key path; no key of a scene has this many.
+const MAX_PARTS: usize = 16;
+/// Limit on the indices in key paths.
+const MAX_INDEX: usize = 1 << 20;
 
 /// The path of a value in a scene: `influence.merge_at`, `body.b.motion.free.velocity[0]`, `push[0].strength`.
 ///
@@ -63,12 +63,12 @@ impl KeyPath {
                 let quoted = index.strip_prefix('"').and_then(|name| name.strip_suffix('"'));
                 parts.push(match (quoted, index.parse()) {
                     (Some(name), _) if is_name(name) => Part::Name(name.to_owned()),
-                    (None, Ok(index)) if index <= LARGEST_INDEX => Part::Index(index),
+                    (None, Ok(index)) if index <= MAX_INDEX => Part::Index(index),
                     _ => return Err(expected()),
                 });
                 rest = after;
             }
-            if !rest.is_empty() || parts.len() > MOST_PARTS {
+            if !rest.is_empty() || parts.len() > MAX_PARTS {
                 return Err(expected());
             }
         }
@@ -88,7 +88,7 @@ pub enum Setting {
 impl fmt::Display for Setting {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            // exact in a double and in an integer of TOML; both are read as the same number
+            // exact as a double and as a TOML integer, which are read as the same number
             Setting::Number(number) if number.fract() == 0.0 && number.abs() < 1e15 => write!(f, "{}", *number as i64),
             Setting::Number(number) => write!(f, "{number:?}"),
             Setting::Text(text) => toml::Value::String(text.clone()).fmt(f),
@@ -106,8 +106,9 @@ pub struct Template<'a> {
 }
 
 impl<'a> Template<'a> {
-    /// Parses the scene `text`; `file` is its name in errors. Meshes are read from `folder`, or without one taken from
-    /// the built-in scene of this name.
+    /// Parses the scene `text`; `file` is its name in errors. Meshes are read from `folder`, or without one, taken from
+    /// the
+    /// built-in scene of that name.
     ///
     /// # Errors
     /// Those of [`Scene::parse`].
@@ -144,12 +145,13 @@ impl<'a> Template<'a> {
         let document = self.varied(&settings)?;
         // a mesh that the text does not name may be read from its file
         read_document(&self.source, &document, &mut self.meshes.clone()).map_err(|error| {
-            // its position would be that of the replaced value
+            // the position would be inside the replaced value, not in the text
             SceneError { place: None, ..error }
         })
     }
 
-    /// The text of the scene with these values at these keys, without comments. It reads as the same scene.
+    /// The text of the scene with these values at these keys, without comments. It parses to the scene of
+    /// [`Template::scene`].
     ///
     /// # Errors
     /// Those of [`Template::scene`].
@@ -162,11 +164,11 @@ impl<'a> Template<'a> {
         let document = self.varied(&settings)?;
         read_document(&self.source, &document, &mut self.meshes.clone())?;
         let text = toml::to_string(&table(&document)).map_err(|error| self.error(String::new(), error.to_string()))?;
-        // includes the meshes, because it may be read elsewhere
+        // embeds the meshes, because the text may be read without their files
         let mut meshes = Meshes::beside(self.files);
         let source = Source { text: &text, file: self.source.file };
-        let carried = source.document().and_then(|document| read_document(&source, &document, &mut meshes));
-        Ok(if carried.is_ok() { meshes.carried_by(&text) } else { text })
+        let parsed = source.document().and_then(|document| read_document(&source, &document, &mut meshes));
+        Ok(if parsed.is_ok() { meshes.carried_by(&text) } else { text })
     }
 
     /// The document with these values.
@@ -189,8 +191,8 @@ impl<'a> Template<'a> {
     }
 }
 
-/// Sets the value at the path `parts`. Missing tables are created, as is a vector of zeros; the scene's parser reports
-/// unknown names.
+/// Sets the value at the path `parts`. Creates missing tables, and zero vectors where an index follows; the scene's
+/// parser reports unknown names.
 fn set<'a>(at: &mut DeValue<'a>, parts: &[Part], value: DeValue<'a>) -> Result<(), String> {
     let Some((part, rest)) = parts.split_first() else {
         *at = value;
@@ -218,13 +220,13 @@ fn set<'a>(at: &mut DeValue<'a>, parts: &[Part], value: DeValue<'a>) -> Result<(
                 let listed: Vec<&str> = names().take(8).collect();
                 let hint = did_you_mean(name, names());
                 return Err(match listed.len() {
-                    0 => format!("there is nothing of the name \"{name}\"; use an index, such as [0]"),
-                    _ => format!("there is nothing of the name \"{name}\"{hint} (names: {})", listed.join(", ")),
+                    0 => format!("there is nothing named \"{name}\"; use an index, such as [0]"),
+                    _ => format!("there is nothing named \"{name}\"{hint} (names: {})", listed.join(", ")),
                 });
             };
             match items.get_mut(index) {
                 Some(item) => set(item.get_mut(), rest, value),
-                None => Err(format!("there is nothing of the name \"{name}\"")),
+                None => Err(format!("there is nothing named \"{name}\"")),
             }
         }
         (DeValue::Array(items), Part::Index(index)) => {
@@ -234,8 +236,8 @@ fn set<'a>(at: &mut DeValue<'a>, parts: &[Part], value: DeValue<'a>) -> Result<(
                 item.ok_or_else(|| format!("there is no [{index}], the last of {count} is [{}]", count.max(1) - 1))?;
             set(item.get_mut(), rest, value)
         }
-        (_, Part::Name(name)) => Err(format!("there is no \"{name}\" in what is not a table")),
-        (_, Part::Index(index)) => Err(format!("there is no [{index}] in what is not an array")),
+        (_, Part::Name(name)) => Err(format!("there is no \"{name}\" in a value that is not a table")),
+        (_, Part::Index(index)) => Err(format!("there is no [{index}] in a value that is not an array")),
     }
 }
 
@@ -254,7 +256,7 @@ fn owned(value: &DeValue<'_>) -> toml::Value {
         DeValue::String(text) => toml::Value::String(text.to_string()),
         DeValue::Integer(integer) => match i64::from_str_radix(integer.as_str(), integer.radix()) {
             Ok(integer) => toml::Value::Integer(integer),
-            // a number of a scene, which is read as a double anyway
+            // too large for i64; a scene reads it as a double anyway
             Err(_) => toml::Value::Float(
                 u128::from_str_radix(integer.as_str(), integer.radix()).map_or(f64::NAN, |integer| integer as f64),
             ),
@@ -283,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn values_are_put_at_keys() {
+    fn values_are_set_at_keys() {
         let number = Setting::Number;
         assert_eq!(vary("two", "influence.alpha", number(7.5)).unwrap().influence.alpha, 7.5);
         assert_eq!(vary("two", "body.b.radius", number(2.0)).unwrap().bodies[1].mass, 8.0); // by default
@@ -305,20 +307,20 @@ mod tests {
     }
 
     #[test]
-    fn keys_that_are_none_are_refused() {
-        let refused = |key: &str| vary("two", key, Setting::Number(1.0)).unwrap_err();
-        assert!(refused("influence.merge_a").contains("unknown key; did you mean \"merge_at\"?"));
-        assert!(refused("influenc.merge_at").contains("did you mean \"influence\"?"));
-        assert!(refused("body.bb.radius").contains("nothing of the name \"bb\"; did you mean \"b\"? (names: a, b)"));
-        assert!(refused("body[2].radius").contains("there is no [2], the last of 2 is [1]"));
-        assert!(refused("dt.x").contains("there is no \"x\" in what is not a table"));
-        assert!(refused("influence..x").contains("expected the path of a key"));
-        assert!(refused("body[1.radius").contains("expected the path of a key"));
+    fn invalid_keys_are_rejected() {
+        let error = |key: &str| vary("two", key, Setting::Number(1.0)).unwrap_err();
+        assert!(error("influence.merge_a").contains("unknown key; did you mean \"merge_at\"?"));
+        assert!(error("influenc.merge_at").contains("did you mean \"influence\"?"));
+        assert!(error("body.bb.radius").contains("nothing named \"bb\"; did you mean \"b\"? (names: a, b)"));
+        assert!(error("body[2].radius").contains("there is no [2], the last of 2 is [1]"));
+        assert!(error("dt.x").contains("there is no \"x\" in a value that is not a table"));
+        assert!(error("influence..x").contains("expected the path of a key"));
+        assert!(error("body[1.radius").contains("expected the path of a key"));
         assert!(vary("two", "influence.merge_at", Setting::Number(1.3)).unwrap_err().contains("split_at"));
     }
 
     #[test]
-    fn the_text_of_a_variation_is_the_same_scene() {
+    fn the_text_of_a_variation_parses_to_the_same_scene() {
         let number = |x| Setting::Number(x);
         for (name, key, setting) in [
             ("two", "influence.alpha", number(1.0 / 3.0)),

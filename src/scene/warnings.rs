@@ -1,23 +1,24 @@
-//! Warnings about scenes that are valid, but hardly what was meant.
+//! Warnings about scenes that are valid but probably not intended.
 
 use super::{Motion, Rotation, Scene};
 
-/// At most this many bodies are compared with each other.
-const MOST_BODIES: usize = 64;
+/// The largest number of bodies that are compared with each other.
+const MAX_BODIES: usize = 64;
 
 /// Relative margin around a limit within which a threshold gives no warning.
 const MARGIN: f64 = 1e-9;
 
-/// Vertices faster than this times ω R swing so far that they turn their body inside out.
+/// Vertices faster than this move so far that they turn their body inside out [ω R].
 const INSIDE_OUT: f64 = 5.0;
 
 impl Scene {
-    /// Warnings about thresholds without effect, each with a level that has one: a `merge_at` at which no sphere
+    /// Warnings about thresholds without effect, each with a level that has an effect: a `merge_at` at which no sphere
     /// reaches the other body, a `split_at` at which the rest shapes still overlap. Also about free bodies that start
-    /// so deep in a plane that it tears them apart.
+    /// so
+    /// deep in a plane that it turns them inside out.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = [Vec::new(), Vec::new()];
-        for b in 0..self.bodies.len().min(MOST_BODIES) {
+        for b in 0..self.bodies.len().min(MAX_BODIES) {
             for a in 0..b {
                 let (law, pair) = (self.law(a, b), format!("{}~{}", self.bodies[a].name, self.bodies[b].name));
                 let (merge_at, split_at) = (law.thresholds.merge_at, law.thresholds.split_at);
@@ -27,7 +28,7 @@ impl Scene {
                 if merge_at > reach * (1.0 + MARGIN) {
                     warnings[0].push(format!(
                         "merge_at = {merge_at} is out of reach: at q = {merge_at} neither sphere of {pair} reaches the other \
-                         body, so merging changes nothing before q = {reach:.3}; a merge_at below that does"
+                         body, so merging changes nothing above q = {reach:.3}; use a merge_at below that"
                     ));
                 }
                 if split_at < 1.0 - MARGIN {
@@ -39,40 +40,44 @@ impl Scene {
             }
         }
         let [merge, split] = warnings.map(|all| summary(all, "pair"));
-        merge.into_iter().chain(split).chain(summary(self.torn(), "body")).collect()
+        merge.into_iter().chain(split).chain(summary(self.inside_out(), "body")).collect()
     }
 
     /// Free bodies that start so deep in a plane that it turns them inside out: their vertices then have no unique
-    /// best-fit rest shape, and no step is short enough. Measured (ω = 12/s, 30 steps at the default tolerance): the
-    /// least depth √stiffness/(ω radius) that fails is 6.3, the largest that is followed 11.4, whatever the stiffness. A
-    /// body with a fixed rotation has no such limit: 0.75 radii deep at a stiffness of 1e6, 62, is followed.
-    fn torn(&self) -> Vec<String> {
-        let mut torn = Vec::new();
+    /// best-fit
+    /// rest shape, and no step is short enough. Measured (ω = 12/s, 30 steps at the default tolerance), for any
+    /// stiffness:
+    /// the smallest depth √stiffness/(ω radius) at which the solver fails is 6.3, the largest at which it succeeds
+    /// 11.4. A
+    /// body with a fixed rotation has no such limit: it can start 0.75 radii deep at a stiffness of 1e6, a value of 62.
+    fn inside_out(&self) -> Vec<String> {
+        let mut warnings = Vec::new();
         for body in &self.bodies {
             let Motion::Free(free) = &body.motion else { continue };
             if free.rotation == Rotation::Fixed {
                 continue;
             }
-            let held = INSIDE_OUT * body.material.omega * body.radius;
+            let max_speed = INSIDE_OUT * body.material.omega * body.radius;
             for plane in &self.planes {
                 let depth = (plane.depth(free.from) + body.radius).min(2.0 * body.radius);
-                if depth > 0.0 && depth * plane.stiffness.sqrt() > held {
-                    let (name, speed, most) = (&body.name, depth * plane.stiffness.sqrt(), (held / depth).powi(2));
-                    let omega = body.material.omega * speed / held;
-                    torn.push(format!(
-                        "{name} starts {depth:.3} deep in a plane of stiffness {:e}, which throws its vertices off at {speed:.3e} \
-                         scene units/s: its springs do not hold them, and it may not be possible to follow it; start it \
-                         outside, lower stiffness to {most:.3e}, raise omega to {omega:.3e}, or give it rotation = \"fixed\"",
+                if depth > 0.0 && depth * plane.stiffness.sqrt() > max_speed {
+                    let (name, speed, stiffness) =
+                        (&body.name, depth * plane.stiffness.sqrt(), (max_speed / depth).powi(2));
+                    let omega = body.material.omega * speed / max_speed;
+                    warnings.push(format!(
+                        "{name} starts {depth:.3} deep in a plane of stiffness {:e}, which accelerates its vertices to {speed:.3e} \
+                        scene units/s: its springs are too weak to hold them, and the solver may fail; start it \
+                        outside, lower stiffness to {stiffness:.3e}, raise omega to {omega:.3e}, or give it rotation = \"fixed\"",
                         plane.stiffness
                     ));
                 }
             }
         }
-        torn
+        warnings
     }
 }
 
-/// The first of some warnings, and how many more there are.
+/// The first of several warnings, with the number of others.
 fn summary(all: Vec<String>, what: &str) -> Option<String> {
     let more = all.len().saturating_sub(1);
     let first = all.into_iter().next()?;
@@ -97,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn a_threshold_out_of_reach_is_named_with_one_that_makes_sense() {
+    fn a_threshold_without_effect_is_reported_with_a_level_that_has_one() {
         let found = warnings("merge_at = 3.0\nsplit_at = 3.1");
         assert!(found.len() == 1 && found[0].contains("merge_at = 3 ") && found[0].contains("1.207"), "{found:?}");
         let found = warnings("merge_at = 0.8\nsplit_at = 0.9");
@@ -107,7 +112,7 @@ mod tests {
 
     /// A body that starts half a radius deep fails at a stiffness of 1e5, but not at 1e4.
     #[test]
-    fn one_that_starts_deep_in_a_stiff_plane_is_told() {
+    fn a_body_deep_in_a_stiff_plane_is_reported() {
         let warnings = |stiffness: f64, z: f64| {
             let text = format!(
                 "duration = 1.0\n[[plane]]\nnormal = [0, 0, 1]\nstiffness = {stiffness:e}\n[[body]]\nname = 'a'\nradius = 1.0\n\

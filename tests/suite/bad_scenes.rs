@@ -629,15 +629,15 @@ motion = { keyframes = [[0, 0, 0, 0], [1, 0, -inf, 0]] }
 
 Body: keys of one time
 motion = { keyframes = [[0, 0, 0, 0], [1, 0, 0, 0], [1, 1, 0, 0]] }
-> bad.toml:3:53: body["ball"].motion.keyframes[2]: expected a time at least 1e-12 after that of the key before (1.0), found 1.0; the times of keys must increase
+> bad.toml:3:53: body["ball"].motion.keyframes[2]: expected a time at least 1e-12 after that of the previous key (1.0), found 1.0; the times of keys must increase
 
 Body: keys out of order
 motion = { keyframes = [[0, 0, 0, 0], [2, 0, 0, 0], [1, 1, 0, 0]] }
-> bad.toml:3:53: body["ball"].motion.keyframes[2]: expected a time at least 1e-12 after that of the key before (2.0), found 1.0; the times of keys must increase
+> bad.toml:3:53: body["ball"].motion.keyframes[2]: expected a time at least 1e-12 after that of the previous key (2.0), found 1.0; the times of keys must increase
 
 Body: keys too close
 motion = { keyframes = [[0, 0, 0, 0], [1e-13, 1, 0, 0]] }
-> bad.toml:3:39: body["ball"].motion.keyframes[1]: expected a time at least 1e-12 after that of the key before (0.0), found 1e-13; the times of keys must increase
+> bad.toml:3:39: body["ball"].motion.keyframes[1]: expected a time at least 1e-12 after that of the previous key (0.0), found 1e-13; the times of keys must increase
 
 Push: push of no body
 body = "b"
@@ -826,7 +826,7 @@ bodies = ["g", "g"]
 alpha = 50
 [[pair]]
 bodies = ["a-0-0-0", "a-1-0-0"]
-> bad.toml:13:10: pair[1].bodies: expected pairs that have no law yet, found some of the [[pair]] at line 9; each pair of bodies can have one [[pair]]: join the two, or divide the groups
+> bad.toml:13:10: pair[1].bodies: expected pairs without a [[pair]] so far, found some of the one at line 9; each pair of bodies can have one [[pair]]: join the two, or divide the groups
 
 Whole: a grid of too many
 duration = 4
@@ -1069,10 +1069,10 @@ fn a_file_without_measure_is_refused() {
     let large = Temporary::new("large.toml");
     let file = std::fs::File::create(&large.0).expect("a file can be made");
     file.set_len((64 << 20) + 1).expect("a file can have a hole");
-    assert_eq!(large.refusal(), "\"FILE\" is larger than 32 MiB, the most that a scene file may have");
+    assert_eq!(large.refusal(), "\"FILE\" is larger than 32 MiB, the limit for scene files");
     if cfg!(target_os = "linux") {
         let endless = Scene::load(&PathBuf::from("/dev/zero")).expect_err("an endless file").to_string();
-        assert_eq!(endless, "\"/dev/zero\" is larger than 32 MiB, the most that a scene file may have");
+        assert_eq!(endless, "\"/dev/zero\" is larger than 32 MiB, the limit for scene files");
     }
 }
 

@@ -86,7 +86,7 @@ fn broken_sweeps_are_refused_with_their_place() {
         (&axis.replace("alpha", "alhpa"), "axis[0].key: influence.alhpa: unknown key; did you mean \"alpha\"?"),
         (
             &axis.replace("influence.alpha", "body.c.radius"),
-            "s.toml:3:7: axis[0].key: body.c.radius: there is nothing of the name \"c\"",
+            "s.toml:3:7: axis[0].key: body.c.radius: there is nothing named \"c\"",
         ),
         (
             &axis.replace("alpha", "merge_at"),

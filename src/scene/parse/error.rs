@@ -18,11 +18,11 @@ pub struct SceneError {
     pub key: String,
     /// What was expected and what was found.
     pub message: String,
-    /// How to fix it, where there is something to say.
+    /// How to fix it, if there is a hint.
     pub help: Option<String>,
 }
 
-/// A place in a text. Line and column count from 1.
+/// A position in a text; lines and columns count from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Place {
     /// Line number.
@@ -84,8 +84,7 @@ const QUOTED: usize = 40;
 
 /// The beginning of `text`, without characters that could break a line or a terminal.
 pub(super) fn clip(text: &str) -> String {
-    // escape_debug also escapes invisible characters and those that change the writing direction; apostrophes are
-    // harmless
+    // escape_debug also escapes invisible characters and those that change the text direction; apostrophes are harmless
     let escape = |c: char| if c == '\'' { c.to_string() } else { c.escape_debug().to_string() };
     let mut clipped: String = text.chars().take(QUOTED).map(escape).collect();
     if text.chars().nth(QUOTED).is_some() {

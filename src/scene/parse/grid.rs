@@ -8,11 +8,11 @@ use super::{
 };
 use crate::scene::{Motion, Path};
 
-/// Upper limit on the bodies of all grids of a scene together, and on the keys of their paths.
-const MOST: u64 = 1_000_000;
+/// Limit on the bodies of all grids of a scene together, and on the keys of their paths.
+const MAX_BODIES: u64 = 1_000_000;
 const COUNT: &str = "an array of 3 integers of at least 1 [nx, ny, nz]";
 
-/// Appends the bodies of these tables, and for each body the table that it is from.
+/// Appends the bodies of these tables, and for each body its table.
 pub(super) fn read<'t, 's>(
     tables: &'t [Table<'s>],
     material: Material,
@@ -20,7 +20,7 @@ pub(super) fn read<'t, 's>(
     bodies: &mut Vec<Body>,
     from: &mut Vec<&'t Table<'s>>,
 ) -> Result<(), SceneError> {
-    let mut room = MOST;
+    let mut room = MAX_BODIES;
     for table in tables {
         let first = super::read_body(table, material, meshes)?;
         let value = table.present("count", COUNT)?;
@@ -32,10 +32,10 @@ pub(super) fn read<'t, 's>(
         let all = counts.iter().fold(keys, |all, &count| all.saturating_mul(u64::from(count)));
         room = room.checked_sub(all).ok_or_else(|| {
             let [x, y, z] = counts;
-            let of_keys = if keys > 1 { format!(", each with {keys} keys") } else { String::new() };
+            let with_keys = if keys > 1 { format!(", each with {keys} keys") } else { String::new() };
             value.error(format!(
-                "expected at most {MOST} bodies, or keys of their paths, of all grids together, found {x} × {y} × {z} \
-                 bodies{of_keys}"
+                "expected at most {MAX_BODIES} bodies, or keys of their paths, of all grids together, found {x} × {y} × {z} \
+                bodies{with_keys}"
             ))
         })?;
         let spacing = table.required("spacing", Vector(ANY))?;
@@ -44,17 +44,16 @@ pub(super) fn read<'t, 's>(
         let name = |[x, y, z]: [u32; 3]| format!("{}-{x}-{y}-{z}", first.name);
         let last = name(counts.map(|count| count - 1));
         if !is_body_name(&last) {
-            let message =
-                format!("expected a name that leaves room for the places in the grid, found one that makes \"{last}\"");
+            let message = format!("expected a name that leaves room for the indices, found one that makes \"{last}\"");
             return Err(table.error("name", message).with_help("names have at most 64 characters"));
         }
         let mut random = Random(u64::from(seed));
         for z in 0..counts[2] {
             for y in 0..counts[1] {
                 for x in 0..counts[0] {
-                    let place = DVec3::new(f64::from(x), f64::from(y), f64::from(z)) * spacing;
+                    let offset = DVec3::new(f64::from(x), f64::from(y), f64::from(z)) * spacing;
                     let jittered = DVec3::from_array(std::array::from_fn(|_| random.next_signed()));
-                    let motion = first.motion.moved_by(place + jitter * jittered);
+                    let motion = first.motion.moved_by(offset + jitter * jittered);
                     bodies.push(Body { name: name([x, y, z]), motion, ..first.clone() });
                     from.push(table);
                 }
@@ -68,7 +67,7 @@ fn read_count(value: &Value<'_>) -> Result<[u32; 3], SceneError> {
     let items = value.items().filter(|items| items.len() == 3).ok_or_else(|| value.unexpected(COUNT))?;
     let mut counts = [0; 3];
     for (count, item) in counts.iter_mut().zip(items) {
-        *count = Integer { min: 1, max: MOST as u32 }.read(&item)?;
+        *count = Integer { min: 1, max: MAX_BODIES as u32 }.read(&item)?;
     }
     Ok(counts)
 }

@@ -15,7 +15,7 @@ fn is_file(name: &str) -> bool {
     (1..=4096).contains(&name.len()) && !name.contains('\0')
 }
 
-/// Where to find meshes that are not embedded in the text of a scene.
+/// The source of meshes that are not embedded in the text of a scene.
 #[derive(Clone, Copy)]
 pub(in crate::scene) enum Files<'a> {
     /// Nowhere.
@@ -51,13 +51,13 @@ impl<'a> Meshes<'a> {
             let data = table.required("data", DATA)?;
             let mesh = geometry::files::from_text(&data).map_err(|error| table.error("data", error.to_string()))?;
             if self.known.insert(file, mesh).is_some() {
-                return Err(table.error("file", "expected a file that no other [[mesh]] is of".to_owned()));
+                return Err(table.error("file", "expected a file that no other [[mesh]] has".to_owned()));
             }
         }
         Ok(())
     }
 
-    /// The shape in the file that `value` names; each file is read only once.
+    /// The shape in the file named by `value`; each file is read only once.
     pub(super) fn shape(&mut self, value: &Value<'_>) -> Result<Shape, SceneError> {
         let name = value.text().filter(|name| is_file(name)).ok_or_else(|| value.unexpected(FILE.form))?;
         if let Some(mesh) = self.known.get(name) {
@@ -81,7 +81,8 @@ impl<'a> Meshes<'a> {
         self.text.push_str(&format!("[[mesh]]\nfile = {file}\ndata = \"{}\"\n", loaded.text));
         if self.text.len() as u64 > LARGEST_FILE / 4 * 3 {
             let limit = (LARGEST_FILE / 4 * 3) >> 20;
-            let message = format!("the meshes of the scene take more than {limit} MiB as text, which recordings carry");
+            let message =
+                format!("the meshes of the scene take more than {limit} MiB as text, which recordings contain");
             return Err(value.error(message).with_help("reduce the number of triangles"));
         }
         self.known.insert(name.to_owned(), loaded.mesh.clone());
@@ -119,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scene_carries_its_meshes() {
+    fn a_scene_embeds_its_meshes() {
         let loaded = load("carried", "mesh.obj", TETRAHEDRON).unwrap();
         assert_eq!(loaded.vertex_count(), 8);
         assert_eq!(Scene::without_meshes(&loaded.source), scene("mesh.obj"));
@@ -137,16 +138,16 @@ mod tests {
     }
 
     #[test]
-    fn a_mesh_that_is_none_is_refused_with_its_place() {
-        let refused = |name, file, mesh| load(name, file, mesh).unwrap_err().to_string();
-        let open = refused("open", "mesh.obj", "v 0 0 0\nv 3 0 0\nv 0 3 0\nf 1 3 2\n");
+    fn an_invalid_mesh_is_rejected_with_its_position() {
+        let error = |name, file, mesh| load(name, file, mesh).unwrap_err().to_string();
+        let open = error("open", "mesh.obj", "v 0 0 0\nv 3 0 0\nv 0 3 0\nf 1 3 2\n");
         assert!(
             open.contains("scene.toml:5:18: body[\"a\"].shape.mesh: \"mesh.obj\": it is not closed: 3 edges"),
             "{open}"
         );
-        let missing = refused("missing", "nothing.obj", "");
+        let missing = error("missing", "nothing.obj", "");
         assert!(missing.contains("\"nothing.obj\": cannot read it: "), "{missing}");
-        let bad = refused("bad", "mesh.obj", "v 0 0\n");
+        let bad = error("bad", "mesh.obj", "v 0 0\n");
         assert!(bad.contains("not a usable OBJ file: line 1: a number is missing"), "{bad}");
         let none = Scene::parse(&scene("mesh.obj"), "x.toml").unwrap_err().to_string();
         assert!(none.contains("the mesh \"mesh.obj\" is not in the text of the scene"), "{none}");

@@ -9,12 +9,12 @@ use crate::{
     },
 };
 
-/// Upper limit on the number of tables; groups need far fewer.
-const MOST: usize = 10_000;
+/// Limit on the number of tables; with groups, far fewer suffice.
+const MAX_TABLES: usize = 10_000;
 
 const BODIES: &str = "an array of two names of bodies or groups";
 
-/// The laws that these tables give to pairs; missing keys are as in `common`.
+/// The laws of pairs in these tables; missing keys are as in `common`.
 pub(super) fn read(
     tables: &[Table<'_>],
     bodies: &[Body],
@@ -24,8 +24,8 @@ pub(super) fn read(
     if tables.is_empty() {
         return Ok(PairLaws::default());
     }
-    if let Some(table) = tables.get(MOST) {
-        let message = format!("expected at most {MOST} [[pair]]s, found {}", tables.len());
+    if let Some(table) = tables.get(MAX_TABLES) {
+        let message = format!("expected at most {MAX_TABLES} [[pair]]s, found {}", tables.len());
         return Err(table.error("bodies", message).with_help("give bodies a group, and the law to the group"));
     }
     let mut rules = Vec::with_capacity(tables.len());
@@ -36,7 +36,7 @@ pub(super) fn read(
     PairLaws::new(group_of, &rules).map_err(|overlap| {
         let [earlier, later] = [overlap.earlier, overlap.later].map(|index| &tables[index]);
         let line = earlier.line();
-        let message = format!("expected pairs that have no law yet, found some of the [[pair]] at line {line}");
+        let message = format!("expected pairs without a [[pair]] so far, found some of the one at line {line}");
         later
             .error("bodies", message)
             .with_help("each pair of bodies can have one [[pair]]: join the two, or divide the groups")

@@ -1,7 +1,7 @@
 //! A typed view of a TOML document that keeps the source position and dotted path of every value.
 //!
 //! serde could fill the structs, but its messages name a type where a user needs the key's range, and it loses the
-//! position of a value that has to be consistent with another.
+//! positions needed to report two values that are inconsistent.
 
 use std::{fmt, ops::Range};
 
@@ -27,7 +27,7 @@ impl<'a> Source<'a> {
     }
 
     fn syntax_error(&self, error: &toml::de::Error) -> SceneError {
-        // some of the parser's messages end like this where they mean that something should be removed
+        // the parser ends some messages like this where something should be removed
         let message = one_line(error.message().trim_end_matches(", expected nothing"));
         let Some(span) = error.span() else {
             let message = format!("\"{}\" is not valid TOML: {message}", one_line(self.file));
@@ -55,13 +55,13 @@ impl<'a> Source<'a> {
     }
 }
 
-/// The dotted path of a value, as a linked list from the value outwards; it is formatted only for an error.
+/// The dotted path of a value, as a linked list from the value outwards; formatted only for errors.
 #[derive(Clone, Copy)]
 enum Key<'a> {
     File,
     Field(&'a Key<'a>, &'a str),
     Item(&'a Key<'a>, usize),
-    /// An item of an array of tables that has a name.
+    /// A named item of an array of tables.
     Named(&'a Key<'a>, &'a str),
 }
 
@@ -118,8 +118,9 @@ impl<'a> Table<'a> {
         Table { source, key: Key::File, span: 0..0, entries: Some(document) }.known(known)
     }
 
-    /// Unknown keys are reported before anything else: an unknown key is usually a misspelled or misplaced one, and its
-    /// message says more than that the intended key is missing.
+    /// Unknown keys are reported before anything else: an unknown key is usually misspelled or misplaced, and its
+    /// message is
+    /// more helpful than the one that the intended key is missing.
     fn known(self, known: &Keys) -> Result<Table<'a>, SceneError> {
         let unknown = self.entries.iter().flat_map(|entries| entries.keys());
         let unknown = unknown.filter(|key| !known.names.contains(&key.get_ref().as_ref()));
@@ -223,7 +224,7 @@ impl<'a> Value<'a> {
         self.error(format!("expected {expected}, found {}", self.found()))
     }
 
-    /// This value as a message quotes it.
+    /// This value as quoted in messages.
     pub fn found(&self) -> String {
         let as_written = || clip(self.source.text.get(self.span.clone()).unwrap_or_default());
         match self.value {
@@ -333,7 +334,7 @@ impl Kind for Number {
     fn expected(&self) -> String {
         match self {
             Number { max: f64::MAX, .. } => "a finite number".to_owned(),
-            // use powers of ten: 1e15, not 1000000000000000
+            // in scientific notation: 1e15, not 1000000000000000
             Number { min, max } => {
                 let short = |x: f64| if x == 0.0 { "0".to_owned() } else { format!("{x:e}") };
                 format!("a number between {} and {}", short(*min), short(*max))

@@ -17,7 +17,7 @@
 //!
 //! # What a step skips
 //! - A body that is undeformed and out of reach of everything moves in closed form.
-//! - A body comes to rest when its whole island hardly moves ([`member::Member::is_calm`]), and costs nothing until
+//! - A body comes to rest when its whole island is nearly still ([`member::Member::is_calm`]), and costs nothing until
 //!   a moving body comes near it or a push begins. Its island then wakes as a whole.
 
 mod explicit;
