@@ -1,10 +1,10 @@
 //! The Gragg–Bulirsch–Stoer method: one step of Gragg's modified midpoint rule, taken with 2, 4, 6 … divisions and
 //! extrapolated to infinitely many (Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I, section II.9).
-//! The order adapts to the step, and no code is shared with the integrators that are judged by it.
+//! The order adapts to the step. No code is shared with the integrators that it is compared with.
 
-/// A step has at most twice this many divisions; the order is then 20.
+/// Maximum number of midpoint solutions of a step: up to 20 divisions and order 20.
 const COLUMNS: usize = 10;
-/// A step that needs no more columns than this could have been longer.
+/// A step that needs at most this many columns could have been longer.
 const FEW_COLUMNS: usize = 5;
 
 /// A right-hand side y′ = f(t, y) with `N` coordinates.
@@ -24,7 +24,7 @@ impl<const N: usize, F: Fn(f64, &[f64; N]) -> [f64; N]> Slope<N> for F {
 pub struct Step<const N: usize> {
     /// y at the end of the step.
     pub end: [f64; N],
-    /// The largest ratio of a coordinate's estimated error to its tolerance; above 1 the step was too long.
+    /// The largest ratio of a coordinate's estimated error to its tolerance; above 1, the step was too long.
     pub error: f64,
     /// Number of midpoint solutions used.
     pub columns: usize,
@@ -54,7 +54,7 @@ pub fn step<const N: usize>(
     h: f64,
     tolerance: &[f64; N],
 ) -> Step<N> {
-    // the last row of the extrapolation tableau: row[j] has the error terms up to h^(2j) removed
+    // the last row of the extrapolation tableau: row[j] is free of error terms up to h^(2j)
     let mut row = [[0.0; N]; COLUMNS];
     let mut result = Step { end: *y, error: f64::INFINITY, columns: 0 };
     for k in 0..COLUMNS {

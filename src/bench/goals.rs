@@ -1,4 +1,4 @@
-//! Performance goals, each with the value measured for it.
+//! Performance goals with their measured values.
 
 use super::tables;
 use crate::text::number;
@@ -39,7 +39,7 @@ fn goal_of(what: &str, relation: &str, goal: f64, unit: &str, measured: f64, is_
 /// Formats goals as a table.
 pub fn table(goals: &[Goal]) -> String {
     tables::table(
-        ["goals", "wanted", "measured", ""],
+        ["goals", "goal", "measured", ""],
         goals.iter().map(|goal| {
             let verdict = if goal.is_met { "met" } else { "missed" };
             [&goal.what, &goal.goal, &goal.measured, verdict]

@@ -1,23 +1,23 @@
-//! Benchmarks. Every speed is reported together with its error and the machine.
+//! Benchmarks. Every speed is reported together with the error and the machine.
 //!
 //! | contents | module |
 //! | --- | --- |
 //! | error against run time, for every integrator and a range of step sizes | [`mod@error`] |
-//! | cost against the number of bodies, and the goals for it | [`scale`] |
+//! | cost against the number of bodies, and its goals | [`scale`] |
 //! | the independent solution that errors are measured against | [`reference`], by [`extrapolation`] |
-//! | the same for scenes with free bodies | [`particles`] |
+//! | the independent solution for scenes with free bodies | [`particles`] |
 //! | shared parts of diagrams and tables | `drawing`, `tables` |
 //! | goals and measured values | [`goals`] |
 //! | the machine that run times were measured on | [`machine`] |
 //! | a stress sweep of every integrator, and bodies of very different sizes | [`stability`] |
-//! | recording cost by detail and destination, verification cost, and the goals for both | [`record`] |
+//! | recording cost by detail and destination, verification cost, and their goals | [`record`] |
 //! | unions of many spheres, and a scene with the surface of every frame | [`surface`] |
-//! | the models of a soft body side by side | [`models`] |
+//! | the soft-body models side by side | [`models`] |
 //! | output files, checked before and written after measuring | [`output`] |
 //!
 //! # Results
-//! The figures are from 2026-11-21, before steps counted their work, which takes 7 to 11 % more instructions per step
-//! (Callgrind). Run the commands to get the figures of this version on your machine.
+//! The figures are from 2026-11-21, before steps counted their work, which adds 7 to 11 % instructions per step
+//! (Callgrind). Run the commands for the figures of this version on your machine.
 //!
 //! **Error against run time** (`bench error`): every integrator over a range of step sizes, compared with an
 //! independent solution by extrapolation that shares no code with the integrators. The table shows the largest error
@@ -35,8 +35,8 @@
 //! 10 s, ω and κ up to 1e6, size ratios 1:1 to 1:1e4, coincident centres, hundreds of overlapping bodies, resonances).
 //! For each integrator it counts the runs that stayed finite and within twice the energy bound. `exponential` must also
 //! match an exact solution to within its tolerance where one exists (2,278 of the runs). The sweep takes three minutes
-//! and exits with status 1 if `exponential` fails a case. `--case N` runs a single case again; `--write F.toml` saves
-//! it as a scene file.
+//! and exits with status 1 if `exponential` fails a case. `--case N` reruns a single case; `--write F.toml` saves it as
+//! a scene file.
 //!
 //! | integrator | cases | passed | beyond bound | energy drift over a million undamped steps |
 //! | --- | --- | --- | --- | --- |
@@ -47,11 +47,11 @@
 //! | `rk4` | 4,000 | 2,815 | 1,185 | 13 % |
 //! | `exponential` | 4,000 | 4,000 | 0 | 1.1e-6 |
 //!
-//! **Speed** (`bench scale`): 2 to 100,000 bodies of 266 vertices, in pairs as in `two`, which approach, merge, hold
-//! and separate; resting bodies stand between them as close as possible. The naive baseline is the thesis's scheme:
-//! every vertex of every body that is not at rest, all pairs, one number at a time. Measured on a VM with two cores of
-//! an Intel Xeon and memory shared with other guests (10,000 bodies in contact: 44 to 55 steps/s); best of 9 blocks of
-//! steps, or of 3 for long blocks:
+//! **Speed** (`bench scale`): 2 to 100,000 bodies of 266 vertices, in pairs as in `two`, which approach, merge, stay
+//! merged and separate; bodies at rest stand between them as close as possible. The naive baseline is the thesis's
+//! scheme: every vertex of every body that is not at rest, all pairs, one number at a time. Measured on a VM with two
+//! cores of an Intel Xeon and memory shared with other guests (10,000 bodies in contact: 44 to 55 steps/s); best of 9
+//! blocks of steps, or of 3 long ones:
 //!
 //! | scene | bodies | steps/s | on two cores | M vertex-steps/s | ns | memory per body | error | baseline, steps/s |
 //! | --- | --- | --- | --- | --- | --- | --- | --- | --- |
@@ -67,12 +67,12 @@
 //! | | 1,000 | 214,082 | 201,778 | 56,946 | 154 | 373 B | 9e-10 | 61.3 |
 //! | | 100,000 | 213,808 | 201,395 | 5,687,301 | 154 | 370 B | 9e-10 | |
 //!
-//! ns: step time per vertex inside a sphere. Error: the largest of any vertex, in radii; that of the naive baseline is
-//! 0.4.
+//! ns: step time per vertex inside a sphere. Error: the largest error of any vertex, in radii; it is 0.4 for the naive
+//! baseline.
 //!
 //! **Free bodies**: `bench error collide` compares every integrator with an independent solution whose vertices are
 //! particles. `bench stability` ends with free bodies at their limits (mass ratios up to 1e6, spins up to 1e4 rad/s,
-//! deep overlap, corners of planes, stacks of 50, ωΔt up to 1e3) and reports where an integrator gave up, and why.
+//! deep overlap, corners of planes, stacks of 50, ωΔt up to 1e3) and reports where an integrator stopped, and why.
 //! `bench scale` ends with the rate of free pairs in contact relative to prescribed ones, and with bodies at rest on a
 //! plane.
 //!
@@ -109,11 +109,11 @@ use reference::NoReference;
 /// Why something cannot be measured.
 #[derive(Debug, thiserror::Error)]
 pub enum MeasureError {
-    /// The built-in scene that others are derived from is missing.
+    /// The built-in scene from which others are derived is missing.
     #[error("the built-in scene \"two\" is missing")]
     NoScene,
     /// A derived scene is not valid.
-    #[error("a case is no scene: {0}")]
+    #[error("a case is not a valid scene: {0}")]
     Scene(#[from] SceneError),
     /// No reference solution is available.
     #[error(transparent)]
@@ -132,7 +132,7 @@ pub enum MeasureError {
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
-/// The path of a body; in these measurements, all motion is prescribed.
+/// The path of a body. All motion is prescribed in the measurements that use this.
 fn path(body: &Body) -> &Path {
     static NONE: Path = Path::Fixed(glam::DVec3::ZERO);
     body.path().unwrap_or(&NONE)

@@ -1,4 +1,4 @@
-//! The models of a soft body side by side: cost, error, stability, loss of volume, and times of merging and splitting.
+//! The soft-body models side by side: cost, error, stability, volume loss, and times of merging and splitting.
 //!
 //! Nothing here depends on a particular model: everything is measured through [`Simulation`].
 
@@ -27,20 +27,20 @@ use crate::{
     text::{bytes, counted, significant},
 };
 
-/// Upper limit on the steps of a scene that are measured.
-const MOST_STEPS: u64 = 1200;
-/// Number of times that a run is timed; the median counts.
+/// Upper limit on the measured steps of a scene.
+const MAX_STEPS: u64 = 1200;
+/// Number of timings of a run, of which the median is reported.
 const RUNS: usize = 3;
-/// Steps of the work-precision diagram: the scene's own divided by these.
+/// Divisors of the scene's step for the work-precision diagram.
 const DIVISORS: [f64; 5] = [0.5, 1.0, 2.0, 4.0, 8.0];
-/// The converged solution of each model is its own run with the scene's step divided by this.
+/// Divisor of the scene's step for the converged solution of each model.
 const FINEST: f64 = 32.0;
-/// Longer steps are tried up to this multiple of the scene's.
+/// Longer steps are tried up to this multiple of the scene's step.
 const LONGEST: f64 = 64.0;
-/// A run is stable while no vertex is farther from its rest position than this [radii] …
-const FAR: f64 = 10.0;
-/// … or than this multiple of the maximum in the run with the scene's own step.
-const TIMES_AS_FAR: f64 = 3.0;
+/// A run is stable while every displacement is below the larger of two limits: this one [radii] …
+const STABLE_LIMIT: f64 = 10.0;
+/// … and this multiple of the maximum in the run with the scene's own step.
+const STABLE_MULTIPLE: f64 = 3.0;
 /// Smaller errors are drawn at this value [radii].
 const FLOOR: f64 = 1e-12;
 
@@ -60,7 +60,7 @@ pub struct Report {
 /// The measurements of a model.
 #[derive(Clone, Debug)]
 pub struct Row {
-    /// Time until the first step can be taken [s].
+    /// Time to build the simulation, before its first step [s].
     pub build: f64,
     /// Time of a step [s].
     pub step: f64,
@@ -70,7 +70,7 @@ pub struct Row {
     pub memory: Option<u64>,
     /// Runs of the diagram, with the largest error over time and vertices against the model's own converged solution.
     pub points: Vec<Point>,
-    /// The largest step with which the run is stable [s]; `None` if none of those tried is.
+    /// The largest stable step [s]; `None` if no step that was tried is stable.
     pub largest_step: Option<f64>,
     /// Whether all longer steps that were tried are stable.
     pub is_unlimited: bool,
@@ -80,14 +80,14 @@ pub struct Row {
     pub events: Vec<(String, f64)>,
 }
 
-/// A run with another step.
+/// A run with one of the diagram's steps.
 #[derive(Clone, Copy, Debug)]
 pub struct Point {
     /// The step [s].
     pub dt: f64,
-    /// Run time, the shortest of several; NaN if it failed [s].
+    /// Run time [s], the shortest of several; NaN if the run failed.
     pub seconds: f64,
-    /// The error [radii]; `None` if it failed.
+    /// The error [radii]; `None` if the run failed.
     pub error: Option<f64>,
 }
 
@@ -101,8 +101,8 @@ impl Row {
 /// Measures some models on a scene.
 pub fn measure(scene: &Scene, models: &[Model], progress: &mut dyn FnMut(f64)) -> Report {
     let mut scene = scene.clone();
-    if scene.steps() > MOST_STEPS {
-        scene.duration = MOST_STEPS as f64 * scene.dt;
+    if scene.steps() > MAX_STEPS {
+        scene.duration = MAX_STEPS as f64 * scene.dt;
     }
     let count = models.len() as f64;
     let rows = (0..).zip(models.iter().copied()).map(|(k, model)| {
@@ -246,10 +246,11 @@ fn volume(schema: &Schema, frame: &Frame, body: usize, local: &mut Vectors) -> f
     now.mesh_of(of).triangles().iter().map(|&[a, b, c]| corner(a).dot(corner(b).cross(corner(c))) / 6.0).sum()
 }
 
-/// The positions of all vertices relative to their centres [scene unit] at the instants of the scene's own steps, as
-/// far as the step hits them; and the largest displacement [radii].
+/// Time [s], and positions of all vertices relative to their centres [scene unit], at several instants.
 type States = Vec<(f64, Vec<Vec<DVec3>>)>;
 
+/// The states of a run with another step, at every second instant of the scene's own steps; and the largest displacement
+/// [radii].
 fn states(run: &SceneRun, dt: f64) -> Result<(States, f64), String> {
     let with = with_step(run, dt);
     let (mut simulation, mut summary, mut frame) = (with.start()?, StepSummary::default(), Frame::default());
@@ -293,11 +294,12 @@ fn difference(scene: &Scene, run: &States, finest: &States) -> Option<f64> {
     Some(largest)
 }
 
-/// The largest stable step [s] among doublings and halvings of the scene's; and whether all longer ones are stable.
+/// The largest stable step [s] among doublings and halvings of the scene's step, and whether all longer ones that were
+/// tried are stable.
 fn largest_step(run: &SceneRun, displacement: f64) -> (Option<f64>, bool) {
-    let most = f64::max(FAR, TIMES_AS_FAR * displacement);
+    let limit = f64::max(STABLE_LIMIT, STABLE_MULTIPLE * displacement);
     let is_stable = |dt: f64| {
-        // need not align with the scene's own instants: only the largest displacement matters
+        // the instants need not be those of the scene's own steps: only the largest displacement matters
         let scene = Scene { dt, ..run.scene.clone() };
         let with = SceneRun { scene, options: run.options };
         let Ok(mut simulation) = with.start() else { return false };
@@ -308,7 +310,7 @@ fn largest_step(run: &SceneRun, displacement: f64) -> (Option<f64>, bool) {
             simulation.observe(Want::default(), &mut frame);
             let bodies = frame.bodies.iter().zip(&run.scene.bodies);
             summary.failure.is_none()
-                && bodies.into_iter().all(|(now, body)| now.max_displacement <= most * body.radius)
+                && bodies.into_iter().all(|(now, body)| now.max_displacement <= limit * body.radius)
         })
     };
     let longest = f64::min(LONGEST * run.scene.dt, 0.5 * run.scene.duration);
@@ -337,7 +339,7 @@ fn median(mut times: Vec<f64>, one: f64) -> f64 {
     times[times.len() / 2]
 }
 
-/// A table of the models on one scene, and their warnings.
+/// A table of the models on one scene, their events, and the reasons of models that cannot run it.
 pub fn table(report: &Report) -> String {
     let heading = [
         "model",
@@ -398,8 +400,8 @@ pub fn table(report: &Report) -> String {
 pub fn footer(machine: &Machine) -> String {
     format!(
         "step: median of {RUNS} runs; frame: a step, its state with forces, and the merged surface; error: the largest over time and\n\
-         vertices, against the model's own run with a step {FINEST} times as short; largest dt: among doublings and halvings; volume\n\
-         lost: of all surfaces together, at the worst frame\n{machine}"
+         vertices, against the model's own run with 1/{FINEST} of the step; largest dt: among doublings and halvings; volume lost:\n\
+         of all surfaces together, in the worst frame\n{machine}"
     )
 }
 
@@ -454,7 +456,7 @@ pub fn csv(reports: &[Report], machine: &Machine) -> Result<String, String> {
     tables::csv(lines)
 }
 
-/// Size of a panel, labels included [px].
+/// Size of a panel with its labels [px].
 const PANEL: (u32, u32) = (900, 560);
 const TOP: u32 = 46;
 const RIGHT: u32 = 220;
@@ -469,7 +471,7 @@ fn style(model: Model) -> Style {
     Style { color, marker, width }
 }
 
-/// The work-precision diagram, a panel for each scene.
+/// The work-precision diagram, one panel per scene.
 ///
 /// # Errors
 /// Errors of the drawing library; none is known to occur.
@@ -480,11 +482,11 @@ pub fn svg(reports: &[Report], machine: &Machine) -> Result<String, String> {
         size: (PANEL.0 * columns as u32, PANEL.1 * rows as u32),
         title: "Models: work and precision",
         heading: [
-            "Down is more exact, left is faster. From point to point the step is halved, from twice the scene’s own on.",
-            "Each model is compared with what it converges to itself, not with the others.",
+            "Down is more accurate, left is faster. The step is halved from point to point, starting at twice the scene’s own.",
+            "Each model is compared with its own converged solution, not with the other models.",
         ],
         notes: &[
-            "Error: the largest over time and vertices. Metaballs have no dynamics: their error is that of rounding.",
+            "Error: the largest over time and vertices. Metaballs have no dynamics: their error is rounding error.",
             &machine.to_string(),
         ],
     };
@@ -505,7 +507,7 @@ fn draw(panel: &Area<'_>, report: &Report) -> Result<(), Failure> {
     let title = format!("{} ({} vertices)", report.scene, report.vertices);
     write(panel, &title, (LEFT as i32, TOP as i32 / 2), 24.0, INK)?;
     let right = at(last, errors.start).0;
-    let place = |point: &Point| {
+    let pixel = |point: &Point| {
         at(1e3 * point.seconds, point.error.map_or(errors.end, |error| error.clamp(errors.start, errors.end)))
     };
     let lines = rows().map(|(model, row)| {
@@ -513,7 +515,7 @@ fn draw(panel: &Area<'_>, report: &Report) -> Result<(), Failure> {
         Line {
             name: model.name().to_owned(),
             style: style(model),
-            points: row.points.iter().filter(is_drawn).map(place).collect(),
+            points: row.points.iter().filter(is_drawn).map(pixel).collect(),
         }
     });
     draw_lines(panel, TOP, right, lines.collect())

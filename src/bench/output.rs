@@ -1,5 +1,5 @@
-//! Output files, checked before measuring and written after it, so that "permission denied" is reported at once rather
-//! than after minutes.
+//! Output files, checked before measuring and written afterwards, so that "permission denied" is reported at once
+//! instead of after minutes.
 
 use std::{
     fs::{self, File, OpenOptions},
@@ -9,7 +9,7 @@ use std::{
 
 use crate::stream::unfinished;
 
-/// A file that can be written, as far as that can be checked in advance.
+/// A file that can be written, as far as this can be checked in advance.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Output {
     /// The path, with symbolic links resolved.
@@ -26,11 +26,11 @@ impl Output {
     pub fn claim(path: &Path) -> io::Result<Output> {
         let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
         match fs::metadata(&path) {
-            Ok(there) if there.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
-            Ok(there) => {
-                // a rename would replace even a write-protected file
+            Ok(metadata) if metadata.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
+            Ok(metadata) => {
+                // opened as a test, because a rename would replace even a write-protected file
                 OpenOptions::new().write(true).open(&path)?;
-                if !there.is_file() {
+                if !metadata.is_file() {
                     return Ok(Output { path, is_replaced: false });
                 }
             }
@@ -51,14 +51,14 @@ impl Output {
         &self.path
     }
 
-    /// The temporary name that it is written under.
+    /// The temporary path to which it is first written.
     fn partial(&self) -> PathBuf {
         let mut name = self.path.file_name().unwrap_or_default().to_owned();
         name.push(format!(".{}.partial", std::process::id()));
         self.path.with_file_name(name)
     }
 
-    /// Replaces the file's content with `text` atomically: on failure the file stays as it was.
+    /// Replaces the file's content with `text` atomically: on failure, the file is unchanged.
     ///
     /// # Errors
     /// The operating system's error.

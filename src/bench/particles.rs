@@ -1,6 +1,6 @@
-//! An independent solution of a scene with free bodies, for judging the integrators.
+//! An independent solution of a scene with free bodies, against which the integrators are compared.
 //!
-//! It uses nothing of [`crate::sim`]. Every vertex is a particle: its acceleration is evaluated from the positions and
+//! It uses nothing from [`crate::sim`]. Every vertex is a particle: its acceleration is evaluated from the positions and
 //! velocities of all particles, with mass centres and best-fit rotations (Newton's iteration for the polar
 //! decomposition) recomputed each time. The classical Runge–Kutta method takes many small steps of fixed length; a step
 //! in which a pair reaches a threshold ends there. Rims of spheres and planes are crossed within steps, which limits
@@ -19,14 +19,14 @@ use crate::{
     scene::{Motion, Path, Response, Scene},
 };
 
-/// Steps per unit of time, in units of the largest rate of the scene …
+/// Steps per period of the largest rate of the scene.
 const STEPS: f64 = 400.0;
-/// … and per second.
-const LEAST: f64 = 8_000.0;
+/// Lower limit on the steps per second.
+const MIN_STEPS_PER_SECOND: f64 = 8_000.0;
 /// Upper limit on evaluations of a particle's acceleration: about a minute.
-const MOST_EVALUATIONS: f64 = 2e9;
-/// A threshold crossing is located to this fraction of a step.
-const LOCATED: f64 = 1e-9;
+const MAX_EVALUATIONS: f64 = 2e9;
+/// Precision to which a threshold crossing is located, as a fraction of a step.
+const CROSSING_PRECISION: f64 = 1e-9;
 
 /// World positions at given instants.
 pub struct Particles {
@@ -36,22 +36,22 @@ pub struct Particles {
     ranges: Vec<Range<usize>>,
 }
 
-/// Why there is no such solution.
+/// Why there is no solution.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum NoParticles {
-    /// It would take too long.
+    /// The solution would take too long.
     #[error(
-        "a reference solution would take {0:.0e} evaluations, more than {MOST_EVALUATIONS:.0e}; make the scene softer, smaller \
+        "a reference solution would take {0:.0e} evaluations, more than {MAX_EVALUATIONS:.0e}; make the scene softer, smaller \
          or shorter"
     )]
     TooLong(f64),
-    /// There are pushes.
-    #[error("the reference solution for free bodies knows no pushes; leave them out")]
+    /// The scene has pushes.
+    #[error("the reference solution for free bodies does not support pushes; remove them")]
     Pushes,
 }
 
 impl Particles {
-    /// Solves the scene; `divided` is the number of parts of each default step.
+    /// Solves the scene. Each default step is divided into `divided` steps.
     ///
     /// # Errors
     /// The scene has pushes, or would take too long.
@@ -63,10 +63,10 @@ impl Particles {
         let laws = scene.laws().map(|law| law.alpha.max(law.beta).sqrt());
         let rates = scene.bodies.iter().map(|body| body.material.omega.max(2.0 * body.material.damping));
         let rate = rates.chain(planes).chain(laws).fold(0.0, f64::max);
-        let per_second = (STEPS * rate / std::f64::consts::TAU).max(LEAST) * f64::from(divided);
+        let per_second = (STEPS * rate / std::f64::consts::TAU).max(MIN_STEPS_PER_SECOND) * f64::from(divided);
         let end = instants.last().copied().unwrap_or(0.0);
         let evaluations = 4.0 * per_second * end * scene.vertex_count() as f64 * scene.bodies.len() as f64;
-        if !(evaluations < MOST_EVALUATIONS * f64::from(divided)) {
+        if !(evaluations < MAX_EVALUATIONS * f64::from(divided)) {
             return Err(NoParticles::TooLong(evaluations));
         }
         let mut system = System::new(scene);
@@ -87,10 +87,10 @@ impl Particles {
         Ok(Particles { positions, ranges: system.ranges })
     }
 
-    /// The largest distance between a body's vertices in this solution and those `found` at an instant [scene unit].
+    /// The largest distance between a body's vertices in this solution and positions `found` at an instant [scene unit].
     pub fn distance(&self, body: usize, instant: usize, found: impl Iterator<Item = DVec3>) -> f64 {
         let own = &self.positions[instant][self.ranges[body].clone()];
-        let distances = own.iter().zip(found).map(|(here, there)| here.distance(there));
+        let distances = own.iter().zip(found).map(|(own, found)| own.distance(found));
         distances
             .fold(0.0, |largest, distance| if distance > largest || distance.is_nan() { distance } else { largest })
     }
@@ -100,8 +100,8 @@ impl Particles {
         let each =
             (0..self.positions.len()).flat_map(|instant| (0..scene.bodies.len()).map(move |body| (instant, body)));
         let difference = |(instant, body): (usize, usize)| {
-            let there = &other.positions[instant][other.ranges[body].clone()];
-            self.distance(body, instant, there.iter().copied()) / scene.bodies[body].radius
+            let others = &other.positions[instant][other.ranges[body].clone()];
+            self.distance(body, instant, others.iter().copied()) / scene.bodies[body].radius
         };
         each.map(difference).fold(0.0, f64::max)
     }
@@ -114,11 +114,12 @@ struct State {
     velocities: Vec<DVec3>,
 }
 
-/// Reused from step to step.
+/// Scratch storage, reused from step to step.
 #[derive(Default)]
 struct Buffers {
-    /// The states at a stage, and at the end.
+    /// The state at a stage of a step.
     stage: State,
+    /// The state at the end of a step.
     next: State,
     accelerations: Vec<DVec3>,
     centres: Vec<DVec3>,
@@ -134,8 +135,9 @@ struct Particle {
 struct System<'a> {
     scene: &'a Scene,
     particles: Vec<Particle>,
-    /// Particles of each body, and their total mass.
+    /// Particles of each body.
     ranges: Vec<Range<usize>>,
+    /// Total mass of each body.
     masses: Vec<f64>,
     /// The phase of each pair of bodies a < b.
     phases: Vec<(usize, usize, Phase)>,
@@ -178,7 +180,7 @@ impl<'a> System<'a> {
             let particles = &self.particles[range.clone()];
             let (centre, velocity, spin) = match &body.motion {
                 Motion::Free(free) => (free.from, free.velocity, free.spin),
-                // x′ = 0, regardless of the path
+                // the vertices start at rest relative to the centre: x′ = 0
                 Motion::Prescribed(path) => (path.at(0.0).position, path.at(0.0).velocity, DVec3::ZERO),
             };
             state.positions.extend(particles.iter().map(|p| centre + p.rest));
@@ -220,23 +222,23 @@ impl<'a> System<'a> {
                 std::mem::swap(state, &mut next);
                 break;
             };
-            // the first change in the step, by bisection of the time at which any pair has changed
+            // the first change in the step, by bisection of the time by which any pair has changed
             let (mut low, mut high) = (0.0, 1.0);
             let mut change = first;
-            while high - low > LOCATED {
+            while high - low > CROSSING_PRECISION {
                 let middle = 0.5 * (low + high);
-                let there = t + middle * (end - t);
-                self.after(state, t, there - t, &mut next, buffers);
-                match self.first_change(state, &next, t, there) {
+                let trial = t + middle * (end - t);
+                self.after(state, t, trial - t, &mut next, buffers);
+                match self.first_change(state, &next, t, trial) {
                     Some(found) => (high, change) = (middle, found),
                     None => low = middle,
                 }
             }
-            let there = t + high * (end - t);
-            self.after(state, t, there - t, &mut next, buffers);
+            let crossing = t + high * (end - t);
+            self.after(state, t, crossing - t, &mut next, buffers);
             std::mem::swap(state, &mut next);
             self.phases[change.0].2 = change.1;
-            t = there;
+            t = crossing;
         }
         buffers.next = next;
     }
@@ -316,7 +318,7 @@ impl<'a> System<'a> {
         }
     }
 
-    /// Springs, damping, and planes.
+    /// Appends the accelerations of a body's particles by springs, damping and planes.
     fn own(&self, state: &State, t: f64, index: usize, centre: DVec3, into: &mut Vec<DVec3>) {
         let (body, range) = (&self.scene.bodies[index], self.ranges[index].clone());
         let particles = &self.particles[range.clone()];

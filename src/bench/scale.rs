@@ -2,9 +2,9 @@
 //! contact.
 //!
 //! Every scene is built from the same pairs ([`scenes`]), so one reference solution of these pairs serves all scenes. A
-//! world is stepped on one core and on all cores in turns, so that other load on the machine affects both alike. Blocks
-//! cover whole periods of the pairs' motion where that does not take too long. For comparison, the naive baseline is
-//! measured: the thesis's scheme with every vertex and all pairs, one number at a time.
+//! world is stepped on one core and on all cores alternately, so that other load on the machine affects both equally.
+//! Blocks cover whole periods of the pairs' motion where that does not take too long. The naive baseline is measured for
+//! comparison: the thesis's scheme with every vertex and all pairs, one number at a time.
 
 pub mod csv;
 pub mod decay;
@@ -33,14 +33,14 @@ use decay::Decay;
 use free_oscillation::FreeOscillation;
 use scenes::{Family, Layout, PERIOD, PHASES};
 
-/// What to measure.
+/// Settings of the benchmark.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     /// Numbers of bodies, ascending.
     pub bodies: Vec<usize>,
     /// Approximate duration of timed steps, for each number of bodies, family and number of threads.
     pub time: Duration,
-    /// Number of steps for which a decaying scene is followed.
+    /// Number of steps of the decaying scene.
     pub decay: u64,
 }
 
@@ -54,21 +54,21 @@ impl Default for Settings {
     }
 }
 
-/// Warm-up steps: bodies that start at rest have met their neighbours by then.
+/// Warm-up steps, after which bodies that start at rest have met their neighbours.
 const WARM: u64 = 60;
-/// The best of this many blocks of steps counts, because other load only ever adds to run times.
+/// The best of this many blocks of steps is reported, because other load only ever adds to run times.
 const BLOCKS: usize = 9;
-/// The number of blocks if that many would take too long.
+/// Number of blocks if [`BLOCKS`] would take too long.
 const LONG_BLOCKS: usize = 3;
-/// The naive baseline is skipped in scenes where a step of it is expected to take longer.
+/// The naive baseline is skipped in scenes where its step is expected to take longer.
 const LONGEST_PLAIN_STEP: Duration = Duration::from_secs(4);
-/// The naive baseline is skipped in scenes of more bodies if no smaller ones were measured before.
+/// The naive baseline is skipped in larger scenes if no smaller one has been measured.
 const LARGEST_FIRST_PLAIN: usize = 1000;
-/// Errors are checked every so many steps, for up to a period.
+/// Number of steps between checks of the error, for up to a period.
 const JUDGED_EVERY: u64 = 20;
-/// Upper limit on the pairs checked, spread over the scene.
-const MOST_JUDGED: usize = 64;
-/// How many times per period the vertices inside spheres are counted.
+/// Upper limit on the checked pairs, which are spread over the scene.
+const MAX_JUDGED: usize = 64;
+/// Number of counts per period of the vertices inside spheres.
 const COUNTS: u64 = 24;
 
 /// Timed steps.
@@ -80,7 +80,7 @@ pub struct Run {
     pub steps: u64,
     /// Time per step in the best block [s].
     pub seconds: f64,
-    /// Fraction of each stage in it [–].
+    /// Share of each stage in the step time [–].
     pub stages: [f64; Stage::ALL.len()],
 }
 
@@ -94,9 +94,9 @@ impl Run {
 /// The error of vertex positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Judged {
-    /// The largest error of a vertex [radii] …
+    /// The largest error of a vertex at any checked time [radii].
     pub error: f64,
-    /// … at any time checked, up to this step.
+    /// The last checked step.
     pub steps: u64,
 }
 
@@ -105,14 +105,14 @@ pub struct Judged {
 pub struct Plain {
     /// Timing on one thread.
     pub run: Run,
-    /// The error, if the run got far enough for one to be determined.
+    /// The error, if the run was long enough to determine it.
     pub judged: Option<Judged>,
 }
 
 /// The measurements of one scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Point {
-    /// Which bodies are in contact.
+    /// The family of the scene.
     pub family: Family,
     /// Number of bodies.
     pub bodies: usize,
@@ -130,9 +130,9 @@ pub struct Point {
     pub one: Run,
     /// Timing on all cores; `None` on a single-core machine.
     pub all: Option<Run>,
-    /// The error, if determined.
+    /// The error, if it could be determined.
     pub judged: Option<Judged>,
-    /// The naive baseline, unless a step of it takes too long.
+    /// The naive baseline, unless its steps take too long.
     pub plain: Option<Plain>,
 }
 
@@ -173,7 +173,7 @@ pub struct Report {
     pub free: free::Free,
     /// Scenes that need more memory than is available.
     pub too_large: Vec<TooLarge>,
-    /// Number of threads used for all cores.
+    /// Number of threads on all cores.
     pub threads: usize,
 }
 
@@ -188,8 +188,8 @@ impl Report {
         self.of(family).find(|point| point.bodies == bodies)
     }
 
-    /// The exponent with which step time grows with the number of bodies from 100 on, by least squares of the
-    /// logarithms [–]; `None` with fewer than two such points.
+    /// The exponent with which step time grows with the number of bodies, by least squares of the logarithms over points
+    /// of at least 100 bodies [–]; `None` with fewer than two such points.
     pub fn slope(&self, family: Family, run: impl Fn(&Point) -> Option<&Run>) -> Option<f64> {
         let points = self.of(family).filter(|point| point.bodies >= 100);
         let logs: Vec<(f64, f64)> =
@@ -202,7 +202,7 @@ impl Report {
     }
 }
 
-/// The thread pools that worlds are stepped on.
+/// The thread pools on which worlds are stepped.
 pub(super) struct Pools {
     one: ThreadPool,
     /// Present if there is more than one core.
@@ -228,7 +228,7 @@ impl Pools {
 /// Measures all families at all sizes. Reports the completed fraction of the work to `progress`.
 ///
 /// # Errors
-/// [`MeasureError`]. A scene that needs too much memory is skipped instead.
+/// [`MeasureError`]. A scene that needs too much memory is skipped and reported instead.
 pub fn measure(settings: &Settings, progress: &mut dyn FnMut(f64)) -> Result<Report, MeasureError> {
     let pair = Scene::builtin("two").ok_or(MeasureError::NoScene)?;
     let pools = Pools::new()?;
@@ -246,12 +246,12 @@ pub fn measure(settings: &Settings, progress: &mut dyn FnMut(f64)) -> Result<Rep
             let scene = layout.scene(&pair);
             match measure_point(&layout, scene.clone(), &judge, &pools, settings.time) {
                 Ok(mut point) => {
-                    // a step over all pairs and every vertex
+                    // the baseline's step time grows with the number of pairs
                     let expected = plain_step * (bodies as f64 / before as f64).powi(2);
                     let is_short = expected <= LONGEST_PLAIN_STEP.as_secs_f64();
                     let is_worth = if before == 0 { bodies <= LARGEST_FIRST_PLAIN } else { is_short };
                     if is_worth {
-                        // refused where there are more pairs than can be stepped
+                        // fails where there are more pairs than can be stepped
                         if let Ok(plain) = measure_plain(&layout, scene, &judge, &pools, settings.time) {
                             plain_step = plain.run.seconds;
                             before = bodies;
@@ -312,7 +312,7 @@ fn measure_point(
         reached.add(world.energy().reached_vertices as f64);
     }
     if steps.is_multiple_of(PERIOD) {
-        // blocks end at the phase that they began at: also sample within them
+        // blocks end at the phase at which they began, so sample within a period instead
         reached = Mean::default();
         for _ in 0..COUNTS {
             run(&mut world, PERIOD / COUNTS);
@@ -358,8 +358,8 @@ fn measure_plain(
     Ok(Plain { run: clock.run(), judged: judging.judged })
 }
 
-/// The number of steps that take about `share` [s] or more, given about `estimate` [s] per step: whole periods, or at
-/// least a multiple of the phase offset, so that every block does the same work.
+/// Number of steps that take about `share` [s] or more, at about `estimate` [s] per step. It is a number of whole periods,
+/// or at least a multiple of the phase offset, so that every block does the same work.
 fn block(estimate: f64, share: f64) -> u64 {
     let steps = (share / estimate) as u64;
     let unit = if steps >= PERIOD / 2 { PERIOD } else { PERIOD / PHASES as u64 };
@@ -397,7 +397,7 @@ impl Clock {
         self.blocks.push(elapsed.as_secs_f64() / steps as f64);
     }
 
-    /// Takes steps that are part of a block, and returns how long they took.
+    /// Takes steps that are part of a block; returns their duration.
     fn part(&mut self, world: &mut World, steps: u64) -> Duration {
         let start = Instant::now();
         for _ in 0..steps {
@@ -445,7 +445,7 @@ struct Judge {
 }
 
 impl Judge {
-    /// Valid for scenes with up to this many bodies.
+    /// Solves the motion for scenes with up to this many bodies.
     fn new(two: &Scene, bodies: usize) -> Result<Judge, NoReference> {
         let scene = scenes::every_phase(two, (bodies / 2).clamp(1, PHASES));
         let times: Vec<f64> = (0..=PERIOD / JUDGED_EVERY).map(|k| (k * JUDGED_EVERY) as f64 * scene.dt).collect();
@@ -459,7 +459,7 @@ impl Judge {
             return None;
         }
         let instant = (step / JUDGED_EVERY) as usize;
-        let stride = layout.pairs.len().div_ceil(MOST_JUDGED);
+        let stride = layout.pairs.len().div_ceil(MAX_JUDGED);
         let mut largest = 0.0;
         for pair in layout.pairs.iter().step_by(stride) {
             for (side, index) in [pair.still, pair.moving].into_iter().enumerate() {
@@ -474,7 +474,7 @@ impl Judge {
     }
 }
 
-/// A world whose errors are checked now and then while it is stepped.
+/// Checks the errors of a world at intervals while it is stepped.
 struct Judging<'a> {
     judge: &'a Judge,
     layout: &'a Layout,
@@ -482,7 +482,7 @@ struct Judging<'a> {
 }
 
 impl Judging<'_> {
-    /// Takes this many steps with `take`, interrupted whenever errors are due to be checked.
+    /// Takes this many steps with `take`, in pieces between which errors are checked.
     fn advance(&mut self, world: &mut World, steps: u64, take: &mut dyn FnMut(&mut World, u64)) {
         let end = world.steps_taken() + steps;
         while world.steps_taken() < end {

@@ -2,7 +2,7 @@
 //!
 //! | contents | module |
 //! | --- | --- |
-//! | the cases, each generated from its number | [`cases`] |
+//! | the cases, generated from their numbers | [`cases`] |
 //! | the energy bound | [`bound`] |
 //! | the closed form without influence | [`exact`] |
 //! | a million steps without damping | [`drift`] |
@@ -12,8 +12,8 @@
 //! | tables and CSV | [`table`] |
 //!
 //! A run passes if its state is finite after every step and within [`MARGIN`] of the energy bound. The exponential
-//! integrator, which has a tolerance to meet, must also be as close to the exact solution as that tolerance promises,
-//! where there is a closed form or a [`Reference`].
+//! integrator has a tolerance, so it must also be as close to the exact solution as the tolerance promises, where there
+//! is a closed form or a [`Reference`].
 
 pub mod bound;
 pub mod cases;
@@ -46,26 +46,26 @@ use cases::{Axis, Case};
 
 /// A state that exceeds the energy bound by more than this factor is not a solution, not even an inaccurate one.
 pub const MARGIN: f64 = 2.0;
-/// A reference is computed if it takes at most this many evaluations of the equation of motion.
-const MOST_EVALUATIONS: f64 = 3e6;
+/// A reference is computed only if it takes at most this many evaluations of the equation of motion.
+const MAX_EVALUATIONS: f64 = 3e6;
 /// Relative rounding error of a number after some operations.
 const ROUNDING: f64 = 16.0 * f64::EPSILON;
-/// Instants at which a run is compared with the exact solution.
+/// Number of instants at which a run is compared with the exact solution.
 const INSTANTS: u64 = 32;
-/// Where neighbouring solutions diverge faster than this, [`Outcome::allowed`] would permit anything.
+/// Largest amplification of neighbouring solutions; beyond it, [`Outcome::allowed`] would permit anything.
 const LARGEST_GROWTH: f64 = 1e4;
 
-/// The largest number of cases.
+/// Maximum number of cases.
 pub const MOST_CASES: u64 = 1_000_000;
 
-/// What to sweep.
+/// Settings of the sweep.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     /// Number of cases, counted from the first.
     pub cases: u64,
     /// The integrators to run.
     pub integrators: Vec<Integrator>,
-    /// The most steps per case.
+    /// Maximum number of steps per case.
     pub most_steps: u64,
 }
 
@@ -106,7 +106,7 @@ pub struct Outcome {
     pub steps: u64,
     /// Whether the run was stopped early because it took too many integrator steps.
     pub is_cut: bool,
-    /// Why it failed, if it did.
+    /// Why the run failed, if it did.
     pub failure: Option<Failure>,
     /// The largest ratio of a vertex's state to the energy bound [–].
     pub used: f64,
@@ -114,18 +114,18 @@ pub struct Outcome {
     pub error: Option<f64>,
     /// The permitted distance from the exact solution, if one applies [radii].
     pub allowed: Option<f64>,
-    /// Integrator steps, over all vertices …
+    /// Total number of integrator steps, over all vertices.
     pub substeps: u64,
-    /// … and the most in one step.
+    /// Largest number of integrator steps in one step.
     pub most_substeps: u64,
-    /// Run time of all steps [s] …
+    /// Run time of all steps [s].
     pub seconds: f64,
-    /// … and of the slowest [s].
+    /// Run time of the slowest step [s].
     pub slowest: f64,
 }
 
 impl Outcome {
-    /// Whether this is a failure of the one integrator that must pass every case.
+    /// Whether this is a failure of the exponential integrator, which must pass every case.
     pub fn is_defect(&self) -> bool {
         self.integrator == Integrator::Exponential && self.failure.is_some()
     }
@@ -136,7 +136,7 @@ impl Outcome {
 pub struct Row {
     /// The case.
     pub case: Case,
-    /// In the order of [`Settings::integrators`].
+    /// Its outcomes, in the order of [`Settings::integrators`].
     pub outcomes: Vec<Outcome>,
 }
 
@@ -178,7 +178,7 @@ impl Judge<'_> {
     fn new(case: &Case, steps: u64) -> Judge<'_> {
         let stride = steps.div_ceil(INSTANTS).max(1);
         let instants: Vec<f64> = (0..=steps / stride).map(|k| (k * stride) as f64 * case.scene.dt).collect();
-        let is_quick = case.axis != Axis::Free && evaluations(&case.scene, &instants) <= MOST_EVALUATIONS;
+        let is_quick = case.axis != Axis::Free && evaluations(&case.scene, &instants) <= MAX_EVALUATIONS;
         let reference = is_quick.then(|| Reference::solve(&case.scene, &instants, Accuracy::DEFAULT).ok()).flatten();
         Judge { case, steps, stride, reference }
     }
@@ -245,7 +245,7 @@ impl Judge<'_> {
         Ok(outcome)
     }
 
-    /// Compares the state with the exact solution; `doubt` is the sum of [`doubt_of`] over all events so far, per body.
+    /// Compares the state with the exact solution; `doubt` is the sum of [`doubt_of`] over the events so far, per body.
     fn compare(&self, world: &World, doubt: &[f64], outcome: &mut Outcome) {
         let instant = (outcome.steps / self.stride) as usize;
         for (index, body) in world.bodies().enumerate() {
@@ -265,7 +265,8 @@ impl Judge<'_> {
                 let allowed = allowed(world, index, doubt[index])
                     .map(|allowed| allowed + rounding(world, index) * terms / radius);
                 outcome.error = Some(outcome.error.map_or(error, |largest| largest.max(error)));
-                outcome.allowed = allowed.map(|allowed| outcome.allowed.map_or(allowed, |most| most.max(allowed)));
+                outcome.allowed =
+                    allowed.map(|allowed| outcome.allowed.map_or(allowed, |largest| largest.max(allowed)));
                 let is_within = allowed.is_none_or(|allowed| error <= allowed);
                 if outcome.integrator == Integrator::Exponential && !is_within {
                     outcome.failure = Some(Failure::Error);
@@ -285,8 +286,8 @@ fn stiffness(scene: &Scene, index: usize) -> f64 {
     scene.bodies.iter().enumerate().filter(|&(other, _)| other != index).map(strongest).sum()
 }
 
-/// The effect on a body's velocities of the timing error of an event, which comes from the rounding of the distance
-/// between centres [scene unit/s].
+/// The effect of an event's timing error on a body's velocities [scene unit/s]. The timing error comes from rounding of
+/// the distance between centres.
 fn doubt_of(event: &Event, scene: &Scene, index: usize, other: usize) -> f64 {
     let (body, source) = (&scene.bodies[index], &scene.bodies[other]);
     let (a, b) = (path(body).at(event.time), path(source).at(event.time));
@@ -301,9 +302,9 @@ fn doubt_of(event: &Event, scene: &Scene, index: usize, other: usize) -> f64 {
     if jump == 0.0 { 0.0 } else { jump * (ROUNDING * far / speed) }
 }
 
-/// The permitted error at the current time of a run with the scene's tolerance [radii]. It is ten times the tolerance
-/// for velocity errors, plus the rounding of coordinates, plus the `doubt` of the events, amplified by the divergence
-/// of neighbouring solutions. `None` if they diverge too far.
+/// The permitted error of a run with the scene's tolerance at the current time [radii]: ten times the tolerance for
+/// velocity errors, plus the rounding of coordinates, plus the `doubt` of the events, amplified by the divergence of
+/// neighbouring solutions. `None` if these diverge too far.
 fn allowed(world: &World, index: usize, doubt: f64) -> Option<f64> {
     let (scene, t) = (world.scene(), world.time());
     let body = &scene.bodies[index];
@@ -327,7 +328,7 @@ fn rounding(world: &World, index: usize) -> f64 {
     ROUNDING * (world.steps_taken() as f64 + (body.material.omega + rate) * t)
 }
 
-/// Estimates how often a reference evaluates the equation of motion.
+/// Estimated number of evaluations of the equation of motion by a reference.
 fn evaluations(scene: &Scene, instants: &[f64]) -> f64 {
     let end = instants.last().copied().unwrap_or(0.0);
     let rate = |index: usize| {

@@ -1,5 +1,4 @@
-//! Speed of merged surfaces: unions of spheres in arrangements from two to hundreds, and a scene with the surface of every
-//! frame.
+//! Speed of merged surfaces: unions of two to hundreds of spheres, and a scene with the surface of every frame.
 
 use std::{sync::Arc, time::Instant};
 
@@ -21,9 +20,9 @@ use crate::{
     text::thousands,
 };
 
-/// Each arrangement is computed until this total time [s], and at least [`LEAST`] times.
+/// Each arrangement is computed for at least this total time [s], and at least [`MIN_RUNS`] times.
 const SECONDS: f64 = 0.5;
-const LEAST: u32 = 3;
+const MIN_RUNS: u32 = 3;
 
 /// The cost of an arrangement of spheres, best of several runs.
 #[derive(Clone, Debug)]
@@ -49,7 +48,7 @@ pub struct Row {
 pub struct Run {
     /// Frames per second with the surface of every frame, and the measures of every pair.
     pub merged: f64,
-    /// The same without.
+    /// Frames per second without surfaces and measures.
     pub plain: f64,
     /// Fraction of the frames that have a group.
     pub share: f64,
@@ -107,7 +106,7 @@ fn row(name: &'static str, mesh: &Arc<Mesh>, centres: &[DVec3]) -> Row {
         ..Schema::default()
     };
     let at_rest = |centre: DVec3| BodyFrame { centre, is_at_rest: true, ..BodyFrame::default() };
-    // alternates between two positions: results are reused for bodies that have not moved
+    // alternates between two positions, because results are reused for bodies that have not moved
     let frames = [0.0, 1e-3].map(|by| Frame {
         bodies: centres.iter().map(|&centre| at_rest(centre + DVec3::splat(by))).collect(),
         pairs: (1..bodies).map(|b| PairFrame { a: 0, b, q: 1.0, phase: 0 }).collect(),
@@ -129,10 +128,10 @@ fn row(name: &'static str, mesh: &Arc<Mesh>, centres: &[DVec3]) -> Row {
     }
 }
 
-/// The shortest time of several [s].
+/// The shortest time of several calls [s].
 fn best(mut work: impl FnMut()) -> f64 {
     let (begin, mut best, mut count) = (Instant::now(), f64::INFINITY, 0);
-    while count < LEAST || begin.elapsed().as_secs_f64() < SECONDS {
+    while count < MIN_RUNS || begin.elapsed().as_secs_f64() < SECONDS {
         let start = Instant::now();
         work();
         best = best.min(start.elapsed().as_secs_f64());
@@ -144,12 +143,12 @@ fn best(mut work: impl FnMut()) -> f64 {
 /// Measures a scene.
 ///
 /// # Errors
-/// The scene cannot be run, in words.
+/// The scene cannot be run, for the returned reason.
 pub fn run(scene: &Scene) -> Result<Run, String> {
     let mut fastest = [f64::INFINITY; 2];
     let (mut share, mut costs) = (0.0, [f64::INFINITY; 2]);
     for (has_surface, fastest) in [false, true].into_iter().zip(&mut fastest) {
-        for _ in 0..LEAST {
+        for _ in 0..MIN_RUNS {
             let mut world = World::new(scene.clone()).map_err(|error| error.to_string())?;
             let schema = world.schema();
             let (mut merger, mut frame) = (Merger::new(&schema, None), Frame::default());

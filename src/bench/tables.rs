@@ -14,7 +14,7 @@ pub(super) fn table(heading: impl Into<Row>, rows: impl IntoIterator<Item: Into<
     table.trim_fmt()
 }
 
-/// The text for values that do not apply.
+/// Placeholder for values that do not apply.
 pub(super) fn missing() -> String {
     "–".to_owned()
 }

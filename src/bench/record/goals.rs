@@ -1,4 +1,4 @@
-//! The goals for recording, each with the value measured for it.
+//! The goals for recording, with their measured values.
 
 use super::{Destination, Measurement, Report, saving::Way};
 use crate::{
@@ -9,8 +9,8 @@ use crate::{
 /// Scenes with at least this many bodies have a goal for their number of entities.
 const CROWD: usize = 1000;
 
-/// The goals for which there is a measurement. (The requirement that a checksum's cost follows the influence, not the
-/// number of bodies, came without a number; the factor of 10 was chosen here.)
+/// The goals for which there is a measurement. (The requirement that the cost of a checksum depends on the influence, not
+/// on the number of bodies, has no figure; the factor of 10 was chosen here.)
 pub fn goals(report: &Report) -> Vec<Goal> {
     let saved = |scene: &str, detail: Detail| {
         let is_it = |m: &&Measurement| {
@@ -19,7 +19,7 @@ pub fn goals(report: &Report) -> Vec<Goal> {
         report.measurements.iter().find(is_it)
     };
     let mut goals = vec![];
-    // Set before merged bodies were drawn as one surface, which is what most of a frame costs since.
+    // These goals date from before merged surfaces, which now take most of a frame's time.
     for (detail, what, goal) in [(Detail::Surface, "surfaces", 50_000.0), (Detail::Forces, "all forces", 15_000.0)] {
         if let Some(measured) = saved("two", detail) {
             let what = format!("two, {what}, simulated and saved every step");
@@ -28,8 +28,7 @@ pub fn goals(report: &Report) -> Vec<Goal> {
     }
     for measured in report.measurements.iter().filter(|m| m.destination == Destination::File && m.is_simulated) {
         if let Some(bytes) = measured.bytes {
-            let what =
-                format!("{}, {}: bytes in the file by those of the payload", measured.scene, measured.detail.name());
+            let what = format!("{}, {}: bytes in the file per byte of payload", measured.scene, measured.detail.name());
             goals.push(at_most(&what, 1.05, "", bytes as f64 / measured.payload as f64));
         }
     }
@@ -47,9 +46,14 @@ pub fn goals(report: &Report) -> Vec<Goal> {
     if let Some(costs) = &report.costs {
         let verifying = &costs.verifying;
         for hashing in verifying.hashing.iter().filter(|hashing| hashing.scene == "two") {
-            goals.push(at_most("two, a checksum beside its step", 5.0, " %", 100.0 * hashing.checksum / hashing.step));
+            goals.push(at_most(
+                "two, a checksum relative to its step",
+                5.0,
+                " %",
+                100.0 * hashing.checksum / hashing.step,
+            ));
         }
-        let what = "a checksum of a pair among thousands that it does not feel, against the pair alone";
+        let what = "a checksum of a pair among thousands that do not affect it, against the pair alone";
         goals.push(at_most(what, 10.0, " ×", verifying.among_many()));
         for replaying in &verifying.replaying {
             let what = format!("{}: a replay against the run", replaying.scene);

@@ -1,10 +1,10 @@
-//! How much slower steps are while frames are saved at display rate.
+//! Slow-down of steps while frames are saved at display rate.
 //!
 //! An endless scene is stepped as fast as possible in alternating blocks, without and with a recorder. Other load and
-//! clock speed vary by more than the effect measured, so each block is compared with its neighbours, and the median of
-//! these ratios counts. Only the stepping thread is timed; the recording thread's cost shows in what it takes from the
-//! simulation: caches, memory bandwidth and cores. If all cores are busy with other work, the recording thread takes
-//! the stepping thread's core, which shows in wall time. The CPU time of the stepping thread is therefore compared as
+//! clock speed vary by more than the measured effect, so each block is compared with its neighbours, and the median of
+//! these ratios is reported. Only the stepping thread is timed. The cost of the recording thread is what it takes from
+//! the simulation: caches, memory bandwidth and cores. If all cores are busy with other work, the recording thread uses
+//! the stepping thread's core, which adds to wall time. The CPU time of the stepping thread is therefore compared as
 //! well, where the system reports it.
 
 use std::{
@@ -25,15 +25,15 @@ use crate::{
 pub const RATE: f64 = 60.0;
 /// Number of blocks of each kind.
 const BLOCKS: usize = 60;
-/// Duration of a block: some hundred periods of the scene, and 6 frames.
+/// Duration of a block: about a hundred periods of the scene, and 6 frames.
 const BLOCK: Duration = Duration::from_millis(100);
-/// The clock is checked after this many steps.
+/// Number of steps between checks of the clock.
 const STEPS: u64 = 8;
 
-/// What is saved.
+/// The data that is saved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Way {
-    /// A frame every 1/60 s of wall time, and nothing of the steps in between.
+    /// A frame every 1/60 s of wall time, and nothing for the steps in between.
     Frames,
     /// A frame every N steps, with N chosen for the same frame rate, and the checksum of every step, as `run --every N`
     /// does.
@@ -50,13 +50,13 @@ impl Way {
 pub struct Saving {
     /// What was saved.
     pub way: Way,
-    /// Steps per second without saving, in the median block …
+    /// Steps per second without saving, in the median block.
     pub plain: f64,
-    /// … and with it.
+    /// Steps per second with saving, in the median block.
     pub saving: f64,
     /// Relative increase of the step time by saving [–]: lower quartile, median and upper quartile of the comparisons.
     pub slow_down: [f64; 3],
-    /// The median of the same by CPU time of the thread, if the system reports it.
+    /// Median relative increase of the stepping thread's CPU time [–], if the system reports it.
     pub on_core: Option<f64>,
     /// Frames saved per second.
     pub frames: f64,
@@ -111,7 +111,7 @@ pub(super) fn measure(way: Way, file: &Path) -> Result<Saving, String> {
     std::fs::remove_file(file).ok();
 
     let slow_downs = |of: fn(&Block) -> f64| {
-        // each with the block before and the block after it, so that a steady drift in speed cancels out
+        // relative to the blocks before and after, so that a steady drift in speed cancels out
         let around = |i: usize| 0.5 * (of(&plain[i]) + of(plain.get(i + 1).unwrap_or(&plain[i])));
         quartiles(saving.iter().enumerate().map(|(i, saving)| of(saving) / around(i) - 1.0).collect())
     };
@@ -151,7 +151,7 @@ fn on_core() -> f64 {
 
 type Observe<'a> = &'a mut dyn FnMut(&World, Duration) -> Result<(), String>;
 
-/// Takes steps for the duration of a block, and records a frame now and then.
+/// Takes steps for the duration of a block, and calls `observe` every [`STEPS`] steps.
 fn block(world: &mut World, observe: Observe<'_>) -> Result<Block, String> {
     take(world, |world, elapsed| {
         (0..STEPS).for_each(|_| _ = world.step());
@@ -159,7 +159,7 @@ fn block(world: &mut World, observe: Observe<'_>) -> Result<Block, String> {
     })
 }
 
-/// The same, and every step is recorded.
+/// Like [`block`], but records every step.
 fn block_of_every_step(world: &mut World, observe: Observe<'_>) -> Result<Block, String> {
     take(world, |world, elapsed| {
         for _ in 0..STEPS {
@@ -170,11 +170,14 @@ fn block_of_every_step(world: &mut World, observe: Observe<'_>) -> Result<Block,
     })
 }
 
-fn take(world: &mut World, mut some: impl FnMut(&mut World, Duration) -> Result<(), String>) -> Result<Block, String> {
+fn take(
+    world: &mut World,
+    mut steps_of: impl FnMut(&mut World, Duration) -> Result<(), String>,
+) -> Result<Block, String> {
     let (start, on_core_before) = (Instant::now(), on_core());
     let mut steps = 0;
     loop {
-        some(world, start.elapsed())?;
+        steps_of(world, start.elapsed())?;
         steps += STEPS;
         let elapsed = start.elapsed();
         if elapsed >= BLOCK {

@@ -1,11 +1,11 @@
-//! The scenes that are measured in addition to those that the user names.
+//! The scenes measured in addition to those that the user names.
 
 use std::fmt::Write as _;
 
 use crate::scene::{Scene, SceneError};
 
-/// Two bodies that meet and separate every four seconds, forever, like the pairs of `bench scale`. Stored as text,
-/// because a recording is replayed from its scene text.
+/// Two bodies that meet and separate every four seconds, forever, like the pairs of `bench scale`. Kept as text, because
+/// a recording is replayed from its scene text.
 const PAIR: &str = r#"name = "pair"
 duration = 100.0
 
@@ -23,18 +23,18 @@ radius = 1.0
 motion = { sine = { center = [2.2, 0, 0], amplitude = [0.24, 0, 0], frequency = 0.25 } }
 "#;
 
-/// The pair.
+/// The scene of the pair.
 ///
 /// # Errors
-/// Never: the text is a constant.
+/// None: the text is a constant.
 pub fn pair() -> Result<Scene, SceneError> {
     Scene::parse(PAIR, "pair")
 }
 
-/// The pair and this many bodies that it does not affect; every other one oscillates after a push of its own.
+/// The pair and this many bodies that it does not affect, half of which oscillate after a push.
 ///
 /// # Errors
-/// Never: the text is made here.
+/// None: the generated text is valid.
 pub fn pair_among(others: usize) -> Result<Scene, SceneError> {
     let mut text = PAIR.replace("\"pair\"", &format!("\"pair among {others}\""));
     for i in 0..others {
@@ -57,7 +57,7 @@ pub fn pair_among(others: usize) -> Result<Scene, SceneError> {
 /// A scene file with this many bodies in the style of the built-in `crowd`: a field at rest, in which one body in fifty
 /// drifts to its neighbours and back.
 pub fn crowd(bodies: usize) -> String {
-    /// Distance between bodies [radii]: they don't touch.
+    /// Distance between bodies [radii], at which they do not touch.
     const PITCH: f64 = 2.6;
     let columns = ((1.6 * bodies as f64).sqrt().ceil() as usize).max(1);
     let rows = bodies.div_ceil(columns);
@@ -67,8 +67,8 @@ pub fn crowd(bodies: usize) -> String {
     );
     for index in 0..bodies {
         let (column, row) = (index % columns, index / columns);
-        let place = |index: usize, count: usize| PITCH * (index as f64 - 0.5 * (count as f64 - 1.0));
-        let (x, y) = (place(column, columns), place(row, rows));
+        let centred = |index: usize, count: usize| PITCH * (index as f64 - 0.5 * (count as f64 - 1.0));
+        let (x, y) = (centred(column, columns), centred(row, rows));
         let motion = if column % 8 == 4 && row % 6 == 3 {
             let amplitude = if row % 12 == 3 { "[0.9, 0, 0]" } else { "[0, 0.9, 0]" };
             format!("sine = {{ center = [{x:.1}, {y:.1}, 0], amplitude = {amplitude}, frequency = 0.4 }}")

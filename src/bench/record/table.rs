@@ -77,10 +77,10 @@ pub fn costs(costs: &Costs) -> String {
         ]
     });
     format!(
-        "two bodies, stepped as fast as it goes while {RATE} frames a second of wall time are saved\n\n{}\n\n\
+        "two bodies, stepped as fast as possible while {RATE} frames per second of wall time are saved\n\n{}\n\n\
          checksums\n\n{}\n\nreplays of thin recordings\n\n{}",
-        tables::table(["", "steps/s without", "with", "slow-down", "on its core", "frames/s"], saving),
-        tables::table(["", "a step", "its checksum", "ratio"], hashing.chain(pairs)),
+        tables::table(["", "steps/s without", "with", "slow-down", "CPU time", "frames/s"], saving),
+        tables::table(["", "step", "checksum", "ratio"], hashing.chain(pairs)),
         tables::table(["", "steps", "simulated in", "verified in", "ratio"], replaying),
     )
 }

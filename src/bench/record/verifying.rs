@@ -17,11 +17,11 @@ use crate::{
     },
 };
 
-/// The best of this many runs counts, because other load only ever slows them down.
+/// The best of this many runs is reported, because other load only ever slows them down.
 const RUNS: usize = 20;
 /// Number of unaffected bodies beside a pair.
 const OTHERS: usize = 4000;
-/// Steps before measuring starts; the initial effect of the pushes is over by then.
+/// Steps before measuring starts, after which the pushes have ended.
 const WARM: u64 = 10;
 const STEPS: u64 = 50;
 
@@ -68,7 +68,7 @@ pub struct Verifying {
 }
 
 impl Verifying {
-    /// How many times longer a checksum takes among many bodies [–].
+    /// Ratio of the checksum times among many bodies and alone [–].
     pub fn among_many(&self) -> f64 {
         self.pair[1] / self.pair[0]
     }
@@ -88,8 +88,8 @@ fn world(scene: &Scene) -> Result<World, String> {
     World::new(scene.clone()).map_err(|error| error.to_string())
 }
 
-/// Runs with and without checksums in turns. The best time of each step counts, because no whole run is ever
-/// undisturbed. Both times include the cost of reading the clock, which cancels out in their difference.
+/// Alternates runs with and without checksums. Takes the best time of each step, because no whole run is ever
+/// undisturbed. Both times include reading the clock, which cancels out in their difference.
 fn hash(scene: &Scene) -> Result<Hashing, String> {
     let mut best = vec![[f64::INFINITY; 2]; scene.steps() as usize];
     for _ in 0..RUNS {
@@ -110,7 +110,7 @@ fn hash(scene: &Scene) -> Result<Hashing, String> {
     Ok(Hashing { scene: scene.name.clone(), step, checksum: both - step })
 }
 
-/// Times the checksum alone, step after step.
+/// Times only the checksum, after every step.
 fn hash_among_many() -> Result<[f64; 2], String> {
     let scenes = [0, OTHERS].map(scenes::pair_among);
     let mut best = [f64::INFINITY; 2];
@@ -142,7 +142,7 @@ fn replay(scene: Scene, file: &Path) -> Result<Replaying, String> {
         replay = replay.min(start.elapsed().as_secs_f64());
         if verdict != Verdict::Identical {
             return Err(format!(
-                "a replay of {} is not what was recorded; this is a bug, please report it",
+                "a replay of {} differs from its recording; this is a bug, please report it",
                 scene.name
             ));
         }

@@ -1,7 +1,7 @@
-//! A scene that decays to zero. Arithmetic on subnormal floats is slow, so none may occur on the way.
+//! A scene that decays to zero. Arithmetic on subnormal floats is slow, so none may occur during the decay.
 //!
-//! Two bodies are torn apart and left alone. Step times are followed while their vertices oscillate with amplitudes of
-//! every magnitude that a float can have, and long after they have come to rest.
+//! Two bodies are torn apart and left alone. Steps are timed while their vertices oscillate with amplitudes of every
+//! magnitude that a float can have, and long after they have come to rest.
 
 use std::time::Instant;
 
@@ -19,21 +19,21 @@ pub struct Decay {
     pub skip: bool,
     /// Number of steps taken.
     pub steps: u64,
-    /// Time of a step and of reading all vertices [s], at the start …
+    /// Time of a step and of reading all vertices at the start [s].
     pub early: f64,
-    /// … at its slowest …
+    /// The longest such time [s].
     pub slowest: f64,
-    /// … and at the end.
+    /// The time at the end [s].
     pub late: f64,
 }
 
-/// Number of steps timed together. The best of several such blocks counts, because other load only adds to them
-/// (medians differed by a factor of four between runs, never at the same step). Subnormal floats would slow down all of
-/// these blocks, because amplitudes of such sizes take thousands of steps to pass.
+/// Number of steps timed together. Each time is the best of several such blocks, because other load only adds to them
+/// (medians differed by a factor of four between runs, never at the same step). Subnormal floats would slow down all
+/// blocks of a group, because the amplitudes stay subnormal for thousands of steps.
 const STEPS: u64 = 200;
 const BLOCKS: usize = 10;
 
-/// Follows the decay both ways: with skipping over `steps` steps, and the naive baseline over a twentieth of that.
+/// Measures the decay with skipping over `steps` steps, and without over a twentieth of that.
 pub(super) fn measure(two: &Scene, steps: u64) -> Result<Vec<Decay>, MeasureError> {
     [(true, steps), (false, steps / 20)].into_iter().map(|(skip, steps)| follow(two, skip, steps)).collect()
 }

@@ -13,8 +13,8 @@ use crate::bench::{
 /// Space right of the axes [px].
 const RIGHT: u32 = 330;
 
-/// A style per family: colours distinguishable with any colour vision (Okabe & Ito 2008), and distinct markers. The
-/// naive baseline is drawn in the colour of its family.
+/// The style of a family: a colour distinguishable with any colour vision (Okabe & Ito 2008), and its own marker. The
+/// naive baseline has the colour of its family.
 fn style(family: Family, is_plain: bool) -> Style {
     let (color, marker) = match family {
         Family::Contact => (RGBColor(213, 94, 0), Marker::Polygon(&[0.0, 2.67, 5.33])),
@@ -35,9 +35,9 @@ pub fn svg(report: &Report, machine: &Machine) -> Result<String, String> {
         title: "Cost and size",
         heading: [
             "Time of a step against the number of bodies, 266 vertices each, on one core: down is faster.",
-            "Crosses: the naive baseline, the thesis’s scheme with every vertex and all pairs, as far as it was followed.",
+            "Crosses: the naive baseline, the thesis’s scheme with every vertex and all pairs, as far as it was measured.",
         ],
-        notes: &["Run times: the best of 9 blocks of steps, or of 3 that take long.", &machine],
+        notes: &["Run times: the best of 9 blocks of steps, or of 3 long ones.", &machine],
     };
     let curves = curves(report);
     let all = curves.iter().flat_map(|curve| &curve.points);
@@ -84,8 +84,8 @@ fn curves(report: &Report) -> Vec<Curve> {
     Family::ALL.into_iter().flat_map(|family| [curve(family, false), curve(family, true)]).collect()
 }
 
-/// The range of the values, widened by the factor `room` on either side.
-fn range(values: impl Iterator<Item = f64> + Clone, room: f64) -> Range<f64> {
-    let (least, most) = (values.clone().fold(f64::INFINITY, f64::min), values.fold(0.0, f64::max));
-    if least <= most { least / room..most * room } else { 1.0..10.0 }
+/// The range of the values, widened by the factor `margin` on either side.
+fn range(values: impl Iterator<Item = f64> + Clone, margin: f64) -> Range<f64> {
+    let (min, max) = (values.clone().fold(f64::INFINITY, f64::min), values.fold(0.0, f64::max));
+    if min <= max { min / margin..max * margin } else { 1.0..10.0 }
 }

@@ -1,5 +1,5 @@
-//! Free bodies: pairs in contact compared with pairs on prescribed paths, and bodies at rest on a plane next to a
-//! moving one compared with the moving one alone.
+//! Free bodies: pairs in contact compared with pairs on prescribed paths, and a moving body beside bodies at rest on a
+//! plane compared with the moving body alone.
 
 use std::time::{Duration, Instant};
 
@@ -17,11 +17,11 @@ use crate::{
 
 /// Scenes whose step is expected to take longer are skipped.
 const LONGEST_STEP: f64 = 0.5;
-/// Longest time to wait for bodies to come to rest.
+/// Time limit for bodies to come to rest.
 const LONGEST_SETTLING: Duration = Duration::from_secs(120);
-/// The most steps that bodies take to come to rest.
-const MOST_SETTLING_STEPS: usize = 1000;
-/// The bodies on the plane: a cube stands on four of its vertices.
+/// Step limit for bodies to come to rest.
+const MAX_SETTLING_STEPS: usize = 1000;
+/// The shape of the bodies on the plane: a cube, which stands on four of its vertices.
 const CUBE: &str = "
 v -1 -1 -1\nv 1 -1 -1\nv 1 1 -1\nv -1 1 -1\nv -1 -1 1\nv 1 -1 1\nv 1 1 1\nv -1 1 1
 f 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8";
@@ -31,29 +31,29 @@ f 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8";
 pub struct Contact {
     /// Number of bodies.
     pub bodies: usize,
-    /// Time of a step on one core, free [s] …
+    /// Step time of free bodies on one core [s].
     pub free: f64,
-    /// … and on prescribed paths [s].
+    /// Step time of the same number of bodies on prescribed paths, on one core [s].
     pub prescribed: f64,
 }
 
 impl Contact {
-    /// The rate of free pairs over that of prescribed ones [–].
+    /// Step rate of free pairs relative to prescribed ones [–].
     pub fn rate(&self) -> f64 {
         self.prescribed / self.free
     }
 }
 
-/// Bodies that rest on a plane, and one that moves.
+/// Bodies at rest on a plane, and one that moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Resting {
-    /// Number of bodies that rest, or should.
+    /// Number of bodies that should be at rest.
     pub bodies: usize,
-    /// Number of those at rest.
+    /// Number of bodies that are at rest.
     pub asleep: usize,
-    /// Time of a step on one core [s] …
+    /// Step time on one core [s].
     pub seconds: f64,
-    /// … and of one with the moving body alone [s].
+    /// Step time of the moving body alone, on one core [s].
     pub alone: f64,
 }
 
@@ -66,8 +66,8 @@ pub struct Free {
     pub resting: Vec<Resting>,
 }
 
-/// Measures pairs of up to the given numbers of bodies, and as many resting ones; `prescribed` gives the time of a step
-/// on one core for the same number of bodies on paths [s].
+/// Measures pairs with the given numbers of bodies, and as many bodies at rest. `prescribed` returns the step time on one
+/// core of the same number of bodies on paths [s].
 ///
 /// # Errors
 /// [`TooLarge`]
@@ -87,9 +87,9 @@ pub(super) fn measure(
         per_body = seconds / count as f64;
         free.contact.push(Contact { bodies: count, free: seconds, prescribed });
     }
-    // the height at which a body comes to rest: the others start there and have little to settle
+    // the height at which a body comes to rest: the others start there, so they settle quickly
     let mut first = World::new(resting(two, 1, 0.57))?;
-    (0..MOST_SETTLING_STEPS).any(|_| {
+    (0..MAX_SETTLING_STEPS).any(|_| {
         first.step();
         first.report().sleeping_bodies > 0
     });
@@ -107,7 +107,7 @@ pub(super) fn measure(
                 world.step();
                 world.report().sleeping_bodies as usize >= count || start.elapsed() > LONGEST_SETTLING
             };
-            (0..MOST_SETTLING_STEPS).any(step)
+            (0..MAX_SETTLING_STEPS).any(step)
         };
         pools.best().install(settle);
         let asleep = world.report().sleeping_bodies as usize;
@@ -160,8 +160,8 @@ fn in_contact(two: &Scene, bodies: usize) -> Scene {
     scene
 }
 
-/// Cubes on a plane, with their centres at `height` and out of each other's reach, and one body that is moved by another
-/// on a path. Steps are long, so that the half second after which bodies rest takes few of them.
+/// Cubes on a plane, with their centres at `height` and out of each other's reach, and a free body that is moved by
+/// another body on a path. Steps are long, so that the half second before bodies come to rest takes few steps.
 fn resting(two: &Scene, bodies: usize, height: f64) -> Scene {
     let mut scene = super::scenes::scene(two, (0..bodies + 2).map(|_| Path::Fixed(DVec3::ZERO)).collect());
     let side = (bodies as f64).sqrt().ceil().max(1.0) as usize;
@@ -172,16 +172,16 @@ fn resting(two: &Scene, bodies: usize, height: f64) -> Scene {
     for (index, body) in scene.bodies.iter_mut().enumerate() {
         body.material = Material { omega: 40.0, damping: 40.0, response: Response::Inertial };
         if index < bodies {
-            let place = DVec3::new((index % side) as f64, (index / side) as f64, 0.0) * 3.0 * body.radius;
-            body.motion = thrown(place + height * DVec3::Z, DVec3::ZERO, Rotation::Fixed);
+            let position = DVec3::new((index % side) as f64, (index / side) as f64, 0.0) * 3.0 * body.radius;
+            body.motion = thrown(position + height * DVec3::Z, DVec3::ZERO, Rotation::Fixed);
             body.shape = cube.clone();
         }
     }
-    // far from the others: one on a path, and the one that it moves
+    // far from the cubes: a body on a path, and the free body that it moves
     let center = -30.0 * DVec3::X + 9.0 * DVec3::Z;
-    let [.., leads, led] = &mut scene.bodies[..] else { return scene };
+    let [.., leader, follower] = &mut scene.bodies[..] else { return scene };
     let path = Path::Sine { center, amplitude: 0.3 * DVec3::X, frequency: 1.0, phase: 0.0 };
-    (leads.motion, led.motion) = (path.into(), thrown(center - 1.5 * DVec3::Z, DVec3::ZERO, Rotation::Free));
+    (leader.motion, follower.motion) = (path.into(), thrown(center - 1.5 * DVec3::Z, DVec3::ZERO, Rotation::Free));
     scene.name = format!("{bodies} at rest on a plane");
     scene
 }

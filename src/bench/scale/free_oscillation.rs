@@ -1,8 +1,8 @@
 //! Bodies whose vertices all oscillate freely, with every frame requested.
 //!
-//! No force acts, so steps are nearly free. What is timed is a step and reading the states of all vertices after it, as
-//! a recording would. Vertices that a sphere has touched each have a state of 48 bytes, which must be read from memory;
-//! vertices moved by a push only are computed from one number per body.
+//! No force acts, so steps cost almost nothing. The timings cover a step and reading the states of all vertices, as a
+//! recording would. Each vertex that a sphere has touched has a state of 48 bytes, which must be read from memory;
+//! vertices moved only by a push are computed from one number per body.
 
 use std::time::{Duration, Instant};
 
@@ -31,7 +31,7 @@ impl Cause {
     pub fn name(self) -> &'static str {
         match self {
             Cause::Sphere => "each vertex by itself",
-            Cause::Push => "all alike, pushed",
+            Cause::Push => "all equally, pushed",
         }
     }
 }
@@ -45,13 +45,13 @@ pub struct FreeOscillation {
     pub vertices: u64,
     /// Memory allocated by the world, per vertex [bytes].
     pub memory: f64,
-    /// Vertices times frames per time, on one core [1/s] …
+    /// Number of vertices times frame rate, on one core [1/s].
     pub one: f64,
-    /// … and on all cores.
+    /// Number of vertices times frame rate, on all cores [1/s]; `None` on a single-core machine.
     pub all: Option<f64>,
 }
 
-/// The most bodies that oscillate; their states exceed every cache.
+/// Maximum number of bodies; their states exceed every cache.
 const BODIES: usize = 4000;
 /// No force acts after this time [s].
 pub(super) const LEFT_ALONE: f64 = 1.0;
@@ -61,9 +61,9 @@ pub(super) fn measure(
     two: &Scene,
     pools: &Pools,
     time: Duration,
-    most: usize,
+    max_bodies: usize,
 ) -> Result<Vec<FreeOscillation>, MeasureError> {
-    [Cause::Sphere, Cause::Push].into_iter().map(|cause| measure_one(cause, two, pools, time, most)).collect()
+    [Cause::Sphere, Cause::Push].into_iter().map(|cause| measure_one(cause, two, pools, time, max_bodies)).collect()
 }
 
 fn measure_one(
@@ -71,9 +71,9 @@ fn measure_one(
     two: &Scene,
     pools: &Pools,
     time: Duration,
-    most: usize,
+    max_bodies: usize,
 ) -> Result<FreeOscillation, MeasureError> {
-    let scene = scene(cause, two, BODIES.min(most) / 2);
+    let scene = scene(cause, two, BODIES.min(max_bodies) / 2);
     let vertices = scene.vertex_count();
     let mut world = pools.best().install(|| World::new(scene))?;
     pools.best().install(|| while world.time() < LEFT_ALONE && world.step().failure.is_none() {});
@@ -90,7 +90,7 @@ fn measure_one(
     Ok(FreeOscillation { cause, vertices, memory, one, all: rates.next().flatten() })
 }
 
-/// Takes frames for this long; returns the time per frame [s].
+/// Takes steps and reads their states for `share` [s]; returns the time per step [s].
 fn block(world: &mut World, share: f64) -> f64 {
     let start = Instant::now();
     for frames in 1.. {
@@ -110,7 +110,7 @@ fn block(world: &mut World, share: f64) -> f64 {
     f64::NAN
 }
 
-/// Pairs of bodies like those of `two` that are pushed, or that start inside each other and are torn apart.
+/// Pairs of bodies like those of `two`, which are pushed, or start inside each other and are torn apart.
 pub fn scene(cause: Cause, two: &Scene, pairs: usize) -> Scene {
     let side = (1..).find(|side| side * side * side >= pairs).unwrap_or(1);
     let corner = |pair: usize| {

@@ -1,10 +1,9 @@
 //! The benchmark scenes: a grid of cells, each with two bodies that are in contact or two at rest.
 //!
 //! The bodies of a pair are those of the built-in `two`, with the same material and the same law. One stands still; the
-//! other oscillates towards it and away. In each period the two approach, merge, hold, separate and split, and are out
-//! of each other's reach only for a moment. The pairs of a scene run at different phases, so that all of them together
-//! do the same work in every step. Bodies at rest stand as close as they can without touching, as in the built-in
-//! `crowd`.
+//! other oscillates towards it and away. In each period they approach, merge, stay merged, separate and split, and are
+//! out of each other's reach only for a moment. The pairs of a scene run at different phases, so that together they do
+//! the same work in every step. Bodies at rest stand as close as possible without touching, as in the built-in `crowd`.
 
 use std::f64::consts::TAU;
 
@@ -14,13 +13,13 @@ use crate::scene::{Body, Path, Scene};
 
 /// Steps per period of a pair's motion.
 pub const PERIOD: u64 = 240;
-/// Number of different phases at which pairs start.
+/// Number of different initial phases of pairs.
 pub const PHASES: usize = 8;
-/// The distance of the bodies of a pair, and its amplitude [radii]: q from 0.98 to 1.22, merging at 1.05, splitting at
+/// Mean distance of the bodies of a pair, and its amplitude [radii]: q from 0.98 to 1.22, merging at 1.05, splitting at
 /// 1.2.
 const DISTANCE: f64 = 2.2;
 const SWING: f64 = 0.24;
-/// Distance between cells [radii]: across, and along the line of a pair.
+/// Distances between cells, across and along the line of a pair [radii].
 const PITCH: f64 = 2.6;
 const LONG_PITCH: f64 = 2.0 * PITCH;
 
@@ -67,7 +66,7 @@ pub struct Pair {
     pub still: usize,
     /// The body that moves.
     pub moving: usize,
-    /// The phase at which it starts.
+    /// Index of its initial phase.
     pub phase: usize,
 }
 
@@ -105,7 +104,7 @@ impl Layout {
     }
 }
 
-/// The pairs of up to `count` phases, placed too far apart to interact, for a common reference solution.
+/// Pairs with the first `count` initial phases, too far apart to interact, for a common reference solution.
 pub fn every_phase(two: &Scene, count: usize) -> Scene {
     let corner = |pair: usize| DVec3::Y * (100.0 * pair as f64);
     let paths = (0..count).flat_map(|phase| [Path::Fixed(corner(phase)), swing(corner(phase), phase, two.dt)]);
@@ -122,7 +121,7 @@ fn swing(corner: DVec3, phase: usize, dt: f64) -> Path {
     }
 }
 
-/// Bodies like those of `two` on these paths.
+/// A scene with bodies like those of `two` on these paths.
 pub(super) fn scene(two: &Scene, paths: Vec<Path>) -> Scene {
     let body =
         |(index, path): (usize, Path)| Body { name: format!("b{index}"), motion: path.into(), ..two.bodies[0].clone() };

@@ -22,14 +22,14 @@ pub fn table(report: &Report) -> String {
         "ratio",
         "one core\nM vertices/s",
         "reached\nvertices",
-        "by those\nns",
-        "memory\na body",
+        "per reached\nns",
+        "memory\nper body",
         "error\n[R]",
         "plain\nsteps/s",
         "error\n[R]",
     ];
     for family in Family::ALL {
-        let what = format!("{}: 266 vertices a body, exponential, tolerance 1e-6", family.name());
+        let what = format!("{}: 266 vertices per body, exponential, tolerance 1e-6", family.name());
         add(what, tables::table(heading, report.of(family).map(row)));
     }
     let rows = report.points.iter().flat_map(|point| point.runs().map(move |run| shares(point, run)));
@@ -45,32 +45,32 @@ pub fn table(report: &Report) -> String {
             significant(each.memory),
         ]
     });
-    let heading = ["", "vertices", "one core\nM vertices/s", "all\nM vertices/s", "memory\nB a vertex"];
-    add("all vertices swing freely, every frame wanted".to_owned(), tables::table(heading, rows));
+    let heading = ["", "vertices", "one core\nM vertices/s", "all\nM vertices/s", "memory\nB/vertex"];
+    add("all vertices oscillate freely, every frame requested".to_owned(), tables::table(heading, rows));
 
     let rows = report.decay.iter().map(|decay| {
         let name = if decay.skip { "default" } else { "nothing skipped" };
         let time = |seconds: f64| format!("{} µs", significant(1e6 * seconds));
         [name.to_owned(), thousands(decay.steps), time(decay.early), time(decay.slowest), time(decay.late)]
     });
-    let what = "a scene of two bodies that decays to nothing: time of a step and of looking at all vertices";
-    add(what.to_owned(), tables::table(["", "steps", "in the beginning", "slowest", "in the end"], rows));
+    let what = "two bodies that decay to rest: time of a step and of reading all vertices";
+    add(what.to_owned(), tables::table(["", "steps", "at the start", "slowest", "at the end"], rows));
 
     let time = |seconds: f64| format!("{} µs", significant(1e6 * seconds));
     let rows = report.free.contact.iter().map(|each| {
         let rate = format!("{:.3}", each.rate());
         [thousands(each.bodies as u64), time(each.free), time(each.prescribed), rate]
     });
-    let heading = ["bodies", "a step, free", "on paths", "rate of the free"];
+    let heading = ["bodies", "step, free", "on paths", "relative rate"];
     add("free bodies in contact, in pairs, one core".to_owned(), tables::table(heading, rows));
     let rows = report.free.resting.iter().map(|each| {
         let [bodies, asleep] = [each.bodies, each.asleep].map(|count| thousands(count as u64));
         [bodies, asleep, time(each.seconds), time(each.alone)]
     });
-    let heading = ["bodies", "at rest", "a step", "of the moving one alone"];
+    let heading = ["bodies", "at rest", "step", "moving one alone"];
     add("free bodies on a plane, and one that moves, one core".to_owned(), tables::table(heading, rows));
 
-    parts.extend(report.too_large.iter().map(|too_large| format!("left out: {too_large}")));
+    parts.extend(report.too_large.iter().map(|too_large| format!("skipped: {too_large}")));
     parts.join("\n\n")
 }
 
@@ -99,13 +99,13 @@ fn shares(point: &Point, run: &Run) -> [String; 6] {
     [name, thousands(point.bodies as u64), run.threads.to_string(), reach, events, integrate]
 }
 
-/// What the columns mean, and the machine they were measured on.
+/// Explains the columns, and names the machine.
 pub fn footer(report: &Report, machine: &Machine) -> String {
     let threads = report.threads;
     format!(
-        "reached: vertices inside of a sphere; memory: what the world has allocated; error: the largest of a vertex, every 20 \
-         steps\nof the first 240 or as many as were taken, in radii, against an independent solution; plain: the thesis’s \
-         scheme, every vertex, all pairs,\none number at a time, one core; run times: the best of 9 blocks of steps, or of 3 that take long\n\
+        "reached: vertices inside a sphere; memory: allocated by the world; error: the largest of any vertex, checked every 20 \
+         steps\nup to step 240, in radii, against an independent solution; plain: the thesis’s scheme, every vertex, all pairs,\n\
+         one number at a time, one core; run times: the best of 9 blocks of steps, or of 3 long ones\n\
          {}, 1 and {threads} of {} cores used; meldscope {}",
         machine.cpu, machine.cores, machine.version
     )

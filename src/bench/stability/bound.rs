@@ -1,8 +1,8 @@
-//! The energy bound: how far from rest and how fast a vertex can be, given the forces so far.
+//! The energy bound: limits of a vertex's displacement and velocity, given the forces so far.
 //!
 //! Starting from rest, `x(t) = ∫ S(t − s) F(s) ds` with the impulse response S of the oscillator, so bounds of F and S
-//! bound x and x′; and `√(|u|² + ω²|x|²)` grows at a rate of at most |F|. If, in addition, nothing about the body ever
-//! moves or changes, then E of [`energy`](crate::model::energy) never grows.
+//! bound x and x′. In addition, `√(|u|² + ω²|x|²)` grows at a rate of at most |F|. If nothing around the body ever moves
+//! or changes, then E of [`energy`](crate::model::energy) never grows.
 
 use std::f64::consts::PI;
 
@@ -19,12 +19,13 @@ use crate::{
 pub struct Allowance {
     omega: f64,
     damping: f64,
-    /// ∫|F| dt so far [scene unit/s], and the largest |F| [scene unit/s²].
+    /// ∫|F| dt so far [scene unit/s].
     impulse: f64,
+    /// The largest |F| so far [scene unit/s²].
     force: f64,
     /// √(2 (E(0) − min V)) of each vertex [scene unit/s]; empty if energy can enter the system.
     energy: Vec<f64>,
-    /// The strongest pull by all others, in any phase they may ever be in [scene unit/s²].
+    /// The strongest pull by all other bodies, in any phase they can be in [scene unit/s²].
     pull: f64,
     time: f64,
 }
@@ -53,7 +54,7 @@ impl Allowance {
 
         let is_still =
             scene.bodies.iter().all(|body| path(body).is_fixed()) && scene.pushes.iter().all(|push| push.body != index);
-        // Positions are rounded, and therefore the energy is too.
+        // Rounding of positions also affects the energy.
         let far = scene.bodies.iter().map(|body| path(body).position(0.0).length()).fold(0.0, f64::max);
         let rounding = 8.0 * f64::EPSILON * (far + body.radius);
         let omega = body.material.omega;
@@ -71,8 +72,7 @@ impl Allowance {
                 force += influence::acceleration(weight, strength, sphere, to_centre);
                 stiffness += strength.abs();
             }
-            // With |x| ≤ M/ω and V(x) ≥ V(0) − |F||x|: M²/2 ≤ |F| M/ω. Nowhere does F exceed the pull, nor |F(0)| +
-            // L|x|.
+            // With |x| ≤ M/ω and V(x) ≥ V(0) − |F||x|: M²/2 ≤ |F| M/ω. |F| exceeds neither the pull nor |F(0)| + L|x|.
             let force = force.length() + stiffness * rounding;
             let softening = 1.0 - stiffness / (omega * omega);
             let local = if softening > 0.0 { 2.0 * force / (omega * softening) } else { f64::INFINITY };
@@ -114,16 +114,16 @@ impl Allowance {
         self.time = end;
     }
 
-    /// The largest ratio of a vertex's state to the energy bound [–]; more than 1 is impossible for an exact solution.
-    /// NaN if the state contains NaN.
+    /// The largest ratio of a vertex's state to the energy bound [–]; at most 1 for an exact solution. NaN if the state
+    /// contains NaN.
     pub fn used(&self, body: &BodyView<'_>) -> f64 {
         let (furthest, fastest) = self.response();
         let mut used = 0.0;
         for i in 0..body.vertex_count() {
             let (x, u) = (body.displacement(i).length(), body.velocity(i).length());
             let momentum = u.hypot(self.omega * x);
-            let most = f64::min(self.impulse, self.energy.get(i).copied().unwrap_or(f64::INFINITY));
-            for part in [part(momentum, most), part(x, furthest), part(u, fastest)] {
+            let limit = f64::min(self.impulse, self.energy.get(i).copied().unwrap_or(f64::INFINITY));
+            for part in [part(momentum, limit), part(x, furthest), part(u, fastest)] {
                 // written so that NaN propagates
                 if !(part <= used) {
                     used = part;
@@ -133,7 +133,7 @@ impl Allowance {
         used
     }
 
-    /// Bounds of displacement and velocity of a vertex by the forces so far [scene unit, scene unit/s].
+    /// Bounds of a vertex's displacement and velocity, given the forces so far [scene unit, scene unit/s].
     fn response(&self) -> (f64, f64) {
         let Allowance { omega, damping, impulse, force, time, .. } = *self;
         // |S| ≤ t, 1/ω, 1/2κ; and ∫|S|, ∫|S′| over all time: each lobe of the oscillation is smaller by a factor of
@@ -149,7 +149,7 @@ impl Allowance {
     }
 }
 
-/// `value` / `most`, where 0/0 is 0.
-fn part(value: f64, most: f64) -> f64 {
-    if value == 0.0 { 0.0 } else { value / most }
+/// `value` / `limit`, where 0/0 is 0.
+fn part(value: f64, limit: f64) -> f64 {
+    if value == 0.0 { 0.0 } else { value / limit }
 }

@@ -1,10 +1,10 @@
-//! The cases of the sweep: small scenes, each generated from its number alone.
+//! The cases of the sweep: small scenes, generated from their numbers alone.
 
 use std::{f64::consts::PI, fmt, fmt::Write as _};
 
 use crate::{Scene, SceneError};
 
-/// Changing the seed changes every case.
+/// Seed of all cases.
 pub const SEED: u64 = 2006;
 
 /// The setting that a case takes to its limits.
@@ -57,17 +57,17 @@ impl Axis {
 
     /// The axis of a case, and its number on that axis.
     pub fn of(index: u64) -> (Axis, u64) {
-        let (cycle, mut place) = (index / Axis::CYCLE, index % Axis::CYCLE);
+        let (cycle, mut rest) = (index / Axis::CYCLE, index % Axis::CYCLE);
         for (axis, share) in Axis::SHARES {
-            if place < share {
-                return (axis, cycle * share + place);
+            if rest < share {
+                return (axis, cycle * share + rest);
             }
-            place -= share;
+            rest -= share;
         }
         (Axis::Mixed, index) // unreachable: the counts add up to the cycle
     }
 
-    /// A run ends after this many integrator steps over all vertices, so that every case terminates.
+    /// Maximum number of integrator steps of a run over all vertices, so that every case terminates.
     pub fn most_substeps(self) -> u64 {
         if self == Axis::Resonance { 1_000_000 } else { 100_000 }
     }
@@ -100,7 +100,7 @@ impl fmt::Display for Axis {
 /// A scene that is hard for integrators.
 #[derive(Clone, Debug)]
 pub struct Case {
-    /// The number it is generated from.
+    /// The number from which it is generated.
     pub index: u64,
     /// The setting it takes to its limits.
     pub axis: Axis,
@@ -114,7 +114,7 @@ impl Case {
     /// Generates the case with this number.
     ///
     /// # Errors
-    /// The scene is invalid; no such case exists.
+    /// The generated scene is invalid, which happens for no case.
     pub fn new(index: u64) -> Result<Case, SceneError> {
         let (axis, number) = Axis::of(index);
         let mut dice = Dice::new(index);
@@ -129,8 +129,7 @@ impl Case {
     }
 }
 
-// --- random numbers
-// ----------------------------------------------------------------------------------------------------
+// --- random numbers -------------------------------------------------------------------------------------------------
 
 /// SplitMix64 (Steele, Lea & Flood 2014): the same numbers on every machine.
 struct Dice(u64);
@@ -163,15 +162,16 @@ impl Dice {
         rounded(low + (high - low) * self.unit())
     }
 
-    fn of<T: Copy>(&mut self, these: &[T]) -> T {
-        these[self.below(these.len() as u64) as usize]
+    /// One of the choices.
+    fn of<T: Copy>(&mut self, choices: &[T]) -> T {
+        choices[self.below(choices.len() as u64) as usize]
     }
 
     fn chance(&mut self, one_in: u64) -> bool {
         self.below(one_in) == 0
     }
 
-    /// Log-uniform over the range, and occasionally one of the limits themselves.
+    /// Log-uniform over the range, and sometimes exactly one of its limits.
     fn scale(&mut self, low: f64, high: f64) -> f64 {
         match self.below(10) {
             0 => low,
@@ -180,12 +180,12 @@ impl Dice {
         }
     }
 
-    /// As [`Dice::scale`], or 0.
+    /// Like [`Dice::scale`], and sometimes 0.
     fn scale_or_zero(&mut self, low: f64, high: f64) -> f64 {
         if self.chance(8) { 0.0 } else { self.scale(low, high) }
     }
 
-    fn vector(&mut self, size: f64) -> Place {
+    fn vector(&mut self, size: f64) -> Position {
         std::array::from_fn(|_| self.between(-size, size))
     }
 }
@@ -197,7 +197,7 @@ fn rounded(x: f64) -> f64 {
 
 // --- scenes ---------------------------------------------------------------------------------------------------------
 
-type Place = [f64; 3];
+type Position = [f64; 3];
 
 /// A scene file under construction.
 struct Draft {
@@ -228,15 +228,15 @@ struct BodyDraft {
 }
 
 enum Motion {
-    Fixed(Place),
-    Line { from: Place, velocity: Place },
-    Sine { center: Place, amplitude: Place, frequency: f64, phase: f64 },
-    Keyframes(Vec<(f64, Place)>),
+    Fixed(Position),
+    Line { from: Position, velocity: Position },
+    Sine { center: Position, amplitude: Position, frequency: f64, phase: f64 },
+    Keyframes(Vec<(f64, Position)>),
 }
 
 struct PushDraft {
     body: usize,
-    direction: Place,
+    direction: Position,
     strength: f64,
     start: f64,
     duration: f64,
@@ -260,7 +260,7 @@ impl fmt::Display for Motion {
 }
 
 impl Draft {
-    /// The thesis's body and its neighbour, with the defaults of a scene file.
+    /// A scene without bodies, with the defaults of a scene file or random choices.
     fn new(dice: &mut Dice) -> Draft {
         Draft {
             what: String::new(),
@@ -292,7 +292,7 @@ impl Draft {
         self.bodies.push(BodyDraft { radius, stacks, slices, motion });
     }
 
-    /// A body at the origin and one that passes it, sometimes two.
+    /// Adds a body at the origin, one or two bodies that pass it, and sometimes a push.
     fn neighbours(&mut self, dice: &mut Dice) {
         self.body(dice, 1.0, Motion::Fixed([0.0; 3]));
         for _ in 0..dice.of(&[1, 1, 2]) {
@@ -305,7 +305,7 @@ impl Draft {
         }
     }
 
-    /// A path that takes a body near the origin, in units of `reach`.
+    /// A path near the origin, in units of `reach`.
     fn passing(&self, dice: &mut Dice, reach: f64) -> Motion {
         // over the whole run, or on a scale of seconds
         let time = if dice.chance(2) { self.duration() } else { f64::max(self.duration(), 2.0) };
@@ -343,8 +343,8 @@ impl Draft {
         });
     }
 
-    fn shift(&mut self, by: Place) {
-        let add = |place: &mut Place| *place = std::array::from_fn(|i| place[i] + by[i]);
+    fn shift(&mut self, by: Position) {
+        let add = |at: &mut Position| *at = std::array::from_fn(|i| at[i] + by[i]);
         for body in &mut self.bodies {
             match &mut body.motion {
                 Motion::Fixed(at) | Motion::Line { from: at, .. } | Motion::Sine { center: at, .. } => add(at),
@@ -447,12 +447,12 @@ fn draft(axis: Axis, number: u64, dice: &mut Dice) -> Draft {
             draft.what = format!("radii 1:{ratio:.0}, {}", draft.scaling);
         }
         Axis::Coincident => {
-            // Vertices on the x axis: the centre of one body should meet a vertex, or a rim, of another.
-            let place = dice.of(&[0.0, 0.0, 1e-300, 1e-15, 1.0, 2f64.sqrt(), 2f64.sqrt() - 1.0, 1.0 + 2f64.sqrt()]);
+            // Vertices lie on the x axis, so that the centre of one body meets a vertex or a rim of another.
+            let offset = dice.of(&[0.0, 0.0, 1e-300, 1e-15, 1.0, 2f64.sqrt(), 2f64.sqrt() - 1.0, 1.0 + 2f64.sqrt()]);
             let radius = dice.of(&[1.0, 1.0, 0.5]);
             draft.body(dice, 1.0, Motion::Fixed([0.0; 3]));
             let motion = match dice.below(3) {
-                0 => Motion::Fixed([place, 0.0, 0.0]),
+                0 => Motion::Fixed([offset, 0.0, 0.0]),
                 // through the centre, in the middle of a step or at its end
                 1 => {
                     let back = dice.of(&[0.5, 1.0]) + (draft.steps / 2) as f64;
@@ -460,7 +460,7 @@ fn draft(axis: Axis, number: u64, dice: &mut Dice) -> Draft {
                 }
                 _ => Motion::Sine {
                     center: [0.0; 3],
-                    amplitude: [place.max(0.2), 0.0, 0.0],
+                    amplitude: [offset.max(0.2), 0.0, 0.0],
                     frequency: rounded(1.0 / draft.duration()),
                     phase: 0.0,
                 },
@@ -470,11 +470,11 @@ fn draft(axis: Axis, number: u64, dice: &mut Dice) -> Draft {
                 draft.body(dice, 1.0, Motion::Fixed([0.0; 3]));
             }
             draft.damping = dice.of(&[0.0, 1.5]);
-            // a pair may also stand exactly on a threshold
+            // sometimes the pair is exactly on a threshold
             (draft.merge_at, draft.split_at) =
-                dice.of(&[(1.05, 1.15), (place.max(0.5) / (1.0 + radius), place.max(0.5) / (1.0 + radius))]);
+                dice.of(&[(1.05, 1.15), (offset.max(0.5) / (1.0 + radius), offset.max(0.5) / (1.0 + radius))]);
             draft.core_at = dice.of(&[0.0, 0.25 / (1.0 + radius)]);
-            draft.what = format!("{} bodies, centres {place:e} apart", draft.bodies.len());
+            draft.what = format!("{} bodies, centres {offset:e} apart", draft.bodies.len());
         }
         Axis::Crowd => {
             let (count, dt) =
@@ -496,7 +496,7 @@ fn draft(axis: Axis, number: u64, dice: &mut Dice) -> Draft {
             draft.neighbours(dice);
             draft.shift(dice.of(&[[far, 0.0, 0.0], [far, -far, far], [-far, 0.0, far]]));
             if dice.chance(4) {
-                // one body that arrives from afar, and another that leaves
+                // one body arrives from afar, another leaves
                 let speed = rounded(far / draft.duration());
                 for (from, velocity) in [(-2.0 * far, speed), (far, -speed)] {
                     let [from, velocity] = [[from, 0.0, 0.5], [velocity, 0.0, 0.0]];
@@ -512,7 +512,7 @@ fn draft(axis: Axis, number: u64, dice: &mut Dice) -> Draft {
             draft.damping = 0.0;
             draft.dt = multiple as f64 * PI * (1.0 + off) / draft.omega;
             draft.steps = 2_000;
-            // per unit of the oscillator's time, in which these cases are all alike
+            // per unit of the oscillator's time, in which all these cases are equal
             draft.tolerance = Some(1e-6 * draft.omega);
             let part = dice.between(0.05, 0.5);
             (draft.alpha, draft.beta) = (part * draft.omega * draft.omega, part * draft.omega * draft.omega);

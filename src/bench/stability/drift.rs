@@ -34,7 +34,7 @@ impl Drift {
     }
 }
 
-/// Two bodies of a few vertices, as a scene file.
+/// Two bodies with few vertices, as a scene file.
 pub const SCENE: &str = r#"# Energy is constant: nothing moves but the vertices, and nothing damps them.
 name = "million"
 duration = 16666.666666666668

@@ -11,17 +11,17 @@ use crate::{
     scene::{Body, Path, Response, Scene},
 };
 
-/// A displacement [scene unit], and the size of the terms that it is the sum of [scene unit].
+/// A displacement, and the size of the terms of its sum.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exact {
-    /// x
+    /// Displacement x [scene unit].
     pub x: DVec3,
-    /// Magnitude that rounding errors are relative to.
+    /// Sum of the terms' magnitudes, to which rounding errors are relative [scene unit].
     pub terms: f64,
 }
 
-/// The displacement at time `t` [s] of the vertex of `body` whose rest position has the direction `facing`; `None` if
-/// there is no closed form.
+/// The displacement at time `t` [s] of the vertex of body `index` whose rest position has the direction `facing`; `None`
+/// if there is no closed form.
 pub fn displacement(scene: &Scene, index: usize, facing: DVec3, t: f64) -> Option<Exact> {
     let body = &scene.bodies[index];
     let (omega, damping) = (body.material.omega, body.material.damping);
@@ -46,8 +46,7 @@ pub fn displacement(scene: &Scene, index: usize, facing: DVec3, t: f64) -> Optio
     Some(exact)
 }
 
-/// The response to the body's own motion on a sine: x = Im(Z e^(i(Ωt + φ))), plus the transient that makes it start
-/// from rest.
+/// The response to the body's own motion on a sine: x = Im(Z e^(i(Ωt + φ))), plus the transient of the start from rest.
 fn swing(body: &Body, t: f64, add: &mut impl FnMut(DVec3)) -> Option<()> {
     let Path::Sine { amplitude, frequency, phase, .. } = *path(body) else { return None };
     let (omega, damping) = (body.material.omega, body.material.damping);
@@ -65,10 +64,10 @@ fn swing(body: &Body, t: f64, add: &mut impl FnMut(DVec3)) -> Option<()> {
         (re * sin + im * cos, rate * (re * cos - im * sin))
     };
     let ((x, _), (x0, u0)) = (at(rate * t + phase), at(phase));
-    let (from_place, from_speed) = flow(omega, damping, t);
+    let (by_displacement, by_velocity) = flow(omega, damping, t);
     add(amplitude * x);
-    add(-amplitude * (x0 * from_place));
-    add(-amplitude * (u0 * from_speed));
+    add(-amplitude * (x0 * by_displacement));
+    add(-amplitude * (u0 * by_velocity));
     Some(())
 }
 
@@ -99,7 +98,7 @@ fn flow(omega: f64, damping: f64, t: f64) -> (f64, f64) {
     }
 }
 
-/// ∫₀ᵗ S: the displacement under a constant unit force from time 0 on [s²].
+/// ∫₀ᵗ S: the displacement under a constant unit force that starts at time 0 [s²].
 fn step_response(omega: f64, damping: f64, t: f64) -> f64 {
     if t <= 0.0 {
         return 0.0;
@@ -122,7 +121,7 @@ fn step_response(omega: f64, damping: f64, t: f64) -> f64 {
     (1.0 - flow(omega, damping, t).0) / (omega * omega)
 }
 
-/// Nodes (each stands for two) and weights on [−1, 1].
+/// Positive nodes and their weights on [−1, 1]; the nodes are symmetric.
 const GAUSS: [(f64, f64); 5] = [
     (0.148_874_338_981_631_22, 0.295_524_224_714_752_87),
     (0.433_395_394_129_247_2, 0.269_266_719_309_996_35),

@@ -1,9 +1,9 @@
 //! Free bodies at the limits: mass ratios, spins, deep overlap, corners of planes, stacks, stiff springs.
 //!
 //! The energy of free bodies is bounded by the initial kinetic energy, the initial potential energy of planes and
-//! gravity, and the most that spheres can add initially and at each event. A run that exceeds this bound by
-//! [`super::MARGIN`], or is not finite, is not a solution. Runs that end because the integrator gives up with a reason
-//! are counted separately.
+//! gravity, and the maximum that spheres can add initially and at each event. A run that exceeds this bound by the factor
+//! [`super::MARGIN`], or is not finite, is not a solution. Runs that the integrator ends with a reason are counted
+//! separately.
 
 use std::fmt::Write as _;
 
@@ -70,7 +70,7 @@ fn case(axis: Axis, what: String, text: &str) -> Result<Case, SceneError> {
     Ok(Case { axis, what, scene })
 }
 
-/// A ball of 38 vertices; `lines` are keys of its own.
+/// A ball of 38 vertices; `lines` are further keys.
 fn ball(name: &str, lines: &str, motion: &str) -> String {
     format!(
         "[[body]]\nname = \"{name}\"\nradius = 1.0\nshape = {{ sphere = {{ stacks = 7, slices = 6 }} }}\n{lines}\nmotion = {{ \
@@ -83,7 +83,7 @@ const FLOOR: &str = "gravity = [0, 0, -9.81]\n[[plane]]\nnormal = [0, 0, 1]\nfri
 /// All cases.
 ///
 /// # Errors
-/// One is not a valid scene.
+/// A case is not a valid scene.
 pub fn cases() -> Result<Vec<Case>, SceneError> {
     let mut cases = Vec::new();
     let core = "[influence]\ncore_at = 0.6\ncore_width = 0.3\n";
@@ -176,12 +176,12 @@ pub enum Verdict {
 pub struct Row {
     /// The case.
     pub case: Case,
-    /// In the order of the requested integrators.
+    /// Verdicts, in the order of the requested integrators.
     pub verdicts: Vec<(Integrator, Verdict)>,
 }
 
 impl Row {
-    /// Whether the exponential integrator, which must pass or give up, failed.
+    /// Whether the exponential integrator failed: it must pass, or stop with a reason.
     pub fn is_defect(&self) -> bool {
         let is_failure = |verdict: &Verdict| matches!(verdict, Verdict::NotFinite | Verdict::BeyondBound(_));
         self.verdicts.iter().any(|(of, verdict)| *of == Integrator::Exponential && is_failure(verdict))
@@ -203,11 +203,11 @@ pub fn measure(integrators: &[Integrator]) -> Result<Vec<Row>, MeasureError> {
 
 fn run(scene: &Scene, integrator: Integrator) -> Result<Verdict, MeasureError> {
     let mut world = World::new(Scene { integrator, ..scene.clone() })?;
-    let most = most_of_influence(scene);
-    let (mut bound, mut used) = (energy_at_start(&world) + most, 0.0);
+    let by_influence = max_influence_energy(scene);
+    let (mut bound, mut used) = (energy_at_start(&world) + by_influence, 0.0);
     for _ in 0..STEPS {
         let report = world.step();
-        bound += most * report.events.len() as f64;
+        bound += by_influence * report.events.len() as f64;
         if let Some(failure) = report.failure.as_ref().filter(|failure| !failure.is_whole_step()) {
             return Ok(Verdict::NotFollowed(failure.to_string()));
         }
@@ -221,14 +221,14 @@ fn run(scene: &Scene, integrator: Integrator) -> Result<Verdict, MeasureError> {
     Ok(if used > MARGIN { Verdict::BeyondBound(used) } else { Verdict::Passed })
 }
 
-/// The initial energy of bodies, including that of the farthest possible fall within the run.
+/// The initial energy of bodies, including that of the longest possible fall during the run.
 fn energy_at_start(world: &World) -> f64 {
     let Some(first) = world.conserved() else { return 0.0 };
     let (scene, time) = (world.scene(), f64::from(STEPS) * world.scene().dt);
     let fall = |body: &crate::scene::Body| match &body.motion {
         Motion::Free(free) => {
-            let way = free.velocity.length() * time + 0.5 * scene.gravity.length() * time * time;
-            body.mass * scene.gravity.length() * way
+            let height = free.velocity.length() * time + 0.5 * scene.gravity.length() * time * time;
+            body.mass * scene.gravity.length() * height
         }
         Motion::Prescribed(_) => 0.0,
     };
@@ -240,21 +240,21 @@ fn energy_at_start(world: &World) -> f64 {
         + scene.bodies.iter().map(fall).sum::<f64>()
 }
 
-/// Upper bound of the energy that spheres can add initially, or at an event.
-fn most_of_influence(scene: &Scene) -> f64 {
-    let mut most = 0.0;
+/// Upper bound of the energy that spheres can add initially or at an event.
+fn max_influence_energy(scene: &Scene) -> f64 {
+    let mut sum = 0.0;
     for (a, body) in scene.bodies.iter().enumerate() {
         for (b, source) in scene.bodies.iter().enumerate().filter(|&(b, _)| b != a) {
             let (law, reach) = (scene.law(a, b), scene.influence.sphere_radius(source.radius));
             let scale = scene.influence.scale(body.radius, source.radius);
             let depth = influence_potential(scene.influence.weight, reach, reach);
-            most += body.mass * scale * (law.alpha + law.beta) * depth;
+            sum += body.mass * scale * (law.alpha + law.beta) * depth;
         }
     }
-    most
+    sum
 }
 
-/// Number of cases of each axis that each integrator passed, gave up, or failed.
+/// Number of cases of each axis that each integrator passed, stopped or failed.
 pub fn table(rows: &[Row]) -> String {
     let integrators: Vec<Integrator> =
         rows.first().map_or(vec![], |row| row.verdicts.iter().map(|verdict| verdict.0).collect());
@@ -266,9 +266,9 @@ pub fn table(rows: &[Row]) -> String {
             let count = |is: fn(&Verdict) -> bool| of_axis().filter(|row| is(&row.verdicts[k].1)).count();
             let passed = count(|verdict| *verdict == Verdict::Passed);
             let failed = count(|verdict| matches!(verdict, Verdict::NotFinite | Verdict::BeyondBound(_)));
-            let given_up = count(|verdict| matches!(verdict, Verdict::NotFollowed(_)));
+            let stopped = count(|verdict| matches!(verdict, Verdict::NotFollowed(_)));
             let mut text = format!("{passed} passed");
-            for (count, what) in [(failed, "failed"), (given_up, "not followed")] {
+            for (count, what) in [(failed, "failed"), (stopped, "not followed")] {
                 if count > 0 {
                     _ = write!(text, ", {count} {what}");
                 }
@@ -281,21 +281,21 @@ pub fn table(rows: &[Row]) -> String {
     tables::table(heading.collect::<Vec<_>>(), Axis::ALL.into_iter().map(line))
 }
 
-/// The cases that an integrator gave up or failed, with the reasons; empty if there are none. Every case of the exponential
-/// integrator; of the explicit schemes, which fail many for the same reason, the first of each axis.
+/// The cases that an integrator stopped or failed, with the reasons. For the exponential integrator, these are all cases;
+/// for the explicit schemes, which fail many for the same reason, only the first of each axis.
 pub fn failures(rows: &[Row], of: Integrator) -> Vec<String> {
-    let trouble = |row: &Row| {
+    let failure = |row: &Row| {
         let (_, verdict) = row.verdicts.iter().find(|verdict| verdict.0 == of)?;
         let what = match verdict {
             Verdict::Passed => return None,
             Verdict::NotFollowed(reason) => format!("not followed: {reason}"),
             Verdict::NotFinite => "not finite".to_owned(),
-            Verdict::BeyondBound(factor) => format!("{factor:.1} times as much energy as there is"),
+            Verdict::BeyondBound(factor) => format!("{factor:.1} times the available energy"),
         };
         Some(format!("{of}, {}, {}: {what}", row.case.axis.name(), row.case.what))
     };
     let of_axis = |axis: Axis| {
-        let all: Vec<String> = rows.iter().filter(|row| row.case.axis == axis).filter_map(trouble).collect();
+        let all: Vec<String> = rows.iter().filter(|row| row.case.axis == axis).filter_map(failure).collect();
         match &all[..] {
             [first, _, ..] if of != Integrator::Exponential => vec![format!("{first}; {} more", all.len() - 1)],
             _ => all,

@@ -1,4 +1,4 @@
-//! Stability of the other models: the cases of the sweep, each with one of them.
+//! Stability of the other models, on the cases of the sweep.
 //!
 //! A case that ends with a reported reason is not a defect; an unreported non-finite state is.
 
@@ -22,10 +22,10 @@ use crate::{
 };
 
 /// Upper limit on the steps of a case.
-const MOST_STEPS: u64 = 60;
-/// Time limit of a case, at which it is interrupted.
-const MOST_TIME: Duration = Duration::from_millis(300);
-/// Cells along a diameter: their number hardly affects stability, but does affect the cost.
+const MAX_STEPS: u64 = 60;
+/// Time limit of a case.
+const TIME_LIMIT: Duration = Duration::from_millis(300);
+/// Cells along a diameter. Their number affects the cost, but hardly the stability.
 const CELLS: u32 = 3;
 
 /// How a case ended.
@@ -33,7 +33,7 @@ const CELLS: u32 = 3;
 pub enum End {
     /// All steps were taken.
     Endured,
-    /// The time limit ended it.
+    /// It was interrupted at the time limit.
     Cut,
     /// The model rejected the scene at the start.
     Refused,
@@ -41,7 +41,7 @@ pub enum End {
     Diverged,
     /// It did not complete a step, and reported why.
     NotTaken,
-    /// A state is not finite, and this was not reported.
+    /// A state is not finite, without a report.
     Defect,
 }
 
@@ -52,7 +52,7 @@ impl End {
 /// The end of each case, by its number.
 pub type Ends = Vec<(Axis, End)>;
 
-/// Runs the first cases with a model. Steps above its step limit are divided.
+/// Runs the first cases with a model.
 ///
 /// # Errors
 /// A case is not a valid scene.
@@ -82,7 +82,7 @@ fn timed(case: impl FnOnce(&'static AtomicBool) -> End) -> End {
     std::thread::scope(|scope| {
         let (done, ended) = mpsc::channel::<()>();
         scope.spawn(move || {
-            if ended.recv_timeout(MOST_TIME) == Err(RecvTimeoutError::Timeout) {
+            if ended.recv_timeout(TIME_LIMIT) == Err(RecvTimeoutError::Timeout) {
                 interrupt.store(true, Ordering::Relaxed);
             }
         });
@@ -95,7 +95,7 @@ fn timed(case: impl FnOnce(&'static AtomicBool) -> End) -> End {
 fn end(run: &SceneRun) -> End {
     let Ok(mut simulation) = run.start() else { return End::Refused };
     let (mut summary, mut frame) = (StepSummary::default(), Frame::default());
-    for _ in 0..run.scene.steps().min(MOST_STEPS) {
+    for _ in 0..run.scene.steps().min(MAX_STEPS) {
         simulation.step();
         simulation.summary(&mut summary);
         match &summary.failure {
@@ -113,8 +113,7 @@ fn end(run: &SceneRun) -> End {
 
 /// The ends by axis.
 pub fn table(ends: &Ends) -> String {
-    let heading =
-        ["axis", "cases", "endured", "cut short", "refused", "diverged, reported", "missed, reported", "defects"];
+    let heading = ["axis", "cases", "completed", "cut short", "rejected", "diverged", "step not taken", "defects"];
     let line = |name: &str, axis: Option<Axis>| {
         let of_axis = || ends.iter().filter(|(of, _)| axis.is_none_or(|axis| axis == *of));
         let counts = End::ALL.map(|end| of_axis().filter(|(_, of)| *of == end).count().to_string());

@@ -11,7 +11,7 @@ use crate::{Scene, World, bench::MeasureError, model::influence::Scaling, sim::B
 
 /// Radius of the large body over that of the small one [–].
 pub const RATIOS: [f64; 8] = [1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 300.0, 1000.0];
-/// The displacement up to which a body keeps its shape [radii].
+/// Largest permitted displacement [radii].
 pub const MOST: f64 = 0.5;
 
 /// The deformation of one body.
@@ -19,7 +19,7 @@ pub const MOST: f64 = 0.5;
 pub struct Deformation {
     /// The largest displacement [radii].
     pub displacement: f64,
-    /// The most triangles that faced inwards at the same time.
+    /// The largest number of triangles that faced inwards at the same time.
     pub inverted: usize,
 }
 
@@ -30,9 +30,9 @@ pub struct Passage {
     pub ratio: f64,
     /// The scaling law.
     pub scaling: Scaling,
-    /// Deformation of the large body …
+    /// Deformation of the large body.
     pub large: Deformation,
-    /// … and of the small one.
+    /// Deformation of the small body.
     pub small: Deformation,
 }
 
@@ -87,19 +87,19 @@ pub fn measure() -> Result<Vec<Passage>, MeasureError> {
 fn passage(ratio: f64, scaling: Scaling) -> Result<Passage, MeasureError> {
     let mut world = World::new(Scene::parse(&scene(ratio, scaling), "sizes.toml")?)?;
     let meshes: Vec<_> = world.bodies().map(|body| body.scene().shape.mesh()).collect();
-    let mut harm = [Deformation::default(); 2];
+    let mut deformations = [Deformation::default(); 2];
     for _ in 0..world.scene().steps() {
         world.step();
-        for ((body, mesh), harm) in world.bodies().zip(&meshes).zip(&mut harm) {
-            harm.displacement = harm.displacement.max(body.max_displacement() / body.scene().radius);
-            harm.inverted = harm.inverted.max(inverted(&body, mesh.triangles()));
+        for ((body, mesh), deformation) in world.bodies().zip(&meshes).zip(&mut deformations) {
+            deformation.displacement = deformation.displacement.max(body.max_displacement() / body.scene().radius);
+            deformation.inverted = deformation.inverted.max(inverted(&body, mesh.triangles()));
         }
     }
-    let [large, small] = harm;
+    let [large, small] = deformations;
     Ok(Passage { ratio, scaling, large, small })
 }
 
-/// Number of triangles whose normal points opposite to its rest direction.
+/// Number of triangles whose normal points away from its direction at rest.
 fn inverted(body: &BodyView<'_>, triangles: &[[u32; 3]]) -> usize {
     let normal = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a);
     let is_inverted = |triangle: &&[u32; 3]| {

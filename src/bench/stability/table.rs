@@ -24,8 +24,8 @@ fn of(rows: &[Row], integrator: Integrator) -> impl Iterator<Item = (&Row, &Outc
 
 /// The integrators that ran.
 fn integrators(rows: &[Row]) -> impl Iterator<Item = Integrator> {
-    let is_there = |integrator: &Integrator| of(rows, *integrator).next().is_some();
-    Integrator::ALL.into_iter().filter(is_there).collect::<Vec<_>>().into_iter()
+    let has_run = |integrator: &Integrator| of(rows, *integrator).next().is_some();
+    Integrator::ALL.into_iter().filter(has_run).collect::<Vec<_>>().into_iter()
 }
 
 /// Per integrator: the number of passed cases, the failures by kind, and the worst case.
@@ -55,7 +55,7 @@ pub fn by_integrator(rows: &[Row]) -> String {
     tables::table(heading, integrators(rows).map(row))
 }
 
-/// Per integrator: the worst case, and the command that runs it again.
+/// Per integrator: the worst case, and the command that reruns it.
 pub fn worst_cases(rows: &[Row]) -> String {
     let of_integrator = |integrator| {
         let (row, outcome) = worst(rows, integrator)?;
@@ -99,15 +99,15 @@ fn described(outcome: &Outcome) -> String {
     match (outcome.failure, outcome.error) {
         (Some(Failure::NotFinite), _) => format!("not finite after {}", counted(outcome.steps, "step")),
         (Some(Failure::BeyondBound), _) => {
-            format!("{:.1e} times what energy allows after {}", outcome.used, counted(outcome.steps, "step"))
+            format!("{:.1e} times the energy bound after {}", outcome.used, counted(outcome.steps, "step"))
         }
         (Some(Failure::Error), error) => format!("error {:.1e} R", error.unwrap_or(f64::NAN)),
-        (None, _) => format!("passed with {:.2} of what energy allows", outcome.used),
+        (None, _) => format!("passed with {:.2} of the energy bound", outcome.used),
     }
 }
 
 impl Outcome {
-    /// How bad it is: above 1 for a failure [–].
+    /// The ratio to the limits that apply: above 1 for a failure [–].
     pub fn badness(&self) -> f64 {
         let error = match (self.error, self.allowed) {
             (Some(error), Some(allowed)) if self.integrator == Integrator::Exponential => error / allowed,
@@ -136,25 +136,27 @@ pub fn by_axis(rows: &[Row]) -> String {
     tables::table(heading, Axis::SHARES.into_iter().filter_map(line))
 }
 
-/// The closest calls of the exponential integrator, and its cost.
+/// The cases in which the exponential integrator comes closest to its limits, and its largest costs.
 pub fn extremes(rows: &[Row]) -> String {
     let mut lines = vec![];
     let mut say = |what: &str, key: &dyn Fn(&Outcome) -> f64, show: &dyn Fn(&Outcome) -> String| {
-        let most = of(rows, Integrator::Exponential).max_by(|(_, a), (_, b)| key(a).total_cmp(&key(b)));
-        if let Some((row, outcome)) = most {
+        let extreme = of(rows, Integrator::Exponential).max_by(|(_, a), (_, b)| key(a).total_cmp(&key(b)));
+        if let Some((row, outcome)) = extreme {
             lines.push(format!("{what}: {} (case {}: {})", show(outcome), row.case.index, row.case.what));
         }
     };
-    say("most of what energy allows", &|o| o.used, &|o| format!("{:.3}", o.used));
-    say("largest share of the error allowed", &|o| o.error.unwrap_or(0.0) / o.allowed.unwrap_or(f64::INFINITY), &|o| {
-        format!("{:.0e} of {:.0e} R", o.error.unwrap_or(0.0), o.allowed.unwrap_or(0.0))
-    });
+    say("largest share of the energy bound", &|o| o.used, &|o| format!("{:.3}", o.used));
+    say(
+        "largest share of the permitted error",
+        &|o| o.error.unwrap_or(0.0) / o.allowed.unwrap_or(f64::INFINITY),
+        &|o| format!("{:.0e} of {:.0e} R", o.error.unwrap_or(0.0), o.allowed.unwrap_or(0.0)),
+    );
     say("slowest step", &|o| o.slowest, &|o| format!("{:.1} ms", 1e3 * o.slowest));
     say("most sub-steps in a step", &|o| o.most_substeps as f64, &|o| thousands(o.most_substeps));
     say("slowest run", &|o| o.seconds, &|o| format!("{:.2} s for {}", o.seconds, counted(o.steps, "step")));
     let count = |is: &dyn Fn(&Outcome) -> bool| of(rows, Integrator::Exponential).filter(|(_, o)| is(o)).count() as u64;
     lines.push(format!(
-        "{} of {} runs were compared with an exact solution, {} with an error allowed; {} were cut short",
+        "{} of {} runs were compared with an exact solution, {} with a permitted error; {} were cut short",
         thousands(count(&|o| o.error.is_some())),
         thousands(count(&|_| true)),
         thousands(count(&|o| o.allowed.is_some())),
@@ -163,19 +165,19 @@ pub fn extremes(rows: &[Row]) -> String {
     lines.join("\n")
 }
 
-/// What the columns mean.
+/// Explains the columns.
 pub fn footer() -> String {
     format!(
-        "passed: finite after every step, and within {MARGIN} times what energy allows; exponential: and as near the exact \
-         solution as its tolerance promises, where there is one (the others have none to keep); a run that takes too much \
-         work is cut short and judged by what it did\n\
-         seed {SEED}; --case N --write F.toml makes a scene file of a case"
+        "passed: finite after every step, and within {MARGIN} times the energy bound; exponential also as close to the exact \
+         solution, where there is one, as its tolerance promises (the other integrators have no tolerance); a run that takes too \
+         much work is cut short and judged by its completed steps\n\
+         seed {SEED}; --case N --write F.toml writes a case to a scene file"
     )
 }
 
 /// The energy drift over a million steps.
 pub fn energy(drifts: &[Drift]) -> String {
-    let heading = ["integrator", "steps", "energy changes by", "run time [s]"];
+    let heading = ["integrator", "steps", "energy drift", "run time [s]"];
     let rows = drifts.iter().map(|drift| {
         [
             drift.integrator.to_string(),
@@ -185,8 +187,8 @@ pub fn energy(drifts: &[Drift]) -> String {
         ]
     });
     format!(
-        "two merged bodies without damping, dt = 1/60 s; the change is relative to what energy there is above the least \
-         (exponential: at most {:.0e})\n\n{}",
+        "two merged bodies without damping, dt = 1/60 s; the drift is relative to the energy above its minimum (exponential: at \
+         most {:.0e})\n\n{}",
         drift::MOST,
         tables::table(heading, rows)
     )
@@ -209,8 +211,8 @@ pub fn sizes(passages: &[Passage]) -> String {
         ]
     });
     format!(
-        "a small body passes a large one, q from 1.37 to 0.96 and back: largest displacement in own radii (wanted: {} at most), \
-         and most triangles inside out at a time (wanted: none)\n\n{}",
+        "a small body passes a large one, q from 1.37 to 0.96 and back: largest displacement in its own radii (goal: at most {}), \
+         and largest number of inverted triangles at a time (goal: none)\n\n{}",
         sizes::MOST,
         tables::table(heading, rows)
     )
