@@ -286,6 +286,7 @@ impl Recording {
     }
 
     fn record(&mut self, packet: &mut Packet) {
+        self.recorder.compute_ahead(&packet.frames[..packet.used]);
         let mut frames = packet.frames[..packet.used].iter();
         for step in &mut packet.steps[..packet.steps_used] {
             let has_frame = self.recorder.settings().has_frame(step.summary.at.step);

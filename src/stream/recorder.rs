@@ -265,6 +265,13 @@ impl Recorder {
         (self.step, self.frame) = (step, frame);
     }
 
+    /// Computes on several threads what of the next frames to be recorded can be computed before them.
+    pub fn compute_ahead(&mut self, frames: &[Frame]) {
+        if let Some(FrameParts { state, pairs, .. }) = &mut self.parts {
+            state.merged.compute_ahead(&self.schema, frames, pairs.foresee(&self.schema, frames));
+        }
+    }
+
     /// Records a step, and its frame if one is due.
     pub fn record(&mut self, step: &StepRecord, frame: Option<&Frame>) {
         let start = Clock::now();
@@ -463,7 +470,7 @@ impl FrameParts {
         let FrameParts { state, pairs, groups, numbers, trails, series, approaches, focus, heat, changed } = self;
         approaches.add(view.frame);
         focus.frame(view);
-        let extracting = state.log(view, pairs.choose(view, series, chunks), chunks);
+        let [extracting, ahead] = state.log(view, pairs.choose(view, series, chunks), chunks);
         if let Some(trails) = trails {
             trails.log(view, chunks);
         }
@@ -474,7 +481,7 @@ impl FrameParts {
         pairs.log(view, &merged.pairs, number, series, chunks);
         groups.log(view, merged, series, chunks);
         numbers.log_scalars(view, changed.take(), series, chunks);
-        numbers.add_recording(extracting, start.elapsed().saturating_sub(extracting));
+        numbers.add_recording(extracting + ahead, start.elapsed().saturating_sub(extracting));
         numbers.log_timings(view.at, chunks);
     }
 }
@@ -501,15 +508,15 @@ impl StateParts {
         StateParts { extractor, merged, surfaces, spheres, forces, net_forces, lines }
     }
 
-    /// Logs what has changed, and measures `pairs`; returns the time spent on extraction.
-    fn log(&mut self, view: FrameView<'_>, pairs: &[[usize; 2]], chunks: &mut Chunks) -> Duration {
+    /// Logs what has changed, and measures `pairs`; returns the time spent on extraction, now and ahead.
+    fn log(&mut self, view: FrameView<'_>, pairs: &[[usize; 2]], chunks: &mut Chunks) -> [Duration; 2] {
         let start = Clock::now();
         let StateParts { extractor, merged, surfaces, spheres, forces, net_forces, lines } = self;
         if let Some(forces) = forces {
             forces.extract(view, extractor);
         }
         let vertices = forces.as_ref().map_or(&[] as &[_], |forces| &forces.vertices);
-        merged.log(view, pairs, chunks);
+        let ahead = merged.log(view, pairs, chunks);
         let is_merged = &merged.merged().is_merged;
         match surfaces {
             Surfaces::Bodies(bodies) => bodies.log(view, is_merged, vertices, extractor, chunks),
@@ -524,7 +531,7 @@ impl StateParts {
         }
         spheres.log(view, chunks);
         lines.log(view, chunks);
-        extracting
+        [extracting, ahead]
     }
 }
 

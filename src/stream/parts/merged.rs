@@ -1,14 +1,19 @@
 //! The surfaces of groups: one mesh in world coordinates, and the lines along which bodies meet.
 
-use std::sync::{Arc, atomic::AtomicBool};
+use std::{
+    collections::VecDeque,
+    sync::{Arc, atomic::AtomicBool},
+    time::{Duration, Instant as Clock},
+};
 
 use glam::DVec3;
+use rayon::prelude::*;
 use rerun::{AnnotationContext, AnyValues, ComponentDescriptor, LineStrips3D, Mesh3D, components::TriangleIndices};
 
 use super::FrameView;
 use crate::{
     observe::{
-        Schema,
+        self, Frame, Schema,
         surface::{Group, Merged, Merger, VertexOrigin},
     },
     stream::{
@@ -39,12 +44,26 @@ pub fn drawn(triangles: &[[u32; 3]]) -> AnyValues {
 
 /// Merged surfaces, with what was last logged of them.
 pub struct MergedEntities {
-    merger: Merger,
+    /// One per thread; the first also for frames that were not computed ahead.
+    mergers: Vec<Merger>,
+    ahead: VecDeque<Ahead>,
+    /// The surfaces and measures of the last frame.
+    merged: Merged,
+    interrupt: Option<&'static AtomicBool>,
     surface: TrackId,
     seams: TrackId,
     /// The groups that were last logged.
     last: Vec<Arc<Group>>,
     mesh: Mesh,
+}
+
+/// The surfaces of a frame that has not been logged yet.
+struct Ahead {
+    frame: observe::Instant,
+    pairs: Vec<[usize; 2]>,
+    merged: Merged,
+    /// Its share of the time that this took.
+    time: Duration,
 }
 
 /// The mesh of all groups. Reused.
@@ -88,7 +107,10 @@ impl MergedEntities {
             chunks.log_static(SURFACE, &light::unlit());
         }
         MergedEntities {
-            merger: Merger::new(schema, interrupt),
+            mergers: vec![Merger::new(schema, interrupt)],
+            ahead: VecDeque::new(),
+            merged: Merged::default(),
+            interrupt,
             surface: chunks.track(SURFACE, components),
             seams: chunks.track(SEAMS, [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_labels()]),
             last: Vec::new(),
@@ -96,11 +118,48 @@ impl MergedEntities {
         }
     }
 
-    /// Computes the surfaces of a frame, measures `pairs`, and logs what has changed.
-    pub fn log(&mut self, view: FrameView<'_>, pairs: &[[usize; 2]], chunks: &mut Chunks) {
-        let merged = self.merger.merge(view.schema, view.frame, pairs);
+    /// Computes the surfaces of frames that will be logged next, several frames at a time. `pairs` are those to be
+    /// measured in each frame. The surfaces of a frame do not depend on other frames, nor on the number of threads.
+    pub fn compute_ahead(&mut self, schema: &Schema, frames: &[Frame], pairs: Vec<Vec<[usize; 2]>>) {
+        self.ahead.clear();
+        let threads = rayon::current_num_threads().min(frames.len());
+        if threads < 2 || frames.iter().all(|frame| frame.pairs.is_empty()) {
+            return;
+        }
+        let start = Clock::now();
+        self.mergers.resize_with(threads.max(self.mergers.len()), || Merger::new(schema, self.interrupt));
+        let mut merged = vec![Merged::default(); frames.len()];
+        // consecutive frames, so that what does not move is computed once
+        let count = frames.len().div_ceil(threads);
+        let runs = frames.par_chunks(count).zip(pairs.par_chunks(count)).zip(merged.par_chunks_mut(count));
+        runs.zip(&mut self.mergers).for_each(|(((frames, pairs), merged), merger)| {
+            for ((frame, pairs), merged) in frames.iter().zip(pairs).zip(merged) {
+                merged.clone_from(merger.merge(schema, frame, pairs));
+            }
+        });
+        let time = start.elapsed() / frames.len() as u32;
+        let all = frames.iter().zip(pairs).zip(merged);
+        self.ahead.extend(all.map(|((frame, pairs), merged)| Ahead { frame: frame.at, pairs, merged, time }));
+    }
+
+    /// Computes the surfaces of a frame, measures `pairs`, and logs what has changed. Returns the time that was spent on
+    /// the frame ahead.
+    pub fn log(&mut self, view: FrameView<'_>, pairs: &[[usize; 2]], chunks: &mut Chunks) -> Duration {
+        let ahead = self.ahead.pop_front().filter(|ahead| ahead.frame == view.frame.at && ahead.pairs == pairs);
+        let time = ahead.as_ref().map_or(Duration::ZERO, |ahead| ahead.time);
+        match ahead {
+            Some(ahead) => self.merged = ahead.merged,
+            None => self.merged.clone_from(self.mergers[0].merge(view.schema, view.frame, pairs)),
+        }
+        self.log_merged(view, chunks);
+        time
+    }
+
+    fn log_merged(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
+        let merged = &self.merged;
+        // unchanged surfaces are different objects if different threads computed them
         let is_same = self.last.len() == merged.groups.len()
-            && self.last.iter().zip(&merged.groups).all(|(last, now)| Arc::ptr_eq(last, now));
+            && self.last.iter().zip(&merged.groups).all(|(last, now)| Arc::ptr_eq(last, now) || last == now);
         if is_same {
             return;
         }
@@ -125,7 +184,7 @@ impl MergedEntities {
 
     /// The surfaces and measures of the last frame.
     pub fn merged(&self) -> &Merged {
-        self.merger.merged()
+        &self.merged
     }
 }
 
@@ -164,6 +223,69 @@ impl Mesh {
         for seam in &group.seams {
             self.seams.push(seam.positions.iter().map(single).collect());
             self.names.push(schema.pair_name(seam.bodies[0], seam.bodies[1]));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rerun::{
+        StoreId, StoreKind,
+        external::re_log_types::{ApplicationId, LogMsg},
+    };
+
+    use super::*;
+    use crate::{
+        World,
+        observe::{Experiment as _, Simulation as _, Want},
+        scene::Scene,
+        stream::{parts::pairs::PairPlots, series::Series, settings::Settings},
+    };
+
+    /// The messages of a run whose frames are recorded in packets, on this many threads.
+    fn recorded(scene: &Scene, steps: usize, in_packet: usize, threads: usize) -> Vec<LogMsg> {
+        let scene = scene.clone();
+        let name = scene.name.clone();
+        let (schema, settings) = (scene.schema(), Settings::of(&scene));
+        let application = ApplicationId::new_or_unknown("test".to_owned());
+        let mut chunks = Chunks::new(StoreId::new(StoreKind::Recording, application, "test"));
+        let (mut merged, mut pairs) = (MergedEntities::new(&schema, None, &mut chunks), PairPlots::new(&settings));
+        let mut series = Series::default();
+        let mut world = World::new(scene).unwrap();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let mut frames = vec![Frame::default(); in_packet];
+        for _ in 0..steps / in_packet {
+            for frame in &mut frames {
+                world.step();
+                world.observe(Want::default(), frame);
+            }
+            let foreseen = pairs.foresee(&schema, &frames);
+            pool.install(|| merged.compute_ahead(&schema, &frames, foreseen));
+            for frame in &frames {
+                let view = FrameView { schema: &schema, frame, at: frame.at };
+                let shown = pairs.choose(view, &mut series, &mut chunks);
+                let ahead = merged.log(view, shown, &mut chunks);
+                let is_foreseen = frame.pairs.is_empty() || threads < 2 || in_packet < 2 || ahead > Duration::ZERO;
+                assert!(is_foreseen, "{name}, step {}: other pairs than foreseen", frame.at.step);
+            }
+        }
+        chunks.take()
+    }
+
+    /// Neither the number of threads nor how frames come in packets changes a recording, not even that of a group at
+    /// rest, which is logged once.
+    #[test]
+    fn frames_computed_ahead_are_logged_like_others() {
+        let at_rest = "duration = 2.0\n[influence]\nalpha = 0\nbeta = 0\n[[body]]\nname = \"a\"\nradius = 1\nmotion = { fixed = [0, 0, 0] }\n\
+            [[body]]\nname = \"b\"\nradius = 1\nmotion = { fixed = [1.5, 0, 0] }\n";
+        let at_rest = Scene::parse(at_rest, "at_rest").unwrap();
+        let builtin = |name| Scene::builtin(name).unwrap();
+        for (scene, steps) in [(at_rest, 32), (builtin("two"), 144), (builtin("crowd"), 8)] {
+            let one_by_one = recorded(&scene, steps, 1, 1);
+            for (in_packet, threads) in [(16, 3), (8, 8)] {
+                let messages = recorded(&scene, steps, in_packet, threads);
+                assert!(messages == one_by_one, "{}: {in_packet} frames at a time on {threads} threads", scene.name);
+            }
         }
     }
 }

@@ -10,7 +10,8 @@ use rerun::{
 use super::{FrameView, marks::Marks};
 use crate::{
     observe::{
-        BodyEvent, PairEvent, PairFrame, Schema, Shortfall, SurfaceEvent, colors, surface::PairMeasures, touch::Finding,
+        BodyEvent, Frame, PairEvent, PairFrame, Schema, Shortfall, SurfaceEvent, colors, surface::PairMeasures,
+        touch::Finding,
     },
     stream::{
         chunks::Chunks,
@@ -146,6 +147,28 @@ impl PairPlots {
         self.plotted
     }
 
+    /// The pairs that [`PairPlots::choose`] will choose of each of these frames, except for new ones with an event.
+    pub fn foresee(&self, schema: &Schema, frames: &[Frame]) -> Vec<Vec<[usize; 2]>> {
+        let mut known: BTreeSet<(usize, usize)> = self.known.keys().copied().collect();
+        let of_frame = |frame: &Frame| {
+            if known.len() < self.most {
+                let is_new = |pair: &&PairFrame| !known.contains(&(pair.a, pair.b)) && self.is_shown(schema, pair);
+                let mut new: Vec<&PairFrame> = frame.pairs.iter().filter(is_new).collect();
+                new.sort_by(|x, y| x.q.total_cmp(&y.q));
+                let most = self.most - known.len();
+                known.extend(new.into_iter().take(most).map(|pair| (pair.a, pair.b)));
+            }
+            let is_known = |pair: &&PairFrame| known.contains(&(pair.a, pair.b));
+            frame.pairs.iter().filter(is_known).map(|pair| [pair.a, pair.b]).collect()
+        };
+        frames.iter().map(of_frame).collect()
+    }
+
+    /// Whether a pair may have its own entities.
+    fn is_shown(&self, schema: &Schema, pair: &PairFrame) -> bool {
+        self.only.is_empty() || self.only.contains(&schema.pair_name(pair.a, pair.b))
+    }
+
     /// Chooses the pairs of a frame that have their own entities, and creates those of new ones.
     pub fn choose(&mut self, view: FrameView<'_>, series: &mut Series, chunks: &mut Chunks) -> &[[usize; 2]] {
         let FrameView { schema, frame: now, at } = view;
@@ -232,15 +255,15 @@ impl PairPlots {
     fn track(
         &mut self,
         schema: &Schema,
-        PairFrame { a, b, phase, .. }: PairFrame,
+        pair: PairFrame,
         at: Instant,
         most: usize,
         series: &mut Series,
         chunks: &mut Chunks,
     ) -> Option<&str> {
+        let PairFrame { a, b, phase, .. } = pair;
         if !self.known.contains_key(&(a, b)) {
-            let is_shown = self.only.is_empty() || self.only.contains(&schema.pair_name(a, b));
-            if self.known.len() >= most || !is_shown {
+            if self.known.len() >= most || !self.is_shown(schema, &pair) {
                 return None;
             }
             let pair = PairPlot::new(schema, a, b, palette::distance(self.known.len()), series, chunks);
