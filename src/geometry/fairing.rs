@@ -1,16 +1,17 @@
 //! Fairing of the crease along which two surfaces meet.
 //!
-//! Within a given distance of the seam, short edges are collapsed, long ones split, and vertices moved towards the
-//! means of their neighbours, by weights that fall to zero at that distance. Farther vertices keep their position to
+//! Within a given distance of the seam, short edges are collapsed, long edges are split, and vertices are moved towards
+//! the means of their neighbours, by weights that fall to zero at that distance. Farther vertices keep their position
+//! to
 //! the bit. Moving the vertices along their normals, by the same weights, then restores the volume.
 //!
 //! Apart from one list of the triangles around each vertex, the cost is proportional to the number of vertices near the
-//! seams. Displacements are in single precision, because they are only drawn; positions are not.
+//! seams. Displacements are in single precision, because they are only drawn; positions are in double precision.
 
 use glam::{DVec3, Vec3A};
 use rustc_hash::FxHashMap;
 
-/// Blend distance, unless a scene says otherwise [radii].
+/// Default blend distance [radii].
 pub const BLEND: f64 = 0.25;
 
 /// Shortest edge at the seam [blend distances].
@@ -19,15 +20,15 @@ const SHORTEST: f64 = 0.12;
 const LONGEST: f64 = 0.7;
 /// Distance from the seam within which long edges are split [blend distances].
 const DENSE: f64 = 0.7;
-/// Number of times that long edges are split.
+/// Number of passes that split long edges.
 const SPLITS: usize = 2;
-/// Number of times that vertices are moved towards the means of their neighbours.
+/// Number of passes that move vertices towards the means of their neighbours.
 const ROUNDS: usize = 12;
-/// Fraction of the way to the mean of its neighbours that a vertex at the seam is moved.
+/// Fraction of the way to the mean of its neighbours that a pass moves a vertex at the seam.
 const STEP: f64 = 0.6;
-/// Number of times that the volume is corrected: the first leaves a few thousandths of the change, the second nothing.
+/// Number of volume corrections: the first leaves a few thousandths of the change, the second nothing.
 const CORRECTIONS: usize = 2;
-/// Shortest edge at the seam of a sharp surface, which is otherwise left as it is [radii].
+/// Shortest edge at the seam of a sharp surface, which is otherwise unchanged [radii].
 const SHORTEST_SHARP: f64 = 1e-5;
 
 /// No vertex, no triangle.
@@ -38,7 +39,7 @@ const NONE: u32 = u32::MAX;
 pub struct Seamed<T> {
     /// Positions of the vertices [scene unit], `[vertex_count]`.
     pub positions: Vec<DVec3>,
-    /// What the caller knows of each vertex, `[vertex_count]`.
+    /// The caller's label of each vertex, `[vertex_count]`.
     pub labels: Vec<T>,
     /// Vertices of each triangle, counter-clockwise from outside.
     pub triangles: Vec<[u32; 3]>,
@@ -49,11 +50,11 @@ pub struct Seamed<T> {
 /// A vertex near a seam.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Near {
-    /// Index of the seam; of several, that of which the distance in its own radii is smallest.
+    /// Index of the seam; of several, the one with the smallest distance in radii of that seam.
     pub seam: u32,
-    /// Distance to it [radii of the seam].
+    /// Distance to the seam [radii of the seam].
     pub distance: f64,
-    /// The vertex of the seam that it was found from.
+    /// The nearest vertex of the seam.
     source: u32,
 }
 
@@ -62,10 +63,13 @@ impl Near {
 }
 
 impl<T: Copy> Seamed<T> {
-    /// Smooths the surface within `blend` radii of its seams, whose radii are given [scene unit]. 0 leaves it sharp, and
-    /// only removes edges at the seam that are too short to be drawn. The label of a new vertex is made of that of the
-    /// nearer end of the edge that it splits, unless that is on the seam and the other end is not. In the end, `relabel`
-    /// is called for every vertex within `reach` radii of a seam.
+    /// Smooths the surface within `blend` radii of its seams, whose radii are given [scene unit]. 0 leaves the seams
+    /// sharp,
+    /// and only removes edges at the seam that are too short to be drawn. The label of a new vertex is derived, by
+    /// `of_new`,
+    /// from that of the nearer end of the edge that it splits, or from the farther end if the nearer one is on the
+    /// seam.
+    /// Finally, `relabel` is called for every vertex within `reach` radii of a seam.
     pub fn fair(
         &mut self,
         blend: f64,
@@ -105,9 +109,11 @@ impl<T: Copy> Seamed<T> {
         }
     }
 
-    /// The nearest seam of every vertex within `reach` radii, and these vertices. The nearest vertex of a seam is passed
-    /// on from vertex to vertex, as in vector distance transforms (Danielsson, *Euclidean Distance Mapping*, 1980), which
-    /// is not distorted by the edges on the way; the distance is to the edges of the seam at that vertex.
+    /// The nearest seam of every vertex within `reach` radii, and these vertices. The nearest vertex of a seam is
+    /// propagated
+    /// from vertex to vertex, as in vector distance transforms (Danielsson, *Euclidean Distance Mapping*, 1980), so
+    /// that the
+    /// distance is straight and not along edges. The final distance is to the edges of the seam at that vertex.
     fn nearest_seams(&self, beside: &Beside, seam: &[u32], reach: f64, radii: &[f64]) -> (Vec<Near>, Vec<u32>) {
         let mut near = vec![Near::FAR; self.positions.len()];
         let mut visited = seam.to_vec();
@@ -120,7 +126,7 @@ impl<T: Copy> Seamed<T> {
         let mut queue = visited.clone();
         let mut is_queued = vec![false; self.positions.len()];
         let mut at = 0;
-        // squares of distances here
+        // distances are squared in this loop
         while let Some(&v) = queue.get(at) {
             at += 1;
             is_queued[v as usize] = false;
@@ -141,7 +147,7 @@ impl<T: Copy> Seamed<T> {
                 }
             }
         }
-        // the edges of the seams about each of their vertices
+        // refine to the distance from the edges of the seam at its nearest vertex
         for &v in &visited {
             let Near { seam, distance, source } = near[v as usize];
             if distance == 0.0 {
@@ -161,8 +167,8 @@ impl<T: Copy> Seamed<T> {
         (near, visited)
     }
 
-    /// Collapses short edges at the seam, where that changes neither topology nor orientation, and marks the triangles
-    /// that are gone. Returns whether there are any.
+    /// Collapses short edges at the seam where that changes neither topology nor orientation, and marks the removed
+    /// triangles. Returns whether there are any.
     fn collapse(
         &mut self,
         beside: &mut Beside,
@@ -222,7 +228,7 @@ impl<T: Copy> Seamed<T> {
         has_removed
     }
 
-    /// The triangles with a vertex within `blend` radii of a seam: all triangles about these vertices, each once.
+    /// The triangles with a vertex within `blend` radii of a seam, each once.
     fn band(&self, beside: &Beside, near: &[Near], visited: &[u32], blend: f64, removed: &[bool]) -> Vec<u32> {
         let mut band = Vec::new();
         let mut is_in = vec![false; self.triangles.len()];
@@ -250,7 +256,7 @@ impl<T: Copy> Seamed<T> {
         for &t in band.iter() {
             let corners = self.triangles[t as usize];
             for k in 0..3 {
-                // every edge has one triangle in which its lower vertex comes first
+                // in one of the two triangles of each edge, the lower vertex comes first
                 let (a, b) = (corners[k], corners[(k + 1) % 3]);
                 let (first, second) = (near[a as usize], near[b as usize]);
                 // if both ends are within the blend, both triangles are in the band
@@ -266,7 +272,7 @@ impl<T: Copy> Seamed<T> {
                 }
                 middles.insert([a, b], self.positions.len() as u32);
                 let is_on_seam = self.on_seam[a as usize].is_some() && self.on_seam[b as usize].is_some();
-                // what lies on the seam may be labelled as either side, what lies beside it only as its own
+                // a vertex on the seam may have the label of either side, one beside it only that of its own side
                 let like = if self.on_seam[nearer as usize].is_some() { farther } else { nearer };
                 visited.push(self.positions.len() as u32);
                 self.positions.push((p + q) / 2.0);
@@ -292,7 +298,7 @@ impl<T: Copy> Seamed<T> {
                 [None, None, None] => {}
                 [Some(ab), Some(bc), Some(ca)] => put(&[[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]),
                 parts => {
-                    // turned so that the first edge is split and the last is not
+                    // rotated so that the first edge is split and the last is not
                     let k = (0..3).find(|&k| parts[k].is_some() && parts[(k + 2) % 3].is_none()).unwrap_or(0);
                     let turned = [a, b, c];
                     let (x, y, z) = (turned[k], turned[(k + 1) % 3], turned[(k + 2) % 3]);
@@ -317,7 +323,7 @@ impl<T: Copy> Seamed<T> {
 
     /// Moves vertices near the seam towards the means of their neighbours, and restores the volume.
     fn relax(&mut self, band: &[u32], near: &[Near], visited: &[u32], blend: f64) {
-        // The triangles about a vertex that moves are all in the band, and each adds one neighbour: the next vertex.
+        // all triangles about a vertex that moves are in the band, and each adds one neighbour: the next vertex
         let mut number = vec![NONE; self.positions.len()];
         let mut moved: Vec<(u32, f64)> = Vec::with_capacity(visited.len());
         for &v in visited {
@@ -327,7 +333,7 @@ impl<T: Copy> Seamed<T> {
                 moved.push((v, share * share * (3.0 - 2.0 * share)));
             }
         }
-        // what does not move counts as one vertex that is not displaced
+        // all vertices that do not move share one entry, which has no displacement
         let fixed = moved.len() as u32;
         let corners: Vec<[u32; 3]> =
             band.iter().map(|&t| self.triangles[t as usize].map(|v| number[v as usize].min(fixed))).collect();
@@ -352,11 +358,11 @@ impl<T: Copy> Seamed<T> {
                 means[v] += self.positions[triangle[next] as usize] - self.positions[triangle[k] as usize];
             }
         }
-        // the same for all volumes: those of an open band depend on it
+        // the same origin for all volumes: the volume of an open band depends on it
         let origin = band.first().map_or(DVec3::ZERO, |&t| self.positions[self.triangles[t as usize][0] as usize]);
         let before = self.volume(band, origin);
         let count = |v: usize| (first[v + 1] - first[v]) as f32;
-        // to the mean of the neighbours before anything moves, and the share of the way
+        // the initial vector to the mean of the neighbours, and the fraction of it to move
         let own: Vec<(Vec3A, f32)> = (means.iter().zip(&moved).enumerate())
             .map(|(v, (sum, (_, weight)))| (Vec3A::from(sum.as_vec3()) / count(v).max(1.0), (STEP * weight) as f32))
             .collect();
@@ -374,7 +380,7 @@ impl<T: Copy> Seamed<T> {
         for (&(v, _), by) in moved.iter().zip(&displaced) {
             self.positions[v as usize] += by.as_dvec3();
         }
-        // the volume changes by the weighted area for every unit of length along the normals
+        // the volume changes by the weighted area per unit of displacement along the normals
         for _ in 0..CORRECTIONS {
             let mut areas = means;
             areas.fill(DVec3::ZERO);
@@ -399,7 +405,7 @@ impl<T: Copy> Seamed<T> {
         }
     }
 
-    /// Volume between some triangles and a point [scene unit³].
+    /// Signed volume between some triangles and a point [scene unit³].
     fn volume(&self, band: &[u32], origin: DVec3) -> f64 {
         let of = |&t: &u32| {
             let [a, b, c] = self.triangles[t as usize].map(|v| self.positions[v as usize] - origin);
@@ -436,9 +442,10 @@ impl<T: Copy> Seamed<T> {
 struct Beside {
     first: Vec<u32>,
     triangles: Vec<u32>,
-    /// The vertex after it in each of them. In a closed surface, these are all its neighbours.
+    /// For each of these triangles, the vertex after the one it is listed for. In a closed surface, these are all
+    /// neighbours.
     next: Vec<u32>,
-    /// The vertex that was last merged into each.
+    /// Linked list of the vertices merged into each vertex.
     merged: Vec<u32>,
 }
 
@@ -454,10 +461,10 @@ impl Beside {
         let (mut list, mut next) = (vec![0; 3 * triangles.len()], vec![0; 3 * triangles.len()]);
         for (corners, t) in triangles.iter().zip(0..) {
             for k in 0..3 {
-                let place = &mut first[corners[k] as usize + 1];
-                list[*place as usize] = t;
-                next[*place as usize] = corners[(k + 1) % 3];
-                *place += 1;
+                let slot = &mut first[corners[k] as usize + 1];
+                list[*slot as usize] = t;
+                next[*slot as usize] = corners[(k + 1) % 3];
+                *slot += 1;
             }
         }
         Beside { first, triangles: list, next, merged: vec![NONE; vertices] }
@@ -467,12 +474,12 @@ impl Beside {
         self.first[v as usize] as usize..self.first[v as usize + 1] as usize
     }
 
-    /// The neighbours of a vertex before any is merged.
+    /// The neighbours of a vertex before any merge.
     fn next(&self, v: u32) -> &[u32] {
         &self.next[self.of(v)]
     }
 
-    /// The triangles about a vertex and those merged into it, without those that are removed.
+    /// Visits the triangles about a vertex and about those merged into it, except removed ones.
     fn each(&self, v: u32, removed: &[bool], mut call: impl FnMut(u32)) {
         let mut from = v;
         while from != NONE {
@@ -481,7 +488,7 @@ impl Beside {
         }
     }
 
-    /// The same, each with the vertex after it.
+    /// Like [`Beside::each`], collecting each triangle with the vertex after `v` in it.
     fn star(&self, v: u32, triangles: &[[u32; 3]], removed: &[bool], star: &mut Vec<(u32, u32)>) {
         star.clear();
         self.each(v, removed, |t| {
@@ -497,7 +504,7 @@ impl Beside {
         });
     }
 
-    /// Makes the triangles about `v` those of `to`.
+    /// Merges `v` into `to`, which takes over its triangles.
     fn merge(&mut self, v: u32, to: u32) {
         let mut last = to;
         while self.merged[last as usize] != NONE {

@@ -4,8 +4,9 @@ use glam::DVec3;
 
 use super::vectors::Vectors;
 
-/// A closed triangle mesh. All bodies of a shape share one, whatever their radii: lengths are in radii, the origin is
-/// the centre of mass, and the farthest vertex is at distance 1. [`Rest`] is the mesh at the scale of a body.
+/// A closed triangle mesh, shared by all bodies of a shape at any radius: lengths are in radii, the origin is the
+/// centre
+/// of mass, and the farthest vertex is at distance 1. [`Rest`] is the mesh at the scale of a body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mesh {
     /// Rest positions [radii], `[vertex_count]`.
@@ -32,7 +33,7 @@ pub struct Rings {
 }
 
 impl Mesh {
-    /// A mesh of any form, shifted to its centre of mass and scaled so that its farthest vertex is at distance 1.
+    /// A general mesh, shifted to its centre of mass and scaled so that its farthest vertex is at distance 1.
     ///
     /// `triangles` are indices into `positions` [any unit], counter-clockwise seen from outside, and form a closed
     /// surface.
@@ -47,8 +48,9 @@ impl Mesh {
         Mesh { positions, directions: Some(directions), normals, triangles, shares, rings: None }
     }
 
-    /// A mesh whose vertices stay where they are [radii]: what a body has become that tore, in the axes and the unit of its
-    /// first mesh. It need be neither closed nor about its centre of mass.
+    /// The mesh of a body after it has torn, in the axes and unit of its first mesh [radii]: vertices are not moved or
+    /// scaled.
+    /// It need not be closed, and the origin need not be its centre of mass.
     pub fn version(positions: Vectors, triangles: Vec<[u32; 3]>) -> Mesh {
         let shares = shares(&positions, &triangles);
         let directions = positions.iter().map(DVec3::normalize_or_zero).collect();
@@ -94,13 +96,16 @@ impl Mesh {
         &self.shares
     }
 
-    /// Whether every rest position is at distance 1 radius from the centre, to rounding: a direction is then the
-    /// position over the radius, and no length has to be computed.
+    /// Whether every rest position is at distance 1 radius from the centre, to rounding: directions are then the
+    /// positions
+    /// over the radius, and need no lengths.
     pub fn is_round(&self) -> bool {
         self.directions.is_none()
     }
 
-    /// The rings of vertices, if the mesh has this structure: what is constant around a ring can be computed as arrays.
+    /// The rings of vertices, if the mesh has this structure: quantities that are constant around a ring can be
+    /// computed as
+    /// arrays.
     pub fn rings(&self) -> Option<Rings> {
         self.rings
     }
@@ -152,12 +157,12 @@ impl Rest<'_> {
     }
 }
 
-/// Twice the area of a triangle, along its normal.
+/// The normal of a triangle, with twice its area as length.
 fn doubled_area([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a)
 }
 
-/// For each vertex a third of the area of its triangles over the total area; equal fractions if the total is zero.
+/// For each vertex, a third of the area of its triangles over the total area; equal fractions if the total is zero.
 fn shares(positions: &Vectors, triangles: &[[u32; 3]]) -> Vec<f64> {
     let mut shares = vec![0.0; positions.len()];
     let mut total = 0.0;
@@ -175,7 +180,7 @@ fn shares(positions: &Vectors, triangles: &[[u32; 3]]) -> Vec<f64> {
     shares
 }
 
-/// For each vertex the normalised, area-weighted sum of its triangles' normals; where these cancel, the direction from
+/// For each vertex, the normalised, area-weighted sum of its triangles' normals; where these cancel, the direction from
 /// the centre.
 fn normals(positions: &Vectors, triangles: &[[u32; 3]]) -> Vectors {
     let mut sums = Vectors::zeros(positions.len());
@@ -193,7 +198,7 @@ mod tests {
     use crate::geometry::{Shape, shape::Solid as _};
 
     #[test]
-    fn every_shape_is_closed_winds_outwards_and_rests_about_its_centre_of_mass() {
+    fn every_shape_is_closed_oriented_outwards_and_centred() {
         for kind in Shape::KINDS {
             let defaults: Vec<u32> = kind.parameters.iter().map(|parameter| parameter.default).collect();
             let least: Vec<u32> = kind.parameters.iter().map(|parameter| parameter.least).collect();

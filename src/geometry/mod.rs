@@ -7,11 +7,12 @@
 //! | one file per shape | [`sphere`] |
 //! | closed meshes from files | [`files`] |
 //! | arrays of vectors | [`vectors`] |
-//! | a smooth seam in place of the crease where surfaces meet | [`fairing`] |
+//! | smoothing of the crease where surfaces meet | [`fairing`] |
 //! | the union of overlapping meshes, and geometric measures of a pair | [`union`] |
 //!
-//! A new shape is a file that implements [`shape::Solid`] and its lines in the table below. This module does not depend
-//! on bodies, scenes or time.
+//! A new shape is a file that implements [`shape::Solid`] and an entry in the table below. This module does not depend
+//! on
+//! bodies, scenes or time.
 
 pub mod fairing;
 pub mod files;
@@ -25,7 +26,6 @@ pub use files::MeshFile;
 pub use mesh::{Mesh, Rest, Rings};
 pub use vectors::Vectors;
 
-// A new shape is a file beside this one, which `pub mod` names, and a line here.
 shape::shapes! {
     sphere::Sphere: "sphere",
 }

@@ -1,4 +1,4 @@
-//! The shapes that a scene can name; the parent module contains their table.
+//! The kinds of shape that a scene can name; the parent module contains their table.
 
 use std::{
     collections::HashMap,
@@ -10,7 +10,7 @@ use super::{Mesh, Shape, Sphere};
 
 /// A shape with integer parameters.
 pub trait Solid: Clone + Ord + Hash {
-    /// The parameters, in the order in which [`Solid::new`] takes them.
+    /// The parameters, in the order of [`Solid::new`].
     const PARAMETERS: &'static [Parameter];
     /// The keys of the parameters.
     const KEYS: &'static [&'static str];
@@ -20,7 +20,7 @@ pub trait Solid: Clone + Ord + Hash {
     /// Creates the shape from its parameters.
     fn new(parameters: &[u32]) -> Self;
 
-    /// The values of its parameters.
+    /// The values of the parameters.
     fn parameters(&self) -> Vec<u32>;
 
     /// Number of vertices, computed without creating them.
@@ -29,7 +29,7 @@ pub trait Solid: Clone + Ord + Hash {
     /// Number of triangles, computed without creating them.
     fn triangle_count(&self) -> u64;
 
-    /// Creates its vertices and triangles.
+    /// Creates the vertices and triangles.
     fn mesh(&self) -> Mesh;
 }
 
@@ -44,9 +44,9 @@ pub struct Parameter {
     pub default: u32,
 }
 
-/// A kind of shape, as scene files name it.
+/// A kind of shape.
 pub struct Kind {
-    /// Its key.
+    /// Its key in scene files.
     pub name: &'static str,
     /// Where its parameters belong, for messages.
     pub home: &'static str,
@@ -54,7 +54,7 @@ pub struct Kind {
     pub form: &'static str,
     /// The keys of its parameters.
     pub keys: &'static [&'static str],
-    /// The ranges of its parameters.
+    /// The ranges and defaults of its parameters.
     pub parameters: &'static [Parameter],
     /// Creates a shape of this kind.
     pub make: fn(&[u32]) -> Shape,
@@ -83,7 +83,7 @@ macro_rules! shapes {
                 parameters: <$Kind as $crate::geometry::shape::Solid>::PARAMETERS,
                 make: |parameters| Shape::$Kind(<$Kind as $crate::geometry::shape::Solid>::new(parameters)),
             }),*];
-            /// The keys of all kinds, and that of files.
+            /// The keys of all kinds, and the key of mesh files.
             pub const NAMES: &'static [&'static str] = &[$($name,)* "mesh"];
 
             /// Number of vertices, computed without creating them.

@@ -15,9 +15,9 @@ pub enum Weight {
 /// How the strength of a source depends on the sizes of the two bodies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scaling {
-    /// The strength times `min(1, R_i / R_j)`, R_i being the radius of the body acted on. Equal sizes: no difference.
+    /// The strength times `min(1, R_i / R_j)`, where R_i is the radius of the body acted on. No effect for equal sizes.
     Relative,
-    /// The strength as it stands, as in the thesis.
+    /// The strength unchanged, as in the thesis.
     Absolute,
 }
 
@@ -49,8 +49,7 @@ pub struct Influence {
 }
 
 impl Influence {
-    /// The factor on the strength of a source by the sizes of the two [–]: of the body acted on and of the source
-    /// [scene unit].
+    /// The factor on the strength of a source [–], from the radii of the body acted on and of the source [scene unit].
     pub fn scale(&self, radius: f64, source_radius: f64) -> f64 {
         match self.scaling {
             Scaling::Absolute => 1.0,
@@ -94,7 +93,7 @@ impl Weight {
 /// (3.4) and (3.5): the acceleration of a vertex by one influence sphere [scene unit/s²].
 ///
 /// `to_centre` is c_j − r_i, from the vertex to the centre of the sphere; `sphere_radius` its r_e; `strength` is
-/// signed: see [`PairLaw::strength`](super::PairLaw::strength). Zero outside the sphere and at its very centre.
+/// signed: see [`PairLaw::strength`](super::PairLaw::strength). Zero outside the sphere and at its centre.
 #[inline]
 pub fn acceleration(weight: Weight, strength: f64, sphere_radius: f64, to_centre: DVec3) -> DVec3 {
     let z = to_centre.length() / sphere_radius;

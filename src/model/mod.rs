@@ -22,8 +22,8 @@
 //! ```
 //!
 //! Apart repels (or does nothing), merged attracts, core repels. With merge_at < split_at there is hysteresis: a neck
-//! breaks at a larger distance than it forms. The times of these events are found by root finding, however short the
-//! visit.
+//! breaks at a larger distance than it forms. The times of these events are found by root finding, which misses none,
+//! however brief.
 //!
 //! # Differences from the thesis
 //! - **Its integrator is wrong as printed.** (3.7) and (3.10) both advance the position, by u\* Δt and by u Δt, while

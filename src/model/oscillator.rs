@@ -89,7 +89,7 @@ impl Oscillator {
         let Oscillator { omega, damping } = *self;
         let (a, b) = (-(omega * h) * (omega * h), -2.0 * damping * h);
         let (mut before, mut current) = (0.0, 1.0);
-        // divided by h; the first terms are by far the largest and are added last, so that only that addition rounds
+        // divided by h; the first term is by far the largest and is added last, so that only that addition rounds
         let (mut s, mut slope, mut sums) = (0.0, 0.0, [0.0; 4]);
         for (n, row) in (1..).zip(&SERIES) {
             if n > 1 {

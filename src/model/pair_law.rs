@@ -21,7 +21,7 @@ pub struct PairLaw {
 }
 
 impl PairLaw {
-    /// The law of scenes that give none.
+    /// The law of scenes that do not set one.
     pub const DEFAULT: PairLaw = PairLaw {
         alpha: 100.0,
         beta: 60.0,
@@ -30,14 +30,14 @@ impl PairLaw {
         core_width: 0.0,
     };
 
-    /// The gradual change of strength at the rim of the core in a phase, if there is one.
+    /// The gradual rim of the core in a phase, if there is one.
     pub fn rim(&self, phase: Phase) -> Option<CoreRim> {
         let PairLaw { alpha, beta, thresholds, core_width: width, .. } = *self;
         let is_gradual = width > 0.0 && phase != Phase::Apart;
         is_gradual.then_some(CoreRim { alpha, beta, core_at: thresholds.core_at, width })
     }
 
-    /// Whether the strength does not jump where one phase follows the other.
+    /// Whether the strength is continuous at the transition between two phases.
     pub fn is_gradual(&self, from: Phase, to: Phase) -> bool {
         self.rim(from).is_some() && self.rim(to).is_some()
     }
@@ -47,7 +47,7 @@ impl PairLaw {
         self.rim(phase).map(|rim| rim.core_at).filter(|&level| level > 0.0)
     }
 
-    /// The strength between bodies of equal size at distance `q` [1/s²].
+    /// The strength between bodies of equal size at centre distance `q` [1/s²].
     pub fn strength(&self, phase: Phase, q: f64) -> f64 {
         match (self.rim(phase), phase) {
             (Some(rim), _) => rim.strength(q),

@@ -6,7 +6,7 @@
 //! | c, c′ | mass centre of the vertices and its velocity |
 //! | Q | the rotation that fits the vertices best; a = Q l, s = r − c, x = s − a |
 //! | Ω_Q | the angular velocity of Q, a′ = Ω_Q×a |
-//! | Ω | the rigid rotation in the motion of the vertices, I⁻¹ Σ m s×s′ |
+//! | Ω | the mean angular velocity of the vertices, I⁻¹ Σ m s×s′ |
 //! | f, f̄ | external acceleration of a vertex, and its mean Σ m f/M |
 //!
 //! ```text
@@ -137,12 +137,12 @@ pub fn best_rotation(a: DMat3, before: DQuat) -> DQuat {
 
 /// Diagonalises a symmetric matrix by Jacobi rotations, and returns its eigenvectors as columns.
 fn eigenvectors(k: &mut [[f64; 4]; 4]) -> [[f64; 4]; 4] {
-    const MOST_SWEEPS: usize = 12;
+    const MAX_SWEEPS: usize = 12;
     let mut v = [[0.0; 4]; 4];
     for i in 0..4 {
         v[i][i] = 1.0;
     }
-    for _ in 0..MOST_SWEEPS {
+    for _ in 0..MAX_SWEEPS {
         let mut left = 0.0;
         for p in 0..3 {
             for q in p + 1..4 {
@@ -326,24 +326,25 @@ pub struct CoreRim {
 }
 
 impl CoreRim {
-    fn place(&self, q: f64) -> f64 {
+    /// Position of `q` within the rim, from 0 at its inner to 1 at its outer end.
+    fn share(&self, q: f64) -> f64 {
         ((q - self.core_at) / self.width + 0.5).clamp(0.0, 1.0)
     }
 
     /// The strength at centre distance `q` [1/s²].
     pub fn strength(&self, q: f64) -> f64 {
-        let z = self.place(q);
+        let z = self.share(q);
         (self.alpha + self.beta) * (z * z * (3.0 - 2.0 * z)) - self.beta
     }
 
     /// The derivative of the strength with respect to q [1/s²]: it changes the pair's potential energy by Σ m (ds/dq)
     /// q′ Φ per unit of time.
     pub fn slope(&self, q: f64) -> f64 {
-        let z = self.place(q);
+        let z = self.share(q);
         (self.alpha + self.beta) * (6.0 * z * (1.0 - z)) / self.width
     }
 
-    /// The q between which the strength changes [–]; its slope has a kink at each.
+    /// The inner and outer end of the rim in q [–]. The slope has a kink at each.
     pub fn ends(&self) -> [f64; 2] {
         [self.core_at - 0.5 * self.width, self.core_at + 0.5 * self.width]
     }
@@ -396,7 +397,7 @@ mod tests {
             DMat3::from_quat(best_rotation(fit, DQuat::IDENTITY))
         }
 
-        /// r″ = −ω² (s − Q l) − 2κ (s′ − Ω×s) + f, as it stands in the model.
+        /// r″ = −ω² (s − Q l) − 2κ (s′ − Ω×s) + f, as in the model.
         fn accelerations(&self) -> Vec<DVec3> {
             let (c, v) = (self.mean(&self.position), self.mean(&self.velocity));
             let (mut inertia, mut momentum) = (DMat3::ZERO, DVec3::ZERO);
@@ -449,7 +450,7 @@ mod tests {
     }
 
     #[test]
-    fn the_frame_moves_as_the_particles_say() {
+    fn the_frame_follows_the_particles() {
         let particles = Particles::new();
         let q = particles.rotation(&particles.position);
         let h = 1e-4;
@@ -485,7 +486,7 @@ mod tests {
     }
 
     #[test]
-    fn springs_and_damping_move_neither_centre_nor_spin() {
+    fn springs_and_damping_change_neither_momentum_nor_spin() {
         let mut particles = Particles::new();
         particles.force.fill(DVec3::ZERO);
         let a = particles.accelerations();
@@ -527,7 +528,7 @@ mod tests {
     }
 
     #[test]
-    fn the_best_rotation_turns_on_without_a_jump() {
+    fn the_best_rotation_is_continuous() {
         let mut q = DQuat::IDENTITY;
         for i in 0..2000 {
             let turn = rotation_by(DVec3::new(0.0, 0.6, 0.8) * (f64::from(i) * 0.01));
@@ -550,7 +551,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plane_is_what_its_potential_says() {
+    fn plane_forces_follow_from_the_potential() {
         let plane =
             Plane { normal: DVec3::new(0.6, 0.0, 0.8), offset: -0.5, stiffness: 4000.0, friction: 0.4, slip: 0.01 };
         let (r, v) = (DVec3::new(0.3, 0.2, -1.0), DVec3::new(0.02, -0.01, 0.3));
@@ -573,7 +574,7 @@ mod tests {
     }
 
     #[test]
-    fn the_strength_about_the_core_is_as_steep_as_it_says() {
+    fn the_slope_of_a_core_rim_is_its_derivative() {
         let rim = CoreRim { alpha: 100.0, beta: 60.0, core_at: 0.7, width: 0.3 };
         let [inner, outer] = rim.ends();
         assert_eq!((rim.strength(inner), rim.strength(outer)), (-60.0, 100.0));

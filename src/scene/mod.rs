@@ -174,7 +174,7 @@ pub struct Scene {
     pub influence: Influence,
     /// When pairs merge, split and enter their core.
     pub thresholds: Thresholds,
-    /// Width in q over which the strength changes around the edge of the core [–]; 0 for a jump.
+    /// Width in q over which the strength changes at the rim of the core [–]; 0 for a jump.
     pub core_width: f64,
     /// The laws of pairs that have their own; see [`Scene::law`].
     pub pairs: PairLaws,
@@ -479,12 +479,12 @@ impl Scene {
     /// (3.4), negative repels (3.5).
     ///
     /// `radius` is the radius of the body acted on and `source_radius` that of the source [scene unit]. Ignores
-    /// [`Scene::core_width`]: only coupled scenes have cores with a gradual edge.
+    /// [`Scene::core_width`]: only coupled scenes have cores with a gradual rim.
     pub fn strength(&self, law: &PairLaw, phase: Phase, radius: f64, source_radius: f64) -> f64 {
         law.strength(phase, law.thresholds.merge_at) * self.influence.scale(radius, source_radius)
     }
 
-    /// Whether the scene needs the coupled solver: there is a free body, a plane, or a core with a gradual edge.
+    /// Whether the scene needs the coupled solver: there is a free body, a plane, or a core with a gradual rim.
     pub fn is_coupled(&self) -> bool {
         !self.planes.is_empty()
             || self.laws().any(|law| law.core_width > 0.0)

@@ -8,21 +8,21 @@ use rustc_hash::FxBuildHasher;
 use super::Soup;
 use crate::geometry::union::{Budget, self_contact};
 
-/// The work that looking for places where a surface meets itself may take, for each triangle and at least.
+/// Work limit of the search for self-contact: per triangle, and at least.
 const WORK: [u64; 2] = [200, 100_000_000];
 
-/// What keeps triangles from being the surface of a body. Positions are those of the file.
+/// Why triangles are not the surface of a body. Positions are those of the file.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Flaw {
-    /// There is nothing.
+    /// There are no triangles.
     #[error("it has no triangles")]
     Empty,
-    /// A coordinate is not finite, or too large.
+    /// A coordinate is not finite or too large.
     #[error("vertex {vertex} (counted from 0) is at {position}: coordinates must be numbers up to 1e15")]
     NotFinite {
-        /// Its number in the file.
+        /// Index of the vertex in the file.
         vertex: usize,
-        /// Where it is.
+        /// Position of the vertex.
         position: DVec3,
     },
     /// Edges of one triangle only.
@@ -30,24 +30,24 @@ pub enum Flaw {
         "it is not closed: {count} edges belong to one triangle only, the first from {from} to {to}; fill its holes"
     )]
     Open {
-        /// How many there are.
+        /// Number of such edges.
         count: usize,
         /// One end of the first …
         from: DVec3,
-        /// … and the other.
+        /// … and the other end.
         to: DVec3,
     },
     /// Edges of two triangles that run along them in the same direction.
     #[error(
-        "its triangles are not oriented alike: at {count} edges one is inside out, the first from {from} to {to}; make \
-         normals consistent"
+        "its triangles are not consistently oriented: at {count} edges one is inside out, the first from {from} to {to}; make \
+             normals consistent"
     )]
     Inconsistent {
-        /// How many there are.
+        /// Number of such edges.
         count: usize,
         /// One end of the first …
         from: DVec3,
-        /// … and the other.
+        /// … and the other end.
         to: DVec3,
     },
     /// Edges of more than two triangles.
@@ -56,55 +56,55 @@ pub enum Flaw {
          parts that meet there, or merge them"
     )]
     Crowded {
-        /// How many there are.
+        /// Number of such edges.
         count: usize,
         /// One end of the first …
         from: DVec3,
-        /// … and the other.
+        /// … and the other end.
         to: DVec3,
     },
-    /// Vertices at which parts of the surface meet that have no edge in common.
+    /// Vertices at which parts of the surface meet without a common edge.
     #[error("it touches itself: at {count} vertices, the first at {position}; separate the parts that meet there")]
     Pinched {
-        /// How many there are.
+        /// Number of such vertices.
         count: usize,
-        /// Where the first is.
+        /// Position of the first.
         position: DVec3,
     },
-    /// A vertex whose triangles have no area.
+    /// Vertices whose triangles have no area.
     #[error("the triangles about {count} vertices have no area, the first at {position}; remove these vertices")]
     Massless {
-        /// How many there are.
+        /// Number of such vertices.
         count: usize,
-        /// Where the first is.
+        /// Position of the first.
         position: DVec3,
     },
-    /// Triangles that have a point in common where they are not neighbours.
+    /// Triangles that meet without being neighbours.
     #[error(
         "it crosses or touches itself: the triangles about {first} and {second} meet there; separate the parts, or merge them"
     )]
     Meets {
-        /// The middle of one …
+        /// Centre of one triangle …
         first: DVec3,
         /// … and of the other.
         second: DVec3,
     },
     /// Too many triangles are near each other.
-    #[error("its {triangles} triangles are too close to each other to see whether they cross; simplify it")]
+    #[error("its {triangles} triangles are too close to each other to check whether they cross; simplify it")]
     Tangled {
-        /// How many there are.
+        /// Number of triangles of the mesh.
         triangles: usize,
     },
-    /// The triangles wind the wrong way round.
+    /// The triangles are oriented inwards.
     #[error("it is inside out: it encloses a volume of {volume:e}; flip its normals")]
     InsideOut {
-        /// The volume, by the winding of its triangles.
+        /// The signed volume.
         volume: f64,
     },
 }
 
-/// The same surface with vertices at the same place made one, without triangles that vanish by that, and without vertices
-/// that no triangle has. `watch` is told the share of the work that is done, between 0 and 1.
+/// The surface with vertices at equal positions welded, without the triangles that this collapses, and without unused
+/// vertices. `watch` is called with the fraction done, from 0 to 1.
 ///
 /// # Errors
 /// The triangles are not the surface of a body.
@@ -145,19 +145,19 @@ pub fn closed(soup: Soup, watch: &dyn Fn(f64)) -> Result<Soup, Flaw> {
 }
 
 fn welded(soup: Soup) -> Result<Soup, Flaw> {
-    let mut place_of = vec![u32::MAX; soup.positions.len()];
+    let mut index_of = vec![u32::MAX; soup.positions.len()];
     let mut known: HashMap<[u64; 3], u32, FxBuildHasher> = HashMap::default();
     let mut welded = Soup::default();
     for corners in soup.triangles {
         let mut triangle = [0; 3];
-        for (place, corner) in triangle.iter_mut().zip(corners) {
+        for (index, corner) in triangle.iter_mut().zip(corners) {
             let vertex = corner as usize;
-            if place_of[vertex] == u32::MAX {
+            if index_of[vertex] == u32::MAX {
                 let position = soup.positions[vertex] + DVec3::ZERO; // −0 is 0
                 if !(position.abs().max_element() <= 1e15 && position.is_finite()) {
                     return Err(Flaw::NotFinite { vertex, position });
                 }
-                place_of[vertex] = match known.entry(position.to_array().map(f64::to_bits)) {
+                index_of[vertex] = match known.entry(position.to_array().map(f64::to_bits)) {
                     Entry::Occupied(known) => *known.get(),
                     Entry::Vacant(new) => {
                         welded.positions.push(position);
@@ -165,14 +165,14 @@ fn welded(soup: Soup) -> Result<Soup, Flaw> {
                     }
                 };
             }
-            *place = place_of[vertex];
+            *index = index_of[vertex];
         }
         let [a, b, c] = triangle;
         if a != b && b != c && c != a {
             welded.triangles.push(triangle);
         }
     }
-    // a vertex can have lost all its triangles: the surface that is left does not need it
+    // drop vertices that have lost all their triangles
     let mut number = vec![u32::MAX; welded.positions.len()];
     let mut kept = Soup::default();
     for triangle in &welded.triangles {
@@ -188,7 +188,7 @@ fn welded(soup: Soup) -> Result<Soup, Flaw> {
     if kept.triangles.is_empty() { Err(Flaw::Empty) } else { Ok(kept) }
 }
 
-/// A side of a triangle: its ends, the lesser first, and where it comes from.
+/// A side of a triangle: its ends, lower first, and its triangle.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct Side {
     ends: [u32; 2],
@@ -208,7 +208,7 @@ fn check_edges(soup: &Soup) -> Result<(), Flaw> {
     }
     sides.sort_unstable();
     let (mut open, mut inconsistent, mut crowded) = ((0, None), (0, None), (0, None));
-    // of each side, by triangle and corner, the one of the other triangle
+    // for each side, by triangle and corner, the opposite side in the other triangle
     let mut across = vec![u32::MAX; 4 * soup.triangles.len()];
     for edge in sides.chunk_by(|a, b| a.ends == b.ends) {
         let found = match edge {
@@ -234,7 +234,7 @@ fn check_edges(soup: &Soup) -> Result<(), Flaw> {
         return Err(Flaw::Inconsistent { count, from, to });
     }
 
-    // Around each vertex from triangle to triangle: all that it has are in one round.
+    // a walk around each vertex, from triangle to triangle, must reach all of its triangles
     let mut valence = vec![0_u32; soup.positions.len()];
     let mut some = vec![u32::MAX; soup.positions.len()];
     for (index, triangle) in (0..).zip(&soup.triangles) {
@@ -248,7 +248,7 @@ fn check_edges(soup: &Soup) -> Result<(), Flaw> {
         let (mut side, mut round) = (first, 0);
         loop {
             round += 1;
-            // the side before, which ends at the vertex; across from it one begins there
+            // the previous side of the triangle ends at the vertex; its opposite side begins there
             let before = 4 * (side / 4) + (side % 4 + 2) % 3;
             side = across[before as usize];
             if side == first || round > count {

@@ -1,7 +1,8 @@
-//! A mesh as text, to the bit: a version, counts, positions and triangles in base64.
+//! A mesh as text, bit-exact: a version, counts, positions and triangles in base64.
 //!
-//! Positions are doubles, or singles if that is exact, as for most files. A triangle is three differences to the
-//! previous corner, as zigzag varints. A million triangles take about 16 MB.
+//! Positions are doubles, or singles if that is exact, as for most files. Each corner of a triangle is the difference
+//! to
+//! the previous corner, as a zigzag varint. A million triangles take about 16 MB.
 
 use base64::{Engine as _, engine::general_purpose::STANDARD_NO_PAD};
 use glam::DVec3;
@@ -39,10 +40,10 @@ pub fn encode(soup: &Soup) -> String {
     STANDARD_NO_PAD.encode(bytes)
 }
 
-/// The positions and triangles of such a text; whether corners exist is left to check.
+/// The positions and triangles of such a text. The corners are not checked to be in range.
 ///
 /// # Errors
-/// The text is not of a mesh.
+/// The text is not an encoded mesh.
 pub fn decode(text: &str) -> Result<Soup, String> {
     let bytes = STANDARD_NO_PAD.decode(text).map_err(|error| error.to_string())?;
     let [VERSION, size @ (4 | 8), rest @ ..] = &bytes[..] else { return Err("it is of no known version".to_owned()) };

@@ -8,9 +8,10 @@ use serde_json::Value;
 
 use super::Soup;
 
-/// Nodes below nodes, and instances of nodes: more are a file that refers to itself.
-const DEEPEST: u32 = 64;
-const MOST_NODES: u32 = 100_000;
+/// Limits on the depth of the node tree and on the number of node instances: a file beyond them probably contains a
+/// cycle.
+const MAX_DEPTH: u32 = 64;
+const MAX_NODES: u32 = 100_000;
 
 pub fn parse(bytes: &[u8], path: &Path) -> Result<Soup, String> {
     let (json, binary) = match bytes {
@@ -35,7 +36,7 @@ pub fn parse(bytes: &[u8], path: &Path) -> Result<Soup, String> {
     Ok(reader.soup)
 }
 
-/// The two chunks of a GLB: JSON, and what it refers to.
+/// The two chunks of a GLB: JSON, and binary data.
 fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), String> {
     let mut rest = bytes.get(12..).ok_or("it ends in its header")?;
     let mut chunk = |kind: &[u8; 4]| -> Option<&[u8]> {
@@ -75,8 +76,8 @@ struct Reader<'a> {
 impl Reader<'_> {
     fn node(&mut self, index: &Value, above: DMat4, depth: u32) -> Result<(), String> {
         self.nodes += 1;
-        if depth > DEEPEST || self.nodes > MOST_NODES {
-            return Err("its nodes are too many, or contain themselves".to_owned());
+        if depth > MAX_DEPTH || self.nodes > MAX_NODES {
+            return Err("it has too many nodes, or nodes that contain themselves".to_owned());
         }
         let document = self.document;
         let node = index.as_u64().map_or(&Value::Null, |index| &document["nodes"][index as usize]);
@@ -94,7 +95,7 @@ impl Reader<'_> {
 
     fn primitive(&mut self, primitive: &Value, transform: DMat4) -> Result<(), String> {
         if primitive["mode"].as_u64().unwrap_or(4) != 4 {
-            return Err("it has other primitives than triangles".to_owned());
+            return Err("it has primitives other than triangles".to_owned());
         }
         let first = self.soup.positions.len() as u32;
         let numbers = self.accessor(&primitive["attributes"]["POSITION"], "VEC3", 3)?;
@@ -121,20 +122,20 @@ impl Reader<'_> {
     fn accessor(&self, index: &Value, kind: &str, width: usize) -> Result<Vec<f64>, String> {
         let index = index.as_u64().ok_or("it has no positions")? as usize;
         let accessor = &self.document["accessors"][index];
-        let refuse = |what: &str| format!("accessor {index}: {what}");
+        let rejected = |what: &str| format!("accessor {index}: {what}");
         if accessor["type"].as_str() != Some(kind) || accessor.get("sparse").is_some() {
-            return Err(refuse("expected one that is not sparse, of the usual type"));
+            return Err(rejected("expected one that is not sparse, of the usual type"));
         }
         let size = match (accessor["componentType"].as_u64(), width) {
             (Some(5126), 3) | (Some(5125), 1) => 4,
             (Some(5121), 1) => 1,
             (Some(5123), 1) => 2,
-            _ => return Err(refuse("expected floats for positions and unsigned integers for indices")),
+            _ => return Err(rejected("expected floats for positions and unsigned integers for indices")),
         };
         let view = accessor["bufferView"].as_u64().map(|view| &self.document["bufferViews"][view as usize]);
-        let view = view.ok_or_else(|| refuse("it has no view"))?;
+        let view = view.ok_or_else(|| rejected("it has no view"))?;
         let buffer = view["buffer"].as_u64().and_then(|buffer| self.buffers.get(buffer as usize));
-        let buffer = buffer.ok_or_else(|| refuse("its buffer is missing"))?;
+        let buffer = buffer.ok_or_else(|| rejected("its buffer is missing"))?;
         let number = |value: &Value| value.as_u64().unwrap_or(0) as usize;
         let start = number(&view["byteOffset"]).saturating_add(number(&accessor["byteOffset"]));
         let stride = match number(&view["byteStride"]) {
@@ -142,11 +143,11 @@ impl Reader<'_> {
             stride => stride,
         };
         let count = number(&accessor["count"]);
-        let bytes = buffer.get(start..).ok_or_else(|| refuse("it is outside of its buffer"))?;
-        // as many as there are, whatever the file says
+        let bytes = buffer.get(start..).ok_or_else(|| rejected("it is outside of its buffer"))?;
+        // the number of elements that fit, whatever the file claims
         let room = if bytes.len() < size * width { 0 } else { (bytes.len() - size * width) / stride + 1 };
         if count > room {
-            return Err(refuse("it is outside of its buffer"));
+            return Err(rejected("it is outside of its buffer"));
         }
         let mut numbers = Vec::with_capacity(count * width);
         for element in 0..count {
@@ -161,7 +162,7 @@ impl Reader<'_> {
     }
 }
 
-/// The transform of a node to the one above it.
+/// The transform from a node to its parent.
 fn transform(node: &Value) -> Result<DMat4, String> {
     let numbers = |name: &str| -> Result<Option<Vec<f64>>, String> {
         let Some(value) = node.get(name) else { return Ok(None) };

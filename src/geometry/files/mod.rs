@@ -6,8 +6,8 @@
 //! | checks that the triangles are the surface of a body | [`closed`] |
 //! | a mesh as text, exactly, as recordings store it | [`embedded`] |
 //!
-//! The readers take positions and triangles and skip the rest. They are our own, a few dozen lines each, and do not
-//! trust the file: crates for these formats allocate whatever the header claims, or panic on an index out of range.
+//! The readers read positions and triangles and skip everything else. They are our own, a few dozen lines each, and do
+//! not trust the file: crates for these formats allocate whatever the header claims, or panic on an index out of range.
 //! Polygons are triangulated as fans from their first corner. glTF is y-up by its specification, scenes are z-up:
 //! (x, y, z) becomes (x, −z, y).
 
@@ -25,12 +25,12 @@ use glam::DVec3;
 use super::{Mesh, Vectors};
 pub use closed::Flaw;
 
-/// The most that a file may have [bytes].
+/// Largest size of a file [bytes].
 pub const LARGEST_FILE: u64 = 1 << 30;
-/// The most triangles that a mesh may have.
+/// Largest number of triangles of a mesh.
 pub const MOST_TRIANGLES: usize = 20_000_000;
 
-/// A mesh that came from a file or from the text of a scene. Equal content is equal, wherever it came from.
+/// A mesh from a file or from the text of a scene. Meshes with equal content are equal, whatever their source.
 #[derive(Clone)]
 pub struct MeshFile {
     mesh: Arc<Mesh>,
@@ -39,7 +39,7 @@ pub struct MeshFile {
 }
 
 impl MeshFile {
-    /// Its vertices and triangles, about the mass centre and of radius 1.
+    /// The mesh, centred at its mass centre and of radius 1.
     pub fn mesh(&self) -> &Arc<Mesh> {
         &self.mesh
     }
@@ -82,7 +82,7 @@ impl hash::Hash for MeshFile {
     }
 }
 
-/// Why there is no mesh, and what to do.
+/// Why a mesh is rejected, and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum MeshError {
     /// The file cannot be read.
@@ -91,7 +91,7 @@ pub enum MeshError {
     /// It is not a regular file, or too large.
     #[error("{0}")]
     Refused(String),
-    /// The content is not what the format asks for.
+    /// The content is not valid in its format.
     #[error("not a usable {format} file: {what}")]
     Format {
         /// Name of the format.
@@ -104,17 +104,17 @@ pub enum MeshError {
     Flaw(#[from] Flaw),
 }
 
-/// Positions and triangles as a file has them.
+/// Positions and triangles as read from a file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Soup {
-    /// [any unit]
+    /// Positions [any unit].
     pub positions: Vec<DVec3>,
     /// Indices into the positions, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
 }
 
 impl Soup {
-    /// Adds a polygon as triangles from its first corner.
+    /// Adds a polygon as a fan of triangles from its first corner.
     fn polygon(&mut self, corners: &[u32]) -> Result<(), String> {
         if corners.len() < 3 {
             return Err(format!("a face of {} corners", corners.len()));
@@ -126,7 +126,7 @@ impl Soup {
         Ok(())
     }
 
-    /// Fails if a triangle has a corner that is not there.
+    /// Fails if a triangle has a corner that does not exist.
     fn in_range(self) -> Result<Soup, String> {
         let count = self.positions.len();
         match self.triangles.iter().flatten().find(|&&corner| corner as usize >= count) {
@@ -140,15 +140,17 @@ impl Soup {
 pub struct Loaded {
     /// The mesh.
     pub mesh: MeshFile,
-    /// The welded positions and triangles, exactly.
+    /// The welded positions and triangles as text, exactly.
     pub text: String,
 }
 
-/// Reads the file at `path`, whose format is told by its extension. `watch` is told the share that is done, between 0 and 1.
+/// Reads the file at `path`; its extension determines the format. `watch` is called with the fraction done, from 0 to
+/// 1.
 ///
 /// # Errors
-/// The file cannot be read, is no regular file, is larger than [`LARGEST_FILE`] or not valid, or its triangles are not the
-/// surface of a body.
+/// The file cannot be read, is not a regular file, is larger than [`LARGEST_FILE`] or not valid, or its triangles are
+/// not
+/// the surface of a body.
 pub fn load(path: &Path, watch: &dyn Fn(f64)) -> Result<Loaded, MeshError> {
     let format = format(path)?;
     let bytes = read(path)?;
@@ -156,7 +158,7 @@ pub fn load(path: &Path, watch: &dyn Fn(f64)) -> Result<Loaded, MeshError> {
     finished(format, bytes, path, watch)
 }
 
-/// The same of a file that is compiled in.
+/// Like [`load`], for the content of a file named `name`.
 ///
 /// # Errors
 /// The content is not valid, or its triangles are not the surface of a body.
@@ -165,13 +167,13 @@ pub fn from_content(name: &str, content: &str) -> Result<Loaded, MeshError> {
     finished(format(path)?, content.as_bytes().to_vec(), path, &|_| ())
 }
 
-/// Shares of loading at which the file is read and parsed.
+/// Fractions of loading at which the file has been read and parsed.
 const READ: f64 = 0.05;
 const PARSED: f64 = 0.3;
 
 type Parse = fn(&[u8], &Path) -> Result<Soup, String>;
 
-/// The format that a name tells, and its reader.
+/// The format of a file by its extension, and its reader.
 fn format(path: &Path) -> Result<(&'static str, Parse), MeshError> {
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     Ok(match extension.as_str() {
@@ -198,10 +200,10 @@ fn finished(
     Ok(Loaded { mesh: finish(soup), text })
 }
 
-/// The mesh that [`Loaded::text`] is of.
+/// The mesh of a [`Loaded::text`].
 ///
 /// # Errors
-/// The text is not one of a mesh, or its triangles are not the surface of a body.
+/// The text is not an embedded mesh, or its triangles are not the surface of a body.
 pub fn from_text(text: &str) -> Result<MeshFile, MeshError> {
     let soup = embedded::decode(text).and_then(Soup::in_range);
     let soup = soup.map_err(|what| MeshError::Format { format: "embedded mesh", what })?;
@@ -221,9 +223,9 @@ fn finish(soup: Soup) -> MeshFile {
     MeshFile { mesh: Arc::new(Mesh::new(positions, soup.triangles)), label: label.into() }
 }
 
-/// The content of a regular file that is not too large.
+/// The content of a file, if it is a regular file and not too large.
 fn read(path: &Path) -> Result<Vec<u8>, MeshError> {
-    // before it is opened: opening a pipe waits for someone to write to it
+    // checked before opening, because opening a pipe blocks until it has a writer
     if !fs::metadata(path)?.is_file() {
         return Err(MeshError::Refused("expected a regular file".to_owned()));
     }
@@ -232,8 +234,7 @@ fn read(path: &Path) -> Result<Vec<u8>, MeshError> {
     if !metadata.is_file() {
         return Err(MeshError::Refused("expected a regular file".to_owned()));
     }
-    let too_large =
-        || MeshError::Refused(format!("larger than {} MiB, the most that a mesh may have", LARGEST_FILE >> 20));
+    let too_large = || MeshError::Refused(format!("larger than {} MiB, the limit for mesh files", LARGEST_FILE >> 20));
     if metadata.len() > LARGEST_FILE {
         return Err(too_large());
     }

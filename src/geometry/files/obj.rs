@@ -10,7 +10,7 @@ use super::{Soup, number};
 pub fn parse(bytes: &[u8]) -> Result<Soup, String> {
     let mut soup = Soup::default();
     let mut corners = Vec::new();
-    // names of materials may be in any encoding; positions and faces are ASCII
+    // material names may be in any encoding; positions and faces are ASCII
     let mut lines = (1..).zip(bytes.split(|&byte| byte == b'\n'));
     while let Some((line, bytes)) = lines.next() {
         if !matches!(bytes.trim_ascii_start(), [b'v' | b'f', b' ' | b'\t', ..]) {

@@ -1,4 +1,4 @@
-//! PLY (Stanford): a header that declares elements and their properties, then these as text or binary.
+//! PLY (Stanford): a header that declares elements and their properties, then their values as text or binary.
 
 use glam::DVec3;
 
@@ -11,7 +11,7 @@ enum Form {
     Big,
 }
 
-/// Of a number: how many bytes, and what they mean.
+/// A number type, with its size in bytes.
 #[derive(Clone, Copy)]
 enum Kind {
     Signed(usize),

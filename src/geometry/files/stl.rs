@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::{MOST_TRIANGLES, Soup, number};
 
 pub fn parse(bytes: &[u8]) -> Result<Soup, String> {
-    // a binary file may begin with "solid", too: its length decides, and more of it may follow
+    // a binary file may also begin with "solid": its length decides; trailing bytes are allowed
     let triangles = match bytes.get(80..84) {
         Some(&[a, b, c, d]) => bytes[84..].get(..50 * u32::from_le_bytes([a, b, c, d]) as usize),
         _ => None,
@@ -17,7 +17,7 @@ pub fn parse(bytes: &[u8]) -> Result<Soup, String> {
     }
 }
 
-/// Whether it begins as an ASCII file: with a name and, soon, a facet.
+/// Whether the file begins like an ASCII file: with "solid" and, soon after, a facet.
 fn is_ascii(bytes: &[u8]) -> bool {
     let head = &bytes[..bytes.len().min(1024)];
     let has = |word: &[u8]| head.windows(word.len()).any(|part| part.eq_ignore_ascii_case(word));
@@ -55,7 +55,7 @@ fn binary(bytes: &[u8]) -> Result<Soup, String> {
 
 fn ascii(bytes: &[u8]) -> Result<Soup, String> {
     if !starts_with(bytes, b"solid") {
-        return Err("neither \"solid\" at its start nor the length of a binary file".to_owned());
+        return Err("it neither starts with \"solid\" nor has the length of a binary file".to_owned());
     }
     let mut soup = Soup::default();
     for (line, bytes) in (1..).zip(bytes.split(|&byte| byte == b'\n')) {
@@ -68,7 +68,7 @@ fn ascii(bytes: &[u8]) -> Result<Soup, String> {
         corner(&mut soup, DVec3::new(next()?, next()?, next()?))?;
     }
     if soup.positions.len() % 3 != 0 {
-        return Err("its last triangle has no three corners".to_owned());
+        return Err("its last triangle has fewer than three corners".to_owned());
     }
     Ok(soup)
 }

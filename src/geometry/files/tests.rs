@@ -1,4 +1,4 @@
-//! One cube in every format, every flaw, and files that lie.
+//! One cube in every format, every flaw, and damaged files.
 
 use super::*;
 use proptest::prelude::*;
@@ -85,7 +85,7 @@ fn ply(form: &str) -> Vec<u8> {
     bytes
 }
 
-/// Mirrored, and turned so that its y is up.
+/// The cube, mirrored and with y up.
 fn gltf_parts() -> (Vec<u8>, String) {
     let mut bytes: Vec<u8> = CORNERS.iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
     triangles().iter().flatten().for_each(|&c| bytes.extend((c as u16).to_le_bytes()));
@@ -155,7 +155,7 @@ fn every_format_has_the_same_cube() {
     }
 }
 
-/// What other programs write: lines that go on, capitals, something after the end.
+/// Variants that other programs write: continued lines, capitals, trailing bytes.
 #[test]
 fn unusual_files_have_the_same_cube() {
     let own = String::from_utf8(obj()).unwrap();
@@ -176,7 +176,7 @@ fn unusual_files_have_the_same_cube() {
 }
 
 #[test]
-fn a_mesh_survives_its_text_to_the_bit() {
+fn embedding_a_mesh_is_bit_exact() {
     let third = DVec3::splat(1.0 / 3.0);
     let double = Soup { positions: cube().positions.iter().map(|p| *p + third).collect(), triangles: triangles() };
     for soup in [cube(), double] {
@@ -189,7 +189,7 @@ fn a_mesh_survives_its_text_to_the_bit() {
 }
 
 #[test]
-fn every_flaw_is_named() {
+fn every_flaw_is_reported() {
     let flaw = |change: &dyn Fn(&mut Soup)| {
         let mut soup = cube();
         change(&mut soup);
@@ -237,9 +237,9 @@ fn only_regular_files_are_read() {
 }
 
 proptest! {
-    /// Damaged files are refused or read, and reserve no more than they have.
+    /// Damaged files are rejected or read, and allocate no more than their size justifies.
     #[test]
-    fn damaged_files_make_no_panic(
+    fn damaged_files_cause_no_panic(
         which in 0..8_usize,
         damage in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..6),
         cut in any::<prop::sample::Index>(),
@@ -256,7 +256,7 @@ proptest! {
     }
 
     #[test]
-    fn damaged_texts_make_no_panic(at in any::<prop::sample::Index>(), byte in any::<u8>()) {
+    fn damaged_texts_cause_no_panic(at in any::<prop::sample::Index>(), byte in any::<u8>()) {
         let mut bytes = embedded::encode(&cube()).into_bytes();
         let at = at.index(bytes.len());
         bytes[at] = byte & 0x7f;

@@ -19,7 +19,7 @@ use super::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
     Node(u32),
-    /// A vertex at which two triangles of a body meet that share nothing else.
+    /// The only common vertex of two triangles of a body.
     Vertex(u32),
 }
 
@@ -58,13 +58,14 @@ pub struct Segment {
     pub bodies: [u32; 2],
     /// The two ends; the first is a node.
     pub ends: [End; 2],
-    /// Whether it runs along normal(second) × normal(first) from its first end, so that on the first triangle what is
-    /// in front of the second is on its left.
+    /// Whether it runs along normal(second) × normal(first) from its first end, so that on the first triangle, the part
+    /// in
+    /// front of the second is on its left.
     pub forward: bool,
     /// Whether the segment lies entirely inside a third body, where it is invisible; its triple points are not
     /// computed.
     pub buried: bool,
-    /// Triple points on it, from the first end, each with its index.
+    /// Triple points on the segment, in order from the first end, each with its index.
     pub passages: Vec<(Passage, u32)>,
 }
 
@@ -73,10 +74,10 @@ pub struct Arrangement {
     /// Nodes, sorted by edge and by position along it.
     pub nodes: Vec<Node>,
     /// True position of every node on its edge, from 0 to 1.
-    pub places: Vec<f64>,
-    /// The edges that have nodes.
+    pub positions_on_edge: Vec<f64>,
+    /// Ranks of the edges that have nodes.
     edges: Ranks,
-    /// Where the nodes of each of them start, and where the last ones end.
+    /// Start of the nodes of each of them in `nodes`, followed by the end.
     first_node: Vec<u32>,
     /// Segments, sorted by triangles.
     pub segments: Vec<Segment>,
@@ -137,7 +138,7 @@ impl Height<'_, '_, '_> {
             heights[k] = self.of_end::<Bounded>(ends[k], triangle, body);
             if heights[k].is_positive().is_none() {
                 let exact = OfEnd(self, ends[k], triangle, body).exactly_positive().ok_or(Failure::Tie)?;
-                // Keep the error bound, so that comparisons of positions also fall back to the exact number.
+                // keep the error bound, so that comparisons of positions also fall back to the exact number
                 let magnitude = heights[k].value.abs().max(f64::MIN_POSITIVE);
                 heights[k].value = if exact { magnitude } else { -magnitude };
                 heights[k].error *= 4.0;
@@ -223,12 +224,13 @@ pub fn is_in_front(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> Result<bool, Failu
     Orientation([a, b, c, d]).is_positive().ok_or(Failure::Tie)
 }
 
-/// Whether the line through two points passes inside a triangle: it then turns the same way about all three sides.
+/// Whether the line through two points passes inside a triangle: whether its turns about all three sides have the same
+/// sign.
 fn passes_inside([a, b]: [DVec3; 2], [x, y, z]: [DVec3; 3]) -> Result<bool, Failure> {
     let beside_x = Plane::new(a, b, x);
     let exactly = |from, to| Orientation([a, b, from, to]).exactly_positive();
     let turn = beside_x.side(y).is_positive().or_else(|| exactly(x, y)).ok_or(Failure::Tie)?;
-    // the same volume as about the side from z to x, with the other sign
+    // the volume for the side from z to x, with the opposite sign
     let behind = beside_x.side(z).is_positive().or_else(|| exactly(x, z)).ok_or(Failure::Tie)?;
     Ok(behind != turn && is_in_front(a, b, y, z)? == turn)
 }
@@ -243,7 +245,7 @@ impl Arrangement {
     ) -> Result<Arrangement, Failure> {
         let mut arrangement = Arrangement {
             nodes: Vec::new(),
-            places: Vec::new(),
+            positions_on_edge: Vec::new(),
             edges: Ranks::default(),
             first_node: Vec::new(),
             segments: Vec::new(),
@@ -253,7 +255,8 @@ impl Arrangement {
         };
         arrangement.find_nodes(placement, candidates, meter, threads)?;
         arrangement.order_nodes(placement)?;
-        arrangement.places = arrangement.nodes.iter().map(|node| Self::place_on_edge(placement, node)).collect();
+        arrangement.positions_on_edge =
+            arrangement.nodes.iter().map(|node| Self::position_on_edge(placement, node)).collect();
         arrangement.connect(placement)?;
         Ok(arrangement)
     }
@@ -265,7 +268,7 @@ impl Arrangement {
         meter: &Meter,
         threads: bool,
     ) -> Result<(), Failure> {
-        let look = |candidates: &[EdgeAndTriangle], nodes: &mut Vec<Node>| -> Result<(), Failure> {
+        let test = |candidates: &[EdgeAndTriangle], nodes: &mut Vec<Node>| -> Result<(), Failure> {
             meter.spend(candidates.len() as u64)?;
             let (mut edge_body, mut body) = (0, 0);
             for &candidate in candidates {
@@ -294,14 +297,14 @@ impl Arrangement {
             Ok(())
         };
         if threads && candidates.len() > 4 * AT_ONCE {
-            let look = |candidates| {
+            let test = |candidates| {
                 let mut nodes = Vec::new();
-                look(candidates, &mut nodes).map(|()| nodes)
+                test(candidates, &mut nodes).map(|()| nodes)
             };
-            self.nodes = candidates.par_chunks(AT_ONCE).map(look).collect::<Result<Vec<_>, _>>()?.concat();
+            self.nodes = candidates.par_chunks(AT_ONCE).map(test).collect::<Result<Vec<_>, _>>()?.concat();
         } else {
             self.nodes.reserve(candidates.len() / 4);
-            candidates.chunks(AT_ONCE).try_for_each(|candidates| look(candidates, &mut self.nodes))?;
+            candidates.chunks(AT_ONCE).try_for_each(|candidates| test(candidates, &mut self.nodes))?;
         }
         Ok(())
     }
@@ -324,15 +327,15 @@ impl Arrangement {
         Ok(())
     }
 
-    /// The nodes of a pair of triangles are the ends of its segment.
+    /// Joins the nodes of each pair of triangles to a segment.
     fn connect(&mut self, placement: &Placement) -> Result<(), Failure> {
-        // The two triangles in one number, the lower in its upper half.
+        // the two triangles in one number, the lower in its upper half
         let mut ends: Vec<(u64, u32)> = Vec::with_capacity(2 * self.nodes.len());
         for (i, node) in self.nodes.iter().enumerate() {
             let other = node.passage.triangle;
             let is_other_buried = placement.is_buried(other);
             for side in placement.sides_of(node.edge, node.edge_body) {
-                // what two triangles inside other bodies have in common was not looked for
+                // intersections of two triangles inside other bodies were not searched for
                 if is_other_buried && placement.is_buried(side) {
                     continue;
                 }
@@ -388,10 +391,13 @@ impl Arrangement {
 
     /// Whether the segment that starts at a node, inwards, is forward.
     ///
-    /// Let the edge be of the first triangle. Counter-clockwise along it, the triangle is on the left; a segment that
-    /// turns in there has on its left what the edge came from. So it is forward if the edge came from in front. If the
-    /// edge is of the second triangle, the segment has in front of the first on its left, on the second, when it is
-    /// backward.
+    /// Suppose the edge belongs to the first triangle. Counter-clockwise along it, the triangle is on the left; a
+    /// segment
+    /// that turns inwards there has the part where the edge comes from on its left. So it is forward if the edge comes
+    /// from
+    /// in front of the second triangle. If the edge belongs to the second triangle, the roles are exchanged: the
+    /// segment is
+    /// then backward if the edge comes from in front of the first.
     fn runs_forward(&self, placement: &Placement, node: u32, triangles: [u32; 2]) -> bool {
         let node = &self.nodes[node as usize];
         let of_first = node.passage.triangle == triangles[1];
@@ -413,7 +419,7 @@ impl Arrangement {
         self.edges.of(edge).map_or(0..0, |k| self.first_node[k]..self.first_node[k + 1])
     }
 
-    /// The number of segments of a triangle, and theirs.
+    /// The segments of a triangle, as (triangle, segment).
     pub fn segments_of(&self, triangle: u32) -> &[(u32, u32)] {
         let from = self.segments_of_triangles.partition_point(|s| s.0 < triangle);
         let count = self.segments_of_triangles[from..].iter().take_while(|s| s.0 == triangle).count();
@@ -448,12 +454,12 @@ impl Arrangement {
         for segment in &mut self.segments {
             heights.sort_along(segment.ends, &mut segment.passages, |p| &p.0)?;
         }
-        self.triple_points = found.iter().map(|point| self.place_of(placement, point)).collect();
+        self.triple_points = found.iter().map(|point| self.position_of(placement, point)).collect();
         self.triple_point_triangles = found.iter().map(|point| point.triangles).collect();
         Ok(())
     }
 
-    /// Triple points in a triangle, except those assigned to another triangle.
+    /// Triple points in a triangle, except those that another triangle owns.
     fn triple_points_in(
         &self,
         placement: &Placement,
@@ -477,8 +483,8 @@ impl Arrangement {
                     continue;
                 }
                 let (t2, b2) = other(s2); // > t1
-                // The lowest triangle owns the triple point if one of its segments is not buried; otherwise the middle
-                // one does.
+                // the lowest triangle owns the triple point if one of its segments is not buried, otherwise the middle
+                // one
                 let is_only_here = s1.buried && !s2.buried;
                 let left_to_another = triangle > t2 || (triangle > t1 && !is_only_here);
                 if left_to_another || (b1 == b2 && !placement.folds[b1 as usize]) {
@@ -507,7 +513,7 @@ impl Arrangement {
                 let on_shown = |number: u32, passage: Passage| {
                     (!self.segments[number as usize].buried).then_some((number, passage))
                 };
-                // Start with the two lowest triangles, so that the position does not depend on what is buried.
+                // sorted, so that the position does not depend on which segments are buried
                 let mut triangles = [triangle, t1, t2];
                 triangles.sort_unstable();
                 let on = [on_shown(first, on_first), on_shown(second, on_second), on_shown(third, on_third)];
@@ -520,7 +526,7 @@ impl Arrangement {
 
     /// True position of a triple point [scene unit]: the intersection of the true planes, if that is near the perturbed
     /// position.
-    fn place_of(&self, placement: &Placement, point: &TriplePoint) -> DVec3 {
+    fn position_of(&self, placement: &Placement, point: &TriplePoint) -> DVec3 {
         let Some((segment, passage)) = point.on.iter().flatten().next() else { return DVec3::ZERO };
         let [from, to] = self.segments[*segment as usize].ends.map(|end| self.true_position(placement, end));
         let seen = from + (to - from) * passage.at;
@@ -543,14 +549,15 @@ impl Arrangement {
             End::Node(node) => {
                 let Node { edge, edge_body, .. } = self.nodes[node as usize];
                 let [a, b] = placement.ends(edge, edge_body).map(|v| placement.true_position(v, edge_body));
-                a + (b - a) * self.places[node as usize]
+                a + (b - a) * self.positions_on_edge[node as usize]
             }
         }
     }
 
-    /// True position at which a node's edge passes through the plane of its triangle, if that is near the perturbed
-    /// position.
-    fn place_on_edge(placement: &Placement, node: &Node) -> f64 {
+    /// Position on a node's edge, from 0 to 1: where the true edge passes through the plane of the true triangle, if
+    /// that is
+    /// near the perturbed position, otherwise the latter.
+    fn position_on_edge(placement: &Placement, node: &Node) -> f64 {
         let Node { edge, edge_body, passage } = *node;
         let ends = placement.ends(edge, edge_body).map(|v| placement.true_position(v, edge_body));
         let [a, b, c] =
@@ -562,9 +569,8 @@ impl Arrangement {
     }
 }
 
-/// Largest accepted distance of the true position of a point from its perturbed one, in lengths of its line.
-/// Displacements are smaller, except where lines and triangles are nearly parallel; there, the true positions may be
-/// out of order.
+/// Largest accepted distance of a point's true position from its perturbed one [lengths of its line]. Displacements are
+/// smaller, except where lines and triangles are nearly parallel; there, true positions may be out of order.
 const NEAR: f64 = 1e-6;
 
 /// Where three triangles meet.

@@ -8,8 +8,8 @@ use thiserror::Error;
 
 use super::topology::Topology;
 
-/// Limit of coordinates; larger ones would overflow in a volume.
-const FARTHEST: f64 = 1e90;
+/// Limit on coordinates; larger ones would overflow in a volume.
+const MAX_COORDINATE: f64 = 1e90;
 
 /// An axis-aligned bounding box.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -78,7 +78,7 @@ pub(super) fn higher(a: DVec3, b: DVec3) -> DVec3 {
     DVec3::new(higher(a.x, b.x), higher(a.y, b.y), higher(a.z, b.z))
 }
 
-/// A convex set that contains a body: what its box and a ball have in common.
+/// A convex set that contains a body: the intersection of its box and a ball.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Hull {
     bounds: Aabb,
@@ -104,7 +104,7 @@ impl Hull {
 pub struct Body<'a> {
     pub(super) topology: &'a Topology,
     pub(super) positions: &'a [DVec3],
-    /// Those of further fans, which follow them.
+    /// Positions of the vertices of further fans, which follow the given ones.
     copied: Vec<DVec3>,
     pub(super) bounds: Aabb,
     pub(super) block_bounds: Vec<Aabb>,
@@ -116,7 +116,7 @@ pub struct Body<'a> {
     extent: OnceLock<Extent>,
 }
 
-/// What is known of a body because its surface is seen from the centre from its inner side.
+/// Properties of a body whose whole surface is visible from the centre, from its inner side.
 #[derive(Clone, Copy, Debug)]
 struct Star {
     inner_radius: f64,
@@ -154,8 +154,8 @@ pub enum BodyError {
 impl<'a> Body<'a> {
     /// The mesh `topology` with its vertices at `positions` [scene unit], `[vertex_count]`.
     ///
-    /// Takes time proportional to the mesh, for its boxes; so does the first union of it, for the proof that it does not
-    /// intersect itself. All else that a union takes is proportional to the overlap.
+    /// Computes boxes, in time proportional to the mesh. So does the first union of the body, to prove that it does not
+    /// intersect itself. All other costs of a union are proportional to the overlap.
     ///
     /// # Errors
     ///
@@ -166,7 +166,7 @@ impl<'a> Body<'a> {
         }
         let mut sum = DVec3::ZERO;
         for (vertex, &position) in positions.iter().enumerate() {
-            if !position.abs().cmplt(DVec3::splat(FARTHEST)).all() {
+            if !position.abs().cmplt(DVec3::splat(MAX_COORDINATE)).all() {
                 return Err(BodyError::Position { vertex, position });
             }
             sum += position;
@@ -195,7 +195,7 @@ impl<'a> Body<'a> {
             self.bounds = self.bounds.joined(&hull);
             self.block_bounds.push(hull);
         }
-        // of all vertices that some triangle uses
+        // over all vertices that some triangle uses
         let is_every_used = self.topology.used_vertices as usize == self.topology.fan_count();
         let is_used = |v: usize| is_every_used || !self.topology.edges_at(v as u32).is_empty();
         let distances = self.positions.iter().map(|p| p.distance_squared(self.centre));
@@ -225,14 +225,16 @@ impl<'a> Body<'a> {
         })
     }
 
-    /// Whether every triangle is seen from the centre from its inner side. A connected mesh for which this holds,
-    /// whatever its χ, covers the sphere of directions without a fold, so exactly once: it does not intersect itself.
+    /// Whether the inner side of every triangle faces the centre. A connected mesh for which this holds, whatever its
+    /// χ,
+    /// covers the sphere of directions without a fold, so exactly once: it does not intersect itself.
     fn star(&self) -> &Star {
         self.star.get_or_init(|| {
             let least = self.of_triangles(Least::default());
             let (slack_squared, height_squared) = (least.slack_squared.least(), least.height_squared.least());
-            // Beyond these, products of what is compared over- or underflow and tell nothing. Single triangles of other
-            // sizes do not matter: where they are so small that theirs underflow, there is no slack to speak of.
+            // beyond these radii, the compared products over- or underflow; single triangles of other sizes do not
+            // matter:
+            // where they are so small that their products underflow, the slack is negligible
             let is_known = (1e-30..1e30).contains(&self.radius) && slack_squared > 0.0 && slack_squared.is_finite();
             if is_known && height_squared.is_finite() && self.topology.components == 1 {
                 Star { slack: slack_squared.sqrt() / (6.0 * self.radius), inner_radius: height_squared.sqrt() }
@@ -252,7 +254,7 @@ impl<'a> Body<'a> {
         self.star().inner_radius
     }
 
-    /// The body as if nothing were known of what lies inside it.
+    /// The body without a known ball inside it.
     #[cfg(test)]
     pub(super) fn with_unknown_inside(mut self) -> Body<'a> {
         let slack = self.slack();
@@ -312,8 +314,9 @@ impl<'a> Body<'a> {
         [self.position(a), self.position(b), self.position(c)]
     }
 
-    /// In front of its surface, weighted at every vertex so that neither the lengths of edges nor diagonals matter
-    /// (Max, *Weights for Computing Vertex Normals from Facet Normals*, 1999); 0 where it is not defined.
+    /// The outward unit normal at a vertex, weighted such that neither edge lengths nor diagonals matter (Max, *Weights
+    /// for
+    /// Computing Vertex Normals from Facet Normals*, 1999); 0 where it is not defined.
     pub(super) fn normal(&self, vertex: u32) -> DVec3 {
         let at = self.position(vertex);
         let mut sum = DVec3::ZERO;
@@ -330,17 +333,17 @@ impl<'a> Body<'a> {
     }
 }
 
-/// Number of triangles that are measured at once. They are summed in their order: the result does not depend on the
+/// Number of triangles that are measured at once. They are summed in order, so the result does not depend on the
 /// instruction set.
 const AT_ONCE: usize = 8;
 
 /// One number for each of the triangles that are measured at once.
 type Lanes = [f64; AT_ONCE];
 
-/// What is found from all triangles of a body.
+/// A reduction over all triangles of a body.
 trait Kernel {
-    /// Takes note of `count` triangles with the corners a, b, c, relative to what their tetrahedra have in common; the
-    /// last one again in the lanes beyond.
+    /// Adds `count` triangles with the corners a, b, c relative to the common apex; the remaining lanes repeat the last
+    /// one.
     fn take(&mut self, corners: &[[Lanes; 3]; 3], count: usize);
 }
 
@@ -348,7 +351,7 @@ trait Kernel {
 struct OfTriangles<'m, K> {
     triangles: &'m [[u32; 3]],
     positions: &'m [DVec3],
-    /// What the tetrahedra of the triangles have in common [scene unit].
+    /// The common apex of the triangles' tetrahedra [scene unit].
     centre: DVec3,
     kernel: K,
 }
@@ -412,7 +415,7 @@ impl Kernel for Sums {
     }
 }
 
-/// The least of fractions, as numerators and positive denominators: comparing products spares a division each.
+/// The least fraction per lane, as numerators and positive denominators: comparing products avoids a division each.
 struct Fractions {
     above: Lanes,
     below: Lanes,
@@ -437,7 +440,7 @@ impl Fractions {
     }
 }
 
-/// Squares of the least slack and of the least height over the centre, times factors.
+/// Squares of the least slack and of the least height over the centre, up to constant factors.
 #[derive(Default)]
 struct Least {
     slack_squared: Fractions,
@@ -453,7 +456,7 @@ impl Kernel for Least {
             let normal = ab.cross(-ca);
             let volume = a.dot(normal);
             // Displacing each corner by d changes the volume by at most d (|a×b| + |b×c| + |c×a|) to first order, and
-            // |a×b| ≤ |a| |ab|; twice that covers the higher orders. With its sign, and squared: that spares a root.
+            // |a×b| ≤ |a| |ab|; twice that covers the higher orders. Signed and squared, to avoid a square root.
             let sides = [ab.length_squared(), bc.length_squared(), ca.length_squared()];
             let longer = if sides[0] > sides[1] { sides[0] } else { sides[1] };
             let longest = if longer > sides[2] { longer } else { sides[2] };
@@ -481,7 +484,7 @@ mod tests {
             pulp::x86::V4::try_new().map(Arch::V4),
             Some(Arch::new()),
         ];
-        // whole groups of triangles, and some beside them
+        // whole groups of triangles, and remainders
         for count in [mesh.triangles().len(), 16, 5, 1, 0] {
             let triangles = &mesh.triangles()[..count];
             fn all<K: Kernel>(arch: Arch, triangles: &[[u32; 3]], positions: &[DVec3], centre: DVec3, kernel: K) -> K {

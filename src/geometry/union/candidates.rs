@@ -41,7 +41,7 @@ pub struct Near {
     triangles: [Vec<u32>; 2],
 }
 
-/// The triangles near each other, of all meetings and of the bodies that may intersect themselves.
+/// The triangles that are near each other, for all meetings and for the bodies that may intersect themselves.
 pub fn near(placement: &Placement, meetings: &[Meeting], meter: &Meter, threads: bool) -> Result<Vec<Near>, Failure> {
     let of_meeting = |meeting: &Meeting| {
         let [first, second] = &meeting.blocks;
@@ -76,7 +76,7 @@ impl Near {
         let shown = [0, 1]
             .map(|k| blocks[k].iter().map(|&block| placement.is_block_shown(block, bodies[k])).collect::<Vec<bool>>());
         let [first, second] = [0, 1].map(|k| (0..blocks[k].len() as u32).collect::<Vec<u32>>());
-        // where two bodies face each other their blocks are spread sideways
+        // where two bodies face each other, their blocks are spread sideways
         let all = hulls.iter().flatten().fold(Aabb::EMPTY, |all, hull| all.joined(hull));
         let axis = (all.max - all.min).max_position();
         let (mut pairs, mut is_met) = (Vec::new(), [0, 1].map(|k| vec![false; blocks[k].len()]));
@@ -105,11 +105,11 @@ impl Near {
     }
 }
 
-/// Number of candidates that are tested between two looks at the budget.
+/// Number of candidates that are tested between two checks of the budget.
 pub const AT_ONCE: usize = 512;
 
-/// An edge and a triangle of two triangles that straddle each other's plane: the edge in the upper half, the triangle
-/// in the lower, so that candidates sort by edge.
+/// An edge of one and the index of the other of two triangles that straddle each other's plane: the edge in the upper
+/// half, the triangle in the lower, so that candidates sort by edge.
 pub type EdgeAndTriangle = u64;
 
 /// The edges and triangles that may meet, ascending, each once. The triangles near each other must be placed.
@@ -139,7 +139,7 @@ pub fn edges_and_triangles(
     Ok(found)
 }
 
-/// Coordinates about two bodies, of their size, in which single precision suffices to cull.
+/// Coordinates relative to two bodies and their size, in which single precision suffices for culling.
 struct Zoom {
     origin: DVec3,
     factor: f64,
@@ -152,12 +152,12 @@ impl Zoom {
         Zoom { origin: (a.centre + b.centre) / 2.0, factor: if size > 0.0 { 1.0 / size } else { 1.0 } }
     }
 
-    /// A box that contains one in scene units.
+    /// A box that contains one given in scene units.
     #[inline]
     fn of(&self, bounds: &Aabb) -> Box32 {
         let single = |at: DVec3| Vec3A::from(((at - self.origin) * self.factor).as_vec3());
         let (min, max) = (single(bounds.min), single(bounds.max));
-        // rounding of the differences, the product and the conversion
+        // covers rounding of the differences, the product and the conversion
         let rounding = |at: Vec3A| at.abs() * (8.0 * f32::EPSILON) + Vec3A::splat(1e-7);
         Box32 { min: min - rounding(min), max: max + rounding(max) }
     }
@@ -182,15 +182,16 @@ struct Listed {
     body: u32,
     /// The boxes of the blocks.
     hulls: Vec<Box32>,
-    /// Block i of the list has `triangles[start[i]..start[i + 1]]`, from `start_of_buried[i]` on those inside other bodies.
+    /// Block i of the list is `triangles[start[i]..start[i + 1]]`; those from `start_of_buried[i]` on are inside other
+    /// bodies.
     start: Vec<u32>,
     start_of_buried: Vec<u32>,
     triangles: Vec<(u32, Box32)>,
 }
 
 impl Listed {
-    /// The triangles of those blocks that are met by others; only those in the hull of another body, if there is one.
-    /// Those inside other bodies are there only if triangles of that body may be near that are not.
+    /// The triangles of the blocks that meet others; if there is another body, only those in its hull. Triangles inside
+    /// other bodies are listed only if triangles of the other body that are not inside one may be near.
     fn new(
         placement: &Placement,
         body: u32,
@@ -287,7 +288,7 @@ impl Listed {
     }
 }
 
-/// A triangle that others are tested against.
+/// A triangle against which others are tested.
 struct Straddle<'p, 'a, 'b> {
     placement: &'p Placement<'a, 'b>,
     triangle: u32,

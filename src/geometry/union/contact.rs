@@ -1,4 +1,4 @@
-//! Whether two surfaces touch: one crossing of an edge and a triangle is enough to know.
+//! Whether two surfaces touch, which a single crossing of an edge and a triangle proves.
 
 use glam::DVec3;
 
@@ -7,8 +7,8 @@ use super::{
     distance::{Search, Tree},
 };
 
-/// A volume below this fraction of a product of lengths counts as zero, and a crossing at a corner as one: what this
-/// displaces is far below what can be seen.
+/// A volume below this fraction of a product of lengths counts as zero, so that a crossing at a corner counts. The
+/// corresponding displacement is far too small to be visible.
 const ZERO: f64 = 1e-12;
 
 /// How two surfaces touch.
@@ -20,10 +20,10 @@ pub enum Contact {
     Inside,
 }
 
-/// An edge that passes through a triangle, by their vertices.
+/// An edge that passes through a triangle, given by vertex indices.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Crossing {
-    /// Whether the edge is of the second body and the triangle of the first.
+    /// Whether the edge belongs to the second body and the triangle to the first.
     is_of_second: bool,
     edge: [u32; 2],
     triangle: [u32; 3],
@@ -49,17 +49,17 @@ pub fn contact(a: &Body, b: &Body) -> Option<Contact> {
         if !Aabb::of(p).meets(&Aabb::of(q)) {
             return None;
         }
-        let place = |body: &Body, vertex: u32| body.topology.place_of(vertex);
+        let given = |body: &Body, vertex: u32| body.topology.given_vertex(vertex);
         (0..3).find_map(|k| {
             let l = (k + 1) % 3;
             if passes([p[k], p[l]], q) {
                 let (edge, triangle) = ([first[k], first[l]], second);
-                let (edge, triangle) = (edge.map(|v| place(a, v)), triangle.map(|v| place(b, v)));
+                let (edge, triangle) = (edge.map(|v| given(a, v)), triangle.map(|v| given(b, v)));
                 return Some(Crossing { is_of_second: false, edge, triangle });
             }
             if passes([q[k], q[l]], p) {
                 let (edge, triangle) = ([second[k], second[l]], first);
-                let (edge, triangle) = (edge.map(|v| place(b, v)), triangle.map(|v| place(a, v)));
+                let (edge, triangle) = (edge.map(|v| given(b, v)), triangle.map(|v| given(a, v)));
                 return Some(Crossing { is_of_second: true, edge, triangle });
             }
             None
@@ -84,9 +84,9 @@ fn passes([p, q]: [DVec3; 2], [a, b, c]: [DVec3; 3]) -> bool {
     let bound = ZERO * normal.length() * longest.max(along.length());
     let (from, to) = (normal.dot(p - a), normal.dot(q - a));
     if from > bound && to > bound || from < -bound && to < -bound || from.abs().max(to.abs()) <= bound {
-        return false; // on one side, or in the plane of the triangle, where another edge passes
+        return false; // on one side, or in the plane of the triangle, through which then another edge passes
     }
-    // the volumes of the edge and each side of the triangle have one sign
+    // the volumes spanned by the edge and each side of the triangle have the same sign
     let bound = ZERO * along.length() * longest * longest;
     let sides = [along.dot(pa.cross(pb)), along.dot(pb.cross(pc)), along.dot(pc.cross(pa))];
     sides.iter().all(|&side| side >= -bound) || sides.iter().all(|&side| side <= bound)

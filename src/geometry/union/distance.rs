@@ -17,19 +17,19 @@ pub struct Tree<'t, 'a> {
     branches: &'a [Branch],
     /// The box of each branch.
     bounds: Vec<Aabb>,
-    /// Below this, squared distances are rounding errors [scene unit²].
+    /// Squared distances below this are rounding errors [scene unit²].
     tiny: f64,
 }
 
-/// A node of a hierarchy of blocks: below it are two others, which follow it, or it is a block.
+/// A node of a hierarchy of blocks: an inner node with two children, which follow it, or a block.
 #[derive(Clone, Copy, Debug)]
 pub struct Branch {
-    /// Indices of two child nodes, or a block twice.
+    /// Indices of the two child nodes, or the block twice.
     parts: [u32; 2],
     is_block: bool,
 }
 
-/// A hierarchy of blocks with these boxes.
+/// Builds a hierarchy of blocks with these boxes.
 fn hierarchy(boxes: &[Aabb]) -> Vec<Branch> {
     /// Adds the node for some blocks and returns its index.
     fn split(middles: &[DVec3], blocks: &mut [u32], branches: &mut Vec<Branch>) -> u32 {
@@ -65,10 +65,10 @@ fn hierarchy(boxes: &[Aabb]) -> Vec<Branch> {
     branches
 }
 
-/// Where a search has got to. Reused: points that are near each other have near triangles.
+/// The state of a search. Reused, because nearby points have nearby nearest triangles.
 #[derive(Default)]
 pub struct Search {
-    /// The triangle that was nearest to the last point.
+    /// The nearest triangle of the last point.
     hint: u32,
     queue: Vec<(u32, f64)>,
 }
@@ -109,7 +109,8 @@ impl<'t, 'a> Tree<'t, 'a> {
         self.body.corners(triangle)
     }
 
-    /// The nearest point of the surface; `None` for a body without triangles, and if it is known to be no farther than
+    /// The nearest point of the surface; `None` for a body without triangles, or if the point is known to be no farther
+    /// than
     /// `least` [scene unit].
     fn nearest_beyond(&self, point: DVec3, least: f64, search: &mut Search) -> Option<Nearest> {
         let Search { hint, queue } = search;
@@ -149,15 +150,17 @@ impl<'t, 'a> Tree<'t, 'a> {
         (best.distance_squared > least_squared).then_some(best)
     }
 
-    /// Whether what is in a box at one squared distance is farther than another, whatever rounding does.
+    /// Whether everything in a box at one squared distance is farther than another, allowing for rounding.
     #[inline]
     fn is_farther(&self, bound: f64, than: f64) -> bool {
         bound > than * (1.0 + 1e-9) + self.tiny
     }
 
-    /// Depth of a point inside [scene unit] if it is more than `least` ≥ 0, by the side of the normal at the nearest point; a corner's
-    /// normal is weighted by angles (Bærentzen and Aanæs, *Signed Distance Computation Using the Angle Weighted
-    /// Pseudonormal*, 2005).
+    /// Depth of a point inside the body [scene unit], if it is more than `least` ≥ 0. The side is that of the normal at
+    /// the
+    /// nearest point; a corner's normal is weighted by angles (Bærentzen and Aanæs, *Signed Distance Computation Using
+    /// the
+    /// Angle Weighted Pseudonormal*, 2005).
     pub fn depth_beyond(&self, point: DVec3, least: f64, search: &mut Search) -> Option<f64> {
         let nearest = self.nearest_beyond(point, least, search)?;
         let topology = self.body.topology;
@@ -186,8 +189,8 @@ impl<'t, 'a> Tree<'t, 'a> {
         ((point - nearest.position).dot(normal) <= 0.0).then(|| nearest.distance_squared.sqrt())
     }
 
-    /// The first answer for triangles of this surface and of another whose blocks' boxes meet.
-    pub fn first_of_near<T>(&self, other: &Tree, mut answer: impl FnMut(u32, u32) -> Option<T>) -> Option<T> {
+    /// The first result of `test` for triangles of this surface and of another whose blocks' boxes meet.
+    pub fn first_of_near<T>(&self, other: &Tree, mut test: impl FnMut(u32, u32) -> Option<T>) -> Option<T> {
         let mut queue = if self.branches.is_empty() || other.branches.is_empty() { vec![] } else { vec![(0, 0)] };
         while let Some((a, b)) = queue.pop() {
             let (first, second) = (&self.branches[a as usize], &other.branches[b as usize]);
@@ -202,8 +205,8 @@ impl<'t, 'a> Tree<'t, 'a> {
             } else {
                 for &s in self.body.topology.block(first.parts[0] as usize) {
                     for &t in other.body.topology.block(second.parts[0] as usize) {
-                        if let Some(answer) = answer(s, t) {
-                            return Some(answer);
+                        if let Some(found) = test(s, t) {
+                            return Some(found);
                         }
                     }
                 }
@@ -216,8 +219,9 @@ impl<'t, 'a> Tree<'t, 'a> {
         (triangle as usize) < self.body.topology.triangles.len()
     }
 
-    /// The smallest distance to another surface that does not intersect this one [scene unit]. The search begins with two
-    /// triangles, which become the nearest.
+    /// The smallest distance to another surface that does not intersect this one [scene unit]. The search begins with
+    /// the
+    /// triangles of `hint`, and sets it to the nearest ones.
     ///
     /// # Errors
     /// The meter's.

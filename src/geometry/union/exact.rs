@@ -1,4 +1,4 @@
-//! Numbers with a certain sign: f64 with an error bound and, where that is inconclusive, exact sums.
+//! Numbers with a reliable sign: f64 with an error bound and, where that is inconclusive, exact sums.
 
 use glam::DVec3;
 
@@ -17,7 +17,7 @@ pub trait Number: Sized {
     fn is_positive(&self) -> Option<bool>;
 }
 
-/// A value and a bound of its error.
+/// A value and a bound on its error.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounded {
     /// The computed value.
@@ -26,7 +26,8 @@ pub struct Bounded {
     pub error: f64,
 }
 
-/// Above the rounding error of an operation, relative to its result: 2⁻⁵³ and some for the bound's own rounding.
+/// Bound on the rounding error of an operation, relative to its result: 2⁻⁵³ plus a margin for the bound's own
+/// rounding.
 const ROUNDING: f64 = 1.2e-16;
 
 /// Error of an orientation over its permanent: (7 + 56 ε) ε with ε = 2⁻⁵³ (Shewchuk 1997, `o3derrboundA`), rounded up.
@@ -156,7 +157,7 @@ impl Number for Expansion {
         for &a in &self.0 {
             for &b in &other.0 {
                 let high = a * b;
-                // The rounding error of a product is an f64, which a fused multiply-add gives, in hardware or not.
+                // the rounding error of a product is an f64, which a fused multiply-add computes, in hardware or not
                 product.add(a.mul_add(b, -high));
                 product.add(high);
             }

@@ -139,7 +139,7 @@ impl Cutter<'_, '_, '_> {
         if region.pieces.is_empty() {
             return Ok(());
         }
-        // Ear clipping of n points takes n² steps.
+        // ear clipping of n points takes n² steps
         meter.spend((region.pieces.len() * region.pieces.len() / 16) as u64)?;
         let [a, b, c] = self.placement.placed_corners(triangle, body);
         filling.triangles.clear();
@@ -182,8 +182,9 @@ impl Cutter<'_, '_, '_> {
                     beside.reverse();
                 }
                 shown = beside[1];
-                // A line where both sides of the triangle are visible does not cut it: that happens with bodies that
-                // are inside out.
+                // a line with both parts of the triangle on the union does not cut it: that happens with bodies that
+                // are
+                // inside out
                 if beside == [true; 2] {
                     continue;
                 }
@@ -200,7 +201,7 @@ impl Cutter<'_, '_, '_> {
         }
     }
 
-    /// Adds a segment, where the union's part of the triangle ends at it.
+    /// Adds the parts of a segment that separate the union's part of the triangle from the rest.
     fn inner_line(&self, triangle: u32, number: u32, line: u32, region: &mut Region, faces: &mut Faces) {
         let segment = &self.arrangement.segments[number as usize];
         let is_first = segment.triangles[0] == triangle;
@@ -213,7 +214,7 @@ impl Cutter<'_, '_, '_> {
         let mut from = self.points.of_end(segment.ends[0]);
         region.lines.push((from, line));
         for part in 0..=segment.passages.len() {
-            // A point that changes nothing beside a line does not cut the line either.
+            // a point that changes nothing beside a line does not cut the line either
             if part < segment.passages.len() && parts[part] == parts[part + 1] {
                 continue;
             }

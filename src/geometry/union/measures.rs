@@ -10,10 +10,11 @@ use super::{
     union,
 };
 
-/// Work steps of finding the depth of a point.
+/// Work steps to find the depth of a point.
 const SAMPLE: u64 = 64;
 
-/// Where two bodies were nearest to each other: where to begin in a later frame. It changes no result.
+/// Where two bodies were nearest to each other, as the starting point of a search in a later frame. Does not affect
+/// results.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Hint {
     triangles: [u32; 2],
@@ -26,18 +27,18 @@ pub struct PairMeasures {
     pub gap: f64,
     /// Volume of the intersection [scene unit³].
     pub overlap: f64,
-    /// Radius of the circle that has the area of the seam's vector area [scene unit]; 0 without a seam.
+    /// Radius of the circle with the magnitude of the seam's vector area as area [scene unit]; 0 without a seam.
     pub neck: f64,
     /// Length of the seam [scene unit].
     pub perimeter: f64,
-    /// Where the surfaces meet; vertices are numbered as in the union of the two.
+    /// The curves along which the surfaces meet; vertices are numbered as in the union of the two.
     pub seams: Vec<Seam>,
 }
 
 /// Measures two bodies.
 ///
 /// The depth is the greatest distance of a sample point on either surface, inside the other body, to that body's
-/// surface. Sample points are the vertices, the midpoints of edges and of what remains of cut edges, and the centres of
+/// surface. Sample points are the vertices, the midpoints of edges and of the parts of cut edges, and the centres of
 /// triangles. For bodies that intersect themselves, the distance is to the nearest sheet.
 ///
 /// # Errors
@@ -48,7 +49,7 @@ pub fn pair_measures(a: &Body, b: &Body, budget: &Budget) -> Result<PairMeasures
     measures_of(&union(&bodies, budget)?, budget, &mut Hint::default())
 }
 
-/// [`pair_measures`] of two bodies whose union is known. A union of another number of bodies has an infinite gap.
+/// [`pair_measures`] of two bodies, from their union. If the union is not of two bodies, the gap is infinite.
 ///
 /// # Errors
 ///
@@ -59,7 +60,7 @@ pub fn measures_of(united: &Union, budget: &Budget, hint: &mut Hint) -> Result<P
         if bodies[body].slack() > 0.0 {
             return Ok(bodies[body].volume());
         }
-        // Volume that is inside twice counts once.
+        // doubly enclosed volume counts once
         Ok(union(&bodies[body..=body], budget)?.volume())
     };
     let overlap = if bodies.len() != 2 {
@@ -105,11 +106,11 @@ fn gap_of(united: &Union, budget: &Budget, hint: &mut Hint) -> Result<f64, Union
     Ok(-deepest)
 }
 
-/// Raises `deepest` to the greatest depth in `other` of the part of a body's surface that the union leaves out.
+/// Raises `deepest` to the greatest depth in `other` of the part of a body's surface that is not on the union.
 fn deepen(united: &Union, body: usize, other: &Tree, deepest: &mut f64, meter: &Meter) -> Result<(), Failure> {
     let samples = samples(united, body);
     let mut search = Search::default();
-    // The deepest point is usually that nearest to the centre. What is less deep than another costs little.
+    // the deepest point is usually the one nearest to the centre; shallower points then cost little
     let centre = other.body.centre;
     let nearest = samples.iter().min_by(|a, b| a.distance_squared(centre).total_cmp(&b.distance_squared(centre)));
     for &at in nearest.into_iter().chain(&samples) {
@@ -121,13 +122,13 @@ fn deepen(united: &Union, body: usize, other: &Tree, deepest: &mut f64, meter: &
     Ok(())
 }
 
-/// Points on the part of a body's surface that the union leaves out.
+/// Sample points on the part of a body's surface that is not on the union.
 fn samples(united: &Union, body: usize) -> Vec<DVec3> {
     let mesh = &united.bodies[body];
     let topology = mesh.topology;
     let removed = &united.removed[body];
     let mut samples = Vec::with_capacity(4 * removed.len());
-    // What is still on the union is not inside, and every point counts once.
+    // vertices that are still on the union are not inside, and each point counts once
     let (first, last) = (united.first_vertex[body], united.first_vertex[body + 1]);
     let mut is_done = vec![false; topology.fan_count()];
     for v in united.new_triangles.iter().flat_map(|triangle| triangle.corners) {
@@ -147,7 +148,7 @@ fn samples(united: &Union, body: usize) -> Vec<DVec3> {
             let ends = [corners[k], corners[(k + 1) % 3]];
             let [one, other] = topology.edge_triangles[edge as usize];
             let beside = if one == t { other } else { one };
-            // if both triangles of the edge are there, it is that of the first
+            // if both triangles of the edge were removed, the first one samples it
             let is_first = t < beside || !united.is_removed(body as u32, beside);
             if is_first && ends.iter().all(|&v| is_lost[v as usize]) {
                 samples.push((mesh.position(ends[0]) + mesh.position(ends[1])) / 2.0);
@@ -158,7 +159,7 @@ fn samples(united: &Union, body: usize) -> Vec<DVec3> {
         let [a, b, c] = mesh.corners(t);
         samples.push((a + b + c) / 3.0);
     }
-    // Between one cut of an edge and the next, or the edge's ends.
+    // between consecutive cuts of an edge, and between cuts and ends
     let mut cuts: Vec<([u32; 2], f64)> = (united.new_vertices.iter())
         .filter_map(|vertex| match vertex.origin {
             Origin::Edge { body: of, edge, at, .. } if of as usize == body => Some((edge, at)),

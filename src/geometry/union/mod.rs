@@ -1,26 +1,29 @@
 //! The union of closed triangle meshes: one closed, manifold, oriented surface of many overlapping ones.
 //!
-//! The union is {winding number of any body ≥ 1}. Bodies may intersect themselves, touch, coincide, and lie inside each
-//! other or inside out. Vertices of bodies that remain keep their position to the bit; every other vertex records on
-//! which edge and triangle it arose. The cost of a union depends on the overlap, not on the size of the meshes.
+//! The union is {winding number of any body ≥ 1}. Bodies may intersect themselves, touch, coincide, lie inside each
+//! other,
+//! or be inside out. Remaining vertices of bodies keep their position to the bit; every other vertex records the edge
+//! and
+//! triangle that it comes from. The cost of a union depends on the overlap, not on the size of the meshes.
 //!
 //! # Method
 //!
 //! 1. Predicates see the bodies in general position (`placement`): displaced by some 1e-9 of their size, such that
-//!    bodies in contact are apart. The result has the true positions. Displacing numbers in place of symbols
+//!    bodies in contact are apart. The result has the true positions. Numerical instead of symbolic displacements
 //!    (Edelsbrunner and Mücke, *Simulation of Simplicity*, 1990; Smith, *Towards Robust Inexact Geometric Computation*,
 //!    2009, and the library Manifold, which displace along normals) leaves every predicate an ordinary polynomial.
 //! 2. The sign of a polynomial is that of its f64 value where an error bound allows, otherwise that of its exact value
 //!    (`exact`; Shewchuk 1997). The intersection of an edge and a triangle is never rounded: it stays the pair (edge,
-//!    triangle), like the implicit points of Attene (*Indirect Predicates for Geometric Constructions*, 2020) and of
+//!    triangle), as with the implicit points of Attene (*Indirect Predicates for Geometric Constructions*, 2020) and of
 //!    Cherchi et al. (*Fast and Robust Mesh Arrangements*, 2020; *Interactive and Robust Mesh Booleans*, 2022).
 //! 3. Boxes of bodies, of blocks of triangles and of triangles find candidates (`candidates`); signs determine
 //!    which of them intersect (`arrangement`).
-//!    Triangles well inside another body (`placement`) bound nothing: intersections of two such triangles are skipped.
-//! 4. Winding numbers (Zhou et al., *Mesh Arrangements for Solid Geometry*, 2016) are flood-filled from where they are
-//!    known (`winding`), and checked at the end of every edge and segment. A side of a triangle bounds the union if
-//!    nothing is in front of it and something behind it.
-//! 5. Cut triangles are triangulated again (`faces`, `triangulate`), whole ones kept; a final check verifies
+//!    Triangles well inside another body (`placement`) are not on the boundary: intersections of two such triangles are
+//!    skipped.
+//! 4. Winding numbers (Zhou et al., *Mesh Arrangements for Solid Geometry*, 2016) are flood-filled from known values
+//! (`winding`), and checked at the end of every edge and segment. A part of a triangle bounds the union if the space in
+//!    front of it is outside all bodies and the space behind it is not.
+//! 5. Cut triangles are retriangulated (`faces`, `triangulate`), whole ones kept; a final check verifies
 //!    that the surface is closed (`surface`).
 //!
 //! Bodies are first put into a canonical order, and each loop that may run on several threads has a fixed order of
@@ -36,18 +39,22 @@
 //! | two of 266 vertices | 0.12 ms | 13.4 | 15 |
 //! | two of 10,000 vertices | 1.5 ms | 40.8 | 50 |
 //! | a chain of 300 | 61 ms | 13.1 | 20 |
-//! | 64 in one place | 43 ms | 4.5 | 1 |
+//! | 64 overlapping ones | 43 ms | 4.5 | 1 |
 //!
-//! Small unions miss the goal because nothing in them dominates: of two spheres of 266 vertices, cutting triangles takes 24 %,
-//! nodes and segments 16 %, signs of candidates 13 %, assembly with its audit 12 %, boxes 8 %, [`Body::new`] and the proof
-//! that a body does not intersect itself 8 %. Candidates are all that the last frame could save, because the rest depends on
-//! positions: unions keep nothing from frame to frame, only the search for gaps does ([`Hint`]). The chain is 299 such small
-//! unions, each of which takes as many instructions there as alone, and 40 % more time.
+//! Small unions miss the goal because no single stage dominates: for two spheres of 266 vertices, cutting triangles
+//! takes
+//! 24 %, nodes and segments 16 %, signs of candidates 13 %, assembly with its audit 12 %, boxes 8 %, [`Body::new`] and
+//! the
+//! proof that a body does not intersect itself 8 %. Reusing the previous frame could only save the candidates, because
+//! everything else depends on positions: unions keep nothing from frame to frame, only the search for gaps does
+//! ([`Hint`]).
+//! The chain is 299 such small unions; each takes as many instructions there as alone, but 40 % more time.
 //!
-//! Ten times the vertices, all of them away from the overlap, cost 63 to 70 % more (goal 10 %): 4 ns a vertex for boxes in
-//! [`Body::new`], and 12 ns for the proof, which reads the corners of every triangle. Loading them is what it costs: in single
-//! precision it takes as long, and so it does with fewer divisions. Volume and area read them once more, and are computed
-//! when they are asked for.
+//! Ten times the vertices, all of them away from the overlap, cost 63 to 70 % more (goal 10 %): 4 ns per vertex for
+//! boxes
+//! in [`Body::new`], and 12 ns for the proof, which reads the corners of every triangle. That time is spent loading
+//! them:
+//! single precision or fewer divisions do not reduce it. Volume and area read them again, and are computed on request.
 
 mod arrangement;
 mod body;
@@ -93,11 +100,11 @@ const ATTEMPTS: u32 = 6;
 /// # Errors
 ///
 /// If the budget is exhausted, there are too many vertices to index, or no attempt brings the bodies into general
-/// position. The only remedy is to show the bodies as they are.
+/// position. The only remedy is to show the bodies individually.
 pub fn union<'a, 'b>(bodies: &'b [Body<'a>], budget: &Budget) -> Result<Union<'a, 'b>, UnionError> {
     let total = |count: &dyn Fn(&Topology) -> usize| bodies.iter().map(|b| count(b.topology())).sum::<usize>();
-    let most = total(&|t| t.edges.len()).max(total(&Topology::fan_count));
-    if most >= 1 << 30 {
+    let largest = total(&|t| t.edges.len()).max(total(&Topology::fan_count));
+    if largest >= 1 << 30 {
         return Err(UnionError::TooLarge);
     }
     let meter = Meter::new(*budget);

@@ -16,13 +16,13 @@ use super::{
 
 /// Largest random displacement, relative to a body's scale.
 const JITTER: f64 = 1.0 / (1u64 << 36) as f64;
-/// Largest random displacement, relative to the scene's scale: what its coordinates can resolve.
+/// Largest random displacement, relative to the scene's scale: the resolution of its coordinates.
 const SCENE_JITTER: f64 = 1.0 / (1u64 << 47) as f64;
 /// Deflation over jitter.
 const DEFLATION: f64 = 64.0;
-/// Number of distinct deflations. Where more bodies than this overlap in one place, some are deflated equally.
+/// Number of distinct deflations. Where more bodies than this overlap, some are deflated equally.
 const COLOURS: u32 = 64;
-/// Ratio of the smallest body to its jitter; smaller bodies are left out.
+/// Smallest ratio of a body's size to its jitter; smaller bodies are left out.
 const SMALLEST: f64 = (1u64 << 20) as f64;
 /// Coordinates are multiples of 1 over this, with the scene within ±1. So polynomials of degree 12, the highest in use,
 /// neither under- nor overflow, and their expansions are exact.
@@ -31,7 +31,7 @@ const LATTICE: f64 = (1u64 << 60) as f64;
 /// The bodies of a union, perturbed.
 pub struct Placement<'a, 'b> {
     pub bodies: Vec<&'b Body<'a>>,
-    /// Indices of the given bodies that are kept: bodies too small to be resolved beside the others are left out.
+    /// Indices of the given bodies that are kept: bodies too small to be resolved are left out.
     pub kept: Vec<u32>,
     /// Number of bodies left out.
     pub dropped: usize,
@@ -46,11 +46,13 @@ pub struct Placement<'a, 'b> {
     pub displaced: Vec<f64>,
     /// Whether each body is to be tested against itself.
     pub folds: Vec<bool>,
-    /// A bit for every triangle that lies inside another body; empty if none is known to.
+    /// A bit for every triangle that is known to lie inside another body; empty if there are none.
     buried: Vec<u64>,
-    /// Of every body, whether each block has other triangles, and a box of these blocks; empty if `buried` is.
+    /// For every body, whether each block has triangles that are not buried, and a box of these blocks; empty if
+    /// `buried` is.
     shown: Vec<(Vec<bool>, Aabb)>,
-    /// For every vertex, its index in `positions`; 0 for those that [`Placement::place`] has not been asked for, which are
+    /// For every vertex, its index in `positions`; 0 for vertices that have not been placed ([`Placement::place`]),
+    /// which are
     /// most of a large mesh.
     slots: Vec<u32>,
     /// Positions as the predicates see them.
@@ -62,11 +64,11 @@ pub struct Placement<'a, 'b> {
 }
 
 impl<'a, 'b> Placement<'a, 'b> {
-    /// Places `bodies` in an order that depends on them alone. Each attempt uses other displacements.
+    /// Places `bodies`, given in an order that depends on them alone. Each attempt uses different displacements.
     pub fn new(bodies: Vec<&'b Body<'a>>, attempt: u32) -> Self {
         let farthest =
             bodies.iter().map(|b| b.bounds.min.abs().max(b.bounds.max.abs()).max_element()).fold(0.0, f64::max);
-        // A power of two, so that scaling does not round.
+        // a power of two, so that scaling does not round
         let scale = 1.0 / power_of_two_above(farthest);
         let jitter_of = |body: &Body| (JITTER * power_of_two_above(body.radius * scale)).max(SCENE_JITTER);
         let given = bodies.len();
@@ -75,11 +77,11 @@ impl<'a, 'b> Placement<'a, 'b> {
         let bodies: Vec<&Body> = kept.iter().map(|&b| bodies[b as usize]).collect();
         let jitter: Vec<f64> = bodies.iter().map(|b| jitter_of(b)).collect();
 
-        let most = DEFLATION * f64::from(2 * COLOURS + 1) + 4.0;
-        let displaced: Vec<f64> = jitter.iter().map(|j| j * most / scale).collect();
+        let max = DEFLATION * f64::from(2 * COLOURS + 1) + 4.0;
+        let displaced: Vec<f64> = jitter.iter().map(|j| j * max / scale).collect();
         let boxes: Vec<Aabb> = bodies.iter().zip(&displaced).map(|(b, d)| b.bounds.grown(*d)).collect();
         let pairs = body_pairs(&boxes);
-        // Odd multiples, so that different colours deflate differently whatever the bodies' scales.
+        // odd multiples, so that different colours deflate differently at any ratio of the bodies' scales
         let deflation: Vec<f64> = (jitter.iter().zip(colours(bodies.len(), &pairs)))
             .map(|(j, colour)| j * DEFLATION * f64::from(2 * (colour % COLOURS) + 1))
             .collect();
@@ -117,9 +119,11 @@ impl<'a, 'b> Placement<'a, 'b> {
         }
     }
 
-    /// Marks the triangles that lie inside the largest ball about the centre of another body. Nothing of them bounds the
-    /// union, whatever passes through them: they need not be cut, and where two of them meet does not matter. Triangles
-    /// of bodies that may intersect themselves are not marked, because their own winding numbers are found from all.
+    /// Marks the triangles that lie inside the largest ball about the centre of another body. No part of them bounds
+    /// the
+    /// union: they need not be cut, and intersections of two of them do not matter. Triangles of bodies that may
+    /// intersect
+    /// themselves are not marked, because computing such a body's own winding numbers requires all of its triangles.
     pub fn bury(&mut self, meetings: &[Meeting]) {
         let mut buried = vec![0u64; self.first_triangle[self.bodies.len()] as usize / 64 + 1];
         let mut shown: Vec<Vec<bool>> = self.bodies.iter().map(|body| vec![true; body.block_bounds.len()]).collect();

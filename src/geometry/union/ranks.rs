@@ -1,6 +1,6 @@
 //! A sparse subset of many numbers, with the rank of each.
 
-/// Ascending numbers below a limit: a bit for each, and how many are below every 64th.
+/// Ascending numbers below a limit: a bit for each number, and a count of those below each 64-bit word.
 #[derive(Default)]
 pub struct Ranks {
     bits: Vec<u64>,
@@ -22,7 +22,7 @@ impl Ranks {
         Ranks { bits, below }
     }
 
-    /// The place of a number among them; `None` if it is not one of them.
+    /// The rank of a number; `None` if it is not in the subset.
     #[inline]
     pub fn of(&self, number: u32) -> Option<usize> {
         let (word, bit) = (*self.bits.get(number as usize / 64)?, 1 << (number % 64));
@@ -35,7 +35,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_has_its_place() {
+    fn each_number_has_its_rank() {
         let numbers = [0, 3, 63, 64, 65, 200, 255];
         let ranks = Ranks::new(256, &numbers);
         for number in 0..300 {

@@ -1,4 +1,4 @@
-//! The cost limit of a union, and the errors.
+//! The cost limit of a union, and its errors.
 
 use std::{
     sync::atomic::{AtomicBool, AtomicU64, Ordering},
@@ -7,20 +7,21 @@ use std::{
 
 use thiserror::Error;
 
-/// The largest cost of a union; beyond it, the union is given up.
+/// The cost limit of a union, beyond which it gives up.
 #[derive(Clone, Copy, Debug)]
 pub struct Budget {
-    /// Work steps, each 50 to 300 nanoseconds and some tens of bytes; the count is the same on every machine and for any
+    /// Work steps, each 50 to 300 nanoseconds and a few tens of bytes; the count is the same on every machine and for
+    /// any
     /// number of threads.
     pub work: u64,
     /// Wall-clock time. Whether it suffices depends on the machine, but a result obtained within it does not.
     pub time: Option<Duration>,
-    /// A flag that ends it once it is raised.
+    /// A flag that ends the union once it is set.
     pub interrupt: Option<&'static AtomicBool>,
 }
 
 impl Default for Budget {
-    /// A hundred million steps: some ten seconds, and at most a few gigabytes.
+    /// A hundred million steps: about ten seconds, and at most a few gigabytes.
     fn default() -> Self {
         Budget { work: 100_000_000, time: None, interrupt: None }
     }
@@ -99,7 +100,7 @@ impl Meter {
     }
 }
 
-/// Whether a flag, if there is one, is raised.
+/// Whether a flag, if there is one, is set.
 pub fn is_raised(flag: Option<&AtomicBool>) -> bool {
     flag.is_some_and(|flag| flag.load(Ordering::Relaxed))
 }

@@ -27,7 +27,7 @@ pub(super) fn seams(position: impl Fn(u32) -> DVec3, mut edges: Vec<([u32; 2], u
         let mut used = vec![false; pair.len()];
         let mut arrivals: Vec<u32> = pair.iter().map(|e| e.2).collect();
         arrivals.sort_unstable();
-        // Seams with a start first; the remaining ones are closed.
+        // open seams first, from their starts; the remaining ones are closed
         let has_beginning = |e: &([u32; 2], u32, u32)| arrivals.binary_search(&e.1).is_err();
         let starts = (0..pair.len()).filter(|&i| has_beginning(&pair[i])).chain(0..pair.len());
         for start in starts {

@@ -1,7 +1,7 @@
 //! Self-contact of a surface: triangles that cross, touch or overlap without being neighbours.
 //!
-//! Boxes of blocks of neighbouring triangles find candidates, as for a union; exact signs decide. Unlike there,
-//! positions are not perturbed: surfaces that touch are found, too.
+//! Boxes of blocks of neighbouring triangles find candidates, as for a union; exact signs decide. Unlike in a union,
+//! positions are not perturbed, so that touching surfaces are found, too.
 
 use glam::DVec3;
 
@@ -13,7 +13,7 @@ use super::{
     topology::{Topology, TopologyError},
 };
 
-/// Why it is not known whether a surface meets itself.
+/// Why self-contact could not be determined.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SelfContactError {
     /// The triangles are not closed and oriented.
@@ -24,9 +24,9 @@ pub enum SelfContactError {
     Union(#[from] UnionError),
 }
 
-/// Two triangles of a closed, oriented mesh that meet elsewhere than at their common vertices, if there are any.
+/// Two triangles of a closed, oriented mesh that meet other than at common vertices and edges, if there are any.
 ///
-/// Positions are finite. `watch` is told the share of the work that is done, between 0 and 1.
+/// Positions must be finite. `watch` is called with the fraction done, from 0 to 1.
 ///
 /// # Errors
 /// The triangles are not closed and oriented, or `budget` does not suffice.
@@ -52,7 +52,7 @@ pub fn self_contact(
 struct Surface<'a> {
     triangles: &'a [[u32; 3]],
     topology: &'a Topology,
-    /// Brought to coordinates of up to 1 by a power of two, the longest axis first.
+    /// Scaled by a power of two to coordinates of up to 1, with the longest axis first.
     positions: Vec<DVec3>,
     boxes: Vec<Aabb>,
     /// One vertex of each set of vertices that triangles without area join; empty if there are no such triangles.
@@ -65,7 +65,7 @@ impl<'a> Surface<'a> {
         let size = hull.max - hull.min;
         let farthest = hull.min.abs().max(hull.max.abs()).max_element();
         let (_, exponent) = libm::frexp(farthest);
-        // boxes are swept along x: the longest axis has the fewest that overlap; cyclic, so that no triangle is mirrored
+        // boxes are swept along x, and overlap least along the longest axis; cyclic, so that triangles are not mirrored
         let along = |p: DVec3| match () {
             () if size.x >= size.y.max(size.z) => p,
             () if size.y >= size.z => DVec3::new(p.y, p.z, p.x),
@@ -129,9 +129,11 @@ impl<'a> Surface<'a> {
 
     /// Whether two triangles have a point in common besides their common vertices and edges.
     ///
-    /// Then an edge of one meets the other, or they lie in one plane. In that case an edge of a neighbour out of the plane
-    /// meets one of them, because the surface is closed: nothing is lost by looking only at edges that leave the plane. Two
-    /// triangles with a common edge meet only if one is folded onto the other.
+    /// If they do, an edge of one meets the other, or both lie in one plane. In the latter case, an edge of a neighbour
+    /// that
+    /// leaves the plane meets one of them, because the surface is closed; so testing only edges that leave the plane
+    /// misses
+    /// nothing. Two triangles with a common edge meet only if one is folded onto the other.
     fn do_meet(&self, s: u32, t: u32) -> bool {
         let names = [s, t].map(|t| self.triangles[t as usize].map(|v| self.name(v)));
         let [p, q] = [s, t].map(|t| self.triangles[t as usize].map(|v| self.positions[v as usize]));
@@ -147,7 +149,7 @@ impl<'a> Surface<'a> {
         let meets = |own: usize, edges: &[DVec3; 3], of: &[DVec3; 3]| {
             (0..3).any(|k| {
                 let next = (k + 1) % 3;
-                // an edge from a common vertex meets the plane of the other there, and nowhere else
+                // an edge from a common vertex meets the plane of the other triangle only at that vertex
                 !(is_common(k, own) || is_common(next, own)) && edge_meets([edges[k], edges[next]], of)
             })
         };
@@ -155,13 +157,13 @@ impl<'a> Surface<'a> {
     }
 }
 
-/// Whether the normal of a triangle is more than rounding.
+/// Whether the area of a triangle is more than rounding.
 fn has_area(normal: DVec3, [a, b, c]: [DVec3; 3]) -> bool {
     normal.length() > 1e-12 * (b - a).length() * (c - a).length()
 }
 
-/// Vertices of triangles whose corners are on a line count as one: such triangles fill the seams between edges that are
-/// divided differently, and their corners lie on their neighbours' edges.
+/// Merges the vertices of triangles without area: such triangles fill the seams between edges that are subdivided
+/// differently, so their corners lie on their neighbours' edges.
 fn joined(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<u32> {
     let is_flat = |corners: &[u32; 3]| {
         let [a, b, c] = corners.map(|v| positions[v as usize]);
@@ -219,8 +221,8 @@ fn edge_meets([p, q]: [DVec3; 2], of: &[DVec3; 3]) -> bool {
     !(turns.contains(&1) && turns.contains(&-1))
 }
 
-/// Whether an edge is certainly beyond one side of a triangle, or beside its plane: spares exact signs where triangles lie in
-/// one plane.
+/// Whether an edge is certainly beyond one side of a triangle, or on one side of its plane: avoids exact signs where
+/// triangles lie in one plane.
 fn is_apart(p: DVec3, q: DVec3, of: &[DVec3; 3]) -> bool {
     let normal = (of[1] - of[0]).cross(of[2] - of[0]);
     let is_beyond = |axis: DVec3, from: DVec3| {
@@ -232,7 +234,7 @@ fn is_apart(p: DVec3, q: DVec3, of: &[DVec3; 3]) -> bool {
     if !has_area(normal, *of) {
         return false;
     }
-    // outwards from each side
+    // the outward direction at each side
     let beyond_side = |k: usize| is_beyond((of[(k + 1) % 3] - of[k]).cross(normal), of[k]);
     is_beyond(normal, of[0]) || is_beyond(-normal, of[0]) || (0..3).any(beyond_side)
 }
@@ -249,10 +251,10 @@ mod tests {
     fn cube(n: u32, low: DVec3, high: DVec3) -> (Vec<DVec3>, Vec<[u32; 3]>) {
         let (mut positions, mut triangles): (Vec<DVec3>, Vec<[u32; 3]>) = (vec![], vec![]);
         let mut vertex = |at: [u32; 3]| {
-            let place = low + (high - low) * DVec3::from_array(at.map(f64::from)) / f64::from(n);
-            let known = positions.iter().position(|&p| p == place);
+            let position = low + (high - low) * DVec3::from_array(at.map(f64::from)) / f64::from(n);
+            let known = positions.iter().position(|&p| p == position);
             known.unwrap_or_else(|| {
-                positions.push(place);
+                positions.push(position);
                 positions.len() - 1
             }) as u32
         };
@@ -317,7 +319,7 @@ mod tests {
         }
     }
 
-    /// A tetrahedron on each side of a common edge is refused before; here the tip of a fin comes through the other side.
+    /// Triangles with only a vertex in common that cross each other.
     #[test]
     fn neighbours_meet_beyond_their_vertex() {
         // an octahedron whose top vertex is pulled through its bottom
@@ -336,7 +338,7 @@ mod tests {
 
     #[test]
     fn triangles_without_area_fill_seams() {
-        // an edge of a box divided on one side only: the triangle between has no area
+        // an edge of a box is subdivided on one side only: the triangle in between has no area
         let (mut positions, mut triangles) = cube(1, DVec3::ZERO, DVec3::ONE);
         let [a, b, c] = triangles[0];
         positions.push(0.5 * (positions[a as usize] + positions[b as usize]));

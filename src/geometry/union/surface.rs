@@ -102,15 +102,15 @@ pub struct Union<'a, 'b> {
     pub first_vertex: Vec<u32>,
     /// Triangles of each body that are not in the union or no longer whole, ascending.
     pub removed: Vec<Vec<u32>>,
-    /// The same as bits.
+    /// The removed triangles of each body as bits.
     is_removed: Vec<Vec<u64>>,
-    /// Whether each body is left out from the start: copies of others, and those too small to be resolved.
+    /// Whether each body is left out from the start: it is a copy of another, or too small to be resolved.
     absent: Vec<bool>,
     /// Vertices that belong to no body.
     pub new_vertices: Vec<NewVertex>,
     /// Triangles that belong to no body.
     pub new_triangles: Vec<NewTriangle>,
-    /// Where the surfaces of two bodies meet.
+    /// Curves along which the surfaces of two bodies meet.
     pub seams: Vec<Seam>,
     /// Statistics of the computation.
     pub statistics: Statistics,
@@ -147,18 +147,18 @@ impl Component {
 pub struct UnionMesh<L = Origin> {
     /// Position of each vertex [scene unit], `[vertex_count]`.
     pub positions: Vec<DVec3>,
-    /// Origin of each vertex, or what a caller makes of it, `[vertex_count]`.
+    /// Origin of each vertex, or the caller's label for it, `[vertex_count]`.
     pub origins: Vec<L>,
     /// Vertices of each triangle, counter-clockwise from outside.
     pub triangles: Vec<[u32; 3]>,
-    /// The body and triangle that each triangle is, or is part of, `[triangle_count]`.
+    /// The body and triangle that each triangle equals or is part of, `[triangle_count]`.
     pub sources: Vec<[u32; 2]>,
     /// Index in this mesh of each vertex numbered as in [`Union::first_vertex`]; `u32::MAX` if it is not in the union.
     pub names: Vec<u32>,
 }
 
 impl<'a, 'b> Union<'a, 'b> {
-    /// The union of bodies that do not overlap: each one unchanged, where `included`.
+    /// The union of bodies that do not overlap: each body unchanged if it is `included`.
     pub(super) fn untouched(bodies: &'b [Body<'a>], included: &[bool]) -> Union<'a, 'b> {
         let mut first_vertex = vec![0];
         for body in bodies {
@@ -183,8 +183,8 @@ impl<'a, 'b> Union<'a, 'b> {
         union
     }
 
-    /// Replaces cut triangles by their faces and removes what is inside. `order` gives the caller's number of every
-    /// placed body.
+    /// Replaces cut triangles by their faces and removes triangles that are inside. `order` gives the caller's index of
+    /// every placed body.
     pub(super) fn assemble(
         mut self,
         placement: &Placement,
@@ -196,7 +196,7 @@ impl<'a, 'b> Union<'a, 'b> {
         let points = Points::new(placement, arrangement);
         let marks = Marks::new(placement, arrangement, classified);
 
-        // Numbering: the bodies' vertices in the caller's order, then new ones as they occur.
+        // numbering: the bodies' vertices in the caller's order, then new ones as they occur
         let mut names = vec![u32::MAX; points.first_added as usize + faces.added.len() - points.first_node as usize];
         let new_name = |union: &mut Self, position: DVec3, origin: Origin| {
             union.new_vertices.push(NewVertex { position, origin });
@@ -220,12 +220,13 @@ impl<'a, 'b> Union<'a, 'b> {
                 let node = &arrangement.nodes[number as usize];
                 let body = placement.bodies[node.edge_body as usize];
                 let ends = placement.ends(node.edge, node.edge_body);
-                let edge = ends.map(|v| body.topology.place_of(v - placement.first_vertex[node.edge_body as usize]));
+                let edge =
+                    ends.map(|v| body.topology.given_vertex(v - placement.first_vertex[node.edge_body as usize]));
                 let [through, triangle] = named(node.passage.body, node.passage.triangle);
                 let origin = Origin::Edge {
                     body: order[node.edge_body as usize],
                     edge,
-                    at: arrangement.places[number as usize],
+                    at: arrangement.positions_on_edge[number as usize],
                     through,
                     triangle,
                 };
@@ -293,7 +294,7 @@ impl<'a, 'b> Union<'a, 'b> {
         !self.removed[body].is_empty()
     }
 
-    /// Brings `is_removed` to what `removed` says.
+    /// Updates `is_removed` from `removed`.
     fn mark_removed(&mut self) {
         for ((removed, bits), body) in self.removed.iter().zip(&mut self.is_removed).zip(self.bodies) {
             bits.clear();
@@ -317,11 +318,11 @@ impl<'a, 'b> Union<'a, 'b> {
         if self.first_vertex[self.bodies.len()] as usize + self.new_vertices.len() >= 1 << 31 {
             return Err(Failure::Inconsistent("too many vertices"));
         }
-        // The edge from its lower vertex and whether the triangle runs along it, in one number; the triangle.
+        // the edge from its lower vertex and whether the triangle runs along it, in one number; the triangle
         let mut edges = vec![(0u64, 0u32); 3 * self.new_triangles.len()];
-        // Nearly all have a new vertex, which is the higher one: they are sorted by counting. The others are in front.
+        // nearly all edges have a new vertex, which is the higher one: sort by counting; the others come first
         let first_new = self.first_vertex[self.bodies.len()];
-        let place = |a: u32, b: u32| (a.max(b) + 1).saturating_sub(first_new) as usize;
+        let bucket = |a: u32, b: u32| (a.max(b) + 1).saturating_sub(first_new) as usize;
         let mut start = vec![0u32; self.new_vertices.len() + 2];
         for corners in self.new_triangles.iter().map(|triangle| triangle.corners) {
             for k in 0..3 {
@@ -329,7 +330,7 @@ impl<'a, 'b> Union<'a, 'b> {
                 if a == b {
                     return Err(Failure::Inconsistent("a triangle of two corners"));
                 }
-                start[place(a, b) + 1] += 1;
+                start[bucket(a, b) + 1] += 1;
             }
         }
         for i in 1..start.len() {
@@ -339,12 +340,12 @@ impl<'a, 'b> Union<'a, 'b> {
             for k in 0..3 {
                 let (a, b) = (triangle.corners[k], triangle.corners[(k + 1) % 3]);
                 let ends = u64::from(a.min(b)) << 31 | u64::from(a.max(b));
-                let next = &mut start[place(a, b)];
+                let next = &mut start[bucket(a, b)];
                 edges[*next as usize] = (ends << 1 | u64::from(a < b), i as u32);
                 *next += 1;
             }
         }
-        // each start is the next one by now
+        // by now, each start has advanced to the next one
         let mut from = 0;
         for &to in &start[..start.len() - 1] {
             edges[from..to as usize].sort_unstable_by_key(|edge| edge.0);
@@ -395,7 +396,7 @@ impl<'a, 'b> Union<'a, 'b> {
         self.removed.iter().enumerate().filter(|(b, _)| !self.absent[*b])
     }
 
-    /// Number of vertices of removed triangles that no longer occur.
+    /// Number of vertices of removed triangles that are no longer used.
     fn lost_vertices(&self) -> i64 {
         let mut is_done = vec![false; self.first_vertex[self.bodies.len()] as usize + self.new_vertices.len()];
         self.new_triangles.iter().flat_map(|t| t.corners).for_each(|v| is_done[v as usize] = true);
@@ -416,19 +417,19 @@ impl<'a, 'b> Union<'a, 'b> {
         lost
     }
 
-    /// Volume [scene unit³]: that of the bodies, in time proportional to their meshes, and the change.
+    /// Volume [scene unit³]. Takes time proportional to the meshes of the bodies, for their volumes.
     pub fn volume(&self) -> f64 {
         let present = self.bodies.iter().zip(&self.absent).filter(|(_, absent)| !**absent);
         present.fold(0.0, |sum, (body, _)| sum + body.volume()) + self.change().volume
     }
 
-    /// Area [scene unit²], at the same cost.
+    /// Area [scene unit²]. Takes time proportional to the meshes of the bodies, for their areas.
     pub fn area(&self) -> f64 {
         let present = self.bodies.iter().zip(&self.absent).filter(|(_, absent)| !**absent);
         present.fold(0.0, |sum, (body, _)| sum + body.area()) + self.change().area
     }
 
-    /// Sum of the bodies' volumes minus the union's [scene unit³]; 0 at no cost where they are apart.
+    /// Sum of the bodies' volumes minus that of the union [scene unit³]; 0 at no cost where the bodies are apart.
     pub(super) fn taken(&self) -> f64 {
         let absent = self.bodies.iter().zip(&self.absent).filter(|(_, absent)| **absent);
         absent.fold(0.0, |sum, (body, _)| sum + body.volume()) - self.change().volume
@@ -440,17 +441,17 @@ impl<'a, 'b> Union<'a, 'b> {
         let of_bodies: i64 = present
             .map(|(body, _)| i64::from(body.topology.used_vertices) - body.topology.triangles.len() as i64 / 2)
             .sum();
-        // The number of edges is 3/2 times that of triangles.
+        // the number of edges is 3/2 of that of triangles
         let removed: usize = self.removed_of_present().map(|(_, removed)| removed.len()).sum();
         of_bodies + self.new_vertices.len() as i64
             - self.lost_vertices()
             - (self.new_triangles.len() as i64 - removed as i64) / 2
     }
 
-    /// Computed when it is first asked for.
+    /// The change, computed on first request.
     fn change(&self) -> &Change {
         self.change.get_or_init(|| {
-            // Relative to a point where something changed.
+            // relative to a point near the change, for accuracy
             let origin = self.new_triangles.first().map_or(DVec3::ZERO, |t| self.position(t.corners[0]));
             let (mut volume, mut area) = (0.0, 0.0);
             for (b, removed) in self.removed_of_present() {
@@ -477,7 +478,7 @@ impl<'a, 'b> Union<'a, 'b> {
 
     /// Gives every fan of triangles about a vertex of new triangles, except the first, a vertex of its own.
     fn split_touching_fans(&mut self) -> Result<(), Failure> {
-        // Where there are several fans, first turn the old triangles into new ones.
+        // where there are several fans, first turn the old triangles into new ones
         let mut several = Vec::new();
         let mut old = Vec::new();
         for (vertex, about) in self.new_triangles_about_vertices().chunk_by(|a, b| a.0 == b.0).map(|g| (g[0].0, g)) {
@@ -551,9 +552,10 @@ impl<'a, 'b> Union<'a, 'b> {
     pub fn origin(&self, vertex: u32) -> Origin {
         let body = self.body_of(vertex);
         match self.bodies.get(body) {
-            Some(mesh) => {
-                Origin::Vertex { body: body as u32, vertex: mesh.topology.place_of(vertex - self.first_vertex[body]) }
-            }
+            Some(mesh) => Origin::Vertex {
+                body: body as u32,
+                vertex: mesh.topology.given_vertex(vertex - self.first_vertex[body]),
+            },
             None => self.new_vertices[(vertex - self.first_vertex[self.bodies.len()]) as usize].origin,
         }
     }
@@ -563,7 +565,7 @@ impl<'a, 'b> Union<'a, 'b> {
         self.labelled_mesh(|origin| origin)
     }
 
-    /// [`Union::mesh`] with the origins as the caller wants them.
+    /// Like [`Union::mesh`], with origins converted to labels of the caller.
     pub fn labelled_mesh<L>(&self, label: impl Fn(Origin) -> L) -> UnionMesh<L> {
         let count = self.first_vertex[self.bodies.len()] as usize + self.new_vertices.len();
         let triangles: usize = self.bodies.iter().map(|body| body.topology.triangles.len()).sum();
@@ -596,7 +598,7 @@ impl<'a, 'b> Union<'a, 'b> {
                 if *name == 0 {
                     *name = mesh.positions.len() as u32;
                     mesh.positions.push(body.position(v));
-                    mesh.origins.push(label(Origin::Vertex { body: b as u32, vertex: body.topology.place_of(v) }));
+                    mesh.origins.push(label(Origin::Vertex { body: b as u32, vertex: body.topology.given_vertex(v) }));
                 }
             }
         }
@@ -614,13 +616,14 @@ impl<'a, 'b> Union<'a, 'b> {
         mesh
     }
 
-    /// Number of connected components of the surface. What was not cut is known by blocks of triangles, so the cost
-    /// hardly depends on the size of the meshes.
+    /// Number of connected components of the surface. Uncut parts are counted by blocks of triangles, so the cost
+    /// hardly
+    /// depends on the size of the meshes.
     pub fn component_count(&self) -> usize {
         let is_cut = |b: usize| !self.removed[b].is_empty();
         let whole = (0..self.bodies.len()).filter(|&b| !is_cut(b));
         let count: usize = whole.map(|b| self.bodies[b].topology.components as usize).sum();
-        // A part: a whole block, a remaining triangle of another block, or a new triangle.
+        // a part is a whole block, a remaining triangle of another block, or a new triangle
         let mut parts = Parts::default();
         let first_of: Vec<u32> = (self.bodies.iter().enumerate())
             .map(|(b, body)| if is_cut(b) { parts.add(body.topology.block_count()) } else { 0 })
@@ -661,7 +664,7 @@ impl<'a, 'b> Union<'a, 'b> {
                 }
             }
         }
-        // All triangles about a vertex are connected.
+        // all triangles about a vertex are connected
         let mut at_vertex: FxHashMap<u32, u32> = FxHashMap::default();
         let mut at_new_vertex = vec![u32::MAX; self.new_vertices.len()];
         let first_new_vertex = self.first_vertex[self.bodies.len()];
@@ -696,7 +699,7 @@ impl<'a, 'b> Union<'a, 'b> {
     }
 }
 
-/// Sets of parts that are connected.
+/// Disjoint sets of connected parts.
 #[derive(Default)]
 struct Parts {
     parent: Vec<u32>,
@@ -772,7 +775,7 @@ impl UnionMesh {
 
 /// Groups the triangles about a vertex into fans, as indices into `corners`.
 fn fans(vertex: u32, corners: &[[u32; 3]]) -> Result<Vec<Vec<usize>>, Failure> {
-    // From the corner after the vertex to the one after that.
+    // for each triangle, the two corners after the vertex
     let mut arcs: Vec<(u32, u32, usize)> = Vec::with_capacity(corners.len());
     for (i, corners) in corners.iter().enumerate() {
         let k = corners.iter().position(|&v| v == vertex);
@@ -794,7 +797,7 @@ fn fans(vertex: u32, corners: &[[u32; 3]]) -> Result<Vec<Vec<usize>>, Failure> {
     Ok(fans)
 }
 
-/// Triangles that are not in the union, or not whole: a bit each.
+/// Triangles that are not in the union, or not whole, as bits.
 struct Marks {
     gone: Vec<u64>,
 }
@@ -838,7 +841,7 @@ impl Marks {
         Marks { gone }
     }
 
-    /// The triangles, ascending.
+    /// The marked triangles, ascending.
     fn gone(&self) -> impl Iterator<Item = u32> {
         (self.gone.iter().zip(0..)).flat_map(|(&word, k)| ones(word).map(move |bit| 64 * k + bit))
     }

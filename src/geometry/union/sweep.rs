@@ -15,8 +15,8 @@ pub fn body_pairs(boxes: &[Aabb]) -> Vec<[u32; 2]> {
     pairs
 }
 
-/// Calls `meet` for every element of the first list and every element of the second whose boxes overlap. The boxes are
-/// numbered as the elements; they should be spread along the axis.
+/// Calls `meet` for every pair of an element of the first list and one of the second whose boxes overlap. Boxes are
+/// indexed by element. The sweep is fastest along an axis on which the boxes are spread out.
 pub fn sweep(axis: usize, lists: [&[u32]; 2], boxes: [&[Aabb]; 2], mut meet: impl FnMut(u32, u32)) {
     let sorted = [0, 1].map(|k| {
         let start = |i: u32| boxes[k][i as usize].min[axis];

@@ -7,10 +7,10 @@ use thiserror::Error;
 
 use super::{distance::Branch, report::is_raised};
 
-/// Looks at a flag.
+/// Checks a flag.
 type Check<'c> = &'c dyn Fn() -> Result<(), TopologyError>;
 
-/// Number of triangles between two looks at a flag.
+/// Number of triangles between two checks of a flag.
 const UNCHECKED: usize = 1 << 16;
 
 /// Largest number of triangles in a block, which is culled by one box.
@@ -46,7 +46,7 @@ pub struct Topology {
     pub(super) block_of: Vec<u32>,
     /// Pairs of blocks with a common edge, ascending.
     pub(super) block_pairs: Vec<[u32; 2]>,
-    /// Hierarchy of the blocks, by the first positions that are searched.
+    /// Hierarchy of the blocks, built from the first positions that are searched.
     pub(super) hierarchy: OnceLock<Vec<Branch>>,
     /// Number of connected components.
     pub(crate) components: u32,
@@ -96,7 +96,7 @@ pub enum TopologyError {
     /// There are more vertices or triangles than a 31-bit index can number.
     #[error("more than 2^29 vertices or triangles")]
     TooLarge,
-    /// A flag was raised before it was computed.
+    /// The interrupt flag was set.
     #[error("interrupted")]
     Interrupted,
 }
@@ -112,7 +112,7 @@ impl Topology {
         Topology::interruptible(vertex_count, triangles, None)
     }
 
-    /// [`Topology::new`] that ends soon after a flag is raised: millions of triangles take seconds.
+    /// Like [`Topology::new`], but ends soon after a flag is set: millions of triangles take seconds.
     ///
     /// # Errors
     ///
@@ -232,7 +232,7 @@ impl Topology {
                     used[vertex as usize] = true;
                     vertex
                 };
-                // Rotate about the vertex, across the incoming edge.
+                // rotate about the vertex, across the incoming edge
                 let (mut t, mut k) = (start, corner);
                 while !seen[t][k] {
                     seen[t][k] = true;
@@ -277,8 +277,9 @@ impl Topology {
         }
     }
 
-    /// Groups neighbouring triangles into blocks: breadth first, up to [`BLOCK`] from each start, the next start beside
-    /// the last block.
+    /// Groups neighbouring triangles into blocks by breadth-first search: up to [`BLOCK`] from each start, with the
+    /// next
+    /// start beside the last block.
     fn cluster(&mut self, check: Check) -> Result<(), TopologyError> {
         let mut taken = vec![false; self.triangles.len()];
         let mut border = std::collections::VecDeque::new();
@@ -359,7 +360,7 @@ impl Topology {
     }
 
     fn count_components(&mut self, check: Check) -> Result<(), TopologyError> {
-        let (mut seen, mut looked) = (vec![false; self.triangles.len()], 0);
+        let (mut seen, mut visited) = (vec![false; self.triangles.len()], 0);
         for start in 0..self.triangles.len() as u32 {
             if seen[start as usize] {
                 continue;
@@ -368,8 +369,8 @@ impl Topology {
             seen[start as usize] = true;
             let mut queue = vec![start];
             while let Some(t) = queue.pop() {
-                looked += 1;
-                if looked % UNCHECKED == 0 {
+                visited += 1;
+                if visited % UNCHECKED == 0 {
                     check()?;
                 }
                 for edge in self.triangle_edges[t as usize] {
@@ -400,9 +401,9 @@ impl Topology {
         self.vertex_count as usize + self.copies.len()
     }
 
-    /// The vertex whose position a fan's vertex shares.
+    /// The given vertex whose position a fan's vertex shares.
     #[inline]
-    pub(super) fn place_of(&self, vertex: u32) -> u32 {
+    pub(super) fn given_vertex(&self, vertex: u32) -> u32 {
         if vertex < self.vertex_count { vertex } else { self.copies[(vertex - self.vertex_count) as usize] }
     }
 
@@ -412,7 +413,7 @@ impl Topology {
         &self.vertex_edges[from as usize..to as usize]
     }
 
-    /// The triangle in which an edge leaves one of its ends counter-clockwise, and the corner at which that end is.
+    /// The triangle in which an edge leaves one of its ends counter-clockwise, and the corner of that end.
     #[inline]
     pub(super) fn triangle_left_of(&self, edge: u32, from: u32) -> (u32, usize) {
         let side = usize::from(self.edges[edge as usize][0] != from);

@@ -1,4 +1,4 @@
-//! Triangulates a plane region given by directed lines, which have the region on their left.
+//! Triangulates a planar region given by directed lines, which have the region on their left.
 //!
 //! The result is closed for any coordinates: every line is an edge of exactly one triangle, every other edge of exactly
 //! two. Coordinates affect only the quality of the triangles.
@@ -8,10 +8,10 @@ use std::{cell::RefCell, mem::take};
 use glam::{DVec2, DVec3};
 use rustc_hash::FxHashSet;
 
-/// A corner of a triangle is a given point or, from this number on, an added one.
+/// Corners of triangles from this number on are added points; those below are given points.
 pub const ADDED: u32 = 1 << 31;
 
-/// Up to this many, points are looked for one by one.
+/// Up to this many points are searched linearly.
 const FEW: usize = 24;
 
 /// The region to triangulate, with buffers.
@@ -19,21 +19,22 @@ const FEW: usize = 24;
 pub struct Region {
     /// Directed lines, from point to point, with the region on their left.
     pub pieces: Vec<[u32; 2]>,
-    /// Points and the straight lines they lie on. Points on a common line are not joined: what is on the line's other
-    /// side could do the same.
+    /// Points and the straight lines on which they lie. Points on a common line are not joined, because the region on
+    /// the
+    /// line's other side could join them, too.
     pub lines: Vec<(u32, u32)>,
     /// The points' names, ascending; below, points are numbered by their index here.
     names: Vec<u32>,
-    /// The lines of each point as bits, if there are few enough lines; otherwise empty, and `first_line` is there.
+    /// The lines of each point as bits, if there are few enough lines; otherwise empty, and `first_line` is used.
     lines_as_bits: Vec<u64>,
     first_line: Vec<u32>,
     flat: Vec<DVec2>,
     /// Loop i is `looped[first_of_loop[i]..first_of_loop[i + 1]]`.
     looped: Vec<u32>,
     first_of_loop: Vec<u32>,
-    pieces_by_place: Vec<[u32; 2]>,
+    pieces_by_index: Vec<[u32; 2]>,
     used: Vec<bool>,
-    /// The first piece from each point, or after it.
+    /// The first piece that starts at each point or a later one.
     first_from: Vec<u32>,
     scratch: RefCell<Ears>,
 }
@@ -51,7 +52,7 @@ struct Ears {
 pub struct Filling {
     /// Names of points, or [`ADDED`] and above.
     pub triangles: Vec<[u32; 3]>,
-    /// Points added where there is no other solution, each as the mean of the listed points.
+    /// Points added where no triangulation without them was found, each as the mean of the listed points.
     pub added: Vec<Vec<u32>>,
 }
 
@@ -61,7 +62,7 @@ fn turn(a: DVec2, b: DVec2, c: DVec2) -> f64 {
     (b - a).perp_dot(c - a)
 }
 
-/// Monotonic in a direction's angle, in [0, 4).
+/// A monotonic function of a direction's angle, in [0, 4).
 fn pseudo_angle(d: DVec2) -> f64 {
     let r = d.x / (d.x.abs() + d.y.abs()).max(f64::MIN_POSITIVE);
     if d.y < 0.0 { 3.0 + r } else { 1.0 - r }
@@ -71,7 +72,7 @@ impl Region {
     /// Triangulates the region in a plane with this `normal`. `None` if the lines do not form loops.
     pub fn fill(&mut self, normal: DVec3, position: impl Fn(u32) -> DVec3, filling: &mut Filling) -> Option<()> {
         self.list_points();
-        // Project along the axis nearest to the normal.
+        // project along the axis nearest to the normal
         let absolute = normal.abs();
         let axis = if absolute.x >= absolute.y.max(absolute.z) {
             0
@@ -103,12 +104,12 @@ impl Region {
         if has_bits && self.lines.len() <= FEW {
             // nearly all triangles are cut by one or two lines
             for &(name, line) in &self.lines {
-                let place = self.names.iter().position(|&known| known >= name).unwrap_or(self.names.len());
-                if self.names.get(place) != Some(&name) {
-                    self.names.insert(place, name);
-                    self.lines_as_bits.insert(place, 0);
+                let index = self.names.iter().position(|&known| known >= name).unwrap_or(self.names.len());
+                if self.names.get(index) != Some(&name) {
+                    self.names.insert(index, name);
+                    self.lines_as_bits.insert(index, 0);
                 }
-                self.lines_as_bits[place] |= 1 << line;
+                self.lines_as_bits[index] |= 1 << line;
             }
             return;
         }
@@ -129,7 +130,7 @@ impl Region {
         self.first_line.push(self.lines.len() as u32);
     }
 
-    fn place(&self, name: u32) -> Option<u32> {
+    fn index_of(&self, name: u32) -> Option<u32> {
         if self.names.len() <= FEW {
             return self.names.iter().position(|&known| known == name).map(|i| i as u32);
         }
@@ -152,10 +153,10 @@ impl Region {
     /// Joins the pieces into loops. Where several pieces leave a point, choosing the narrowest sector keeps regions
     /// apart.
     fn trace(&mut self) -> Option<()> {
-        let (mut pieces, mut used) = (take(&mut self.pieces_by_place), take(&mut self.used));
+        let (mut pieces, mut used) = (take(&mut self.pieces_by_index), take(&mut self.used));
         pieces.clear();
         for &[from, to] in &self.pieces {
-            pieces.push([self.place(from)?, self.place(to)?]);
+            pieces.push([self.index_of(from)?, self.index_of(to)?]);
         }
         pieces.sort_unstable();
         used.clear();
@@ -206,7 +207,7 @@ impl Region {
             }
         }
         self.first_of_loop.push(self.looped.len() as u32);
-        (self.pieces_by_place, self.used, self.first_from) = (pieces, used, first_from);
+        (self.pieces_by_index, self.used, self.first_from) = (pieces, used, first_from);
         Some(())
     }
 
@@ -221,13 +222,13 @@ impl Region {
         if outer.is_empty() {
             std::mem::swap(&mut outer, &mut holes);
         }
-        // From the right, so that what a hole is tied to is already connected.
+        // from the right, so that each hole is connected to a loop that is already connected
         holes.sort_by(|a, b| {
             let right = |points: &[u32]| points.iter().map(|&p| self.at(p).x).fold(f64::NEG_INFINITY, f64::max);
             right(b).total_cmp(&right(a))
         });
         for hole in holes {
-            self.tie(&hole, &mut outer);
+            self.bridge(&hole, &mut outer);
         }
         let mut edges = FxHashSet::default();
         for points in &outer {
@@ -257,8 +258,8 @@ impl Region {
         inside
     }
 
-    /// Connects a hole to the loop around it, by a cut to the nearest visible point.
-    fn tie(&self, hole: &[u32], outer: &mut [Vec<u32>]) {
+    /// Connects a hole to the loop around it, by a bridge to the nearest visible point.
+    fn bridge(&self, hole: &[u32], outer: &mut [Vec<u32>]) {
         let from = (0..hole.len()).max_by(|&a, &b| self.at(hole[a]).x.total_cmp(&self.at(hole[b]).x)).unwrap_or(0);
         let start = self.at(hole[from]);
         let around = (0..outer.len())
@@ -294,14 +295,15 @@ impl Region {
         let to = (order.iter().copied().find(|&k| is_in_sight(k)))
             .or_else(|| order.iter().copied().find(|&k| may_join(k)))
             .unwrap_or(order[0]);
-        let mut tied = points[..=to].to_vec();
-        tied.extend((0..=hole.len()).map(|k| hole[(from + k) % hole.len()]));
-        tied.extend_from_slice(&points[to..]);
-        outer[around] = tied;
+        let mut bridged = points[..=to].to_vec();
+        bridged.extend((0..=hole.len()).map(|k| hole[(from + k) % hole.len()]));
+        bridged.extend_from_slice(&points[to..]);
+        outer[around] = bridged;
     }
 
-    /// Clips the best ear repeatedly. `edges` are those in use, for loops in which points occur more than once; in a
-    /// simple loop no edge can repeat.
+    /// Clips the best ear repeatedly. `edges` are the edges in use, needed for loops in which points occur more than
+    /// once; in
+    /// a simple loop no edge can repeat.
     fn clip_ears(&self, points: &[u32], edges: &mut Option<FxHashSet<[u32; 2]>>, filling: &mut Filling) {
         let scratch = &mut *self.scratch.borrow_mut();
         let Ears { points: left, is_met, qualities } = scratch;
@@ -336,7 +338,7 @@ impl Region {
             };
             let mut ear = best(qualities);
             if ear.is_none_or(|e| e.0 <= 0.0) {
-                // An obstacle may be gone by now.
+                // obstacles may be gone by now
                 qualities.clear();
                 qualities.extend((0..n).map(|k| self.quality(points, k, edges)));
                 ear = best(qualities);
@@ -347,7 +349,7 @@ impl Region {
             };
             let (before, after) = (points[(k + n - 1) % n], points[(k + 1) % n]);
             if edges.as_ref().is_some_and(|edges| edges.contains(&undirected(before, after))) {
-                // The edge has been used elsewhere since.
+                // the edge has been used elsewhere since
                 qualities[k] = None;
                 continue;
             }
@@ -369,8 +371,9 @@ impl Region {
         }
     }
 
-    /// Quality of the triangle that clipping a corner gives, in (0, √3/6]; ≤ 0, on the same scale less 1, if it is
-    /// inverted or contains a point; `None` if its new edge is not allowed.
+    /// Quality of the triangle from clipping a corner, in (0, √3/6]; reduced by 1, and so ≤ 0, if it is inverted or
+    /// contains
+    /// a point; `None` if its new edge is not allowed.
     fn quality(&self, points: &[u32], k: usize, edges: &Option<FxHashSet<[u32; 2]>>) -> Option<f64> {
         let n = points.len();
         let [a, b, c] = [points[(k + n - 1) % n], points[k], points[(k + 1) % n]];
@@ -397,7 +400,7 @@ impl Region {
         let repeats = (0..n).any(|k| points[..k].contains(&points[k]));
         if repeats {
             for &point in points {
-                // Halfway to the centre.
+                // halfway to the centre
                 let mut mean: Vec<u32> = points.iter().map(|&p| name(p)).collect();
                 mean.extend(std::iter::repeat_n(name(point), n));
                 filling.added.push(mean);

@@ -1,5 +1,5 @@
-//! Winding numbers of bodies: at vertices by flood fill from where they are known, along edges and segments by counting
-//! the triangles that these pass through.
+//! Winding numbers of bodies: at vertices by flood fill from known values, along edges and segments by counting the
+//! triangles that these pass through.
 //!
 //! "In front" of a surface means next to it on the outer side. Behind a triangle of a body its winding number is larger
 //! by one.
@@ -42,7 +42,7 @@ fn of(windings: &[(u32, i32)], body: u32) -> i32 {
     windings.iter().find(|w| w.0 == body).map_or(0, |w| w.1)
 }
 
-/// Whether a place is inside a body other than the two given ones.
+/// Whether a point is inside a body other than the two given ones.
 #[inline]
 fn is_inside_another(windings: &[(u32, i32)], a: u32, b: u32) -> bool {
     windings.iter().any(|w| w.1 >= 1 && w.0 != a && w.0 != b)
@@ -55,8 +55,8 @@ fn is_boundary(front: &[(u32, i32)], body: u32) -> bool {
     of(front, body) == 0 && !is_inside_another(front, body, body)
 }
 
-/// Bits that tell which of a segment's four neighbouring half-triangles bound the union; the bits above them tell which
-/// of the four sectors about it are occupied.
+/// Bits for which of a segment's four neighbouring half-triangles bound the union; the bits above them are for which of
+/// the four sectors about it are occupied.
 pub mod shown {
     /// The part of the first triangle that is in front of the second.
     pub const FIRST_IN_FRONT: u8 = 1;
@@ -68,15 +68,15 @@ pub mod shown {
     pub const SECOND_BEHIND: u8 = 8;
 }
 
-/// What bounds the union, according to winding numbers.
+/// The parts of the surfaces that bound the union, by winding numbers.
 pub struct Classified {
-    /// The vertices with winding numbers in front of the surface that are not 0.
+    /// Ranks of the vertices with non-zero winding numbers in front of the surface.
     wound: Ranks,
-    /// Where the winding numbers of each of them start, and where the last ones end.
+    /// Start of the winding numbers of each of them in `windings`, followed by the end.
     first_winding: Vec<u32>,
     windings: Windings,
-    /// For vertices from which segments start because triangles of their own body pass through their fan: the body's
-    /// winding number in front of an edge there, relative to that in front of the first edge.
+    /// For vertices where segments start because triangles of their own body pass through their fan: the body's winding
+    /// number in front of an edge there, relative to that in front of the first edge.
     over_first_edge: FxHashMap<(u32, u32), i32>,
     /// Such vertices, ascending.
     pub fan_vertices: Vec<u32>,
@@ -84,11 +84,11 @@ pub struct Classified {
     pub vertices: Vec<u32>,
     /// For every node, whether its edge bounds the union before it and after it.
     pub edge_shown: Vec<[bool; 2]>,
-    /// For every segment, the start of its parts in `parts`; it has one part more than triple points.
+    /// For every segment, the start of its parts in `parts`; it has one more part than triple points.
     pub first_part: Vec<u32>,
     /// Bits of each part, see [`shown`].
     pub parts: Vec<u8>,
-    /// In front of the edge's surface and the triangle, at every node: ranges of `fronts`.
+    /// For every node, the winding numbers in front of the edge's surface and of the triangle, as a range of `fronts`.
     node_fronts: Vec<(u32, u32)>,
     fronts: Windings,
 }
@@ -122,7 +122,7 @@ impl Classified {
         Ok(classified)
     }
 
-    /// Walks around every vertex from which segments start.
+    /// Finds the winding numbers around every vertex at which segments start.
     fn walk_fans(&mut self, placement: &Placement, arrangement: &Arrangement) -> Result<(), Failure> {
         let fan_vertex = |s: &super::arrangement::Segment| match s.ends[1] {
             End::Vertex(v) => Some(v),
@@ -232,7 +232,7 @@ impl Classified {
         }
     }
 
-    /// Whether the edges at a vertex have the same in front of them.
+    /// Whether all edges at a vertex have the same winding numbers in front of them.
     pub fn is_plain(&self, vertex: u32) -> bool {
         self.fan_vertices.binary_search(&vertex).is_err()
     }
@@ -248,7 +248,7 @@ impl Classified {
         for nodes in arrangement.nodes.chunk_by(|a, b| a.edge == b.edge) {
             let (edge, body) = (nodes[0].edge, nodes[0].edge_body);
             if placement.is_edge_buried(edge - placement.first_edge[body as usize], body) {
-                // nothing on it bounds the union, and not all of its nodes are known
+                // no part of it bounds the union, and not all of its nodes are known
                 self.node_fronts.extend(nodes.iter().map(|_| (0, 0)));
                 self.edge_shown.extend(nodes.iter().map(|_| [false; 2]));
                 continue;
@@ -285,8 +285,8 @@ impl Classified {
         &self.fronts[from as usize..to as usize]
     }
 
-    /// Marks segments of triangles inside a third body, and those whose both ends lie in the ball inside one, which is
-    /// convex.
+    /// Marks segments that lie inside a third body: those of triangles inside one, and those with both ends in the ball
+    /// inside one, which is convex.
     fn bury(&self, placement: &Placement, arrangement: &mut Arrangement) {
         let buried: Vec<bool> = (arrangement.segments.iter())
             .map(|segment| {
@@ -314,7 +314,7 @@ impl Classified {
         }
     }
 
-    /// What bounds the union along the segments, from the nodes they start at.
+    /// Finds which sides of the segments bound the union, from the nodes at which they start.
     pub fn walk_segments(&mut self, arrangement: &Arrangement, meter: &Meter) -> Result<(), Failure> {
         let mut front = Windings::new();
         self.first_part.reserve(arrangement.segments.len() + 1);
@@ -346,12 +346,12 @@ impl Classified {
     }
 }
 
-/// See [`shown`]; `front` is in front of both triangles.
+/// The bits of [`shown`]; `front` are the winding numbers in front of both triangles.
 fn shown_beside(front: &[(u32, i32)], [a, b]: [u32; 2]) -> u8 {
     if is_inside_another(front, a, b) {
         return 0b1111_0000;
     }
-    // Occupied in front of both; behind the first; behind the second; behind both.
+    // sectors: in front of both; behind the first; behind the second; behind both
     let (in_a, in_b) = (of(front, a), of(front, b));
     let [both_in_front, behind_first, behind_second, behind_both] = if a == b {
         [in_a >= 1, in_a >= 0, in_a >= 0, in_a >= -1]
@@ -376,13 +376,15 @@ struct Flood<'f, 'a, 'b> {
     other: u32,
 }
 
-/// A vertex that is not in the flood's region; one that is but has no number yet; 0 as a number.
+/// A vertex outside the region of the flood.
 const BEYOND: i32 = 0;
+/// A vertex in the region without a number yet.
 const UNSET: i32 = 1;
+/// The number 0, as an offset.
 const ZERO: i32 = 1 << 24;
 
 impl Flood<'_, '_, '_> {
-    /// The change along an edge from one of its ends: through a triangle into the body adds one.
+    /// The change of the winding number along an edge from one of its ends: entering the other body adds one.
     #[inline]
     fn change_along(&self, edge: u32, from: u32) -> i32 {
         let first_edge = self.placement.first_edge[self.me as usize];
@@ -405,7 +407,7 @@ impl Flood<'_, '_, '_> {
         let topology = mesh.topology;
         let margin = placement.displaced[self.me as usize] + placement.displaced[self.other as usize];
         let there = placement.bodies[self.other as usize].hull(margin);
-        // Not all nodes of edges inside other bodies are known; vertices that have no other edges need no numbers.
+        // not all nodes of edges inside other bodies are known; vertices without other edges need no numbers
         let is_known = |edge: &&u32| !placement.is_edge_buried(**edge, self.me);
         let mut state = vec![BEYOND; topology.fan_count()];
         let mut inside = Vec::new();
@@ -422,7 +424,7 @@ impl Flood<'_, '_, '_> {
         }
         meter.spend((inside.len() + blocks.len()) as u64)?;
 
-        // Outside the hull all winding numbers are 0: start there and proceed inwards.
+        // outside the hull all winding numbers are 0: start there and proceed inwards
         let mut queue = Vec::new();
         for &v in &inside {
             let mut edges = topology.edges_at(v).iter().filter(is_known);
@@ -443,7 +445,7 @@ impl Flood<'_, '_, '_> {
                     }
                 }
             }
-            // A component that lies entirely inside the hull.
+            // the rest are components that lie entirely inside the hull
             while next < inside.len() && state[inside[next] as usize] != UNSET {
                 next += 1;
             }
@@ -496,8 +498,9 @@ impl Flood<'_, '_, '_> {
         Ok(())
     }
 
-    /// Among the first edges of a component, a vertex and an edge with the longest free part from there and without a
-    /// fold.
+    /// Among the first edges of a component, the one, with its vertex, that has the longest free part from that vertex
+    /// and
+    /// the flattest surroundings.
     fn seed_near(&self, start: u32) -> (u32, u32) {
         let topology = self.placement.bodies[self.me as usize].topology;
         let (first_vertex, first_edge) =
@@ -550,10 +553,10 @@ impl Flood<'_, '_, '_> {
         let placement = self.placement;
         let topology = placement.bodies[self.me as usize].topology;
         let (b, first_edge) = (self.me as usize, placement.first_edge[self.me as usize]);
-        let place = |v: u32| placement.placed(v + placement.first_vertex[b]);
+        let position = |v: u32| placement.placed(v + placement.first_vertex[b]);
         let free = self.free_from(edge + first_edge, topology.edges[edge as usize][0] == v);
-        let from = place(v) + (place(topology.across(edge, v)) - place(v)) * (0.5 * free);
-        // The start is in front of both triangles of the edge, which are skipped because the ray starts on them.
+        let from = position(v) + (position(topology.across(edge, v)) - position(v)) * (0.5 * free);
+        // the ray starts on both triangles of the edge and leaves in front of them, so they are skipped
         let skipped = topology.edge_triangles[edge as usize];
         Ray { placement, body: self.me, from, skipped }.cast(self.outwards(edge), meter)
     }
@@ -584,7 +587,7 @@ impl Ray<'_, '_, '_> {
         for (block, bounds) in mesh.block_bounds.iter().enumerate() {
             let bounds = scaled(bounds);
             let (one, other) = ((bounds.min - self.from) / span, (bounds.max - self.from) / span);
-            // A zero component gives infinities or NaN, which the minimum and maximum ignore.
+            // a zero component gives infinities, or NaN, which minimum and maximum ignore
             let (enter, leave) = (one.min(other).max_element(), one.max(other).min_element());
             if enter > leave + 1e-9 || leave < -1e-9 || enter > 1.0 {
                 continue;

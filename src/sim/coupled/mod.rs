@@ -1,4 +1,4 @@
-//! Coupled scenes: free bodies, planes, and pairs whose strength changes gradually at the edge of the core.
+//! Coupled scenes: free bodies, planes, and pairs whose strength changes gradually at the rim of the core.
 //!
 //! | contents | module |
 //! | --- | --- |

@@ -46,12 +46,12 @@ fn boxes_that_cross_have_the_volume_of_inclusion_and_exclusion() {
         shape.positions.iter_mut().for_each(|p| p[axis] *= 3.0);
         shape
     };
-    // Three bars in a cross: 3 · 24 − 3 · 8 + 8, their sides in the same planes.
+    // three bars in a cross, with their sides in the same planes: 3 · 24 − 3 · 8 + 8
     let cross = unite(&[long(0), long(1), long(2)]);
     assert!((cross.volume - 56.0).abs() < 1e-6, "{}", cross.volume);
     assert_eq!(cross.eulers(), [2]);
     assert!((cross.area - (6.0 * 4.0 + 12.0 * 2.0 * 4.0)).abs() < 1e-6, "{}", cross.area);
-    // Through a plate: two seams, and no handle.
+    // a bar through a plate: two seams, and no handle
     let mut plate = cube().scaled(2.0);
     plate.positions.iter_mut().for_each(|p| p.z *= 0.1);
     let pierced = unite(&[plate, long(2)]);
@@ -72,12 +72,12 @@ fn a_ring_of_spheres_has_a_handle_and_a_lattice_many() {
     let lattice: Vec<Shape> = (0..27)
         .map(|i| sphere(6, 12).at(1.9 * DVec3::new(f64::from(i % 3), f64::from(i / 3 % 3), f64::from(i / 9))))
         .collect();
-    // A graph of 27 nodes and 54 links: χ of its thickened surface is 2 (27 − 54).
+    // a graph of 27 nodes and 54 links: χ of its thickened surface is 2 (27 − 54)
     assert_eq!(unite(&lattice).eulers(), [-54]);
 }
 
 #[test]
-fn chains_hang_together() {
+fn a_chain_is_one_component() {
     let chain: Vec<Shape> = (0..20).map(|i| sphere(12, 24).at(DVec3::new(1.9, 0.07, 0.03) * f64::from(i))).collect();
     let union = unite(&chain);
     assert_eq!(union.eulers(), [2]);
@@ -92,7 +92,7 @@ fn tori_link_and_merge() {
     let linked = unite(&[t.clone(), upright.clone().at(DVec3::X)]);
     assert_eq!(linked.eulers(), [0, 0], "not touching");
     let crossed = unite(&[t.clone(), upright]);
-    // Two rings joined at two places: a graph of 2 nodes and 4 links.
+    // two rings joined at two places: a graph of 2 nodes and 4 links
     assert_eq!(crossed.eulers(), [-4]);
     let plugged = unite(&[t, sphere(12, 24)]);
     assert_eq!(plugged.eulers(), [2]);
@@ -100,7 +100,7 @@ fn tori_link_and_merge() {
 
 #[test]
 fn a_void_has_a_negative_volume() {
-    // A box of six plates.
+    // a box of six plates
     let plates: Vec<Shape> = (0..6)
         .map(|i| {
             let mut plate = cube().scaled(1.0 + 0.01 * f64::from(i));
@@ -121,7 +121,7 @@ fn a_pair_is_measured() {
     let s = sphere(48, 96);
     let topology = Topology::new(s.positions.len(), &s.triangles).unwrap();
     let measured = |d: f64| {
-        // Off the axes, so that no vertex is the first to touch.
+        // off the axes, so that no vertex is the first to touch
         let away = DVec3::new(0.7, 0.1, 0.3).normalize() * d;
         let other: Vec<DVec3> = s.positions.iter().map(|p| *p + away).collect();
         let [a, b] = [&s.positions, &other].map(|p| Body::new(&topology, p).unwrap());
@@ -133,7 +133,7 @@ fn a_pair_is_measured() {
     assert!((apart.gap - 0.5).abs() < 5e-3, "{}", apart.gap);
     assert_eq!((apart.overlap, apart.neck, apart.perimeter), (0.0, 0.0, 0.0));
     let overlapping = measured(1.6);
-    // The point of a sphere that is nearest to the other's centre is 0.4 deep.
+    // the point of a sphere nearest to the other's centre is 0.4 deep
     assert!((overlapping.gap + 0.4).abs() < 5e-3, "{}", overlapping.gap);
     assert!((overlapping.overlap - lens_volume(1.6)).abs() < 1e-2 * lens_volume(1.6));
     assert!((overlapping.neck - 0.6).abs() < 3e-3 && (overlapping.perimeter - 1.2 * PI).abs() < 1e-2);
@@ -142,13 +142,13 @@ fn a_pair_is_measured() {
 }
 
 #[test]
-fn a_small_body_inside_is_as_deep_as_it_lies() {
+fn the_gap_of_a_body_inside_is_its_depth() {
     let (big, small) = (cube().scaled(2.0), octahedron().scaled(0.25).at(DVec3::X));
     let topologies = [&big, &small].map(|s| Topology::new(s.positions.len(), &s.triangles).unwrap());
     let bodies =
         [Body::new(&topologies[0], &big.positions).unwrap(), Body::new(&topologies[1], &small.positions).unwrap()];
     let measures = pair_measures(&bodies[0], &bodies[1], &Budget::default()).unwrap();
-    // Its leftmost corner is 1.25 from the side.
+    // its leftmost corner is 1.25 from the side
     assert!((measures.gap + 1.25).abs() < 1e-4, "{}", measures.gap);
     assert!((measures.overlap - 4.0 / 3.0 * 0.25f64.powi(3)).abs() < 1e-12);
 }

@@ -23,16 +23,16 @@ fn try_unite(shapes: &[Shape], budget: &Budget) -> Result<Checked, UnionError> {
     let bodies: Vec<Body> = topologies.iter().zip(shapes).map(|(t, s)| Body::new(t, &s.positions).unwrap()).collect();
     let union = union(&bodies, budget)?;
     let mesh = union.mesh();
-    look_over(&mesh);
+    assert_closed(&mesh);
 
-    // Vertices keep their positions to the bit.
+    // vertices keep their positions to the bit
     for (position, origin) in mesh.positions.iter().zip(&mesh.origins) {
         if let Origin::Vertex { body, vertex } = *origin {
             let given = shapes[body as usize].positions[vertex as usize];
             assert_eq!(position.to_array().map(f64::to_bits), given.to_array().map(f64::to_bits));
         }
     }
-    // Values computed from the difference match those of the mesh.
+    // values computed from the difference match those of the mesh
     let components = mesh.components();
     let size = bodies.iter().map(|b| b.area()).sum::<f64>();
     let extent =
@@ -69,8 +69,8 @@ impl Checked {
     }
 }
 
-/// Fails unless every edge has one triangle on either side and every vertex one fan.
-fn look_over(mesh: &UnionMesh) {
+/// Asserts that every edge has one triangle on either side and every vertex one fan.
+fn assert_closed(mesh: &UnionMesh) {
     let mut next: HashMap<(u32, u32), u32> = HashMap::new();
     let mut count = vec![0; mesh.positions.len()];
     for corners in &mesh.triangles {
@@ -116,7 +116,7 @@ fn winding_number(positions: &[DVec3], triangles: &[[u32; 3]], point: DVec3) -> 
     triangles.iter().map(angle).sum::<f64>() / (4.0 * std::f64::consts::PI)
 }
 
-/// Fails where the winding number of the mesh differs from what the bodies imply, at points near and far.
+/// Asserts that the winding number of the union matches those of the bodies, at points near and far.
 fn compare_inside(shapes: &[Shape], union: &Checked, seed: u64, samples: usize) {
     let mut random = shapes::Random::new(seed);
     let bounds = Aabb::of(shapes.iter().flat_map(|s| s.positions.iter().copied()));
@@ -125,11 +125,11 @@ fn compare_inside(shapes: &[Shape], union: &Checked, seed: u64, samples: usize) 
         let all: Vec<DVec3> = shapes.iter().flat_map(|s| s.positions.iter().copied()).collect();
         if random.next() < 0.5 {
             let [a, b] = [0; 2].map(|_| all[(random.next() * all.len() as f64) as usize]);
-            // Beside the line between them, which may lie in a surface.
+            // beside the line between them, which may lie in a surface
             at = a + (b - a) * random.next() * 0.3 + 1e-3 * a.distance(b) * random.in_cube();
         }
         let windings: Vec<f64> = shapes.iter().map(|s| winding_number(&s.positions, &s.triangles, at)).collect();
-        // On a surface the winding number is undefined.
+        // on a surface, the winding number is undefined
         if windings.iter().any(|w| (w - w.round()).abs() > 1e-6) {
             continue;
         }

@@ -4,8 +4,8 @@ use proptest::prelude::*;
 
 use super::{shapes::*, *};
 
-/// Bodies with many combinations of properties: alike or not, on a lattice or not, flat or not; boxes, rings, several
-/// components, inside out; shaken until they intersect themselves; an ulp apart; rotated and far away.
+/// Bodies with many combinations of properties: alike or not, on a lattice or not, in a plane or not; boxes, rings,
+/// several components, inside out; shaken until they intersect themselves; an ulp apart; rotated and far away.
 fn scene(seed: u64) -> Vec<Shape> {
     let mut random = Random::new(seed);
     let sizes = [(2, 3), (3, 5), (4, 4), (6, 12), (12, 24)];
@@ -63,7 +63,7 @@ proptest! {
 
     /// Arbitrary coordinates: no panic, and any result is closed.
     #[test]
-    fn any_numbers_are_taken_or_refused(
+    fn any_numbers_are_accepted_or_rejected(
         coordinates in prop::collection::vec(prop_oneof![any::<f64>(), -2.0..2.0, Just(0.0), Just(f64::NAN)], 36),
         scale in prop_oneof![Just(1.0), Just(1e-200), Just(1e80)],
     ) {
@@ -74,12 +74,12 @@ proptest! {
         if let Ok(bodies) = bodies
             && let Ok(union) = union(&bodies, &Budget { work: 1_000_000, ..Budget::default() })
         {
-            look_over(&union.mesh());
+            assert_closed(&union.mesh());
         }
     }
 
     #[test]
-    fn flat_and_pointed_bodies_are_taken(seed in 0u64..1 << 40) {
+    fn flat_and_pointed_bodies_are_accepted(seed in 0u64..1 << 40) {
         let mut random = Random::new(seed);
         let shapes: Vec<Shape> = (0..3).map(|_| {
             let mut shape = sphere(4, 8);

@@ -11,7 +11,7 @@ fn contact_stays_apart() {
         assert_eq!(union.eulers(), [2, 2], "{offset}");
         assert_eq!(union.volume, 16.0);
     }
-    // Pole on pole, and a vertex of the equator on one.
+    // pole on pole, and equator vertex on equator vertex
     let s = sphere(12, 24);
     for offset in [DVec3::X, DVec3::Z] {
         assert_eq!(unite(&[s.clone(), s.clone().at(2.0 * offset)]).eulers(), [2, 2]);
@@ -21,13 +21,13 @@ fn contact_stays_apart() {
 }
 
 #[test]
-fn copies_are_one() {
+fn copies_count_once() {
     let s = sphere(12, 24);
     let copies = vec![s.clone(); 5];
     let union = unite(&copies);
     assert_eq!(union.mesh.positions, s.positions);
     assert_eq!(union.eulers(), [2]);
-    // Almost copies, from an ulp to a millionth.
+    // near copies, from an ulp to a millionth apart
     for by in [f64::EPSILON, 1e-12, 1e-10, 1e-9, 1e-8, 1e-6] {
         let shapes = [s.clone(), s.clone().at(DVec3::new(by, 2.0 * by, 0.0))];
         let union = unite(&shapes);
@@ -46,7 +46,7 @@ fn aligned_boxes_share_planes() {
         assert!((union.volume - expected).abs() < 1e-6, "{offset}: {} for {expected}", union.volume);
         assert_eq!(union.eulers(), [2]);
     }
-    // A cube in a corner of another, three sides in common; one half as large on another's side.
+    // a cube in a corner of another, with three sides in common
     assert_eq!(unite(&[c.clone(), c.clone().scaled(0.5).at(DVec3::splat(0.5))]).eulers(), [2]);
     let bricks: Vec<Shape> = (0..27)
         .map(|i| c.clone().at(1.5 * DVec3::new(f64::from(i % 3), f64::from(i / 3 % 3), f64::from(i / 9))))
@@ -62,21 +62,21 @@ fn a_body_inside_out_adds_nothing() {
     let with = unite(&[s.clone(), s.clone().inverted().at(DVec3::new(1.3, 0.1, 0.2))]);
     assert!(with.mesh.positions == s.positions);
     assert!(unite(&[s.clone().inverted()]).mesh.triangles.is_empty());
-    // Not even where bodies inside out overlap each other.
+    // not even where bodies that are inside out overlap each other
     let shapes = [s.clone().inverted(), s.inverted().at(DVec3::X)];
     assert!(unite(&shapes).mesh.triangles.is_empty());
 }
 
 #[test]
-fn a_body_through_itself_counts_once() {
+fn self_intersecting_bodies_count_once() {
     let s = sphere(8, 16);
-    // Two components of one mesh: as two bodies.
+    // two components of one mesh give the same as two bodies
     let apart = [s.clone(), s.clone().at(DVec3::new(1.3, 0.2, 0.1))];
     let one = [s.clone().and(s.clone().at(DVec3::new(1.3, 0.2, 0.1)))];
     let (apart, one_union) = (unite(&apart), unite(&one));
     assert!((apart.volume - one_union.volume).abs() < 1e-12);
     assert_eq!(one_union.eulers(), [2]);
-    // A hollow sphere, its inner surface inside out, with something in the hollow and something through both.
+    // a hollow sphere, its inner surface inside out, with one sphere in the hollow and one through the wall
     let hollow = s.clone().and(s.clone().scaled(0.6).inverted());
     let shapes = [hollow, s.clone().scaled(0.2), s.clone().scaled(0.3).at(DVec3::X * 0.8)];
     let union = unite(&shapes);
@@ -93,7 +93,7 @@ fn a_body_through_itself_counts_once() {
 
 #[test]
 fn touching_fans_are_split() {
-    // Two tetrahedra with one vertex in common, one mesh.
+    // an octahedron and a tetrahedron with one vertex in common, in one mesh
     let mut shape = octahedron();
     let first = shape.positions.len() as u32;
     shape.positions.extend([DVec3::new(0.5, 0.0, 2.0), DVec3::new(-0.5, 0.5, 2.0), DVec3::new(-0.5, -0.5, 2.0)]);
@@ -108,11 +108,11 @@ fn touching_fans_are_split() {
 }
 
 #[test]
-fn what_is_too_small_beside_the_others_is_left_out() {
+fn bodies_too_small_to_resolve_are_left_out() {
     let shapes = [sphere(6, 12), octahedron().scaled(1e-12).at(DVec3::X * 1.5), octahedron().scaled(0.0)];
     let union = unite(&shapes);
     assert_eq!((union.eulers(), union.statistics.dropped), (vec![2], 2));
-    // At any scale, and far away from the origin.
+    // at any scale, and far away from the origin
     for scale in [1e-80, 1e-3, 1e3, 1e60] {
         let shapes = [sphere(6, 12), sphere(6, 12).at(DVec3::new(1.2, 0.1, 0.3))].map(|s| s.scaled(scale));
         assert_eq!(unite(&shapes).eulers(), [2], "{scale}");
@@ -122,7 +122,7 @@ fn what_is_too_small_beside_the_others_is_left_out() {
 }
 
 #[test]
-fn what_cannot_be_is_refused() {
+fn invalid_input_is_rejected() {
     let s = octahedron();
     let topology = Topology::new(s.positions.len(), &s.triangles).unwrap();
     for bad in [f64::NAN, f64::INFINITY, -1e300] {
@@ -132,17 +132,17 @@ fn what_cannot_be_is_refused() {
     }
     assert!(matches!(Body::new(&topology, &s.positions[1..]), Err(BodyError::Count { given: 5, wanted: 6 })));
 
-    let refused = |triangles: &[[u32; 3]]| Topology::new(6, triangles).unwrap_err();
-    assert!(matches!(refused(&s.triangles[1..]), TopologyError::Unpaired { count: 3, .. }));
-    assert!(matches!(refused(&[[0, 1, 9]]), TopologyError::NoSuchVertex { vertex: 9, .. }));
-    assert!(matches!(refused(&[[0, 1, 1]]), TopologyError::RepeatedVertex { vertex: 1, .. }));
-    assert!(matches!(refused(&[[0, 1, 2], [0, 2, 1]]), TopologyError::SameTriangle { .. }));
+    let error = |triangles: &[[u32; 3]]| Topology::new(6, triangles).unwrap_err();
+    assert!(matches!(error(&s.triangles[1..]), TopologyError::Unpaired { count: 3, .. }));
+    assert!(matches!(error(&[[0, 1, 9]]), TopologyError::NoSuchVertex { vertex: 9, .. }));
+    assert!(matches!(error(&[[0, 1, 1]]), TopologyError::RepeatedVertex { vertex: 1, .. }));
+    assert!(matches!(error(&[[0, 1, 2], [0, 2, 1]]), TopologyError::SameTriangle { .. }));
     let twice: Vec<_> = s.triangles.iter().chain(&s.triangles).copied().collect();
-    assert!(matches!(refused(&twice), TopologyError::Unpaired { .. }));
+    assert!(matches!(error(&twice), TopologyError::Unpaired { .. }));
 }
 
 #[test]
-fn a_budget_ends_it() {
+fn a_budget_ends_the_union() {
     let mut random = Random::new(1);
     let shapes = [sphere(12, 24).shaken(&mut random, 0.5), sphere(12, 24).shaken(&mut random, 0.5)];
     let budget = Budget { work: 10_000, ..Budget::default() };
@@ -152,7 +152,8 @@ fn a_budget_ends_it() {
     assert!(matches!(try_unite(&shapes, &budget), Err(UnionError::GaveUp { .. })));
 }
 
-/// What takes most of the time of a body that is all folds: otherwise neither a budget nor an interrupt would end it.
+/// Candidates take most of the time of a crumpled body: if they did not count, neither a budget nor an interrupt would
+/// end its union.
 #[test]
 fn every_candidate_is_counted() {
     let crumpled = [sphere(12, 24).shaken(&mut Random::new(1), 0.5)];
@@ -160,7 +161,7 @@ fn every_candidate_is_counted() {
     assert!(statistics.work > 2 * statistics.tests as u64, "{statistics:?}");
 }
 
-/// The triangles by their corners' positions, each from its least corner.
+/// The triangles by the bits of their corners' positions, each starting at its least corner.
 fn canonical(mesh: &UnionMesh) -> Vec<[[u64; 3]; 3]> {
     let mut triangles: Vec<[[u64; 3]; 3]> = (mesh.triangles.iter())
         .map(|corners| {
@@ -208,9 +209,10 @@ fn the_number_of_threads_does_not_matter() {
     }
 }
 
-/// Without the balls inside the bodies, nothing is known to be buried and everything is cut.
+/// Skipping buried triangles changes nothing: compared with bodies without a known ball inside, where everything is
+/// cut.
 #[test]
-fn what_lies_inside_others_changes_nothing() {
+fn skipping_buried_triangles_changes_nothing() {
     let mut random = Random::new(11);
     let heap: Vec<Shape> = (0..24).map(|_| sphere(8, 16).at(0.5 * random.in_cube())).collect();
     let sizes: Vec<Shape> = (0..16)
@@ -255,7 +257,7 @@ fn rigid_motions_move_the_union() {
 
 #[test]
 fn the_cost_follows_the_overlap() {
-    // Both spheres fine everywhere, or fine only where they meet: the same overlap with ten times the vertices.
+    // a third sphere that barely overlaps the others, coarse or with nine times the vertices
     let work = |stacks: u32| {
         let far: Vec<Shape> = vec![
             sphere(12, 24),
@@ -268,7 +270,7 @@ fn the_cost_follows_the_overlap() {
 }
 
 #[test]
-fn origins_say_where_vertices_are() {
+fn vertices_lie_on_their_origins() {
     for shapes in some_scenes() {
         let union = unite(&shapes);
         let corner = |[body, triangle]: [u32; 2], k: usize| {
@@ -290,7 +292,7 @@ fn origins_say_where_vertices_are() {
                     assert_eq!(*position, a + (b - a) * at);
                     assert!(off_plane(*position, [through, triangle]) < 1e-7);
                 }
-                // Three planes at a small angle have an ill-conditioned intersection; this point is on all of them.
+                // planes at small angles have an ill-conditioned intersection, but the point is on all of them
                 Origin::Triangles(all) => assert!(all.iter().all(|of| off_plane(*position, *of) < 1e-6)),
                 Origin::Within { body, triangle } => assert!(off_plane(*position, [body, triangle]) < 1e-6),
             }
