@@ -1,4 +1,4 @@
-//! The models of a soft body, and the one place that chooses between them.
+//! The models of a soft body, and the choice between them.
 //!
 //! | `model` | a body is | module |
 //! | --- | --- | --- |
@@ -13,7 +13,8 @@
 //! | | free bodies | pushes, planes | shapes from meshes |
 //! | --- | --- | --- | --- |
 //! | `oscillators` | yes | yes | yes |
-//! | `metaballs` | rejected: a density has no mass that a force could move | ignored, with a warning | rejected: a ball has no other shape |
+//! | `metaballs` | rejected: a density has no mass, so forces cannot move it | ignored, with a warning | rejected: only
+//! spheres are supported |
 //! | `lattice` | yes, except `rotation = "fixed"` | yes | yes, as the cells that cover them |
 //! | `fem` | yes, except `rotation = "fixed"`; co-rotated as a whole | yes | yes, as the cells that cover them |
 //!
@@ -33,13 +34,15 @@
 //! | `lattice` | 0.082 ms | 0.41 ms | 1.1 ms | 6e-4 R | 1.465 – 2.831 s |
 //! | `fem` | 0.097 ms | 0.54 ms | 3.2 ms | 1e-3 R | 1.464 – 2.830 s |
 //!
-//! By the thresholds on q all four merge at 1.397 s and split at 3.315 s. They make 303,000, 654,000, 12,200 and 10,300
-//! steps per second, where Jolt's soft bodies make 6,400: the oscillators are 25 and 30 times as fast as lattice and
-//! finite elements. On `collide`, with free bodies, lattice and finite elements merge within 2e-5 s of each other, and
-//! enter and leave the core within 3e-3 s: they are two discretisations of nearly the same solid. They take 0.9 and 1.1
+//! By the thresholds on q, all four merge at 1.397 s and split at 3.315 s. They take 303,000, 654,000, 12,200 and
+//! 10,300
+//! steps per second, compared with 6,400 for Jolt's soft bodies: the oscillators are 25 and 30 times as fast as lattice
+//! and finite elements. On `collide`, with free bodies, lattice and finite elements merge within 2e-5 s of each other,
+//! and
+//! enter and leave the core within 3e-3 s: they are two discretisations of nearly the same solid. They use 0.9 and 1.1
 //! MiB on `two` (`bench models`).
 //!
-//! 1,000 cases of `bench stability --model`, which end after 60 steps or 0.3 s; every failure reported its cause:
+//! 1,000 cases of `bench stability --model`, each limited to 60 steps or 0.3 s; every failure reported its cause:
 //!
 //! | model | endured | cut short | refused | diverged | not taken |
 //! | --- | --- | --- | --- | --- | --- |
@@ -47,25 +50,30 @@
 //! | `lattice` | 863 | 82 | 31 | 3 | 21 |
 //! | `fem` | 947 | 9 | 41 | 3 | 0 |
 //!
-//! The lattice cases that fail or are cut short vary ω, damping, free bodies or everything; of 100 cases of influence
-//! alone, one was cut short.
+//! The lattice cases that fail or are cut short vary ω, damping, free bodies or everything; of 100 cases that vary only
+//! the influence, one was cut short.
 //!
 //! | thesis | measured |
 //! | --- | --- |
 //! | 2.1.1: springs cannot describe the physical properties of a real object directly | no: the springs of a cubic cell have a Young's modulus; only Poisson's ratio is fixed, at 1/4 ([`lattice`]) |
 //! | 2.1.1: force reaches only the neighbours of a mass, so too much of it breaks the structure locally | not measured |
-//! | 2.1.1: with too large a step the model oscillates and diverges; the limit has to be found by experience | there is a limit (10.2 ms on `two`, below its step of 16.7 ms), but it can be computed, and the step is divided accordingly |
+//! | 2.1.1: with too large a step the model oscillates and diverges; the limit has to be found by trial | there is a
+//! limit (10.2 ms on `two`, below its step of 16.7 ms), but it can be computed, and the step is divided accordingly |
 //! | 2.1.1: the cost of a cycle grows with the number of masses and springs | yes: a step of `two` evaluates 2 × 2,842 springs three times, 41 µs of one core per body, about 4.8 ns per spring |
-//! | 2.1.2: finite elements describe Young's modulus and Poisson's ratio directly, with good accuracy | they do describe them; for the accuracy, see the tests of [`fem`] |
-//! | 2.1.2: they take an enormous amount of computation, and do not suit real time | no, at this size: 0.1 ms of the 16.7 ms of a frame, after 3.2 ms to build |
-//! | 2.1.2: with a precomputed inverse they do, as long as the topology does not change | yes, with a factorisation instead: the inverse is slower from about 30 nodes on |
+//! | 2.1.2: finite elements describe Young's modulus and Poisson's ratio directly, with good accuracy | yes; for the
+//! accuracy, see the tests of [`fem`] |
+//! | 2.1.2: they take an enormous amount of computation, and are not suitable for real time | no, at this size: 0.1 ms of the 16.7 ms of a frame, after 3.2 ms to build |
+//! | 2.1.2: with a precomputed inverse they are, as long as the topology does not change | yes, with a factorisation instead: the inverse is slower from about 30 nodes on |
 //! | 2.2.1: where stress tears the body the matrix has to be rebuilt, which real time does not allow | not measured: position and time are reported as `would tear` |
-//! | 2.2.2: springs beyond a length are cut with their cells, which loses volume | yes: 22 % of it, 80 cells, on `two` with `tear = "cut"`, `limit = 0.12` |
+//! | 2.2.2: springs beyond a length are cut with their cells, which loses volume | yes: 22 % of the volume, 80 cells,
+//! on `two` with `tear = "cut"`, `limit = 0.12` |
 //! | 2.2.2: nodes beyond a force are split, which keeps the volume and costs more | volume is kept: 298 split nodes lose no cell with `limit = 0.1`; the cost was not measured |
-//! | 2.2.3: densities add up, so that facing sides bulge and join | yes: at q = 1.0983, before lone balls would touch (q = 1), 0.184 s before the thesis's threshold; they part 0.387 s before it |
-//! | 2.2.3: merging and splitting take a simple algorithm | yes: a whole step takes 0.002 ms; the exact time is a root of one function of time |
+//! | 2.2.3: densities add up, so that facing sides bulge and join | yes: at q = 1.0983, before lone balls would touch (q = 1), 0.184 s before the thesis's threshold;
+//! (q = 1), 0.184 s before the thesis's threshold; they part 0.387 s before it |
+//! | 2.2.3: merging and splitting need only a simple algorithm | yes: a whole step takes 0.002 ms; the exact time is a root of one function of time |
 //! | 2.2.3: ray casting is too expensive for real time, marching cubes are usual | second claim only: extraction (marching tetrahedra) takes most of a frame of 0.75 ms |
-//! | 2.2.3: physical properties are not considered, so that it is hard to simulate with them | yes: pushes, planes and materials do nothing, and free bodies are rejected |
+//! | 2.2.3: physical properties are not considered, so that dynamics are hard to simulate | yes: pushes, planes and
+//! materials have no effect, and free bodies are rejected |
 
 pub mod cells;
 pub mod elastic;
@@ -168,7 +176,7 @@ pub fn read(name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experim
         .into_iter()
         .find(|known| known.name() == integrator)
         .ok_or_else(|| Refusal::Run(format!("this program has no integrator \"{integrator}\"")))?;
-    // recordings made before there were other models do not name theirs
+    // recordings made before other models existed do not name a model
     let model = run.get("model").map_or(Some(Model::Oscillators.name()), toml::Value::as_str).unwrap_or("none");
     scene.model = parse(model).map_err(|_| Refusal::Run(format!("this program has no model \"{model}\"")))?;
     scene.dt = positive("dt")?;
@@ -178,7 +186,7 @@ pub fn read(name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experim
     if let Some(names) = run.get("models").and_then(toml::Value::as_array) {
         let named = |name: &toml::Value| parse(name.as_str().unwrap_or("none"));
         let models = names.iter().map(named).collect::<Result<Vec<_>, _>>();
-        let models = models.map_err(|_| Refusal::Run("this program has not all of its models".to_owned()))?;
+        let models = models.map_err(|_| Refusal::Run("this program lacks some of its models".to_owned()))?;
         return Ok(Arc::new(SideBySide { scene, options, models }));
     }
     Ok(Arc::new(SceneRun { scene, options }))
@@ -187,7 +195,7 @@ pub fn read(name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experim
 /// The model of this name.
 ///
 /// # Errors
-/// There is none; the error lists all names and the nearest one.
+/// There is no such model; the error lists all names and the nearest one.
 pub fn parse(name: &str) -> Result<Model, String> {
     let names = Model::ALL.map(Model::name);
     let known = Model::ALL.into_iter().find(|model| model.name() == name);

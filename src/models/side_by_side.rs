@@ -22,7 +22,7 @@ use crate::{
 };
 
 /// Gap between neighbours [extents of the scene].
-const ROOM: f64 = 1.05;
+const SPACING: f64 = 1.05;
 
 /// Several models of a scene. The scene's own model is included only if it is listed.
 #[derive(Clone, Debug)]
@@ -48,14 +48,14 @@ impl SideBySide {
         self.models.iter().map(move |model| SceneRun { scene: run(model), options: self.options })
     }
 
-    /// Offsets of the models, given the spheres that a camera should see of one.
+    /// Positions of the models, given the spheres that a camera should see of one model.
     fn places(&self, spheres: &[(DVec3, f64)]) -> Vec<Place> {
         let extent = |axis: DVec3| {
             let ends = spheres.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (centre, radius)| {
                 let at = centre.dot(axis);
                 (f64::min(low, at - radius), f64::max(high, at + radius))
             });
-            if ends.0 < ends.1 { ROOM * (ends.1 - ends.0) } else { 0.0 }
+            if ends.0 < ends.1 { SPACING * (ends.1 - ends.0) } else { 0.0 }
         };
         // two per row, rows from top to bottom as the camera sees them
         let (right, down) = (extent(DVec3::X) * DVec3::X, -extent(DVec3::Z) * DVec3::Z);
@@ -208,7 +208,7 @@ impl Experiment for SideBySide {
         });
         let parts = parts.collect::<Result<Vec<_>, String>>()?;
         if parts.is_empty() {
-            return Err("there is no model to be run".to_owned());
+            return Err("there is no model to run".to_owned());
         }
         let (schema, scene) = (self.combined(&places), self.scene.clone());
         Ok(Box::new(SideBySideRun {
@@ -241,7 +241,7 @@ struct SideBySideRun {
 
 struct Part {
     simulation: Box<dyn Simulation>,
-    /// Finds the touch and part events that the model does not find itself.
+    /// Finds touch and part events, if the model does not find them itself.
     touches: Option<Touches>,
     place: Place,
     /// Duration of its last step.

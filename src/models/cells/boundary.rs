@@ -18,8 +18,9 @@ pub struct BoundaryMesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// The boundary of the cells for which `is_there` holds, given their initial and current corner nodes, some of them
-/// split.
+/// The boundary of the cells for which `is_there` holds, given their initial and current corner nodes, some of which
+/// may
+/// have been split.
 ///
 /// Two cells are joined if they initially shared the four nodes of a face, and still share at least one: a crack
 /// appears only where a face has come apart completely, since the two sides of a partly split face coincide. A node
@@ -29,7 +30,7 @@ pub fn boundary(first: &[[u32; 8]], corners: &[[u32; 8]], is_there: impl Fn(usiz
     let present = || (0..corners.len()).filter(|&cell| is_there(cell));
     let face_of = |cell: usize, face: usize| FACES[face].map(|corner| first[cell][corner]);
     let mut faces: HashMap<[u32; 4], (u32, u32)> = HashMap::new();
-    // other sides of faces that have come apart
+    // the second sides of faces that have come apart
     let mut apart: HashSet<(u32, u32)> = HashSet::new();
     // cells around a node, joined through faces: a forest of the cells' corners
     let mut parent: Vec<u32> = (0..8 * corners.len() as u32).collect();
@@ -63,7 +64,7 @@ pub fn boundary(first: &[[u32; 8]], corners: &[[u32; 8]], is_there: impl Fn(usiz
             }
         }
     }
-    // joined cells share a face, so a face alone in the map is one of the boundary; in the order of cells
+    // faces shared by joined cells were removed from the map, so the remaining ones are on the boundary; in cell order
     let mut mesh = BoundaryMesh::default();
     let mut vertex_of: HashMap<u32, u32> = HashMap::new();
     for cell in present() {

@@ -6,11 +6,11 @@ use glam::DVec3;
 
 use crate::geometry::Mesh;
 
-/// Cells that the surface only touches are not part of the body: boxes are tested at this size.
+/// Boxes are tested at this size, so that cells that the surface only touches are not part of the body.
 const SHRINK: f64 = 1.0 - 1e-9;
 /// Lines through the centres of cells are shifted by this fraction of a cell, off the vertices and edges of meshes
 /// aligned with the grid.
-const ASIDE: [f64; 2] = [7.34e-7, 4.12e-7];
+const SHIFT: [f64; 2] = [7.34e-7, 4.12e-7];
 
 /// Whether each of the `across`³ grid cells over [−1, 1]³ overlaps the body, in ascending order of z, y, x. `None` if
 /// interrupted.
@@ -40,7 +40,7 @@ pub fn cover(mesh: &Mesh, across: u32, interrupt: Option<&AtomicBool>) -> Option
         }
         for j in first(1)..=last(1) {
             for i in first(0)..=last(0) {
-                let [x, y] = [i as f64 + 0.5 + ASIDE[0], j as f64 + 0.5 + ASIDE[1]];
+                let [x, y] = [i as f64 + 0.5 + SHIFT[0], j as f64 + 0.5 + SHIFT[1]];
                 if let Some((z, sign)) = crossing(points, corners, x, y) {
                     // the first cell whose centre is above
                     let k = (z + 0.5).floor().max(0.0) as usize;

@@ -55,7 +55,7 @@ pub struct Embedded {
 }
 
 impl Embedded {
-    /// The point at `place` within a cell, from 0 to 1 along each axis; slightly outside, it is extrapolated.
+    /// The point at `place` within a cell, from 0 to 1 along each axis; points slightly outside are extrapolated.
     pub fn at(cell: u32, place: DVec3) -> Embedded {
         let weights = std::array::from_fn(|i| {
             let along = |axis: usize| if i >> axis & 1 == 1 { place[axis] } else { 1.0 - place[axis] };
@@ -110,7 +110,7 @@ impl Cells {
 
     /// The cells at the given grid coordinates, in ascending order of z, y, x.
     fn of(across: u32, places: Vec<[u32; 3]>) -> Cells {
-        // one sorted list of the corners, so that memory is proportional to the cells, not to the grid
+        // a sorted list of the corners, so that memory is proportional to the cells, not to the grid
         let key = |place: [u32; 3], i: usize| {
             let at = |axis: usize| u64::from(place[axis]) + (i >> axis & 1) as u64;
             at(2) << 42 | at(1) << 21 | at(0)
@@ -213,9 +213,9 @@ impl Cells {
             + self.embedded.capacity() * size_of::<Embedded>()
     }
 
-    /// Upper bound of the memory to cover a mesh with this many vertices [bytes]: as if the body filled the grid.
+    /// Upper bound of the memory to cover a mesh with this many vertices, for a body that fills the grid [bytes].
     pub fn most_memory(across: u32, vertices: u64) -> u64 {
-        const GRID_BYTES: u64 = 9; // whether it is inside, the winding number, the index
+        const GRID_BYTES: u64 = 9; // inside flag, winding number, index
         const CELL_BYTES: u64 = 8 * 8 + 32 + 12 + 8; // keys of the corners, corners, place, weight
         let across = u64::from(across);
         let cells = across * across * across;
@@ -224,8 +224,8 @@ impl Cells {
     }
 }
 
-/// Fractions of the mass in cells at the given grid coordinates: equal, except for a linear gradient that brings their
-/// mass centre to that of the grid. No gradient if it would leave a cell with less than a fifth of the mean.
+/// Fractions of the mass in cells at the given grid coordinates: equal, except for a linear gradient that moves their
+/// mass centre to the centre of the grid. No gradient if it would leave a cell with less than a fifth of the mean.
 fn weights(places: &[[u32; 3]], across: u32) -> Vec<f64> {
     const NONE: f64 = 1e-9;
     const LEAST: f64 = 0.2;
@@ -260,8 +260,8 @@ fn flat([x, y, z]: [u32; 3], n: usize) -> usize {
     (z as usize * n + y as usize) * n + x as usize
 }
 
-/// Finds the cell of a point. On a face between two cells, the one that is part of the body. `None` if the body has no
-/// cell there, which cannot happen for points of its surface.
+/// Finds the cell of a point; on a face between two cells, one that is part of the body. `None` if the body has no cell
+/// there, which cannot happen for points of its surface.
 fn embed(position: DVec3, n: usize, index: &[u32], places: &[[u32; 3]]) -> Option<Embedded> {
     let scaled = (position + 1.0) * (0.5 * n as f64);
     let mut best: Option<(f64, u32)> = None;

@@ -7,7 +7,7 @@ fn sphere(across: u32) -> Cells {
     Cells::cover(&Sphere { stacks: 12, slices: 24 }.mesh(), across, None).unwrap()
 }
 
-/// A box, as two triangles a side.
+/// A box, with two triangles per side.
 fn cuboid(low: DVec3, high: DVec3) -> (Vectors, Vec<[u32; 3]>) {
     let surface = boundary(&[[0, 1, 2, 3, 4, 5, 6, 7]; 1], &[[0, 1, 2, 3, 4, 5, 6, 7]; 1], |_| true);
     let corners = surface.vertices.iter().map(|&(node, _)| low + corner(node as usize) * (high - low)).collect();
@@ -43,7 +43,7 @@ fn cells_cover_a_sphere() {
 
 /// The volume of the cells converges to that of the body from above.
 #[test]
-fn cells_cover_ever_less_than_a_cell_beyond_the_surface() {
+fn the_covered_volume_converges() {
     let volume = |across| sphere(across).cell_count() as f64 * (2.0 / f64::from(across)).powi(3);
     let beyond: Vec<f64> = [8, 16, 32].map(|across| volume(across) - 4.09).into();
     assert!(beyond[0] > 1.7 * beyond[1] && beyond[1] > 1.7 * beyond[2] && beyond[2] > 0.0, "{beyond:?}");
@@ -59,7 +59,7 @@ fn a_box_along_the_grid_is_covered_exactly() {
     assert_eq!(cells.cell_count(), 4 * 4 * 2);
 }
 
-/// A torus knot is covered without being filled: χ of the boundary is that of a torus.
+/// A torus knot is covered without filling its hole: χ of the boundary is at most that of a torus.
 #[test]
 fn cells_keep_the_shape_of_a_mesh() {
     let scene = crate::Scene::builtin("mesh").unwrap();

@@ -23,7 +23,7 @@ pub struct StepContext<'a> {
     pub scene: &'a Scene,
     /// Phases at the start of the step, of pairs that are not apart.
     pub phases: &'a BTreeMap<[u32; 2], Phase>,
-    /// Phase changes in the step, by time.
+    /// Phase changes in the step, in order of time.
     pub events: &'a [PairEvent],
     /// Start of the step [s].
     pub start: f64,
@@ -88,7 +88,7 @@ pub struct Instantaneous {
     pub spheres: Vec<(Cause, u32, DVec3, f64, f64)>,
     /// Pushes: direction and strength [scene unit/s²].
     pub pushes: Vec<(DVec3, f64)>,
-    /// Minus the body's own motion [scene unit/s²].
+    /// Carry: minus the acceleration of the body's own motion [scene unit/s²].
     pub carry: DVec3,
 }
 
@@ -102,7 +102,7 @@ impl StepContext<'_> {
         last.map_or_else(before, |event| PHASES.get(event.to).copied().unwrap_or(Phase::Apart))
     }
 
-    /// Whether nothing in the step could act on a body at rest.
+    /// Whether nothing in the step can act on a body at rest.
     pub fn is_calm(&self, index: usize, sources: &[u32], pushes: &[Push]) -> bool {
         let body = &self.scene.bodies[index];
         let Some(path) = body.path() else { return true };
@@ -163,7 +163,7 @@ impl StepContext<'_> {
         }
     }
 
-    /// The average of what acts on a body over a step with breaks inside.
+    /// The average external accelerations of a body over a step with breaks inside.
     pub fn mean<'a>(
         &'a self,
         path: &'a Path,
@@ -182,7 +182,8 @@ impl StepContext<'_> {
         part
     }
 
-    /// The intervals in which a pair stays in its phase: the start of each [s], and its fraction of the time.
+    /// Calls `found` for each interval in which a pair stays in one phase, with its start [s] and its fraction of the
+    /// time.
     fn by_share(&self, index: usize, other: u32, [start, end]: [f64; 2], mut found: impl FnMut(f64, f64)) {
         let pair = [index.min(other as usize), index.max(other as usize)];
         let changes = self.events.iter().filter(|event| [event.a, event.b] == pair);
@@ -227,7 +228,8 @@ impl StepContext<'_> {
     }
 
     /// Upper bound of the spatial derivative of the accelerations by spheres [1/s²]: of a body's nodes, and of its
-    /// centre, which also feels the reaction to its own sphere.
+    /// centre, on
+    /// which the reaction to its own sphere also acts.
     pub fn stiffness(&self, index: usize, sources: &[u32]) -> f64 {
         let own = self.scene.bodies[index].mass;
         let of = |&other: &u32| {
@@ -265,12 +267,12 @@ impl StepContext<'_> {
     }
 }
 
-/// |∂(c − r) W| ≤ 1 for the linear weight; Wendland's is steeper by less than 2.
+/// Bound on |∂(c − r) W|: 1 for the linear weight, less than 2 for Wendland's.
 fn steep(weight: Weight) -> f64 {
     if weight == Weight::Linear { 1.0 } else { 2.0 }
 }
 
-/// The average of pushes that act during a fraction of some time.
+/// Appends pushes averaged over a time interval.
 fn mean_pushes(pushes: &[Push], [start, end]: [f64; 2], into: &mut Vec<(DVec3, f64)>) {
     into.extend(pushes.iter().filter_map(|push| {
         let acts = push.end().min(end) - push.start.max(start);
@@ -297,7 +299,7 @@ impl Part<'_> {
         now.spheres.extend(self.sources.iter().map(of));
     }
 
-    /// The same, averaged over the part: the carry is the change of velocity, including jumps.
+    /// Like [`Part::at`], but averaged over the part: the carry is the change of velocity, including jumps.
     pub fn averaged(&self, now: &mut Instantaneous) {
         let middle = 0.5 * (self.start + self.end);
         self.at(middle, now);

@@ -31,15 +31,15 @@ use crate::{
 /// Safety factor of explicit steps below the limit: stretched springs are stiffer than at rest.
 pub const OF_LIMIT: f64 = 0.7;
 /// Upper limit on the springs that a body evaluates in a step; more would take forever.
-pub const MOST_WORK: f64 = 2e8;
-/// The same for the cells of finite elements, which take far longer than springs.
-const MOST_CELLS: f64 = 1e7;
+pub const MAX_SPRINGS: f64 = 2e8;
+/// Upper limit on the cells of finite elements that a body evaluates in a step; they take far longer than springs.
+const MAX_CELLS: f64 = 1e7;
 /// Springs evaluated between two checks of the interrupt.
 const SPRINGS_PER_CHECK: u64 = 1 << 22;
 /// A body whose nodes are farther away than this has diverged [radii].
 const DIVERGED: f64 = 1e6;
-/// External forces are explicit in an implicit step h; their stiffness is at most (this/h)².
-const MOST_PHASE: f64 = 1.0;
+/// External forces are explicit in an implicit step h; their stiffness is limited to (this/h)².
+const MAX_PHASE: f64 = 1.0;
 
 /// The material model of a body.
 pub enum Matter {
@@ -86,7 +86,7 @@ pub struct Statistics {
     pub split: u64,
     /// Cells cut, or that would have torn, so far.
     pub torn: u64,
-    /// Time and position of the first of these [s, scene unit].
+    /// Time and position of the first tear [s, scene unit].
     pub first: Option<(f64, DVec3)>,
 }
 
@@ -97,21 +97,23 @@ pub struct Body {
     pub mesh: Arc<Mesh>,
     pub radius: f64,
     pub matter: Matter,
-    /// Rest positions of the nodes [scene unit], and their directions [–], `[node_count]`.
+    /// Rest positions of the nodes [scene unit], `[node_count]`.
     pub rest: Vec<DVec3>,
+    /// Directions of the rest positions [–], `[node_count]`.
     pub directions: Vec<DVec3>,
     /// Rigid motion of a free body, of which no node is held; `None` on a path.
     pub free: Option<Free>,
     /// External forces of the last step, in a scene with free bodies.
     pub acted: ExternalForces,
-    /// Displacements [scene unit] and velocities [scene unit/s] of the nodes, `[node_count]`; for a free body relative
-    /// to the rotated rest shape.
+    /// Displacements of the nodes [scene unit], `[node_count]`; for a free body relative to the rotated rest shape.
     pub x: Vec<DVec3>,
+    /// Velocities of the displacements [scene unit/s], `[node_count]`.
     pub u: Vec<DVec3>,
     /// Whether all displacements and velocities are zero.
     pub is_at_rest: bool,
-    /// Distance of the farthest node from the centre [scene unit], and the largest speed [scene unit/s].
+    /// Distance of the farthest node from the centre [scene unit].
     pub extent: f64,
+    /// Largest speed of a node relative to the centre [scene unit/s].
     pub speed: f64,
     pub pushes: Vec<Push>,
     /// The bodies whose spheres can reach it in this step, ascending.
@@ -124,10 +126,10 @@ pub struct Body {
     pub spread: f64,
     /// Mesh of a body that has torn.
     pub torn: Option<Arc<Mesh>>,
-    /// Nodes of the vertices that were added to the original mesh.
+    /// Nodes of the vertices that tearing added to the mesh.
     pub exposed: Vec<u32>,
     pub statistics: Statistics,
-    /// Positions at which it tore in the last step, or would have [scene unit].
+    /// Positions at which it tore in the last step, or would have torn [scene unit].
     pub tears: Vec<DVec3>,
     pub failure: Option<StepFailure>,
     /// Largest ratio of the effect of planes on a node to that on a vertex [–].
@@ -139,7 +141,7 @@ pub struct Body {
 /// Data shared by bodies of one kind.
 pub struct Shared {
     /// Memory left for factors [bytes].
-    room: u64,
+    left: u64,
     elements: HashMap<Kind, (Arc<Element>, Arc<Stepper>, u64)>,
     /// Number of implicit steps in a step of the scene, if it is the same for all bodies.
     divided: Option<u64>,
@@ -155,25 +157,26 @@ impl Shared {
         self.elements.values().map(of).sum()
     }
 
-    /// Starts with this much memory for factors [bytes]; `contact` is the largest of all bodies if they are stepped
-    /// together.
-    pub fn new(room: u64, scene: &Scene, contact: Option<f64>) -> Shared {
-        Shared { room, elements: HashMap::new(), divided: contact.map(|contact| divisions(scene, contact)) }
+    /// No elements yet, with this much memory left for factors [bytes]; `contact` is the largest [`contact`] of all
+    /// bodies if
+    /// they are stepped together.
+    pub fn new(left: u64, scene: &Scene, contact: Option<f64>) -> Shared {
+        Shared { left, elements: HashMap::new(), divided: contact.map(|contact| divisions(scene, contact)) }
     }
 }
 
-/// Number of implicit steps in a step of the scene. The forces of two spheres at once, and of planes, are explicit,
-/// from the last half step. With free bodies, the effect of a heavy one on a light one counts, too.
+/// Number of implicit steps in a step of the scene. The forces of spheres, of at most two at once, and of planes are
+/// explicit, from the last half step. With free bodies, the effect of a heavy body on a light one counts, too.
 fn divisions(scene: &Scene, contact: f64) -> u64 {
     let strongest = scene.laws().map(|law| law.alpha.max(law.beta)).fold(0.0, f64::max);
     let planes = scene.planes.iter().map(|plane| plane.stiffness).sum::<f64>() * contact;
     let of = |pick: fn(f64, f64) -> f64, start| scene.bodies.iter().map(|body| body.mass).fold(start, pick);
     let ratio = if is_coupled(scene) { of(f64::max, 0.0) / of(f64::min, f64::INFINITY) } else { 0.0 };
-    (scene.dt * ((2.0 + ratio) * strongest + planes).sqrt() / MOST_PHASE).ceil().max(1.0) as u64
+    (scene.dt * ((2.0 + ratio) * strongest + planes).sqrt() / MAX_PHASE).ceil().max(1.0) as u64
 }
 
 /// Upper bound of a body's memory without the factor [bytes]; `is_new` if no earlier body shares its elements.
-pub fn most_memory(scene: &Scene, across: u32, vertices: u64, is_new: bool) -> u64 {
+pub fn max_memory(scene: &Scene, across: u32, vertices: u64, is_new: bool) -> u64 {
     let nodes = (u64::from(across) + 1).pow(3);
     let own = match scene.model {
         Model::Fem if is_new => fem::Element::most_memory(across),
@@ -187,7 +190,7 @@ impl Body {
     /// A body of a valid scene, at rest.
     ///
     /// # Errors
-    /// Its factor does not fit into memory, or it was interrupted.
+    /// A message: its factor does not fit into memory, or building was interrupted.
     pub fn new(
         scene: &Scene,
         index: usize,
@@ -221,16 +224,16 @@ impl Body {
                         let element = Element::new(&cells, radius, mass, &held, of, interrupt);
                         let element = element.ok_or("interrupted while the stiffness was assembled")?;
                         let divided = shared.divided.unwrap_or_else(|| divisions(scene, contact));
-                        if divided as f64 * cells.cell_count() as f64 > MOST_CELLS {
+                        if divided as f64 * cells.cell_count() as f64 > MAX_CELLS {
                             return Err(format!(
-                                "scene \"{}\": the forces on body \"{}\" would need {divided} sub-steps a step, \
-                                 which would take too long; lower `dt`, `alpha`, `beta` or the `stiffness` of planes",
+                                "scene \"{}\": the forces on body \"{}\" would need {divided} sub-steps per step, \
+                                which would take too long; lower `dt`, `alpha`, `beta` or the `stiffness` of planes",
                                 scene.name, described.name
                             ));
                         }
-                        let stepper = element.factor(scene.dt / divided as f64, shared.room, interrupt);
+                        let stepper = element.factor(scene.dt / divided as f64, shared.left, interrupt);
                         let stepper = stepper.map_err(|error| unfactored(scene, index, error))?;
-                        shared.room = shared.room.saturating_sub(stepper.memory() as u64);
+                        shared.left = shared.left.saturating_sub(stepper.memory() as u64);
                         let (element, stepper) = (Arc::new(element), Arc::new(stepper));
                         shared.elements.insert(kind, (Arc::clone(&element), Arc::clone(&stepper), divided));
                         (element, stepper, divided)
@@ -242,7 +245,7 @@ impl Body {
             }
             _ => {
                 let lattice = Lattice::new(&cells, radius, mass, held, constants, interrupt);
-                let lattice = lattice.ok_or("interrupted while springs were tied")?;
+                let lattice = lattice.ok_or("interrupted while the springs were built")?;
                 let motion = lattice::Motion::at_rest(&lattice);
                 Matter::Lattice(Box::new(Springs { lattice, motion }))
             }
@@ -385,10 +388,10 @@ impl Body {
             Integrator::Verlet => (Scheme::Verlet, 1.0),
             _ => (Scheme::Verlet, (length / (OF_LIMIT * limit)).ceil().max(1.0)),
         };
-        if count * lattice.spring_count() as f64 > MOST_WORK {
+        if count * lattice.spring_count() as f64 > MAX_SPRINGS {
             *failure = Some(StepFailure::NotTaken(format!(
-                "too much to do in step {} (from t = {:.6} s on): the springs of body \"{}\" allow steps of {limit:.1e} s, {count:.0} in one of the \
-                 scene; lower `omega`, `damping` or `cells` in [lattice]",
+                "too much to do in step {} (from t = {:.6} s on): the springs of body \"{}\" need steps below {limit:.1e} s, {count:.0} per step of the \
+                scene; lower `omega`, `damping` or `cells` in [lattice]",
                 around.step, part.start, scene.bodies[*index].name
             )));
             return;
@@ -418,7 +421,7 @@ impl Body {
                         cells,
                         corners,
                         motion: [part.centre(t), part.velocity(t)],
-                        most: *contact * h,
+                        min_stop: *contact * h,
                     };
                     of.accelerate(&lattice.masses, scene.bodies[*index].mass, positions, velocities, into);
                 }
@@ -449,7 +452,7 @@ impl Body {
             let positions: Vec<DVec3> =
                 rest.iter().zip(x.iter()).zip(u.iter()).map(|((l, x), u)| *l + *x + *u * half).collect();
             let motion = [part.centre(middle), part.velocity(middle)];
-            let of = Contact { planes, mesh, cells, corners: &cells.corners, motion, most: *contact * stepper.h };
+            let of = Contact { planes, mesh, cells, corners: &cells.corners, motion, min_stop: *contact * stepper.h };
             let mut pressed = vec![DVec3::ZERO; positions.len()];
             of.accelerate(&element.masses, scene.bodies[*index].mass, &positions, u, &mut pressed);
             for (force, &node) in forces.iter_mut().zip(&element.free) {
@@ -480,7 +483,7 @@ impl Body {
                 };
                 tears.extend(cut.iter().map(|&cell| centre + middle(&lattice.corners[cell])));
             }
-            // the strain of a spring, in any state of stress, is more than half of that of a bar
+            // in any state of stress, the strain of a spring exceeds half of that of a bar
             TearMode::Split if statistics.strain > 0.5 * limit => {
                 let split = lattice.split(&motion.positions, limit);
                 motion.split(lattice, &split);
@@ -510,7 +513,7 @@ impl Body {
         u.resize(rest.len(), DVec3::ZERO);
     }
 
-    /// Records the cells of finite elements in which the body would tear.
+    /// Records the cells in which a body of finite elements would tear.
     pub fn strain(&mut self, around: &StepContext<'_>, centre: DVec3) {
         let Some(limit) = around.scene.fem.tear_stress else { return };
         let Body { matter, statistics, tears, x, cells, rest, free, .. } = self;
@@ -537,7 +540,7 @@ impl Body {
         });
     }
 
-    /// Copies the state of the nodes, and reports a diverged one.
+    /// Updates the state from the nodes, and checks for divergence.
     pub fn update_state(&mut self, around: &StepContext<'_>) {
         let Body { matter, rest, x, u, free, .. } = self;
         if let (Matter::Lattice(springs), None) = (matter, &free) {
@@ -564,7 +567,7 @@ impl Body {
             let scene = around.scene;
             self.failure = Some(StepFailure::Diverged(format!(
                 "diverged at step {} (t = {:.6} s): body \"{}\", its nodes are {:e} scene units away; {} with dt = {:e} s, stable below {:.1e} s: use a \
-                 smaller dt, or `exponential`, which lets the model divide it",
+                smaller dt, or `exponential`, with which the model divides it",
                 around.step,
                 around.end,
                 scene.bodies[self.index].name,
@@ -619,12 +622,12 @@ impl Body {
         }
     }
 
-    /// The axes of its rest shape.
+    /// The axes of its frame.
     pub fn axes(&self) -> DMat3 {
         self.free.as_ref().map_or(DMat3::IDENTITY, |free| DMat3::from_quat(free.rotation))
     }
 
-    /// Vectors of the free nodes in these axes, in the order of elimination.
+    /// Vectors of the free nodes in body axes, in the order of elimination.
     fn in_axes(&self, element: &Element, of: &[DVec3]) -> Vec<DVec3> {
         let back = self.axes().transpose();
         element.free.iter().map(|&node| back * of[node as usize]).collect()
@@ -648,7 +651,7 @@ impl Body {
         let velocities = self.velocities();
         let mut into = vec![DVec3::ZERO; positions.len()];
         let (mesh, cells) = (&*self.mesh, &*self.cells);
-        let of = Contact { planes: &scene.planes, mesh, cells, corners, motion: [centre, velocity], most: 0.0 };
+        let of = Contact { planes: &scene.planes, mesh, cells, corners, motion: [centre, velocity], min_stop: 0.0 };
         of.accelerate(self.masses(), scene.bodies[self.index].mass, &positions, velocities, &mut into);
         into
     }
@@ -664,7 +667,7 @@ impl Body {
         self.state().map_or(&self.u, |[_, velocities]| velocities)
     }
 
-    /// Allocated memory, without what is shared with other bodies [bytes].
+    /// Allocated memory, without data shared with other bodies [bytes].
     pub fn memory(&self) -> usize {
         let vectors = [&self.rest, &self.directions, &self.x, &self.u];
         let matter = match &self.matter {
@@ -687,8 +690,10 @@ pub struct Contact<'a> {
     pub corners: &'a [[u32; 8]],
     /// Position and velocity of the centre.
     pub motion: [DVec3; 2],
-    /// Friction takes at least this time to stop a node [s]: a step, divided by the effect of a vertex on a node.
-    pub most: f64,
+    /// Limits the rate of friction on a vertex to the inverse of this [s]: a step times the effect of a vertex on a
+    /// node, so
+    /// that friction takes at least a step to stop a node.
+    pub min_stop: f64,
 }
 
 impl Contact<'_> {
@@ -707,7 +712,7 @@ impl Contact<'_> {
                 let slide = velocity - plane.normal * plane.normal.dot(velocity);
                 let pressure = plane.stiffness * depth;
                 let rate = plane.friction * pressure / (slide.length_squared() + plane.slip * plane.slip).sqrt();
-                let force = plane.normal * pressure - slide * (rate / (1.0 + rate * self.most));
+                let force = plane.normal * pressure - slide * (rate / (1.0 + rate * self.min_stop));
                 for (&node, &weight) in corners.iter().zip(&embedded.weights) {
                     into[node as usize] += force * (weight * share * mass / masses[node as usize]);
                 }
@@ -716,7 +721,7 @@ impl Contact<'_> {
     }
 }
 
-/// The largest ratio of the mass of the vertices that act on a node to the mass of that node.
+/// The largest ratio of the mass of the vertices that act on a node to the mass of that node [–].
 pub fn contact(cells: &Cells, mesh: &Mesh) -> f64 {
     let mut sums = vec![0.0; cells.node_count()];
     for (embedded, share) in cells.embedded.iter().zip(mesh.shares()) {

@@ -1,5 +1,5 @@
-//! Scenes with free bodies: all bodies are stepped together, since each needs the others' centres at the same instants,
-//! and acts on them.
+//! Scenes with free bodies: all bodies are stepped together, since they act on each other and each needs the others'
+//! centres at the same instants.
 //!
 //! A free body consists of its nodes, none of which is held. Their positions s are relative to the mass centre c, which
 //! is integrated separately:
@@ -13,21 +13,23 @@
 //! to the bit.
 //!
 //! # Lattice
-//! Velocity Verlet in steps that all bodies share. The centres move on parabolas that are known before a step is taken.
-//! Phase changes are located on these, and steps end there. Springs and dampers act along the line between two nodes,
-//! spheres along the line to a centre: momentum and angular momentum are conserved.
+//! Velocity Verlet with common steps for all bodies. The centres move on parabolas that are known before a step is
+//! taken;
+//! phase changes are located on them, and steps end there. Springs and dampers act along the line between two nodes,
+//! spheres along the line to a centre, so momentum and angular momentum are conserved.
 //!
 //! # Finite elements
-//! They are linear in the absence of rotation, so the body as a whole is co-rotated: displacements are measured in axes
-//! Q that rotate with it, the best fit to its nodes at the middle of a step (Müller et al., Meshless Deformations Based
-//! on Shape Matching, 2005; Terzopoulos and Witkin, Physically based models with rigid and deformable components, 1988,
-//! use such axes too). Axes per element would handle larger deformations, but A in [`fem`](crate::models::fem), and the
-//! factor that makes the method fast, would change in every step. The price: a body bent by tens of degrees swells
-//! there.
+//! Linear elements are not invariant under rotation, so the body is co-rotated as a whole: displacements are measured
+//! in
+//! axes Q that rotate with it, the best fit to its nodes at the middle of a step (Müller et al., Meshless Deformations
+//! Based on Shape Matching, 2005; Terzopoulos and Witkin, Physically based models with rigid and deformable components,
+//! 1988, use such axes, too). Axes per element would handle larger deformations, but A in
+//! [`fem`](crate::models::fem), and so the factor that makes the method fast, would change in every step. The price: a
+//! body bent by tens of degrees swells at the bend.
 //!
 //! Linear forces exert a second-order torque about the displaced nodes, which would rotate an isolated body. A rigid
 //! rotation at the end of each step removes it, so that only external torques change the angular momentum. If a pair
-//! changes its phase within a step, spheres act in proportion to time, as the factor is for a fixed step.
+//! changes its phase within a step, spheres act in proportion to time, because the factor requires a fixed step.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -37,7 +39,7 @@ use rayon::prelude::*;
 use super::{
     Elastic, PARALLEL_NODES, PHASES,
     act::{Instantaneous, StepContext},
-    body::{Body, Contact, Finite, MOST_WORK, Matter, OF_LIMIT, Springs},
+    body::{Body, Contact, Finite, MAX_SPRINGS, Matter, OF_LIMIT, Springs},
 };
 use crate::{
     geometry::Mesh,
@@ -53,25 +55,28 @@ use crate::{
 };
 
 /// Upper limit on phase changes in a step; more would take forever.
-const MOST_CHANGES: usize = 1000;
-/// Number of samples of the distances in a step; shorter visits are missed.
+const MAX_CHANGES: usize = 1000;
+/// Number of samples of each distance in a step; crossings back and forth between two samples are missed.
 const SAMPLES: u32 = 8;
-/// Halvings of the time between two of them.
+/// Number of bisections between two samples.
 const HALVINGS: u32 = 60;
 
 /// The rigid motion of a free body.
 #[derive(Clone, Debug)]
 pub struct Free {
-    /// Mass centre [scene unit], its velocity [scene unit/s] and acceleration [scene unit/s²].
+    /// Mass centre [scene unit].
     pub centre: DVec3,
+    /// Velocity of the centre [scene unit/s].
     pub velocity: DVec3,
+    /// Acceleration of the centre [scene unit/s²].
     acceleration: DVec3,
-    /// The rotation Q that best fits the nodes, and its rate [rad/s].
+    /// The rotation Q that best fits the nodes.
     pub rotation: DQuat,
+    /// Angular velocity of Q [rad/s].
     pub spin: DVec3,
-    /// Positions of the nodes relative to the centre [scene unit], and velocities relative to it [scene unit/s],
-    /// `[node_count]`, for finite elements only; lattices have their own.
+    /// Positions of the nodes relative to the centre [scene unit], `[node_count]`; finite elements only.
     positions: Vec<DVec3>,
+    /// Velocities of the nodes relative to the centre [scene unit/s], `[node_count]`; finite elements only.
     velocities: Vec<DVec3>,
 }
 
@@ -82,9 +87,9 @@ pub struct ExternalForces {
     mean: DVec3,
     /// Σ m f of each sphere, by its body [mass · scene unit/s²].
     pub pulls: Vec<(u32, DVec3)>,
-    /// Accelerations of the nodes less their mean [scene unit/s²], `[node_count]`.
+    /// Accelerations of the nodes minus their mean [scene unit/s²], `[node_count]`.
     loads: Vec<DVec3>,
-    /// Positions at which they acted, relative to the centre [scene unit], `[node_count]`.
+    /// Node positions at which they acted, relative to the centre [scene unit], `[node_count]`.
     places: Vec<DVec3>,
 }
 
@@ -103,7 +108,7 @@ struct Place {
 }
 
 impl Free {
-    /// A body at its start, its nodes at rest about their mass centre.
+    /// A body at t = 0, with its nodes at their rest positions.
     pub fn new(motion: &FreeMotion, rest: &[DVec3], has_nodes: bool) -> Free {
         let FreeMotion { from, velocity, spin, .. } = *motion;
         let own = |of: &dyn Fn(&DVec3) -> DVec3| if has_nodes { rest.iter().map(of).collect() } else { Vec::new() };
@@ -134,7 +139,7 @@ impl Free {
     }
 }
 
-/// The external forces on nodes, at an instant or averaged.
+/// The input for the external forces on nodes, at an instant or averaged.
 struct Loads<'a> {
     now: &'a Instantaneous,
     weight: Weight,
@@ -143,14 +148,15 @@ struct Loads<'a> {
     cells: &'a Cells,
     corners: &'a [[u32; 8]],
     directions: &'a [DVec3],
-    /// Masses of the nodes, and that of the body as the scene gives it.
+    /// Masses of the nodes.
     masses: &'a [f64],
+    /// Mass of the body in the scene.
     mass: f64,
     held: &'a [bool],
     place: Place,
     rotation: Option<DQuat>,
-    /// See [`Contact`].
-    most: f64,
+    /// See [`Contact::min_stop`].
+    min_stop: f64,
 }
 
 impl Loads<'_> {
@@ -180,8 +186,8 @@ impl Loads<'_> {
             }
         }
         if !self.planes.is_empty() {
-            let Loads { planes, mesh, cells, corners, most, place, .. } = *self;
-            let of = Contact { planes, mesh, cells, corners, motion: [place.centre, place.velocity], most };
+            let Loads { planes, mesh, cells, corners, min_stop, place, .. } = *self;
+            let of = Contact { planes, mesh, cells, corners, motion: [place.centre, place.velocity], min_stop };
             of.accelerate(self.masses, self.mass, positions, velocities, into);
         }
         acted.mean = DVec3::ZERO;
@@ -292,10 +298,10 @@ impl Elastic {
             Integrator::Verlet => 1.0,
             _ => ((end - start) / (OF_LIMIT * limit)).ceil().max(1.0),
         };
-        if count * springs as f64 > MOST_WORK {
+        if count * springs as f64 > MAX_SPRINGS {
             return Err(StepFailure::NotTaken(format!(
-                "too much to do in step {step} (from t = {start:.6} s on): the springs of body \"{}\" allow steps of {limit:.1e} s, {count:.0} in \
-                 one of the scene, for all bodies; lower `omega`, `damping` or `cells` in [lattice]",
+                "too much to do in step {step} (from t = {start:.6} s on): the springs of body \"{}\" need steps below {limit:.1e} s, {count:.0} per \
+                step of the scene, for all bodies; lower `omega`, `damping` or `cells` in [lattice]",
                 scene.bodies[stiffest].name
             )));
         }
@@ -328,7 +334,9 @@ impl Elastic {
         self.pull_all(t, h, part, false);
     }
 
-    /// Evaluates the forces on all bodies at `t` [s], or takes a step of `h` from there and evaluates them at its end.
+    /// Evaluates the forces on all bodies at `t` [s] if `is_start`; otherwise takes a step of `h` from there, and
+    /// evaluates
+    /// them at its end.
     fn pull_all(&mut self, t: f64, h: f64, part: [f64; 2], is_start: bool) {
         let places = self.places(t, h, part);
         let Elastic { scene, bodies, phases, step, .. } = self;
@@ -346,7 +354,7 @@ impl Elastic {
                 (free.centre, free.velocity) = (free.after(h), free.velocity + free.acceleration * (0.5 * h));
             }
         }
-        self.settle();
+        self.accelerate_centres();
         if !is_start {
             for free in self.bodies.iter_mut().filter_map(|body| body.free.as_mut()) {
                 free.velocity += free.acceleration * (0.5 * h);
@@ -354,8 +362,8 @@ impl Elastic {
         }
     }
 
-    /// c″ = f̄ + g + R/M of free bodies, from the last external forces.
-    fn settle(&mut self) {
+    /// Updates c″ = f̄ + g + R/M of free bodies from the last external forces.
+    fn accelerate_centres(&mut self) {
         let mut reactions = vec![DVec3::ZERO; self.bodies.len()];
         for body in &self.bodies {
             body.acted.pulls.iter().for_each(|&(source, pull)| reactions[source as usize] -= pull);
@@ -377,7 +385,7 @@ impl Elastic {
             self.check_interrupt()?;
             let (ends, h) = ([at(number), at(number + 1)], (end - start) / divided as f64);
             self.find_sources(ends[0], ends[1]);
-            // without the accelerations of the last step: only velocities determine the middle
+            // only velocities determine the middle, not the accelerations of the last step
             self.bodies
                 .iter_mut()
                 .filter_map(|body| body.free.as_mut())
@@ -390,7 +398,7 @@ impl Elastic {
                     StepContext { scene, phases, events: &changes, start: ends[0], end: ends[1], step: *step + 1 };
                 let centres: Vec<DVec3> = middle.iter().map(|place| place.centre).collect();
                 for_each_body(bodies, |body| body.load(&around, ends, h, &middle, &centres));
-                self.settle();
+                self.accelerate_centres();
                 if is_last {
                     break;
                 }
@@ -427,8 +435,8 @@ impl Elastic {
         self.events.push(event);
     }
 
-    /// The phase changes on the known motion of the centres, by time; only the first if `is_one`.
-    fn changes(&self, [start, end]: [f64; 2], part: [f64; 2], is_one: bool) -> Result<Vec<PairEvent>, StepFailure> {
+    /// The phase changes on the known motion of the centres, in order of time; only the first if `only_first`.
+    fn changes(&self, [start, end]: [f64; 2], part: [f64; 2], only_first: bool) -> Result<Vec<PairEvent>, StepFailure> {
         let mut pairs: Vec<[u32; 2]> = self.phases.keys().copied().collect();
         for body in &self.bodies {
             let index = body.index as u32;
@@ -477,28 +485,28 @@ impl Elastic {
                 };
                 found.push(PairEvent::from(&event));
                 (from, phase) = (time, to);
-                if found.len() + self.events.len() > MOST_CHANGES {
+                if found.len() + self.events.len() > MAX_CHANGES {
                     let [a, b] = pair.map(|body| &self.scene.bodies[body as usize].name);
                     return Err(StepFailure::NotTaken(format!(
-                        "too much to do in step {} (from t = {start:.6} s on): bodies \"{a}\" and \"{b}\" change their phase over and over; set \
+                        "too much to do in step {} (from t = {start:.6} s on): bodies \"{a}\" and \"{b}\" change their phase again and again; set \
                          core_width, or move merge_at, split_at and core_at apart",
                         self.step + 1
                     )));
                 }
-                if is_one {
+                if only_first {
                     break;
                 }
             }
         }
         found.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
-        if is_one {
+        if only_first {
             found.truncate(1);
         }
         Ok(found)
     }
 }
 
-/// The first time in a span at which something holds [s], to rounding: at one of a few samples, or between two of them.
+/// The first time in a span at which `holds` is true [s], to rounding, as found by sampling and bisection.
 fn first(holds: impl Fn(f64) -> bool, start: f64, end: f64) -> Option<f64> {
     if holds(start) {
         return Some(start);
@@ -536,7 +544,7 @@ impl Body {
         }
     }
 
-    /// Mass of the nodes that are part of it.
+    /// Mass of the nodes that are still part of the body.
     pub fn free_mass(&self) -> f64 {
         (0..self.node_count()).filter(|&node| !self.is_held(node)).map(|node| self.masses()[node]).sum()
     }
@@ -564,7 +572,7 @@ impl Body {
         }
     }
 
-    /// Whether the forces on its nodes are known at its current position.
+    /// Whether the forces on its nodes are known for the current positions.
     fn is_known(&self) -> bool {
         match &self.matter {
             Matter::Lattice(springs) => springs.motion.accelerations.len() == springs.lattice.node_count(),
@@ -578,7 +586,7 @@ impl Body {
         }
     }
 
-    /// Takes some steps of a lattice with the forces at time `t`, or only evaluates these.
+    /// Takes `count` steps of a lattice with the external forces at time `t`; 0 only evaluates the forces.
     fn pull(&mut self, around: &StepContext<'_>, t: f64, h: f64, count: u64, places: &[Place], centres: &[DVec3]) {
         let mut now = std::mem::take(&mut self.now);
         self.find_acting(around, [around.start, around.end], Some(t), centres, &mut now);
@@ -599,7 +607,7 @@ impl Body {
             held: &lattice.held,
             place,
             rotation: free.as_ref().map(|free| free.rotation),
-            most: *contact * h,
+            min_stop: *contact * h,
         };
         let outside = |_: f64, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3]| {
             acting.act(positions, velocities, into, acted);
@@ -611,7 +619,7 @@ impl Body {
         self.measure();
     }
 
-    /// Writes the external forces on it, averaged or at time `t`.
+    /// Writes the external forces on the body to `now`, averaged over `ends`, or at time `t` if given.
     fn find_acting(
         &self,
         around: &StepContext<'_>,
@@ -651,7 +659,7 @@ impl Body {
             held: &finite.held,
             place,
             rotation: free.as_ref().map(|free| free.rotation),
-            most: *contact * h,
+            min_stop: *contact * h,
         };
         let (mut loads, mut middle) = (std::mem::take(&mut acted.loads), std::mem::take(&mut acted.places));
         let half = 0.5 * h;
@@ -716,7 +724,7 @@ impl Body {
             positions[node] = axes * (motion.displacements[i] + rest[node]);
             velocities[node] = axes * motion.velocities[i];
         }
-        // the mean belongs to the centre: only rounding errors remain
+        // remove the mean, which is only rounding errors
         let all: f64 = masses.iter().sum();
         for of in [&mut *positions, &mut *velocities] {
             let mean = of.iter().zip(masses).map(|(v, m)| *v * *m).sum::<DVec3>() / all;
@@ -732,11 +740,11 @@ impl Body {
         }
     }
 
-    /// The farthest node and the fastest.
+    /// Updates the distance of the farthest node and the speed of the fastest.
     fn measure(&mut self) {
         let Some([positions, velocities]) = self.state() else { return };
-        let most = |of: &[DVec3]| of.iter().map(|v| v.length_squared()).fold(0.0, f64::max).sqrt();
-        (self.extent, self.speed) = (most(positions), most(velocities));
+        let largest = |of: &[DVec3]| of.iter().map(|v| v.length_squared()).fold(0.0, f64::max).sqrt();
+        (self.extent, self.speed) = (largest(positions), largest(velocities));
     }
 
     /// Ends a step: tears, fits the rest shape, updates displacements.
@@ -781,7 +789,7 @@ impl Body {
         }
     }
 
-    /// The rotation of a free body, its rate, and displacements from its rest shape.
+    /// Updates the rotation and spin of a free body, and its displacements from the rotated rest shape.
     fn fit(&mut self) {
         let Some([positions, velocities]) = self.state() else { return };
         let is_still = velocities.iter().all(|u| *u == DVec3::ZERO) && positions == self.rest;
@@ -825,7 +833,7 @@ impl Body {
     }
 }
 
-/// The planes, if a body may reach one of them.
+/// All planes if a body may reach one of them, otherwise none.
 fn near(planes: &[Plane], centre: DVec3, extent: f64) -> &[Plane] {
     let is_near = planes.iter().any(|plane| plane.depth(centre) > -extent - 0.5 * extent);
     if is_near { planes } else { &[] }

@@ -5,7 +5,8 @@
 //! oscillators at the same position: influence spheres by phase (3.4), (3.5), pushes, carry. Planes act on the vertices
 //! of the surface, each of which distributes its force to the nodes of its cell.
 //!
-//! Only the core is held, instead of every node by its own spring, so that deformations travel through the body, and
+//! Only the core is held, rather than every node by a spring of its own, so that deformations travel through the body
+//! and
 //! torn-off parts are not pulled back. No node of a free body is held: see `coupled`.
 //!
 //! If all bodies are on paths, phases change at the same times as those of the oscillators, to the bit: a [`World`] of
@@ -44,14 +45,14 @@ pub use observe::schema;
 
 /// The core of a body that is held [radii].
 const CORE: f64 = 0.5;
-/// Below this number of nodes, a second thread does not pay.
+/// With fewer nodes than this, a second thread does not pay off.
 const PARALLEL_NODES: usize = 128;
 
 /// The bodies of a scene, made of cells.
 pub struct Elastic {
     scene: Scene,
     options: Options,
-    /// The same bodies without forces, to find phase changes; `None` with free bodies.
+    /// The bodies without forces, to find phase changes; `None` with free bodies.
     world: Option<World>,
     bodies: Vec<Body>,
     /// Memory of data shared by bodies [bytes].
@@ -62,7 +63,7 @@ pub struct Elastic {
     grid: Grid,
     step: u64,
     events: Vec<PairEvent>,
-    /// Tear events of the last step, also those that would have happened.
+    /// Tear events of the last step, including those of bodies that only would have torn.
     tears: Vec<BodyEvent>,
     failure: Option<StepFailure>,
     timings: [Duration; 3],
@@ -73,37 +74,42 @@ pub struct Elastic {
 /// # Errors
 /// [`Unsupported`], naming the body and the key.
 pub fn check(scene: &Scene) -> Result<(), Unsupported> {
-    let refuse = |body: Option<&str>, what: String, remedy: &str| {
+    let unsupported = |body: Option<&str>, what: String, remedy: &str| {
         let body = body.map(str::to_owned);
         Err(Unsupported { scene: scene.name.clone(), model: scene.model, body, what, remedy: remedy.to_owned() })
     };
     for body in &scene.bodies {
         if let Motion::Free(motion) = &body.motion {
             if motion.rotation == Rotation::Fixed {
-                let what = "rotation = \"fixed\", and its nodes turn a body as they are pushed".to_owned();
-                return refuse(Some(&body.name), what, "leave rotation out, or choose model = \"oscillators\"");
+                let what = "rotation = \"fixed\": the nodes of a body determine its rotation".to_owned();
+                return unsupported(
+                    Some(&body.name),
+                    what,
+                    "remove the key rotation, or choose model = \"oscillators\"",
+                );
             }
             if body.force.is_some() {
-                let what = "a force that a program gives".to_owned();
-                return refuse(Some(&body.name), what, "take it away, or choose model = \"oscillators\"");
+                let what = "a force set by a program".to_owned();
+                return unsupported(Some(&body.name), what, "remove it, or choose model = \"oscillators\"");
             }
             if scene.integrator == Integrator::Euler {
                 let what = "integrator = \"euler\" with motion = { free = … }".to_owned();
-                return refuse(Some(&body.name), what, "choose \"verlet\", or \"exponential\", the default");
+                return unsupported(Some(&body.name), what, "choose \"verlet\", or \"exponential\", the default");
             }
         }
         if body.material.omega == 0.0 {
-            let what = "omega = 0, from which its stiffness is derived".to_owned();
-            return refuse(Some(&body.name), what, "give it an omega above 0");
+            let what = "omega = 0: its stiffness is derived from omega".to_owned();
+            return unsupported(Some(&body.name), what, "give it an omega above 0");
         }
     }
     let (scheme, remedy) = match scene.model {
-        Model::Fem => {
-            ("steps are implicit", "leave integrator out: \"exponential\", the default, lets the model step as it does")
-        }
+        Model::Fem => (
+            "steps are implicit",
+            "remove the key integrator: with \"exponential\", the default, the model uses its own scheme",
+        ),
         _ => (
             "steps are explicit",
-            "choose \"euler\" or \"verlet\", which step by dt itself, or \"exponential\", the default, which lets the model divide dt",
+            "choose \"euler\" or \"verlet\", which step by dt, or \"exponential\", the default, with which the model divides dt",
         ),
     };
     let is_known = match scene.integrator {
@@ -112,7 +118,7 @@ pub fn check(scene: &Scene) -> Result<(), Unsupported> {
         _ => false,
     };
     if !is_known {
-        return refuse(None, format!("integrator = \"{}\", and its {scheme}", scene.integrator), remedy);
+        return unsupported(None, format!("integrator = \"{}\": its {scheme}", scene.integrator), remedy);
     }
     Ok(())
 }
@@ -128,14 +134,14 @@ impl Elastic {
     /// The scene at rest.
     ///
     /// # Errors
-    /// The model cannot run the scene, memory is too small, or it was interrupted; the error says which.
+    /// A message: the model does not support the scene, it needs too much memory, or building was interrupted.
     pub fn new(scene: Scene, options: Options) -> Result<Elastic, String> {
         check(&scene).map_err(|error| error.to_string())?;
         let across = match scene.model {
             Model::Fem => scene.fem.cells,
             _ => scene.lattice.cells,
         };
-        let room = room(&scene, across)?;
+        let left = memory_for_factors(&scene, across)?;
         let interrupted = || "interrupted while the bodies were built".to_owned();
         let is_coupled = coupled::is_coupled(&scene);
         let (mut world, mut phases) = (None, BTreeMap::new());
@@ -160,7 +166,7 @@ impl Elastic {
                 covered.insert(&body.shape, Arc::new(cells));
             }
         }
-        let mut shared = body::Shared::new(room, &scene, is_coupled.then_some(contact));
+        let mut shared = body::Shared::new(left, &scene, is_coupled.then_some(contact));
         let mut bodies = Vec::with_capacity(scene.bodies.len());
         for (index, body) in scene.bodies.iter().enumerate() {
             if options.interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
@@ -236,7 +242,7 @@ impl Elastic {
         } else {
             bodies.iter_mut().for_each(advance);
         }
-        // the first body's, whichever thread was first
+        // that of the first body, whichever thread finished first
         self.failure = bodies.iter_mut().find_map(|body| body.failure.take());
         if self.failure.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
             return;
@@ -284,7 +290,7 @@ impl Elastic {
                 (None, None) => continue,
             };
             let extent = body.extent + body.speed * (end - start);
-            // a body that jumps is in two places; jumps are rare, so a sphere around both is good enough
+            // a body that jumps is in several places; jumps are rare, so a ball around all of them is good enough
             let spread = match described.path().filter(|_| jumps) {
                 Some(path) => {
                     let places = path.knots().iter().filter(|&&knot| knot > start && knot <= end);
@@ -345,17 +351,17 @@ fn first_phases(scene: &Scene) -> BTreeMap<[u32; 2], Phase> {
     phases
 }
 
-/// All phases, in the order of their indices in events.
+/// All phases, by their indices in events.
 const PHASES: [Phase; 3] = [Phase::Apart, Phase::Merged, Phase::Core];
 
-/// Memory left for the factors of finite elements once a scene is built [bytes].
+/// Memory that is left for the factors of finite elements [bytes].
 ///
 /// # Errors
 /// The scene needs more memory than is available.
-fn room(scene: &Scene, across: u32) -> Result<u64, String> {
+fn memory_for_factors(scene: &Scene, across: u32) -> Result<u64, String> {
     let mut shapes = std::collections::HashSet::new();
     let mut kinds = std::collections::HashSet::new();
-    let (mut needed, mut of_bodies) = (0u64, 0u64);
+    let (mut needed, mut for_bodies) = (0u64, 0u64);
     for body in &scene.bodies {
         let vertices = body.shape.vertex_count();
         if shapes.insert(&body.shape) {
@@ -365,9 +371,9 @@ fn room(scene: &Scene, across: u32) -> Result<u64, String> {
             &body.shape,
             [body.radius, body.mass, body.material.omega, body.material.damping].map(f64::to_bits),
         ));
-        of_bodies = of_bodies.saturating_add(body::most_memory(scene, across, vertices, is_new));
+        for_bodies = for_bodies.saturating_add(body::max_memory(scene, across, vertices, is_new));
     }
-    needed = needed.saturating_add(of_bodies);
+    needed = needed.saturating_add(for_bodies);
     let available = memory::available();
     if needed / 9 * 10 > available {
         return Err(format!(

@@ -28,7 +28,7 @@ fn number(phase: Phase) -> usize {
     phase as usize
 }
 
-/// A scalar and its value: of the state, or of a step.
+/// A scalar and its value, of the state or of a step.
 struct Scalar {
     schema: ScalarSchema,
     value: fn(&Elastic, &[BodyFrame]) -> f64,
@@ -117,7 +117,7 @@ fn scalars(scene: &Scene) -> Vec<Scalar> {
         TearMode::Cut => {
             all.push(of(
                 "volume_lost",
-                "share of the volume that is lost [–]",
+                "fraction of the volume that is lost [–]",
                 "Volume lost",
                 ScalarOf::State,
                 |simulation, _| {
@@ -178,7 +178,7 @@ pub fn schema(scene: &Scene, options: Options) -> Schema {
     schema.law = format!("{made_of} {}", schema.law);
     if scene.tolerance != Scene::DEFAULT_TOLERANCE {
         schema.warnings.push(format!(
-            "tolerance has no effect with model = \"{}\": its steps are as long as is stable, and its accuracy follows from dt and cells",
+            "tolerance has no effect with model = \"{}\": its step length follows from stability, and its accuracy from dt and cells",
             scene.model
         ));
     }
@@ -319,7 +319,7 @@ impl Elastic {
             term.source = None;
             term.accelerations.clear();
             let Some((_, nodes)) = by_cause.iter_mut().find(|(known, _)| known == cause) else { continue };
-            // held nodes feel no force
+            // no force acts on held nodes
             nodes.iter_mut().zip(&held).filter(|(_, held)| **held).for_each(|(sum, _)| *sum = DVec3::ZERO);
             if nodes.iter().all(|sum| *sum == DVec3::ZERO) {
                 continue;
@@ -469,7 +469,7 @@ impl Simulation for Elastic {
         let name = &self.scene.bodies[first.index].name;
         let what = match (&first.matter, self.scene.lattice.tear) {
             (Matter::Fem(_), _) => format!(
-                "would tear: {} cells beyond tear_stress; the factored stiffness forbids more",
+                "would tear: {} cells beyond tear_stress; with a factored stiffness, bodies cannot tear",
                 sum(|body| body.statistics.torn as f64)
             ),
             (_, TearMode::Split) => {

@@ -29,8 +29,8 @@ fn run(simulation: &mut Elastic, steps: u64) -> Vec<PairEvent> {
     events
 }
 
-/// Phases follow the paths: the events are those of the oscillators. Their times are equal to rounding: the interval in
-/// which an event is searched for depends on which bodies may reach each other.
+/// Phases follow the paths, so the events are those of the oscillators. Their times are equal to rounding, because the
+/// interval in which an event is searched for depends on which bodies may reach each other.
 #[test]
 fn events_are_those_of_the_oscillators() {
     for name in ["two", "three", "size_ratio"] {
@@ -54,19 +54,19 @@ fn events_are_those_of_the_oscillators() {
     }
 }
 
-/// The bits do not depend on the number of threads, nor on observation; both models run every built-in scene on paths.
+/// Results are bit-identical for any number of threads, with and without observation, in the built-in scenes on paths.
 #[test]
 fn bits_do_not_depend_on_threads_or_observers() {
     for (name, steps) in [("two", 120), ("three", 60), ("size_ratio", 60), ("push", 60), ("crowd", 3)] {
         for model in [Model::Lattice, Model::Fem] {
-            let checksum = |threads: usize, looks: bool| {
+            let checksum = |threads: usize, observes: bool| {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
                 pool.install(|| {
                     let mut simulation = start(&scene(name, model));
                     let mut frame = Frame::default();
                     for _ in 0..steps {
                         run(&mut simulation, 1);
-                        if looks {
+                        if observes {
                             simulation.observe(Want::ALL, &mut frame);
                         }
                     }
@@ -88,7 +88,7 @@ fn single(model: Model, scene: &str, body: &str) -> Scene {
 }
 
 /// Lattice and finite elements with the same E and ν converge to the same body: displacements under constant
-/// acceleration are equal up to the discretisation error of six cells, which decreases with more cells.
+/// acceleration are equal up to the discretisation error, which decreases with the number of cells.
 #[test]
 fn lattice_and_elements_agree() {
     let sag = |model: Model, cells: u32| {
@@ -150,7 +150,7 @@ fn sharp_turns_kick_the_nodes() {
 
 /// An explicit scheme at a dt beyond the limit diverges, and reports the limit; the default divides dt.
 #[test]
-fn instability_is_shown() {
+fn instability_is_reported() {
     let scene = Scene { integrator: Integrator::Euler, dt: 0.05, ..scene("two", Model::Lattice) };
     let mut simulation = start(&scene);
     let mut summary = StepSummary::default();
@@ -164,7 +164,7 @@ fn instability_is_shown() {
     run(&mut start(&Scene { integrator: Integrator::Exponential, ..scene }), 100);
 }
 
-/// Stability over decades of dt, ω, κ, α and β. Every case ends, and the default integrator reports every failure.
+/// Stability over decades of dt, ω, κ, α, β and mass. Every case ends, and every failure is reported.
 /// (`bench stability --model` runs a thousand.)
 #[test]
 fn hard_cases_end() {
@@ -174,7 +174,7 @@ fn hard_cases_end() {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         low * (high / low).powf((state >> 33) as f64 / f64::from(1u32 << 31))
     };
-    let mut endured = [[0; 3]; 2];
+    let mut outcomes = [[0; 3]; 2];
     for _ in 0..CASES {
         let (dt, omega, damping) = (decades(1e-3, 0.3), decades(1.0, 300.0), decades(0.01, 300.0));
         let (alpha, beta, mass) = (decades(1.0, 1e4), decades(1.0, 1e4), decades(1e-3, 1e3));
@@ -199,16 +199,16 @@ fn hard_cases_end() {
                     break;
                 }
             }
-            endured[i][outcome] += 1;
+            outcomes[i][outcome] += 1;
         }
     }
-    assert_eq!(endured.map(|[whole, ..]| whole), [CASES - endured[0][2], CASES]);
+    assert_eq!(outcomes.map(|[completed, ..]| completed), [CASES - outcomes[0][2], CASES]);
 }
 
 /// A body held by its core, shaken hard: `cut` loses volume and reports it, `split` does not; both change the frame's
 /// mesh.
 #[test]
-fn both_ways_to_tear_show_in_frames() {
+fn both_tear_modes_show_in_frames() {
     let motion = "motion = { sine = { center = [0, 0, 0], amplitude = [3.0, 0, 0], frequency = 1.5, phase = 0.0 } }";
     for tear in [TearMode::None, TearMode::Cut, TearMode::Split] {
         let lines = format!("[lattice]\ntear = '{}'\nlimit = 0.3\ncells = 6", tear.name());
@@ -251,7 +251,7 @@ fn both_ways_to_tear_show_in_frames() {
 
 /// Finite elements report where they would tear, once per cell, and continue.
 #[test]
-fn elements_say_where_they_would_tear() {
+fn elements_report_where_they_would_tear() {
     let motion = "motion = { sine = { center = [0, 0, 0], amplitude = [1.0, 0, 0], frequency = 1.0, phase = 0.0 } }";
     let mut scene = single(Model::Fem, "[fem]\ntear_stress = 1.0", motion);
     let mut simulation = start(&scene);
@@ -287,7 +287,7 @@ fn planes_dent_bodies() {
 
 /// A long push deforms a body to its static equilibrium (2.1) under the same load.
 #[test]
-fn a_push_that_lasts_leads_to_the_equilibrium() {
+fn a_long_push_leads_to_the_equilibrium() {
     let lines = "[material]\ndamping = 8.0\n[[push]]\nbody = 'a'\ndirection = [1, 0, 0]\nstrength = 0.5\nstart = 0.0\nduration = 9.0";
     let mut simulation = start(&single(Model::Fem, lines, "motion = { fixed = [0, 0, 0] }"));
     run(&mut simulation, 500);
@@ -307,23 +307,23 @@ fn a_push_that_lasts_leads_to_the_equilibrium() {
 }
 
 #[test]
-fn what_the_models_cannot_do_they_refuse() {
-    let refusal = |scene: Scene| Elastic::new(scene, Options::default()).err().unwrap();
+fn unsupported_scenes_are_rejected() {
+    let error = |scene: Scene| Elastic::new(scene, Options::default()).err().unwrap();
     for model in [Model::Lattice, Model::Fem] {
-        let words = refusal(free(model, "", "rotation = 'fixed'"));
+        let words = error(free(model, "", "rotation = 'fixed'"));
         assert!(words.contains("rotation") && words.contains(model.name()) && words.contains("oscillators"), "{words}");
-        let words = refusal(Scene { integrator: Integrator::Rk4, ..scene("two", model) });
+        let words = error(Scene { integrator: Integrator::Rk4, ..scene("two", model) });
         assert!(words.contains("rk4"), "{words}");
-        let words = refusal(single(model, "", "omega = 0.0\nmotion = { fixed = [0, 0, 0] }"));
+        let words = error(single(model, "", "omega = 0.0\nmotion = { fixed = [0, 0, 0] }"));
         assert!(words.contains("omega"), "{words}");
         let mut large = scene("crowd", model);
         (large.lattice.cells, large.fem.cells) = (256, 256);
-        let words = refusal(large);
+        let words = error(large);
         assert!(words.contains("cells") && words.contains("too large"), "{words}");
     }
-    let words = refusal(Scene { integrator: Integrator::Euler, ..scene("two", Model::Fem) });
+    let words = error(Scene { integrator: Integrator::Euler, ..scene("two", Model::Fem) });
     assert!(words.contains("implicit"), "{words}");
-    // springs so stiff that a step of the scene is endless
+    // springs so stiff that a step of the scene would take forever
     let mut hard = scene("two", Model::Lattice);
     hard.bodies[0].material.omega = 1e9;
     let mut simulation = start(&hard);
@@ -375,8 +375,9 @@ fn free_bodies_fall() {
     }
 }
 
-/// A spinning body keeps its angular momentum for three turns, and its energy up to the error of the step; its shape
-/// rotates with it. The centrifugal stretch is the static one, of the order ω²ρR²/E.
+/// A spinning body conserves its angular momentum for three turns, and its energy up to the error of the step; its
+/// shape
+/// rotates with it. The centrifugal stretch stays at its static value, of the order ω²ρR²/E.
 #[test]
 fn free_bodies_spin_without_growing() {
     for model in [Model::Lattice, Model::Fem] {
@@ -400,7 +401,7 @@ fn free_bodies_spin_without_growing() {
 
 /// Colliding bodies conserve momentum and angular momentum, also with internal damping.
 #[test]
-fn free_bodies_keep_momentum() {
+fn free_bodies_conserve_momentum() {
     for model in [Model::Lattice, Model::Fem] {
         for (name, steps) in [("collide", 150), ("orbit", 100)] {
             let mut simulation = start(&scene(name, model));
@@ -416,7 +417,7 @@ fn free_bodies_keep_momentum() {
 /// An undamped body that falls on a frictionless plane rebounds with the same energy, partly as vibration; the error
 /// decreases with the step.
 #[test]
-fn a_bounce_keeps_energy() {
+fn a_bounce_conserves_energy() {
     for model in [Model::Lattice, Model::Fem] {
         let error = |dt: f64| {
             let lines = format!(
@@ -461,7 +462,7 @@ fn free_bodies_lie_on_planes() {
     }
 }
 
-/// Free bodies give the same bits for any number of threads.
+/// Results with free bodies are bit-identical for any number of threads.
 #[test]
 fn bits_of_free_bodies_do_not_depend_on_threads() {
     for model in [Model::Lattice, Model::Fem] {

@@ -2,7 +2,8 @@
 //!
 //! The elimination order is nested dissection of the grid (George, Nested dissection of a regular finite element mesh,
 //! 1973): a plane of nodes separates the nodes on its two sides, which are ordered recursively, before the plane.
-//! Factorisation and solution are scalar code without fused multiply-adds: the same bits on every machine.
+//! Factorisation and solution are scalar code without fused multiply-adds, so results are bit-identical on every
+//! machine.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -11,7 +12,7 @@ use glam::{DMat3, DVec3};
 /// A symmetric matrix: the blocks on and below the diagonal, by column.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Symmetric {
-    /// Where each column begins, `[n + 1]`.
+    /// Start of each column in `blocks`, followed by the end, `[n + 1]`.
     pub starts: Vec<usize>,
     /// The row of each block, ascending in a column; the first is the diagonal.
     pub rows: Vec<u32>,
@@ -23,9 +24,9 @@ impl Symmetric {
     /// Assembles blocks at `(row, column)` with row ≥ column; blocks at the same position are added in the order given.
     /// `None` if interrupted.
     pub fn sum(n: usize, mut parts: Vec<(u32, u32, DMat3)>, interrupt: Option<&AtomicBool>) -> Option<Symmetric> {
-        /// Blocks sorted between two checks of the interrupt.
+        /// Number of blocks sorted between two checks of the interrupt.
         const CHUNK: usize = 1 << 18;
-        // sorted pieces, which the last sort then merges
+        // sorted chunks, which the last sort then merges
         for some in parts.chunks_mut(CHUNK) {
             some.sort_by_key(|&(row, column, _)| (column, row));
             if interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
@@ -87,7 +88,7 @@ impl Symmetric {
 /// The Cholesky factor of a positive definite matrix.
 #[derive(Clone, Debug)]
 pub struct Cholesky {
-    /// Where each column begins among the blocks below the diagonal, `[n + 1]`.
+    /// Start of each column in `blocks`, followed by the end, `[n + 1]`.
     starts: Vec<usize>,
     rows: Vec<u32>,
     /// The blocks below the diagonal, each multiplied by the inverse of its column's diagonal block …
@@ -103,7 +104,7 @@ pub enum Unfactored {
     Singular,
     /// The factor would exceed the memory limit.
     TooLarge {
-        /// Bytes that the factor takes.
+        /// Memory of the factor, at least [bytes].
         bytes: u64,
     },
     /// It was interrupted.
@@ -111,16 +112,16 @@ pub enum Unfactored {
 }
 
 impl Cholesky {
-    /// L D Lᵀ with 3×3 blocks, where L has unit diagonal blocks. Allocates at most `most` bytes.
+    /// L D Lᵀ with 3×3 blocks, where L has unit diagonal blocks. Allocates at most `max` bytes.
     ///
     /// # Errors
     /// [`Unfactored`].
-    pub fn of(matrix: &Symmetric, most: u64, interrupt: Option<&AtomicBool>) -> Result<Cholesky, Unfactored> {
+    pub fn of(matrix: &Symmetric, max: u64, interrupt: Option<&AtomicBool>) -> Result<Cholesky, Unfactored> {
         const NONE: u32 = u32::MAX;
         let n = matrix.len();
         let is_interrupted = || interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed));
         let children = children(matrix, n);
-        // The pattern of a column is that of the matrix and those of its children in the elimination tree.
+        // the pattern of a column is the union of that of the matrix and those of its children in the elimination tree
         let mut patterns: Vec<Vec<u32>> = Vec::with_capacity(n);
         let (mut mark, mut count) = (vec![NONE; n], 0u64);
         for column in 0..n {
@@ -137,7 +138,7 @@ impl Cholesky {
             pattern.sort_unstable();
             count += pattern.len() as u64;
             let bytes = count * (size_of::<DMat3>() + 2 * size_of::<u32>()) as u64;
-            if bytes > most {
+            if bytes > max {
                 return Err(Unfactored::TooLarge { bytes });
             }
             if column % 64 == 0 && is_interrupted() {
@@ -153,7 +154,7 @@ impl Cholesky {
         let mut factor =
             Cholesky { blocks: vec![DMat3::ZERO; rows.len()], starts, rows, inverses: Vec::with_capacity(n) };
 
-        // Left-looking: columns that contribute to the current one are in a list, each with how far it has got.
+        // left-looking: the columns that contribute to the current one are in a list, each with its progress
         let mut head = vec![NONE; n];
         let mut next = vec![NONE; n];
         let mut reached: Vec<usize> = factor.starts[..n].to_vec();
@@ -169,7 +170,7 @@ impl Cholesky {
             }
             let (mut contributor, mut number) = (head[column], 0u32);
             while contributor != NONE {
-                // those of the last columns are many, and long
+                // the last columns have many long contributors
                 number += 1;
                 if number.is_multiple_of(1024) && is_interrupted() {
                     return Err(Unfactored::Interrupted);
@@ -177,7 +178,7 @@ impl Cholesky {
                 let k = contributor as usize;
                 contributor = next[k];
                 let (from, end) = (reached[k], factor.starts[k + 1]);
-                // L_ck D_k, of the current row
+                // L_ck D_k for the current row
                 let scaled = (factor.blocks[from] * diagonals[k]).transpose();
                 for (&row, block) in factor.rows[from..end].iter().zip(&factor.blocks[from..end]) {
                     work[row as usize] -= *block * scaled;
@@ -317,6 +318,6 @@ fn dissect(places: &[[i32; 3]], nodes: &mut [u32], order: &mut Vec<u32>) {
     let (on, after) = rest.split_at_mut(last - first);
     dissect(places, before, order);
     dissect(places, after, order);
-    // the plane is not coupled to itself alone any more: in any order
+    // eliminating both sides couples all nodes of the plane, so their order does not matter
     order.extend_from_slice(on);
 }

@@ -10,7 +10,7 @@
 //!
 //! # Motion
 //! (2.1) is an equilibrium. Dynamics needs M δ″ + C δ′ + K δ = F, with lumped masses M and C = γK, γ = 2κ/ω², so that a
-//! mode of the scene's ω decays at its κ. The implicit midpoint rule solves, for the mean velocity v of a step h,
+//! mode with the scene's ω decays at its κ. The implicit midpoint rule solves, for the mean velocity v of a step h,
 //!
 //! ```text
 //! A v = M u + (h/2)(F − K δ),   A = M + (h/2) C + (h²/4) K
@@ -18,9 +18,10 @@
 //! ```
 //!
 //! It is second order, conserves the energy of an undamped body and has no step limit. A is constant as long as the
-//! body's topology is: it is factored once, as 2.1.2 proposes for K (Hirota and Kaneko; Cotin et al.). That makes the
-//! method fast, but rules out tearing: where stress exceeds a limit, it is only reported that the body [would
-//! tear](Element::tension).
+//! body's topology is, so it is factored once, as 2.1.2 proposes for K (Hirota and Kaneko; Cotin et al.). That makes
+//! the
+//! method fast, but rules out tearing: where stress exceeds a limit, the body is only reported to [would
+//! tear](Element::tensions).
 //!
 //! # Factor or inverse
 //! A precomputed A⁻¹ takes 9n² multiplications per step for n free nodes, L D Lᵀ 18 per block. Measured on one core (µs
@@ -76,7 +77,7 @@ pub struct Element {
     gradients: [[DVec3; 4]; 6],
 }
 
-/// The factor of A for one length of step.
+/// The factor of A for one step length.
 #[derive(Clone, Debug)]
 pub struct Stepper {
     /// Length of the step [s].
@@ -94,7 +95,7 @@ pub struct Motion {
     scratch: Vec<DVec3>,
 }
 
-/// Where tension is largest.
+/// The largest tension in a cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tension {
     /// Index of the cell.
@@ -152,12 +153,12 @@ impl Element {
         })
     }
 
-    /// Factors A for steps of `h` [s], or K if `h` is infinite, for the equilibrium. The factor takes at most `most`
+    /// Factors A for steps of `h` [s], or K, for the equilibrium, if `h` is infinite. The factor may use at most `max`
     /// bytes.
     ///
     /// # Errors
     /// [`Unfactored`].
-    pub fn factor(&self, h: f64, most: u64, interrupt: Option<&AtomicBool>) -> Result<Stepper, Unfactored> {
+    pub fn factor(&self, h: f64, max: u64, interrupt: Option<&AtomicBool>) -> Result<Stepper, Unfactored> {
         let mut matrix = self.stiffness.clone();
         if h.is_finite() {
             let factor = 0.5 * h * (self.damping + 0.5 * h);
@@ -166,7 +167,7 @@ impl Element {
                 matrix.blocks[matrix.starts[column]] += DMat3::from_diagonal(DVec3::splat(self.masses[node as usize]));
             }
         }
-        Ok(Stepper { h, factor: Cholesky::of(&matrix, most, interrupt)? })
+        Ok(Stepper { h, factor: Cholesky::of(&matrix, max, interrupt)? })
     }
 
     /// Adds K δ to `forces` [mass · scene unit/s²].
@@ -214,7 +215,7 @@ impl Element {
 }
 
 impl Stepper {
-    /// Takes a step with the forces at its middle [mass · scene unit/s²], `[free_count]`, which are overwritten.
+    /// Takes a step with `forces`, those at its middle [mass · scene unit/s²], `[free_count]`, which are overwritten.
     pub fn step(&self, element: &Element, motion: &mut Motion, forces: &mut [DVec3]) {
         let half = 0.5 * self.h;
         let Motion { displacements, velocities, scratch } = motion;

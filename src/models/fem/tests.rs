@@ -30,7 +30,7 @@ fn dense(element: &Element) -> Vec<Vec<f64>> {
 }
 
 #[test]
-fn tetrahedra_fill_the_cube_and_wind_alike() {
+fn tetrahedra_fill_the_cube_with_equal_orientation() {
     let volume = |[a, b, c, d]: [usize; 4]| {
         let [a, b, c, d] = [a, b, c, d].map(corner);
         (b - a).cross(c - a).dot(d - a)
@@ -47,9 +47,9 @@ fn tetrahedra_fill_the_cube_and_wind_alike() {
     }
 }
 
-/// K is symmetric, has no negative eigenvalue, and its null space is that of the six rigid motions: 6 dimensions, no more.
+/// K is symmetric and has no negative eigenvalue, and its null space consists exactly of the six rigid motions.
 #[test]
-fn the_stiffness_knows_the_rigid_motions_and_no_others() {
+fn the_null_space_of_the_stiffness_is_the_rigid_motions() {
     let (cells, element) = block(4, [2, 2, 1], STEEL, |_| false);
     let mut rows = dense(&element);
     let n = rows.len();
@@ -68,7 +68,7 @@ fn the_stiffness_knows_the_rigid_motions_and_no_others() {
             assert!(forces.iter().all(|force| force.length() < 1e-14));
         }
     }
-    // rank by elimination with full pivoting on the diagonal, which does for a semidefinite matrix
+    // rank by elimination with pivoting on the diagonal, which suffices for a semidefinite matrix
     let mut rank = 0;
     loop {
         let best = (0..n).max_by(|&i, &j| rows[i][i].total_cmp(&rows[j][j])).unwrap();
@@ -105,7 +105,7 @@ fn the_patch_test_is_passed() {
     let element = Element::new(&cells, 1.0, 1.0, &held, |_| (STEEL, 0.0), None).unwrap();
     let gradient = DMat3::from_cols(DVec3::new(0.3, -0.2, 0.7), DVec3::new(0.1, 0.4, -0.6), DVec3::new(0.2, 0.5, -0.1));
     let affine = |node: DVec3| gradient * node + DVec3::new(0.1, 0.2, 0.3);
-    // forces on the nodes inside by displacements of the boundary
+    // forces on the interior nodes due to displacements of the boundary
     let mut number = vec![usize::MAX; cells.node_count()];
     all.free.iter().enumerate().for_each(|(i, &node)| number[node as usize] = i);
     let boundary: Vec<DVec3> = all
@@ -127,7 +127,7 @@ fn the_patch_test_is_passed() {
 }
 
 #[test]
-fn the_largest_eigenvalue_is_that_of_a_rotated_diagonal() {
+fn the_largest_eigenvalue_of_a_rotated_diagonal_is_found() {
     for values in [DVec3::new(3.0, -1.0, 0.5), DVec3::new(2.0, 2.0, -4.0), DVec3::splat(-1.5), DVec3::ZERO] {
         let turn = DMat3::from_quat(glam::DQuat::from_euler(glam::EulerRot::XYZ, 0.3, 1.2, -0.7));
         let matrix = turn * DMat3::from_diagonal(values) * turn.transpose();
@@ -181,7 +181,7 @@ fn the_factor_solves_the_system() {
     let stepper = element.factor(f64::INFINITY, u64::MAX, None).unwrap();
     stepper.equilibrium(&mut x);
     assert!(x.iter().zip(&expected).all(|(x, y)| x.distance(*y) < 1e-10));
-    // the order of elimination pays: in the order of the nodes the factor is a band
+    // the order of elimination pays off: in node order, the factor would be banded
     assert!(stepper.block_count() < n * n / 8, "{} blocks for {n} nodes", stepper.block_count());
     assert!(matches!(element.factor(1.0, 1000, None), Err(Unfactored::TooLarge { .. })));
     let free = Element::new(&cells, 1.0, 1.0, &vec![false; cells.node_count()], |_| (STEEL, 0.0), None).unwrap();
@@ -192,7 +192,7 @@ fn the_factor_solves_the_system() {
 /// Without damping, the midpoint rule conserves energy for any step; with damping, energy decreases. Any step is
 /// stable, and a constant load leads to the equilibrium (2.1).
 #[test]
-fn steps_keep_the_energy_and_end_in_equilibrium() {
+fn steps_conserve_energy_and_reach_equilibrium() {
     let cells = Cells::block(6, [2, 2, 4]);
     let held: Vec<bool> = cells.nodes.iter().map(|node| node.z == -1.0).collect();
     for (damping, h) in [(0.0, 0.01), (0.0, 10.0), (0.3, 0.1), (0.3, 100.0)] {

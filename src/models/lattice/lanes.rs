@@ -2,10 +2,11 @@
 //!
 //! On a cubic lattice, consecutive nodes have consecutive neighbours: the springs of a row of nodes in one direction
 //! read two contiguous ranges of every array, and a group of them takes a few instructions. Springs at split nodes,
-//! whose indices are not consecutive, form groups of their own.
+//! whose indices are not consecutive, form separate groups.
 //!
-//! Sums have a fixed order for any register width: group by group, in each group first all forces on first nodes, then
-//! all on second ones. There are no fused multiply-adds. The bits therefore do not depend on the instruction set.
+//! Sums have a fixed order for any register width: group by group, and in each group first all forces on first nodes,
+//! then all forces on second nodes. There are no fused multiply-adds. Results are therefore bit-identical for every
+//! instruction set.
 
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
@@ -29,7 +30,7 @@ pub struct Group {
 }
 
 impl Group {
-    /// Its springs.
+    /// The springs of the group.
     pub fn springs(&self) -> impl Iterator<Item = Spring> + '_ {
         let with = (0..GROUP as u32).zip(self.rest.iter().zip(&self.stiffness)).filter(|(_, of)| *of.1 > 0.0);
         with.map(|(k, (&rest, &stiffness))| Spring { a: self.a + k, b: self.b + k, rest, stiffness })

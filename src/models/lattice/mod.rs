@@ -1,8 +1,9 @@
-//! Masses and springs on a lattice of cubes (2.1.1, Fig. 2.1), and both ways to tear it (2.2.2, Fig. 2.2).
+//! Masses and springs on a lattice of cubes (2.1.1, Fig. 2.1), and two ways to tear it (2.2.2, Fig. 2.2).
 //!
 //! A cell has 28 springs: 12 along its edges, 12 along the diagonals of its faces, 4 along those of the cube. Springs on
-//! edges and faces are shared with the neighbouring cells; each cell contributes its share of their stiffness, so that a
-//! lattice is homogeneous, including its boundary:
+//! edges and faces are shared with the neighbouring cells; each cell contributes its share of their stiffness, so that
+//! a
+//! lattice is homogeneous up to its boundary:
 //!
 //! ```text
 //! k_edge : k_face : k_space = 2 : 1 : 3/8        a cell's share: 1/4, 1/2, 1
@@ -13,8 +14,8 @@
 //! ratio is 1/4, as for every lattice of central forces (Cauchy); Young's modulus is E = 15k/4h.
 //!
 //! # Constants from the scene
-//! The thesis says that springs describe no physical property (2.1.1). Here they do: E is such that a bar one radius
-//! long, held at one end, has the scene's ω as its lowest frequency, ω = (π/2R) √(E/ρ), so
+//! The thesis states that springs describe no physical property (2.1.1). Here they do: E is chosen such that a bar one
+//! radius long, held at one end, has the scene's ω as its lowest frequency, ω = (π/2R) √(E/ρ), so
 //!
 //! ```text
 //! E = ρ c²,   c = 2ωR/π          k = 4Eh/15
@@ -43,8 +44,9 @@ use super::cells::Cells;
 use lanes::{Group, group};
 pub use step::{Motion, Outside, Scheme};
 
-/// Stiffness of a cell's share of a spring along an edge, over k: a quarter of 2; along a diagonal of a face: half of 1;
-/// along one of the cube: 3/8.
+/// Stiffness of a cell's share of a spring, over k: along an edge, a quarter of 2; along the diagonal of a face, half
+/// of
+/// 1; along that of the cube, 3/8.
 const SHARES: [f64; 3] = [0.5, 0.5, 0.375];
 /// The highest squared frequency of a free cell, times its mass over k.
 const CELL_MODE: f64 = 30.0;
@@ -80,7 +82,7 @@ pub struct Spring {
     pub stiffness: f64,
 }
 
-/// Masses and springs. The caller that steps it keeps the positions and velocities of its nodes.
+/// Masses and springs. Positions and velocities of the nodes are in [`Motion`].
 #[derive(Clone, Debug)]
 pub struct Lattice {
     /// The corner nodes of each cell, `[cell_count]`.
@@ -101,8 +103,9 @@ pub struct Lattice {
     pub stiffness: f64,
     /// Damping over stiffness, γ [s].
     pub damping: f64,
-    /// Mass of each cell, `[cell_count]`, and of the lightest.
+    /// Mass of each cell, `[cell_count]`.
     pub cell_masses: Vec<f64>,
+    /// Mass of the lightest cell.
     lightest: f64,
     keys: Vec<(u64, u32)>,
 }
@@ -155,7 +158,7 @@ impl Lattice {
         /// Nodes whose springs are sorted together.
         const STRETCH: usize = 1 << 16;
         let Lattice { corners, is_whole, keys, rest, .. } = self;
-        let go_on = || (!interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed))).then_some(());
+        let check = || (!interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed))).then_some(());
         let whole =
             || corners.iter().zip(is_whole.iter()).filter(|(_, is_whole)| **is_whole).map(|(corners, _)| corners);
         let pairs = |corners: &[u32; 8], found: &mut dyn FnMut(u32, u32, u32)| {
@@ -170,7 +173,7 @@ impl Lattice {
         let mut ends = vec![0usize; rest.len() / STRETCH + 2];
         for (number, corners) in whole().enumerate() {
             if number % STRETCH == 0 {
-                go_on()?;
+                check()?;
             }
             pairs(corners, &mut |a, _, _| ends[a as usize / STRETCH + 1] += 1);
         }
@@ -182,7 +185,7 @@ impl Lattice {
         keys.resize(ends[ends.len() - 1], (0, 0));
         for (number, corners) in whole().enumerate() {
             if number % STRETCH == 0 {
-                go_on()?;
+                check()?;
             }
             pairs(corners, &mut |a, b, kind| {
                 let at = &mut next[a as usize / STRETCH];
@@ -195,13 +198,13 @@ impl Lattice {
             let (key, kind) = same[0];
             let (a, b) = ((key >> 32) as u32, key as u32);
             let stiffness = SHARES[kind as usize] * stiffness * same.len() as f64;
-            // the length as the force computes it at rest, to the bit, so that the force is exactly zero there
+            // bit-identical to the length computed for the force at rest, so that the force is exactly zero there
             Spring { a, b, rest: (rest[b as usize] - rest[a as usize]).length(), stiffness }
         };
         self.groups.clear();
         self.spring_count = 0;
         for ends in ends.windows(2) {
-            go_on()?;
+            check()?;
             let keys = &mut keys[ends[0]..ends[1]];
             keys.sort_unstable();
             let springs: Vec<Spring> = keys.chunk_by(|x, y| x.0 == y.0).map(spring).collect();
@@ -270,7 +273,8 @@ impl Lattice {
     }
 
     /// Upper bound of the memory of a lattice with this many cells along a diameter [bytes]; if it can be split, with
-    /// all cells separate, each with its own nodes.
+    /// all
+    /// cells separate, each with its own nodes.
     pub fn most_memory(across: u32, can_split: bool) -> u64 {
         const NODE_BYTES: u64 = 24 * 8 + 9 * 8;
         const KEY_BYTES: u64 = 28 * 16;

@@ -26,8 +26,9 @@ pub struct Motion {
 /// Time integration schemes of a lattice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scheme {
-    /// Velocity Verlet: second order. Damping is evaluated at the velocity u + h a, as by Groot and Warren (Dissipative particle
-    /// dynamics, 1997).
+    /// Velocity Verlet: second order. Damping is evaluated at the predicted velocity u + h a (Groot and Warren,
+    /// Dissipative
+    /// particle dynamics, 1997).
     Verlet,
     /// Semi-implicit Euler: first order.
     Euler,
@@ -61,7 +62,7 @@ impl Motion {
         self.weigh(lattice);
     }
 
-    /// Adds to the velocities of the nodes that are not held [scene unit/s].
+    /// Adds a velocity to the nodes that are not held [scene unit/s].
     pub fn kick(&mut self, by: DVec3) {
         let free = self.velocities.iter_mut().zip(&self.inverse).filter(|(_, inverse)| **inverse > 0.0);
         free.for_each(|(velocity, _)| *velocity += by);

@@ -1,9 +1,9 @@
-//! Both ways to tear a lattice (2.2.2, Fig. 2.2).
+//! The two ways to tear a lattice (2.2.2, Fig. 2.2).
 //!
-//! - `cut` (Fig. 2.2b; [11, 12] of the thesis): an overstretched spring is cut with all springs of the cells that it belongs
-//!   to. That is cheap, but the volume of the cells is lost.
-//! - `split` (Fig. 2.2c; [9, 12]): an overloaded node becomes two, one for the cells on either side of the plane across which
-//!   the tension is strongest, and the springs are rebuilt. The volume is kept.
+//! - `cut` (Fig. 2.2b; [11, 12] of the thesis): an overstretched spring is cut with all springs of its cells. That is
+//!   cheap, but the volume of the cells is lost.
+//! - `split` (Fig. 2.2c; [9, 12]): an overloaded node becomes two, one for the cells on either side of the plane across
+//!   which the tension is strongest, and the springs are rebuilt. The volume is kept.
 //!
 //! Both limits are strains, so that they can be compared: a spring is cut at the length (1 + limit) L; a node is split
 //! at the force of a bar under the strain `limit` on the node's share of its section, E · limit · h²/4 for each pair of
@@ -13,7 +13,7 @@ use glam::DVec3;
 
 use super::{Lattice, SHARES};
 
-/// Cells around a node, by which of their corners it is: one bit per axis, set for cells on the far side.
+/// The corner of a cell at which a node is: one bit per axis, clear if the cell is on the node's far side.
 type Sides = u8;
 
 /// A node to be split, and the axis of its plane.
@@ -23,8 +23,9 @@ struct Split {
 }
 
 impl Lattice {
-    /// Cuts the cells whose springs are longer than (1 + limit) L, and returns them. Nodes without remaining cells
-    /// leave the body, and are held from now on.
+    /// Cuts the cells with springs longer than (1 + limit) L, and returns them. Nodes without remaining cells leave the
+    /// body,
+    /// and are held from now on.
     pub fn cut(&mut self, positions: &[DVec3], limit: f64) -> Vec<usize> {
         let is_torn = |corners: &[u32; 8]| {
             (0..8).any(|i| {
@@ -39,7 +40,7 @@ impl Lattice {
         let torn: Vec<usize> = torn.collect();
         torn.iter().for_each(|&cell| self.is_whole[cell] = false);
         if !torn.is_empty() {
-            self.connect(None); // not interruptible: a subset of what was connected before
+            self.connect(None); // not interruptible: fewer cells than before
             let mut is_left = vec![false; self.node_count()];
             let whole = self.corners.iter().zip(&self.is_whole).filter(|(_, is_whole)| **is_whole);
             whole.flat_map(|(corners, _)| corners).for_each(|&node| is_left[node as usize] = true);
@@ -51,7 +52,7 @@ impl Lattice {
     /// Splits the nodes whose load exceeds that of a strain of `limit`, and returns them in the order of the added
     /// nodes, each of which has the state of its original.
     pub fn split(&mut self, positions: &[DVec3], limit: f64) -> Vec<u32> {
-        let splits = self.overpulled(positions, limit);
+        let splits = self.overloaded(positions, limit);
         if splits.is_empty() {
             return Vec::new();
         }
@@ -78,12 +79,12 @@ impl Lattice {
                 }
             }
         }
-        self.connect(None); // not interruptible: a subset of what was connected before
+        self.connect(None); // not interruptible: no more cells than before
         splits.iter().map(|split| split.node).collect()
     }
 
     /// The nodes to be split, ascending.
-    fn overpulled(&self, positions: &[DVec3], limit: f64) -> Vec<Split> {
+    fn overloaded(&self, positions: &[DVec3], limit: f64) -> Vec<Split> {
         // force on each node by the cells on its far side minus that by the cells on its near side, along each axis
         let mut pulls = vec![[DVec3::ZERO; 3]; self.node_count()];
         let mut towards = vec![[DVec3::ZERO; 3]; self.node_count()];

@@ -8,8 +8,9 @@ fn nothing(_: f64, _: &[DVec3], _: &[DVec3], accelerations: &mut [DVec3]) {
     accelerations.fill(DVec3::ZERO);
 }
 
-/// A bar of `cells` along z in a grid of `across` along [−1, 1], of density 1, ω = 1 for a bar of length 1, hung up at its lowest
-/// nodes or free.
+/// A bar of `cells` along z in a grid of `across` along [−1, 1], of density 1, with ω = 1 for a bar of length 1, held
+/// at
+/// its lowest nodes or free.
 fn bar(across: u32, cells: [u32; 3], damping: f64, is_held: bool) -> Lattice {
     let cells = Cells::block(across, cells);
     let held = cells.nodes.iter().map(|node| is_held && node.z == -1.0).collect();
@@ -17,7 +18,7 @@ fn bar(across: u32, cells: [u32; 3], damping: f64, is_held: bool) -> Lattice {
     Lattice::new(&cells, 1.0, mass, held, |density| Constants::of(1.0, damping, 1.0, density), None).unwrap()
 }
 
-/// Some numbers in [−1, 1], the same in every run.
+/// Pseudo-random numbers in [−1, 1], the same in every run.
 fn noise(seed: u64) -> impl FnMut() -> f64 {
     let mut state = seed;
     move || {
@@ -52,9 +53,9 @@ fn a_cell_has_28_springs_and_shares_those_on_its_faces() {
     assert_eq!(forces, still, "a lattice at rest is exactly at rest");
 }
 
-/// SIMD springs and dampers exert the same forces as one at a time, also where nodes were split.
+/// SIMD evaluation gives the same forces as scalar evaluation, also where nodes were split.
 #[test]
-fn springs_side_by_side_are_those_one_by_one() {
+fn simd_springs_equal_scalar_springs() {
     let mut lattice = bar(8, [3, 4, 5], 0.4, false);
     for _ in 0..2 {
         let motion = shaken(&lattice, 0.1);
@@ -95,7 +96,7 @@ fn a_lattice_is_an_isotropic_solid() {
     }
 }
 
-/// Springs and dampers are internal; without dampers, energy is kept to the order of the scheme.
+/// Springs and dampers conserve momentum; without dampers, energy is conserved to the order of the scheme.
 #[test]
 fn momentum_and_energy_are_kept() {
     let free = bar(8, [2, 2, 3], 0.4, false);
@@ -125,7 +126,7 @@ fn momentum_and_energy_are_kept() {
     assert!(coarse < 0.02 && (3.0..5.5).contains(&(coarse / fine)), "{coarse} {fine}: second order");
 }
 
-/// The limit is that of a single free cell exactly, with dampers and without.
+/// The limit is exact for a single free cell, with and without dampers.
 #[test]
 fn steps_are_stable_up_to_the_limit() {
     let grows = |lattice: &Lattice, per_limit: f64| {
@@ -142,8 +143,8 @@ fn steps_are_stable_up_to_the_limit() {
     }
 }
 
-/// A bar held at one end oscillates lengthwise at ω = (π/2L) √(E/ρ), more exactly as cells shrink, because its
-/// thickness is that of a cell.
+/// A bar held at one end oscillates lengthwise at ω = (π/2L) √(E/ρ). The error decreases with the size of the cells,
+/// which is the thickness of the bar.
 #[test]
 fn a_bar_has_the_frequency_of_its_closed_form() {
     let error = |across: u32| {
@@ -154,7 +155,7 @@ fn a_bar_has_the_frequency_of_its_closed_form() {
             let z = rest.z + 1.0;
             let slope = 1e-6 * FRAC_PI_2 * (FRAC_PI_2 * z).cos();
             let middle = DVec3::new(-1.0 + 0.5 * lattice.size, -1.0 + 0.5 * lattice.size, 0.0);
-            // with the contraction of its sides
+            // with lateral contraction
             let side = if z > 0.0 { (*rest - middle) * DVec3::new(1.0, 1.0, 0.0) } else { DVec3::ZERO };
             *position += DVec3::Z * (1e-6 * shape(rest)) - 0.25 * slope * side;
         }
@@ -162,7 +163,7 @@ fn a_bar_has_the_frequency_of_its_closed_form() {
             let of = motion.positions.iter().zip(&lattice.rest).zip(&lattice.masses);
             of.map(|((r, l), m)| m * (r.z - l.z) * shape(l)).sum()
         };
-        // ω is 1: half a period later
+        // ω is 1, so crossings are half a period apart
         let h = 1e-3 * FRAC_PI_2;
         let (mut before, mut crossed) = (amplitude(&motion), Vec::new());
         let mut step = 0;
@@ -182,8 +183,8 @@ fn a_bar_has_the_frequency_of_its_closed_form() {
     assert!(fine.abs() < 5e-3, "{fine:e}");
 }
 
-/// A chain of cells hangs from its lowest nodes, with its weight pointing away from them: each section carries exactly
-/// what hangs below it, and the chain is longer by ρgL²/2E, up to the effect of holding its end.
+/// A chain of cells hangs from its lowest nodes, with gravity along +z: each section carries exactly the weight beyond
+/// it, and the chain is longer by ρgL²/2E, up to the effect of holding its end.
 #[test]
 fn a_hanging_chain_is_in_balance() {
     let weight = 1e-4;
@@ -197,7 +198,7 @@ fn a_hanging_chain_is_in_balance() {
         lattice.forces(&motion.positions, &motion.velocities, &mut forces, &mut drags);
         for section in 1..=across / 2 {
             let height = f64::from(section) * lattice.size - 1.0 - 0.5 * lattice.size;
-            // springs across the section, by all forces on what is below it
+            // the force of the springs across the section: the sum of the spring forces on all nodes beyond it
             let below = (0..lattice.node_count()).filter(|&i| lattice.rest[i].z > height);
             let (pull, mass) = below.fold((0.0, 0.0), |(f, m), i| (f + forces[i].z, m + lattice.masses[i]));
             assert!((pull / (mass * weight) + 1.0).abs() < 1e-6, "{section}: {pull} {mass}");
@@ -210,7 +211,7 @@ fn a_hanging_chain_is_in_balance() {
     assert!(coarse.abs() < 0.1 && fine.abs() < 0.6 * coarse.abs(), "{coarse} {fine}");
 }
 
-/// Pulls a bar of some cells of size 1/4 apart, from its middle.
+/// Pulls a bar of `layers` cells of size 1/4 apart, from its middle.
 fn pull(layers: u32) -> impl Fn(f64, &[DVec3], &[DVec3], &mut [DVec3]) + Copy {
     let middle = 0.125 * f64::from(layers) - 1.0;
     move |_, positions, _, accelerations| {
@@ -250,17 +251,17 @@ fn pulled(tear: TearMode, layers: u32) -> (Lattice, Motion, usize) {
 }
 
 #[test]
-fn both_ways_to_tear_part_a_bar_in_its_middle() {
+fn both_tear_modes_part_a_bar_in_its_middle() {
     let (cut, _, _) = pulled(TearMode::Cut, 5);
-    // of five layers of cells the middle one is lost
+    // of five layers of cells, the middle one is lost
     assert!((cut.lost() - 0.2).abs() < 1e-12, "{}", cut.lost());
     assert!((0..20).all(|cell| cut.is_whole[cell] != (8..12).contains(&cell)));
-    // of four layers it is the nodes between the middle two that are split
+    // of four layers, the nodes between the middle two are split
     let (mut split, mut motion, _) = pulled(TearMode::Split, 4);
     assert_eq!(split.lost(), 0.0);
     assert!((split.masses.iter().sum::<f64>() - 16.0 * split.cell_masses[0]).abs() < 1e-15);
     assert!(split.masses.iter().all(|&mass| mass > 0.0));
-    // it goes on tearing until it is in two
+    // it continues to tear until it is in two parts
     let parts = |lattice: &Lattice, layers: u32| {
         let first = bar(8, [2, 2, layers], 0.3, false).corners;
         let surface = boundary(&first, &lattice.corners, |cell| lattice.is_whole[cell]);

@@ -12,9 +12,9 @@ use super::density::{Ball, Jet, Kernel};
 /// Number of samples on the line of centres.
 const SAMPLES: u32 = 32;
 /// Upper limit on Newton steps.
-const MOST_STEPS: u32 = 60;
+const MAX_STEPS: u32 = 60;
 /// The longest Newton step [centre distances].
-const STRIDE: f64 = 0.05;
+const MAX_STRIDE: f64 = 0.05;
 
 /// The saddle between two balls.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,8 +26,10 @@ pub struct Saddle {
 }
 
 impl Saddle {
-    /// The saddle between the first two balls, in the density of all. `None` if there is none: they are so close that the
-    /// density is monotonic between the centres, so far apart that there is no density between them, or a third ball
+    /// The saddle between the first two balls, in the density of all. `None` if there is none: the balls are so close
+    /// that
+    /// the density is monotonic between the centres, or so far apart that there is no density between them, or a third
+    /// ball
     /// fills the space between.
     pub fn between(kernel: &Kernel, balls: &[Ball]) -> Option<Saddle> {
         let (a, b) = (balls.first()?, balls.get(1)?);
@@ -38,7 +40,7 @@ impl Saddle {
         }
         let start = lowest(kernel, balls)?;
         let mut place = start;
-        for _ in 0..MOST_STEPS {
+        for _ in 0..MAX_STEPS {
             let Jet { value, gradient, hessian } = kernel.jet(balls, place);
             let determinant = hessian.determinant();
             if determinant == 0.0 || !determinant.is_finite() {
@@ -50,9 +52,9 @@ impl Saddle {
                 let is_between = place.distance(start) < 0.5 * distance;
                 return (is_between && has_index_one(&hessian)).then_some(Saddle { place, density: value });
             }
-            place += step * f64::min(1.0, STRIDE * distance / length);
+            place += step * f64::min(1.0, MAX_STRIDE * distance / length);
         }
-        // near rounding errors, steps need not shrink: accept a stationary point
+        // at the level of rounding errors, steps need not shrink: accept a stationary point
         let Jet { value, gradient, hessian } = kernel.jet(balls, place);
         let is_still = gradient.length() * distance < 1e-10 && place.distance(start) < 0.5 * distance;
         (is_still && has_index_one(&hessian)).then_some(Saddle { place, density: value })
@@ -64,7 +66,7 @@ pub fn are_one(kernel: &Kernel, balls: &[Ball]) -> bool {
     let [a, b, ..] = balls else { return false };
     let distance = a.centre.distance(b.centre);
     if distance <= a.radius + b.radius {
-        return true; // the density is above the threshold in either ball
+        return true; // the density is above the threshold inside both balls
     }
     if distance >= kernel.support(a) + kernel.support(b) {
         return false;
@@ -77,8 +79,9 @@ pub fn are_one(kernel: &Kernel, balls: &[Ball]) -> bool {
     }
 }
 
-/// The point of minimum density on the line from the first ball's centre to the second's: between their surfaces, if
-/// these would be apart without other balls. `None` if that is an end of the line.
+/// The point of minimum density on the line from the first ball's centre to the second's, or only between their
+/// surfaces
+/// if the lone balls are apart. `None` if that is an end of the line.
 fn lowest(kernel: &Kernel, balls: &[Ball]) -> Option<DVec3> {
     let (a, b) = (balls.first()?, balls.get(1)?);
     let along = b.centre - a.centre;
@@ -162,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn far_near_and_concentric_balls_have_answers() {
+    fn far_near_and_concentric_balls_are_decided() {
         let kernel = kernel(std::f64::consts::SQRT_2);
         let one = |x, radius| are_one(&kernel, &[ball(0.0, 0.0, 1.0), ball(x, 0.0, radius)]);
         assert!(!one(2.9, 1.0) && !one(2.3, 1.0) && one(2.1, 1.0) && one(0.5, 1.0) && one(0.0, 1.0));

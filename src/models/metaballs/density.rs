@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn slope_and_curvature_are_those_of_differences() {
+    fn slope_and_curvature_match_finite_differences() {
         let kernel = Kernel::new(std::f64::consts::SQRT_2).unwrap();
         let ball = |x: f64, y: f64, radius| Ball { centre: DVec3::new(x, y, 0.1), radius };
         let balls = [ball(0.0, 0.0, 1.0), ball(1.9, 0.3, 0.8), ball(0.7, 1.4, 1.1)];

@@ -19,8 +19,8 @@
 //!
 //! # The mesh of a body
 //! Each vertex is on the ray of its rest position, where the density first falls below the threshold, or where another
-//! ball is denser: the bodies' meshes divide the volume of merged balls among them. This mesh is drawn for a single
-//! body; merged bodies are drawn by the surface of their group.
+//! ball becomes denser: the bodies' meshes divide the volume of merged balls between them. This mesh is drawn for a
+//! single body; merged bodies are drawn by the surface of their group.
 
 pub mod contact;
 pub mod density;
@@ -51,15 +51,15 @@ use density::{Ball, Kernel, root};
 use surface::LevelSet;
 
 /// Upper limit on the number of balls, as any two may interact.
-const MOST_BODIES: usize = 2000;
+const MAX_BODIES: usize = 2000;
 /// Upper limit on the bisections of a step in which a pair joins or separates.
-const MOST_HALVINGS: u32 = 200;
+const MAX_HALVINGS: u32 = 200;
 /// Number of samples on the ray of a vertex, within the support of its body.
 const SAMPLES: u32 = 24;
 /// Maximum number of changes kept for the summary.
-const MOST_CHANGES: usize = 256;
-/// Number of pairs for which the summary compares the two criteria.
-const MOST_COMPARED: usize = 8;
+const MAX_CHANGES: usize = 256;
+/// Maximum number of changes for which the summary compares the two criteria.
+const MAX_COMPARED: usize = 8;
 
 /// Metaballs on their paths.
 pub struct Metaballs {
@@ -81,7 +81,7 @@ pub struct Metaballs {
 /// A pair that joined or separated.
 struct Change {
     pair: [usize; 2],
-    /// Criterion: the surface, or the thresholds on q.
+    /// Whether the surface was the criterion, or the thresholds on q.
     is_of_surface: bool,
     is_one: bool,
     time: f64,
@@ -91,7 +91,7 @@ impl Metaballs {
     /// The scene at t = 0.
     ///
     /// # Errors
-    /// Metaballs do not support a part of it, or it is too large for this machine; in words.
+    /// A message: metaballs do not support a part of the scene, or it is too large for this machine.
     pub fn new(scene: &Scene, options: Options) -> Result<Metaballs, String> {
         let kernel = kernel(scene).map_err(|error| error.to_string())?;
         let world = World::with_options(scene.without_forces(), options).map_err(|error| error.to_string())?;
@@ -158,7 +158,7 @@ impl Metaballs {
                 continue;
             }
             let (mut low, mut high) = (start, end);
-            for _ in 0..MOST_HALVINGS {
+            for _ in 0..MAX_HALVINGS {
                 let middle = 0.5 * (low + high);
                 if middle <= low || middle >= high {
                     break;
@@ -190,7 +190,7 @@ impl Metaballs {
             };
             Some(Change { pair: [event.a as usize, event.b as usize], is_of_surface: false, is_one, time: event.time })
         });
-        let room = MOST_CHANGES.saturating_sub(self.changes.len());
+        let room = MAX_CHANGES.saturating_sub(self.changes.len());
         self.changes.extend(of_surface.chain(by_phase).take(room));
     }
 
@@ -268,12 +268,12 @@ impl Metaballs {
         let high = f64::from(outside) * step;
         let r = root(high - step, high, both);
         let at = place(r);
-        // d/dt of what is zero there, F − 1 or the lead: the point moves with the centre, and along the ray
+        // d/dt of F − 1 or the lead, whichever is zero there: the point moves with the centre, and along the ray
         let mut slopes: Vec<DVec3> = balls.iter().map(|ball| kernel.slope_of_one(ball, at)).collect();
         if lead(at) < excess(at) {
-            let most = densest(at);
+            let highest = densest(at);
             for (ball, slope) in balls.iter().zip(&mut slopes).skip(1) {
-                *slope = if kernel.of_one(ball, at) == most { -*slope } else { DVec3::ZERO };
+                *slope = if kernel.of_one(ball, at) == highest { -*slope } else { DVec3::ZERO };
             }
         }
         let along = slopes.iter().sum::<DVec3>().dot(direction);
@@ -346,8 +346,8 @@ impl Simulation for Metaballs {
             };
             lines.push(format!("{pair} became {one} at t = {:.9} s, {other}", change.time));
         }
-        let more = lines.len().saturating_sub(MOST_COMPARED);
-        lines.truncate(MOST_COMPARED);
+        let more = lines.len().saturating_sub(MAX_COMPARED);
+        lines.truncate(MAX_COMPARED);
         let more = if more > 0 { format!("; and {more} more") } else { String::new() };
         (!lines.is_empty()).then(|| format!("surfaces: {}{more}", lines.join("; ")))
     }
@@ -412,8 +412,8 @@ pub fn schema(scene: &Scene, options: Options) -> Schema {
         model: Model::Metaballs.name().to_owned(),
         integrator: "exact".to_owned(),
         law: format!(
-            "Density f(r) = (1 − r²/r_e²)³ about each centre, r_e = {:.3} R; the surface is where it adds up to that of a lone \
-             ball at its radius. No dynamics. {}",
+            "Density f(r) = (1 − r²/r_e²)³ about each centre, r_e = {:.3} R; on the surface, the sum equals the density of a \
+            lone ball at its radius. No dynamics. {}",
             scene.influence.reach, oscillators.law
         ),
         terms: vec![net],
@@ -445,8 +445,9 @@ fn idle(scene: &Scene) -> Option<String> {
         (scene.gravity != DVec3::ZERO, "gravity"),
     ];
     let given: Vec<&str> = given.into_iter().filter(|(is_given, _)| *is_given).map(|(_, name)| name).collect();
-    (!given.is_empty())
-        .then(|| format!("metaballs have no dynamics: {} of this scene does nothing with this model", given.join(", ")))
+    (!given.is_empty()).then(|| {
+        format!("metaballs have no dynamics: {} of this scene has no effect with this model", given.join(", "))
+    })
 }
 
 /// The density of a scene's balls.
@@ -454,31 +455,31 @@ fn idle(scene: &Scene) -> Option<String> {
 /// # Errors
 /// The scene has something that metaballs do not support.
 fn kernel(scene: &Scene) -> Result<Kernel, Unsupported> {
-    let refuse = |body: Option<&Body>, what: String, remedy: &str| Unsupported {
+    let unsupported = |body: Option<&Body>, what: String, remedy: &str| Unsupported {
         scene: scene.name.clone(),
         model: Model::Metaballs,
         body: body.map(|body| body.name.clone()),
         what,
         remedy: remedy.to_owned(),
     };
-    if scene.bodies.len() > MOST_BODIES {
-        let what = format!("{} bodies, and at most {MOST_BODIES} are compared with each other", scene.bodies.len());
-        return Err(refuse(None, what, "use fewer"));
+    if scene.bodies.len() > MAX_BODIES {
+        let what = format!("it has {} bodies, and the limit is {MAX_BODIES}", scene.bodies.len());
+        return Err(unsupported(None, what, "use fewer"));
     }
     for body in &scene.bodies {
         if body.path().is_none() {
-            let what = "motion = { free … }, and a density has no mass that a force could move".to_owned();
-            return Err(refuse(Some(body), what, "give it a path, or choose model = \"oscillators\""));
+            let what = "motion = { free … }: a density has no mass, so forces cannot move it".to_owned();
+            return Err(unsupported(Some(body), what, "give it a path, or choose model = \"oscillators\""));
         }
         if !body.shape.mesh().is_round() {
-            let what = format!("shape \"{}\", and the density about a centre is that of a ball", body.shape.label());
+            let what = format!("shape \"{}\": the density is that of a ball", body.shape.label());
             let remedy = "use shape = { sphere … }, or choose model = \"lattice\", \"fem\" or \"oscillators\"";
-            return Err(refuse(Some(body), what, remedy));
+            return Err(unsupported(Some(body), what, remedy));
         }
     }
     let what =
         || format!("influence.reach = {}: a density that ends within the ball has no surface", scene.influence.reach);
-    Kernel::new(scene.influence.reach).ok_or_else(|| refuse(None, what(), "give a reach above 1"))
+    Kernel::new(scene.influence.reach).ok_or_else(|| unsupported(None, what(), "give a reach above 1"))
 }
 
 fn path(body: &Body) -> &Path {
@@ -486,7 +487,7 @@ fn path(body: &Body) -> &Path {
     body.path().unwrap_or(STILL) // free bodies are rejected
 }
 
-/// Some bodies, and then all others whose supports reach theirs, in ascending order.
+/// The bodies of a group, followed by all others whose supports reach theirs, in ascending order.
 fn near<'a>(
     kernel: &'a Kernel,
     count: usize,
@@ -501,7 +502,7 @@ fn near<'a>(
     group.iter().copied().chain((0..count).filter(move |body| !group.contains(body) && touches(*body)))
 }
 
-/// The balls of some bodies, and then all others whose supports reach theirs.
+/// The balls of a group, followed by all others whose supports reach theirs.
 fn around(kernel: &Kernel, count: usize, ball: impl Fn(usize) -> Ball, group: &[usize]) -> Vec<Ball> {
     near(kernel, count, &ball, group).map(&ball).collect()
 }

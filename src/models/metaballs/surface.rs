@@ -30,11 +30,11 @@ use crate::{
 const SPACING: f64 = 0.2;
 /// Upper limit on the grid squares on the surfaces of a group's balls, per ball: next to a much larger ball, a small
 /// one gets fewer.
-const MOST_SQUARES: f64 = 2000.0;
+const MAX_SQUARES: f64 = 2000.0;
 /// Upper limit on the nodes of a grid; beyond it, the grid is coarser.
-const MOST_NODES: f64 = 2e6;
+const MAX_NODES: f64 = 2e6;
 /// Upper limit on the balls of a group; larger groups get no surface.
-const MOST_BALLS: usize = 4096;
+const MAX_BALLS: usize = 4096;
 
 /// The surfaces of a scene of metaballs.
 #[derive(Clone, Copy, Debug)]
@@ -87,7 +87,7 @@ impl Surfaces for LevelSet {
 
 impl LevelSet {
     fn unite(&self, schema: &Schema, frame: &Frame, group: &[usize], interrupt: Option<&AtomicBool>) -> Option<Group> {
-        if group.len() > MOST_BALLS || is_raised(interrupt) {
+        if group.len() > MAX_BALLS || is_raised(interrupt) {
             return None;
         }
         let balls = around(&self.kernel, schema, frame, group);
@@ -119,7 +119,7 @@ impl LevelSet {
         let end = |from: &Ball, to: &Ball| {
             let along = (to.centre - from.centre) / distance;
             let excess = |r: f64| self.kernel.at(balls, from.centre + r * along) - 1.0;
-            // from inside to the first point outside
+            // outwards from the ball to the first point outside
             let step = (distance - a.radius - b.radius) / 64.0;
             let outside = (1..=64).map(|k| from.radius + f64::from(k) * step).find(|&r| excess(r) < 0.0);
             outside.map(|r| root(r - step, r, excess))
@@ -146,21 +146,21 @@ impl LevelSet {
         };
         let middle = Saddle::between(&self.kernel, balls).map_or_else(waist, |saddle| saddle.place);
         let (u, v) = along.any_orthonormal_pair();
-        let most = f64::max(self.kernel.support(a), self.kernel.support(b));
+        let support = f64::max(self.kernel.support(a), self.kernel.support(b));
         let alone = balls.len() == 2;
         let directions = if alone { 1 } else { DIRECTIONS };
         let squares = (0..directions).map(|k| {
             let (sin, cos) = libm::sincos(std::f64::consts::TAU * f64::from(k) / f64::from(directions));
             let direction = cos * u + sin * v;
             let excess = |r: f64| self.kernel.at(balls, middle + r * direction) - 1.0;
-            let r = root(0.0, most, excess);
+            let r = root(0.0, support, excess);
             r * r
         });
         (squares.sum::<f64>() / f64::from(directions)).sqrt()
     }
 }
 
-/// The balls of some bodies of a frame, and then all others whose supports reach theirs.
+/// The balls of a group in a frame, followed by all others whose supports reach theirs.
 fn around(kernel: &Kernel, schema: &Schema, frame: &Frame, group: &[usize]) -> Vec<Ball> {
     let ball = |body: usize| Ball { centre: frame.bodies[body].centre, radius: schema.bodies[body].radius };
     super::around(kernel, frame.bodies.len(), ball, group)
@@ -185,7 +185,7 @@ fn origin(kernel: &Kernel, balls: &[Ball], group: &[usize], at: DVec3) -> Vertex
     }
 }
 
-/// The volume that two spheres share [scene unit³].
+/// The volume of the intersection of two spheres [scene unit³].
 fn lens(a: f64, b: f64, distance: f64) -> f64 {
     let (small, large) = (f64::min(a, b), f64::max(a, b));
     if distance >= a + b {
@@ -247,8 +247,8 @@ impl Grid {
         let area = 4.0 * std::f64::consts::PI * balls_own.iter().map(|ball| ball.radius * ball.radius).sum::<f64>();
         let spacing = [
             SPACING * smallest,
-            (area / (MOST_SQUARES * own as f64)).sqrt(),
-            (size.x * size.y * size.z / MOST_NODES).cbrt(),
+            (area / (MAX_SQUARES * own as f64)).sqrt(),
+            (size.x * size.y * size.z / MAX_NODES).cbrt(),
         ];
         let spacing = spacing.into_iter().fold(0.0, f64::max);
         // the centre is a node; all nodes of the outermost layer are outside
@@ -283,7 +283,7 @@ impl Grid {
 const TETRAHEDRA: [[usize; 4]; 6] =
     [[0, 1, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 3, 2, 7], [0, 6, 4, 7], [0, 5, 1, 7]];
 
-/// The even permutations of four that begin with each pair, and with each single one.
+/// The even permutations of four that begin with each pair, and with each single element.
 const PAIRS: [[usize; 4]; 6] = [[0, 1, 2, 3], [0, 2, 3, 1], [0, 3, 1, 2], [1, 2, 0, 3], [1, 3, 2, 0], [2, 3, 0, 1]];
 const SINGLES: [[usize; 4]; 4] = [[0, 1, 2, 3], [1, 0, 3, 2], [2, 0, 1, 3], [3, 0, 2, 1]];
 
@@ -304,8 +304,7 @@ pub fn extract(kernel: &Kernel, balls: &[Ball], own: usize, interrupt: Option<&A
         }
     }
     let mut mesh = Mesh::default();
-    // the vertex on each edge, by the edge's first node and its axes
-    // of this layer of nodes and the next
+    // the vertex on each edge, by the edge's first node and its axes, for this layer of nodes and the next
     let layer = nx * ny;
     let mut known = [vec![u32::MAX; 8 * layer], vec![u32::MAX; 8 * layer]];
     let strides: [usize; 8] = std::array::from_fn(|edge| grid.stride(edge));
@@ -372,16 +371,16 @@ fn cut(of: &[usize; 4], inside: &[bool; 8], cuts: &mut Vec<[[usize; 2]; 3]>) {
     }
 }
 
-/// Whether a point is inside, and the densest ball there is one of the first `own`.
+/// Whether a point is inside, and one of the first `own` balls is the densest there.
 fn is_inside(kernel: &Kernel, balls: &[Ball], own: usize, at: DVec3) -> bool {
-    let most = |balls: &[Ball]| balls.iter().map(|ball| kernel.of_one(ball, at)).fold(0.0, f64::max);
-    kernel.at(balls, at) >= 1.0 && (own == balls.len() || most(&balls[..own]) >= most(&balls[own..]))
+    let densest = |balls: &[Ball]| balls.iter().map(|ball| kernel.of_one(ball, at)).fold(0.0, f64::max);
+    kernel.at(balls, at) >= 1.0 && (own == balls.len() || densest(&balls[..own]) >= densest(&balls[own..]))
 }
 
 /// The point of the surface between a point inside and a point outside.
 fn on_surface(kernel: &Kernel, balls: &[Ball], inner: DVec3, outer: DVec3) -> DVec3 {
     let excess = |z: f64| kernel.at(balls, inner.lerp(outer, z)) - 1.0;
-    // where the surface of another group begins, both are inside
+    // at the border to another group's surface, both points are inside
     let z = if excess(1.0) >= 0.0 { 0.5 } else { root(0.0, 1.0, excess) };
     inner.lerp(outer, z)
 }
@@ -425,13 +424,14 @@ const GAUSS: [[f64; 2]; 5] = [
     [0.953_089_922_969_332, 0.118_463_442_528_094_5],
 ];
 
-/// The volume within the exact surface of a mesh [scene unit³]: that of the mesh, plus that between its triangles and
-/// the surface.
+/// The volume within the exact surface of a mesh [scene unit³]: the volume of the mesh plus that between its triangles
+/// and the surface.
 ///
 /// The gap between a triangle p(u, v) and the surface is filled with the lines p + s d, where d is interpolated linearly
 /// between the normals at the corners, so that neighbours fit. It is integrated in s exactly and by a Gauss product rule
-/// over the triangle: with the mesh of [`extract`] the error is below 1e-7 of the volume for
-/// balls of like size, and below 1e-6 beside a much smaller one: the third derivative of the density jumps at the end of a support.
+/// over the triangle. With the mesh of [`extract`], the error is below 1e-7 of the volume for balls of similar size,
+/// and
+/// below 1e-6 beside a much smaller one, because the third derivative of the density jumps at the end of a support.
 pub fn volume(kernel: &Kernel, balls: &[Ball], mesh: &Mesh) -> f64 {
     let normals: Vec<DVec3> =
         mesh.positions.iter().map(|&at| (-kernel.slope(balls, at)).normalize_or(DVec3::Z)).collect();
@@ -458,8 +458,8 @@ pub fn volume(kernel: &Kernel, balls: &[Ball], mesh: &Mesh) -> f64 {
     measures(&mesh.positions, &mesh.triangles)[0] + beyond.sum::<f64>()
 }
 
-/// The signed distance from a point to the surface along a direction [scene unit], at most `most` either way.
-fn height(kernel: &Kernel, balls: &[Ball], at: DVec3, direction: DVec3, most: f64) -> f64 {
+/// The signed distance from a point to the surface along a direction [scene unit], at most `max` either way.
+fn height(kernel: &Kernel, balls: &[Ball], at: DVec3, direction: DVec3, max: f64) -> f64 {
     let mut s = 0.0;
     for _ in 0..20 {
         let here = at + s * direction;
@@ -467,8 +467,8 @@ fn height(kernel: &Kernel, balls: &[Ball], at: DVec3, direction: DVec3, most: f6
         if !step.is_finite() {
             return 0.0;
         }
-        s = (s - step).clamp(-most, most);
-        if step.abs() <= 1e-15 * most {
+        s = (s - step).clamp(-max, max);
+        if step.abs() <= 1e-15 * max {
             break;
         }
     }

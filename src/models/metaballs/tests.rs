@@ -67,7 +67,7 @@ fn turned(reach: f64, balls: &[(f64, f64)]) -> f64 {
 }
 
 #[test]
-fn volumes_are_those_of_an_independent_quadrature() {
+fn volumes_match_an_independent_quadrature() {
     for (reach, balls) in [
         (std::f64::consts::SQRT_2, vec![(0.0, 1.0), (2.05, 1.0)]),
         (std::f64::consts::SQRT_2, vec![(0.0, 1.0), (1.3, 0.7)]),
@@ -76,7 +76,7 @@ fn volumes_are_those_of_an_independent_quadrature() {
         (std::f64::consts::SQRT_2, vec![(0.0, 1.0), (1.03, 0.15)]),
     ] {
         let kernel = kernel(reach);
-        // along a direction that is not that of the grid of three
+        // along a direction that is not aligned with the grid of three balls
         let along = DVec3::new(2.0, 1.0, -2.0) / 3.0;
         let all: Vec<Ball> = balls.iter().map(|&(x, radius)| ball(x * along, radius)).collect();
         let mesh = extract(&kernel, &all, all.len(), None).unwrap();
@@ -93,7 +93,7 @@ fn volumes_are_those_of_an_independent_quadrature() {
 
 /// Connected exactly if the saddle is above the threshold, however thin the neck; a ring of balls has a hole.
 #[test]
-fn surfaces_have_the_topology_that_they_should() {
+fn surfaces_have_the_expected_topology() {
     let kernel = kernel(std::f64::consts::SQRT_2);
     // 2 (1 − d²/8)³ = 1/8
     let d = (8.0 * (1.0 - 0.0625f64.cbrt())).sqrt();
@@ -168,7 +168,7 @@ fn three_balls_become_one_at_the_time_of_a_one_dimensional_problem() {
         body("c", 2.0)
     );
     let events = contacts(&text);
-    // from the middle of the triangle: the balls at distance s, the saddle at −y along the altitude of the third
+    // relative to the middle of the triangle: the balls at distance s, the saddle at −y on the third one's altitude
     let density = |s: f64, y: f64| {
         let of = |square: f64| ((1.0 - square / 9.0).max(0.0) * 1.125).powi(3);
         let (side, along) = (0.75f64.sqrt() * s, 0.5 * s - y);
@@ -227,7 +227,7 @@ fn vertices_are_on_the_surface_and_move_with_it() {
 }
 
 #[test]
-fn groups_are_drawn_as_the_surface_that_they_are() {
+fn groups_are_drawn_as_one_surface() {
     let scene = scene(TWO);
     let mut balls = Metaballs::new(&scene, Options::default()).unwrap();
     let (schema, mut frame) = (balls.schema(), Frame::default());
@@ -240,7 +240,7 @@ fn groups_are_drawn_as_the_surface_that_they_are() {
         let measures = merged.pairs[0].unwrap();
         let is_one = frame.scalars[1] == 1.0;
         pieces.push(is_one);
-        // by q they are merged later, and part later
+        // by q, they merge later and split later
         let is_group = is_one || frame.pairs.iter().any(|pair| pair.phase > 0);
         assert_eq!(merged.groups.len(), usize::from(is_group), "{}", frame.at.time);
         assert_eq!(merged.groups.first().map_or(2, |group| if is_group { group.components } else { 2 }) == 1, is_one);
@@ -252,11 +252,11 @@ fn groups_are_drawn_as_the_surface_that_they_are() {
 }
 
 #[test]
-fn what_metaballs_cannot_do_is_refused_or_said() {
-    let refused = |text: &str| Metaballs::new(&scene(text), Options::default()).map(|_| ()).unwrap_err();
-    let free = refused(&TWO.replace("{ fixed = [0, 0, 0] }", "{ free = { from = [0, 0, 0] } }"));
+fn unsupported_scenes_are_rejected_or_warned_about() {
+    let error = |text: &str| Metaballs::new(&scene(text), Options::default()).map(|_| ()).unwrap_err();
+    let free = error(&TWO.replace("{ fixed = [0, 0, 0] }", "{ free = { from = [0, 0, 0] } }"));
     assert!(free.contains("body \"a\"") && free.contains("motion") && free.contains("give it a path"), "{free}");
-    let narrow = refused(&TWO.replace("dt = 0.1", "dt = 0.1\n[influence]\nreach = 0.9"));
+    let narrow = error(&TWO.replace("dt = 0.1", "dt = 0.1\n[influence]\nreach = 0.9"));
     assert!(narrow.contains("influence.reach") && narrow.contains("above 1"), "{narrow}");
     let push = "[[push]]\nbody = 'a'\ndirection = [1, 0, 0]\nstrength = 1\nstart = 0\nduration = 1\n";
     let warned = Metaballs::new(&scene(&format!("{TWO}{push}")), Options::default()).unwrap().schema().warnings;
