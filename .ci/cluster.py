@@ -2,7 +2,7 @@
 """Checks that a sweep survives failures of a cluster: cluster.py PROGRAM.
 
 Starts a Ray cluster of two nodes on this machine, runs a sweep on it, kills a worker and then a node during the sweep, and
-compares all rows but the run times bit by bit with those of a single-machine run.
+compares all rows except the run times bit by bit with those of a single-machine run.
 """
 import glob
 import os
@@ -22,8 +22,8 @@ from ray.cluster_utils import Cluster
 HERE = pathlib.Path(__file__).resolve().parent
 DRIVER = str(HERE.parent / "src" / "sweep")
 sys.path.insert(0, DRIVER)
-os.environ["PYTHONPATH"] = DRIVER  # of the workers
-os.environ["RAY_worker_niceness"] = "0"  # they would wait for everything else that runs here
+os.environ["PYTHONPATH"] = DRIVER  # for the workers
+os.environ["RAY_worker_niceness"] = "0"  # by default, workers yield to everything else on this machine
 import on_ray
 
 SWEEP = """scene = "two"
@@ -46,12 +46,12 @@ def rows(folder):
     tables = [pyarrow.parquet.read_table(path) for path in glob.glob(f"{folder}/rows-*.parquet")]
     table = pyarrow.concat_tables(tables).sort_by("row")
     numbers = table["row"].to_pylist()
-    assert len(numbers) == len(set(numbers)), "a row is there twice"
+    assert len(numbers) == len(set(numbers)), "duplicate rows"
     return table.drop_columns(["run_time"])
 
 
 def workers(raylet):
-    """The processes of workers of a node that are running a shard."""
+    """The worker processes of a node that are running a shard."""
     found = []
     for path in glob.glob("/proc/[0-9]*"):
         try:
@@ -76,7 +76,7 @@ def main():
         killed = []
 
         def disturb():
-            """A worker as soon as there is one on the second node, then that node."""
+            """Kills a worker as soon as one runs on the second node, then that node."""
             raylet = second.all_processes["raylet"][0].process.pid
             for _ in range(6000):
                 busy = workers(raylet)

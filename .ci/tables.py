@@ -2,7 +2,7 @@
 """Reads exported tables with polars, DuckDB and Python itself: tables.py FOLDER.
 
 FOLDER has the same tables (events, pairs, scalars, states) as .csv, .json and .parquet. All readers must find the same
-bits in all formats. tests/suite/cli.rs tests that the .csv has the bits of the state.
+bits in all formats. tests/suite/cli.rs checks that the .csv has the bits of the state.
 """
 import csv
 import json
@@ -50,7 +50,7 @@ def main():
             if different:
                 first = next(i for i, pair in enumerate(zip(seen[different[0]], expected[different[0]])) if pair[0] != pair[1])
                 sys.exit(f"{table}: {reader} differs in {different}, first in row {first}: {rows[first]}")
-        print(f"{table}: {len(rows)} rows, {len(names)} columns, the same bits in {len(found) + 1} ways")
+        print(f"{table}: {len(rows)} rows, {len(names)} columns, the same bits from {len(found) + 1} readers")
 
 
 if __name__ == "__main__":

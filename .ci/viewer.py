@@ -53,7 +53,7 @@ class Viewer:
                 if "error" in reply:
                     raise RuntimeError(f"{method}: {reply['error']}")
                 return reply["result"]
-        raise RuntimeError("the viewer's control server went away")
+        raise RuntimeError("the viewer's control server has exited")
 
     def tool(self, name, **arguments):
         result = self.call("tools/call", {"name": name, "arguments": arguments})
@@ -67,7 +67,7 @@ class Viewer:
         return [node["value"] or node["label"] or "" for node in nodes if node["bounds"] and not node["hidden"]]
 
     def close(self):
-        for process in (self.control, self.window):  # `rerun` is a script: end the program that it started, too
+        for process in (self.control, self.window):  # `rerun` is a script: also end the program that it started
             for how in (signal.SIGTERM, signal.SIGKILL):
                 try:
                     os.killpg(process.pid, how)
@@ -92,7 +92,7 @@ def until(deadline, attempt):
 
 
 def is_colourful(picture):
-    """Whether the 3D view, the left of the window, has bodies and lines in it, not just a background."""
+    """Whether the 3D view, left in the window, shows bodies and lines, not only a background."""
     if os.environ.get("PICTURE_OF") == "text":  # a layout without 3D
         return True
     view = Image.open(picture).convert("RGB").crop((20, 60, 700, 520))

@@ -24,7 +24,7 @@ WANTED = ["two", "Bodies, influence spheres", "Pair distances", "Pair phases", "
 
 
 def served(program):
-    """The process, once it serves, and the address to open."""
+    """Starts the program; returns its process once it serves, and the address to open."""
     command = [program, "run", "two", "--serve", "--web-port", "0", "--grpc-port", "0"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     address = None
@@ -35,7 +35,7 @@ def served(program):
             break
     if not address:
         process.kill()
-        sys.exit("the program did not say where it serves")
+        sys.exit("the program did not print its address")
     return process, address
 
 
@@ -66,7 +66,7 @@ def main():
                 view = Image.open(picture).convert("RGB").crop((20, 60, 700, 560))
                 colours = len(view.getcolors(maxcolors=1 << 24))
             browser.close()
-    except Exception as error:  # a page that does not come up is the answer, not a stack trace
+    except Exception as error:  # report a page that does not load, without a stack trace
         sys.exit(f"the web viewer at {address}: {error}")
     finally:
         process.send_signal(signal.SIGINT)
