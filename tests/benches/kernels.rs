@@ -1,6 +1,6 @@
 //! Micro-benchmarks, one kernel each: `cargo bench`, or `cargo bench -- NAME` for some of them.
 //!
-//! Kernels that the library does not show are measured through a world whose scene has little else to do.
+//! Private kernels are measured through a world whose scene does little else.
 
 #![allow(missing_docs, reason = "criterion's macro makes a public function")]
 
@@ -55,7 +55,7 @@ fn oscillator(c: &mut Criterion) {
     group.finish();
 }
 
-/// A step of two bodies that stand inside of each other: all 532 vertices are inside of a sphere throughout.
+/// A step of two overlapping bodies: all 532 vertices are always inside a sphere.
 fn collocation(c: &mut Criterion) {
     let mut scene = two();
     for (body, x) in scene.bodies.iter_mut().zip([0.0, 0.2]) {
@@ -71,7 +71,7 @@ fn collocation(c: &mut Criterion) {
     group.finish();
 }
 
-/// Steps of a pair that swings so fast that vertices cross rims in most of them: these are taken one by one.
+/// Steps of a pair that oscillates so fast that vertices cross rims in most steps, which are then taken one by one.
 fn single(c: &mut Criterion) {
     let mut scene = two();
     scene.bodies[0].motion = Path::Fixed(DVec3::ZERO).into();
@@ -79,11 +79,11 @@ fn single(c: &mut Criterion) {
         Path::Sine { center: DVec3::X * 2.1, amplitude: DVec3::X * 0.25, frequency: 4.0, phase: 0.0 }.into();
     let mut world = World::new(scene).expect("fits");
     (0..600).for_each(|_| _ = world.step());
-    // 15 steps a period
+    // 15 steps per period
     c.bench_function("single vertices/a period", |b| b.iter(|| (0..15).map(|_| world.step().substeps).sum::<u64>()));
 }
 
-/// The next change of phase: where there is none for long, and where there is one.
+/// The next phase change: without one for a long time, and with one.
 fn events(c: &mut Criterion) {
     let mut group = c.benchmark_group("events");
     let thresholds = Thresholds { merge_at: 1.05, split_at: 1.2, core_at: 0.0 };
@@ -98,10 +98,10 @@ fn events(c: &mut Criterion) {
     group.finish();
 }
 
-/// Balls that move a little: each is placed anew, and those that touch it are found.
+/// Balls that move a little: updates the position of each, and finds the balls that touch it.
 fn reach(c: &mut Criterion) {
     let mut group = c.benchmark_group("reach");
-    let place = |i: u32| {
+    let position = |i: u32| {
         let [x, y, z] = [i % 20, i / 20 % 20, i / 400].map(|k| 2.6 * f64::from(k));
         DVec3::new(x, y, z)
     };
@@ -111,12 +111,12 @@ fn reach(c: &mut Criterion) {
     ] {
         let count = 8000;
         let mut grid = Grid::default();
-        (0..count).for_each(|i| grid.place(i, Ball { centre: place(i), radius: radius(i) }));
+        (0..count).for_each(|i| grid.place(i, Ball { centre: position(i), radius: radius(i) }));
         let (mut i, mut found) = (0, vec![]);
         group.bench_function(name, |b| {
             b.iter(|| {
                 i = (i + 7919) % count;
-                grid.place(i, Ball { centre: place(i) + DVec3::X * 0.1, radius: radius(i) });
+                grid.place(i, Ball { centre: position(i) + DVec3::X * 0.1, radius: radius(i) });
                 found.clear();
                 grid.touching(i, &mut found);
                 found.len()
@@ -138,7 +138,7 @@ fn step(c: &mut Criterion) {
     group.finish();
 }
 
-/// The states of all vertices of a body that swing freely, each by itself and all alike.
+/// The states of all vertices of a body that oscillate freely, separately and all equally.
 fn states(c: &mut Criterion) {
     let mut group = c.benchmark_group("states");
     group.throughput(Throughput::Elements(266));

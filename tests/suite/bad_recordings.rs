@@ -54,9 +54,9 @@ motion = { line = { from = [2.0, 0.3, 0], velocity = [-2, 0, 0] } }
 fn program(dir: &Dir, arguments: &[&str]) -> (i32, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_meldscope")).args(arguments).current_dir(dir.path()).output();
     let output = output.expect("it starts");
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(!said.contains("panicked"), "{said}");
-    (output.status.code().expect("a status"), said)
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!stderr.contains("panicked"), "{stderr}");
+    (output.status.code().expect("a status"), stderr)
 }
 
 /// Small recordings of every kind.
@@ -70,8 +70,8 @@ fn corpus(dir: &Dir) -> Vec<Vec<u8>> {
         ("keep", &["--keep", "4"]),
     ] {
         let file = format!("{name}.rrd");
-        let (status, said) = program(dir, &[&["run", "small.toml", "--quiet", "--save", &file], options].concat());
-        assert_eq!(status, 0, "{said}");
+        let (status, stderr) = program(dir, &[&["run", "small.toml", "--quiet", "--save", &file], options].concat());
+        assert_eq!(status, 0, "{stderr}");
     }
     let scene = Scene::parse(SCENE, "small").expect("a scene");
     golden::bless(&scene, &dir.file("golden.rrd"), "a test").expect("room");
@@ -133,7 +133,7 @@ fn seconds() -> f64 {
     std::env::var("MELDSCOPE_FUZZ_SECONDS").ok().and_then(|text| text.parse().ok()).unwrap_or(3.0)
 }
 
-/// Does what a user's command would do with a file.
+/// Uses a file as a user's commands would.
 fn use_it(path: &Path, scene: &Scene) -> Result<(), ReadError> {
     let recorded = Recorded::open(path)?;
     let mut frames = FrameReader::open(&recorded)?;
@@ -150,13 +150,13 @@ fn use_it(path: &Path, scene: &Scene) -> Result<(), ReadError> {
 }
 
 #[test]
-fn no_broken_recording_brings_the_reader_down() {
+fn no_broken_recording_crashes_the_reader() {
     let dir = Dir::new();
     let corpus = corpus(&dir);
     let scene = Scene::parse(SCENE, "small").expect("a scene");
     let mut random = Random(0x9e37_79b9_7f4a_7c15);
     let (start, limit) = (Clock::now(), Duration::from_secs_f64(seconds()));
-    let (mut runs, mut refused) = (0u64, 0u64);
+    let (mut runs, mut rejected) = (0u64, 0u64);
     let path = dir.file("broken.rrd");
     while start.elapsed() < limit {
         let mut bytes = corpus[random.below(corpus.len())].clone();
@@ -168,7 +168,7 @@ fn no_broken_recording_brings_the_reader_down() {
             Ok(Err(error)) => {
                 let text = error.to_string();
                 assert!(!text.contains('\n') && text.contains("broken.rrd"), "{text}");
-                refused += 1;
+                rejected += 1;
             }
             Err(_) => {
                 let kept = std::env::temp_dir().join("meldscope-broken.rrd");
@@ -178,34 +178,34 @@ fn no_broken_recording_brings_the_reader_down() {
         }
         runs += 1;
     }
-    println!("{runs} broken recordings, {refused} refused");
-    assert!(runs > 50 && refused > runs / 4, "{runs} {refused}");
+    println!("{runs} broken recordings, {rejected} rejected");
+    assert!(runs > 50 && rejected > runs / 4, "{runs} {rejected}");
 }
 
 #[test]
-fn no_broken_scene_brings_the_parser_down() {
+fn no_broken_scene_crashes_the_parser() {
     let mut random = Random(0x2545_f491_4f6c_dd1d);
     let texts: Vec<&str> =
         builtin::ALL.iter().map(|builtin| builtin.text).filter(|text| text.len() < 4096).chain([SCENE]).collect();
     let (start, limit) = (Clock::now(), Duration::from_secs_f64(seconds()));
-    let (mut runs, mut refused) = (0u64, 0u64);
+    let (mut runs, mut rejected) = (0u64, 0u64);
     while start.elapsed() < limit {
         let mut bytes = texts[random.below(texts.len())].as_bytes().to_vec();
         mutate(&mut bytes, &mut random);
         let text = String::from_utf8_lossy(&bytes);
         if let Err(error) = Scene::parse(&text, "broken.toml") {
             assert!(error.to_string().contains("broken.toml"), "{error}");
-            refused += 1;
+            rejected += 1;
         }
         runs += 1;
     }
-    println!("{runs} broken scenes, {refused} refused");
-    assert!(runs > 100 && refused > runs / 4, "{runs} {refused}");
+    println!("{runs} broken scenes, {rejected} rejected");
+    assert!(runs > 100 && rejected > runs / 4, "{runs} {rejected}");
 }
 
-/// A flipped bit is detected wherever it matters: no finished recording is reported as differing because of it.
+/// A flipped bit is detected wherever it matters: it never makes a finished recording appear to differ.
 #[test]
-fn a_flipped_bit_is_no_divergence() {
+fn a_flipped_bit_is_not_reported_as_divergence() {
     let dir = Dir::new();
     let corpus = corpus(&dir);
     let path = dir.file("flipped.rrd");
@@ -222,54 +222,57 @@ fn a_flipped_bit_is_no_divergence() {
 }
 
 #[test]
-fn broken_recordings_are_refused_with_what_is_wrong() {
+fn broken_recordings_are_rejected_with_the_reason() {
     let dir = Dir::new();
     let corpus = corpus(&dir);
-    let refused = |bytes: &[u8], what: &str| {
+    let rejected = |bytes: &[u8], what: &str| {
         fs::write(dir.file("bad.rrd"), bytes).expect("room");
         for command in
             [&["replay", "bad.rrd"] as &[&str], &["diff", "bad.rrd", "full.rrd"], &["diff", "full.rrd", "bad.rrd"]]
         {
-            let (status, said) = program(&dir, command);
+            let (status, stderr) = program(&dir, command);
             if command[0] == "diff" && what == "cut short" {
                 continue; // existing data is compared
             }
-            assert_eq!(status, 2, "{command:?}: {said}");
-            assert!(said.starts_with("error: ") && said.contains("bad.rrd") && said.contains(what), "{what}: {said}");
-            assert_eq!(said.lines().count(), 1, "{said}");
+            assert_eq!(status, 2, "{command:?}: {stderr}");
+            assert!(
+                stderr.starts_with("error: ") && stderr.contains("bad.rrd") && stderr.contains(what),
+                "{what}: {stderr}"
+            );
+            assert_eq!(stderr.lines().count(), 1, "{stderr}");
         }
     };
     let full = &corpus[0];
-    refused(b"", "it is empty");
-    refused(b"RRF2", "ends within its header");
-    refused(b"hello, world; this is a letter", "no .rrd file at all");
-    refused(&full[..200], "before its header is complete");
-    refused(&full[..full.len() / 2], "cut short");
-    refused(&full[..full.len() - 10], "cut short");
-    refused(&[full.as_slice(), b"more"].concat(), "something after its end");
-    refused(&[full.as_slice(), full].concat(), "something after its end");
+    rejected(b"", "it is empty");
+    rejected(b"RRF2", "ends within its header");
+    rejected(b"hello, world; this is a letter", "no .rrd file at all");
+    rejected(&full[..200], "before its header is complete");
+    rejected(&full[..full.len() / 2], "cut short");
+    rejected(&full[..full.len() - 10], "cut short");
+    rejected(&[full.as_slice(), b"more"].concat(), "something after its end");
+    rejected(&[full.as_slice(), full].concat(), "something after its end");
 
     let with = |at: usize, bytes: &[u8]| {
         let mut changed = full.clone();
         changed[at..at + bytes.len()].copy_from_slice(bytes);
         changed
     };
-    refused(&with(4, &[0, 99, 0, 0]), "Rerun 0.99.0");
-    refused(&with(4, &[0, 2, 0, 0]), "too old");
-    refused(&with(0, b"RRF0"), "early version");
-    refused(&with(8, &[9]), "options");
-    refused(&with(12, &77u64.to_le_bytes()), "no message of kind 77");
-    refused(&with(20, &u64::MAX.to_le_bytes()), "bytes");
-    refused(&with(20, &(5u64 << 30).to_le_bytes()), "bytes");
+    rejected(&with(4, &[0, 99, 0, 0]), "Rerun 0.99.0");
+    rejected(&with(4, &[0, 2, 0, 0]), "too old");
+    rejected(&with(0, b"RRF0"), "early version");
+    rejected(&with(8, &[9]), "options");
+    rejected(&with(12, &77u64.to_le_bytes()), "no message of kind 77");
+    rejected(&with(20, &u64::MAX.to_le_bytes()), "bytes");
+    rejected(&with(20, &(5u64 << 30).to_le_bytes()), "bytes");
 
     // a recording of something else
     let store = StoreId::new(StoreKind::Recording, "other", "other");
     let mut other = chunks::Chunks::new(store);
     other.log_static("/text", &TextDocument::new("hello"));
-    refused(&encoded(other), "no properties of one");
+    rejected(&encoded(other), "no properties of one");
 }
 
-/// These chunks as a recording file.
+/// The chunks as a recording file.
 pub fn encoded(mut chunks: chunks::Chunks) -> Vec<u8> {
     let mut bytes = Vec::new();
     let (messages, options) = (chunks.take(), EncodingOptions::PROTOBUF_COMPRESSED);
@@ -277,10 +280,11 @@ pub fn encoded(mut chunks: chunks::Chunks) -> Vec<u8> {
     bytes
 }
 
-/// Claims in a header are not trusted: with 3 GiB of address space, the program reports an error instead of dying.
+/// Claimed sizes in a header are not trusted: with 3 GiB of address space, the program reports an error instead of
+/// crashing.
 #[cfg(target_os = "linux")]
 #[test]
-fn claims_take_no_memory() {
+fn claimed_sizes_allocate_no_memory() {
     let dir = Dir::new();
     let corpus = corpus(&dir);
     for (name, at, value) in [("length", 20usize, (1u64 << 30) - 1), ("length", 20, 1 << 45)] {
@@ -295,7 +299,7 @@ fn claims_take_no_memory() {
 
 /// A format version that is not supported yet, or no longer.
 #[test]
-fn other_formats_are_named() {
+fn unsupported_formats_are_named() {
     let dir = Dir::new();
     let scene = Scene::parse(SCENE, "small").expect("a scene");
     for (format, what) in [(Some(99.0), "has format 99"), (None, "before recordings carried checksums")] {
@@ -311,8 +315,8 @@ fn other_formats_are_named() {
         let mut chunks = chunks::Chunks::new(StoreId::new(StoreKind::Recording, "meldscope_small", "small-0"));
         chunks.log_static("/__properties/meldscope", &properties);
         fs::write(dir.file("format.rrd"), encoded(chunks)).expect("room");
-        let (status, said) = program(&dir, &["replay", "format.rrd"]);
-        assert!(status == 2 && said.contains(what), "{said}");
+        let (status, stderr) = program(&dir, &["replay", "format.rrd"]);
+        assert!(status == 2 && stderr.contains(what), "{stderr}");
     }
 }
 
@@ -342,7 +346,7 @@ fn messages(bytes: &[u8]) -> Vec<Message> {
     messages
 }
 
-/// These messages as a file without a footer.
+/// The messages as a file without a footer.
 pub fn file(messages: &[Message]) -> Vec<u8> {
     let mut bytes = b"RRF2\x00\x24\x03\x00\x01\x02\x00\x00".to_vec();
     for Message { kind, body } in messages {
@@ -436,8 +440,8 @@ fn packed(data: &[u8], zeros: usize) -> Vec<u8> {
     bytes
 }
 
-/// Larger data is not unpacked for further corruption [bytes].
-const MOST_UNPACKED: usize = 32 << 20;
+/// Upper limit on data that is unpacked for further corruption [bytes].
+const MAX_UNPACKED: usize = 32 << 20;
 
 /// The uncompressed payload of a message, and its envelope.
 fn unpacked(message: &Message) -> (Fields, Vec<u8>) {
@@ -447,7 +451,7 @@ fn unpacked(message: &Message) -> (Fields, Vec<u8>) {
     let data = match number(2) {
         Some(2) => {
             let size = *number(3).expect("a size") as usize;
-            assert!(size <= MOST_UNPACKED, "it was made to be too large already");
+            assert!(size <= MAX_UNPACKED, "already forged to be too large");
             lz4_flex::block::decompress(payload, size).expect("a message of our own")
         }
         _ => payload.clone(),
@@ -455,7 +459,7 @@ fn unpacked(message: &Message) -> (Fields, Vec<u8>) {
     (envelope, data)
 }
 
-/// The same message with other data, followed by this many zeros.
+/// The message with other data, followed by this many zeros.
 fn repacked(message: &Message, data: &[u8], zeros: usize) -> Message {
     let (mut envelope, _) = unpacked_or_empty(message);
     let payload = packed(data, zeros);
@@ -472,7 +476,7 @@ fn metadata(data: &[u8]) -> Vec<std::ops::Range<usize>> {
     let (mut at, mut ranges) = (0, Vec::new());
     while let (Some(u32::MAX), Some(length @ 1..)) = (word(at), word(at + 4)) {
         let range = at + 8..at + 8 + length as usize;
-        // it may have been corrupted before
+        // the metadata may already be corrupt
         let Some(Ok(message)) = data.get(range.clone()).map(root_as_message) else { break };
         at = range.end.saturating_add(message.bodyLength().unsigned_abs() as usize);
         ranges.push(range);
@@ -604,7 +608,7 @@ fn distort(messages: &mut Vec<Message>, random: &mut Random) {
             }
             _ => messages[chosen].kind = random.next() % 5,
         },
-        // what another program could have written
+        // chunks that another program could have written
         _ => {
             let (envelope, _) = unpacked_or_empty(&messages[chosen]);
             let store = envelope.iter().find_map(|(field, value)| value.as_ref().err().filter(|_| *field == 1));
@@ -618,7 +622,7 @@ fn distort(messages: &mut Vec<Message>, random: &mut Random) {
     }
 }
 
-/// A message may have been made unreadable before.
+/// The message, or empty fields if an earlier corruption has made it unreadable.
 fn unpacked_or_empty(message: &Message) -> (Fields, Vec<u8>) {
     let message = message.clone();
     quietly(move || unpacked(&message)).unwrap_or_default()
@@ -634,18 +638,18 @@ fn quietly<T>(work: impl FnOnce() -> T) -> Option<T> {
     std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).ok()
 }
 
-/// The most memory and time that reading a recording may take.
-const MOST_MEMORY: u64 = 1 << 30;
-const MOST_TIME: Duration = Duration::from_secs(10);
+/// Limits on the memory [bytes] and time for reading a recording.
+const MAX_MEMORY: u64 = 1 << 30;
+const MAX_TIME: Duration = Duration::from_secs(10);
 
 #[test]
-fn no_broken_structure_brings_the_reader_down() {
+fn no_broken_structure_crashes_the_reader() {
     let dir = Dir::new();
     let corpus: Vec<Vec<Message>> = corpus(&dir).iter().map(|bytes| messages(bytes)).collect();
     let scene = Scene::parse(SCENE, "small").expect("a scene");
     let mut random = Random(0x0dd_c0ffee);
     let (start, limit) = (Clock::now(), Duration::from_secs_f64(seconds()));
-    let (mut runs, mut refused, mut slowest, mut largest) = (0u64, 0u64, Duration::ZERO, 0);
+    let (mut runs, mut rejected, mut slowest, mut largest) = (0u64, 0u64, Duration::ZERO, 0);
     let path = dir.file("broken.rrd");
     while start.elapsed() < limit {
         let mut messages = corpus[random.below(corpus.len())].clone();
@@ -670,24 +674,24 @@ fn no_broken_structure_brings_the_reader_down() {
             Some(Err(error)) => {
                 let text = error.to_string();
                 assert!(!text.contains('\n') && text.contains("broken.rrd"), "{text}");
-                refused += 1;
+                rejected += 1;
             }
             None => keep("it brought the reader down"),
         }
         (slowest, largest) = (slowest.max(began.elapsed()), largest.max(memory.bytes_max));
-        if began.elapsed() > MOST_TIME || memory.bytes_max > MOST_MEMORY {
+        if began.elapsed() > MAX_TIME || memory.bytes_max > MAX_MEMORY {
             keep(&format!("it took {:?} and {} bytes", began.elapsed(), memory.bytes_max));
         }
         runs += 1;
     }
-    println!("{runs} recordings that lie, {refused} refused");
+    println!("{runs} forged recordings, {rejected} rejected");
     println!("at most {slowest:.1?} and {:.0} MiB", largest as f64 / f64::from(1 << 20));
-    assert!(runs > 20 && refused > runs / 4, "{runs} {refused}");
+    assert!(runs > 20 && rejected > runs / 4, "{runs} {rejected}");
 }
 
-/// Highly compressible data does not justify a claim to memory: all-zero checksums, an empty scene, endless texts.
+/// Highly compressible data does not justify large allocations: all-zero checksums, an empty scene, endless texts.
 #[test]
-fn what_a_recording_claims_is_measured_by_its_size() {
+fn claims_are_limited_by_the_size_of_the_recording() {
     let dir = Dir::new();
     let corpus = corpus(&dir);
     let thin = messages(&corpus[3]);
@@ -705,11 +709,11 @@ fn what_a_recording_claims_is_measured_by_its_size() {
         let start = Clock::now();
         let memory = allocation_counter::measure(|| {
             error = match Recorded::open(&dir.file("claims.rrd")) {
-                Ok(_) => panic!("it lies, and nobody says so"),
+                Ok(_) => panic!("the false claim is not reported"),
                 Err(found) => found.to_string(),
             };
         });
-        assert!(start.elapsed() < MOST_TIME && memory.bytes_max < 400 << 20, "{error}: {} bytes", memory.bytes_max);
+        assert!(start.elapsed() < MAX_TIME && memory.bytes_max < 400 << 20, "{error}: {} bytes", memory.bytes_max);
         error
     };
     let store = || chunks::Chunks::new(StoreId::new(StoreKind::Recording, "meldscope_small", id.as_str()));
@@ -724,7 +728,7 @@ fn what_a_recording_claims_is_measured_by_its_size() {
         let error = with(chunks);
         assert!(error.contains(what), "{error}");
     }
-    // a scene longer than a scene file may be, and one longer than the recording has room for
+    // a scene longer than the limit of scene files, and one longer than the size of the recording justifies
     for (length, what) in [(33 << 20, "more than the 33554432"), (25 << 20, "more than the")] {
         let mut chunks = store();
         let mut text = String::from(SCENE);

@@ -1,4 +1,4 @@
-//! Broken scene files: what is rejected, with which message, and that nothing makes the parser panic.
+//! Broken scene files: which are rejected, with which message, and that no text makes the parser panic.
 
 use std::path::PathBuf;
 
@@ -917,7 +917,7 @@ fn file_with(part: &str, lines: &str) -> String {
     }
 }
 
-fn refusal(text: &str) -> SceneError {
+fn rejection(text: &str) -> SceneError {
     match Scene::parse(text, "bad.toml") {
         Ok(_) => panic!("accepted:\n{text}"),
         Err(error) => error,
@@ -925,9 +925,9 @@ fn refusal(text: &str) -> SceneError {
 }
 
 #[test]
-fn every_broken_file_is_refused_in_these_words() {
+fn every_broken_file_is_rejected_with_this_message() {
     let blocks: Vec<&str> = BROKEN.trim().split("\n\n").collect();
-    assert!(blocks.len() >= 140, "{} cases: some were not seen", blocks.len());
+    assert!(blocks.len() >= 140, "only {} cases", blocks.len());
     let blocks = blocks.into_iter().map(|block| {
         let (title, rest) = block.split_once('\n').expect("a title");
         let (lines, message) = rest.split_once("\n> ").or(rest.strip_prefix("> ").map(|m| ("", m))).expect("a message");
@@ -935,7 +935,7 @@ fn every_broken_file_is_refused_in_these_words() {
     });
     let mut wrong = Vec::new();
     for (part, lines, message) in blocks.chain(BROKEN_ESCAPED.iter().copied()) {
-        let found = refusal(&file_with(part, lines)).to_string();
+        let found = rejection(&file_with(part, lines)).to_string();
         if found != message {
             wrong.push(format!("{part}:\n{lines}\n  expected {message}\n  found    {found}"));
         }
@@ -945,7 +945,7 @@ fn every_broken_file_is_refused_in_these_words() {
 
 /// The files that [`file_with`] builds around a case are valid, so a case is rejected for its own lines.
 #[test]
-fn the_files_around_the_broken_lines_are_good() {
+fn the_files_around_the_broken_lines_are_valid() {
     for (part, lines) in [
         ("Top", "name = \"two\""),
         ("Material", "omega = 12"),
@@ -960,8 +960,8 @@ fn the_files_around_the_broken_lines_are_good() {
 }
 
 #[test]
-fn an_error_can_be_taken_apart() {
-    let error = refusal(&file_with("Influence", "merge_at = 1.3"));
+fn an_error_has_its_parts_as_fields() {
+    let error = rejection(&file_with("Influence", "merge_at = 1.3"));
     assert_eq!((error.file.as_str(), error.line(), error.column()), ("bad.toml", Some(3), Some(12)));
     assert_eq!(error.key, "influence.merge_at");
     assert_eq!(error.message, "expected a number of at most split_at (1.15 by default), found 1.3");
@@ -970,9 +970,9 @@ fn an_error_can_be_taken_apart() {
 }
 
 #[test]
-fn a_file_may_end_too_early() {
+fn a_truncated_file_is_reported() {
     let message = "bad.toml:1:11: body: not valid TOML: unclosed array, expected `]`, found the end of the file";
-    assert_eq!(refusal("body = [{}").to_string(), message);
+    assert_eq!(rejection("body = [{}").to_string(), message);
 }
 
 #[test]
@@ -982,14 +982,14 @@ fn a_file_name_cannot_break_the_line() {
 }
 
 #[test]
-fn the_nearest_of_many_bodies_is_offered() {
+fn the_nearest_of_many_bodies_is_suggested() {
     let mut text = String::from("duration = 4\n");
     for i in 0..20 {
         text += &format!("[[body]]\nname = \"ball_{i}\"\nradius = 1\nmotion = {{ fixed = [{i}, 0, 0] }}\n");
     }
     text += "[[push]]\nbody = \"ball-17\"\ndirection = [1, 0, 0]\nstrength = 60\nstart = 0.2\nduration = 0.1\n";
     assert_eq!(
-        refusal(&text).to_string(),
+        rejection(&text).to_string(),
         "bad.toml:83:8: push[0].body: expected the name of a body, found the string \"ball-17\"; did you mean \
          \"ball_17\"? (bodies: ball_0, ball_1, ball_2, ball_3, ball_4, ball_5, ball_6, ball_7, …)"
     );
@@ -997,24 +997,24 @@ fn the_nearest_of_many_bodies_is_offered() {
 
 /// Deep nesting overflows the stack neither in parsing nor in dropping.
 #[test]
-fn deep_nesting_is_survived() {
+fn deep_nesting_does_not_overflow_the_stack() {
     let deep = 100_000;
     for (open, message) in [
         ("[", "bad.toml:1:85: x: not valid TOML: cannot recurse further; max recursion depth met, found \"[\""),
         ("{ a = ", "bad.toml:1:485: x: not valid TOML: cannot recurse further; max recursion depth met, found \"{\""),
     ] {
-        assert_eq!(refusal(&format!("x = {}", open.repeat(deep))).to_string(), message);
+        assert_eq!(rejection(&format!("x = {}", open.repeat(deep))).to_string(), message);
     }
     let dotted = vec!["a"; deep].join(".");
-    assert_eq!(refusal(&format!("{dotted} = 1")).to_string(), "\"bad.toml\" is not valid TOML: recursion limit");
-    refusal(&"[".repeat(deep));
-    refusal(&format!("[{dotted}]"));
+    assert_eq!(rejection(&format!("{dotted} = 1")).to_string(), "\"bad.toml\" is not valid TOML: recursion limit");
+    rejection(&"[".repeat(deep));
+    rejection(&format!("[{dotted}]"));
 
     // the deepest nesting that the TOML parser accepts: dotted keys in inline tables, 6,000 nested tables
     let dotted = vec!["a"; 79].join(".");
     let nest = |n: usize| format!("[{dotted}]\n{dotted} = {}1{}\n", format!("{{ {dotted} = ").repeat(n), "}".repeat(n));
-    assert!(refusal(&nest(78)).to_string().starts_with("bad.toml:1:2: a: unknown key"));
-    refusal(&format!("{}x = y", nest(78)));
+    assert!(rejection(&nest(78)).to_string().starts_with("bad.toml:1:2: a: unknown key"));
+    rejection(&format!("{}x = y", nest(78)));
 }
 
 /// A file in the temporary folder, removed when the test ends.
@@ -1031,7 +1031,7 @@ impl Temporary {
         file
     }
 
-    fn refusal(&self) -> String {
+    fn rejection(&self) -> String {
         Scene::load(&self.0).expect_err("a broken file").to_string().replace(&self.0.display().to_string(), "FILE")
     }
 }
@@ -1043,9 +1043,9 @@ impl Drop for Temporary {
 }
 
 #[test]
-fn a_file_that_cannot_be_read_is_refused_with_the_reason() {
+fn a_file_that_cannot_be_read_is_rejected_with_the_reason() {
     const HELP: &str = "give the path of a scene file or the name of a built-in scene (`meldscope scenes` lists them)";
-    let missing = Temporary::new("missing.toml").refusal();
+    let missing = Temporary::new("missing.toml").rejection();
     assert!(missing.starts_with("cannot read \"FILE\": "), "{missing}");
     assert!(missing.ends_with(HELP), "{missing}");
 
@@ -1057,26 +1057,26 @@ fn a_file_that_cannot_be_read_is_refused_with_the_reason() {
 }
 
 #[test]
-fn a_file_that_is_no_text_is_refused_with_the_place() {
+fn a_file_that_is_not_text_is_rejected_with_the_position() {
     let latin1 = Temporary::holding("latin1.toml", b"duration = 4\nname = \"gr\xf6\xdfe\"\n");
-    assert_eq!(latin1.refusal(), "FILE:2:11: not UTF-8: found the byte 0xf6 at offset 23; save the file as UTF-8");
+    assert_eq!(latin1.rejection(), "FILE:2:11: not UTF-8: found the byte 0xf6 at offset 23; save the file as UTF-8");
     let cut = Temporary::holding("cut.toml", "name = \"ö".as_bytes().split_last().expect("bytes").1);
-    assert_eq!(cut.refusal(), "FILE:1:9: not UTF-8: found the byte 0xc3 at offset 8; save the file as UTF-8");
+    assert_eq!(cut.rejection(), "FILE:1:9: not UTF-8: found the byte 0xc3 at offset 8; save the file as UTF-8");
 }
 
 #[test]
-fn a_file_without_measure_is_refused() {
+fn an_oversized_file_is_rejected() {
     let large = Temporary::new("large.toml");
     let file = std::fs::File::create(&large.0).expect("a file can be made");
     file.set_len((64 << 20) + 1).expect("a file can have a hole");
-    assert_eq!(large.refusal(), "\"FILE\" is larger than 32 MiB, the limit for scene files");
+    assert_eq!(large.rejection(), "\"FILE\" is larger than 32 MiB, the limit for scene files");
     if cfg!(target_os = "linux") {
         let endless = Scene::load(&PathBuf::from("/dev/zero")).expect_err("an endless file").to_string();
         assert_eq!(endless, "\"/dev/zero\" is larger than 32 MiB, the limit for scene files");
     }
 }
 
-/// Holds for any text: no panic; a valid scene, or a one-line error about a place that exists in the text.
+/// Holds for any text: no panic; a valid scene, or a one-line error at a position that exists in the text.
 fn assert_sane(text: &str) {
     match Scene::parse(text, "some.toml") {
         Ok(scene) => assert_valid(&scene),
@@ -1116,7 +1116,7 @@ fn extreme() -> impl Strategy<Value = &'static str> {
     prop::sample::select(EXTREMES.split_whitespace().collect::<Vec<_>>())
 }
 
-/// A way to damage a text; the numbers say where.
+/// A way to damage a text; the numbers are positions.
 #[derive(Clone, Debug)]
 enum Damage {
     FlipBit(usize, u8),
@@ -1205,16 +1205,16 @@ proptest! {
     }
 
     #[test]
-    fn a_damaged_scene_is_refused_or_valid(
+    fn a_damaged_scene_is_rejected_or_valid(
         (_, text) in prop::sample::select(REFERENCES),
         damages in prop::collection::vec(damage(), 1..4)
     ) {
         assert_sane(&damages.iter().fold(text.to_owned(), |text, damage| damage.apply(&text)));
     }
 
-    /// Number by number, so that limits are hit often in otherwise valid scenes.
+    /// Replaces one number at a time, so that limits are hit often in otherwise valid scenes.
     #[test]
-    fn extreme_numbers_are_refused_or_harmless(
+    fn extreme_numbers_are_rejected_or_harmless(
         (_, text) in prop::sample::select(REFERENCES),
         at in 0..100usize,
         number in prop_oneof![extreme().prop_map(str::to_owned), any::<f64>().prop_map(|x| format!("{x:e}"))]

@@ -105,7 +105,7 @@ fn the_reference_agrees_with_the_files() {
                 worst = f64::max(worst, position.distance(expected) / body.radius);
             }
         }
-        // Measured: 1.5e-14, 1.1e-9, 6.8e-10, 1.6e-10. That is the accuracy of the files, which were computed with
+        // Measured: 1.5e-14, 1.1e-9, 6.8e-10, 1.6e-10. This is the accuracy of the files, which were computed with
         // short steps and without locating rim crossings. In `push`, where no vertex crosses a rim, all their digits
         // are correct.
         assert!(worst <= 2e-9, "{name}: {worst:e}");
@@ -119,10 +119,10 @@ fn the_reference_agrees_with_the_files() {
     }
 }
 
-/// Laws, paths, responses and places that the files do not cover: two programs that share no equation agree.
+/// Laws, paths, responses and positions that the files do not cover: two programs that share no equation agree.
 #[test]
 fn the_reference_agrees_with_the_simulation_where_there_are_no_files() {
-    let scene = |influence: &str, place: f64| {
+    let scene = |influence: &str, offset: f64| {
         let text = format!(
             r#"
             dt = 0.02
@@ -138,20 +138,20 @@ fn the_reference_agrees_with_the_simulation_where_there_are_no_files() {
             name = "a"
             radius = 1.0
             response = "world"
-            motion = {{ line = {{ from = [{place}, 0.1, 0], velocity = [0.9, 0, 0.1] }} }}
+            motion = {{ line = {{ from = [{offset}, 0.1, 0], velocity = [0.9, 0, 0.1] }} }}
 
             [[body]]
             name = "b"
             radius = 0.5
             omega = 8.0
             damping = 9.0
-            motion = {{ sine = {{ center = [{place}, 0, 0.2], amplitude = [1.4, 0.2, 0], frequency = 0.7 }} }}
+            motion = {{ sine = {{ center = [{offset}, 0, 0.2], amplitude = [1.4, 0.2, 0], frequency = 0.7 }} }}
 
             [[body]]
             name = "c"
             radius = 0.7
             damping = 0.0
-            motion = {{ keyframes = [[0.3, {place}, 2.5, 0], [0.9, {place}, 1.1, 0], [1.7, {place}, 1.9, 0.4]] }}
+            motion = {{ keyframes = [[0.3, {offset}, 2.5, 0], [0.9, {offset}, 1.1, 0], [1.7, {offset}, 1.9, 0.4]] }}
 
             [[push]]
             body = "c"
@@ -163,7 +163,7 @@ fn the_reference_agrees_with_the_simulation_where_there_are_no_files() {
         );
         Scene::parse(&text, "laws").expect("a valid scene")
     };
-    for (influence, place, bound) in [
+    for (influence, offset, bound) in [
         // Measured: 4.1e-13, 6.7e-12, 4.1e-13, 4.1e-13; far from the origin rounding is coarser, 1.8e-10.
         ("weight = \"linear\"", 0.0, 2e-10),
         ("weight = \"wendland\"", 0.0, 2e-10),
@@ -171,7 +171,7 @@ fn the_reference_agrees_with_the_simulation_where_there_are_no_files() {
         ("apart = \"none\"\nreach = 1.1", 0.0, 2e-10),
         ("weight = \"linear\"", 1e6, 1e-8),
     ] {
-        let scene = scene(influence, place);
+        let scene = scene(influence, offset);
         let settings = Settings {
             integrators: vec![Integrator::Exponential],
             factors: vec![],
@@ -186,8 +186,8 @@ fn the_reference_agrees_with_the_simulation_where_there_are_no_files() {
 #[test]
 fn a_stiff_scene_has_no_reference() {
     let scene = Scene { duration: 1e9, ..scene("two") };
-    let refused = Reference::solve(&scene, &[1e9], Accuracy::DEFAULT).err().expect("far too long");
-    assert!(matches!(refused, NoReference::TooLong { evaluations } if evaluations > 1e12), "{refused}");
+    let error = Reference::solve(&scene, &[1e9], Accuracy::DEFAULT).err().expect("far too long");
+    assert!(matches!(error, NoReference::TooLong { evaluations } if evaluations > 1e12), "{error}");
 }
 
 /// Two spheres of few vertices that merge and separate within a second.
@@ -258,7 +258,7 @@ fn every_integrator_is_measured_with_every_step() {
 }
 
 #[test]
-fn steps_that_do_not_divide_the_duration_are_left_out() {
+fn steps_that_do_not_divide_the_duration_are_skipped() {
     let scene = Scene { duration: 0.9, ..tiny("odd") };
     let settings =
         Settings { integrators: vec![Integrator::Euler], factors: vec![4.0, 2.0, 1.0, 0.5], ..quick(&scene) };
@@ -267,7 +267,7 @@ fn steps_that_do_not_divide_the_duration_are_left_out() {
 }
 
 #[test]
-fn a_run_that_diverges_is_shown_as_such() {
+fn diverged_runs_are_reported() {
     let mut scene = tiny("diverging");
     for body in &mut scene.bodies {
         body.material.omega = 200.0;
@@ -283,7 +283,7 @@ fn a_run_that_diverges_is_shown_as_such() {
 }
 
 #[test]
-fn the_cheapest_is_interpolated_between_measurements() {
+fn the_lowest_cost_is_interpolated_between_measurements() {
     let mut report = measured("tiny");
     report.measurements.retain(|it| it.scheme == Scheme::Fixed(Integrator::Mps));
     for (measurement, (seconds, error)) in report.measurements.iter_mut().zip([(1.0, 1e-1), (2.0, 3e-1), (4.0, 1e-3)]) {
@@ -425,7 +425,7 @@ fn bench_error(directory: &Path, arguments: &[&str]) -> (i32, String, String) {
 }
 
 #[test]
-fn the_command_refuses_first_and_writes_last() {
+fn the_command_rejects_bad_input_first_and_writes_last() {
     let directory = directory("command");
     let scene = tiny("small").source;
     std::fs::write(directory.join("small.toml"), scene).expect("written");
@@ -454,7 +454,7 @@ fn the_command_refuses_first_and_writes_last() {
 }
 
 #[test]
-fn a_crowd_is_a_scene_of_so_many_bodies() {
+fn a_crowd_has_the_requested_number_of_bodies() {
     for (bodies, expected) in [(1, 0), (2, 0), (47, 1), (1000, 20)] {
         let scene = Scene::parse(&scenes::crowd(bodies), "crowd").expect("a scene");
         assert_eq!(scene.bodies.len(), bodies);
@@ -464,7 +464,7 @@ fn a_crowd_is_a_scene_of_so_many_bodies() {
 }
 
 #[test]
-fn what_recording_costs_is_measured_and_compared_with_the_goals() {
+fn recording_costs_are_measured_and_compared_with_the_goals() {
     let directory = directory("record");
     let mut scene = Scene::builtin("two").expect("built in");
     scene.duration = 2.0;
@@ -501,7 +501,7 @@ fn what_recording_costs_is_measured_and_compared_with_the_goals() {
 }
 
 #[test]
-fn the_crowd_that_is_measured_can_be_written() {
+fn the_measured_crowd_can_be_written_to_a_file() {
     let directory = directory("crowd");
     let run = |arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));

@@ -1,9 +1,9 @@
-//! The checksum of the exact state: what it depends on. (`meldscope bench record` measures its cost.)
+//! Dependences of the checksum of the exact state. (`meldscope bench record` measures its cost.)
 
 use meldscope::{Scene, World, bench::record::scenes, scene::builtin};
 
 #[test]
-fn a_checksum_is_that_of_the_state_alone() {
+fn a_checksum_depends_only_on_the_state() {
     let checksums = |look: &dyn Fn(&World)| -> Vec<u64> {
         let mut world = World::new(Scene::builtin("two").expect("built in")).expect("it fits");
         let mut checksums = vec![world.checksum()];
@@ -40,7 +40,7 @@ fn a_checksum_is_that_of_the_state_alone() {
     assert_ne!(world.checksum(), plain[200], "one bit of the law is enough");
 }
 
-/// Every scene with 1, 2, 3 and 8 threads, with the kernels that this machine supports.
+/// Runs every scene with 1, 2, 3 and 8 threads, with the kernels that this machine supports.
 #[test]
 fn checksums_do_not_depend_on_threads() {
     for builtin in builtin::ALL {
@@ -63,9 +63,9 @@ fn checksums_do_not_depend_on_threads() {
     }
 }
 
-/// Resting bodies and bodies that oscillate after a push contribute to the checksum, as do bodies affected by a sphere.
+/// Bodies at rest and bodies that oscillate after a push contribute to the checksum, as do bodies affected by a sphere.
 #[test]
-fn a_checksum_is_of_all_bodies() {
+fn a_checksum_covers_all_bodies() {
     let text = scenes::pair_among(40);
     let base = text.expect("a scene");
     let checksum = |scene: Scene| {

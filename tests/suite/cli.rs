@@ -1,4 +1,4 @@
-//! The program as users run it: what it prints and where, what it writes, and its exit status.
+//! The program as users run it: its output, its files, and its exit status.
 
 use std::{
     ffi::OsStr,
@@ -42,7 +42,7 @@ impl Ran {
         Ran { status, out, err, bytes: output.stdout }
     }
 
-    /// Asserts success, with nothing but results in the output.
+    /// Asserts success, with only results in the output.
     fn succeeded(self) -> Ran {
         assert_eq!((self.status, self.err.as_str()), (0, ""), "{}", self.out);
         self
@@ -89,7 +89,7 @@ impl Running {
         std::thread::spawn(move || sender.send(child.wait_with_output()));
         let output = receiver.recv_timeout(PATIENCE).unwrap_or_else(|_| {
             signal(id, "KILL");
-            panic!("it does not end");
+            panic!("the program does not end");
         });
         Ran::new(output.expect("its output"))
     }
@@ -98,8 +98,8 @@ impl Running {
         signal(self.child().id(), name);
     }
 
-    /// Sends a signal and waits for the end. Returns also how long that took: in processor time where the system says it
-    /// of a process, because a machine may have other things to do [s].
+    /// Sends a signal and waits for the end. Also returns how long this took [s]: in processor time where the system
+    /// reports it per process, because other work may delay the process.
     #[cfg(unix)]
     fn ends_after(mut self, name: &str) -> (Ran, f64) {
         let id = self.child().id();
@@ -130,15 +130,15 @@ impl Running {
             if let Some(status) = self.child().try_wait().expect("a child") {
                 panic!("it ended before: {status}");
             }
-            assert!(started.elapsed() < PATIENCE, "it does not happen");
+            assert!(started.elapsed() < PATIENCE, "the condition never holds");
             std::thread::sleep(Duration::from_millis(5));
         }
     }
 
-    /// Waits for a line on standard error that starts with `beginning`; returns the rest of it.
+    /// Waits for a line on standard error that starts with `beginning`; returns the rest of the line.
     #[cfg(unix)]
-    fn says(&mut self, beginning: &str) -> String {
-        said(&self.lines(), beginning)
+    fn wait_for_line(&mut self, beginning: &str) -> String {
+        wait_for_line(&self.lines(), beginning)
     }
 
     /// Its standard error.
@@ -146,17 +146,17 @@ impl Running {
     fn lines(&mut self) -> mpsc::Receiver<String> {
         let stderr = BufReader::new(self.child().stderr.take().expect("a pipe"));
         let (sender, receiver) = mpsc::channel();
-        // keeps reading when nobody listens any more, because further output must go somewhere
+        // keeps reading after the receiver is dropped, because further output must go somewhere
         std::thread::spawn(move || stderr.lines().map_while(Result::ok).for_each(|line| drop(sender.send(line))));
         receiver
     }
 }
 
-/// Waits for a line that starts with `beginning`; returns the rest of it.
+/// Waits for a line that starts with `beginning`; returns the rest of the line.
 #[cfg(unix)]
-fn said(lines: &mpsc::Receiver<String>, beginning: &str) -> String {
+fn wait_for_line(lines: &mpsc::Receiver<String>, beginning: &str) -> String {
     loop {
-        let line = lines.recv_timeout(PATIENCE).unwrap_or_else(|_| panic!("it does not say \"{beginning}\""));
+        let line = lines.recv_timeout(PATIENCE).unwrap_or_else(|_| panic!("no line starts with \"{beginning}\""));
         if let Some(rest) = line.strip_prefix(beginning) {
             return rest.to_owned();
         }
@@ -181,7 +181,7 @@ fn free_port() -> u16 {
     TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).and_then(|listener| listener.local_addr()).expect("a free port").port()
 }
 
-fn nobody() -> String {
+fn unused_viewer_url() -> String {
     format!("rerun+http://127.0.0.1:{}/proxy", free_port())
 }
 
@@ -232,7 +232,7 @@ fn settings(recording: &Recording) -> toml::Table {
 // ---- results -------------------------------------------------------------------------------------------------------
 
 #[test]
-fn a_run_says_what_it_did_and_how_to_look_at_it() {
+fn a_run_reports_its_results_and_how_to_open_the_recording() {
     let dir = Dir::new();
     let ran = run(&dir, &["run", "two", "--save", "x.rrd"]).succeeded();
     assert_eq!(dir.names(), ["x.rrd"]);
@@ -276,7 +276,7 @@ fn a_quiet_run_prints_nothing() {
 }
 
 #[test]
-fn without_a_destination_the_recording_is_named_after_the_scene_and_stays_here() {
+fn the_default_recording_is_named_after_the_scene_in_the_current_folder() {
     let long = ["x".repeat(200), "漢".repeat(150)];
     let hostile = ["../x", "/etc/passwd", "..", ".", ".hidden", "a b/c\\d", "~", "$(id)", "-rf"];
     for name in hostile.into_iter().chain(long.iter().map(String::as_str)) {
@@ -367,8 +367,8 @@ fn help_and_version_are_results() {
 #[test]
 fn usage_errors_have_status_2_and_leave_nothing() {
     let dir = Dir::new();
-    let said = run(&dir, &["run", "tow"]).failed(2);
-    assert!(said.contains("did you mean \"two\"?") && said.contains("size_ratio"), "{said}");
+    let error = run(&dir, &["run", "tow"]).failed(2);
+    assert!(error.contains("did you mean \"two\"?") && error.contains("size_ratio"), "{error}");
     assert!(run(&dir, &["run", "Size-Ratio"]).failed(2).contains("did you mean \"size_ratio\"?"));
     assert!(run(&dir, &["run", "quite-something-else"]).failed(2).contains("meldscope scenes"));
     run(&dir, &["run", "two", "--sav", "x.rrd"]).failed(2);
@@ -423,14 +423,14 @@ fn usage_errors_have_status_2_and_leave_nothing() {
         "--pairs 1001",
     ] {
         let arguments: Vec<&str> = ["run", "two"].into_iter().chain(bad.split(' ')).collect();
-        let said = run(&dir, &arguments).failed(2);
-        assert!(said.lines().count() < 12, "{said}");
+        let error = run(&dir, &arguments).failed(2);
+        assert!(error.lines().count() < 12, "{error}");
         assert_eq!(dir.names(), [""; 0], "{bad}");
     }
 }
 
 #[test]
-fn a_broken_file_is_refused_with_the_place_and_nothing_is_written() {
+fn a_broken_file_is_rejected_with_its_position_and_nothing_is_written() {
     let dir = Dir::new();
     let broken = SCENE.replace("radius = 0.5", "radios = 0.5");
     let line = broken.lines().position(|line| line.contains("radios")).expect("it is there") + 1;
@@ -440,18 +440,18 @@ fn a_broken_file_is_refused_with_the_place_and_nothing_is_written() {
         [&[][..], &["--save", "kept.rrd"], &["--stdout"], &["--serve", "--web-port", "0", "--grpc-port", "0"]]
     {
         let arguments: Vec<&str> = ["run", "bad.toml"].into_iter().chain(destination.iter().copied()).collect();
-        let said = run(&dir, &arguments).failed(2);
+        let error = run(&dir, &arguments).failed(2);
         for part in [format!("bad.toml:{line}:"), "radios".to_owned(), "\"radius\"".to_owned()] {
-            assert!(said.contains(&part), "{part}: {said}");
+            assert!(error.contains(&part), "{part}: {error}");
         }
-        assert_eq!(said.lines().count(), 1, "{said}");
+        assert_eq!(error.lines().count(), 1, "{error}");
     }
     assert_eq!(dir.names(), ["bad.toml", "kept.rrd"]);
     assert_eq!(fs::read_to_string(dir.file("kept.rrd")).expect("it is there"), "RRF2: precious");
 
     for missing in ["missing.toml", "missing/scene.toml", "."] {
-        let said = run(&dir, &["run", missing]).failed(2);
-        assert!(said.contains(missing), "{said}");
+        let error = run(&dir, &["run", missing]).failed(2);
+        assert!(error.contains(missing), "{error}");
     }
     fs::write(dir.file("bad.toml"), b"name = \"\xff\"").expect("room");
     assert!(run(&dir, &["run", "bad.toml"]).failed(2).contains("UTF-8"));
@@ -503,22 +503,22 @@ proptest! {
 
     #[test]
     fn no_broken_scene_is_run(text in broken_scene()) {
-        let refusal = Scene::parse(&text, "bad.toml");
-        prop_assume!(refusal.is_err());
+        let rejection = Scene::parse(&text, "bad.toml");
+        prop_assume!(rejection.is_err());
         let dir = Dir::new();
         fs::write(dir.file("bad.toml"), &text).expect("room");
-        let said = run(&dir, &["run", "bad.toml", "--steps", "1"]).failed(2);
-        prop_assert_eq!(said, format!("error: {}\n", refusal.expect_err("as assumed")));
+        let error = run(&dir, &["run", "bad.toml", "--steps", "1"]).failed(2);
+        prop_assert_eq!(error, format!("error: {}\n", rejection.expect_err("as assumed")));
         prop_assert_eq!(dir.names(), ["bad.toml"]);
     }
 }
 
 #[test]
-fn what_cannot_be_written_is_known_before_the_run() {
+fn unwritable_destinations_are_rejected_before_the_run() {
     let dir = scene_dir();
-    // these would never end if they started
-    let said = run(&dir, &["run", "small.toml", "--steps", "0", "--save", "no/such/x.rrd"]).failed(1);
-    assert!(said.contains("no/such"), "{said}");
+    // these runs would never end if they started
+    let error = run(&dir, &["run", "small.toml", "--steps", "0", "--save", "no/such/x.rrd"]).failed(1);
+    assert!(error.contains("no/such"), "{error}");
     run(&dir, &["run", "small.toml", "--steps", "0", "--save", "."]).failed(1);
     assert_eq!(dir.names(), ["small.toml"]);
 
@@ -527,8 +527,8 @@ fn what_cannot_be_written_is_known_before_the_run() {
     let port = taken.local_addr().expect("an address").port().to_string();
     fs::write(dir.file("kept.rrd"), "RRF2: precious").expect("room");
     let arguments = ["run", "small.toml", "--save", "kept.rrd", "--serve", "--web-port", "0", "--grpc-port", &port];
-    let said = run(&dir, &arguments).failed(1);
-    assert!(said.contains(&port), "{said}");
+    let error = run(&dir, &arguments).failed(1);
+    assert!(error.contains(&port), "{error}");
     assert_eq!(dir.names(), ["kept.rrd", "small.toml"]);
     assert_eq!(fs::read_to_string(dir.file("kept.rrd")).expect("it is there"), "RRF2: precious");
 
@@ -541,15 +541,15 @@ fn what_cannot_be_written_is_known_before_the_run() {
 #[test]
 fn a_full_disk_ends_the_run() {
     let dir = scene_dir();
-    let said = run(&dir, &["run", "small.toml", "--steps", "0", "--save", "/dev/full"]).failed(1);
-    assert!(said.contains("/dev/full") && said.contains("disk is full"), "{said}");
+    let error = run(&dir, &["run", "small.toml", "--steps", "0", "--save", "/dev/full"]).failed(1);
+    assert!(error.contains("/dev/full") && error.contains("disk is full"), "{error}");
     assert_eq!(dir.names(), ["small.toml"]);
 }
 
-/// Runs with limited memory: a program that allocated what the scene asks for would be killed.
+/// Runs with limited memory: a program that allocated the memory of the scene would be killed.
 #[cfg(unix)]
 #[test]
-fn a_scene_that_is_too_large_is_refused_and_not_begun() {
+fn a_scene_that_is_too_large_is_rejected_before_it_starts() {
     let dir = Dir::new();
     let mut text = "name = \"huge\"\nduration = 1\n".to_owned();
     for i in 0..40 {
@@ -563,9 +563,9 @@ fn a_scene_that_is_too_large_is_refused_and_not_begun() {
     let mut limited = Command::new("sh");
     limited.args(["-c", "ulimit -v 2000000 && exec \"$0\" run huge.toml --save kept.rrd"]);
     limited.arg(env!("CARGO_BIN_EXE_meldscope")).current_dir(dir.path()).stdin(Stdio::null());
-    let said = Ran::new(limited.output().expect("sh runs")).failed(2);
+    let error = Ran::new(limited.output().expect("sh runs")).failed(2);
     for part in ["\"huge\"", "40 bodies", "TiB", "available", "stacks"] {
-        assert!(said.contains(part), "{part}: {said}");
+        assert!(error.contains(part), "{part}: {error}");
     }
     assert_eq!(dir.names(), ["huge.toml", "kept.rrd"]);
     assert_eq!(fs::read_to_string(dir.file("kept.rrd")).expect("it is there"), "RRF2: precious");
@@ -574,7 +574,7 @@ fn a_scene_that_is_too_large_is_refused_and_not_begun() {
 // ---- options -------------------------------------------------------------------------------------------------------
 
 #[test]
-fn options_do_what_they_say() {
+fn options_have_their_documented_effect() {
     let dir = scene_dir();
     let recorded = |options: &str| {
         let arguments: Vec<&str> =
@@ -624,12 +624,12 @@ fn options_do_what_they_say() {
 }
 
 #[test]
-fn the_recording_does_not_depend_on_how_fast_it_was_made() {
+fn the_recording_does_not_depend_on_speed() {
     let dir = scene_dir();
     run(&dir, &["run", "small.toml", "--steps", "60", "--save", "fast.rrd"]).succeeded();
     let started = Instant::now();
     run(&dir, &["run", "small.toml", "--steps", "60", "--save", "slow.rrd", "--realtime"]).succeeded();
-    assert!(started.elapsed() >= Duration::from_secs(1), "as long as what is simulated, or longer");
+    assert!(started.elapsed() >= Duration::from_secs(1), "faster than simulated time");
     let [fast, slow] = ["fast.rrd", "slow.rrd"].map(|name| Recording::open(&dir.file(name)));
     assert_eq!(fast.id, slow.id);
     let [fast, slow] = [content(&fast), content(&slow)];
@@ -663,7 +663,7 @@ fn standard_output_can_be_the_recording() {
 }
 
 #[test]
-fn a_reader_that_goes_away_ends_the_run_that_it_read() {
+fn a_closed_pipe_ends_the_run() {
     let dir = scene_dir();
     let mut running = Running::start(&dir, &["run", "small.toml", "--stdout", "--steps", "0"]);
     let mut beginning = [0; 1000];
@@ -674,27 +674,27 @@ fn a_reader_that_goes_away_ends_the_run_that_it_read() {
 }
 
 #[test]
-fn a_run_that_diverges_says_so_and_is_saved_up_to_there() {
+fn a_diverging_run_is_reported_and_saved_up_to_that_step() {
     let dir = scene_dir();
     let options = ["--integrator", "euler", "--dt", "1", "--steps", "1000"];
     let arguments = [&["run", "small.toml", "--save", "x.rrd"], &options[..]].concat();
-    let said = run(&dir, &arguments).failed(1);
-    assert!(said.contains("diverged at step ") && said.contains("x.rrd"), "{said}");
+    let error = run(&dir, &arguments).failed(1);
+    assert!(error.contains("diverged at step ") && error.contains("x.rrd"), "{error}");
     let recording = Recording::open(&dir.file("x.rrd"));
     assert!((1.0..1000.0).contains(&recording.steps()));
-    assert!(said.contains(&format!("diverged at step {}", recording.steps())), "{said}");
+    assert!(error.contains(&format!("diverged at step {}", recording.steps())), "{error}");
     assert_eq!(recording.changes("/timings/log").last().map(|row| row.step as f64), Some(recording.steps()));
 }
 
 #[test]
-fn a_tolerance_that_is_not_met_is_said_and_recorded() {
+fn a_missed_tolerance_is_reported_and_recorded() {
     let dir = scene_dir();
     let stiff = tolerance::UNRESOLVED;
     fs::write(dir.file("stiff.toml"), format!("dt = 0.1\ntolerance = 1e-10\n{stiff}")).expect("writable");
     let ran = run(&dir, &["run", "stiff.toml"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
-    let said = "warning: the tolerance was not met in 1 step: step 1 (t = 0.100000 s): body \"";
-    assert!(ran.err.contains(said) && ran.err.contains("times what the tolerance allows"), "{}", ran.err);
+    let warning = "warning: the tolerance was not met in 1 step: step 1 (t = 0.100000 s): body \"";
+    assert!(ran.err.contains(warning) && ran.err.contains("times what the tolerance allows"), "{}", ran.err);
     let lines = Recording::open(&dir.file("stiff.rrd")).changes("/events/accuracy");
     assert_eq!(lines.iter().map(|row| row.step).collect::<Vec<_>>(), [1]);
     let line = lines[0].text("TextLog:text");
@@ -702,7 +702,7 @@ fn a_tolerance_that_is_not_met_is_said_and_recorded() {
 }
 
 #[test]
-fn nobody_need_read_what_is_printed() {
+fn closed_output_is_not_an_error() {
     let dir = scene_dir();
     for arguments in [&["run", "small.toml"][..], &["scenes"], &["--help"], &["run", "--help"], &["--version"]] {
         let mut running = Running::start(&dir, arguments);
@@ -728,7 +728,7 @@ fn an_interrupted_run_is_saved() {
     {
         let dir = scene_dir();
         run(&dir, &["run", "small.toml", "--steps", "1", "--save", "x.rrd"]).succeeded();
-        // longer than what is written before the first steps
+        // longer than the data written before the first steps
         let length = size(&dir.file("x.rrd")) * 2;
         let mut running = Running::start(&dir, &["run", "small.toml", "--steps", "0", "--save", "x.rrd", pace]);
         running.eventually(|| size(&dir.file("x.rrd.partial")) > length);
@@ -744,15 +744,15 @@ fn an_interrupted_run_is_saved() {
         let recording = Recording::open(&dir.file("x.rrd"));
         let steps = recording.steps();
         assert!(steps > 0.0);
-        let said: String = ran.out.chars().filter(|&c| c != ',').collect();
-        assert!(said.contains(&format!("small: 2 bodies {vertices} vertices; {steps} steps")), "{}", ran.out);
+        let printed: String = ran.out.chars().filter(|&c| c != ',').collect();
+        assert!(printed.contains(&format!("small: 2 bodies {vertices} vertices; {steps} steps")), "{}", ran.out);
         // the recording is complete
         let last = recording.changes("/timings/log").last().expect("frames").step;
         assert_eq!(last, if pace == every_step { steps as i64 } else { steps as i64 / 1000 * 1000 });
     }
 }
 
-/// Frames in transit are saved with overlapping meshes if their merged surfaces would take too long.
+/// Pending frames are saved with overlapping meshes if their merged surfaces would take too long.
 #[cfg(unix)]
 #[test]
 fn an_interrupt_does_not_wait_for_merged_surfaces() {
@@ -777,19 +777,19 @@ fn an_interrupt_does_not_wait_for_merged_surfaces() {
             assert_eq!(ran.status, 0, "{}", ran.err);
             time
         };
-        // measured: 0.3 s, of 3.4 s if it waited
+        // measured: 0.3 s, and 3.4 s if the run waited for the surfaces
         let times: Vec<f64> = (0..2).map(|_| ends()).collect();
         assert!(times.iter().any(|&time| time < 1.0), "after {wait} ms: {times:?} s");
 
         let recording = Recording::open(&dir.file("x.rrd"));
         let last = |entity: &str| recording.changes(entity).last().expect("rows").step as f64;
-        // no step without its frame, and those without a merged surface say so
+        // every step has its frame, and frames without a merged surface are marked
         assert!(recording.steps() == 0.0 || last("/timings/log") == recording.steps());
         assert_eq!(last("/diagnostics/overlapping_groups"), recording.steps());
     }
 }
 
-/// What is of no use before its end: ends at once, and no file is left.
+/// Commands whose partial results are of no use end at once and leave no file.
 #[cfg(unix)]
 #[test]
 fn an_interrupted_check_leaves_nothing() {
@@ -816,11 +816,11 @@ fn an_interrupted_check_leaves_nothing() {
 // ---- viewers -------------------------------------------------------------------------------------------------------
 
 #[test]
-fn a_viewer_that_is_not_there_matters_only_if_there_is_nothing_else() {
+fn a_missing_viewer_is_an_error_only_without_another_destination() {
     let dir = scene_dir();
-    let url = nobody();
-    let said = run(&dir, &["run", "small.toml", "--steps", "0", "--connect", &url]).failed(1);
-    assert!(said.contains(&url) && said.contains("--spawn"), "{said}");
+    let url = unused_viewer_url();
+    let error = run(&dir, &["run", "small.toml", "--steps", "0", "--connect", &url]).failed(1);
+    assert!(error.contains(&url) && error.contains("--spawn"), "{error}");
     assert_eq!(dir.names(), ["small.toml"]);
 
     for quiet in [&[][..], &["--quiet"]] {
@@ -836,13 +836,13 @@ fn a_viewer_that_is_not_there_matters_only_if_there_is_nothing_else() {
 
 #[cfg(unix)]
 #[test]
-fn a_browser_can_look_until_the_run_is_ended() {
+fn a_browser_is_served_until_the_run_is_interrupted() {
     const PORTS: [&str; 5] = ["--serve", "--web-port", "0", "--grpc-port", "0"];
     for steps in ["0", "30"] {
         let dir = scene_dir();
         let arguments = ["run", "small.toml", "--steps", steps, "--realtime", "--save", "x.rrd"];
         let mut running = Running::start(&dir, &[&arguments[..], &PORTS].concat());
-        let address = running.says("serving at http://");
+        let address = running.wait_for_line("serving at http://");
         let (host, path) = address.split_once('/').expect("a path");
         assert!(host.starts_with("127.0.0.1:"), "{address}");
         let mut stream = TcpStream::connect(host).expect("it listens");
@@ -867,9 +867,9 @@ fn a_browser_can_look_until_the_run_is_ended() {
 
 #[cfg(unix)]
 #[test]
-fn destinations_go_together() {
+fn destinations_can_be_combined() {
     let dir = scene_dir();
-    let url = nobody();
+    let url = unused_viewer_url();
     let arguments = ["run", "small.toml", "--save", "x.rrd", "--stdout", "--connect", &url];
     let serve = ["--serve", "--web-port", "0", "--grpc-port", "0"];
     let mut running = Running::start(&dir, &[&arguments[..], &serve].concat());
@@ -878,7 +878,7 @@ fn destinations_go_together() {
         let (mut stdout, mut bytes) = (stdout, Vec::new());
         stdout.read_to_end(&mut bytes).map(|_| bytes)
     });
-    running.says("Serving until Ctrl-C");
+    running.wait_for_line("Serving until Ctrl-C");
     let saved = Recording::open(&dir.file("x.rrd"));
     running.signal("INT");
     assert_eq!(running.end().status, 0);
@@ -886,11 +886,11 @@ fn destinations_go_together() {
     assert!(content(&saved) == content(&Recording::read(&piped[..])));
 }
 
-// ---- a scene that is edited ----------------------------------------------------------------------------------------
+// ---- edited scenes -------------------------------------------------------------------------------------------------
 
 #[cfg(unix)]
 #[test]
-fn a_scene_that_is_edited_starts_again_and_one_that_is_broken_does_not() {
+fn a_valid_edit_restarts_the_run_and_a_broken_one_does_not() {
     let dir = scene_dir();
     let scene = dir.file("small.toml");
     for steps in ["0", "30"] {
@@ -899,16 +899,16 @@ fn a_scene_that_is_edited_starts_again_and_one_that_is_broken_does_not() {
             ["run", "small.toml", "--steps", steps, "--watch", "--serve", "--web-port", "0", "--grpc-port", "0"];
         let mut running = Running::start(&dir, &arguments);
         let lines = running.lines();
-        said(&lines, "serving at");
+        wait_for_line(&lines, "serving at");
         fs::write(&scene, format!("{SCENE}\nwrong = 1\n")).expect("room");
-        let why = lines.iter().find(|line| line.contains("wrong")).expect("it says why");
+        let why = lines.iter().find(|line| line.contains("wrong")).expect("a reason");
         assert!(why.contains("small.toml") && why.contains("continuing with the previous scene"), "{why}");
         for comment in ["one", "two"] {
             fs::write(&scene, format!("# {comment}\n{SCENE}")).expect("room");
-            said(&lines, "small.toml has changed: restarting");
+            wait_for_line(&lines, "small.toml has changed: restarting");
         }
         running.signal("INT");
-        said(&lines, "Serving until Ctrl-C");
+        wait_for_line(&lines, "Serving until Ctrl-C");
         std::thread::sleep(Duration::from_millis(1100)); // a second interrupt, not an echo of the first
         running.signal("INT");
         running.end();
@@ -962,9 +962,9 @@ fn memory_stays_bounded_over_a_hundred_thousand_frames() {
     assert!(first > 0 && most < first + (96 << 10), "{first} kB, then {most} kB");
 }
 
-/// The values that the help lists are those that the recorder accepts.
+/// The help lists the values that the recorder accepts.
 #[test]
-fn the_help_lists_the_names_that_are_taken() {
+fn the_help_lists_the_accepted_names() {
     let help = |command: &str| {
         let output = Command::new(env!("CARGO_BIN_EXE_meldscope")).args([command, "--help"]).output().expect("starts");
         String::from_utf8(output.stdout).expect("text")
@@ -1024,7 +1024,7 @@ fn a_viewer_beside_a_file_gets_every_row_once() {
 
 #[cfg(unix)]
 #[test]
-fn a_scene_that_is_edited_back_is_another_run() {
+fn a_reverted_edit_is_a_new_run() {
     let dir = scene_dir();
     let (_viewer, port) = crate::sinks::viewer();
     let url = format!("rerun+http://127.0.0.1:{port}/proxy");
@@ -1034,7 +1034,7 @@ fn a_scene_that_is_edited_back_is_another_run() {
     for text in [format!("# other\n{SCENE}"), SCENE.to_owned()] {
         std::thread::sleep(Duration::from_millis(500));
         fs::write(dir.file("small.toml"), text).expect("room");
-        said(&lines, "small.toml has changed: restarting");
+        wait_for_line(&lines, "small.toml has changed: restarting");
     }
     std::thread::sleep(Duration::from_millis(500));
     running.signal("INT");
@@ -1045,33 +1045,33 @@ fn a_scene_that_is_edited_back_is_another_run() {
 
 #[cfg(unix)]
 #[test]
-fn only_a_file_is_watched() {
+fn only_regular_files_are_watched() {
     let dir = scene_dir();
     let scene = dir.file("small.toml");
     assert!(Command::new("mkfifo").arg(dir.file("pipe")).status().expect("mkfifo").success());
     let serve = ["--watch", "--serve", "--web-port", "0", "--grpc-port", "0"];
     for name in ["pipe", "/dev/zero"] {
-        let said = run(&dir, &[&["run", name], &serve[..]].concat()).failed(2);
-        assert!(said.contains("--watch needs a scene file"), "{said}");
+        let error = run(&dir, &[&["run", name], &serve[..]].concat()).failed(2);
+        assert!(error.contains("--watch needs a scene file"), "{error}");
     }
     let mut running = Running::start(&dir, &[&["run", "small.toml", "--steps", "3"], &serve[..]].concat());
     let lines = running.lines();
-    said(&lines, "serving at");
+    wait_for_line(&lines, "serving at");
     let replace = |by: &dyn Fn()| {
         fs::remove_file(&scene).expect("it is there");
         by();
     };
     replace(&|| fs::rename(dir.file("pipe"), &scene).expect("room"));
-    let why = lines.iter().find(|line| line.contains("going on")).expect("it says why");
+    let why = lines.iter().find(|line| line.contains("continuing")).expect("a reason");
     assert!(why.contains("is no longer a file"), "{why}");
     replace(&|| std::os::unix::fs::symlink("/dev/zero", &scene).expect("room"));
     std::thread::sleep(Duration::from_millis(200));
     replace(&|| fs::File::create(&scene).and_then(|file| file.set_len(64 << 30)).expect("a file can have a hole"));
-    let why = lines.iter().find(|line| line.contains("going on")).expect("it says why");
+    let why = lines.iter().find(|line| line.contains("continuing")).expect("a reason");
     assert!(why.contains("exceeds the size limit of a scene"), "{why}");
     // and back again
     replace(&|| fs::write(&scene, format!("# back\n{SCENE}")).expect("room"));
-    said(&lines, "small.toml has changed: restarting");
+    wait_for_line(&lines, "small.toml has changed: restarting");
     running.signal("INT");
     std::thread::sleep(Duration::from_millis(1100)); // a second interrupt, not an echo of the first
     running.signal("INT");
@@ -1079,28 +1079,28 @@ fn only_a_file_is_watched() {
 }
 
 #[test]
-fn what_would_show_nothing_is_refused_with_what_is_missing() {
+fn options_without_effect_are_rejected_with_the_missing_option() {
     let dir = scene_dir();
-    let refused = |arguments: &[&str], what: &str| {
-        let said = run(&dir, arguments).failed(2);
-        assert!(said.contains(what), "{arguments:?}: {said}");
+    let rejected = |arguments: &[&str], what: &str| {
+        let error = run(&dir, arguments).failed(2);
+        assert!(error.contains(what), "{arguments:?}: {error}");
     };
-    refused(&["run", "small.toml", "--detail", "stages", "--from", "121"], "beyond the last step, 120");
-    refused(&["run", "small.toml", "--detail", "stages", "--from", "4", "--steps", "3"], "beyond the last step, 3");
-    refused(&["run", "small.toml", "--tab", "stages"], "--detail stages");
-    refused(&["run", "small.toml", "--tab", "forces", "--detail", "surface"], "--detail surface");
+    rejected(&["run", "small.toml", "--detail", "stages", "--from", "121"], "beyond the last step, 120");
+    rejected(&["run", "small.toml", "--detail", "stages", "--from", "4", "--steps", "3"], "beyond the last step, 3");
+    rejected(&["run", "small.toml", "--tab", "stages"], "--detail stages");
+    rejected(&["run", "small.toml", "--tab", "forces", "--detail", "surface"], "--detail surface");
     run(&dir, &["run", "small.toml", "--detail", "stages", "--from", "120", "--tab", "stages", "--quiet"]).succeeded();
     // a recording where a scene is expected
-    refused(&["run", "small.rrd"], "`meldscope replay small.rrd`");
-    refused(&["bench", "error", "small.rrd"], "`meldscope replay small.rrd`");
-    let said = run(&dir, &["run", "small.toml", "--steps", "1", "--save", "x.rrd"]).succeeded().out;
-    assert!(said.contains("; 1 step of "), "{said}");
+    rejected(&["run", "small.rrd"], "`meldscope replay small.rrd`");
+    rejected(&["bench", "error", "small.rrd"], "`meldscope replay small.rrd`");
+    let printed = run(&dir, &["run", "small.toml", "--steps", "1", "--save", "x.rrd"]).succeeded().out;
+    assert!(printed.contains("; 1 step of "), "{printed}");
 }
 
 // ---- tables --------------------------------------------------------------------------------------------------------
 
 #[test]
-fn exported_tables_are_the_run_to_the_bit() {
+fn exported_tables_match_the_run_bit_by_bit() {
     let dir = Dir::new();
     let tables = ["--events", "events.csv", "--pairs", "pairs.csv", "--scalars", "scalars.csv"];
     run(&dir, &[&["export", "two"][..], &tables].concat()).succeeded();
@@ -1130,14 +1130,14 @@ fn exported_tables_are_the_run_to_the_bit() {
     assert_eq!(rows("pairs.csv"), pairs);
     assert_eq!(rows("scalars.csv").len(), 301);
 
-    // again is fine; a file of somebody else's is not touched
+    // its own table is replaced; a foreign file is not
     run(&dir, &["export", "two", "--events", "events.csv"]).succeeded();
     fs::write(dir.path().join("mine.csv"), "a,b\n").expect("a file");
     let error = run(&dir, &["export", "two", "--events", "mine.csv"]).failed(2);
     assert!(error.contains("mine.csv is not a table with these columns and is not replaced"), "{error}");
     assert_eq!(fs::read_to_string(dir.path().join("mine.csv")).expect("the file"), "a,b\n");
     let error = run(&dir, &["export", "two", "--pairs", "pairs.xlsx"]).failed(2);
-    assert!(error.contains("end it in .csv, .json or .parquet"), "{error}");
+    assert!(error.contains("use .csv, .json or .parquet"), "{error}");
     let error = run(&dir, &["export", "two", "--pairs", "one.csv", "--states", "one.csv"]).failed(2);
     assert!(error.contains("one.csv is given for two tables"), "{error}");
     assert!(fs::read_dir(dir.path()).expect("a folder").all(|entry| {
@@ -1147,12 +1147,12 @@ fn exported_tables_are_the_run_to_the_bit() {
 }
 
 #[test]
-fn exported_states_are_the_world_to_the_bit() {
+fn exported_states_match_the_world_bit_by_bit() {
     use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
     use rerun::external::arrow::array::{AsArray as _, Float64Array};
 
     let dir = Dir::new();
-    // two bodies that merge, and one that turns
+    // two bodies that merge, and a rotating one
     for scene in ["two", "orbit"] {
         let range = ["--from", "90", "--to", "92", "--every", "2"];
         for format in ["csv", "json", "parquet"] {
@@ -1179,7 +1179,7 @@ fn exported_states_are_the_world_to_the_bit() {
             let vectors = [0, 3, 6].map(|first| [0, 1, 2].map(|axis| number(first + axis)));
             rows.push((row[0].parse().expect("a step"), row[2].to_owned(), row[3].parse().expect("a vertex"), vectors));
         }
-        // a position of a body that turns is the same but for the last bits
+        // positions of a rotating body agree up to the last bits
         let is_same = |found: &[u64; 3], wanted: &[u64; 3]| {
             let close = |(&x, &y): (&u64, &u64)| (f64::from_bits(x) - f64::from_bits(y)).abs() < 1e-14;
             found == wanted || (scene == "orbit" && found.iter().zip(wanted).all(close))
@@ -1214,10 +1214,10 @@ fn exported_states_are_the_world_to_the_bit() {
     }
 }
 
-// ---- what is shown -------------------------------------------------------------------------------------------------
+// ---- display -------------------------------------------------------------------------------------------------------
 
 #[test]
-fn pairs_and_events_to_show_are_named_and_survive_a_replay() {
+fn selected_pairs_and_events_survive_a_replay() {
     let dir = Dir::new();
     for (arguments, expected) in [
         (["--pair", "a~x"], "--pair: no body \"x\""),
@@ -1264,16 +1264,16 @@ fn a_flight_recorder_writes_frames_after_its_trigger() {
     let recording = Recording::open(&dir.file("x.rrd"));
     let frames = recording.changes("/timings/log").iter().map(|row| row.step).collect::<Vec<_>>();
     let merge = recording.changes("/events")[0].step; // the step at whose end it has happened
-    // lines end where the frame after these is dropped
+    // lines end where the frame after the window is dropped
     assert_eq!(frames, (merge - 2..=merge + 6).collect::<Vec<_>>());
     run(&dir, &["replay", "x.rrd"]).succeeded();
     let error = run(&dir, &["run", "two", "--keep", "3", "--after", "5"]).failed(2);
     assert!(error.contains("--on"), "{error}");
 }
 
-/// A file is as large as projected, within a fifth.
+/// The size of a file is within a fifth of the projection.
 #[test]
-fn the_size_of_a_recording_is_known_before() {
+fn the_size_of_a_recording_is_predicted() {
     use meldscope::stream::size;
     let dir = Dir::new();
     for scene in ["two", "three", "crowd", "mesh"] {
@@ -1286,12 +1286,12 @@ fn the_size_of_a_recording_is_known_before() {
         let ratio = projected.bytes as f64 / real;
         assert!((0.8..1.2).contains(&ratio), "{}: {ratio}", scene.name);
         assert!(projected.without_forces.is_some_and(|bytes| bytes < projected.bytes));
-        // of scenes that are small by their number of vertices, nothing is simulated
+        // scenes that are small by their number of vertices are not simulated
         assert_eq!(size::project(&scene, &settings, u64::MAX), None);
     }
 }
 
-/// A recording that nobody asked to be large is not: it has as many frames as fit, the same ones in every run.
+/// Unless requested, a recording is not large: it has as many frames as fit, the same ones in every run.
 #[test]
 fn a_long_run_is_recorded_with_fewer_frames() {
     use meldscope::stream::size;
@@ -1301,12 +1301,12 @@ fn a_long_run_is_recorded_with_fewer_frames() {
     assert_eq!(projected, again);
     let every = projected.every(&settings);
     assert!(projected.bytes > size::LARGE && projected.bytes / every <= size::LARGE, "{projected:?}");
-    // half as much again, because only the beginning is known
+    // with a margin of one half, because only the beginning is known
     assert!(3 * projected.bytes / 2 / (every - 1) >= size::LARGE, "{projected:?}");
 }
 
 #[test]
-fn a_thin_recording_opens_with_its_events_and_what_to_do() {
+fn a_thin_recording_shows_its_events_and_the_next_command() {
     let dir = Dir::new();
     run(&dir, &["run", "two", "--thin", "--save", "x.rrd"]).succeeded();
     let recording = Recording::open(&dir.file("x.rrd"));

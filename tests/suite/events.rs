@@ -1,5 +1,5 @@
-//! When pairs merge, split, enter and leave their core: exact times against closed forms and brute force, including
-//! hard cases on and near the threshold.
+//! Times at which pairs merge, split, enter and leave their core, against closed forms and brute force, including hard
+//! cases on and near the threshold.
 
 use glam::{DVec3, dvec3};
 use meldscope::model::phase::{Phase, Thresholds};
@@ -26,7 +26,7 @@ fn changes(paths: &PairTracks<'_>, thresholds: &Thresholds, phase: Phase, start:
     found
 }
 
-/// The same, found step by step, as a world does.
+/// The phase changes of a pair, found step by step, as a world does.
 fn changes_by_steps(
     paths: &PairTracks<'_>,
     thresholds: &Thresholds,
@@ -64,7 +64,7 @@ fn two(a: Path, b: Path, thresholds: Thresholds, dt: f64, duration: f64) -> Scen
     scene
 }
 
-/// All events of a scene; each belongs to the first step whose end is not before it.
+/// All events of a scene. Each belongs to the first step that does not end before it.
 fn events(scene: Scene) -> Vec<Event> {
     let mut world = World::new(scene).expect("fits");
     let mut all = vec![];
@@ -109,7 +109,7 @@ proptest! {
         let b = line(from + closest * across - closest_at * speed * along, velocity + speed * along);
         let paths = PairTracks { a: (&a).into(), b: (&b).into(), radii };
         let thresholds = thresholds(core_at, merge_at, merge_at + more);
-        // p and v as the paths have them, rounded
+        // p and v of the paths, which are rounded
         let (p, v) = (b.position(0.0) - a.position(0.0), b.at(0.0).velocity - a.at(0.0).velocity);
         let root = |level: f64, side: f64| {
             let (m, v2) = (p.dot(v), v.length_squared());
@@ -229,7 +229,7 @@ fn a_pair_that_merges_and_splits_within_a_step_does_both() {
     }
 }
 
-/// Visits of 1e-7 s to the inside of each threshold, at some moment in a step.
+/// Visits of 1e-7 s to the inside of each threshold, at various times within a step.
 #[test]
 fn a_visit_of_a_ten_millionth_of_a_second_is_found() {
     let (speed, half) = (1e4, 0.5e-7);
@@ -256,9 +256,9 @@ fn a_visit_of_a_ten_millionth_of_a_second_is_found() {
     }
 }
 
-/// A line that passes at exactly the merge distance, or slightly nearer or farther.
+/// A line that passes exactly at the merge distance, or slightly nearer or farther.
 #[test]
-fn a_graze_is_both_events_or_none() {
+fn a_graze_has_both_events_or_none() {
     for speed in [1.0, 7.3] {
         for split_at in [1.5, 1.75] {
             let thresholds = thresholds(0.0, 1.5, split_at);
@@ -267,7 +267,7 @@ fn a_graze_is_both_events_or_none() {
                 let paths = PairTracks { a: (&ORIGIN).into(), b: (&b).into(), radii: 1.0 };
                 let at_once = changes(&paths, &thresholds, Apart, 0.0, 6.0);
                 let by_steps = changes_by_steps(&paths, &thresholds, Apart, 1.0 / 64.0, 384);
-                // At exactly that distance rounding decides, but a pair that merges also splits.
+                // Exactly at that distance, rounding decides, but a pair that merges also splits.
                 assert!([0, 2].contains(&at_once.len()), "{at_once:?}");
                 assert!([0, 2].contains(&by_steps.len()), "{by_steps:?}");
                 if (height - 1.5).abs() > 1e-13 {
@@ -280,7 +280,7 @@ fn a_graze_is_both_events_or_none() {
                 let found = graze(1.5 - nearer);
                 assert_eq!(found.iter().map(|change| change.1).collect::<Vec<_>>(), [Merged, Apart], "{nearer:e}");
                 let half = ((3.0 - nearer) * nearer).sqrt() / speed;
-                // Near the closest approach the distance changes only by rounding, and the time is as uncertain.
+                // Near the closest approach, the distance changes only by rounding, and the time is equally uncertain.
                 let bound = 1e-15 / (half * speed * speed) + 1e-14;
                 assert!((found[0].0 - (3.0 / speed - half)).abs() <= bound, "{nearer:e}: {found:?}");
                 if split_at == 1.5 {
@@ -303,9 +303,9 @@ fn a_graze_is_both_events_or_none() {
 // ---------------------------------------------------------------------------------------------------------------------
 // On the threshold
 
-/// Bodies that move in parallel keep their distance. Even at the merge distance they neither merge nor split.
+/// Bodies that move in parallel keep their distance. Even at the merge distance, they neither merge nor split.
 #[test]
-fn bodies_in_formation_at_exactly_the_threshold_do_nothing() {
+fn bodies_in_formation_exactly_at_the_threshold_have_no_events() {
     let keys = |offset: DVec3| {
         let keys = [(0.0, dvec3(0.1, 0.2, 0.3)), (1.0, dvec3(2.3, -0.7, 0.9)), (2.5, dvec3(0.0, 1.1, 0.4))];
         Path::Keyframes(Spline::new(&keys.map(|(t, p)| (t, p + offset))))
@@ -413,7 +413,7 @@ fn a_pair_that_starts_on_its_threshold_and_moves_across_changes_at_once() {
 
 /// A pair that comes to rest exactly on its threshold reaches it once.
 #[test]
-fn a_pair_that_comes_to_stand_on_its_threshold_has_reached_it() {
+fn a_pair_that_stops_on_its_threshold_has_reached_it() {
     let keys = |keys: &[(f64, f64)]| {
         Path::Keyframes(Spline::new(&keys.iter().map(|&(t, x)| (t, dvec3(x, 0.0, 0.0))).collect::<Vec<_>>()))
     };
@@ -431,12 +431,12 @@ fn a_pair_that_comes_to_stand_on_its_threshold_has_reached_it() {
             events(two(ORIGIN, stops.clone(), law, 0.1, 4.0)).iter().map(|e| (e.time, e.to)).collect(),
         ] {
             assert_eq!(found.iter().map(|change| change.1).collect::<Vec<_>>(), [to], "{law:?}");
-            // it is that close for the last instants
+            // it stays that close during the last instants
             assert!((0.9999..=1.0).contains(&found[0].0) && (paths.q(found[0].0) - 1.5).abs() <= 1e-12, "{found:?}");
         }
     }
-    // A pair that turns back on the threshold may or may not touch it. If it does, and one distance switches both ways,
-    // it splits.
+    // A pair that turns back at the threshold may or may not reach it. If it does, and one distance switches both ways,
+    // it also splits.
     let turns = keys(&[(0.0, 3.0), (1.0, 1.5), (2.0, 3.0)]);
     let paths = PairTracks { a: (&ORIGIN).into(), b: (&turns).into(), radii: 1.0 };
     for found in [
@@ -486,7 +486,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn events_on_keyframes_are_those_of_brute_force(
+    fn events_on_keyframes_match_brute_force(
         a in prop::collection::vec(random_vector(1.0), 2..6),
         b in prop::collection::vec(random_vector(1.6), 2..7),
         widths in prop::collection::vec(0.2..0.9, 7),
@@ -514,7 +514,7 @@ proptest! {
             prop_assert!(t >= time && t <= end);
             (phase, time) = (to, t);
         }
-        // Between events, no threshold is crossed unnoticed.
+        // No threshold is crossed between events.
         let phase_at = |t: f64| found.iter().rev().find(|change| change.0 <= t).map_or(first, |change| change.1);
         for k in 0..=samples {
             let t = end * f64::from(k) / f64::from(samples);
@@ -526,15 +526,15 @@ proptest! {
             };
             prop_assert!(*range.start() - 1e-12 <= q && q <= *range.end() + 1e-12, "{} at {}, {}", q, t, phase_at(t));
         }
-        // Samples show everything except what happens between two of them.
+        // Sampling finds all events except pairs of events between two samples.
         let brute = brute_force(&paths, &law, first, end, samples);
         let short = found.windows(2).any(|pair| pair[1].0 - pair[0].0 < 2.0 * end / f64::from(samples));
         prop_assert!(found.len() == brute.len() || short, "{:?} {:?}", found, brute);
         if found.len() == brute.len() {
             for (found, brute) in found.iter().zip(&brute) {
                 prop_assert_eq!(found.1, brute.1);
-                // Both are where q is on the threshold within rounding, which lasts longer the slower q is. Measured:
-                // 2.5e-15.
+                // At both times, q is on the threshold within rounding, which is true for longer the slower q changes.
+                // Measured: 2.5e-15.
                 let slope = (paths.q(found.0 + 1e-6) - paths.q(found.0 - 1e-6)).abs() / 2e-6;
                 // Each is also uncertain by its own rounding.
                 let rounding = f64::EPSILON * found.0 * slope;
@@ -596,7 +596,7 @@ proptest! {
 // ---------------------------------------------------------------------------------------------------------------------
 // Steps
 
-/// An event at the very end of a step belongs to that step, not also to the next.
+/// An event exactly at the end of a step belongs to that step, and not also to the next.
 #[test]
 fn an_event_on_a_step_boundary_happens_once() {
     // q = 4 − t falls to 1.5 at 2.5 and through 1 at 3; q = t − 2 rises to … all exact in binary fractions
@@ -616,9 +616,9 @@ fn an_event_on_a_step_boundary_happens_once() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// A crossing at a step boundary, up to rounding: found once, in the first step whose end is not before it.
+    /// A crossing at a step boundary, up to rounding, is found once, in the first step that does not end before it.
     #[test]
-    fn an_event_beside_a_step_boundary_happens_once(
+    fn an_event_near_a_step_boundary_happens_once(
         step in 1..40_u32,
         dt in prop_oneof![Just(1.0 / 60.0), Just(0.1), 0.01..0.2],
         level in prop_oneof![Just(1.05), 0.5..2.0],
@@ -626,7 +626,7 @@ proptest! {
         ulps in -3..4_i32,
         outwards in any::<bool>(),
     ) {
-        // over that part of the distance of the threshold until then
+        // moves over that part of the threshold's distance by then
         let time = f64::from(step) * dt;
         let speed: f64 = part * level / time;
         let way = if outwards { speed } else { -speed };

@@ -1,4 +1,4 @@
-//! What remains when a run is killed, the disk is full, or two runs write the same file.
+//! Files that remain when a run is killed, the disk is full, or two runs write the same file.
 #![cfg(unix)]
 
 use std::{
@@ -28,7 +28,7 @@ impl Drop for Running {
     }
 }
 
-fn said(output: &Output) -> String {
+fn output_text(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned() + &String::from_utf8_lossy(&output.stdout)
 }
 
@@ -41,10 +41,9 @@ fn begun(path: &Path) {
     }
 }
 
-/// A hundred runs of several kinds, killed at various moments. Each leaves a recording that replays up to where it
-/// ends.
+/// A hundred runs of several kinds, killed at various times. Each leaves a recording that replays up to its end.
 #[test]
-fn what_a_killed_run_leaves_is_replayed() {
+fn recordings_of_killed_runs_are_replayed() {
     let number = AtomicU32::new(0);
     let kinds: [&[&str]; 4] = [
         &["two", "--steps", "0"],
@@ -79,7 +78,7 @@ fn what_a_killed_run_leaves_is_replayed() {
                             steps.fetch_add(recorded.last() as u32, Ordering::Relaxed);
                             let replay = program(&dir, &["replay", "k.rrd.partial"]).stderr(Stdio::piped()).output();
                             let replay = replay.expect("it runs");
-                            assert_eq!(replay.status.code(), Some(0), "{kind:?}: {}", said(&replay));
+                            assert_eq!(replay.status.code(), Some(0), "{kind:?}: {}", output_text(&replay));
                         }
                         Err(error) => panic!("killed at {moment:.3} of 250 ms, {kind:?}: {error}"),
                     }
@@ -87,11 +86,11 @@ fn what_a_killed_run_leaves_is_replayed() {
             });
         }
     });
-    assert!(steps.into_inner() > 100, "some got somewhere");
+    assert!(steps.into_inner() > 100, "no run took many steps");
 }
 
 #[test]
-fn no_more_than_half_a_second_is_lost() {
+fn a_killed_run_loses_at_most_half_a_second() {
     let dir = Dir::new();
     for kind in [&["--every", "1"] as &[&str], &["--thin"]] {
         let arguments = [&["run", "two", "--steps", "0", "--realtime", "--quiet", "--save", "k.rrd"], kind].concat();
@@ -112,7 +111,7 @@ fn no_more_than_half_a_second_is_lost() {
 /// `ulimit -f` acts like a disk that is full once the file reaches a size; the shell counts in blocks of 512 or 1024
 /// bytes.
 #[test]
-fn a_disk_that_fills_up_ends_the_run_and_leaves_what_was_written() {
+fn a_full_disk_ends_the_run_and_keeps_what_was_written() {
     let dir = Dir::new();
     fs::write(dir.file("full.rrd"), "RRF2: what was there before").expect("room");
     let script = format!(
@@ -120,9 +119,9 @@ fn a_disk_that_fills_up_ends_the_run_and_leaves_what_was_written() {
         env!("CARGO_BIN_EXE_meldscope")
     );
     let output = Command::new("sh").args(["-c", &script]).current_dir(dir.path()).output().expect("a shell");
-    assert_eq!(output.status.code(), Some(1), "{}", said(&output));
-    let said_of_it = said(&output);
-    assert!(said_of_it.contains("full.rrd.partial") && said_of_it.contains("allows no larger file"), "{said_of_it}");
+    assert_eq!(output.status.code(), Some(1), "{}", output_text(&output));
+    let text = output_text(&output);
+    assert!(text.contains("full.rrd.partial") && text.contains("allows no larger file"), "{text}");
     assert_eq!(fs::read(dir.file("full.rrd")).expect("a file"), b"RRF2: what was there before");
     let recorded = Recorded::open(&dir.file("full.rrd.partial")).expect("what was written");
     assert!(recorded.last() > 10, "{}", recorded.last());
@@ -131,14 +130,14 @@ fn a_disk_that_fills_up_ends_the_run_and_leaves_what_was_written() {
 }
 
 #[test]
-fn of_two_runs_into_one_file_the_second_is_refused() {
+fn the_second_of_two_runs_into_one_file_is_rejected() {
     let dir = Dir::new();
     let first =
         Running(program(&dir, &["run", "two", "--steps", "0", "--save", "one.rrd"]).spawn().expect("it starts"));
     begun(&dir.file("one.rrd.partial"));
     let second = program(&dir, &["run", "push", "--save", "one.rrd"]).stderr(Stdio::piped()).output().expect("it runs");
     assert_eq!(second.status.code(), Some(1));
-    assert!(said(&second).contains("another run is writing"), "{}", said(&second));
+    assert!(output_text(&second).contains("another run is writing"), "{}", output_text(&second));
     drop(first);
     let recorded = Recorded::open(&dir.file("one.rrd.partial")).expect("that of the first");
     assert_eq!(recorded.schema.name, "two");

@@ -1,5 +1,5 @@
-//! Existing files are safe: which files the program replaces, which it refuses to replace, and that content of a file
-//! never controls the terminal on which it is shown.
+//! Existing files are safe: which files the program replaces, which it does not replace, and that the content of a file
+//! never controls the terminal that displays it.
 
 use std::{
     fs,
@@ -44,7 +44,7 @@ fn succeeds(dir: &Dir, arguments: &[&str]) -> (String, String) {
 
 /// Rejected as bad input with a one-line message; every file is unchanged.
 #[track_caller]
-fn refused(dir: &Dir, arguments: &[&str]) -> String {
+fn rejected(dir: &Dir, arguments: &[&str]) -> String {
     let before = content(dir);
     let (status, out, err) = meldscope(dir, arguments);
     assert_eq!((status, err.lines().count()), (2, 1), "{arguments:?}: {out}{err}");
@@ -88,15 +88,15 @@ fn a_scene_is_never_replaced_by_its_recording() {
     let absolute = dir.file("s.toml").to_string_lossy().into_owned();
     ways.push(&absolute);
     for way in ways {
-        let said = refused(&dir, &["run", "s.toml", "--save", way]);
-        assert!(said.contains("is the scene to be run") && said.contains("another name"), "{said}");
+        let error = rejected(&dir, &["run", "s.toml", "--save", way]);
+        assert!(error.contains("is the scene to be run") && error.contains("another name"), "{error}");
         for arguments in [
             &["run", "other.toml", "--save", way] as &[_],
             &["replay", "a.rrd", "--save", way],
             &["diff", "a.rrd", "a.rrd", "--save", way],
         ] {
-            let said = refused(&dir, arguments);
-            assert!(said.contains("it is no recording") && said.contains("another name"), "{said}");
+            let error = rejected(&dir, arguments);
+            assert!(error.contains("it is no recording") && error.contains("another name"), "{error}");
         }
     }
     #[cfg(target_os = "linux")]
@@ -104,9 +104,9 @@ fn a_scene_is_never_replaced_by_its_recording() {
         let before = content(&dir);
         let script = format!("'{}' run s.toml --stdout {redirection}", env!("CARGO_BIN_EXE_meldscope"));
         let output = Command::new("sh").args(["-c", &script]).current_dir(dir.path()).output().expect("a shell");
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(2), "{said}");
-        assert!(said.contains("holds something already") || said.contains("is also standard output"), "{said}");
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{error}");
+        assert!(error.contains("holds something already") || error.contains("is also standard output"), "{error}");
         let script = format!("'{}' run s.toml --save /dev/stdout {redirection}", env!("CARGO_BIN_EXE_meldscope"));
         if redirection != ">> a.rrd" {
             let output = Command::new("sh").args(["-c", &script]).current_dir(dir.path()).output().expect("a shell");
@@ -130,8 +130,8 @@ fn only_recordings_are_replaced() {
     let dir = scene_dir();
     for (name, text) in [("letter.txt", "Dear all,"), ("short.rrd", "RR"), ("code.rrd", "fn main() {}")] {
         fs::write(dir.file(name), text).expect("room");
-        let said = refused(&dir, &["run", "s.toml", "--save", name]);
-        assert!(said.contains("it is no recording") && said.contains("remove it"), "{said}");
+        let error = rejected(&dir, &["run", "s.toml", "--save", name]);
+        assert!(error.contains("it is no recording") && error.contains("remove it"), "{error}");
     }
     // files as created by mktemp, and by an earlier run
     fs::write(dir.file("empty.rrd"), "").expect("room");
@@ -141,16 +141,16 @@ fn only_recordings_are_replaced() {
         let (_, err) = succeeds(&dir, &["run", "s.toml"]);
         assert_eq!(err, "");
     }
-    // a recording, but of another program
+    // a recording of another program
     let mut chunks = Chunks::new(StoreId::new(StoreKind::Recording, "flight_logs", "1"));
     chunks.log_static("/text", &TextDocument::new("precious"));
     fs::write(dir.file("foreign.rrd"), encoded(chunks)).expect("room");
-    let said = refused(&dir, &["run", "s.toml", "--save", "foreign.rrd"]);
-    assert!(said.contains("flight_logs") && said.contains("not of this program"), "{said}");
+    let error = rejected(&dir, &["run", "s.toml", "--save", "foreign.rrd"]);
+    assert!(error.contains("flight_logs") && error.contains("not of this program"), "{error}");
 }
 
 #[test]
-fn what_replaces_something_else_says_so_before_it_starts() {
+fn replacing_another_kind_of_file_is_announced_before_the_run() {
     let dir = scene_dir();
     succeeds(&dir, &["run", "s.toml", "--quiet", "--save", "x.rrd"]);
     let cases: [(&[&str], &str); 6] = [
@@ -172,7 +172,7 @@ fn what_replaces_something_else_says_so_before_it_starts() {
 }
 
 #[test]
-fn golden_recordings_are_replaced_by_bless_alone() {
+fn only_bless_replaces_golden_recordings() {
     let dir = scene_dir();
     succeeds(&dir, &["check", "s.toml", "--bless", "a test"]);
     fs::write(dir.file("small.toml"), SCENE).expect("room");
@@ -186,19 +186,19 @@ fn golden_recordings_are_replaced_by_bless_alone() {
             &["replay", "a.rrd", "--save", golden],
             &["diff", "a.rrd", "a.rrd", "--save", golden],
         ] {
-            let said = refused(&dir, arguments);
-            assert!(said.contains("golden recording") && said.contains("check --bless"), "{said}");
+            let error = rejected(&dir, arguments);
+            assert!(error.contains("golden recording") && error.contains("check --bless"), "{error}");
         }
     }
     // the default destination for a scene that is named like its file
     succeeds(&dir, &["check", "small.toml", "--bless", "a test"]);
-    let said = refused(&dir, &["run", "small.toml"]);
-    assert!(said.contains("small.rrd") && said.contains("golden recording"), "{said}");
+    let error = rejected(&dir, &["run", "small.toml"]);
+    assert!(error.contains("small.rrd") && error.contains("golden recording"), "{error}");
 
-    // a file that `check` treats as golden, even if it cannot be read
+    // a file that `check` treats as golden, although it cannot be read
     fs::write(dir.file("s.rrd"), "RRF2 and nothing else").expect("room");
-    let said = refused(&dir, &["run", "s.toml", "--save", "s.rrd"]);
-    assert!(said.contains("golden recording"), "{said}");
+    let error = rejected(&dir, &["run", "s.toml", "--save", "s.rrd"]);
+    assert!(error.contains("golden recording"), "{error}");
     succeeds(&dir, &["check", "s.toml", "--bless", "it was damaged"]);
     succeeds(&dir, &["check", "s.toml"]);
 
@@ -231,11 +231,11 @@ fn comparisons_do_not_replace_each_other() {
 }
 
 #[test]
-fn benchmarks_replace_only_what_they_have_written() {
+fn benchmarks_replace_only_their_own_files() {
     let dir = scene_dir();
     let crowd = ["bench", "record", "--crowd", "3", "--write"];
-    let said = refused(&dir, &[&crowd[..], &["s.toml"]].concat());
-    assert!(said.contains("was not written by this benchmark and is not replaced"), "{said}");
+    let error = rejected(&dir, &[&crowd[..], &["s.toml"]].concat());
+    assert!(error.contains("was not written by this benchmark and is not replaced"), "{error}");
     for _ in 0..2 {
         succeeds(&dir, &[&crowd[..], &["crowd.toml"]].concat());
     }
@@ -251,7 +251,7 @@ fn benchmarks_replace_only_what_they_have_written() {
         &["bench", "stability", "--csv", "s.toml"],
         &["bench", "stability", "--case", "3", "--write", "s.toml"],
     ] {
-        refused(&dir, arguments);
+        rejected(&dir, arguments);
     }
 }
 
@@ -260,7 +260,7 @@ fn benchmarks_replace_only_what_they_have_written() {
 
 #[cfg(unix)]
 #[test]
-fn no_link_is_followed_to_where_a_recording_is_written_first() {
+fn links_at_the_partial_path_are_not_followed() {
     let dir = scene_dir();
     let link = |to: &str, name: &str| {
         fs::remove_file(dir.file(name)).ok();
@@ -270,28 +270,28 @@ fn no_link_is_followed_to_where_a_recording_is_written_first() {
     succeeds(&dir, &["run", "s.toml", "--quiet", "--save", "mine.rrd"]);
     for to in ["mine.txt", "mine.rrd", "not-there", "/etc/passwd"] {
         link(to, "x.rrd.partial");
-        let said = refused(&dir, &["run", "s.toml", "--save", "x.rrd"]);
+        let error = rejected(&dir, &["run", "s.toml", "--save", "x.rrd"]);
         assert!(
-            said.contains("x.rrd.partial") && said.contains("symbolic link") && said.contains("remove it"),
-            "{said}"
+            error.contains("x.rrd.partial") && error.contains("symbolic link") && error.contains("remove it"),
+            "{error}"
         );
         assert!(!dir.file("not-there").exists());
     }
     fs::remove_file(dir.file("x.rrd.partial")).expect("it is there");
     // nor any other existing file
     fs::create_dir(dir.file("x.rrd.partial")).expect("room");
-    refused(&dir, &["run", "s.toml", "--save", "x.rrd"]);
+    rejected(&dir, &["run", "s.toml", "--save", "x.rrd"]);
     fs::remove_dir(dir.file("x.rrd.partial")).expect("it is there");
     assert!(Command::new("mkfifo").arg(dir.file("x.rrd.partial")).status().expect("mkfifo").success());
-    let said = refused(&dir, &["run", "s.toml", "--save", "x.rrd"]);
-    assert!(said.contains("is no file"), "{said}");
+    let error = rejected(&dir, &["run", "s.toml", "--save", "x.rrd"]);
+    assert!(error.contains("is no file"), "{error}");
     fs::remove_file(dir.file("x.rrd.partial")).expect("it is there");
     fs::write(dir.file("x.rrd.partial"), "a letter").expect("room");
-    let said = refused(&dir, &["run", "s.toml", "--save", "x.rrd"]);
-    assert!(said.contains("is no recording"), "{said}");
+    let error = rejected(&dir, &["run", "s.toml", "--save", "x.rrd"]);
+    assert!(error.contains("is no recording"), "{error}");
     fs::remove_file(dir.file("x.rrd.partial")).expect("it is there");
 
-    // what a killed run left is replaced; its hard links keep their content
+    // the file of a killed run is replaced; its hard links keep their content
     let bytes = fs::read(dir.file("mine.rrd")).expect("a file");
     fs::hard_link(dir.file("mine.rrd"), dir.file("x.rrd.partial")).expect("a link");
     let (_, err) = succeeds(&dir, &["run", "s.toml", "--save", "x.rrd"]);
@@ -299,14 +299,14 @@ fn no_link_is_followed_to_where_a_recording_is_written_first() {
     assert!(fs::read(dir.file("mine.rrd")).expect("a file") == bytes);
     assert!(!dir.file("x.rrd.partial").exists());
 
-    // the destination itself: a link to a recording is kept, a dangling link is refused
+    // the destination itself: a link to a recording is kept, a dangling link is rejected
     link("mine.rrd", "l.rrd");
     succeeds(&dir, &["run", "s.toml", "--steps", "3", "--save", "l.rrd"]);
     assert!(fs::symlink_metadata(dir.file("l.rrd")).expect("a link").is_symlink());
     assert_eq!(Recording::open(&dir.file("mine.rrd")).steps(), 3.0);
     link("nowhere.rrd", "l.rrd");
-    let said = refused(&dir, &["run", "s.toml", "--save", "l.rrd"]);
-    assert!(said.contains("symbolic link to nothing"), "{said}");
+    let error = rejected(&dir, &["run", "s.toml", "--save", "l.rrd"]);
+    assert!(error.contains("symbolic link to nothing"), "{error}");
 }
 
 fn to_file(path: &Path) -> Destinations {
@@ -314,14 +314,14 @@ fn to_file(path: &Path) -> Destinations {
 }
 
 #[test]
-fn of_two_runs_that_save_to_one_file_the_second_is_refused() {
+fn the_second_of_two_runs_that_save_to_one_file_is_rejected() {
     let dir = scene_dir();
     let first = Sinks::open(&to_file(&dir.file("x.rrd"))).expect("a file");
     let (status, _, err) = meldscope(&dir, &["run", "s.toml", "--save", "x.rrd"]);
     assert!(status == 1 && err.contains("another run is writing"), "{err}");
-    // nor through the name under which the first run is writing
-    let said = refused(&dir, &["run", "s.toml", "--save", "x.rrd.partial"]);
-    assert!(said.contains(".partial"), "{said}");
+    // nor through the path to which the first run is writing
+    let error = rejected(&dir, &["run", "s.toml", "--save", "x.rrd.partial"]);
+    assert!(error.contains(".partial"), "{error}");
     drop(first);
     // the remains of a killed run, claimed twice
     fs::write(dir.file("x.rrd.partial"), "RRF2").expect("room");
@@ -330,10 +330,10 @@ fn of_two_runs_that_save_to_one_file_the_second_is_refused() {
     drop(first);
 }
 
-/// A run whose file is taken away reports it and loses no data.
+/// A run whose file is removed or replaced reports this and loses no data.
 #[cfg(unix)]
 #[test]
-fn what_comes_in_between_is_not_replaced() {
+fn files_created_during_a_run_are_not_replaced() {
     let dir = scene_dir();
     let (path, partial) = (dir.file("x.rrd"), dir.file("x.rrd.partial"));
     let sinks = Sinks::open(&to_file(&path)).expect("a file");
@@ -354,19 +354,19 @@ fn what_comes_in_between_is_not_replaced() {
 
 /// A killed run's recording is not overwritten while it is being read.
 #[test]
-fn what_is_replayed_is_not_where_the_replay_is_written_first() {
+fn a_replay_is_not_written_over_its_input() {
     let dir = scene_dir();
     succeeds(&dir, &["run", "s.toml", "--quiet", "--save", "x.rrd"]);
     fs::rename(dir.file("x.rrd"), dir.file("x.rrd.partial")).expect("room");
-    let said = refused(&dir, &["replay", "x.rrd.partial", "--save", "x.rrd"]);
-    assert!(said.contains("written first") && said.contains("another name"), "{said}");
-    refused(&dir, &["diff", "x.rrd.partial", "x.rrd.partial", "--save", "x.rrd"]);
+    let error = rejected(&dir, &["replay", "x.rrd.partial", "--save", "x.rrd"]);
+    assert!(error.contains("first written to") && error.contains("another name"), "{error}");
+    rejected(&dir, &["diff", "x.rrd.partial", "x.rrd.partial", "--save", "x.rrd"]);
     succeeds(&dir, &["replay", "x.rrd.partial", "--save", "y.rrd"]);
 }
 
 #[cfg(target_os = "linux")]
 #[test]
-fn devices_and_pipes_are_written_as_they_are() {
+fn devices_and_pipes_are_written_directly() {
     let dir = scene_dir();
     succeeds(&dir, &["run", "s.toml", "--save", "/dev/null"]);
     let (status, _, err) = meldscope(&dir, &["run", "s.toml", "--save", "/dev/full"]);
@@ -418,7 +418,7 @@ proptest! {
 
     /// Settings survive a round trip through their text form.
     #[test]
-    fn settings_are_read_as_they_were_written((settings, _) in settings()) {
+    fn settings_survive_a_round_trip((settings, _) in settings()) {
         let text = settings.to_toml();
         prop_assert!(text.parse::<toml::Table>().is_ok(), "{}", text);
         prop_assert_eq!(Settings::from_toml(&text, 2), Ok(settings));
@@ -484,7 +484,7 @@ fn every_option_that_a_run_accepts_replays() {
 
 #[cfg(unix)]
 #[test]
-fn a_run_of_more_steps_than_can_be_is_replayed_as_far_as_it_came() {
+fn a_run_with_too_many_steps_is_replayed_as_far_as_it_got() {
     let dir = scene_dir();
     for steps in ["9223372036854775808", "18446744073709551615", "0"] {
         let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
@@ -506,7 +506,7 @@ fn a_run_of_more_steps_than_can_be_is_replayed_as_far_as_it_came() {
     }
 }
 
-/// Recordings of versions that wrote numbers that TOML does not allow.
+/// Recordings of versions that wrote numbers beyond TOML's range.
 #[test]
 fn settings_of_old_recordings_with_large_numbers_are_read() {
     let scene = Scene::parse(SCENE, "small").expect("a scene");
@@ -521,7 +521,7 @@ fn settings_of_old_recordings_with_large_numbers_are_read() {
 // ---- terminals -----------------------------------------------------------------------------------------------------
 
 /// Characters that a terminal acts on, except line ends.
-fn is_obeyed(c: char) -> bool {
+fn acts_on_terminal(c: char) -> bool {
     c != '\n' && (c.is_control() || "\u{202e}\u{2066}\u{2028}".contains(c))
 }
 
@@ -551,13 +551,13 @@ fn no_control_character_of_a_recording_reaches_a_terminal() {
     succeeds(&dir, &["run", "s.toml", "--quiet", "--thin", "--save", "good.rrd"]);
     let plain = |arguments: &[&str]| {
         let (_, out, err) = meldscope(&dir, arguments);
-        assert!(!out.contains(is_obeyed) && !err.contains(is_obeyed), "{arguments:?}: {out:?} {err:?}");
-        // nor can it add a line of its own
+        assert!(!out.contains(acts_on_terminal) && !err.contains(acts_on_terminal), "{arguments:?}: {out:?} {err:?}");
+        // nor can it add its own line
         assert!(!out.lines().skip(1).any(|line| line.starts_with("x.rrd: identical")), "{out}");
         out + &err
     };
-    let said = plain(&["replay", "x.rrd"]);
-    assert!(said.contains("identical") && said.contains(r"\u{1b}[2J"), "{said}");
+    let printed = plain(&["replay", "x.rrd"]);
+    assert!(printed.contains("identical") && printed.contains(r"\u{1b}[2J"), "{printed}");
     plain(&["diff", "x.rrd", "good.rrd"]);
     plain(&["run", "x.rrd"]);
     fs::copy(dir.file("x.rrd"), dir.file("s.rrd")).expect("room");
@@ -599,7 +599,7 @@ fn no_control_character_of_a_name_reaches_a_terminal() {
     fs::write(dir.file("bidi.toml"), SCENE.replace("small", "a\u{202e}b\u{2066}")).expect("room");
     let plain = |arguments: &[&str]| {
         let (status, out, err) = meldscope(&dir, arguments);
-        assert!(!out.contains(is_obeyed) && !err.contains(is_obeyed), "{arguments:?}: {out:?} {err:?}");
+        assert!(!out.contains(acts_on_terminal) && !err.contains(acts_on_terminal), "{arguments:?}: {out:?} {err:?}");
         assert!(!out.lines().any(|line| line.starts_with("fake")), "{out}");
         assert!(!err.lines().any(|line| line.starts_with("fake")), "{err}");
         status
@@ -649,10 +649,10 @@ fn results_that_cannot_be_printed_are_an_error() {
             (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
         };
         let full = fs::OpenOptions::new().write(true).open("/dev/full").expect("a device");
-        let (status, said) = run(full.into());
-        assert_eq!(status, Some(1), "{arguments:?}: {said}");
-        assert!(said.contains("standard output") && said.contains("No space left"), "{arguments:?}: {said}");
-        // nobody listens, so nothing is reported
+        let (status, error) = run(full.into());
+        assert_eq!(status, Some(1), "{arguments:?}: {error}");
+        assert!(error.contains("standard output") && error.contains("No space left"), "{arguments:?}: {error}");
+        // without a reader, nothing is reported
         let (reader, writer) = std::io::pipe().expect("a pipe");
         drop(reader);
         assert_eq!(run(writer.into()), (Some(0), String::new()), "{arguments:?}");
@@ -663,6 +663,9 @@ fn results_that_cannot_be_printed_are_an_error() {
     let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
     command.args(["check", "s.toml"]).current_dir(dir.path()).stdout(full).stderr(Stdio::piped());
     let output = command.spawn().and_then(|child| child.wait_with_output()).expect("it starts");
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.code() == Some(1) && said.contains("differ") && said.contains("standard output"), "{said}");
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert!(
+        output.status.code() == Some(1) && error.contains("differ") && error.contains("standard output"),
+        "{error}"
+    );
 }

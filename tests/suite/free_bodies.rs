@@ -1,4 +1,4 @@
-//! Free bodies in worlds, as scene files make them: closed forms, conservation, the third law, and changes between steps.
+//! Free bodies in worlds, as defined by scene files: closed forms, conservation, the third law, and changes between steps.
 
 use std::{fs, path::PathBuf};
 
@@ -27,7 +27,8 @@ fn run(world: &mut World, steps: u32) {
     (0..steps).for_each(|_| step(world));
 }
 
-/// A world with a box of these half-lengths, whose radius is that of its corners; `lines` go before its `motion`.
+/// A world with a box of these half-lengths, whose radius is the distance of its corners; `lines` go at the top of the
+/// scene.
 fn world_of_box(name: &str, half: DVec3, lines: &str, motion: &str) -> World {
     let folder = std::env::temp_dir().join(format!("meldscope-box-{name}-{}", std::process::id()));
     let file = |name: &str| -> PathBuf { folder.join(name) };
@@ -63,19 +64,19 @@ fn world_of_box(name: &str, half: DVec3, lines: &str, motion: &str) -> World {
     world
 }
 
-/// Half-lengths of a box whose three moments differ.
+/// Half-lengths of a box with three different moments of inertia.
 const BRICK: DVec3 = DVec3::new(1.0, 0.7, 0.4);
 
 // ---- closed forms --------------------------------------------------------------------------------------------------
 
-/// A stiff brick turns as Euler's equations say, here integrated together with the rotation by a Runge–Kutta method with steps
-/// so small that its error is that of rounding. About the middle axis it tumbles.
+/// A stiff brick rotates by Euler's equations, here integrated together with the rotation by a Runge–Kutta method with steps
+/// so small that only rounding errors remain. About the middle axis, it tumbles.
 #[test]
-fn a_brick_turns_as_a_top() {
+fn a_brick_rotates_by_eulers_equations() {
     for (name, spin) in [("top", DVec3::new(0.6, 0.3, 2.0)), ("tumbling", DVec3::new(1e-3, 3.0, 0.0))] {
         let motion = format!("from = [1, 2, 3], velocity = [0, 0, 1], spin = {:?}", spin.to_array());
         let mut world = world_of_box(name, BRICK, "", &motion);
-        // the moments of the vertices, by their definition
+        // the moments of inertia of the vertices, by definition
         let body = world.body(0);
         let shares = body.mesh().shares();
         let moment = |f: fn(DVec3) -> f64| (0..shares.len()).map(|i| shares[i] * f(body.rest(i))).sum::<f64>();
@@ -111,8 +112,8 @@ fn a_brick_turns_as_a_top() {
     }
 }
 
-/// A stiff ball that falls on a plane leaves it as fast as it came, after the time that its vertices take: vertices of mass m
-/// at the height h above the lowest have the potential energy ½ m k max(0, δ − h)² when that is δ deep.
+/// A stiff ball that falls on a plane leaves it as fast as it came, after a time that follows from the energy: when the
+/// lowest vertex is δ deep, a vertex of mass m at the height h above it has the potential energy ½ m k max(0, δ − h)².
 #[test]
 fn a_stiff_ball_bounces_as_fast_as_it_came() {
     let (k, speed, above): (f64, f64, f64) = (4000.0, 1.5, 0.33);
@@ -156,7 +157,7 @@ fn a_stiff_ball_bounces_as_fast_as_it_came() {
     assert!(body.angular_velocity().length() < 1e-9);
 }
 
-/// A block slides until friction has stopped it: v′ = −μ g v/√(v² + v_s²), so the way is ∫ √(v² + v_s²) dv / (μ g).
+/// A block slides until friction stops it: v′ = −μ g v/√(v² + v_s²), so the distance is ∫ √(v² + v_s²) dv / (μ g).
 #[test]
 fn a_block_slides_as_far_as_friction_lets_it() {
     let (k, friction, slip, g, speed): (f64, f64, f64, f64, f64) = (4000.0, 0.3, 0.02, 9.81, 1.2);
@@ -167,29 +168,29 @@ fn a_block_slides_as_far_as_friction_lets_it() {
         let motion = format!("from = [0, 0, {height:?}], velocity = [{speed:?}, 0, 0], rotation = \"fixed\"");
         world_of_box("block", BRICK, &floor, &motion)
     };
-    // the lowest five vertices carry all of it
+    // the lowest five vertices carry its whole weight
     let first = block(9.0);
     let body = first.body(0);
     let lowest = (0..body.vertex_count()).filter(|&i| body.rest(i).z < -0.9 * BRICK.z);
     let height = BRICK.z - g / (k * lowest.map(|i| body.mesh().shares()[i]).sum::<f64>());
     let mut world = block(height);
     run(&mut world, 60);
-    let way = 0.5 * (speed * (speed * speed + slip * slip).sqrt() + slip * slip * (speed / slip).asinh());
+    let distance = 0.5 * (speed * (speed * speed + slip * slip).sqrt() + slip * slip * (speed / slip).asinh());
     let found = world.body(0).centre() - height * DVec3::Z;
-    assert!(found.distance(way / (friction * g) * DVec3::X) < 2e-6, "{found} {}", way / (friction * g));
+    assert!(found.distance(distance / (friction * g) * DVec3::X) < 2e-6, "{found} {}", distance / (friction * g));
     assert!(world.body(0).centre_velocity().length() < 1e-6, "{}", world.body(0).centre_velocity());
 }
 
 // ---- conservation --------------------------------------------------------------------------------------------------
 
-/// Two bodies that pass through each other's core again and again, and whirl.
+/// Two spinning bodies that repeatedly pass through each other's core.
 const BOUND: &str = "[material]\ndamping = 0.0\n[influence]\ncore_at = 0.5\ncore_width = 0.2
 [[body]]\nname = \"a\"\nradius = 1.0\nshape = { sphere = { stacks = 6, slices = 8 } }
 motion = { free = { from = [-0.8, -0.1, 0.05], velocity = [0.6, 0, 0], spin = [0.3, 0, 0.5] } }
 [[body]]\nname = \"b\"\nradius = 0.8\nshape = { sphere = { stacks = 6, slices = 8 } }
 motion = { free = { from = [0.8, 0.1, 0], velocity = [-0.6, 0.1, 0], spin = [0, 0.2, 0] } }\n";
 
-/// Two bodies that merge and split again and again in the sphere of a third, to which both stay bound.
+/// Two bodies that repeatedly merge and split in the sphere of a third, to which both stay bound.
 const CAGED: &str = "[material]\ndamping = 0.0\n[influence]\nmerge_at = 0.9\nsplit_at = 0.9\nalpha = 30.0\nbeta = 30.0
 [[pair]]\nbodies = [\"ball\", \"cage\"]\nmerge_at = 5.0\nsplit_at = 5.0\nalpha = 20.0
 [[body]]\nname = \"a\"\ngroup = \"ball\"\nradius = 0.6\nshape = { sphere = { stacks = 6, slices = 8 } }
@@ -199,28 +200,28 @@ motion = { free = { from = [0.9, 0.1, 0], velocity = [-0.8, 0.1, 0], spin = [0, 
 [[body]]\nname = \"cage\"\nradius = 2.0\nshape = { sphere = { stacks = 6, slices = 8 } }
 motion = { free = { from = [0, 0, 0] } }\n";
 
-/// What a run of a world found: the largest differences of what it keeps from the start, relative to their scales.
+/// The largest changes of conserved quantities during a run, relative to their scales.
 #[derive(Debug, Default)]
-struct Kept {
+struct Drift {
     momentum: f64,
     angular_momentum: f64,
     energy: f64,
     events: u64,
 }
 
-impl Kept {
-    fn of(world: &mut World, steps: u64) -> Kept {
+impl Drift {
+    fn of(world: &mut World, steps: u64) -> Drift {
         let first = world.conserved().expect("it has free bodies");
-        let (mut kept, mut scale) = (Kept::default(), [0.0_f64; 3]);
+        let (mut drift, mut scale) = (Drift::default(), [0.0_f64; 3]);
         let (mut momentum, mut angular, mut energy) = (0.0_f64, 0.0_f64, 0.0_f64);
         for _ in 0..steps {
             step(world);
-            kept.events += world.report().events.len() as u64;
+            drift.events += world.report().events.len() as u64;
             let now = world.conserved().expect("it has free bodies");
             momentum = momentum.max((now.momentum - first.momentum).length());
             angular = angular.max((now.angular_momentum - first.angular_momentum).length());
             energy = energy.max((now.energy() - first.energy() - world.ledger().total()).abs());
-            // of each body alone; together they may have none
+            // scales of the single bodies, because the total may be zero
             let each = world.bodies().map(|body| {
                 let momentum = body.scene().mass * body.centre_velocity();
                 (momentum.length(), body.centre().cross(momentum).length())
@@ -229,27 +230,27 @@ impl Kept {
             let moving = now.kinetic + now.spin + now.vibration + now.elastic;
             scale = [scale[0].max(each.0), scale[1].max(each.1), scale[2].max(moving)];
         }
-        (kept.momentum, kept.angular_momentum, kept.energy) =
+        (drift.momentum, drift.angular_momentum, drift.energy) =
             (momentum / scale[0], angular / scale[1], energy / scale[2]);
-        kept
+        drift
     }
 }
 
-/// Over 600 steps, or as many as `MELDSCOPE_STEPS` says: 100,000 take minutes.
+/// Over 600 steps, or over `MELDSCOPE_STEPS`: 100,000 take minutes.
 #[test]
-fn what_must_be_kept_is_kept_over_many_meetings() {
+fn conserved_quantities_are_conserved_over_many_encounters() {
     let steps = std::env::var("MELDSCOPE_STEPS").ok().and_then(|text| text.parse().ok()).unwrap_or(600);
-    let most = if steps > 600 { 1e-11 } else { 1e-13 };
+    let limit = if steps > 600 { 1e-11 } else { 1e-13 };
     for (name, text) in [("bound", BOUND), ("caged", CAGED)] {
-        let kept = Kept::of(&mut world(text), steps);
-        println!("{name}, {steps} steps: {kept:?}");
-        assert!(kept.events >= 5, "{name}: {kept:?}");
-        assert!(kept.momentum < most && kept.angular_momentum < most, "{name}: {kept:?}");
-        assert!(kept.energy < 1e-6, "{name}: {kept:?}");
+        let drift = Drift::of(&mut world(text), steps);
+        println!("{name}, {steps} steps: {drift:?}");
+        assert!(drift.events >= 5, "{name}: {drift:?}");
+        assert!(drift.momentum < limit && drift.angular_momentum < limit, "{name}: {drift:?}");
+        assert!(drift.energy < 1e-6, "{name}: {drift:?}");
     }
 }
 
-/// What acts between two bodies sums to zero, bit by bit, after every step and whatever the phase.
+/// The forces between two bodies sum to zero, bit by bit, after every step and in every phase.
 #[test]
 fn actions_equal_reactions() {
     for name in ["collide", "orbit"] {
@@ -260,7 +261,7 @@ fn actions_equal_reactions() {
             let [a, b] = [0, 1].map(|index| {
                 world.forces(index, &mut forces);
                 let at_centre = forces.at_centre();
-                // and it is the sum of what is shown: the vertices' forces, and the reaction, which acts on all of them
+                // it is the sum of the observed forces on the vertices and the reaction, which acts on all of them
                 let shares = world.body(index).mesh().shares();
                 let mut sum = DVec3::ZERO;
                 for cause in [Cause::Attraction, Cause::Repulsion, Cause::Core, Cause::Reaction] {
@@ -280,7 +281,7 @@ fn actions_equal_reactions() {
 
 // ---- changes between steps -----------------------------------------------------------------------------------------
 
-/// Two that fall on a plane and on each other, and one that comes to them on a path.
+/// Two bodies that fall on a plane and on each other, and one that approaches them on a path.
 const COMPANY: [&str; 4] = [
     "gravity = [0, 0, -3]\n[influence]\ncore_at = 0.6\ncore_width = 0.3\n[[plane]]\nnormal = [0, 0, 1]\noffset = -1.0\n",
     "[[body]]\nname = \"a\"\nradius = 1.0\nshape = { sphere = { stacks = 6, slices = 8 } }\nmotion = { free = { from = [0, 0, 0.3] } }\n",
@@ -288,8 +289,8 @@ const COMPANY: [&str; 4] = [
     "[[body]]\nname = \"c\"\nradius = 1.0\nshape = { sphere = { stacks = 6, slices = 8 } }\nmotion = { line = { from = [1, 9, 0.3], velocity = [0, -8, 0] } }\n",
 ];
 
-/// Steps both worlds and expects the same bits of everything.
-fn go_together(known: &mut World, changed: &mut World, steps: u32) {
+/// Steps both worlds and expects identical bits.
+fn assert_identical_steps(known: &mut World, changed: &mut World, steps: u32) {
     for _ in 0..steps {
         step(known);
         step(changed);
@@ -298,37 +299,37 @@ fn go_together(known: &mut World, changed: &mut World, steps: u32) {
 }
 
 #[test]
-fn a_body_that_is_added_in_time_is_as_if_it_had_been_there() {
+fn a_body_added_in_time_acts_as_if_present_from_the_start() {
     let mut known = world(&COMPANY.concat());
     let mut changed = world(&COMPANY[..3].concat());
     run(&mut known, 20);
     run(&mut changed, 20);
     let added = known.scene().bodies[2].clone();
     assert_eq!(changed.add(added), Ok(2));
-    go_together(&mut known, &mut changed, 60);
-    assert_ne!(known.phase(1, 2), Phase::Apart, "it came too late to tell");
+    assert_identical_steps(&mut known, &mut changed, 60);
+    assert_ne!(known.phase(1, 2), Phase::Apart, "it never touches the others");
 }
 
 #[test]
-fn a_body_that_is_removed_before_it_matters_is_as_if_it_had_never_been_there() {
+fn a_body_removed_in_time_leaves_no_trace() {
     let mut known = world(&COMPANY[..3].concat());
     let mut changed = world(&COMPANY.concat());
     run(&mut known, 20);
     run(&mut changed, 20);
     changed.remove(2).expect("it is there");
-    go_together(&mut known, &mut changed, 60);
+    assert_identical_steps(&mut known, &mut changed, 60);
 }
 
 #[test]
-fn a_body_that_gets_another_path_is_as_if_it_had_been_on_it() {
+fn a_body_moved_to_another_path_acts_as_if_always_on_it() {
     let other = COMPANY[3].replace("[0, -8, 0]", "[0, -6, 0]").replace("[1, 9, 0.3]", "[1, 8.6, 0.3]");
     let mut known = world(&[&COMPANY[..3].concat(), other.as_str()].concat());
     let mut changed = world(&COMPANY.concat());
     run(&mut known, 6);
     run(&mut changed, 6);
     changed.set_motion(2, known.scene().bodies[2].motion.clone()).expect("it is there");
-    go_together(&mut known, &mut changed, 80);
-    assert_ne!(known.phase(1, 2), Phase::Apart, "it came too late to tell");
+    assert_identical_steps(&mut known, &mut changed, 80);
+    assert_ne!(known.phase(1, 2), Phase::Apart, "it never touches the others");
 }
 
 #[test]
@@ -344,5 +345,5 @@ fn everything_can_be_changed_before_the_first_step() {
     changed.add(bodies[1].clone()).expect("a new name");
     changed.add(bodies[2].clone()).expect("a new name");
     changed.push(known.scene().pushes[0]).expect("it is there");
-    go_together(&mut known, &mut changed, 60);
+    assert_identical_steps(&mut known, &mut changed, 60);
 }

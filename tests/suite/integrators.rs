@@ -1,4 +1,4 @@
-//! Each scheme against its equations written out, its order of convergence, and the exact flow in 100 digits. For all
+//! Each scheme against its explicit equations, its order of convergence, and the exact flow to 300 digits. For all
 //! schemes, the number of threads, sleeping and observation change nothing.
 
 use glam::{DVec3, dvec3};
@@ -73,7 +73,7 @@ motion = {{ sine = {{ center = [2.0, 0.3, 0.1], amplitude = [0.5, -0.1, 0.2], fr
 
 /// (3.6)–(3.10), bit for bit. In displacement coordinates, x = r − c − l: r − c = l + x, and in (3.8) l − r* = −x*.
 #[test]
-fn thesis_is_what_is_printed_to_the_bit() {
+fn thesis_matches_the_printed_equations_bit_by_bit() {
     let scene = pair(Integrator::Thesis);
     let (dt, alpha, beta): (f64, f64, f64) = (0.015625, 100.0, 60.0);
     let (w, k): (f64, f64) = (12.0, 1.5);
@@ -117,7 +117,7 @@ fn thesis_is_what_is_printed_to_the_bit() {
 fn thesis_converges_to_an_oscillator_too_fast_by_root_two() {
     let (omega, kappa, dt0) = (12.0f64, 1.5f64, 1.0 / 64.0);
     let errors = [1.0, 2.0, 4.0, 8.0].map(|divided| {
-        // one kick of 1/s, like a push over one step, then free motion
+        // one impulse to a velocity of 1/s, like a push over one step, then free motion
         let dt = dt0 / divided;
         let mut world = pushed_sphere(Integrator::Thesis, omega, kappa, dt, 3.0, dt);
         let nu = (2.0 * omega * omega - kappa * kappa).sqrt();
@@ -246,7 +246,7 @@ fn busy_pair(integrator: Integrator) -> Scene {
 }
 
 #[test]
-fn the_explicit_schemes_are_those_of_the_textbooks() {
+fn the_explicit_schemes_match_the_textbooks() {
     for integrator in Integrator::ALL.into_iter().filter(|&i| i != Integrator::Exponential) {
         let scene = busy_pair(integrator);
         let busy = Busy { scene: scene.clone(), omega: 12.0, kappa: 1.5 };
@@ -284,7 +284,7 @@ fn free(omega: f64, kappa: f64, t: f64, x0: f64, u0: f64) -> (f64, f64) {
         let (b, decay) = (u0 + kappa * x0, (-kappa * t).exp());
         (decay * (x0 + b * t), decay * (u0 - kappa * b * t))
     } else if kappa < 1.1 * omega {
-        // the two modes nearly coincide, and their difference would cancel
+        // the two modes nearly coincide, so their difference would cancel
         let mu = ((kappa - omega) * (kappa + omega)).sqrt();
         let ((sinh, cosh), decay) = (((mu * t).sinh(), (mu * t).cosh()), (-kappa * t).exp());
         let b = (u0 + kappa * x0) / mu;
@@ -303,7 +303,7 @@ fn free(omega: f64, kappa: f64, t: f64, x0: f64, u0: f64) -> (f64, f64) {
 // Orders on a smooth problem
 
 #[test]
-fn every_scheme_has_its_order_where_nothing_jumps_and_nothing_has_a_kink() {
+fn every_scheme_has_its_order_on_a_smooth_problem() {
     let smooth = |integrator: Integrator, divided: u64| {
         let mut world = world(&format!(
             r#"
@@ -336,7 +336,7 @@ motion = {{ fixed = [1.3, 0.3, 0.2] }}
     };
     let exact = smooth(Integrator::Rk4, 64);
     // Errors measured with steps of dt and dt/4, in radii, and the expected order. Measured orders: 0.97, 1.01, 2.00,
-    // 4.01, and 3.2 for the exponential scheme, whose second error is that of the solution compared with.
+    // 4.01, and 3.2 for the exponential scheme, whose second error is that of the reference solution.
     let measured = [
         (Integrator::Mps, [4.184e-2, 1.085e-2], 0.95),
         (Integrator::Euler, [1.289e-2, 3.161e-3], 0.99),
@@ -362,7 +362,7 @@ motion = {{ fixed = [1.3, 0.3, 0.2] }}
 
 /// A vertex displaced by a push and released follows the formula, through critical damping and far beyond.
 #[test]
-fn exponential_is_exact_for_a_body_let_go() {
+fn exponential_is_exact_for_a_released_body() {
     let omega = 12.0;
     // Measured after 1000 steps, in radii: 4.3e-14 undamped, 200 rad on; 2.4e-15 with light damping; 4.4e-16 near
     // critical damping; 1.8e-14 where heavy damping leaves a residual displacement.
@@ -378,7 +378,7 @@ fn exponential_is_exact_for_a_body_let_go() {
     ] {
         let kappa = ratio * omega;
         let mut world = pushed_sphere(Integrator::Exponential, omega, kappa, 1.0 / 60.0, 1001.0 / 60.0, 1.0 / 60.0);
-        // a displacement about as large as the radius, whatever the damping
+        // a displacement of about the radius at any damping
         world = {
             let mut scene = world.scene().clone();
             scene.pushes[0].strength *= f64::max(omega, kappa);
@@ -400,9 +400,9 @@ fn exponential_is_exact_for_a_body_let_go() {
     }
 }
 
-/// However stiff the spring, a vertex is never farther from rest than its static displacement, overshoot included.
+/// However stiff the spring, a vertex is never farther from rest than its static displacement with overshoot.
 #[test]
-fn exponential_does_not_blow_up_when_stiff() {
+fn exponential_is_stable_when_stiff() {
     let reference = scene(include_str!("../reference/two.toml"));
     for phase in [1.0, 10.0, 100.0, 1e3, 1e4] {
         // Measured: 2.099, 1.578, and from critical damping on the static displacement. Undamped, a jump from repulsion
@@ -489,7 +489,7 @@ proptest! {
 
     /// Two half steps equal one step, for the flow and for the effect of constant and rising forces.
     #[test]
-    fn two_half_steps_are_one(
+    fn two_half_steps_equal_one_step(
         log_phase in -4.0..3.0,
         ratio in prop_oneof![Just(0.0), 0.0..1.0, 0.999_999..1.000_001, 1.0..3.0, 3.0..1e4],
         h in 1e-3..1e3,
@@ -517,7 +517,7 @@ proptest! {
             of_two_u(0), of_two_u(1), of_two_u(2), of_two_u(3),
         ];
         let of_one = fields(&oscillator.propagator(h));
-        // the largest values of these
+        // the largest values of x and u
         let kappa = oscillator.damping;
         let u = h.min(1.0 / omega).min(1.0 / kappa);
         let x = (h * h).min(1.0 / (omega * omega)).min(h / kappa);
@@ -532,9 +532,9 @@ proptest! {
 }
 
 // ---------------------------------------------------------------------------------------------------------------------
-// What changes nothing
+// Threads, sleeping and observation change nothing
 
-/// A carpet of touching bodies, some of them moving, with more vertices than are kept on one thread.
+/// A carpet of touching bodies, some of them moving, with more vertices than one thread processes.
 fn carpet() -> Scene {
     let mut text = String::from("duration = 0.5\n[influence]\ncore_at = 0.5\n");
     for i in 0..7 {
@@ -642,7 +642,7 @@ duration = 0.1
                 );
             }
             assert!(resting[2] && resting[3], "{integrator} at {now}");
-            // within a step of the moment at which something acts
+            // a body wakes within a step of the time at which something acts on it
             if now < reached {
                 assert!(resting[0] && resting[1], "{integrator} at {now}");
             }
@@ -661,7 +661,7 @@ duration = 0.1
 }
 
 #[test]
-fn looking_changes_no_bit() {
+fn observation_changes_no_bit() {
     for integrator in Integrator::ALL {
         let scene = || Scene { integrator, ..scene(include_str!("../reference/three.toml")) };
         let (mut seen, mut unseen) = (World::new(scene()).expect("fits"), World::new(scene()).expect("fits"));

@@ -1,4 +1,4 @@
-//! The models of a scene: how one is chosen and recorded, and what recordings carry of those whose bodies tear.
+//! The models of a scene: selection, recording, and recordings of bodies that tear.
 
 use std::{path::Path, process::Command, sync::Arc};
 
@@ -40,8 +40,8 @@ fn run(name: &str, model: Model) -> SceneRun {
 }
 
 #[test]
-fn a_recording_says_which_model_made_it() {
-    // what was recorded before there were models says none, and neither do oscillators
+fn a_recording_names_its_model() {
+    // neither recordings from before there were models nor those of oscillators name a model
     let oscillators = run("two", Model::Oscillators).schema();
     assert!(!oscillators.run.contains("model"), "{}", oscillators.run);
     assert_eq!(oscillators.model, "oscillators");
@@ -58,12 +58,12 @@ fn a_recording_says_which_model_made_it() {
     assert_eq!(scene.overrides(Some(scene.steps())), "model = \"fem\"\n");
 
     let table: toml::Table = (oscillators.run.clone() + "model = \"jelly\"\n").parse().expect("settings");
-    let refused = models::read("two", &oscillators.source, &table).expect_err("no such model");
-    assert!(matches!(refused, Refusal::Run(what) if what.contains("jelly")));
+    let rejected = models::read("two", &oscillators.source, &table).expect_err("no such model");
+    assert!(matches!(rejected, Refusal::Run(what) if what.contains("jelly")));
     assert!(models::parse("latice").is_err_and(|error| error.contains("did you mean \"lattice\"")));
 }
 
-/// Octahedra of which the first loses a corner after 50 steps: it gets a vertex of its own at the same place.
+/// Octahedra of which the first tears at a corner after 50 steps: it gets a second vertex at the same position.
 #[derive(Clone, Debug)]
 struct Tearing(Octahedra);
 
@@ -170,8 +170,8 @@ fn a_body_that_tears_is_recorded_and_read_back() {
     }
 }
 
-/// Lattices and finite elements are recorded, thin and in full, and replayed to the same bits; what tears is in the
-/// recording, with its place, and so is the settings' model.
+/// Lattices and finite elements are recorded, thin and in full, and replayed to the same bits. Recordings contain the
+/// tears with their positions, and the model.
 #[test]
 fn bodies_made_of_cells_are_recorded_replayed_and_compared() {
     let dir = Dir::new();
@@ -202,7 +202,7 @@ fn bodies_made_of_cells_are_recorded_replayed_and_compared() {
     }
 }
 
-/// The generic instruments, on metaballs: any number of threads, thin and full recordings, replay, diff and golden recordings.
+/// All tools work with metaballs: any number of threads, thin and full recordings, replay, diff and golden recordings.
 #[test]
 fn metaballs_are_recorded_replayed_compared_and_checked() {
     let (dir, balls) = (Dir::new(), run("two", Model::Metaballs));
@@ -248,7 +248,7 @@ fn metaballs_are_recorded_replayed_compared_and_checked() {
 }
 
 #[test]
-fn models_beside_each_other_are_one_recording() {
+fn models_side_by_side_are_one_recording() {
     let dir = Dir::new();
     let mut scene = Scene::builtin("two").expect("built in");
     scene.duration = 2.0;
@@ -265,7 +265,7 @@ fn models_beside_each_other_are_one_recording() {
 }
 
 #[test]
-fn the_benchmark_of_models_measures_all_that_can_run() {
+fn the_model_benchmark_measures_every_model_that_can_run() {
     let mut scene = Scene::builtin("two").expect("built in");
     scene.duration = 1.6;
     let report = bench::models::measure(&scene, &[Model::Oscillators, Model::Metaballs], &mut |_| ());
@@ -285,7 +285,7 @@ fn the_benchmark_of_models_measures_all_that_can_run() {
 }
 
 #[test]
-fn what_a_model_cannot_do_is_refused_with_status_2() {
+fn unsupported_features_of_a_model_are_rejected_with_status_2() {
     let dir = Dir::new();
     let meldscope = |arguments: &[&str]| {
         let output = Command::new(env!("CARGO_BIN_EXE_meldscope")).args(arguments).current_dir(dir.path()).output();

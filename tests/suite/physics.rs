@@ -1,5 +1,5 @@
-//! The terms of the equation of motion, the energy, and the effect of a body's own motion and of pushes, tested against
-//! their potentials, against sums written out by hand, and against closed forms.
+//! The terms of the equation of motion, the energy, and the effects of a body's own motion and of pushes, against
+//! potentials, explicit sums and closed forms.
 
 use glam::{DVec3, dvec3};
 use meldscope::model::PairLaw;
@@ -24,7 +24,7 @@ fn world(text: &str) -> World {
 }
 
 /// −∇f at `p` by central differences over `2h`.
-fn descent(f: impl Fn(DVec3) -> f64, p: DVec3, h: f64) -> DVec3 {
+fn minus_gradient(f: impl Fn(DVec3) -> f64, p: DVec3, h: f64) -> DVec3 {
     DVec3::from_array(DVec3::AXES.map(|axis| (f(p - h * axis) - f(p + h * axis)) / (2.0 * h)))
 }
 
@@ -45,7 +45,7 @@ proptest! {
 
     /// Attraction (3.4) and repulsion (3.5) are −∇(s Φ), inside the sphere, outside, and at the rim.
     #[test]
-    fn influence_is_the_descent_of_its_potential(
+    fn influence_is_minus_the_gradient_of_its_potential(
         towards in direction(),
         z in prop_oneof![0.0..0.999, 0.999..1.001, 1.001..3.0],
         sphere_radius in 0.1..10.0,
@@ -59,7 +59,7 @@ proptest! {
             let potential =
                 |r: DVec3| strength * energy::influence_potential(weight, sphere_radius, (centre - r).length());
             let force = influence::acceleration(weight, strength, sphere_radius, centre - vertex);
-            let error = (force - descent(potential, vertex, h)).length() / (strength.abs() * sphere_radius);
+            let error = (force - minus_gradient(potential, vertex, h)).length() / (strength.abs() * sphere_radius);
             // The linear weight's force has a kink at the rim, which a difference over 2h smooths by h/4 = 2.5e-6.
             // Measured over 100,000 cases: 2.2e-6 there, 9.7e-11 elsewhere.
             let bound = if f64::abs(z - 1.0) <= 1.1e-5 && weight == Weight::Linear { 2.6e-6 } else { 1.4e-10 };
@@ -72,10 +72,10 @@ proptest! {
 
     /// The restoring force −ω²x is −∇(½ω²|x|²); central differences of a square are exact.
     #[test]
-    fn restoring_is_the_descent_of_the_elastic_energy(x in prop::array::uniform3(-3.0..3.0), omega in 0.0..50.0) {
+    fn restoring_is_minus_the_gradient_of_the_elastic_energy(x in prop::array::uniform3(-3.0..3.0), omega in 0.0..50.0) {
         let x = DVec3::from_array(x);
         let elastic = |x: DVec3| energy::elastic(omega, x.length_squared());
-        let error = (descent(elastic, x, 0.5) + omega * omega * x).length() / (omega * omega * (1.0 + x.length()));
+        let error = (minus_gradient(elastic, x, 0.5) + omega * omega * x).length() / (omega * omega * (1.0 + x.length()));
         // Measured over 100,000 cases: 9.6e-16.
         prop_assert!(error <= 1.4e-15 || omega == 0.0, "{error:e}");
     }
@@ -122,7 +122,7 @@ fn the_potential_outside_is_constant() {
 }
 
 #[test]
-fn the_largest_pull_is_the_largest() {
+fn max_pull_is_the_maximum() {
     for weight in WEIGHTS {
         let pulls = (0..=100_000).map(|i| f64::from(i) / 1e5).map(|z| z * weight.at(z));
         let largest = pulls.fold(0.0, f64::max);
@@ -135,7 +135,7 @@ fn the_largest_pull_is_the_largest() {
 // Forces by cause, and energy, against sums over all pairs
 
 /// Five bodies of different sizes: `a` and `b` are merged, `c` is in the core of `a`, `d` is apart from `a` but near,
-/// `far` is out of everyone's reach. Pushes, motion and damping are included, so that every cause acts.
+/// `far` is out of reach of all others. Pushes, motion and damping are included, so that every cause acts.
 fn company(law: &str) -> String {
     format!(
         r#"
@@ -241,7 +241,7 @@ fn strength(scene: &Scene, i: usize, j: usize) -> f64 {
 }
 
 #[test]
-fn forces_by_cause_are_those_written_out_by_hand() {
+fn forces_by_cause_match_explicit_sums() {
     let mut forces = BodyForces::default();
     for law in laws() {
         let mut world = world(&company(&law));
@@ -315,7 +315,7 @@ fn forces_by_cause_are_those_written_out_by_hand() {
     }
 }
 
-/// The energy of a world by the formula, summed over all pairs in any phase and at any distance.
+/// The energy of a world by definition, summed over all pairs in any phase and at any distance.
 fn energy_of_all_pairs(world: &World) -> Energy {
     let (scene, t) = (world.scene(), world.time());
     let mut sum = Energy::default();
@@ -376,7 +376,7 @@ fn energy_is_the_sum_over_all_pairs() {
 // ---------------------------------------------------------------------------------------------------------------------
 // Conservation
 
-/// Four bodies of different sizes that stay in place: merged, core and apart pairs, all within reach of each other.
+/// Four fixed bodies of different sizes: merged, core and apart pairs, all within reach of each other.
 fn still_company(weight: &str, damping: f64, divided: f64) -> World {
     let text = format!(
         r#"
@@ -458,7 +458,7 @@ fn energy_never_grows_with_damping() {
     for weight in ["linear", "wendland"] {
         for damping in [0.1, 1.5, 12.0, 100.0] {
             let (_, rise) = drift_and_rise(&mut still_company(weight, damping, 1.0));
-            // Measured: 0, except 9.3e-13 for Wendland's weight with damping 12 once it rests: the rounding of the sum.
+            // Measured: 0, except 9.3e-13 for Wendland's weight with damping 12 once at rest: the rounding of the sum.
             assert!(rise <= 1.4e-12, "{weight}, {damping}: {rise:e}");
         }
     }
@@ -467,7 +467,7 @@ fn energy_never_grows_with_damping() {
 // ---------------------------------------------------------------------------------------------------------------------
 // A body's own motion
 
-/// A single body with the given further lines, simulated for 3 s with steps of dt / `divided`.
+/// A single body with additional `lines`, simulated for 3 s with steps of dt / `divided`.
 fn lone(lines: &str, divided: u64) -> World {
     let mut scene = scene(&format!(
         "duration = 3.0\n[[body]]\nname = \"a\"\nradius = 0.7\nshape = {{ sphere = {{ stacks = 3, slices = 4 }} }}\n{lines}\n"
@@ -484,7 +484,7 @@ fn worst_displacement(world: &mut World, expected: impl Fn(f64) -> DVec3) -> f64
         let body = world.body(0);
         for v in 0..body.vertex_count() {
             assert!(body.displacement(v).is_finite());
-            assert_eq!(body.displacement(v), body.displacement(0), "own motion is felt alike by all vertices");
+            assert_eq!(body.displacement(v), body.displacement(0), "the body's own motion moves all vertices equally");
             worst = f64::max(worst, body.displacement(v).distance(expected(world.time())));
         }
     }
@@ -519,7 +519,7 @@ const LINE: &str = "motion = { line = { from = [1, 2, 3], velocity = [0.5, -0.2,
 const KEYS: &str = "motion = { keyframes = [[0.21, 0, 0, 0], [0.8, 1, 0, 0.3], [1.11, 0.7, 0.5, 0], [2, 0, 0, 1]] }";
 
 #[test]
-fn a_rigid_body_feels_nothing_of_its_motion() {
+fn a_rigid_response_ignores_the_motion_of_the_body() {
     for motion in [SINE, LINE, KEYS] {
         let mut world = lone(&format!("response = \"rigid\"\n{motion}"), 1);
         assert_eq!(worst_displacement(&mut world, |_| DVec3::ZERO), 0.0);
@@ -578,9 +578,9 @@ fn an_inertial_body_on_keyframes_is_exact() {
     }
 }
 
-/// A body that moves steadily through a world with drag ends up lagging by 2κv/ω².
+/// The vertices of a body that moves steadily through a world with drag finally lag by 2κv/ω².
 #[test]
-fn a_body_of_the_world_lags_behind_its_steady_motion() {
+fn a_body_with_world_response_lags_behind_its_steady_motion() {
     let (omega, kappa, v) = (12.0, 1.5, dvec3(0.5, -0.2, 0.1));
     let lag = -2.0 * kappa / (omega * omega) * v;
     let lines = format!("response = \"world\"\n{LINE}");
@@ -601,7 +601,7 @@ fn a_body_of_the_world_lags_behind_its_steady_motion() {
 }
 
 #[test]
-fn a_body_of_the_world_wobbles_as_an_oscillator_driven_by_acceleration_and_drag() {
+fn a_body_with_world_response_wobbles_as_an_oscillator_driven_by_acceleration_and_drag() {
     let (omega, kappa, rate, phase) = (12.0, 1.5, std::f64::consts::TAU * 0.9, 0.3);
     let amplitude = dvec3(0.5, -0.2, 0.1);
     // −c″ − 2κc′ = amplitude · (rate² sin θ − 2κ rate cos θ)
@@ -619,7 +619,7 @@ fn a_body_of_the_world_wobbles_as_an_oscillator_driven_by_acceleration_and_drag(
 /// Time windows that begin and end within steps, at step ends, within one step, overlapping each other, before and
 /// after the end of the run.
 #[test]
-fn pushes_have_their_closed_form_whatever_their_window() {
+fn pushes_match_their_closed_form_in_any_window() {
     let windows = [
         (0.0, 0.1),
         (0.2301, 0.0013),
@@ -670,8 +670,9 @@ fn pushes_have_their_closed_form_whatever_their_window() {
 // ---------------------------------------------------------------------------------------------------------------------
 // Far from the origin
 
-/// A million units from the origin, the position of a centre is rounded to 1.2e-10, and so is the distance of two. The
-/// effect on a vertex is that times s/ω² ≈ 0.7; an event is shifted by it divided by the speed of approach.
+/// A million units from the origin, the position of a centre is rounded to 1.2e-10, and so is the distance between two
+/// centres. The effect on a vertex is this rounding times s/ω² ≈ 0.7; an event is shifted by the rounding divided by the
+/// speed of approach.
 #[test]
 fn a_scene_far_from_the_origin_is_the_same_scene() {
     let keys = [(0.0, dvec3(0.5, 2.5, 0.0)), (1.0, dvec3(0.4, 1.6, 0.2)), (2.2, dvec3(0.0, 2.6, 0.0))];

@@ -63,13 +63,13 @@ pub struct Row {
 }
 
 impl Recording {
-    /// Opens the recording in a file, which must hold exactly one recording and its blueprint; a thin one has none.
+    /// Opens a file, which must hold exactly one recording and its blueprint; a thin recording has no blueprint.
     pub fn open(path: &Path) -> Recording {
         let file = File::open(path).expect("a file");
         Recording::read(file)
     }
 
-    /// The same from any reader.
+    /// Like [`Recording::open`], from any reader.
     pub fn read(bytes: impl std::io::Read) -> Recording {
         let stores = ChunkStore::handle_from_rrd_reader(&ChunkStoreConfig::ALL_DISABLED, bytes).expect("a recording");
         let (mut recordings, blueprints): (Vec<_>, Vec<_>) = stores.into_iter().partition(|(id, _)| id.is_recording());
@@ -234,7 +234,7 @@ impl Row {
     }
 }
 
-// ---- making --------------------------------------------------------------------------------------------------------
+// ---- recording -----------------------------------------------------------------------------------------------------
 
 /// A temporary directory, removed on drop.
 pub struct Dir(PathBuf);
@@ -325,7 +325,7 @@ impl Run {
         }
     }
 
-    /// The same, at frames only, with their index.
+    /// Visits the frames of an unrecorded world of the same scene, with their index.
     fn walk_frames(&self, mut look: impl FnMut(usize, &World)) {
         let mut frame = 0;
         self.walk(|world| {
@@ -352,15 +352,15 @@ impl Run {
         Track { entity: entity.to_owned(), held, changes }
     }
 
-    /// The pairs with entities of their own: the first that a frame sees within reach or that change phase.
+    /// The pairs with their own entities: the first that are within reach in a frame or change phase.
     fn pairs(&self) -> Vec<(usize, usize)> {
         let mut pairs = Vec::new();
         self.walk(|world| {
             let changed = world.report().events.iter().map(|event| (event.a as usize, event.b as usize));
             let mut seen: Vec<_> = world.pairs().filter(|_| self.is_frame(world)).collect();
-            seen.sort_by(|x, y| x.q.total_cmp(&y.q)); // of those that appear together, the closest first
+            seen.sort_by(|x, y| x.q.total_cmp(&y.q)); // among pairs of the same frame, the closest first
             let seen = seen.into_iter().map(|pair| (pair.a, pair.b, self.settings.pairs));
-            // there is room for as many again that have events
+            // there is room for the same number of pairs with events
             let changed = changed.map(|(a, b)| (a, b, 2 * self.settings.pairs));
             for (a, b, most) in changed.chain(seen) {
                 if pairs.len() < most && !pairs.contains(&(a, b)) {
@@ -438,7 +438,7 @@ impl Run {
         self.verify_timings();
     }
 
-    /// Exactly the specified entities exist.
+    /// Verifies that exactly the specified entities exist.
     fn verify_entities(&self) {
         let mut entities = vec!["/__properties".to_owned(), "/__properties/meldscope".to_owned()];
         entities.extend(["/about", "/checksum", "/world", "/world/influence"].map(str::to_owned));
@@ -467,7 +467,7 @@ impl Run {
         if self.scene.bodies.len() > 1 {
             entities.extend(["/world/merged", "/world/merged/surface", "/world/merged/seams"].map(str::to_owned));
         }
-        // as many as there are groups, and whether surfaces touch
+        // these depend on groups and on touching surfaces
         let is_of_surfaces = |path: &String| path.starts_with("/groups/") || path == "/events/surfaces";
         entities.extend(self.recording.entities().iter().map(ToString::to_string).filter(is_of_surfaces));
         entities.extend(TIMINGS.map(|stage| format!("/timings/{stage}")));
@@ -495,7 +495,7 @@ impl Run {
         assert!(about.contains(&self.scene.name), "{about}");
     }
 
-    /// Rows are at the frames and, for events, at their exact times; no row hides another.
+    /// Verifies that rows are at the frames or at the exact times of events, and that no row hides another.
     fn verify_rows(&self) {
         let timelines = ["sim_time duration", "step sequence"].map(str::to_owned);
         assert_eq!(self.recording.timelines(), timelines.into());
@@ -506,7 +506,7 @@ impl Run {
                 if path == "/checksum"
                     || path.starts_with("/events")
                     || path.starts_with("/marks/")
-                    // the gap where an event makes it jump
+                    // the gap where the energy jumps at an event
                     || (path.starts_with("/diagnostics/energy") && row.scalar().is_none())
                     || (path.starts_with("/pairs/") && path.ends_with("/phase"))
                 {
@@ -555,7 +555,7 @@ impl Run {
         }
     }
 
-    /// A checksum for every step, recorded or not.
+    /// Verifies that there is a checksum for every step, whether it has a frame or not.
     fn verify_checksums(&self) {
         let mut found = self.recording.rows(&EntityPath::from("/checksum")).into_iter();
         self.walk(|world| {
@@ -567,7 +567,7 @@ impl Run {
         assert!(found.next().is_none());
     }
 
-    /// One transform and one mesh per body.
+    /// Verifies one transform and one mesh per body.
     fn verify_bodies(&self) {
         for (index, scene) in self.scene.bodies.iter().enumerate() {
             let transform = self.track(&format!("/world/bodies/{}", scene.name));
@@ -603,7 +603,7 @@ impl Run {
         }
     }
 
-    /// Resting bodies are instances of their shapes, deformed ones are in one mesh; each body appears once.
+    /// Verifies that bodies at rest are instances of their shapes, deformed ones are in one mesh, and each appears once.
     fn verify_batches(&self) {
         let instances: Vec<_> =
             self.shapes().iter().map(|shape| (shape.clone(), self.track(&resting(shape)))).collect();
@@ -682,7 +682,7 @@ impl Run {
         });
     }
 
-    /// Influence spheres, each coloured by its body's deepest phase with any body within reach.
+    /// Verifies the influence spheres, each coloured by its body's deepest phase with any body within reach.
     fn verify_spheres(&self) {
         const CENTERS: &str = "Ellipsoids3D:centers";
         const COLORS: &str = "Ellipsoids3D:colors";
@@ -718,7 +718,7 @@ impl Run {
         });
     }
 
-    /// In a batch, the influence spheres of bodies within reach of another are with the pairs.
+    /// Verifies that in a batch, the influence spheres of bodies within reach of another are part of the pairs' entity.
     fn verify_reaching_spheres(&self) {
         let track = self.track("/world/pairs");
         self.walk_frames(|frame, world| {
@@ -742,7 +742,7 @@ impl Run {
         });
     }
 
-    /// Arrows for exactly the vertices that a force acts on.
+    /// Verifies that exactly the vertices on which a force acts have arrows.
     fn verify_forces(&self) {
         const ORIGINS: &str = "Arrows3D:origins";
         const VECTORS: &str = "Arrows3D:vectors";
@@ -776,7 +776,7 @@ impl Run {
         });
     }
 
-    /// The values of each vertex: its displacement, the force on it, the influence that reaches it.
+    /// Verifies the values of each vertex: its displacement, the force on it, the influence that reaches it.
     fn verify_vertices(&self) {
         if self.settings.entities == Entities::Batch {
             return;
@@ -814,7 +814,7 @@ impl Run {
         }
     }
 
-    /// Labelled and coloured lines between the centres of the closest pairs within reach.
+    /// Verifies labelled and coloured lines between the centres of the closest pairs within reach.
     fn verify_lines(&self) {
         let track = self.track("/world/pairs");
         self.walk_frames(|frame, world| {
@@ -835,7 +835,7 @@ impl Run {
         });
     }
 
-    /// Distances while within reach, their thresholds, and lanes that change at the exact times.
+    /// Verifies distances while within reach, their thresholds, and lanes that change at the exact times.
     fn verify_pairs(&self) {
         let pairs = self.pairs();
         let mut distances = vec![BTreeMap::new(); pairs.len()];
@@ -854,7 +854,7 @@ impl Run {
                 change(event.to);
             }
             let (step, now) = (world.steps_taken(), nanoseconds(world.time()));
-            // one that gets its plot because of an event shows how it came there since it came within reach
+            // a pair that gets its plot because of an event also shows its distances since it came within reach
             for i in (self.settings.pairs..pairs.len()).filter(|_| self.is_frame(world)) {
                 let is_here = world.pairs().any(|pair| (pair.a, pair.b) == pairs[i]);
                 if !is_here && lanes[i].len() < 2 {
@@ -893,7 +893,7 @@ impl Run {
         }
     }
 
-    /// Each event once, in order, at its exact time and at the step that it affects.
+    /// Verifies that each event is logged once, in order, at its exact time and at the step that it affects.
     fn verify_events(&self) {
         let events = self.events();
         let rows = self.recording.rows(&EntityPath::from("/events"));
@@ -974,7 +974,7 @@ impl Run {
         }
     }
 
-    /// A value for each stage at every frame after the first.
+    /// Verifies a value for each stage at every frame after the first.
     fn verify_timings(&self) {
         for stage in TIMINGS {
             let rows = self.recording.changes(&format!("/timings/{stage}"));
@@ -994,8 +994,8 @@ impl Run {
         assert!(speed.iter().all(|row| row.scalar().is_some_and(|speed| speed > 0.0)));
     }
 
-    /// Verifies a plot line that should have these values at these steps: it has every one of them, repeats a value
-    /// only where the line needs it, and is interrupted at frames without a value.
+    /// Verifies that a plot line has these values at these steps, repeats a value only where the line needs it, and is
+    /// interrupted at frames without a value.
     fn verify_line(&self, entity: &str, line: Line, values: &BTreeMap<u64, f64>) {
         let track = self.track(entity);
         let (frames, mut rows) = (self.frames(), track.changes.len());
@@ -1078,7 +1078,7 @@ enum Line {
     Jumping,
     /// Constant until the next value.
     Level,
-    /// Constant throughout: repeated now and then, so that it keeps up with a live plot.
+    /// Constant throughout; repeated at intervals, so that it keeps up with a live plot.
     Threshold,
 }
 
@@ -1111,7 +1111,7 @@ fn area_normals(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<DVec3> {
     areas.into_iter().map(DVec3::normalize).collect()
 }
 
-/// Normals have unit length and are area-weighted.
+/// Verifies that normals have unit length and are area-weighted.
 fn verify_normals(body: &BodyView<'_>, normals: &[Vec3], at: &str) {
     let positions: Vec<DVec3> = (0..body.vertex_count()).map(|i| body.local_position(i)).collect();
     let expected = area_normals(&positions, body.mesh().triangles());
@@ -1125,27 +1125,27 @@ fn verify_normals(body: &BodyView<'_>, normals: &[Vec3], at: &str) {
 // ---- scenes --------------------------------------------------------------------------------------------------------
 
 #[test]
-fn push_is_recorded_as_it_is() {
+fn push_is_recorded_exactly() {
     Run::new(&builtin("push")).verify();
 }
 
 #[test]
-fn two_is_recorded_as_it_is() {
+fn two_is_recorded_exactly() {
     Run::new(&builtin("two")).verify();
 }
 
 #[test]
-fn three_is_recorded_as_it_is() {
+fn three_is_recorded_exactly() {
     Run::new(&builtin("three")).verify();
 }
 
 #[test]
-fn size_ratio_is_recorded_as_it_is() {
+fn size_ratio_is_recorded_exactly() {
     Run::new(&builtin("size_ratio")).verify();
 }
 
-/// Two bodies that pass through each other, and hence through every phase, and one that is never touched; unusual
-/// names.
+/// Two bodies that pass through each other, and therefore through every phase, and one that is never touched; the names
+/// are unusual.
 fn crossing() -> Scene {
     let text = r#"
         name = "crossing/../[x]"
@@ -1178,7 +1178,7 @@ fn crossing() -> Scene {
 }
 
 #[test]
-fn every_phase_is_recorded_as_it_is() {
+fn every_phase_is_recorded_exactly() {
     let run = Run::new(&crossing());
     run.verify();
     let names: Vec<&str> = run.events().iter().map(Event::name).collect();
@@ -1188,7 +1188,7 @@ fn every_phase_is_recorded_as_it_is() {
 }
 
 #[test]
-fn frames_are_left_out_and_events_are_not() {
+fn skipped_frames_keep_their_events() {
     for scene in [crossing(), builtin("three")] {
         let settings = Settings { every: 7, ..Settings::of(&scene) };
         let run = Run::with(&scene, settings, 64);
@@ -1198,7 +1198,7 @@ fn frames_are_left_out_and_events_are_not() {
 }
 
 #[test]
-fn forces_are_left_out_when_not_wanted() {
+fn forces_are_recorded_only_on_request() {
     let scene = crossing();
     let run = Run::with(&scene, Settings { detail: Detail::Surface, ..Settings::of(&scene) }, 64);
     run.verify();
@@ -1253,7 +1253,7 @@ fn many_bodies_are_recorded_in_few_entities() {
 }
 
 #[test]
-fn a_crowd_is_recorded_as_it_is() {
+fn a_crowd_is_recorded_exactly() {
     let scene = Scene { duration: 0.5, ..builtin("crowd") };
     let run = Run::new(&scene);
     run.verify();
@@ -1277,17 +1277,17 @@ fn few_bodies_can_be_batched_and_many_need_not() {
 }
 
 #[test]
-fn of_many_pairs_those_with_events_have_entities() {
+fn in_a_crowd_pairs_with_events_have_entities() {
     let run = Run::new(&Scene { duration: 1.0, ..lattice(2.2) });
     run.verify();
-    // as many that come within reach, and as many that have events
+    // pairs that come within reach, and up to the same number of pairs with events
     assert!((MOST_PAIRS_OF_MANY..=2 * MOST_PAIRS_OF_MANY).contains(&run.pairs().len()), "{:?}", run.pairs());
     let with_events: HashSet<_> = run.events().iter().map(|event| (event.a as usize, event.b as usize)).collect();
     assert!(!with_events.is_empty() && with_events.len() <= MOST_PAIRS_OF_MANY, "{:?}", run.events());
     assert!(with_events.iter().all(|pair| run.pairs().contains(pair)), "{:?}", run.pairs());
 }
 
-/// Everything in a recording but the timings, by entity: row ids, times, values.
+/// Everything in a recording except the timings, by entity: row ids, times, values.
 pub fn content(recording: &Recording) -> BTreeMap<EntityPath, (Row, Vec<(RowId, Row)>)> {
     let entities = recording.entities().into_iter().filter(|entity| !entity.to_string().starts_with("/timings/"));
     entities.map(|entity| (entity.clone(), (recording.fixed(&entity.to_string()), recording.rows(&entity)))).collect()
@@ -1296,7 +1296,7 @@ pub fn content(recording: &Recording) -> BTreeMap<EntityPath, (Row, Vec<(RowId, 
 #[test]
 fn equal_runs_give_equal_data() {
     for scene in [crossing(), Scene { duration: 1.0, ..lattice(2.6) }] {
-        // how often a run sends its data depends on the machine
+        // the machine determines how often a run sends its data
         let [one, other] = [64, 5].map(|taken_every| Run::with(&scene, Settings::of(&scene), taken_every).recording);
         assert_eq!(one.id, other.id);
         let (one_content, other_content) = (content(&one), content(&other));
@@ -1311,7 +1311,7 @@ fn equal_runs_give_equal_data() {
 
 /// The stages of steps are on their own timeline, from the state before the step to the state after it.
 #[test]
-fn the_inside_of_steps_is_recorded_beside_them() {
+fn stages_within_steps_are_recorded() {
     let scene = builtin("two");
     let steps = 80..=90;
     let detail = Detail::Stages { from: *steps.start(), to: *steps.end() };
@@ -1349,10 +1349,10 @@ fn the_inside_of_steps_is_recorded_beside_them() {
     }
 }
 
-/// Plots get their ranges once their values are known, and the first event is what the file opens with; the blueprint is
-/// then made active again.
+/// Plots get their ranges once their values are known, and the file opens at the first event; the blueprint is then
+/// activated again.
 #[test]
-fn a_file_ends_with_the_ranges_of_its_plots_and_opens_with_its_first_event() {
+fn a_file_ends_with_the_ranges_of_its_plots_and_opens_at_its_first_event() {
     let scene = builtin("two");
     let mut world = World::new(scene.clone()).expect("it fits");
     let settings = Settings::of(&scene);

@@ -77,7 +77,7 @@ impl Reference {
                 compared += 1;
             }
         }
-        assert_eq!(compared, self.positions.len(), "every sample of the reference has been met");
+        assert_eq!(compared, self.positions.len(), "every sample of the reference is compared");
         worst
     }
 }
@@ -87,9 +87,9 @@ type Errors = [f64; 4];
 
 /// The measured errors. Results depend on the scene alone, to the bit, so the bound is tight: 5 % above these values.
 const MEASURED: [(&str, [(Integrator, Errors); 5]); 4] = [
-    // A push begins and ends within steps. An integrator that does not divide the step there is off by up to one step's
-    // share of the push. This holds for Verlet and Runge-Kutta as for Euler, and varies irregularly with where in the
-    // step the edges fall.
+    // A push begins and ends within steps. An integrator that does not divide the step there has an error of up to one
+    // step's share of the push. This holds for Verlet and Runge-Kutta as well as for Euler, and varies irregularly with
+    // the position of the edges within the step.
     (
         "push",
         [
@@ -100,7 +100,7 @@ const MEASURED: [(&str, [(Integrator, Errors); 5]); 4] = [
             (Integrator::Rk4, [4.473e-3, 6.489e-3, 1.117e-3, 1.631e-3]),
         ],
     ),
-    // Likewise, a merge and a split within steps.
+    // The same holds for a merge and a split within steps.
     (
         "two",
         [
@@ -138,7 +138,7 @@ fn order(errors: Errors) -> f64 {
     (errors[0] / errors[3]).log2() / 3.0
 }
 
-/// With the scene's step size and smaller: down to the accuracy of the reference, so that no order can be observed.
+/// At the scene's step size and below, errors are at the accuracy of the reference, so no order can be observed.
 #[test]
 fn exponential_has_the_accuracy_of_the_reference() {
     // Measured: 1.06e-9, 1.07e-9, 1.08e-9, 1.08e-9; 6.9e-10, 6.9e-10, 6.8e-10, 6.8e-10; four times 1.63e-10.
@@ -157,7 +157,7 @@ fn exponential_is_exact_for_pushes() {
 }
 
 #[test]
-fn the_explicit_schemes_err_as_measured() {
+fn errors_of_the_explicit_schemes_are_as_measured() {
     for (name, rows) in MEASURED {
         let mut reference = Reference::load(name);
         for (integrator, measured) in rows {
@@ -181,7 +181,7 @@ fn the_explicit_schemes_err_as_measured() {
 #[test]
 fn the_thesis_scheme_does_not_converge() {
     // Measured, dt/8 relative to dt: push 0.946, two 0.883, three 0.996, size_ratio 1.22; relative to dt/2: 0.985,
-    // 0.983, 0.976, 1.093. The rest at dt/8 is the error of the equation that it converges to.
+    // 0.983, 0.976, 1.093. The remaining error at dt/8 is that of the equation to which the scheme converges.
     for name in ["push", "two", "three", "size_ratio"] {
         let errors = Reference::load(name).errors(Integrator::Thesis);
         assert!(errors[3] >= 0.88 * errors[0] && errors[3] >= 0.97 * errors[1], "{name}: {errors:?}");
@@ -189,7 +189,7 @@ fn the_thesis_scheme_does_not_converge() {
 }
 
 #[test]
-fn events_are_those_of_the_reference_for_every_integrator() {
+fn events_match_the_reference_for_every_integrator() {
     for name in ["push", "two", "three", "size_ratio"] {
         let reference = Reference::load(name);
         assert_eq!(reference.events.is_empty(), name == "push");
@@ -214,7 +214,7 @@ fn events_are_those_of_the_reference_for_every_integrator() {
 
 /// Free bodies: error against tolerance, with the scene's own step.
 #[test]
-fn free_bodies_are_where_the_reference_has_them() {
+fn free_bodies_match_the_reference() {
     // Measured with tolerances of 1e-4, 1e-6 and 1e-8. The reference is accurate to 1e-9.
     for (name, measured) in [
         ("free_bounce", [1.96e-6, 1.16e-7, 1.6e-8]),
@@ -233,8 +233,8 @@ fn free_bodies_are_where_the_reference_has_them() {
     }
 }
 
-/// With a tolerance that divides no step, a quarter of the step leaves only the error of the references, 1.1e-8. It was 1.4e-6
-/// while the iteration of a step ended at a share of the tolerance.
+/// With a tolerance that divides no step, a quarter of the step leaves only the error of the references, 1.1e-8. The error
+/// was 1.4e-6 while the iteration of a step ended at a fraction of the tolerance.
 #[test]
 fn free_bodies_converge_with_the_step() {
     for name in ["free_bounce", "free_settle", "free_tug"] {
@@ -247,7 +247,7 @@ fn free_bodies_converge_with_the_step() {
 }
 
 #[test]
-fn events_of_free_bodies_are_those_of_the_reference() {
+fn events_of_free_bodies_match_the_reference() {
     for name in ["free_bounce", "free_fall", "free_settle", "free_tug"] {
         let reference = Reference::load(name);
         let names: Vec<String> = reference.scene.bodies.iter().map(|body| body.name.clone()).collect();

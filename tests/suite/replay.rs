@@ -25,7 +25,7 @@ use meldscope::{
 
 use crate::recording::{Dir, Recording};
 
-/// Records `played` under whatever scene text it carries, as another version of the program would have.
+/// Records `played` with the scene text that it carries, as another version of the program would have done.
 fn record(path: &Path, played: &Scene, settings: Settings) {
     record_with(path, played, Options::default(), settings);
 }
@@ -110,7 +110,7 @@ fn every_kind_of_recording_is_replayed() {
 }
 
 #[test]
-fn a_divergence_is_named_with_step_body_vertex_and_both_values() {
+fn a_divergence_is_reported_with_step_body_vertex_and_both_values() {
     let dir = Dir::new();
     let path = dir.file("other.rrd");
     for (name, entities) in
@@ -134,30 +134,30 @@ fn a_divergence_is_named_with_step_body_vertex_and_both_values() {
             was.step();
             is.step();
         }
-        let (mut largest, mut place) = (0.0, (0, 0));
+        let (mut largest, mut worst_vertex) = (0.0, (0, 0));
         for (index, (a, b)) in was.bodies().zip(is.bodies()).enumerate() {
             for vertex in 0..a.vertex_count() {
                 let distance = (a.local_position(vertex) - b.local_position(vertex)).length() / a.scene().radius;
                 if distance > largest {
-                    (largest, place) = (distance, (index, vertex));
+                    (largest, worst_vertex) = (distance, (index, vertex));
                 }
             }
         }
-        assert_eq!((worst.body.as_str(), worst.vertex), (was.body(place.0).name(), place.1), "{name}");
+        assert_eq!((worst.body.as_str(), worst.vertex), (was.body(worst_vertex.0).name(), worst_vertex.1), "{name}");
         assert!((worst.difference - largest).abs() < 1e-6, "{name}: {} {largest}", worst.difference);
-        let [then, now] = [&was, &is].map(|world| world.body(place.0).local_position(place.1));
+        let [then, now] = [&was, &is].map(|world| world.body(worst_vertex.0).local_position(worst_vertex.1));
         assert!(worst.recorded.distance(then) < 1e-6 && worst.found.distance(now) < 1e-6, "{name}");
     }
-    let said = fails(&dir, 1, &["replay", "other.rrd"]);
+    let output = fails(&dir, 1, &["replay", "other.rrd"]);
     for part in
         ["divergent at step 84 of 300", "up to step 83", "body \"", "vertex ", "radii apart", "is not reproduced"]
     {
-        assert!(said.contains(part), "{part}: {said}");
+        assert!(output.contains(part), "{part}: {output}");
     }
 }
 
 #[test]
-fn a_bug_report_goes_from_a_thin_recording_to_the_odd_step() {
+fn a_thin_recording_leads_to_the_steps_in_question() {
     let dir = Dir::new();
     succeeds(&dir, &["run", "two", "--thin", "--save", "bug.rrd"]);
     let size = fs::metadata(dir.file("bug.rrd")).expect("a file").len();
@@ -167,30 +167,30 @@ fn a_bug_report_goes_from_a_thin_recording_to_the_odd_step() {
     assert!((long - size) / 10_000 < 16, "{} bytes a step", (long - size) / 10_000);
 
     assert_eq!(succeeds(&dir, &["replay", "bug.rrd"]), "bug.rrd: identical, 300 steps\n");
-    let said = succeeds(&dir, &["replay", "bug.rrd", "--save", "odd.rrd", "--from", "80", "--to", "90"]);
-    assert!(said.contains("saved odd.rrd: steps 80 to 90, 11 frames"), "{said}");
+    let output = succeeds(&dir, &["replay", "bug.rrd", "--save", "odd.rrd", "--from", "80", "--to", "90"]);
+    assert!(output.contains("saved odd.rrd: steps 80 to 90, 11 frames"), "{output}");
     let odd = Recording::open(&dir.file("odd.rrd"));
     let steps: Vec<i64> = odd.changes("/world/forces/net").iter().map(|row| row.step).collect();
     assert_eq!(steps, (80..=90).collect::<Vec<_>>());
-    let said = succeeds(&dir, &["replay", "odd.rrd"]);
-    assert!(said.starts_with("odd.rrd: identical, 11 steps (80 to 90)"), "{said}");
+    let output = succeeds(&dir, &["replay", "odd.rrd"]);
+    assert!(output.starts_with("odd.rrd: identical, 11 steps (80 to 90)"), "{output}");
     succeeds(&dir, &["run", "two", "--thin", "--no-skip", "--integrator", "verlet", "--save", "plain.rrd"]);
-    let said = succeeds(&dir, &["replay", "plain.rrd"]);
-    assert_eq!(said, "plain.rrd: identical, 300 steps (run with integrator = \"verlet\", --no-skip)\n");
-    let said = succeeds(&dir, &["replay", "bug.rrd", "--integrator", "rk4"]);
-    assert!(said.contains("with rk4") && said.contains("merge a~b") && said.contains("not verified"), "{said}");
+    let output = succeeds(&dir, &["replay", "plain.rrd"]);
+    assert_eq!(output, "plain.rrd: identical, 300 steps (run with integrator = \"verlet\", --no-skip)\n");
+    let output = succeeds(&dir, &["replay", "bug.rrd", "--integrator", "rk4"]);
+    assert!(output.contains("with rk4") && output.contains("merge a~b") && output.contains("not verified"), "{output}");
 }
 
 #[test]
-fn what_differs_of_program_and_machine_is_said() {
+fn differences_in_program_and_machine_are_reported() {
     let dir = Dir::new();
     let path = dir.file("own.rrd");
     record(&path, &two(), Settings { frames: Frames::Thin, steps: Some(5), ..Settings::of(&two()) });
     let recorded = Recorded::open(&path).expect("a recording");
     assert!(recorded.foreign_to(&recorded.machine).is_empty());
     let other = Recorded { version: "0.0.9".to_owned(), ..recorded };
-    let said = other.foreign_to("an abacus").join("\n");
-    assert!(said.contains("0.0.9") && said.contains("an abacus"), "{said}");
+    let output = other.foreign_to("an abacus").join("\n");
+    assert!(output.contains("0.0.9") && output.contains("an abacus"), "{output}");
 }
 
 #[test]
@@ -243,10 +243,10 @@ fn long_and_crowded_thin_recordings_are_replayed() {
 // ---- flight recorder -----------------------------------------------------------------------------------------------
 
 #[test]
-fn a_flight_recorder_holds_the_frames_before_what_happens() {
+fn a_flight_recorder_holds_the_frames_before_its_trigger() {
     let dir = Dir::new();
-    let said = succeeds(&dir, &["run", "two", "--keep", "10", "--on", "split", "--save", "split.rrd"]);
-    assert!(said.contains("saved split.rrd: 10 frames"), "{said}");
+    let output = succeeds(&dir, &["run", "two", "--keep", "10", "--on", "split", "--save", "split.rrd"]);
+    assert!(output.contains("saved split.rrd: 10 frames"), "{output}");
     succeeds(&dir, &["run", "two", "--quiet", "--save", "all.rrd"]);
     let (kept, all) = (Recording::open(&dir.file("split.rrd")), Recording::open(&dir.file("all.rrd")));
     let frames: Vec<u64> = (190..=199).collect();
@@ -260,22 +260,25 @@ fn a_flight_recorder_holds_the_frames_before_what_happens() {
     }
     assert!(kept.changes("/world/forces/net").iter().all(|row| row.step <= 199));
 
-    let said = succeeds(&dir, &["run", "two", "--keep", "10", "--on", "core,diverge", "--save", "none.rrd"]);
-    assert!(said.contains("0 frames") && said.contains("no --on event occurred"), "{said}");
-    let said = succeeds(&dir, &["run", "two", "--keep", "4", "--save", "end.rrd"]);
-    assert!(said.contains("4 frames"), "{said}");
+    let output = succeeds(&dir, &["run", "two", "--keep", "10", "--on", "core,diverge", "--save", "none.rrd"]);
+    assert!(output.contains("0 frames") && output.contains("no --on event occurred"), "{output}");
+    let output = succeeds(&dir, &["run", "two", "--keep", "4", "--save", "end.rrd"]);
+    assert!(output.contains("4 frames"), "{output}");
     let end = Recording::open(&dir.file("end.rrd"));
     assert_eq!(end.held("/world/bodies/a/surface", [297, 300]), all.held("/world/bodies/a/surface", [297, 300]));
-    let said = succeeds(&dir, &["run", "three", "--keep", "3", "--on", "merge,split", "--save", "three.rrd"]);
-    assert!(said.contains("saved three.rrd: 13 frames"), "each window once: steps 80, 81, 170, 178, 185: {said}");
+    let output = succeeds(&dir, &["run", "three", "--keep", "3", "--on", "merge,split", "--save", "three.rrd"]);
+    assert!(output.contains("saved three.rrd: 13 frames"), "each window once: steps 80, 81, 170, 178, 185: {output}");
 }
 
-/// Stages describe steps, but a flight recorder holds frames.
+/// Stages describe steps, but a flight recorder holds only frames.
 #[test]
-fn a_flight_recorder_refuses_stages_and_says_how_to_get_them() {
+fn a_flight_recorder_rejects_stages_and_names_a_remedy() {
     let dir = Dir::new();
-    let said = fails(&dir, 2, &["run", "two", "--keep", "10", "--on", "split", "--detail", "stages"]);
-    assert!(said.contains("--keep") && said.contains("meldscope replay F.rrd --save G.rrd --from STEP"), "{said}");
+    let output = fails(&dir, 2, &["run", "two", "--keep", "10", "--on", "split", "--detail", "stages"]);
+    assert!(
+        output.contains("--keep") && output.contains("meldscope replay F.rrd --save G.rrd --from STEP"),
+        "{output}"
+    );
     assert!(dir.names().is_empty());
     // as the error message suggests
     succeeds(&dir, &["run", "two", "--keep", "10", "--on", "split", "--save", "split.rrd"]);
@@ -284,7 +287,7 @@ fn a_flight_recorder_refuses_stages_and_says_how_to_get_them() {
     assert!(Recording::open(&dir.file("inside.rrd")).entities().contains(&"/stages".into()));
 }
 
-/// A recording of a scene with a mesh, whose file is gone.
+/// The file of a scene's mesh is removed after the scene has been recorded.
 #[test]
 fn a_recording_carries_its_meshes() {
     let dir = Dir::new();
@@ -295,8 +298,8 @@ fn a_recording_carries_its_meshes() {
     fs::write(dir.file("own.toml"), text).expect("room");
     succeeds(&dir, &["run", "own.toml", "--quiet"]);
     fs::remove_file(dir.file("tetrahedron.obj")).expect("it is there");
-    let refused = fails(&dir, 2, &["run", "own.toml", "--quiet"]);
-    assert!(refused.contains("tetrahedron.obj"), "{refused}");
+    let rejected = fails(&dir, 2, &["run", "own.toml", "--quiet"]);
+    assert!(rejected.contains("tetrahedron.obj"), "{rejected}");
     let out = succeeds(&dir, &["replay", "own.rrd"]);
     assert!(out.contains("identical, 30 steps"), "{out}");
 }
@@ -307,13 +310,13 @@ fn project() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// The golden recordings of this repository, with any number of threads.
+/// The golden recordings of this repository match with any number of threads.
 #[test]
-fn the_scenes_of_this_repository_are_as_they_were() {
+fn the_golden_recordings_of_this_repository_match() {
     let dir = Dir::new();
     let recordings = project().join("recordings");
     let built_in = builtin::ALL.into_iter().map(|builtin| builtin.name).filter(|name| *name != "rain"); // it takes too long
-    // one for each of the other models
+    // one scene for each of the other models
     let kept: Vec<&str> = built_in.chain(["balls", "elements", "tear"]).collect();
     for threads in ["1", "2", "3", "8"] {
         let (status, out, err) = meldscope(&dir, &["check", &recordings.to_string_lossy(), "--threads", threads]);
@@ -334,7 +337,7 @@ fn the_scenes_of_this_repository_are_as_they_were() {
 }
 
 #[test]
-fn a_planted_bit_is_found_and_named() {
+fn a_planted_bit_is_found_and_located() {
     let dir = Dir::new();
     let path = dir.file("two.rrd");
     golden::bless(&two(), &path, "a test").expect("room");
@@ -379,12 +382,12 @@ fn a_planted_bit_is_found_and_named() {
 }
 
 #[test]
-fn check_says_what_differs_and_bless_takes_a_reason() {
+fn check_reports_differences_and_bless_needs_a_reason() {
     let dir = Dir::new();
     let text = builtin::ALL[1].text;
     fs::write(dir.file("two.toml"), text).expect("room");
-    let said = fails(&dir, 1, &["check", "."]);
-    assert!(said.contains("two: no golden recording"), "{said}");
+    let output = fails(&dir, 1, &["check", "."]);
+    assert!(output.contains("two: no golden recording"), "{output}");
     succeeds(&dir, &["check", ".", "--bless", "first  of\nall"]);
     assert!(succeeds(&dir, &["check", "two.toml"]).starts_with("two: identical, 300 steps, 2 events"));
     assert!(succeeds(&dir, &["check", "two.rrd"]).starts_with("two: identical"));
@@ -397,7 +400,7 @@ fn check_says_what_differs_and_bless_takes_a_reason() {
     assert!(succeeds(&dir, &["check", "."]).contains("its text has changed, without effect"));
 
     fs::write(dir.file("two.toml"), text.replace("merge_at = 1.05", "merge_at = 1.06")).expect("room");
-    let said = fails(&dir, 1, &["check", "."]);
+    let output = fails(&dir, 1, &["check", "."]);
     for part in [
         "two: DIFFERENT",
         "first at step",
@@ -406,19 +409,19 @@ fn check_says_what_differs_and_bless_takes_a_reason() {
         "event moved: merge a~b",
         "rerun two.check.rrd",
     ] {
-        assert!(said.contains(part), "{part}: {said}");
+        assert!(output.contains(part), "{part}: {output}");
     }
     assert!(dir.names().contains(&"two.check.rrd".to_owned()));
     fails(&dir, 1, &["check", ".", "--tolerant"]);
 
     fs::write(dir.file("two.toml"), text.replace("duration = 5.0", "duration = 4.0")).expect("room");
-    let said = fails(&dir, 1, &["check", "."]);
-    assert!(said.contains("240 steps, 300 in the golden recording"), "{said}");
+    let output = fails(&dir, 1, &["check", "."]);
+    assert!(output.contains("240 steps, 300 in the golden recording"), "{output}");
 
     let finer = text.replacen("radius = 1.0\n", "radius = 1.0\nshape = { sphere = { stacks = 6, slices = 8 } }\n", 1);
     fs::write(dir.file("two.toml"), finer).expect("room");
-    let said = fails(&dir, 1, &["check", "."]);
-    assert!(said.contains("532 vertices") && said.contains("triangles"), "{said}");
+    let output = fails(&dir, 1, &["check", "."]);
+    assert!(output.contains("532 vertices") && output.contains("triangles"), "{output}");
 
     fs::write(dir.file("two.toml"), "name = 3").expect("room");
     fails(&dir, 2, &["check", "."]);
@@ -430,7 +433,7 @@ fn check_says_what_differs_and_bless_takes_a_reason() {
 // ---- diff ----------------------------------------------------------------------------------------------------------
 
 #[test]
-fn two_ways_to_run_a_scene_are_compared() {
+fn diff_compares_two_runs_of_a_scene() {
     let dir = Dir::new();
     succeeds(&dir, &["run", "two", "--quiet", "--save", "a.rrd"]);
     succeeds(&dir, &["run", "two", "--quiet", "--integrator", "rk4", "--every", "2", "--save", "b.rrd"]);
@@ -438,21 +441,21 @@ fn two_ways_to_run_a_scene_are_compared() {
     succeeds(&dir, &["run", "two", "--quiet", "--thin", "--save", "thin.rrd"]);
     succeeds(&dir, &["run", "push", "--quiet", "--save", "push.rrd"]);
 
-    let said = succeeds(&dir, &["diff", "a.rrd", "a.rrd"]);
+    let output = succeeds(&dir, &["diff", "a.rrd", "a.rrd"]);
     assert!(
-        said.contains("bits: the same") && said.contains("no body differs") && said.contains("events: the same"),
-        "{said}"
+        output.contains("bits: the same") && output.contains("no body differs") && output.contains("events: the same"),
+        "{output}"
     );
-    let said = succeeds(&dir, &["diff", "a.rrd", "c.rrd"]);
-    assert!(said.contains("301 instants"), "aligned by time: {said}");
-    let said = succeeds(&dir, &["diff", "a.rrd", "thin.rrd"]);
-    assert!(said.contains("run again") && said.contains("no body differs"), "{said}");
+    let output = succeeds(&dir, &["diff", "a.rrd", "c.rrd"]);
+    assert!(output.contains("301 instants"), "aligned by time: {output}");
+    let output = succeeds(&dir, &["diff", "a.rrd", "thin.rrd"]);
+    assert!(output.contains("run again") && output.contains("no body differs"), "{output}");
 
-    let said = fails(&dir, 1, &["diff", "a.rrd", "b.rrd", "--save", "d.rrd"]);
+    let output = fails(&dir, 1, &["diff", "a.rrd", "b.rrd", "--save", "d.rrd"]);
     for part in
         ["151 instants", "body \"a\": up to 1.4", "first beyond tolerance: step 52", "events: the same", "saved d.rrd"]
     {
-        assert!(said.contains(part), "{part}: {said}");
+        assert!(output.contains(part), "{part}: {output}");
     }
     succeeds(&dir, &["diff", "a.rrd", "b.rrd", "--tolerance", "0.1"]);
     let both = Recording::open(&dir.file("d.rrd"));
@@ -465,13 +468,13 @@ fn two_ways_to_run_a_scene_are_compared() {
         builtin::ALL[1].text.replace("merge_at = 1.05", "merge_at = 1.06").replace("split_at = 1.2", "split_at = 1.4");
     fs::write(dir.file("other.toml"), other).expect("room");
     succeeds(&dir, &["run", "other.toml", "--quiet", "--save", "other.rrd"]);
-    let said = fails(&dir, 1, &["diff", "a.rrd", "other.rrd"]);
+    let output = fails(&dir, 1, &["diff", "a.rrd", "other.rrd"]);
     for part in ["the texts of the two scenes differ", "event moved: merge a~b", "event vanished: split a~b"] {
-        assert!(said.contains(part), "{part}: {said}");
+        assert!(output.contains(part), "{part}: {output}");
     }
 }
 
-/// Every line has a point in every frame that was kept, and no line connects one window to the next.
+/// Every line has a point in every kept frame, and no line connects one window to the next.
 #[test]
 fn a_flight_recorder_keeps_whole_lines() {
     let dir = Dir::new();
@@ -509,19 +512,19 @@ fn a_flight_recorder_keeps_whole_lines() {
     for pair in ["a~b", "b~c"] {
         assert_eq!(steps(&format!("/pairs/{pair}/merge_at")), steps(&format!("/pairs/{pair}/distance")), "{pair}");
     }
-    // and it is read as the frames that it has
+    // and it is read back with the frames that it has
     let recorded = Recorded::open(&dir.file("three.rrd")).expect("a recording");
     let mut frames = meldscope::recording::frames::FrameReader::open(&recorded).expect("a recording");
     let mut seen = Vec::new();
     while let Some(frame) = frames.next().expect("a recording") {
         seen.push(frame.step as i64);
     }
-    // static values since the start keep their time
+    // static values from the start keep their time
     assert_eq!((seen[0], &seen[1..]), (0, &windows[..]));
 }
 
 #[test]
-fn a_slice_says_which_steps_it_has() {
+fn a_slice_names_its_steps() {
     let dir = Dir::new();
     succeeds(&dir, &["run", "two", "--thin", "--quiet", "--save", "a.rrd"]);
     succeeds(&dir, &["replay", "a.rrd", "--from", "80", "--to", "90", "--save", "b.rrd"]);
@@ -532,18 +535,18 @@ fn a_slice_says_which_steps_it_has() {
     assert!(about("b.rrd").contains("steps 80 to 90, a frame every step"), "{}", about("b.rrd"));
     succeeds(&dir, &["run", "two", "--steps", "1", "--quiet", "--save", "c.rrd"]);
     assert!(about("c.rrd").contains("1 step, a frame every step"), "{}", about("c.rrd"));
-    let said = succeeds(&dir, &["replay", "c.rrd"]);
-    assert!(said.contains("identical, 1 step (run with steps = 1)"), "{said}");
+    let output = succeeds(&dir, &["replay", "c.rrd"]);
+    assert!(output.contains("identical, 1 step (run with steps = 1)"), "{output}");
 }
 
 #[test]
-fn check_asks_for_files() {
+fn check_rejects_missing_files() {
     let dir = Dir::new();
-    let said = fails(&dir, 2, &["check", "two"]);
-    assert!(said.contains("there is no scene two") && !said.contains("built-in"), "{said}");
+    let output = fails(&dir, 2, &["check", "two"]);
+    assert!(output.contains("there is no scene two") && !output.contains("built-in"), "{output}");
 }
 
-/// A quantity of the surface of `two`, after some steps, from the state alone.
+/// A quantity of the surface of a scene after some steps, computed from the state alone.
 fn surface_after(scene: &Scene, steps: u64, what: &str) -> f64 {
     let mut world = World::new(scene.clone()).expect("it fits");
     for _ in 0..steps {
@@ -565,7 +568,7 @@ fn surface_after(scene: &Scene, steps: u64, what: &str) -> f64 {
 }
 
 #[test]
-fn what_the_surfaces_are_like_is_compared_by_diff() {
+fn diff_compares_surfaces() {
     let dir = Dir::new();
     let [a, b, fine] = ["a.rrd", "b.rrd", "fine.rrd"].map(|name| dir.file(name));
     let mut stronger = two();
@@ -577,28 +580,28 @@ fn what_the_surfaces_are_like_is_compared_by_diff() {
     }
     let [a, b, fine] = [a, b, fine].map(|path| Recorded::open(&path).expect("a recording"));
     assert_eq!(diff::diff([&a, &a], 1e-9).expect("both can be read").surfaces, Some(Vec::new()));
-    // two runs within the tolerance have surfaces within it, at the instants that both have
+    // two runs within the tolerance have surfaces within it at common instants
     let same = diff::diff([&a, &fine], 1e-6).expect("both can be read");
     assert_eq!((same.instants, same.first_beyond, same.surfaces), (301, None, Some(Vec::new())));
 
     let deviations = diff::diff([&a, &b], 1e-5).expect("both can be read").surfaces.expect("both hold surfaces");
     let named: Vec<&str> = deviations.iter().map(|deviation| deviation.what.as_str()).collect();
     for what in ["gap of a~b", "overlap of a~b", "neck of a~b", "volume of a's group", "area of a's group"] {
-        let place = named.iter().position(|name| *name == what).unwrap_or_else(|| panic!("{what}: {named:?}"));
-        let found = &deviations[place];
+        let index = named.iter().position(|name| *name == what).unwrap_or_else(|| panic!("{what}: {named:?}"));
+        let found = &deviations[index];
         assert!(found.step >= 84, "nothing differs before they merge: {found}");
         let by_hand = [&two(), &stronger].map(|scene| surface_after(scene, found.step, what));
         assert_eq!(found.values, by_hand, "{found}");
         assert!(found.largest.0 >= (by_hand[0] - by_hand[1]).abs() && found.excess > 1.0, "{found:?}");
     }
-    let said = fails(&dir, 1, &["diff", "a.rrd", "b.rrd"]);
-    assert!(said.contains("surfaces: gap of a~b: 0.33") && said.contains(" at step "), "{said}");
-    let said = succeeds(&dir, &["diff", "a.rrd", "fine.rrd", "--tolerance", "1e-6"]);
-    assert!(said.contains("surfaces: gap, overlap, neck, volume, area and topology are the same"), "{said}");
+    let output = fails(&dir, 1, &["diff", "a.rrd", "b.rrd"]);
+    assert!(output.contains("surfaces: gap of a~b: 0.33") && output.contains(" at step "), "{output}");
+    let output = succeeds(&dir, &["diff", "a.rrd", "fine.rrd", "--tolerance", "1e-6"]);
+    assert!(output.contains("surfaces: gap, overlap, neck, volume, area and topology are the same"), "{output}");
 }
 
 #[test]
-fn what_the_surfaces_are_like_is_compared_by_check() {
+fn check_compares_surfaces() {
     let dir = Dir::new();
     let path = dir.file("two.rrd");
     golden::bless(&two(), &path, "a test").expect("room");

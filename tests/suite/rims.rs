@@ -1,7 +1,7 @@
 //! Vertices that cross the rim of an influence sphere within a step, where the linear weight has a kink.
 //!
-//! Each scene is run with a coarse step and compared with itself at a step size 256 times smaller, where many steps lie
-//! on either side of every crossing.
+//! Each scene is run with a coarse step and compared with itself at a step 256 times smaller, where many steps lie on
+//! either side of every crossing.
 
 use meldscope::{Scene, World};
 
@@ -51,16 +51,16 @@ fn error(motion: &str, dt: f64, alpha: f64) -> (f64, u64) {
     (worst, substeps)
 }
 
-/// A sphere passes so fast that vertices enter and leave it within one step, between any two times at which the step
-/// samples it: 2 units in 1/50 of the step.
+/// A sphere passes so fast that vertices enter and leave it within one step, between two samples of the step: 2 units in
+/// 1/50 of the step.
 #[test]
 fn a_vertex_that_enters_and_leaves_within_a_step() {
     let (error, substeps) = error("line = { from = [1.7, -40, 0], velocity = [0, 1000, 0] }", 0.1, 100.0);
-    assert!(substeps > 16, "{substeps}: no crossing was seen");
+    assert!(substeps > 16, "{substeps}: no crossing was detected");
     assert!(error < 1e-8, "{error:e}");
 }
 
-/// Slow enough that the crossings within a step belong to different vertices.
+/// A sphere passes so slowly that the crossings within a step belong to different vertices.
 #[test]
 fn vertices_that_enter_one_by_one() {
     for speed in [0.5, 3.0, 20.0] {
@@ -95,6 +95,6 @@ fn a_vertex_that_starts_on_the_rim() {
 #[test]
 fn a_stiff_attraction() {
     let (error, substeps) = error("fixed = [1.6, 0, 0]", 0.1, 1e4);
-    assert!(substeps > 100, "{substeps}: the stiffness was not seen");
+    assert!(substeps > 100, "{substeps}: the stiffness was not detected");
     assert!(error < 1e-6, "{error:e}");
 }

@@ -1,4 +1,4 @@
-//! Cost against scene size: the scenes are as described, and reports are made from measurements.
+//! Cost against scene size: layouts of the scenes, and reports of the measurements.
 
 use std::{collections::HashSet, path::PathBuf, process::Command, time::Duration};
 
@@ -98,7 +98,7 @@ fn every_family_is_measured_at_every_size() {
 }
 
 #[test]
-fn the_command_takes_sizes_and_refuses_others() {
+fn the_command_accepts_only_valid_sizes() {
     let run = |arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
         let output = command.args(["bench", "scale"]).args(arguments).output().expect("starts");

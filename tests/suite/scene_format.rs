@@ -86,7 +86,7 @@ fn path(motion: &str) -> Path {
     body(&format!("motion = {motion}")).path().cloned().expect("a path")
 }
 
-/// The invariants that every scene guarantees to the rest of the program.
+/// Asserts the invariants that every scene guarantees to the rest of the program.
 pub fn assert_valid(scene: &Scene) {
     let finite = |x: f64| x.abs() <= 1e15; // false for NaN
     let positive = |x: f64| finite(x) && x >= 1e-12;
@@ -152,7 +152,7 @@ pub fn assert_valid(scene: &Scene) {
 // --- the file ---
 
 #[test]
-fn free_bodies_planes_and_laws_of_pairs_can_be_said() {
+fn free_bodies_planes_and_laws_of_pairs_are_parsed() {
     let file = "duration = 1\ngravity = [0, 0, -9.81]\n[influence]\ncore_at = 0.4\ncore_width = 0.1\n\
                 [[body]]\nname = \"a\"\nradius = 2\ngroup = \"left\"\ncolor = \"#fF8000\"\nmotion.free.from = [0, 0, 3]\n\
                 [[body]]\nname = \"b\"\nradius = 2\nmass = 5\nmotion = { free = { from = [0, 1, 3], velocity = [1, 0, 0], spin \
@@ -198,18 +198,18 @@ fn a_grid_is_many_bodies() {
     assert_eq!(plain.bodies[12].path().unwrap().position(2.0), dvec3(1.0 + 2.0 + 2.0, 1.0 + 6.0, 1.0 - 4.0));
     assert!(plain.bodies[1..].iter().all(|body| (body.radius, body.material.omega) == (0.5, 9.0)));
 
-    let places = |scene: &Scene| -> Vec<DVec3> {
+    let positions = |scene: &Scene| -> Vec<DVec3> {
         scene.bodies[1..].iter().map(|body| body.path().unwrap().position(0.0)).collect()
     };
-    let (exact, moved) = (places(&plain), places(&grid("jitter = 0.25\nseed = 7\n")));
-    assert_eq!(moved, places(&grid("jitter = 0.25\nseed = 7\n")));
-    assert_ne!(moved, places(&grid("jitter = 0.25\nseed = 8\n")));
+    let (exact, moved) = (positions(&plain), positions(&grid("jitter = 0.25\nseed = 7\n")));
+    assert_eq!(moved, positions(&grid("jitter = 0.25\nseed = 7\n")));
+    assert_ne!(moved, positions(&grid("jitter = 0.25\nseed = 8\n")));
     let apart: Vec<DVec3> = exact.iter().zip(&moved).map(|(a, b)| (*b - *a).abs()).collect();
     assert!(apart.iter().all(|by| by.max_element() <= 0.25) && apart.iter().any(|by| by.max_element() > 0.2));
 }
 
 #[test]
-fn what_is_not_said_has_a_default() {
+fn omitted_keys_have_defaults() {
     let little = scene(LITTLE);
     assert_eq!(little.name, "file");
     assert_eq!((little.dt, little.duration, little.steps()), (1.0 / 60.0, 4.0, 240));
@@ -231,7 +231,7 @@ fn what_is_not_said_has_a_default() {
 }
 
 #[test]
-fn everything_can_be_said() {
+fn every_key_is_parsed() {
     let everything = scene(EVERYTHING);
     assert_eq!(everything.name, "two");
     assert_eq!((everything.dt, everything.duration, everything.steps()), (0.01, 4.0, 400));
@@ -244,7 +244,7 @@ fn everything_can_be_said() {
 }
 
 #[test]
-fn everything_else_than_the_defaults_can_be_said() {
+fn non_default_values_are_parsed() {
     let other = scene(
         "dt = 0.5\nduration = 2.0\nintegrator = \"thesis\"\n\
          material = { omega = 1.0, damping = 0.0, response = \"world\" }\n\
@@ -266,7 +266,7 @@ fn everything_else_than_the_defaults_can_be_said() {
 }
 
 #[test]
-fn every_word_has_its_meaning() {
+fn every_keyword_is_parsed() {
     for integrator in Integrator::ALL {
         assert_eq!(scene(&format!("integrator = \"{integrator}\"\n{LITTLE}")).integrator, integrator);
     }
@@ -294,7 +294,7 @@ fn sphere_of(stacks: u32, slices: u32) -> Shape {
 }
 
 #[test]
-fn a_sphere_has_stacks_and_slices_of_its_own() {
+fn stacks_and_slices_of_a_sphere_are_parsed() {
     let sphere = |keys: &str| body(&format!("shape = {{ sphere = {{ {keys} }} }}")).shape;
     assert_eq!(sphere(""), sphere_of(12, 24));
     assert_eq!(sphere("stacks = 5"), sphere_of(5, 24));
@@ -303,7 +303,7 @@ fn a_sphere_has_stacks_and_slices_of_its_own() {
 }
 
 #[test]
-fn numbers_may_be_written_in_every_way_of_toml() {
+fn numbers_may_use_every_toml_notation() {
     for (written, number) in [
         ("1", 1.0),
         ("+2.5", 2.5),
@@ -320,23 +320,23 @@ fn numbers_may_be_written_in_every_way_of_toml() {
     ] {
         assert_eq!(scene(&LITTLE.replace("radius = 1", &format!("radius = {written}"))).bodies[0].radius, number);
     }
-    assert!(body("omega = -0.0").material.omega.is_sign_positive(), "minus zero is no number of its own");
+    assert!(body("omega = -0.0").material.omega.is_sign_positive(), "minus zero is read as zero");
 }
 
 #[test]
-fn the_same_scene_may_be_laid_out_in_several_ways() {
-    let said = |text: &str| format!("{:?}", Scene { source: String::new(), ..scene(text) });
+fn equivalent_layouts_give_the_same_scene() {
+    let parsed = |text: &str| format!("{:?}", Scene { source: String::new(), ..scene(text) });
     let headers = "duration = 1\n[influence]\nalpha = 1\n[[body]]\nname = \"a\"\nradius = 1\n[body.motion]\n\
                    fixed = [0, 0, 0]\n[body.shape.sphere]\nstacks = 4\n";
     let dotted = "body = [{ name = 'a', radius = 1, motion.fixed = [0, 0, 0], shape.sphere.stacks = 4 }]\n\
                   influence.alpha = 1.0\nduration = 1.0\n";
     let windows = format!("\u{feff}{}", headers.replace('\n', "\r\n"));
-    assert_eq!(said(headers), said(dotted));
-    assert_eq!(said(headers), said(&windows));
+    assert_eq!(parsed(headers), parsed(dotted));
+    assert_eq!(parsed(headers), parsed(&windows));
 }
 
 #[test]
-fn a_scene_without_a_name_has_that_of_its_file() {
+fn a_scene_without_a_name_is_named_after_its_file() {
     let long = format!("{}.toml", "x".repeat(300));
     for (file, name) in [
         ("two.toml", "two"),
@@ -375,7 +375,7 @@ fn the_direction_of_a_push_becomes_a_unit_vector() {
     assert_eq!(direction("[0, 5e-324, 0]"), DVec3::Y);
     assert_eq!(direction("[3, -4, 0]"), dvec3(0.6, -0.8, 0.0));
     let [d, plain] = [direction("[1, 0.2, 0.0]"), dvec3(1.0, 0.2, 0.0)];
-    assert_eq!(d, plain / plain.length(), "not scaled but by what is exact");
+    assert_eq!(d, plain / plain.length(), "scaled only by exact factors");
     for written in ["[1e300, 1e300, 0]", "[1e-300, 1e-300, 0]", "[1.7e308, 1.7e308, 1]", "[5e-324, 5e-324, 0]"] {
         assert!((direction(written) - dvec3(1.0, 1.0, 0.0) / SQRT_2).length() < 1e-15, "{written}");
     }
@@ -394,7 +394,7 @@ fn pushes_name_their_bodies() {
 }
 
 #[test]
-fn many_bodies_are_read_in_time() {
+fn many_bodies_are_parsed_in_linear_time() {
     let mut text = String::from("duration = 1\n");
     for i in 0..20_000 {
         text += &format!("[[body]]\nname = \"b{i}\"\nradius = 1\nmotion = {{ fixed = [{i}, 0, 0] }}\n");
@@ -409,7 +409,7 @@ fn many_bodies_are_read_in_time() {
 }
 
 #[test]
-fn the_references_are_read() {
+fn the_references_are_parsed() {
     let reference = |name: &str| {
         let (_, text) = REFERENCES.iter().find(|(known, _)| *known == name).expect("a reference");
         let scene = scene(text);
@@ -438,11 +438,11 @@ fn the_references_are_read() {
 }
 
 #[test]
-fn the_built_in_scenes_are_read() {
+fn the_built_in_scenes_are_parsed() {
     for builtin in meldscope::scene::builtin::ALL {
         let found = Scene::builtin(builtin.name).expect("a built-in scene is found by its name");
         assert_eq!((found.name.as_str(), Scene::without_meshes(&found.source)), (builtin.name, builtin.text));
-        // with all that its files have
+        // including the content of its files
         assert_eq!(scene(&found.source).source, found.source);
     }
     assert!(Scene::builtin("one").is_none());
@@ -463,7 +463,7 @@ fn a_fixed_centre_stays() {
 }
 
 #[test]
-fn a_line_goes_on() {
+fn a_line_continues_forever() {
     let path = path("{ line = { from = [1, 0, 0], velocity = [0, 3, -4] } }");
     assert!(!path.is_fixed() && path.knots().is_empty());
     let at = path.at(2.0);
@@ -476,7 +476,7 @@ fn a_line_goes_on() {
 }
 
 #[test]
-fn a_sine_swings() {
+fn a_sine_oscillates() {
     let (center, amplitude) = (dvec3(2.0, 0.1, 0.05), dvec3(0.7, 0.0, -0.2));
     let swing =
         path("{ sine = { center = [2, 0.1, 0.05], amplitude = [0.7, 0, -0.2], frequency = 0.25, phase = 1.0 } }");
@@ -548,7 +548,7 @@ fn any_path() -> impl Strategy<Value = Path> {
     ]
 }
 
-/// Largest magnitude of any value that [`any_path`] produces, for tolerances: a fast spline.
+/// Scale of a path's values, for tolerances; largest for a fast spline.
 fn scale(path: &Path) -> f64 {
     let bounds = path.bounds(-10.0, 20.0);
     1.0 + bounds.speed + bounds.acceleration
@@ -557,7 +557,7 @@ fn scale(path: &Path) -> f64 {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// These four conditions hold for one function only, the clamped cubic spline.
+    /// These four conditions hold only for the clamped cubic spline.
     #[test]
     fn keyframes_make_the_clamped_cubic_spline((path, keys) in spline()) {
         let tolerance = 1e-12 * scale(&path);
@@ -592,7 +592,7 @@ proptest! {
     #[test]
     fn velocity_and_acceleration_are_derivatives(path in any_path(), t in -2.0..15.0) {
         let h = 1e-5;
-        prop_assume!(path.knots().iter().all(|knot| f64::abs(knot - t) > 2.0 * h)); // a jump of the jerk is no error
+        prop_assume!(path.knots().iter().all(|knot| f64::abs(knot - t) > 2.0 * h)); // the jerk jumps at knots
         let [before, at, after] = [path.at(t - h), path.at(t), path.at(t + h)];
         let velocity = (after.position - before.position) / (2.0 * h);
         let acceleration = (after.velocity - before.velocity) / (2.0 * h);
@@ -603,7 +603,7 @@ proptest! {
 
     /// The limit from before an instant differs from the value at it only at the ends of a key path.
     #[test]
-    fn only_the_ends_of_a_key_path_have_two_sides(path in any_path(), t in -2.0..15.0) {
+    fn only_the_ends_of_a_key_path_are_discontinuous(path in any_path(), t in -2.0..15.0) {
         prop_assert_eq!(path.before(t), path.at(t));
         if let [first, inner @ .., last] = path.knots() {
             let tolerance = 1e-12 * scale(&path);
@@ -620,7 +620,7 @@ proptest! {
 
     /// A path never exceeds its speed bounds in an interval, whether the interval holds keys, ends or no motion.
     #[test]
-    fn bounds_bound(path in any_path(), start in -3.0..15.0, length in prop_oneof![Just(0.0), 0.0..0.1, 0.0..20.0]) {
+    fn values_stay_within_the_bounds(path in any_path(), start in -3.0..15.0, length in prop_oneof![Just(0.0), 0.0..0.1, 0.0..20.0]) {
         let end = start + length;
         let bounds = path.bounds(start, end);
         let times = (0..=200).map(|i| f64::min(start + length * f64::from(i) / 200.0, end));
@@ -633,7 +633,7 @@ proptest! {
         }
     }
 
-    /// Bounds of a key path suit root finding: over an instant, they equal the path's values there.
+    /// Bounds of a key path suit root finding: over an instant, they equal the path's values.
     #[test]
     fn bounds_of_keyframes_are_tight((path, keys) in spline(), s in 0.0..1.0) {
         let [first, last] = [keys[0].0, keys[keys.len() - 1].0];

@@ -1,4 +1,4 @@
-//! `--serve` against hostile clients: who may read, who may write, and what no client can do to the run.
+//! `--serve` against hostile clients: which clients may read or write, and that none can harm the run.
 
 use std::io::{Read as _, Write as _};
 use std::net::{Ipv4Addr, SocketAddr, TcpStream};
@@ -70,7 +70,7 @@ fn read_messages(port: u16, headers: &str) -> u16 {
     status(port, &format!("POST {SERVICE}/ReadMessages"), &format!("{GRPC_WEB}{headers}"), &[0; 5])
 }
 
-// ---- who may ask ----
+// ---- reading ----
 
 #[test]
 fn other_hosts_and_pages_are_refused_on_both_ports() {
@@ -107,8 +107,8 @@ fn other_hosts_and_pages_are_refused_on_both_ports() {
     }
     assert_eq!(status(web, "GET http://evil.example/", "host: localhost\r\n", b""), 403);
     let serving = sinks.finish().expect("the server takes everything").serving.expect("it stays up");
-    let said = serving.refused().expect("much was refused");
-    assert!(said.starts_with("refused ") && said.contains("evil.example"), "{said}");
+    let note = serving.refused().expect("much was refused");
+    assert!(note.starts_with("refused ") && note.contains("evil.example"), "{note}");
 }
 
 #[test]
@@ -123,7 +123,7 @@ fn a_host_that_is_allowed_may_read() {
 }
 
 #[test]
-fn a_page_of_the_other_port_may_call_and_is_told_so() {
+fn a_page_of_the_other_port_passes_cors() {
     let (_sinks, web, data) = serve(Serve::default());
     let page = format!("http://localhost:{web}");
     let asked = format!(
@@ -146,12 +146,12 @@ fn a_page_of_the_other_port_may_call_and_is_told_so() {
     assert!(answer.starts_with("HTTP/1.1 200 ") && answer.contains(&format!("allow-origin: {page}\r\n")), "{answer}");
 }
 
-// ---- who may write ----
+// ---- writing ----
 
 #[test]
-fn nobody_else_writes_into_the_run() {
+fn only_the_run_can_write() {
     let (sinks, _web, data) = serve(Serve::default());
-    // from a browser or anything else
+    // from a browser or any other HTTP client
     for method in ["WriteMessages", "WriteTable"] {
         for kind in ["application/grpc-web+proto", "application/grpc", "application/grpc-web-text", "text/plain"] {
             let headers = format!("host: localhost\r\ncontent-type: {kind}\r\n");
@@ -177,10 +177,10 @@ fn nobody_else_writes_into_the_run() {
     let serving = sinks.finish().expect("the server takes everything").serving.expect("it stays up");
     let end = std::thread::spawn(move || frames_until_the_end(data));
     std::thread::sleep(Duration::from_millis(300));
-    let said = serving.refused().expect("much was refused");
+    let note = serving.refused().expect("much was refused");
     serving.close();
     assert_eq!(end.join().expect("no panic").len(), 22);
-    assert!(said.contains("to write"), "{said}");
+    assert!(note.contains("to write"), "{note}");
 }
 
 /// The messages that a native viewer receives over HTTP/2 until the server signals the end.
@@ -226,7 +226,7 @@ fn frames_until_the_end(port: u16) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn native_viewers_and_browsers_get_the_same() {
+fn native_viewers_and_browsers_get_the_same_messages() {
     let (sinks, _web, data) = serve(Serve::default());
     let browser = watch(data, 22);
     let native = std::thread::spawn(move || frames_until_the_end(data));

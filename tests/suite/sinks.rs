@@ -97,10 +97,10 @@ fn to_file(path: &Path) -> Destinations {
     Destinations { save: Some(path.to_owned()), patience: Duration::from_secs(1), ..Destinations::default() }
 }
 
-/// Unwraps the error of a result whose value has no `Debug`.
-fn refused<T>(result: Result<T, SinkError>) -> SinkError {
+/// The error of a result whose value has no `Debug`.
+fn rejected<T>(result: Result<T, SinkError>) -> SinkError {
     match result {
-        Ok(_) => panic!("this should have been refused"),
+        Ok(_) => panic!("this should have been rejected"),
         Err(err) => err,
     }
 }
@@ -153,7 +153,7 @@ fn url(port: u16) -> String {
     format!("rerun+http://127.0.0.1:{port}/proxy")
 }
 
-/// Waits for something that another thread does.
+/// Waits until another thread has made a condition true.
 fn eventually(what: &str, mut is_so: impl FnMut() -> bool) {
     let started = Instant::now();
     while !is_so() {
@@ -182,7 +182,7 @@ pub fn watch(port: u16, count: usize) -> Vec<Vec<u8>> {
     frames
 }
 
-/// All of them, until nothing arrives for a second.
+/// All messages, until nothing arrives for a second.
 pub fn watch_all(port: u16) -> Vec<Vec<u8>> {
     watch_all_of(port, usize::MAX)
 }
@@ -224,7 +224,7 @@ fn watch_all_of(port: u16, count: usize) -> Vec<Vec<u8>> {
 // ---- files ----
 
 #[test]
-fn a_file_holds_what_was_sent_in_order_with_a_footer() {
+fn a_file_holds_the_messages_in_order_with_a_footer() {
     let dir = Dir::new();
     let path = dir.file("run.rrd");
     fs::write(&path, "RRF2: what was there").expect("a file");
@@ -244,7 +244,7 @@ fn a_file_holds_what_was_sent_in_order_with_a_footer() {
 }
 
 #[test]
-fn until_a_run_is_finished_the_file_is_as_it_was() {
+fn the_file_is_unchanged_until_the_run_is_finished() {
     let dir = Dir::new();
     let path = dir.file("run.rrd");
     fs::write(&path, "RRF2: what was there").expect("a file");
@@ -259,11 +259,11 @@ fn until_a_run_is_finished_the_file_is_as_it_was() {
     assert_same(&read(&partial), &sent);
     assert!(has_footer(&partial));
 
-    // opened, but another destination cannot be: the remains of the dropped run are not touched either
+    // if another destination cannot be opened, the file of the dropped run is not touched either
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
     let port = taken.local_addr().expect("an address").port();
     let serve = Serve { web_port: 0, grpc_port: port, ..Serve::default() };
-    refused(Sinks::open(&Destinations { serve: Some(serve), ..to_file(&path) }));
+    rejected(Sinks::open(&Destinations { serve: Some(serve), ..to_file(&path) }));
     assert_eq!(fs::read(&path).expect("a file"), b"RRF2: what was there");
     assert_same(&read(&partial), &sent);
 
@@ -282,12 +282,12 @@ fn until_a_run_is_finished_the_file_is_as_it_was() {
 }
 
 #[test]
-fn nothing_sent_leaves_nothing_behind() {
+fn without_messages_no_file_is_left() {
     let dir = Dir::new();
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
     let port = taken.local_addr().expect("an address").port();
     let serve = Serve { web_port: port, grpc_port: 0, ..Serve::default() };
-    refused(Sinks::open(&Destinations { serve: Some(serve), ..to_file(&dir.file("run.rrd")) }));
+    rejected(Sinks::open(&Destinations { serve: Some(serve), ..to_file(&dir.file("run.rrd")) }));
     assert_eq!(dir.names(), [""; 0]);
     drop(Sinks::open(&to_file(&dir.file("run.rrd"))).expect("a file that can be written"));
     assert_eq!(dir.names(), [""; 0]);
@@ -303,7 +303,7 @@ fn a_killed_run_can_be_read_up_to_its_last_flush() {
     send_all(&mut sinks, &sent[..10]);
     sinks.flush().expect("a disk with room");
     assert_same(&read(&partial), &sent[..10]);
-    // and after a while, without being requested
+    // later also without a request
     send_all(&mut sinks, &sent[10..]);
     eventually("everything is flushed", || read(&partial).len() == sent.len());
 
@@ -316,12 +316,12 @@ fn a_killed_run_can_be_read_up_to_its_last_flush() {
 }
 
 #[test]
-fn a_second_writer_is_refused() {
+fn a_second_writer_is_rejected() {
     let dir = Dir::new();
     let path = dir.file("run.rrd");
     let mut first = Sinks::open(&to_file(&path)).expect("a file that can be written");
     send_all(&mut first, &recording(1));
-    let err = refused(Sinks::open(&to_file(&path)));
+    let err = rejected(Sinks::open(&to_file(&path)));
     assert!(matches!(err, SinkError::Busy { .. }) && !err.is_usage(), "{err}");
     assert!(err.to_string().contains("another run is writing"), "{err}");
     first.finish().expect("a disk with room");
@@ -331,7 +331,7 @@ fn a_second_writer_is_refused() {
 }
 
 #[test]
-fn a_path_that_cannot_be_written_is_refused() {
+fn a_path_that_cannot_be_written_is_rejected() {
     let dir = Dir::new();
     let cases = [
         (dir.file("missing/run.rrd"), format!("there is no directory {}", dir.file("missing").display())),
@@ -340,7 +340,7 @@ fn a_path_that_cannot_be_written_is_refused() {
         (PathBuf::from("/"), "that is a directory".to_owned()),
     ];
     for (path, expected) in cases {
-        let err = refused(Sinks::open(&to_file(&path)));
+        let err = rejected(Sinks::open(&to_file(&path)));
         assert!(matches!(err, SinkError::File { .. }) && !err.is_usage(), "{err}");
         assert!(err.to_string().contains(&expected), "{err}");
     }
@@ -362,36 +362,36 @@ fn a_link_stays_a_link() {
 }
 
 /// Sends until it fails.
-fn send_until_refused(sinks: &mut Sinks) -> SinkError {
+fn send_until_error(sinks: &mut Sinks) -> SinkError {
     let msg = step(0, 1_000);
     for _ in 0..100_000 {
         if let Err(err) = sinks.send(msg.clone()) {
             return err;
         }
     }
-    panic!("100,000 messages went nowhere without an error");
+    panic!("100,000 messages were lost without an error");
 }
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_full_disk_is_an_error_and_says_so() {
+fn a_full_disk_is_reported() {
     let mut sinks = Sinks::open(&to_file(Path::new("/dev/full"))).expect("a device can be opened");
-    let err = send_until_refused(&mut sinks);
+    let err = send_until_error(&mut sinks);
     assert!(err.to_string().contains("cannot write /dev/full: No space left on device"), "{err}");
     assert!(err.to_string().contains("the disk is full: make room or save elsewhere"), "{err}");
     assert!(!err.is_usage());
     // and once more at the end, for a caller that only checks there
-    assert_eq!(refused(sinks.finish()).to_string(), err.to_string());
+    assert_eq!(rejected(sinks.finish()).to_string(), err.to_string());
 
     // a short run notices it at the end
     let mut sinks = Sinks::open(&to_file(Path::new("/dev/full"))).expect("a device can be opened");
     send_all(&mut sinks, &recording(1));
-    assert!(refused(sinks.finish()).to_string().contains("the disk is full"));
+    assert!(rejected(sinks.finish()).to_string().contains("the disk is full"));
 }
 
 #[cfg(unix)]
 #[test]
-fn a_pipe_whose_reader_goes_away_is_an_error() {
+fn a_closed_pipe_is_an_error() {
     let dir = Dir::new();
     let pipe = dir.file("pipe");
     assert!(Command::new("mkfifo").arg(&pipe).status().expect("mkfifo runs").success());
@@ -403,7 +403,7 @@ fn a_pipe_whose_reader_goes_away_is_an_error() {
         }
     });
     let mut sinks = Sinks::open(&to_file(&pipe)).expect("a pipe with a reader");
-    let err = send_until_refused(&mut sinks);
+    let err = send_until_error(&mut sinks);
     assert!(err.to_string().contains("the program that was reading it has gone"), "{err}");
     assert_eq!(reader.join().expect("the reader ends").expect("the reader reads"), b"RRF2");
     assert_eq!(dir.names(), ["pipe"]);
@@ -414,14 +414,14 @@ fn a_pipe_whose_reader_goes_away_is_an_error() {
 /// Environment variable that names the test below to the process that it starts.
 const CHILD: &str = "MELDSCOPE_TEST_STDOUT_STEPS";
 
-/// Not a test of its own: `standard_output_*` run it as a process whose standard output is theirs.
+/// Not a test by itself: `standard_output_*` run it as a process and read its standard output.
 #[test]
 fn child_that_writes_to_standard_output() {
     let Ok(steps) = std::env::var(CHILD) else { return };
     let mut sinks = Sinks::open(&Destinations { stdout: true, ..Destinations::default() }).expect("a pipe");
     for msg in recording(steps.parse().expect("a number")) {
         if let Err(err) = sinks.send(msg) {
-            eprintln!("refused: {err}");
+            eprintln!("rejected: {err}");
             std::process::exit(7);
         }
     }
@@ -455,10 +455,10 @@ fn standard_output_that_nobody_reads_is_an_error() {
     let mut begin = [0; 1000];
     child.stdout.take().expect("a pipe").read_exact(&mut begin).expect("a recording");
     let output = child.wait_with_output().expect("it ends");
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(7), "{said}");
-    assert!(said.contains("cannot write the recording to standard output: Broken pipe"), "{said}");
-    assert!(!said.contains("panicked"), "{said}");
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(7), "{message}");
+    assert!(message.contains("cannot write the recording to standard output: Broken pipe"), "{message}");
+    assert!(!message.contains("panicked"), "{message}");
 }
 
 // ---- viewers ----
@@ -480,15 +480,18 @@ fn a_viewer_gets_everything_and_so_does_a_file_beside_it() {
 }
 
 #[test]
-fn nobody_to_connect_to_is_an_error_only_if_there_is_nothing_else() {
+fn a_missing_viewer_is_an_error_only_without_another_destination() {
     let dir = Dir::new();
     let port = free_port();
     let alone = Destinations { connect: Some(url(port)), ..Destinations::default() };
-    let err = refused(Sinks::open(&alone));
+    let err = rejected(Sinks::open(&alone));
     assert!(!err.is_usage());
-    let said = err.to_string();
-    assert!(said.contains(&format!("no viewer answers at {}", url(port))) && said.contains("--spawn"), "{said}");
-    assert!(said.contains("pip install rerun-sdk==0.36.3"), "{said}");
+    let message = err.to_string();
+    assert!(
+        message.contains(&format!("no viewer answers at {}", url(port))) && message.contains("--spawn"),
+        "{message}"
+    );
+    assert!(message.contains("pip install rerun-sdk==0.36.3"), "{message}");
 
     let path = dir.file("run.rrd");
     let mut sinks = Sinks::open(&Destinations { save: Some(path.clone()), ..alone }).expect("a file at least");
@@ -500,18 +503,18 @@ fn nobody_to_connect_to_is_an_error_only_if_there_is_nothing_else() {
 }
 
 #[test]
-fn what_is_no_address_is_refused_as_usage() {
+fn invalid_addresses_are_usage_errors() {
     for bad in ["", "nonsense", "http://127.0.0.1:9876/proxy", "rerun+http://", "127.0.0.1:9876", "rerun+http://a/b"] {
         let destinations = Destinations { connect: Some(bad.to_owned()), ..Destinations::default() };
-        let err = refused(Sinks::open(&destinations));
+        let err = rejected(Sinks::open(&destinations));
         assert!(matches!(err, SinkError::Url { .. }) && err.is_usage(), "{bad}: {err}");
         assert!(err.to_string().contains("rerun+http://127.0.0.1:9876/proxy"), "{err}");
     }
-    let err = refused(Sinks::open(&Destinations::default()));
+    let err = rejected(Sinks::open(&Destinations::default()));
     assert!(matches!(err, SinkError::Nowhere) && err.is_usage());
 }
 
-/// A program that accepts connections but does not read.
+/// A listener that accepts connections but does not read.
 fn stuck_viewer() -> (TcpListener, u16, std::thread::JoinHandle<Option<TcpStream>>) {
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
     let port = listener.local_addr().expect("an address").port();
@@ -522,13 +525,13 @@ fn stuck_viewer() -> (TcpListener, u16, std::thread::JoinHandle<Option<TcpStream
 }
 
 #[test]
-fn a_viewer_that_does_not_read_holds_nothing_up() {
+fn a_stuck_viewer_delays_nothing() {
     let dir = Dir::new();
     let path = dir.file("run.rrd");
     let (_listener, port, _connection) = stuck_viewer();
     let destinations = Destinations { connect: Some(url(port)), ..to_file(&path) };
     let mut sinks = Sinks::open(&destinations).expect("a viewer and a file");
-    // 360 MB for the viewer, which may delay up to 128 MiB; each message exists once, so it costs no memory
+    // 360 MB for the viewer, of which up to 128 MiB may be pending; each message exists only once, so it needs no memory
     let bulk = [step(0, 100_000), step(1, 100_000)];
     let sent: Vec<LogMsg> =
         opening().into_iter().chain((0..300).map(|i| bulk[i % 2].clone())).chain([step(2, 10)]).collect();
@@ -547,10 +550,10 @@ fn a_viewer_that_does_not_read_holds_nothing_up() {
 }
 
 #[test]
-fn a_viewer_that_goes_away_is_missed_once_and_the_file_is_complete() {
+fn a_lost_viewer_is_reported_once_and_the_file_is_complete() {
     let dir = Dir::new();
     let path = dir.file("run.rrd");
-    // like a process that ends: its connections are closed with it
+    // when a process ends, its connections are closed
     let (listener, port, connection) = stuck_viewer();
     let destinations = Destinations { connect: Some(url(port)), ..to_file(&path) };
     let mut sinks = Sinks::open(&destinations).expect("a viewer and a file");
@@ -589,22 +592,22 @@ fn a_server_that_shuts_down_in_the_middle_does_no_harm() {
 }
 
 #[test]
-fn a_run_ends_when_its_only_viewer_goes_away() {
+fn a_run_ends_when_its_only_viewer_disconnects() {
     let (listener, port, connection) = stuck_viewer();
     let destinations = Destinations { connect: Some(url(port)), ..Destinations::default() };
     let mut sinks = Sinks::open(&destinations).expect("a viewer");
     send_all(&mut sinks, &recording(100));
     drop(listener);
     drop(connection.join());
-    let mut refusal = None;
+    let mut error = None;
     eventually("the run is told", || {
-        refusal = sinks.send(step(0, 1)).err();
-        refusal.is_some()
+        error = sinks.send(step(0, 1)).err();
+        error.is_some()
     });
-    let err = refusal.expect("it was waited for");
+    let err = error.expect("the run waits for it");
     assert!(err.to_string().contains("nothing else is left to send to"), "{err}");
     assert!(!err.is_usage());
-    refused(sinks.finish());
+    rejected(sinks.finish());
 }
 
 // ---- starting a viewer ----
@@ -615,13 +618,13 @@ fn spawning(program: &Path, port: u16) -> Destinations {
 }
 
 #[test]
-fn a_viewer_that_cannot_be_started_is_an_error_only_if_there_is_nothing_else() {
+fn a_viewer_that_cannot_be_started_is_an_error_only_without_another_destination() {
     let dir = Dir::new();
     let missing = dir.file("no-such-viewer");
-    let err = refused(Sinks::open(&spawning(&missing, free_port())));
-    let said = err.to_string();
-    assert!(said.contains("no-such-viewer") && said.contains("pip install rerun-sdk==0.36.3"), "{said}");
-    assert!(said.contains("cargo install rerun-cli --version 0.36.3 --locked") && !err.is_usage(), "{said}");
+    let err = rejected(Sinks::open(&spawning(&missing, free_port())));
+    let message = err.to_string();
+    assert!(message.contains("no-such-viewer") && message.contains("pip install rerun-sdk==0.36.3"), "{message}");
+    assert!(message.contains("cargo install rerun-cli --version 0.36.3 --locked") && !err.is_usage(), "{message}");
 
     let path = dir.file("run.rrd");
     let mut sinks = Sinks::open(&Destinations { save: Some(path.clone()), ..spawning(&missing, free_port()) })
@@ -634,7 +637,7 @@ fn a_viewer_that_cannot_be_started_is_an_error_only_if_there_is_nothing_else() {
 
 #[cfg(unix)]
 #[test]
-fn a_viewer_that_ends_at_once_is_quoted() {
+fn the_output_of_a_viewer_that_exits_at_once_is_quoted() {
     use std::os::unix::fs::PermissionsExt as _;
     let dir = Dir::new();
     let viewer = dir.file("viewer");
@@ -644,14 +647,17 @@ fn a_viewer_that_ends_at_once_is_quoted() {
     fs::set_permissions(&viewer, fs::Permissions::from_mode(0o755)).expect("it can be run");
     let port = free_port();
     let started = Instant::now();
-    let said = refused(Sinks::open(&spawning(&viewer, port))).to_string();
+    let message = rejected(Sinks::open(&spawning(&viewer, port))).to_string();
     assert!(started.elapsed() < Duration::from_secs(5));
-    assert!(said.contains("it ended at once (exit status: 3)"), "{said}");
-    assert!(said.contains(&format!("no display for --port={port} --bind=127.0.0.1 --memory-limit=25%")), "{said}");
+    assert!(message.contains("it ended at once (exit status: 3)"), "{message}");
+    assert!(
+        message.contains(&format!("no display for --port={port} --bind=127.0.0.1 --memory-limit=25%")),
+        "{message}"
+    );
 }
 
 #[test]
-fn a_viewer_that_is_there_is_not_started_again() {
+fn a_running_viewer_is_not_started_again() {
     let (_viewer, port) = viewer();
     let mut sinks = Sinks::open(&spawning(Path::new("no-such-viewer"), port)).expect("a viewer");
     let notes = sinks.notes();
@@ -683,7 +689,7 @@ fn serving(web_port: u16, grpc_port: u16) -> Destinations {
 }
 
 #[test]
-fn a_browser_finds_the_viewer_and_the_whole_run_and_nothing_once_it_is_closed() {
+fn a_browser_is_served_the_whole_run_until_serving_ends() {
     let (web_port, grpc_port) = (free_port(), free_port());
     let mut sinks = Sinks::open(&serving(web_port, grpc_port)).expect("free ports");
     assert!(sinks.serving());
@@ -718,25 +724,25 @@ fn a_browser_finds_the_viewer_and_the_whole_run_and_nothing_once_it_is_closed() 
 }
 
 #[test]
-fn a_port_in_use_is_refused_with_the_option_that_changes_it() {
+fn a_port_in_use_is_rejected_with_the_option_that_changes_it() {
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
     let port = taken.local_addr().expect("an address").port();
     for (destinations, option) in [(serving(port, 0), "--web-port"), (serving(0, port), "--grpc-port")] {
-        let err = refused(Sinks::open(&destinations));
-        let said = err.to_string();
-        assert!(matches!(err, SinkError::Listen { .. }) && !err.is_usage(), "{said}");
-        assert!(said.contains(&format!("is using port {port}")) && said.contains(option), "{said}");
+        let err = rejected(Sinks::open(&destinations));
+        let message = err.to_string();
+        assert!(matches!(err, SinkError::Listen { .. }) && !err.is_usage(), "{message}");
+        assert!(message.contains(&format!("is using port {port}")) && message.contains(option), "{message}");
     }
-    let err = refused(Sinks::open(&serving(port, port)));
+    let err = rejected(Sinks::open(&serving(port, port)));
     assert!(matches!(err, SinkError::SamePort { .. }) && err.is_usage(), "{err}");
 
     let serve = Serve { bind: Ipv4Addr::new(203, 0, 113, 77).into(), ..Serve::default() };
-    let said = refused(Sinks::open(&Destinations { serve: Some(serve), ..Destinations::default() })).to_string();
-    assert!(said.contains("203.0.113.77 is not an address of this machine"), "{said}");
+    let message = rejected(Sinks::open(&Destinations { serve: Some(serve), ..Destinations::default() })).to_string();
+    assert!(message.contains("203.0.113.77 is not an address of this machine"), "{message}");
 }
 
 #[test]
-fn a_browser_that_does_not_read_does_not_keep_the_servers_up() {
+fn a_stuck_browser_does_not_keep_the_servers_up() {
     let (web_port, grpc_port) = (free_port(), free_port());
     let mut sinks = Sinks::open(&serving(web_port, grpc_port)).expect("free ports");
     // 41 MB of viewer files, none of which it reads
@@ -761,14 +767,14 @@ fn stuck_browser(port: u16) -> TcpStream {
 }
 
 #[test]
-fn browsers_that_do_not_read_hold_nothing_up_and_take_nothing_from_others() {
+fn stuck_browsers_delay_neither_the_run_nor_other_browsers() {
     let dir = Dir::new();
     let (web_port, grpc_port) = (free_port(), free_port());
     let path = dir.file("run.rrd");
     let serve = serving(web_port, grpc_port).serve;
     let mut sinks = Sinks::open(&Destinations { serve, ..to_file(&path) }).expect("free ports");
     let browsers: Vec<TcpStream> = (0..50).map(|_| stuck_browser(grpc_port)).collect();
-    // far more than a connection buffers
+    // far more than the buffers of a connection
     let bulk = [step(0, 10_000), step(1, 10_000)];
     let sent: Vec<LogMsg> = opening().into_iter().chain((0..4_000).map(|i| bulk[i % 2].clone())).collect();
     let started = Instant::now();
@@ -789,7 +795,7 @@ fn browsers_that_do_not_read_hold_nothing_up_and_take_nothing_from_others() {
 
 #[cfg(unix)]
 #[test]
-fn a_viewer_is_not_started_on_the_port_that_is_served() {
+fn a_viewer_is_not_started_on_the_served_port() {
     use std::os::unix::fs::PermissionsExt as _;
     let dir = Dir::new();
     let viewer = dir.file("viewer");

@@ -1,4 +1,4 @@
-//! What is skipped, the number of threads and the instruction set do not change the results.
+//! Skipping, the number of threads and the instruction set do not change the results.
 
 use std::path::PathBuf;
 
@@ -14,7 +14,7 @@ fn reference(name: &str) -> Scene {
     Scene::load(&PathBuf::from(format!("tests/reference/{name}.toml"))).expect("a valid scene")
 }
 
-/// Scenes in which much happens in at most 60 steps.
+/// Scenes in which much happens within 60 steps.
 fn scenes() -> Vec<Scene> {
     let names = ["push", "two", "three", "size_ratio", "crowd"];
     let mut scenes: Vec<Scene> = names.map(|name| Scene::builtin(name).expect("a built-in scene")).into();
@@ -23,8 +23,8 @@ fn scenes() -> Vec<Scene> {
     scenes
 }
 
-/// A pair that comes to rest on both its thresholds, at a keyframe: found far ahead or within the step, the result is
-/// the same.
+/// A pair that comes to rest exactly on both its thresholds, at a keyframe. The result is the same whether this is found
+/// far ahead or within the step.
 fn arrival() -> Scene {
     let text = r#"
         name = "arrival"
@@ -44,8 +44,8 @@ fn arrival() -> Scene {
     Scene::parse(text, "arrival.toml").expect("a valid scene")
 }
 
-/// A body that oscillates after a push, into a sphere that never moves. As its vertices pass their rest positions, none
-/// is within reach in that step.
+/// A body that oscillates after a push, into a sphere that never moves. In the step in which its vertices pass their rest
+/// positions, none is within reach.
 fn pendulum() -> Scene {
     let text = r#"
         name = "pendulum"
@@ -201,7 +201,7 @@ fn instruction_sets_agree_to_the_bit() {
 
 /// Observing every vertex after every step changes nothing, even though states are computed lazily.
 #[test]
-fn looking_changes_nothing() {
+fn observation_changes_nothing() {
     for scene in scenes().into_iter().chain(companies()) {
         let unseen = run(&scene, Options::default(), |_| {});
         let seen = run(&scene, Options::default(), |world| {
@@ -229,9 +229,9 @@ fn states_are_the_same_one_by_one_and_at_once() {
     }
 }
 
-/// A body that nothing acts on any more takes no steps, but still follows its equation of motion.
+/// A body on which nothing acts any more takes no steps, but still follows its equation of motion.
 #[test]
-fn a_body_left_alone_costs_nothing_and_swings_on() {
+fn a_body_left_alone_costs_nothing_and_keeps_oscillating() {
     let scene = Scene { duration: 4.0, ..reference("push") };
     let mut world = World::new(scene.clone()).expect("fits");
     let mut plain = World::with_options(scene, Options { skip: false, ..Options::default() }).expect("fits");
@@ -264,8 +264,8 @@ fn a_warm_step_allocates_nothing() {
             });
             allocations.push(taken.count_total);
         }
-        // Not exactly identical, because of residual oscillations from the period before: a few more vertices may be
-        // involved.
+        // The periods are not exactly identical: residual oscillations of the previous one may involve a few more
+        // vertices.
         let (warming, warm) = allocations.split_at(half);
         assert!(warm.iter().all(|&count| count == 0), "{integrator}: {warming:?} {warm:?}");
     }
@@ -292,9 +292,9 @@ fn decay_ends_at_rest() {
     }
 }
 
-/// Without a spring a body comes to rest where it is, not at its rest position, however little it moves at the end.
+/// Without a spring, a body comes to rest where it is, not at its rest position, however slowly it moves at the end.
 #[test]
-fn without_a_spring_what_was_pushed_stays_where_it_is() {
+fn without_a_spring_a_pushed_body_stays_where_it_is() {
     let mut scene = company("linear", "rigid");
     scene.dt = 0.25;
     scene.bodies.truncate(1);
@@ -310,7 +310,7 @@ fn without_a_spring_what_was_pushed_stays_where_it_is() {
             }
             let then = world.body(0).max_displacement();
             for _ in 0..900 {
-                world.step(); // by then it moves less than a float can resolve
+                world.step(); // finally it moves less than a float can resolve
             }
             assert!(then > 1e-3, "{integrator}, skip {skip}: {then:e}");
             let now = world.body(0).max_displacement();
@@ -319,10 +319,10 @@ fn without_a_spring_what_was_pushed_stays_where_it_is() {
     }
 }
 
-/// A pushed body between still ones oscillates freely through its rest shape and far out again, into spheres that do
-/// not move. Another oscillates where a third body passes later.
+/// A pushed body between fixed ones oscillates freely through its rest shape and far out again, into their spheres.
+/// Another one oscillates where a third body passes later.
 #[test]
-fn whoever_swings_freely_is_reached_again() {
+fn freely_oscillating_bodies_are_reached_again() {
     let text = r#"
         duration = 3.0
         [material]
@@ -363,7 +363,7 @@ fn whoever_swings_freely_is_reached_again() {
     // Measured: 1.1e-10, where a vertex grazes a rim.
     assert_same_as_plain(&scene, u64::MAX, 1e-9);
 
-    // otherwise the test would be void: the still spheres have an effect, and later the one that passes
+    // the test is not void: the fixed spheres have an effect, and later the passing one
     let mut alone = scene.clone();
     alone.bodies.truncate(1);
     let [mut among, mut alone] = [scene, alone].map(|scene| World::new(scene).expect("fits"));
@@ -378,8 +378,8 @@ fn whoever_swings_freely_is_reached_again() {
     assert!(before > 0.05 && after > 1.2 * before, "{before} {after}");
 }
 
-/// Takes `steps` steps of the scene both ways, or all if it has fewer, and compares every vertex after every step, in
-/// radii, as well as the events.
+/// Takes up to `steps` steps of the scene with and without skipping, and compares every vertex after every step, in radii,
+/// as well as the events.
 fn assert_same_as_plain(scene: &Scene, steps: u64, tolerance: f64) {
     let plain = Options { skip: false, ..Options::default() };
     let mut worlds = [Options::default(), plain].map(|o| World::with_options(scene.clone(), o).expect("fits"));
@@ -405,10 +405,10 @@ fn assert_same_as_plain(scene: &Scene, steps: u64, tolerance: f64) {
     eprintln!("{}: skipping against the naive baseline: {worst:e} of a radius", scene.name);
 }
 
-/// A large body among small ones, most of which reach none of its vertices: how its steps' errors are estimated does
-/// not depend on these. Found by a property test; the difference was 1.7e-8.
+/// A large body among small ones, most of which reach none of its vertices: the error estimate of its steps does not
+/// depend on these. Found by a property test; the difference was 1.7e-8.
 #[test]
-fn who_is_out_of_reach_does_not_change_how_steps_are_divided() {
+fn bodies_out_of_reach_do_not_change_how_steps_are_divided() {
     let body = |name: &str, radius: f64, motion: &str| {
         format!(
             "[[body]]\nname = \"{name}\"\nradius = {radius:?}\nshape = {{ sphere = {{ stacks = 5, slices = 8 }} }}\n\
@@ -429,15 +429,15 @@ fn who_is_out_of_reach_does_not_change_how_steps_are_divided() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
-    /// Bodies of sizes from 1 to 1,000 cross each other's paths: the grid finds the same pairs as a search over all
-    /// pairs, and every body that is reached wakes.
+    /// Bodies of sizes from 1 to 1,000 cross each other's paths: the grid finds the same pairs as a search over all pairs,
+    /// and every body within reach wakes.
     #[test]
     fn bodies_of_all_sizes_find_each_other(
         bodies in prop::collection::vec((0.0..3.0_f64, prop::array::uniform3(-1.0..1.0_f64), prop::array::uniform3(-1.0..1.0_f64), 0..3), 3..12),
     ) {
         let mut text = String::from("duration = 0.5\n[material]\nresponse = \"rigid\"\n");
         for (i, (size, place, way, motion)) in bodies.iter().enumerate() {
-            // large ones farther out, so that they do not all overlap
+            // large bodies are farther out, so that they do not all overlap
             let radius = 10f64.powf(*size);
             let [x, y, z] = place.map(|p| 2.5 * p * radius.max(4.0));
             let [u, v, w] = way.map(|v| 3.0 * v * radius.max(4.0));

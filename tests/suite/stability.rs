@@ -49,7 +49,7 @@ fn exponential_passes_the_cases_that_it_failed() {
             let row = stability::run(case, &settings(0, Integrator::Exponential)).expect("a case that fits");
             for outcome in &row.outcomes {
                 assert_eq!(outcome.failure, None, "{what}, case {index}: {outcome:?}");
-                // the most is 54,710, in case 1813: 9 % more since no vertex's error is estimated by what reaches others
+                // the maximum is 54,710, in case 1813: 9 % more since error estimates only use the spheres that reach a vertex
                 assert!(outcome.most_substeps <= 55_000, "{what}, case {index}: {outcome:?}");
             }
         }
@@ -77,7 +77,7 @@ fn cases_are_the_same_every_time() {
     }
 }
 
-// --- the reference ends ---------------------------------------------------------------------------------------------
+// --- the reference terminates ---------------------------------------------------------------------------------------
 
 fn pair(thresholds: &str, motion: &str) -> Scene {
     let text = format!(
@@ -93,9 +93,9 @@ fn solve(scene: &Scene) -> Result<Reference, NoReference> {
     Reference::solve(scene, &instants, Accuracy::DEFAULT)
 }
 
-/// Case 302: a pair that stands still exactly at its merge and split distance does neither.
+/// Case 302: a pair that stands still exactly at its merge and split distance neither merges nor splits.
 #[test]
-fn the_reference_ends_where_a_pair_stands_on_two_thresholds() {
+fn the_reference_terminates_for_a_pair_on_two_thresholds() {
     let case = Case::new(302).expect("a valid scene");
     let row = stability::run(case, &settings(0, Integrator::Exponential)).expect("a case that fits");
     let outcome = &row.outcomes[0];
@@ -115,7 +115,7 @@ fn the_reference_ends_where_a_pair_stands_on_two_thresholds() {
 
 /// A pair that starts from the threshold, or comes to rest on it, changes its phase once, as in the world.
 #[test]
-fn the_reference_knows_thresholds_that_are_left_and_reached() {
+fn the_reference_detects_thresholds_that_are_left_and_reached() {
     let on_both = "merge_at = 0.6666666666666666\nsplit_at = 0.6666666666666666";
     for (motion, phases) in [
         ("{ line = { from = [1, 0, 0], velocity = [1, 0, 0] } }", &[Phase::Apart][..]),
@@ -138,8 +138,8 @@ fn the_reference_knows_thresholds_that_are_left_and_reached() {
 
 /// An ambiguous case is reported as such.
 #[test]
-fn the_reference_gives_up_on_what_it_cannot_tell() {
+fn the_reference_reports_ambiguous_cases() {
     let motion = "{ sine = { center = [1, 0, 0], amplitude = [1e12, 0, 0], frequency = 1.0 } }";
-    let refused = solve(&pair("merge_at = 1.05", motion)).err().expect("too fast to be seen");
-    assert!(matches!(refused, NoReference::Undecided { a: 0, b: 1, .. }), "{refused}");
+    let error = solve(&pair("merge_at = 1.05", motion)).err().expect("too fast to resolve");
+    assert!(matches!(error, NoReference::Undecided { a: 0, b: 1, .. }), "{error}");
 }

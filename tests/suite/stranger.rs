@@ -1,4 +1,4 @@
-//! Any simulation can use all instruments of this crate. One that shares nothing with this crate's is recorded with its
+//! Any simulation can use all tools of this crate. One that shares nothing with this crate's own is recorded with its
 //! terms, thresholds, phases, events, stages and scalars, replayed, compared, checked, and kept by the flight recorder.
 
 use std::path::Path;
@@ -34,7 +34,7 @@ fn record(path: &Path, pull: f64, settings: Settings) -> (Recorded, u64) {
 }
 
 #[test]
-fn anybodys_simulation_is_recorded_replayed_compared_and_checked() {
+fn any_simulation_is_recorded_replayed_compared_and_checked() {
     let (dir, own) = (Dir::new(), Settings::of(&Octahedra(3.0)));
     let with = |name: &str, pull, settings| record(&dir.file(name), pull, settings);
     let (full, frames) = with("full", 3.0, Settings { detail: Detail::Stages { from: 20, to: 30 }, ..own.clone() });
@@ -68,8 +68,8 @@ fn anybodys_simulation_is_recorded_replayed_compared_and_checked() {
     );
 }
 
-/// A body that rotates is recorded in its own axes and read back in those of the world, as an entity of its own and in a
-/// batch, at rest and deformed.
+/// A rotating body is recorded in its own axes and read back in world axes, as its own entity and in a batch, at rest and
+/// deformed.
 #[test]
 fn rotations_are_recorded_and_read_back() {
     let (dir, own) = (Dir::new(), Settings::of(&Octahedra(3.0)));

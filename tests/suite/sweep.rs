@@ -1,4 +1,4 @@
-//! Sweeps: what is refused, that rows are the same however a sweep is divided or interrupted, thresholds, maps.
+//! Sweeps: rejected files, rows that do not depend on shards and interruptions, thresholds, maps.
 
 use std::{
     collections::BTreeMap,
@@ -44,14 +44,14 @@ fn program(dir: &Dir, arguments: &str) -> Command {
 
 fn run(dir: &Dir, arguments: &str) -> (i32, String) {
     let Output { status, stdout, stderr } = program(dir, arguments).output().unwrap();
-    let said = String::from_utf8_lossy(&stdout).into_owned() + &String::from_utf8_lossy(&stderr);
-    (status.code().unwrap_or(-1), said)
+    let output = String::from_utf8_lossy(&stdout).into_owned() + &String::from_utf8_lossy(&stderr);
+    (status.code().unwrap_or(-1), output)
 }
 
 fn succeeds(dir: &Dir, arguments: &str) -> String {
-    let (status, said) = run(dir, arguments);
-    assert_eq!(status, 0, "{arguments}: {said}");
-    said
+    let (status, output) = run(dir, arguments);
+    assert_eq!(status, 0, "{arguments}: {output}");
+    output
 }
 
 /// All rows in a folder, without their run times.
@@ -74,7 +74,7 @@ fn of(dir: &Dir) -> Vec<Column> {
 }
 
 #[test]
-fn broken_sweeps_are_refused_with_their_place() {
+fn broken_sweeps_are_rejected_with_their_position() {
     let axis = "[[axis]]\nkey = 'influence.alpha'\nfrom = 0\nto = 1\ncount = 3\n";
     let cases = [
         ("scene = 'two'\n", "s.toml:1:1: axis: missing, expected at least one [[axis]]"),
@@ -127,9 +127,9 @@ fn broken_sweeps_are_refused_with_their_place() {
     for (text, expected) in cases {
         let text = if text.contains("scene =") { text.to_owned() } else { format!("scene = 'two'\n{text}") };
         fs::write(dir.file("s.toml"), &text).unwrap();
-        let (status, said) = run(&dir, "s.toml --out out");
-        assert_eq!(status, 2, "{text}\n{said}");
-        assert!(said.contains(expected), "{text}\n{said}");
+        let (status, output) = run(&dir, "s.toml --out out");
+        assert_eq!(status, 2, "{text}\n{output}");
+        assert!(output.contains(expected), "{text}\n{output}");
         assert!(!dir.file("out").exists(), "nothing is written");
     }
 }
@@ -137,8 +137,8 @@ fn broken_sweeps_are_refused_with_their_place() {
 #[test]
 fn a_boundary_in_closed_form_is_found_to_1e_9() {
     let dir = folder(OVER_OFFSETS);
-    let said = succeeds(&dir, "s.toml --out out --bisect influence.merge_at");
-    assert!(said.contains("81 runs"), "{said}");
+    let output = succeeds(&dir, "s.toml --out out --bisect influence.merge_at");
+    assert!(output.contains("81 runs"), "{output}");
     let svg = fs::read_to_string(dir.file("out/map.svg")).unwrap();
     assert!(svg.contains("influence.merge_at") && svg.contains(">split<") && svg.contains(">apart<"), "{svg}");
     let column = |name: &str, kind| Column { name: name.to_owned(), kind, about: "", is_nullable: false };
@@ -151,7 +151,7 @@ fn a_boundary_in_closed_form_is_found_to_1e_9() {
     let mut found = 0;
     table::read(&dir.file("out/thresholds-1.parquet"), &columns, |(_, cells)| {
         let [Cell::F64(offset), Cell::F64(threshold), Cell::Text(below)] = &cells[..] else { panic!("{cells:?}") };
-        // at its closest the distance is the offset, and the radii together are 2
+        // the closest distance is the offset, and the sum of the radii is 2
         if below == "apart" {
             assert!((threshold - offset / 2.0).abs() < 1e-9, "{offset}: {threshold}");
             found += 1;
@@ -159,7 +159,7 @@ fn a_boundary_in_closed_form_is_found_to_1e_9() {
     })
     .unwrap();
     assert!(found >= 3, "{found} offsets between 1.8 and 2.2");
-    // and closest approaches of those that never merged are the offsets
+    // and the closest approaches of runs without a merge are the offsets
     for cells in rows(&dir.file("out"), &of(&dir)).values() {
         let [Cell::F64(offset), Cell::F64(merge_at), Cell::Text(outcome), ..] = &cells[..] else { panic!("{cells:?}") };
         assert_eq!(outcome == "apart", offset / 2.0 > *merge_at, "{cells:?}");
@@ -176,21 +176,21 @@ fn shards_refinement_and_a_plain_run_have_the_same_rows() {
     succeeds(&dir, "s.toml --out plain --refine 3");
     let plain = rows(&dir.file("plain"), &columns);
     for level in 0.. {
-        let said = succeeds(&dir, &format!("s.toml --out shards --refine 3 --shard 1/2 --level {level}"));
-        if said.contains("complete, nothing is left to refine") {
-            assert!(level >= 4, "{said}");
+        let output = succeeds(&dir, &format!("s.toml --out shards --refine 3 --shard 1/2 --level {level}"));
+        if output.contains("complete, nothing is left to refine") {
+            assert!(level >= 4, "{output}");
             break;
         }
-        let (status, said) = run(&dir, &format!("s.toml --out shards --refine 3 --shard 0/2 --level {}", level + 1));
-        assert_eq!(status, 2, "{said}");
-        assert!(said.contains(&format!("level {level} is not complete")), "{said}");
+        let (status, output) = run(&dir, &format!("s.toml --out shards --refine 3 --shard 0/2 --level {}", level + 1));
+        assert_eq!(status, 2, "{output}");
+        assert!(output.contains(&format!("level {level} is not complete")), "{output}");
         succeeds(&dir, &format!("s.toml --out shards --refine 3 --shard 0/2 --level {level} --threads 1"));
     }
     assert_eq!(rows(&dir.file("shards"), &columns), plain);
     succeeds(&dir, "s.toml --out shards --refine 3"); // finds nothing to do
     assert_eq!(rows(&dir.file("shards"), &columns), plain);
 
-    // every point of a grid as fine as the last level has the outcome that the refined map shows there
+    // every point of a grid as fine as the last level has the outcome of the refined map at that point
     let full = folder(&OVER_OFFSETS.replace("count = 9", "count = 65"));
     succeeds(&full, "s.toml --out out");
     let full = rows(&full.file("out"), &columns);
@@ -210,18 +210,19 @@ fn shards_refinement_and_a_plain_run_have_the_same_rows() {
 
 #[test]
 fn a_jump_of_a_measure_refines_like_a_boundary() {
-    // the closest approach is half the offset: 1/16 between neighbours of the first grid, below 1/100 from the third level
-    // on. Only where the outcome changes (at 1.553 and 2.1), or where reach ends and there is no approach (at 2.414), do the
-    // last two levels add a point each; beyond reach the three between 2.4375 and 2.5 are left out
+    // The closest approach is half the offset. It differs by 1/16 between neighbours of the first grid, and by less than
+    // 1/100 from the third level on. The last two levels add a point each only where the outcome changes (at 1.553 and 2.1),
+    // or where reach ends and there is no approach (at 2.414); the three points out of reach between 2.4375 and 2.5 are
+    // skipped.
     let text = "scene = 'passing.toml'\n[jump]\nclosest = 0.01\n\
                 [[axis]]\nkey = 'body.b.motion.line.from[1]'\nfrom = 1.5\nto = 2.5\ncount = 9\n";
     let dir = folder(text);
-    let said = succeeds(&dir, "s.toml --out out --refine 5");
-    assert_eq!(rows(&dir.file("out"), &of(&dir)).len(), 8 * 8 + 1 + 3 * 2 - 3, "{said}");
+    let output = succeeds(&dir, "s.toml --out out --refine 5");
+    assert_eq!(rows(&dir.file("out"), &of(&dir)).len(), 8 * 8 + 1 + 3 * 2 - 3, "{output}");
 }
 
 #[test]
-fn a_killed_sweep_goes_on_where_it_was() {
+fn a_killed_sweep_resumes_where_it_stopped() {
     let text = "scene = 'two'\n[[axis]]\nkey = 'influence.alpha'\nfrom = 0\nto = 300\ncount = 120\n";
     let dir = folder(text);
     let columns = of(&dir);
@@ -241,8 +242,8 @@ fn a_killed_sweep_goes_on_where_it_was() {
     }
     succeeds(&dir, "s.toml --out out");
     assert_eq!(rows(&dir.file("out"), &columns), plain);
-    // one was killed after its last row, before it removed its journal
-    fs::write(dir.file("out").join(journals.last().expect("some were killed in time")), b"").unwrap();
+    // a run that was killed after its last row, before it removed its journal
+    fs::write(dir.file("out").join(journals.last().expect("a journal of a killed run")), b"").unwrap();
     succeeds(&dir, "s.toml --out out");
     assert_eq!(rows(&dir.file("out"), &columns), plain);
     let names = fs::read_dir(dir.file("out")).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
@@ -250,10 +251,10 @@ fn a_killed_sweep_goes_on_where_it_was() {
         !names.into_iter().any(|name| name.ends_with(".journal")),
         "journals are removed when their rows are written"
     );
-    // the same folder does not take another sweep
+    // the folder rejects another sweep
     fs::write(dir.file("s.toml"), text.replace("120", "121")).unwrap();
-    let (status, said) = run(&dir, "s.toml --out out");
-    assert!(status == 2 && said.contains("has the rows of another sweep"), "{said}");
+    let (status, output) = run(&dir, "s.toml --out out");
+    assert!(status == 2 && output.contains("has the rows of another sweep"), "{output}");
 }
 
 #[test]
@@ -263,12 +264,12 @@ fn a_row_opens_as_a_recording_with_its_checksum() {
                 [[set]]\nkey = 'duration'\nvalue = 1.2\n";
     let dir = folder(text);
     succeeds(&dir, "s.toml --out out");
-    let said = succeeds(&dir, "s.toml --out out --open 1");
-    assert!(said.contains("row 1: body.left.motion.free.velocity[0] = 1; merged"), "{said}");
-    assert!(said.contains("the same as in the table"), "{said}");
+    let output = succeeds(&dir, "s.toml --out out --open 1");
+    assert!(output.contains("row 1: body.left.motion.free.velocity[0] = 1; merged"), "{output}");
+    assert!(output.contains("the same as in the table"), "{output}");
     assert!(dir.file("out/row-1.rrd").exists());
-    let (status, said) = run(&dir, "s.toml --out out --open 2");
-    assert!(status == 2 && said.contains("has no row 2"), "{said}");
+    let (status, output) = run(&dir, "s.toml --out out --open 2");
+    assert!(status == 2 && output.contains("has no row 2"), "{output}");
     let columns = of(&dir);
     let rows = rows(&dir.file("out"), &columns);
     let cell = |name: &str| rows[&1][columns.iter().position(|column| column.name == name).unwrap() - 1].clone();

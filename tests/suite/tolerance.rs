@@ -1,5 +1,5 @@
-//! The error that is asked for: the true error, against the independent reference, is below the tolerance. Where that
-//! cannot be had, the step says so.
+//! The true error, against the independent reference, is below the tolerance. Where this is not possible, the step
+//! reports it.
 
 use meldscope::{
     Scene, World,
@@ -8,7 +8,7 @@ use meldscope::{
 };
 use pulp::Arch;
 
-/// What a run came to.
+/// The result of a run.
 struct Run {
     /// The largest error of any vertex [radii].
     error: f64,
@@ -37,7 +37,7 @@ fn run(text: &str, dt: f64, tolerance: f64) -> Run {
     Run { error, allowed: tolerance * world.time(), substeps }
 }
 
-/// Two bodies that swing by themselves, several times a step, with the influence a fifth of the spring.
+/// Two bodies that oscillate several times per step, with an influence of a fifth of the spring.
 const STIFF: &str = r#"
 duration = 0.6
 [material]
@@ -62,13 +62,13 @@ shape = { sphere = { stacks = 6, slices = 8 } }
 motion = { fixed = [1.23, 1.02, 3.24] }
 "#;
 
-/// There is no rim and no event: only the estimate of the steps' errors sees to it. Errors before it was derived: 2.5e-4,
-/// 6.9e-4, 1.1e-5 and 1.1e-4, that is 4, 12, 18 and 179 times what is allowed.
+/// There is no rim and no event, so only the estimate of the step error limits the error. Errors before the estimate was
+/// derived: 2.5e-4, 6.9e-4, 1.1e-5 and 1.1e-4, which are 4, 12, 18 and 179 times the allowed error.
 #[test]
-fn stiff_bodies_keep_to_the_tolerance() {
+fn stiff_bodies_meet_the_tolerance() {
     for (dt, tolerance) in [(0.02, 1e-4), (0.05, 1e-4), (0.1, 1e-6), (0.3, 1e-6)] {
         let Run { error, allowed, .. } = run(STIFF, dt, tolerance);
-        // Measured: 4e-2, 6e-3, 8e-3 and 1.3e-2 of it.
+        // Measured: 4e-2, 6e-3, 8e-3 and 1.3e-2 of the allowed error.
         assert!(error <= 0.1 * allowed, "dt {dt}, tolerance {tolerance:e}: {error:e} of {allowed:e}");
     }
 }
@@ -76,20 +76,20 @@ fn stiff_bodies_keep_to_the_tolerance() {
 /// The first second and a half of the reference scene, in which the bodies merge.
 const TWO: &str = include_str!("../reference/two.toml");
 
-/// Steps that are too long for many vertices are shortened for all of them, side by side. One by one, the vertices took
-/// 5,900, 13,000 and 2,900 steps.
+/// Steps that are too long for many vertices are shortened for all of them together. One by one, the vertices took 5,900,
+/// 13,000 and 2,900 steps.
 #[test]
 fn tight_tolerances_take_few_steps() {
-    for (dt, tolerance, most) in [(1.0 / 60.0, 1e-9, 800), (1.0 / 60.0, 1e-10, 1000), (1.0 / 15.0, 1e-6, 400)] {
+    for (dt, tolerance, limit) in [(1.0 / 60.0, 1e-9, 800), (1.0 / 60.0, 1e-10, 1000), (1.0 / 15.0, 1e-6, 400)] {
         let Run { error, allowed, substeps } = run(&TWO.replace("duration = 4.0", "duration = 1.5"), dt, tolerance);
         assert!(
-            error <= 0.1 * allowed && substeps <= most,
+            error <= 0.1 * allowed && substeps <= limit,
             "{dt}, {tolerance:e}: {error:e} of {allowed:e}, {substeps} steps"
         );
     }
 }
 
-/// How often steps are halved depends neither on the instruction set nor on what is skipped.
+/// The number of halvings depends neither on the instruction set nor on skipping.
 #[test]
 fn tight_tolerances_are_met_by_the_same_steps_everywhere() {
     for (text, dt, tolerance) in [(TWO, 1.0 / 60.0, 1e-9), (TWO, 1.0 / 15.0, 1e-7), (STIFF, 0.02, 1e-6)] {
@@ -112,9 +112,9 @@ fn tight_tolerances_are_met_by_the_same_steps_everywhere() {
     }
 }
 
-/// An event sets vertices swinging at 27 oscillations a step. The error was 100 times what is allowed.
+/// After an event, vertices oscillate 27 times per step. The error was 100 times the allowed error.
 #[test]
-fn a_stiff_spring_keeps_to_the_tolerance_after_an_event() {
+fn a_stiff_spring_meets_the_tolerance_after_an_event() {
     let text = r#"
 duration = 0.0833333
 [material]
@@ -138,25 +138,25 @@ motion = { line = { from = [2.15, 0.3, 0.1], velocity = [-2, 0, 0] } }
     assert!(error <= allowed, "{error:e} of {allowed:e}");
 }
 
-/// Every body is felt by more than 64 spheres, whose rims are all located. Without that the error was 7e-5.
+/// Every body is reached by more than 64 spheres, whose rims are all located. Without this, the error was 7e-5.
 #[test]
 fn rims_of_many_spheres_are_located() {
     let mut text = "duration = 0.25\n[influence]\nalpha = 3\nbeta = 2\n".to_owned();
     let fraction = |k: u32, step: f64| (f64::from(k) * step).fract() - 0.5;
     for k in 0..80 {
-        let place = [0.618_034, 0.754_878, 0.569_84].map(|step| 2.0 * fraction(k, step));
+        let position = [0.618_034, 0.754_878, 0.569_84].map(|step| 2.0 * fraction(k, step));
         let amplitude = [0.819_173, 0.671_044, 0.549_7].map(|step| fraction(k, step));
         let frequency = 0.25 + 0.2 * fraction(k, 0.414_214);
         text += &format!(
             "[[body]]\nname = \"b{k}\"\nradius = 1.0\nshape = {{ sphere = {{ stacks = 3, slices = 4 }} }}\n\
-             motion = {{ sine = {{ center = {place:?}, amplitude = {amplitude:?}, frequency = {frequency} }} }}\n"
+             motion = {{ sine = {{ center = {position:?}, amplitude = {amplitude:?}, frequency = {frequency} }} }}\n"
         );
     }
     let Run { error, allowed, .. } = run(&text, 1.0 / 60.0, 1e-6);
     assert!(error <= 1e-2 * allowed, "{error:e} of {allowed:e}");
 }
 
-/// A tolerance near rounding for bodies that swing 300 times in 0.1 s takes more steps than a vertex may.
+/// A tolerance near rounding, for bodies that oscillate 300 times in 0.1 s, needs more steps than a vertex may take.
 pub const UNRESOLVED: &str = r#"
 duration = 0.1
 [material]
@@ -181,9 +181,9 @@ shape = { sphere = { stacks = 2, slices = 3 } }
 motion = { fixed = [1.23, 1.02, 3.24] }
 "#;
 
-/// The step says for which body, and by how much.
+/// The step reports the body and the error.
 #[test]
-fn a_tolerance_that_is_not_met_is_reported() {
+fn a_missed_tolerance_is_reported() {
     let first_step = |text: &str, dt: f64, tolerance: f64| {
         let scene = Scene::parse(text, "tolerance.toml").expect("a valid scene");
         World::new(Scene { dt, tolerance, ..scene }).expect("fits").step().clone()

@@ -1,5 +1,5 @@
-//! Merged surfaces, in recordings and in files of other formats; and random unions beside those of `manifold-rust`: for three seconds here, longer with `MELDSCOPE_FUZZ_SECONDS`; any number
-//! of them by `cargo bench --bench union -- fuzz`.
+//! Merged surfaces in recordings and in exported files, and random unions compared with `manifold-rust`: for three seconds,
+//! or longer with `MELDSCOPE_FUZZ_SECONDS`. `cargo bench --bench union -- fuzz` runs any number of them.
 
 #[path = "../benches/union/fuzz.rs"]
 mod fuzz;
@@ -16,7 +16,7 @@ use meldscope::geometry::files;
 
 use crate::recording::{Dir, Recording};
 
-/// Two spheres that merge, deep enough that one surface is left, at step 60.
+/// Two spheres that merge, with a single surface at step 60.
 const MERGING: &str = r#"
 duration = 1.5
 [[body]]
@@ -30,7 +30,7 @@ motion = { line = { from = [2.0, 0.4, 0.1], velocity = [-0.8, 0, 0] } }
 "#;
 
 #[test]
-fn a_merged_surface_is_recorded_and_exported_alike_in_every_format() {
+fn a_merged_surface_is_recorded_and_exported_equally_in_every_format() {
     let dir = Dir::new();
     fs::write(dir.file("merging.toml"), MERGING).expect("room");
     let run = |arguments: &[&str]| {
@@ -47,18 +47,18 @@ fn a_merged_surface_is_recorded_and_exported_alike_in_every_format() {
     let triangles = surface.get::<rerun::datatypes::UVec3D>("Mesh3D:triangle_indices");
     assert_eq!(number("/groups/a/components"), 1.0);
     assert_eq!((number("/groups/a/euler"), number("/groups/a/genus")), (2.0, 0.0));
-    assert_eq!(positions.len() - triangles.len() / 2, 2, "χ of what is drawn");
-    let place = |v: u32| glam::DVec3::from(positions[v as usize].0.map(f64::from));
+    assert_eq!(positions.len() - triangles.len() / 2, 2, "χ of the drawn surface");
+    let position = |v: u32| glam::DVec3::from(positions[v as usize].0.map(f64::from));
     let volume: f64 = (triangles.iter())
         .map(|triangle| {
-            let [a, b, c] = triangle.0.map(place);
+            let [a, b, c] = triangle.0.map(position);
             a.dot(b.cross(c)) / 6.0
         })
         .sum();
     assert!((volume / number("/groups/a/volume") - 1.0).abs() < 5e-3, "{volume}");
     let [gap, overlap, neck] = ["gap", "overlap", "neck"].map(|measure| number(&format!("/pairs/a~b/{measure}")));
     assert!(gap < 0.0 && overlap > 0.0 && neck > 0.1, "{gap} {overlap} {neck}");
-    // its own bodies are not drawn beside it, and before they merged there was none
+    // its bodies are not drawn in addition, and before they merge there is no merged surface
     assert!(at("/world/merged/surface", 0).get::<rerun::datatypes::Vec3D>("Mesh3D:vertex_positions").is_empty());
 
     for format in ["glb", "obj", "ply", "stl"] {
@@ -75,9 +75,9 @@ fn a_merged_surface_is_recorded_and_exported_alike_in_every_format() {
 }
 
 #[test]
-fn unions_are_closed_and_those_of_another_library() {
+fn unions_are_closed_and_match_another_library() {
     let seconds = std::env::var("MELDSCOPE_FUZZ_SECONDS").ok().and_then(|text| text.parse().ok());
-    // the first scenes here; others every time where there is time for many
+    // the first scenes by default; different ones in every long run
     let first = match seconds {
         Some(_) => SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |now| now.as_secs()) << 16,
         None => 0,

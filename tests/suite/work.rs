@@ -1,7 +1,7 @@
-//! Work per step is bounded: an endless step is ended, at the same point in every run, and an interrupted step ends at
+//! Work per step is limited: an endless step is ended at the same point in every run, and an interrupted step ends at
 //! once.
 //!
-//! A fuzzer of scenes looks for excessive time and memory: for three seconds here, longer with
+//! A fuzzer of scenes searches for excessive time and memory: for three seconds, or longer with
 //! `MELDSCOPE_FUZZ_SECONDS`.
 
 use std::{
@@ -23,7 +23,7 @@ use meldscope::{
 
 use crate::recording::Dir;
 
-/// CPU time limit for work that ends by itself [s]; other programs may extend it.
+/// CPU time limit for work that ends by itself.
 const LIMIT: Duration = Duration::from_secs(10);
 /// A mesh of five vertices.
 const SMALL: &str = "shape = { sphere = { stacks = 2, slices = 3 } }";
@@ -44,25 +44,25 @@ fn swinging(frequency: f64, center: f64, amplitude: f64) -> String {
     format!("duration = 4.0\n{}{}", body("a", "", "fixed = [0, 0, 0]"), body("b", "", &moves))
 }
 
-/// This many bodies in one place.
+/// This many bodies at the same position.
 fn pile(count: usize, more: &str) -> String {
     let bodies = (0..count).map(|i| body(&format!("b{i}"), more, "fixed = [0, 0, 0]"));
     format!("duration = 1.0\n{}", bodies.collect::<String>())
 }
 
-/// Takes steps until something ends them; returns their number and the cause.
-fn steps(scene: &str, most: u64, options: Options) -> (u64, Option<Failure>) {
+/// Takes up to `max_steps` steps; returns their number and the failure that ended them.
+fn steps(scene: &str, max_steps: u64, options: Options) -> (u64, Option<Failure>) {
     let scene = Scene::parse(scene, "work.toml").expect("a scene");
     let mut world = World::with_options(scene, options).expect("fits");
-    while world.steps_taken() < most {
+    while world.steps_taken() < max_steps {
         if let Some(failure) = world.step().failure.clone() {
             return (world.steps_taken(), Some(failure));
         }
     }
-    (most, None)
+    (max_steps, None)
 }
 
-/// An endless step is not taken; the error says which and what to do. The result is the same for any number of threads.
+/// An endless step is not taken; the error names the step and a remedy. The result is the same for any number of threads.
 #[test]
 fn endless_work_ends_with_a_failure() {
     let cases = [
@@ -87,7 +87,7 @@ fn endless_work_ends_with_a_failure() {
     }
 }
 
-/// After a step that could not be taken, no further step is.
+/// After a step that could not be taken, no further step is taken.
 #[test]
 fn no_step_follows_one_that_was_not_taken() {
     let scene = Scene::parse(&swinging(1e9, 2.1, 1.5), "work.toml").expect("a scene");
@@ -98,9 +98,9 @@ fn no_step_follows_one_that_was_not_taken() {
     assert_eq!(world.steps_taken(), 0);
 }
 
-/// Two bodies rest on the threshold forever, a quarter turn apart: nothing happens, and that is detected at once.
+/// Two bodies stay on the threshold forever, a quarter turn apart: nothing happens, which is detected at once.
 #[test]
-fn what_only_looks_endless_is_none() {
+fn seemingly_endless_steps_are_completed() {
     let standing = |amplitude: f64| {
         let (a, b) = (
             sine(0.0, [amplitude, 0.0, 0.0], 1.0, 0.0),
@@ -117,10 +117,10 @@ fn what_only_looks_endless_is_none() {
     }
 }
 
-/// A body that swings many times in a step stays where it swings, however fast it is.
+/// A body that oscillates many times per step stays out of reach at any speed.
 #[test]
-fn what_swings_fast_far_away_costs_nothing() {
-    let from_rest = std::f64::consts::FRAC_PI_2; // otherwise what follows the motion is flung far away
+fn fast_distant_oscillation_costs_nothing() {
+    let from_rest = std::f64::consts::FRAC_PI_2; // otherwise vertices that follow the motion are flung far away
     for (response, frequency, phase) in
         [("rigid", 1e5, 0.0), ("rigid", 1e9, 0.0), ("inertial", 1e5, from_rest), ("world", 1e9, from_rest)]
     {
@@ -132,9 +132,9 @@ fn what_swings_fast_far_away_costs_nothing() {
     }
 }
 
-/// Scenes with very many pushes or keys take as long as what happens in them, and end.
+/// Scenes with very many pushes or keys end, and take no longer than their events require.
 #[test]
-fn very_many_pushes_and_keys_are_not_too_many() {
+fn very_many_pushes_and_keys_are_handled() {
     const COUNT: usize = 100_000;
     let keys = |from: f64, center: f64| {
         let key = |k: usize| (from + 4e-5 * k as f64, center + 0.3 * (2e-4 * k as f64).sin());
@@ -182,12 +182,12 @@ fn an_interrupt_ends_a_step() {
 
 /// Pairs are counted before memory is allocated for them.
 #[test]
-fn too_many_pairs_are_refused() {
+fn too_many_pairs_are_rejected() {
     let scene = Scene::parse(&pile(10_000, SMALL), "pile.toml").expect("a scene");
     for skip in [true, false] {
         let start = Instant::now();
-        let refused = World::with_options(scene.clone(), Options { skip, ..Options::default() }).map(|_| ());
-        let text = refused.expect_err("too many pairs").to_string();
+        let rejected = World::with_options(scene.clone(), Options { skip, ..Options::default() }).map(|_| ());
+        let text = rejected.expect_err("too many pairs").to_string();
         assert!(text.contains("10000 bodies") && text.contains("pairs near each other"), "{text}");
         assert!(start.elapsed() < LIMIT, "{:?}", start.elapsed());
     }
@@ -204,22 +204,22 @@ fn the_recording_of_a_run_that_failed_replays_to_the_same_failure() {
         let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
         (output.status.code(), text(&output.stdout), text(&output.stderr))
     };
-    let (status, _, said) = program(&["run", "endless.toml", "--quiet", "--save", "endless.rrd"]);
-    assert_eq!(status, Some(1), "{said}");
+    let (status, _, stderr) = program(&["run", "endless.toml", "--quiet", "--save", "endless.rrd"]);
+    assert_eq!(status, Some(1), "{stderr}");
     assert!(
-        said.contains("too much to do in step ") && said.contains("endless.rrd contains the steps up to here"),
-        "{said}"
+        stderr.contains("too much to do in step ") && stderr.contains("endless.rrd contains the steps up to here"),
+        "{stderr}"
     );
     let recorded = Recorded::open(&dir.file("endless.rrd")).expect("a recording");
-    let failure = recorded.failure.clone().expect("it says why it ended");
+    let failure = recorded.failure.clone().expect("a reason for its end");
     assert!(failure.starts_with(&format!("too much to do in step {} ", recorded.last() + 1)), "{failure}");
     assert_eq!(replay::verify(&recorded, |_| true).expect("it runs"), Verdict::Identical);
-    let (status, printed, said) = program(&["replay", "endless.rrd"]);
-    assert_eq!(status, Some(0), "{said}");
+    let (status, printed, stderr) = program(&["replay", "endless.rrd"]);
+    assert_eq!(status, Some(0), "{stderr}");
     assert!(printed.contains(&format!("and it fails as it did: {failure}")), "{printed}");
 }
 
-/// Numbers of no statistical merit.
+/// A xorshift generator.
 struct Random(u64);
 
 impl Random {
@@ -243,7 +243,7 @@ impl Random {
         (self.next() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Of any size between two powers of ten, most often of an ordinary one.
+    /// A number between two powers of ten, most often of ordinary size.
     fn size(&mut self, low: f64, high: f64) -> f64 {
         let exponent = if self.one_in(3) { low + (high - low) * self.share() } else { -1.0 + 2.0 * self.share() };
         10f64.powf(exponent.clamp(low, high))
@@ -262,7 +262,7 @@ impl Random {
     }
 }
 
-/// A scene at the ends of what scenes can be.
+/// A scene at the limits of valid scenes.
 fn extreme_scene(random: &mut Random) -> String {
     let mut text = String::new();
     let dt = if random.one_in(3) { random.size(-9.0, 9.0) } else { 1.0 / 60.0 };
@@ -316,8 +316,8 @@ fn extreme_scene(random: &mut Random) -> String {
                 )
             }
             3 if random.one_in(2) => {
-                let most = if random.one_in(4) { 3000 } else { 30 };
-                let keys = 2 + random.below(most);
+                let limit = if random.one_in(4) { 3000 } else { 30 };
+                let keys = 2 + random.below(limit);
                 let length = 10.0 * dt * random.size(-2.0, 1.0);
                 let key = |k: usize, random: &mut Random| {
                     let [x, y, z] = [(); 3].map(|()| random.number(-3.0, 1.0));
@@ -349,7 +349,7 @@ fn extreme_scene(random: &mut Random) -> String {
     text
 }
 
-/// What a process took: of a processor, and of memory at its peak [KiB]; where the system tells.
+/// CPU time and peak memory [KiB] of a process, where the system reports them.
 fn taken(id: u32) -> Option<(Duration, u64)> {
     let stat = fs::read_to_string(format!("/proc/{id}/stat")).ok()?;
     let ticks: u64 =
@@ -359,9 +359,9 @@ fn taken(id: u32) -> Option<(Duration, u64)> {
     Some((Duration::from_millis(10 * ticks), peak))
 }
 
-/// Every scene ends by itself, whatever its numbers, within ten seconds of a processor and 1 GiB.
+/// Every scene ends by itself within ten seconds of CPU time and 1 GiB, whatever its numbers.
 #[test]
-fn no_extreme_scene_runs_for_ever() {
+fn no_extreme_scene_runs_forever() {
     let seconds = std::env::var("MELDSCOPE_FUZZ_SECONDS").ok().and_then(|text| text.parse().ok()).unwrap_or(3.0);
     let dir = Dir::new();
     let (mut random, start) = (Random(0x9e37_79b9_7f4a_7c15), Instant::now());
@@ -377,7 +377,7 @@ fn no_extreme_scene_runs_for_ever() {
         let status = loop {
             let (time, memory) = taken(child.id()).unwrap_or_default();
             longest = longest.max(time);
-            // no processor may be had for a while
+            // the elapsed time is limited too, but other programs may use the processors for a while
             if time > LIMIT || memory > 1 << 20 || begin.elapsed() > 12 * LIMIT {
                 child.kill().and_then(|()| child.wait()).ok();
                 let kept = std::env::temp_dir().join("meldscope-extreme.toml");
@@ -389,12 +389,12 @@ fn no_extreme_scene_runs_for_ever() {
             }
             std::thread::sleep(Duration::from_millis(2));
         };
-        let said = std::io::read_to_string(child.stderr.take().expect("a pipe")).expect("text");
-        assert!(matches!(status.code(), Some(0..=2)) && !said.contains("panicked"), "{status}: {said}\n{text}");
-        assert!(status.success() || said.lines().any(|line| line.starts_with("error: ")), "{said}");
+        let stderr = std::io::read_to_string(child.stderr.take().expect("a pipe")).expect("text");
+        assert!(matches!(status.code(), Some(0..=2)) && !stderr.contains("panicked"), "{status}: {stderr}\n{text}");
+        assert!(status.success() || stderr.lines().any(|line| line.starts_with("error: ")), "{stderr}");
         runs += 1;
         failed += u64::from(!status.success());
     }
-    println!("{runs} extreme scenes, {failed} of them ended with a failure or were refused");
+    println!("{runs} extreme scenes, {failed} of them ended with a failure or were rejected");
     println!("the longest took {longest:?}");
 }

@@ -1,8 +1,8 @@
 //! Fuzzes the union and compares it with an independent one, `manifold-rust`.
 //!
-//! A union must be closed, manifold and oriented, and have the oracle's volume. Where Euler characteristics or numbers of
-//! components differ, bodies touch exactly or are closer than either resolves: the same scene with every body displaced
-//! by a ten-thousandth of a radius must give the same numbers.
+//! A union must be closed, manifold and oriented, and have the oracle's volume. If Euler characteristics or numbers of
+//! components differ, bodies touch exactly or are closer than one of the two resolves: with every body displaced by a
+//! ten-thousandth of a radius, the numbers must agree.
 
 use std::{
     collections::HashMap,
@@ -19,18 +19,18 @@ use meldscope::geometry::union::{Body, Budget, Topology, UnionError, UnionMesh, 
 
 use super::scenes::{Kind, Scene, Shape};
 
-/// Largest difference of two volumes that are equal, relative to the sum of those of the bodies.
+/// Largest difference of volumes that count as equal, relative to the sum of the bodies' volumes.
 const VOLUME: f64 = 1e-7;
-/// What bodies in contact are displaced by to see whether a difference is due to that [radii].
+/// Displacement of bodies in contact, to check whether a difference is due to the contact [radii].
 const SHIFT: f64 = 1e-4;
-/// The exact rationals of the oracle's robust mode take minutes for more triangles than this.
-const MOST_ROBUST: usize = 700;
+/// Maximum number of triangles for the oracle's robust mode, whose exact rationals take minutes for more.
+const MAX_ROBUST: usize = 700;
 
 /// A number of scenes.
 #[derive(Clone, Debug, Default)]
 pub struct Tally {
     pub scenes: u64,
-    pub refused: u64,
+    pub rejected: u64,
     pub gave_up: u64,
     pub retries: u64,
     pub compared: u64,
@@ -42,11 +42,11 @@ pub struct Tally {
     pub volume: f64,
     /// Longest time of a union.
     pub longest: Duration,
-    /// What must not happen: the scene, and what did.
+    /// Defects: the number of the scene, and the description.
     pub defects: Vec<(u64, String)>,
 }
 
-/// Runs scenes from a number on, for a time or up to a number; one tally for each kind.
+/// Runs a range of scenes, at most for this time; one tally for each kind.
 pub fn run(numbers: std::ops::Range<u64>, time: Duration, mut progress: impl FnMut(u64, &[Tally])) -> Vec<Tally> {
     let mut tallies = vec![Tally::default(); Kind::ALL.len()];
     let start = Instant::now();
@@ -57,7 +57,7 @@ pub fn run(numbers: std::ops::Range<u64>, time: Duration, mut progress: impl FnM
         let scene = Scene::new(number);
         let tally = &mut tallies[scene.kind as usize];
         tally.scenes += 1;
-        if let Err(defect) = look(&scene, tally) {
+        if let Err(defect) = compare(&scene, tally) {
             tally.defects.push((number, defect));
         }
         progress(number, &tallies);
@@ -67,10 +67,10 @@ pub fn run(numbers: std::ops::Range<u64>, time: Duration, mut progress: impl FnM
 
 /// Prints the tallies; returns the number of defects.
 pub fn print(tallies: &[Tally]) -> usize {
-    println!("kind               scenes  refused  gave up  retries  compared  ties  oracle failed  volume   longest");
+    println!("kind               scenes rejected  gave up  retries  compared  ties  oracle failed  volume   longest");
     let all = tallies.iter().skip(1).fold(tallies[0].clone(), |sum, t| Tally {
         scenes: sum.scenes + t.scenes,
-        refused: sum.refused + t.refused,
+        rejected: sum.rejected + t.rejected,
         gave_up: sum.gave_up + t.gave_up,
         retries: sum.retries + t.retries,
         compared: sum.compared + t.compared,
@@ -84,7 +84,7 @@ pub fn print(tallies: &[Tally]) -> usize {
         println!(
             "{name:<17} {:>7} {:>8} {:>8} {:>8} {:>9} {:>5} {:>14}  {:>7.1e} {:>6.0} ms",
             t.scenes,
-            t.refused,
+            t.rejected,
             t.gave_up,
             t.retries,
             t.compared,
@@ -100,7 +100,7 @@ pub fn print(tallies: &[Tally]) -> usize {
     all.defects.len()
 }
 
-/// What is compared.
+/// The compared quantities.
 #[derive(Clone, Copy, Debug)]
 struct Numbers {
     volume: f64,
@@ -108,7 +108,7 @@ struct Numbers {
     components: usize,
 }
 
-fn look(scene: &Scene, tally: &mut Tally) -> Result<(), String> {
+fn compare(scene: &Scene, tally: &mut Tally) -> Result<(), String> {
     let start = Instant::now();
     let own = unite(scene, tally)?;
     tally.longest = tally.longest.max(start.elapsed());
@@ -116,7 +116,7 @@ fn look(scene: &Scene, tally: &mut Tally) -> Result<(), String> {
     let volumes: Vec<f64> = scene.shapes.iter().map(Shape::volume).collect();
     let scale = volumes.iter().map(|volume| volume.abs()).sum::<f64>().max(f64::MIN_POSITIVE);
     if scene.kind == Kind::Inverted && volumes.iter().all(|&volume| volume <= 0.0) {
-        // nothing is inside of what is inside out; the oracle turns some of these
+        // an inverted solid has no inside; the oracle reorients some of these
         let is_empty = own.components == 0 && own.volume.abs() <= VOLUME * scale;
         return if is_empty { Ok(()) } else { Err(format!("{own:?} instead of nothing")) };
     }
@@ -127,7 +127,7 @@ fn look(scene: &Scene, tally: &mut Tally) -> Result<(), String> {
     tally.compared += 1;
     let difference = (own.volume - oracle.volume).abs() / scale;
     if difference > VOLUME {
-        // the oracle's first engine takes what is closer than it resolves for one
+        // the oracle's first engine joins surfaces that are closer than its resolution
         let robust = if scene.is_of_solids() { robust(scene) } else { None };
         if robust.is_none_or(|robust| (own.volume - robust.volume).abs() > VOLUME * scale) {
             return Err(format!("volume {} instead of {} ({})", own.volume, oracle.volume, scene.kind.name()));
@@ -138,7 +138,7 @@ fn look(scene: &Scene, tally: &mut Tally) -> Result<(), String> {
     if (own.euler, own.components) != (oracle.euler, oracle.components) {
         for seed in 0..3 {
             let shifted = scene.shifted(seed, SHIFT);
-            // a shift may itself bring bodies into contact: in scene 104547 the second leaves two planes 4e-9 apart
+            // a shift may itself bring bodies into contact: in scene 104547, the second one leaves two planes 4e-9 apart
             if let Some(first) = difference_in_topology(&shifted)?
                 && difference_in_topology(&shifted.shifted(seed + 3, SHIFT))?.is_some()
             {
@@ -159,7 +159,7 @@ fn difference_in_topology(scene: &Scene) -> Result<Option<String>, String> {
     Ok(differs.then(|| format!("{own:?} instead of {oracle:?}")))
 }
 
-/// The union, checked; `None` if bodies or the union were refused.
+/// The union, checked; `None` if bodies or the union were rejected.
 fn unite(scene: &Scene, tally: &mut Tally) -> Result<Option<Numbers>, String> {
     let attempt = || -> Result<Option<Numbers>, String> {
         let topologies: Result<Vec<_>, _> =
@@ -168,8 +168,8 @@ fn unite(scene: &Scene, tally: &mut Tally) -> Result<Option<Numbers>, String> {
         let bodies: Result<Vec<_>, _> =
             topologies.iter().zip(&scene.shapes).map(|(t, s)| Body::new(t, &s.positions)).collect();
         let Ok(bodies) = bodies else {
-            tally.refused += 1;
-            return if scene.kind == Kind::NotNumbers { Ok(None) } else { Err("refused".to_owned()) };
+            tally.rejected += 1;
+            return if scene.kind == Kind::NotNumbers { Ok(None) } else { Err("rejected".to_owned()) };
         };
         let united = match union(&bodies, &Budget::default()) {
             Ok(united) => united,
@@ -229,11 +229,10 @@ fn closed(mesh: &UnionMesh) -> Result<(), String> {
 
 fn has_oracle(scene: &Scene) -> bool {
     scene.kind != Kind::NotNumbers
-        && (scene.is_of_solids()
-            || scene.shapes.iter().map(|shape| shape.triangles.len()).sum::<usize>() <= MOST_ROBUST)
+        && (scene.is_of_solids() || scene.shapes.iter().map(|shape| shape.triangles.len()).sum::<usize>() <= MAX_ROBUST)
 }
 
-/// What the oracle says of a scene that it takes.
+/// The oracle's result for a scene; `None` if it cannot unite it.
 fn oracle(scene: &Scene) -> Option<Numbers> {
     match scene.is_of_solids() {
         _ if !has_oracle(scene) => None,
@@ -263,7 +262,7 @@ pub fn exact(shapes: &[Shape]) -> Option<Manifold> {
     Some(Manifold::from_impl(CsgNode::op_n(OpType::Add, leaves?).evaluate()))
 }
 
-/// A shape as the oracle takes it.
+/// A shape in the oracle's format.
 pub fn mesh(shape: &Shape) -> MeshGL64 {
     MeshGL64 {
         num_prop: 3,
@@ -273,7 +272,7 @@ pub fn mesh(shape: &Shape) -> MeshGL64 {
     }
 }
 
-/// Volume, χ and components of a mesh of the oracle's.
+/// Volume, χ and components of a mesh of the oracle.
 fn numbers(manifold: &Manifold) -> Option<Numbers> {
     if manifold.status() != Error::NoError {
         return None;
@@ -281,7 +280,7 @@ fn numbers(manifold: &Manifold) -> Option<Numbers> {
     let mesh = manifold.get_mesh_gl64(-1);
     let stride = mesh.num_prop as usize;
     let vertices = mesh.vert_properties.len() / stride.max(1);
-    // vertices that differ only in properties are one
+    // vertices that differ only in properties count as one
     let mut same: Vec<usize> = (0..vertices).collect();
     for (from, to) in mesh.merge_from_vert.iter().zip(&mesh.merge_to_vert) {
         same[*from as usize] = *to as usize;

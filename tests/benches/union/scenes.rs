@@ -1,4 +1,4 @@
-//! Scenes of closed meshes of every kind that is hard to unite. A scene is a function of its number.
+//! Scenes of closed meshes that are hard to unite, of many kinds. A scene is a function of its number.
 
 use std::f64::consts::{PI, TAU};
 
@@ -11,7 +11,7 @@ pub struct Shape {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// What is hard about a scene.
+/// The difficulty of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     Random,
@@ -78,7 +78,7 @@ impl Scene {
                 (0..count).map(|_| one(random).turned(random.rotation()).at(extent * random.in_cube())).collect()
             }
             Kind::Deformed => {
-                // spheres with dents and bumps, as bodies have that act on each other
+                // spheres with dents and bumps, like bodies that act on each other
                 let extent = 1.5 + 2.0 * random.next();
                 let bumpy = |random: &mut Random| {
                     let (stacks, slices) = SIZES[2 + random.below(3)];
@@ -206,12 +206,12 @@ impl Scene {
         Scene { kind, shapes }
     }
 
-    /// Whether each body is a solid of its own: not inside out, and nowhere in itself.
+    /// Whether each body is a valid solid: neither inverted nor self-intersecting.
     pub fn is_of_solids(&self) -> bool {
         !matches!(self.kind, Kind::SelfIntersecting | Kind::Inverted | Kind::NotNumbers)
     }
 
-    /// Every body displaced a little, so that nothing touches exactly.
+    /// The scene with every body slightly displaced, so that nothing touches exactly.
     pub fn shifted(&self, seed: u64, by: f64) -> Scene {
         let mut random = Random::new(seed);
         let shapes = self.shapes.iter().map(|shape| shape.clone().at(by * random.in_cube())).collect();

@@ -1,4 +1,4 @@
-//! How long unions take, beside `manifold-rust` in its exact mode, in one run.
+//! Times of unions, compared with `manifold-rust` in its exact mode in the same run.
 
 use std::time::Instant;
 
@@ -10,14 +10,14 @@ use super::{
     scenes::{Shape, sphere},
 };
 
-/// Each union is computed until it has taken this long in all [s], and at least [`LEAST`] times; the shortest counts.
+/// Each union is computed for at least this total time [s], and at least [`MIN_RUNS`] times; the shortest time is reported.
 const SECONDS: f64 = 1.0;
-const LEAST: u32 = 3;
+const MIN_RUNS: u32 = 3;
 
 /// Prints a table.
 pub fn print() {
     let (coarse, fine) = (sphere(12, 24), sphere(72, 141));
-    // off the axes, as bodies that move are
+    // not aligned with the axes, like moving bodies
     let line = |count: u32| -> Vec<DVec3> {
         (0..count).map(|i| f64::from(i) * 1.6 * DVec3::new(0.96, 0.224, 0.168)).collect()
     };
@@ -40,7 +40,7 @@ pub fn print() {
     let refined = refined_away(&coarse);
     let far = own(&[refined.clone(), mirrored(&refined).at(centres_of_two()[1])]);
     println!(
-        "{} times the vertices, all of them away from the overlap: {:+.0} %",
+        "{} times the vertices, all additional ones away from the overlap: {:+.0} %",
         refined.positions.len() / coarse.positions.len(),
         100.0 * (far / near - 1.0)
     );
@@ -89,7 +89,7 @@ fn mirrored(shape: &Shape) -> Shape {
     Shape { positions, triangles }
 }
 
-/// Seconds of a union, from positions; topologies are known.
+/// Time of a union from positions, with known topologies [s].
 fn own(shapes: &[Shape]) -> f64 {
     let topologies: Vec<Topology> =
         shapes.iter().filter_map(|s| Topology::new(s.positions.len(), &s.triangles).ok()).collect();
@@ -100,10 +100,10 @@ fn own(shapes: &[Shape]) -> f64 {
     })
 }
 
-/// The shortest time of several [s].
+/// The shortest time of several calls [s].
 fn best(mut work: impl FnMut()) -> f64 {
     let (begin, mut best, mut count) = (Instant::now(), f64::INFINITY, 0);
-    while count < LEAST || begin.elapsed().as_secs_f64() < SECONDS {
+    while count < MIN_RUNS || begin.elapsed().as_secs_f64() < SECONDS {
         let start = Instant::now();
         work();
         best = best.min(start.elapsed().as_secs_f64());

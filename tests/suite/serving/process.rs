@@ -1,4 +1,4 @@
-//! What no client can do to a serving process; memory and descriptors are measured by the operating system.
+//! Hostile clients cannot harm a serving process; memory and descriptors are measured by the operating system.
 
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::{Ipv4Addr, TcpStream};
@@ -14,21 +14,21 @@ struct Server {
     child: Child,
     web: u16,
     data: u16,
-    said: std::sync::mpsc::Receiver<String>,
+    lines: std::sync::mpsc::Receiver<String>,
 }
 
 impl Server {
-    /// Serves the scene `two`; with `--steps 0` it never ends.
+    /// Serves the scene `two`; with `--steps 0`, it never ends.
     fn start(dir: &Dir, options: &[&str]) -> Server {
         let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
         command.args(["run", "two", "--serve", "--web-port", "0", "--grpc-port", "0"]).args(options);
         command.current_dir(dir.path()).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
         let mut child = command.spawn().expect("it starts");
         let stderr = BufReader::new(child.stderr.take().expect("a pipe"));
-        let (send, said) = std::sync::mpsc::channel();
+        let (send, lines) = std::sync::mpsc::channel();
         std::thread::spawn(move || stderr.lines().map_while(Result::ok).try_for_each(|line| send.send(line)));
-        let mut server = Server { child, web: 0, data: 0, said };
-        let line = server.says("listening on ");
+        let mut server = Server { child, web: 0, data: 0, lines };
+        let line = server.wait_for_line("listening on ");
         let port = |at: usize| {
             let digits: String =
                 line[at..].chars().skip_while(|c| *c != ':').skip(1).take_while(char::is_ascii_digit).collect();
@@ -40,10 +40,10 @@ impl Server {
     }
 
     /// The next line that contains `part`.
-    fn says(&self, part: &str) -> String {
+    fn wait_for_line(&self, part: &str) -> String {
         loop {
             let line =
-                self.said.recv_timeout(Duration::from_secs(60)).unwrap_or_else(|_| panic!("it never says {part}"));
+                self.lines.recv_timeout(Duration::from_secs(60)).unwrap_or_else(|_| panic!("no line contains {part}"));
             assert!(!line.contains("panicked"), "{line}");
             if line.contains(part) {
                 return line;
@@ -51,11 +51,11 @@ impl Server {
         }
     }
 
-    /// Ends it as Ctrl-C does; waits until it reports refused requests, if there are many.
+    /// Ends the server as Ctrl-C does; waits for its report of refused requests.
     fn end(mut self, part: &str) -> String {
         let interrupt = || Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().expect("a shell");
         interrupt();
-        let line = self.says(part);
+        let line = self.wait_for_line(part);
         let started = Instant::now();
         while self.child.try_wait().expect("a child").is_none() {
             assert!(started.elapsed() < Duration::from_secs(20), "it does not end");
@@ -84,7 +84,7 @@ impl Drop for Server {
     }
 }
 
-/// The whole content of a file of the page.
+/// The content of a file of the page.
 fn get(port: u16, path: &str) -> Vec<u8> {
     let mut stream = connect(port);
     let request = format!("GET {path} HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n\r\n");
@@ -113,7 +113,7 @@ fn eventually(what: &str, mut is_so: impl FnMut() -> bool) {
 }
 
 #[test]
-fn no_request_ends_it_or_makes_it_large_and_none_leaves_anything_behind() {
+fn no_request_ends_the_server_or_leaks_its_memory() {
     let dir = Dir::new();
     let server = Server::start(&dir, &["--steps", "0", "--realtime"]);
     let (web, data) = (server.web, server.data);
@@ -152,7 +152,7 @@ fn no_request_ends_it_or_makes_it_large_and_none_leaves_anything_behind() {
                     Err(_) => break,
                 }
             }
-            // what the system buffers, and what the refusal takes
+            // the system's buffers, and what is read before the request is refused
             assert!(taken < 32 << 20, "{taken} bytes of a head were taken");
         }
         for garbage in [
@@ -192,11 +192,11 @@ fn no_request_ends_it_or_makes_it_large_and_none_leaves_anything_behind() {
     eventually("the connections are gone", || server.descriptors() <= files);
     let grown = server.memory().saturating_sub(memory);
     assert!(grown < 100 << 10, "{grown} KiB more");
-    let said = server.end("refused ");
-    assert!(said.contains("closed ") && said.contains("without a whole request"), "{said}");
+    let line = server.end("refused ");
+    assert!(line.contains("closed ") && line.contains("without a whole request"), "{line}");
 }
 
-/// Behaviours of hostile clients, each on a connection of its own that stays open.
+/// A hostile client of one of several kinds, on a connection that stays open.
 fn bad_client(port: u16, kind: usize) -> Option<TcpStream> {
     let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, port)).ok()?;
     let call =
@@ -223,8 +223,8 @@ fn bad_client(port: u16, kind: usize) -> Option<TcpStream> {
 }
 
 #[test]
-fn three_hundred_bad_clients_a_port_keep_nobody_out_and_cost_nothing() {
-    // all kinds that keep their connection; only those that never read; only those that send nothing
+fn three_hundred_bad_clients_per_port_lock_nobody_out() {
+    // all kinds that keep their connection; only clients that never read; only clients that send nothing
     let crowds: [&dyn Fn(usize) -> usize; 4] = [&|i| i, &|_| 9, &|_| 1, &|_| 0];
     // during the run and after it
     for options in [["--steps", "0", "--realtime"], ["--steps", "300", "--quiet"]] {
@@ -243,8 +243,8 @@ fn three_hundred_bad_clients_a_port_keep_nobody_out_and_cost_nothing() {
             assert!(grown < 100 << 10, "{grown} KiB more for {} clients", bad.len());
         }
         assert_serves(web, data);
-        let said = server.end("closed ");
-        assert!(said.contains("connections: "), "{said}");
+        let line = server.end("closed ");
+        assert!(line.contains("connections: "), "{line}");
         assert_eq!(dir.names(), ["x.rrd"]);
     }
 }
