@@ -10,7 +10,7 @@ use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{
-    arrays::{Blocks, LANES, Vectors},
+    arrays::{Block, Blocks, LANES, Lanes, Vectors},
     cached::Cached,
     state::{Common, Pushed, State},
 };
@@ -57,11 +57,17 @@ pub struct FreeVertices {
     pub largest: f64,
 }
 
-/// Buffers for selecting an active set, with the state of every vertex; reused from step to step.
+/// Buffers for selecting an active set, reused from step to step. They only grow, and hold values of earlier selections
+/// beyond what is in use.
 #[derive(Clone, Debug, Default)]
 pub struct Scratch {
-    displacement: Vectors,
-    velocity: Vectors,
+    /// Displacements and velocities at the end of the last step: those of the active set so far, padded to whole blocks,
+    /// then those of the free vertices, then a block of zeros.
+    states: Vec<Block<2>>,
+    /// Amplitudes of these states [scene unit].
+    amplitudes_of_states: Vec<[f64; LANES]>,
+    /// For each vertex, its number in `states`; that of a zero for vertices that have only followed the shared motion.
+    places: Vec<u32>,
     /// Amplitude of each vertex [scene unit].
     amplitudes: Vec<f64>,
     /// The vertices selected for the active set.
@@ -70,6 +76,15 @@ pub struct Scratch {
     outside: Vec<u32>,
     /// The vertices that are to be free.
     free_vertices: Vec<u32>,
+}
+
+impl Scratch {
+    /// The state of a vertex: block and lane.
+    #[inline(always)]
+    fn state(&self, vertex: usize) -> (&[Lanes; 2], usize) {
+        let place = self.places[vertex] as usize;
+        (&self.states[place / LANES].0, place % LANES)
+    }
 }
 
 /// The time at which a state is wanted.
@@ -185,21 +200,40 @@ impl Deformation {
 
     /// Gathers the states of all vertices and the amplitude of each.
     fn gather(&self, count: usize, now: Now, scratch: &mut Scratch) {
-        let Scratch { displacement, velocity, amplitudes, .. } = scratch;
-        displacement.reset(count);
-        velocity.reset(count);
-        self.active_set.scatter(displacement, velocity);
-        let free_vertices = &self.free_vertices;
-        if let Some(flow) = free_vertices.flow(now) {
-            if free_vertices.vertices.len() == count {
-                now.arch.dispatch(FreeVertex { flow, free_vertices, displacement, velocity }); // every vertex, in order
-            } else {
-                free_vertices.scatter(flow, displacement, velocity);
-            }
+        let Scratch { states, amplitudes_of_states, places, amplitudes, .. } = scratch;
+        let Deformation { active_set, free_vertices, .. } = self;
+        let flow = free_vertices.flow(now);
+        let free_blocks = if flow.is_some() { free_vertices.blocks.all() } else { &[] };
+        let first_free = active_set.blocks.all().len();
+        let zeros = first_free + free_blocks.len();
+        if states.len() <= zeros {
+            states.resize(zeros + 1, Block([[[0.0; LANES]; 3]; 2]));
+            amplitudes_of_states.resize(zeros + 1, [0.0; LANES]);
         }
+        now.arch.dispatch(Gather {
+            omega: now.oscillator.omega,
+            active_set: active_set.blocks.all(),
+            free_vertices: free_blocks,
+            flow: flow.unwrap_or_default(),
+            states: &mut states[..zeros],
+            amplitudes: &mut amplitudes_of_states[..zeros],
+        });
+        states[zeros] = Block([[[0.0; LANES]; 3]; 2]);
+
+        places.clear();
+        places.resize(count, (zeros * LANES) as u32);
         amplitudes.clear();
         amplitudes.resize(count, 0.0);
-        now.arch.dispatch(Amplitudes { omega: now.oscillator.omega, displacement, velocity, amplitudes });
+        let free = if flow.is_some() { &*free_vertices.vertices } else { &[] };
+        for (first, vertices) in [(0, &*active_set.vertices), (first_free, free)] {
+            for (block, vertices) in (first..).zip(vertices.chunks(LANES)) {
+                let of_block = &amplitudes_of_states[block];
+                for (lane, &vertex) in vertices.iter().enumerate() {
+                    places[vertex as usize] = (block * LANES + lane) as u32;
+                    amplitudes[vertex as usize] = of_block[lane];
+                }
+            }
+        }
     }
 
     /// Selects the active set: the vertices whose `gap` [scene unit], the distance of their rest position from the
@@ -207,24 +241,24 @@ impl Deformation {
     pub fn choose_active_set(&mut self, rest: Rest<'_>, gap: &[f64], skin: f64, now: Now, scratch: &mut Scratch) {
         self.hash_of_kept.forget();
         self.gather(rest.len(), now, scratch);
-        let Scratch { displacement, velocity, amplitudes, active_set, outside, free_vertices } = scratch;
+        let Scratch { amplitudes, active_set, outside, free_vertices, .. } = &mut *scratch;
         for list in [&mut *active_set, &mut *outside, &mut *free_vertices] {
-            list.clear();
-            list.reserve(rest.len());
+            list.resize(list.len().max(rest.len()), 0);
         }
-        // Those inside a sphere come first, so that neighbouring lanes do the same work. NaN counts as inside.
+        // Each vertex is written to every list and stays in one of them at most: branches would be mispredicted. Those
+        // inside a sphere come first, so that neighbouring lanes do the same work. NaN counts as inside.
+        let (mut inside, mut near, mut free) = (0, 0, 0);
         for (v, (&gap, &amplitude)) in (0..).zip(gap.iter().zip(&*amplitudes)) {
-            if gap < 0.0 {
-                active_set.push(v);
-            } else if !(gap - amplitude > skin) {
-                outside.push(v);
-            } else if !(amplitude < REST) {
-                free_vertices.push(v);
-            }
+            (active_set[inside], outside[near], free_vertices[free]) = (v, v, v);
+            let is_inside = gap < 0.0;
+            let is_near = !is_inside & !(gap - amplitude > skin);
+            inside += usize::from(is_inside);
+            near += usize::from(is_near);
+            free += usize::from(!is_inside & !is_near & !(amplitude < REST));
         }
-        active_set.append(outside);
-        self.active_set.take(active_set, rest, displacement, velocity);
-        self.free_vertices.take(free_vertices, displacement, velocity, amplitudes, now);
+        active_set[inside..inside + near].copy_from_slice(&outside[..near]);
+        self.active_set.take(inside + near, rest, scratch);
+        self.free_vertices.take(free, now, scratch);
     }
 
     /// Releases all vertices: they are free from now on.
@@ -233,11 +267,12 @@ impl Deformation {
             return;
         }
         self.gather(count, now, scratch);
-        let Scratch { displacement, velocity, amplitudes, free_vertices, .. } = scratch;
+        let Scratch { amplitudes, free_vertices, .. } = &mut *scratch;
         free_vertices.clear();
         free_vertices.extend((0..count as u32).filter(|&v| !(amplitudes[v as usize] < REST)));
+        let free = free_vertices.len();
         self.clear();
-        self.free_vertices.take(free_vertices, displacement, velocity, amplitudes, now);
+        self.free_vertices.take(free, now, scratch);
     }
 }
 
@@ -294,34 +329,48 @@ fn free_into([xx, xu, ux, uu]: [f64; 4], [x, u]: [&[f64; LANES]; 2], displacemen
     velocity.copy_from_slice(&swung[1][..n]);
 }
 
-/// Amplitude of each vertex [scene unit]: an upper bound of |x| at any later time.
-struct Amplitudes<'a> {
+/// The states of an active set and of free vertices at the end of the last step, and the amplitude of each [scene unit]:
+/// an upper bound of |x| at any later time.
+struct Gather<'a> {
     omega: f64,
-    displacement: &'a Vectors,
-    velocity: &'a Vectors,
-    amplitudes: &'a mut [f64],
+    active_set: &'a [Block<3>],
+    free_vertices: &'a [Block<2>],
+    /// Advances the free vertices.
+    flow: [f64; 4],
+    states: &'a mut [Block<2>],
+    amplitudes: &'a mut [[f64; LANES]],
 }
 
-impl WithSimd for Amplitudes<'_> {
+impl WithSimd for Gather<'_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Amplitudes { omega, displacement, velocity, amplitudes } = self;
-        // slices of equal length, so that the loops need no bounds checks and vectorise
-        let n = amplitudes.len();
-        let [x, y, z] = [&displacement.x[..n], &displacement.y[..n], &displacement.z[..n]];
-        let [u, v, w] = [&velocity.x[..n], &velocity.y[..n], &velocity.z[..n]];
-        if omega == 0.0 {
-            for i in 0..n {
-                let rests = [x[i], y[i], z[i], u[i], v[i], w[i]] == [0.0; 6];
-                amplitudes[i] = if rests { 0.0 } else { f64::INFINITY }; // it may drift anywhere
-            }
-            return;
+        let Gather { omega, active_set, free_vertices, flow: [xx, xu, ux, uu], states, amplitudes } = self;
+        let (of_active_set, of_free_vertices) = states.split_at_mut(active_set.len());
+        for (Block(to), Block([x, u, _])) in of_active_set.iter_mut().zip(active_set) {
+            *to = [*x, *u];
         }
-        for i in 0..n {
-            let (u, v, w) = (u[i] / omega, v[i] / omega, w[i] / omega);
-            amplitudes[i] = ((x[i] * x[i] + y[i] * y[i] + z[i] * z[i]) + (u * u + v * v + w * w)).sqrt();
+        for (Block([x1, u1]), Block([x, u])) in of_free_vertices.iter_mut().zip(free_vertices) {
+            for axis in 0..3 {
+                for i in 0..LANES {
+                    x1[axis][i] = xx * x[axis][i] + xu * u[axis][i];
+                    u1[axis][i] = ux * x[axis][i] + uu * u[axis][i];
+                }
+            }
+        }
+        for (amplitudes, Block([[x, y, z], [u, v, w]])) in amplitudes.iter_mut().zip(states) {
+            if omega == 0.0 {
+                for i in 0..LANES {
+                    let rests = [x[i], y[i], z[i], u[i], v[i], w[i]] == [0.0; 6];
+                    amplitudes[i] = if rests { 0.0 } else { f64::INFINITY }; // it may drift anywhere
+                }
+                continue;
+            }
+            for i in 0..LANES {
+                let (u, v, w) = (u[i] / omega, v[i] / omega, w[i] / omega);
+                amplitudes[i] = ((x[i] * x[i] + y[i] * y[i] + z[i] * z[i]) + (u * u + v * v + w * w)).sqrt();
+            }
         }
     }
 }
@@ -367,26 +416,23 @@ impl ActiveSet {
         self.blocks.clear();
     }
 
-    /// Replaces the set by the listed vertices, with their states from the arrays of all vertices.
-    fn take(&mut self, list: &[u32], rest: Rest<'_>, displacement: &Vectors, velocity: &Vectors) {
+    /// Replaces the set by the first `count` vertices selected for it, with the states that were gathered.
+    fn take(&mut self, count: usize, rest: Rest<'_>, scratch: &Scratch) {
+        let list = &scratch.active_set[..count];
         self.vertices.clear();
         self.vertices.extend_from_slice(list);
-        self.blocks.resize(list.len());
-        for (i, &vertex) in list.iter().enumerate() {
-            let v = vertex as usize;
-            self.blocks.set(REST_POSITION, i, rest.position(v));
-            self.set_state(i, State { x: displacement.get(v), u: velocity.get(v) });
+        self.blocks.resize(count);
+        for (Block([x, u, l]), vertices) in self.blocks.all_mut().iter_mut().zip(list.chunks(LANES)) {
+            for (lane, &vertex) in vertices.iter().enumerate() {
+                let (state, from) = scratch.state(vertex as usize);
+                let rest = rest.position(vertex as usize).to_array();
+                for axis in 0..3 {
+                    (x[axis][lane], u[axis][lane]) = (state[0][axis][from], state[1][axis][from]);
+                    l[axis][lane] = rest[axis];
+                }
+            }
         }
         self.pad_again();
-    }
-
-    /// Scatters the states into the arrays of all vertices.
-    fn scatter(&self, displacement: &mut Vectors, velocity: &mut Vectors) {
-        for (i, &vertex) in self.vertices.iter().enumerate() {
-            let State { x, u } = self.state(i);
-            displacement.set(vertex as usize, x);
-            velocity.set(vertex as usize, u);
-        }
     }
 
     /// Repeats the last vertex in the padding after all have changed.
@@ -423,25 +469,21 @@ impl FreeVertices {
         self.largest = 0.0;
     }
 
-    /// Replaces the set by the listed vertices, with their states from the arrays of all vertices.
-    fn take(&mut self, list: &[u32], displacement: &Vectors, velocity: &Vectors, amplitudes: &[f64], now: Now) {
+    /// Replaces the set by the first `count` vertices selected for it, with the states that were gathered.
+    fn take(&mut self, count: usize, now: Now, scratch: &Scratch) {
+        let list = &scratch.free_vertices[..count];
         self.as_of = now.step;
         self.vertices.clear();
         self.vertices.extend_from_slice(list);
-        self.blocks.resize(list.len());
-        for (i, &vertex) in list.iter().enumerate() {
-            self.blocks.set(DISPLACEMENT, i, displacement.get(vertex as usize));
-            self.blocks.set(VELOCITY, i, velocity.get(vertex as usize));
+        self.blocks.resize(count);
+        for (Block([x, u]), vertices) in self.blocks.all_mut().iter_mut().zip(list.chunks(LANES)) {
+            for (lane, &vertex) in vertices.iter().enumerate() {
+                let (state, from) = scratch.state(vertex as usize);
+                for axis in 0..3 {
+                    (x[axis][lane], u[axis][lane]) = (state[0][axis][from], state[1][axis][from]);
+                }
+            }
         }
-        self.largest = list.iter().map(|&v| amplitudes[v as usize]).fold(0.0, larger);
-    }
-
-    /// Applies a flow to the states and scatters the result into the arrays of all vertices.
-    fn scatter(&self, flow: [f64; 4], displacement: &mut Vectors, velocity: &mut Vectors) {
-        for (i, &vertex) in self.vertices.iter().enumerate() {
-            let State { x, u } = self.state(i, flow);
-            displacement.set(vertex as usize, x);
-            velocity.set(vertex as usize, u);
-        }
+        self.largest = list.iter().map(|&v| scratch.amplitudes[v as usize]).fold(0.0, larger);
     }
 }

@@ -24,10 +24,14 @@ const LOOK: u64 = 2;
 /// … and of a sphere that contains it.
 const PULL: u64 = 24;
 
-/// Data kept from a step of the active set for the groups with a vertex that needs attention; the arrays are padded like
-/// the active set's.
+/// Data kept from a step of the active set for the groups with a vertex that needs attention. The arrays have room for the
+/// padded active set and only grow: values of an earlier step stay where no group is kept.
 #[derive(Clone, Debug, Default)]
 pub struct Outcomes {
+    /// Number of vertices of the padded active set.
+    count: usize,
+    /// Number of spheres.
+    spheres: usize,
     /// Displacements at the start [scene unit].
     pub displacement: Vectors,
     /// Velocities at the start [scene unit/s].
@@ -52,11 +56,13 @@ pub struct Outcomes {
 
 impl Outcomes {
     fn resize(&mut self, count: usize, spheres: usize) {
-        let Outcomes { displacement, velocity, forces, bend, error, inside, attention, groups, largest, near } = self;
+        (self.count, self.spheres) = (count, spheres);
+        let Outcomes { displacement, velocity, forces, bend, error, inside, attention, groups, largest, near, .. } =
+            self;
         groups.clear();
         (*largest, *near) = ([0.0; LANES], 0);
-        inside.resize(count * spheres, 0.0);
-        if error.len() == count {
+        inside.resize(inside.len().max(count * spheres), 0.0);
+        if error.len() >= count {
             return; // all are as long
         }
         for vectors in [displacement, velocity, bend].into_iter().chain(forces) {
@@ -69,7 +75,7 @@ impl Outcomes {
     /// Finds the spheres that contain vertex `i` at the start, a bit each; only for a weight with a kink.
     pub fn inside(&self, i: usize, bits: &mut Vec<u64>) {
         bits.clear();
-        for (j, strengths) in self.inside.chunks_exact(self.error.len()).enumerate() {
+        for (j, strengths) in self.inside.chunks_exact(self.count).take(self.spheres).enumerate() {
             if j % 64 == 0 {
                 bits.push(0);
             }
@@ -229,7 +235,7 @@ impl Together<'_> {
         let zero = Reals::splat(simd, 0.0);
         let (mut near, mut passing) = (Mask::none(simd), Mask::none(simd));
         let mut pulled = zero;
-        let count = self.outcomes.error.len();
+        let count = self.outcomes.count;
         self.pulls.clear();
         for (j, sphere) in course.spheres.iter().enumerate() {
             let rim = Reals::splat(simd, sphere.radius);
