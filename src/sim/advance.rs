@@ -173,7 +173,7 @@ impl<'a> Context<'a> {
             );
             active.bounds.may_sleep = !margins.iter().any(|margin| margin.gap <= active.bounds.max_reach);
         });
-        reachable.retain(|source| self.acts(source, active.body));
+        reachable.retain(|source| source.always_acts || self.acts(source, active.body));
         active.bounds.reachable = reachable;
     }
 

@@ -11,6 +11,8 @@ pub(super) struct Neighbour {
     pub law: u32,
     /// A bound on the acceleration of any vertex of this body by the other's sphere, in any phase [scene unit/s²].
     pub pull: f64,
+    /// Whether the other's sphere acts on this body in every phase of the pair.
+    pub always_acts: bool,
 }
 
 /// The limits within which a body's neighbours are complete.

@@ -182,11 +182,20 @@ impl Tracks {
         PairTracks { a: self.track(a), b: self.track(b), radii }
     }
 
-    /// A body's centre and its motion at one of the step's [`SAMPLES`].
-    pub fn kinematics(&self, body: usize, sample: usize) -> Kinematics {
+    /// A body's centre and its motion at the step's [`SAMPLES`].
+    pub fn kinematics(&self, body: usize) -> [Kinematics; 5] {
         match self.of(body) {
-            Some(track) => track.kinematics[sample],
-            None => self.track(body).at(0.0),
+            Some(track) => track.kinematics,
+            None => [self.track(body).at(0.0); 5],
+        }
+    }
+
+    /// A body's centre at the step's [`SAMPLES`] [scene unit].
+    #[inline]
+    pub fn positions(&self, body: usize) -> [DVec3; 5] {
+        match self.of(body) {
+            Some(track) => track.kinematics.each_ref().map(|kinematics| kinematics.position),
+            None => [self.motion_bounds[body].centre; 5],
         }
     }
 

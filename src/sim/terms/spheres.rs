@@ -113,17 +113,18 @@ impl<P> On<'_, P> {
 /// The neighbour entry for body `other`, in pair `pair`, as seen from `this`.
 pub(in crate::sim) fn neighbour(scene: &Scene, this: u32, other: u32, pair: u32) -> Neighbour {
     let law = scene.law_index(this as usize, other as usize);
-    Neighbour { other, pair, law, pull: strongest_pull(scene, &scene.law_at(law), this, other) }
+    let strengths = strengths(scene, &scene.law_at(law), this, other);
+    // a bound on the acceleration of any vertex, in any phase
+    let source = scene.influence.sphere_radius(scene.bodies[other as usize].radius);
+    let pull = strengths.into_iter().fold(0.0, f64::max) * source * scene.influence.weight.max_pull();
+    Neighbour { other, pair, law, pull, always_acts: !strengths.contains(&0.0) }
 }
 
-/// A bound on the acceleration of any vertex of body `this` by the sphere of body `source`, in any phase
-/// [scene unit/s²].
-fn strongest_pull(scene: &Scene, law: &PairLaw, this: u32, source: u32) -> f64 {
-    let influence = &scene.influence;
+/// The strength with which the sphere of body `source` acts on body `this` in each phase of their pair, without sign
+/// [1/s²].
+fn strengths(scene: &Scene, law: &PairLaw, this: u32, source: u32) -> [f64; 3] {
     let [this, source] = [this, source].map(|index| scene.bodies[index as usize].radius);
-    let strength = |phase| scene.strength(law, phase, this, source).abs();
-    let strongest = [Phase::Merged, Phase::Apart, Phase::Core].map(strength).into_iter().fold(0.0, f64::max);
-    strongest * influence.sphere_radius(source) * influence.weight.max_pull()
+    [Phase::Merged, Phase::Apart, Phase::Core].map(|phase| scene.strength(law, phase, this, source).abs())
 }
 
 /// Number of vertices whose distances are computed together.

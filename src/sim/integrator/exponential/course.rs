@@ -110,16 +110,6 @@ impl Course<'_> {
         Some(State { x: xx * x + xu * u + to.x, u: ux * x + uu * u + to.u })
     }
 
-    /// [`Course::look`] at one of the five looks of a whole step.
-    pub fn sample_whole(&self, look: usize, centres: &mut Vec<DVec3>) -> DVec3 {
-        let tracks = self.tracks;
-        let own = tracks.kinematics(self.index, look);
-        let position = |sphere: &Sphere| tracks.kinematics(sphere.body as usize, look).position;
-        centres.clear();
-        centres.extend(self.spheres.iter().map(|sphere| position(sphere) - own.position));
-        terms::uniform(self.scene, self.index, &own)
-    }
-
     /// Bounds of the motion of a sphere's centre relative to the body's within `[start, end]` [s].
     pub fn relative_bounds(&self, sphere: usize, start: f64, end: f64) -> Bounds {
         let other = self.spheres[sphere].body as usize;

@@ -14,7 +14,7 @@ use crate::{
     sim::{
         nodes,
         state::{Common, Pushed, State},
-        terms::{Sphere, Weighted},
+        terms::{self, Sphere, Weighted},
     },
 };
 
@@ -150,6 +150,20 @@ pub struct Collocated<S: Simd, const W: usize> {
     pub error: Reals<S, W>,
 }
 
+/// `flow + Σ wᵢ fᵢ`, the response to the forces at the first `N` nodes.
+#[inline(always)]
+fn predict<S: Simd, const W: usize, const N: usize>(
+    flow: Vector<S, W>,
+    w: &[f64; 4],
+    f: &[Vector<S, W>; 4],
+) -> Vector<S, W> {
+    let mut sum = f[0] * w[0];
+    for node in 1..N {
+        sum = sum + f[node] * w[node];
+    }
+    flow + sum
+}
+
 /// `flow + Σ wᵢ fᵢ`, the response to forces at the nodes.
 #[inline(always)]
 fn respond<S: Simd, const W: usize>(flow: Vector<S, W>, w: &[f64; 4], f: &[Vector<S, W>; 4]) -> Vector<S, W> {
@@ -269,9 +283,9 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
         }
 
         let mut forces = [self.force(0, x), zero, zero, zero];
-        for node in 1..4 {
-            forces[node] = self.force(node, respond(flow[node - 1], &weights.nodes[node].predict, &forces));
-        }
+        forces[1] = self.force(1, predict::<_, _, 1>(flow[0], &weights.nodes[1].predict, &forces));
+        forces[2] = self.force(2, predict::<_, _, 2>(flow[1], &weights.nodes[2].predict, &forces));
+        forces[3] = self.force(3, predict::<_, _, 3>(flow[2], &weights.nodes[3].predict, &forces));
         let mut stiffness = Reals::splat(simd, 0.0);
         for pull in self.pulls {
             stiffness = stiffness + Reals::load(simd, &pull.strength, 0).abs();
@@ -387,12 +401,12 @@ impl Step {
         let h = weights.h;
         self.start = course.start;
         self.set_weights(weights);
-        for (look, moment) in self.moments[..5].iter_mut().enumerate() {
-            moment.uniform = if course.is_whole {
-                course.sample_whole(look, &mut moment.centres)
-            } else {
-                course.sample(time_of(look, course.start, h), &mut moment.centres)
-            };
+        if course.is_whole {
+            self.sample_whole(course);
+        } else {
+            for (look, moment) in self.moments[..5].iter_mut().enumerate() {
+                moment.uniform = course.sample(time_of(look, course.start, h), &mut moment.centres);
+            }
         }
         let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
         let State { x, u } = common.carried;
@@ -445,6 +459,21 @@ impl Step {
         self.noise = self.rounding(course);
     }
 
+    /// Samples a whole step, of which the tracks have the looks.
+    fn sample_whole(&mut self, course: &Course<'_>) {
+        let own = course.tracks.kinematics(course.index);
+        for (moment, own) in self.moments.iter_mut().zip(&own) {
+            moment.uniform = terms::uniform(course.scene, course.index, own);
+            moment.centres.clear();
+        }
+        for sphere in course.spheres {
+            let positions = course.tracks.positions(sphere.body as usize);
+            for ((moment, own), position) in self.moments.iter_mut().zip(&own).zip(positions) {
+                moment.centres.push(position - own.position);
+            }
+        }
+    }
+
     /// Acceptable residual of the cubics in the middle [scene unit], see [`Step::smooth`].
     fn largest_left_out(&self, course: &Course<'_>, wanted: f64) -> f64 {
         let Material { omega, damping, .. } = course.body().material;
@@ -462,7 +491,7 @@ impl Step {
         }
         let of_times = force(0).length() + changes.length() * (1.0 + self.end() / self.h);
         let place = |body: usize| match course.is_whole {
-            true => course.tracks.kinematics(body, 0).position,
+            true => course.tracks.motion_bounds(body as u32).centre,
             false => course.track(body).position(self.start),
         };
         let place = |body: usize| place(body).abs().element_sum();
