@@ -57,7 +57,7 @@ pub fn diff(arguments: Arguments) -> Result<(), Failure> {
     }
     match difference.first_bits {
         Some(step) => print(&format!("bits: different from step {step} (t = {:.6} s) on", step as f64 * a.schema.dt)),
-        None if difference.has_bits => print("bits: identical at every common step"),
+        None if difference.has_bits => print("bits: the same at every common step"),
         None => {}
     }
     if difference.instants < 2 {
