@@ -1,4 +1,4 @@
-//! Points in time of a run, and what happens at them.
+//! Instants and events of a run.
 
 use glam::DVec3;
 

@@ -2,7 +2,7 @@
 //!
 //! | contents | module |
 //! | --- | --- |
-//! | what does not change during a run: bodies, force terms, scalars, thresholds | [`schema`] |
+//! | constant properties of a run: bodies, force terms, scalars, thresholds | [`schema`] |
 //! | the state at an instant; only what is requested is computed | [`frame`] |
 //! | points in time, events | [`event`] |
 //! | the traits of a simulation that can be stepped and observed, and of the experiment that creates it |

@@ -103,11 +103,11 @@ pub struct TermSchema {
     pub color: Rgb,
     /// Whether other bodies cause it. If so, each arrow names its source.
     pub has_source: bool,
-    /// Whether it can act in this scene at all.
+    /// Whether it can act in this scene.
     pub can_act: bool,
     /// Whether its arrows are visible when the recording is opened.
     pub is_shown: bool,
-    /// Whether it accelerates all vertices of a body alike: one arrow at the centre represents all.
+    /// Whether it accelerates all vertices of a body equally: one arrow at the centre represents them all.
     pub is_uniform: bool,
 }
 

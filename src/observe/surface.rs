@@ -78,7 +78,7 @@ pub struct Group {
 /// Origin of a vertex of a merged surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VertexOrigin {
-    /// The body it belongs to, and the one that meets it at the nearest seam; equal far from any seam.
+    /// Its own body, and the body that meets it at the nearest seam; equal far from any seam.
     pub bodies: [u32; 2],
     /// Share of the second body in the colour of the vertex: ½ on the seam, 0 far from it.
     pub share: f32,

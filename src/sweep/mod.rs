@@ -17,7 +17,7 @@
 //!
 //! # The sweep file
 //! ```toml
-//! scene = "collide"             # a file beside this one, or a built-in scene
+//! scene = "collide"             # a file in the same folder, or a built-in scene
 //! until = "certain"             # certain | end: when a run ends [certain]; see [`run`]
 //! measures = ["displacement"]   # displacement, surfaces: optional measures, which take time [none]
 //! color = "outcome"             # the column by which the map is coloured [outcome]

@@ -64,7 +64,8 @@ fn collocation(c: &mut Criterion) {
     let mut group = c.benchmark_group("collocation");
     group.throughput(Throughput::Elements(scene.vertex_count()));
     for (name, arch) in instruction_sets() {
-        let mut world = World::with_options(scene.clone(), Options { arch, ..Options::default() }).expect("fits");
+        let mut world =
+            World::with_options(scene.clone(), Options { arch, ..Options::default() }).expect("enough memory");
         (0..600).for_each(|_| _ = world.step());
         group.bench_function(name, |b| b.iter(|| world.step().substeps));
     }
@@ -77,7 +78,7 @@ fn single(c: &mut Criterion) {
     scene.bodies[0].motion = Path::Fixed(DVec3::ZERO).into();
     scene.bodies[1].motion =
         Path::Sine { center: DVec3::X * 2.1, amplitude: DVec3::X * 0.25, frequency: 4.0, phase: 0.0 }.into();
-    let mut world = World::new(scene).expect("fits");
+    let mut world = World::new(scene).expect("enough memory");
     (0..600).for_each(|_| _ = world.step());
     // 15 steps per period
     c.bench_function("single vertices/a period", |b| b.iter(|| (0..15).map(|_| world.step().substeps).sum::<u64>()));
@@ -130,7 +131,7 @@ fn reach(c: &mut Criterion) {
 fn step(c: &mut Criterion) {
     let mut group = c.benchmark_group("step");
     for (family, bodies) in [(Family::Contact, 2), (Family::Contact, 200), (Family::Rest, 2), (Family::Rest, 10_000)] {
-        let mut world = World::new(Layout::new(family, bodies).scene(&two())).expect("fits");
+        let mut world = World::new(Layout::new(family, bodies).scene(&two())).expect("enough memory");
         (0..240).for_each(|_| _ = world.step());
         let id = BenchmarkId::new(family.name(), bodies);
         group.bench_function(id, |b| b.iter(|| world.step().substeps));
@@ -145,7 +146,7 @@ fn states(c: &mut Criterion) {
     for cause in [free_oscillation::Cause::Sphere, free_oscillation::Cause::Push] {
         for (name, arch) in instruction_sets() {
             let scene = free_oscillation::scene(cause, &two(), 1);
-            let mut world = World::with_options(scene, Options { arch, ..Options::default() }).expect("fits");
+            let mut world = World::with_options(scene, Options { arch, ..Options::default() }).expect("enough memory");
             (0..90).for_each(|_| _ = world.step());
             let mut states = States::default();
             group.bench_function(BenchmarkId::new(cause.name(), name), |b| {

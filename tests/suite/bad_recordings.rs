@@ -61,7 +61,7 @@ fn program(dir: &Dir, arguments: &[&str]) -> (i32, String) {
 
 /// Small recordings of every kind.
 fn corpus(dir: &Dir) -> Vec<Vec<u8>> {
-    fs::write(dir.file("small.toml"), SCENE).expect("room");
+    fs::write(dir.file("small.toml"), SCENE).expect("disk space");
     for (name, options) in [
         ("full", &[] as &[&str]),
         ("surface", &["--detail", "surface", "--every", "3"]),
@@ -74,7 +74,7 @@ fn corpus(dir: &Dir) -> Vec<Vec<u8>> {
         assert_eq!(status, 0, "{stderr}");
     }
     let scene = Scene::parse(SCENE, "small").expect("a scene");
-    golden::bless(&scene, &dir.file("golden.rrd"), "a test").expect("room");
+    golden::bless(&scene, &dir.file("golden.rrd"), "a test").expect("disk space");
     let files = ["full", "surface", "batch", "thin", "keep", "golden"];
     files.map(|name| fs::read(dir.file(&format!("{name}.rrd"))).expect("a file")).into()
 }
@@ -161,7 +161,7 @@ fn no_broken_recording_crashes_the_reader() {
     while start.elapsed() < limit {
         let mut bytes = corpus[random.below(corpus.len())].clone();
         mutate(&mut bytes, &mut random);
-        fs::write(&path, &bytes).expect("room");
+        fs::write(&path, &bytes).expect("disk space");
         let outcome = std::panic::catch_unwind(|| use_it(&path, &scene));
         match outcome {
             Ok(Ok(())) => {}
@@ -172,7 +172,7 @@ fn no_broken_recording_crashes_the_reader() {
             }
             Err(_) => {
                 let kept = std::env::temp_dir().join("meldscope-broken.rrd");
-                fs::write(&kept, &bytes).expect("room");
+                fs::write(&kept, &bytes).expect("disk space");
                 panic!("after {runs} recordings, {} brought it down", kept.display());
             }
         }
@@ -214,7 +214,7 @@ fn a_flipped_bit_is_not_reported_as_divergence() {
         let mut bytes = corpus[3].clone();
         let at = random.below(bytes.len());
         bytes[at] ^= 1 << random.below(8);
-        fs::write(&path, &bytes).expect("room");
+        fs::write(&path, &bytes).expect("disk space");
         let Ok(recorded) = Recorded::open(&path) else { continue };
         let verdict = replay::verify(&recorded, |_| true);
         assert_eq!(verdict.expect("its own checksums"), replay::Verdict::Identical, "byte {at}");
@@ -226,7 +226,7 @@ fn broken_recordings_are_rejected_with_the_reason() {
     let dir = Dir::new();
     let corpus = corpus(&dir);
     let rejected = |bytes: &[u8], what: &str| {
-        fs::write(dir.file("bad.rrd"), bytes).expect("room");
+        fs::write(dir.file("bad.rrd"), bytes).expect("disk space");
         for command in
             [&["replay", "bad.rrd"] as &[&str], &["diff", "bad.rrd", "full.rrd"], &["diff", "full.rrd", "bad.rrd"]]
         {
@@ -276,7 +276,7 @@ fn broken_recordings_are_rejected_with_the_reason() {
 pub fn encoded(mut chunks: chunks::Chunks) -> Vec<u8> {
     let mut bytes = Vec::new();
     let (messages, options) = (chunks.take(), EncodingOptions::PROTOBUF_COMPRESSED);
-    Encoder::encode_into(CrateVersion::LOCAL, options, messages.iter().map(Ok), &mut bytes).expect("it encodes");
+    Encoder::encode_into(CrateVersion::LOCAL, options, messages.iter().map(Ok), &mut bytes).expect("an encoding");
     bytes
 }
 
@@ -290,7 +290,7 @@ fn claimed_sizes_allocate_no_memory() {
     for (name, at, value) in [("length", 20usize, (1u64 << 30) - 1), ("length", 20, 1 << 45)] {
         let mut bytes = corpus[0].clone();
         bytes[at..at + 8].copy_from_slice(&value.to_le_bytes());
-        fs::write(dir.file("claims.rrd"), bytes).expect("room");
+        fs::write(dir.file("claims.rrd"), bytes).expect("disk space");
         let script = format!("ulimit -v 3000000; exec '{}' replay claims.rrd", env!("CARGO_BIN_EXE_meldscope"));
         let output = Command::new("sh").args(["-c", &script]).current_dir(dir.path()).output().expect("a shell");
         assert_eq!(output.status.code(), Some(2), "{name}: {}", String::from_utf8_lossy(&output.stderr));
@@ -314,7 +314,7 @@ fn unsupported_formats_are_named() {
         }
         let mut chunks = chunks::Chunks::new(StoreId::new(StoreKind::Recording, "meldscope_small", "small-0"));
         chunks.log_static("/__properties/meldscope", &properties);
-        fs::write(dir.file("format.rrd"), encoded(chunks)).expect("room");
+        fs::write(dir.file("format.rrd"), encoded(chunks)).expect("disk space");
         let (status, stderr) = program(&dir, &["replay", "format.rrd"]);
         assert!(status == 2 && stderr.contains(what), "{stderr}");
     }
@@ -452,7 +452,7 @@ fn unpacked(message: &Message) -> (Fields, Vec<u8>) {
         Some(2) => {
             let size = *number(3).expect("a size") as usize;
             assert!(size <= MAX_UNPACKED, "already forged to be too large");
-            lz4_flex::block::decompress(payload, size).expect("a message of our own")
+            lz4_flex::block::decompress(payload, size).expect("a valid message")
         }
         _ => payload.clone(),
     };
@@ -660,10 +660,10 @@ fn no_broken_structure_crashes_the_reader() {
         if random.below(10) == 0 {
             mutate(&mut bytes, &mut random);
         }
-        fs::write(&path, &bytes).expect("room");
+        fs::write(&path, &bytes).expect("disk space");
         let keep = |what: &str| {
             let kept = std::env::temp_dir().join("meldscope-broken.rrd");
-            fs::write(&kept, &bytes).expect("room");
+            fs::write(&kept, &bytes).expect("disk space");
             panic!("after {runs} recordings, {}: {what}", kept.display());
         };
         let began = Clock::now();
@@ -704,7 +704,7 @@ fn claims_are_limited_by_the_size_of_the_recording() {
     let with = |chunks: chunks::Chunks| {
         let mut all = thin.clone();
         all.extend(messages(&encoded(chunks)));
-        fs::write(dir.file("claims.rrd"), file(&all)).expect("room");
+        fs::write(dir.file("claims.rrd"), file(&all)).expect("disk space");
         let mut error = String::new();
         let start = Clock::now();
         let memory = allocation_counter::measure(|| {

@@ -1052,7 +1052,7 @@ fn a_file_that_cannot_be_read_is_rejected_with_the_reason() {
     let folder = Scene::load(&std::env::temp_dir()).expect_err("a folder").to_string();
     assert!(folder.starts_with("cannot read \""), "{folder}");
 
-    let nowhere = Scene::load(&PathBuf::from("a\0b")).expect_err("no path at all").to_string();
+    let nowhere = Scene::load(&PathBuf::from("a\0b")).expect_err("not a path").to_string();
     assert!(nowhere.starts_with("cannot read \"a\\0b\": "), "{nowhere}");
 }
 
@@ -1067,8 +1067,8 @@ fn a_file_that_is_not_text_is_rejected_with_the_position() {
 #[test]
 fn an_oversized_file_is_rejected() {
     let large = Temporary::new("large.toml");
-    let file = std::fs::File::create(&large.0).expect("a file can be made");
-    file.set_len((64 << 20) + 1).expect("a file can have a hole");
+    let file = std::fs::File::create(&large.0).expect("a file");
+    file.set_len((64 << 20) + 1).expect("a sparse file");
     assert_eq!(large.rejection(), "\"FILE\" is larger than 32 MiB, the limit for scene files");
     if cfg!(target_os = "linux") {
         let endless = Scene::load(&PathBuf::from("/dev/zero")).expect_err("an endless file").to_string();

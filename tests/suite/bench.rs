@@ -186,7 +186,7 @@ fn the_reference_agrees_with_the_simulation_where_there_are_no_files() {
 #[test]
 fn a_stiff_scene_has_no_reference() {
     let scene = Scene { duration: 1e9, ..scene("two") };
-    let error = Reference::solve(&scene, &[1e9], Accuracy::DEFAULT).err().expect("far too long");
+    let error = Reference::solve(&scene, &[1e9], Accuracy::DEFAULT).err().expect("too long");
     assert!(matches!(error, NoReference::TooLong { evaluations } if evaluations > 1e12), "{error}");
 }
 
@@ -226,7 +226,7 @@ fn measured(name: &str) -> Report {
     let scene = tiny(name);
     let mut shares = vec![];
     let report = error::measure(&scene, &quick(&scene), &mut |share| shares.push(share)).expect("quick");
-    assert!(shares.is_sorted() && (shares.last().expect("some") - 1.0).abs() < 1e-9, "{shares:?}");
+    assert!(shares.is_sorted() && (shares.last().expect("not empty") - 1.0).abs() < 1e-9, "{shares:?}");
     report
 }
 
@@ -332,7 +332,7 @@ fn fields(line: &str) -> Vec<String> {
     let (mut fields, mut is_quoted) = (vec![String::new()], false);
     let mut letters = line.chars().peekable();
     while let Some(letter) = letters.next() {
-        let field = fields.last_mut().expect("one at least");
+        let field = fields.last_mut().expect("not empty");
         match letter {
             '"' if is_quoted && letters.next_if_eq(&'"').is_some() => field.push('"'),
             '"' => is_quoted = !is_quoted,
@@ -368,13 +368,13 @@ fn texts_of_well_formed(xml: &str) -> Vec<String> {
         let text = rest[..start].trim();
         assert!(!text.contains('>') && (text.is_empty() || !open.is_empty()), "{text}");
         for entity in text.split('&').skip(1) {
-            let name = entity.split(';').next().expect("one at least");
+            let name = entity.split(';').next().expect("not empty");
             assert!(["amp", "lt", "gt", "quot", "apos"].contains(&name), "{text}");
         }
         if !text.is_empty() {
             texts.push(text.to_owned());
         }
-        let end = start + rest[start..].find('>').expect("a tag ends");
+        let end = start + rest[start..].find('>').expect("the end of a tag");
         let tag = &rest[start + 1..end];
         rest = &rest[end + 1..];
         assert_eq!(tag.matches('"').count() % 2, 0, "{tag}");
@@ -402,9 +402,9 @@ fn files_are_checked_first_and_replaced_last() {
     let path = directory.join("a.csv");
     std::fs::write(&path, "before").expect("written");
     let output = Output::claim(&path).expect("writable");
-    assert_eq!(std::fs::read_to_string(&path).expect("there"), "before");
+    assert_eq!(std::fs::read_to_string(&path).expect("it exists"), "before");
     output.write("after").expect("written");
-    assert_eq!(std::fs::read_to_string(&path).expect("there"), "after");
+    assert_eq!(std::fs::read_to_string(&path).expect("it exists"), "after");
 
     let new = Output::claim(&directory.join("b.svg")).expect("writable");
     assert_eq!(std::fs::read_dir(&directory).expect("a directory").count(), 1);
@@ -466,16 +466,17 @@ fn a_crowd_has_the_requested_number_of_bodies() {
 #[test]
 fn recording_costs_are_measured_and_compared_with_the_goals() {
     let directory = directory("record");
-    let mut scene = Scene::builtin("two").expect("built in");
+    let mut scene = Scene::builtin("two").expect("a built-in scene");
     scene.duration = 2.0;
-    let mut report = record::Report { measurements: record::measure(&scene, &directory).expect("room"), costs: None };
+    let mut report =
+        record::Report { measurements: record::measure(&scene, &directory).expect("disk space"), costs: None };
     assert_eq!(report.measurements.len(), 14);
     for measured in &report.measurements {
         assert!(measured.frames >= 120 && measured.rate().is_finite(), "{measured:?}");
         assert_eq!(measured.entities.is_some(), measured.destination == record::Destination::File, "{measured:?}");
         assert!(measured.entities.is_none_or(|entities| (20..=75).contains(&entities)), "{measured:?}");
     }
-    let costs = record::measure_costs(&directory).expect("room");
+    let costs = record::measure_costs(&directory).expect("disk space");
     for saving in &costs.saving {
         assert!(saving.plain > 0.0 && saving.saving > 0.0 && saving.slow_down.is_sorted(), "{saving:?}");
     }

@@ -5,7 +5,7 @@ use meldscope::{Scene, World, bench::record::scenes, scene::builtin};
 #[test]
 fn a_checksum_depends_only_on_the_state() {
     let checksums = |look: &dyn Fn(&World)| -> Vec<u64> {
-        let mut world = World::new(Scene::builtin("two").expect("built in")).expect("it fits");
+        let mut world = World::new(Scene::builtin("two").expect("a built-in scene")).expect("enough memory");
         let mut checksums = vec![world.checksum()];
         for _ in 0..200 {
             world.step();
@@ -27,9 +27,9 @@ fn a_checksum_depends_only_on_the_state() {
     distinct.dedup();
     assert_eq!(distinct.len(), plain.len(), "no two steps have the same");
 
-    let mut scene = Scene::builtin("two").expect("built in");
+    let mut scene = Scene::builtin("two").expect("a built-in scene");
     scene.influence.alpha = scene.influence.alpha.next_up();
-    let mut world = World::new(scene).expect("it fits");
+    let mut world = World::new(scene).expect("enough memory");
     for expected in &plain[1..80] {
         world.step();
         assert_eq!(world.checksum(), *expected, "nothing attracts before the merge");
@@ -47,7 +47,8 @@ fn checksums_do_not_depend_on_threads() {
         let run = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
             pool.install(|| {
-                let mut world = World::new(Scene::builtin(builtin.name).expect("built in")).expect("it fits");
+                let mut world =
+                    World::new(Scene::builtin(builtin.name).expect("a built-in scene")).expect("enough memory");
                 let steps = world.scene().steps().min(if world.body_count() > 500 { 3 } else { 480 });
                 let checksums = (0..steps).map(|_| {
                     world.step();
@@ -69,7 +70,7 @@ fn a_checksum_covers_all_bodies() {
     let text = scenes::pair_among(40);
     let base = text.expect("a scene");
     let checksum = |scene: Scene| {
-        let mut world = World::new(scene).expect("it fits");
+        let mut world = World::new(scene).expect("enough memory");
         for _ in 0..60 {
             world.step();
             assert_ne!(world.checksum(), 0);

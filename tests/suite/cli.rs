@@ -221,7 +221,7 @@ duration = 0.2
 
 fn scene_dir() -> Dir {
     let dir = Dir::new();
-    fs::write(dir.file("small.toml"), SCENE).expect("room");
+    fs::write(dir.file("small.toml"), SCENE).expect("disk space");
     dir
 }
 
@@ -237,9 +237,9 @@ fn a_run_reports_its_results_and_how_to_open_the_recording() {
     let ran = run(&dir, &["run", "two", "--save", "x.rrd"]).succeeded();
     assert_eq!(dir.names(), ["x.rrd"]);
 
-    let scene = Scene::builtin("two").expect("it is built in");
+    let scene = Scene::builtin("two").expect("a built-in scene");
     let (vertices, steps) = (scene.vertex_count(), scene.steps());
-    let mut world = World::new(scene).expect("it fits");
+    let mut world = World::new(scene).expect("enough memory");
     let mut events: Vec<Event> = Vec::new();
     (0..steps).for_each(|_| events.extend_from_slice(&world.step().events));
     let mut expected = vec![
@@ -281,9 +281,9 @@ fn the_default_recording_is_named_after_the_scene_in_the_current_folder() {
     let hostile = ["../x", "/etc/passwd", "..", ".", ".hidden", "a b/c\\d", "~", "$(id)", "-rf"];
     for name in hostile.into_iter().chain(long.iter().map(String::as_str)) {
         let dir = Dir::new();
-        fs::create_dir(dir.file("here")).expect("room");
+        fs::create_dir(dir.file("here")).expect("disk space");
         let scene = SCENE.replace("\"small\"", &format!("{name:?}"));
-        fs::write(dir.file("here/scene.toml"), scene).expect("room");
+        fs::write(dir.file("here/scene.toml"), scene).expect("disk space");
         let mut command = meldscope(&dir, ["run", "scene.toml", "--steps", "3"]);
         let output = command.current_dir(dir.file("here")).output().expect("the program runs");
         let ran = Ran::new(output).succeeded();
@@ -320,7 +320,7 @@ fn the_built_in_scenes_are_listed_and_run() {
     let dir = Dir::new();
     let ran = run(&dir, &["scenes"]).succeeded();
     for builtin in builtin::ALL {
-        let scene = Scene::builtin(builtin.name).expect("it is built in");
+        let scene = Scene::builtin(builtin.name).expect("a built-in scene");
         let bodies = scene.bodies.len();
         let count = if bodies == 1000 { "1,000".into() } else { bodies.to_string() };
         let line = format!("{}: {count} {}", builtin.name, if bodies == 1 { "body" } else { "bodies" });
@@ -433,9 +433,9 @@ fn usage_errors_have_status_2_and_leave_nothing() {
 fn a_broken_file_is_rejected_with_its_position_and_nothing_is_written() {
     let dir = Dir::new();
     let broken = SCENE.replace("radius = 0.5", "radios = 0.5");
-    let line = broken.lines().position(|line| line.contains("radios")).expect("it is there") + 1;
-    fs::write(dir.file("bad.toml"), &broken).expect("room");
-    fs::write(dir.file("kept.rrd"), "RRF2: precious").expect("room");
+    let line = broken.lines().position(|line| line.contains("radios")).expect("it exists") + 1;
+    fs::write(dir.file("bad.toml"), &broken).expect("disk space");
+    fs::write(dir.file("kept.rrd"), "RRF2: precious").expect("disk space");
     for destination in
         [&[][..], &["--save", "kept.rrd"], &["--stdout"], &["--serve", "--web-port", "0", "--grpc-port", "0"]]
     {
@@ -447,13 +447,13 @@ fn a_broken_file_is_rejected_with_its_position_and_nothing_is_written() {
         assert_eq!(error.lines().count(), 1, "{error}");
     }
     assert_eq!(dir.names(), ["bad.toml", "kept.rrd"]);
-    assert_eq!(fs::read_to_string(dir.file("kept.rrd")).expect("it is there"), "RRF2: precious");
+    assert_eq!(fs::read_to_string(dir.file("kept.rrd")).expect("it exists"), "RRF2: precious");
 
     for missing in ["missing.toml", "missing/scene.toml", "."] {
         let error = run(&dir, &["run", missing]).failed(2);
         assert!(error.contains(missing), "{error}");
     }
-    fs::write(dir.file("bad.toml"), b"name = \"\xff\"").expect("room");
+    fs::write(dir.file("bad.toml"), b"name = \"\xff\"").expect("disk space");
     assert!(run(&dir, &["run", "bad.toml"]).failed(2).contains("UTF-8"));
     assert_eq!(dir.names(), ["bad.toml", "kept.rrd"]);
 }
@@ -506,9 +506,9 @@ proptest! {
         let rejection = Scene::parse(&text, "bad.toml");
         prop_assume!(rejection.is_err());
         let dir = Dir::new();
-        fs::write(dir.file("bad.toml"), &text).expect("room");
+        fs::write(dir.file("bad.toml"), &text).expect("disk space");
         let error = run(&dir, &["run", "bad.toml", "--steps", "1"]).failed(2);
-        prop_assert_eq!(error, format!("error: {}\n", rejection.expect_err("as assumed")));
+        prop_assert_eq!(error, format!("error: {}\n", rejection.expect_err("an error")));
         prop_assert_eq!(dir.names(), ["bad.toml"]);
     }
 }
@@ -525,12 +525,12 @@ fn unwritable_destinations_are_rejected_before_the_run() {
     // an occupied port: the existing file stays
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
     let port = taken.local_addr().expect("an address").port().to_string();
-    fs::write(dir.file("kept.rrd"), "RRF2: precious").expect("room");
+    fs::write(dir.file("kept.rrd"), "RRF2: precious").expect("disk space");
     let arguments = ["run", "small.toml", "--save", "kept.rrd", "--serve", "--web-port", "0", "--grpc-port", &port];
     let error = run(&dir, &arguments).failed(1);
     assert!(error.contains(&port), "{error}");
     assert_eq!(dir.names(), ["kept.rrd", "small.toml"]);
-    assert_eq!(fs::read_to_string(dir.file("kept.rrd")).expect("it is there"), "RRF2: precious");
+    assert_eq!(fs::read_to_string(dir.file("kept.rrd")).expect("it exists"), "RRF2: precious");
 
     // and a successful run replaces it
     run(&dir, &["run", "small.toml", "--save", "kept.rrd"]).succeeded();
@@ -558,8 +558,8 @@ fn a_scene_that_is_too_large_is_rejected_before_it_starts() {
              motion = {{ fixed = [{i}, 0, 0] }}\n"
         );
     }
-    fs::write(dir.file("huge.toml"), text).expect("room");
-    fs::write(dir.file("kept.rrd"), "RRF2: precious").expect("room");
+    fs::write(dir.file("huge.toml"), text).expect("disk space");
+    fs::write(dir.file("kept.rrd"), "RRF2: precious").expect("disk space");
     let mut limited = Command::new("sh");
     limited.args(["-c", "ulimit -v 2000000 && exec \"$0\" run huge.toml --save kept.rrd"]);
     limited.arg(env!("CARGO_BIN_EXE_meldscope")).current_dir(dir.path()).stdin(Stdio::null());
@@ -568,7 +568,7 @@ fn a_scene_that_is_too_large_is_rejected_before_it_starts() {
         assert!(error.contains(part), "{part}: {error}");
     }
     assert_eq!(dir.names(), ["huge.toml", "kept.rrd"]);
-    assert_eq!(fs::read_to_string(dir.file("kept.rrd")).expect("it is there"), "RRF2: precious");
+    assert_eq!(fs::read_to_string(dir.file("kept.rrd")).expect("it exists"), "RRF2: precious");
 }
 
 // ---- options -------------------------------------------------------------------------------------------------------
@@ -767,7 +767,7 @@ fn an_interrupt_does_not_wait_for_merged_surfaces() {
     };
     let heap: String = (0..64).map(body).collect();
     fs::write(dir.file("heap.toml"), format!("duration = 2.0\n[influence]\nalpha = 0\nbeta = 0\n{heap}"))
-        .expect("room");
+        .expect("disk space");
     for wait in [0, 1500] {
         let ends = || {
             let mut running = Running::start(&dir, &["run", "heap.toml", "--steps", "0", "--save", "x.rrd"]);
@@ -795,7 +795,7 @@ fn an_interrupt_does_not_wait_for_merged_surfaces() {
 fn an_interrupted_check_leaves_nothing() {
     let dir = scene_dir();
     run(&dir, &["run", "small.toml", "--quiet", "--save", "x.rrd"]).succeeded();
-    fs::write(dir.file("long.toml"), SCENE.replace("duration = 2.0", "duration = 1e6")).expect("room");
+    fs::write(dir.file("long.toml"), SCENE.replace("duration = 2.0", "duration = 1e6")).expect("disk space");
     let names = dir.names();
     let cases: [(&str, &[&str]); 4] = [
         ("INT", &["replay", "x.rrd", "--dt", "1e-8", "--save", "y.rrd"]),
@@ -894,17 +894,17 @@ fn a_valid_edit_restarts_the_run_and_a_broken_one_does_not() {
     let dir = scene_dir();
     let scene = dir.file("small.toml");
     for steps in ["0", "30"] {
-        fs::write(&scene, SCENE).expect("room");
+        fs::write(&scene, SCENE).expect("disk space");
         let arguments =
             ["run", "small.toml", "--steps", steps, "--watch", "--serve", "--web-port", "0", "--grpc-port", "0"];
         let mut running = Running::start(&dir, &arguments);
         let lines = running.lines();
         wait_for_line(&lines, "serving at");
-        fs::write(&scene, format!("{SCENE}\nwrong = 1\n")).expect("room");
+        fs::write(&scene, format!("{SCENE}\nwrong = 1\n")).expect("disk space");
         let why = lines.iter().find(|line| line.contains("wrong")).expect("a reason");
         assert!(why.contains("small.toml") && why.contains("continuing with the previous scene"), "{why}");
         for comment in ["one", "two"] {
-            fs::write(&scene, format!("# {comment}\n{SCENE}")).expect("room");
+            fs::write(&scene, format!("# {comment}\n{SCENE}")).expect("disk space");
             wait_for_line(&lines, "small.toml has changed: restarting");
         }
         running.signal("INT");
@@ -935,7 +935,7 @@ fn memory_stays_bounded_over_a_hundred_thousand_frames() {
         radius = 1.0
         motion = { sine = { center = [2.1, 0, 0], amplitude = [0.4, 0, 0], frequency = 0.5 } }
     "#;
-    fs::write(dir.file("endless.toml"), text).expect("room");
+    fs::write(dir.file("endless.toml"), text).expect("disk space");
     let arguments = ["run", "endless.toml", "--steps", "120000", "--save", "x.rrd", "--quiet"];
     let mut running = Running::start(&dir, &arguments);
     let status = format!("/proc/{}/status", running.child().id());
@@ -1005,7 +1005,7 @@ fn a_viewer_beside_a_file_gets_every_row_once() {
     let arguments =
         ["run", "small.toml", "--steps", "40", "--realtime", "--quiet", "--save", "x.rrd", "--connect", &url];
     assert_eq!(run(&dir, &arguments).status, 0);
-    fs::write(dir.file("seen.rrd"), file(&seen(port))).expect("room");
+    fs::write(dir.file("seen.rrd"), file(&seen(port))).expect("disk space");
     let rows = |name: &str| {
         let mut reader = Reader::open(&dir.file(name)).expect("a recording");
         let mut ids = Vec::new();
@@ -1033,7 +1033,7 @@ fn a_reverted_edit_is_a_new_run() {
     let lines = running.lines();
     for text in [format!("# other\n{SCENE}"), SCENE.to_owned()] {
         std::thread::sleep(Duration::from_millis(500));
-        fs::write(dir.file("small.toml"), text).expect("room");
+        fs::write(dir.file("small.toml"), text).expect("disk space");
         wait_for_line(&lines, "small.toml has changed: restarting");
     }
     std::thread::sleep(Duration::from_millis(500));
@@ -1058,19 +1058,19 @@ fn only_regular_files_are_watched() {
     let lines = running.lines();
     wait_for_line(&lines, "serving at");
     let replace = |by: &dyn Fn()| {
-        fs::remove_file(&scene).expect("it is there");
+        fs::remove_file(&scene).expect("it exists");
         by();
     };
-    replace(&|| fs::rename(dir.file("pipe"), &scene).expect("room"));
+    replace(&|| fs::rename(dir.file("pipe"), &scene).expect("disk space"));
     let why = lines.iter().find(|line| line.contains("continuing")).expect("a reason");
     assert!(why.contains("is no longer a file"), "{why}");
-    replace(&|| std::os::unix::fs::symlink("/dev/zero", &scene).expect("room"));
+    replace(&|| std::os::unix::fs::symlink("/dev/zero", &scene).expect("disk space"));
     std::thread::sleep(Duration::from_millis(200));
-    replace(&|| fs::File::create(&scene).and_then(|file| file.set_len(64 << 30)).expect("a file can have a hole"));
+    replace(&|| fs::File::create(&scene).and_then(|file| file.set_len(64 << 30)).expect("a sparse file"));
     let why = lines.iter().find(|line| line.contains("continuing")).expect("a reason");
     assert!(why.contains("exceeds the size limit of a scene"), "{why}");
     // and back again
-    replace(&|| fs::write(&scene, format!("# back\n{SCENE}")).expect("room"));
+    replace(&|| fs::write(&scene, format!("# back\n{SCENE}")).expect("disk space"));
     wait_for_line(&lines, "small.toml has changed: restarting");
     running.signal("INT");
     std::thread::sleep(Duration::from_millis(1100)); // a second interrupt, not an echo of the first
@@ -1108,7 +1108,7 @@ fn exported_tables_match_the_run_bit_by_bit() {
         let text = fs::read_to_string(dir.path().join(name)).expect("a table");
         text.lines().skip(1).map(|line| line.split(',').map(str::to_owned).collect()).collect()
     };
-    let mut world = World::new(Scene::builtin("two").expect("a scene")).expect("it fits");
+    let mut world = World::new(Scene::builtin("two").expect("a scene")).expect("enough memory");
     let (mut events, mut pairs) = (Vec::new(), Vec::new());
     loop {
         let (step, time) = (world.steps_taken().to_string(), format!("{:?}", world.time()));
@@ -1159,7 +1159,7 @@ fn exported_states_match_the_world_bit_by_bit() {
             let name = format!("{scene}.{format}");
             run(&dir, &[&["export", scene, "--states", &name][..], &range].concat()).succeeded();
         }
-        let mut world = World::new(Scene::builtin(scene).expect("a scene")).expect("it fits");
+        let mut world = World::new(Scene::builtin(scene).expect("a scene")).expect("enough memory");
         let mut expected = Vec::new();
         for step in 1..=92 {
             world.step();

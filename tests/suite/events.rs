@@ -66,7 +66,7 @@ fn two(a: Path, b: Path, thresholds: Thresholds, dt: f64, duration: f64) -> Scen
 
 /// All events of a scene. Each belongs to the first step that does not end before it.
 fn events(scene: Scene) -> Vec<Event> {
-    let mut world = World::new(scene).expect("fits");
+    let mut world = World::new(scene).expect("enough memory");
     let mut all = vec![];
     for _ in 0..world.scene().steps() {
         let before = world.time();
@@ -121,9 +121,9 @@ proptest! {
         if let Some(time) = root(merge_at, -1.0) {
             expected.push((time, Merged));
             if let Some(time) = root(core_at, -1.0) {
-                expected.extend([(time, Core), (root(core_at, 1.0).expect("the way out"), Merged)]);
+                expected.extend([(time, Core), (root(core_at, 1.0).expect("a second crossing"), Merged)]);
             }
-            expected.push((root(merge_at + more, 1.0).expect("the way out"), Apart));
+            expected.push((root(merge_at + more, 1.0).expect("a second crossing"), Apart));
         }
         // rounding decides whether a graze counts
         let distances = p.cross(v).length() / v.length() / radii;
@@ -245,7 +245,7 @@ fn a_visit_of_a_ten_millionth_of_a_second_is_found() {
                 events(two(ORIGIN, b.clone(), thresholds, 1.0 / 60.0, 1.0)).iter().map(|e| (e.time, e.to)).collect(),
             ] {
                 assert_eq!(found.len(), if inside == Core { 4 } else { 2 }, "{found:?}");
-                let visit = found.iter().position(|change| change.1 == inside).expect("it visits");
+                let visit = found.iter().position(|change| change.1 == inside).expect("a visit");
                 let visit = if inside == Core { visit } else { 0 };
                 let error =
                     f64::max((found[visit].0 - (middle - half)).abs(), (found[visit + 1].0 - (middle + half)).abs());
@@ -358,7 +358,7 @@ proptest! {
         for (merge_at, expected) in [(q, Merged), (q.next_up(), Merged), (q.next_down(), Apart)] {
             for (core_at, expected) in [(0.0, expected), (0.5 * q, expected)] {
                 scene.thresholds = thresholds(core_at, merge_at, merge_at);
-                let mut world = World::new(scene.clone()).expect("fits");
+                let mut world = World::new(scene.clone()).expect("enough memory");
                 prop_assert_eq!(world.phase(0, 1), expected);
                 for _ in 0..5 {
                     prop_assert!(world.step().events.is_empty());
@@ -368,9 +368,9 @@ proptest! {
             }
         }
         scene.thresholds = thresholds(q, 2.0 * q, 2.0 * q);
-        prop_assert_eq!(World::new(scene.clone()).expect("fits").phase(0, 1), Merged);
+        prop_assert_eq!(World::new(scene.clone()).expect("enough memory").phase(0, 1), Merged);
         scene.thresholds = thresholds(q.next_up(), 2.0 * q, 2.0 * q);
-        prop_assert_eq!(World::new(scene).expect("fits").phase(0, 1), Core);
+        prop_assert_eq!(World::new(scene).expect("enough memory").phase(0, 1), Core);
     }
 }
 

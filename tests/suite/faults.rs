@@ -104,7 +104,7 @@ fn a_killed_run_loses_at_most_half_a_second() {
         let saved = recorded.last() as f64 * recorded.schema.dt;
         // on a busy machine the run itself may lag behind
         assert!(simulated - saved < 0.5 + 0.3, "{kind:?}: {saved} s of {simulated} s");
-        fs::remove_file(dir.file("k.rrd.partial")).expect("it is there");
+        fs::remove_file(dir.file("k.rrd.partial")).expect("it exists");
     }
 }
 
@@ -113,7 +113,7 @@ fn a_killed_run_loses_at_most_half_a_second() {
 #[test]
 fn a_full_disk_ends_the_run_and_keeps_what_was_written() {
     let dir = Dir::new();
-    fs::write(dir.file("full.rrd"), "RRF2: what was there before").expect("room");
+    fs::write(dir.file("full.rrd"), "RRF2: what was there before").expect("disk space");
     let script = format!(
         "trap '' XFSZ; ulimit -f 2000; exec '{}' run two --steps 3000 --save full.rrd",
         env!("CARGO_BIN_EXE_meldscope")
@@ -139,7 +139,7 @@ fn the_second_of_two_runs_into_one_file_is_rejected() {
     assert_eq!(second.status.code(), Some(1));
     assert!(output_text(&second).contains("another run is writing"), "{}", output_text(&second));
     drop(first);
-    let recorded = Recorded::open(&dir.file("one.rrd.partial")).expect("that of the first");
+    let recorded = Recorded::open(&dir.file("one.rrd.partial")).expect("the first recording");
     assert_eq!(recorded.schema.name, "two");
     let third = program(&dir, &["run", "push", "--save", "one.rrd"]).output().expect("it runs");
     assert_eq!(third.status.code(), Some(0));

@@ -66,7 +66,7 @@ fn content(dir: &Dir) -> Vec<(String, Vec<u8>)> {
 
 fn scene_dir() -> Dir {
     let dir = Dir::new();
-    fs::write(dir.file("s.toml"), SCENE).expect("room");
+    fs::write(dir.file("s.toml"), SCENE).expect("disk space");
     dir
 }
 
@@ -75,9 +75,9 @@ fn scene_dir() -> Dir {
 #[test]
 fn a_scene_is_never_replaced_by_its_recording() {
     let dir = scene_dir();
-    fs::create_dir(dir.file("sub")).expect("room");
+    fs::create_dir(dir.file("sub")).expect("disk space");
     fs::hard_link(dir.file("s.toml"), dir.file("hard.rrd")).expect("a link");
-    fs::write(dir.file("other.toml"), SCENE).expect("room");
+    fs::write(dir.file("other.toml"), SCENE).expect("disk space");
     succeeds(&dir, &["run", "s.toml", "--quiet", "--thin", "--save", "a.rrd"]);
     let mut ways = vec!["s.toml", "./s.toml", "sub/../s.toml", "hard.rrd"];
     if cfg!(unix) {
@@ -129,12 +129,12 @@ fn a_scene_is_never_replaced_by_its_recording() {
 fn only_recordings_are_replaced() {
     let dir = scene_dir();
     for (name, text) in [("letter.txt", "Dear all,"), ("short.rrd", "RR"), ("code.rrd", "fn main() {}")] {
-        fs::write(dir.file(name), text).expect("room");
+        fs::write(dir.file(name), text).expect("disk space");
         let error = rejected(&dir, &["run", "s.toml", "--save", name]);
         assert!(error.contains("it is no recording") && error.contains("remove it"), "{error}");
     }
     // files as created by mktemp, and by an earlier run
-    fs::write(dir.file("empty.rrd"), "").expect("room");
+    fs::write(dir.file("empty.rrd"), "").expect("disk space");
     for _ in 0..2 {
         let (_, err) = succeeds(&dir, &["run", "s.toml", "--quiet", "--save", "empty.rrd"]);
         assert_eq!(err, "");
@@ -144,7 +144,7 @@ fn only_recordings_are_replaced() {
     // a recording of another program
     let mut chunks = Chunks::new(StoreId::new(StoreKind::Recording, "flight_logs", "1"));
     chunks.log_static("/text", &TextDocument::new("precious"));
-    fs::write(dir.file("foreign.rrd"), encoded(chunks)).expect("room");
+    fs::write(dir.file("foreign.rrd"), encoded(chunks)).expect("disk space");
     let error = rejected(&dir, &["run", "s.toml", "--save", "foreign.rrd"]);
     assert!(error.contains("flight_logs") && error.contains("not of this program"), "{error}");
 }
@@ -175,9 +175,9 @@ fn replacing_another_kind_of_file_is_announced_before_the_run() {
 fn only_bless_replaces_golden_recordings() {
     let dir = scene_dir();
     succeeds(&dir, &["check", "s.toml", "--bless", "a test"]);
-    fs::write(dir.file("small.toml"), SCENE).expect("room");
+    fs::write(dir.file("small.toml"), SCENE).expect("disk space");
     succeeds(&dir, &["run", "push", "--quiet", "--save", "a.rrd"]);
-    fs::copy(dir.file("s.rrd"), dir.file("copy.rrd")).expect("room");
+    fs::copy(dir.file("s.rrd"), dir.file("copy.rrd")).expect("disk space");
     for golden in ["s.rrd", "copy.rrd", "./s.rrd"] {
         for arguments in [
             &["run", "s.toml", "--save", golden] as &[_],
@@ -196,17 +196,17 @@ fn only_bless_replaces_golden_recordings() {
     assert!(error.contains("small.rrd") && error.contains("golden recording"), "{error}");
 
     // a file that `check` treats as golden, although it cannot be read
-    fs::write(dir.file("s.rrd"), "RRF2 and nothing else").expect("room");
+    fs::write(dir.file("s.rrd"), "RRF2 and nothing else").expect("disk space");
     let error = rejected(&dir, &["run", "s.toml", "--save", "s.rrd"]);
     assert!(error.contains("golden recording"), "{error}");
     succeeds(&dir, &["check", "s.toml", "--bless", "it was damaged"]);
     succeeds(&dir, &["check", "s.toml"]);
 
     // the comparison that `check` writes does not replace one either
-    fs::write(dir.file("s.check.toml"), SCENE).expect("room");
+    fs::write(dir.file("s.check.toml"), SCENE).expect("disk space");
     succeeds(&dir, &["check", "s.check.toml", "--bless", "a trap"]);
     let golden = fs::read(dir.file("s.check.rrd")).expect("a file");
-    fs::write(dir.file("s.toml"), SCENE.replace("[-2, 0, 0]", "[-2.5, 0, 0]")).expect("room");
+    fs::write(dir.file("s.toml"), SCENE.replace("[-2, 0, 0]", "[-2.5, 0, 0]")).expect("disk space");
     let (status, out, err) = meldscope(&dir, &["check", "s.toml"]);
     assert!(status == 1 && out.contains("could not be written") && out.contains("golden"), "{out}{err}");
     assert!(fs::read(dir.file("s.check.rrd")).expect("a file") == golden);
@@ -217,13 +217,13 @@ fn only_bless_replaces_golden_recordings() {
 fn comparisons_do_not_replace_each_other() {
     let dir = Dir::new();
     for folder in ["one", "two"] {
-        fs::create_dir(dir.file(folder)).expect("room");
-        fs::write(dir.file(&format!("{folder}/s.toml")), SCENE).expect("room");
+        fs::create_dir(dir.file(folder)).expect("disk space");
+        fs::write(dir.file(&format!("{folder}/s.toml")), SCENE).expect("disk space");
     }
     succeeds(&dir, &["check", "one", "two", "--bless", "a test"]);
     for folder in ["one", "two"] {
         let other = SCENE.replace("[-2, 0, 0]", "[-2.5, 0, 0]");
-        fs::write(dir.file(&format!("{folder}/s.toml")), other).expect("room");
+        fs::write(dir.file(&format!("{folder}/s.toml")), other).expect("disk space");
     }
     let (status, out, err) = meldscope(&dir, &["check", "one", "two"]);
     assert!(status == 1 && out.contains("rerun s.check.rrd") && out.contains("rerun s-2.check.rrd"), "{out}{err}");
@@ -240,7 +240,7 @@ fn benchmarks_replace_only_their_own_files() {
         succeeds(&dir, &[&crowd[..], &["crowd.toml"]].concat());
     }
     assert_eq!(Scene::load(&dir.file("crowd.toml")).expect("a scene").bodies.len(), 3);
-    fs::write(dir.file("data.csv"), "time,price\n1,2\n").expect("room");
+    fs::write(dir.file("data.csv"), "time,price\n1,2\n").expect("disk space");
     for arguments in [
         &["bench", "error", "s.toml", "--csv", "s.toml"] as &[_],
         &["bench", "error", "s.toml", "--svg", "s.toml"],
@@ -266,7 +266,7 @@ fn links_at_the_partial_path_are_not_followed() {
         fs::remove_file(dir.file(name)).ok();
         std::os::unix::fs::symlink(to, dir.file(name)).expect("a link");
     };
-    fs::write(dir.file("mine.txt"), "precious").expect("room");
+    fs::write(dir.file("mine.txt"), "precious").expect("disk space");
     succeeds(&dir, &["run", "s.toml", "--quiet", "--save", "mine.rrd"]);
     for to in ["mine.txt", "mine.rrd", "not-there", "/etc/passwd"] {
         link(to, "x.rrd.partial");
@@ -277,19 +277,19 @@ fn links_at_the_partial_path_are_not_followed() {
         );
         assert!(!dir.file("not-there").exists());
     }
-    fs::remove_file(dir.file("x.rrd.partial")).expect("it is there");
+    fs::remove_file(dir.file("x.rrd.partial")).expect("it exists");
     // nor any other existing file
-    fs::create_dir(dir.file("x.rrd.partial")).expect("room");
+    fs::create_dir(dir.file("x.rrd.partial")).expect("disk space");
     rejected(&dir, &["run", "s.toml", "--save", "x.rrd"]);
-    fs::remove_dir(dir.file("x.rrd.partial")).expect("it is there");
+    fs::remove_dir(dir.file("x.rrd.partial")).expect("it exists");
     assert!(Command::new("mkfifo").arg(dir.file("x.rrd.partial")).status().expect("mkfifo").success());
     let error = rejected(&dir, &["run", "s.toml", "--save", "x.rrd"]);
     assert!(error.contains("is no file"), "{error}");
-    fs::remove_file(dir.file("x.rrd.partial")).expect("it is there");
-    fs::write(dir.file("x.rrd.partial"), "a letter").expect("room");
+    fs::remove_file(dir.file("x.rrd.partial")).expect("it exists");
+    fs::write(dir.file("x.rrd.partial"), "a letter").expect("disk space");
     let error = rejected(&dir, &["run", "s.toml", "--save", "x.rrd"]);
     assert!(error.contains("is no recording"), "{error}");
-    fs::remove_file(dir.file("x.rrd.partial")).expect("it is there");
+    fs::remove_file(dir.file("x.rrd.partial")).expect("it exists");
 
     // the file of a killed run is replaced; its hard links keep their content
     let bytes = fs::read(dir.file("mine.rrd")).expect("a file");
@@ -324,7 +324,7 @@ fn the_second_of_two_runs_that_save_to_one_file_is_rejected() {
     assert!(error.contains(".partial"), "{error}");
     drop(first);
     // the remains of a killed run, claimed twice
-    fs::write(dir.file("x.rrd.partial"), "RRF2").expect("room");
+    fs::write(dir.file("x.rrd.partial"), "RRF2").expect("disk space");
     let first = Sinks::open(&to_file(&dir.file("x.rrd"))).expect("a file");
     assert!(matches!(Sinks::open(&to_file(&dir.file("x.rrd"))), Err(SinkError::Busy { .. })));
     drop(first);
@@ -337,16 +337,16 @@ fn files_created_during_a_run_are_not_replaced() {
     let dir = scene_dir();
     let (path, partial) = (dir.file("x.rrd"), dir.file("x.rrd.partial"));
     let sinks = Sinks::open(&to_file(&path)).expect("a file");
-    fs::write(&path, "a letter").expect("room");
-    let error = sinks.finish().err().expect("it is no recording").to_string();
+    fs::write(&path, "a letter").expect("disk space");
+    let error = sinks.finish().err().expect("an error").to_string();
     assert!(error.contains("x.rrd.partial") && error.contains("something else has been put there"), "{error}");
     assert_eq!(fs::read(&path).expect("a file"), b"a letter");
     assert!(fs::read(&partial).expect("a file").starts_with(b"RRF2"));
-    fs::remove_file(&path).and_then(|()| fs::remove_file(&partial)).expect("they are there");
+    fs::remove_file(&path).and_then(|()| fs::remove_file(&partial)).expect("they exist");
 
     let sinks = Sinks::open(&to_file(&path)).expect("a file");
-    fs::remove_file(&partial).and_then(|()| fs::write(&partial, "another's")).expect("room");
-    let error = sinks.finish().err().expect("it is another").to_string();
+    fs::remove_file(&partial).and_then(|()| fs::write(&partial, "another's")).expect("disk space");
+    let error = sinks.finish().err().expect("an error").to_string();
     assert!(error.contains("another program"), "{error}");
     assert_eq!(fs::read(&partial).expect("a file"), b"another's");
     assert!(!path.exists());
@@ -357,7 +357,7 @@ fn files_created_during_a_run_are_not_replaced() {
 fn a_replay_is_not_written_over_its_input() {
     let dir = scene_dir();
     succeeds(&dir, &["run", "s.toml", "--quiet", "--save", "x.rrd"]);
-    fs::rename(dir.file("x.rrd"), dir.file("x.rrd.partial")).expect("room");
+    fs::rename(dir.file("x.rrd"), dir.file("x.rrd.partial")).expect("disk space");
     let error = rejected(&dir, &["replay", "x.rrd.partial", "--save", "x.rrd"]);
     assert!(error.contains("first written to") && error.contains("another name"), "{error}");
     rejected(&dir, &["diff", "x.rrd.partial", "x.rrd.partial", "--save", "x.rrd"]);
@@ -436,7 +436,7 @@ proptest! {
         scene.tolerance = tolerance.clamp(1e-9, 1e-3);
         scene.dt = dt.clamp(1e-4, 0.1);
         let mut world =
-            World::with_options(scene.clone(), Options { skip, ..Options::default() }).expect("it fits");
+            World::with_options(scene.clone(), Options { skip, ..Options::default() }).expect("enough memory");
         let mut sinks = Sinks::open(&to_file(&dir.file("x.rrd"))).expect("a file");
         let steps = settings.steps.unwrap_or(taken).min(taken);
         let mut recorder = Recorder::new(&world, settings.clone());
@@ -445,8 +445,8 @@ proptest! {
             recorder.observe(&world);
         }
         recorder.finish(&world);
-        recorder.take().into_iter().for_each(|message| sinks.send(message).expect("room"));
-        sinks.finish().expect("room");
+        recorder.take().into_iter().for_each(|message| sinks.send(message).expect("disk space"));
+        sinks.finish().expect("disk space");
         let recorded = Recorded::open(&dir.file("x.rrd")).expect("a recording");
         prop_assert_eq!(&recorded.settings, &settings);
         prop_assert_eq!((recorded.schema.dt, recorded.schema.tolerance), (scene.dt, scene.tolerance));
@@ -502,7 +502,7 @@ fn a_run_with_too_many_steps_is_replayed_as_far_as_it_got() {
         assert!(child.wait().expect("a child").success());
         let (out, _) = succeeds(&dir, &["replay", "x.rrd"]);
         assert!(out.contains("identical"), "{out}");
-        fs::remove_file(dir.file("x.rrd")).expect("it is there");
+        fs::remove_file(dir.file("x.rrd")).expect("it exists");
     }
 }
 
@@ -532,7 +532,7 @@ fn no_control_character_of_a_recording_reaches_a_terminal() {
     let dir = scene_dir();
     let scene = Scene::parse(SCENE, "small").expect("a scene");
     let settings = Settings { frames: Frames::Thin, ..Settings::of(&scene) };
-    let mut world = World::new(scene.clone()).expect("it fits");
+    let mut world = World::new(scene.clone()).expect("enough memory");
     let mut recorder = Recorder::new(&world, settings);
     for name in ["overrides", "machine", "blessed", "integrator"] {
         recorder.log_property(name, EVIL);
@@ -544,8 +544,8 @@ fn no_control_character_of_a_recording_reaches_a_terminal() {
     recorder.finish(&world);
     let write = |recorder: &mut Recorder, name: &str| {
         let mut sinks = Sinks::open(&to_file(&dir.file(name))).expect("a file");
-        recorder.take().into_iter().for_each(|message| sinks.send(message).expect("room"));
-        sinks.finish().expect("room");
+        recorder.take().into_iter().for_each(|message| sinks.send(message).expect("disk space"));
+        sinks.finish().expect("disk space");
     };
     write(&mut recorder, "x.rrd");
     succeeds(&dir, &["run", "s.toml", "--quiet", "--thin", "--save", "good.rrd"]);
@@ -560,7 +560,7 @@ fn no_control_character_of_a_recording_reaches_a_terminal() {
     assert!(printed.contains("identical") && printed.contains(r"\u{1b}[2J"), "{printed}");
     plain(&["diff", "x.rrd", "good.rrd"]);
     plain(&["run", "x.rrd"]);
-    fs::copy(dir.file("x.rrd"), dir.file("s.rrd")).expect("room");
+    fs::copy(dir.file("x.rrd"), dir.file("s.rrd")).expect("disk space");
     plain(&["check", "s.toml"]);
 
     // texts that cannot be used: they are quoted in the error message
@@ -577,14 +577,14 @@ fn no_control_character_of_a_recording_reaches_a_terminal() {
                 .with_component::<rerun::components::Scalar>("format", [format]);
             let mut chunks = Chunks::new(StoreId::new(StoreKind::Recording, "meldscope_small", "small-0"));
             chunks.log_static("/__properties/meldscope", &properties);
-            fs::write(dir.file("y.rrd"), encoded(chunks)).expect("room");
+            fs::write(dir.file("y.rrd"), encoded(chunks)).expect("disk space");
             plain(&["replay", "y.rrd"]);
         }
     }
     // another program's name
     let mut chunks = Chunks::new(StoreId::new(StoreKind::Recording, EVIL, "1"));
     chunks.log_static("/text", &TextDocument::new("precious"));
-    fs::write(dir.file("z.rrd"), encoded(chunks)).expect("room");
+    fs::write(dir.file("z.rrd"), encoded(chunks)).expect("disk space");
     plain(&["run", "s.toml", "--save", "z.rrd"]);
     plain(&["replay", "z.rrd"]);
 }
@@ -595,8 +595,8 @@ fn no_control_character_of_a_name_reaches_a_terminal() {
     let dir = scene_dir();
     let name = "\u{1b}]0;owned\u{7}\u{1b}[2J\u{202e}\nfake: identical";
     let [toml, rrd] = ["toml", "rrd"].map(|extension| format!("{name}.{extension}"));
-    fs::write(dir.file(&toml), SCENE.replace("name = \"small\"\n", "")).expect("room");
-    fs::write(dir.file("bidi.toml"), SCENE.replace("small", "a\u{202e}b\u{2066}")).expect("room");
+    fs::write(dir.file(&toml), SCENE.replace("name = \"small\"\n", "")).expect("disk space");
+    fs::write(dir.file("bidi.toml"), SCENE.replace("small", "a\u{202e}b\u{2066}")).expect("disk space");
     let plain = |arguments: &[&str]| {
         let (status, out, err) = meldscope(&dir, arguments);
         assert!(!out.contains(acts_on_terminal) && !err.contains(acts_on_terminal), "{arguments:?}: {out:?} {err:?}");
@@ -617,7 +617,7 @@ fn no_control_character_of_a_name_reaches_a_terminal() {
     assert_eq!(plain(&["run", &format!("{name}.missing")]), 2);
     assert_eq!(plain(&["replay", &format!("{name}.missing")]), 2);
     assert_eq!(plain(&["run", "s.toml", "--save", &toml]), 2);
-    fs::write(dir.file(&toml), "duration = \"\u{1b}[2J\u{9b}\u{202e}\"").expect("room");
+    fs::write(dir.file(&toml), "duration = \"\u{1b}[2J\u{9b}\u{202e}\"").expect("disk space");
     assert_eq!(plain(&["run", &toml]), 2);
     assert_eq!(plain(&["check", &toml]), 2);
 }
@@ -659,7 +659,7 @@ fn results_that_cannot_be_printed_are_an_error() {
     }
     // other errors are still reported, with their exit status
     let full = fs::OpenOptions::new().write(true).open("/dev/full").expect("a device");
-    fs::write(dir.file("s.toml"), SCENE.replace("[-2, 0, 0]", "[-2.5, 0, 0]")).expect("room");
+    fs::write(dir.file("s.toml"), SCENE.replace("[-2, 0, 0]", "[-2.5, 0, 0]")).expect("disk space");
     let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
     command.args(["check", "s.toml"]).current_dir(dir.path()).stdout(full).stderr(Stdio::piped());
     let output = command.spawn().and_then(|child| child.wait_with_output()).expect("it starts");

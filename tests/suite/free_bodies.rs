@@ -15,7 +15,7 @@ fn scene(text: &str) -> Scene {
 }
 
 fn world(text: &str) -> World {
-    World::new(scene(text)).expect("it fits")
+    World::new(scene(text)).expect("enough memory")
 }
 
 fn step(world: &mut World) {
@@ -58,8 +58,8 @@ fn world_of_box(name: &str, half: DVec3, lines: &str, motion: &str) -> World {
     );
     fs::write(file("box.toml"), lines).expect("a file");
     let scene = Scene::load(&file("box.toml")).expect("a valid scene");
-    fs::remove_dir_all(&folder).expect("it is there");
-    let world = World::new(scene).expect("it fits");
+    fs::remove_dir_all(&folder).expect("it exists");
+    let world = World::new(scene).expect("enough memory");
     assert!((world.body(0).rest(0) + half).length() < 1e-12, "{}", world.body(0).rest(0));
     world
 }
@@ -254,7 +254,7 @@ fn conserved_quantities_are_conserved_over_many_encounters() {
 #[test]
 fn actions_equal_reactions() {
     for name in ["collide", "orbit"] {
-        let mut world = World::new(Scene::builtin(name).expect("built in")).expect("it fits");
+        let mut world = World::new(Scene::builtin(name).expect("a built-in scene")).expect("enough memory");
         let (mut forces, mut phases, mut largest) = (BodyForces::default(), vec![], 0.0_f64);
         for _ in 0..world.scene().steps().min(180) {
             step(&mut world);
@@ -316,7 +316,7 @@ fn a_body_removed_in_time_leaves_no_trace() {
     let mut changed = world(&COMPANY.concat());
     run(&mut known, 20);
     run(&mut changed, 20);
-    changed.remove(2).expect("it is there");
+    changed.remove(2).expect("it exists");
     assert_identical_steps(&mut known, &mut changed, 60);
 }
 
@@ -327,7 +327,7 @@ fn a_body_moved_to_another_path_acts_as_if_always_on_it() {
     let mut changed = world(&COMPANY.concat());
     run(&mut known, 6);
     run(&mut changed, 6);
-    changed.set_motion(2, known.scene().bodies[2].motion.clone()).expect("it is there");
+    changed.set_motion(2, known.scene().bodies[2].motion.clone()).expect("it exists");
     assert_identical_steps(&mut known, &mut changed, 80);
     assert_ne!(known.phase(1, 2), Phase::Apart, "it never touches the others");
 }
@@ -340,10 +340,10 @@ fn everything_can_be_changed_before_the_first_step() {
         world(&[COMPANY[0], &COMPANY[1].replace("0.3]", "7.3]"), &COMPANY[3].replace("\"c\"", "\"x\"")].concat());
     let bodies = &known.scene().bodies;
     let moved = Motion::clone(&bodies[0].motion);
-    changed.set_motion(0, moved).expect("it is there");
-    changed.remove(1).expect("it is there");
+    changed.set_motion(0, moved).expect("it exists");
+    changed.remove(1).expect("it exists");
     changed.add(bodies[1].clone()).expect("a new name");
     changed.add(bodies[2].clone()).expect("a new name");
-    changed.push(known.scene().pushes[0]).expect("it is there");
+    changed.push(known.scene().pushes[0]).expect("it exists");
     assert_identical_steps(&mut known, &mut changed, 60);
 }

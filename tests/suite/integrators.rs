@@ -16,7 +16,7 @@ fn scene(text: &str) -> Scene {
 }
 
 fn world(text: &str) -> World {
-    World::new(scene(text)).expect("fits")
+    World::new(scene(text)).expect("enough memory")
 }
 
 /// Displacement and velocity of every vertex of every body.
@@ -78,7 +78,7 @@ fn thesis_matches_the_printed_equations_bit_by_bit() {
     let (dt, alpha, beta): (f64, f64, f64) = (0.015625, 100.0, 60.0);
     let (w, k): (f64, f64) = (12.0, 1.5);
     let r_e = 1.5 * 1.25;
-    let mut world = World::new(scene.clone()).expect("fits");
+    let mut world = World::new(scene.clone()).expect("enough memory");
     let count = world.body(0).vertex_count();
     let l: Vec<V> = (0..count).map(|v| (world.body(0).rest(v)).to_array()).collect();
     let (mut x, mut u) = (vec![[0.0; 3]; count], vec![[0.0; 3]; count]);
@@ -146,7 +146,7 @@ fn pushed_sphere(integrator: Integrator, omega: f64, damping: f64, dt: f64, dura
     (scene.integrator, scene.dt, scene.duration) = (integrator, dt, duration);
     (scene.bodies[0].material.omega, scene.bodies[0].material.damping) = (omega, damping);
     scene.pushes.push(Push { body: 0, direction: DVec3::X, strength: 1.0 / push, start: 0.0, duration: push });
-    World::new(scene).expect("fits")
+    World::new(scene).expect("enough memory")
 }
 
 /// The force on a vertex of body 0 in [`busy_pair`], implemented independently.
@@ -250,7 +250,7 @@ fn the_explicit_schemes_match_the_textbooks() {
     for integrator in Integrator::ALL.into_iter().filter(|&i| i != Integrator::Exponential) {
         let scene = busy_pair(integrator);
         let busy = Busy { scene: scene.clone(), omega: 12.0, kappa: 1.5 };
-        let mut world = World::new(scene).expect("fits");
+        let mut world = World::new(scene).expect("enough memory");
         let units: Vec<V> = (0..world.body(0).vertex_count()).map(|v| world.body(0).direction(v).to_array()).collect();
         let mut states = vec![([0.0; 3], [0.0; 3]); units.len()];
         let (mut worst, mut largest) = (0.0, 0.0);
@@ -382,7 +382,7 @@ fn exponential_is_exact_for_a_released_body() {
         world = {
             let mut scene = world.scene().clone();
             scene.pushes[0].strength *= f64::max(omega, kappa);
-            World::new(scene).expect("fits")
+            World::new(scene).expect("enough memory")
         };
         world.step();
         let at = |world: &World| (world.body(0).displacement(FACING).x, world.body(0).velocity(FACING).x);
@@ -415,7 +415,7 @@ fn exponential_is_stable_when_stiff() {
             }
             // α r_e/4 is the maximum pull of the other sphere
             let held = 100.0 * std::f64::consts::SQRT_2 / 4.0 / (omega * omega);
-            let mut world = World::new(scene).expect("fits");
+            let mut world = World::new(scene).expect("enough memory");
             let mut largest = 0.0;
             for _ in 0..world.scene().steps() {
                 world.step();
@@ -564,7 +564,7 @@ fn the_number_of_threads_changes_no_bit() {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
             pool.install(|| {
                 assert_eq!(rayon::current_num_threads(), threads);
-                let mut world = World::new(Scene { integrator, ..carpet() }).expect("fits");
+                let mut world = World::new(Scene { integrator, ..carpet() }).expect("enough memory");
                 let mut events: Vec<Event> = vec![];
                 let mut counts = vec![];
                 for _ in 0..world.scene().steps() {
@@ -664,7 +664,8 @@ duration = 0.1
 fn observation_changes_no_bit() {
     for integrator in Integrator::ALL {
         let scene = || Scene { integrator, ..scene(include_str!("../reference/three.toml")) };
-        let (mut seen, mut unseen) = (World::new(scene()).expect("fits"), World::new(scene()).expect("fits"));
+        let (mut seen, mut unseen) =
+            (World::new(scene()).expect("enough memory"), World::new(scene()).expect("enough memory"));
         let mut forces = BodyForces::default();
         for step in 0..seen.scene().steps() {
             let looks = if step % 3 == 0 { 2 } else { 1 };

@@ -36,7 +36,7 @@ fn record(experiment: &dyn Experiment, path: &Path, settings: Settings) {
 }
 
 fn run(name: &str, model: Model) -> SceneRun {
-    SceneRun { scene: Scene { model, ..Scene::builtin(name).expect("built in") }, options: Options::default() }
+    SceneRun { scene: Scene { model, ..Scene::builtin(name).expect("a built-in scene") }, options: Options::default() }
 }
 
 #[test]
@@ -132,7 +132,7 @@ impl Experiment for Tearing {
     }
     fn read(&self, _: &str, text: &str, _: &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> {
         let pull = text.strip_prefix("pull = ").and_then(|pull| pull.parse().ok());
-        Ok(Arc::new(Tearing(Octahedra(pull.expect("its own")))))
+        Ok(Arc::new(Tearing(Octahedra(pull.expect("its own text")))))
     }
 }
 
@@ -140,7 +140,8 @@ impl Experiment for Tearing {
 fn a_body_that_tears_is_recorded_and_read_back() {
     let dir = Dir::new();
     let tearing = Tearing(Octahedra(3.0));
-    let open = |path: &Path| Recorded::open_as(path, &|name, text, run| tearing.read(name, text, run)).expect("ours");
+    let open =
+        |path: &Path| Recorded::open_as(path, &|name, text, run| tearing.read(name, text, run)).expect("a recording");
     for (name, entities, detail) in [
         ("bodies", Entities::Body, Detail::Forces),
         ("plain", Entities::Body, Detail::Surface),
@@ -177,7 +178,7 @@ fn bodies_made_of_cells_are_recorded_replayed_and_compared() {
     let dir = Dir::new();
     let shaken = "duration = 1\n[[body]]\nname = 'a'\nradius = 0.5\n\
                   motion = { sine = { center = [0, 0, 0], amplitude = [3, 0, 0], frequency = 1.5, phase = 0 } }\n";
-    let two = Scene::builtin("two").expect("built in").source;
+    let two = Scene::builtin("two").expect("a built-in scene").source;
     for (model, scene, tables, entity) in [
         (Model::Lattice, shaken, "[lattice]\ntear = 'split'\nlimit = 0.3\n", "diagnostics/split_nodes"),
         (Model::Lattice, shaken, "[lattice]\ntear = 'cut'\nlimit = 0.3\n", "diagnostics/volume_lost"),
@@ -209,14 +210,14 @@ fn metaballs_are_recorded_replayed_compared_and_checked() {
     let (full, thin, golden) = (dir.file("full"), dir.file("thin"), dir.file("golden"));
     record(&balls, &full, Settings { steps: Some(150), ..Settings::of(&balls) });
     record(&balls, &thin, Settings { steps: Some(150), frames: Frames::Thin, ..Settings::of(&balls) });
-    let [full, thin] = [&full, &thin].map(|path| Recorded::open(path).expect("ours"));
+    let [full, thin] = [&full, &thin].map(|path| Recorded::open(path).expect("a recording"));
     assert_eq!(full.schema.model, "metaballs");
     for recorded in [&full, &thin] {
         assert_eq!(replay::verify(recorded, |_| true).expect("it runs"), Verdict::Identical);
     }
     let same = diff::diff([&full, &thin], 1e-6).expect("the same bodies");
     assert_eq!((same.first_bits, same.bodies, same.events), (None, vec![], vec![]));
-    golden::bless(&balls, &golden, "a test").expect("room");
+    golden::bless(&balls, &golden, "a test").expect("disk space");
     let outcome = golden::check(&balls, &golden, None).expect("it runs");
     assert!(matches!(outcome, GoldenOutcome::Identical { events: 2, .. }), "{outcome:?}");
 
@@ -250,13 +251,13 @@ fn metaballs_are_recorded_replayed_compared_and_checked() {
 #[test]
 fn models_side_by_side_are_one_recording() {
     let dir = Dir::new();
-    let mut scene = Scene::builtin("two").expect("built in");
+    let mut scene = Scene::builtin("two").expect("a built-in scene");
     scene.duration = 2.0;
     let all = SideBySide::all(&scene, Options::default());
     assert!(all.models.starts_with(&[Model::Oscillators, Model::Metaballs]), "{:?}", all.models);
     let path = dir.file("beside");
     record(&all, &path, Settings { steps: Some(120), ..Settings::of(&all) });
-    let recorded = Recorded::open(&path).expect("ours");
+    let recorded = Recorded::open(&path).expect("a recording");
     assert_eq!(replay::verify(&recorded, |_| true).expect("it runs"), Verdict::Identical);
     let merges = recorded.events.iter().filter(|event| event.name == "merge").map(|event| event.pair.clone());
     let merges: Vec<String> = merges.collect();
@@ -266,7 +267,7 @@ fn models_side_by_side_are_one_recording() {
 
 #[test]
 fn the_model_benchmark_measures_every_model_that_can_run() {
-    let mut scene = Scene::builtin("two").expect("built in");
+    let mut scene = Scene::builtin("two").expect("a built-in scene");
     scene.duration = 1.6;
     let report = bench::models::measure(&scene, &[Model::Oscillators, Model::Metaballs], &mut |_| ());
     let row = |model: Model| {
@@ -296,10 +297,10 @@ fn unsupported_features_of_a_model_are_rejected_with_status_2() {
     assert!(status == Some(2) && error.contains("motion") && error.contains("body \""), "{status:?} {error}");
     let (status, error) = meldscope(&["run", "two", "--model", "metabals"]);
     assert!(status == Some(2) && error.contains("did you mean \"metaballs\""), "{status:?} {error}");
-    std::fs::write(dir.path().join("balls.toml"), "model = 'metaballs'\n".to_owned() + &two()).expect("room");
+    std::fs::write(dir.path().join("balls.toml"), "model = 'metaballs'\n".to_owned() + &two()).expect("disk space");
     let (status, error) = meldscope(&["bench", "error", "balls.toml"]);
     assert!(status == Some(2) && error.contains("metaballs"), "{status:?} {error}");
-    assert_eq!(std::fs::read_dir(dir.path()).expect("there").count(), 1, "nothing was written");
+    assert_eq!(std::fs::read_dir(dir.path()).expect("it exists").count(), 1, "nothing was written");
     let (status, error) = meldscope(&["run", "balls.toml", "--save", "balls.rrd"]);
     assert_eq!(status, Some(0), "{error}");
     let (status, error) = meldscope(&["replay", "balls.rrd"]);
@@ -308,5 +309,5 @@ fn unsupported_features_of_a_model_are_rejected_with_status_2() {
 
 fn two() -> String {
     let found = builtin::ALL.iter().find(|scene| scene.name == "two");
-    found.expect("built in").text.to_owned()
+    found.expect("a built-in scene").text.to_owned()
 }

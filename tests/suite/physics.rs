@@ -20,7 +20,7 @@ fn scene(text: &str) -> Scene {
 }
 
 fn world(text: &str) -> World {
-    World::new(scene(text)).expect("fits")
+    World::new(scene(text)).expect("enough memory")
 }
 
 /// −∇f at `p` by central differences over `2h`.
@@ -407,7 +407,7 @@ motion = {{ fixed = [-0.2, 0.6, -0.3] }}
     );
     let mut scene = scene(&text);
     scene.dt /= divided;
-    let world = World::new(scene).expect("fits");
+    let world = World::new(scene).expect("enough memory");
     let phases: Vec<Phase> = world.pairs().map(|pair| pair.phase).collect();
     for phase in [Phase::Apart, Phase::Merged, Phase::Core] {
         assert!(phases.contains(&phase), "{phases:?}");
@@ -473,7 +473,7 @@ fn lone(lines: &str, divided: u64) -> World {
         "duration = 3.0\n[[body]]\nname = \"a\"\nradius = 0.7\nshape = {{ sphere = {{ stacks = 3, slices = 4 }} }}\n{lines}\n"
     ));
     scene.dt /= divided as f64;
-    World::new(scene).expect("fits")
+    World::new(scene).expect("enough memory")
 }
 
 /// Steps to the end; returns the largest distance of any displacement from `expected(t)` at the end of any step.
@@ -591,7 +591,7 @@ fn a_body_with_world_response_lags_behind_its_steady_motion() {
     // The drag is constant, so the step size does not matter: a hundred seconds in 7 steps.
     let mut scene = scene(&format!("duration = 100\n[[body]]\nname = \"a\"\nradius = 1\n{lines}"));
     scene.dt = 100.0 / 7.0;
-    let mut world = World::new(scene).expect("fits");
+    let mut world = World::new(scene).expect("enough memory");
     for _ in 0..7 {
         world.step();
     }
@@ -648,7 +648,7 @@ fn pushes_match_their_closed_form_in_any_window() {
             })
             .collect();
         let pushes = scene.pushes.clone();
-        let mut world = World::new(scene).expect("fits");
+        let mut world = World::new(scene).expect("enough memory");
         for _ in 0..world.scene().steps() {
             world.step();
             let (t, body) = (world.time(), world.body(0));
@@ -709,7 +709,7 @@ response = "world"
                 Path::Keyframes(_) | Path::Given(_) => {}
             }
         }
-        World::new(scene).expect("fits")
+        World::new(scene).expect("enough memory")
     };
     let (mut near, mut far) = (run(DVec3::ZERO), run(dvec3(1e6, -1e6, 1e6)));
     let (mut worst, mut events) = (0.0, 0);

@@ -196,14 +196,14 @@ impl From<&ArrayRef> for TimeTicks {
     fn from(cell: &ArrayRef) -> TimeTicks {
         use rerun::external::arrow::{array::Int64Array, compute::cast, datatypes::DataType};
         let cell = cast(cell, &DataType::Int64).expect("a number of ticks");
-        TimeTicks(cell.as_any().downcast_ref::<Int64Array>().expect("cast to it").value(0))
+        TimeTicks(cell.as_any().downcast_ref::<Int64Array>().expect("the cast type").value(0))
     }
 }
 
 impl Row {
     /// A component, deserialised by the SDK; empty if there is none.
     pub fn get<T: Loggable>(&self, component: &str) -> Vec<T> {
-        self.cells.get(component).map_or_else(Vec::new, |cell| T::from_arrow(cell).expect("what its archetype says"))
+        self.cells.get(component).map_or_else(Vec::new, |cell| T::from_arrow(cell).expect("the type of its archetype"))
     }
 
     fn has(&self, component: &str) -> bool {
@@ -289,11 +289,12 @@ impl Run {
         let path = dir.file("run.rrd");
         let destinations = Destinations { save: Some(path.clone()), ..Destinations::default() };
         let mut sinks = Sinks::open(&destinations).expect("a file");
-        let mut world = World::new(scene.clone()).expect("it fits");
+        let mut world = World::new(scene.clone()).expect("enough memory");
         let mut recorder = Recorder::new(&world, settings.clone());
-        let mut send = |messages: Vec<_>| messages.into_iter().for_each(|message| sinks.send(message).expect("room"));
+        let mut send =
+            |messages: Vec<_>| messages.into_iter().for_each(|message| sinks.send(message).expect("disk space"));
         send(recorder.blueprint(&world));
-        for step in 1..=settings.steps.expect("an end") {
+        for step in 1..=settings.steps.expect("a last step") {
             world.step();
             recorder.observe(&world);
             if step % taken_every == 0 {
@@ -302,12 +303,12 @@ impl Run {
         }
         recorder.finish(&world);
         send(recorder.take());
-        sinks.finish().expect("room");
+        sinks.finish().expect("disk space");
         Run { scene: scene.clone(), settings, recording: Recording::open(&path) }
     }
 
     fn steps(&self) -> u64 {
-        self.settings.steps.expect("an end")
+        self.settings.steps.expect("a last step")
     }
 
     /// The steps that have frames.
@@ -317,7 +318,7 @@ impl Run {
 
     /// Visits every step of an unrecorded world of the same scene.
     fn walk(&self, mut look: impl FnMut(&World)) {
-        let mut world = World::new(self.scene.clone()).expect("it fits");
+        let mut world = World::new(self.scene.clone()).expect("enough memory");
         look(&world);
         for _ in 0..self.steps() {
             world.step();
@@ -559,7 +560,7 @@ impl Run {
     fn verify_checksums(&self) {
         let mut found = self.recording.rows(&EntityPath::from("/checksum")).into_iter();
         self.walk(|world| {
-            let (_, row) = found.next().expect("one for every step");
+            let (_, row) = found.next().expect("one per step");
             assert_eq!((row.step, row.time), (world.steps_taken() as i64, nanoseconds(world.time())));
             let values = row.cells["checksum"].as_primitive::<UInt64Type>().values().to_vec();
             assert_eq!(values, [world.checksum()], "step {}", row.step);
@@ -1354,7 +1355,7 @@ fn stages_within_steps_are_recorded() {
 #[test]
 fn a_file_ends_with_the_ranges_of_its_plots_and_opens_at_its_first_event() {
     let scene = builtin("two");
-    let mut world = World::new(scene.clone()).expect("it fits");
+    let mut world = World::new(scene.clone()).expect("enough memory");
     let settings = Settings::of(&scene);
     let mut recorder = Recorder::new(&world, settings.clone());
     assert!(recorder.measured_layout(&world, Tab::Scene).is_empty(), "nothing was measured");

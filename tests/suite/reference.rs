@@ -55,7 +55,7 @@ impl Reference {
     fn error(&self, divided: u64) -> f64 {
         let scene = Scene { dt: self.scene.dt / divided as f64, ..self.scene.clone() };
         let steps = scene.steps();
-        let mut world = World::new(scene).expect("fits");
+        let mut world = World::new(scene).expect("enough memory");
         let (mut worst, mut compared) = (0.0, 0);
         for step in 0..=steps {
             if step > 0 {
@@ -196,7 +196,7 @@ fn events_match_the_reference_for_every_integrator() {
         for integrator in Integrator::ALL {
             let scene = Scene { integrator, ..reference.scene.clone() };
             let names: Vec<String> = scene.bodies.iter().map(|body| body.name.clone()).collect();
-            let mut world = World::new(scene).expect("fits");
+            let mut world = World::new(scene).expect("enough memory");
             let mut events = vec![];
             for _ in 0..world.scene().steps() {
                 events.extend(world.step().events.iter().copied());
@@ -251,7 +251,7 @@ fn events_of_free_bodies_match_the_reference() {
     for name in ["free_bounce", "free_fall", "free_settle", "free_tug"] {
         let reference = Reference::load(name);
         let names: Vec<String> = reference.scene.bodies.iter().map(|body| body.name.clone()).collect();
-        let mut world = World::new(reference.scene).expect("fits");
+        let mut world = World::new(reference.scene).expect("enough memory");
         let mut events = vec![];
         for _ in 0..world.scene().steps() {
             events.extend(world.step().events.iter().copied());

@@ -33,10 +33,10 @@ fn record(path: &Path, played: &Scene, settings: Settings) {
 fn record_with(path: &Path, played: &Scene, options: Options, settings: Settings) {
     let mut sinks =
         Sinks::open(&Destinations { save: Some(path.to_owned()), ..Destinations::default() }).expect("a file");
-    let mut world = World::with_options(played.clone(), options).expect("it fits");
+    let mut world = World::with_options(played.clone(), options).expect("enough memory");
     let mut recorder = Recorder::new(&world, settings.clone());
     let mut messages = recorder.blueprint(&world);
-    for step in 1..=settings.steps.expect("an end") {
+    for step in 1..=settings.steps.expect("a last step") {
         world.step();
         recorder.observe(&world);
         if step % 1000 == 0 {
@@ -45,12 +45,12 @@ fn record_with(path: &Path, played: &Scene, options: Options, settings: Settings
     }
     recorder.finish(&world);
     messages.extend(recorder.take());
-    messages.into_iter().for_each(|message| sinks.send(message).expect("room"));
-    sinks.finish().expect("room");
+    messages.into_iter().for_each(|message| sinks.send(message).expect("disk space"));
+    sinks.finish().expect("disk space");
 }
 
 fn two() -> Scene {
-    Scene::builtin("two").expect("built in")
+    Scene::builtin("two").expect("a built-in scene")
 }
 
 /// Runs the program; returns its status, standard output and standard error.
@@ -97,7 +97,7 @@ fn every_kind_of_recording_is_replayed() {
     for (i, settings) in kinds.into_iter().enumerate() {
         record_with(&path, &scene, Options { skip: i != 2, ..Options::default() }, settings.clone());
         let recorded = Recorded::open(&path).expect("a recording");
-        assert_eq!((recorded.first, recorded.last()), (0, settings.steps.expect("an end")));
+        assert_eq!((recorded.first, recorded.last()), (0, settings.steps.expect("a last step")));
         let mut steps = Vec::new();
         let verdict = replay::verify(&recorded, |world| {
             steps.push(world.steps_taken());
@@ -125,11 +125,11 @@ fn a_divergence_is_reported_with_step_body_vertex_and_both_values() {
             panic!("{name}: it differs")
         };
         assert_eq!(divergence.step, 84, "{name}");
-        let worst = divergence.worst(&recorded).expect("it can be read").expect("it shows");
+        let worst = divergence.worst(&recorded).expect("it can be read").expect("a difference");
         assert_eq!(worst.step, 84, "{name}");
 
         // computed by hand
-        let (mut was, mut is) = (World::new(played).expect("it fits"), World::new(two()).expect("it fits"));
+        let (mut was, mut is) = (World::new(played).expect("enough memory"), World::new(two()).expect("enough memory"));
         for _ in 0..84 {
             was.step();
             is.step();
@@ -232,7 +232,7 @@ fn long_and_crowded_thin_recordings_are_replayed() {
     // in this scene two bodies meet and separate every four seconds
     let two = Scene::load(&project().join("tests/reference/two.toml")).expect("a scene");
     let two = Scene { duration: 100.0, ..two };
-    for scene in [two, Scene::builtin("crowd").expect("built in")] {
+    for scene in [two, Scene::builtin("crowd").expect("a built-in scene")] {
         record(&path, &scene, Settings { frames: Frames::Thin, ..Settings::of(&scene) });
         let recorded = Recorded::open(&path).expect("a recording");
         assert_eq!(recorded.last(), scene.steps());
@@ -292,12 +292,12 @@ fn a_flight_recorder_rejects_stages_and_names_a_remedy() {
 fn a_recording_carries_its_meshes() {
     let dir = Dir::new();
     fs::write(dir.file("tetrahedron.obj"), "v 0 0 0\nv 3 0 0\nv 0 3 0\nv 0 0 3\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
-        .expect("room");
+        .expect("disk space");
     let text = "duration = 0.5\n[[body]]\nname = \"a\"\nradius = 1\nshape = { mesh = \"tetrahedron.obj\" }\nmotion = { free = { from = [0, 0, 0] } }\n\
         [[body]]\nname = \"b\"\nradius = 1\nmotion = { free = { from = [1.5, 0, 0] } }\n";
-    fs::write(dir.file("own.toml"), text).expect("room");
+    fs::write(dir.file("own.toml"), text).expect("disk space");
     succeeds(&dir, &["run", "own.toml", "--quiet"]);
-    fs::remove_file(dir.file("tetrahedron.obj")).expect("it is there");
+    fs::remove_file(dir.file("tetrahedron.obj")).expect("it exists");
     let rejected = fails(&dir, 2, &["run", "own.toml", "--quiet"]);
     assert!(rejected.contains("tetrahedron.obj"), "{rejected}");
     let out = succeeds(&dir, &["replay", "own.rrd"]);
@@ -340,7 +340,7 @@ fn the_golden_recordings_of_this_repository_match() {
 fn a_planted_bit_is_found_and_located() {
     let dir = Dir::new();
     let path = dir.file("two.rrd");
-    golden::bless(&two(), &path, "a test").expect("room");
+    golden::bless(&two(), &path, "a test").expect("disk space");
     let mut planted = two();
     planted.influence.beta = planted.influence.beta.next_up();
     let comparison = dir.file("two.check.rrd");
@@ -350,7 +350,7 @@ fn a_planted_bit_is_found_and_located() {
     assert!(difference.is_tolerable() && difference.is_within_tolerance && difference.events.is_empty());
 
     // the first state that differs, computed by hand
-    let (mut was, mut is) = (World::new(two()).expect("it fits"), World::new(planted).expect("it fits"));
+    let (mut was, mut is) = (World::new(two()).expect("enough memory"), World::new(planted).expect("enough memory"));
     let state = |world: &World| {
         let bodies = world.bodies();
         let bits = |body: meldscope::sim::BodyView<'_>| {
@@ -373,7 +373,7 @@ fn a_planted_bit_is_found_and_located() {
         .filter(|(_, vertices)| !vertices.is_empty())
         .collect();
     assert_eq!(first.bodies, differing, "every vertex, but for one chance in 65,536 each");
-    let worst = difference.worst.expect("a state that shows it");
+    let worst = difference.worst.expect("a differing state");
     assert!(worst.difference > 0.0 && worst.difference < 1e-12, "{}", worst.difference);
     let both = Recording::open(&comparison);
     for entity in ["/world/a/a", "/world/b/a", "/world/error", "/difference/a", "/difference/tolerance", "/about"] {
@@ -385,7 +385,7 @@ fn a_planted_bit_is_found_and_located() {
 fn check_reports_differences_and_bless_needs_a_reason() {
     let dir = Dir::new();
     let text = builtin::ALL[1].text;
-    fs::write(dir.file("two.toml"), text).expect("room");
+    fs::write(dir.file("two.toml"), text).expect("disk space");
     let output = fails(&dir, 1, &["check", "."]);
     assert!(output.contains("two: no golden recording"), "{output}");
     succeeds(&dir, &["check", ".", "--bless", "first  of\nall"]);
@@ -396,10 +396,10 @@ fn check_reports_differences_and_bless_needs_a_reason() {
     assert_eq!(reasons.lines().filter(|line| line.ends_with(": first of all")).count(), 1, "{reasons}");
     assert!(!reasons.contains("again"), "nothing was made again: {reasons}");
 
-    fs::write(dir.file("two.toml"), format!("# a comment\n{text}")).expect("room");
+    fs::write(dir.file("two.toml"), format!("# a comment\n{text}")).expect("disk space");
     assert!(succeeds(&dir, &["check", "."]).contains("its text has changed, without effect"));
 
-    fs::write(dir.file("two.toml"), text.replace("merge_at = 1.05", "merge_at = 1.06")).expect("room");
+    fs::write(dir.file("two.toml"), text.replace("merge_at = 1.05", "merge_at = 1.06")).expect("disk space");
     let output = fails(&dir, 1, &["check", "."]);
     for part in [
         "two: DIFFERENT",
@@ -414,19 +414,19 @@ fn check_reports_differences_and_bless_needs_a_reason() {
     assert!(dir.names().contains(&"two.check.rrd".to_owned()));
     fails(&dir, 1, &["check", ".", "--tolerant"]);
 
-    fs::write(dir.file("two.toml"), text.replace("duration = 5.0", "duration = 4.0")).expect("room");
+    fs::write(dir.file("two.toml"), text.replace("duration = 5.0", "duration = 4.0")).expect("disk space");
     let output = fails(&dir, 1, &["check", "."]);
     assert!(output.contains("240 steps, 300 in the golden recording"), "{output}");
 
     let finer = text.replacen("radius = 1.0\n", "radius = 1.0\nshape = { sphere = { stacks = 6, slices = 8 } }\n", 1);
-    fs::write(dir.file("two.toml"), finer).expect("room");
+    fs::write(dir.file("two.toml"), finer).expect("disk space");
     let output = fails(&dir, 1, &["check", "."]);
     assert!(output.contains("532 vertices") && output.contains("triangles"), "{output}");
 
-    fs::write(dir.file("two.toml"), "name = 3").expect("room");
+    fs::write(dir.file("two.toml"), "name = 3").expect("disk space");
     fails(&dir, 2, &["check", "."]);
-    fs::write(dir.file("two.toml"), text).expect("room");
-    fs::write(dir.file("two.rrd"), b"RRF2 and nothing else").expect("room");
+    fs::write(dir.file("two.toml"), text).expect("disk space");
+    fs::write(dir.file("two.rrd"), b"RRF2 and nothing else").expect("disk space");
     fails(&dir, 2, &["check", "."]);
 }
 
@@ -466,7 +466,7 @@ fn diff_compares_two_runs_of_a_scene() {
 
     let other =
         builtin::ALL[1].text.replace("merge_at = 1.05", "merge_at = 1.06").replace("split_at = 1.2", "split_at = 1.4");
-    fs::write(dir.file("other.toml"), other).expect("room");
+    fs::write(dir.file("other.toml"), other).expect("disk space");
     succeeds(&dir, &["run", "other.toml", "--quiet", "--save", "other.rrd"]);
     let output = fails(&dir, 1, &["diff", "a.rrd", "other.rrd"]);
     for part in ["the texts of the two scenes differ", "event moved: merge a~b", "event vanished: split a~b"] {
@@ -548,7 +548,7 @@ fn check_rejects_missing_files() {
 
 /// A quantity of the surface of a scene after some steps, computed from the state alone.
 fn surface_after(scene: &Scene, steps: u64, what: &str) -> f64 {
-    let mut world = World::new(scene.clone()).expect("it fits");
+    let mut world = World::new(scene.clone()).expect("enough memory");
     for _ in 0..steps {
         world.step();
     }
@@ -604,7 +604,7 @@ fn diff_compares_surfaces() {
 fn check_compares_surfaces() {
     let dir = Dir::new();
     let path = dir.file("two.rrd");
-    golden::bless(&two(), &path, "a test").expect("room");
+    golden::bless(&two(), &path, "a test").expect("disk space");
     assert!(matches!(golden::check(&two(), &path, None), Ok(GoldenOutcome::Identical { .. })));
     let mut stronger = two();
     stronger.influence.alpha *= 1.01;

@@ -37,7 +37,7 @@ fn error(motion: &str, dt: f64, alpha: f64) -> (f64, u64) {
     let coarse = Scene::parse(&text, "rims.toml").expect("a valid scene");
     let fine = Scene { dt: dt / FINER as f64, tolerance: 1e-11, ..coarse.clone() };
     let steps = coarse.steps();
-    let (mut coarse, mut fine) = (World::new(coarse).expect("fits"), World::new(fine).expect("fits"));
+    let (mut coarse, mut fine) = (World::new(coarse).expect("enough memory"), World::new(fine).expect("enough memory"));
     let (mut worst, mut substeps) = (0.0, 0);
     for _ in 0..steps {
         substeps += coarse.step().substeps;

@@ -25,7 +25,7 @@ fn the_bodies_that_touch_are_those_of_the_layout() {
         let layout = Layout::new(family, bodies);
         assert_eq!(layout.pairs.len(), pairs);
         let touching: HashSet<usize> = layout.pairs.iter().flat_map(|pair| [pair.still, pair.moving]).collect();
-        let mut world = World::new(layout.scene(&two())).expect("fits");
+        let mut world = World::new(layout.scene(&two())).expect("enough memory");
         assert_eq!(world.body_count(), bodies);
         for _ in 0..scale::scenes::PERIOD {
             let events = &world.step().events;
@@ -40,7 +40,7 @@ fn the_bodies_that_touch_are_those_of_the_layout() {
 fn measured() -> Report {
     let settings = Settings { bodies: vec![2, 10], time: Duration::from_millis(2), decay: 60_000 };
     let mut shares = vec![];
-    let report = scale::measure(&settings, &mut |share| shares.push(share)).expect("fits");
+    let report = scale::measure(&settings, &mut |share| shares.push(share)).expect("enough memory");
     assert!(shares.is_sorted() && shares.len() == 6, "{shares:?}");
     report
 }

@@ -358,7 +358,7 @@ fn a_scene_is_loaded_from_a_file() {
     let file = std::env::temp_dir().join(format!("meldscope-{}-loaded.toml", std::process::id()));
     std::fs::write(&file, LITTLE).expect("a file can be written");
     let loaded = Scene::load(&file);
-    std::fs::remove_file(&file).expect("the file is there");
+    std::fs::remove_file(&file).expect("it exists");
     let loaded = loaded.expect("a scene");
     assert_eq!(loaded.name, format!("meldscope-{}-loaded", std::process::id()));
     assert_eq!(loaded.source, LITTLE);

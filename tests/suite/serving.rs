@@ -28,7 +28,7 @@ fn serve(options: Serve) -> (Sinks, u16, u16) {
     let words: Vec<&str> = note.split(' ').filter(|word| word.starts_with("127.0.0.1:")).collect();
     let (web, data) = (port(words[0]), port(words[1]));
     for msg in recording(20) {
-        sinks.send(msg).expect("the server takes it");
+        sinks.send(msg).expect("the server accepts it");
     }
     (sinks, web, data)
 }
@@ -36,8 +36,8 @@ fn serve(options: Serve) -> (Sinks, u16, u16) {
 fn connect(port: u16) -> TcpStream {
     let address = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
     let stream = TcpStream::connect_timeout(&address, Duration::from_secs(20)).expect("it listens");
-    stream.set_read_timeout(Some(Duration::from_secs(20))).expect("a time-out");
-    stream.set_write_timeout(Some(Duration::from_secs(20))).expect("a time-out");
+    stream.set_read_timeout(Some(Duration::from_secs(20))).expect("a timeout");
+    stream.set_write_timeout(Some(Duration::from_secs(20))).expect("a timeout");
     stream
 }
 
@@ -106,8 +106,8 @@ fn other_hosts_and_pages_are_refused_on_both_ports() {
         }
     }
     assert_eq!(status(web, "GET http://evil.example/", "host: localhost\r\n", b""), 403);
-    let serving = sinks.finish().expect("the server takes everything").serving.expect("it stays up");
-    let note = serving.refused().expect("much was refused");
+    let serving = sinks.finish().expect("the server accepts everything").serving.expect("it stays up");
+    let note = serving.refused().expect("refused requests");
     assert!(note.starts_with("refused ") && note.contains("evil.example"), "{note}");
 }
 
@@ -174,10 +174,10 @@ fn only_the_run_can_write() {
         assert!(answer.contains("grpc-status: 12\r\n"), "{answer}");
     }
     // readers receive the run and nothing else
-    let serving = sinks.finish().expect("the server takes everything").serving.expect("it stays up");
+    let serving = sinks.finish().expect("the server accepts everything").serving.expect("it stays up");
     let end = std::thread::spawn(move || frames_until_the_end(data));
     std::thread::sleep(Duration::from_millis(300));
-    let note = serving.refused().expect("much was refused");
+    let note = serving.refused().expect("refused requests");
     serving.close();
     assert_eq!(end.join().expect("no panic").len(), 22);
     assert!(note.contains("to write"), "{note}");
@@ -207,12 +207,12 @@ fn frames_until_the_end(port: u16) -> Vec<Vec<u8>> {
         while let Some(frame) =
             std::future::poll_fn(|context| hyper::body::Body::poll_frame(body.as_mut(), context)).await
         {
-            match frame.expect("the connection holds").into_data() {
+            match frame.expect("a frame").into_data() {
                 Ok(data) => bytes.extend_from_slice(&data),
                 Err(rest) => status = rest.trailers_ref().map(|trailers| trailers["grpc-status"].clone()),
             }
         }
-        assert_eq!(status.expect("it ends well"), "0");
+        assert_eq!(status.expect("a final status"), "0");
         let (mut frames, mut rest) = (Vec::new(), &bytes[..]);
         while let [0, a, b, c, d, more @ ..] = rest {
             let (frame, more) = more.split_at(u32::from_be_bytes([*a, *b, *c, *d]) as usize);

@@ -190,10 +190,10 @@ pub fn watch_all(port: u16) -> Vec<Vec<u8>> {
 fn watch_all_of(port: u16, count: usize) -> Vec<Vec<u8>> {
     let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, port)).expect("the server listens");
     let patience = Duration::from_secs(if count == usize::MAX { 1 } else { 10 });
-    stream.set_read_timeout(Some(patience)).expect("a time-out");
+    stream.set_read_timeout(Some(patience)).expect("a timeout");
     let head = "POST /rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages HTTP/1.1\r\nhost: 127.0.0.1\r\n\
                 content-type: application/grpc-web+proto\r\ncontent-length: 5\r\n\r\n";
-    stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(&[0; 5])).expect("the request is taken");
+    stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(&[0; 5])).expect("the server reads the request");
     let mut reader = BufReader::new(stream);
     let line = |reader: &mut BufReader<TcpStream>| {
         let mut line = String::new();
@@ -232,7 +232,7 @@ fn a_file_holds_the_messages_in_order_with_a_footer() {
     let sent = recording(500);
     send_all(&mut sinks, &sent);
     assert!(!sinks.serving());
-    let finished = sinks.finish().expect("a disk with room");
+    let finished = sinks.finish().expect("disk space");
 
     let saved = finished.save.expect("a file was asked for");
     assert_eq!((saved.path.as_path(), saved.messages), (fs::canonicalize(&path).expect("a path").as_path(), 502));
@@ -276,7 +276,7 @@ fn the_file_is_unchanged_until_the_run_is_finished() {
     );
     assert_eq!(sinks.notes(), [""; 0]);
     send_all(&mut sinks, &sent);
-    sinks.finish().expect("a disk with room");
+    sinks.finish().expect("disk space");
     assert_same(&read(&path), &sent);
     assert_eq!(dir.names(), ["run.rrd"]);
 }
@@ -301,7 +301,7 @@ fn a_killed_run_can_be_read_up_to_its_last_flush() {
     let sent = recording(20);
     let mut sinks = Sinks::open(&to_file(&path)).expect("a file that can be written");
     send_all(&mut sinks, &sent[..10]);
-    sinks.flush().expect("a disk with room");
+    sinks.flush().expect("disk space");
     assert_same(&read(&partial), &sent[..10]);
     // later also without a request
     send_all(&mut sinks, &sent[10..]);
@@ -312,7 +312,7 @@ fn a_killed_run_can_be_read_up_to_its_last_flush() {
     let cut = dir.file("cut.rrd");
     fs::write(&cut, &bytes[..bytes.len() - 100]).expect("a file");
     assert_same(&read(&cut), &sent[..sent.len() - 1]);
-    sinks.finish().expect("a disk with room");
+    sinks.finish().expect("disk space");
 }
 
 #[test]
@@ -324,7 +324,7 @@ fn a_second_writer_is_rejected() {
     let err = rejected(Sinks::open(&to_file(&path)));
     assert!(matches!(err, SinkError::Busy { .. }) && !err.is_usage(), "{err}");
     assert!(err.to_string().contains("another run is writing"), "{err}");
-    first.finish().expect("a disk with room");
+    first.finish().expect("disk space");
     // available again
     drop(Sinks::open(&to_file(&path)).expect("a file that can be written"));
     assert_eq!(read(&path).len(), 3);
@@ -356,7 +356,7 @@ fn a_link_stays_a_link() {
     std::os::unix::fs::symlink(&path, &link).expect("a link");
     let mut sinks = Sinks::open(&to_file(&link)).expect("a file that can be written");
     send_all(&mut sinks, &recording(1));
-    sinks.finish().expect("a disk with room");
+    sinks.finish().expect("disk space");
     assert!(fs::symlink_metadata(&link).expect("a link").is_symlink());
     assert_eq!(read(&path).len(), 3);
 }
@@ -471,7 +471,7 @@ fn a_viewer_gets_everything_and_so_does_a_file_beside_it() {
     let mut sinks = Sinks::open(&destinations).expect("a viewer and a file");
     let sent = recording(300);
     send_all(&mut sinks, &sent);
-    let finished = sinks.finish().expect("both are there");
+    let finished = sinks.finish().expect("both destinations");
     let [viewer] = &finished.viewers[..] else { panic!("{:?}", finished.viewers) };
     assert_eq!((viewer.messages, viewer.left_out, viewer.is_complete), (302, 0, true));
     assert_eq!(finished.notes, [""; 0]);
@@ -498,7 +498,7 @@ fn a_missing_viewer_is_an_error_only_without_another_destination() {
     let notes = sinks.notes();
     assert!(notes.len() == 1 && notes[0].starts_with("going on without a viewer: no viewer answers"), "{notes:?}");
     send_all(&mut sinks, &recording(3));
-    assert!(sinks.finish().expect("a disk with room").viewers.is_empty());
+    assert!(sinks.finish().expect("disk space").viewers.is_empty());
     assert_eq!(read(&path).len(), 5);
 }
 
@@ -539,7 +539,7 @@ fn a_stuck_viewer_delays_nothing() {
     send_all(&mut sinks, &sent);
     let notes = sinks.notes();
     assert!(notes.len() == 1 && notes[0].contains("cannot keep up"), "{notes:?}");
-    let finished = sinks.finish().expect("a disk with room");
+    let finished = sinks.finish().expect("disk space");
     assert!(started.elapsed() < Duration::from_secs(30));
 
     assert_same(&read(&path), &sent);
@@ -567,7 +567,7 @@ fn a_lost_viewer_is_reported_once_and_the_file_is_complete() {
         !notes.is_empty()
     });
     send_all(&mut sinks, &sent[1_000..]);
-    notes.extend(sinks.finish().expect("a disk with room").notes);
+    notes.extend(sinks.finish().expect("disk space").notes);
     let [note] = &notes[..] else { panic!("{notes:?}") };
     assert!(note.contains(&format!("{} went away after ", url(port))), "{note}");
     assert!(note.contains("run.rrd is still being written"), "{note}");
@@ -586,7 +586,7 @@ fn a_server_that_shuts_down_in_the_middle_does_no_harm() {
     drop(viewer);
     send_all(&mut sinks, &sent[1_000..]);
     let started = Instant::now();
-    sinks.finish().expect("a disk with room");
+    sinks.finish().expect("disk space");
     assert!(started.elapsed() < Duration::from_secs(10));
     assert_same(&read(&path), &sent);
 }
@@ -631,7 +631,7 @@ fn a_viewer_that_cannot_be_started_is_an_error_only_without_another_destination(
         .expect("a file at least");
     assert!(sinks.notes()[0].starts_with("going on without a viewer: cannot start"));
     send_all(&mut sinks, &recording(3));
-    sinks.finish().expect("a disk with room");
+    sinks.finish().expect("disk space");
     assert_eq!(read(&path).len(), 5);
 }
 
@@ -677,7 +677,7 @@ fn a_running_viewer_is_not_started_again() {
 fn get(port: u16, path: &str) -> String {
     let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, port)).expect("the web server listens");
     let request = format!("GET {path} HTTP/1.1\r\nhost: 127.0.0.1\r\nconnection: close\r\n\r\n");
-    stream.write_all(request.as_bytes()).expect("the request is taken");
+    stream.write_all(request.as_bytes()).expect("the server reads the request");
     let mut answer = Vec::new();
     stream.read_to_end(&mut answer).expect("an answer");
     String::from_utf8_lossy(&answer).into_owned()
@@ -708,7 +708,7 @@ fn a_browser_is_served_the_whole_run_until_serving_ends() {
     let early = std::thread::spawn(move || watch(grpc_port, 302));
     std::thread::sleep(Duration::from_millis(100));
     send_all(&mut sinks, &sent[200..]);
-    let finished = sinks.finish().expect("the server takes everything");
+    let finished = sinks.finish().expect("the server accepts everything");
     let early = early.join().expect("everything arrives");
     // after the run, from the beginning
     let late = watch(grpc_port, 302);
@@ -747,10 +747,11 @@ fn a_stuck_browser_does_not_keep_the_servers_up() {
     let mut sinks = Sinks::open(&serving(web_port, grpc_port)).expect("free ports");
     // 41 MB of viewer files, none of which it reads
     let mut page = TcpStream::connect((Ipv4Addr::LOCALHOST, web_port)).expect("the web server listens");
-    page.write_all(b"GET /re_viewer_bg.wasm HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n").expect("the request is taken");
+    page.write_all(b"GET /re_viewer_bg.wasm HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n")
+        .expect("the server reads the request");
     send_all(&mut sinks, &recording(3));
     std::thread::sleep(Duration::from_millis(200));
-    let serving = sinks.finish().expect("the server takes everything").serving.expect("the servers stay up");
+    let serving = sinks.finish().expect("the server accepts everything").serving.expect("the servers stay up");
     let started = Instant::now();
     serving.close();
     assert!(started.elapsed() < Duration::from_secs(5));
@@ -762,7 +763,7 @@ fn stuck_browser(port: u16) -> TcpStream {
     let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, port)).expect("the server listens");
     let head = "POST /rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages HTTP/1.1\r\nhost: 127.0.0.1\r\n\
                 content-type: application/grpc-web+proto\r\ncontent-length: 5\r\n\r\n\0\0\0\0\0";
-    stream.write_all(head.as_bytes()).expect("the request is taken");
+    stream.write_all(head.as_bytes()).expect("the server reads the request");
     stream
 }
 
@@ -782,7 +783,7 @@ fn stuck_browsers_delay_neither_the_run_nor_other_browsers() {
     send_all(&mut sinks, &sent);
     assert_eq!(reader.join().expect("it is served"), 1_000);
     assert_eq!(sinks.notes()[2..], [""; 0]);
-    let finished = sinks.finish().expect("a disk with room");
+    let finished = sinks.finish().expect("disk space");
     assert!(started.elapsed() < Duration::from_secs(30));
     assert_eq!(finished.notes, [""; 0]);
     assert_eq!(read(&path).len(), sent.len());
@@ -807,7 +808,7 @@ fn a_viewer_is_not_started_on_the_served_port() {
     let notes = sinks.notes();
     let note = notes.iter().find(|note| note.contains("it ended at once")).expect("the viewer was started");
     assert!(note.contains("--port=") && !note.contains(&format!("--port={port}")), "{note}");
-    sinks.finish().expect("the server takes everything");
+    sinks.finish().expect("the server accepts everything");
 }
 
 // ---- memory ----

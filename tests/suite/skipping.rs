@@ -141,7 +141,7 @@ struct Outcome {
 }
 
 fn run(scene: &Scene, options: Options, mut look: impl FnMut(&World)) -> Outcome {
-    let mut world = World::with_options(scene.clone(), options).expect("fits");
+    let mut world = World::with_options(scene.clone(), options).expect("enough memory");
     let mut outcome = Outcome { bits: vec![], checksum: 0, events: vec![], substeps: vec![] };
     for _ in 0..scene.steps() {
         let report = world.step();
@@ -216,7 +216,7 @@ fn observation_changes_nothing() {
 /// The state is the same whether read vertex by vertex or all at once.
 #[test]
 fn states_are_the_same_one_by_one_and_at_once() {
-    let mut world = World::new(company("linear", "inertial")).expect("fits");
+    let mut world = World::new(company("linear", "inertial")).expect("enough memory");
     for _ in 0..world.scene().steps() {
         world.step();
         for body in world.bodies() {
@@ -233,8 +233,8 @@ fn states_are_the_same_one_by_one_and_at_once() {
 #[test]
 fn a_body_left_alone_costs_nothing_and_keeps_oscillating() {
     let scene = Scene { duration: 4.0, ..reference("push") };
-    let mut world = World::new(scene.clone()).expect("fits");
-    let mut plain = World::with_options(scene, Options { skip: false, ..Options::default() }).expect("fits");
+    let mut world = World::new(scene.clone()).expect("enough memory");
+    let mut plain = World::with_options(scene, Options { skip: false, ..Options::default() }).expect("enough memory");
     let mut idle = 0;
     for _ in 0..world.scene().steps() {
         idle += u64::from(world.step().substeps == 0);
@@ -256,7 +256,7 @@ fn a_warm_step_allocates_nothing() {
         // four identical periods: two bodies meet and separate in 4 s
         let scene = Scene { integrator, duration: 16.0, ..reference("two") };
         let half = scene.steps() as usize / 2;
-        let mut world = World::new(scene).expect("fits");
+        let mut world = World::new(scene).expect("enough memory");
         let mut allocations = vec![];
         for _ in 0..2 * half {
             let taken = allocation_counter::measure(|| {
@@ -282,7 +282,7 @@ fn decay_ends_at_rest() {
         scene.pushes.truncate(2);
         scene.bodies[0].material.damping = 12.0;
         let options = Options { skip: integrator != Integrator::Exponential, ..Options::default() };
-        let mut world = World::with_options(scene, options).expect("fits");
+        let mut world = World::with_options(scene, options).expect("enough memory");
         for _ in 0..12_000 {
             world.step();
         }
@@ -304,7 +304,7 @@ fn without_a_spring_a_pushed_body_stays_where_it_is() {
     for integrator in Integrator::ALL {
         for skip in [true, false] {
             let scene = Scene { integrator, ..scene.clone() };
-            let mut world = World::with_options(scene, Options { skip, ..Options::default() }).expect("fits");
+            let mut world = World::with_options(scene, Options { skip, ..Options::default() }).expect("enough memory");
             for _ in 0..100 {
                 world.step();
             }
@@ -366,7 +366,7 @@ fn freely_oscillating_bodies_are_reached_again() {
     // the test is not void: the fixed spheres have an effect, and later the passing one
     let mut alone = scene.clone();
     alone.bodies.truncate(1);
-    let [mut among, mut alone] = [scene, alone].map(|scene| World::new(scene).expect("fits"));
+    let [mut among, mut alone] = [scene, alone].map(|scene| World::new(scene).expect("enough memory"));
     let (mut before, mut after) = (0.0, 0.0);
     for _ in 0..among.scene().steps() {
         among.step();
@@ -382,7 +382,7 @@ fn freely_oscillating_bodies_are_reached_again() {
 /// as well as the events.
 fn assert_same_as_plain(scene: &Scene, steps: u64, tolerance: f64) {
     let plain = Options { skip: false, ..Options::default() };
-    let mut worlds = [Options::default(), plain].map(|o| World::with_options(scene.clone(), o).expect("fits"));
+    let mut worlds = [Options::default(), plain].map(|o| World::with_options(scene.clone(), o).expect("enough memory"));
     let mut worst = 0.0;
     for step in 0..scene.steps().min(steps) {
         let [skipping, plain] = &mut worlds;

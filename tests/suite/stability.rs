@@ -46,7 +46,7 @@ fn exponential_passes_the_cases_that_it_failed() {
     for (what, cases) in once {
         for &index in cases {
             let case = Case::new(index).expect("a valid scene");
-            let row = stability::run(case, &settings(0, Integrator::Exponential)).expect("a case that fits");
+            let row = stability::run(case, &settings(0, Integrator::Exponential)).expect("enough memory");
             for outcome in &row.outcomes {
                 assert_eq!(outcome.failure, None, "{what}, case {index}: {outcome:?}");
                 // the maximum is 54,710, in case 1813: 9 % more since error estimates only use the spheres that reach a vertex
@@ -97,7 +97,7 @@ fn solve(scene: &Scene) -> Result<Reference, NoReference> {
 #[test]
 fn the_reference_terminates_for_a_pair_on_two_thresholds() {
     let case = Case::new(302).expect("a valid scene");
-    let row = stability::run(case, &settings(0, Integrator::Exponential)).expect("a case that fits");
+    let row = stability::run(case, &settings(0, Integrator::Exponential)).expect("enough memory");
     let outcome = &row.outcomes[0];
     assert_eq!(outcome.failure, None);
     assert!(outcome.error.expect("a reference") < 1e-8, "{outcome:?}");
@@ -127,7 +127,7 @@ fn the_reference_detects_thresholds_that_are_left_and_reached() {
         let reference = solve(&scene).expect(motion);
         let found: Vec<_> = reference.events().iter().map(|event| event.to).collect();
         assert_eq!(found[..phases.len().min(found.len())], *phases, "{motion}: {:?}", reference.events());
-        let mut world = World::new(scene).expect("it fits");
+        let mut world = World::new(scene).expect("enough memory");
         let mut events = vec![];
         for _ in 0..60 {
             events.extend(world.step().events.iter().map(|event| event.to));

@@ -60,7 +60,7 @@ fn any_simulation_is_recorded_replayed_compared_and_checked() {
     let first = differing.first_beyond.expect("they differ").step;
     assert_eq!((differing.first_bits, differing.bodies.len()), (Some(first), 2));
     let path = dir.file("golden");
-    golden::bless(&Octahedra(3.0), &path, "a test").expect("room");
+    golden::bless(&Octahedra(3.0), &path, "a test").expect("disk space");
     let check = |pull| golden::check(&Octahedra(pull), &path, None).expect("it runs");
     assert!(matches!(check(3.0), GoldenOutcome::Identical { events: 2, .. }));
     assert!(
@@ -76,7 +76,7 @@ fn rotations_are_recorded_and_read_back() {
     for (name, entities) in [("body", Entities::Body), ("batch", Entities::Batch)] {
         let (recorded, _) = record(&dir.file(name), 3.0, Settings { entities, ..own.clone() });
         let mut frames = FrameReader::open(&recorded).expect("a recording");
-        let mut simulation = Octahedra(3.0).start().expect("it fits");
+        let mut simulation = Octahedra(3.0).start().expect("enough memory");
         let (schema, mut now, mut expected) = (simulation.schema(), Frame::default(), Vectors::default());
         let mut count = 0;
         while let Some(frame) = frames.next().expect("frames") {

@@ -23,7 +23,7 @@ fn run(text: &str, dt: f64, tolerance: f64) -> Run {
     let scene = Scene { dt, tolerance, ..Scene::parse(text, "tolerance.toml").expect("a valid scene") };
     let instants: Vec<f64> = (0..=scene.steps()).map(|step| step as f64 * dt).collect();
     let reference = Reference::solve(&scene, &instants, Accuracy::DEFAULT).expect("quick");
-    let mut world = World::new(scene).expect("fits");
+    let mut world = World::new(scene).expect("enough memory");
     let (mut error, mut substeps) = (0.0, 0);
     for instant in 1..instants.len() {
         let report = world.step();
@@ -96,7 +96,7 @@ fn tight_tolerances_are_met_by_the_same_steps_everywhere() {
         let scene = Scene { dt, tolerance, ..Scene::parse(text, "tolerance.toml").expect("a valid scene") };
         let scene = Scene { duration: scene.duration.min(2.0), ..scene };
         let world = |skip, arch| {
-            World::with_options(scene.clone(), Options { skip, arch, ..Options::default() }).expect("fits")
+            World::with_options(scene.clone(), Options { skip, arch, ..Options::default() }).expect("enough memory")
         };
         let mut worlds = [world(true, Arch::new()), world(true, Arch::Scalar), world(false, Arch::new())];
         for _ in 0..scene.steps() {
@@ -186,7 +186,7 @@ motion = { fixed = [1.23, 1.02, 3.24] }
 fn a_missed_tolerance_is_reported() {
     let first_step = |text: &str, dt: f64, tolerance: f64| {
         let scene = Scene::parse(text, "tolerance.toml").expect("a valid scene");
-        World::new(Scene { dt, tolerance, ..scene }).expect("fits").step().clone()
+        World::new(Scene { dt, tolerance, ..scene }).expect("enough memory").step().clone()
     };
     let report = first_step(UNRESOLVED, 0.1, 1e-10);
     assert_eq!(report.failure, None);

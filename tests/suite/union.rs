@@ -32,7 +32,7 @@ motion = { line = { from = [2.0, 0.4, 0.1], velocity = [-0.8, 0, 0] } }
 #[test]
 fn a_merged_surface_is_recorded_and_exported_equally_in_every_format() {
     let dir = Dir::new();
-    fs::write(dir.file("merging.toml"), MERGING).expect("room");
+    fs::write(dir.file("merging.toml"), MERGING).expect("disk space");
     let run = |arguments: &[&str]| {
         let output = Command::new(env!("CARGO_BIN_EXE_meldscope")).args(arguments).current_dir(dir.path()).output();
         let output = output.expect("it starts");

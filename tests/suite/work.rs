@@ -53,7 +53,7 @@ fn pile(count: usize, more: &str) -> String {
 /// Takes up to `max_steps` steps; returns their number and the failure that ended them.
 fn steps(scene: &str, max_steps: u64, options: Options) -> (u64, Option<Failure>) {
     let scene = Scene::parse(scene, "work.toml").expect("a scene");
-    let mut world = World::with_options(scene, options).expect("fits");
+    let mut world = World::with_options(scene, options).expect("enough memory");
     while world.steps_taken() < max_steps {
         if let Some(failure) = world.step().failure.clone() {
             return (world.steps_taken(), Some(failure));
@@ -91,7 +91,7 @@ fn endless_work_ends_with_a_failure() {
 #[test]
 fn no_step_follows_one_that_was_not_taken() {
     let scene = Scene::parse(&swinging(1e9, 2.1, 1.5), "work.toml").expect("a scene");
-    let mut world = World::new(scene).expect("fits");
+    let mut world = World::new(scene).expect("enough memory");
     let failure = world.step().failure.clone();
     assert!(matches!(failure, Some(Failure::Overworked(_))));
     assert_eq!(world.step().failure, failure);
@@ -197,7 +197,7 @@ fn too_many_pairs_are_rejected() {
 #[test]
 fn the_recording_of_a_run_that_failed_replays_to_the_same_failure() {
     let dir = Dir::new();
-    fs::write(dir.file("endless.toml"), swinging(1e4, 1.8, 0.5)).expect("room");
+    fs::write(dir.file("endless.toml"), swinging(1e4, 1.8, 0.5)).expect("disk space");
     let program = |arguments: &[&str]| {
         let output = Command::new(env!("CARGO_BIN_EXE_meldscope")).args(arguments).current_dir(dir.path()).output();
         let output = output.expect("it starts");
@@ -368,7 +368,7 @@ fn no_extreme_scene_runs_forever() {
     let (mut runs, mut failed, mut longest) = (0u64, 0u64, Duration::ZERO);
     while start.elapsed().as_secs_f64() < seconds {
         let text = extreme_scene(&mut random);
-        fs::write(dir.file("extreme.toml"), &text).expect("room");
+        fs::write(dir.file("extreme.toml"), &text).expect("disk space");
         let mut program = Command::new(env!("CARGO_BIN_EXE_meldscope"));
         program.args(["run", "extreme.toml", "--quiet", "--thin", "--threads", "1", "--save", "extreme.rrd"]);
         program.current_dir(dir.path()).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());

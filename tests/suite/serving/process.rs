@@ -88,7 +88,7 @@ impl Drop for Server {
 fn get(port: u16, path: &str) -> Vec<u8> {
     let mut stream = connect(port);
     let request = format!("GET {path} HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n\r\n");
-    stream.write_all(request.as_bytes()).expect("the request is taken");
+    stream.write_all(request.as_bytes()).expect("the server reads the request");
     let mut answer = Vec::new();
     stream.read_to_end(&mut answer).expect("the answer is whole");
     let head = answer.windows(4).position(|end| end == b"\r\n\r\n").expect("a head") + 4;
@@ -145,7 +145,7 @@ fn no_request_ends_the_server_or_leaks_its_memory() {
         for (start, more) in endless {
             let mut stream = connect(port);
             let block = more.repeat((64 << 10) / more.len());
-            let mut taken = stream.write(start).expect("it is taken");
+            let mut taken = stream.write(start).expect("the server reads it");
             while taken < 64 << 20 {
                 match stream.write(&block) {
                     Ok(count) => taken += count,
@@ -180,9 +180,9 @@ fn no_request_ends_the_server_or_leaks_its_memory() {
             "OPTIONS * HTTP/1.1\r\nhost: localhost\r\n\r\n",
         ] {
             let mut stream = connect(port);
-            stream.write_all(nonsense.as_bytes()).expect("it is taken");
+            stream.write_all(nonsense.as_bytes()).expect("the server reads it");
             stream.shutdown(std::net::Shutdown::Write).ok();
-            stream.set_read_timeout(Some(Duration::from_secs(1))).expect("a time-out");
+            stream.set_read_timeout(Some(Duration::from_secs(1))).expect("a timeout");
             let mut answer = Vec::new();
             stream.take(1 << 20).read_to_end(&mut answer).ok();
             assert!(!String::from_utf8_lossy(&answer).contains("root:"));
