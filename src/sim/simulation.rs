@@ -31,6 +31,20 @@ use crate::{
     scene::{Body, Integrator, Model, Motion, Plane, Scene},
 };
 
+/// The smallest range of a plot, see [`ScalarSchema::least_range`]: 1e-9 of the momentum of all bodies at the speed that the
+/// strongest influence gives a vertex over a radius.
+pub fn least_range(scene: &Scene, plot: &str) -> f64 {
+    const SHARE: f64 = 1e-9;
+    let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+    let mass: f64 = scene.bodies.iter().filter(|body| body.path().is_none()).map(|body| body.mass).sum();
+    let momentum = mass * (strongest_pull(scene, radius) * radius).sqrt();
+    match plot {
+        MOMENTUM => SHARE * momentum,
+        ANGULAR_MOMENTUM => SHARE * momentum * radius,
+        _ => 0.0,
+    }
+}
+
 /// All phases in order of depth, deepest last.
 const PHASES: [Phase; 3] = [Phase::Apart, Phase::Merged, Phase::Core];
 
@@ -101,6 +115,9 @@ const PARTS: &[Scalar] = &[
 ];
 
 const DEFORMED: &str = "Energy of deformation";
+/// The plots of what free bodies conserve.
+pub const MOMENTUM: &str = "Momentum";
+pub const ANGULAR_MOMENTUM: &str = "Angular momentum";
 
 /// Conserved quantities of free bodies. Energies are in units of mass · scene unit²/s².
 const CONSERVED: &[Scalar] = &[
@@ -111,14 +128,14 @@ const CONSERVED: &[Scalar] = &[
     smooth("energy_influence", "influence", "Energy", |state| state.conserved.influence),
     smooth("energy_gravity", "gravity", "Energy", |state| state.conserved.gravity),
     smooth("energy_plane", "planes", "Energy", |state| state.conserved.plane),
-    smooth("momentum_x", "momentum x [mass·unit/s]", "Momentum", |state| state.conserved.momentum.x),
-    smooth("momentum_y", "momentum y", "Momentum", |state| state.conserved.momentum.y),
-    smooth("momentum_z", "momentum z", "Momentum", |state| state.conserved.momentum.z),
-    smooth("angular_momentum_x", "about the origin, x [mass·unit²/s]", "Angular momentum", |state| {
+    smooth("momentum_x", "momentum x [mass·unit/s]", MOMENTUM, |state| state.conserved.momentum.x),
+    smooth("momentum_y", "momentum y", MOMENTUM, |state| state.conserved.momentum.y),
+    smooth("momentum_z", "momentum z", MOMENTUM, |state| state.conserved.momentum.z),
+    smooth("angular_momentum_x", "about the origin, x [mass·unit²/s]", ANGULAR_MOMENTUM, |state| {
         state.conserved.angular_momentum.x
     }),
-    smooth("angular_momentum_y", "y", "Angular momentum", |state| state.conserved.angular_momentum.y),
-    smooth("angular_momentum_z", "z", "Angular momentum", |state| state.conserved.angular_momentum.z),
+    smooth("angular_momentum_y", "y", ANGULAR_MOMENTUM, |state| state.conserved.angular_momentum.y),
+    smooth("angular_momentum_z", "z", ANGULAR_MOMENTUM, |state| state.conserved.angular_momentum.z),
 ];
 
 /// Energy brought to free bodies since t = 0 by cause, and the remainder when all causes are subtracted: the
@@ -440,7 +457,8 @@ pub fn schema(scene: &Scene, options: Options) -> Schema {
                     ScalarValue::MaxOfSteps(_) => ScalarOf::MaxOfSteps,
                 };
                 // energies jump with the phase: each phase has its own potential
-                ScalarSchema { name, label, plot, of, is_smooth, jumps: name.starts_with("energy") }
+                let (jumps, least_range) = (name.starts_with("energy"), least_range(scene, plot));
+                ScalarSchema { name, label, plot, of, is_smooth, jumps, least_range }
             })
             .collect(),
         stages: Stage::ALL.map(Stage::name).into(),

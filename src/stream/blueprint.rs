@@ -77,6 +77,8 @@ pub struct Measured<'a> {
     pub typical: Option<f64>,
     /// The least and the greatest q that was plotted, if any was [–].
     pub distances: Option<[f64; 2]>,
+    /// The least and the greatest value of each scalar of the schema that was plotted.
+    pub scalars: Vec<Option<[f64; 2]>>,
     /// The pairs that have plots, as `A~B`.
     pub pairs: Vec<String>,
     /// What to look at first.
@@ -108,6 +110,18 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         // a plot that chooses its own axis begins at 0
         let axis = ScalarAxis::new().with_range(Range1D::new(low - 0.05 * (high - low), high + 0.05 * (high - low)));
         for plot in layout.distances.clone() {
+            layout.log(&format!("{plot}/ScalarAxis"), &axis);
+        }
+    }
+    for (plot, name) in std::mem::take(&mut layout.scalars) {
+        let scalars = subject.schema.scalars.iter().zip(&measured.scalars).filter(|(scalar, _)| scalar.plot == name);
+        let (mut plotted, mut least) = ([0.0, 0.0], 0.0); // events are marked at 0
+        for (scalar, range) in scalars {
+            let [low, high] = range.unwrap_or_default();
+            (plotted, least) = ([low.min(plotted[0]), high.max(plotted[1])], scalar.least_range.max(least));
+        }
+        if plotted[1] - plotted[0] < least {
+            let axis = ScalarAxis::new().with_range(Range1D::new(-0.5 * least, 0.5 * least));
             layout.log(&format!("{plot}/ScalarAxis"), &axis);
         }
     }
@@ -246,6 +260,8 @@ struct Layout {
     timings: Vec<Part>,
     /// The plots of q.
     distances: Vec<String>,
+    /// The plots of scalars, with their names.
+    scalars: Vec<(String, &'static str)>,
     /// The lanes of phases.
     phases: Vec<String>,
     /// The views in 3D, with their aspect ratios.
@@ -286,6 +302,7 @@ impl Layout {
             next_id: 0,
             timings: Vec::new(),
             distances: Vec::new(),
+            scalars: Vec::new(),
             phases: Vec::new(),
             spaces: Vec::new(),
             ground: None,
@@ -539,7 +556,7 @@ impl Layout {
 
     /// Plots of the schema's scalars.
     fn diagnostics(&mut self, schema: &Schema) -> Vec<Part> {
-        let mut plots: Vec<(&str, Vec<String>)> = Vec::new();
+        let mut plots: Vec<(&'static str, Vec<String>)> = Vec::new();
         for scalar in &schema.scalars {
             let line = format!("+ /diagnostics/{}", scalar.name);
             match plots.iter_mut().find(|(plot, _)| *plot == scalar.plot) {
@@ -547,9 +564,11 @@ impl Layout {
                 None => plots.push((scalar.plot, vec![line])),
             }
         }
-        let mut plot = |(name, lines): (&str, Vec<String>)| {
+        let mut plot = |(name, lines): (&'static str, Vec<String>)| {
             let contents: Vec<&str> = lines.iter().map(String::as_str).collect();
-            self.plot(name, "/", &contents, Corner2D::RightTop)
+            let plot = self.plot(name, "/", &contents, Corner2D::RightTop);
+            self.scalars.push((plot.path.clone(), name));
+            plot
         };
         plots.into_iter().map(&mut plot).collect()
     }

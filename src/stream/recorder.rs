@@ -224,6 +224,7 @@ impl Recorder {
             medians: parts.numbers.medians(),
             typical: parts.numbers.typical(),
             distances: parts.pairs.plotted(),
+            scalars: parts.numbers.plotted().collect(),
             pairs: parts.pairs.names(&self.schema),
             focus: parts.focus.focus().filter(|_| self.flight.is_none()), // a flight recorder may have dropped it
         };

@@ -20,7 +20,10 @@ use crate::{
         schema::{ScalarOf, ScalarSchema},
     },
     scene::{Integrator, Model, Scene, TearMode},
-    sim::{Cause, Options, World, simulation},
+    sim::{
+        Cause, Options, World, simulation,
+        simulation::{ANGULAR_MOMENTUM, MOMENTUM, least_range},
+    },
 };
 
 /// Index of a phase, as used in frames.
@@ -41,6 +44,7 @@ fn scalars(scene: &Scene) -> Vec<Scalar> {
             plot,
             jumps: false,
             is_smooth: of == ScalarOf::State,
+            least_range: least_range(scene, plot),
             ..ScalarSchema::new(name, label, of)
         },
         value,
@@ -67,22 +71,22 @@ fn scalars(scene: &Scene) -> Vec<Scalar> {
     ];
     if is_coupled(scene) {
         all.extend([
-            of("momentum_x", "momentum x [mass·unit/s]", "Momentum", ScalarOf::State, |simulation, _| {
+            of("momentum_x", "momentum x [mass·unit/s]", MOMENTUM, ScalarOf::State, |simulation, _| {
                 simulation.momentum().x
             }),
-            of("momentum_y", "momentum y", "Momentum", ScalarOf::State, |simulation, _| simulation.momentum().y),
-            of("momentum_z", "momentum z", "Momentum", ScalarOf::State, |simulation, _| simulation.momentum().z),
+            of("momentum_y", "momentum y", MOMENTUM, ScalarOf::State, |simulation, _| simulation.momentum().y),
+            of("momentum_z", "momentum z", MOMENTUM, ScalarOf::State, |simulation, _| simulation.momentum().z),
             of(
                 "angular_momentum_x",
                 "about the origin, x [mass·unit²/s]",
-                "Angular momentum",
+                ANGULAR_MOMENTUM,
                 ScalarOf::State,
                 |simulation, _| simulation.angular_momentum().x,
             ),
-            of("angular_momentum_y", "y", "Angular momentum", ScalarOf::State, |simulation, _| {
+            of("angular_momentum_y", "y", ANGULAR_MOMENTUM, ScalarOf::State, |simulation, _| {
                 simulation.angular_momentum().y
             }),
-            of("angular_momentum_z", "z", "Angular momentum", ScalarOf::State, |simulation, _| {
+            of("angular_momentum_z", "z", ANGULAR_MOMENTUM, ScalarOf::State, |simulation, _| {
                 simulation.angular_momentum().z
             }),
         ]);

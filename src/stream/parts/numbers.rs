@@ -79,6 +79,8 @@ struct ScalarLine {
     /// Whether it jumps when a pair changes its phase.
     jumps: bool,
     value: f64,
+    /// The least and the greatest value that was plotted.
+    plotted: Option<[f64; 2]>,
 }
 
 /// A stage, the time spent on it since the last frame, and the distribution of that time over previous frames.
@@ -115,7 +117,13 @@ impl FrameNumbers {
             let entity = format!("/diagnostics/{}", scalar.name);
             let shape = if scalar.is_smooth { Interpolation::Linear } else { Interpolation::Step };
             Series::style(chunks, &entity, scalar.label, palette::line(i), 1.5, shape);
-            ScalarLine { id: series.line(chunks, &entity, shape), of: scalar.of, jumps: scalar.jumps, value: 0.0 }
+            ScalarLine {
+                id: series.line(chunks, &entity, shape),
+                of: scalar.of,
+                jumps: scalar.jumps,
+                value: 0.0,
+                plotted: None,
+            }
         });
         let scalars = scalars.collect();
         let speed = line_of_run(SPEED, "steps per second", 0, chunks);
@@ -180,7 +188,14 @@ impl FrameNumbers {
             }
             let value = if line.of == ScalarOf::State { of_state } else { std::mem::take(&mut line.value) };
             series.log(chunks, line.id, value, view.at);
+            let [low, high] = line.plotted.unwrap_or([value; 2]);
+            line.plotted = Some([low.min(value), high.max(value)]);
         }
+    }
+
+    /// The least and the greatest value of each scalar that was plotted.
+    pub fn plotted(&self) -> impl Iterator<Item = Option<[f64; 2]>> {
+        self.scalars.iter().map(|line| line.plotted)
     }
 
     /// The median of each stage's duration over all frames [ms]; empty if there were no frames.
