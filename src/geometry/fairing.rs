@@ -2,8 +2,7 @@
 //!
 //! Within a given distance of the seam, short edges are collapsed, long edges are split, and vertices are moved towards
 //! the means of their neighbours, by weights that fall to zero at that distance. Farther vertices keep their position
-//! to
-//! the bit. Moving the vertices along their normals, by the same weights, then restores the volume.
+//! to the bit. Moving the vertices along their normals, by the same weights, then restores the volume.
 //!
 //! Apart from one list of the triangles around each vertex, the cost is proportional to the number of vertices near the
 //! seams. Displacements are in single precision, because they are only drawn; positions are in double precision.
@@ -64,12 +63,9 @@ impl Near {
 
 impl<T: Copy> Seamed<T> {
     /// Smooths the surface within `blend` radii of its seams, whose radii are given [scene unit]. 0 leaves the seams
-    /// sharp,
-    /// and only removes edges at the seam that are too short to be drawn. The label of a new vertex is derived, by
-    /// `of_new`,
-    /// from that of the nearer end of the edge that it splits, or from the farther end if the nearer one is on the
-    /// seam.
-    /// Finally, `relabel` is called for every vertex within `reach` radii of a seam.
+    /// sharp, and only removes edges at the seam that are too short to be drawn. The label of a new vertex is derived,
+    /// by `of_new`, from that of the nearer end of the edge that it splits, or from the farther end if the nearer one
+    /// is on the seam. Finally, `relabel` is called for every vertex within `reach` radii of a seam.
     pub fn fair(
         &mut self,
         blend: f64,
@@ -110,10 +106,9 @@ impl<T: Copy> Seamed<T> {
     }
 
     /// The nearest seam of every vertex within `reach` radii, and these vertices. The nearest vertex of a seam is
-    /// propagated
-    /// from vertex to vertex, as in vector distance transforms (Danielsson, *Euclidean Distance Mapping*, 1980), so
-    /// that the
-    /// distance is straight and not along edges. The final distance is to the edges of the seam at that vertex.
+    /// propagated from vertex to vertex, as in vector distance transforms (Danielsson, *Euclidean Distance Mapping*,
+    /// 1980), so that the distance is straight and not along edges. The final distance is to the edges of the seam at
+    /// that vertex.
     fn nearest_seams(&self, beside: &Beside, seam: &[u32], reach: f64, radii: &[f64]) -> (Vec<Near>, Vec<u32>) {
         let mut near = vec![Near::FAR; self.positions.len()];
         let mut visited = seam.to_vec();

@@ -5,8 +5,7 @@ use glam::DVec3;
 use super::vectors::Vectors;
 
 /// A closed triangle mesh, shared by all bodies of a shape at any radius: lengths are in radii, the origin is the
-/// centre
-/// of mass, and the farthest vertex is at distance 1. [`Rest`] is the mesh at the scale of a body.
+/// centre of mass, and the farthest vertex is at distance 1. [`Rest`] is the mesh at the scale of a body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mesh {
     /// Rest positions [radii], `[vertex_count]`.
@@ -49,8 +48,7 @@ impl Mesh {
     }
 
     /// The mesh of a body after it has torn, in the axes and unit of its first mesh [radii]: vertices are not moved or
-    /// scaled.
-    /// It need not be closed, and the origin need not be its centre of mass.
+    /// scaled. It need not be closed, and the origin need not be its centre of mass.
     pub fn version(positions: Vectors, triangles: Vec<[u32; 3]>) -> Mesh {
         let shares = shares(&positions, &triangles);
         let directions = positions.iter().map(DVec3::normalize_or_zero).collect();
@@ -97,15 +95,13 @@ impl Mesh {
     }
 
     /// Whether every rest position is at distance 1 radius from the centre, to rounding: directions are then the
-    /// positions
-    /// over the radius, and need no lengths.
+    /// positions over the radius, and need no lengths.
     pub fn is_round(&self) -> bool {
         self.directions.is_none()
     }
 
     /// The rings of vertices, if the mesh has this structure: quantities that are constant around a ring can be
-    /// computed as
-    /// arrays.
+    /// computed as arrays.
     pub fn rings(&self) -> Option<Rings> {
         self.rings
     }

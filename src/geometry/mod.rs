@@ -11,8 +11,7 @@
 //! | the union of overlapping meshes, and geometric measures of a pair | [`union`] |
 //!
 //! A new shape is a file that implements [`shape::Solid`] and an entry in the table below. This module does not depend
-//! on
-//! bodies, scenes or time.
+//! on bodies, scenes or time.
 
 pub mod fairing;
 pub mod files;

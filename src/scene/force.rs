@@ -49,9 +49,8 @@ impl Force {
     ///
     /// The function must be continuous and deterministic, and its magnitude must not exceed `bound` [scene unit/s²]
     /// anywhere that the body moves: `bound` limits the search for what the body may touch in a step. It is called
-    /// several
-    /// times within a step, also for error estimates, from any thread. The smoother it is, the longer the substeps; a
-    /// discontinuity ends the run.
+    /// several times within a step, also for error estimates, from any thread. The smoother it is, the longer the
+    /// substeps; a discontinuity ends the run.
     pub fn new(bound: f64, at: impl Fn(f64, DVec3, DVec3) -> DVec3 + Send + Sync + 'static) -> Force {
         Force { at: Arc::new(at), bound }
     }

@@ -37,8 +37,7 @@ pub struct Overlap {
 
 impl PairLaws {
     /// Builds the lookup from rules, each for all pairs of a body of one side with a body of the other. `group_of` is
-    /// the
-    /// group of each body, `[body_count]`.
+    /// the group of each body, `[body_count]`.
     ///
     /// # Errors
     /// Two rules apply to the same pair.

@@ -4,11 +4,9 @@
 //! # Limits
 //! Numbers are at most 10¹⁵ in magnitude, and those that must be positive (radius, dt, reach …) at least 10⁻¹², as must
 //! be the time between keys. Within these limits, no product, quotient or square that the simulation computes comes
-//! near
-//! the range of a double, so nothing downstream checks for overflow. They leave 27 orders of magnitude, more than
-//! double
-//! precision resolves. `duration / dt` is at most 10¹², so that step numbers are exact and times are accurate to a
-//! millionth of a step; a ring has at most 65,535 vertices, so that a vertex index fits 32 bits. A file has at most
+//! near the range of a double, so nothing downstream checks for overflow. They leave 27 orders of magnitude, more than
+//! double precision resolves. `duration / dt` is at most 10¹², so that step numbers are exact and times are accurate to
+//! a millionth of a step; a ring has at most 65,535 vertices, so that a vertex index fits 32 bits. A file has at most
 //! 32 MiB.
 
 mod error;

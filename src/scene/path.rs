@@ -207,8 +207,7 @@ impl Path {
     }
 
     /// Bounds of the motion relative to another path over `[start, end]` [s]: the sum of both, or less where the two
-    /// move
-    /// alike (otherwise, root finding would be slow for bodies that move together).
+    /// move alike (otherwise, root finding would be slow for bodies that move together).
     pub fn relative_bounds(&self, other: &Path, start: f64, end: f64) -> Bounds {
         let sum = || {
             let (a, b) = (self.bounds(start, end), other.bounds(start, end));
@@ -346,9 +345,9 @@ impl Spline {
     /// The C² cubic spline through `keys` (time [s], position [scene unit]), two or more, times strictly increasing, with
     /// zero velocity at the first and the last.
     ///
-    /// The accelerations M_k at the keys solve the tridiagonal system of the clamped spline,
-    /// `h₋ M₋ + 2 (h₋ + h₊) M + h₊ M₊ = 6 (Δ₊ − Δ₋)`, with Δ the slope of a segment, 0 beyond the ends
-    /// (de Boor, A Practical Guide to Splines, chapter IV).
+    /// The accelerations M_k at the keys solve the tridiagonal system of the clamped spline, `h₋ M₋ + 2 (h₋ + h₊) M +
+    /// h₊ M₊ = 6 (Δ₊ − Δ₋)`, with Δ the slope of a segment, 0 beyond the ends (de Boor, A Practical Guide to Splines,
+    /// chapter IV).
     pub fn new(keys: &[(f64, DVec3)]) -> Spline {
         let n = keys.len();
         let width = |k: usize| keys[k + 1].0 - keys[k].0;
@@ -535,8 +534,7 @@ mod tests {
     }
 
     /// The example of the module's documentation: between the keys at 1 s and 2 s, the position is 1 + ¾ s (1 − s)²,
-    /// where s
-    /// is the time since 1 s.
+    /// where s is the time since 1 s.
     #[test]
     fn a_spline_overshoots_as_documented() {
         let path = Path::Keyframes(Spline::new(&through(&[0.0, 1.0, 1.0])));

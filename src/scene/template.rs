@@ -107,8 +107,7 @@ pub struct Template<'a> {
 
 impl<'a> Template<'a> {
     /// Parses the scene `text`; `file` is its name in errors. Meshes are read from `folder`, or without one, taken from
-    /// the
-    /// built-in scene of that name.
+    /// the built-in scene of that name.
     ///
     /// # Errors
     /// Those of [`Scene::parse`].

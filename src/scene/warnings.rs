@@ -14,8 +14,7 @@ const INSIDE_OUT: f64 = 5.0;
 impl Scene {
     /// Warnings about thresholds without effect, each with a level that has an effect: a `merge_at` at which no sphere
     /// reaches the other body, a `split_at` at which the rest shapes still overlap. Also about free bodies that start
-    /// so
-    /// deep in a plane that it turns them inside out.
+    /// so deep in a plane that it turns them inside out.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = [Vec::new(), Vec::new()];
         for b in 0..self.bodies.len().min(MAX_BODIES) {
@@ -44,12 +43,10 @@ impl Scene {
     }
 
     /// Free bodies that start so deep in a plane that it turns them inside out: their vertices then have no unique
-    /// best-fit
-    /// rest shape, and no step is short enough. Measured (ω = 12/s, 30 steps at the default tolerance), for any
-    /// stiffness:
-    /// the smallest depth √stiffness/(ω radius) at which the solver fails is 6.3, the largest at which it succeeds
-    /// 11.4. A
-    /// body with a fixed rotation has no such limit: it can start 0.75 radii deep at a stiffness of 1e6, a value of 62.
+    /// best-fit rest shape, and no step is short enough. Measured (ω = 12/s, 30 steps at the default tolerance), for
+    /// any stiffness: the smallest depth √stiffness/(ω radius) at which the solver fails is 6.3, the largest at which
+    /// it succeeds 11.4. A body with a fixed rotation has no such limit: it can start 0.75 radii deep at a stiffness of
+    /// 1e6, a value of 62.
     fn inside_out(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         for body in &self.bodies {

@@ -1,9 +1,8 @@
 //! Hash of the exact state of a world, so that two runs can be compared step by step.
 //!
 //! The hash covers the stored state, even where it is from an earlier step: so observation does not change the hash,
-//! and
-//! its cost scales with the bodies that are stepped. Bodies and pairs are hashed separately and their hashes added, so
-//! that unchanged ones need not be hashed again. Every instruction set gives the same hash because it gives the same
+//! and its cost scales with the bodies that are stepped. Bodies and pairs are hashed separately and their hashes added,
+//! so that unchanged ones need not be hashed again. Every instruction set gives the same hash because it gives the same
 //! state, except for the sign of zero, which has no effect and is ignored.
 
 use pulp::{Arch, Simd, WithSimd, bytemuck};
@@ -123,8 +122,7 @@ impl Active {
 
 impl Deformation {
     /// A hash of the part that is constant from step to step, cached until it changes: the free vertices, and the
-    /// indices
-    /// of the active ones.
+    /// indices of the active ones.
     #[inline(always)]
     fn hash_of_kept<S: Simd>(&self, simd: S) -> u64 {
         if let Some(hash) = self.hash_of_kept.known() {
@@ -164,8 +162,7 @@ struct Lanes<S: Simd> {
 }
 
 /// Number of bits by which the two halves of a number are rotated. Among odd numbers, it is one of those for which a
-/// bit
-/// takes the longest to return near its original position.
+/// bit takes the longest to return near its original position.
 const ROTATION: u32 = 15;
 /// One odd factor per lane, so that lanes cannot be swapped and changes in several lanes cannot cancel.
 const FACTORS: [u64; LANES] = {

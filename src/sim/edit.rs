@@ -72,8 +72,7 @@ impl World {
     }
 
     /// Sets the motion of a body from now on: a path, which may be a function ([`Given`](crate::scene::path::Given)),
-    /// or free
-    /// motion. The body becomes undeformed; all other bodies wake.
+    /// or free motion. The body becomes undeformed; all other bodies wake.
     ///
     /// # Errors
     /// [`EditError`]; the world is then as it was.

@@ -70,14 +70,14 @@ impl World {
     }
 
     /// Energy brought to the free bodies since t = 0, by cause: their energy minus [`Ledger::total`] is constant up to
-    /// the
-    /// integrator's error. Only [`Integrator::Exponential`](crate::scene::Integrator::Exponential) keeps this account.
+    /// the integrator's error. Only [`Integrator::Exponential`](crate::scene::Integrator::Exponential) keeps this
+    /// account.
     pub fn ledger(&self) -> Ledger {
         self.ledger
     }
 
-    /// The energy of the current state. In a coupled scene, the energy of the free bodies, in units of mass ·
-    /// scene unit²/s²; see [`World::conserved`].
+    /// The energy of the current state. In a coupled scene, the energy of the free bodies, in units of mass · scene
+    /// unit²/s²; see [`World::conserved`].
     pub fn energy(&self) -> Energy {
         if let Some(snapshot) = self.snapshot() {
             return Energy::of(&snapshot.conserved(), snapshot.reached());

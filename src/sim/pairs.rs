@@ -94,8 +94,7 @@ pub(super) struct Pairs {
 
 impl Pairs {
     /// Finds all pairs that are near each other at the start; false if there are more than `max`. Pairs are counted
-    /// before
-    /// they are stored. When interrupted, keeps those found until then.
+    /// before they are stored. When interrupted, keeps those found until then.
     pub fn start(&mut self, scene: &Scene, bodies: &mut [Body], tracks: &Tracks, max: u64, work: &Work) -> bool {
         let mut of = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
         self.max_merge_at = scene.laws().map(|law| law.thresholds.merge_at).fold(0.0, f64::max);
@@ -205,8 +204,7 @@ impl Pairs {
     }
 
     /// Makes `found` the neighbours of body `i`. A known pair keeps its phase; a pair that is not apart stays listed at
-    /// any
-    /// distance.
+    /// any distance.
     fn meet(&mut self, of: &mut Surrounded<'_>, i: usize, t: f64) {
         let Surrounded { scene, bodies, tracks, work } = of;
         let found = std::mem::take(&mut self.found);
@@ -377,8 +375,7 @@ impl Pair {
     }
 
     /// Reports the changes up to the end of `span`, searching up to `horizon` for the next. An infinite `horizon` means
-    /// that
-    /// no further change is possible.
+    /// that no further change is possible.
     fn advance(&mut self, search: Search<'_>, span: Span, horizon: f64, mut found: impl FnMut(f64, Phase)) {
         let work = search.work;
         let mut phase = self.phase;
@@ -421,8 +418,7 @@ impl Pair {
 }
 
 /// Whether, within their fat bounds, one of two bodies can have vertices inside the other's sphere, or the two can
-/// merge.
-/// (Stricter than overlap of the fat bounds: a sphere does not act on another sphere.)
+/// merge. (Stricter than overlap of the fat bounds: a sphere does not act on another sphere.)
 fn are_near(scene: &Scene, bodies: &[Body], grid: &Grid, i: u32, j: u32) -> bool {
     let [a, b] = [i, j].map(|k| (&bodies[k as usize].fat_bounds, scene.bodies[k as usize].radius));
     let sphere = |radius| scene.influence.sphere_radius(radius);
@@ -489,8 +485,7 @@ mod tests {
     }
 
     /// Two centres that jump and hold: phases change at the jump, whether it is found ahead or within the step, and a
-    /// jump
-    /// into a core is a merge and a core event at the same time.
+    /// jump into a core is a merge and a core event at the same time.
     #[test]
     fn phases_change_at_jumps() {
         let text = |times: [f64; 5]| {

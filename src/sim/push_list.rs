@@ -26,8 +26,7 @@ struct Index {
     starts: Edges,
     ends: Edges,
     /// A tree over `starts`: node 1 is the root, node n has the children 2n and 2n + 1, and each holds the latest end
-    /// of
-    /// the pushes below it [s].
+    /// of the pushes below it [s].
     latest_end: Box<[f64]>,
     /// Number of leaves.
     leaves: usize,
@@ -315,8 +314,7 @@ mod tests {
     }
 
     /// A hundred thousand pushes can be stepped, both short and overlapping: the cost of a step depends only on the
-    /// pushes
-    /// that begin or end in it.
+    /// pushes that begin or end in it.
     #[test]
     fn a_hundred_thousand_pushes_are_stepped() {
         for length in [1e-5, 1.0] {

@@ -85,8 +85,7 @@ impl<'a> Track<'a> {
     }
 
     /// Bounds of the motion relative to another track over `[start, end]` [s]: tighter than the sum of both where the
-    /// two
-    /// move alike.
+    /// two move alike.
     pub fn relative_bounds(self, other: Track<'_>, start: f64, end: f64) -> Bounds {
         match (self, other) {
             (Track::Prescribed(path), Track::Prescribed(other)) => path.relative_bounds(other, start, end),

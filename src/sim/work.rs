@@ -121,8 +121,7 @@ impl Work {
     }
 
     /// The turn of the body that did the most work, among those up to the one that exceeded the limit, given the total
-    /// and
-    /// the work by turn; `None` if the limit holds.
+    /// and the work by turn; `None` if the limit holds.
     pub fn busiest(&self, all: u64, by_turn: impl Iterator<Item = u64>) -> Option<usize> {
         let mut left = self.limit.saturating_sub(self.before);
         if all <= left {
@@ -169,8 +168,7 @@ impl Tally<'static> {
 
 impl<'a> Tally<'a> {
     /// A tally that the caller adds to the total itself. It is over on an interrupt, or when it alone exceeds the limit
-    /// of a
-    /// step.
+    /// of a step.
     pub(super) fn aside(work: Option<&'a Work>) -> Tally<'a> {
         let mut aside = Tally::unlimited();
         (aside.work, aside.is_aside) = (work, true);

@@ -176,8 +176,7 @@ impl World {
         });
         self.work.expect(first_step.fold(0, u64::saturating_add));
         // A body with neighbours may be reached from the start; bodies that are not reached go back to sleep in the
-        // first
-        // step.
+        // first step.
         for index in 0..self.bodies.len() {
             if !self.options.skip || !self.bodies[index].neighbours.is_empty() {
                 self.wake_one(index as u32);

@@ -1,8 +1,7 @@
 //! A mesh as text, bit-exact: a version, counts, positions and triangles in base64.
 //!
 //! Positions are doubles, or singles if that is exact, as for most files. Each corner of a triangle is the difference
-//! to
-//! the previous corner, as a zigzag varint. A million triangles take about 16 MB.
+//! to the previous corner, as a zigzag varint. A million triangles take about 16 MB.
 
 use base64::{Engine as _, engine::general_purpose::STANDARD_NO_PAD};
 use glam::DVec3;

@@ -149,8 +149,7 @@ pub struct Loaded {
 ///
 /// # Errors
 /// The file cannot be read, is not a regular file, is larger than [`LARGEST_FILE`] or not valid, or its triangles are
-/// not
-/// the surface of a body.
+/// not the surface of a body.
 pub fn load(path: &Path, watch: &dyn Fn(f64)) -> Result<Loaded, MeshError> {
     let format = format(path)?;
     let bytes = read(path)?;

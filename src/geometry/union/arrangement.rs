@@ -59,8 +59,7 @@ pub struct Segment {
     /// The two ends; the first is a node.
     pub ends: [End; 2],
     /// Whether it runs along normal(second) × normal(first) from its first end, so that on the first triangle, the part
-    /// in
-    /// front of the second is on its left.
+    /// in front of the second is on its left.
     pub forward: bool,
     /// Whether the segment lies entirely inside a third body, where it is invisible; its triple points are not
     /// computed.
@@ -392,12 +391,9 @@ impl Arrangement {
     /// Whether the segment that starts at a node, inwards, is forward.
     ///
     /// Suppose the edge belongs to the first triangle. Counter-clockwise along it, the triangle is on the left; a
-    /// segment
-    /// that turns inwards there has the part where the edge comes from on its left. So it is forward if the edge comes
-    /// from
-    /// in front of the second triangle. If the edge belongs to the second triangle, the roles are exchanged: the
-    /// segment is
-    /// then backward if the edge comes from in front of the first.
+    /// segment that turns inwards there has the part where the edge comes from on its left. So it is forward if the
+    /// edge comes from in front of the second triangle. If the edge belongs to the second triangle, the roles are
+    /// exchanged: the segment is then backward if the edge comes from in front of the first.
     fn runs_forward(&self, placement: &Placement, node: u32, triangles: [u32; 2]) -> bool {
         let node = &self.nodes[node as usize];
         let of_first = node.passage.triangle == triangles[1];
@@ -555,8 +551,7 @@ impl Arrangement {
     }
 
     /// Position on a node's edge, from 0 to 1: where the true edge passes through the plane of the true triangle, if
-    /// that is
-    /// near the perturbed position, otherwise the latter.
+    /// that is near the perturbed position, otherwise the latter.
     fn position_on_edge(placement: &Placement, node: &Node) -> f64 {
         let Node { edge, edge_body, passage } = *node;
         let ends = placement.ends(edge, edge_body).map(|v| placement.true_position(v, edge_body));

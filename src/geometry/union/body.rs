@@ -226,15 +226,13 @@ impl<'a> Body<'a> {
     }
 
     /// Whether the inner side of every triangle faces the centre. A connected mesh for which this holds, whatever its
-    /// χ,
-    /// covers the sphere of directions without a fold, so exactly once: it does not intersect itself.
+    /// χ, covers the sphere of directions without a fold, so exactly once: it does not intersect itself.
     fn star(&self) -> &Star {
         self.star.get_or_init(|| {
             let least = self.of_triangles(Least::default());
             let (slack_squared, height_squared) = (least.slack_squared.least(), least.height_squared.least());
             // beyond these radii, the compared products over- or underflow; single triangles of other sizes do not
-            // matter:
-            // where they are so small that their products underflow, the slack is negligible
+            // matter: where they are so small that their products underflow, the slack is negligible
             let is_known = (1e-30..1e30).contains(&self.radius) && slack_squared > 0.0 && slack_squared.is_finite();
             if is_known && height_squared.is_finite() && self.topology.components == 1 {
                 Star { slack: slack_squared.sqrt() / (6.0 * self.radius), inner_radius: height_squared.sqrt() }
@@ -315,8 +313,7 @@ impl<'a> Body<'a> {
     }
 
     /// The outward unit normal at a vertex, weighted such that neither edge lengths nor diagonals matter (Max, *Weights
-    /// for
-    /// Computing Vertex Normals from Facet Normals*, 1999); 0 where it is not defined.
+    /// for Computing Vertex Normals from Facet Normals*, 1999); 0 where it is not defined.
     pub(super) fn normal(&self, vertex: u32) -> DVec3 {
         let at = self.position(vertex);
         let mut sum = DVec3::ZERO;

@@ -110,8 +110,7 @@ impl<'t, 'a> Tree<'t, 'a> {
     }
 
     /// The nearest point of the surface; `None` for a body without triangles, or if the point is known to be no farther
-    /// than
-    /// `least` [scene unit].
+    /// than `least` [scene unit].
     fn nearest_beyond(&self, point: DVec3, least: f64, search: &mut Search) -> Option<Nearest> {
         let Search { hint, queue } = search;
         let least_squared = least * least;
@@ -157,10 +156,8 @@ impl<'t, 'a> Tree<'t, 'a> {
     }
 
     /// Depth of a point inside the body [scene unit], if it is more than `least` ≥ 0. The side is that of the normal at
-    /// the
-    /// nearest point; a corner's normal is weighted by angles (Bærentzen and Aanæs, *Signed Distance Computation Using
-    /// the
-    /// Angle Weighted Pseudonormal*, 2005).
+    /// the nearest point; a corner's normal is weighted by angles (Bærentzen and Aanæs, *Signed Distance Computation
+    /// Using the Angle Weighted Pseudonormal*, 2005).
     pub fn depth_beyond(&self, point: DVec3, least: f64, search: &mut Search) -> Option<f64> {
         let nearest = self.nearest_beyond(point, least, search)?;
         let topology = self.body.topology;
@@ -220,8 +217,7 @@ impl<'t, 'a> Tree<'t, 'a> {
     }
 
     /// The smallest distance to another surface that does not intersect this one [scene unit]. The search begins with
-    /// the
-    /// triangles of `hint`, and sets it to the nearest ones.
+    /// the triangles of `hint`, and sets it to the nearest ones.
     ///
     /// # Errors
     /// The meter's.

@@ -183,8 +183,7 @@ impl Cutter<'_, '_, '_> {
                 }
                 shown = beside[1];
                 // a line with both parts of the triangle on the union does not cut it: that happens with bodies that
-                // are
-                // inside out
+                // are inside out
                 if beside == [true; 2] {
                     continue;
                 }

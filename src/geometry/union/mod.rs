@@ -1,10 +1,8 @@
 //! The union of closed triangle meshes: one closed, manifold, oriented surface of many overlapping ones.
 //!
 //! The union is {winding number of any body ≥ 1}. Bodies may intersect themselves, touch, coincide, lie inside each
-//! other,
-//! or be inside out. Remaining vertices of bodies keep their position to the bit; every other vertex records the edge
-//! and
-//! triangle that it comes from. The cost of a union depends on the overlap, not on the size of the meshes.
+//! other, or be inside out. Remaining vertices of bodies keep their position to the bit; every other vertex records the
+//! edge and triangle that it comes from. The cost of a union depends on the overlap, not on the size of the meshes.
 //!
 //! # Method
 //!
@@ -16,15 +14,14 @@
 //!    (`exact`; Shewchuk 1997). The intersection of an edge and a triangle is never rounded: it stays the pair (edge,
 //!    triangle), as with the implicit points of Attene (*Indirect Predicates for Geometric Constructions*, 2020) and of
 //!    Cherchi et al. (*Fast and Robust Mesh Arrangements*, 2020; *Interactive and Robust Mesh Booleans*, 2022).
-//! 3. Boxes of bodies, of blocks of triangles and of triangles find candidates (`candidates`); signs determine
-//!    which of them intersect (`arrangement`).
-//!    Triangles well inside another body (`placement`) are not on the boundary: intersections of two such triangles are
-//!    skipped.
+//! 3. Boxes of bodies, of blocks of triangles and of triangles find candidates (`candidates`); signs determine which of
+//!    them intersect (`arrangement`). Triangles well inside another body (`placement`) are not on the boundary:
+//!    intersections of two such triangles are skipped.
 //! 4. Winding numbers (Zhou et al., *Mesh Arrangements for Solid Geometry*, 2016) are flood-filled from known values
 //! (`winding`), and checked at the end of every edge and segment. A part of a triangle bounds the union if the space in
 //!    front of it is outside all bodies and the space behind it is not.
-//! 5. Cut triangles are retriangulated (`faces`, `triangulate`), whole ones kept; a final check verifies
-//!    that the surface is closed (`surface`).
+//! 5. Cut triangles are retriangulated (`faces`, `triangulate`), whole ones kept; a final check verifies that the
+//!    surface is closed (`surface`).
 //!
 //! Bodies are first put into a canonical order, and each loop that may run on several threads has a fixed order of
 //! results: the surface depends neither on the order in which bodies are given nor on the number of threads.
@@ -42,19 +39,16 @@
 //! | 64 overlapping ones | 43 ms | 4.5 | 1 |
 //!
 //! Small unions miss the goal because no single stage dominates: for two spheres of 266 vertices, cutting triangles
-//! takes
-//! 24 %, nodes and segments 16 %, signs of candidates 13 %, assembly with its audit 12 %, boxes 8 %, [`Body::new`] and
-//! the
-//! proof that a body does not intersect itself 8 %. Reusing the previous frame could only save the candidates, because
-//! everything else depends on positions: unions keep nothing from frame to frame, only the search for gaps does
-//! ([`Hint`]).
-//! The chain is 299 such small unions; each takes as many instructions there as alone, but 40 % more time.
+//! takes 24 %, nodes and segments 16 %, signs of candidates 13 %, assembly with its audit 12 %, boxes 8 %,
+//! [`Body::new`] and the proof that a body does not intersect itself 8 %. Reusing the previous frame could only save
+//! the candidates, because everything else depends on positions: unions keep nothing from frame to frame, only the
+//! search for gaps does ([`Hint`]). The chain is 299 such small unions; each takes as many instructions there as alone,
+//! but 40 % more time.
 //!
 //! Ten times the vertices, all of them away from the overlap, cost 63 to 70 % more (goal 10 %): 4 ns per vertex for
-//! boxes
-//! in [`Body::new`], and 12 ns for the proof, which reads the corners of every triangle. That time is spent loading
-//! them:
-//! single precision or fewer divisions do not reduce it. Volume and area read them again, and are computed on request.
+//! boxes in [`Body::new`], and 12 ns for the proof, which reads the corners of every triangle. That time is spent
+//! loading them: single precision or fewer divisions do not reduce it. Volume and area read them again, and are
+//! computed on request.
 
 mod arrangement;
 mod body;

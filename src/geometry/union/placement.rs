@@ -52,8 +52,7 @@ pub struct Placement<'a, 'b> {
     /// `buried` is.
     shown: Vec<(Vec<bool>, Aabb)>,
     /// For every vertex, its index in `positions`; 0 for vertices that have not been placed ([`Placement::place`]),
-    /// which are
-    /// most of a large mesh.
+    /// which are most of a large mesh.
     slots: Vec<u32>,
     /// Positions as the predicates see them.
     positions: Vec<DVec3>,
@@ -120,10 +119,9 @@ impl<'a, 'b> Placement<'a, 'b> {
     }
 
     /// Marks the triangles that lie inside the largest ball about the centre of another body. No part of them bounds
-    /// the
-    /// union: they need not be cut, and intersections of two of them do not matter. Triangles of bodies that may
-    /// intersect
-    /// themselves are not marked, because computing such a body's own winding numbers requires all of its triangles.
+    /// the union: they need not be cut, and intersections of two of them do not matter. Triangles of bodies that may
+    /// intersect themselves are not marked, because computing such a body's own winding numbers requires all of its
+    /// triangles.
     pub fn bury(&mut self, meetings: &[Meeting]) {
         let mut buried = vec![0u64; self.first_triangle[self.bodies.len()] as usize / 64 + 1];
         let mut shown: Vec<Vec<bool>> = self.bodies.iter().map(|body| vec![true; body.block_bounds.len()]).collect();

@@ -11,8 +11,7 @@ use thiserror::Error;
 #[derive(Clone, Copy, Debug)]
 pub struct Budget {
     /// Work steps, each 50 to 300 nanoseconds and a few tens of bytes; the count is the same on every machine and for
-    /// any
-    /// number of threads.
+    /// any number of threads.
     pub work: u64,
     /// Wall-clock time. Whether it suffices depends on the machine, but a result obtained within it does not.
     pub time: Option<Duration>,

@@ -130,10 +130,8 @@ impl<'a> Surface<'a> {
     /// Whether two triangles have a point in common besides their common vertices and edges.
     ///
     /// If they do, an edge of one meets the other, or both lie in one plane. In the latter case, an edge of a neighbour
-    /// that
-    /// leaves the plane meets one of them, because the surface is closed; so testing only edges that leave the plane
-    /// misses
-    /// nothing. Two triangles with a common edge meet only if one is folded onto the other.
+    /// that leaves the plane meets one of them, because the surface is closed; so testing only edges that leave the
+    /// plane misses nothing. Two triangles with a common edge meet only if one is folded onto the other.
     fn do_meet(&self, s: u32, t: u32) -> bool {
         let names = [s, t].map(|t| self.triangles[t as usize].map(|v| self.name(v)));
         let [p, q] = [s, t].map(|t| self.triangles[t as usize].map(|v| self.positions[v as usize]));

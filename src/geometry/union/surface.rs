@@ -617,8 +617,7 @@ impl<'a, 'b> Union<'a, 'b> {
     }
 
     /// Number of connected components of the surface. Uncut parts are counted by blocks of triangles, so the cost
-    /// hardly
-    /// depends on the size of the meshes.
+    /// hardly depends on the size of the meshes.
     pub fn component_count(&self) -> usize {
         let is_cut = |b: usize| !self.removed[b].is_empty();
         let whole = (0..self.bodies.len()).filter(|&b| !is_cut(b));

@@ -278,8 +278,7 @@ impl Topology {
     }
 
     /// Groups neighbouring triangles into blocks by breadth-first search: up to [`BLOCK`] from each start, with the
-    /// next
-    /// start beside the last block.
+    /// next start beside the last block.
     fn cluster(&mut self, check: Check) -> Result<(), TopologyError> {
         let mut taken = vec![false; self.triangles.len()];
         let mut border = std::collections::VecDeque::new();

@@ -20,8 +20,7 @@ pub struct Region {
     /// Directed lines, from point to point, with the region on their left.
     pub pieces: Vec<[u32; 2]>,
     /// Points and the straight lines on which they lie. Points on a common line are not joined, because the region on
-    /// the
-    /// line's other side could join them, too.
+    /// the line's other side could join them, too.
     pub lines: Vec<(u32, u32)>,
     /// The points' names, ascending; below, points are numbered by their index here.
     names: Vec<u32>,
@@ -302,8 +301,7 @@ impl Region {
     }
 
     /// Clips the best ear repeatedly. `edges` are the edges in use, needed for loops in which points occur more than
-    /// once; in
-    /// a simple loop no edge can repeat.
+    /// once; in a simple loop no edge can repeat.
     fn clip_ears(&self, points: &[u32], edges: &mut Option<FxHashSet<[u32; 2]>>, filling: &mut Filling) {
         let scratch = &mut *self.scratch.borrow_mut();
         let Ears { points: left, is_met, qualities } = scratch;
@@ -372,8 +370,7 @@ impl Region {
     }
 
     /// Quality of the triangle from clipping a corner, in (0, √3/6]; reduced by 1, and so ≤ 0, if it is inverted or
-    /// contains
-    /// a point; `None` if its new edge is not allowed.
+    /// contains a point; `None` if its new edge is not allowed.
     fn quality(&self, points: &[u32], k: usize, edges: &Option<FxHashSet<[u32; 2]>>) -> Option<f64> {
         let n = points.len();
         let [a, b, c] = [points[(k + n - 1) % n], points[k], points[(k + 1) % n]];

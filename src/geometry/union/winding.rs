@@ -499,8 +499,7 @@ impl Flood<'_, '_, '_> {
     }
 
     /// Among the first edges of a component, the one, with its vertex, that has the longest free part from that vertex
-    /// and
-    /// the flattest surroundings.
+    /// and the flattest surroundings.
     fn seed_near(&self, start: u32) -> (u32, u32) {
         let topology = self.placement.bodies[self.me as usize].topology;
         let (first_vertex, first_edge) =

@@ -19,8 +19,7 @@ pub struct BoundaryMesh {
 }
 
 /// The boundary of the cells for which `is_there` holds, given their initial and current corner nodes, some of which
-/// may
-/// have been split.
+/// may have been split.
 ///
 /// Two cells are joined if they initially shared the four nodes of a face, and still share at least one: a crack
 /// appears only where a face has come apart completely, since the two sides of a partly split face coincide. A node

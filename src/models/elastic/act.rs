@@ -228,8 +228,7 @@ impl StepContext<'_> {
     }
 
     /// Upper bound of the spatial derivative of the accelerations by spheres [1/s²]: of a body's nodes, and of its
-    /// centre, on
-    /// which the reaction to its own sphere also acts.
+    /// centre, on which the reaction to its own sphere also acts.
     pub fn stiffness(&self, index: usize, sources: &[u32]) -> f64 {
         let own = self.scene.bodies[index].mass;
         let of = |&other: &u32| {

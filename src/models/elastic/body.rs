@@ -158,8 +158,7 @@ impl Shared {
     }
 
     /// No elements yet, with this much memory left for factors [bytes]; `contact` is the largest [`contact`] of all
-    /// bodies if
-    /// they are stepped together.
+    /// bodies if they are stepped together.
     pub fn new(left: u64, scene: &Scene, contact: Option<f64>) -> Shared {
         Shared { left, elements: HashMap::new(), divided: contact.map(|contact| divisions(scene, contact)) }
     }
@@ -691,8 +690,7 @@ pub struct Contact<'a> {
     /// Position and velocity of the centre.
     pub motion: [DVec3; 2],
     /// Limits the rate of friction on a vertex to the inverse of this [s]: a step times the effect of a vertex on a
-    /// node, so
-    /// that friction takes at least a step to stop a node.
+    /// node, so that friction takes at least a step to stop a node.
     pub min_stop: f64,
 }
 

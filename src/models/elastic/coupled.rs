@@ -14,16 +14,14 @@
 //!
 //! # Lattice
 //! Velocity Verlet with common steps for all bodies. The centres move on parabolas that are known before a step is
-//! taken;
-//! phase changes are located on them, and steps end there. Springs and dampers act along the line between two nodes,
-//! spheres along the line to a centre, so momentum and angular momentum are conserved.
+//! taken; phase changes are located on them, and steps end there. Springs and dampers act along the line between two
+//! nodes, spheres along the line to a centre, so momentum and angular momentum are conserved.
 //!
 //! # Finite elements
 //! Linear elements are not invariant under rotation, so the body is co-rotated as a whole: displacements are measured
-//! in
-//! axes Q that rotate with it, the best fit to its nodes at the middle of a step (Müller et al., Meshless Deformations
-//! Based on Shape Matching, 2005; Terzopoulos and Witkin, Physically based models with rigid and deformable components,
-//! 1988, use such axes, too). Axes per element would handle larger deformations, but A in
+//! in axes Q that rotate with it, the best fit to its nodes at the middle of a step (Müller et al., Meshless
+//! Deformations Based on Shape Matching, 2005; Terzopoulos and Witkin, Physically based models with rigid and
+//! deformable components, 1988, use such axes, too). Axes per element would handle larger deformations, but A in
 //! [`fem`](crate::models::fem), and so the factor that makes the method fast, would change in every step. The price: a
 //! body bent by tens of degrees swells at the bend.
 //!
@@ -335,8 +333,7 @@ impl Elastic {
     }
 
     /// Evaluates the forces on all bodies at `t` [s] if `is_start`; otherwise takes a step of `h` from there, and
-    /// evaluates
-    /// them at its end.
+    /// evaluates them at its end.
     fn pull_all(&mut self, t: f64, h: f64, part: [f64; 2], is_start: bool) {
         let places = self.places(t, h, part);
         let Elastic { scene, bodies, phases, step, .. } = self;

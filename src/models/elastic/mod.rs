@@ -6,8 +6,7 @@
 //! of the surface, each of which distributes its force to the nodes of its cell.
 //!
 //! Only the core is held, rather than every node by a spring of its own, so that deformations travel through the body
-//! and
-//! torn-off parts are not pulled back. No node of a free body is held: see `coupled`.
+//! and torn-off parts are not pulled back. No node of a free body is held: see `coupled`.
 //!
 //! If all bodies are on paths, phases change at the same times as those of the oscillators, to the bit: a [`World`] of
 //! the same bodies without forces finds the events.

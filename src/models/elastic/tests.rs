@@ -164,8 +164,8 @@ fn instability_is_reported() {
     run(&mut start(&Scene { integrator: Integrator::Exponential, ..scene }), 100);
 }
 
-/// Stability over decades of dt, ω, κ, α, β and mass. Every case ends, and every failure is reported.
-/// (`bench stability --model` runs a thousand.)
+/// Stability over decades of dt, ω, κ, α, β and mass. Every case ends, and every failure is reported. (`bench stability
+/// --model` runs a thousand.)
 #[test]
 fn hard_cases_end() {
     const CASES: u32 = 8;
@@ -376,8 +376,7 @@ fn free_bodies_fall() {
 }
 
 /// A spinning body conserves its angular momentum for three turns, and its energy up to the error of the step; its
-/// shape
-/// rotates with it. The centrifugal stretch stays at its static value, of the order ω²ρR²/E.
+/// shape rotates with it. The centrifugal stretch stays at its static value, of the order ω²ρR²/E.
 #[test]
 fn free_bodies_spin_without_growing() {
     for model in [Model::Lattice, Model::Fem] {

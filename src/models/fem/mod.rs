@@ -19,8 +19,7 @@
 //!
 //! It is second order, conserves the energy of an undamped body and has no step limit. A is constant as long as the
 //! body's topology is, so it is factored once, as 2.1.2 proposes for K (Hirota and Kaneko; Cotin et al.). That makes
-//! the
-//! method fast, but rules out tearing: where stress exceeds a limit, the body is only reported to [would
+//! the method fast, but rules out tearing: where stress exceeds a limit, the body is only reported to [would
 //! tear](Element::tensions).
 //!
 //! # Factor or inverse

@@ -1,9 +1,8 @@
 //! Masses and springs on a lattice of cubes (2.1.1, Fig. 2.1), and two ways to tear it (2.2.2, Fig. 2.2).
 //!
-//! A cell has 28 springs: 12 along its edges, 12 along the diagonals of its faces, 4 along those of the cube. Springs on
-//! edges and faces are shared with the neighbouring cells; each cell contributes its share of their stiffness, so that
-//! a
-//! lattice is homogeneous up to its boundary:
+//! A cell has 28 springs: 12 along its edges, 12 along the diagonals of its faces, 4 along those of the cube. Springs
+//! on edges and faces are shared with the neighbouring cells; each cell contributes its share of their stiffness, so
+//! that a lattice is homogeneous up to its boundary:
 //!
 //! ```text
 //! k_edge : k_face : k_space = 2 : 1 : 3/8        a cell's share: 1/4, 1/2, 1
@@ -45,8 +44,7 @@ use lanes::{Group, group};
 pub use step::{Motion, Outside, Scheme};
 
 /// Stiffness of a cell's share of a spring, over k: along an edge, a quarter of 2; along the diagonal of a face, half
-/// of
-/// 1; along that of the cube, 3/8.
+/// of 1; along that of the cube, 3/8.
 const SHARES: [f64; 3] = [0.5, 0.5, 0.375];
 /// The highest squared frequency of a free cell, times its mass over k.
 const CELL_MODE: f64 = 30.0;
@@ -273,8 +271,7 @@ impl Lattice {
     }
 
     /// Upper bound of the memory of a lattice with this many cells along a diameter [bytes]; if it can be split, with
-    /// all
-    /// cells separate, each with its own nodes.
+    /// all cells separate, each with its own nodes.
     pub fn most_memory(across: u32, can_split: bool) -> u64 {
         const NODE_BYTES: u64 = 24 * 8 + 9 * 8;
         const KEY_BYTES: u64 = 28 * 16;

@@ -27,8 +27,7 @@ pub struct Motion {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scheme {
     /// Velocity Verlet: second order. Damping is evaluated at the predicted velocity u + h a (Groot and Warren,
-    /// Dissipative
-    /// particle dynamics, 1997).
+    /// Dissipative particle dynamics, 1997).
     Verlet,
     /// Semi-implicit Euler: first order.
     Euler,

@@ -24,8 +24,7 @@ struct Split {
 
 impl Lattice {
     /// Cuts the cells with springs longer than (1 + limit) L, and returns them. Nodes without remaining cells leave the
-    /// body,
-    /// and are held from now on.
+    /// body, and are held from now on.
     pub fn cut(&mut self, positions: &[DVec3], limit: f64) -> Vec<usize> {
         let is_torn = |corners: &[u32; 8]| {
             (0..8).any(|i| {

@@ -9,8 +9,7 @@ fn nothing(_: f64, _: &[DVec3], _: &[DVec3], accelerations: &mut [DVec3]) {
 }
 
 /// A bar of `cells` along z in a grid of `across` along [−1, 1], of density 1, with ω = 1 for a bar of length 1, held
-/// at
-/// its lowest nodes or free.
+/// at its lowest nodes or free.
 fn bar(across: u32, cells: [u32; 3], damping: f64, is_held: bool) -> Lattice {
     let cells = Cells::block(across, cells);
     let held = cells.nodes.iter().map(|node| is_held && node.z == -1.0).collect();

@@ -27,10 +27,8 @@ pub struct Saddle {
 
 impl Saddle {
     /// The saddle between the first two balls, in the density of all. `None` if there is none: the balls are so close
-    /// that
-    /// the density is monotonic between the centres, or so far apart that there is no density between them, or a third
-    /// ball
-    /// fills the space between.
+    /// that the density is monotonic between the centres, or so far apart that there is no density between them, or a
+    /// third ball fills the space between.
     pub fn between(kernel: &Kernel, balls: &[Ball]) -> Option<Saddle> {
         let (a, b) = (balls.first()?, balls.get(1)?);
         let along = b.centre - a.centre;
@@ -80,8 +78,7 @@ pub fn are_one(kernel: &Kernel, balls: &[Ball]) -> bool {
 }
 
 /// The point of minimum density on the line from the first ball's centre to the second's, or only between their
-/// surfaces
-/// if the lone balls are apart. `None` if that is an end of the line.
+/// surfaces if the lone balls are apart. `None` if that is an end of the line.
 fn lowest(kernel: &Kernel, balls: &[Ball]) -> Option<DVec3> {
     let (a, b) = (balls.first()?, balls.get(1)?);
     let along = b.centre - a.centre;

@@ -427,11 +427,11 @@ const GAUSS: [[f64; 2]; 5] = [
 /// The volume within the exact surface of a mesh [scene unit³]: the volume of the mesh plus that between its triangles
 /// and the surface.
 ///
-/// The gap between a triangle p(u, v) and the surface is filled with the lines p + s d, where d is interpolated linearly
-/// between the normals at the corners, so that neighbours fit. It is integrated in s exactly and by a Gauss product rule
-/// over the triangle. With the mesh of [`extract`], the error is below 1e-7 of the volume for balls of similar size,
-/// and
-/// below 1e-6 beside a much smaller one, because the third derivative of the density jumps at the end of a support.
+/// The gap between a triangle p(u, v) and the surface is filled with the lines p + s d, where d is interpolated
+/// linearly between the normals at the corners, so that neighbours fit. It is integrated in s exactly and by a Gauss
+/// product rule over the triangle. With the mesh of [`extract`], the error is below 1e-7 of the volume for balls of
+/// similar size, and below 1e-6 beside a much smaller one, because the third derivative of the density jumps at the end
+/// of a support.
 pub fn volume(kernel: &Kernel, balls: &[Ball], mesh: &Mesh) -> f64 {
     let normals: Vec<DVec3> =
         mesh.positions.iter().map(|&at| (-kernel.slope(balls, at)).normalize_or(DVec3::Z)).collect();

@@ -119,8 +119,7 @@ impl<'a> Table<'a> {
     }
 
     /// Unknown keys are reported before anything else: an unknown key is usually misspelled or misplaced, and its
-    /// message is
-    /// more helpful than the one that the intended key is missing.
+    /// message is more helpful than the one that the intended key is missing.
     fn known(self, known: &Keys) -> Result<Table<'a>, SceneError> {
         let unknown = self.entries.iter().flat_map(|entries| entries.keys());
         let unknown = unknown.filter(|key| !known.names.contains(&key.get_ref().as_ref()));

@@ -213,8 +213,7 @@ impl Step<'_> {
     }
 
     /// Velocity Verlet, with damping implicit in the second half kick. Damping acts only on the motion relative to the
-    /// rigid
-    /// motion.
+    /// rigid motion.
     fn verlet(&self, all: &[Particles], t: f64, dt: f64) -> Vec<Particles> {
         let mut next = all.to_vec();
         for (body, forces) in next.iter_mut().zip(self.forces(all, t, true)) {

@@ -158,8 +158,7 @@ impl Member {
     }
 
     /// Sets the expected bounds on its motion during `span`. If it moves farther, [`Member::strayed`] detects that and
-    /// the
-    /// step is repeated.
+    /// the step is repeated.
     pub fn expect(&mut self, scene: &scene::Body, gravity: DVec3, span: Span) {
         let Member { body, extent, speed, .. } = self;
         let (slack, h) = (SLACK * body.radius, span.length());
@@ -187,13 +186,12 @@ impl Member {
     }
 
     /// Whether the body is nearly still: neither its rigid motion nor its vibration moves a vertex faster than half of
-    /// the
-    /// error growth that the tolerance allows.
+    /// the error growth that the tolerance allows.
     ///
     /// A body that is calm for half a second and [does not speed up](Member::stays_calm) rests: its velocities are set
-    /// to
-    /// zero and its displacements kept. The resulting error grows by less than half of the tolerance. No rule wakes a
-    /// resting body that would have sped up, so a body must be calm for long enough to reveal an unstable equilibrium.
+    /// to zero and its displacements kept. The resulting error grows by less than half of the tolerance. No rule wakes
+    /// a resting body that would have sped up, so a body must be calm for long enough to reveal an unstable
+    /// equilibrium.
     pub fn is_calm(&self, tolerance: f64) -> bool {
         let max = self.max_calm_speed(tolerance);
         let swing = self.speed / self.body.oscillator.omega.max(1.0);
@@ -227,8 +225,7 @@ impl Member {
     }
 
     /// Whether its deformation is so small that setting it to zero is an error of less than a tenth of the tolerance.
-    /// That
-    /// is done if nothing acts on the body.
+    /// That is done if nothing acts on the body.
     pub fn is_nearly_straight(&self, tolerance: f64) -> bool {
         let max = STRAIGHT * tolerance.min(MAX_STRAIGHT_TOLERANCE) * self.body.radius;
         let x = self.body.x.iter().map(|x| x.length_squared()).fold(0.0, f64::max).sqrt();

@@ -138,8 +138,7 @@ impl Coupled {
     }
 
     /// Takes over the state of another world at `time` [s]; `kept` is the former index of each body that keeps its
-    /// state.
-    /// Bodies at rest stay at rest unless `wake_all` is set.
+    /// state. Bodies at rest stay at rest unless `wake_all` is set.
     pub fn resume(&mut self, scene: &Scene, before: &Coupled, kept: &[Option<usize>], wake_all: bool, time: f64) {
         let span = Span { start: time, end: time + scene.dt };
         for (index, (member, kept)) in self.members.iter_mut().zip(kept).enumerate() {
@@ -663,8 +662,7 @@ impl Coupled {
     }
 
     /// Writes the states of some bodies at `time` [s] within the last step, which began at `start` [s], on the solver's
-    /// own
-    /// solution. Bodies that took no step, and those that would be too much work, are omitted.
+    /// own solution. Bodies that took no step, and those that would be too much work, are omitted.
     pub fn within(
         &self,
         scene: &Scene,

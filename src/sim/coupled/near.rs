@@ -90,8 +90,7 @@ impl Near {
     }
 
     /// Makes the bodies whose bounds touch those of body `i` its neighbours. A known pair keeps its phase; a pair that
-    /// is
-    /// not apart stays listed at any distance.
+    /// is not apart stays listed at any distance.
     fn find(&mut self, scene: &Scene, members: &mut [Member], i: usize, t: f64, work: &Tally<'_>) {
         let (mut found, mut kept) = (std::mem::take(&mut self.found), std::mem::take(&mut self.kept));
         found.clear();

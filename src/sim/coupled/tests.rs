@@ -387,8 +387,7 @@ fn a_warm_step_of_islands_allocates_nothing() {
 }
 
 /// A force given as a function acts like gravity of the same strength, its work is in the ledger, and it ends when it
-/// is
-/// removed.
+/// is removed.
 #[test]
 fn a_force_by_a_function_equals_gravity() {
     let text = |gravity: f64| {

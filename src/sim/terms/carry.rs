@@ -51,8 +51,7 @@ impl Term for Carry {
 }
 
 /// The steady-state response of the vertices of a body that follows a sine. The transient is a free oscillation, so
-/// both
-/// are known in closed form at any time.
+/// both are known in closed form at any time.
 #[derive(Clone, Copy, Debug)]
 pub struct Steady {
     amplitude: DVec3,
@@ -65,8 +64,7 @@ pub struct Steady {
 
 impl Steady {
     /// The response of body `index`, if carry acts on it and it oscillates more than once in `h` [s], so that steps do
-    /// not
-    /// resolve the motion.
+    /// not resolve the motion.
     pub fn of(scene: &Scene, index: usize, track: Track<'_>, h: f64) -> Option<Steady> {
         let Some(Path::Sine { amplitude, frequency, phase, .. }) = track.path() else { return None };
         let material = &scene.bodies[index].material;

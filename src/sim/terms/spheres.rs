@@ -218,8 +218,8 @@ struct Alike {
     vertices: f64,
 }
 
-/// The difference in [`energy_of_distant_pairs`] between pairs' own laws and the common law, in
-/// O(laws · distinct radii²) of their groups.
+/// The difference in [`energy_of_distant_pairs`] between pairs' own laws and the common law, in O(laws · distinct
+/// radii²) of their groups.
 fn excess_of_own_laws(scene: &Scene, common: &PairLaw) -> f64 {
     let mut groups: BTreeMap<u32, BTreeMap<u64, Alike>> = BTreeMap::new();
     for (index, body) in scene.bodies.iter().enumerate() {
