@@ -13,8 +13,7 @@
 //! | | free bodies | pushes, planes | shapes from meshes |
 //! | --- | --- | --- | --- |
 //! | `oscillators` | yes | yes | yes |
-//! | `metaballs` | rejected: a density has no mass, so forces cannot move it | ignored, with a warning | rejected: only
-//! spheres are supported |
+//! | `metaballs` | rejected: a density has no mass, so forces cannot move it | ignored, with a warning | rejected: only spheres are supported |
 //! | `lattice` | yes, except `rotation = "fixed"` | yes | yes, as the cells that cover them |
 //! | `fem` | yes, except `rotation = "fixed"`; co-rotated as a whole | yes | yes, as the cells that cover them |
 //!
@@ -42,7 +41,7 @@
 //!
 //! 1,000 cases of `bench stability --model`, each limited to 60 steps or 0.3 s; every failure reported its cause:
 //!
-//! | model | endured | cut short | refused | diverged | not taken |
+//! | model | completed | cut short | rejected | diverged | step not taken |
 //! | --- | --- | --- | --- | --- | --- |
 //! | `metaballs` | 995 | 5 | 0 | 0 | 0 |
 //! | `lattice` | 863 | 82 | 31 | 3 | 21 |
@@ -55,23 +54,18 @@
 //! | --- | --- |
 //! | 2.1.1: springs cannot describe the physical properties of a real object directly | no: the springs of a cubic cell have a Young's modulus; only Poisson's ratio is fixed, at 1/4 ([`lattice`]) |
 //! | 2.1.1: force reaches only the neighbours of a mass, so too much of it breaks the structure locally | not measured |
-//! | 2.1.1: with too large a step the model oscillates and diverges; the limit has to be found by trial | there is a
-//! limit (10.2 ms on `two`, below its step of 16.7 ms), but it can be computed, and the step is divided accordingly |
+//! | 2.1.1: with too large a step the model oscillates and diverges; the limit has to be found by trial | there is a limit (10.2 ms on `two`, below its step of 16.7 ms), but it can be computed, and the step is divided accordingly |
 //! | 2.1.1: the cost of a cycle grows with the number of masses and springs | yes: a step of `two` evaluates 2 × 2,842 springs three times, 41 µs of one core per body, about 4.8 ns per spring |
-//! | 2.1.2: finite elements describe Young's modulus and Poisson's ratio directly, with good accuracy | yes; for the
-//! accuracy, see the tests of [`fem`] |
+//! | 2.1.2: finite elements describe Young's modulus and Poisson's ratio directly, with good accuracy | yes; for the accuracy, see the tests of [`fem`] |
 //! | 2.1.2: they take an enormous amount of computation, and are not suitable for real time | no, at this size: 0.1 ms of the 16.7 ms of a frame, after 3.2 ms to build |
 //! | 2.1.2: with a precomputed inverse they are, as long as the topology does not change | yes, with a factorisation instead: the inverse is slower from about 30 nodes on |
 //! | 2.2.1: where stress tears the body the matrix has to be rebuilt, which real time does not allow | not measured: position and time are reported as `would tear` |
-//! | 2.2.2: springs beyond a length are cut with their cells, which loses volume | yes: 22 % of the volume, 80 cells,
-//! on `two` with `tear = "cut"`, `limit = 0.12` |
+//! | 2.2.2: springs beyond a length are cut with their cells, which loses volume | yes: 22 % of the volume, 80 cells, on `two` with `tear = "cut"`, `limit = 0.12` |
 //! | 2.2.2: nodes beyond a force are split, which keeps the volume and costs more | volume is kept: 298 split nodes lose no cell with `limit = 0.1`; the cost was not measured |
-//! | 2.2.3: densities add up, so that facing sides bulge and join | yes: at q = 1.0983, before lone balls would touch (q = 1), 0.184 s before the thesis's threshold;
-//! (q = 1), 0.184 s before the thesis's threshold; they part 0.387 s before it |
+//! | 2.2.3: densities add up, so that facing sides bulge and join | yes: at q = 1.0983, before lone balls would touch (q = 1), 0.184 s before the thesis's threshold; they part 0.387 s before it |
 //! | 2.2.3: merging and splitting need only a simple algorithm | yes: a whole step takes 0.002 ms; the exact time is a root of one function of time |
 //! | 2.2.3: ray casting is too expensive for real time, marching cubes are usual | second claim only: extraction (marching tetrahedra) takes most of a frame of 0.75 ms |
-//! | 2.2.3: physical properties are not considered, so that dynamics are hard to simulate | yes: pushes, planes and
-//! materials have no effect, and free bodies are rejected |
+//! | 2.2.3: physical properties are not considered, so that dynamics are hard to simulate | yes: pushes, planes and materials have no effect, and free bodies are rejected |
 
 pub mod cells;
 pub mod elastic;

@@ -362,7 +362,7 @@ impl fmt::Display for Integrator {
     }
 }
 
-/// Models of a soft body: that of the thesis, and those that its chapter 2 discusses; see [`crate::models`].
+/// Models of a soft body: the thesis's own, and those discussed in its chapter 2; see [`crate::models`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Model {
     /// The thesis's model: every vertex is a damped oscillator about its rest position.

@@ -80,8 +80,8 @@ pub struct Overworked {
 pub enum Toil {
     /// Phase changes, or the search for them.
     #[error(
-        "the distance of bodies \"{a}\" and \"{b}\" has {found} changes of phase so far, and swings too often, or stays too close \
-         to a threshold, to be followed on; lower their frequencies or dt, or move merge_at and split_at apart"
+        "the distance of bodies \"{a}\" and \"{b}\" has {found} phase changes so far, and oscillates too often, or stays too close \
+         to a threshold, to be followed further; lower their frequencies or dt, or move merge_at and split_at apart"
     )]
     Events {
         /// Name of one body of the pair.
@@ -94,7 +94,7 @@ pub enum Toil {
     /// Forces that change too often, or too many forces.
     #[error(
         "the forces on body \"{body}\" change too fast for its {vertices} vertices to be followed through {spheres} influence \
-         spheres in reach; lower dt, frequencies, alpha and beta or planes' stiffness, raise tolerance, or put fewer bodies in one place"
+         spheres in reach; lower dt, frequencies, alpha and beta or planes' stiffness, raise tolerance, or overlap fewer bodies"
     )]
     Forces {
         /// Name of the body that took the most work.
@@ -226,7 +226,7 @@ pub enum EditError {
     #[error("a world has at least one body")]
     LastBody,
     /// Bodies of a scene with laws for particular pairs cannot be removed.
-    #[error("a scene with laws of pairs ([[pair]]) keeps its bodies")]
+    #[error("bodies cannot be removed from a scene with [[pair]] laws")]
     Laws,
     /// After the first step, only coupled worlds can be changed.
     #[error(

@@ -7,9 +7,9 @@
 //! # Method
 //!
 //! 1. Predicates see the bodies in general position (`placement`): displaced by some 1e-9 of their size, such that
-//!    bodies in contact are apart. The result has the true positions. Numerical instead of symbolic displacements
+//!    bodies in contact are apart. The result has the true positions. With numerical instead of symbolic displacements
 //!    (Edelsbrunner and Mücke, *Simulation of Simplicity*, 1990; Smith, *Towards Robust Inexact Geometric Computation*,
-//!    2009, and the library Manifold, which displace along normals) leaves every predicate an ordinary polynomial.
+//!    2009, and the library Manifold, which displace along normals), every predicate remains an ordinary polynomial.
 //! 2. The sign of a polynomial is that of its f64 value where an error bound allows, otherwise that of its exact value
 //!    (`exact`; Shewchuk 1997). The intersection of an edge and a triangle is never rounded: it stays the pair (edge,
 //!    triangle), as with the implicit points of Attene (*Indirect Predicates for Geometric Constructions*, 2020) and of
@@ -18,15 +18,15 @@
 //!    them intersect (`arrangement`). Triangles well inside another body (`placement`) are not on the boundary:
 //!    intersections of two such triangles are skipped.
 //! 4. Winding numbers (Zhou et al., *Mesh Arrangements for Solid Geometry*, 2016) are flood-filled from known values
-//! (`winding`), and checked at the end of every edge and segment. A part of a triangle bounds the union if the space in
-//!    front of it is outside all bodies and the space behind it is not.
+//!    (`winding`), and checked at the end of every edge and segment. A part of a triangle bounds the union if the space
+//!    in front of it is outside all bodies and the space behind it is not.
 //! 5. Cut triangles are retriangulated (`faces`, `triangulate`), whole ones kept; a final check verifies that the
 //!    surface is closed (`surface`).
 //!
 //! Bodies are first put into a canonical order, and each loop that may run on several threads has a fixed order of
 //! results: the surface depends neither on the order in which bodies are given nor on the number of threads.
 //!
-//! # What it costs
+//! # Cost
 //!
 //! Compared with the exact mode of `manifold-rust`, by `cargo bench --bench union` on one core of an AMD EPYC;
 //! neither computes volumes:

@@ -331,7 +331,7 @@ impl Coupled {
         self.members[body as usize].body.is_free()
     }
 
-    /// Makes the islands' lists of bodies and pairs; an island that is the same as before keeps its result.
+    /// Groups bodies and pairs into islands; an unchanged island keeps its result.
     fn group(&mut self, scene: &Scene, span: Span) {
         let mut groups = take(&mut self.groups);
         let mut count = 0;
