@@ -468,9 +468,7 @@ impl Group {
             triangles: seamed.triangles,
         })
     }
-}
 
-impl Group {
     /// Appends the outward unit normals of the vertices; `sums` is scratch storage.
     ///
     /// A normal is the mean of the adjacent triangles' normals, weighted by the sine of the angle at the vertex. With area
