@@ -140,13 +140,13 @@ impl Rest<'_> {
         self.len() == 0
     }
 
-    /// Rest position l of vertex `i`, from the centre [scene unit]; panics beyond the last, like a slice.
+    /// Rest position l of vertex `i`, from the centre [scene unit]; panics if out of range.
     #[inline]
     pub fn position(self, i: usize) -> DVec3 {
         self.radius * self.mesh.positions.get(i)
     }
 
-    /// Direction l̂ of the rest position of vertex `i` [–]; panics beyond the last, like a slice.
+    /// Direction l̂ of the rest position of vertex `i` [–]; panics if out of range.
     #[inline]
     pub fn direction(self, i: usize) -> DVec3 {
         self.mesh.directions().get(i)

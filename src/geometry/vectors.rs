@@ -29,13 +29,13 @@ impl Vectors {
         self.x.is_empty()
     }
 
-    /// Vector `i`; panics beyond the end, like a slice.
+    /// Vector `i`; panics if out of range.
     #[inline]
     pub fn get(&self, i: usize) -> DVec3 {
         DVec3::new(self.x[i], self.y[i], self.z[i])
     }
 
-    /// Replaces vector `i`; panics beyond the end, like a slice.
+    /// Replaces vector `i`; panics if out of range.
     #[inline]
     pub fn set(&mut self, i: usize, v: DVec3) {
         (self.x[i], self.y[i], self.z[i]) = (v.x, v.y, v.z);

@@ -58,7 +58,7 @@
 //! | 2.1.1: the cost of a cycle grows with the number of masses and springs | yes: a step of `two` evaluates 2 × 2,842 springs three times, 41 µs of one core per body, about 4.8 ns per spring |
 //! | 2.1.2: finite elements describe Young's modulus and Poisson's ratio directly, with good accuracy | yes; for the accuracy, see the tests of [`fem`] |
 //! | 2.1.2: they take an enormous amount of computation, and are not suitable for real time | no, at this size: 0.1 ms of the 16.7 ms of a frame, after 3.2 ms to build |
-//! | 2.1.2: with a precomputed inverse they are, as long as the topology does not change | yes, with a factorisation instead: the inverse is slower from about 30 nodes on |
+//! | 2.1.2: with a precomputed inverse they are, as long as the topology does not change | yes, with a factorisation instead: the inverse is slower at every size measured (26 nodes and more) |
 //! | 2.2.1: where stress tears the body the matrix has to be rebuilt, which real time does not allow | not measured: position and time are reported as `would tear` |
 //! | 2.2.2: springs beyond a length are cut with their cells, which loses volume | yes: 22 % of the volume, 80 cells, on `two` with `tear = "cut"`, `limit = 0.12` |
 //! | 2.2.2: nodes beyond a force are split, which keeps the volume and costs more | volume is kept: 298 split nodes lose no cell with `limit = 0.1`; the cost was not measured |

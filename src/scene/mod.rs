@@ -49,7 +49,7 @@
 //! [[body]]
 //! name = "still"
 //! radius = 1.0
-//! shape = { sphere = { stacks = 12, slices = 24 } }     # [that: 266 vertices]
+//! shape = { sphere = { stacks = 12, slices = 24 } }     # [this: 266 vertices]
 //! # or:   { mesh = "FILE" }                             # OBJ, STL, PLY, glTF or GLB, relative to this file
 //! motion = { fixed = [0, 0, 0] }
 //!

@@ -150,7 +150,7 @@ mod tests {
         PairLaw { alpha, ..PairLaw::DEFAULT }
     }
 
-    /// Six bodies: two in group 0, two in group 1, two in none.
+    /// Six bodies: two in group 0, two in group 1, two in no group.
     const GROUPS: [Option<u32>; 6] = [Some(0), Some(0), Some(1), Some(1), None, None];
 
     fn members(side: Members) -> Vec<usize> {

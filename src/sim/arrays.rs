@@ -39,14 +39,14 @@ impl<const V: usize> Blocks<V> {
         self.0.len() * LANES
     }
 
-    /// Vector number `v` of vertex `i`; panics beyond the end, like a slice.
+    /// Vector number `v` of vertex `i`; panics if out of range.
     #[inline]
     pub fn get(&self, v: usize, i: usize) -> DVec3 {
         let [x, y, z] = &self.0[i / LANES].0[v];
         DVec3::new(x[i % LANES], y[i % LANES], z[i % LANES])
     }
 
-    /// Replaces vector number `v` of vertex `i`; panics beyond the end, like a slice.
+    /// Replaces vector number `v` of vertex `i`; panics if out of range.
     #[inline]
     pub fn set(&mut self, v: usize, i: usize, vector: DVec3) {
         let [x, y, z] = &mut self.0[i / LANES].0[v];

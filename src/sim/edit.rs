@@ -10,7 +10,7 @@ impl World {
     /// Adds a body and returns its index. A free body starts now, with the position and velocity of its motion.
     ///
     /// # Errors
-    /// [`EditError`]; the world is then as it was.
+    /// [`EditError`]; the world is then unchanged.
     pub fn add(&mut self, body: Body) -> Result<usize, EditError> {
         let mut scene = self.scene().clone();
         if scene.bodies.iter().any(|other| other.name == body.name) {
@@ -26,7 +26,7 @@ impl World {
     /// Removes a body and its pushes; the indices of later bodies decrease by one. All other bodies wake.
     ///
     /// # Errors
-    /// [`EditError`]; the world is then as it was.
+    /// [`EditError`]; the world is then unchanged.
     pub fn remove(&mut self, index: usize) -> Result<(), EditError> {
         let mut scene = self.scene().clone();
         match () {
@@ -45,7 +45,7 @@ impl World {
     /// Pushes a body.
     ///
     /// # Errors
-    /// [`EditError`]; the world is then as it was.
+    /// [`EditError`]; the world is then unchanged.
     pub fn push(&mut self, push: Push) -> Result<(), EditError> {
         let mut scene = self.scene().clone();
         if push.body >= scene.bodies.len() {
@@ -59,7 +59,7 @@ impl World {
     /// Sets or removes the force on a free body from now on. All bodies wake.
     ///
     /// # Errors
-    /// [`EditError`]; the world is then as it was.
+    /// [`EditError`]; the world is then unchanged.
     pub fn set_force(&mut self, index: usize, force: Option<Force>) -> Result<(), EditError> {
         let mut scene = self.scene().clone();
         let body = scene.bodies.get_mut(index).ok_or(EditError::NoBody(index))?;
@@ -75,7 +75,7 @@ impl World {
     /// or free motion. The body becomes undeformed; all other bodies wake.
     ///
     /// # Errors
-    /// [`EditError`]; the world is then as it was.
+    /// [`EditError`]; the world is then unchanged.
     pub fn set_motion(&mut self, index: usize, motion: Motion) -> Result<(), EditError> {
         let mut scene = self.scene().clone();
         scene.bodies.get_mut(index).ok_or(EditError::NoBody(index))?.motion = motion;

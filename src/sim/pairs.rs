@@ -1,8 +1,8 @@
 //! Near pairs of bodies, their phases, and when these change.
 //!
-//! A body's fat bounds contain everything that it can touch and every place where it can be touched, until its centre
-//! or its vertices have moved by more than their margin. All pairs with overlapping fat bounds are listed, and all
-//! pairs that are not apart. (In molecular dynamics: Verlet lists with a skin.)
+//! A body's fat bounds contain everything that it can touch and every point at which it can be touched, until its
+//! centre or its vertices have moved by more than their margin. All pairs with overlapping fat bounds are listed, and
+//! all pairs that are not apart. (In molecular dynamics: Verlet lists with a skin.)
 
 use std::{
     ops::Range,

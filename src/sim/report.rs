@@ -104,7 +104,7 @@ pub enum Toil {
         /// Number of influence spheres that can reach it.
         spheres: usize,
     },
-    /// A pair that changes its phase again and again without end.
+    /// A pair whose phase changes without end.
     #[error(
         "bodies \"{a}\" and \"{b}\" chatter: they change their phase without end where attraction turns into repulsion at \
          once; set core_width, or move merge_at, split_at and core_at apart"
@@ -126,7 +126,7 @@ pub enum Toil {
         /// Length of the last steps tried [s].
         length: f64,
     },
-    /// Too many bodies that come near each other.
+    /// Too many bodies near each other.
     #[error(
         "too many bodies come near body \"{body}\" and others, {pairs} pairs in all; lower reach or dt, or use fewer or slower bodies"
     )]
@@ -222,7 +222,7 @@ pub enum EditError {
     /// Forces cannot move a body on a path.
     #[error("the body \"{0}\" is on a path: no force moves it")]
     OnPath(String),
-    /// It is the only body.
+    /// The only body of a world cannot be removed.
     #[error("a world has at least one body")]
     LastBody,
     /// Bodies of a scene with laws for particular pairs cannot be removed.

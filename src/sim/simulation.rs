@@ -31,8 +31,8 @@ use crate::{
     scene::{Body, Integrator, Model, Motion, Plane, Scene},
 };
 
-/// The smallest range of a plot, see [`ScalarSchema::least_range`]: 1e-9 of the momentum of all bodies at the speed that the
-/// strongest influence gives a vertex over a radius.
+/// The smallest range of a plot, see [`ScalarSchema::least_range`]: 1e-9 of the momentum of all bodies at the speed
+/// that the strongest influence gives a vertex over a radius.
 pub fn least_range(scene: &Scene, plot: &str) -> f64 {
     const SHARE: f64 = 1e-9;
     let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
@@ -366,14 +366,14 @@ impl Simulation for World {
         }
     }
 
-    fn framing(&self, only_what_happens: bool) -> Vec<(DVec3, f64)> {
-        framing(self.scene(), only_what_happens)
+    fn framing(&self, only_affected_bodies: bool) -> Vec<(DVec3, f64)> {
+        framing(self.scene(), only_affected_bodies)
     }
 }
 
 /// What a camera should have in view, see [`Simulation::framing`].
-pub fn framing(scene: &Scene, only_what_happens: bool) -> Vec<(DVec3, f64)> {
-    if only_what_happens { what_happens(scene) } else { all_there_is(scene) }
+pub fn framing(scene: &Scene, only_affected_bodies: bool) -> Vec<(DVec3, f64)> {
+    if only_affected_bodies { affected_bodies(scene) } else { all_spheres(scene) }
 }
 
 /// Colour of a phase: the colour of the force that it causes.
@@ -578,15 +578,15 @@ fn positions(scene: &Scene) -> Vec<Vec<DVec3>> {
 }
 
 /// Every influence sphere along its path.
-fn all_there_is(scene: &Scene) -> Vec<(DVec3, f64)> {
+fn all_spheres(scene: &Scene) -> Vec<(DVec3, f64)> {
     let radius = |body: &Body| scene.influence.sphere_radius(body.radius).min(2.0 * body.radius);
     let spheres =
         |centres: Vec<DVec3>| centres.into_iter().zip(&scene.bodies).map(|(centre, body)| (centre, radius(body)));
     positions(scene).into_iter().flat_map(|centres| spheres(centres).collect::<Vec<_>>()).collect()
 }
 
-/// The bodies that something acts on, while it acts; everything if there are none.
-fn what_happens(scene: &Scene) -> Vec<(DVec3, f64)> {
+/// The bodies that something acts on, where they are then; all spheres if there are none.
+fn affected_bodies(scene: &Scene) -> Vec<(DVec3, f64)> {
     /// With more bodies than this, pairs are not examined.
     const MAX_BODIES: usize = 1000;
     /// Size of a body including its displacements [radii].
@@ -625,5 +625,5 @@ fn what_happens(scene: &Scene) -> Vec<(DVec3, f64)> {
             }
         }
     }
-    if acted_on.is_empty() { all_there_is(scene) } else { acted_on }
+    if acted_on.is_empty() { all_spheres(scene) } else { acted_on }
 }

@@ -47,9 +47,9 @@ const MAX_WORK: u64 = 100_000_000;
 /// Work limit for the state of a few bodies at one instant within a step [units].
 const MAX_WORK_WITHIN: u64 = 4_000_000;
 
-/// The stages of the step that led from `before` to the current state of the world, in order. If there are too many, or
-/// they are too much work, or the world was interrupted, the ones in between are left out, and the name of the last one
-/// says so.
+/// The stages of the step that led from `before` to the current state of the world, in order. If there are too many,
+/// or they take too much work, or the world was interrupted, middle ones are omitted, and the name of the last one says
+/// so.
 pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
     let work = Work::limited(MAX_WORK, world.options().interrupt);
     let recomputed = Recomputed { world, before, work: Tally::new(&work, None) };

@@ -187,7 +187,7 @@ impl<'a> Tally<'a> {
         Tally { work: Some(work), turn, done: Cell::new(0), reported: Cell::new(0), is_over, is_aside: false }
     }
 
-    /// Counts work that is about to be done. Returns whether to do it; if false, the step is void.
+    /// Counts work that is about to be done. Returns whether to do it; if false, the step is abandoned.
     #[inline]
     pub fn spend(&self, units: u64) -> bool {
         let done = self.done.get().saturating_add(units);
@@ -198,7 +198,7 @@ impl<'a> Tally<'a> {
         !self.is_over.get()
     }
 
-    /// Whether the step is void.
+    /// Whether the step is abandoned.
     #[inline]
     pub fn is_over(&self) -> bool {
         self.is_over.get()

@@ -535,7 +535,7 @@ fn worse(a: Option<Shortfall>, b: Option<Shortfall>) -> Option<Shortfall> {
     if is_other { b } else { a }
 }
 
-/// Access to the state; nothing here changes it.
+/// Read access to the state.
 impl World {
     /// The scene that is simulated.
     pub fn scene(&self) -> &Scene {
@@ -566,7 +566,7 @@ impl World {
     ///
     /// Equal runs have equal checksums on every machine, for any number of threads and any instruction set, whatever is
     /// observed or recorded and however often this is called. Two states that differ in one number never have the same
-    /// checksum; others do so only by coincidence. Without skipping ([`super::Options::skip`]) the world stores more
+    /// checksum; others do so only by chance. Without skipping ([`super::Options::skip`]) the world stores more
     /// state for the same motion, so its checksums differ.
     pub fn checksum(&self) -> u64 {
         if let Some(coupled) = &self.coupled {
@@ -580,7 +580,7 @@ impl World {
         self.bodies.len()
     }
 
-    /// Body `index`, in the order of the scene; panics beyond the last, like a slice.
+    /// Body `index`, in the order of the scene; panics if out of range.
     pub fn body(&self, index: usize) -> BodyView<'_> {
         let body = &self.scene.bodies[index];
         let active = self.active(index);
@@ -785,13 +785,12 @@ impl<'a> BodyView<'a> {
         &self.fixed.mesh
     }
 
-    /// Rest position l of vertex `i` from the centre, in the axes of the body [scene unit]; panics beyond the last, like a
-    /// slice.
+    /// Rest position l of vertex `i` from the centre, in the axes of the body [scene unit]; panics if out of range.
     pub fn rest(&self, i: usize) -> DVec3 {
         self.fixed.rest().position(i)
     }
 
-    /// Direction l̂ = l/|l| of the rest position of vertex `i`, in the axes of the body [–]; panics beyond the last, like a slice.
+    /// Direction l̂ = l/|l| of the rest position of vertex `i`, in the axes of the body [–]; panics if out of range.
     pub fn direction(&self, i: usize) -> DVec3 {
         self.fixed.rest().direction(i)
     }

@@ -412,7 +412,7 @@ impl Kernel for Sums {
     }
 }
 
-/// The least fraction per lane, as numerators and positive denominators: comparing products avoids a division each.
+/// The smallest fraction per lane, as numerators and positive denominators: comparing products avoids a division each.
 struct Fractions {
     above: Lanes,
     below: Lanes,
@@ -437,7 +437,7 @@ impl Fractions {
     }
 }
 
-/// Squares of the least slack and of the least height over the centre, up to constant factors.
+/// Squares of the smallest slack and of the smallest height over the centre, up to constant factors.
 #[derive(Default)]
 struct Least {
     slack_squared: Fractions,

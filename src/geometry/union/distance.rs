@@ -1,7 +1,7 @@
 //! Distances from a point to a surface and between surfaces.
 //!
 //! Searches use a bounding volume hierarchy that is built once per topology and refitted to current positions. Results
-//! do not depend on its structure: they are the least of all computed distances (of equal ones, that of the first
+//! do not depend on its structure: they are the smallest of all computed distances (of equal ones, that of the first
 //! triangle), and boxes are skipped only if rounding cannot matter.
 
 use glam::DVec3;

@@ -58,7 +58,7 @@ pub struct Topology {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum TopologyError {
     /// A triangle refers to a vertex that does not exist.
-    #[error("triangle {triangle} names vertex {vertex}, of {vertex_count}")]
+    #[error("triangle {triangle} refers to vertex {vertex}, but there are {vertex_count}")]
     NoSuchVertex {
         /// Index of the triangle.
         triangle: usize,
@@ -68,7 +68,7 @@ pub enum TopologyError {
         vertex_count: usize,
     },
     /// A triangle refers to a vertex twice.
-    #[error("triangle {triangle} names vertex {vertex} twice")]
+    #[error("triangle {triangle} refers to vertex {vertex} twice")]
     RepeatedVertex {
         /// Index of the triangle.
         triangle: usize,
@@ -107,7 +107,7 @@ impl Topology {
     ///
     /// # Errors
     ///
-    /// If they are not closed and oriented, with the first place where that fails.
+    /// If they are not closed and oriented, and where that fails first.
     pub fn new(vertex_count: usize, triangles: &[[u32; 3]]) -> Result<Topology, TopologyError> {
         Topology::interruptible(vertex_count, triangles, None)
     }

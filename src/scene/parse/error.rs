@@ -4,14 +4,14 @@ use std::fmt;
 
 use crate::text::printable;
 
-/// A rejected scene file: the place, the key, what was expected and what was found.
+/// A rejected scene file: the position, the key, what was expected and what was found.
 ///
 /// Displays on one line: `two.toml:12:12: influence.split_at: expected …, found 0.9`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SceneError {
     /// Name of the file, as given.
     pub file: String,
-    /// Place in the file; `None` if the error concerns the whole file (it cannot be read, it is too large).
+    /// Position in the file; `None` if the error concerns the whole file (it cannot be read, it is too large).
     pub place: Option<Place>,
     /// The key as a dotted path (`influence.split_at`, `body["b"].radius`, `push[0].start`); empty if the error
     /// concerns no key.
@@ -67,7 +67,7 @@ impl fmt::Display for SceneError {
 }
 
 impl Place {
-    /// The place of the byte `offset` of `text`.
+    /// The position of the byte `offset` of `text`.
     pub(super) fn of(text: &str, offset: usize) -> Place {
         let before = &text[..text.floor_char_boundary(offset)];
         let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);

@@ -18,7 +18,7 @@ fn is_file(name: &str) -> bool {
 /// The source of meshes that are not embedded in the text of a scene.
 #[derive(Clone, Copy)]
 pub(in crate::scene) enum Files<'a> {
-    /// Nowhere.
+    /// No source.
     None,
     /// In a folder. The function is called with the file being read and the fraction done.
     Folder(&'a Path, Watch<'a>),

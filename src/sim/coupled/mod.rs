@@ -448,7 +448,7 @@ impl Coupled {
         }
     }
 
-    /// Makes the results of the islands the state, and advances all other bodies.
+    /// Stores the islands' results as the state, and advances all other bodies.
     fn end(&mut self, scene: &Scene, span: Span, report: &mut StepReport) {
         let mut jobs = take(&mut self.jobs);
         let mut stepped = 0;

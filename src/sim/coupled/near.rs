@@ -1,7 +1,8 @@
 //! Broad phase of coupled scenes, and the phases of near pairs.
 //!
-//! As for prescribed bodies, a body's fat bounds contain everything that it can touch and every place where it can be
-//! touched, until it has moved by more than their margin. But how far a free body moves is known only after the step.
+//! As for prescribed bodies, a body's fat bounds contain everything that it can touch and every point at which it can
+//! be touched, until it has moved by more than their margin. But how far a free body moves is known only after the
+//! step.
 
 use super::{
     member::Member,

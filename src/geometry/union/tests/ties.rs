@@ -161,7 +161,7 @@ fn every_candidate_is_counted() {
     assert!(statistics.work > 2 * statistics.tests as u64, "{statistics:?}");
 }
 
-/// The triangles by the bits of their corners' positions, each starting at its least corner.
+/// The triangles by the bits of their corners' positions, each starting at its smallest corner.
 fn canonical(mesh: &UnionMesh) -> Vec<[[u64; 3]; 3]> {
     let mut triangles: Vec<[[u64; 3]; 3]> = (mesh.triangles.iter())
         .map(|corners| {
