@@ -5,6 +5,7 @@
 //! alone, on one thread. Cases take turns, so that other load on the machine affects all of them alike. Scenes with free
 //! bodies have [another reference](super::particles).
 
+pub mod before;
 pub mod csv;
 pub mod diagram;
 pub mod table;

@@ -1,5 +1,5 @@
-//! The work-precision diagram: error against run time, one line per integrator, one panel per scene. The last panel
-//! shows actual against requested errors, one line per scene.
+//! The work-precision diagram: error against run time, one line per integrator, one panel per scene, and that of error
+//! control in an [earlier version](before). The last panel shows actual against requested errors, one line per scene.
 
 use std::ops::Range;
 
@@ -8,7 +8,7 @@ use plotters::{
     style::{Color as _, RGBColor},
 };
 
-use super::{Measurement, Report, Scheme};
+use super::{Measurement, Report, Scheme, before};
 use crate::{
     bench::{
         drawing::{
@@ -57,6 +57,18 @@ pub fn svg(reports: &[Report], machine: &Machine) -> Result<String, String> {
         [only] => format!("Work and precision: {}", only.scene),
         _ => "Work and precision".to_owned(),
     };
+    let mut notes = vec![
+        "Error: the largest over time and vertices, against an independent solution.".to_owned(),
+        "Run time: of the steps alone, on one thread; median of 5 runs or more.".to_owned(),
+        machine.to_string(),
+    ];
+    if reports.iter().any(|report| !before::curve(report).is_empty()) {
+        let note = format!(
+            "Grey: the same at commit {}, by its run time relative to that of rk4 at the scene’s own step, in one run.",
+            before::COMMIT
+        );
+        notes.insert(2, note);
+    }
     let sheet = Sheet {
         size: (PANEL.0 * columns as u32, PANEL.1 * rows as u32),
         title: &title,
@@ -64,11 +76,7 @@ pub fn svg(reports: &[Report], machine: &Machine) -> Result<String, String> {
             "Down is more exact, left is faster. From point to point the step is halved, a ring marks the scene’s own.",
             "Stars: the scene’s own step, divided where a tolerance asks for it, which is tightened from star to star.",
         ],
-        notes: &[
-            "Error: the largest over time and vertices, against an independent solution.",
-            "Run time: of the steps alone, on one thread; median of 5 runs or more.",
-            &machine.to_string(),
-        ],
+        notes: &notes.iter().map(String::as_str).collect::<Vec<_>>(),
     };
     // the same range for all panels, so that they can be compared
     let errors: Vec<f64> = reports
@@ -128,7 +136,9 @@ fn floor(report: &Report) -> f64 {
 }
 
 fn draw_panel(panel: &Area<'_>, report: &Report, errors: Range<f64>, is_titled: bool) -> Result<(), Failure> {
-    let time_axis = Axis::of_run_times(report.measurements.iter().map(|it| 1e3 * it.seconds));
+    let before = before::curve(report);
+    let times = report.measurements.iter().map(|it| it.seconds).chain(before.iter().map(|&(seconds, _)| seconds));
+    let time_axis = Axis::of_run_times(times.map(|seconds| 1e3 * seconds));
     let times = time_axis.range.clone();
     let at = draw_axes(panel, TOP, RIGHT, [time_axis, Axis::of_errors("largest error [radii]", errors.clone())])?;
     if is_titled {
@@ -143,10 +153,8 @@ fn draw_panel(panel: &Area<'_>, report: &Report, errors: Range<f64>, is_titled: 
         write(panel, &format!("{} and smaller", power_of_ten(floor)), (left + 8, y + 12), 16.0, GREY)?;
     }
 
-    let point = |it: &Measurement| {
-        let error = it.error.unwrap_or(errors.end).clamp(floor.max(errors.start), errors.end);
-        at(1e3 * it.seconds, error)
-    };
+    let place = |seconds: f64, error: f64| at(1e3 * seconds, error.clamp(floor.max(errors.start), errors.end));
+    let point = |it: &Measurement| place(it.seconds, it.error.unwrap_or(errors.end));
     let line = |measurements: &[Measurement]| {
         let scheme = measurements.first()?.scheme;
         let is_thesis = scheme == Scheme::Fixed(Integrator::Thesis);
@@ -158,7 +166,12 @@ fn draw_panel(panel: &Area<'_>, report: &Report, errors: Range<f64>, is_titled: 
         Some(Line { name, style: style(scheme), points: measurements.iter().map(point).collect() })
     };
     let families = report.measurements.chunk_by(|a, b| a.scheme.family() == b.scheme.family());
-    draw_lines(panel, TOP, right, families.filter_map(line).collect())?;
+    let earlier = Line {
+        name: format!("the same, {}", before::COMMIT),
+        style: Style { color: GREY, ..style(Scheme::Controlled { tolerance: report.tolerance }) },
+        points: before.iter().map(|&(seconds, error)| place(seconds, error)).collect(),
+    };
+    draw_lines(panel, TOP, right, families.filter_map(line).chain([earlier]).collect())?;
     for it in report.measurements.iter().filter(|it| report.is_at_own_step(it)) {
         if matches!(it.scheme, Scheme::Fixed(_)) {
             panel.draw(&Circle::new(point(it), 11, style(it.scheme).color.stroke_width(2)))?;

@@ -20,7 +20,7 @@ pub fn goals(report: &Report) -> Vec<Goal> {
     };
     let mut goals = vec![];
     // These goals date from before merged surfaces, which now take most of a frame's time.
-    for (detail, what, goal) in [(Detail::Surface, "surfaces", 50_000.0), (Detail::Forces, "all forces", 15_000.0)] {
+    for (detail, what, goal) in [(Detail::Surface, "surfaces", 50_000.0), (Detail::Forces, "all forces", 25_000.0)] {
         if let Some(measured) = saved("two", detail) {
             let what = format!("two, {what}, simulated and saved every step");
             goals.push(at_least(&what, goal, " frames/s", measured.rate()));
