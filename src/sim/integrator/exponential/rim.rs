@@ -99,17 +99,18 @@ impl<'a> Motion<'a> {
         // distance² − r_e² has the same sign at both ends and is too large for a zero in between: it differs from
         // linear interpolation by at most curvature/8
         let last = self.coefficients.iter().sum::<DVec3>();
-        let [d0, d1] = [(0, self.coefficients[0]), (3, last)].map(|(node, displacement)| {
+        let distance = |node: usize, displacement: DVec3| {
             let moment = &step.moments[node];
             (moment.centres[sphere] - self.vertex.rest_at(trajectories.course, &moment.pushed) - displacement).length()
-        });
+        };
+        let (d0, d1) = (distance(0, self.coefficients[0]), distance(3, last));
         let mut gap = Gap {
             looks: Cell::new(*looks),
             sign: if is_inside { -1.0 } else { 1.0 },
             rim,
             curvature: 2.0 * speed * speed + 2.0 * (d0.max(d1) + speed) * acceleration,
         };
-        let [g0, g1] = [d0, d1].map(|d| gap.of(d));
+        let (g0, g1) = (gap.of(d0), gap.of(d1));
         if g0.min(g1) > gap.curvature / 8.0 {
             return Ok(None);
         }

@@ -153,7 +153,9 @@ impl Together<'_> {
         let h = step.h;
         let material = course.body().material;
         let rest = Vector::<S, W>::of_block(simd, rest, lane);
-        let [x, u] = [x, u].map(|vectors| Vector::of_block(simd, vectors, lane));
+        // (no closure for both, which would be compiled for the least instruction set)
+        let x = Vector::<S, W>::of_block(simd, x, lane);
+        let u = Vector::<S, W>::of_block(simd, u, lane);
 
         // How far each vertex can move: √(|u|² + ω²|x|²) bounds its speed, and divided by ω its distance from rest.
         let swing = (u.length_squared() + x.length_squared() * (material.omega * material.omega)).sqrt();
