@@ -32,7 +32,7 @@ use crate::{
 };
 
 /// Upper limit on the number of bodies shown.
-const MOST_BODIES: usize = 64;
+const MAX_BODIES: usize = 64;
 const COLORS: [Rgb; 2] = [[90, 150, 235], [240, 150, 50]];
 const ERROR: Rgb = [235, 60, 60];
 const LIMIT: Rgb = [150, 150, 150];
@@ -63,7 +63,7 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Starts a comparison; `spheres` (centre and radius) are what the camera should have in view.
+    /// Starts a comparison; the camera keeps `spheres` (centre and radius) in view.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -77,7 +77,7 @@ impl Comparison {
             sinks.send(message)?;
         }
         let mut chunks = Chunks::new(store);
-        let bodies = plan.bodies.iter().take(MOST_BODIES);
+        let bodies = plan.bodies.iter().take(MAX_BODIES);
         let shown: Vec<_> = bodies
             .filter_map(|&index| {
                 let body = schema.bodies.get(index)?;
@@ -101,7 +101,7 @@ impl Comparison {
             if magnification > 1.5 { format!("{magnification:.0}") } else { "1".to_owned() },
             match plan.bodies.len() {
                 0 => "No body differs.".to_owned(),
-                n if n > MOST_BODIES => format!("The {MOST_BODIES} bodies that differ most are shown, of {n}."),
+                n if n > MAX_BODIES => format!("The {MAX_BODIES} bodies that differ most are shown, of {n}."),
                 _ => "Bodies that do not differ are not shown.".to_owned(),
             },
             plan.tolerance,
@@ -182,7 +182,7 @@ impl Comparison {
         self.changes += 1;
     }
 
-    /// Says that the events are the same, if no change was logged.
+    /// Logs that the events are equal, if no change was logged.
     pub fn events_compared(&mut self, events: usize) {
         if self.changes == 0 {
             let line = match events {

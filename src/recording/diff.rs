@@ -20,7 +20,7 @@ use crate::{
     text::step_size,
 };
 
-/// Instants at most this far apart are the same [s]; recordings have a resolution of one nanosecond.
+/// Instants at most this far apart are equal [s]; recordings have a resolution of one nanosecond.
 const SAME_TIME: f64 = 2e-9;
 
 /// The differences between two recordings.
@@ -50,7 +50,7 @@ pub struct Difference {
 /// Frames from a file or from a new run of the scene.
 enum FrameSource {
     Stored(Box<FrameReader>),
-    Again { simulation: Box<dyn Simulation>, last: u64, has_begun: bool, events: Vec<RecordedEvent> },
+    Replayed { simulation: Box<dyn Simulation>, last: u64, has_begun: bool, events: Vec<RecordedEvent> },
 }
 
 impl FrameSource {
@@ -59,13 +59,13 @@ impl FrameSource {
             return Ok(FrameSource::Stored(Box::new(FrameReader::open(recorded)?)));
         }
         let simulation = recorded.start()?;
-        Ok(FrameSource::Again { simulation, last: recorded.last(), has_begun: false, events: Vec::new() })
+        Ok(FrameSource::Replayed { simulation, last: recorded.last(), has_begun: false, events: Vec::new() })
     }
 
     fn next(&mut self, recorded: &Recorded) -> Result<Option<RecordedFrame>, ReadError> {
         match self {
             FrameSource::Stored(frames) => frames.next(),
-            FrameSource::Again { simulation, last, has_begun, events } => {
+            FrameSource::Replayed { simulation, last, has_begun, events } => {
                 if std::mem::replace(has_begun, true) {
                     if simulation.steps_taken() >= *last {
                         return Ok(None);
@@ -84,21 +84,21 @@ impl FrameSource {
     fn events(self, recorded: &Recorded) -> Vec<RecordedEvent> {
         match self {
             FrameSource::Stored(_) => recorded.events.clone(),
-            FrameSource::Again { events, .. } => events,
+            FrameSource::Replayed { events, .. } => events,
         }
     }
 }
 
-/// Steps through the instants that both recordings have.
+/// Steps through the instants that are in both recordings.
 fn walk(
     recorded: [&Recorded; 2],
-    mut look: impl FnMut([&RecordedFrame; 2]) -> Result<(), SinkError>,
+    mut visit: impl FnMut([&RecordedFrame; 2]) -> Result<(), SinkError>,
 ) -> Result<Result<[Vec<RecordedEvent>; 2], SinkError>, ReadError> {
     let [mut first, mut second] = [FrameSource::of(recorded[0])?, FrameSource::of(recorded[1])?];
     let (mut a, mut b) = (first.next(recorded[0])?, second.next(recorded[1])?);
     while let (Some(frame_a), Some(frame_b)) = (&a, &b) {
         if (frame_a.time - frame_b.time).abs() <= SAME_TIME {
-            if let Err(error) = look([frame_a, frame_b]) {
+            if let Err(error) = visit([frame_a, frame_b]) {
                 return Ok(Err(error));
             }
             (a, b) = (first.next(recorded[0])?, second.next(recorded[1])?);
@@ -109,10 +109,10 @@ fn walk(
         }
     }
     // the events of a new run are complete only when it has reached its end
-    while a.is_some() && matches!(first, FrameSource::Again { .. }) {
+    while a.is_some() && matches!(first, FrameSource::Replayed { .. }) {
         a = first.next(recorded[0])?;
     }
-    while b.is_some() && matches!(second, FrameSource::Again { .. }) {
+    while b.is_some() && matches!(second, FrameSource::Replayed { .. }) {
         b = second.next(recorded[1])?;
     }
     Ok(Ok([first.events(recorded[0]), second.events(recorded[1])]))
@@ -124,7 +124,7 @@ fn walk(
 /// One of them cannot be read, or they do not have the same bodies.
 pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, ReadError> {
     let [a, b] = recorded;
-    same_bodies(a, b)?;
+    check_same_bodies(a, b)?;
     let mut bodies: Vec<Option<Worst>> = vec![None; a.schema.bodies.len()];
     let (mut instants, mut first_beyond) = (Vec::new(), None);
     let events = walk(recorded, |frames| {
@@ -149,10 +149,10 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
     // events after the end of the shorter recording do not count as differences
     let end = (a.last() as f64 * a.schema.dt).min(b.last() as f64 * b.schema.dt);
     let events = events.map(|events| events.map(|list| list.into_iter().filter(|e| e.time <= end).collect::<Vec<_>>()));
-    let [held, others] = [quantities::Recorded::read(&a.path)?, quantities::Recorded::read(&b.path)?];
-    let surfaces = (!held.is_empty() && !others.is_empty()).then(|| {
+    let [quantities_a, quantities_b] = [quantities::Recorded::read(&a.path)?, quantities::Recorded::read(&b.path)?];
+    let surfaces = (!quantities_a.is_empty() && !quantities_b.is_empty()).then(|| {
         let mut deviations = Deviations::new(tolerance, 1.0);
-        held.compare(&others, &instants, a.schema.dt, &mut deviations);
+        quantities_a.compare(&quantities_b, &instants, a.schema.dt, &mut deviations);
         deviations.finish()
     });
     Ok(Difference {
@@ -214,25 +214,25 @@ fn difference(schema: &Schema, frames: [&RecordedFrame; 2], index: usize) -> Opt
     let shift = frames[1].centres[index].as_dvec3() - frames[0].centres[index].as_dvec3();
     let body = &schema.bodies[index];
     let noise = frames.map(|frame| frame.noise(index, body.radius)).into_iter().fold(0.0, f64::max);
-    let places = first.into_iter().zip(second.into_iter().map(|position| position + shift));
-    Worst::of(frames[0].at(), body, noise, places)
+    let positions = first.into_iter().zip(second.into_iter().map(|position| position + shift));
+    Worst::of(frames[0].at(), body, noise, positions)
 }
 
 /// Checks that both recordings have the same bodies with the same vertices, so that they can be compared.
-fn same_bodies(a: &Recorded, b: &Recorded) -> Result<(), ReadError> {
+fn check_same_bodies(a: &Recorded, b: &Recorded) -> Result<(), ReadError> {
     let [first, second] =
         [a, b].map(|recorded| recorded.schema.bodies.iter().map(|body| (&body.name, &body.shape)).collect::<Vec<_>>());
     if first == second {
         return Ok(());
     }
     let what = if first.len() != second.len() {
-        format!("{} bodies, and that in {} {}", second.len(), a.path.display(), first.len())
+        format!("{} bodies, the one in {} has {}", second.len(), a.path.display(), first.len())
     } else {
         let name = first.iter().zip(&second).find(|(a, b)| a != b).map_or("", |(_, (name, _))| name);
-        format!("a body \"{name}\" where that in {} has another one", a.path.display())
+        format!("a body \"{name}\" where the one in {} has another", a.path.display())
     };
     Err(ReadError::Unsupported {
         path: b.path.clone(),
-        what: format!("has another scene: \"{}\" has {what}", b.schema.name),
+        what: format!("has a different scene: \"{}\" has {what}", b.schema.name),
     })
 }

@@ -34,7 +34,7 @@ pub enum ReadError {
         what: String,
     },
     /// The contents are corrupt.
-    #[error("{} is damaged{}: {what}; get it again from where it was made", path.display(), place(*at))]
+    #[error("{} is damaged{}: {what}; get another copy of it", path.display(), position(*at))]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -52,7 +52,7 @@ pub enum ReadError {
         what: String,
     },
     /// The scene fails before its last step when it is run again.
-    #[error("{}, run again, fails: {failure}", path.display())]
+    #[error("{} fails when it is run again: {failure}", path.display())]
     Failed {
         /// The file.
         path: PathBuf,
@@ -61,6 +61,6 @@ pub enum ReadError {
     },
 }
 
-fn place(at: Option<u64>) -> String {
+fn position(at: Option<u64>) -> String {
     at.map_or_else(String::new, |at| format!(" at byte {at}"))
 }

@@ -6,7 +6,7 @@ use std::fmt;
 use super::recorded::RecordedEvent;
 use crate::observe::{PairEvent, Schema};
 
-/// Two times of an event that are at most this far apart are the same [s].
+/// Times of an event that are at most this far apart are equal [s].
 pub const SAME_TIME: f64 = 1e-6;
 
 /// How an event differs between two runs.

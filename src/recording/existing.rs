@@ -1,8 +1,8 @@
 //! Protection of existing recordings from being overwritten.
 //!
-//! [`Sinks`](crate::stream::sinks::Sinks) overwrite recordings only; this module decides which ones. Golden recordings
-//! are replaced by `check --bless` alone, recordings of other programs never. If a recording of another scene or kind
-//! is replaced, the user is told.
+//! [`Sinks`](crate::stream::sinks::Sinks) overwrite recordings only; this module decides which ones. Only
+//! `check --bless` replaces golden recordings. Recordings of other programs are never replaced. If a recording of
+//! another scene or kind is replaced, the user is notified.
 
 use std::fmt;
 use std::path::Path;
@@ -18,11 +18,11 @@ use crate::stream::{
     sinks::SinkError,
 };
 
-/// The kind of a recording is determined from its beginning, of this length [bytes].
+/// Length of the beginning of a file, which determines the kind of a recording [bytes].
 const HEAD: u64 = 4 << 20;
 /// Prefix of all application ids of this program.
 const OURS: &str = "meldscope";
-/// Name of the file, next to golden recordings, that gives the reasons for them.
+/// Name of the file next to golden recordings that lists the reasons for them.
 pub const REASONS: &str = "BLESSED.md";
 
 /// The kind of a recording.
@@ -63,12 +63,12 @@ impl fmt::Display for Kind {
     }
 }
 
-/// The recording in an existing file, as far as its beginning tells.
+/// The recording in an existing file, identified by the beginning of the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Existing {
     /// Its application id.
     pub application: String,
-    /// Its kind; `None` if that is unknown, or if another program made the recording.
+    /// Its kind; `None` if unknown, or if another program made the recording.
     pub kind: Option<Kind>,
 }
 
@@ -78,7 +78,7 @@ impl Existing {
         path.is_file() && Reader::open(path).is_ok()
     }
 
-    /// The recording at `path`; `None` if there is none that can be read.
+    /// The recording at `path`; `None` if there is no readable one.
     pub fn at(path: &Path) -> Option<Existing> {
         if !std::fs::metadata(path).is_ok_and(|there| there.is_file()) {
             return None;
@@ -152,8 +152,8 @@ pub fn replace(path: &Path, new: &Existing) -> Result<Option<String>, SinkError>
     Ok(Some(format!("{} is replaced, {kind}{scene}", path.display())))
 }
 
-/// Whether `check` takes this file for a golden recording, whatever its contents: it is next to its scene, in a folder
-/// that has the reasons.
+/// Whether `check` treats this file as a golden recording, whatever its contents: it is next to its scene, in a folder
+/// with [`REASONS`].
 fn is_checked(path: &Path) -> bool {
     let path = std::fs::canonicalize(path).unwrap_or_default();
     let is_recording = path.extension().is_some_and(|extension| extension == "rrd") && path.is_file();

@@ -36,7 +36,7 @@ const CENTRES: &str = "/world/influence";
 pub struct RecordedSurface {
     /// Vertex positions [scene unit].
     pub positions: Vec<Vec3>,
-    /// Vertices of each triangle, of a body that can tear; those of its shape if `None`.
+    /// Triangles of a body that can tear; `None`: those of its shape.
     pub triangles: Option<Arc<[[u32; 3]]>>,
     /// How the surface was recorded.
     pub kind: SurfaceKind,
@@ -53,7 +53,7 @@ pub enum SurfaceKind {
     Resting,
 }
 
-/// All bodies at one step, as far as they were recorded.
+/// The recorded state of all bodies at one step.
 #[derive(Clone, Debug)]
 pub struct RecordedFrame {
     /// Step number.
@@ -64,7 +64,7 @@ pub struct RecordedFrame {
     pub surfaces: Vec<Option<RecordedSurface>>,
     /// Centres of the bodies [scene unit].
     pub centres: Vec<Vec3>,
-    /// Rotations of the bodies, from body axes to world axes; not of those in a mesh in world coordinates.
+    /// Rotations of the bodies, from body axes to world axes; not updated for bodies in a mesh in world coordinates.
     pub rotations: Vec<Quat>,
 }
 
@@ -95,25 +95,25 @@ impl RecordedFrame {
             }
             let here = if surface.kind == SurfaceKind::World {
                 now.local_positions(now.rest_of(body), &mut local);
-                let places = surface.positions.iter().zip(local.iter()).map(|(&recorded, found)| {
+                let positions = surface.positions.iter().zip(local.iter()).map(|(&recorded, found)| {
                     let found = (found + now.centre).as_vec3();
                     (recorded.as_dvec3() - now.centre, found.as_dvec3() - now.centre)
                 });
-                Worst::of(self.at(), body, 0.0, places)
+                Worst::of(self.at(), body, 0.0, positions)
             } else {
                 now.body_positions(now.rest_of(body), &mut local);
                 let shift = self.centres[index] - now.centre.as_vec3();
-                let turns = [self.rotations[index], now.rotation.as_quat()];
-                let places = surface.positions.iter().zip(local.iter()).map(|(&recorded, found)| {
-                    let [recorded, found] = if turns == [Quat::IDENTITY; 2] {
+                let rotations = [self.rotations[index], now.rotation.as_quat()];
+                let positions = surface.positions.iter().zip(local.iter()).map(|(&recorded, found)| {
+                    let [recorded, found] = if rotations == [Quat::IDENTITY; 2] {
                         [recorded + shift, found.as_vec3()].map(|v| v.as_dvec3())
                     } else {
-                        let [then, now] = turns.map(|turn| turn.as_dquat());
+                        let [then, now] = rotations.map(|rotation| rotation.as_dquat());
                         [then * recorded.as_dvec3() + shift.as_dvec3(), now * found.as_vec3().as_dvec3()]
                     };
                     (recorded, found)
                 });
-                Worst::of(self.at(), body, 0.0, places)
+                Worst::of(self.at(), body, 0.0, positions)
             };
             worst = Worst::and(worst, here);
         }
@@ -147,7 +147,7 @@ impl RecordedFrame {
         })
     }
 
-    /// The vertices of a surface in body axes, in world axes.
+    /// Rotates the vertices of a surface from body axes to world axes.
     fn rotated<'a>(&self, body: usize, surface: &'a RecordedSurface) -> impl Iterator<Item = DVec3> + 'a {
         let rotation = self.rotations[body].as_dquat();
         surface.positions.iter().map(move |position| {
@@ -181,8 +181,9 @@ pub struct FrameReader {
     /// Chunks that do not belong to a frame yet; a second chunk of the same entity belongs to later frames.
     pending: Vec<Chunk>,
     entities: HashSet<String>,
-    /// Rows of `pending` by step, and the steps that are frames.
+    /// Rows of `pending` (chunk, row) by step.
     rows: BTreeMap<i64, Vec<(usize, usize)>>,
+    /// Steps with a row of [`MARKER`].
     marked: Vec<i64>,
     next_chunk: Option<Chunk>,
     /// Steps of complete frames that have not been returned yet.
@@ -196,7 +197,7 @@ pub struct FrameReader {
     resting: HashMap<String, Vec<usize>>,
     /// Bodies in the shared mesh of deformed bodies, with the number of vertices of each.
     deforming: Vec<(usize, usize)>,
-    has_given: bool,
+    has_first: bool,
     is_over: bool,
 }
 
@@ -227,7 +228,7 @@ impl FrameReader {
             rotations: vec![Quat::IDENTITY; schema.bodies.len()],
             resting: HashMap::new(),
             deforming: Vec::new(),
-            has_given: false,
+            has_first: false,
             is_over: false,
             schema,
         })
@@ -267,14 +268,14 @@ impl FrameReader {
             .flat_map(|(&step, rows)| rows.iter().map(move |&(chunk, row)| (step, chunk, row)))
             .collect();
         let mut kept: Vec<Chunk> = Vec::new();
-        let mut places: HashMap<usize, usize> = HashMap::new();
+        let mut moved: HashMap<usize, usize> = HashMap::new();
         self.rows.clear();
         for (step, chunk, row) in left {
-            let place = *places.entry(chunk).or_insert_with(|| {
+            let index = *moved.entry(chunk).or_insert_with(|| {
                 kept.push(self.pending[chunk].clone());
                 kept.len() - 1
             });
-            self.rows.entry(step).or_default().push((place, row));
+            self.rows.entry(step).or_default().push((index, row));
         }
         self.pending = kept;
         self.entities.clear();
@@ -307,7 +308,7 @@ impl FrameReader {
             for row in 0..chunk.num_rows() {
                 let step = step_of(&chunk, row).map_err(damaged)?;
                 if entity == MARKER {
-                    // a gap in the line is not a frame
+                    // an empty row is a gap in the line, not a frame
                     if !cell::<Float64>(&chunk, "Scalars:scalars", row).is_empty() {
                         self.marked.push(step);
                     }
@@ -319,8 +320,8 @@ impl FrameReader {
         }
         let first = i64::try_from(self.first).unwrap_or(i64::MAX);
         // the first frame has no timings of its own: it is complete when another frame is
-        if !self.has_given && (self.is_over || !self.marked.is_empty()) {
-            self.has_given = true;
+        if !self.has_first && (self.is_over || !self.marked.is_empty()) {
+            self.has_first = true;
             self.ready.extend(self.rows.contains_key(&first).then_some(first));
         }
         self.marked.sort_unstable();
@@ -343,7 +344,7 @@ impl FrameReader {
         Ok(())
     }
 
-    fn apply_row(&mut self, chunk: usize, row: usize, is_naming: bool) -> Result<(), String> {
+    fn apply_row(&mut self, chunk: usize, row: usize, is_naming_pass: bool) -> Result<(), String> {
         let Some(chunk) = self.pending.get(chunk) else { return Ok(()) };
         let entity = chunk.entity_path().to_string();
         let vectors = |component| -> Vec<Vec3> {
@@ -357,15 +358,15 @@ impl FrameReader {
             let index = |name: &Utf8| self.names.get(name.as_str()).copied();
             names
                 .iter()
-                .map(|name| index(name).ok_or_else(|| format!("{entity} has a body {:?}", name.as_str())))
+                .map(|name| index(name).ok_or_else(|| format!("{entity} has an unknown body {:?}", name.as_str())))
                 .collect()
         };
         if let Some(rest) = entity.strip_prefix("/world/bodies/") {
-            if is_naming {
+            if is_naming_pass {
                 return Ok(());
             }
             let name = rest.strip_suffix("/surface").unwrap_or(rest);
-            let index = *self.names.get(name).ok_or_else(|| format!("{entity} is no body of its scene"))?;
+            let index = *self.names.get(name).ok_or_else(|| format!("{entity} is not a body of its scene"))?;
             if name == rest {
                 if let Some(&rotation) = quaternions("Transform3D:quaternion").first() {
                     self.rotations[index] = rotation;
@@ -386,11 +387,11 @@ impl FrameReader {
                 }
             }
         } else if entity == CENTRES {
-            if !is_naming {
+            if !is_naming_pass {
                 self.centres.iter_mut().zip(vectors("Ellipsoids3D:centers")).for_each(|(centre, now)| *centre = now);
             }
         } else if entity == "/world/deforming/surface" {
-            if is_naming {
+            if is_naming_pass {
                 if super::recorded::raw(chunk, "body", row).is_some() {
                     let vertices = bodies()?;
                     let runs = vertices.chunk_by(|a, b| a == b);
@@ -409,7 +410,7 @@ impl FrameReader {
             }
         } else if let Some(mesh) = self.shapes.get(&entity) {
             // the influence spheres give the positions; only the identity and rotation of the bodies matter here
-            if !is_naming {
+            if !is_naming_pass {
                 let rotations = quaternions("InstancePoses3D:quaternions");
                 let bodies = self.resting.get(&entity).map(Vec::as_slice).unwrap_or_default();
                 bodies.iter().zip(rotations).for_each(|(&body, rotation)| self.rotations[body] = rotation);

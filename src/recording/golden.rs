@@ -49,12 +49,12 @@ pub const VERTICES: &str = "/golden/vertices";
 /// `bodies` and `displacements`, the latter x, y and z of each vertex [scene unit], and, if there are free bodies,
 /// `frames`, the centre and the rotation (x, y, z, w) of each of these.
 pub const STATES: &str = "/golden/states";
-/// Entity with the quantities of surfaces, as often as states: components `names`, those of the entities that plot
-/// them, and `values`.
+/// Entity with geometric quantities of surfaces, at the same steps as [`STATES`]: components `names`, the entities that
+/// plot them, and `values`.
 pub const SURFACES: &str = "/golden/surfaces";
 /// Upper limit on the pairs whose surfaces are measured.
-const MOST_PAIRS: usize = 64;
-/// Quantities of surfaces that differ by less than this are the same [tolerances].
+const MAX_PAIRS: usize = 64;
+/// Differences of quantities below this count as rounding [tolerances].
 const ROUNDING: f64 = 1e-3;
 /// Steps between recorded states: a third of a second in most scenes.
 pub const STATE_EVERY: u64 = 20;
@@ -122,7 +122,7 @@ pub fn bless(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<Blesse
             let displacements: Vec<f64> = awake.iter().flat_map(displacements).collect();
             let mut state = bodies(Arc::new(Float64Array::from(displacements)), "displacements");
             let free = awake.iter().filter(|&&index| schema.bodies[index].is_free);
-            let frames: Vec<f64> = free.flat_map(|&i| BodyPlace::of(&frame.bodies[i]).to_array()).collect();
+            let frames: Vec<f64> = free.flat_map(|&i| BodyPose::of(&frame.bodies[i]).to_array()).collect();
             if !frames.is_empty() {
                 state = state.with_component_from_data("frames", Arc::new(Float64Array::from(frames)));
             }
@@ -131,10 +131,10 @@ pub fn bless(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<Blesse
         if step % STATE_EVERY == 0 || step == schema.steps {
             let (names, values): (Vec<String>, Vec<f64>) = surfaces(&mut merger, &schema, &frame).into_iter().unzip();
             if !names.is_empty() {
-                let held = AnyValues::default()
+                let quantities = AnyValues::default()
                     .with_component::<Text>("names", names)
                     .with_component_from_data("values", Arc::new(Float64Array::from(values)));
-                recorder.log(SURFACES, &*simulation, &held);
+                recorder.log(SURFACES, &*simulation, &quantities);
             }
         }
         if step % 256 == 0 {
@@ -154,7 +154,7 @@ pub fn digest(checksums: &[u64]) -> u64 {
 
 /// The geometric quantities of a frame.
 fn surfaces(merger: &mut Merger, schema: &Schema, frame: &Frame) -> Values {
-    let pairs: Vec<[usize; 2]> = frame.pairs.iter().take(MOST_PAIRS).map(|pair| [pair.a, pair.b]).collect();
+    let pairs: Vec<[usize; 2]> = frame.pairs.iter().take(MAX_PAIRS).map(|pair| [pair.a, pair.b]).collect();
     quantities::of_frame(schema, merger.merge(schema, frame, &pairs), &pairs)
 }
 
@@ -163,41 +163,41 @@ fn counts(schema: &Schema) -> String {
     format!("{} vertices, {triangles} triangles", schema.vertex_count())
 }
 
-/// Whether a golden recording has details of a body in this state.
+/// Whether a golden recording stores details of a body in this state.
 fn is_kept(schema: &Schema, frame: &Frame, index: usize) -> bool {
     schema.bodies[index].is_free || !frame.bodies[index].is_at_rest
 }
 
-/// A two-byte hash of the state of each vertex of a body; of a free body, with its centre and rotation.
+/// A two-byte hash of the state of each vertex of a body. For a free body, it includes the centre and rotation.
 fn vertex_hashes(body: &BodySchema, now: &BodyFrame) -> Vec<u16> {
-    let place = body.is_free.then(|| BodyPlace::of(now).to_array());
+    let pose = body.is_free.then(|| BodyPose::of(now).to_array());
     let hash = |vertex: usize| {
         let velocity = if now.is_at_rest { DVec3::ZERO } else { now.velocities.get(vertex) };
         let state = [now.displacement(vertex), velocity].into_iter().flat_map(|v| v.to_array());
-        checksum::sequence(place.into_iter().flatten().chain(state).map(checksum::bits)) as u16
+        checksum::sequence(pose.into_iter().flatten().chain(state).map(checksum::bits)) as u16
     };
     (0..body.vertex_count()).map(hash).collect()
 }
 
 /// Centre and rotation of a body.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct BodyPlace {
+struct BodyPose {
     centre: DVec3,
     rotation: DQuat,
 }
 
-impl BodyPlace {
+impl BodyPose {
     const NUMBERS: usize = 7;
 
-    fn of(now: &BodyFrame) -> BodyPlace {
-        BodyPlace { centre: now.centre, rotation: now.rotation }
+    fn of(now: &BodyFrame) -> BodyPose {
+        BodyPose { centre: now.centre, rotation: now.rotation }
     }
 
-    fn from_array([x, y, z, i, j, k, w]: [f64; BodyPlace::NUMBERS]) -> BodyPlace {
-        BodyPlace { centre: DVec3::new(x, y, z), rotation: DQuat::from_xyzw(i, j, k, w) }
+    fn from_array([x, y, z, i, j, k, w]: [f64; BodyPose::NUMBERS]) -> BodyPose {
+        BodyPose { centre: DVec3::new(x, y, z), rotation: DQuat::from_xyzw(i, j, k, w) }
     }
 
-    fn to_array(self) -> [f64; BodyPlace::NUMBERS] {
+    fn to_array(self) -> [f64; BodyPose::NUMBERS] {
         let ([x, y, z], [i, j, k, w]) = (self.centre.to_array(), self.rotation.to_array());
         [x, y, z, i, j, k, w]
     }
@@ -237,8 +237,8 @@ pub struct GoldenDifference {
     pub is_rewritten: bool,
     /// The first step whose checksums differ.
     pub first: Option<First>,
-    /// The worst vertex of all later states of the golden recording; its positions are displacements from rest, or world
-    /// positions if the body is free.
+    /// The worst vertex of all later states of the golden recording; its positions are displacements from rest, or
+    /// world positions if the body is free.
     pub worst: Option<Worst>,
     /// Whether no vertex of those states differs by more than the scene's tolerance.
     pub is_within_tolerance: bool,
@@ -291,7 +291,7 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
     let (schema, mut summary) = (simulation.schema(), StepSummary::default());
     let mut events = Vec::new();
     let mut first = None;
-    let held = read_surfaces(golden)?;
+    let golden_surfaces = read_surfaces(golden)?;
     let (mut merger, mut frame) = (Merger::new(&schema, None), Frame::default());
     let mut deviations = Deviations::new(schema.tolerance, ROUNDING);
     for step in 0..=schema.steps {
@@ -304,10 +304,10 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
         {
             first = Some(step);
         }
-        if let Some(held) = held.get(&step) {
+        if let Some(quantities) = golden_surfaces.get(&step) {
             simulation.observe(Want::default(), &mut frame);
             let found = surfaces(&mut merger, &schema, &frame);
-            for (entity, &golden) in held {
+            for (entity, &golden) in quantities {
                 let found = found.get(entity).copied().unwrap_or(f64::NAN);
                 deviations.compare(entity, step, frame.at.time, [golden, found]);
             }
@@ -349,7 +349,7 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
 
 /// The geometric quantities of a golden recording, by step.
 fn read_surfaces(path: &Path) -> Result<BTreeMap<u64, Values>, ReadError> {
-    let mut held: BTreeMap<u64, Values> = BTreeMap::new();
+    let mut surfaces: BTreeMap<u64, Values> = BTreeMap::new();
     let mut reader = Reader::open(path)?;
     while let Some(chunk) = reader.next(|entity| entity == SURFACES)? {
         for row in 0..chunk.num_rows() {
@@ -359,10 +359,13 @@ fn read_surfaces(path: &Path) -> Result<BTreeMap<u64, Values>, ReadError> {
             let values = values.as_ref().and_then(|values| values.as_primitive_opt::<Float64Type>());
             let names = cell::<rerun::datatypes::Utf8>(&chunk, "names", row);
             let names = names.iter().map(|name| name.as_str().to_owned());
-            held.entry(step).or_default().extend(names.zip(values.iter().flat_map(|values| values.values()).copied()));
+            surfaces
+                .entry(step)
+                .or_default()
+                .extend(names.zip(values.iter().flat_map(|values| values.values()).copied()));
         }
     }
-    Ok(held)
+    Ok(surfaces)
 }
 
 /// Runs a scene again and compares it with the details of its golden recording from `step` on.
@@ -385,7 +388,7 @@ fn compare_details(
         simulation.observe(Want::default(), &mut frame);
         if now == step {
             let sums = [recorded.checksum(step).unwrap_or_default(), simulation.checksum()];
-            difference.first = Some(details.part(schema, &frame, sums));
+            difference.first = Some(details.first_difference(schema, &frame, sums));
         }
         if let Some(state) = details.states.get(&now) {
             let worst = state.compare(schema, &frame);
@@ -442,8 +445,8 @@ fn show(
             let (body, now) = (&schema.bodies[index], &frame.bodies[index]);
             now.local_positions(now.rest_of(body), &mut local);
             let found = local.iter().map(|position| now.centre + position).collect();
-            let place = state.places.get(&index).copied().unwrap_or(BodyPlace::of(now));
-            let rest = |vertex| place.at_rest(body.rest().position(vertex));
+            let pose = state.poses.get(&index).copied().unwrap_or(BodyPose::of(now));
+            let rest = |vertex| pose.at_rest(body.rest().position(vertex));
             let then =
                 (0..body.vertex_count()).map(|vertex| rest(vertex) + state.displacement(index, vertex)).collect();
             [Some(then), Some(found)]
@@ -458,7 +461,7 @@ struct GoldenState {
     /// Displacements of the vertices of bodies that are free or not at rest [scene unit].
     bodies: BTreeMap<usize, Vec<DVec3>>,
     /// Centres and rotations of free bodies.
-    places: BTreeMap<usize, BodyPlace>,
+    poses: BTreeMap<usize, BodyPose>,
 }
 
 impl GoldenState {
@@ -471,12 +474,12 @@ impl GoldenState {
         let bodies = schema.bodies.iter().zip(&frame.bodies).enumerate();
         let moved = bodies.filter(|(index, (_, now))| self.bodies.contains_key(index) || !now.is_at_rest);
         let worst = moved.map(|(index, (body, now))| {
-            let places = self.places.get(&index).map(|&then| (then, BodyPlace::of(now)));
+            let poses = self.poses.get(&index).map(|&then| (then, BodyPose::of(now)));
             let states = (0..body.vertex_count()).map(|vertex| {
                 let [then, found] = [self.displacement(index, vertex), now.displacement(vertex)];
-                let Some((place, place_now)) = places else { return (then, found) };
+                let Some((golden, current)) = poses else { return (then, found) };
                 let l = body.rest().position(vertex);
-                (place.at_rest(l) + then, place_now.at_rest(l) + found)
+                (golden.at_rest(l) + then, current.at_rest(l) + found)
             });
             Worst::of(frame.at, body, 0.0, states)
         });
@@ -484,10 +487,10 @@ impl GoldenState {
     }
 }
 
-/// The details of a golden recording that are relevant to a step.
+/// The details of a golden recording that locate a difference at a step.
 #[derive(Default)]
 struct Details {
-    /// Vertex hashes of bodies that are not at rest, at that step.
+    /// Vertex hashes of bodies that are free or not at rest, at that step.
     hashes: BTreeMap<usize, Vec<u16>>,
     /// States from that step on.
     states: BTreeMap<u64, GoldenState>,
@@ -530,8 +533,8 @@ impl Details {
                     let frames = frames.map(|frames| frames.values().as_ref()).unwrap_or_default();
                     let state = details.states.entry(at).or_default();
                     let free = sizes.clone().map(|(index, _)| index).filter(|&index| schema.bodies[index].is_free);
-                    let places = frames.as_chunks::<{ BodyPlace::NUMBERS }>().0;
-                    state.places.extend(free.zip(places.iter().copied().map(BodyPlace::from_array)));
+                    let poses = frames.as_chunks::<{ BodyPose::NUMBERS }>().0;
+                    state.poses.extend(free.zip(poses.iter().copied().map(BodyPose::from_array)));
                     for (index, count) in sizes {
                         let own: &[f64] = values.get(3 * first..3 * (first + count)).unwrap_or_default();
                         let vectors = own.as_chunks::<3>().0.iter().map(|&x| DVec3::from_array(x));
@@ -553,8 +556,9 @@ impl Details {
         Ok(details)
     }
 
-    /// Finds the vertices that differ at the step; the last argument is its checksum in the golden recording and now.
-    fn part(&self, schema: &Schema, frame: &Frame, [golden, found]: [u64; 2]) -> First {
+    /// Describes the first difference: the vertices that differ at the step, with its checksums in the golden recording
+    /// and now.
+    fn first_difference(&self, schema: &Schema, frame: &Frame, [golden, found]: [u64; 2]) -> First {
         let differing = |(index, now): (usize, &BodyFrame)| {
             let all = 0..schema.bodies[index].vertex_count();
             let vertices: Vec<usize> = match (self.hashes.get(&index), is_kept(schema, frame, index)) {

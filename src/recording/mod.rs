@@ -3,14 +3,14 @@
 //! | contents | module |
 //! | --- | --- |
 //! | the chunks of a file, however malformed the file may be | [`read`] |
-//! | what it takes to reproduce a run (scene, settings) and its results (checksums, events) | [`recorded`] |
+//! | the inputs of a run (scene, settings) and its results (checksums, events) | [`recorded`] |
 //! | surfaces, frame by frame | [`frames`] |
-//! | what a new recording would overwrite | [`existing`] |
+//! | existing files that a new recording would overwrite | [`existing`] |
 //! | running a recording again and comparing every checksum | [`replay`] |
 //! | golden recordings: the expected results of a scene | [`golden`] |
-//! | the events of two runs compared | [`events`] |
-//! | gap, overlap, volume, components … of two runs compared | [`quantities`] |
-//! | two recordings of a scene compared | [`diff`] |
+//! | comparison of the events of two runs | [`events`] |
+//! | comparison of gap, overlap, volume, components … of two runs | [`quantities`] |
+//! | comparison of two recordings of a scene | [`diff`] |
 //! | a recording that shows the differences between two runs | [`comparison`] |
 
 pub mod comparison;

@@ -52,7 +52,7 @@ pub struct Deviation {
     pub step: u64,
     /// Simulated time of that step [s].
     pub time: f64,
-    /// Its values there, of the first run and of the second.
+    /// Its values at that step in the first and second run.
     pub values: [f64; 2],
     /// The largest difference, and its step.
     pub largest: (f64, u64),
@@ -72,15 +72,15 @@ impl fmt::Display for Deviation {
 pub struct Deviations {
     /// Vertices may differ by this much [radii].
     tolerance: f64,
-    /// Smaller ratios to what the tolerance allows do not count as a deviation.
-    least: f64,
+    /// Smaller ratios of the difference to what the tolerance allows are ignored.
+    min_excess: f64,
     found: BTreeMap<String, Deviation>,
 }
 
 impl Deviations {
-    /// Collects deviations beyond `least` times what a tolerance [radii] allows.
-    pub fn new(tolerance: f64, least: f64) -> Deviations {
-        Deviations { tolerance, least, found: BTreeMap::new() }
+    /// Collects differences of more than `min_excess` times what `tolerance` [radii] allows.
+    pub fn new(tolerance: f64, min_excess: f64) -> Deviations {
+        Deviations { tolerance, min_excess, found: BTreeMap::new() }
     }
 
     /// Compares a quantity at a step of the first run.
@@ -91,18 +91,18 @@ impl Deviations {
             return;
         };
         let difference = (first - second).abs();
-        // how much of the tolerance it takes, in radii of the pair or relative to the group
+        // ratio to what the tolerance allows, in radii of the pair or relative to the group
         let excess = match part {
             _ if first.to_bits() == second.to_bits() => 0.0,
             "gap" | "overlap" => difference / (SENSITIVITY * self.tolerance),
-            // the seam's area changes in proportion, its radius as a root
+            // the seam's area is proportional to the penetration depth, its radius only to the root of it
             "neck" => (first * first - second * second).abs() / (SENSITIVITY * self.tolerance),
             "volume" | "area" => {
                 difference / (SENSITIVITY * self.tolerance * first.abs().max(second.abs()).max(f64::MIN_POSITIVE))
             }
             _ => f64::INFINITY, // counts
         };
-        if !(excess > self.least || excess.is_nan()) {
+        if !(excess > self.min_excess || excess.is_nan()) {
             return;
         }
         let group = if entity.starts_with("/groups/") { "'s group" } else { "" };
@@ -167,7 +167,7 @@ impl Recorded {
         Ok(recorded)
     }
 
-    /// Compares two recordings at the steps that are the same instants in both; `dt` is the step of the first [s].
+    /// Compares two recordings at `instants`, the steps of both at equal times; `dt` is the step size of the first [s].
     pub fn compare(&self, other: &Recorded, instants: &[[u64; 2]], dt: f64, deviations: &mut Deviations) {
         for (entity, line) in &self.lines {
             let Some(others) = other.lines.get(entity) else { continue };
@@ -198,7 +198,7 @@ impl Cursor<'_> {
         Cursor { line, next: 0 }
     }
 
-    /// The last value up to a step, which does not decrease from call to call.
+    /// The last value at or before `step`. Steps must not decrease from call to call.
     fn at(&mut self, step: u64) -> Option<f64> {
         let step = i64::try_from(step).unwrap_or(i64::MAX);
         while self.line.get(self.next).is_some_and(|point| point.0 <= step) {

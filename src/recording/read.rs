@@ -3,7 +3,7 @@
 //! The SDK's own decoder trusts every length in a file: it allocates what a header claims, and panics where Arrow's
 //! reader does. So the frames are read here: no message is larger than the file, total unpacked data is bounded by the
 //! file's size, and no buffer is larger than the message that contains it. The SDK and Arrow only decode single
-//! messages whose sizes are consistent; if they panic, the message counts as damaged too.
+//! messages whose sizes are consistent; if they panic, the message counts as damaged.
 //!
 //! Frames of an .rrd file: `RRF2`, version (4 bytes), options (4 bytes); messages, each with a kind and a length (8
 //! bytes each, little-endian); an end message and a footer for random access, which is not needed here.
@@ -35,8 +35,8 @@ const LZ4_RATIO: u64 = 255;
 /// the file so far. Typical recordings need a factor of 2 or 3, long texts 20. Memory and time are thereby bounded by
 /// the size of the file.
 const UNPACKED: (u64, u64) = (64 << 20, 16);
-/// Upper limit on the rows of a recording: a constant, plus one for this many bytes of the file. Ids, times and values
-/// of a row take 14 bytes or more.
+/// Upper limit on the rows of a recording: a constant, plus one row per this many bytes of the file. The ids, times and
+/// values of a row take at least 14 bytes.
 const ROWS: (u64, u64) = (4096, 8);
 
 /// How a file ended.
@@ -76,11 +76,11 @@ impl Reader {
     /// # Errors
     /// The file cannot be read, or does not begin like a recording that this program can read.
     pub fn open(path: &Path) -> Result<Reader, ReadError> {
-        let refuse = |source| ReadError::File { path: path.to_owned(), source };
-        let file = File::open(path).map_err(refuse)?;
-        let metadata = file.metadata().map_err(refuse)?;
+        let file_error = |source| ReadError::File { path: path.to_owned(), source };
+        let file = File::open(path).map_err(file_error)?;
+        let metadata = file.metadata().map_err(file_error)?;
         if metadata.is_dir() {
-            return Err(refuse(io::ErrorKind::IsADirectory.into()));
+            return Err(file_error(io::ErrorKind::IsADirectory.into()));
         }
         // a pipe or a device does not report its size: assume the largest possible
         let size = if metadata.is_file() { metadata.len() } else { u64::MAX };
@@ -126,7 +126,7 @@ impl Reader {
             }
             b"RRF2" => return Ok(()),
             b"RRF0" | b"RRF1" | b"RRIO" => "it is an .rrd file of an early version of Rerun".to_owned(),
-            _ => "it is no .rrd file at all".to_owned(),
+            _ => "it is not an .rrd file".to_owned(),
         };
         Err(ReadError::Foreign { path: self.path.clone(), what })
     }
@@ -180,7 +180,7 @@ impl Reader {
             let (kind, length) = header.split_at(8);
             let [kind, length] = [kind, length].map(|bytes| bytes.iter().rev().fold(0, |n, &b| n << 8 | u64::from(b)));
             if kind > 3 {
-                return Err(self.damaged(&format!("there is no message of kind {kind}")));
+                return Err(self.damaged(&format!("a message of unknown kind {kind}")));
             }
             if length > self.size.saturating_sub(self.at) {
                 // a truncated message, unless it claims an impossible size
@@ -191,7 +191,7 @@ impl Reader {
                 break;
             }
             if length > LARGEST_MESSAGE {
-                return Err(self.damaged(&format!("a message of {length} bytes, more than any has")));
+                return Err(self.damaged(&format!("a message of {length} bytes, over the limit of {LARGEST_MESSAGE}")));
             }
             let start = self.at;
             let mut message = Vec::new();
@@ -222,10 +222,10 @@ impl Reader {
                         Some(_) => {}
                     }
                     self.unpacked = self.unpacked.saturating_add(envelope.unpacked_size());
-                    let most = UNPACKED.0.saturating_add(UNPACKED.1.saturating_mul(self.at));
-                    if self.unpacked > most {
+                    let max_unpacked = UNPACKED.0.saturating_add(UNPACKED.1.saturating_mul(self.at));
+                    if self.unpacked > max_unpacked {
                         let (read, unpacked) = (self.at, self.unpacked);
-                        return Err(damaged(format!("{read} bytes are said to unpack to {unpacked} bytes")));
+                        return Err(damaged(format!("{read} bytes claim to unpack to {unpacked} bytes")));
                     }
                     if let Some(chunk) = catching(|| envelope.chunk(&wanted)).map_err(damaged)? {
                         self.rows = self.rows.saturating_add(chunk.num_rows() as u64);
@@ -241,18 +241,18 @@ impl Reader {
         Ok(None)
     }
 
-    /// Checks what follows the end message: a footer of 32 bytes, and nothing after it.
+    /// Checks that the end message is followed by a footer of 32 bytes, and the footer by nothing.
     fn footer(&mut self, length: u64) -> Result<(), ReadError> {
         let mut footer = [0; 32];
         let read = self.fill(&mut footer)?;
         if length > 0 && read == footer.len() && footer.get(20..28) != Some(b"RRF2FOOT") {
-            return Err(self.damaged("its footer is none"));
+            return Err(self.damaged("its footer is invalid"));
         }
         let is_whole = read == footer.len() || (length == 0 && read == 0);
         self.end = Some(if is_whole { End::Whole } else { End::Cut });
         let mut more = [0];
         if self.fill(&mut more)? > 0 {
-            return Err(self.damaged("there is something after its end"));
+            return Err(self.damaged("there is data after its end"));
         }
         Ok(())
     }
@@ -340,13 +340,9 @@ impl<'a> Envelope<'a> {
         let data = match self.compression {
             0 | 1 => self.payload,
             2 => {
-                let most = LARGEST_MESSAGE.min(LZ4_RATIO.saturating_mul(self.payload.len() as u64) + 64);
-                if self.uncompressed > most {
-                    return Err(format!(
-                        "{} bytes are said to unpack to {} bytes",
-                        self.payload.len(),
-                        self.uncompressed
-                    ));
+                let max_size = LARGEST_MESSAGE.min(LZ4_RATIO.saturating_mul(self.payload.len() as u64) + 64);
+                if self.uncompressed > max_size {
+                    return Err(format!("{} bytes claim to unpack to {} bytes", self.payload.len(), self.uncompressed));
                 }
                 unpacked.resize(self.uncompressed as usize, 0);
                 let length = lz4_flex::block::decompress_into(self.payload, &mut unpacked)
@@ -354,10 +350,10 @@ impl<'a> Envelope<'a> {
                 unpacked.truncate(length);
                 unpacked.as_slice()
             }
-            other => return Err(format!("a message packed in an unknown way ({other})")),
+            other => return Err(format!("a message with unknown compression {other}")),
         };
         check_lengths(data)?;
-        let arrow = |error: ArrowError| format!("a message is no Arrow data ({})", brief(&error));
+        let arrow = |error: ArrowError| format!("a message is not Arrow data ({})", brief(&error));
         let mut stream = ipc::reader::StreamReader::try_new(data, None).map_err(arrow)?;
         if let Some(entity) = stream.schema().metadata().get("rerun:entity_path")
             && !wanted(entity)
@@ -367,7 +363,7 @@ impl<'a> Envelope<'a> {
         let batch: RecordBatch = stream.next().ok_or("a message has no data")?.map_err(arrow)?;
         let message = ArrowMsg { chunk_id: Tuid::ZERO, batch, on_release: None };
         let chunk =
-            Chunk::from_arrow_msg(&message).map_err(|error| format!("a message is no chunk ({})", brief(&error)))?;
+            Chunk::from_arrow_msg(&message).map_err(|error| format!("a message is not a chunk ({})", brief(&error)))?;
         Ok(Some(chunk).filter(|chunk| wanted(&chunk.entity_path().to_string())))
     }
 }
@@ -385,7 +381,7 @@ fn check_lengths(mut data: &[u8]) -> Result<(), String> {
         *data = rest;
         Some(head)
     }
-    let short = || "a message is longer than it is".to_owned();
+    let short = || "a message is shorter than it claims".to_owned();
     let word = |data: &mut &[u8]| {
         split(data, 4).and_then(|word| word.try_into().ok()).map(i32::from_le_bytes).ok_or_else(short)
     };
@@ -399,12 +395,12 @@ fn check_lengths(mut data: &[u8]) -> Result<(), String> {
         }
         let metadata = usize::try_from(length).ok().and_then(|length| split(&mut data, length)).ok_or_else(short)?;
         let message = ipc::root_as_message(metadata)
-            .map_err(|error| format!("a message is no Arrow data ({})", brief(&error)))?;
+            .map_err(|error| format!("a message is not Arrow data ({})", brief(&error)))?;
         // bodies are never compressed twice; Arrow's reader would trust the claimed unpacked size
         let is_packed = |batch: Option<ipc::RecordBatch<'_>>| batch.is_some_and(|batch| batch.compression().is_some());
         let dictionary = message.header_as_dictionary_batch().and_then(|dictionary| dictionary.data());
         if is_packed(message.header_as_record_batch()) || is_packed(dictionary) {
-            return Err("a message that is packed twice".to_owned());
+            return Err("a message that is compressed twice".to_owned());
         }
         let body = usize::try_from(message.bodyLength()).ok();
         body.and_then(|length| split(&mut data, length)).ok_or_else(short)?;
@@ -468,7 +464,7 @@ impl<'a> Iterator for Fields<'a> {
         if field.is_none() {
             self.0 = &[];
         }
-        Some(field.ok_or_else(|| "a message with a broken envelope".to_owned()))
+        Some(field.ok_or_else(|| "a message with a malformed envelope".to_owned()))
     }
 }
 

@@ -1,4 +1,4 @@
-//! What it takes to reproduce a run, and the run's results.
+//! The inputs that reproduce a run, and the run's results.
 
 use std::{
     path::{Path, PathBuf},
@@ -31,13 +31,14 @@ use crate::{
 
 /// Entity of the properties.
 pub(super) const PROPERTIES: &str = "/__properties/meldscope";
-/// Checksums are incompressible: each takes this much of its file [bytes].
+/// Size of a checksum in a file [bytes]: checksums are incompressible.
 const CHECKSUM_BYTES: u64 = 8;
 /// This many checksums are accepted whatever the size of the file.
 const SPARE: u64 = 4096;
 /// Upper limit on the length of any property but the scene [bytes].
-const LONGEST_PROPERTY: usize = 64 << 10;
-/// Beyond this length [bytes], the text of a scene compresses at most by this factor.
+const MAX_PROPERTY: usize = 64 << 10;
+/// Upper limit on the length of a scene's text: a constant [bytes], plus a multiple of what was read of the file so
+/// far.
 const TEXT: (u64, u64) = (1 << 20, 16);
 
 /// A recording without its frames.
@@ -116,7 +117,7 @@ impl Recorded {
     /// Like [`Recorded::open`], for an experiment that `read` recreates from the contents of the recording.
     ///
     /// # Errors
-    /// The same as those of [`Recorded::open`].
+    /// As for [`Recorded::open`].
     pub fn open_as(path: &Path, read: &ReadExperiment<'_>) -> Result<Recorded, ReadError> {
         let mut reader = Reader::open(path)?;
         let mut properties = Properties::default();
@@ -167,7 +168,7 @@ impl Recorded {
 }
 
 impl Properties {
-    /// Takes the properties of a chunk, after `read` bytes of the file.
+    /// Reads the properties in a chunk; `read` bytes of the file have been read.
     fn take(&mut self, chunk: &Chunk, read: u64) -> Result<(), String> {
         for (field, name) in [
             (&mut self.scene, "scene"),
@@ -181,12 +182,12 @@ impl Properties {
         ] {
             if let Some(text) = cell::<Utf8>(chunk, name, 0).into_iter().next() {
                 let text = text.as_str();
-                let most = match name {
+                let limit = match name {
                     "scene" => crate::scene::Scene::LARGEST_TEXT.min(TEXT.0 + TEXT.1 * read) as usize,
-                    _ => LONGEST_PROPERTY,
+                    _ => MAX_PROPERTY,
                 };
-                if text.len() > most {
-                    return Err(format!("its {name} has {} bytes, more than the {most} that it may have", text.len()));
+                if text.len() > limit {
+                    return Err(format!("its {name} has {} bytes, over the limit of {limit}", text.len()));
                 }
                 *field = Some(text.to_owned());
             }
@@ -210,11 +211,11 @@ impl Properties {
         let Some(format) = self.format else {
             return Err(match (self.scene, end) {
                 (Some(_), _) => unsupported(
-                    "was made before recordings carried checksums, so that there is nothing to verify: run its scene again"
+                    "was made before recordings carried checksums, so there is nothing to verify: run its scene again"
                         .to_owned(),
                 ),
                 (None, End::Cut) => foreign("it ends before its header is complete"),
-                (None, End::Whole) => foreign("it has no properties of one"),
+                (None, End::Whole) => foreign("it lacks the properties of one"),
             });
         };
         if format != f64::from(FORMAT) {
@@ -227,7 +228,7 @@ impl Properties {
             return Err(foreign("it has no scene, no settings or no version"));
         };
         let file = path.file_name().unwrap_or_default().to_string_lossy();
-        // The id is derived from these texts, so any change of them shows.
+        // The id contains a hash of these texts, which reveals any change to them.
         let ending = |id: &str| id.rsplit('-').next().unwrap_or_default().to_owned();
         let is_as_made = ending(id) == ending(&recording_id("", &text, &settings, &version));
         let run = table(&settings);
@@ -235,7 +236,7 @@ impl Properties {
         let experiment = match read(&file, &text, &run) {
             Err(Refusal::Source(what)) => return Err(scene_error(what)),
             _ if !is_as_made => {
-                let what = "its scene or its settings are not those that it was made of".to_owned();
+                let what = "its scene or settings do not match its id".to_owned();
                 return Err(ReadError::Damaged { path: path.to_owned(), at: None, what });
             }
             Err(Refusal::Run(what)) => return Err(cannot_run(what)),
@@ -251,16 +252,16 @@ impl Properties {
         let last = sums.first + (sums.values.len() as u64).saturating_sub(1);
         match (settings.steps, &self.digest) {
             (Some(steps), _) if last > steps => {
-                return Err(damaged(format!("it has a checksum of step {last}, and step {steps} is its last")));
+                return Err(damaged(format!("it has a checksum of step {last}, but its last step is {steps}")));
             }
-            // only a replay starts late, and it knows its end
+            // only a replay can start after step 0, and its end is known
             (None, _) if sums.first > 0 => {
                 return Err(damaged(format!("its checksums begin with step {}", sums.first)));
             }
             (_, Some(digest)) => {
                 let found = checksum::sequence(sums.values.iter().copied());
                 if *digest != format!("{found:016x}") {
-                    return Err(damaged("its checksums are not those that were written".to_owned()));
+                    return Err(damaged("its checksums do not match its digest".to_owned()));
                 }
             }
             (_, None) if end == End::Whole => return Err(damaged("it has an end but no digest".to_owned())),
@@ -274,7 +275,7 @@ impl Properties {
             settings,
             overrides: self.overrides.unwrap_or_default(),
             version,
-            machine: self.machine.unwrap_or_else(|| "a machine that it does not name".to_owned()),
+            machine: self.machine.unwrap_or_else(|| "an unnamed machine".to_owned()),
             blessed: self.blessed,
             failure: self.failure,
             first: sums.first,
@@ -298,23 +299,24 @@ struct ReadChecksums {
 }
 
 impl ReadChecksums {
-    /// Takes the checksums of a chunk, after `read` bytes of the file.
+    /// Reads the checksums in a chunk; `read` bytes of the file have been read.
     fn take(&mut self, chunk: &Chunk, read: u64) -> Result<(), String> {
         for row in 0..chunk.num_rows() {
             let step = u64::try_from(step_of(chunk, row)?).map_err(|_| "a checksum of a negative step".to_owned())?;
-            let cell = raw(chunk, checksums::COMPONENT, row).ok_or("a row of no checksum")?;
-            let values = cell.as_primitive_opt::<UInt64Type>().ok_or("checksums that are no numbers")?.values();
+            let cell = raw(chunk, checksums::COMPONENT, row).ok_or("a row without checksums")?;
+            let values =
+                cell.as_primitive_opt::<UInt64Type>().ok_or("checksums that are not unsigned numbers")?.values();
             let first = step.saturating_add(1).checked_sub(values.len() as u64).ok_or("checksums of negative steps")?;
             if self.values.is_empty() {
                 self.first = first;
             }
             let next = self.first + self.values.len() as u64;
             if first != next {
-                return Err(format!("where the checksum of step {next} should be is that of step {first}"));
+                return Err(format!("expected the checksum of step {next}, found that of step {first}"));
             }
             let count = (self.values.len() + values.len()) as u64;
             if count > SPARE + read / CHECKSUM_BYTES {
-                return Err(format!("{count} checksums within {read} bytes"));
+                return Err(format!("{count} checksums in {read} bytes"));
             }
             self.values.extend_from_slice(values);
         }
@@ -337,7 +339,7 @@ fn events_of(chunk: &Chunk) -> Result<Vec<RecordedEvent>, String> {
             _ => {
                 let line = texts("TextLog:text").pop();
                 let pair = line.as_ref().and_then(|line| line.strip_prefix(&name)?.split_whitespace().next());
-                pair.ok_or("an event of no pair")?.to_owned()
+                pair.ok_or("an event without a pair")?.to_owned()
             }
         };
         events.push(RecordedEvent {

@@ -12,7 +12,7 @@ pub enum Verdict {
     Identical,
     /// A checksum differs.
     Divergent(Divergence),
-    /// All checksums are equal, but the recorded run ended with a failure and the replay with another one or none.
+    /// All checksums are equal, but the recorded run ended with a failure and the replay with a different one or none.
     OtherEnd {
         /// The failure of the replay, in words.
         replayed: Option<String>,
@@ -80,7 +80,7 @@ pub fn verify(recorded: &Recorded, mut observe: impl FnMut(&dyn Simulation) -> b
         } else if let (Some(expected), Some(found)) = (recorded.checksum(step), &divergence)
             && simulation.checksum() == expected
         {
-            let what = format!("the checksum of step {} is wrong, that of the next is right", found.step);
+            let what = format!("the checksum of step {} is wrong, but the next one is right", found.step);
             return Err(ReadError::Damaged { path: recorded.path.clone(), at: None, what });
         }
         if divergence.is_none() && !observe(&*simulation) {

@@ -245,12 +245,12 @@ fn broken_recordings_are_rejected_with_the_reason() {
     let full = &corpus[0];
     rejected(b"", "it is empty");
     rejected(b"RRF2", "ends within its header");
-    rejected(b"hello, world; this is a letter", "no .rrd file at all");
+    rejected(b"hello, world; this is a letter", "not an .rrd file");
     rejected(&full[..200], "before its header is complete");
     rejected(&full[..full.len() / 2], "cut short");
     rejected(&full[..full.len() - 10], "cut short");
-    rejected(&[full.as_slice(), b"more"].concat(), "something after its end");
-    rejected(&[full.as_slice(), full].concat(), "something after its end");
+    rejected(&[full.as_slice(), b"more"].concat(), "data after its end");
+    rejected(&[full.as_slice(), full].concat(), "data after its end");
 
     let with = |at: usize, bytes: &[u8]| {
         let mut changed = full.clone();
@@ -269,7 +269,7 @@ fn broken_recordings_are_rejected_with_the_reason() {
     let store = StoreId::new(StoreKind::Recording, "other", "other");
     let mut other = chunks::Chunks::new(store);
     other.log_static("/text", &TextDocument::new("hello"));
-    rejected(&encoded(other), "no properties of one");
+    rejected(&encoded(other), "lacks the properties of one");
 }
 
 /// The chunks as a recording file.

@@ -32,11 +32,11 @@ const CELLS: u32 = 3;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
     /// All steps were taken.
-    Endured,
+    Completed,
     /// It was interrupted at the time limit.
     Cut,
     /// The model rejected the scene at the start.
-    Refused,
+    Rejected,
     /// It diverged, and reported it.
     Diverged,
     /// It did not complete a step, and reported why.
@@ -46,10 +46,10 @@ pub enum End {
 }
 
 impl End {
-    const ALL: [End; 6] = [End::Endured, End::Cut, End::Refused, End::Diverged, End::NotTaken, End::Defect];
+    const ALL: [End; 6] = [End::Completed, End::Cut, End::Rejected, End::Diverged, End::NotTaken, End::Defect];
 }
 
-/// The end of each case, by its number.
+/// Axis and end of each case, in order of case number.
 pub type Ends = Vec<(Axis, End)>;
 
 /// Runs the first cases with a model.
@@ -57,7 +57,7 @@ pub type Ends = Vec<(Axis, End)>;
 /// # Errors
 /// A case is not a valid scene.
 pub fn measure(model: Model, cases: u64, progress: &(dyn Fn() + Sync)) -> Result<Ends, MeasureError> {
-    let of = |index: u64| {
+    let run = |index: u64| {
         let mut case = Case::new(index)?;
         case.scene.model = model;
         case.scene.integrator = Integrator::Exponential;
@@ -68,7 +68,7 @@ pub fn measure(model: Model, cases: u64, progress: &(dyn Fn() + Sync)) -> Result
         progress();
         Ok((case.axis, end))
     };
-    (0..cases).into_par_iter().map(of).collect()
+    (0..cases).into_par_iter().map(run).collect()
 }
 
 /// Runs a case, and interrupts it at the time limit.
@@ -93,7 +93,7 @@ fn timed(case: impl FnOnce(&'static AtomicBool) -> End) -> End {
 }
 
 fn end(run: &SceneRun) -> End {
-    let Ok(mut simulation) = run.start() else { return End::Refused };
+    let Ok(mut simulation) = run.start() else { return End::Rejected };
     let (mut summary, mut frame) = (StepSummary::default(), Frame::default());
     for _ in 0..run.scene.steps().min(MAX_STEPS) {
         simulation.step();
@@ -108,10 +108,10 @@ fn end(run: &SceneRun) -> End {
             return End::Defect;
         }
     }
-    End::Endured
+    End::Completed
 }
 
-/// The ends by axis.
+/// Table of the ends by axis.
 pub fn table(ends: &Ends) -> String {
     let heading = ["axis", "cases", "completed", "cut short", "rejected", "diverged", "step not taken", "defects"];
     let line = |name: &str, axis: Option<Axis>| {
