@@ -133,8 +133,8 @@ fn seconds() -> f64 {
     std::env::var("MELDSCOPE_FUZZ_SECONDS").ok().and_then(|text| text.parse().ok()).unwrap_or(3.0)
 }
 
-/// Uses a file as a user's commands would.
-fn use_it(path: &Path, scene: &Scene) -> Result<(), ReadError> {
+/// Reads, replays and checks a file, as the commands do.
+fn read_and_replay(path: &Path, scene: &Scene) -> Result<(), ReadError> {
     let recorded = Recorded::open(path)?;
     let mut frames = FrameReader::open(&recorded)?;
     while let Some(frame) = frames.next()? {
@@ -162,7 +162,7 @@ fn no_broken_recording_crashes_the_reader() {
         let mut bytes = corpus[random.below(corpus.len())].clone();
         mutate(&mut bytes, &mut random);
         fs::write(&path, &bytes).expect("disk space");
-        let outcome = std::panic::catch_unwind(|| use_it(&path, &scene));
+        let outcome = std::panic::catch_unwind(|| read_and_replay(&path, &scene));
         match outcome {
             Ok(Ok(())) => {}
             Ok(Err(error)) => {
@@ -625,16 +625,16 @@ fn distort(messages: &mut Vec<Message>, random: &mut Random) {
 /// The message, or empty fields if an earlier corruption has made it unreadable.
 fn unpacked_or_empty(message: &Message) -> (Fields, Vec<u8>) {
     let message = message.clone();
-    quietly(move || unpacked(&message)).unwrap_or_default()
+    catch_panic(move || unpacked(&message)).unwrap_or_default()
 }
 
 fn fields_or_none(bytes: &[u8]) -> Option<Fields> {
     let bytes = bytes.to_vec();
-    quietly(move || fields(&bytes))
+    catch_panic(move || fields(&bytes))
 }
 
 /// Runs `work`; `None` if it panics.
-fn quietly<T>(work: impl FnOnce() -> T) -> Option<T> {
+fn catch_panic<T>(work: impl FnOnce() -> T) -> Option<T> {
     std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).ok()
 }
 
@@ -668,7 +668,7 @@ fn no_broken_structure_crashes_the_reader() {
         };
         let began = Clock::now();
         let mut outcome = None;
-        let memory = allocation_counter::measure(|| outcome = quietly(|| use_it(&path, &scene)));
+        let memory = allocation_counter::measure(|| outcome = catch_panic(|| read_and_replay(&path, &scene)));
         match outcome {
             Some(Ok(())) => {}
             Some(Err(error)) => {

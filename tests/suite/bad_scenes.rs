@@ -1183,22 +1183,22 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 1000, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn arbitrary_text_makes_no_panic(text in any::<String>()) {
+    fn arbitrary_text_causes_no_panic(text in any::<String>()) {
         assert_sane(&text);
     }
 
     #[test]
-    fn arbitrary_bytes_make_no_panic(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+    fn arbitrary_bytes_cause_no_panic(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
         assert_sane(&String::from_utf8_lossy(&bytes));
     }
 
     #[test]
-    fn token_soup_makes_no_panic(tokens in prop::collection::vec(token(), 0..60)) {
+    fn token_soup_causes_no_panic(tokens in prop::collection::vec(token(), 0..60)) {
         assert_sane(&tokens.concat());
     }
 
     #[test]
-    fn lines_of_tokens_make_no_panic(
+    fn lines_of_tokens_cause_no_panic(
         lines in prop::collection::vec((token(), token()), 0..12)
     ) {
         assert_sane(&lines.iter().map(|(key, value)| format!("{key} = {value}\n")).collect::<String>());
@@ -1228,7 +1228,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 50, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn arbitrary_files_make_no_panic(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+    fn arbitrary_files_cause_no_panic(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
         let file = Temporary::holding("bytes.toml", &bytes);
         if let Err(error) = Scene::load(&file.0) {
             prop_assert!(!error.to_string().chars().any(char::is_control));

@@ -121,7 +121,7 @@ fn the_reference_agrees_with_the_files() {
 
 /// Laws, paths, responses and positions that the files do not cover: two programs that share no equation agree.
 #[test]
-fn the_reference_agrees_with_the_simulation_where_there_are_no_files() {
+fn the_reference_agrees_with_the_simulation_without_files() {
     let scene = |influence: &str, offset: f64| {
         let text = format!(
             r#"

@@ -212,7 +212,7 @@ fn one_switching_distance_without_core_alternates() {
 // Several events in one step, short visits, grazes
 
 #[test]
-fn a_pair_that_merges_and_splits_within_a_step_does_both() {
+fn a_pair_can_merge_and_split_within_a_step() {
     let b = line(dvec3(-50.0, 0.6, 0.0), dvec3(100.0, 0.0, 0.0));
     for (core_at, expected) in [(0.0, vec![Merged, Apart]), (0.8, vec![Merged, Core, Merged, Apart])] {
         let found = events(two(ORIGIN, b.clone(), thresholds(core_at, 1.0, 1.25), 1.0, 3.0));

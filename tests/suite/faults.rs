@@ -33,7 +33,7 @@ fn output_text(output: &Output) -> String {
 }
 
 /// Waits until the run has started to write.
-fn begun(path: &Path) {
+fn wait_for_output(path: &Path) {
     let start = Instant::now();
     while fs::metadata(path).map_or(0, |file| file.len()) == 0 {
         assert!(start.elapsed() < Duration::from_secs(30), "it does not begin");
@@ -66,7 +66,7 @@ fn recordings_of_killed_runs_are_replayed() {
                     let kind = kinds[number as usize % kinds.len()];
                     let arguments = [&["run"], kind, &["--quiet", "--save", "k.rrd"]].concat();
                     let run = Running(program(&dir, &arguments).spawn().expect("it starts"));
-                    begun(&partial);
+                    wait_for_output(&partial);
                     // golden ratio: spread over the first quarter of a second
                     let moment = (f64::from(number) * 0.618_033_988_75).fract();
                     std::thread::sleep(Duration::from_secs_f64(0.25 * moment));
@@ -95,7 +95,7 @@ fn a_killed_run_loses_at_most_half_a_second() {
     for kind in [&["--every", "1"] as &[&str], &["--thin"]] {
         let arguments = [&["run", "two", "--steps", "0", "--realtime", "--quiet", "--save", "k.rrd"], kind].concat();
         let run = Running(program(&dir, &arguments).spawn().expect("it starts"));
-        begun(&dir.file("k.rrd.partial"));
+        wait_for_output(&dir.file("k.rrd.partial"));
         let start = Instant::now();
         std::thread::sleep(Duration::from_millis(1700));
         let simulated = start.elapsed().as_secs_f64();
@@ -134,7 +134,7 @@ fn the_second_of_two_runs_into_one_file_is_rejected() {
     let dir = Dir::new();
     let first =
         Running(program(&dir, &["run", "two", "--steps", "0", "--save", "one.rrd"]).spawn().expect("it starts"));
-    begun(&dir.file("one.rrd.partial"));
+    wait_for_output(&dir.file("one.rrd.partial"));
     let second = program(&dir, &["run", "push", "--save", "one.rrd"]).stderr(Stdio::piped()).output().expect("it runs");
     assert_eq!(second.status.code(), Some(1));
     assert!(output_text(&second).contains("another run is writing"), "{}", output_text(&second));

@@ -1270,7 +1270,7 @@ fn many_bodies_can_be_recorded_by_frame_and_without_forces() {
 }
 
 #[test]
-fn few_bodies_can_be_batched_and_many_need_not() {
+fn batching_can_be_chosen_for_any_number_of_bodies() {
     let scene = crossing();
     Run::with(&scene, Settings { entities: Entities::Batch, ..Settings::of(&scene) }, 64).verify();
     let scene = Scene { duration: 0.5, ..lattice(2.6) };

@@ -182,7 +182,7 @@ fn free_bodies_planes_and_laws_of_pairs_are_parsed() {
 }
 
 #[test]
-fn a_grid_is_many_bodies() {
+fn a_grid_expands_to_many_bodies() {
     let grid = |more: &str| {
         scene(&format!(
             "duration = 1\n[[body]]\nname = \"a\"\nradius = 1\nmotion = {{ fixed = [0, 0, 0] }}\n[[grid]]\nname = \"drop\"\ncount \

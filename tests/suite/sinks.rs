@@ -349,7 +349,7 @@ fn a_path_that_cannot_be_written_is_rejected() {
 
 #[cfg(unix)]
 #[test]
-fn a_link_stays_a_link() {
+fn a_symbolic_link_is_kept() {
     let dir = Dir::new();
     let (path, link) = (dir.file("run.rrd"), dir.file("link.rrd"));
     fs::write(&path, "RRF2: what was there").expect("a file");
@@ -450,7 +450,7 @@ fn standard_output_gets_the_same_recording() {
 }
 
 #[test]
-fn standard_output_that_nobody_reads_is_an_error() {
+fn standard_output_without_a_reader_is_an_error() {
     let mut child = child(100_000).spawn().expect("this test's program runs");
     let mut begin = [0; 1000];
     child.stdout.take().expect("a pipe").read_exact(&mut begin).expect("a recording");
@@ -464,7 +464,7 @@ fn standard_output_that_nobody_reads_is_an_error() {
 // ---- viewers ----
 
 #[test]
-fn a_viewer_gets_everything_and_so_does_a_file_beside_it() {
+fn a_viewer_and_a_file_both_get_everything() {
     let dir = Dir::new();
     let (_viewer, port) = viewer();
     let destinations = Destinations { connect: Some(url(port)), ..to_file(&dir.file("run.rrd")) };

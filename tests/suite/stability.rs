@@ -30,7 +30,7 @@ fn exponential_passes_every_case() {
 
 /// Cases that once failed, by cause.
 #[test]
-fn exponential_passes_the_cases_that_it_failed() {
+fn exponential_passes_previously_failed_cases() {
     let once = [
         ("smooth spheres that a vertex passes between the nodes of a step", &[35][..]),
         ("more steps in a step than can be taken", &[654, 1136, 1478, 1813, 2814]),
@@ -58,7 +58,7 @@ fn exponential_passes_the_cases_that_it_failed() {
 
 /// Failures are detected and shown: explicit schemes fail the stiff cases.
 #[test]
-fn explicit_schemes_fail_where_they_must() {
+fn explicit_schemes_fail_the_stiff_cases() {
     let integrators = vec![Integrator::Thesis, Integrator::Rk4];
     let rows = stability::sweep(&Settings { integrators, most_steps: 20, ..settings(40, Integrator::Rk4) }, &|_| ());
     let rows = rows.expect("every case is a valid scene that fits");
