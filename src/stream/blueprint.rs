@@ -75,17 +75,17 @@ pub struct Measured<'a> {
     pub medians: Vec<(&'static str, f64)>,
     /// Typical total duration of a step [ms]: the upper end of the timing plots.
     pub typical: Option<f64>,
-    /// The least and the greatest q that was plotted, if any was [–].
+    /// Smallest and largest plotted q [–], if any.
     pub distances: Option<[f64; 2]>,
-    /// The least and the greatest value of each scalar of the schema that was plotted.
+    /// Smallest and largest plotted value of each scalar of the schema.
     pub scalars: Vec<Option<[f64; 2]>>,
     /// The pairs that have plots, as `A~B`.
     pub pairs: Vec<String>,
-    /// What to look at first.
+    /// The initial focus of the viewer.
     pub focus: Option<&'a Focus>,
 }
 
-/// The changes to those messages once the run is over. The axes of timing plots exclude rare outliers. The viewer opens
+/// The changes to [`messages`] at the end of a run. The axes of timing plots exclude rare outliers. The viewer opens
 /// at the first event: playing it in a loop is the only way in which a layout can move the time cursor.
 pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: &Measured<'_>) -> Vec<LogMsg> {
     /// Ratio of a plot's upper end to the typical value.
@@ -93,7 +93,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
 
     let mut layout = Layout::of(recording);
     let root = layout.root(subject, tab);
-    layout.finish(root); // already sent; ids of what follows continue after it
+    layout.finish(root); // already sent; the new ids continue after its own
     for plot in std::mem::take(&mut layout.timings) {
         if let Some(highest) = measured.typical.filter(|&typical| typical > 0.0) {
             let axis = ScalarAxis::new().with_range(Range1D::new(-0.02 * highest, HEADROOM * highest));
@@ -107,7 +107,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         }
     }
     if let Some([low, high]) = measured.distances {
-        // a plot that chooses its own axis begins at 0
+        // an automatic axis would begin at 0
         let axis = ScalarAxis::new().with_range(Range1D::new(low - 0.05 * (high - low), high + 0.05 * (high - low)));
         for plot in layout.distances.clone() {
             layout.log(&format!("{plot}/ScalarAxis"), &axis);
@@ -140,7 +140,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         }
     }
     if !pairs::has_named_pairs(subject.schema) && !measured.pairs.is_empty() {
-        // only now is it known which of the many pairs have something to show
+        // the pairs that have plots are known only now
         let of = |parts: &[&str]| -> Vec<String> {
             let lines =
                 measured.pairs.iter().flat_map(|pair| parts.iter().map(move |part| format!("+ /pairs/{pair}/{part}")));
@@ -195,7 +195,7 @@ pub fn of_map(measures: &[&str], recording: &StoreId, has_slices: bool) -> Vec<L
 }
 
 /// Upper limit on the number of bodies that are drawn transparent in views of forces.
-const MOST_SHEER: usize = 16;
+const MAX_SHEER: usize = 16;
 
 /// A container or a view that has been logged.
 struct Part {
@@ -266,7 +266,7 @@ struct Layout {
     phases: Vec<String>,
     /// The views in 3D, with their aspect ratios.
     spaces: Vec<(String, f64)>,
-    /// The grid below everything, if there is one.
+    /// The grid below everything visible, if there is one.
     ground: Option<Ground>,
     /// The timeline that the viewer opens with.
     timeline: &'static str,
@@ -277,7 +277,7 @@ struct Layout {
 struct Ground {
     /// Height [scene unit].
     height: f64,
-    /// Distance of its lines [scene unit].
+    /// Distance between its lines [scene unit].
     spacing: f64,
 }
 
@@ -339,7 +339,7 @@ impl Layout {
         let Subject { simulation, schema, settings } = *subject;
         let framing = simulation.framing(false);
         let close = simulation.framing(true);
-        // planes have grids of their own
+        // planes have their own grids
         self.ground = Ground::under(&framing).filter(|_| schema.planes.is_empty());
         if front == Tab::Stages {
             self.timeline = STAGE;
@@ -358,7 +358,7 @@ impl Layout {
         }
         tabs.push((Tab::Timings, self.timings_tab(schema)));
         let plots = self.diagnostics(schema);
-        // stacked as long as there is room
+        // stacked if there is room
         let energy = if plots.len() > 5 {
             self.grid("Energy", plots, 2)
         } else {
@@ -414,7 +414,7 @@ impl Layout {
 
     /// The surfaces of groups, and the gap and overlap of pairs above their phases.
     fn surface_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
-        // a seam lies within a surface that is smooth there, and would show through in places
+        // a seam lies inside the smooth surface and would show through in places
         let merged =
             if schema.blend > 0.0 { format!("+ {}", merged::SURFACE) } else { "+ /world/merged/**".to_owned() };
         let contents = ["+ /world/bodies/**", "+ /world/deforming/**", "+ /world/resting/**", merged.as_str()];
@@ -472,7 +472,7 @@ impl Layout {
                 let contents = ["+ /world/bodies/**", "+ /world/deforming/**", "+ /world/planes/**", arrows.as_str()];
                 let view =
                     self.space((framing, NARROW), &format!("{} ({})", term.label, colors::name(term.color)), &contents);
-                if schema.bodies.len() <= MOST_SHEER || settings.entities == Entities::Batch {
+                if schema.bodies.len() <= MAX_SHEER || settings.entities == Entities::Batch {
                     for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
                         // a batch has a colour per vertex
                         let rgb =
@@ -580,7 +580,7 @@ impl Layout {
         self.time_series(name, origin, &contents, corner)
     }
 
-    /// A plot over time. All plots show the same range of it.
+    /// A plot over time. All plots share one time range.
     fn time_series(&mut self, name: &str, origin: &str, contents: &[&str], corner: Corner2D) -> Part {
         let legend = PlotLegend::new().with_corner(corner);
         let axis = TimeAxis::new().with_link(LinkAxis::LinkToGlobal);
@@ -602,7 +602,7 @@ impl Layout {
             self.log(&path, &EntityBehavior::new().with_visible(false));
         };
         if settings.entities == Entities::Batch {
-            hide("/world/influence"); // spheres within reach of another body are with the pairs
+            hide("/world/influence"); // spheres that reach another body are drawn with the pairs
         }
         if settings.detail != Detail::Surface {
             // the other terms can be enabled in the view's entity list
@@ -649,19 +649,19 @@ impl Layout {
         view
     }
 
-    /// Draws a body by its own surface only while it is not part of a merged one.
+    /// Draws the own surface of a body only while it is not part of a merged one.
     fn draw_unmerged(&mut self, view: &Part, surface: &str, overrides: &dyn AsComponents) {
         let drawn = Mapping { target: "Mesh3D:triangle_indices", source: DRAWN };
         self.visualize(view, surface, &[("Mesh3D", &[drawn, light::COLORS, light::NO_LIGHT], overrides)]);
     }
 
-    /// Draws a surface with its own light.
+    /// Draws a surface with its baked lighting.
     fn draw_lit(&mut self, view: &Part, surface: &str, overrides: &dyn AsComponents) {
         let mappings = [light::COLORS, light::NO_LIGHT];
         self.visualize(view, surface.trim_start_matches('/'), &[("Mesh3D", &mappings, overrides)]);
     }
 
-    /// Draws the undeformed bodies of a batched scene with light of their own.
+    /// Draws the undeformed bodies of a batched scene with baked lighting.
     fn draw_resting(&mut self, view: &Part, schema: &Schema, settings: &Settings) {
         if settings.entities == Entities::Batch {
             for shape in schema.shapes().keys() {
@@ -762,8 +762,7 @@ const WIDE: f64 = 1.45;
 const NARROW: f64 = 1.2;
 
 /// A camera in front of the spheres (centre and radius), slightly to one side and above, with all of them in view.
-/// Flat arrangements are viewed from higher up. As far as possible, no sphere of `others` stands in front of one of
-/// `wanted`.
+/// Flat arrangements are viewed from higher up. Where possible, no sphere of `others` hides one of `wanted`.
 fn camera_past(
     spheres: &[(DVec3, f64)],
     wanted: &[(DVec3, f64)],
@@ -803,7 +802,7 @@ fn camera_past(
 fn eye(spheres: &[(DVec3, f64)], middle: DVec3, back: DVec3, aspect: f64) -> DVec3 {
     /// Half the viewer's vertical field of view, 55°.
     const HALF_HEIGHT: f64 = 0.5205;
-    /// Left free at either side.
+    /// Free margin on either side [half heights of the view].
     const MARGIN: f64 = 0.02;
 
     let half_width = (aspect - MARGIN) * HALF_HEIGHT;
@@ -818,8 +817,8 @@ fn eye(spheres: &[(DVec3, f64)], middle: DVec3, back: DVec3, aspect: f64) -> DVe
     middle + back * spheres.iter().map(|&(centre, radius)| distance(centre, radius)).fold(0.0, f64::max)
 }
 
-/// How much of the spheres `wanted` is hidden behind `others`, seen from an eye: 0 for nothing; each other sphere counts by
-/// its overlap as a fraction of the smaller one's width.
+/// How much `others` hide the spheres `wanted` from an eye; 0 if not at all. Each other sphere counts by its overlap as
+/// a fraction of the smaller one's width.
 fn hidden(eye: DVec3, wanted: &[(DVec3, f64)], others: &[(DVec3, f64)]) -> f64 {
     let mut sum = 0.0;
     for &(centre, radius) in wanted {
@@ -830,7 +829,7 @@ fn hidden(eye: DVec3, wanted: &[(DVec3, f64)], others: &[(DVec3, f64)]) -> f64 {
             if depth <= -other_radius || depth >= distance {
                 continue;
             }
-            // the wanted sphere as wide as it looks at the depth of the other
+            // apparent half width of the wanted sphere at the depth of the other
             let width = radius * (depth / distance).max(0.0);
             let apart = (other - eye - depth * towards).length();
             sum += ((other_radius + width - apart) / (2.0 * f64::min(other_radius, width))).clamp(0.0, 1.0);
@@ -907,10 +906,10 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
     let bound = if !settings.only.is_empty() {
         format!("Only {} has plots, lanes and lines (`--pair`); events list all pairs.\n", settings.only.join(", "))
     } else if schema.bodies.len() * schema.bodies.len().saturating_sub(1) / 2 > settings.pairs {
-        let most = settings.pairs;
+        let max = settings.pairs;
         format!(
-            "The first {most} pairs that come within reach have plots and lanes, and so do the first that have events; the closest \
-             {most} have lines (`--pairs`, `--pair a~b`); events list them all.\n"
+            "The first {max} pairs that come within reach have plots and lanes, and so do the first that have events; the closest \
+             {max} have lines (`--pairs`, `--pair a~b`); events list them all.\n"
         )
     } else {
         String::new()

@@ -28,7 +28,7 @@ pub const COMPONENT: &str = "checksum";
 /// a checksum.)
 pub(super) struct Checksums {
     /// Checksums per row, ≥ 1.
-    in_row: usize,
+    per_row: usize,
     at: Vec<Instant>,
     values: Vec<u64>,
     /// Rows sent. Their ids are counted separately, because the time at which they are sent depends on the machine.
@@ -40,13 +40,13 @@ pub(super) struct Checksums {
 impl Checksums {
     /// One row per step.
     pub fn by_step() -> Checksums {
-        Checksums { in_row: 1, at: Vec::new(), values: Vec::new(), rows: 0, digest: 0 }
+        Checksums { per_row: 1, at: Vec::new(), values: Vec::new(), rows: 0, digest: 0 }
     }
 
-    /// Several checksums per row, as many as take a fraction of a second to compute: that much is lost if the run is
-    /// killed.
+    /// Several checksums per row, as many as are computed in a fraction of a second: a killed run loses at most that
+    /// many.
     pub fn packed(vertices: u64) -> Checksums {
-        Checksums { in_row: (250_000 / vertices.max(1)).clamp(1, 16) as usize, ..Checksums::by_step() }
+        Checksums { per_row: (250_000 / vertices.max(1)).clamp(1, 16) as usize, ..Checksums::by_step() }
     }
 
     /// Adds the checksum of the next step.
@@ -63,15 +63,15 @@ impl Checksums {
 
     /// Logs all full rows, and at the end of the run also an incomplete one.
     pub fn log(&mut self, chunks: &mut Chunks, at_end: bool) {
-        let whole = self.values.len() / self.in_row * self.in_row;
+        let whole = self.values.len() / self.per_row * self.per_row;
         let count = if at_end { self.values.len() } else { whole };
         if count == 0 {
             return;
         }
         let values: Vec<u64> = self.values.drain(..count).collect();
         let at: Vec<Instant> = self.at.drain(..count).collect();
-        let lengths = values.chunks(self.in_row).map(<[u64]>::len);
-        let last: Vec<Instant> = at.chunks(self.in_row).filter_map(|row| row.last().copied()).collect();
+        let lengths = values.chunks(self.per_row).map(<[u64]>::len);
+        let last: Vec<Instant> = at.chunks(self.per_row).filter_map(|row| row.last().copied()).collect();
         let ids: Vec<RowId> = (0..last.len())
             .map(|_| {
                 self.rows += 1;

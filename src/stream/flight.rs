@@ -16,7 +16,7 @@ use super::instant::Instant;
 /// The last frames of a run.
 pub(super) struct FlightRecorder {
     /// Upper limit on the number of frames kept, ≥ 1.
-    most: usize,
+    max_frames: usize,
     /// Rows logged since the end of the last frame.
     open: Vec<Chunk>,
     frames: VecDeque<(Instant, Vec<Chunk>)>,
@@ -28,10 +28,10 @@ pub(super) struct FlightRecorder {
 }
 
 impl FlightRecorder {
-    /// Keeps `most` frames.
-    pub fn new(most: u64) -> FlightRecorder {
+    /// Keeps `max_frames` frames.
+    pub fn new(max_frames: u64) -> FlightRecorder {
         FlightRecorder {
-            most: usize::try_from(most).unwrap_or(usize::MAX).max(1),
+            max_frames: usize::try_from(max_frames).unwrap_or(usize::MAX).max(1),
             open: Vec::new(),
             frames: VecDeque::new(),
             held: BTreeMap::new(),
@@ -50,7 +50,7 @@ impl FlightRecorder {
     pub fn end_frame(&mut self, at: Instant) -> Option<(Instant, BTreeSet<String>)> {
         self.frames.push_back((at, std::mem::take(&mut self.open)));
         let mut ended = None;
-        while self.frames.len() > self.most {
+        while self.frames.len() > self.max_frames {
             let Some((at, chunks)) = self.frames.pop_front() else { break };
             chunks.into_iter().for_each(|chunk| self.hold(chunk));
             if !self.lines.is_empty() {

@@ -9,10 +9,10 @@ use super::{
 };
 use crate::observe::{Frame, PairEvent, Schema};
 
-/// Upper limit on the number of bodies for which all are in view.
-const MOST_BODIES: usize = 8;
-/// With more bodies, the pair's spheres are enlarged by this factor, to show its surroundings.
-const AROUND: f64 = 2.0;
+/// With more bodies than this, only the pair is kept in view.
+const MAX_BODIES: usize = 8;
+/// The pair's spheres are then enlarged by this factor, to show its surroundings.
+const ENLARGEMENT: f64 = 2.0;
 
 /// An instant of a run, and what to look at.
 #[derive(Clone, Debug)]
@@ -23,24 +23,24 @@ pub struct Focus {
     pub spheres: Vec<(DVec3, f64)>,
     /// The two bodies of the pair.
     pub pair: [(DVec3, f64); 2],
-    /// All other bodies, which may hide them.
+    /// All other bodies, which may hide the pair.
     pub others: Vec<(DVec3, f64)>,
 }
 
 impl Focus {
     /// The interval around the instant in a run of `duration` [s] that is played in a loop [s].
     pub fn interval(&self, duration: f64) -> [f64; 2] {
-        let [before, after] = [(0.5, 0.125), (1.0, 0.25)].map(|(most, share)| f64::min(most, share * duration));
+        let [before, after] = [(0.5, 0.125), (1.0, 0.25)].map(|(max, share)| f64::min(max, share * duration));
         [f64::max(0.0, self.time - before), f64::min(duration, self.time + after)]
     }
 
     fn on(frame: &Frame, schema: &Schema, time: f64, pair: [usize; 2]) -> Focus {
-        let is_crowd = schema.bodies.len() > MOST_BODIES;
+        let is_crowd = schema.bodies.len() > MAX_BODIES;
         let bodies = || frame.bodies.iter().zip(&schema.bodies).enumerate();
         let seen = bodies().filter(|(index, _)| !is_crowd || pair.contains(index));
         let spheres = seen.map(|(index, (now, body))| {
             let radius = if pair.contains(&index) { f64::max(body.reach, body.radius) } else { body.radius };
-            (now.centre, if is_crowd { AROUND * radius } else { radius })
+            (now.centre, if is_crowd { ENLARGEMENT * radius } else { radius })
         });
         let others = bodies().filter(|(index, _)| !pair.contains(index));
         Focus {
@@ -75,13 +75,13 @@ impl FocusFinder {
 
     /// Adds an event, before the first frame that it affects.
     pub fn event(&mut self, schema: &Schema, event: &PairEvent) {
-        let is_it = self.around.as_mut().is_some_and(|(around, seen)| {
+        let is_requested = self.around.as_mut().is_some_and(|(around, seen)| {
             let is_kind = around.is_kind_of(event, schema);
             *seen += u64::from(is_kind);
             is_kind && *seen == around.number
         });
         let is_shown = self.only.is_empty() || self.only.contains(&schema.pair_name(event.a, event.b));
-        if is_it || (self.event.is_none() && is_shown) {
+        if is_requested || (self.event.is_none() && is_shown) {
             self.event = Some((event.time, [event.a, event.b]));
             self.focus = None;
         }

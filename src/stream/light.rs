@@ -58,13 +58,13 @@ impl Light {
         Light { towards: (rotation.conjugate() * towards).as_vec3().to_array() }
     }
 
-    /// White on a surface with this unit normal, lit.
+    /// White, shaded for a surface with this unit normal, as packed RGBA.
     pub fn white(self, normal: Float3) -> u32 {
         let shade = u32::from(self.shade(normal));
         shade << 24 | shade << 16 | shade << 8 | 0xFF
     }
 
-    /// A colour on a surface with this unit normal, lit.
+    /// A colour, shaded for a surface with this unit normal, as packed RGBA.
     pub fn on(self, rgb: Rgb, normal: Float3) -> u32 {
         let shade = u32::from(self.shade(normal));
         let [r, g, b] = rgb.map(|channel| (u32::from(channel) * shade + 127) / 255);
@@ -95,7 +95,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_falls_off_from_where_it_comes_from_without_a_band() {
+    fn shading_falls_off_monotonically_with_the_angle() {
         let light = Light::in_world();
         let towards = DVec3::from_array(light.towards.map(f64::from));
         let across = towards.any_orthonormal_vector();
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn it_stays_where_it_is_while_a_body_turns() {
+    fn the_light_does_not_rotate_with_a_body() {
         let rotation = DQuat::from_rotation_x(1.0) * DQuat::from_rotation_z(2.0);
         for normal in [DVec3::X, DVec3::Y, DVec3::NEG_Z, DVec3::ONE.normalize()] {
             let in_world = Light::in_world().white((rotation * normal).as_vec3().to_array());
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn colors_are_lit_by_channel() {
+    fn each_color_channel_is_shaded() {
         let normal = DVec3::new(-0.68, -0.36, 0.64).normalize().as_vec3().to_array();
         assert_eq!(Light::in_world().on([10, 20, 255], normal), 0x0A14_FFFF);
         assert_eq!(Light::in_world().white(normal), u32::MAX);

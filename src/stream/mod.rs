@@ -2,7 +2,7 @@
 //!
 //! | contents | module |
 //! | --- | --- |
-//! | a whole run, recorded | [`mod@record`] |
+//! | recording of a whole run | [`mod@record`] |
 //! | a recording from its first message to its last | [`recorder`] |
 //! | recording on a separate thread | [`pipeline`] |
 //! | the entities of a frame, and what is logged to each | [`parts`] |
@@ -10,7 +10,7 @@
 //! | states as meshes and arrows, in the precision of the viewer | [`extract`] |
 //! | smooth normals of deformed surfaces | [`normals`] |
 //! | the settings that determine a recording | [`settings`] |
-//! | how large a recording will be | [`size`] |
+//! | prediction of the size of a recording | [`size`] |
 //! | plot lines | [`series`] |
 //! | a hash of the state for every step | [`checksums`] |
 //! | the last frames, kept until a trigger fires | `flight` |
@@ -38,14 +38,14 @@
 //! | `/groups/A/volume`, `…/genus`, `…/bodies`, with few bodies also `…/area`, `…/components`, `…/euler` | volume, genus, number of bodies, area, connected components and Euler characteristic of the sharp union of the group whose first body is A; as many groups as pairs with plots. `/diagnostics/overlapping_groups`: the number of groups that could not be united in time and are drawn as overlapping meshes |
 //! | `/world/influence` | all influence spheres |
 //! | `/world/pairs` | lines between the centres of pairs within reach, labelled with q: the closest 16, or 5 in a batched scene (`--pairs N`); in a batched scene also the influence spheres that reach another body |
-//! | `/world/forces/CAUSE` | arrows of `attraction`, `repulsion` (of bodies apart), `core` (of bodies in their core), `restoring`, `damping`, `push`, `carry`, `net`: accelerations times the arrow scale given in the panel; classes, named at `/world/forces`, identify the two bodies between which an arrow acts |
+//! | `/world/forces/CAUSE` | arrows of `attraction`, `repulsion` (of bodies apart), `core` (of bodies in their core), `restoring`, `damping`, `push`, `carry`, `net`: accelerations times the arrow scale given in the panel; classes, named at `/world/forces`, identify the two bodies between which a force acts |
 //! | on a surface, with forces | for each vertex: `body`, `vertex`, `displacement_in_radii`, `net_force`, `reach` |
 //! | `/pairs/A~B/distance`, `…/merge_at`, `…/split_at`, `…/core_at`, `…/phase` | q, its thresholds and the phase, for the first 16 pairs within reach, or 5 in a batched scene (`--pairs N`), and as many that have events; of pairs that come within reach together, the closest (`--pair A~B`: that pair alone) |
 //! | `/pairs/A~B/gap`, `…/overlap`, `…/neck`, `…/contact` | for the same pairs: smallest distance between the surfaces or minus the penetration depth, volume of the intersection, radius of the seam (in radii of the smaller body); where these and the phase disagree |
 //! | `/events` | one line per merge, split and core event, with the components `bodies`, `phases` (before and after), `time` (s, exact) and `q` |
 //! | `/events/accuracy` | one line per step in which the error of a body exceeds the tolerance: which body, and by how much |
 //! | `/events/surfaces` | one line when surfaces touch or part, and one per merge, split and core event that describes the surfaces |
-//! | `/events/bodies` | one line per cell of a body that was cut, or would have torn, and per node that was split, with its place |
+//! | `/events/bodies` | one line per cell of a body that was cut, or would have torn, and per node that was split, with its position |
 //! | `/timings/STAGE`, `/timings/stacked/STAGE`, `/timings/speed`, `/timings/lag`, `/diagnostics/…` | scalars over time; `stacked`: with the stages before it on the same thread |
 //! | `/marks/axis/KIND`, `/marks/q/KIND` | events as markers in plots: at 0, and at q |
 //! | `/world/names`, `/world/recent` | the names of up to 8 bodies; pairs that had an event in the last 24 frames |

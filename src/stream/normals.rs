@@ -105,7 +105,7 @@ fn all(rings: Rings, positions: &Vectors, scratch: &mut NormalScratch, normals: 
     cap(positions.get(south), upper, single);
     let sums = coordinates_mut(sum).into_iter().zip(coordinates(above));
     for ((sum, above), single) in sums.zip(coordinates(single)) {
-        // seen from the other pole, the ring runs the other way round
+        // seen from the other pole, the ring runs in the opposite direction
         let (now, before) = (&single[1..=n], &single[..n]);
         for j in 0..n {
             sum[j] = above[j] - (now[j] + before[j]);
@@ -211,7 +211,7 @@ mod tests {
     use crate::geometry::{Sphere, shape::Solid as _};
 
     #[test]
-    fn they_are_the_sums_over_triangles() {
+    fn normals_are_sums_over_triangles() {
         for (stacks, slices) in [(2, 3), (3, 3), (2, 5), (3, 7), (12, 24)] {
             let mesh = Sphere { stacks, slices }.mesh();
             let any = Mesh::new(mesh.positions().clone(), mesh.triangles().to_vec());
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vertex_without_area_has_one_all_the_same() {
+    fn degenerate_triangles_have_unit_normals() {
         let mesh = Sphere { stacks: 4, slices: 6 }.mesh();
         for size in [0.0, 1e-200, 1e-30, 1e200] {
             let positions: Vectors = mesh.positions().iter().map(|v| v * size).collect();

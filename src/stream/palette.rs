@@ -19,7 +19,8 @@ pub const IDLE_SPHERE: Rgb = GREY;
 /// Colour of the lines along which surfaces meet.
 pub const SEAM: Rgb = [0xE8, 0xEA, 0xEE];
 
-/// Colour of an influence sphere that reaches no other body in a batched scene: darker, as many spheres would hide everything else.
+/// Colour of an influence sphere that reaches no other body in a batched scene: dark, because many bright spheres would
+/// hide everything else.
 pub const IDLE_SPHERE_OF_MANY: Rgb = [0x26, 0x2B, 0x33];
 
 /// Colour of resting bodies in a batched scene.
@@ -60,13 +61,13 @@ pub fn body(index: usize) -> Rgb {
     BODIES[index % BODIES.len()]
 }
 
-/// Colour of a vertex of a merged surface: its body's, blended with that of the body that it meets.
+/// Colour of a vertex of a merged surface: its body's colour, blended with that of the adjacent body.
 pub fn blended(schema: &Schema, origin: &VertexOrigin) -> Rgb {
     let [a, b] = origin.bodies.map(|index| of_body(schema, index as usize).map(f32::from));
     std::array::from_fn(|i| (a[i] + (b[i] - a[i]) * origin.share).round() as u8)
 }
 
-/// The colour of a body: its own, or one of the muted ones.
+/// The colour of a body: its own, or one of the neutral colours.
 pub fn of_body(schema: &Schema, index: usize) -> Rgb {
     schema.bodies.get(index).and_then(|of| of.color).unwrap_or_else(|| body(index))
 }
@@ -87,7 +88,8 @@ pub fn translucent([r, g, b]: Rgb) -> Rgba32 {
     Rgba32::from_unmultiplied_rgba(r, g, b, 150)
 }
 
-/// Opaque colour of surfaces without visible inside: thousands of them are drawn twice as fast as translucent ones.
+/// Opaque colour of surfaces whose inside is not visible: thousands of them are drawn twice as fast as translucent
+/// ones.
 pub fn opaque([r, g, b]: Rgb) -> Rgba32 {
     Rgba32::from_rgb(r, g, b)
 }
@@ -114,9 +116,9 @@ pub fn heat(share: f64) -> Rgb {
         [122.0, 209.0, 81.0],
         [253.0, 231.0, 37.0],
     ];
-    let place = share.clamp(0.0, 1.0) * (STOPS.len() - 1) as f64;
+    let position = share.clamp(0.0, 1.0) * (STOPS.len() - 1) as f64;
     // NaN is drawn like the maximum
-    let stop = if place.is_nan() { STOPS.len() - 2 } else { (place as usize).min(STOPS.len() - 2) };
-    let rest = if place.is_nan() { 1.0 } else { place - stop as f64 };
+    let stop = if position.is_nan() { STOPS.len() - 2 } else { (position as usize).min(STOPS.len() - 2) };
+    let rest = if position.is_nan() { 1.0 } else { position - stop as f64 };
     std::array::from_fn(|i| (STOPS[stop][i] + rest * (STOPS[stop + 1][i] - STOPS[stop][i])) as u8)
 }

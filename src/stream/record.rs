@@ -22,8 +22,8 @@ pub enum RecordError {
     Recording(String),
 }
 
-/// Runs an experiment and records it on a separate thread. Ends after [`Settings::steps`], or with the step at which the
-/// simulation fails. Returns the number of frames.
+/// Runs an experiment and records it on a separate thread. Ends after [`Settings::steps`], or with the step at which
+/// the simulation fails. Returns the number of frames.
 ///
 /// # Errors
 /// The experiment does not start, a destination cannot be opened, or recording fails.

@@ -81,7 +81,7 @@ impl Series {
                 *last = Last { value, logged: now, seen: now };
             }
             Some(Last { value: before, logged, seen }) => {
-                // A linear line was level until the value was last observed: it needs a point at that corner.
+                // A linear line was flat until the value was last observed: it needs a point at that corner.
                 if *shape == Interpolation::Linear && logged.step < seen.step {
                     chunks.push(*track, *seen, &[Cell::Scalars(&[*before])]);
                 }

@@ -8,10 +8,10 @@ use crate::{
 };
 
 /// Scenes with more bodies than this are batched: the viewer slows down at several hundred entities.
-pub(super) const MOST_BODY_ENTITIES: usize = 64;
+pub(super) const MAX_BODY_ENTITIES: usize = 64;
 /// Default limit on the number of pairs with their own plots. Events of all pairs are logged.
 pub const MOST_PAIRS: usize = 16;
-/// The same limit for batched scenes, which then have at most 110 entities if all bodies have one shape.
+/// Default limit for batched scenes, which then have at most 110 entities if all bodies have one shape.
 pub const MOST_PAIRS_OF_MANY: usize = 5;
 
 /// Level of detail of recorded frames.
@@ -94,7 +94,7 @@ pub enum Trigger {
     Split,
     /// A pair enters or leaves its core.
     Core,
-    /// The state diverges: no forces can explain it.
+    /// The state diverges: the step led to an impossible state.
     Diverge,
 }
 
@@ -161,7 +161,8 @@ impl Around {
     /// Parses words such as `merge`, `a~b`, `merge a~b` or `split a~b 2`, separated by spaces or colons.
     ///
     /// # Errors
-    /// A word is no kind, pair or number of an event of this scene; the error names the word and the nearest valid one.
+    /// A word is not the kind, pair or number of an event of this scene; the error names the word and the nearest valid
+    /// one.
     pub fn parse(text: &str, schema: &Schema) -> Result<Around, String> {
         let kinds = || Trigger::ALL.into_iter().filter(|kind| *kind != Trigger::Diverge);
         let mut around = Around { number: 1, ..Around::default() };
@@ -209,7 +210,7 @@ impl fmt::Display for Around {
 /// There is no such pair; the error names the missing body, and the nearest one.
 pub fn pair(text: &str, schema: &Schema) -> Result<String, String> {
     let Some((a, b)) = text.split_once('~') else {
-        return Err(format!("{:?} is no pair: give two bodies as a~b", printable(text)));
+        return Err(format!("{:?} is not a pair: give two bodies as a~b", printable(text)));
     };
     let find = |name: &str| {
         schema.bodies.iter().position(|body| body.name == name).ok_or_else(|| {
@@ -218,7 +219,7 @@ pub fn pair(text: &str, schema: &Schema) -> Result<String, String> {
         })
     };
     match (find(a)?, find(b)?) {
-        (a, b) if a == b => Err(format!("{:?} is one body: give two of them as a~b", printable(text))),
+        (a, b) if a == b => Err(format!("{:?} is a single body: give two as a~b", printable(text))),
         (a, b) => Ok(schema.pair_name(a.min(b), a.max(b))),
     }
 }
@@ -247,7 +248,7 @@ impl Settings {
 
     /// The default settings for this many bodies and steps.
     pub fn for_bodies(bodies: usize, steps: u64) -> Settings {
-        let is_crowd = bodies > MOST_BODY_ENTITIES;
+        let is_crowd = bodies > MAX_BODY_ENTITIES;
         Settings {
             steps: Some(steps),
             every: 1,
@@ -260,9 +261,9 @@ impl Settings {
         }
     }
 
-    /// Parses the settings in the properties of a recording with this many bodies. Values that only say how it was
-    /// recorded may be unknown, as a newer program may have added them: defaults as in [`Settings::of`] are used
-    /// instead.
+    /// Parses the settings in the properties of a recording with this many bodies. Values that only describe how it
+    /// was recorded may be unknown, because a newer program may have added them: they are replaced by the defaults of
+    /// [`Settings::of`].
     ///
     /// # Errors
     /// Describes what is missing or invalid.
@@ -270,7 +271,7 @@ impl Settings {
         let table = table(text);
         let text = |key: &str| table.get(key).and_then(toml::Value::as_str);
         let count = |key: &str| table.get(key).and_then(number);
-        let steps = count("steps").ok_or("the settings have no usable number of steps")?;
+        let steps = count("steps").ok_or("the settings have no valid number of steps")?;
         let own = Settings::for_bodies(bodies, steps);
         Ok(Settings {
             steps: (steps > 0).then_some(steps),
@@ -331,7 +332,7 @@ impl Settings {
                 format!("frames = {{ last = {}, on = [{}]{after} }}\n", written(*most), on.join(", "))
             }
         };
-        // names of bodies are letters, digits, `-` and `_`: they need no escape
+        // names of bodies consist of letters, digits, `-` and `_`: they need no escapes
         let only: Vec<String> = self.only.iter().map(|pair| format!("\"{pair}\"")).collect();
         let only = if only.is_empty() { only.concat() } else { format!("only = [{}]\n", only.join(", ")) };
         let around = self.around.as_ref().map_or(String::new(), |Around { kind, pair, number }| {
@@ -353,7 +354,7 @@ fn is_plain(text: &str) -> bool {
     text.chars().all(|c| c.is_ascii_alphanumeric() || "-_~".contains(c))
 }
 
-/// A number as TOML. TOML integers end at 2^63 − 1; larger numbers are written as strings.
+/// A number as TOML. TOML integers are limited to 2^63 − 1; larger numbers are written as strings.
 fn written(number: u64) -> String {
     if i64::try_from(number).is_ok() { number.to_string() } else { format!("\"{number}\"") }
 }
@@ -370,17 +371,17 @@ fn number(value: &toml::Value) -> Option<u64> {
 /// Parses a recording's settings, including those of older versions that did not write numbers from 2^63 as strings;
 /// empty if they are not valid TOML.
 pub(crate) fn table(text: &str) -> toml::Table {
-    within_toml(text).parse().unwrap_or_default()
+    with_large_numbers_quoted(text).parse().unwrap_or_default()
 }
 
-fn within_toml(text: &str) -> String {
+fn with_large_numbers_quoted(text: &str) -> String {
     let mut fixed = String::with_capacity(text.len());
     let mut rest = text;
     while let Some(start) = rest.find(|c: char| c.is_ascii_digit()) {
         let (before, from) = rest.split_at(start);
         let (digits, after) = from.split_at(from.find(|c: char| !c.is_ascii_digit()).unwrap_or(from.len()));
         fixed.push_str(before);
-        // only if all digits of the number matched, neither after a decimal point nor within a string
+        // whole numbers only: not next to a decimal point, not within a string
         let is_alone = !before.ends_with(['.', '"']) && !after.starts_with(['.', '"']);
         let is_large = digits.parse::<u64>().is_ok_and(|number| i64::try_from(number).is_err());
         fixed.push_str(&if is_alone && is_large { format!("\"{digits}\"") } else { digits.to_owned() });
@@ -408,7 +409,7 @@ fn fnv(text: &str) -> u64 {
 }
 
 /// The name of a scene as a file name: any character but letters, digits, `-`, `_` and inner `.` becomes `_`. It is
-/// truncated to the length that file systems allow, in bytes.
+/// truncated to 100 bytes, well below the limit of file systems.
 pub fn file_stem(name: &str) -> String {
     let plain = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' };
     let mut bytes = 0;

@@ -26,16 +26,16 @@ pub const LARGE: u64 = 200_000_000;
 /// Number of sample frames, spread over the run.
 const SAMPLES: u64 = 24;
 /// Number of sample frames if only the beginning of the run is simulated.
-const FEWEST_SAMPLES: u64 = 4;
+const MIN_SAMPLES: u64 = 4;
 /// Upper limit on the simulation for the prediction, in steps times vertices: a second or two, for a run of minutes.
-const MOST_VERTEX_STEPS: u64 = 1_500_000;
+const MAX_VERTEX_STEPS: u64 = 1_500_000;
 /// Maximum size of a deformed vertex in a frame [bytes]; with forces, and without.
-const MOST_OF_VERTEX: [u64; 2] = [250, 90];
-/// Typical minimum size of the same [bytes].
-const LEAST_OF_VERTEX: u64 = 12;
+const MAX_VERTEX_BYTES: [u64; 2] = [250, 90];
+/// Typical minimum size of a deformed vertex in a frame [bytes].
+const MIN_VERTEX_BYTES: u64 = 12;
 
 /// Approximate size of a row of timings [bytes].
-const TIMING: u64 = 24;
+const TIMING_BYTES: u64 = 24;
 
 /// Ratio of the actual size to that extrapolated from the samples, which also hold the events between them and are
 /// compressed in smaller batches. Measured on the built-in scenes (0.78 to 1.0).
@@ -46,7 +46,7 @@ const BATCHED: (u128, u128) = (9, 10);
 pub struct Projection {
     /// Size of the file [bytes].
     pub bytes: u64,
-    /// The same without forces, if they are recorded [bytes].
+    /// Size without forces, if they are recorded [bytes].
     pub without_forces: Option<u64>,
     /// Number of frames.
     pub frames: u64,
@@ -55,27 +55,27 @@ pub struct Projection {
 }
 
 impl Projection {
-    /// The least interval between frames, in steps, that keeps a file below [`LARGE`]. If only the beginning of the run
-    /// was simulated, this assumes 1.5 times the predicted size, because groups grow.
+    /// The smallest interval between frames, in steps, that keeps a file below [`LARGE`]. If only the beginning of the
+    /// run was simulated, this assumes 1.5 times the predicted size, because groups grow.
     pub fn every(&self, settings: &Settings) -> u64 {
         let is_whole = self.seen >= (self.frames - 1) * settings.every;
-        let most = if is_whole { self.bytes } else { self.bytes.saturating_add(self.bytes / 2) };
-        settings.every * most.div_ceil(LARGE).max(1)
+        let max_bytes = if is_whole { self.bytes } else { self.bytes.saturating_add(self.bytes / 2) };
+        settings.every * max_bytes.div_ceil(LARGE).max(1)
     }
 }
 
-/// Projects the size of a run's recording: `None` if it cannot be larger than `least` [bytes], if it has no known end,
-/// or if the scene does not start. Of a large scene only the beginning is simulated, and extrapolated.
-pub fn project(experiment: &dyn Experiment, settings: &Settings, least: u64) -> Option<Projection> {
+/// Projects the size of a run's recording: `None` if it cannot be larger than `min_size` [bytes], if it has no known
+/// end, or if the scene does not start. For a large scene, only the beginning is simulated and extrapolated.
+pub fn project(experiment: &dyn Experiment, settings: &Settings, min_size: u64) -> Option<Projection> {
     let steps = settings.steps.filter(|_| settings.frames == Frames::All)?;
     let schema = experiment.schema();
     let frames = steps / settings.every + 1;
-    let most = MOST_OF_VERTEX[usize::from(settings.detail == Detail::Surface)];
-    if frames.saturating_mul(schema.vertex_count()).saturating_mul(most) < least {
+    let vertex_bytes = MAX_VERTEX_BYTES[usize::from(settings.detail == Detail::Surface)];
+    if frames.saturating_mul(schema.vertex_count()).saturating_mul(vertex_bytes) < min_size {
         return None;
     }
-    let last = (MOST_VERTEX_STEPS / schema.vertex_count().max(1)).max(FEWEST_SAMPLES * settings.every).min(steps);
-    let samples = if last < steps { FEWEST_SAMPLES } else { SAMPLES };
+    let last = (MAX_VERTEX_STEPS / schema.vertex_count().max(1)).max(MIN_SAMPLES * settings.every).min(steps);
+    let samples = if last < steps { MIN_SAMPLES } else { SAMPLES };
     let stride = settings.every * (last / settings.every / samples).max(1);
 
     let mut simulation = experiment.start().ok()?;
@@ -86,7 +86,7 @@ pub fn project(experiment: &dyn Experiment, settings: &Settings, least: u64) -> 
         probes.push(Probe::new(&*simulation, sampled(Detail::Surface))?);
     }
     let (mut frame, mut summary) = (Frame::default(), StepSummary::default());
-    let (mut vertices, mut looks) = (0, 0);
+    let (mut vertices, mut samples_taken) = (0, 0);
     while simulation.steps_taken() < last {
         simulation.step();
         simulation.summary(&mut summary);
@@ -97,7 +97,7 @@ pub fn project(experiment: &dyn Experiment, settings: &Settings, least: u64) -> 
             simulation.observe(Want::default(), &mut frame);
             let deformed = schema.bodies.iter().zip(&frame.bodies).filter(|(_, now)| !now.is_at_rest);
             vertices += deformed.map(|(body, _)| body.vertex_count() as u64).sum::<u64>();
-            looks += 1;
+            samples_taken += 1;
             probes.iter_mut().for_each(|probe| probe.recorder.observe(&*simulation));
         }
     }
@@ -108,16 +108,16 @@ pub fn project(experiment: &dyn Experiment, settings: &Settings, least: u64) -> 
         [bytes, without] => (bytes, Some(without)),
         _ => return None,
     };
-    let mean = vertices / u64::max(looks, 1);
-    let least_there_is = frames.saturating_mul(mean).saturating_mul(LEAST_OF_VERTEX);
-    Some(Projection { bytes: bytes.max(least_there_is), without_forces, frames, seen })
+    let mean = vertices / u64::max(samples_taken, 1);
+    let min_bytes = frames.saturating_mul(mean).saturating_mul(MIN_VERTEX_BYTES);
+    Some(Projection { bytes: bytes.max(min_bytes), without_forces, frames, seen })
 }
 
 /// A recording whose messages are measured and discarded.
 struct Probe {
     recorder: Recorder,
     encoder: Encoder<Count>,
-    /// Size of what does not depend on the number of frames [bytes].
+    /// Size of the data that does not depend on the number of frames [bytes].
     head: u64,
     first: u64,
 }
@@ -146,10 +146,10 @@ impl Probe {
 }
 
 /// Returns the encoded size of the messages [bytes]. Timings and the axes of their plots vary from run to run; they
-/// count with their usual size.
+/// are counted with a typical size.
 fn append(encoder: &mut Encoder<Count>, messages: impl IntoIterator<Item = LogMsg>) -> Result<u64, EncodeError> {
     let size = |message: LogMsg| match timings(&message) {
-        Some(rows) => Ok(rows * TIMING),
+        Some(rows) => Ok(rows * TIMING_BYTES),
         None => encoder.append(&message),
     };
     messages.into_iter().map(size).sum()

@@ -16,27 +16,27 @@ fn files() -> MutexGuard<'static, Vec<PathBuf>> {
 /// Creates a file that does not exist yet; never follows a link.
 ///
 /// # Errors
-/// The operating system's answer.
+/// The operating system's error.
 pub fn create_new(path: &Path) -> io::Result<File> {
-    let mut files = files(); // locked, so that no interrupt comes in between
+    let mut files = files(); // locked, so that an interrupt cannot come between creating and listing the file
     let file = OpenOptions::new().write(true).create_new(true).open(path)?;
     files.push(path.to_owned());
     Ok(file)
 }
 
-/// Adds a file that is written and removed again by this program.
+/// Adds a temporary file of this program.
 pub fn add(path: &Path) {
     files().push(path.to_owned());
 }
 
-/// The file is finished, or is kept as it is.
+/// Removes a file from the list: it is finished, or kept unfinished.
 pub fn forget(path: &Path) {
     files().retain(|file| file != path);
 }
 
 /// Removes all unfinished files and ends the program.
 pub fn exit(status: i32) -> ! {
-    let files = files(); // locked, so that no other is created meanwhile
+    let files = files(); // locked, so that no other file is created meanwhile
     for file in &*files {
         fs::remove_file(file).ok();
     }

@@ -1221,8 +1221,8 @@ fn selected_pairs_and_events_survive_a_replay() {
     let dir = Dir::new();
     for (arguments, expected) in [
         (["--pair", "a~x"], "--pair: no body \"x\""),
-        (["--pair", "a"], "\"a\" is no pair"),
-        (["--pair", "a~a"], "\"a~a\" is one body"),
+        (["--pair", "a"], "\"a\" is not a pair"),
+        (["--pair", "a~a"], "\"a~a\" is a single body"),
         (["--around", "merg a~b"], "no event \"merg\"; did you mean \"merge\"?"),
         (["--around", "merge a~d"], "--around: no body \"d\""),
         (["--around", ""], "name an event"),

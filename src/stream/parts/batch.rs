@@ -32,11 +32,11 @@ type Instance = (usize, Float3, [f32; 4]);
 
 const DEFORMING: &str = "/world/deforming/surface";
 
-/// All bodies in shared entities, with what was last logged of them.
+/// All bodies in shared entities, with the last logged values.
 pub struct BatchedBodies {
     track: TrackId,
     deforming: Vec<usize>,
-    /// Those of them that are not part of a merged surface; `None` if that was not logged yet.
+    /// The deformed bodies that are not part of a merged surface; `None` if not logged yet.
     drawn: Option<Vec<usize>>,
     last: Surface,
     next: Surface,
@@ -46,7 +46,7 @@ pub struct BatchedBodies {
     /// Meshes of bodies that have torn.
     torn: Vec<Arc<Mesh>>,
     /// Whether any body has rotated yet: until then, instances have no rotations.
-    has_turned: bool,
+    has_rotated: bool,
     /// Values of single vertices, only if forces are recorded.
     vertices: Option<Vertices>,
     numbers: vertices::VertexNumbers,
@@ -73,9 +73,9 @@ impl BatchedBodies {
         let track = chunks.track(DEFORMING, components);
         let vertices = (detail != Detail::Surface).then(|| Vertices::new(DEFORMING, chunks));
         let (last, next, numbers) = Default::default();
-        let (drawn, resting, torn, has_turned) = (None, None, Vec::new(), false);
+        let (drawn, resting, torn, has_rotated) = (None, None, Vec::new(), false);
         let (deforming, lit) = (Vec::new(), Vec::new());
-        BatchedBodies { track, deforming, drawn, last, next, lit, resting, torn, has_turned, vertices, numbers }
+        BatchedBodies { track, deforming, drawn, last, next, lit, resting, torn, has_rotated, vertices, numbers }
     }
 
     /// Logs what has changed; `numbers` are the values of each body's vertices, if they are recorded. Bodies that are
@@ -130,7 +130,7 @@ impl BatchedBodies {
             let cells = [Cell::Vectors(positions), Cell::Vectors(normals), Cell::Colors(&self.lit)];
             chunks.push(self.track, view.at, &cells);
         }
-        self.has_turned |= resting.iter().any(|&i| now[i].rotation != DQuat::IDENTITY);
+        self.has_rotated |= resting.iter().any(|&i| now[i].rotation != DQuat::IDENTITY);
         let instance = |i: usize| (i, now[i].centre.as_vec3().to_array(), now[i].rotation.as_quat().to_array());
         let resting = resting.into_iter().map(instance).collect();
         if self.resting.as_ref() != Some(&resting) {
@@ -185,7 +185,7 @@ impl BatchedBodies {
             let mut poses = InstancePoses3D::update_fields()
                 .with_translations(instances.iter().map(|&(_, centre, _)| centre))
                 .with_scales(bodies().map(|body| [body.radius as f32; 3]));
-            if self.has_turned {
+            if self.has_rotated {
                 poses = poses.with_quaternions(instances.iter().map(|&(.., rotation)| Quaternion::from_xyzw(rotation)));
             }
             let names: Vec<&str> = bodies().map(|body| body.name.as_str()).collect();

@@ -37,9 +37,9 @@ struct Logged {
     entity: String,
     lit: Lit,
     last: Surface,
-    /// Whether that is the shape at rest.
+    /// Whether `last` is the shape at rest.
     is_at_rest: bool,
-    /// Whether the body's own mesh is drawn; `None` if that was not logged yet.
+    /// Whether the body's own mesh is drawn; `None` if not logged yet.
     is_drawn: Option<bool>,
     /// The mesh last logged, for a body that can tear.
     mesh: Option<Arc<Mesh>>,
@@ -78,19 +78,19 @@ impl Lit {
 /// The position of a body and, once it has rotated, its orientation.
 struct Transform {
     translation: TrackId,
-    /// Translation and rotation: the viewer resets a transform to the identity where a row does not give it.
+    /// Translation and rotation in one row: the viewer resets what a row does not contain to the identity.
     both: TrackId,
     /// Whether the body has rotated; until then no rotation is logged.
-    has_turned: bool,
+    has_rotated: bool,
     last: Option<(Float3, [f32; 4])>,
 }
 
 impl Transform {
     fn new(entity: &str, chunks: &mut Chunks) -> Transform {
         let translation = chunks.track(entity, [Transform3D::descriptor_translation()]);
-        // from the start, so that it comes before what marks a frame as complete
+        // created at the start, so that its rows precede the one that marks a frame as complete
         let both = chunks.track(entity, [Transform3D::descriptor_translation(), Transform3D::descriptor_quaternion()]);
-        Transform { translation, both, has_turned: false, last: None }
+        Transform { translation, both, has_rotated: false, last: None }
     }
 
     fn log(&mut self, view: FrameView<'_>, now: &BodyFrame, chunks: &mut Chunks) {
@@ -98,9 +98,9 @@ impl Transform {
         if self.last == Some(next) {
             return;
         }
-        self.has_turned |= now.rotation != DQuat::IDENTITY;
+        self.has_rotated |= now.rotation != DQuat::IDENTITY;
         let (centre, rotation) = next;
-        if self.has_turned {
+        if self.has_rotated {
             chunks.push(self.both, view.at, &[Cell::Vectors(&[centre]), Cell::Quaternions(&[rotation])]);
         } else {
             chunks.push(self.translation, view.at, &[Cell::Vectors(&[centre])]);
@@ -118,7 +118,7 @@ impl SeparateBodies {
             let color = palette::translucent(palette::of_body(schema, index));
             let mesh = Mesh3D::update_fields().with_albedo_factor(color);
             let triangles = body.mesh.triangles().iter().copied();
-            // a static value cannot change any more
+            // a static value could not change later
             chunks.log_static(&surface, &if body.can_tear { mesh } else { mesh.with_triangle_indices(triangles) });
             chunks.log_static(&surface, &light::unlit());
             let vertices = (detail != Detail::Surface).then(|| {

@@ -19,10 +19,10 @@ use crate::{
 
 /// The entity that names the pairs of bodies to which the arrows below it belong.
 const SOURCES: &str = "/world/forces";
-/// Upper limit on the number of pairs that arrows can name.
-const MOST_SOURCES: usize = 256;
+/// Upper limit on the number of named pairs.
+const MAX_SOURCES: usize = 256;
 
-/// Force arrows, with what was last logged of them.
+/// Force arrows, with the last logged values.
 pub struct Forces {
     terms: Vec<TermArrows>,
     /// Scratch storage, reused.
@@ -30,7 +30,7 @@ pub struct Forces {
     /// Values of each body's vertices; for bodies at rest only if each body has its own entity.
     pub vertices: Vec<vertices::VertexNumbers>,
     at_rest: Vec<bool>,
-    of_resting: bool,
+    includes_resting: bool,
     sources: Sources,
 }
 
@@ -63,7 +63,7 @@ impl Forces {
             origins: Vec::new(),
             vertices: vec![vertices::VertexNumbers::default(); count],
             at_rest: vec![false; count],
-            of_resting: entities == Entities::Body,
+            includes_resting: entities == Entities::Body,
             sources: Sources::default(),
         }
     }
@@ -77,7 +77,7 @@ impl Forces {
             if now.is_at_rest && !now.has_forces {
                 if !std::mem::replace(&mut self.at_rest[index], true) {
                     numbers.clear();
-                    if self.of_resting {
+                    if self.includes_resting {
                         numbers.append(schema, body, now);
                     }
                 }
@@ -131,7 +131,7 @@ impl Sources {
         let next = self.classes.len();
         match self.classes.entry((index, source as usize)) {
             Entry::Occupied(known) => *known.get(),
-            Entry::Vacant(free) if next < MOST_SOURCES => *free.insert(next as u16 + 1),
+            Entry::Vacant(free) if next < MAX_SOURCES => *free.insert(next as u16 + 1),
             Entry::Vacant(_) => 0,
         }
     }

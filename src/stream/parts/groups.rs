@@ -1,4 +1,5 @@
-//! Plots of groups: volume, area and topology of the surface, and number of bodies, under the name of the group's first body.
+//! Plots of groups: volume, area and topology of the surface, and number of bodies. The first body of a group gives it
+//! its name.
 
 use std::collections::BTreeMap;
 
@@ -17,15 +18,15 @@ use crate::{
     },
 };
 
-/// Number of groups that were too expensive or impossible to unite.
+/// Plot of the number of groups that were too expensive or impossible to unite.
 pub const OVERLAPPING: &str = "/diagnostics/overlapping_groups";
 
 /// The groups that have their own entities.
 pub struct GroupPlots {
     /// Upper limit on their number.
-    most: usize,
+    max_groups: usize,
     known: BTreeMap<usize, GroupPlot>,
-    /// Number of groups without a surface; `None` as long as there were none.
+    /// Plot of the number of groups without a surface; `None` until there is one.
     overlapping: Option<LineId>,
 }
 
@@ -56,9 +57,9 @@ pub fn values(group: &Group) -> [f64; 6] {
 }
 
 impl GroupPlots {
-    /// Starts without groups; at most `most` are added.
-    pub fn new(most: usize) -> GroupPlots {
-        GroupPlots { most, known: BTreeMap::new(), overlapping: None }
+    /// Starts without groups; at most `max_groups` get plots.
+    pub fn new(max_groups: usize) -> GroupPlots {
+        GroupPlots { max_groups, known: BTreeMap::new(), overlapping: None }
     }
 
     /// Logs what has changed.
@@ -84,7 +85,7 @@ impl GroupPlots {
         for group in &merged.groups {
             let Some(&first) = group.bodies.first() else { continue };
             if !self.known.contains_key(&first) {
-                if self.known.len() >= self.most {
+                if self.known.len() >= self.max_groups {
                     continue;
                 }
                 self.known.insert(first, GroupPlot::new(schema, first, self.known.len(), series, chunks));

@@ -18,14 +18,14 @@ use crate::stream::{
 /// The entity of the colour scale.
 pub const LEGEND: &str = "/legend";
 /// The component of a surface with its displacements as texture coordinates.
-const PLACES: &str = "heat_texcoords";
+const TEXCOORDS: &str = "heat_texcoords";
 /// The components of a surface with the texture.
 const TEXTURE: &str = "heat_texture";
 const FORMAT: &str = "heat_format";
 
 /// Visualizer sources of surfaces in the displacement view, instead of their own colours and normals.
 pub const MAPPINGS: [Mapping; 4] = [
-    Mapping { target: "Mesh3D:vertex_texcoords", source: PLACES },
+    Mapping { target: "Mesh3D:vertex_texcoords", source: TEXCOORDS },
     Mapping { target: "Mesh3D:albedo_texture_buffer", source: TEXTURE },
     Mapping { target: "Mesh3D:albedo_texture_format", source: FORMAT },
     light::NO_LIGHT,
@@ -34,14 +34,14 @@ pub const MAPPINGS: [Mapping; 4] = [
 /// Texels of the colour range.
 const WIDTH: usize = 256;
 /// Displacement at the end of the texture [radii]. A texture coordinate is the root of the fraction of it, so that
-/// small displacements are resolved, too.
+/// small displacements are resolved too.
 const END: f32 = 16.0;
 /// Possible ends of the colour range [radii].
 const RANGES: [f64; 14] = [0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0, 2.0, 4.0, 8.0, 16.0];
 
 /// The component with texture coordinates.
 pub fn descriptor() -> ComponentDescriptor {
-    ComponentDescriptor::partial(PLACES)
+    ComponentDescriptor::partial(TEXCOORDS)
 }
 
 /// The texture coordinates of a displacement [radii]. The viewer repeats textures, so this one is mirrored in its

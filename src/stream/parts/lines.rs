@@ -1,12 +1,12 @@
-//! Lines in 3D between the centres of pairs within reach, coloured by phase and labelled with q; the names of bodies; and
-//! highlights of the pairs that had an event in the last frames.
+//! Lines in 3D between the centres of pairs within reach, coloured by phase and labelled with q; the names of bodies;
+//! and highlights of the pairs that had an event in the last frames.
 
 use std::collections::BTreeMap;
 
 use glam::DVec3;
 use rerun::{LineStrips3D, Points3D};
 
-use super::{FrameView, MOST_LABELS};
+use super::{FrameView, MAX_LABELS};
 use crate::{
     observe::{PairEvent, PairFrame, Schema},
     stream::{
@@ -27,13 +27,13 @@ const RECENT: &str = "/world/recent";
 /// Number of frames for which an event is recent.
 const RECENT_FRAMES: u64 = 24;
 /// Upper limit on the number of highlighted pairs; those of the latest events are chosen.
-const MOST_RECENT: usize = 4;
+const MAX_RECENT: usize = 4;
 
-/// Pair lines, with what was last logged of them.
+/// Pair lines, with the last logged values.
 pub struct Lines {
     track: TrackId,
     /// Upper limit on the number of lines; the closest pairs are shown.
-    most: usize,
+    max_lines: usize,
     /// The only pairs with lines, as `A~B`; empty: all.
     only: Vec<String>,
     last: Option<LineRows>,
@@ -69,9 +69,9 @@ struct Recent {
 }
 
 impl Lines {
-    /// Shows at most as many pairs as the settings say.
+    /// Shows at most as many pairs as the settings allow.
     pub fn new(schema: &Schema, settings: &Settings, chunks: &mut Chunks) -> Lines {
-        let has_labels = schema.bodies.len() <= MOST_LABELS;
+        let has_labels = schema.bodies.len() <= MAX_LABELS;
         let style =
             LineStrips3D::update_fields().with_radii([rerun::Radius::new_ui_points(1.5)]).with_show_labels(has_labels);
         chunks.log_static(PAIRS, &style);
@@ -91,7 +91,7 @@ impl Lines {
         };
         Lines {
             track,
-            most: settings.pairs,
+            max_lines: settings.pairs,
             only: settings.only.clone(),
             last: None,
             next: LineRows::default(),
@@ -106,7 +106,7 @@ impl Lines {
         let Recent { events, .. } = &mut self.recent;
         let name = format!("{} {}", event.name, schema.pair_name(event.a, event.b));
         events.insert((event.a, event.b), (0, name, schema.phases[event.to].color));
-        while events.len() > MOST_RECENT {
+        while events.len() > MAX_RECENT {
             let Some(oldest) = events.iter().max_by_key(|(_, (age, ..))| *age).map(|(pair, _)| *pair) else { break };
             events.remove(&oldest);
         }
@@ -120,7 +120,7 @@ impl Lines {
         self.closest.clear();
         self.closest.extend(view.frame.pairs.iter().filter(is_shown));
         self.closest.sort_by(|x, y| x.q.total_cmp(&y.q));
-        self.closest.truncate(self.most);
+        self.closest.truncate(self.max_lines);
         let centre = |i: usize| view.frame.bodies[i].centre.as_vec3().to_array();
         segments.clear();
         segments.extend(self.closest.iter().map(|pair| [centre(pair.a), centre(pair.b)]));
@@ -165,8 +165,8 @@ impl Names {
             // for bodies at the same position, every other name is on the left
             let aside = if index.is_multiple_of(2) { DVec3::NEG_X } else { DVec3::X };
             let direction = (away + 0.05 * aside).normalize_or(DVec3::Z);
-            let place = now.centre + body.radius * (0.9 * direction + 0.35 * DVec3::Z);
-            self.next.push(place.as_vec3().to_array());
+            let position = now.centre + body.radius * (0.9 * direction + 0.35 * DVec3::Z);
+            self.next.push(position.as_vec3().to_array());
         }
         if self.next != self.last {
             std::mem::swap(&mut self.next, &mut self.last);

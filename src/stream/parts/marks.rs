@@ -24,37 +24,37 @@ impl Marks {
     /// Logs the markers of an event; `is_plotted`: whether its pair has a plot of q.
     pub fn log(&mut self, schema: &Schema, event: &PairEvent, is_plotted: bool, chunks: &mut Chunks) {
         let rgb = color(schema.phases[event.to].color);
-        let places = [(ON_AXIS, MarkerShape::Up, 5.0), (AT_Q, MarkerShape::Diamond, 5.0)];
+        let markers = [(ON_AXIS, MarkerShape::Up, 5.0), (AT_Q, MarkerShape::Diamond, 5.0)];
         if !self.styled.contains(&event.name) {
             self.styled.push(event.name);
-            for (place, shape, size) in places {
+            for (parent, shape, size) in markers {
                 let style = SeriesPoints::new()
                     .with_names([event.name])
                     .with_colors([rgb])
                     .with_markers([shape])
                     .with_marker_sizes([size]);
-                chunks.log_static(&entity(place, event.name), &style);
+                chunks.log_static(&entity(parent, event.name), &style);
             }
         }
         let at = Instant { step: event.step, time: event.time };
-        for ((place, ..), value) in places.into_iter().zip([Some(0.0), is_plotted.then_some(event.q)]) {
+        for ((parent, ..), value) in markers.into_iter().zip([Some(0.0), is_plotted.then_some(event.q)]) {
             let Some(value) = value else { continue };
-            chunks.log(&entity(place, event.name), at, &Scalars::new([value]));
+            chunks.log(&entity(parent, event.name), at, &Scalars::new([value]));
         }
     }
 }
 
-fn entity(place: &str, event: &str) -> String {
+fn entity(parent: &str, event: &str) -> String {
     let name: String = event.chars().map(|c| if c.is_alphanumeric() { c } else { '_' }).collect();
-    format!("{place}/{name}")
+    format!("{parent}/{name}")
 }
 
 /// Marks the ends of a run in every plot, so that all of them show the same range of time; `level` is any plotted q, if
 /// there is one.
 pub fn log_ends(ends: [Instant; 2], level: Option<f64>, chunks: &mut Chunks) {
-    for (place, value) in [(ON_AXIS, Some(0.0)), (AT_Q, level)] {
+    for (parent, value) in [(ON_AXIS, Some(0.0)), (AT_Q, level)] {
         let Some(value) = value else { continue };
-        let entity = format!("{place}/ends");
+        let entity = format!("{parent}/ends");
         let style = SeriesPoints::new()
             .with_names(["start, end"])
             .with_colors([color(GREY)])

@@ -39,7 +39,7 @@ use super::instant::Instant;
 use crate::observe::{BodyFrame, Frame, Schema, schema::BodySchema};
 
 /// Upper limit on the number of bodies whose names are shown in the 3D view.
-const MOST_LABELS: usize = 8;
+const MAX_LABELS: usize = 8;
 
 /// The input of a part: what is logged of a frame.
 #[derive(Clone, Copy)]

@@ -23,7 +23,7 @@ pub const KINDS: [(&str, Rgb, Arrow); 2] = [
     ("torque", colors::YELLOW, |net, body| net.torque / (body.mass * body.radius)),
 ];
 
-/// The arrows, with what was last logged of them.
+/// The arrows, with the last logged values.
 pub struct NetForces {
     tracks: [TrackId; KINDS.len()],
     last: [Rows; KINDS.len()],

@@ -27,7 +27,7 @@ pub fn timings(schema: &Schema) -> impl Iterator<Item = &'static str> {
     schema.stages.iter().copied().chain(OBSERVING).chain(RECORDING)
 }
 
-/// The entity of a stage's duration with those of all stages before it on the same thread.
+/// The entity that plots a stage's duration plus those of all previous stages on the same thread.
 pub fn stacked(stage: &str) -> String {
     format!("/timings/stacked/{stage}")
 }
@@ -57,7 +57,7 @@ pub struct FrameNumbers {
     timings: Vec<Timing>,
     /// Steps since messages were last sent.
     steps_since_sent: u32,
-    /// Time per step that sending took last.
+    /// Time per step spent on the last sending.
     sending: Duration,
     /// Steps since the last frame.
     steps: u32,
@@ -79,7 +79,7 @@ struct ScalarLine {
     /// Whether it jumps when a pair changes its phase.
     jumps: bool,
     value: f64,
-    /// The least and the greatest value that was plotted.
+    /// Smallest and largest plotted value.
     plotted: Option<[f64; 2]>,
 }
 
@@ -87,7 +87,7 @@ struct ScalarLine {
 struct Timing {
     name: &'static str,
     track: TrackId,
-    /// With the stages before it on the same thread, if it [is work](is_work).
+    /// The stacked plot, if the stage [does work](is_work).
     stacked: Option<TrackId>,
     /// Whether it is the first stage on its thread.
     is_first: bool,
@@ -126,7 +126,7 @@ impl FrameNumbers {
             }
         });
         let scalars = scalars.collect();
-        let speed = line_of_run(SPEED, "steps per second", 0, chunks);
+        let speed = run_line(SPEED, "steps per second", 0, chunks);
         FrameNumbers {
             scalars,
             timings,
@@ -137,7 +137,7 @@ impl FrameNumbers {
             last_frame: None,
             speed,
             lag: None,
-            lag_track: line_of_run(LAG, "behind real time [ms]", 1, chunks),
+            lag_track: run_line(LAG, "behind real time [ms]", 1, chunks),
             total: Spread::default(),
         }
     }
@@ -173,8 +173,8 @@ impl FrameNumbers {
         }
     }
 
-    /// Logs the schema's scalars. Lines that jump when a pair changes its phase are interrupted where one has `changed`: a
-    /// steep line would look like a change over the course of a frame.
+    /// Logs the schema's scalars. `changed` is the instant of the last phase change since the last frame; lines that
+    /// jump there are interrupted: a steep line would look like a change over the course of a frame.
     pub fn log_scalars(
         &mut self,
         view: FrameView<'_>,
@@ -193,7 +193,7 @@ impl FrameNumbers {
         }
     }
 
-    /// The least and the greatest value of each scalar that was plotted.
+    /// Smallest and largest plotted value of each scalar.
     pub fn plotted(&self) -> impl Iterator<Item = Option<[f64; 2]>> {
         self.scalars.iter().map(|line| line.plotted)
     }
@@ -252,8 +252,9 @@ struct Spread {
 }
 
 impl Spread {
-    /// Mantissa bits that select a bucket within an octave. The other constants give the first bucket and their number.
+    /// Mantissa bits that select a bucket within an octave.
     const BITS: u32 = 3;
+    /// Leading bits of the first bucket's values.
     const FIRST: usize = (1023 - 24) << Spread::BITS;
     const BUCKETS: usize = 40 << Spread::BITS;
 
@@ -276,7 +277,7 @@ impl Spread {
     }
 }
 
-fn line_of_run(entity: &str, name: &str, color: usize, chunks: &mut Chunks) -> TrackId {
+fn run_line(entity: &str, name: &str, color: usize, chunks: &mut Chunks) -> TrackId {
     Series::style(chunks, entity, name, palette::line(color), 1.5, Interpolation::Step);
     chunks.track(entity, [Scalars::descriptor_scalars()])
 }
@@ -286,7 +287,7 @@ mod tests {
     use super::Spread;
 
     #[test]
-    fn quantiles_leave_out_what_is_rare() {
+    fn quantiles_ignore_rare_values() {
         let mut spread = Spread::default();
         assert_eq!(spread.quantile(0.9), None);
         (0..90).for_each(|i| spread.add(0.010 + 1e-5 * f64::from(i)));

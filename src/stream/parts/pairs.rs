@@ -35,7 +35,7 @@ const KEPT_PAIRS: usize = 1024;
 /// their first event, with q of the previous frames.
 pub struct PairPlots {
     /// Upper limit on the number of pairs that have entities because they came within reach.
-    most: usize,
+    max_in_reach: usize,
     /// The only pairs that may have entities, as `A~B`; empty: all.
     only: Vec<String>,
     known: BTreeMap<(usize, usize), PairPlot>,
@@ -46,7 +46,7 @@ pub struct PairPlots {
     /// Scratch storage, reused.
     next_in_reach: BTreeSet<(usize, usize)>,
     new: Vec<PairFrame>,
-    /// The least and the greatest number in any plot.
+    /// Smallest and largest number in any plot of distances.
     plotted: Option<[f64; 2]>,
     /// The pairs of the current frame that have their own entities.
     shown: Vec<[usize; 2]>,
@@ -124,7 +124,7 @@ impl PairPlots {
     /// Starts without pairs.
     pub fn new(settings: &Settings) -> PairPlots {
         PairPlots {
-            most: settings.pairs,
+            max_in_reach: settings.pairs,
             only: settings.only.clone(),
             known: BTreeMap::new(),
             kept: BTreeMap::new(),
@@ -142,21 +142,22 @@ impl PairPlots {
         self.known.keys().map(|&(a, b)| schema.pair_name(a, b)).collect()
     }
 
-    /// The least and the greatest number in any plot of distances, q or threshold.
+    /// Smallest and largest number in any plot of distances: q or threshold.
     pub fn plotted(&self) -> Option<[f64; 2]> {
         self.plotted
     }
 
-    /// The pairs that [`PairPlots::choose`] will choose of each of these frames, except for new ones with an event.
+    /// The pairs that [`PairPlots::choose`] will choose in each of these frames. Pairs that get their plots because of
+    /// an event are not foreseen.
     pub fn foresee(&self, schema: &Schema, frames: &[Frame]) -> Vec<Vec<[usize; 2]>> {
         let mut known: BTreeSet<(usize, usize)> = self.known.keys().copied().collect();
         let of_frame = |frame: &Frame| {
-            if known.len() < self.most {
+            if known.len() < self.max_in_reach {
                 let is_new = |pair: &&PairFrame| !known.contains(&(pair.a, pair.b)) && self.is_shown(schema, pair);
                 let mut new: Vec<&PairFrame> = frame.pairs.iter().filter(is_new).collect();
                 new.sort_by(|x, y| x.q.total_cmp(&y.q));
-                let most = self.most - known.len();
-                known.extend(new.into_iter().take(most).map(|pair| (pair.a, pair.b)));
+                let free = self.max_in_reach - known.len();
+                known.extend(new.into_iter().take(free).map(|pair| (pair.a, pair.b)));
             }
             let is_known = |pair: &&PairFrame| known.contains(&(pair.a, pair.b));
             frame.pairs.iter().filter(is_known).map(|pair| [pair.a, pair.b]).collect()
@@ -169,19 +170,19 @@ impl PairPlots {
         self.only.is_empty() || self.only.contains(&schema.pair_name(pair.a, pair.b))
     }
 
-    /// Chooses the pairs of a frame that have their own entities, and creates those of new ones.
+    /// Chooses the pairs of a frame that have their own entities, and creates the entities of new pairs.
     pub fn choose(&mut self, view: FrameView<'_>, series: &mut Series, chunks: &mut Chunks) -> &[[usize; 2]] {
         let FrameView { schema, frame: now, at } = view;
-        if self.known.len() < self.most {
+        if self.known.len() < self.max_in_reach {
             // of pairs that come within reach in the same frame, take the closest first
             self.new.clear();
             self.new.extend(now.pairs.iter().filter(|pair| !self.known.contains_key(&(pair.a, pair.b))));
             self.new.sort_by(|x, y| x.q.total_cmp(&y.q));
             for pair in std::mem::take(&mut self.new) {
-                self.track(schema, pair, at, self.most, series, chunks);
+                self.track(schema, pair, at, self.max_in_reach, series, chunks);
             }
         }
-        if self.known.len() >= self.most && self.most > 0 {
+        if self.known.len() >= self.max_in_reach && self.max_in_reach > 0 {
             self.keep(view);
         }
         self.shown.clear();
@@ -250,20 +251,20 @@ impl PairPlots {
         std::mem::swap(&mut self.in_reach, &mut self.next_in_reach);
     }
 
-    /// The phase entity of a pair. Creates the pair's entities if needed; `None` if there are `most` of them already,
-    /// or if the pair is not to be shown.
+    /// The phase entity of a pair. Creates the pair's entities if needed; `None` if `max` pairs have some already, or
+    /// if the pair is not to be shown.
     fn track(
         &mut self,
         schema: &Schema,
         pair: PairFrame,
         at: Instant,
-        most: usize,
+        max: usize,
         series: &mut Series,
         chunks: &mut Chunks,
     ) -> Option<&str> {
         let PairFrame { a, b, phase, .. } = pair;
         if !self.known.contains_key(&(a, b)) {
-            if self.known.len() >= most || !self.is_shown(schema, &pair) {
+            if self.known.len() >= max || !self.is_shown(schema, &pair) {
                 return None;
             }
             let pair = PairPlot::new(schema, a, b, palette::distance(self.known.len()), series, chunks);
@@ -287,7 +288,7 @@ impl PairPlots {
     pub fn log_event(&mut self, schema: &Schema, event: &PairEvent, series: &mut Series, chunks: &mut Chunks) {
         let at = Instant { step: event.step, time: event.time };
         let pair = PairFrame { a: event.a, b: event.b, q: event.q, phase: event.from };
-        let entity = self.track(schema, pair, at, 2 * self.most, series, chunks);
+        let entity = self.track(schema, pair, at, 2 * self.max_in_reach, series, chunks);
         let is_plotted = entity.is_some();
         if let Some(entity) = entity {
             chunks.log(entity, at, &StateChange::single(schema.phases[event.to].name));
@@ -366,7 +367,7 @@ pub mod event {
     pub const Q: &str = "q";
     /// Energy that free bodies gained [mass · scene unit²/s²]; only with free bodies.
     pub const ENERGY: &str = "energy";
-    /// How fast q changes at that time [1/s].
+    /// Rate of change of q at that time [1/s].
     pub const RATE: &str = "rate";
 }
 
@@ -417,7 +418,7 @@ pub fn log_body_event(schema: &Schema, event: &BodyEvent, chunks: &mut Chunks) {
 /// The entity of warnings about steps that are less accurate than requested.
 pub const ACCURACY: &str = "/events/accuracy";
 
-/// Logs the line of a step that is not accurate enough.
+/// Logs the line of a step whose error exceeds the tolerance.
 pub fn log_shortfall(schema: &Schema, shortfall: &Shortfall, at: Instant, chunks: &mut Chunks) {
     let line = TextLog::new(shortfall.describe(schema, at)).with_level("warning");
     chunks.log(ACCURACY, at, &line);

@@ -18,7 +18,7 @@ const ENTITY: &str = "/world/influence";
 /// Line width of wireframe spheres [points on the screen].
 const LINE: f32 = 0.6;
 
-/// Influence spheres, with what was last logged of them.
+/// Influence spheres, with the last logged values.
 pub struct SphereEntities {
     track: TrackId,
     /// In a batched scene, spheres that reach another body have a separate entity: thousands of wireframe spheres are
@@ -57,7 +57,7 @@ impl SphereEntities {
             .with_fill_mode(FillMode::MajorWireframe)
             .with_line_radii([rerun::Radius::new_ui_points(LINE)])
             .with_labels(schema.bodies.iter().map(|body| body.name.as_str()))
-            // names stand beside the bodies
+            // several bodies have their names beside them instead
             .with_show_labels(schema.bodies.len() == 1);
         chunks.log_static(ENTITY, &spheres);
         SphereEntities {

@@ -1,5 +1,5 @@
-//! Trails: the paths that the centres of free bodies have taken. Every frame adds one segment for each; the viewer shows
-//! those of the last seconds together.
+//! Trails: the paths that the centres of free bodies have taken. Every frame adds one segment for each; the viewer
+//! shows those of the last seconds together.
 
 use rerun::LineStrips3D;
 

@@ -24,7 +24,7 @@ pub struct VertexNumbers {
     net: Vec<f32>,
     /// The displacement as texture coordinates of its colour.
     heat: Vec<[f32; 2]>,
-    /// Which forces act on the vertex, in words.
+    /// Description of the forces that act on the vertex.
     reach: Vec<&'static str>,
 }
 
@@ -64,7 +64,7 @@ impl VertexNumbers {
     }
 }
 
-/// The vertex values of an entity, with what was last logged of them.
+/// The vertex values of an entity, with the last logged ones.
 pub struct Vertices {
     numbers: TrackId,
     reach: TrackId,
@@ -74,8 +74,7 @@ pub struct Vertices {
 impl Vertices {
     /// Starts without logged values.
     pub fn new(entity: &str, chunks: &mut Chunks) -> Vertices {
-        let of_ours = ["displacement_in_radii", "net_force"].map(ComponentDescriptor::partial);
-        let [displacement, net] = of_ours;
+        let [displacement, net] = ["displacement_in_radii", "net_force"].map(ComponentDescriptor::partial);
         Vertices {
             numbers: chunks.track(entity, [displacement, net, heat::descriptor()]),
             reach: chunks.track(entity, [ComponentDescriptor::partial("reach")]),
