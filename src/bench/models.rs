@@ -249,8 +249,8 @@ fn volume(schema: &Schema, frame: &Frame, body: usize, local: &mut Vectors) -> f
 /// Time [s], and positions of all vertices relative to their centres [scene unit], at several instants.
 type States = Vec<(f64, Vec<Vec<DVec3>>)>;
 
-/// The states of a run with another step, at every second instant of the scene's own steps; and the largest displacement
-/// [radii].
+/// The states of a run with another step, at every second instant of the scene's own steps; and the largest
+/// displacement [radii].
 fn states(run: &SceneRun, dt: f64) -> Result<(States, f64), String> {
     let with = with_step(run, dt);
     let (mut simulation, mut summary, mut frame) = (with.start()?, StepSummary::default(), Frame::default());

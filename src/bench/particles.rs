@@ -1,7 +1,7 @@
 //! An independent solution of a scene with free bodies, against which the integrators are compared.
 //!
-//! It uses nothing from [`crate::sim`]. Every vertex is a particle: its acceleration is evaluated from the positions and
-//! velocities of all particles, with mass centres and best-fit rotations (Newton's iteration for the polar
+//! It uses nothing from [`crate::sim`]. Every vertex is a particle: its acceleration is evaluated from the positions
+//! and velocities of all particles, with mass centres and best-fit rotations (Newton's iteration for the polar
 //! decomposition) recomputed each time. The classical Runge–Kutta method takes many small steps of fixed length; a step
 //! in which a pair reaches a threshold ends there. Rims of spheres and planes are crossed within steps, which limits
 //! the accuracy to about 1e-8 radii, as measured by halving the steps.
@@ -87,7 +87,7 @@ impl Particles {
         Ok(Particles { positions, ranges: system.ranges })
     }
 
-    /// The largest distance between a body's vertices in this solution and positions `found` at an instant [scene unit].
+    /// The largest distance of a body's vertices in this solution from those `found` at an instant [scene unit].
     pub fn distance(&self, body: usize, instant: usize, found: impl Iterator<Item = DVec3>) -> f64 {
         let own = &self.positions[instant][self.ranges[body].clone()];
         let distances = own.iter().zip(found).map(|(own, found)| own.distance(found));

@@ -3,8 +3,8 @@
 //!
 //! Every scene is built from the same pairs ([`scenes`]), so one reference solution of these pairs serves all scenes. A
 //! world is stepped on one core and on all cores alternately, so that other load on the machine affects both equally.
-//! Blocks cover whole periods of the pairs' motion where that does not take too long. The naive baseline is measured for
-//! comparison: the thesis's scheme with every vertex and all pairs, one number at a time.
+//! Blocks cover whole periods of the pairs' motion where that does not take too long. The naive baseline is measured
+//! for comparison: the thesis's scheme with every vertex and all pairs, one number at a time.
 
 pub mod csv;
 pub mod decay;
@@ -188,8 +188,8 @@ impl Report {
         self.of(family).find(|point| point.bodies == bodies)
     }
 
-    /// The exponent with which step time grows with the number of bodies, by least squares of the logarithms over points
-    /// of at least 100 bodies [–]; `None` with fewer than two such points.
+    /// The exponent with which step time grows with the number of bodies, by least squares of the logarithms over
+    /// points of at least 100 bodies [–]; `None` with fewer than two such points.
     pub fn slope(&self, family: Family, run: impl Fn(&Point) -> Option<&Run>) -> Option<f64> {
         let points = self.of(family).filter(|point| point.bodies >= 100);
         let logs: Vec<(f64, f64)> =
@@ -358,8 +358,8 @@ fn measure_plain(
     Ok(Plain { run: clock.run(), judged: judging.judged })
 }
 
-/// Number of steps that take about `share` [s] or more, at about `estimate` [s] per step. It is a number of whole periods,
-/// or at least a multiple of the phase offset, so that every block does the same work.
+/// Number of steps that take about `share` [s] or more, at about `estimate` [s] per step. It is a number of whole
+/// periods, or at least a multiple of the phase offset, so that every block does the same work.
 fn block(estimate: f64, share: f64) -> u64 {
     let steps = (share / estimate) as u64;
     let unit = if steps >= PERIOD / 2 { PERIOD } else { PERIOD / PHASES as u64 };

@@ -224,8 +224,8 @@ fn may_print(input: &Path) -> Result<(), Failure> {
     }
 }
 
-/// Reports that a file of another kind or scene is replaced. Called once the path is claimed, so that the file is indeed
-/// replaced.
+/// Reports that a file of another kind or scene is replaced. Called once the path is claimed, so that the file is
+/// indeed replaced.
 fn announce(path: &Path, new: &Existing) -> Result<(), Failure> {
     if let Some(note) = existing::replace(path, new).map_err(sink_failure)? {
         say(&format!("note: {note}"));

@@ -38,7 +38,8 @@ use crate::{
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// A sweep file, or the name of a built-in sweep: speed_merge_at, speed_offset, alpha_split_at, size_mass, runs_of_two.
+    /// A sweep file, or the name of a built-in sweep: speed_merge_at, speed_offset, alpha_split_at, size_mass,
+    /// runs_of_two.
     #[arg(value_name = "SWEEP.toml")]
     sweep: String,
     /// The folder of the rows and maps. An interrupted sweep is resumed from it.

@@ -5,8 +5,7 @@
 //! | constant properties of a run: bodies, force terms, scalars, thresholds | [`schema`] |
 //! | the state at an instant; only what is requested is computed | [`frame`] |
 //! | points in time, events | [`event`] |
-//! | the traits of a simulation that can be stepped and observed, and of the experiment that creates it |
-//! [`simulation`] |
+//! | the traits of a simulation, and of the experiment that creates it | [`simulation`] |
 //! | closest approaches of pairs that did not change phase | [`approach`] |
 //! | the largest difference between two states | [`worst`] |
 //! | the merged surface of groups of bodies, and geometric measures of pairs | [`surface`] |

@@ -191,8 +191,8 @@ pub struct ScalarSchema {
     pub is_smooth: bool,
     /// Whether it jumps when a pair changes its phase: its line is interrupted there.
     pub jumps: bool,
-    /// The smallest range of values that its plot shows, in its unit. Without one, a plot of a conserved quantity shows rounding
-    /// errors as if they were changes.
+    /// The smallest range of values that its plot shows, in its unit. Without one, a plot of a conserved quantity shows
+    /// rounding errors as if they were changes.
     pub least_range: f64,
 }
 
@@ -239,8 +239,8 @@ impl Default for Schema {
 }
 
 impl BodySchema {
-    /// A body on a prescribed path. `radius` is the distance of its farthest vertex, `reach` the radius of its influence
-    /// sphere [scene unit].
+    /// A body on a prescribed path. `radius` is the distance of its farthest vertex, `reach` the radius of its
+    /// influence sphere [scene unit].
     pub fn new(name: &str, shape: &str, mesh: Arc<Mesh>, radius: f64, reach: f64) -> BodySchema {
         let (name, shape) = (name.to_owned(), shape.to_owned());
         BodySchema { name, radius, reach, shape, mesh, is_free: false, mass: 1.0, color: None, can_tear: false }

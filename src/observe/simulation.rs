@@ -54,7 +54,7 @@ pub trait Simulation {
         None
     }
 
-    /// Hash of the exact state. Bit-identical states have equal hashes, other states different ones (barring collisions).
+    /// Hash of the exact state: equal for bit-identical states, different for all others (barring collisions).
     fn checksum(&self) -> u64;
 
     /// Writes the requested parts of the state to `frame` (reused).
@@ -78,8 +78,8 @@ pub trait Simulation {
     }
 
     /// Touch and part events of pairs in the last step, in order of time, if the simulation detects them itself
-    /// ([`Finding::Touch`](super::touch::Finding::Touch) and `Part` only). If `None`, [`super::touch`] searches for them
-    /// in the states that [`within`](Simulation::within) returns.
+    /// ([`Finding::Touch`](super::touch::Finding::Touch) and `Part` only). If `None`, [`super::touch`] searches for
+    /// them in the states that [`within`](Simulation::within) returns.
     fn contacts(&self) -> Option<&[SurfaceEvent]> {
         None
     }

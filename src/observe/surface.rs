@@ -31,7 +31,7 @@ use crate::geometry::{
 /// instead of a time so that equal frames give equal surfaces on every machine.
 pub const FRAME_WORK: u64 = 20_000_000;
 
-/// Distance from a seam within which the colours of two bodies blend [radii], unless the surface is smoothed further out.
+/// Distance from a seam within which the colours of two bodies blend [radii], unless smoothing reaches farther.
 const COLORS_BLEND: f64 = 0.35;
 
 /// The merged surfaces of a frame, and the measures of the requested pairs. Reused.
@@ -54,8 +54,8 @@ pub struct Group {
     pub bodies: Vec<usize>,
     /// Positions of the vertices in the world [scene unit], `[vertex_count]`.
     pub positions: Vec<DVec3>,
-    /// Outward unit normals of the vertices [–], `[vertex_count]`; empty if [`Group::append_normals`] computes them from
-    /// the triangles.
+    /// Outward unit normals of the vertices [–], `[vertex_count]`; empty if [`Group::append_normals`] computes them
+    /// from the triangles.
     pub normals: Vec<DVec3>,
     /// Origin of each vertex, `[vertex_count]`.
     pub origins: Vec<VertexOrigin>,
@@ -471,8 +471,8 @@ impl Group {
 
     /// Appends the outward unit normals of the vertices; `sums` is scratch storage.
     ///
-    /// A normal is the mean of the adjacent triangles' normals, weighted by the sine of the angle at the vertex. With area
-    /// weights, large triangles would dominate the slivers along a seam.
+    /// A normal is the mean of the adjacent triangles' normals, weighted by the sine of the angle at the vertex. With
+    /// area weights, large triangles would dominate the slivers along a seam.
     pub fn append_normals(&self, sums: &mut Vec<DVec3>, normals: &mut Vec<[f32; 3]>) {
         sums.clear();
         sums.extend_from_slice(&self.normals);
@@ -653,8 +653,8 @@ mod tests {
         }
     }
 
-    /// A frame over its work budget shows the bodies themselves and is flagged; the next frame starts afresh. The result
-    /// does not depend on the number of threads, because work is counted, not timed.
+    /// A frame over its work budget shows the bodies themselves and is flagged; the next frame starts afresh. The
+    /// result does not depend on the number of threads, because work is counted, not timed.
     #[test]
     fn a_frame_over_budget_is_flagged_and_the_next_recovers() {
         let (schema, frame) = after("two", 150);

@@ -1,10 +1,10 @@
 //! Finds the times at which surfaces touch and part, and compares the surfaces of a pair when its phase changes.
 //!
-//! Times are found by bisection over the states within a step ([`Simulation::within`]). With the exponential integrator,
-//! these states are its own solution: the step is repeated up to that time, so the error is within its tolerance. This
-//! holds for bodies on paths and for free bodies. The explicit schemes use cubic Hermite interpolation between steps,
-//! whose error is of fourth order in the step. This is also the order of `rk4`; with the other schemes, the times have
-//! the lower order of the scheme.
+//! Times are found by bisection over the states within a step ([`Simulation::within`]). With the exponential
+//! integrator, these states are its own solution: the step is repeated up to that time, so the error is within its
+//! tolerance. This holds for bodies on paths and for free bodies. The explicit schemes use cubic Hermite interpolation
+//! between steps, whose error is of fourth order in the step. This is also the order of `rk4`; with the other schemes,
+//! the times have the lower order of the scheme.
 
 use std::{collections::BTreeMap, sync::atomic::AtomicBool};
 

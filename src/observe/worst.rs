@@ -26,8 +26,8 @@ pub struct Worst {
 }
 
 impl Worst {
-    /// The worst vertex of a body, given its vertex positions in two states. Distances up to `noise` [scene unit] do not
-    /// count as a difference. NaN is worse than any number. `None` if there is no difference.
+    /// The worst vertex of a body, given its vertex positions in two states. Distances up to `noise` [scene unit] do
+    /// not count as a difference. NaN is worse than any number. `None` if there is no difference.
     pub fn of(
         at: Instant,
         body: &BodySchema,

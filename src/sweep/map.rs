@@ -1,5 +1,5 @@
-//! The map of a sweep: outcomes, or a measure, over its first two numeric axes. There is one map for each combination of
-//! values on the other axes.
+//! The map of a sweep: outcomes, or a measure, over its first two numeric axes. There is one map for each combination
+//! of values on the other axes.
 
 use std::collections::{BTreeMap, HashMap};
 

@@ -46,8 +46,9 @@
 //! With `sample = "latin"` or `"sobol"`, `count` and `seed` [0] are at the top of the sweep, not in its axes.
 //!
 //! # Rows
-//! The columns of the tables are described in their schema, and listed in [`row::columns`]. All except `run_time` depend
-//! only on the sweep: they are bit-identical on any machine, for any number of threads, shards and interruptions.
+//! The columns of the tables are described in their schema, and listed in [`row::columns`]. All except `run_time`
+//! depend only on the sweep: they are bit-identical on any machine, for any number of threads, shards and
+//! interruptions.
 
 pub mod bisect;
 pub mod builtin;

@@ -1,10 +1,11 @@
-//! Refinement: where neighbours differ in outcome, or by more than a jump in a measure, the grid is halved, level by level.
+//! Refinement: where neighbours differ in outcome, or by more than a jump in a measure, the grid is halved, level by
+//! level.
 //!
-//! A cell lies between neighbours of the grid of a level: it has 2ⁿ corners if n axes are ranges. It is divided if two of
-//! its known points differ: its corners, or points of finer levels on its faces. All 3ⁿ points of its halves are then
-//! required. This is repeated up to the last level, so that every cell of the last level whose corners or faces show a
-//! boundary is resolved. A region smaller than the cells of the first grid may be missed: the first grid must hit every
-//! region.
+//! A cell lies between neighbours of the grid of a level: it has 2ⁿ corners if n axes are ranges. It is divided if two
+//! of its known points differ: its corners, or points of finer levels on its faces. All 3ⁿ points of its halves are
+//! then required. This is repeated up to the last level, so that every cell of the last level whose corners or faces
+//! show a boundary is resolved. A region smaller than the cells of the first grid may be missed: the first grid must
+//! hit every region.
 //!
 //! The required points depend only on the results of runs, not on their order. A level can therefore be divided among
 //! machines, and an interrupted sweep resumes with the same rows.

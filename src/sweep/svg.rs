@@ -1,4 +1,5 @@
-//! The map as an SVG diagram. Rectangles of one colour are joined, so that even a map of a million points is a small file.
+//! The map as an SVG diagram. Rectangles of one colour are joined, so that even a map of a million points is a small
+//! file.
 
 use std::fmt::Write as _;
 
@@ -110,8 +111,8 @@ fn draw(text: &mut String, map: &Map, slice: &Slice, height: f64) {
     write(text, [0.0, -12.0], 16.0, "start", &slice.title);
 }
 
-/// Fills the cells of the points with one path per colour. A rectangle is a run of equal points, extended over equal runs
-/// above it.
+/// Fills the cells of the points with one path per colour. A rectangle is a run of equal points, extended over equal
+/// runs above it.
 fn fill(text: &mut String, map: &Map, slice: &Slice, height: f64) {
     let [columns, rows] = slice.size;
     let x = |k: usize| slice.edges[0][k] * MAP[0];

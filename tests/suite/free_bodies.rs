@@ -1,4 +1,5 @@
-//! Free bodies in worlds, as defined by scene files: closed forms, conservation, the third law, and changes between steps.
+//! Free bodies in worlds, as defined by scene files: closed forms, conservation, the third law, and changes between
+//! steps.
 
 use std::{fs, path::PathBuf};
 
@@ -69,8 +70,8 @@ const BRICK: DVec3 = DVec3::new(1.0, 0.7, 0.4);
 
 // ---- closed forms --------------------------------------------------------------------------------------------------
 
-/// A stiff brick rotates by Euler's equations, here integrated together with the rotation by a Runge–Kutta method with steps
-/// so small that only rounding errors remain. About the middle axis, it tumbles.
+/// A stiff brick rotates by Euler's equations, here integrated together with the rotation by a Runge–Kutta method with
+/// steps so small that only rounding errors remain. About the middle axis, it tumbles.
 #[test]
 fn a_brick_rotates_by_eulers_equations() {
     for (name, spin) in [("top", DVec3::new(0.6, 0.3, 2.0)), ("tumbling", DVec3::new(1e-3, 3.0, 0.0))] {

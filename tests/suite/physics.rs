@@ -671,8 +671,8 @@ fn pushes_match_their_closed_form_in_any_window() {
 // Far from the origin
 
 /// A million units from the origin, the position of a centre is rounded to 1.2e-10, and so is the distance between two
-/// centres. The effect on a vertex is this rounding times s/ω² ≈ 0.7; an event is shifted by the rounding divided by the
-/// speed of approach.
+/// centres. The effect on a vertex is this rounding times s/ω² ≈ 0.7; an event is shifted by the rounding divided by
+/// the speed of approach.
 #[test]
 fn a_scene_far_from_the_origin_is_the_same_scene() {
     let keys = [(0.0, dvec3(0.5, 2.5, 0.0)), (1.0, dvec3(0.4, 1.6, 0.2)), (2.2, dvec3(0.0, 2.6, 0.0))];

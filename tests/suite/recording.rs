@@ -604,7 +604,8 @@ impl Run {
         }
     }
 
-    /// Verifies that bodies at rest are instances of their shapes, deformed ones are in one mesh, and each appears once.
+    /// Verifies that bodies at rest are instances of their shapes, deformed ones are in one mesh, and each appears
+    /// once.
     fn verify_batches(&self) {
         let instances: Vec<_> =
             self.shapes().iter().map(|shape| (shape.clone(), self.track(&resting(shape)))).collect();

@@ -51,7 +51,8 @@ impl Reference {
         [1, 2, 4, 8].map(|divided| self.error(divided))
     }
 
-    /// Largest distance of any vertex or centre at any sampled time, in radii of its body, with steps of dt / `divided`.
+    /// Largest distance of any vertex or centre at any sampled time, in radii of its body, with steps of dt /
+    /// `divided`.
     fn error(&self, divided: u64) -> f64 {
         let scene = Scene { dt: self.scene.dt / divided as f64, ..self.scene.clone() };
         let steps = scene.steps();
@@ -233,8 +234,8 @@ fn free_bodies_match_the_reference() {
     }
 }
 
-/// With a tolerance that divides no step, a quarter of the step leaves only the error of the references, 1.1e-8. The error
-/// was 1.4e-6 while the iteration of a step ended at a fraction of the tolerance.
+/// With a tolerance that divides no step, a quarter of the step leaves only the error of the references, 1.1e-8. The
+/// error was 1.4e-6 while the iteration of a step ended at a fraction of the tolerance.
 #[test]
 fn free_bodies_converge_with_the_step() {
     for name in ["free_bounce", "free_settle", "free_tug"] {

@@ -51,8 +51,8 @@ fn error(motion: &str, dt: f64, alpha: f64) -> (f64, u64) {
     (worst, substeps)
 }
 
-/// A sphere passes so fast that vertices enter and leave it within one step, between two samples of the step: 2 units in
-/// 1/50 of the step.
+/// A sphere passes so fast that vertices enter and leave it within one step, between two samples of the step: 2 units
+/// in 1/50 of the step.
 #[test]
 fn a_vertex_that_enters_and_leaves_within_a_step() {
     let (error, substeps) = error("line = { from = [1.7, -40, 0], velocity = [0, 1000, 0] }", 0.1, 100.0);

@@ -531,7 +531,8 @@ fn a_stuck_viewer_delays_nothing() {
     let (_listener, port, _connection) = stuck_viewer();
     let destinations = Destinations { connect: Some(url(port)), ..to_file(&path) };
     let mut sinks = Sinks::open(&destinations).expect("a viewer and a file");
-    // 360 MB for the viewer, of which up to 128 MiB may be pending; each message exists only once, so it needs no memory
+    // 360 MB for the viewer, of which up to 128 MiB may be pending; each message exists only once, so it needs no
+    // memory
     let bulk = [step(0, 100_000), step(1, 100_000)];
     let sent: Vec<LogMsg> =
         opening().into_iter().chain((0..300).map(|i| bulk[i % 2].clone())).chain([step(2, 10)]).collect();

@@ -23,8 +23,8 @@ fn scenes() -> Vec<Scene> {
     scenes
 }
 
-/// A pair that comes to rest exactly on both its thresholds, at a keyframe. The result is the same whether this is found
-/// far ahead or within the step.
+/// A pair that comes to rest exactly on both its thresholds, at a keyframe. The result is the same whether this is
+/// found far ahead or within the step.
 fn arrival() -> Scene {
     let text = r#"
         name = "arrival"
@@ -44,8 +44,8 @@ fn arrival() -> Scene {
     Scene::parse(text, "arrival.toml").expect("a valid scene")
 }
 
-/// A body that oscillates after a push, into a sphere that never moves. In the step in which its vertices pass their rest
-/// positions, none is within reach.
+/// A body that oscillates after a push, into a sphere that never moves. In the step in which its vertices pass their
+/// rest positions, none is within reach.
 fn pendulum() -> Scene {
     let text = r#"
         name = "pendulum"
@@ -378,8 +378,8 @@ fn freely_oscillating_bodies_are_reached_again() {
     assert!(before > 0.05 && after > 1.2 * before, "{before} {after}");
 }
 
-/// Takes up to `steps` steps of the scene with and without skipping, and compares every vertex after every step, in radii,
-/// as well as the events.
+/// Takes up to `steps` steps of the scene with and without skipping, and compares every vertex after every step, in
+/// radii, as well as the events.
 fn assert_same_as_plain(scene: &Scene, steps: u64, tolerance: f64) {
     let plain = Options { skip: false, ..Options::default() };
     let mut worlds = [Options::default(), plain].map(|o| World::with_options(scene.clone(), o).expect("enough memory"));
@@ -429,8 +429,8 @@ fn bodies_out_of_reach_do_not_change_how_steps_are_divided() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
-    /// Bodies of sizes from 1 to 1,000 cross each other's paths: the grid finds the same pairs as a search over all pairs,
-    /// and every body within reach wakes.
+    /// Bodies of sizes from 1 to 1,000 cross each other's paths: the grid finds the same pairs as a search over all
+    /// pairs, and every body within reach wakes.
     #[test]
     fn bodies_of_all_sizes_find_each_other(
         bodies in prop::collection::vec((0.0..3.0_f64, prop::array::uniform3(-1.0..1.0_f64), prop::array::uniform3(-1.0..1.0_f64), 0..3), 3..12),

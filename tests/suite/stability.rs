@@ -49,7 +49,8 @@ fn exponential_passes_previously_failed_cases() {
             let row = stability::run(case, &settings(0, Integrator::Exponential)).expect("enough memory");
             for outcome in &row.outcomes {
                 assert_eq!(outcome.failure, None, "{what}, case {index}: {outcome:?}");
-                // the maximum is 54,710, in case 1813: 9 % more since error estimates only use the spheres that reach a vertex
+                // the maximum is 54,710, in case 1813: 9 % more since error estimates only use the spheres that reach a
+                // vertex
                 assert!(outcome.most_substeps <= 55_000, "{what}, case {index}: {outcome:?}");
             }
         }

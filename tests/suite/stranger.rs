@@ -68,8 +68,8 @@ fn any_simulation_is_recorded_replayed_compared_and_checked() {
     );
 }
 
-/// A rotating body is recorded in its own axes and read back in world axes, as its own entity and in a batch, at rest and
-/// deformed.
+/// A rotating body is recorded in its own axes and read back in world axes, as its own entity and in a batch, at rest
+/// and deformed.
 #[test]
 fn rotations_are_recorded_and_read_back() {
     let (dir, own) = (Dir::new(), Settings::of(&Octahedra(3.0)));

@@ -210,10 +210,10 @@ fn shards_refinement_and_a_plain_run_have_the_same_rows() {
 
 #[test]
 fn a_jump_of_a_measure_refines_like_a_boundary() {
-    // The closest approach is half the offset. It differs by 1/16 between neighbours of the first grid, and by less than
-    // 1/100 from the third level on. The last two levels add a point each only where the outcome changes (at 1.553 and 2.1),
-    // or where reach ends and there is no approach (at 2.414); the three points out of reach between 2.4375 and 2.5 are
-    // skipped.
+    // The closest approach is half the offset. It differs by 1/16 between neighbours of the first grid, and by less
+    // than 1/100 from the third level on. The last two levels add a point each only where the outcome changes (at 1.553
+    // and 2.1), or where reach ends and there is no approach (at 2.414); the three points out of reach between 2.4375
+    // and 2.5 are skipped.
     let text = "scene = 'passing.toml'\n[jump]\nclosest = 0.01\n\
                 [[axis]]\nkey = 'body.b.motion.line.from[1]'\nfrom = 1.5\nto = 2.5\ncount = 9\n";
     let dir = folder(text);

@@ -62,8 +62,8 @@ shape = { sphere = { stacks = 6, slices = 8 } }
 motion = { fixed = [1.23, 1.02, 3.24] }
 "#;
 
-/// There is no rim and no event, so only the estimate of the step error limits the error. Errors before the estimate was
-/// derived: 2.5e-4, 6.9e-4, 1.1e-5 and 1.1e-4, which are 4, 12, 18 and 179 times the allowed error.
+/// There is no rim and no event, so only the estimate of the step error limits the error. Errors before the estimate
+/// was derived: 2.5e-4, 6.9e-4, 1.1e-5 and 1.1e-4, which are 4, 12, 18 and 179 times the allowed error.
 #[test]
 fn stiff_bodies_meet_the_tolerance() {
     for (dt, tolerance) in [(0.02, 1e-4), (0.05, 1e-4), (0.1, 1e-6), (0.3, 1e-6)] {
@@ -76,8 +76,8 @@ fn stiff_bodies_meet_the_tolerance() {
 /// The first second and a half of the reference scene, in which the bodies merge.
 const TWO: &str = include_str!("../reference/two.toml");
 
-/// Steps that are too long for many vertices are shortened for all of them together. One by one, the vertices took 5,900,
-/// 13,000 and 2,900 steps.
+/// Steps that are too long for many vertices are shortened for all of them together. One by one, the vertices took
+/// 5,900, 13,000 and 2,900 steps.
 #[test]
 fn tight_tolerances_take_few_steps() {
     for (dt, tolerance, limit) in [(1.0 / 60.0, 1e-9, 800), (1.0 / 60.0, 1e-10, 1000), (1.0 / 15.0, 1e-6, 400)] {

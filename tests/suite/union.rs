@@ -1,5 +1,5 @@
-//! Merged surfaces in recordings and in exported files, and random unions compared with `manifold-rust`: for three seconds,
-//! or longer with `MELDSCOPE_FUZZ_SECONDS`. `cargo bench --bench union -- fuzz` runs any number of them.
+//! Merged surfaces in recordings and in exported files, and random unions compared with `manifold-rust`: for three
+//! seconds, or longer with `MELDSCOPE_FUZZ_SECONDS`. `cargo bench --bench union -- fuzz` runs any number of them.
 
 #[path = "../benches/union/fuzz.rs"]
 mod fuzz;

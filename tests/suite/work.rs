@@ -62,7 +62,8 @@ fn steps(scene: &str, max_steps: u64, options: Options) -> (u64, Option<Failure>
     (max_steps, None)
 }
 
-/// An endless step is not taken; the error names the step and a remedy. The result is the same for any number of threads.
+/// An endless step is not taken; the error names the step and a remedy. The result is the same for any number of
+/// threads.
 #[test]
 fn endless_work_ends_with_a_failure() {
     let cases = [

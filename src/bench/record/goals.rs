@@ -9,8 +9,8 @@ use crate::{
 /// Scenes with at least this many bodies have a goal for their number of entities.
 const CROWD: usize = 1000;
 
-/// The goals for which there is a measurement. (The requirement that the cost of a checksum depends on the influence, not
-/// on the number of bodies, has no figure; the factor of 10 was chosen here.)
+/// The goals for which there is a measurement. (The requirement that the cost of a checksum depends on the influence,
+/// not on the number of bodies, has no figure; the factor of 10 was chosen here.)
 pub fn goals(report: &Report) -> Vec<Goal> {
     let saved = |scene: &str, detail: Detail| {
         let is_it = |m: &&Measurement| {

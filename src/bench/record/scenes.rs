@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 
 use crate::scene::{Scene, SceneError};
 
-/// Two bodies that meet and separate every four seconds, forever, like the pairs of `bench scale`. Kept as text, because
-/// a recording is replayed from its scene text.
+/// Two bodies that meet and separate every four seconds, forever, like the pairs of `bench scale`. Kept as text,
+/// because a recording is replayed from its scene text.
 const PAIR: &str = r#"name = "pair"
 duration = 100.0
 

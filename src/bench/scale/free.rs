@@ -66,8 +66,8 @@ pub struct Free {
     pub resting: Vec<Resting>,
 }
 
-/// Measures pairs with the given numbers of bodies, and as many bodies at rest. `prescribed` returns the step time on one
-/// core of the same number of bodies on paths [s].
+/// Measures pairs with the given numbers of bodies, and as many bodies at rest. `prescribed` returns the step time on
+/// one core of the same number of bodies on paths [s].
 ///
 /// # Errors
 /// [`TooLarge`]

@@ -1,8 +1,8 @@
 //! The energy bound: limits of a vertex's displacement and velocity, given the forces so far.
 //!
 //! Starting from rest, `x(t) = ∫ S(t − s) F(s) ds` with the impulse response S of the oscillator, so bounds of F and S
-//! bound x and x′. In addition, `√(|u|² + ω²|x|²)` grows at a rate of at most |F|. If nothing around the body ever moves
-//! or changes, then E of [`energy`](crate::model::energy) never grows.
+//! bound x and x′. In addition, `√(|u|² + ω²|x|²)` grows at a rate of at most |F|. If nothing around the body ever
+//! moves or changes, then E of [`energy`](crate::model::energy) never grows.
 
 use std::f64::consts::PI;
 

@@ -20,8 +20,8 @@ pub struct Exact {
     pub terms: f64,
 }
 
-/// The displacement at time `t` [s] of the vertex of body `index` whose rest position has the direction `facing`; `None`
-/// if there is no closed form.
+/// The displacement at time `t` [s] of the vertex of body `index` whose rest position has the direction `facing`;
+/// `None` if there is no closed form.
 pub fn displacement(scene: &Scene, index: usize, facing: DVec3, t: f64) -> Option<Exact> {
     let body = &scene.bodies[index];
     let (omega, damping) = (body.material.omega, body.material.damping);

@@ -1,9 +1,9 @@
 //! Free bodies at the limits: mass ratios, spins, deep overlap, corners of planes, stacks, stiff springs.
 //!
 //! The energy of free bodies is bounded by the initial kinetic energy, the initial potential energy of planes and
-//! gravity, and the maximum that spheres can add initially and at each event. A run that exceeds this bound by the factor
-//! [`super::MARGIN`], or is not finite, is not a solution. Runs that the integrator ends with a reason are counted
-//! separately.
+//! gravity, and the maximum that spheres can add initially and at each event. A run that exceeds this bound by the
+//! factor [`super::MARGIN`], or is not finite, is not a solution. Runs that the integrator ends with a reason are
+//! counted separately.
 
 use std::fmt::Write as _;
 
@@ -281,8 +281,8 @@ pub fn table(rows: &[Row]) -> String {
     tables::table(heading.collect::<Vec<_>>(), Axis::ALL.into_iter().map(line))
 }
 
-/// The cases that an integrator stopped or failed, with the reasons. For the exponential integrator, these are all cases;
-/// for the explicit schemes, which fail many for the same reason, only the first of each axis.
+/// The cases that an integrator stopped or failed, with the reasons. For the exponential integrator, these are all
+/// cases; for the explicit schemes, which fail many for the same reason, only the first of each axis.
 pub fn failures(rows: &[Row], of: Integrator) -> Vec<String> {
     let failure = |row: &Row| {
         let (_, verdict) = row.verdicts.iter().find(|verdict| verdict.0 == of)?;

@@ -138,7 +138,8 @@ fn compare(scene: &Scene, tally: &mut Tally) -> Result<(), String> {
     if (own.euler, own.components) != (oracle.euler, oracle.components) {
         for seed in 0..3 {
             let shifted = scene.shifted(seed, SHIFT);
-            // a shift may itself bring bodies into contact: in scene 104547, the second one leaves two planes 4e-9 apart
+            // a shift may itself bring bodies into contact: in scene 104547, the second one leaves two planes 4e-9
+            // apart
             if let Some(first) = difference_in_topology(&shifted)?
                 && difference_in_topology(&shifted.shifted(seed + 3, SHIFT))?.is_some()
             {

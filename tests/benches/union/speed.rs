@@ -10,7 +10,8 @@ use super::{
     scenes::{Shape, sphere},
 };
 
-/// Each union is computed for at least this total time [s], and at least [`MIN_RUNS`] times; the shortest time is reported.
+/// Each union is computed for at least this total time [s], and at least [`MIN_RUNS`] times; the shortest time is
+/// reported.
 const SECONDS: f64 = 1.0;
 const MIN_RUNS: u32 = 3;
 
