@@ -720,7 +720,7 @@ fn claims_are_limited_by_the_size_of_the_recording() {
     let at = |step: u64| Instant { step, time: step as f64 / 60.0 };
 
     // 80 and 8 MB of zeros
-    for (count, what) in [(10_000_000, "unpack to"), (1_000_000, "checksums within")] {
+    for (count, what) in [(10_000_000, "unpack to"), (1_000_000, "checksums in")] {
         let mut chunks = store();
         let zeros = Arc::new(UInt64Array::from(vec![0; count])) as ArrayRef;
         let row = AnyValues::default().with_component_from_data("checksum", zeros);
