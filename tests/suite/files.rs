@@ -96,7 +96,7 @@ fn a_scene_is_never_replaced_by_its_recording() {
             &["diff", "a.rrd", "a.rrd", "--save", way],
         ] {
             let error = rejected(&dir, arguments);
-            assert!(error.contains("it is no recording") && error.contains("another name"), "{error}");
+            assert!(error.contains("it is not a recording") && error.contains("another name"), "{error}");
         }
     }
     #[cfg(target_os = "linux")]
@@ -106,7 +106,7 @@ fn a_scene_is_never_replaced_by_its_recording() {
         let output = Command::new("sh").args(["-c", &script]).current_dir(dir.path()).output().expect("a shell");
         let error = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{error}");
-        assert!(error.contains("holds something already") || error.contains("is also standard output"), "{error}");
+        assert!(error.contains("is not empty") || error.contains("is also standard output"), "{error}");
         let script = format!("'{}' run s.toml --save /dev/stdout {redirection}", env!("CARGO_BIN_EXE_meldscope"));
         if redirection != ">> a.rrd" {
             let output = Command::new("sh").args(["-c", &script]).current_dir(dir.path()).output().expect("a shell");
@@ -131,7 +131,7 @@ fn only_recordings_are_replaced() {
     for (name, text) in [("letter.txt", "Dear all,"), ("short.rrd", "RR"), ("code.rrd", "fn main() {}")] {
         fs::write(dir.file(name), text).expect("disk space");
         let error = rejected(&dir, &["run", "s.toml", "--save", name]);
-        assert!(error.contains("it is no recording") && error.contains("remove it"), "{error}");
+        assert!(error.contains("it is not a recording") && error.contains("remove it"), "{error}");
     }
     // files as created by mktemp, and by an earlier run
     fs::write(dir.file("empty.rrd"), "").expect("disk space");
@@ -284,11 +284,11 @@ fn links_at_the_partial_path_are_not_followed() {
     fs::remove_dir(dir.file("x.rrd.partial")).expect("it exists");
     assert!(Command::new("mkfifo").arg(dir.file("x.rrd.partial")).status().expect("mkfifo").success());
     let error = rejected(&dir, &["run", "s.toml", "--save", "x.rrd"]);
-    assert!(error.contains("is no file"), "{error}");
+    assert!(error.contains("is not a file"), "{error}");
     fs::remove_file(dir.file("x.rrd.partial")).expect("it exists");
     fs::write(dir.file("x.rrd.partial"), "a letter").expect("disk space");
     let error = rejected(&dir, &["run", "s.toml", "--save", "x.rrd"]);
-    assert!(error.contains("is no recording"), "{error}");
+    assert!(error.contains("is not a recording"), "{error}");
     fs::remove_file(dir.file("x.rrd.partial")).expect("it exists");
 
     // the file of a killed run is replaced; its hard links keep their content

@@ -496,7 +496,7 @@ fn a_missing_viewer_is_an_error_only_without_another_destination() {
     let path = dir.file("run.rrd");
     let mut sinks = Sinks::open(&Destinations { save: Some(path.clone()), ..alone }).expect("a file at least");
     let notes = sinks.notes();
-    assert!(notes.len() == 1 && notes[0].starts_with("going on without a viewer: no viewer answers"), "{notes:?}");
+    assert!(notes.len() == 1 && notes[0].starts_with("continuing without a viewer: no viewer answers"), "{notes:?}");
     send_all(&mut sinks, &recording(3));
     assert!(sinks.finish().expect("disk space").viewers.is_empty());
     assert_eq!(read(&path).len(), 5);
@@ -547,7 +547,7 @@ fn a_stuck_viewer_delays_nothing() {
     let [viewer] = &finished.viewers[..] else { panic!("{:?}", finished.viewers) };
     assert!(!viewer.is_complete && viewer.left_out > 100, "{viewer:?}");
     let [note] = &finished.notes[..] else { panic!("{:?}", finished.notes) };
-    assert!(note.contains("has taken nothing for 1 s and is given up, "), "{note}");
+    assert!(note.contains("has accepted nothing for 1 s and is given up, "), "{note}");
 }
 
 #[test]
@@ -630,7 +630,7 @@ fn a_viewer_that_cannot_be_started_is_an_error_only_without_another_destination(
     let path = dir.file("run.rrd");
     let mut sinks = Sinks::open(&Destinations { save: Some(path.clone()), ..spawning(&missing, free_port()) })
         .expect("a file at least");
-    assert!(sinks.notes()[0].starts_with("going on without a viewer: cannot start"));
+    assert!(sinks.notes()[0].starts_with("continuing without a viewer: cannot start"));
     send_all(&mut sinks, &recording(3));
     sinks.finish().expect("disk space");
     assert_eq!(read(&path).len(), 5);

@@ -170,14 +170,14 @@ pub(super) fn file_help(source: &io::Error, kept: Option<&std::path::Path>) -> S
         io::ErrorKind::StorageFull => "the disk is full: make room or save elsewhere",
         io::ErrorKind::QuotaExceeded => "your disk quota is used up: make room or save elsewhere",
         io::ErrorKind::FileTooLarge => "the file system or a limit (`ulimit -f`) allows no larger file: save elsewhere",
-        io::ErrorKind::PermissionDenied => "you may not write there: save elsewhere",
+        io::ErrorKind::PermissionDenied => "you have no write permission there: save elsewhere",
         io::ErrorKind::ReadOnlyFilesystem => "the file system is read-only: save elsewhere",
         io::ErrorKind::BrokenPipe => "the program that was reading it has gone",
         io::ErrorKind::IsADirectory => "that is a directory: give the name of a file",
         _ => "save elsewhere",
     };
     match kept {
-        Some(kept) => format!("{remedy}; what was written until then is in {}", kept.display()),
+        Some(kept) => format!("{remedy}; the data written so far is in {}", kept.display()),
         None => remedy.to_owned(),
     }
 }

@@ -62,13 +62,13 @@ impl Drop for Partial {
 }
 
 impl Claim {
-    /// Performs all checks that are possible before a run: whether `path` can be written, whether an existing file may
-    /// be replaced, and whether another run is writing it.
+    /// Performs all checks that are possible before a run: that `path` can be written, that an existing file may be
+    /// replaced, and that no other run is writing it.
     pub fn new(path: &Path) -> Result<Claim, SinkError> {
         let resolved = std::fs::canonicalize(path);
         let is_link = std::fs::symlink_metadata(path).is_ok_and(|there| there.is_symlink());
         let path = &resolved.unwrap_or_else(|_| path.to_owned());
-        let refuse = |doing, source: io::Error| {
+        let file_error = |doing, source: io::Error| {
             let help = match (source.kind(), path.parent().filter(|parent| !parent.as_os_str().is_empty())) {
                 (io::ErrorKind::NotFound, Some(parent)) if !parent.is_dir() => {
                     format!("there is no directory {}: create it first", parent.display())
@@ -82,36 +82,37 @@ impl Claim {
         let mut there = None;
         match std::fs::metadata(path) {
             _ if is_null(path) => {
-                let file = OpenOptions::new().write(true).open(path).map_err(|err| refuse("write", err))?;
+                let file = OpenOptions::new().write(true).open(path).map_err(|err| file_error("write", err))?;
                 return Ok(Claim { path: path.clone(), file, partial: None, is_stale: false, there });
             }
-            Ok(found) if found.is_dir() => return Err(refuse("write", io::ErrorKind::IsADirectory.into())),
+            Ok(found) if found.is_dir() => return Err(file_error("write", io::ErrorKind::IsADirectory.into())),
             Ok(found) if is_disk(&found) => return Err(taken("it is a disk; save to a file")),
             Ok(found) if found.is_file() => {
                 // renaming would replace even a write-protected file, so check for write permission here
-                let file = OpenOptions::new().read(true).write(true).open(path).map_err(|err| refuse("write", err))?;
-                if !may_be_replaced(&file).map_err(|err| refuse("read", err))? {
+                let file =
+                    OpenOptions::new().read(true).write(true).open(path).map_err(|err| file_error("write", err))?;
+                if !may_be_replaced(&file).map_err(|err| file_error("read", err))? {
                     return Err(taken(NO_RECORDING));
                 }
-                there = Some(Handle::from_file(file).map_err(|err| refuse("read", err))?);
+                there = Some(Handle::from_file(file).map_err(|err| file_error("read", err))?);
             }
             Ok(_) => {
-                let file = OpenOptions::new().write(true).open(path).map_err(|err| refuse("write", err))?;
+                let file = OpenOptions::new().write(true).open(path).map_err(|err| file_error("write", err))?;
                 return Ok(Claim { path: path.clone(), file, partial: None, is_stale: false, there });
             }
             Err(err) if err.kind() == io::ErrorKind::NotFound && is_link => {
                 return Err(taken("it is a symbolic link to nothing; remove it or save under another name"));
             }
             Err(err) if err.kind() == io::ErrorKind::NotFound => {}
-            Err(err) => return Err(refuse("write", err)),
+            Err(err) => return Err(file_error("write", err)),
         }
 
         let Some(name) = path.file_name() else {
-            return Err(refuse("write", io::ErrorKind::IsADirectory.into()));
+            return Err(file_error("write", io::ErrorKind::IsADirectory.into()));
         };
         // a file that another run writes under that name would be renamed by that run
         if path.extension().is_some_and(|extension| extension == "partial") {
-            return Err(taken("files of runs that are going on end in .partial; save under another name"));
+            return Err(taken("names that end in .partial are for unfinished recordings; save under another name"));
         }
         let mut partial_name = name.to_owned();
         partial_name.push(".partial");
@@ -131,27 +132,26 @@ impl Claim {
                     continue;
                 }
                 Err(err) if err.kind() == io::ErrorKind::AlreadyExists => {}
-                Err(err) => return Err(refuse("create", err)),
+                Err(err) => return Err(file_error("create", err)),
             }
             match std::fs::symlink_metadata(&partial) {
                 Ok(found) if found.is_file() => {}
                 Ok(there) => {
-                    let kind = if there.is_symlink() { "is a symbolic link" } else { "is no file" };
+                    let kind = if there.is_symlink() { "is a symbolic link" } else { "is not a file" };
                     return Err(in_the_way(&format!("{kind}; remove it or save under another name")));
                 }
                 // it was renamed or removed in the meantime
                 Err(err) if err.kind() == io::ErrorKind::NotFound => continue,
-                Err(err) => return Err(refuse("create the .partial file of", err)),
+                Err(err) => return Err(file_error("create the .partial file of", err)),
             }
             let file = match OpenOptions::new().read(true).write(true).open(&partial) {
                 Ok(file) => file,
                 Err(err) if err.kind() == io::ErrorKind::NotFound => continue,
-                Err(err) => return Err(refuse("create the .partial file of", err)),
+                Err(err) => return Err(file_error("create the .partial file of", err)),
             };
             if lock(&file, path)?.is_none() {
                 return Err(in_the_way(
-                    "cannot be locked on this file system and may be that of a run that is going on; remove it if there is \
-                     none",
+                    "cannot be locked on this file system and may belong to a run in progress; remove it if there is none",
                 ));
             }
             // The run that held the lock may have renamed this very file to `path` in the meantime. Then it is a
@@ -159,8 +159,8 @@ impl Claim {
             if !leads_to(&partial, &file) {
                 continue;
             }
-            if !may_be_replaced(&file).map_err(|err| refuse("read the .partial file of", err))? {
-                return Err(in_the_way("is no recording; remove it or save under another name"));
+            if !may_be_replaced(&file).map_err(|err| file_error("read the .partial file of", err))? {
+                return Err(in_the_way("is not a recording; remove it or save under another name"));
             }
             let partial = Some(Partial { path: partial, is_kept: true });
             return Ok(Claim { path: path.clone(), file, partial, is_stale: true, there });
@@ -197,9 +197,9 @@ impl Claim {
     }
 }
 
-/// The reason for refusing to replace a file.
+/// The reason for not replacing a file.
 const NO_RECORDING: &str =
-    "it is no recording, and nothing else is replaced; save under another name or remove it first";
+    "it is not a recording, and only recordings are replaced; save under another name or remove it first";
 
 /// Whether a file may be replaced: it is empty or a recording.
 fn may_be_replaced(file: &File) -> io::Result<bool> {
@@ -290,7 +290,7 @@ pub(super) struct Writer {
     held: Option<Held>,
 }
 
-/// What keeps the claim to a file until it is renamed.
+/// Keeps the claim to a file until the file is renamed.
 struct Held {
     partial: Option<Partial>,
     /// Open until the end, because the lock is released with the last handle.
@@ -299,7 +299,7 @@ struct Held {
     there: Option<Handle>,
 }
 
-/// What a writer has written.
+/// The output of a writer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Written {
     /// Size of the recording, footer included [bytes].
@@ -370,10 +370,10 @@ impl Writer {
             (&self.target, self.held.take())
         {
             file.sync_all().map_err(|err| self.target.error("sync", err))?;
-            // in the course of the run, something else may have been put at the destination
+            // another file may have been put at the destination during the run
             let in_the_way = |what: &str| SinkError::Taken {
                 path: path.clone(),
-                what: format!("{what}; what was recorded is in {}", partial.path.display()),
+                what: format!("{what}; the recording is in {}", partial.path.display()),
             };
             if !leads_to(&partial.path, &file) {
                 return Err(SinkError::Taken {
@@ -384,14 +384,13 @@ impl Writer {
             if let Ok(found) = std::fs::symlink_metadata(path) {
                 let is_same = found.is_file() && there.is_some() && Handle::from_path(path).ok() == there;
                 if !is_same || !File::open(path).is_ok_and(|file| may_be_replaced(&file).unwrap_or(false)) {
-                    return Err(in_the_way("something else has been put there meanwhile"));
+                    return Err(in_the_way("something else has been put there in the meantime"));
                 }
             }
             drop(there);
             std::fs::rename(&partial.path, path)
                 .map_err(|err| self.target.error("rename the .partial file to", err))?;
-            // the name is part of the directory, which must be synced separately; where that is impossible there is no
-            // remedy
+            // the name is part of the directory, which must be synced separately; if that fails, there is no remedy
             if let Some(Ok(directory)) = path.parent().map(File::open) {
                 directory.sync_all().ok();
             }
@@ -404,7 +403,7 @@ impl Writer {
         self.queue.close();
         let gone = || SinkError::Thread {
             target: self.target.name(),
-            reason: "its thread is gone; this is a bug, please report it".to_owned(),
+            reason: "its thread has ended; this is a bug, please report it".to_owned(),
         };
         let result = self.thread.take().map(JoinHandle::join);
         match (result, self.queue.failure()) {
@@ -415,7 +414,7 @@ impl Writer {
     }
 }
 
-/// On failure: what was written gets its footer and remains in the temporary file.
+/// On failure: the data written so far gets its footer and remains in the temporary file.
 impl Drop for Writer {
     fn drop(&mut self) {
         if self.thread.is_none() {
@@ -436,11 +435,11 @@ impl Drop for Writer {
 /// Rejects a standard output that a recording would corrupt, or that would corrupt one: a non-empty file, or the file
 /// to save to.
 pub(super) fn check_stdout(save: Option<&Path>) -> Result<(), SinkError> {
-    let refuse = |what: &str| Err(SinkError::StdoutTaken { what: what.to_owned() });
+    let rejected = |what: &str| Err(SinkError::StdoutTaken { what: what.to_owned() });
     let Ok(stdout) = Handle::stdout() else { return Ok(()) };
     match stdout.as_file().metadata() {
         Ok(there) if there.is_file() && there.len() > 0 => {
-            return refuse("standard output is a file that holds something already; send the recording to a new one");
+            return rejected("standard output is a file that is not empty; send the recording to a new one");
         }
         Ok(there) if !there.is_file() => return Ok(()),
         _ => {}
@@ -448,7 +447,7 @@ pub(super) fn check_stdout(save: Option<&Path>) -> Result<(), SinkError> {
     let is_file = |path: &&Path| std::fs::metadata(path).is_ok_and(|there| there.is_file());
     match save.filter(is_file).map(Handle::from_path) {
         Some(Ok(save)) if save == stdout => {
-            refuse("standard output is the file to save to as well; leave one of them out")
+            rejected("standard output is the file to save to as well; leave one of them out")
         }
         _ => Ok(()),
     }
@@ -505,7 +504,7 @@ fn encode<W: Write>(target: &Target, queue: &Queue, encoder: &mut Encoder<W>) ->
         let idle = (!is_flushed).then(|| FLUSH_EVERY.saturating_sub(flushed_at.elapsed()));
         let batch = queue.take(BATCH, idle);
         if messages == 0 {
-            flushed_at = Instant::now(); // nothing was at risk before
+            flushed_at = Instant::now(); // no data was at risk before
         }
         for msg in &batch.messages {
             encoder.append(msg).map_err(|err| target.encode_error(err))?;

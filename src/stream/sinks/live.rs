@@ -26,9 +26,9 @@ const LOOK_UP: Duration = Duration::from_secs(5);
 pub(super) struct Live {
     queue: Arc<Queue>,
     /// Whether its disconnection has been reported to the user.
-    pub said_gone: bool,
+    pub reported_gone: bool,
     /// Whether dropped messages have been reported to the user.
-    pub said_thinned: bool,
+    pub reported_thinned: bool,
 }
 
 impl Live {
@@ -38,7 +38,7 @@ impl Live {
         Live::start(name, VIEWER_LIMIT, WhenFull::Thin, false, move || Ok(Box::new(GrpcSink::new(uri))))
     }
 
-    /// Starts the thread, which calls `open`. With `stays`, the sink is dropped only on [`Live::release`], not as soon
+    /// Starts the thread, which calls `open`. With `stays`, the sink is dropped only on [`Queue::release`], not as soon
     /// as everything is delivered.
     pub fn start(
         name: String,
@@ -60,7 +60,7 @@ impl Live {
             }
         });
         match thread {
-            Ok(_) => Ok(Live { queue, said_gone: false, said_thinned: false }),
+            Ok(_) => Ok(Live { queue, reported_gone: false, reported_thinned: false }),
             Err(err) => Err(SinkError::Thread { target: name, reason: err.to_string() }),
         }
     }
@@ -81,7 +81,7 @@ impl Live {
     }
 }
 
-/// On failure: the viewer is not waited for.
+/// On failure: does not wait for the viewer.
 impl Drop for Live {
     fn drop(&mut self) {
         self.queue.release();
@@ -112,7 +112,7 @@ fn attend(queue: &Queue, sink: Box<dyn LogSink>, stays: bool) {
             break;
         }
     }
-    // blocks until the other side has received everything, forever if it does not read
+    // blocks until the other side has received everything: forever, if it does not read
     drop(sink);
 }
 
@@ -130,7 +130,7 @@ fn plain(error: &str) -> String {
     }
 }
 
-/// Checks that something listens at the address; otherwise the SDK would retry to connect forever.
+/// Checks that something listens at the address; otherwise the SDK would retry forever.
 pub(super) fn probe(uri: &ProxyUri) -> Result<(), SinkError> {
     let address = format!("{}:{}", uri.origin.format_host(), uri.origin.port);
     let attempt = within(LOOK_UP, move || {
@@ -154,14 +154,14 @@ pub(super) fn probe(uri: &ProxyUri) -> Result<(), SinkError> {
 /// The result of `work`, or `None` if it takes longer than `limit`, cannot be started, or panics. After a timeout it
 /// continues in the background, and its result is ignored.
 pub(super) fn within<T: Send + 'static>(limit: Duration, work: impl FnOnce() -> T + Send + 'static) -> Option<T> {
-    let (answer, question) = mpsc::sync_channel(1);
+    let (sender, receiver) = mpsc::sync_channel(1);
     let thread = std::thread::Builder::new().name("bounded".to_owned());
     thread
         .spawn(move || {
             if let Ok(result) = catch_unwind(AssertUnwindSafe(work)) {
-                answer.send(result).ok();
+                sender.send(result).ok();
             }
         })
         .ok()?;
-    question.recv_timeout(limit).ok()
+    receiver.recv_timeout(limit).ok()
 }

@@ -55,7 +55,7 @@ pub struct Destinations {
     pub connect: Option<String>,
     /// The web viewer to serve.
     pub serve: Option<Serve>,
-    /// How long a viewer may make no progress with the remaining messages after the run before it is given up [5 s].
+    /// Time limit, after the run, on a viewer that makes no progress with the remaining messages [5 s].
     pub patience: Duration,
 }
 
@@ -67,7 +67,7 @@ impl Default for Destinations {
     }
 }
 
-/// A viewer to start. If a viewer listens on the port already, it is used instead.
+/// A viewer to start. If a viewer already listens on the port, it is used instead.
 #[derive(Clone, Debug)]
 pub struct Spawn {
     /// Path of the viewer, or a name to be found on the PATH [`rerun`].
@@ -122,7 +122,7 @@ pub struct Finished {
     pub save: Option<Saved>,
     /// Bytes written to standard output.
     pub stdout: Option<u64>,
-    /// The result of each viewer that was connected.
+    /// The result of each connected viewer.
     pub viewers: Vec<Watched>,
     /// Notes for the user since the last [`Sinks::notes`].
     pub notes: Vec<String>,
@@ -207,7 +207,7 @@ impl Sinks {
         if is_alone {
             return Err(missing.into_iter().next().unwrap_or(SinkError::Nowhere));
         }
-        sinks.notes.extend(missing.iter().map(|err| format!("going on without a viewer: {err}")));
+        sinks.notes.extend(missing.iter().map(|err| format!("continuing without a viewer: {err}")));
         if let Some(claim) = claim {
             let (writer, note) = claim.start()?;
             sinks.notes.extend(note);
@@ -243,7 +243,7 @@ impl Sinks {
 
     /// Whether a file or pipe has failed, or no destination is left.
     pub fn failed(&self) -> bool {
-        !self.is_anyone_left() || self.writers.iter().any(Writer::failed)
+        !self.is_any_left() || self.writers.iter().any(Writer::failed)
     }
 
     /// Notes for the user since the last call: whole sentences, each given once.
@@ -264,7 +264,7 @@ impl Sinks {
     /// Like [`Sinks::send`], to some of the destinations.
     ///
     /// # Errors
-    /// The same as those of [`Sinks::send`].
+    /// As for [`Sinks::send`].
     pub fn send_to(&mut self, audience: Audience, msg: LogMsg) -> Result<(), SinkError> {
         let parcel = Parcel::new(msg);
         if audience != Audience::Viewers {
@@ -286,7 +286,7 @@ impl Sinks {
             gone = server.send(parcel).err().or(gone);
         }
         match gone {
-            Some(err) if !self.is_anyone_left() => Err(err),
+            Some(err) if !self.is_any_left() => Err(err),
             _ => Ok(()),
         }
     }
@@ -296,8 +296,8 @@ impl Sinks {
         self.writers.iter().try_for_each(Writer::flush)
     }
 
-    /// Finishes all destinations: writes footers, syncs and renames files, and delivers what remains to viewers as far
-    /// as they accept it. Every destination is finished even if one fails; the first failure is returned.
+    /// Finishes all destinations: writes footers, syncs and renames files, and delivers the remaining messages to
+    /// viewers that still accept them. Every destination is finished even if one fails; the first failure is returned.
     pub fn finish(mut self) -> Result<Finished, SinkError> {
         // close all of them first, so that they finish in parallel
         self.writers.iter().for_each(Writer::close);
@@ -328,7 +328,7 @@ impl Sinks {
                 let left =
                     if rest > 0 { format!(", {} before the end", counted(rest, "message")) } else { String::new() };
                 self.notes.push(format!(
-                    "{} has taken nothing for {} and is given up{left}",
+                    "{} has accepted nothing for {} and is disconnected{left}",
                     queue.name(),
                     seconds(self.patience)
                 ));
@@ -343,11 +343,11 @@ impl Sinks {
         if let Some(server) = &self.server
             && !server.live.queue().wait_drained(self.patience)
         {
-            self.notes.push("the data server is behind; it goes on meanwhile".to_owned());
+            self.notes.push("the data server is behind; it continues in the background".to_owned());
         }
         self.update_notes();
         let is_saved = save.is_some() || stdout.is_some();
-        if failure.is_none() && !is_saved && !self.is_anyone_left() {
+        if failure.is_none() && !is_saved && !self.is_any_left() {
             failure = self.viewers.iter().map(Live::failure).chain([self.server_failure()]).flatten().next();
         }
         if let Some(failure) = failure {
@@ -368,7 +368,7 @@ impl Sinks {
     }
 
     /// Whether any destination still receives messages.
-    fn is_anyone_left(&self) -> bool {
+    fn is_any_left(&self) -> bool {
         !self.writers.is_empty()
             || self.memory.is_some()
             || self.viewers.iter().any(|viewer| viewer.failure().is_none())
@@ -377,25 +377,25 @@ impl Sinks {
 
     /// Adds notes about changes in the state of viewers and the server.
     fn update_notes(&mut self) {
-        let is_news = |live: &Live| !live.said_gone && live.failure().is_some();
+        let is_news = |live: &Live| !live.reported_gone && live.failure().is_some();
         let has_news = self.viewers.iter().chain(self.server.as_ref().map(|server| &server.live)).any(is_news);
         let rest = if has_news { self.rest() } else { String::new() };
         let lives = self.viewers.iter_mut().chain(self.server.as_mut().map(|server| &mut server.live));
         for live in lives {
             if let Some(failure) = live.failure()
-                && !std::mem::replace(&mut live.said_gone, true)
+                && !std::mem::replace(&mut live.reported_gone, true)
             {
                 let why = match &failure {
                     SinkError::Gone { messages, reason, .. } => {
                         format!("went away after {} ({reason})", counted(*messages, "message"))
                     }
-                    other => format!("is gone ({other})"),
+                    other => format!("has failed ({other})"),
                 };
                 self.notes.push(format!("{} {why}{rest}", live.queue().name()));
             }
-            if live.queue().left_out() > 0 && !std::mem::replace(&mut live.said_thinned, true) {
+            if live.queue().left_out() > 0 && !std::mem::replace(&mut live.reported_thinned, true) {
                 self.notes.push(format!(
-                    "{} cannot keep up: older values are left out for it, where newer ones follow{}",
+                    "{} cannot keep up: it does not get values that newer ones replace{}",
                     live.queue().name(),
                     if self.is_recorded { " (the recording has them all)" } else { "" }
                 ));
@@ -404,18 +404,18 @@ impl Sinks {
         self.notes.extend(self.server.as_mut().and_then(Server::forgetting));
     }
 
-    /// The second half of a note about a lost destination: which ones are left.
+    /// The end of a note about a lost destination: the destinations that are left.
     fn rest(&self) -> String {
         let mut rest: Vec<String> = Vec::new();
         for writer in &self.writers {
             rest.push(match writer.path() {
                 Some(path) => format!("{} is still being written", path.display()),
-                None => "standard output goes on".to_owned(),
+                None => "standard output continues".to_owned(),
             });
         }
         let lives = self.viewers.iter().chain(self.server.as_ref().map(|server| &server.live));
         for live in lives.filter(|live| live.failure().is_none()) {
-            rest.push(format!("{} goes on", live.queue().name()));
+            rest.push(format!("{} continues", live.queue().name()));
         }
         if rest.is_empty() { String::new() } else { format!("; {}", listed(&rest)) }
     }

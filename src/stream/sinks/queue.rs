@@ -16,7 +16,7 @@ const BULKY: u64 = 8 * 1024;
 /// Overhead of a column in addition to its values: its description and the sizes of the vectors [bytes].
 const COLUMN: u64 = 512;
 
-/// A message in transit, with what the queues need to know about it.
+/// A message in transit, with its size and stream.
 #[derive(Clone)]
 pub(super) struct Parcel {
     pub msg: LogMsg,
@@ -33,7 +33,7 @@ impl Parcel {
 }
 
 /// Size in memory [bytes], as if no other owner held the data: several queues may share a message, but each must assume
-/// that it keeps it longest. (The SDK's own figure is divided by the number of owners.)
+/// that it holds the message longest. (The SDK's own figure is divided by the number of owners.)
 fn size_of(msg: &LogMsg) -> u64 {
     match msg {
         LogMsg::ArrowMsg(_, arrow) => {
@@ -142,8 +142,8 @@ pub(super) enum WhenFull {
 
 /// A queue for one sender and one thread that serves a destination.
 ///
-/// Memory bound: `limit` bytes waiting or in delivery, or one larger message. If messages may be dropped, twice that,
-/// in case those that must not be dropped take so much.
+/// Memory bound: `limit` bytes waiting or in delivery, or one larger message. If messages may be dropped, twice that:
+/// the messages that must not be dropped may exceed the limit.
 pub(super) struct Queue {
     /// Name of the destination in messages to users.
     name: String,
@@ -346,8 +346,8 @@ impl Queue {
 
     // ---- the thread's side ----
 
-    /// The next messages, at most `most`. Waits for one, for `idle` at most.
-    pub fn take(&self, most: usize, idle: Option<Duration>) -> Batch {
+    /// The next messages, at most `max`. Waits up to `idle` for the first one.
+    pub fn take(&self, max: usize, idle: Option<Duration>) -> Batch {
         let started = Instant::now();
         let mut state = self.lock();
         loop {
@@ -363,7 +363,7 @@ impl Queue {
         }
         let mut batch = Batch::default();
         // half the limit, so that the run can continue to fill the queue meanwhile
-        while batch.messages.len() < most && (batch.messages.is_empty() || batch.bytes < self.limit / 2) {
+        while batch.messages.len() < max && (batch.messages.is_empty() || batch.bytes < self.limit / 2) {
             let Some(parcel) = state.backlog.pop() else { break };
             batch.bytes += parcel.bytes;
             batch.messages.push(parcel.msg);
@@ -499,7 +499,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_newer_message_replaces_is_left_out_oldest_and_largest_first() {
+    fn superseded_messages_are_dropped_large_and_old_ones_first() {
         let queue = queue(10 * BULKY, WhenFull::Thin);
         let send = |name: &str, bytes, stream| queue.send(parcel(name, bytes, stream)).expect("room");
         send("info", 2 * BULKY, None);
@@ -514,7 +514,7 @@ mod tests {
     }
 
     #[test]
-    fn small_messages_go_if_large_ones_do_not_suffice() {
+    fn small_messages_are_dropped_if_large_ones_do_not_suffice() {
         let queue = queue(1_000, WhenFull::Thin);
         for i in 0..50 {
             queue.send(parcel(&i.to_string(), SMALL, Some(1))).expect("room");
@@ -524,10 +524,10 @@ mod tests {
     }
 
     #[test]
-    fn a_destination_is_given_up_when_even_the_newest_values_are_too_many() {
+    fn a_destination_fails_if_the_newest_values_exceed_twice_the_limit() {
         let queue = queue(1_000, WhenFull::Thin);
-        let refused = (0..50).find_map(|i| queue.send(parcel("value", SMALL, Some(i))).err().map(|err| (i, err)));
-        let (at, err) = refused.expect("twice the limit is the end");
+        let failed = (0..50).find_map(|i| queue.send(parcel("value", SMALL, Some(i))).err().map(|err| (i, err)));
+        let (at, err) = failed.expect("the queue fails at twice the limit");
         assert_eq!(at, 20);
         assert!(matches!(err, SinkError::Gone { messages: 0, .. }), "{err}");
         // the failure is permanent, and the queue is empty
@@ -542,22 +542,22 @@ mod tests {
             let queue = Arc::clone(&queue);
             move || {
                 let _attendance = queue.attend();
-                let (mut received, mut most) = (Vec::new(), 0);
+                let (mut received, mut max_held) = (Vec::new(), 0);
                 loop {
                     let mut batch = queue.take(3, None);
                     let state = queue.lock();
-                    most = most.max(state.backlog.bytes + state.in_hand);
+                    max_held = max_held.max(state.backlog.bytes + state.in_hand);
                     drop(state);
                     queue.done(&batch, batch.messages.len(), batch.flush);
                     received.append(&mut batch.messages);
                     if batch.last {
-                        return (received, most);
+                        return (received, max_held);
                     }
                 }
             }
         });
         for i in 0..1_000 {
-            // the same stream: in this queue, that is no reason to drop messages
+            // the same stream, but this queue never drops messages
             queue.send(parcel(&i.to_string(), SMALL, Some(1))).expect("a thread that works");
         }
         queue.flush().expect("a thread that works");
@@ -566,15 +566,15 @@ mod tests {
         queue.send(parcel("large", 5_000, None)).expect("a thread that works");
         queue.close();
         assert!(queue.wait_ended(Duration::from_secs(10)));
-        let (received, most) = thread.join().expect("the thread does not panic");
+        let (received, max_held) = thread.join().expect("the thread does not panic");
         assert_eq!(received.len(), 1_001);
         assert_eq!(names(&received[..3]), ["0", "1", "2"]);
         assert_eq!(names(&received[999..]), ["999", "large"]);
-        assert!(most <= 5_000, "{most} bytes were held");
+        assert!(max_held <= 5_000, "{max_held} bytes were held");
     }
 
     #[test]
-    fn a_server_that_stands_still_is_waited_for_once() {
+    fn a_stalled_server_is_waited_for_once() {
         let queue = queue(1_000, WhenFull::WaitThenThin(Duration::from_millis(200)));
         let started = Instant::now();
         for i in 0..100 {
@@ -586,7 +586,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thread_that_panics_is_a_failure_and_not_a_hang() {
+    fn a_panicking_thread_causes_a_failure_not_a_hang() {
         let queue = Arc::new(queue(1_000, WhenFull::Wait));
         let thread = std::thread::spawn({
             let queue = Arc::clone(&queue);
@@ -595,14 +595,14 @@ mod tests {
                 panic!("on purpose");
             }
         });
-        let refused = (0..100).find_map(|_| queue.send(parcel("value", SMALL, None)).err());
-        assert!(refused.expect("nothing is taken").to_string().contains("panicked"));
+        let failed = (0..100).find_map(|_| queue.send(parcel("value", SMALL, None)).err());
+        assert!(failed.expect("the queue fails").to_string().contains("panicked"));
         assert!(queue.flush().is_err());
         assert!(thread.join().is_err());
     }
 
     #[test]
-    fn patience_ends_where_progress_does() {
+    fn waiting_times_out_without_progress() {
         let queue = queue(1_000, WhenFull::Thin);
         queue.send(parcel("value", SMALL, None)).expect("room");
         let started = Instant::now();
@@ -621,7 +621,7 @@ mod tests {
     }
 
     #[test]
-    fn a_message_replaces_those_of_the_same_entity_and_columns() {
+    fn messages_of_the_same_entity_and_columns_share_a_stream() {
         use StoreKind::{Blueprint, Recording};
         let at = |step: i64| [(Timeline::new_sequence("step"), step)];
         let some = || rerun::Points3D::new([[1.0, 2.0, 3.0]]);
@@ -638,7 +638,7 @@ mod tests {
     }
 
     #[test]
-    fn a_message_counts_in_full_however_many_hold_it() {
+    fn a_shared_message_counts_in_full() {
         let many = vec![[1.0, 2.0, 3.0]; 1_000];
         let one = points(StoreKind::Recording, "a", TimePoint::STATIC, rerun::Points3D::new(many));
         let others = vec![one.msg.clone(); 10];

@@ -38,9 +38,10 @@ const LIMIT: u64 = 128 << 20;
 const WHEN_FULL: WhenFull = WhenFull::WaitThenThin(Duration::from_secs(1));
 /// Upper limit on history kept for viewers that connect late, compressed [bytes].
 const HISTORY: u64 = 1 << 30;
-/// Timeout of stopping the server, including the time for viewers to receive the last messages.
+/// Timeout of stopping the server.
 const STOP: Duration = Duration::from_secs(1);
-const STOP_TIMEOUT: Duration = Duration::from_millis(200);
+/// Part of it during which viewers can receive the last messages.
+const DRAIN: Duration = Duration::from_millis(200);
 /// Send buffer of a connection [bytes].
 const SEND: usize = 256 << 10;
 /// Connections that may wait to be accepted.
@@ -55,7 +56,7 @@ pub(super) struct Server {
     guard: Arc<Guard>,
     /// The thread, and a sender that stops it when dropped.
     thread: Option<(oneshot::Sender<()>, JoinHandle<()>)>,
-    said_forgetting: bool,
+    reported_forgetting: bool,
 }
 
 impl Server {
@@ -88,8 +89,8 @@ impl Server {
             stopping.await.ok();
             tasks.iter().for_each(tokio::task::JoinHandle::abort);
             let started = Instant::now();
-            while data.is_busy() && started.elapsed() < STOP_TIMEOUT {
-                tokio::time::sleep(STOP_TIMEOUT / 20).await;
+            while data.is_busy() && started.elapsed() < DRAIN {
+                tokio::time::sleep(DRAIN / 20).await;
             }
         };
         let thread = std::thread::Builder::new().name("server".to_owned()).spawn(move || {
@@ -114,7 +115,7 @@ impl Server {
             ),
         ];
         notes.extend(exposure(bind, &addresses("HOST").0));
-        Ok(Server { live, notes, data_port: data_address.port(), log, guard, thread, said_forgetting: false })
+        Ok(Server { live, notes, data_port: data_address.port(), log, guard, thread, reported_forgetting: false })
     }
 
     /// Queues a message, waiting briefly if the queue is full. `Err` tells why the server accepts no more.
@@ -124,10 +125,10 @@ impl Server {
 
     /// Returns a note, once, when the server has begun to discard history.
     pub fn forgetting(&mut self) -> Option<String> {
-        if self.said_forgetting || !self.log.is_forgetting() {
+        if self.reported_forgetting || !self.log.is_forgetting() {
             return None;
         }
-        self.said_forgetting = true;
+        self.reported_forgetting = true;
         Some(
             "the server keeps the last 1 GiB, and this run is getting longer: \
              a viewer opened from now on does not see its beginning (--save keeps everything)"
@@ -152,7 +153,7 @@ impl Drop for Server {
     }
 }
 
-/// The servers after the run: viewers can connect to them as long as this value lives.
+/// The servers after the run. Viewers can connect to them as long as this value lives.
 pub struct Serving {
     pub(super) server: Server,
 }
@@ -189,7 +190,7 @@ const DATA: Kind = Kind { what: NAME, option: "--grpc-port" };
 
 /// Listens on a port, or on any free one for port 0. Must be called within a runtime.
 fn listen(kind: Kind, ip: IpAddr, port: u16) -> Result<(TcpListener, SocketAddr), SinkError> {
-    let refuse = |source: io::Error| {
+    let listen_error = |source: io::Error| {
         let help = match source.kind() {
             io::ErrorKind::AddrInUse => {
                 format!(
@@ -204,14 +205,14 @@ fn listen(kind: Kind, ip: IpAddr, port: u16) -> Result<(TcpListener, SocketAddr)
         SinkError::Listen { what: kind.what, address: SocketAddr::new(ip, port), source: Arc::new(source), help }
     };
     let listener = bound(SocketAddr::new(ip, port)).and_then(|socket| TcpListener::from_std(socket.into()));
-    let listener = listener.map_err(refuse)?;
-    let address = listener.local_addr().map_err(refuse)?;
+    let listener = listener.map_err(listen_error)?;
+    let address = listener.local_addr().map_err(listen_error)?;
     Ok((listener, address))
 }
 
 fn bound(address: SocketAddr) -> io::Result<Socket> {
     let socket = Socket::new(Domain::for_address(address), Type::STREAM, Some(Protocol::TCP))?;
-    // on other systems this would let two programs use the same port
+    // on Windows, this would let two programs use the same port
     #[cfg(unix)]
     socket.set_reuse_address(true)?;
     if address.ip() == IpAddr::V6(Ipv6Addr::UNSPECIFIED) {
@@ -232,12 +233,13 @@ fn files(address: SocketAddr) -> Result<&'static WebViewerData, SinkError> {
     if let Some(files) = FILES.get() {
         return Ok(files);
     }
-    let refuse = |reason: String| SinkError::Serve { what: WEB.what, address, reason };
-    let files = WebViewerData::load(None).map_err(|err| refuse(err.to_string()))?;
+    let serve_error = |reason: String| SinkError::Serve { what: WEB.what, address, reason };
+    let files = WebViewerData::load(None).map_err(|err| serve_error(err.to_string()))?;
     Ok(FILES.get_or_init(|| files))
 }
 
-/// Tells who else can read the run, if anyone can reach the server; `page` is the URL that they would open.
+/// A note about who else can read the run, if the server can be reached from outside; `page` is the URL that they would
+/// open.
 fn exposure(bind: IpAddr, page: &str) -> Option<String> {
     let (who, host) = match bind {
         bind if bind.is_loopback() => return None,
@@ -279,7 +281,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_address_is_safe_inside_another() {
+    fn an_address_is_encoded_as_a_url_parameter() {
         assert_eq!(
             percent_encoded("rerun+http://127.0.0.1:9876/proxy"),
             "rerun%2Bhttp%3A%2F%2F127.0.0.1%3A9876%2Fproxy"
@@ -288,13 +290,13 @@ mod tests {
     }
 
     #[test]
-    fn what_others_can_do_is_said_when_they_can() {
+    fn exposure_to_others_is_reported() {
         let exposure = |bind: &str| exposure(bind.parse().expect("an address"), "http://HOST:9090/?url=x");
         assert_eq!([exposure("127.0.0.1"), exposure("::1")], [None, None]);
         for (bind, who) in [("0.0.0.0", "this machine"), ("::", "this machine"), ("192.168.1.5", "that address")] {
-            let said = exposure(bind).expect("others can");
+            let note = exposure(bind).expect("a note");
             for part in [who, "can read everything", "nobody can write", "http://HOST:9090/?url=x", "--allow-host"] {
-                assert!(said.contains(part), "{bind}: {said}");
+                assert!(note.contains(part), "{bind}: {note}");
             }
         }
     }

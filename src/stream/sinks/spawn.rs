@@ -36,13 +36,14 @@ pub(super) struct Spawned {
 /// is known to be in use by something else, and a free one is used instead.
 pub(super) fn spawn(spawn: &Spawn, avoid: bool) -> Result<Spawned, SinkError> {
     let program = spawn.program.to_string_lossy().into_owned();
-    let refuse = |reason: String, help: String| SinkError::Spawn { program: program.clone(), reason, help };
+    let spawn_error = |reason: String, help: String| SinkError::Spawn { program: program.clone(), reason, help };
     let mut address = SocketAddr::from((Ipv4Addr::LOCALHOST, spawn.port));
     if avoid {
         let free = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).and_then(|listener| listener.local_addr());
-        address = free.map_err(|err| refuse(format!("no free port ({err})"), install_help()))?;
+        address = free.map_err(|err| spawn_error(format!("no free port ({err})"), install_help()))?;
     } else if TcpStream::connect_timeout(&address, Duration::from_secs(1)).is_ok() {
-        let note = format!("something listens on {address} already: taking it for a viewer and not starting another");
+        let note =
+            format!("something already listens on {address}: it is assumed to be a viewer, and no other is started");
         return Ok(Spawned { address, notes: vec![note] });
     }
 
@@ -61,23 +62,23 @@ pub(super) fn spawn(spawn: &Spawn, avoid: bool) -> Result<Spawned, SinkError> {
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
     let mut child = command.spawn().map_err(|err| match err.kind() {
-        io::ErrorKind::NotFound => refuse("it is not installed, or not on the PATH".to_owned(), install_help()),
-        _ => refuse(err.to_string(), install_help()),
+        io::ErrorKind::NotFound => spawn_error("it is not installed, or not on the PATH".to_owned(), install_help()),
+        _ => spawn_error(err.to_string(), install_help()),
     })?;
 
     let started = Instant::now();
     while TcpStream::connect_timeout(&address, Duration::from_secs(1)).is_err() {
         match child.try_wait() {
             Ok(Some(status)) => {
-                let help = "see whether it starts by itself; without a screen, use --serve or --save".to_owned();
-                return Err(refuse(format!("it ended at once ({status}){}", log.tail()), help));
+                let help = "check whether it starts on its own; without a screen, use --serve or --save".to_owned();
+                return Err(spawn_error(format!("it ended at once ({status}){}", log.tail()), help));
             }
             Ok(None) if started.elapsed() < START => std::thread::sleep(Duration::from_millis(50)),
             _ => {
                 end(&mut child);
-                let help = "see whether it starts by itself".to_owned();
+                let help = "check whether it starts on its own".to_owned();
                 let reason = format!("it does not listen on {address} after {}{}", seconds(START), log.tail());
-                return Err(refuse(reason, help));
+                return Err(spawn_error(reason, help));
             }
         }
     }
@@ -97,7 +98,7 @@ fn other_version(program: &OsString) -> Option<String> {
     let theirs = CrateVersion::try_parse_from_build_info_string(text).ok()?;
     let ours = rerun::build_info().version;
     (!theirs.is_compatible_with(ours)).then(|| {
-        format!("the viewer is of version {theirs} and may not understand this program's {ours}: {}", install_help())
+        format!("the viewer has version {theirs} and may not understand this program's {ours}: {}", install_help())
     })
 }
 
@@ -135,7 +136,7 @@ impl Log {
         let mut text = Vec::new();
         if let Some(file) = &mut self.0 {
             let length = file.metadata().map_or(0, |metadata| metadata.len());
-            // seeking does not affect the viewer's writes: it appends
+            // seeking does not affect the viewer's writes, which append
             file.seek(SeekFrom::Start(length.saturating_sub(4096))).ok();
             file.take(4096).read_to_end(&mut text).ok();
         }
@@ -143,11 +144,11 @@ impl Log {
         let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
         // prefer a single line that reports an error; otherwise use the last lines
         let is_error = |line: &&&str| line.to_ascii_lowercase().starts_with("error");
-        let said = match lines.iter().rfind(is_error) {
+        let message = match lines.iter().rfind(is_error) {
             Some(error) => (*error).to_owned(),
             None => lines[lines.len().saturating_sub(3)..].join(" / "),
         };
-        if said.is_empty() { said } else { format!(": {said}") }
+        if message.is_empty() { message } else { format!(": {message}") }
     }
 }
 

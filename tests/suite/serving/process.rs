@@ -193,7 +193,7 @@ fn no_request_ends_the_server_or_leaks_its_memory() {
     let grown = server.memory().saturating_sub(memory);
     assert!(grown < 100 << 10, "{grown} KiB more");
     let line = server.end("refused ");
-    assert!(line.contains("closed ") && line.contains("without a whole request"), "{line}");
+    assert!(line.contains("closed ") && line.contains("without a complete request"), "{line}");
 }
 
 /// A hostile client of one of several kinds, on a connection that stays open.

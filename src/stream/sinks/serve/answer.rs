@@ -56,7 +56,7 @@ pub(super) enum Site {
 }
 
 impl Site {
-    /// Whether responses last as long as the run does.
+    /// Whether responses last as long as the run.
     pub fn is_endless(&self) -> bool {
         matches!(self, Site::Data(_))
     }
@@ -64,7 +64,7 @@ impl Site {
     /// Responds to a request received at this machine's address `at`.
     pub async fn answer(&self, guard: &Guard, request: Request<Incoming>, at: IpAddr) -> Response<Content> {
         if let Err(name) = guard.admits(request.uri(), request.headers(), at) {
-            let help = format!("this program does not answer to {name}: `--allow-host NAME` lets a host in\n");
+            let help = format!("this program does not serve {name}: allow a host with `--allow-host NAME`\n");
             return text(StatusCode::FORBIDDEN, help);
         }
         match self {
@@ -89,7 +89,7 @@ impl Site {
 /// Responds with a file of the web viewer.
 fn file(files: &'static WebViewerData, guard: &Guard, request: &Request<Incoming>) -> Response<Content> {
     if !matches!(*request.method(), Method::GET | Method::HEAD) {
-        guard.odd.fetch_add(1, Ordering::Relaxed);
+        guard.invalid.fetch_add(1, Ordering::Relaxed);
         let mut response = text(StatusCode::METHOD_NOT_ALLOWED, "there are only files to GET\n");
         response.headers_mut().insert(header::ALLOW, HeaderValue::from_static("GET, HEAD"));
         return response;
@@ -122,24 +122,24 @@ async fn data(history: &History, guard: &Guard, request: Request<Incoming>) -> R
     let kind = content_type.as_ref().and_then(|kind| kind.to_str().ok()).unwrap_or_default();
     let is_text = kind.starts_with("application/grpc-web-text");
     let method = request.uri().path().strip_prefix('/').and_then(|path| path.strip_prefix(SERVICE_NAME));
-    let odd = |status, help: &'static str| {
-        guard.odd.fetch_add(1, Ordering::Relaxed);
+    let invalid = |status, help: &'static str| {
+        guard.invalid.fetch_add(1, Ordering::Relaxed);
         text(status, help)
     };
     match (method, &content_type) {
         (Some("/WriteMessages" | "/WriteTable"), _) => {
             guard.writes.fetch_add(1, Ordering::Relaxed);
-            let help = "this program serves a run of its own and takes nothing from others";
+            let help = "this program serves its own run and accepts no data";
             status(text(StatusCode::FORBIDDEN, help), PERMISSION_DENIED, help)
         }
         _ if request.method() != Method::POST => {
-            odd(StatusCode::METHOD_NOT_ALLOWED, "there are only gRPC calls here\n")
+            invalid(StatusCode::METHOD_NOT_ALLOWED, "there are only gRPC calls here\n")
         }
         (Some("/ReadMessages"), Some(content_type)) if kind.starts_with("application/grpc") && !is_text => {
             let end = end(kind);
             let content_type = content_type.clone();
             if !is_short(request.into_body()).await {
-                return odd(StatusCode::PAYLOAD_TOO_LARGE, "a request to read has nothing to say\n");
+                return invalid(StatusCode::PAYLOAD_TOO_LARGE, "a read request must be empty\n");
             }
             let mut response = Response::new(Content::Stream(history.read(), Some(end)));
             response.headers_mut().insert(header::CONTENT_TYPE, content_type);
@@ -150,7 +150,7 @@ async fn data(history: &History, guard: &Guard, request: Request<Incoming>) -> R
             response.headers_mut().insert(header::CONTENT_TYPE, content_type.clone());
             response
         }
-        _ => odd(StatusCode::UNSUPPORTED_MEDIA_TYPE, "there are only gRPC calls here\n"),
+        _ => invalid(StatusCode::UNSUPPORTED_MEDIA_TYPE, "there are only gRPC calls here\n"),
     }
 }
 

@@ -56,16 +56,17 @@ impl Host {
 pub(super) struct Guard {
     /// Allowed hosts, besides this machine's own.
     allowed: Vec<Host>,
-    /// Number of requests under other host names; the first such name is kept too.
+    /// Number of requests for or from other hosts.
     foreign: AtomicU64,
+    /// The first of these hosts.
     foreign_name: Mutex<Option<String>>,
     /// Number of attempts to write.
     pub writes: AtomicU64,
     /// Number of invalid requests.
-    pub odd: AtomicU64,
+    pub invalid: AtomicU64,
     /// Number of connections closed before they sent a complete request.
     pub unfinished: AtomicU64,
-    /// Number of connections closed because they read too little of their responses, or less than others.
+    /// Number of connections closed because they read too little of their responses, or the least of all.
     pub unread: AtomicU64,
 }
 
@@ -110,21 +111,21 @@ impl Guard {
     /// Summary of the requests rejected so far, as a sentence.
     pub fn summary(&self) -> Option<String> {
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-        let [foreign, writes, odd] = [&self.foreign, &self.writes, &self.odd].map(count);
+        let [foreign, writes, invalid] = [&self.foreign, &self.writes, &self.invalid].map(count);
         let [unfinished, unread] = [&self.unfinished, &self.unread].map(count);
         let name = self.foreign_name.lock().unwrap_or_else(PoisonError::into_inner).clone().unwrap_or_default();
         let part = |n: u64, what: &str| (n > 0).then(|| format!("{} {what}", thousands(n)));
         let foreign =
             part(foreign, &format!("for or from another host than this one ({name} first; see --allow-host)"));
         let requests: Vec<String> =
-            [foreign, part(writes, "to write"), part(odd, "that make no sense here")].into_iter().flatten().collect();
+            [foreign, part(writes, "to write"), part(invalid, "that are invalid")].into_iter().flatten().collect();
         let connections: Vec<String> =
-            [part(unfinished, "without a whole request"), part(unread, "that took too little of their answer")]
+            [part(unfinished, "without a complete request"), part(unread, "that read too little of their response")]
                 .into_iter()
                 .flatten()
                 .collect();
         let refused = (!requests.is_empty()).then(|| {
-            let total = count(&self.foreign) + writes + odd;
+            let total = count(&self.foreign) + writes + invalid;
             format!("refused {}: {}", counted(total, "request"), listed(&requests))
         });
         let closed = (!connections.is_empty())
@@ -213,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn hosts_are_given_without_anything_else() {
+    fn a_host_has_no_scheme_port_or_path() {
         for bad in ["", "*", "a:1", "http://a", "a/b", "a b", "*.example", "ü", "a\u{1b}[2J"] {
             assert!(bad.parse::<Host>().is_err(), "{bad:?}");
         }
@@ -222,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_refused_is_said_without_what_could_harm_a_terminal() {
+    fn refused_requests_are_reported_without_control_characters() {
         let guard = Guard::default();
         assert_eq!(guard.summary(), None);
         assert!(!admits(&guard, "/", &[(header::HOST, "evil.example")], "127.0.0.1"));
@@ -233,7 +234,7 @@ mod tests {
             guard.summary().as_deref(),
             Some(
                 "refused 3 requests: 2 for or from another host than this one (evil.example first; see --allow-host) \
-                 and 1 to write; closed 300 connections: 300 without a whole request"
+                 and 1 to write; closed 300 connections: 300 without a complete request"
             )
         );
         assert_eq!(printable(b"\x1b]0;a\x07\xff"), "]0a");

@@ -74,7 +74,7 @@ impl History {
         Reader { log: Arc::clone(&self.log), next: 0, news: WatchStream::from_changes(self.news.clone()) }
     }
 
-    /// The stored messages. Holding this does not make the feed believe that the server is running.
+    /// The stored messages. Holding them does not count as a reader: the feed fails without a [`History`].
     pub fn log(&self) -> Arc<Log> {
         Arc::clone(&self.log)
     }
@@ -178,7 +178,7 @@ fn encode(msg: &LogMsg) -> Result<(Bytes, Keep), String> {
         _ => Keep::Always,
     };
     let response = ReadMessagesResponse { log_msg: Some(proto::LogMsg { msg: Some(msg) }) };
-    let length = u32::try_from(response.encoded_len()).map_err(|_| "it takes more than 4 GiB".to_owned())?;
+    let length = u32::try_from(response.encoded_len()).map_err(|_| "it is larger than 4 GiB".to_owned())?;
     let mut frame = Vec::with_capacity(5 + length as usize);
     frame.push(0);
     frame.extend_from_slice(&length.to_be_bytes());
@@ -191,7 +191,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_changes_is_forgotten_first_and_what_shows_the_rest_never() {
+    fn temporal_data_is_discarded_first_and_blueprints_never() {
         let mut entries = Entries { limit: 10 * (100 + ENTRY), ..Entries::default() };
         let frame = Bytes::from(vec![0; 100]);
         entries.push(frame.clone(), Keep::Always);
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn readers_go_their_own_ways_to_the_same_end() {
+    fn independent_readers_receive_the_same_messages() {
         let (feed, history) = history(1 << 20);
         let mut context = Context::from_waker(std::task::Waker::noop());
         let (mut early, mut numbers) = (history.read(), Vec::new());
@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn a_feed_knows_when_nobody_serves_it() {
+    fn a_feed_fails_without_a_server() {
         let (feed, history) = history(1 << 20);
         assert!(feed.flush_blocking(Duration::MAX).is_ok());
         let _reader_of_a_connection = history.log();

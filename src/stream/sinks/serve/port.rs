@@ -1,11 +1,12 @@
 //! A port and its connections: each one costs little memory, and none can lock out others.
 //!
-//! A connection becomes *quiet* when it is accepted, when it sends a request, and whenever it reads some of its
-//! response. A connection without a pending request is closed when it has been quiet for [`REQUEST`]. At most [`SEATS`]
-//! connections are served. When all are taken, a new connection replaces the one that has been quiet longest;
-//! connections without a pending request are replaced first. If none is quiet, the one that has read least is replaced.
-//! A client that sends nothing, an incomplete request or garbage, or that does not read, therefore loses its place to
-//! one that does. A viewer that has received everything and waits for more is quiet too, and is replaced last.
+//! The *quiet time* of a connection starts when it is accepted, when it sends a request, and whenever it reads some of
+//! its response. A connection without a pending request is closed when it has been quiet for [`REQUEST_TIMEOUT`]. At
+//! most [`MAX_CONNECTIONS`] connections are served. When the limit is reached, a new connection replaces the one that
+//! has been quiet longest; connections without a pending request are replaced first. If none is quiet, the one that has
+//! read least is replaced. A client that sends nothing, an incomplete request or garbage, or that does not read,
+//! therefore loses its connection to one that does. A viewer that has received everything and waits for more is quiet
+//! too, and is replaced last.
 
 use std::collections::HashMap;
 use std::convert::Infallible;
@@ -27,11 +28,11 @@ use super::guard::Guard;
 
 /// Upper limit on the number of connections. Two ports with this many, plus the other files of a run, stay below the
 /// default limits per process: 1,024 files, 256 on macOS.
-const SEATS: usize = if cfg!(target_os = "macos") { 64 } else { 256 };
+const MAX_CONNECTIONS: usize = if cfg!(target_os = "macos") { 64 } else { 256 };
 /// Timeout for a complete request, the first or the next one on a connection.
-const REQUEST: Duration = Duration::from_secs(10);
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
 /// Timeout for reading a finite response.
-const TAKE: Duration = Duration::from_secs(60);
+const READ_TIMEOUT: Duration = Duration::from_secs(60);
 /// A connection that has been quiet for less than this is not replaced.
 const GRACE: Duration = Duration::from_millis(500);
 /// Interval between checks of the timeouts.
@@ -68,7 +69,7 @@ impl Port {
                     while self.is_full() && !self.close_one() {
                         tokio::time::sleep(GRACE / 10).await;
                     }
-                    self.seat(stream);
+                    self.serve_in_task(stream);
                 }
                 // The client has disconnected already, or file handles are exhausted, which justifies closing a
                 // connection.
@@ -84,15 +85,15 @@ impl Port {
     pub async fn sweep(self: Arc<Port>) {
         loop {
             tokio::time::sleep(SWEEP).await;
-            let patience = |doing: Doing| match doing.answers {
-                0 => REQUEST,
+            let patience = |activity: Activity| match activity.responses {
+                0 => REQUEST_TIMEOUT,
                 // a viewer in the background may not read for hours while the run goes on
                 _ if self.site.is_endless() => Duration::MAX,
-                _ => TAKE,
+                _ => READ_TIMEOUT,
             };
             let late = |client: &Client| {
-                let doing = *client.doing();
-                doing.quiet_since.elapsed() > patience(doing)
+                let activity = *client.activity();
+                activity.quiet_since.elapsed() > patience(activity)
             };
             let numbers: Vec<u64> =
                 self.clients().iter().filter(|(_, client)| late(client)).map(|(number, _)| *number).collect();
@@ -102,7 +103,7 @@ impl Port {
 
     /// Whether a response is in progress.
     pub fn is_busy(&self) -> bool {
-        self.clients().values().any(|client| client.doing().answers > 0)
+        self.clients().values().any(|client| client.activity().responses > 0)
     }
 
     fn clients(&self) -> MutexGuard<'_, HashMap<u64, Arc<Client>>> {
@@ -110,20 +111,23 @@ impl Port {
     }
 
     fn is_full(&self) -> bool {
-        self.clients().len() >= SEATS
+        self.clients().len() >= MAX_CONNECTIONS
     }
 
     /// Closes the most expendable connection; `false` if there is none.
     fn close_one(&self) -> bool {
-        let quiet =
-            |doing: &Doing| (doing.quiet_since.elapsed() >= GRACE).then_some((doing.answers > 0, doing.quiet_since));
+        let quiet = |activity: &Activity| {
+            (activity.quiet_since.elapsed() >= GRACE).then_some((activity.responses > 0, activity.quiet_since))
+        };
         // The system buffers more than the client reads: until the buffers are full, a stalled client looks like a
         // viewer.
-        let idle = |doing: &Doing| (doing.seated.elapsed() >= GRACE).then_some((doing.taken, doing.seated));
-        let seated: Vec<(u64, Doing)> =
-            self.clients().iter().map(|(number, client)| (*number, *client.doing())).collect();
-        let quietest = seated.iter().filter_map(|(number, doing)| Some((quiet(doing)?, *number))).min();
-        let idlest = || seated.iter().filter_map(|(number, doing)| Some((idle(doing)?, *number))).min();
+        let idle = |activity: &Activity| {
+            (activity.accepted_at.elapsed() >= GRACE).then_some((activity.bytes_read, activity.accepted_at))
+        };
+        let activities: Vec<(u64, Activity)> =
+            self.clients().iter().map(|(number, client)| (*number, *client.activity())).collect();
+        let quietest = activities.iter().filter_map(|(number, activity)| Some((quiet(activity)?, *number))).min();
+        let idlest = || activities.iter().filter_map(|(number, activity)| Some((idle(activity)?, *number))).min();
         let Some(number) = quietest.map(|(_, number)| number).or_else(|| idlest().map(|(_, number)| number)) else {
             return false;
         };
@@ -133,28 +137,29 @@ impl Port {
 
     fn close(&self, number: u64) {
         let Some(client) = self.clients().remove(&number) else { return };
-        let Doing { answers, has_asked, .. } = *client.doing();
-        if answers > 0 {
+        let Activity { responses, has_requested, .. } = *client.activity();
+        if responses > 0 {
             self.guard.unread.fetch_add(1, Ordering::Relaxed);
-        } else if !has_asked {
+        } else if !has_requested {
             self.guard.unfinished.fetch_add(1, Ordering::Relaxed);
         }
         client.closing.notify_one();
     }
 
     /// Serves a connection in its own task.
-    fn seat(self: &Arc<Port>, stream: TcpStream) {
+    fn serve_in_task(self: &Arc<Port>, stream: TcpStream) {
         let number = self.accepted.fetch_add(1, Ordering::Relaxed);
         let now = Instant::now();
-        let doing = Doing { seated: now, has_asked: false, answers: 0, taken: 0, quiet_since: now };
-        let client = Arc::new(Client { doing: Mutex::new(doing), closing: Notify::new() });
+        let activity =
+            Activity { accepted_at: now, has_requested: false, responses: 0, bytes_read: 0, quiet_since: now };
+        let client = Arc::new(Client { activity: Mutex::new(activity), closing: Notify::new() });
         self.clients().insert(number, Arc::clone(&client));
-        let seat = Seat { port: Arc::clone(self), number };
+        let entry = Entry { port: Arc::clone(self), number };
         tokio::spawn(async move {
             tokio::select! {
-                result = seat.port.serve(stream, &client) => {
-                    if result.is_err() && !client.doing().has_asked {
-                        seat.port.guard.unfinished.fetch_add(1, Ordering::Relaxed);
+                result = entry.port.serve(stream, &client) => {
+                    if result.is_err() && !client.activity().has_requested {
+                        entry.port.guard.unfinished.fetch_add(1, Ordering::Relaxed);
                     }
                 }
                 () = client.closing.notified() => {}
@@ -170,7 +175,8 @@ impl Port {
         let at = stream.local_addr()?.ip();
         stream.set_nodelay(true)?;
         let mut builder = auto::Builder::new(TokioExecutor::new());
-        // A client that has finished sending may still read a page. Only silence tells that a viewer has gone.
+        // A client that has closed its sending side may still be reading a page. On an endless stream, that is the only
+        // sign that a viewer has disconnected.
         builder.http1().max_buf_size(BUFFER).half_close(!self.site.is_endless());
         builder
             .http2()
@@ -194,12 +200,12 @@ impl Port {
 }
 
 /// An entry in the list of connections, removed when dropped.
-struct Seat {
+struct Entry {
     port: Arc<Port>,
     number: u64,
 }
 
-impl Drop for Seat {
+impl Drop for Entry {
     fn drop(&mut self) {
         self.port.clients().remove(&self.number);
     }
@@ -207,26 +213,27 @@ impl Drop for Seat {
 
 /// One connection.
 struct Client {
-    doing: Mutex<Doing>,
+    activity: Mutex<Activity>,
     /// Notified when the connection is to be closed.
     closing: Notify,
 }
 
-/// Activity of a connection.
+/// The activity of a connection.
 #[derive(Clone, Copy)]
-struct Doing {
-    seated: Instant,
-    has_asked: bool,
+struct Activity {
+    /// When the connection was accepted.
+    accepted_at: Instant,
+    has_requested: bool,
     /// Number of responses in progress.
-    answers: usize,
+    responses: usize,
     /// Total amount read of responses, as of the last record of activity [bytes].
-    taken: u64,
+    bytes_read: u64,
     quiet_since: Instant,
 }
 
 impl Client {
-    fn doing(&self) -> MutexGuard<'_, Doing> {
-        self.doing.lock().unwrap_or_else(PoisonError::into_inner)
+    fn activity(&self) -> MutexGuard<'_, Activity> {
+        self.activity.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -235,25 +242,25 @@ struct Answer {
     content: Content,
     client: Arc<Client>,
     /// Amount read since the last record of activity [bytes].
-    unnoted: usize,
+    unrecorded: usize,
 }
 
 impl Answer {
     fn new(content: Content, client: Arc<Client>) -> Answer {
-        let mut doing = client.doing();
-        doing.has_asked = true;
-        doing.answers += 1;
-        doing.quiet_since = Instant::now();
-        drop(doing);
-        Answer { content, client, unnoted: 0 }
+        let mut activity = client.activity();
+        activity.has_requested = true;
+        activity.responses += 1;
+        activity.quiet_since = Instant::now();
+        drop(activity);
+        Answer { content, client, unrecorded: 0 }
     }
 }
 
 impl Drop for Answer {
     fn drop(&mut self) {
-        let mut doing = self.client.doing();
-        doing.answers -= 1;
-        doing.quiet_since = Instant::now();
+        let mut activity = self.client.activity();
+        activity.responses -= 1;
+        activity.quiet_since = Instant::now();
     }
 }
 
@@ -264,15 +271,15 @@ impl Body for Answer {
     fn poll_frame(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Infallible>>> {
         let answer = self.get_mut();
         let frame = answer.content.poll_frame(context);
-        answer.unnoted += match &frame {
+        answer.unrecorded += match &frame {
             Poll::Ready(Some(frame)) => frame.data_ref().map_or(0, Bytes::len),
             _ => 0,
         };
         // a client that has read everything available counts as active
-        if answer.unnoted >= SHARE || !matches!(frame, Poll::Ready(Some(_))) {
-            let mut doing = answer.client.doing();
-            doing.taken += std::mem::take(&mut answer.unnoted) as u64;
-            doing.quiet_since = Instant::now();
+        if answer.unrecorded >= SHARE || !matches!(frame, Poll::Ready(Some(_))) {
+            let mut activity = answer.client.activity();
+            activity.bytes_read += std::mem::take(&mut answer.unrecorded) as u64;
+            activity.quiet_since = Instant::now();
         }
         frame.map(|frame| frame.map(Ok))
     }
