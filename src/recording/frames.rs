@@ -329,7 +329,7 @@ impl FrameReader {
         Ok(())
     }
 
-    /// Updates the surfaces to what was recorded up to `step`.
+    /// Applies the rows up to `step`.
     fn apply(&mut self, step: i64) -> Result<(), String> {
         while let Some((&at, _)) = self.rows.first_key_value().filter(|(at, _)| **at <= step) {
             let Some(mut rows) = self.rows.remove(&at) else { break };

@@ -1,7 +1,7 @@
 //! Golden recordings: the expected results of a scene, and comparison with them.
 //!
 //! A golden recording is thin: the scene and a checksum of every step. To locate a difference, it also has the events,
-//! a two-byte hash for every displaced vertex at every step ([`VERTICES`]), which tells at which vertices two states
+//! a two-byte hash for every displaced vertex at every step ([`VERTICES`]), which shows at which vertices two states
 //! diverge, and at regular intervals the full displacements ([`STATES`]) and geometric quantities ([`SURFACES`]).
 
 use std::{

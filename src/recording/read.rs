@@ -28,7 +28,7 @@ use rerun::external::{
 use super::ReadError;
 
 /// Upper limit on the size of a message of this program, packed or not [bytes].
-const LARGEST_MESSAGE: u64 = 1 << 30;
+const MAX_MESSAGE: u64 = 1 << 30;
 /// The largest compression ratio of LZ4 [bytes per byte].
 const LZ4_RATIO: u64 = 255;
 /// Upper limit on the total unpacked size of a recording's messages: a constant, plus a multiple of what was read of
@@ -184,14 +184,14 @@ impl Reader {
             }
             if length > self.size.saturating_sub(self.at) {
                 // a truncated message, unless it claims an impossible size
-                if length > LARGEST_MESSAGE {
+                if length > MAX_MESSAGE {
                     return Err(self.damaged(&format!("a message of {length} bytes")));
                 }
                 self.end = Some(End::Cut);
                 break;
             }
-            if length > LARGEST_MESSAGE {
-                return Err(self.damaged(&format!("a message of {length} bytes, over the limit of {LARGEST_MESSAGE}")));
+            if length > MAX_MESSAGE {
+                return Err(self.damaged(&format!("a message of {length} bytes, over the limit of {MAX_MESSAGE}")));
             }
             let start = self.at;
             let mut message = Vec::new();
@@ -340,7 +340,7 @@ impl<'a> Envelope<'a> {
         let data = match self.compression {
             0 | 1 => self.payload,
             2 => {
-                let max_size = LARGEST_MESSAGE.min(LZ4_RATIO.saturating_mul(self.payload.len() as u64) + 64);
+                let max_size = MAX_MESSAGE.min(LZ4_RATIO.saturating_mul(self.payload.len() as u64) + 64);
                 if self.uncompressed > max_size {
                     return Err(format!("{} bytes claim to unpack to {} bytes", self.payload.len(), self.uncompressed));
                 }

@@ -56,7 +56,7 @@ impl Checksums {
         self.digest = followed_by(self.digest, value);
     }
 
-    /// A digest of all checksums, by which a reader can tell whether a recording has all of them, undamaged.
+    /// A digest of all checksums, with which a reader can check that they are complete and undamaged.
     pub fn digest(&self) -> u64 {
         self.digest
     }

@@ -14,7 +14,7 @@ const MAX_BODIES: usize = 8;
 /// The pair's spheres are then enlarged by this factor, to show its surroundings.
 const ENLARGEMENT: f64 = 2.0;
 
-/// An instant of a run, and what to look at.
+/// An instant of a run, and the spheres to look at.
 #[derive(Clone, Debug)]
 pub struct Focus {
     /// Time of the instant [s].

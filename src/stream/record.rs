@@ -11,7 +11,7 @@ use crate::observe::{Experiment, StepSummary};
 /// Why a run was not recorded completely.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
-    /// The experiment does not start; the text says why.
+    /// The experiment does not start; the text gives the reason.
     #[error("{0}")]
     Start(String),
     /// A destination cannot be opened, or failed.

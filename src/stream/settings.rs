@@ -207,7 +207,7 @@ impl fmt::Display for Around {
 /// The name of a pair of this scene, `A~B` in the order of its bodies.
 ///
 /// # Errors
-/// There is no such pair; the error names the missing body, and the nearest one.
+/// There is no such pair; the error names the missing body and the nearest known name.
 pub fn pair(text: &str, schema: &Schema) -> Result<String, String> {
     let Some((a, b)) = text.split_once('~') else {
         return Err(format!("{:?} is not a pair: give two bodies as a~b", printable(text)));

@@ -164,7 +164,7 @@ fn timings(message: &LogMsg) -> Option<u64> {
     varies.then(|| arrow.batch.num_rows() as u64)
 }
 
-/// Counts what is written to it [bytes].
+/// Counts the bytes written to it.
 #[derive(Default)]
 struct Count(u64);
 

@@ -78,7 +78,7 @@ impl BatchedBodies {
         BatchedBodies { track, deforming, drawn, last, next, lit, resting, torn, has_rotated, vertices, numbers }
     }
 
-    /// Logs what has changed; `numbers` are the values of each body's vertices, if they are recorded. Bodies that are
+    /// Logs changed values; `numbers` are the values of each body's vertices, if they are recorded. Bodies that are
     /// part of a merged surface count as deformed; their own surfaces are not drawn.
     pub fn log(
         &mut self,

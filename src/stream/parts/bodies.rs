@@ -148,7 +148,7 @@ impl SeparateBodies {
         SeparateBodies { bodies: bodies.collect(), next: Surface::default() }
     }
 
-    /// Logs what has changed; `numbers` are the values of each body's vertices, if they are recorded. Bodies that are
+    /// Logs changed values; `numbers` are the values of each body's vertices, if they are recorded. Bodies that are
     /// part of a merged surface do not draw their own.
     pub fn log(
         &mut self,

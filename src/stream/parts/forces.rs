@@ -101,7 +101,7 @@ impl Forces {
         }
     }
 
-    /// Logs what has changed.
+    /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         self.sources.log(view.schema, chunks);
         for (of_schema, TermArrows { track, last, next }) in view.schema.terms.iter().zip(&mut self.terms) {

@@ -62,7 +62,7 @@ impl GroupPlots {
         GroupPlots { max_groups, known: BTreeMap::new(), overlapping: None }
     }
 
-    /// Logs what has changed.
+    /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, merged: &Merged, series: &mut Series, chunks: &mut Chunks) {
         let FrameView { schema, at, .. } = view;
         if merged.overlapping > 0 || self.overlapping.is_some() {

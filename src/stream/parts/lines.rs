@@ -112,7 +112,7 @@ impl Lines {
         }
     }
 
-    /// Logs what has changed.
+    /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         let LineRows { segments, colors, labels } = &mut self.next;
         let is_shown =

@@ -1,5 +1,5 @@
-//! The parts of a frame. Each part owns its entities, remembers what was last logged to them, and logs what has
-//! changed.
+//! The parts of a frame. Each part owns its entities, keeps the values last logged to them, and logs
+//! changes.
 //!
 //! | entities | module |
 //! | --- | --- |
@@ -41,7 +41,7 @@ use crate::observe::{BodyFrame, Frame, Schema, schema::BodySchema};
 /// Upper limit on the number of bodies whose names are shown in the 3D view.
 const MAX_LABELS: usize = 8;
 
-/// The input of a part: what is logged of a frame.
+/// The input of a part: the frame to be logged.
 #[derive(Clone, Copy)]
 pub struct FrameView<'a> {
     /// The schema of the simulation.

@@ -50,7 +50,7 @@ impl NetForces {
         Some(NetForces { tracks, last: Default::default() })
     }
 
-    /// Logs what has changed.
+    /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         for ((track, last), (.., acceleration)) in self.tracks.iter().zip(&mut self.last).zip(KINDS) {
             let (mut origins, mut vectors) = Rows::default();

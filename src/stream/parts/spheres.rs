@@ -75,7 +75,7 @@ impl SphereEntities {
         }
     }
 
-    /// Logs what has changed.
+    /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         self.phases.clear();
         self.phases.resize(view.frame.bodies.len(), None);

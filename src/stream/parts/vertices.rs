@@ -82,7 +82,7 @@ impl Vertices {
         }
     }
 
-    /// Logs what has changed.
+    /// Logs changed values.
     pub fn log(&mut self, at: Instant, next: &VertexNumbers, chunks: &mut Chunks) {
         let VertexNumbers { displacement, net, heat, reach } = next;
         if (displacement, net) != (&self.last.displacement, &self.last.net) {

@@ -106,7 +106,7 @@ pub enum SinkError {
         what: &'static str,
         /// The requested address.
         address: SocketAddr,
-        /// The reason, as far as it is known.
+        /// The reason, if known.
         reason: String,
     },
     /// Nothing listens at a viewer's address.
@@ -136,7 +136,7 @@ pub enum SinkError {
         name: String,
         /// Number of messages delivered before that.
         messages: u64,
-        /// The reason, as far as it is known.
+        /// The reason, if known.
         reason: String,
     },
     /// A thread could not be started, or has ended unexpectedly.
@@ -144,7 +144,7 @@ pub enum SinkError {
     Thread {
         /// The destination.
         target: String,
-        /// The reason, as far as it is known.
+        /// The reason, if known.
         reason: String,
     },
 }

@@ -217,7 +217,7 @@ fn lock(file: &File, path: &Path) -> Result<Option<()>, SinkError> {
     }
 }
 
-/// Whether `path` is a regular file, not a link, and the same one as `file`.
+/// Whether `path` is a regular file, not a link, and the same file as `file`.
 fn leads_to(path: &Path, file: &File) -> bool {
     let is_file = std::fs::symlink_metadata(path).is_ok_and(|there| there.is_file());
     let open = file.try_clone().and_then(Handle::from_file);

@@ -328,7 +328,7 @@ impl Sinks {
                 let left =
                     if rest > 0 { format!(", {} before the end", counted(rest, "message")) } else { String::new() };
                 self.notes.push(format!(
-                    "{} has accepted nothing for {} and is disconnected{left}",
+                    "{} has accepted nothing for {} and is given up{left}",
                     queue.name(),
                     seconds(self.patience)
                 ));

@@ -38,7 +38,7 @@ const LIMIT: u64 = 128 << 20;
 const WHEN_FULL: WhenFull = WhenFull::WaitThenThin(Duration::from_secs(1));
 /// Upper limit on history kept for viewers that connect late, compressed [bytes].
 const HISTORY: u64 = 1 << 30;
-/// Timeout of stopping the server.
+/// Timeout for stopping the server.
 const STOP: Duration = Duration::from_secs(1);
 /// Part of it during which viewers can receive the last messages.
 const DRAIN: Duration = Duration::from_millis(200);

@@ -131,7 +131,7 @@ struct Entries {
     /// Frames by sequence number; numbers are never reused.
     frames: BTreeMap<u64, Bytes>,
     next: u64,
-    /// Total size of what is kept [bytes].
+    /// Total size of the stored messages [bytes].
     bytes: u64,
     /// Upper limit on `bytes`.
     limit: u64,
@@ -207,7 +207,7 @@ mod tests {
         for _ in 0..20 {
             entries.push(frame.clone(), Keep::Always);
         }
-        // the limit applies to what may be discarded; the rest is a few messages per recording
+        // the limit applies to discardable messages; the others are few per recording
         assert_eq!(numbers(&entries)[..2], [0, 11]);
         assert_eq!(entries.bytes, 21 * (100 + ENTRY));
         assert_eq!(entries.from(1).map(|(number, _)| number), Some(11));

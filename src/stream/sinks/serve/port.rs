@@ -87,7 +87,7 @@ impl Port {
             tokio::time::sleep(SWEEP).await;
             let patience = |activity: Activity| match activity.responses {
                 0 => REQUEST_TIMEOUT,
-                // a viewer in the background may not read for hours while the run goes on
+                // a viewer in the background may not read for hours while the run continues
                 _ if self.site.is_endless() => Duration::MAX,
                 _ => READ_TIMEOUT,
             };
