@@ -6,7 +6,10 @@
 //! fastest. Level 0 is the grid of the file; each further level halves the spacing on every axis that is a range. A
 //! point belongs to the first level that contains it.
 
-use crate::scene::template::{KeyPath, Setting};
+use crate::{
+    observe::checksum::mix,
+    scene::template::{KeyPath, Setting},
+};
 
 /// Maximum number of runs of a sweep.
 pub const MOST_ROWS: u64 = 100_000_000;
@@ -242,13 +245,6 @@ impl Design {
             }
         }
     }
-}
-
-/// A hash that mixes all bits (the finalizer of SplitMix64).
-fn mix(x: u64) -> u64 {
-    let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    x ^ (x >> 31)
 }
 
 /// A number in [0, 1) with 53 bits.

@@ -167,7 +167,7 @@ fn draw_panel(panel: &Area<'_>, report: &Report, errors: Range<f64>, is_titled: 
     };
     let families = report.measurements.chunk_by(|a, b| a.scheme.family() == b.scheme.family());
     let earlier = Line {
-        name: format!("the same, {}", before::COMMIT),
+        name: format!("exponential, {}", before::COMMIT),
         style: Style { color: GREY, ..style(Scheme::Controlled { tolerance: report.tolerance }) },
         points: before.iter().map(|&(seconds, error)| place(seconds, error)).collect(),
     };

@@ -2,7 +2,7 @@
 
 use std::{f64::consts::PI, fmt, fmt::Write as _};
 
-use crate::{Scene, SceneError};
+use crate::{Scene, SceneError, observe::checksum::mix};
 
 /// Seed of all cases.
 pub const SEED: u64 = 2006;
@@ -143,10 +143,7 @@ impl Dice {
 
     fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+        mix(self.0)
     }
 
     /// Uniform in [0, 1).
