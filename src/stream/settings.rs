@@ -271,7 +271,7 @@ impl Settings {
         let table = table(text);
         let text = |key: &str| table.get(key).and_then(toml::Value::as_str);
         let count = |key: &str| table.get(key).and_then(number);
-        let steps = count("steps").ok_or("the settings have no valid number of steps")?;
+        let steps = count("steps").ok_or("the settings have no usable number of steps")?;
         let own = Settings::for_bodies(bodies, steps);
         Ok(Settings {
             steps: (steps > 0).then_some(steps),

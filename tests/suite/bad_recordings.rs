@@ -261,7 +261,7 @@ fn broken_recordings_are_rejected_with_the_reason() {
     rejected(&with(4, &[0, 2, 0, 0]), "too old");
     rejected(&with(0, b"RRF0"), "early version");
     rejected(&with(8, &[9]), "options");
-    rejected(&with(12, &77u64.to_le_bytes()), "no message of kind 77");
+    rejected(&with(12, &77u64.to_le_bytes()), "unknown kind 77");
     rejected(&with(20, &u64::MAX.to_le_bytes()), "bytes");
     rejected(&with(20, &(5u64 << 30).to_le_bytes()), "bytes");
 
