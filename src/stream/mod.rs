@@ -34,15 +34,18 @@
 //! | --- | --- |
 //! | `/world/bodies/NAME`, `…/surface` | transform to the centre; mesh in body coordinates |
 //! | `/world/resting/SHAPE`, `/world/deforming/surface` | replace the above for more than 64 bodies: undeformed ones as instances, the others as one mesh in world coordinates |
-//! | `/world/merged/surface`, `…/seams` | the surfaces of all groups (two or more bodies connected by joined pairs) as one mesh in world coordinates, with class ids that name the body of each vertex and `vertex`, its index there; the lines along which bodies meet. A body in a group keeps its own surface, but its component `drawn_triangles`, which the layout draws, is empty |
+//! | `/world/merged/surface`, `…/seams` | the surfaces of all groups (two or more bodies connected by joined pairs) as one mesh in world coordinates, with class ids that name the body of each vertex and `vertex`, its index there; the lines along which bodies meet. A body in a group keeps its own surface, but its component `drawn_triangles`, which the layout draws, is one degenerate triangle |
 //! | `/groups/A/volume`, `…/genus`, `…/bodies`, with few bodies also `…/area`, `…/components`, `…/euler` | volume, genus, number of bodies, area, connected components and Euler characteristic of the sharp union of the group whose first body is A; as many groups as pairs with plots. `/diagnostics/overlapping_groups`: the number of groups that could not be united in time and are drawn as overlapping meshes |
 //! | `/world/influence` | all influence spheres |
 //! | `/world/pairs` | lines between the centres of pairs within reach, labelled with q: the closest 16, or 5 in a batched scene (`--pairs N`); in a batched scene also the influence spheres that reach another body |
 //! | `/world/forces/CAUSE` | arrows of `attraction`, `repulsion` (of bodies apart), `core` (of bodies in their core), `restoring`, `damping`, `push`, `carry`, `net`: accelerations times the arrow scale given in the panel; classes, named at `/world/forces`, identify the two bodies between which a force acts |
+//! | `/world/forces/net_force`, `…/torque` | one arrow per free body, at its centre: force over mass, torque over mass times radius, times the scale given in the panel |
+//! | `/world/trails` | the path of the centre of each free body, one segment per frame; not in a batched scene |
+//! | `/world/planes/N`, `…/grid` | planes |
 //! | on a surface, with forces | for each vertex: `body`, `vertex`, `displacement_in_radii`, `net_force`, `reach` |
 //! | `/pairs/A~B/distance`, `…/merge_at`, `…/split_at`, `…/core_at`, `…/phase` | q, its thresholds and the phase, for the first 16 pairs within reach, or 5 in a batched scene (`--pairs N`), and as many that have events; of pairs that come within reach together, the closest (`--pair A~B`: that pair alone) |
 //! | `/pairs/A~B/gap`, `…/overlap`, `…/neck`, `…/contact` | for the same pairs: smallest distance between the surfaces or minus the penetration depth, volume of the intersection, radius of the seam (in radii of the smaller body); where these and the phase disagree |
-//! | `/events` | one line per merge, split and core event, with the components `bodies`, `phases` (before and after), `time` (s, exact) and `q` |
+//! | `/events` | one line per merge, split and core event, with the components `bodies`, `phases` (before and after), `time` (s, exact), `q` and its `rate` (1/s); with free bodies also the `energy` that they gained |
 //! | `/events/accuracy` | one line per step in which the error of a body exceeds the tolerance: which body, and by how much |
 //! | `/events/surfaces` | one line when surfaces touch or part, and one per merge, split and core event that describes the surfaces |
 //! | `/events/bodies` | one line per cell of a body that was cut, or would have torn, and per node that was split, with its position |

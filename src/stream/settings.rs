@@ -121,7 +121,7 @@ impl Trigger {
     }
 }
 
-/// Version of the recording format, independent of the program version. This program reads this version and older ones.
+/// Version of the recording format, independent of the program version. This program reads this version only.
 pub const FORMAT: u32 = 1;
 
 /// The recording settings of a run. Together with the text of the scene and the simulation's own settings
