@@ -57,7 +57,7 @@ pub fn pair_measures(a: &Body, b: &Body, budget: &Budget) -> Result<PairMeasures
 pub fn measures_of(united: &Union, budget: &Budget, hint: &mut Hint) -> Result<PairMeasures, UnionError> {
     let bodies = united.bodies;
     let volume = |body: usize| -> Result<f64, UnionError> {
-        if bodies[body].slack() > 0.0 {
+        if united.is_simple(body) {
             return Ok(bodies[body].volume());
         }
         // doubly enclosed volume counts once

@@ -157,6 +157,10 @@ fn attempt_union<'a, 'b>(
     union.statistics.tests = candidates.len();
     let mut arrangement = Arrangement::new(&placement, &candidates, meter, threads)?;
     meter.check()?;
+    for (k, &b) in order.iter().enumerate() {
+        let meets_itself = |segment: &arrangement::Segment| segment.bodies == [k as u32; 2];
+        union.may_cross_itself[b as usize] = placement.folds[k] && arrangement.segments.iter().any(meets_itself);
+    }
     let mut classified = Classified::new(&placement, &meetings, &mut arrangement, meter, threads)?;
     arrangement.find_triple_points(&placement, meter, threads)?;
     classified.walk_segments(&arrangement, meter)?;

@@ -106,6 +106,8 @@ pub struct Union<'a, 'b> {
     is_removed: Vec<Vec<u64>>,
     /// Whether each body is left out from the start: it is a copy of another, or too small to be resolved.
     absent: Vec<bool>,
+    /// Whether each body may intersect itself: of those that were placed, it is known.
+    pub(super) may_cross_itself: Vec<bool>,
     /// Vertices that belong to no body.
     pub new_vertices: Vec<NewVertex>,
     /// Triangles that belong to no body.
@@ -170,6 +172,7 @@ impl<'a, 'b> Union<'a, 'b> {
             removed: vec![Vec::new(); bodies.len()],
             is_removed: vec![Vec::new(); bodies.len()],
             absent: included.iter().map(|included| !included).collect(),
+            may_cross_itself: vec![true; bodies.len()],
             new_vertices: Vec::new(),
             new_triangles: Vec::new(),
             seams: Vec::new(),
@@ -427,6 +430,13 @@ impl<'a, 'b> Union<'a, 'b> {
     pub fn area(&self) -> f64 {
         let present = self.bodies.iter().zip(&self.absent).filter(|(_, absent)| !**absent);
         present.fold(0.0, |sum, (body, _)| sum + body.area()) + self.change().area
+    }
+
+    /// Whether the union of a body with itself is that body: it does not intersect itself, has one part, and is not
+    /// inside out.
+    pub(super) fn is_simple(&self, body: usize) -> bool {
+        let of = &self.bodies[body];
+        of.slack() > 0.0 || !self.may_cross_itself[body] && of.topology.components == 1 && of.volume() > 0.0
     }
 
     /// Sum of the bodies' volumes minus that of the union [scene unit³]; 0 at no cost where the bodies are apart.

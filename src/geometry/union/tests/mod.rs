@@ -141,3 +141,29 @@ fn compare_inside(shapes: &[Shape], union: &Checked, seed: u64, samples: usize) 
         assert_eq!(found.round() as i64, i64::from(expected), "at {at}, windings {windings:?}");
     }
 }
+
+/// The measures of two bodies take the volume of each counted once. That of a body whose surface is not seen from its
+/// centre is its own volume if the union of the two has found that it does not intersect itself.
+#[test]
+fn the_volume_of_a_body_counts_once() {
+    let dented = |by: f64| {
+        let mut shape = shapes::sphere(12, 24);
+        for at in shape.positions.iter_mut().filter(|at| at.x > 0.0 && at.y * at.y + at.z * at.z < 0.3) {
+            at.x -= by;
+        }
+        shape
+    };
+    // a dent, one that comes out at the back, and one body inside out
+    for (first, is_simple) in [(dented(1.0), true), (dented(2.0), false), (dented(1.0).inverted(), false)] {
+        let shapes = [first, shapes::sphere(12, 24).at(DVec3::new(1.2, 0.1, 0.05))];
+        let topologies = [0, 1].map(|k| Topology::new(shapes[k].positions.len(), &shapes[k].triangles).unwrap());
+        let bodies = [0, 1].map(|k| Body::new(&topologies[k], &shapes[k].positions).unwrap());
+        let alone = [0, 1].map(|k| union(&bodies[k..=k], &Budget::default()).unwrap().volume());
+        let united = union(&bodies, &Budget::default()).unwrap();
+        assert!(bodies[0].slack() <= 0.0 && bodies[1].slack() > 0.0);
+        assert_eq!((united.is_simple(0), united.is_simple(1)), (is_simple, true));
+        assert_eq!(bodies[0].volume() == alone[0], is_simple);
+        let measures = measures_of(&united, &Budget::default(), &mut Hint::default()).unwrap();
+        assert_eq!(measures.overlap, (alone[0] + alone[1] - united.volume()).max(0.0));
+    }
+}
