@@ -206,9 +206,11 @@ impl Deformation {
         let free_blocks = if flow.is_some() { free_vertices.blocks.all() } else { &[] };
         let first_free = active_set.blocks.all().len();
         let zeros = first_free + free_blocks.len();
-        if states.len() <= zeros {
-            states.resize(zeros + 1, Block([[[0.0; LANES]; 3]; 2]));
-            amplitudes_of_states.resize(zeros + 1, [0.0; LANES]);
+        // however the vertices are divided: two blocks may be incomplete
+        let most = count.div_ceil(LANES) + 2;
+        if states.len() < most {
+            states.resize(most, Block([[[0.0; LANES]; 3]; 2]));
+            amplitudes_of_states.resize(most, [0.0; LANES]);
         }
         now.arch.dispatch(Gather {
             omega: now.oscillator.omega,

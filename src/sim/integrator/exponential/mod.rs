@@ -15,21 +15,25 @@
 //! are left to the exact flow, which advances them to the time at which they are next needed.
 //!
 //! # What bounds its speed
-//! A step of `tests/reference/two.toml` takes 58,500 instructions (AVX2, counted by callgrind over 1,200 steps):
+//! Instructions (AVX2, counted by callgrind) of a step of `tests/reference/two.toml`, of a step of the built-in `crowd`, and of
+//! a body's step in `bench scale`'s scene of 100 bodies in contact, over 1,200, 240 and 240 steps:
 //!
-//! | what | instructions |
-//! | --- | --- |
-//! | vertices side by side: 1,400 for eight of them in a sphere, half of which are forces | 27,600 |
-//! | rims: 6,700 for a vertex that crosses one | 10,200 |
-//! | active sets, breaks and bounds of bodies; a third is memory set to zero, counted by the byte | 11,300 |
-//! | preparing steps | 3,100 |
-//! | bookkeeping of these | 2,700 |
-//! | the world: broad phase, events, timers | 3,600 |
+//! | what | `two` | `crowd` | in contact |
+//! | --- | --- | --- | --- |
+//! | vertices side by side: about 2,300 for eight of them, half of which is arithmetic | 25,400 | 117,000 | 8,100 |
+//! | rims: 6,600 for a vertex that crosses one | 10,000 | 86,000 | 2,000 |
+//! | active sets, breaks and bounds of bodies | 8,400 | 89,000 | 4,200 |
+//! | preparing steps | 2,500 | 22,000 | 2,300 |
+//! | bookkeeping of these | 2,100 | 16,000 | 900 |
+//! | the world: broad phase, events, timers | 3,700 | 28,000 | 1,900 |
+//! | all | 52,100 | 357,000 | 19,400 |
 //!
 //! So a scheme with half as many forces saves little: three Lobatto nodes instead of four were tried, with a fourth force
 //! that checks them and falls back on full order. They save 5 to 8 % with errors of 1e-7 to 7e-7 R at a tolerance of
-//! 1e-6, and the kernels then took many times as long to compile. An active set that is chosen half as often leaves its
-//! vertices in less order, which costs as much side by side as it saves.
+//! 1e-6, and the kernels then took many times as long to compile. Predicting forces with their slope at the start of the
+//! step, too, costs as much as it saves. Eight vertices side by side instead of sixteen with AVX-512 take a fifth longer.
+//! An active set that is chosen half as often leaves its vertices in less order, which costs as much side by side as it
+//! saves.
 
 pub mod course;
 pub mod lanes;
