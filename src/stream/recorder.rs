@@ -269,7 +269,7 @@ impl Recorder {
     /// Computes on several threads what of the next frames to be recorded can be computed before them.
     pub fn compute_ahead(&mut self, frames: &[Frame]) {
         if let Some(FrameParts { state, pairs, .. }) = &mut self.parts {
-            state.merged.compute_ahead(&self.schema, frames, pairs.foresee(&self.schema, frames));
+            state.merged.compute_ahead(&self.schema, frames, &pairs.foresee(&self.schema, frames));
         }
     }
 

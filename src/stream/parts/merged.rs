@@ -62,7 +62,7 @@ struct Ahead {
     frame: observe::Instant,
     pairs: Vec<[usize; 2]>,
     merged: Merged,
-    /// Its share of the time that this took.
+    /// The time that this took on its thread.
     time: Duration,
 }
 
@@ -120,26 +120,27 @@ impl MergedEntities {
 
     /// Computes the surfaces of frames that will be logged next, several frames at a time. `pairs` are those to be
     /// measured in each frame. The surfaces of a frame do not depend on other frames, nor on the number of threads.
-    pub fn compute_ahead(&mut self, schema: &Schema, frames: &[Frame], pairs: Vec<Vec<[usize; 2]>>) {
+    pub fn compute_ahead(&mut self, schema: &Schema, frames: &[Frame], pairs: &[Vec<[usize; 2]>]) {
         self.ahead.clear();
         let threads = rayon::current_num_threads().min(frames.len());
         if threads < 2 || frames.iter().all(|frame| frame.pairs.is_empty()) {
             return;
         }
-        let start = Clock::now();
         self.mergers.resize_with(threads.max(self.mergers.len()), || Merger::new(schema, self.interrupt));
-        let mut merged = vec![Merged::default(); frames.len()];
         // consecutive frames, so that what does not move is computed once
         let count = frames.len().div_ceil(threads);
-        let runs = frames.par_chunks(count).zip(pairs.par_chunks(count)).zip(merged.par_chunks_mut(count));
-        runs.zip(&mut self.mergers).for_each(|(((frames, pairs), merged), merger)| {
-            for ((frame, pairs), merged) in frames.iter().zip(pairs).zip(merged) {
-                merged.clone_from(merger.merge(schema, frame, pairs));
-            }
-        });
-        let time = start.elapsed() / frames.len() as u32;
-        let all = frames.iter().zip(pairs).zip(merged);
-        self.ahead.extend(all.map(|((frame, pairs), merged)| Ahead { frame: frame.at, pairs, merged, time }));
+        let runs = frames.par_chunks(count).zip(pairs.par_chunks(count)).zip(&mut self.mergers);
+        let ahead: Vec<Vec<Ahead>> = runs
+            .map(|((frames, pairs), merger)| {
+                let of_frame = |(frame, pairs): (&Frame, &Vec<[usize; 2]>)| {
+                    let start = Clock::now();
+                    let merged = merger.merge(schema, frame, pairs).clone();
+                    Ahead { frame: frame.at, pairs: pairs.clone(), merged, time: start.elapsed() }
+                };
+                frames.iter().zip(pairs).map(of_frame).collect()
+            })
+            .collect();
+        self.ahead.extend(ahead.into_iter().flatten());
     }
 
     /// Computes the surfaces of a frame, measures `pairs`, and logs what has changed. Returns the time that was spent on
@@ -260,7 +261,7 @@ mod tests {
                 world.observe(Want::default(), frame);
             }
             let foreseen = pairs.foresee(&schema, &frames);
-            pool.install(|| merged.compute_ahead(&schema, &frames, foreseen));
+            pool.install(|| merged.compute_ahead(&schema, &frames, &foreseen));
             for frame in &frames {
                 let view = FrameView { schema: &schema, frame, at: frame.at };
                 let shown = pairs.choose(view, &mut series, &mut chunks);
