@@ -39,13 +39,13 @@ use crate::model::phase::Phase;
 const MOST_ROUNDS: u32 = 16;
 /// A body is advanced again when what it sees has changed by more than this times [`settled`], a third of the tolerance: of
 /// that, it would change by a small fraction.
-const MOST_STALE: f64 = 30.0;
+const MOST_STALE: f64 = 10.0;
 /// The same share of a tolerance that is larger than what [`settled`] goes by.
 const LOOSE: f64 = 0.1;
 /// In the first rounds, corrections within a step end at a larger multiple of [`settled`] …
-const ROUGH: f64 = 1000.0;
+const ROUGH: f64 = 300.0;
 /// … and in the last at no larger one than this.
-const MOST_ROUGH: f64 = 10.0;
+const MOST_ROUGH: f64 = 3.0;
 /// A stretch that is shorter than this part of the whole is not divided any more.
 const SHORTEST: f64 = 1e-4;
 /// How many steps bodies take in a stretch, on average.

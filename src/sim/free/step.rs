@@ -17,14 +17,17 @@ use glam::{DMat3, DQuat, DVec3};
 use pulp::Arch;
 
 use super::{
-    super::{integrator::exponential::weights::Dense, nodes::SAMPLES},
+    super::{
+        integrator::exponential::weights::Dense,
+        nodes::{NODES, SAMPLES},
+    },
     body::{Body, Sums},
     crossing::Crossings,
     field::{Driven, Field, Paths},
     force::{Acting, View},
     kernels::{self, Active, Finish, Gathered, Move, Reach, Start, WIDTH},
     passive::{Linear, Moments, Most, Scaled},
-    weights::{Late, ballistic, cubic, early, early_ballistic, looks},
+    weights::{Late, Onset, ballistic, cubic, early, early_ballistic, looks},
 };
 use crate::model::{
     oscillator::Oscillator,
@@ -454,7 +457,7 @@ impl Course {
     }
 
     /// Updates the centre and the vertices at the samples from the forces last found at the nodes. Returns by how much:
-    /// displacements, and velocities times how long they last [scene unit].
+    /// displacements, and velocities times how long they last [scene unit]. After an evaluation, the end comes first.
     pub fn follow(
         &mut self,
         arch: Arch,
@@ -464,6 +467,11 @@ impl Course {
         places: &mut [Place; 5],
     ) -> f64 {
         let weights = self.weights;
+        match looks.end {
+            4 => self.add_pieces(body, span, 1..4),
+            end if end > MIDDLE => self.add_pieces(body, span, looks.clone()),
+            _ => {} // they are known from the end
+        }
         // what is in the middle does not act on the nodes
         let rounds = if looks.start == MIDDLE { 1 } else { MOST_ROUNDS };
         self.advance(arch, body, span, [&weights, &span.ballistic], (looks, rounds), places)
@@ -482,8 +490,6 @@ impl Course {
         // an oscillator turns its velocity into a displacement; nothing bounds that of a centre, so count one second
         let swing = 1.0 / body.oscillator.omega.max(2.0 * body.oscillator.damping).max(1.0);
         let mut change: f64 = 0.0;
-        std::mem::swap(&mut self.own, &mut self.own_before);
-        self.add_pieces(body, span);
         let nodes: [&Frame; 4] = std::array::from_fn(|node| &self.frames[node]);
         let (acceleration, torque) = (nodes.map(|f| f.acceleration), nodes.map(|f| f.torque));
         let (common, drive) = (nodes.map(|f| f.common), nodes.map(|f| f.drive));
@@ -698,42 +704,49 @@ impl Course {
         }
     }
 
-    /// Adds the effects of pieces at each sample.
-    fn add_pieces(&mut self, body: &Body, span: &Span) {
+    /// Adds the effects of pieces at these samples.
+    fn add_pieces(&mut self, body: &Body, span: &Span, looks: std::ops::Range<usize>) {
+        std::mem::swap(&mut self.own, &mut self.own_before);
         self.late = Default::default();
         self.own.clear();
+        if self.pieces.is_empty() {
+            return;
+        }
         let per_mass = 1.0 / body.mass();
+        // of the accelerations −Ω_Q′×Q l of all vertices: weights times Ω_Q′, in x and in u, by sample and node
+        let mut turns = [[[DVec3::ZERO; 4]; 2]; 4];
         for piece in &self.pieces {
-            let centre: [Late; 4] = std::array::from_fn(|look| Late::ballistic(span.h, piece.from, SAMPLES[look + 1]));
-            let later = self.late.iter_mut().zip(&centre).zip(&SAMPLES[1..]).filter(|(_, at)| **at > piece.from);
-            for ((late, weights), _) in later {
+            let onset = Onset::new(piece.from);
+            let mut alone = [(DVec3::ZERO, DVec3::ZERO); 4];
+            let mut nodes: Option<[Late; 3]> = None;
+            for look in looks.clone().map(|look| look - 1).filter(|&look| SAMPLES[look + 1] > piece.from) {
+                let weights = onset.ballistic(span.h, SAMPLES[look + 1]);
+                let late = &mut self.late[look];
                 late.centre += piece.sign * combine(&weights.x, piece.acceleration);
                 late.velocity += piece.sign * combine(&weights.u, piece.acceleration);
                 late.momentum += piece.sign * combine(&weights.u, piece.torque);
-            }
-            let Some(own) = &piece.own else { continue };
-            let mass = self.active.mass(own.vertex as usize);
-            let mut alone = [(DVec3::ZERO, DVec3::ZERO); 4];
-            // Q l × … of all vertices: −[turn]× Q
-            let turn: [DMat3; 4] = std::array::from_fn(|node| cross_matrix(own.turn[node]) * self.frames[node].axes);
-            let rates: [DVec3; 3] = std::array::from_fn(|node| combine(&centre[node].u, own.turn));
-            for look in (0..4).filter(|&look| SAMPLES[look + 1] > piece.from) {
-                let w = Late::new(body.oscillator, span.h, piece.from, SAMPLES[look + 1]);
+                let Some(own) = &piece.own else { continue };
+                let w = onset.late(body.oscillator, span.h, SAMPLES[look + 1]);
                 let (x, u) = (piece.sign * combine(&w.x, own.g), piece.sign * combine(&w.u, own.g));
                 alone[look] = (x, u);
                 if !body.is_free() {
                     continue;
                 }
-                let late = &mut self.late[look];
+                let mass = self.active.mass(own.vertex as usize);
                 late.x -= mass * per_mass * x;
                 late.u -= mass * per_mass * u;
                 if body.turns() {
-                    late.x_by_rest -= combine_matrices(&w.x, turn) * piece.sign;
-                    late.u_by_rest -= combine_matrices(&w.u, turn) * piece.sign;
-                    let seen = combine(&span.ballistic[look].u, [DVec3::ZERO, rates[0], rates[1], rates[2]]);
-                    late.turned += piece.sign * (combine(&centre[look].x, own.turn) - seen);
+                    for node in 0..4 {
+                        turns[look][0][node] += (piece.sign * w.x[node]) * own.turn[node];
+                        turns[look][1][node] += (piece.sign * w.u[node]) * own.turn[node];
+                    }
+                    let rates = nodes.get_or_insert_with(|| [1, 2, 3].map(|node| onset.ballistic(span.h, NODES[node])));
+                    let [a, b, c] = rates.map(|late| combine(&late.u, own.turn));
+                    let seen = combine(&span.ballistic[look].u, [DVec3::ZERO, a, b, c]);
+                    late.turned += piece.sign * (combine(&weights.x, own.turn) - seen);
                 }
             }
+            let Some(own) = &piece.own else { continue };
             match self.own.iter_mut().find(|(vertex, _)| *vertex == own.vertex) {
                 Some((_, known)) => {
                     for (known, alone) in known.iter_mut().zip(alone) {
@@ -742,6 +755,16 @@ impl Course {
                     }
                 }
                 None => self.own.push((own.vertex, alone)),
+            }
+        }
+        if body.turns() {
+            for look in looks {
+                let by_rest = turns[look - 1].map(|turns| {
+                    let of = |node: usize| cross_matrix(turns[node]) * self.frames[node].axes;
+                    (of(0) + of(1)) + (of(2) + of(3))
+                });
+                let late = &mut self.late[look - 1];
+                (late.x_by_rest, late.u_by_rest) = (-by_rest[0], -by_rest[1]);
             }
         }
     }

@@ -85,41 +85,67 @@ pub struct Late {
     pub u: [f64; 4],
 }
 
-impl Late {
-    /// The weights at `theta` of forces that act from `from` on, in a step of length `h` [s].
-    pub fn new(oscillator: Oscillator, h: f64, from: f64, theta: f64) -> Late {
-        let length = theta - from;
+/// A force that begins within the step, as the powers of the time since then.
+#[derive(Clone, Copy, Debug)]
+pub struct Onset {
+    from: f64,
+    /// By node: the coefficients of the part of the cubic that the node's value is a factor of.
+    powers: [[f64; 4]; 4],
+}
+
+impl Onset {
+    /// A force that begins at `from`, which is a fraction of the step.
+    pub fn new(from: f64) -> Onset {
+        let powers = CUBIC.map(|[a, b, c, d]| {
+            let at = a + from * (b + from * (c + from * d));
+            let slope = b + from * (2.0 * c + from * (3.0 * d));
+            [at, slope, c + from * (3.0 * d), d]
+        });
+        Onset { from, powers }
+    }
+
+    /// The weights at `theta`, in a step of length `h` [s].
+    pub fn late(&self, oscillator: Oscillator, h: f64, theta: f64) -> Late {
+        let length = theta - self.from;
         if length <= 0.0 {
             return Late::default();
         }
         let p = oscillator.propagator(length * h);
-        Late::of(from, length, &p.x, &p.u)
+        self.of(length, &p.x, &p.u)
     }
 
     /// The same without spring and damping.
-    pub fn ballistic(h: f64, from: f64, theta: f64) -> Late {
-        let length = theta - from;
+    pub fn ballistic(&self, h: f64, theta: f64) -> Late {
+        let length = theta - self.from;
         if length <= 0.0 {
             return Late::default();
         }
         let t = length * h;
         let u = [t, t / 2.0, t / 3.0, t / 4.0];
         let x = [t * t / 2.0, t * t / 6.0, t * t / 12.0, t * t / 20.0];
-        Late::of(from, length, &x, &u)
+        self.of(length, &x, &u)
     }
 
-    /// From the responses to the powers of the time since `from`.
-    fn of(from: f64, length: f64, x: &[f64; 4], u: &[f64; 4]) -> Late {
-        let cubic = &*CUBIC;
+    /// From the responses to the powers of the time since it began.
+    fn of(&self, length: f64, x: &[f64; 4], u: &[f64; 4]) -> Late {
         let mut late = Late::default();
-        for (node, [a, b, c, d]) in cubic.iter().enumerate() {
-            let at = a + from * (b + from * (c + from * d));
-            let slope = b + from * (2.0 * c + from * (3.0 * d));
-            let bend = c + from * (3.0 * d);
+        for (node, [at, slope, bend, d]) in self.powers.iter().enumerate() {
             let of = |p: &[f64; 4]| at * p[0] + length * (slope * p[1] + length * (bend * p[2] + length * (d * p[3])));
             (late.x[node], late.u[node]) = (of(x), of(u));
         }
         late
+    }
+}
+
+impl Late {
+    /// The weights at `theta` of forces that act from `from` on, in a step of length `h` [s].
+    pub fn new(oscillator: Oscillator, h: f64, from: f64, theta: f64) -> Late {
+        Onset::new(from).late(oscillator, h, theta)
+    }
+
+    /// The same without spring and damping.
+    pub fn ballistic(h: f64, from: f64, theta: f64) -> Late {
+        Onset::new(from).ballistic(h, theta)
     }
 }
 
