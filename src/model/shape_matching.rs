@@ -178,7 +178,7 @@ fn eigenvectors(k: &mut [[f64; 4]; 4]) -> [[f64; 4]; 4] {
 }
 
 /// Sums over the vertices of a body, which determine the motion of its frame.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct Inner {
     /// Σ m a sᵀ [mass · scene unit²].
     pub as_: DMat3,
@@ -188,6 +188,14 @@ pub struct Inner {
     pub x_cross_rate: DVec3,
     /// Σ m s sᵀ [mass · scene unit²].
     pub ss: DMat3,
+}
+
+impl Default for Inner {
+    fn default() -> Inner {
+        // the default of a matrix is the identity, which would be the sums of a body that is not there
+        let (none, zero) = (DMat3::ZERO, DVec3::ZERO);
+        Inner { as_: none, ax_rate: none, x_cross_rate: zero, ss: none }
+    }
 }
 
 impl Inner {
@@ -426,8 +434,7 @@ mod tests {
         /// The sums, with rates of x that follow from the frame's angular velocity.
         fn inner(&self, frame_spin: DVec3) -> (Inner, DVec3, DVec3) {
             let (c, v, q) = (self.mean(&self.position), self.mean(&self.velocity), self.rotation(&self.position));
-            let mut inner =
-                Inner { as_: DMat3::ZERO, ax_rate: DMat3::ZERO, x_cross_rate: DVec3::ZERO, ss: DMat3::ZERO };
+            let mut inner = Inner::default();
             let (mut momentum, mut turning) = (DVec3::ZERO, DVec3::ZERO);
             for i in 0..self.rest.len() {
                 let (a, m, s) = (q * self.rest[i], self.masses[i], self.position[i] - c);

@@ -64,7 +64,7 @@ mod push_list;
 #[doc(hidden)]
 pub mod reach;
 mod report;
-mod roots;
+pub(crate) mod roots;
 #[doc(hidden)]
 pub mod simulation;
 mod span;

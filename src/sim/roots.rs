@@ -1,5 +1,6 @@
-//! Finds the first time at which a function falls through zero within an interval, using bounds on its second
-//! derivative: no fall is missed, however briefly the function is below zero.
+//! Roots of functions of one variable: of one that has exactly one in an interval, by bracketed secants ([`root`]); and the
+//! first time at which a function falls through zero within an interval, using bounds on its second derivative
+//! ([`first_fall`]): none is missed, however short the visit below zero.
 //!
 //! Intervals that cannot contain a root are skipped, those on which the function is monotone are solved by Newton's
 //! method with bisection where a step leaves the bracket, and others are halved.
@@ -59,13 +60,13 @@ pub(super) fn first_fall<F: Falling>(f: &F, start: f64, end: f64) -> Option<f64>
     }
     // the slope does not change sign: at most one root, and only if the function falls
     if sample.slope.abs() > sample.curvature * half {
-        return if sample.slope < 0.0 { root(f, start, end, sample.guess) } else { None };
+        return if sample.slope < 0.0 { fall(f, start, end, sample.guess) } else { None };
     }
     first_fall(f, start, middle).or_else(|| first_fall(f, middle, end))
 }
 
 /// The root of a function that falls throughout `[low, high]`; `low` if it has already fallen there.
-fn root<F: Falling>(f: &F, mut low: f64, mut high: f64, guess: f64) -> Option<f64> {
+fn fall<F: Falling>(f: &F, mut low: f64, mut high: f64, guess: f64) -> Option<f64> {
     if f.at(high).0 > 0.0 {
         return None;
     }
@@ -94,4 +95,60 @@ fn root<F: Falling>(f: &F, mut low: f64, mut high: f64, guess: f64) -> Option<f6
         t = if is_newton { newton } else { low + 0.5 * (high - low) };
     }
     Some(high)
+}
+
+/// The root in `[low, high]` of a function that is ≥ 0 at `low` and < 0 at `high`, to about the last bit.
+pub(crate) fn root(low: f64, high: f64, mut at: impl FnMut(f64) -> f64) -> f64 {
+    let (above, below) = (at(low), at(high));
+    if above <= 0.0 { low } else { between((low, above), (high, below), at) }
+}
+
+/// The same, between two points with positive and negative values that need not be the function's own: their signs count
+/// (regula falsi, Illinois variant).
+pub(crate) fn between(
+    (mut low, mut above): (f64, f64),
+    (mut high, mut below): (f64, f64),
+    mut at: impl FnMut(f64) -> f64,
+) -> f64 {
+    let mut side = 0;
+    for _ in 0..200 {
+        let middle = 0.5 * (low + high);
+        if high - low <= 4.0 * f64::EPSILON * (low.abs() + high.abs()) || middle <= low || middle >= high {
+            break;
+        }
+        let guess = (low * below - high * above) / (below - above);
+        let t = if guess > low && guess < high { guess } else { middle };
+        let value = at(t);
+        if value == 0.0 {
+            return t;
+        }
+        if value > 0.0 {
+            (low, above) = (t, value);
+            if side == 1 {
+                below *= 0.5;
+            }
+            side = 1;
+        } else {
+            (high, below) = (t, value);
+            if side == -1 {
+                above *= 0.5;
+            }
+            side = -1;
+        }
+    }
+    0.5 * (low + high)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn roots_are_found_to_the_last_bit() {
+        assert!((root(0.0, 2.0, |x| 2.0 - x * x) - std::f64::consts::SQRT_2).abs() < 1e-15);
+        assert!((root(0.0, 1.0, |x| 1e-9 - x * x * x) - 1e-3).abs() < 1e-15);
+        assert_eq!(root(1.0, 2.0, |_| -1.0), 1.0);
+        // from zero, where only its slope tells that it is positive there
+        assert!((between((0.0, 1.0), (1.0, -0.7), |x| x * (0.3 - x)) - 0.3).abs() < 1e-15);
+    }
 }

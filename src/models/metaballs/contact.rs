@@ -8,6 +8,7 @@
 use glam::{DMat3, DVec3};
 
 use super::density::{Ball, Jet, Kernel};
+use crate::sim::roots::root;
 
 /// Number of samples on the line of centres.
 const SAMPLES: u32 = 32;
@@ -100,7 +101,7 @@ fn lowest(kernel: &Kernel, balls: &[Ball]) -> Option<DVec3> {
     // the slope along the line changes sign there
     let slope = |z: f64| -kernel.slope(balls, a.centre + z * along).dot(along);
     let (low, high) = (of(least - 1), of(least + 1));
-    let z = if slope(low) > 0.0 && slope(high) < 0.0 { super::density::root(low, high, slope) } else { of(least) };
+    let z = if slope(low) > 0.0 && slope(high) < 0.0 { root(low, high, slope) } else { of(least) };
     Some(a.centre + z * along)
 }
 
@@ -115,7 +116,6 @@ fn has_index_one(matrix: &DMat3) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::models::metaballs::density::root;
 
     fn kernel(reach: f64) -> Kernel {
         Kernel::new(reach).unwrap()

@@ -104,42 +104,6 @@ impl Kernel {
     }
 }
 
-/// The root in `[low, high]` of a function that is ≥ 0 at `low` and < 0 at `high`, to about the last bit (regula falsi,
-/// Illinois variant).
-pub fn root(mut low: f64, mut high: f64, mut at: impl FnMut(f64) -> f64) -> f64 {
-    let (mut above, mut below) = (at(low), at(high));
-    if above <= 0.0 {
-        return low;
-    }
-    let mut side = 0;
-    for _ in 0..200 {
-        let middle = 0.5 * (low + high);
-        if high - low <= 4.0 * f64::EPSILON * (low.abs() + high.abs()) || middle <= low || middle >= high {
-            break;
-        }
-        let guess = (low * below - high * above) / (below - above);
-        let t = if guess > low && guess < high { guess } else { middle };
-        let value = at(t);
-        if value == 0.0 {
-            return t;
-        }
-        if value > 0.0 {
-            (low, above) = (t, value);
-            if side == 1 {
-                below *= 0.5;
-            }
-            side = 1;
-        } else {
-            (high, below) = (t, value);
-            if side == -1 {
-                above *= 0.5;
-            }
-            side = -1;
-        }
-    }
-    0.5 * (low + high)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -169,12 +133,5 @@ mod tests {
             assert!(((after.value - before.value) / (2.0 * h) - jet.gradient[k]).abs() < 1e-6);
             assert!((((after.gradient - before.gradient) / (2.0 * h)) - jet.hessian.col(k)).length() < 1e-6);
         }
-    }
-
-    #[test]
-    fn a_root_is_found_to_the_last_bits() {
-        assert!((root(0.0, 2.0, |x| 2.0 - x * x) - std::f64::consts::SQRT_2).abs() < 1e-15);
-        assert!((root(0.0, 1.0, |x| 1e-9 - x * x * x) - 1e-3).abs() < 1e-15);
-        assert_eq!(root(1.0, 2.0, |_| -1.0), 1.0);
     }
 }

@@ -44,10 +44,10 @@ use crate::{
         touch::Finding,
     },
     scene::{Body, Model, Path, Scene},
-    sim::{Options, World, simulation},
+    sim::{Options, World, roots::root, simulation},
 };
 use contact::are_one;
-use density::{Ball, Kernel, root};
+use density::{Ball, Kernel};
 use surface::LevelSet;
 
 /// Upper limit on the number of balls, as any two may interact.

@@ -16,7 +16,7 @@ use glam::{DMat3, DVec3};
 
 use super::{
     contact::{Saddle, are_one},
-    density::{Ball, Kernel, root},
+    density::{Ball, Kernel},
 };
 use crate::{
     geometry::union::is_raised,
@@ -24,6 +24,7 @@ use crate::{
         Frame, Schema,
         surface::{Group, PairMeasures, Surfaced, Surfaces, VertexOrigin, connected, for_all},
     },
+    sim::roots::root,
 };
 
 /// Spacing of the grid [radii of the smallest ball of a group].

@@ -6,14 +6,14 @@ use glam::DVec3;
 
 use super::{
     Metaballs,
-    density::{Ball, Kernel, root},
+    density::{Ball, Kernel},
     surface::{Mesh, extract, volume},
 };
 use crate::{
     geometry::union::Topology,
     observe::{Frame, Simulation, SurfaceEvent, Want, surface::Merger, touch::Finding},
     scene::{Model, Scene},
-    sim::Options,
+    sim::{Options, roots::root},
 };
 
 fn kernel(reach: f64) -> Kernel {

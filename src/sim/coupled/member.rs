@@ -9,7 +9,10 @@ use rustc_hash::FxBuildHasher;
 use super::neighbours::{FatBounds, Neighbour};
 use crate::{
     geometry::{Mesh, Vectors},
-    model::oscillator::Oscillator,
+    model::{
+        oscillator::Oscillator,
+        shape_matching::{resistance, rotation_by, solve},
+    },
     scene::{self, Motion, Response, Scene},
     sim::{
         checksum,
@@ -59,6 +62,8 @@ pub(in crate::sim) struct Member {
     pub speed: f64,
     /// [`Member::hash`] while it rests.
     pub resting_hash: u64,
+    /// Angular velocity of a body that turns like a rigid one, see [`Member::steady_spin`] [rad/s].
+    pub steady: Option<DVec3>,
     /// The pushes on it, in order of their starts.
     pub pushes: Box<[Push]>,
 }
@@ -130,6 +135,7 @@ impl Member {
             extent,
             speed,
             resting_hash: 0,
+            steady: None,
             pushes: pushes.into(),
         };
         if speed == 0.0 {
@@ -140,10 +146,10 @@ impl Member {
 
     /// Takes over the state of another body with the same shape.
     pub fn resume(&mut self, before: &Member) {
-        let Member { body, pace, calm, calm_from, is_awake, extent, speed, .. } = before;
+        let Member { body, pace, calm, calm_from, is_awake, extent, speed, steady, .. } = before;
         self.body = Body { shape: Arc::clone(&self.body.shape), ..body.clone() };
         (self.pace, self.calm, self.calm_from, self.is_awake) = (*pace, *calm, *calm_from, *is_awake);
-        (self.extent, self.speed) = (*extent, *speed);
+        (self.extent, self.speed, self.steady) = (*extent, *speed, *steady);
     }
 
     /// Makes the body undeformed.
@@ -232,6 +238,52 @@ impl Member {
         x <= max && self.speed <= max * self.body.oscillator.omega.max(1.0)
     }
 
+    /// The angular velocity at which the body turns like a rigid body, if nothing acts on it: its vertices move as s′ = Ω×s, and
+    /// springs balance the centrifugal force, ω² x = −Ω×(Ω×s), up to a tenth of the tolerance. Damping takes a body there.
+    ///
+    /// Ω has to be along the axis of the largest moment: turning about another is an unstable balance for a body that has
+    /// damping.
+    pub fn steady_spin(&self, tolerance: f64) -> Option<DVec3> {
+        let body = &self.body;
+        let Oscillator { omega, damping } = body.oscillator;
+        if !body.turns() || damping == 0.0 || !self.is_deformed() {
+            return None;
+        }
+        let (shape, axes) = (&body.shape, DMat3::from_quat(body.rotation));
+        let place = |i: usize| axes * shape.rest()[i] + body.x[i];
+        let mut squares = DMat3::ZERO;
+        for (i, &m) in shape.masses().iter().enumerate() {
+            let s = place(i);
+            squares += DMat3::from_cols(m * s.x * s, m * s.y * s, m * s.z * s);
+        }
+        let (inertia, frame_spin) = (resistance(squares), body.frame_spin());
+        let spin = solve(inertia, body.spin);
+        // a deviation of the moments by as much as that of the vertices makes it turn too fast or too slowly
+        let most = STRAIGHT * tolerance.min(MAX_STRAIGHT_TOLERANCE) * body.radius / spin.length().max(1.0);
+        let wobble = solve(inertia, spin.cross(inertia * spin));
+        if !(spin != DVec3::ZERO && wobble.length() * self.extent <= most && is_largest(inertia, spin)) {
+            return None;
+        }
+        let (most_speed, most_force) = (most * omega.max(1.0), most * omega * omega);
+        let is_steady = (0..body.x.len()).all(|i| {
+            let s = place(i);
+            let rate = frame_spin.cross(s - body.x[i]) + body.u[i];
+            let turning = spin.cross(s);
+            let force = omega * omega * body.x[i] + spin.cross(turning);
+            (rate - turning).length() <= most_speed && force.length() <= most_force
+        });
+        is_steady.then_some(spin)
+    }
+
+    /// Turns the body like a rigid one for `h` [s].
+    pub fn turn(&mut self, spin: DVec3, h: f64) {
+        let turn = rotation_by(h * spin);
+        let Body { rotation, x, u, .. } = &mut self.body;
+        *rotation = (turn * *rotation).normalize();
+        let turn = DMat3::from_quat(turn);
+        x.iter_mut().chain(u).for_each(|v| *v = turn * *v);
+    }
+
     /// Kinetic energy of a free body: translation, rotation and vibration [mass · scene unit²/s²]; zero on a path.
     fn kinetic_energy(&self) -> f64 {
         let Body { shape, velocity, rotation, .. } = &self.body;
@@ -275,7 +327,8 @@ impl Member {
         if !self.body.is_free() && !self.is_awake && !self.is_deformed() {
             return 0;
         }
-        let others = [u64::from(self.calm), u64::from(self.is_awake), self.pace.to_bits()];
+        let is_steady = u64::from(self.steady.is_some());
+        let others = [u64::from(self.calm), u64::from(self.is_awake) + 2 * is_steady, self.pace.to_bits()];
         checksum::of_body(arch, index, &self.body, others)
     }
 
@@ -289,6 +342,17 @@ impl Member {
         (self.body.x.capacity() + self.body.u.capacity()) * size_of::<DVec3>()
             + self.neighbours.capacity() * size_of::<Neighbour>()
     }
+}
+
+/// Whether no axis has a larger moment of inertia than that of `spin`.
+fn is_largest(inertia: DMat3, spin: DVec3) -> bool {
+    let axis = spin.normalize_or_zero();
+    let own = axis.dot(inertia * axis);
+    // of the two axes across it: their sum and their product
+    let (across, second) = (axis.any_orthonormal_vector(), axis.cross(axis.any_orthonormal_vector()));
+    let (a, b, c) = (across.dot(inertia * across), second.dot(inertia * second), across.dot(inertia * second));
+    let half = 0.5 * (a - b);
+    own >= 0.5 * (a + b) + (half * half + c * c).sqrt()
 }
 
 fn pushed(push: &scene::Push) -> Push {

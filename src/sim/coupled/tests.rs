@@ -55,6 +55,41 @@ fn an_isolated_body_flies_in_closed_form() {
     assert!(world.body(0).is_at_rest());
 }
 
+/// A damped body that turns about its axis of largest moment stops swinging; then it goes on in closed form, as its steps
+/// would have gone on, until it is pushed. Without damping it swings for ever.
+#[test]
+fn what_turns_like_a_rigid_body_does_so_in_closed_form() {
+    let turning = |spin: DVec3| {
+        let motion =
+            format!("{{ free = {{ from = [0, 0, 0], velocity = [0.1, 0, 0], spin = {:?} }} }}", spin.to_array());
+        let push = "[[push]]\nbody = \"a\"\ndirection = [1, 0, 0]\nstrength = 9.0\nstart = 5.5\nduration = 0.2\n";
+        format!("[material]\nomega = 12.0\ndamping = 8.0\n{}{push}", ball("a", &motion))
+    };
+    let text = turning(2.0 * DVec3::Z);
+    let mut world = World::new(scene(&text)).unwrap();
+    let mut naive = World::with_options(scene(&text), Options { skip: false, ..Options::default() }).unwrap();
+    run(&mut world, 300);
+    run(&mut naive, 300);
+    assert_eq!((world.report().substeps, naive.report().substeps), (0, 1));
+    let kept = world.conserved().unwrap();
+    run(&mut world, 28);
+    run(&mut naive, 28);
+    assert_eq!(world.report().substeps, 0);
+    let off = difference(&world, &naive);
+    assert!(off < 1e-7 * world.time(), "{off:e}");
+    let now = world.conserved().unwrap();
+    assert!((now.angular_momentum - kept.angular_momentum).length() < 1e-14);
+    assert!((now.elastic - kept.elastic).abs() < 1e-14 && (now.spin - kept.spin).abs() < 1e-13);
+    run(&mut world, 12);
+    run(&mut naive, 12);
+    assert!(world.report().substeps > 0);
+    let off = difference(&world, &naive);
+    assert!(off < 1e-6 * world.time(), "{off:e}");
+    let mut swinging = World::new(scene(&text.replace("damping = 8.0", "damping = 0.0"))).unwrap();
+    run(&mut swinging, 300);
+    assert_eq!(swinging.report().substeps, 1);
+}
+
 /// Bodies that fall on a plane come to rest, cost nothing then, and wake when another body touches them.
 #[test]
 fn resting_bodies_cost_nothing_until_touched() {

@@ -8,7 +8,7 @@ use std::sync::LazyLock;
 
 use glam::DVec3;
 
-use super::super::nodes::NODES;
+use super::super::{nodes::NODES, roots::between};
 
 /// Largest number of crossings in a step that are distinguished.
 pub const MOST: usize = 7;
@@ -214,43 +214,14 @@ fn search(b: &[f64; 8], start: f64, end: f64, depth: u32, found: &mut Crossings)
     }
 }
 
-/// The root of a polynomial that has exactly one: bracketed secants (Illinois), to rounding.
+/// The root of a polynomial that has exactly one, to rounding.
 fn only_root(b: &[f64; 8]) -> f64 {
     if b[7] == 0.0 {
         return 1.0;
     }
-    let first = b.iter().find(|value| **value != 0.0).copied().unwrap_or(0.0);
-    let (mut low, mut high) = (0.0, 1.0);
-    let (mut below, mut above) = (first, b[7]);
-    let mut side = 0;
-    for _ in 0..100 {
-        let secant = low + (high - low) * (below / (below - above));
-        let t = if secant > low && secant < high { secant } else { 0.5 * (low + high) };
-        if high - low <= 1e-15 || t <= low || t >= high {
-            return t;
-        }
-        let value = value(b, t);
-        if value == 0.0 {
-            return t;
-        }
-        if (value > 0.0) == (above > 0.0) {
-            if high - t < 1e-16 {
-                return t;
-            }
-            (high, above) = (t, value);
-            if side == 1 {
-                below *= 0.5;
-            }
-            side = 1;
-        } else {
-            (low, below) = (t, value);
-            if side == -1 {
-                above *= 0.5;
-            }
-            side = -1;
-        }
-    }
-    0.5 * (low + high)
+    let first = b.iter().find(|value| **value != 0.0).map_or(0.0, |value| value.abs());
+    let side = if b[7] > 0.0 { -1.0 } else { 1.0 };
+    between((0.0, first), (1.0, side * b[7]), |t| side * value(b, t))
 }
 
 #[cfg(test)]

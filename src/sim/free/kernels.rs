@@ -30,6 +30,20 @@ fn load<S: Simd, const W: usize>(simd: S, [x, y, z]: &Lanes) -> Vector<S, W> {
     Vector { x: Reals::load(simd, x, 0), y: Reals::load(simd, y, 0), z: Reals::load(simd, z, 0) }
 }
 
+/// Those that fill one register, from lane `at` on. A kernel that needs many registers takes the [`WIDTH`] lanes one register
+/// after the other.
+#[inline(always)]
+fn part<S: Simd>(simd: S, [x, y, z]: &Lanes, at: usize) -> Vector<S, 1> {
+    Vector { x: Reals::load(simd, x, at), y: Reals::load(simd, y, at), z: Reals::load(simd, z, at) }
+}
+
+#[inline(always)]
+fn store_part<S: Simd>(v: Vector<S, 1>, [x, y, z]: &mut Lanes, at: usize) {
+    v.x.store(x, at);
+    v.y.store(y, at);
+    v.z.store(z, at);
+}
+
 #[inline(always)]
 fn store<S: Simd, const W: usize>(v: Vector<S, W>, [x, y, z]: &mut Lanes) {
     v.x.store(x, 0);
@@ -82,6 +96,36 @@ impl<K: Kernel> WithSimd for InLanes<K> {
 fn total<S: Simd, const W: usize>(v: Reals<S, W>) -> f64 {
     let mut a = [0.0; WIDTH];
     v.store(&mut a, 0);
+    sum_of(a)
+}
+
+/// The same of lanes in several registers.
+#[inline(always)]
+fn total_parts<S: Simd, const W: usize>(v: [Reals<S, 1>; W]) -> f64 {
+    sum_of(joined(v))
+}
+
+#[inline(always)]
+fn total_vector_parts<S: Simd, const W: usize>(v: [Vector<S, 1>; W]) -> DVec3 {
+    DVec3::new(total_parts(v.map(|v| v.x)), total_parts(v.map(|v| v.y)), total_parts(v.map(|v| v.z)))
+}
+
+#[inline(always)]
+fn largest_parts<S: Simd, const W: usize>(v: [Reals<S, 1>; W]) -> f64 {
+    joined(v).into_iter().fold(0.0, larger)
+}
+
+#[inline(always)]
+fn joined<S: Simd, const W: usize>(v: [Reals<S, 1>; W]) -> Lane {
+    let mut a = [0.0; WIDTH];
+    for (register, v) in v.into_iter().enumerate() {
+        v.store(&mut a, register * S::F64_LANES);
+    }
+    a
+}
+
+#[inline(always)]
+fn sum_of(a: Lane) -> f64 {
     ((a[0] + a[1]) + (a[2] + a[3])) + ((a[4] + a[5]) + (a[6] + a[7]))
 }
 
@@ -498,43 +542,54 @@ pub struct Moved {
     pub xu: DVec3,
 }
 
+impl Default for Moved {
+    fn default() -> Moved {
+        // the default of a matrix is the identity
+        Moved { changes: [0.0; 2], most: [0.0; 2], xx: DMat3::ZERO, xu: DVec3::ZERO }
+    }
+}
+
 impl Kernel for Move<'_> {
     type Output = Moved;
 
     #[inline(always)]
     fn run<S: Simd, const W: usize>(self, simd: S) -> Moved {
         let Move { active, look, weights: w, common, by_rest } = self;
-        let common = [Vector::<S, W>::splat(simd, common[0]), Vector::splat(simd, common[1])];
-        let by_rest = [columns::<S, W>(simd, by_rest[0]), columns(simd, by_rest[1])];
-        let none = Reals::splat(simd, 0.0);
+        let common = [Vector::<S, 1>::splat(simd, common[0]), Vector::splat(simd, common[1])];
+        let by_rest = [columns::<S, 1>(simd, by_rest[0]), columns(simd, by_rest[1])];
+        let none = [Reals::splat(simd, 0.0); W];
         let [mut far, mut fast, mut most_x, mut most_u] = [none; 4];
-        let (mut diagonal, mut beside, mut xu) = (zero::<S, W>(simd), zero::<S, W>(simd), zero::<S, W>(simd));
+        let [mut diagonal, mut beside, mut xu] = [[zero::<S, 1>(simd); W]; 3];
         for block in &mut active.blocks {
-            let (x0, u0) = (load(simd, &block.x[0]), load(simd, &block.u[0]));
-            let rest = load(simd, &block.rest);
-            let f = forces::<S, W>(simd, block);
-            let x = x0 * w.xx + u0 * w.xu + (combine(&w.x, &f) + (common[0] + times(&by_rest[0], rest)));
-            let u = x0 * w.ux + u0 * w.uu + (combine(&w.u, &f) + (common[1] + times(&by_rest[1], rest)));
-            let (x_before, u_before) = (load(simd, &block.x[look]), load(simd, &block.u[look]));
-            // lanes that only fill the block are like the last vertex
-            far = far.larger((x - x_before).length_squared());
-            fast = fast.larger((u - u_before).length_squared());
-            most_x = most_x.larger(x.length_squared());
-            most_u = most_u.larger(u.length_squared());
-            store(x, &mut block.x[look]);
-            store(u, &mut block.u[look]);
-            let mx = x * Reals::load(simd, &block.masses, 0);
-            diagonal = diagonal + Vector { x: mx.x * x.x, y: mx.y * x.y, z: mx.z * x.z };
-            beside = beside + Vector { x: mx.y * x.z, y: mx.z * x.x, z: mx.x * x.y };
-            xu = xu + cross(mx, u);
+            for i in 0..W {
+                let at = i * S::F64_LANES;
+                let (x0, u0) = (part(simd, &block.x[0], at), part(simd, &block.u[0], at));
+                let rest = part(simd, &block.rest, at);
+                let [a, b, c, d, _] = &block.f;
+                let f = [part(simd, a, at), part(simd, b, at), part(simd, c, at), part(simd, d, at)];
+                let x = x0 * w.xx + u0 * w.xu + (combine(&w.x, &f) + (common[0] + times(&by_rest[0], rest)));
+                let u = x0 * w.ux + u0 * w.uu + (combine(&w.u, &f) + (common[1] + times(&by_rest[1], rest)));
+                let (x_before, u_before) = (part(simd, &block.x[look], at), part(simd, &block.u[look], at));
+                // lanes that only fill the block are like the last vertex
+                far[i] = far[i].larger((x - x_before).length_squared());
+                fast[i] = fast[i].larger((u - u_before).length_squared());
+                most_x[i] = most_x[i].larger(x.length_squared());
+                most_u[i] = most_u[i].larger(u.length_squared());
+                store_part(x, &mut block.x[look], at);
+                store_part(u, &mut block.u[look], at);
+                let mx = x * Reals::load(simd, &block.masses, at);
+                diagonal[i] = diagonal[i] + Vector { x: mx.x * x.x, y: mx.y * x.y, z: mx.z * x.z };
+                beside[i] = beside[i] + Vector { x: mx.y * x.z, y: mx.z * x.x, z: mx.x * x.y };
+                xu[i] = xu[i] + cross(mx, u);
+            }
         }
-        let (d, b) = (total_vector(diagonal), total_vector(beside));
+        let (d, b) = (total_vector_parts(diagonal), total_vector_parts(beside));
         let xx = DMat3::from_cols(DVec3::new(d.x, b.z, b.y), DVec3::new(b.z, d.y, b.x), DVec3::new(b.y, b.x, d.z));
-        let (mut far, xu) = (largest(far), total_vector(xu));
+        let (mut far, xu) = (largest_parts(far), total_vector_parts(xu));
         if (d + xu).is_nan() {
             far = f64::NAN; // which is larger than nothing
         }
-        Moved { changes: [far, largest(fast)], most: [largest(most_x), largest(most_u)], xx, xu }
+        Moved { changes: [far, largest_parts(fast)], most: [largest_parts(most_x), largest_parts(most_u)], xx, xu }
     }
 }
 
@@ -808,14 +863,19 @@ impl Kernel for Gather<'_> {
     #[inline(always)]
     fn run<S: Simd, const W: usize>(self, simd: S) -> Gathered {
         let Gather { active, look, turning } = self;
-        let none = zero::<S, W>(simd);
-        let (mut sum, mut by_rest, mut spinning) = (none, [none; 3], none);
+        let none = [zero::<S, 1>(simd); W];
+        let (mut sum, mut by_rest, mut spinning) = (none, [[none[0]; 3]; W], none);
         for block in &active.blocks {
-            let force = load(simd, &block.f[look]) * Reals::load(simd, &block.masses, 0);
-            sum = sum + force;
-            add_outer(&mut by_rest, load(simd, &block.rest), force);
-            spinning = spinning + cross(load(simd, &block.s[look]), force);
+            for i in 0..W {
+                let at = i * S::F64_LANES;
+                let force = part(simd, &block.f[look], at) * Reals::load(simd, &block.masses, at);
+                sum[i] = sum[i] + force;
+                add_outer(&mut by_rest[i], part(simd, &block.rest, at), force);
+                spinning[i] = spinning[i] + cross(part(simd, &block.s[look], at), force);
+            }
         }
+        let column = |c: usize| total_vector_parts(by_rest.map(|by_rest| by_rest[c]));
+        let by_rest = DMat3::from_cols(column(0), column(1), column(2));
         if turning != DVec3::ZERO {
             let turning = Vector::<S, W>::splat(simd, turning);
             for block in &mut active.blocks {
@@ -823,7 +883,7 @@ impl Kernel for Gather<'_> {
                 store(load(simd, f) + cross(turning, load(simd, &block.x[look])), f);
             }
         }
-        Gathered { force: total_vector(sum), by_rest: total_matrix(&by_rest), spinning: total_vector(spinning) }
+        Gathered { force: total_vector_parts(sum), by_rest, spinning: total_vector_parts(spinning) }
     }
 }
 

@@ -25,7 +25,7 @@ use super::{
     crossing::Crossings,
     field::{Driven, Field, Paths},
     force::{Acting, View},
-    kernels::{self, Active, Finish, Gathered, Move, Reach, Start, WIDTH},
+    kernels::{self, Active, Finish, Gathered, Move, Moved, Reach, Start, WIDTH},
     passive::{Linear, Moments, Most, Scaled},
     weights::{Late, Onset, ballistic, cubic, early, early_ballistic, looks},
 };
@@ -544,7 +544,10 @@ impl Course {
                 active.shift(look, *vertex as usize, -x, -u);
             }
             let (common, by_rest) = ([x_common, u_common], [x_by_rest, u_by_rest]);
-            let mut moved = Move { active, look, weights: w, common, by_rest }.find(arch);
+            let mut moved = match active.len() {
+                0 => Moved::default(),
+                _ => Move { active, look, weights: w, common, by_rest }.find(arch),
+            };
             let [mut far, mut fast] = moved.changes;
             let mut sums = Sums::default();
             for (vertex, late) in &self.own {
@@ -650,6 +653,9 @@ impl Course {
 
     /// Places the active vertices at a sample.
     fn place(&mut self, arch: Arch, look: usize) {
+        if self.active.len() == 0 {
+            return;
+        }
         kernels::place(arch, &mut self.active, look, self.frames[look].axes);
     }
 
