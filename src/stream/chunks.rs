@@ -34,16 +34,16 @@ pub enum Audience {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TrackId(usize);
 
-/// An entity, and whether its rows are at stages or at instants: all rows of a chunk have the same timelines.
-type RowPlace = (EntityPath, bool);
+/// An entity, and whether its rows are at stages: all rows of a chunk must have the same timelines.
+type RowKey = (EntityPath, bool);
 
 /// Collects rows by entity until they are taken.
 pub struct Chunks {
     store: StoreId,
     tracks: Vec<Columns>,
-    open: HashMap<RowPlace, ChunkBuilder>,
+    open: HashMap<RowKey, ChunkBuilder>,
     /// Entities in `open` in the order of their first row, so that the order of messages does not depend on hashing.
-    order: Vec<RowPlace>,
+    order: Vec<RowKey>,
     done: Vec<LogMsg>,
     /// The stage at which rows are logged; `None` if they are at instants.
     stage: Option<u64>,
@@ -54,7 +54,7 @@ pub struct Chunks {
 }
 
 impl Chunks {
-    /// For the recording or blueprint `store`. The first message identifies the store.
+    /// Starts the recording or blueprint `store`. The first message identifies it.
     pub fn new(store: StoreId) -> Chunks {
         let source = StoreSource::Other("meldscope".to_owned());
         let info = SetStoreInfo { row_id: Tuid::from_nanos_and_inc(1, 0), info: StoreInfo::new(store.clone(), source) };
@@ -123,14 +123,14 @@ impl Chunks {
     pub fn row(&mut self, entity: &str, at: TimePoint, components: &dyn AsComponents) {
         let row = self.row_id();
         let path = EntityPath::from(entity);
-        let place = (path.clone(), self.stage.is_some());
-        let builder = self.open.remove(&place).unwrap_or_else(|| {
-            self.order.push(place.clone());
+        let key = (path.clone(), self.stage.is_some());
+        let builder = self.open.remove(&key).unwrap_or_else(|| {
+            self.order.push(key.clone());
             let id = self.chunk_id();
             Chunk::builder_with_id(id, path)
         });
         let builder = builder.with_serialized_batches(row, at, components.as_serialized_batches());
-        self.open.insert(place, builder);
+        self.open.insert(key, builder);
     }
 
     /// Logs static components of an entity, in a separate message.
@@ -166,7 +166,7 @@ impl Chunks {
     /// Like [`Chunks::take`], but includes tracks only if they have enough rows to fill a chunk.
     pub fn take_full(&mut self) -> Vec<LogMsg> {
         if self.tracks.iter().any(Columns::is_long) {
-            return self.take(); // scalars must not get ahead of their frames
+            return self.take(); // otherwise a file could contain scalars without their frames
         }
         for track in 0..self.tracks.len() {
             if self.tracks[track].is_full() {
@@ -177,8 +177,8 @@ impl Chunks {
         std::mem::take(&mut self.done)
     }
 
-    /// Returns what viewers have not received since the last call. Rows of tracks are for viewers only; they remain to
-    /// be taken, for files, in larger chunks.
+    /// Returns the rows that viewers have not received yet. Rows of tracks are for viewers only; they remain to be
+    /// taken for files, in larger chunks.
     pub fn show(&mut self) -> Vec<(Audience, LogMsg)> {
         for chunk in self.drain_rows() {
             self.send(chunk);
@@ -200,7 +200,8 @@ impl Chunks {
         !self.done.is_empty() || self.tracks.iter().any(|track| track.is_full() || track.is_long())
     }
 
-    /// Returns what was logged at instants since the last call, before it is converted to messages.
+    /// Returns the rows since the last call as chunks, not yet converted to messages. Static data and
+    /// [`Chunks::columns`] are converted at once.
     pub fn drain(&mut self) -> Vec<Chunk> {
         let mut chunks = self.drain_rows();
         for track in 0..self.tracks.len() {
@@ -241,7 +242,7 @@ impl Chunks {
     }
 }
 
-/// Unwraps a result that fails only for malformed columns; no column comes from outside.
+/// Unwraps a result that fails only for malformed columns, which this program does not build.
 fn ours<T, E: std::fmt::Display>(result: Result<T, E>) -> T {
     match result {
         Ok(result) => result,

@@ -49,7 +49,7 @@ pub enum Cell<'a> {
     Segments(&'a [[Float3; 2]]),
     /// Vertex indices of triangles.
     Triangles(&'a [[u32; 3]]),
-    /// Numbers of vertices.
+    /// Vertex indices.
     Indices(&'a [u32]),
     /// Line strips.
     Strips(&'a [Vec<Float3>]),
@@ -129,12 +129,12 @@ impl Columns {
         self.ids.is_empty()
     }
 
-    /// Whether there are enough bytes to fill a chunk.
+    /// Whether there are enough bytes for a full chunk.
     pub fn is_full(&self) -> bool {
         self.columns.iter().map(|column| column.values.bytes()).sum::<usize>() >= CHUNK_BYTES
     }
 
-    /// Whether there are enough rows to fill a chunk.
+    /// Whether there are enough rows for a full chunk.
     pub fn is_long(&self) -> bool {
         self.ids.len() >= CHUNK_ROWS
     }
@@ -329,7 +329,7 @@ fn tuples<const N: usize>(values: Vec<[f32; N]>) -> Result<ArrayRef, ArrowError>
     Ok(Arc::new(FixedSizeListArray::try_new(item.into(), N as i32, coordinates, None)?))
 }
 
-/// Line strips of some lengths.
+/// Line strips of the given lengths.
 fn strips(lengths: impl Iterator<Item = usize>, points: Vec<Float3>) -> Result<ArrayRef, ArrowError> {
     let points = tuples(points)?;
     let item = Field::new("item", points.data_type().clone(), false);

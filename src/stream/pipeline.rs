@@ -48,7 +48,7 @@ pub struct Pipeline {
     watch: StepWatch,
     packet: Packet,
     /// Current number of frames in a full packet.
-    most_frames: usize,
+    max_frames: usize,
     handed_over: Clock,
     /// Time spent waiting since the last step.
     waiting: Duration,
@@ -73,7 +73,7 @@ pub struct PipelineEnd {
 }
 
 impl PipelineEnd {
-    /// Ends the recording and sends what remains. Returns why that failed, if it did.
+    /// Ends the recording and sends the remaining messages. Returns the reason if that fails.
     pub fn finish(&mut self, simulation: &dyn Simulation) -> Option<String> {
         self.recorder.finish(simulation);
         let [is_live, is_recorded] = self.sinks.are_live_and_recorded();
@@ -92,7 +92,7 @@ struct Shared {
     failure: Option<String>,
 }
 
-/// Several steps, and those of their frames that are recorded.
+/// Several steps and their recorded frames.
 #[derive(Default)]
 struct Packet {
     /// The first `steps_used` are filled; the others are kept for reuse.
@@ -127,7 +127,7 @@ impl Pipeline {
             watch: StepWatch::new(simulation, &settings),
             settings,
             packet: Packet::default(),
-            most_frames: FRAMES,
+            max_frames: FRAMES,
             handed_over: Clock::now(),
             waiting: Duration::ZERO,
             surfaces: Vec::new(),
@@ -151,7 +151,7 @@ impl Pipeline {
         let memory = |stage: &StageFrame| stage.frame.memory();
         packet.bytes += frame.map_or(0, |frame| frame.memory()) + step.stages.iter().map(memory).sum::<usize>();
         let is_old = step.end.is_some_and(|end| end - self.handed_over >= AGE);
-        if packet.used >= self.most_frames || packet.steps_used >= STEPS || packet.bytes >= BYTES || is_old {
+        if packet.used >= self.max_frames || packet.steps_used >= STEPS || packet.bytes >= BYTES || is_old {
             return self.hand_over();
         }
         Ok(())
@@ -166,7 +166,7 @@ impl Pipeline {
         let next = self.empty.recv();
         self.handed_over = Clock::now();
         let waited = self.handed_over - start;
-        self.most_frames = if waited > SLOW { 1 } else { FRAMES };
+        self.max_frames = if waited > SLOW { 1 } else { FRAMES };
         self.waiting += waited;
         let packet = replace(&mut self.packet, next.unwrap_or_default());
         match self.full.as_ref().map(|full| full.send(packet)) {
@@ -188,7 +188,7 @@ impl Pipeline {
     /// Waits until everything observed is recorded.
     ///
     /// # Errors
-    /// The recording thread has died.
+    /// The recording thread has panicked.
     pub fn finish(mut self) -> Result<PipelineEnd, String> {
         let handed_over = self.hand_over();
         self.full = None;
@@ -216,7 +216,7 @@ fn next_of<'a, T: Default>(all: &'a mut Vec<T>, used: &mut usize) -> &'a mut T {
 }
 
 fn broken() -> String {
-    "the thread that records is gone; this is a bug, please report it".to_owned()
+    "the recording thread has ended; this is a bug, please report it".to_owned()
 }
 
 /// The recording thread's side of the pipeline.
@@ -262,7 +262,7 @@ impl Recording {
         }
     }
 
-    /// Sends what is due: everything to viewers, full chunks to files.
+    /// Sends the data that is due: everything to viewers, full chunks to files.
     fn send(&mut self) -> Option<String> {
         let mut failure = None;
         if self.is_live && self.shown.elapsed() >= LIVE_INTERVAL {
@@ -272,7 +272,7 @@ impl Recording {
         if self.is_recorded && failure.is_none() {
             let is_due = self.saved.elapsed() >= FILE_INTERVAL;
             if self.is_live && (is_due || self.recorder.has_full()) {
-                // what is sent to the file is no longer available for viewers
+                // data sent to the file is no longer available for viewers
                 failure = show(&mut self.recorder, &mut self.sinks, true);
             }
             let messages = if is_due { self.recorder.take() } else { self.recorder.take_full() };
@@ -297,7 +297,8 @@ impl Recording {
     }
 }
 
-/// Sends what viewers have not received. Files get it too if it does not come in large chunks.
+/// Sends the data that viewers have not received. Files get the same, except for tracks, which they get in larger
+/// chunks.
 fn show(recorder: &mut Recorder, sinks: &mut Sinks, is_recorded: bool) -> Option<String> {
     if !is_recorded {
         return send(sinks, recorder.take());
@@ -307,7 +308,7 @@ fn show(recorder: &mut Recorder, sinks: &mut Sinks, is_recorded: bool) -> Option
     failed.map(|error| error.to_string())
 }
 
-/// Sends messages; returns why that failed if a required destination did.
+/// Sends messages; returns the reason if a required destination fails.
 pub fn send(sinks: &mut Sinks, messages: impl IntoIterator<Item = LogMsg>) -> Option<String> {
     send_to(Audience::All, sinks, messages)
 }

@@ -1,7 +1,8 @@
 //! A recording from its first message to its last: writes the entities listed in [`stream`](super).
 //!
-//! Unchanged values are not logged again; the viewer's latest-at query holds them. Plot lines of such values therefore
-//! hold each value until the next one (`StepAfter`), and get a final point at the end of the run.
+//! Unchanged values are not logged again; the viewer's latest-at query holds them. Plot lines therefore either
+//! hold each value until the next one (`StepAfter`), or get a point where an unchanged value ends (see
+//! [`series`](super::series)). All get a final point at the end of the run.
 
 use std::{
     mem::take,
@@ -42,7 +43,7 @@ use crate::{
     text::counted,
 };
 
-/// Number of near misses that are listed.
+/// Upper limit on the number of near misses listed.
 pub const MOST_APPROACHES: usize = 5;
 
 /// Converts a simulation, step by step, to the messages of a recording.
@@ -110,7 +111,7 @@ impl Recorder {
     /// Number of initial messages that identify the recording: its store and its properties.
     pub const HEAD: usize = 4;
 
-    /// Begins a recording: logs its properties, everything static, the blueprint, and the current state.
+    /// Begins a recording: logs its properties, everything static, and the current state.
     pub fn new(simulation: &dyn Simulation, settings: Settings) -> Recorder {
         Recorder::numbered(simulation, settings, 0)
     }
@@ -128,7 +129,8 @@ impl Recorder {
         let mut chunks = Chunks::new(StoreId::new(StoreKind::Recording, application, id));
         log_properties(&schema, &run, &simulation.overrides(settings.steps), &settings, &mut chunks);
         if settings.frames != Frames::Thin {
-            chunks.log_static("/world", &ViewCoordinates::RIGHT_HAND_Z_UP()); // would open an empty 3D view
+            // a thin recording would open an empty 3D view
+            chunks.log_static("/world", &ViewCoordinates::RIGHT_HAND_Z_UP());
         }
         log_about(blueprint::about(&schema, &settings, simulation.steps_taken()), &mut chunks);
         if settings.frames != Frames::Thin && !schema.planes.is_empty() {
@@ -161,7 +163,8 @@ impl Recorder {
         };
         let at = now(simulation);
         recorder.checksums.push(at, simulation.checksum());
-        recorder.checksums.log(&mut recorder.chunks, true); // own row: a killed run has at least this one
+        // in its own row, so that a killed run has at least this checksum
+        recorder.checksums.log(&mut recorder.chunks, true);
         if recorder.parts.is_some() {
             let mut frame = take(&mut recorder.frame);
             simulation.observe(recorder.settings.want(), &mut frame);
@@ -174,7 +177,7 @@ impl Recorder {
         recorder
     }
 
-    /// Returns the messages since the last call, for the sinks. The first ones are those of the blueprint.
+    /// Returns the messages since the last call, for the sinks. The first [`Recorder::HEAD`] identify the recording.
     pub fn take(&mut self) -> Vec<LogMsg> {
         self.checksums.log(&mut self.chunks, false);
         self.chunks.take()
@@ -194,8 +197,7 @@ impl Recorder {
         self.chunks.has_full()
     }
 
-    /// Returns what viewers have not received since the last call, if files are served separately by the two methods
-    /// above.
+    /// Returns the data that viewers have not received yet. Files receive theirs from the two methods above.
     pub fn show(&mut self) -> Vec<(Audience, LogMsg)> {
         self.chunks.show()
     }
@@ -208,7 +210,7 @@ impl Recorder {
     /// Like [`Recorder::blueprint`], with another tab active.
     pub fn blueprint_at(&self, simulation: &dyn Simulation, tab: Tab) -> Vec<LogMsg> {
         match self.settings.frames {
-            // the viewer finds the text and the events by itself, and a layout is larger than everything else
+            // the viewer finds the text and the events without it, and a layout would be larger than everything else
             Frames::Thin => Vec::new(),
             _ => blueprint::messages(&self.subject(simulation), tab, self.chunks.store()),
         }
@@ -266,7 +268,7 @@ impl Recorder {
         (self.step, self.frame) = (step, frame);
     }
 
-    /// Computes on several threads what of the next frames to be recorded can be computed before them.
+    /// Computes the merged surfaces of the next frames to be recorded, on several threads.
     pub fn compute_ahead(&mut self, frames: &[Frame]) {
         if let Some(FrameParts { state, pairs, .. }) = &mut self.parts {
             state.merged.compute_ahead(&self.schema, frames, &pairs.foresee(&self.schema, frames));
@@ -339,7 +341,7 @@ impl Recorder {
         self.chunks.log_static("/__properties/meldscope", &property);
     }
 
-    /// Moves what was logged in this step to the flight recorder, if there is one, and writes its contents if the step
+    /// Moves the data logged in this step to the flight recorder, if there is one, and writes its contents if the step
     /// fires a trigger. Events and phases are always written.
     fn keep(&mut self, summary: &StepSummary) {
         let (Some(flight), Frames::Last { on, after, .. }) = (&mut self.flight, &self.settings.frames) else { return };
@@ -390,10 +392,10 @@ impl Recorder {
     pub fn missed_event(&self) -> Option<String> {
         let (around, seen) = self.parts.as_ref()?.focus.missed()?;
         let seen = if seen > 0 { format!(", only {} of that kind", counted(seen, "event")) } else { String::new() };
-        Some(format!("--around: there was no {around}{seen}; a file opens with the first event that there was"))
+        Some(format!("--around: there was no {around}{seen}; a file opens at its first event"))
     }
 
-    /// Describes how close pairs came that stayed in their first phase, the closest first.
+    /// Describes the closest approaches of pairs that stayed in their first phase, closest first.
     pub fn approaches(&self) -> Vec<String> {
         let closest = self.parts.as_ref().map(|parts| parts.approaches.closest()).unwrap_or_default();
         closest.iter().map(|approach| approach.describe(&self.schema)).collect()
@@ -465,7 +467,7 @@ impl FrameParts {
         }
     }
 
-    /// Logs what has changed; `number` is the number of the frame.
+    /// Logs changed values; `number` is the number of the frame.
     fn log(&mut self, view: FrameView<'_>, number: u64, chunks: &mut Chunks) {
         let start = Clock::now();
         let FrameParts { state, pairs, groups, numbers, trails, series, approaches, focus, heat, changed } = self;
@@ -509,7 +511,7 @@ impl StateParts {
         StateParts { extractor, merged, surfaces, spheres, forces, net_forces, lines }
     }
 
-    /// Logs what has changed, and measures `pairs`; returns the time spent on extraction, now and ahead.
+    /// Logs changed values, and measures `pairs`; returns the time spent on extraction, now and ahead.
     fn log(&mut self, view: FrameView<'_>, pairs: &[[usize; 2]], chunks: &mut Chunks) -> [Duration; 2] {
         let start = Clock::now();
         let StateParts { extractor, merged, surfaces, spheres, forces, net_forces, lines } = self;
@@ -549,7 +551,7 @@ fn log_properties(schema: &Schema, run: &str, overrides: &str, settings: &Settin
         .with_component::<Scalar>("format", [f64::from(FORMAT)])
         .with_component::<Text>("machine", [machine::describe()])
         .with_component::<Text>("integrator", [schema.integrator.as_str()]);
-    // not for oscillators, as in recordings made before there were other models
+    // omitted for oscillators, as in recordings made before there were other models
     let properties = match schema.non_default_model() {
         None => properties,
         Some(model) => properties.with_component::<Text>("model", [model]),

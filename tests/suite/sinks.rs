@@ -606,7 +606,7 @@ fn a_run_ends_when_its_only_viewer_disconnects() {
         error.is_some()
     });
     let err = error.expect("the run waits for it");
-    assert!(err.to_string().contains("nothing else is left to send to"), "{err}");
+    assert!(err.to_string().contains("no other destination is left"), "{err}");
     assert!(!err.is_usage());
     rejected(sinks.finish());
 }

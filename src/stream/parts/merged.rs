@@ -33,7 +33,7 @@ const CLASSES: &str = "/world/merged";
 
 /// Component of a body's own mesh: the triangles drawn beside merged surfaces.
 pub const DRAWN: &str = "drawn_triangles";
-/// The triangles of a body that is drawn as part of a merged surface. (The viewer takes an empty list as unknown
+/// The triangles of a body that is drawn as part of a merged surface. (The viewer treats an empty list as unknown
 /// triangles.)
 pub const HIDDEN: [[u32; 3]; 1] = [[0; 3]];
 
@@ -42,9 +42,9 @@ pub fn drawn(triangles: &[[u32; 3]]) -> AnyValues {
     AnyValues::default().with_component::<TriangleIndices>(DRAWN, triangles.iter().copied())
 }
 
-/// Merged surfaces, with what was last logged of them.
+/// Merged surfaces, with the last logged values.
 pub struct MergedEntities {
-    /// One per thread; the first also for frames that were not computed ahead.
+    /// One per thread; the first one also computes frames that were not computed ahead.
     mergers: Vec<Merger>,
     ahead: VecDeque<Ahead>,
     /// The surfaces and measures of the last frame.
@@ -57,12 +57,12 @@ pub struct MergedEntities {
     mesh: Mesh,
 }
 
-/// The surfaces of a frame that has not been logged yet.
+/// The surfaces of a frame, computed before it is logged.
 struct Ahead {
     frame: observe::Instant,
     pairs: Vec<[usize; 2]>,
     merged: Merged,
-    /// The time that this took on its thread.
+    /// Computing time on its thread.
     time: Duration,
 }
 
@@ -127,7 +127,7 @@ impl MergedEntities {
             return;
         }
         self.mergers.resize_with(threads.max(self.mergers.len()), || Merger::new(schema, self.interrupt));
-        // consecutive frames, so that what does not move is computed once
+        // consecutive frames per thread, so that groups at rest are computed once
         let count = frames.len().div_ceil(threads);
         let runs = frames.par_chunks(count).zip(pairs.par_chunks(count)).zip(&mut self.mergers);
         let ahead: Vec<Vec<Ahead>> = runs
@@ -143,7 +143,7 @@ impl MergedEntities {
         self.ahead.extend(ahead.into_iter().flatten());
     }
 
-    /// Computes the surfaces of a frame, measures `pairs`, and logs what has changed. Returns the time that was spent on
+    /// Computes the surfaces of a frame, measures `pairs`, and logs changed values. Returns the time spent on computing
     /// the frame ahead.
     pub fn log(&mut self, view: FrameView<'_>, pairs: &[[usize; 2]], chunks: &mut Chunks) -> Duration {
         let ahead = self.ahead.pop_front().filter(|ahead| ahead.frame == view.frame.at && ahead.pairs == pairs);
@@ -158,7 +158,7 @@ impl MergedEntities {
 
     fn log_merged(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         let merged = &self.merged;
-        // unchanged surfaces are different objects if different threads computed them
+        // equal surfaces are different objects if different threads computed them
         let is_same = self.last.len() == merged.groups.len()
             && self.last.iter().zip(&merged.groups).all(|(last, now)| Arc::ptr_eq(last, now) || last == now);
         if is_same {
@@ -267,16 +267,16 @@ mod tests {
                 let shown = pairs.choose(view, &mut series, &mut chunks);
                 let ahead = merged.log(view, shown, &mut chunks);
                 let is_foreseen = frame.pairs.is_empty() || threads < 2 || in_packet < 2 || ahead > Duration::ZERO;
-                assert!(is_foreseen, "{name}, step {}: other pairs than foreseen", frame.at.step);
+                assert!(is_foreseen, "{name}, step {}: pairs differ from the foreseen ones", frame.at.step);
             }
         }
         chunks.take()
     }
 
-    /// Neither the number of threads nor how frames come in packets changes a recording, not even that of a group at
-    /// rest, which is logged once.
+    /// A recording depends neither on the number of threads nor on the size of packets, even if a group is at rest,
+    /// which is logged once.
     #[test]
-    fn frames_computed_ahead_are_logged_like_others() {
+    fn frames_computed_ahead_are_logged_identically() {
         let at_rest = "duration = 2.0\n[influence]\nalpha = 0\nbeta = 0\n[[body]]\nname = \"a\"\nradius = 1\nmotion = { fixed = [0, 0, 0] }\n\
             [[body]]\nname = \"b\"\nradius = 1\nmotion = { fixed = [1.5, 0, 0] }\n";
         let at_rest = Scene::parse(at_rest, "at_rest").unwrap();

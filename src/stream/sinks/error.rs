@@ -130,7 +130,7 @@ pub enum SinkError {
         help: String,
     },
     /// A viewer, or the server for viewers, has disconnected, and no other destination is left.
-    #[error("{name} went away after {} ({reason}), and nothing else is left to send to", counted(*messages, "message"))]
+    #[error("{name} went away after {} ({reason}), and no other destination is left", counted(*messages, "message"))]
     Gone {
         /// The viewer or the server.
         name: String,
