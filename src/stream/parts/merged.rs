@@ -281,7 +281,7 @@ mod tests {
             [[body]]\nname = \"b\"\nradius = 1\nmotion = { fixed = [1.5, 0, 0] }\n";
         let at_rest = Scene::parse(at_rest, "at_rest").unwrap();
         let builtin = |name| Scene::builtin(name).unwrap();
-        for (scene, steps) in [(at_rest, 32), (builtin("two"), 144), (builtin("crowd"), 8)] {
+        for (scene, steps) in [(at_rest, 32), (builtin("two"), 144), (builtin("crowd"), 16)] {
             let one_by_one = recorded(&scene, steps, 1, 1);
             for (in_packet, threads) in [(16, 3), (8, 8)] {
                 let messages = recorded(&scene, steps, in_packet, threads);
