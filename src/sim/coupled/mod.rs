@@ -18,12 +18,12 @@
 //! # What a step skips
 //! - A body that is undeformed, does not turn and is out of reach of everything moves in closed form; so does one that turns
 //!   like a rigid body about its axis of largest moment ([`member::Member::steady_spin`]), to which damping leads.
-//!   No other spin has one. Vertices feel the centrifugal force, so a body that turns is not rigid: thrown undeformed, it
+//!   In general, a spin has none. Vertices feel the centrifugal force, so a body that turns is not rigid: thrown undeformed, it
 //!   swings about a stretched shape, and one that turns about no principal axis is stretched another way at every instant.
 //!   Its motion is x = X l + ξ, where the ξ are free oscillators and X is a matrix, whose nine equations contain the polar
 //!   decomposition of Q + X: a pseudo-rigid body (Cohen & Muncaster, The Theory of Pseudo-rigid Bodies, 1988), which has
-//!   no closed solution. Euler's top, which has one, is off by Ω²/ω² of the radius. It takes steps, at a cost that depends
-//!   little on the number of vertices (`free::passive`).
+//!   no closed solution. Euler's top, which has one, is off by Ω²/ω² of the radius. It takes steps; the cost of their
+//!   iterations does not depend on the number of vertices (`free::passive`).
 //! - A body comes to rest when its whole island is nearly still ([`member::Member::is_calm`]), and costs nothing until
 //!   a moving body comes near it or a push begins. Its island then wakes as a whole.
 
