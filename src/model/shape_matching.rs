@@ -192,7 +192,7 @@ pub struct Inner {
 
 impl Default for Inner {
     fn default() -> Inner {
-        // the default of a matrix is the identity, which would be the sums of a body that is not there
+        // the default of a matrix is the identity, not an empty sum
         let (none, zero) = (DMat3::ZERO, DVec3::ZERO);
         Inner { as_: none, ax_rate: none, x_cross_rate: zero, ss: none }
     }

@@ -1,9 +1,9 @@
-//! Roots of functions of one variable: of one that has exactly one in an interval, by bracketed secants ([`root`]); and the
-//! first time at which a function falls through zero within an interval, using bounds on its second derivative
-//! ([`first_fall`]): none is missed, however short the visit below zero.
+//! Roots of functions of one variable. [`root`] finds the only root in an interval, by bracketed secants.
+//! [`first_fall`] finds the first time at which a function falls through zero within an interval, using bounds on its
+//! second derivative: no fall is missed, however briefly the function is below zero.
 //!
-//! Intervals that cannot contain a root are skipped, those on which the function is monotone are solved by Newton's
-//! method with bisection where a step leaves the bracket, and others are halved.
+//! [`first_fall`] skips intervals that cannot contain a root. Those on which the function is monotone are solved by
+//! Newton's method with bisection where a step leaves the bracket, and others are halved.
 
 /// Number of Newton steps before bisecting. Far from the origin, rounding turns positions into a staircase on which
 /// Newton steps are too small.
@@ -97,14 +97,15 @@ fn fall<F: Falling>(f: &F, mut low: f64, mut high: f64, guess: f64) -> Option<f6
     Some(high)
 }
 
-/// The root in `[low, high]` of a function that is ≥ 0 at `low` and < 0 at `high`, to about the last bit.
+/// The root in `[low, high]` of a function that is negative at `high`, to about the last bit; `low` if the function is
+/// not positive there.
 pub(crate) fn root(low: f64, high: f64, mut at: impl FnMut(f64) -> f64) -> f64 {
     let (above, below) = (at(low), at(high));
     if above <= 0.0 { low } else { between((low, above), (high, below), at) }
 }
 
-/// The same, between two points with positive and negative values that need not be the function's own: their signs count
-/// (regula falsi, Illinois variant).
+/// Like [`root`], with given values at the ends: positive at `low`, negative at `high`. They need not be the function's
+/// own; only their signs matter (regula falsi, Illinois variant).
 pub(crate) fn between(
     (mut low, mut above): (f64, f64),
     (mut high, mut below): (f64, f64),
@@ -148,7 +149,7 @@ mod tests {
         assert!((root(0.0, 2.0, |x| 2.0 - x * x) - std::f64::consts::SQRT_2).abs() < 1e-15);
         assert!((root(0.0, 1.0, |x| 1e-9 - x * x * x) - 1e-3).abs() < 1e-15);
         assert_eq!(root(1.0, 2.0, |_| -1.0), 1.0);
-        // from zero, where only its slope tells that it is positive there
+        // zero at the start and positive right after it: the given value has that sign
         assert!((between((0.0, 1.0), (1.0, -0.7), |x| x * (0.3 - x)) - 0.3).abs() < 1e-15);
     }
 }

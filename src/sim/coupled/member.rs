@@ -62,7 +62,7 @@ pub(in crate::sim) struct Member {
     pub speed: f64,
     /// [`Member::hash`] while it rests.
     pub resting_hash: u64,
-    /// Angular velocity of a body that turns like a rigid one, see [`Member::steady_spin`] [rad/s].
+    /// Angular velocity, if the body turns like a rigid one, see [`Member::steady_spin`] [rad/s].
     pub steady: Option<DVec3>,
     /// The pushes on it, in order of their starts.
     pub pushes: Box<[Push]>,
@@ -238,11 +238,11 @@ impl Member {
         x <= max && self.speed <= max * self.body.oscillator.omega.max(1.0)
     }
 
-    /// The angular velocity at which the body turns like a rigid body, if nothing acts on it: its vertices move as s′ = Ω×s, and
-    /// springs balance the centrifugal force, ω² x = −Ω×(Ω×s), up to a tenth of the tolerance. Damping takes a body there.
+    /// Angular velocity Ω at which the body goes on turning like a rigid one if nothing acts on it: its vertices move
+    /// with s′ = Ω×s, and springs balance the centrifugal force, ω² x = −Ω×(Ω×s), both within a tenth of the tolerance.
+    /// Damping leads there.
     ///
-    /// Ω has to be along the axis of the largest moment: turning about another is an unstable balance for a body that has
-    /// damping.
+    /// Ω must be along the axis of largest moment: about any other axis, the rotation of a damped body is unstable.
     pub fn steady_spin(&self, tolerance: f64) -> Option<DVec3> {
         let body = &self.body;
         let Oscillator { omega, damping } = body.oscillator;
@@ -250,32 +250,32 @@ impl Member {
             return None;
         }
         let (shape, axes) = (&body.shape, DMat3::from_quat(body.rotation));
-        let place = |i: usize| axes * shape.rest()[i] + body.x[i];
+        let position = |i: usize| axes * shape.rest()[i] + body.x[i];
         let mut squares = DMat3::ZERO;
         for (i, &m) in shape.masses().iter().enumerate() {
-            let s = place(i);
+            let s = position(i);
             squares += DMat3::from_cols(m * s.x * s, m * s.y * s, m * s.z * s);
         }
         let (inertia, frame_spin) = (resistance(squares), body.frame_spin());
         let spin = solve(inertia, body.spin);
-        // a deviation of the moments by as much as that of the vertices makes it turn too fast or too slowly
-        let most = STRAIGHT * tolerance.min(MAX_STRAIGHT_TOLERANCE) * body.radius / spin.length().max(1.0);
+        // deviations of the vertices change the moments too, and thus the spin: this error grows with |Ω|
+        let max = STRAIGHT * tolerance.min(MAX_STRAIGHT_TOLERANCE) * body.radius / spin.length().max(1.0);
         let wobble = solve(inertia, spin.cross(inertia * spin));
-        if !(spin != DVec3::ZERO && wobble.length() * self.extent <= most && is_largest(inertia, spin)) {
+        if !(spin != DVec3::ZERO && wobble.length() * self.extent <= max && is_largest(inertia, spin)) {
             return None;
         }
-        let (most_speed, most_force) = (most * omega.max(1.0), most * omega * omega);
+        let (max_speed, max_force) = (max * omega.max(1.0), max * omega * omega);
         let is_steady = (0..body.x.len()).all(|i| {
-            let s = place(i);
+            let s = position(i);
             let rate = frame_spin.cross(s - body.x[i]) + body.u[i];
             let turning = spin.cross(s);
             let force = omega * omega * body.x[i] + spin.cross(turning);
-            (rate - turning).length() <= most_speed && force.length() <= most_force
+            (rate - turning).length() <= max_speed && force.length() <= max_force
         });
         is_steady.then_some(spin)
     }
 
-    /// Turns the body like a rigid one for `h` [s].
+    /// Turns the body like a rigid one at `spin` [rad/s] for `h` [s].
     pub fn turn(&mut self, spin: DVec3, h: f64) {
         let turn = rotation_by(h * spin);
         let Body { rotation, x, u, .. } = &mut self.body;
@@ -348,7 +348,7 @@ impl Member {
 fn is_largest(inertia: DMat3, spin: DVec3) -> bool {
     let axis = spin.normalize_or_zero();
     let own = axis.dot(inertia * axis);
-    // of the two axes across it: their sum and their product
+    // compare with the larger eigenvalue of the moments across the axis
     let (across, second) = (axis.any_orthonormal_vector(), axis.cross(axis.any_orthonormal_vector()));
     let (a, b, c) = (across.dot(inertia * across), second.dot(inertia * second), across.dot(inertia * second));
     let half = 0.5 * (a - b);

@@ -16,14 +16,14 @@
 //! that moved farther are rebuilt and advanced again from the start of the step.
 //!
 //! # What a step skips
-//! - A body that is undeformed, does not turn and is out of reach of everything moves in closed form; so does one that turns
-//!   like a rigid body about its axis of largest moment ([`member::Member::steady_spin`]), to which damping leads.
-//!   In general, a spin has none. Vertices feel the centrifugal force, so a body that turns is not rigid: thrown undeformed, it
-//!   swings about a stretched shape, and one that turns about no principal axis is stretched another way at every instant.
-//!   Its motion is x = X l + ξ, where the ξ are free oscillators and X is a matrix, whose nine equations contain the polar
-//!   decomposition of Q + X: a pseudo-rigid body (Cohen & Muncaster, The Theory of Pseudo-rigid Bodies, 1988), which has
-//!   no closed solution. Euler's top, which has one, is off by Ω²/ω² of the radius. It takes steps; the cost of their
-//!   iterations does not depend on the number of vertices (`free::passive`).
+//! - A body that is undeformed, does not turn and is out of reach of everything moves in closed form. So does one that
+//!   turns like a rigid body about its axis of largest moment ([`member::Member::steady_spin`]); damping leads there.
+//!   In general, other rotations have no closed form. Vertices feel the centrifugal force, so a turning body is not
+//!   rigid: if thrown undeformed, it swings about a stretched shape, and if it turns about no principal axis, its
+//!   stretch keeps changing. Its motion is x = X l + ξ, where the ξ are free oscillators and X is a matrix whose nine
+//!   equations contain the polar decomposition of Q + X: a pseudo-rigid body (Cohen & Muncaster, The Theory of
+//!   Pseudo-rigid Bodies, 1988). Euler's top, which has a closed form, is off by Ω²/ω² of the radius. Such a body takes
+//!   steps; the cost of their iterations does not depend on the number of vertices (`free::passive`).
 //! - A body comes to rest when its whole island is nearly still ([`member::Member::is_calm`]), and costs nothing until
 //!   a moving body comes near it or a push begins. Its island then wakes as a whole.
 
@@ -66,7 +66,7 @@ use crate::{
 /// Limit on repetitions of a step because bodies moved farther than expected.
 const MAX_ROUNDS: u32 = 40;
 
-/// Number of steps after which it is tested whether a body that turns alone does so like a rigid one.
+/// Number of steps between tests whether a body that turns alone does so like a rigid one.
 const STEADY_EVERY: u64 = 16;
 
 /// Ordinary work of a step per vertex: a few sweeps of a few steps, at four nodes [units].

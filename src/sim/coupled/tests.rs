@@ -55,10 +55,10 @@ fn an_isolated_body_flies_in_closed_form() {
     assert!(world.body(0).is_at_rest());
 }
 
-/// A damped body that turns about its axis of largest moment stops swinging; then it goes on in closed form, as its steps
-/// would have gone on, until it is pushed. Without damping it swings for ever.
+/// A damped body that turns about its axis of largest moment stops swinging. It then goes on in closed form, like the
+/// same body with steps, until it is pushed. Without damping it swings for ever.
 #[test]
-fn what_turns_like_a_rigid_body_does_so_in_closed_form() {
+fn steady_rotation_needs_no_steps() {
     let turning = |spin: DVec3| {
         let motion =
             format!("{{ free = {{ from = [0, 0, 0], velocity = [0.1, 0, 0], spin = {:?} }} }}", spin.to_array());

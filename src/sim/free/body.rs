@@ -24,16 +24,16 @@ pub struct Shape {
     pub(super) mass: f64,
     /// Second moment Σ m l lᵀ.
     pub(super) spread: DMat3,
-    /// The largest |l| [scene unit].
+    /// Largest |l| [scene unit].
     pub(super) extent: f64,
     /// Rest positions by coordinate, padded to full lanes.
     pub(super) lanes: Vec<Lanes>,
-    /// Masses, padded by zeros.
+    /// Masses, padded with zeros.
     pub(super) lanes_masses: Vec<Lane>,
 }
 
 impl Shape {
-    /// A shape with vertices at `rest` [scene unit] and `masses` > 0; it is shifted to its mass centre.
+    /// A shape with vertices at `rest` [scene unit] and `masses` > 0, shifted so that its mass centre is the origin.
     pub fn new(mut rest: Vec<DVec3>, masses: Vec<f64>) -> Shape {
         let mass: f64 = masses.iter().sum();
         let middle = rest.iter().zip(&masses).map(|(&l, &m)| m * l).sum::<DVec3>() / mass;
@@ -51,7 +51,7 @@ impl Shape {
         Shape { rest, masses, mass, spread, extent, lanes, lanes_masses }
     }
 
-    /// The shape of a body that only acts on others: it has no vertices.
+    /// A shape without vertices, for bodies that only act on others.
     pub fn none() -> Shape {
         let (lanes, lanes_masses) = (Vec::new(), Vec::new());
         Shape { rest: Vec::new(), masses: Vec::new(), mass: 0.0, spread: DMat3::ZERO, extent: 0.0, lanes, lanes_masses }
@@ -62,7 +62,7 @@ impl Shape {
         self.mass
     }
 
-    /// The largest |l| [scene unit].
+    /// Largest |l| [scene unit].
     pub fn extent(&self) -> f64 {
         self.extent
     }
@@ -83,16 +83,16 @@ impl Shape {
 pub enum Motion {
     /// Forces move it.
     Free(Rotation),
-    /// A path moves it: see [`super::Paths`].
+    /// A path moves it, see [`super::Paths`].
     Prescribed,
-    /// Forces move it, but in another part of its island: a track tells where it is.
+    /// Forces move it, but it is advanced elsewhere; [`super::Paths`] gives its track.
     Tracked,
 }
 
 /// A body and its state. A vertex is at c + Q l + x and moves at c′ + Ω_Q×Q l + u.
 #[derive(Clone, Debug)]
 pub struct Body {
-    /// Its rest shape, which may be shared with other bodies.
+    /// Rest shape, which bodies may share.
     pub shape: Arc<Shape>,
     /// Radius R [scene unit].
     pub radius: f64,
@@ -137,7 +137,7 @@ impl Body {
         Body { motion: Motion::Prescribed, ..Body::free(shape, radius, oscillator, Rotation::Fixed) }
     }
 
-    /// Makes it the same as another.
+    /// Copies another body, reusing allocations.
     pub(in crate::sim) fn copy_from(&mut self, other: &Body) {
         let Body { shape, radius, oscillator, motion, centre, velocity, rotation, spin, x, u } = other;
         if !Arc::ptr_eq(&self.shape, shape) {
@@ -149,7 +149,8 @@ impl Body {
         self.u.clone_from(u);
     }
 
-    /// Places a free body and sets it in motion at `velocity` [scene unit/s], rotating at the rate `spin` [rad/s].
+    /// Moves a free body to `from` [scene unit] and sets it in motion with `velocity` [scene unit/s] and angular
+    /// velocity `spin` [rad/s].
     pub fn throw(&mut self, from: DVec3, velocity: DVec3, spin: DVec3) {
         (self.centre, self.velocity) = (from, velocity);
         if self.motion == Motion::Free(Rotation::Free) {
@@ -163,23 +164,23 @@ impl Body {
         }
     }
 
-    /// Displacement and velocity of a vertex; zero in a body whose lists are empty because it is not deformed.
+    /// Displacement and velocity of a vertex; zero if the lists are empty because the body is undeformed.
     #[inline]
     pub(super) fn state(&self, vertex: usize) -> (DVec3, DVec3) {
         (self.x.get(vertex).copied().unwrap_or_default(), self.u.get(vertex).copied().unwrap_or_default())
     }
 
-    /// Whether its rest shape rotates.
+    /// Whether the rest shape can rotate.
     pub fn turns(&self) -> bool {
         self.motion == Motion::Free(Rotation::Free)
     }
 
-    /// Whether a path moves it, not forces.
+    /// Whether a path moves the body, not forces.
     pub fn is_prescribed(&self) -> bool {
         self.motion == Motion::Prescribed
     }
 
-    /// Whether forces move it here.
+    /// Whether forces move the body, and it is advanced in this island.
     pub fn is_free(&self) -> bool {
         matches!(self.motion, Motion::Free(_))
     }
@@ -205,13 +206,13 @@ impl Body {
         if self.turns() { self.inner(self.rotation).frame_spin(self.spin) } else { DVec3::ZERO }
     }
 
-    /// The sums over its vertices.
+    /// The sums over the vertices, for this rotation.
     pub(super) fn inner(&self, rotation: DQuat) -> Inner {
         Sums::of(&self.shape, &self.x, &self.u).inner(&self.shape, DMat3::from_quat(rotation))
     }
 
-    /// The best fit of the frame to vertices with these sums, which keep their positions: its rotation, and what this
-    /// adds to their displacements and velocities.
+    /// Fits the frame to vertices with these sums; their positions stay. Returns the changes of their displacements and
+    /// velocities, and the rotation.
     pub(super) fn refit(&self, sums: &Sums) -> ([Linear; 2], DQuat) {
         let shape = &*self.shape;
         let (x, u) = (sums.x / shape.mass, sums.u / shape.mass);
@@ -220,7 +221,7 @@ impl Body {
         if !self.turns() {
             return ([to_x, to_u], self.rotation);
         }
-        // about their mean
+        // about the mean
         let sums = Sums { xx: sums.xx - outer(sums.x, x), xu: sums.xu - sums.x.cross(u), ..*sums };
         let axes = DMat3::from_quat(self.rotation);
         let inner = sums.inner(shape, axes);
@@ -293,7 +294,7 @@ impl Sums {
         sums
     }
 
-    /// The sums for rotation matrix `axes`: a = Q l, s = a + x.
+    /// The sums for the rotation matrix `axes`: a = Q l, s = a + x.
     pub fn inner(&self, shape: &Shape, axes: DMat3) -> Inner {
         let aa = axes * shape.spread * axes.transpose();
         let ax = axes * self.lx;

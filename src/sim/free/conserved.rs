@@ -8,7 +8,7 @@ use super::{
 };
 use crate::model::energy::influence_potential;
 
-/// Quantities that free bodies conserve if nothing external acts, nothing is damped, and no pair changes its strength.
+/// Quantities that free bodies conserve without external forces, damping and changes of a pair's strength.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Conserved {
     /// Momentum Σ M c′ [mass · scene unit/s].
@@ -19,16 +19,16 @@ pub struct Conserved {
     pub kinetic: f64,
     /// Energy of rigid rotation, Σ ½ S·Ω [mass · scene unit²/s²].
     pub spin: f64,
-    /// Remaining kinetic energy of Σ ½ m |r′|² [mass · scene unit²/s²].
+    /// Remainder of the kinetic energy Σ ½ m |r′|² [mass · scene unit²/s²].
     pub vibration: f64,
     /// Elastic energy, Σ ½ m ω² |x|² [mass · scene unit²/s²].
     pub elastic: f64,
     /// Energy of the influence, Σ m s (Φ − Φ(r_e)) [mass · scene unit²/s²]: zero for vertices that no sphere reaches, so
-    /// that pairs far apart do not count.
+    /// pairs that are far apart contribute nothing.
     pub influence: f64,
     /// Gravitational energy, −Σ M g·c [mass · scene unit²/s²].
     pub gravity: f64,
-    /// Energy of penetrated planes, Σ ½ m k d² [mass · scene unit²/s²].
+    /// Energy of contacts with planes, Σ ½ m k d² [mass · scene unit²/s²].
     pub plane: f64,
 }
 
@@ -91,8 +91,8 @@ pub(super) fn influence(a: &Body, b: &Body, field: &Field, strength: f64) -> f64
 }
 
 /// Σ m (Φ − Φ(r_e)) of vertices of body `own` in the sphere of `source`, with the factor for their sizes
-/// [mass · scene unit²]: zero for a vertex out of its reach. The vertices are given by their masses and where they are
-/// relative to the centre; `to_source` is from there to the centre of the sphere.
+/// [mass · scene unit²]: zero for vertices out of reach. `vertices` are masses and positions relative to the centre of
+/// `own`; `to_source` is the vector from that centre to the centre of the sphere.
 pub(super) fn potential(
     own: &Body,
     vertices: impl Iterator<Item = (f64, DVec3)>,

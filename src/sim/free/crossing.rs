@@ -1,8 +1,8 @@
 //! Locates the zeros of a quantity within a step: rims of spheres and planes, thresholds of pairs.
 //!
-//! The quantity and its rate are known at the four nodes, and interpolated by a polynomial of degree seven. In the
-//! Bernstein basis, a polynomial has no more roots than its coefficients have sign changes. Bisection until there is at
-//! most one change misses no crossing, however short the visit.
+//! A polynomial of degree seven interpolates the quantity and its rate at the four nodes. In the Bernstein basis, a
+//! polynomial has no more roots than its coefficients have sign changes. Bisection until there is at most one change
+//! misses no crossing, however short the visit.
 
 use std::sync::LazyLock;
 
@@ -10,14 +10,14 @@ use glam::DVec3;
 
 use super::super::{nodes::NODES, roots::between};
 
-/// Largest number of crossings in a step that are distinguished.
+/// Largest number of crossings found in a step.
 pub const MOST: usize = 7;
 
 /// `[i][k]`: weight in Bernstein coefficient i of datum k of (values at the nodes, rates at the nodes). Coefficients 0 and
-/// 7 are the first value and the last.
+/// 7 are the first and the last value.
 pub(super) type Basis = [[f64; 8]; 8];
 
-/// The weights of the polynomials.
+/// The weights of all polynomials.
 pub(super) fn basis() -> &'static Basis {
     &BASIS
 }
@@ -191,11 +191,11 @@ fn sign_changes(b: &[f64; 8]) -> usize {
 }
 
 fn search(b: &[f64; 8], start: f64, end: f64, depth: u32, found: &mut Crossings) {
-    const DEEPEST: u32 = 40;
+    const MAX_DEPTH: u32 = 40;
     match sign_changes(b) {
         0 => {}
         1 => found.push(start + (end - start) * only_root(b)),
-        _ if depth == DEEPEST => {
+        _ if depth == MAX_DEPTH => {
             // too close to be distinguished: one crossing if the sign differs after them
             if b[0] * b[7] < 0.0 {
                 found.push(0.5 * (start + end));
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn a_polynomial_of_degree_seven_is_itself() {
+    fn polynomials_of_degree_seven_are_exact() {
         let c = course(|t| 2.0 + t.powi(7) - 3.0 * t.powi(4), |t| 7.0 * t.powi(6) - 12.0 * t.powi(3));
         for i in 0..=10 {
             let t = f64::from(i) / 10.0;
@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn what_touches_zero_does_not_cross_it() {
+    fn touching_zero_is_no_crossing() {
         assert!(course(|t| (t - 0.3) * (t - 0.3) + 1e-9, |t| 2.0 * (t - 0.3)).crossings().as_slice().is_empty());
         assert!(course(|t| t * (1.0 + t), |t| 1.0 + 2.0 * t).starting_at_zero().crossings().as_slice().is_empty());
     }

@@ -21,15 +21,15 @@ pub struct Field {
     pub planes: Vec<Plane>,
     /// Pushes, which act on single bodies.
     pub pushes: Vec<Push>,
-    /// Forces that a program gives, with the indices of their bodies.
+    /// Forces set by a program, with the indices of their bodies.
     pub forces: Vec<(u32, Force)>,
     /// Influence radius in body radii, r_e / R [–].
     pub reach: f64,
-    /// The shape of the influence (3.3).
+    /// Weight of the influence by distance (3.3).
     pub weight: Weight,
     /// Dependence of strengths on body sizes.
     pub scaling: Scaling,
-    /// Instants at which a path or a derivative of it jumps [s], ascending.
+    /// Instants at which a path or one of its derivatives jumps [s], ascending.
     pub breaks: Vec<f64>,
 }
 
@@ -51,7 +51,7 @@ impl Default for Field {
 /// A push (Fig. 4.1) on the vertices of a body that face it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Push {
-    /// Index of the body that is pushed.
+    /// Index of the pushed body.
     pub body: u32,
     /// Direction of the push, a unit vector.
     pub direction: DVec3,
@@ -70,25 +70,25 @@ pub struct Pair {
     pub a: u32,
     /// Index of the second body.
     pub b: u32,
-    /// Current phase, which determines how the two act on each other.
+    /// Current phase, which determines how the bodies act on each other.
     pub phase: Phase,
-    /// When the phase changes, and how strong the influence is.
+    /// Thresholds of the phases and strength of the influence.
     pub law: PairLaw,
 }
 
 impl Field {
-    /// The acceleration of free body `index` by forces that a program gives, at `t` [s] [scene unit/s²].
+    /// Acceleration of free body `index` by forces set by a program, at `t` [s] [scene unit/s²].
     pub(super) fn given(&self, index: usize, t: f64, centre: DVec3, velocity: DVec3) -> DVec3 {
         let own = self.forces.iter().filter(|(body, _)| *body as usize == index);
         own.fold(DVec3::ZERO, |sum, (_, force)| sum + force.acceleration(t, centre, velocity))
     }
 
-    /// The factor on a pair's strength for a body of size `radius` when the other is of size `source`.
+    /// Factor on the strength with which a body of radius `source` acts on one of radius `radius`.
     pub fn scale(&self, radius: f64, source: f64) -> f64 {
         self.scaling.factor(radius, source)
     }
 
-    /// The next instant after `t` at which something jumps, regardless of the bodies' motion [s].
+    /// The next instant after `t` at which a push or a path jumps; none depends on the motion of free bodies [s].
     pub(super) fn next_break(&self, t: f64) -> f64 {
         let edges = self.pushes.iter().flat_map(|push| [push.start, push.end]);
         edges.chain(self.breaks.iter().copied()).filter(|&edge| edge > t).fold(f64::INFINITY, f64::min)
@@ -108,16 +108,16 @@ pub struct Driven {
 
 /// The motion of bodies on prescribed paths.
 pub trait Paths: Sync {
-    /// The motion of `body` at `t` [s]; if something jumps there and `before` is set, just before the jump.
+    /// The motion of `body` at `t` [s]; with `before`, the left limit if something jumps there.
     fn at(&self, body: usize, t: f64, before: bool) -> Driven;
 
-    /// How far the reactions on a free body, if they are found elsewhere, have moved its centre since the tracks began
-    /// [scene unit], and how fast [scene unit/s].
+    /// Displacement [scene unit] and velocity [scene unit/s] of a free body's centre due to reactions since the tracks
+    /// began, if reactions are computed elsewhere.
     fn reaction(&self, _body: usize, _t: f64) -> Option<(DVec3, DVec3)> {
         None
     }
 
-    /// By how much the velocities of the body's vertices jump at `t`, because that of its centre does [scene unit/s].
+    /// Jump of the velocities u of the body's vertices at `t` [s], where the velocity of its path jumps [scene unit/s].
     fn kick(&self, _body: usize, _t: f64) -> DVec3 {
         DVec3::ZERO
     }

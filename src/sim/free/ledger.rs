@@ -1,8 +1,8 @@
-//! Energy ledger of free bodies: accumulates the work done by each cause.
+//! Energy ledger of free bodies: the work done by each cause.
 //!
-//! Powers are known at the nodes of a step, from its solution, and are integrated like the forces: by Lobatto
-//! quadrature, and from the instant of a kink where a force begins or ends within the step. The energy of
-//! [`Conserved`](super::Conserved) minus [`Ledger::total`] is therefore constant to the error of the steps.
+//! The solution of a step gives the powers at its nodes. They are integrated like the forces: by Lobatto quadrature,
+//! and from the instant of the kink if a force begins or ends within the step. The energy of
+//! [`Conserved`](super::Conserved) minus [`Ledger::total`] is therefore constant to within the error of the steps.
 
 use std::ops::AddAssign;
 
@@ -19,10 +19,10 @@ use super::{
 };
 use crate::model::shape_matching::cross_matrix;
 
-/// The energy that each cause has brought to free bodies; negative if it took some [mass · scene unit²/s²].
+/// Energy added to free bodies by each cause; negative if removed [mass · scene unit²/s²].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ledger {
-    /// Phase changes of pairs, whose influence jumps: Σ m Δs (Φ − Φ(r_e)).
+    /// Phase changes at which the strength of a pair jumps: Σ m Δs (Φ − Φ(r_e)).
     pub events: f64,
     /// Gradual changes of a pair's strength at the rim of its core: ∫ Σ m (ds/dt) (Φ − Φ(r_e)) dt.
     pub core: f64,
@@ -30,16 +30,17 @@ pub struct Ledger {
     pub damping: f64,
     /// Friction on planes, ∫ Σ m f·r′ dt.
     pub friction: f64,
-    /// Pushes, and forces that a program gives, ∫ Σ m f·r′ dt.
+    /// Pushes, and forces set by a program, ∫ Σ m f·r′ dt.
     pub pushes: f64,
-    /// Bodies on prescribed paths: the work of their spheres' motion, and that of their vertices on free spheres.
+    /// Bodies on prescribed paths: work of the motion of their spheres, and of their vertices on spheres of free
+    /// bodies.
     pub prescribed: f64,
-    /// Bodies that came to rest: the kinetic energy that they had left, which is taken from them.
+    /// Kinetic energy removed from bodies when they come to rest.
     pub rest: f64,
 }
 
 impl Ledger {
-    /// The energy that all causes together have brought [mass · scene unit²/s²].
+    /// Energy added by all causes together [mass · scene unit²/s²].
     pub fn total(&self) -> f64 {
         self.events + self.core + self.damping + self.friction + self.pushes + self.prescribed + self.rest
     }
@@ -57,7 +58,7 @@ impl AddAssign for Ledger {
     }
 }
 
-/// The bodies of an island and the step that they have just made.
+/// The bodies of an island and the step just completed.
 #[derive(Clone, Copy)]
 pub(super) struct Done<'a> {
     pub bodies: &'a [Body],
@@ -72,7 +73,7 @@ pub(super) struct Done<'a> {
 }
 
 impl Done<'_> {
-    /// What was done in the step.
+    /// The ledger of the step.
     pub fn ledger(self) -> Ledger {
         let mut ledger = Ledger::default();
         for (i, body) in self.bodies.iter().enumerate().take(self.courses.len()) {
@@ -87,12 +88,12 @@ impl Done<'_> {
         ledger
     }
 
-    /// ∫ P dt over the step, of a power without kinks.
+    /// ∫ P dt over the step, for a power without kinks.
     fn over(self, power: [f64; 4]) -> f64 {
         self.h / 12.0 * ((power[0] + power[3]) + 5.0 * (power[1] + power[2]))
     }
 
-    /// ∫ P dt from `from` on, which is a fraction of the step.
+    /// ∫ P dt from `from`, a fraction of the step, to its end.
     fn from(self, from: f64, power: [f64; 4]) -> f64 {
         let Late { u, .. } = Late::ballistic(self.h, from, 1.0);
         (u[0] * power[0] + u[1] * power[1]) + (u[2] * power[2] + u[3] * power[3])
@@ -122,7 +123,7 @@ impl Done<'_> {
         }))
     }
 
-    /// The work of a contact that begins and ends at rims.
+    /// Work of a contact, between the rims at which it begins and ends.
     fn contact(self, held: &Held, power: [f64; 4]) -> f64 {
         let mut work = if held.starts_inside { self.over(power) } else { 0.0 };
         let mut sign = if held.starts_inside { -1.0 } else { 1.0 };
@@ -158,7 +159,7 @@ impl Done<'_> {
         work.sum()
     }
 
-    /// The work of forces that a program gives.
+    /// Work of forces set by a program.
     fn given(self, index: usize) -> f64 {
         if self.field.forces.is_empty() {
             return 0.0;
@@ -170,7 +171,7 @@ impl Done<'_> {
         }))
     }
 
-    /// The work of pairs of a free body and one on a path, through the forces on the vertices of body `index`.
+    /// Work in pairs of a free body and one on a path, by the forces on the vertices of body `index`.
     fn prescribed(self, index: usize) -> f64 {
         let (body, course) = (&self.bodies[index], &self.courses[index]);
         let counts = |source: u32| self.bodies[source as usize].is_prescribed() != body.is_prescribed();
@@ -216,11 +217,11 @@ impl Done<'_> {
             if slope == 0.0 {
                 return 0.0;
             }
-            // q′ of the pair, [1/s]
+            // q′ [1/s]
             let rate = apart.dot(to.velocity - at.velocity) / (distance * radii);
             let of = |own: usize, source: usize| {
                 if own >= self.courses.len() {
-                    return 0.0; // without vertices here
+                    return 0.0; // no vertices here
                 }
                 let (course, place) = (&self.courses[own], &self.places[own][node]);
                 let to_source = self.places[source][node].centre - place.centre;

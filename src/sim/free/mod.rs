@@ -4,13 +4,13 @@
 //! | --- | --- |
 //! | a body: vertices with masses around a rest shape that follows them | [`body`] |
 //! | external influences: pairs, planes, pushes, gravity | [`field`] |
-//! | the solver: adaptive steps that end where a pair changes its phase | [`island`] |
+//! | the solver: adaptive steps that end where a pair changes phase | [`island`] |
 //! | one step: exponential collocation of vertices, centres and frames together | `step`, `force` |
 //! | large islands, in which every body takes its own steps | `relaxation` |
-//! | its loops over vertices, in SIMD lanes | `kernels` |
+//! | loops over vertices, in SIMD lanes | `kernels` |
 //! | vertices that nothing reaches in a step | `passive` |
 //! | zero crossings within a step: rims and thresholds | [`crossing`] |
-//! | responses of an oscillator and of a centre to forces | [`weights`] |
+//! | responses of oscillators and centres to forces | [`weights`] |
 //! | momentum, angular momentum, energy | [`conserved`] |
 //! | energy ledger | [`ledger`] |
 //! | forces in the current state, by cause | [`observed`] |

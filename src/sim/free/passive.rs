@@ -1,9 +1,9 @@
 //! Vertices that nothing reaches within a step.
 //!
 //! Apart from its oscillator, such a vertex feels only what all vertices of its body share: a uniform acceleration, one
-//! linear in its rest position l, and the damping that rotates with the body. Its state at any instant of the step is
-//! therefore linear in its state at the start and in l, with the same matrices for all such vertices, and their sums
-//! follow from their second moments at the start: the cost of an iteration does not depend on their number.
+//! linear in its rest position l, and damping that rotates with the body. At any instant of the step, its state is
+//! therefore linear in its state at the start and in l, with the same matrices for all such vertices. Sums over them
+//! follow from their second moments at the start, so the cost of an iteration does not depend on their number.
 
 use glam::{DMat3, DVec3};
 
@@ -58,12 +58,12 @@ impl Linear {
         Linear { by_x: w * self.by_x, by_u: w * self.by_u, by_rest: w * self.by_rest, shift: w * self.shift }
     }
 
-    /// No less than the length of this vector for any vertex.
+    /// Upper bound of the length of this vector for any vertex.
     pub fn bound(&self, most: &Most) -> f64 {
         size(&self.by_x) * most.x + size(&self.by_u) * most.u + (size(&self.by_rest) * most.rest + self.shift.length())
     }
 
-    /// No less than the difference of this vector to another for any vertex.
+    /// Upper bound of the distance from another vector for any vertex.
     pub fn difference(&self, other: &Linear, most: &Most) -> f64 {
         let mut difference = *self;
         difference.add_times(-1.0, other);
@@ -75,7 +75,7 @@ impl Linear {
 fn size(a: &DMat3) -> f64 {
     let (x, y, z) = (a.x_axis.abs(), a.y_axis.abs(), a.z_axis.abs());
     let columns = x.element_sum().max(y.element_sum()).max(z.element_sum());
-    // NaN must be seen
+    // `max` drops NaN
     if columns.is_nan() { f64::NAN } else { (columns * (x + y + z).max_element()).sqrt() }
 }
 
@@ -94,15 +94,15 @@ impl Scaled {
         Linear { by_x, by_u, by_rest: self.by_rest, shift: self.shift }
     }
 
-    /// No less than the length of this vector for any vertex. `at_start` bounds it at the start, and `more` how far the
-    /// free motion takes it from there.
+    /// Upper bound of the length of this vector for any vertex. `at_start` bounds it at the start of the step, and
+    /// `more` its change by the free oscillation since then.
     pub fn bound(&self, most: &Most, at_start: f64, more: f64) -> f64 {
         let Scaled { by_x, by_u, by_rest, shift } = self;
         let own = by_x.abs() * most.x + by_u.abs() * most.u;
         own.min(at_start + more) + (size(by_rest) * most.rest + shift.length())
     }
 
-    /// No less than the difference of this vector to another with the same multiples for any vertex.
+    /// Upper bound of the distance from another vector with the same multiples for any vertex.
     pub fn difference(&self, other: &Linear, most: &Most) -> f64 {
         size(&(self.by_rest - other.by_rest)) * most.rest + (self.shift - other.shift).length()
     }
@@ -185,14 +185,14 @@ impl Moments {
         (by_l, by_x * self.x + by_u * self.u + (by_rest * self.l + self.mass * shift))
     }
 
-    /// The sums over the vertices at an instant at which their states are x and u.
+    /// Like [`Moments::sums`], for states whose matrices are multiples of the identity.
     pub fn scaled_sums(&self, x: &Scaled, u: &Scaled) -> Sums {
         let (with_x, with_u) = (self.with_scaled(x), self.with_scaled(u));
         let by_x = |q: &With| q.x * x.by_x + q.u * x.by_u + (x.by_rest * q.l + outer(x.shift, q.one));
         Sums { lx: with_x.l, lu: with_u.l, xx: by_x(&with_x), xu: moment(by_x(&with_u)), x: with_x.one, u: with_u.one }
     }
 
-    /// The sums over the vertices at an instant at which their states are x and u.
+    /// The sums over the vertices when their states are `x` and `u`.
     pub fn sums(&self, x: &Linear, u: &Linear) -> Sums {
         let (with_x, with_u) = (self.with(x), self.with(u));
         Sums {
@@ -215,7 +215,7 @@ fn product(p: &Linear, q: &With) -> DMat3 {
 mod tests {
     use super::*;
 
-    /// The sums over a few vertices agree with those found one by one.
+    /// Sums from moments agree with sums over the single vertices.
     #[test]
     fn sums_follow_from_moments() {
         let mut state = 1u64;

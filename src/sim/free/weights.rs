@@ -1,5 +1,5 @@
-//! The response of an oscillator, at any instant of a step, to forces at its nodes; also to forces that begin within
-//! the step.
+//! Response of an oscillator, at any instant of a step, to forces given at its nodes, including forces that begin
+//! within the step.
 
 use std::sync::LazyLock;
 
@@ -12,7 +12,7 @@ use crate::model::oscillator::Oscillator;
 /// An oscillator without spring and damping: the motion of a centre.
 pub const BALLISTIC: Oscillator = Oscillator { omega: 0.0, damping: 0.0 };
 
-/// `[i]` holds the coefficients of the polynomial that is 1 at node i and 0 at the others of the first `count` nodes.
+/// `[i]`: coefficients of the polynomial that is 1 at node i and 0 at the others of the first `count` nodes.
 fn basis(count: usize) -> [[f64; 4]; 4] {
     std::array::from_fn(|i| {
         if i >= count {
@@ -33,20 +33,20 @@ fn basis(count: usize) -> [[f64; 4]; 4] {
 
 static CUBIC: LazyLock<[[f64; 4]; 4]> = LazyLock::new(|| basis(4));
 
-/// Of the first node, of the first two and of the first three.
+/// Bases of the first node, the first two and the first three.
 static EARLY: LazyLock<[[[f64; 4]; 4]; 3]> = LazyLock::new(|| [basis(1), basis(2), basis(3)]);
 
-/// Weights at `theta` of the values at each node, in the cubic through them.
+/// Weights of the values at the nodes, in the cubic through them, at `theta`.
 pub fn cubic(theta: f64) -> [f64; 4] {
     CUBIC.map(|[a, b, c, d]| a + theta * (b + theta * (c + theta * d)))
 }
 
-/// Dense output at each sample after the start of a step of length `h` [s]: the three other nodes, and the middle.
+/// Dense output at each sample after the start of a step of length `h` [s]: at the other three nodes and the middle.
 pub fn looks(oscillator: Oscillator, h: f64) -> [Dense; 4] {
     std::array::from_fn(|look| Dense::new(oscillator, h, SAMPLES[look + 1]))
 }
 
-/// The same without spring and damping: they scale with the length of the step.
+/// Like [`looks`], without spring and damping; these weights scale with powers of `h`.
 pub fn ballistic(h: f64) -> [Dense; 4] {
     static UNIT: LazyLock<[Dense; 4]> = LazyLock::new(|| looks(BALLISTIC, 1.0));
     UNIT.map(|unit| scaled(unit, h))
@@ -56,7 +56,7 @@ fn scaled(unit: Dense, h: f64) -> Dense {
     Dense { xu: unit.xu * h, x: unit.x.map(|w| w * h * h), u: unit.u.map(|w| w * h), bend: unit.bend * h, ..unit }
 }
 
-/// `[n][i]`: the same at node i + 1, if the forces are the polynomial through those at the first n + 1 nodes.
+/// `[n][i]`: dense output at node i + 1, for the polynomial through the forces at the first n + 1 nodes.
 pub fn early(oscillator: Oscillator, h: f64) -> [[Dense; 3]; 3] {
     let at = [1, 2, 3].map(|node| (NODES[node], oscillator.propagator(NODES[node] * h)));
     EARLY.map(|basis| {
@@ -69,14 +69,14 @@ pub fn early(oscillator: Oscillator, h: f64) -> [[Dense; 3]; 3] {
     })
 }
 
-/// The same without spring and damping.
+/// Like [`early`], without spring and damping.
 pub fn early_ballistic(h: f64) -> [[Dense; 3]; 3] {
     static UNIT: LazyLock<[[Dense; 3]; 3]> = LazyLock::new(|| early(BALLISTIC, 1.0));
     UNIT.map(|known| known.map(|unit| scaled(unit, h)))
 }
 
-/// Weights of forces that begin within the step, in the state at a later instant: weights of their values at the four
-/// nodes, which the cubic interpolates.
+/// Effect on the state at a later instant of a force that begins within the step: weights of its values at the four
+/// nodes, which a cubic interpolates.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Late {
     /// Weights in x [s²].
@@ -85,16 +85,16 @@ pub struct Late {
     pub u: [f64; 4],
 }
 
-/// A force that begins within the step, as the powers of the time since then.
+/// A force that begins within the step, in powers of the time since then.
 #[derive(Clone, Copy, Debug)]
 pub struct Onset {
     from: f64,
-    /// By node: the coefficients of the part of the cubic that the node's value is a factor of.
+    /// `[node]`: coefficients of the node's basis cubic, expanded about `from`.
     powers: [[f64; 4]; 4],
 }
 
 impl Onset {
-    /// A force that begins at `from`, which is a fraction of the step.
+    /// A force that begins at `from`, a fraction of the step.
     pub fn new(from: f64) -> Onset {
         let powers = CUBIC.map(|[a, b, c, d]| {
             let at = a + from * (b + from * (c + from * d));
@@ -114,7 +114,7 @@ impl Onset {
         self.of(length, &p.x, &p.u)
     }
 
-    /// The same without spring and damping.
+    /// Like [`Onset::late`], without spring and damping.
     pub fn ballistic(&self, h: f64, theta: f64) -> Late {
         let length = theta - self.from;
         if length <= 0.0 {
@@ -126,7 +126,7 @@ impl Onset {
         self.of(length, &x, &u)
     }
 
-    /// From the responses to the powers of the time since it began.
+    /// Weights from the responses `x` and `u` to powers of the time since the force began.
     fn of(&self, length: f64, x: &[f64; 4], u: &[f64; 4]) -> Late {
         let mut late = Late::default();
         for (node, [at, slope, bend, d]) in self.powers.iter().enumerate() {
@@ -143,7 +143,7 @@ impl Late {
         Onset::new(from).late(oscillator, h, theta)
     }
 
-    /// The same without spring and damping.
+    /// Like [`Late::new`], without spring and damping.
     pub fn ballistic(h: f64, from: f64, theta: f64) -> Late {
         Onset::new(from).ballistic(h, theta)
     }
@@ -154,7 +154,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn without_a_spring_the_response_is_that_of_the_slowest_one() {
+    fn ballistic_weights_are_those_of_an_oscillator_without_spring() {
         for (from, theta) in [(0.0, 1.0), (0.3, 0.5), (0.7, 1.0), (0.9, 0.4)] {
             let (found, expected) = (Late::ballistic(0.02, from, theta), Late::new(BALLISTIC, 0.02, from, theta));
             for (found, expected) in found.x.iter().chain(&found.u).zip(expected.x.iter().chain(&expected.u)) {
