@@ -23,7 +23,7 @@ pub struct Sphere {
     pub strength: [f64; 5],
     /// Position of its centre at each sample.
     pub places: [Place; 5],
-    /// How far a vertex may move relative to the sphere in the step without being found to stray [scene unit].
+    /// Motion relative to the sphere in the step that the choice of active vertices allows for [scene unit].
     pub band: f64,
 }
 
@@ -36,7 +36,7 @@ pub struct Acting {
     pub plane_bands: Vec<f64>,
 }
 
-/// A body in a step, its estimated state at the samples, and the first node at which forces are wanted.
+/// A body in a step, its centre at the samples as estimated, and the first node at which forces are wanted.
 #[derive(Clone, Copy)]
 pub struct View<'a> {
     pub body: &'a Body,
@@ -55,7 +55,7 @@ pub(super) enum Contact<'a> {
     Push(u32, &'a Push),
 }
 
-/// A vertex at a sample, both relative to the centre and with the centre's motion.
+/// The state of a vertex at a sample, relative to the centre.
 #[derive(Clone, Copy)]
 pub(super) struct Seen {
     /// Q l [scene unit].
@@ -64,14 +64,15 @@ pub(super) struct Seen {
     pub s: DVec3,
     /// s′ [scene unit/s].
     pub rate: DVec3,
-    /// The centre.
+    /// Position and velocity of the centre.
     pub place: Place,
     /// Angular velocity of the frame [rad/s].
     pub turning: DVec3,
 }
 
 impl Contact<'_> {
-    /// Depth, positive where the contact acts, and its rate [1/s].
+    /// Depth, positive where the contact acts, and its rate: a difference of squares [scene unit²] for spheres, a
+    /// length [scene unit] for planes, a cosine for pushes.
     #[inline(always)]
     pub(super) fn depth(&self, look: usize, seen: &Seen) -> (f64, f64) {
         let Seen { a, s, rate, place, turning } = *seen;
@@ -87,7 +88,7 @@ impl Contact<'_> {
         }
     }
 
-    /// The acceleration, continued smoothly to where the contact does not act [scene unit/s²].
+    /// Acceleration, continued smoothly to where the contact does not act [scene unit/s²].
     #[inline(always)]
     pub(super) fn acceleration(&self, weight: Weight, look: usize, seen: &Seen) -> DVec3 {
         let Seen { a, s, rate, place, .. } = *seen;
@@ -115,7 +116,7 @@ fn unit(a: DVec3) -> DVec3 {
 }
 
 impl Acting {
-    /// Collects what acts on body `index` in a step; `pairs` are the pairs that it belongs to.
+    /// Collects the spheres and pushes that act on body `index` in a step; `pairs` are the pairs that it belongs to.
     pub fn find<'a>(
         &mut self,
         index: usize,
@@ -139,7 +140,7 @@ impl Acting {
             });
             if is_gradual || strength != [0.0; 5] {
                 let radius = field.reach * source.radius;
-                // the same spheres as before in this step, with the bands that were found for them
+                // the spheres stay the same within a step: keep their bands
                 let band = self.spheres.get(count).map_or(0.0, |sphere| sphere.band);
                 let sphere = Sphere { source: other, radius, strength, places: *its, band };
                 match self.spheres.get_mut(count) {
@@ -155,8 +156,8 @@ impl Acting {
         self.pushes.extend(field.pushes.iter().filter(acts));
     }
 
-    /// Evaluates the forces on the vertices at the nodes, from the first one wanted on: a part without kinks in the
-    /// step, and pieces that begin or end in it.
+    /// Evaluates the forces on the vertices at the nodes from `view.first` on: a part without kinks in the step, and
+    /// pieces that begin or end in it.
     pub fn evaluate(&self, view: &View<'_>, course: &mut Course) {
         let View { body, field, span, places, first, arch } = *view;
         course.pieces.clear();
@@ -234,7 +235,7 @@ impl Acting {
         }
     }
 
-    /// Evaluates the forces at a single sample, of what acts there.
+    /// Evaluates the forces that act at a single sample.
     pub fn evaluate_at(&self, look: usize, view: &View<'_>, course: &mut Course) {
         let View { body, field, places, arch, .. } = *view;
         course.active.clear_forces(look..look + 1);
@@ -279,8 +280,8 @@ impl Acting {
 }
 
 impl View<'_> {
-    /// One contact of one vertex over the step, with a kink wherever it begins or ends, unless the vertex is known to
-    /// be `inside` throughout.
+    /// Adds the force of a contact on a vertex over the step, with a kink wherever it begins or ends, unless the vertex
+    /// is known to be `inside` throughout.
     fn touch(
         &self,
         contact: Contact<'_>,
@@ -373,9 +374,9 @@ fn see(course: &Course, places: &[Place; 5], look: usize, i: usize) -> Seen {
     Seen { a, s, rate, place: places[look], turning: frame.frame_spin }
 }
 
-/// The force of a plane on a vertex at the nodes, which depends on where the force moves the vertex: one Newton step
-/// from the guess `before`, for which the result was `found`. For a stiff plane or sharp friction, plain iteration
-/// diverges. A force acts mostly on its own vertex; its effect on other vertices is left to the corrections.
+/// The force of a plane on a vertex at the nodes depends on the displacement that it causes. Returns the result of one
+/// Newton step from the guess `before`, which led to `found`: for a stiff plane or sharp friction, plain iteration
+/// diverges. A force acts mostly on its own vertex; its effect on others is left to the sweeps.
 fn hold(
     plane: &Plane,
     before: &[DVec3; 4],

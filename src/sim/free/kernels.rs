@@ -1,5 +1,5 @@
-//! Loops over vertices, in lanes: eight vertices side by side on every instruction set, and sums over all of them in the
-//! same order, so that results are bit-identical everywhere.
+//! Loops over vertices, in lanes: eight vertices side by side on every instruction set, with sums in the same order, so
+//! that results are bit-identical everywhere.
 
 use glam::{DMat3, DVec3};
 use pulp::{Arch, Simd, WithSimd};
@@ -16,13 +16,13 @@ use super::{
 };
 use crate::model::{energy::influence_potential, influence::Weight};
 
-/// Vertices side by side. Arrays are padded to multiples of it, by vertices without mass.
+/// Number of vertices side by side. Arrays are padded to multiples of it, with vertices without mass.
 pub const WIDTH: usize = 8;
 
-/// One number for each of some vertices side by side.
+/// One number for each of [`WIDTH`] vertices.
 pub type Lane = [f64; WIDTH];
 
-/// One vector for each of some vertices side by side, by coordinate. Loops over arrays of these check no bounds.
+/// One vector for each of [`WIDTH`] vertices, by coordinate. Loops over arrays of these need no bounds checks.
 pub type Lanes = [Lane; 3];
 
 #[inline(always)]
@@ -30,8 +30,8 @@ fn load<S: Simd, const W: usize>(simd: S, [x, y, z]: &Lanes) -> Vector<S, W> {
     Vector { x: Reals::load(simd, x, 0), y: Reals::load(simd, y, 0), z: Reals::load(simd, z, 0) }
 }
 
-/// Those that fill one register, from lane `at` on. A kernel that needs many registers takes the [`WIDTH`] lanes one register
-/// after the other.
+/// The lanes from `at` on that fill one register. Kernels that need many registers process the [`WIDTH`] lanes one
+/// register at a time.
 #[inline(always)]
 fn part<S: Simd>(simd: S, [x, y, z]: &Lanes, at: usize) -> Vector<S, 1> {
     Vector { x: Reals::load(simd, x, at), y: Reals::load(simd, y, at), z: Reals::load(simd, z, at) }
@@ -61,7 +61,7 @@ fn set([x, y, z]: &mut Lanes, lane: usize, v: DVec3) {
     (x[lane], y[lane], z[lane]) = (v.x, v.y, v.z);
 }
 
-/// Replaces vector `i` of an array; panics beyond the end, like a slice.
+/// Replaces vector `i` of an array; panics if out of range.
 #[inline]
 pub fn replace(of: &mut [Lanes], i: usize, v: DVec3) {
     set(&mut of[i / WIDTH], i % WIDTH, v);
@@ -99,7 +99,7 @@ fn total<S: Simd, const W: usize>(v: Reals<S, W>) -> f64 {
     sum_of(a)
 }
 
-/// The same of lanes in several registers.
+/// Like [`total`], of lanes in several registers.
 #[inline(always)]
 fn total_parts<S: Simd, const W: usize>(v: [Reals<S, 1>; W]) -> f64 {
     sum_of(joined(v))
@@ -142,7 +142,7 @@ fn total_vector<S: Simd, const W: usize>(v: Vector<S, W>) -> DVec3 {
     DVec3::new(total(v.x), total(v.y), total(v.z))
 }
 
-/// A matrix, as three registers of each of its columns.
+/// A matrix per lane, by columns.
 type Columns<S, const W: usize> = [Vector<S, W>; 3];
 
 #[inline(always)]
@@ -179,7 +179,7 @@ fn cross<S: Simd, const W: usize>(p: Vector<S, W>, q: Vector<S, W>) -> Vector<S,
     Vector { x: p.y * q.z - p.z * q.y, y: p.z * q.x - p.x * q.z, z: p.x * q.y - p.y * q.x }
 }
 
-/// Vectors by coordinate, with zeros up to full lanes.
+/// Converts vectors to lanes, padded with zeros.
 pub fn by_coordinate(from: &[DVec3], into: &mut Vec<Lanes>) {
     into.resize(from.len().div_ceil(WIDTH), [[0.0; WIDTH]; 3]);
     for (from, into) in from.chunks(WIDTH).zip(into) {
@@ -192,7 +192,7 @@ pub fn by_coordinate(from: &[DVec3], into: &mut Vec<Lanes>) {
     }
 }
 
-/// Vectors one by one, without padding.
+/// Converts lanes to vectors, without padding.
 pub fn by_vertex(from: &[Lanes], into: &mut [DVec3]) {
     for (from, into) in from.iter().zip(into.chunks_mut(WIDTH)) {
         for (lane, v) in into.iter_mut().enumerate() {
@@ -206,21 +206,21 @@ pub fn by_vertex(from: &[Lanes], into: &mut [DVec3]) {
 pub struct Start {
     pub x: Vec<Lanes>,
     pub u: Vec<Lanes>,
-    /// Masses, zero of those that something can reach.
+    /// Masses; zero for active vertices.
     pub masses: Vec<Lane>,
-    /// How much nearer than it may get each vertex is to something that acts, at the start; positive if it is out of
-    /// reach in the whole step.
+    /// Positive if a vertex starts outside the bands of all spheres and planes, so that nothing reaches it in the step.
+    /// Only the sign matters: differences of squared distances for spheres, distances for planes.
     pub gap: Vec<Lane>,
 }
 
-/// Sets which vertices of a body may be reached in a step: those that start less than `band` outside a sphere or plane.
+/// Computes [`Start::gap`].
 pub struct Reach<'a> {
     pub start: &'a mut Start,
     pub rest: &'a [Lanes],
     pub axes: DMat3,
-    /// Where spheres are relative to the centre, and how near to that a vertex has to be.
+    /// Centres of spheres relative to the body's centre, and their radii including the band.
     pub spheres: &'a [(DVec3, f64)],
-    /// Normals of planes, and how far to that side of the centre a vertex has to be.
+    /// Normals n of planes, and the value of n·s up to which a vertex may be reached.
     pub planes: &'a [(DVec3, f64)],
 }
 
@@ -273,7 +273,7 @@ impl Kernel for Largest<'_> {
     }
 }
 
-/// Moments of vertices with the masses of [`Start`].
+/// Moments of all vertices, with the masses of [`Start`]: of the inactive ones.
 pub fn moments(arch: Arch, start: &Start, rest: &[Lanes]) -> Moments {
     arch.dispatch(InLanes(Sum { start, rest }))
 }
@@ -317,7 +317,7 @@ where
 {
     let none = [zero::<S, W>(simd); 3];
     let mut moments = Moments::default();
-    // in several loops, so that sums stay in registers
+    // several loops, so that the sums stay in registers
     let (mut xx, mut xu, mut x) = (none, none, zero::<S, W>(simd));
     for (m, _, x0, u0) in vertices() {
         let at = load::<S, W>(simd, x0);
@@ -349,7 +349,7 @@ where
     moments
 }
 
-/// The state of all vertices at the end of a step, into `x` and `u`, as if nothing reached them.
+/// Replaces the states of all vertices in [`Start`] by those at the end of the step, as if nothing reached them.
 pub struct Finish<'a> {
     pub start: &'a mut Start,
     pub rest: &'a [Lanes],
@@ -408,10 +408,10 @@ pub struct Block {
     pub u: [Lanes; 5],
     /// Positions relative to the centre at the samples, s = Q l + x [scene unit].
     pub s: [Lanes; 5],
-    /// Accelerations at the samples without those that begin or end in the step, and without those that all vertices
-    /// share [scene unit/s²].
+    /// Accelerations at the samples, without pieces that begin or end in the step and without accelerations that all
+    /// vertices share [scene unit/s²].
     pub f: [Lanes; 5],
-    /// Without it blocks are of 4 KiB, and the same vectors of all of them compete for a few lines of the cache.
+    /// Without this padding a block has 4 KiB, and equal fields of all blocks compete for a few lines of the cache.
     _apart: Lane,
 }
 
@@ -420,7 +420,7 @@ pub struct Block {
 pub struct Active {
     /// Their indices, ascending.
     pub vertices: Vec<u32>,
-    /// The last lanes of the last block repeat the last vertex, without its mass.
+    /// Unused lanes of the last block repeat the last vertex, without its mass.
     pub blocks: Vec<Block>,
 }
 
@@ -430,7 +430,7 @@ impl Active {
         self.vertices.len()
     }
 
-    /// Makes room for the vertices; what is in it has no meaning.
+    /// Makes room for the vertices; the contents are unspecified.
     pub fn resize(&mut self) {
         self.blocks.resize(self.vertices.len().div_ceil(WIDTH), Block::default());
     }
@@ -465,7 +465,7 @@ impl Active {
         get(&self.blocks[i / WIDTH].s[look], i % WIDTH)
     }
 
-    /// Sets vertex `i`, with this rest position, to its state at the start; it has no mass if it only fills the lanes.
+    /// Sets the mass, the rest position and the state at the start of vertex `i`; the mass is zero in unused lanes.
     pub fn begin(&mut self, i: usize, mass: f64, rest: DVec3, x: DVec3, u: DVec3) {
         let (block, lane) = (&mut self.blocks[i / WIDTH], i % WIDTH);
         block.masses[lane] = mass;
@@ -518,24 +518,24 @@ fn real<S: Simd, const W: usize>(simd: S, block: &Block) -> Mask<S, W> {
     Reals::splat(simd, 0.0).below(Reals::load(simd, &block.masses, 0))
 }
 
-/// What moves active vertices to a sample.
+/// Moves active vertices to a sample.
 pub struct Move<'a> {
     pub active: &'a mut Active,
     pub look: usize,
     pub weights: &'a Dense,
     /// Shared displacement and velocity.
     pub common: [DVec3; 2],
-    /// The same by rest position.
+    /// Displacement and velocity per rest position.
     pub by_rest: [DMat3; 2],
 }
 
-/// How active vertices moved, and where they are then.
+/// How active vertices moved, and sums over their new states.
 #[derive(Clone, Copy, Debug)]
 pub struct Moved {
     /// The largest squares of a change in x and in u.
     pub changes: [f64; 2],
     /// The largest |x|² and |u|².
-    pub most: [f64; 2],
+    pub largest: [f64; 2],
     /// Σ m x xᵀ
     pub xx: DMat3,
     /// Σ m x×u
@@ -545,7 +545,7 @@ pub struct Moved {
 impl Default for Moved {
     fn default() -> Moved {
         // the default of a matrix is the identity
-        Moved { changes: [0.0; 2], most: [0.0; 2], xx: DMat3::ZERO, xu: DVec3::ZERO }
+        Moved { changes: [0.0; 2], largest: [0.0; 2], xx: DMat3::ZERO, xu: DVec3::ZERO }
     }
 }
 
@@ -570,7 +570,7 @@ impl Kernel for Move<'_> {
                 let x = x0 * w.xx + u0 * w.xu + (combine(&w.x, &f) + (common[0] + times(&by_rest[0], rest)));
                 let u = x0 * w.ux + u0 * w.uu + (combine(&w.u, &f) + (common[1] + times(&by_rest[1], rest)));
                 let (x_before, u_before) = (part(simd, &block.x[look], at), part(simd, &block.u[look], at));
-                // lanes that only fill the block are like the last vertex
+                // unused lanes repeat the last vertex
                 far[i] = far[i].larger((x - x_before).length_squared());
                 fast[i] = fast[i].larger((u - u_before).length_squared());
                 most_x[i] = most_x[i].larger(x.length_squared());
@@ -587,9 +587,9 @@ impl Kernel for Move<'_> {
         let xx = DMat3::from_cols(DVec3::new(d.x, b.z, b.y), DVec3::new(b.z, d.y, b.x), DVec3::new(b.y, b.x, d.z));
         let (mut far, xu) = (largest_parts(far), total_vector_parts(xu));
         if (d + xu).is_nan() {
-            far = f64::NAN; // which is larger than nothing
+            far = f64::NAN; // the maxima drop NaN, the sums do not
         }
-        Moved { changes: [far, largest_parts(fast)], most: [largest_parts(most_x), largest_parts(most_u)], xx, xu }
+        Moved { changes: [far, largest_parts(fast)], largest: [largest_parts(most_x), largest_parts(most_u)], xx, xu }
     }
 }
 
@@ -599,7 +599,7 @@ impl Move<'_> {
     }
 }
 
-/// Places active vertices relative to the centre, for these axes.
+/// Computes the positions of active vertices relative to the centre, for these axes.
 pub fn place(arch: Arch, active: &mut Active, look: usize, axes: DMat3) {
     arch.dispatch(InLanes(PlaceAll { active, look, axes }));
 }
@@ -623,14 +623,15 @@ impl Kernel for PlaceAll<'_> {
     }
 }
 
-/// The force of a sphere on the active vertices that are inside it at all nodes.
+/// Adds the force of a sphere on the active vertices that are inside it throughout the step, and finds those that may
+/// cross its rim.
 pub struct Pull<'a> {
     pub active: &'a mut Active,
     pub sphere: &'a Sphere,
     pub weight: Weight,
-    /// Where the sphere is relative to the centre, at the nodes.
+    /// The sphere's centre relative to the body's, at the nodes.
     pub apart: [DVec3; 4],
-    /// The sphere's velocity relative to the centre, at the nodes.
+    /// The sphere's velocity relative to the body's, at the nodes.
     pub passing: [DVec3; 4],
     /// The angular velocity of the frame at the nodes [rad/s].
     pub turning: [DVec3; 4],
@@ -638,18 +639,18 @@ pub struct Pull<'a> {
     pub h: f64,
     /// Vertices farther from the rim than this at all nodes do not cross it within the step [scene unit].
     pub band: f64,
-    /// Such vertices are listed here, and left out.
+    /// Active vertices that may cross the rim are listed here, and their forces left out.
     pub crossing: &'a mut Vec<u32>,
-    /// Velocity of the vertices' body, if their power is wanted.
+    /// Velocity of the body's centre at the nodes, if the power is wanted.
     pub power: Option<[DVec3; 4]>,
     /// The first node at which accelerations are wanted.
     pub first: usize,
-    /// Whether these are the first ones: they replace what is there.
+    /// Whether to replace the accelerations instead of adding to them.
     pub fresh: bool,
     pub basis: &'a Basis,
 }
 
-/// Σ m f on a sphere's vertices, and their power.
+/// Σ m f of the vertices in a sphere at the nodes, and Σ m f·r′.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Pulled {
     pub force: [DVec3; 4],
@@ -689,7 +690,7 @@ impl Kernel for Pull<'_> {
         let mut force = [no_force; 4];
         let mut power = [none; 4];
         let one = Reals::splat(simd, 1.0);
-        // differences of rounding decide nothing
+        // rounding errors must not decide
         let (above, below) = (rim * 1e-14, rim * -1e-14);
         let Active { vertices, blocks } = active;
         for (first, block) in (0..).step_by(WIDTH).zip(blocks) {
@@ -705,7 +706,8 @@ impl Kernel for Pull<'_> {
             let mut inside = most.below(inner);
             let mut crosses = out.or(inside).negated();
             if crosses.any() {
-                // nor do those cross it that are farther from it at all nodes than they get in the step at any one's rate
+                // nor do vertices cross it that are farther from it at all nodes than the largest of their rates takes
+                // them
                 let (mut fastest, mut nearest) = (none, Reals::splat(simd, f64::INFINITY));
                 let [mut values, mut rates] = [[none; 4]; 2];
                 for node in 0..4 {
@@ -722,7 +724,7 @@ impl Kernel for Pull<'_> {
                 crosses = crosses.and(passes.or(mixed));
                 inside = inside.or(crosses.negated().and(most.below(rim)));
                 if crosses.any() {
-                    // nor those whose polynomial has coefficients of one sign
+                    // nor vertices whose polynomial has coefficients of one sign
                     let (mut low, mut high) = (values[0].smaller(values[3]), values[0].larger_or_nan(values[3]));
                     for row in &basis[1..7] {
                         let b = (values[0] * row[0] + values[1] * row[1])
@@ -783,7 +785,7 @@ impl Pull<'_> {
     }
 }
 
-/// The force of a sphere at a single sample, on the active vertices that are inside it there: Σ m f.
+/// Adds the force of a sphere at a single sample on the active vertices inside it. Returns Σ m f.
 pub fn pull_at(arch: Arch, active: &mut Active, sphere: &Sphere, weight: Weight, look: usize, apart: DVec3) -> DVec3 {
     arch.dispatch(InLanes(PullAt { active, sphere, weight, look, apart }))
 }
@@ -887,7 +889,8 @@ impl Kernel for Gather<'_> {
     }
 }
 
-/// Σ m (Φ − Φ(r_e)) of the active vertices at a node, in a sphere of radius r_e that is at `apart` from the centre.
+/// Σ m (Φ − Φ(r_e)) of the active vertices at a node, in a sphere of radius r_e with its centre at `apart` from the
+/// body's.
 pub fn potential(arch: Arch, active: &Active, node: usize, weight: Weight, radius: f64, apart: DVec3) -> f64 {
     arch.dispatch(InLanes(Potential { active, node, weight, radius, apart }))
 }

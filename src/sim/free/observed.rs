@@ -1,4 +1,4 @@
-//! Forces in the current state, by cause, for observation, with the formulas of the solver.
+//! Forces in the current state, by cause, for observation. The formulas are those of the solver.
 
 use glam::{DMat3, DVec3};
 
@@ -12,13 +12,13 @@ use super::{
 };
 use crate::{geometry::Vectors, model::phase::Phase};
 
-/// What acts on a body, by cause.
+/// Forces on a body, by cause.
 #[derive(Clone, Debug, Default)]
 pub struct Forces {
     /// Accelerations of the vertices [scene unit/s²], `[vertex_count]`, by [`Cause`]; empty where a cause does not act.
-    /// Those of [`Cause::Net`] are their sum.
+    /// Those of [`Cause::Net`] are the sum of the others.
     pub by_cause: [Vectors; Cause::ALL.len()],
-    /// The body whose sphere it is, for each cause that a single other body has.
+    /// Index of the body whose sphere acts, by cause; `None` if there is none or more than one.
     pub sources: [Option<u32>; Cause::ALL.len()],
     /// Force at the centre, M c″ [mass · scene unit/s²]; zero for a body on a path.
     pub force: DVec3,
@@ -65,7 +65,7 @@ impl<'a> Snapshot<'a> {
         reached
     }
 
-    /// Whether nothing but its own oscillators acts on a body.
+    /// Whether nothing acts on a body but its own oscillators.
     pub fn is_idle(&self, index: usize) -> bool {
         let (body, field) = (self.bodies[index], &self.field);
         let extent = body.shape.extent + body.x.iter().map(|x| x.length()).fold(0.0, f64::max);
@@ -76,16 +76,16 @@ impl<'a> Snapshot<'a> {
             && (field.gravity == DVec3::ZERO || !body.is_free())
     }
 
-    /// The force on the vertices of body `index` by the sphere of `source`, Σ m f [mass · scene unit/s²]; on the source
-    /// acts its opposite.
+    /// The force on the vertices of body `index` by the sphere of `source`, Σ m f [mass · scene unit/s²]; its opposite
+    /// acts on the source.
     pub fn pull(&self, index: usize, source: usize) -> DVec3 {
         let pairs = self.pairs_of[index].iter().map(|&pair| self.pairs[pair as usize]);
         let of_source = pairs.filter(|pair| pair.a as usize == source || pair.b as usize == source);
         of_source.fold(DVec3::ZERO, |sum, pair| sum + self.sphere(index, &pair, |_, _| ()))
     }
 
-    /// Computes what acts on body `index`, into `forces` (reused). `carry` is the inertial response to its own motion, of
-    /// a body on a path [scene unit/s²].
+    /// Computes the forces on body `index`, into `forces` (reused). `carry` is the response of a body on a path to its
+    /// own motion [scene unit/s²].
     pub fn forces(&self, index: usize, carry: DVec3, forces: &mut Forces) {
         let body = self.bodies[index];
         let (shape, n) = (&*body.shape, body.shape.rest.len());
@@ -115,7 +115,7 @@ impl<'a> Snapshot<'a> {
         }
         self.contacts(index, by_cause);
         let axes = DMat3::from_quat(body.rotation);
-        // Σ m f of what is not internal, and its moment
+        // Σ m f of external forces on vertices, and its moment
         let (mut sum, mut moment) = (DVec3::ZERO, DVec3::ZERO);
         for cause in [Cause::Attraction, Cause::Repulsion, Cause::Core, Cause::Push, Cause::Plane] {
             for (i, f) in by_cause[cause as usize].iter().enumerate() {
@@ -158,7 +158,7 @@ impl<'a> Snapshot<'a> {
         terms.iter().filter(|term| !term.is_empty()).for_each(|term| net.add_times(1.0, term));
     }
 
-    /// The cause that the force of a pair's spheres counts as.
+    /// The cause that the forces of a pair belong to.
     fn cause(&self, pair: &Pair) -> Cause {
         let (a, b) = (self.bodies[pair.a as usize], self.bodies[pair.b as usize]);
         let q = a.centre.distance(b.centre) / (a.radius + b.radius);
@@ -189,7 +189,7 @@ impl<'a> Snapshot<'a> {
         sum
     }
 
-    /// Planes and pushes.
+    /// Adds the accelerations by planes, pushes and forces set by a program.
     fn contacts(&self, index: usize, by_cause: &mut [Vectors; Cause::ALL.len()]) {
         let (field, n) = (&self.field, self.bodies[index].shape.rest.len());
         let mut add = |cause: Cause, i: usize, g: DVec3| {

@@ -21,7 +21,7 @@ pub struct Linear {
 
 /// The largest |x|, |u| and |l| of any vertex.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Most {
+pub struct Maxima {
     pub x: f64,
     pub u: f64,
     pub rest: f64,
@@ -59,15 +59,17 @@ impl Linear {
     }
 
     /// Upper bound of the length of this vector for any vertex.
-    pub fn bound(&self, most: &Most) -> f64 {
-        size(&self.by_x) * most.x + size(&self.by_u) * most.u + (size(&self.by_rest) * most.rest + self.shift.length())
+    pub fn bound(&self, maxima: &Maxima) -> f64 {
+        size(&self.by_x) * maxima.x
+            + size(&self.by_u) * maxima.u
+            + (size(&self.by_rest) * maxima.rest + self.shift.length())
     }
 
     /// Upper bound of the distance from another vector for any vertex.
-    pub fn difference(&self, other: &Linear, most: &Most) -> f64 {
+    pub fn difference(&self, other: &Linear, maxima: &Maxima) -> f64 {
         let mut difference = *self;
         difference.add_times(-1.0, other);
-        difference.bound(most)
+        difference.bound(maxima)
     }
 }
 
@@ -96,15 +98,15 @@ impl Scaled {
 
     /// Upper bound of the length of this vector for any vertex. `at_start` bounds it at the start of the step, and
     /// `more` its change by the free oscillation since then.
-    pub fn bound(&self, most: &Most, at_start: f64, more: f64) -> f64 {
+    pub fn bound(&self, maxima: &Maxima, at_start: f64, more: f64) -> f64 {
         let Scaled { by_x, by_u, by_rest, shift } = self;
-        let own = by_x.abs() * most.x + by_u.abs() * most.u;
-        own.min(at_start + more) + (size(by_rest) * most.rest + shift.length())
+        let own = by_x.abs() * maxima.x + by_u.abs() * maxima.u;
+        own.min(at_start + more) + (size(by_rest) * maxima.rest + shift.length())
     }
 
     /// Upper bound of the distance from another vector with the same multiples for any vertex.
-    pub fn difference(&self, other: &Linear, most: &Most) -> f64 {
-        size(&(self.by_rest - other.by_rest)) * most.rest + (self.shift - other.shift).length()
+    pub fn difference(&self, other: &Linear, maxima: &Maxima) -> f64 {
+        size(&(self.by_rest - other.by_rest)) * maxima.rest + (self.shift - other.shift).length()
     }
 }
 

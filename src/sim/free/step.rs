@@ -1,17 +1,17 @@
 //! One step of coupled bodies: exponential collocation.
 //!
-//! The acceleration of a vertex beyond its oscillator is interpolated by the cubic through its values at the four
-//! Lobatto nodes, and so are the acceleration of a centre, the torque on a body and the angular velocity of a frame.
-//! With the exact flow of the oscillator, this is exponential collocation (Hochbruck & Ostermann 2005): the spring is
-//! not approximated. All these quantities depend on each other and are corrected until they converge.
+//! Cubics through the values at the four Lobatto nodes interpolate the acceleration of a vertex beyond its oscillator,
+//! the acceleration of a centre, the torque on a body and the angular velocity of a frame. With the exact flow of the
+//! oscillator, this is exponential collocation (Hochbruck & Ostermann 2005): the spring is not approximated. All these
+//! quantities depend on each other and are corrected until they converge.
 //!
-//! A force with a kink in the step, because a vertex crosses the rim of a sphere or of a plane, is split into two
-//! smooth forces, of which one ends and the other begins at that instant: the cubic through each smooth force is
-//! integrated exactly over its part of the step.
+//! If a vertex crosses the rim of a sphere or a plane within the step, the force has a kink. It is split into smooth
+//! forces that begin or end at that instant, and the cubic through each is integrated exactly over its part of the
+//! step.
 //!
-//! Angular momentum is a state variable of its own, with the torque as its rate, and determines the angular velocity of
-//! a frame. Where reactions equal actions at every node, momentum and angular momentum are conserved to rounding,
-//! independently of the step's error.
+//! Angular momentum is a state variable, with the torque as its rate, and determines the angular velocity of a frame.
+//! Where reactions equal actions at every node, momentum and angular momentum are conserved to rounding, whatever the
+//! error of the step.
 
 use glam::{DMat3, DQuat, DVec3};
 use pulp::Arch;
@@ -26,7 +26,7 @@ use super::{
     field::{Driven, Field, Paths},
     force::{Acting, View},
     kernels::{self, Active, Finish, Gathered, Move, Moved, Reach, Start, WIDTH},
-    passive::{Linear, Moments, Most, Scaled},
+    passive::{Linear, Maxima, Moments, Scaled},
     weights::{Late, Onset, ballistic, cubic, early, early_ballistic, looks},
 };
 use crate::model::{
@@ -39,12 +39,12 @@ use crate::model::{
 /// Index of the sample in the middle of the step.
 pub const MIDDLE: usize = 4;
 
-/// Rotations at the nodes are corrected at most this many times in a sweep …
-const MOST_ROUNDS: usize = 4;
-/// … and no more when they change by less than this fraction of what the sweep changes.
+/// Largest number of corrections of the rotations in a sweep.
+const MAX_ROUNDS: usize = 4;
+/// Rotations that change by less than this fraction of the sweep's change are not corrected further in this sweep.
 const LEFT_TO_SWEEP: f64 = 1e-6;
 
-/// Position and velocity of a frame at an instant of a step, as other bodies see it.
+/// Position and velocity of a body's centre at an instant of a step.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Place {
     /// Position c of the centre [scene unit].
@@ -72,12 +72,12 @@ pub struct Frame {
     pub sums: Sums,
     /// Sums over the vertices for these axes.
     pub inner: Inner,
-    /// The largest |s| of any vertex [scene unit].
+    /// Upper bound of |s| of any vertex [scene unit].
     pub extent: f64,
-    /// An upper bound of |s′| of any vertex [scene unit/s].
+    /// Upper bound of |u| of any vertex [scene unit/s].
     pub speed: f64,
 
-    /// Mean acceleration f̄ without the pieces that begin or end in the step [scene unit/s²].
+    /// Mean acceleration f̄, without the pieces that begin or end in the step [scene unit/s²].
     pub mean: DVec3,
     /// Σ m a×f, without these pieces.
     pub turning: DVec3,
@@ -85,11 +85,11 @@ pub struct Frame {
     pub spinning: DVec3,
     /// Acceleration of the centre, without these pieces [scene unit/s²].
     pub acceleration: DVec3,
-    /// Torque about the island's origin, without these pieces.
+    /// Torque about [`Span::origin`], without these pieces.
     pub torque: DVec3,
     /// Acceleration that all vertices share: −f̄, or −carry [scene unit/s²].
     pub common: DVec3,
-    /// Matrix D of the acceleration D l that depends on a vertex's rest position l [1/s²].
+    /// Matrix D of the acceleration D l of a vertex with rest position l [1/s²].
     pub drive: DMat3,
 }
 
@@ -102,7 +102,7 @@ pub struct Piece {
     pub sign: f64,
     /// Contribution to the acceleration of the centre, at the nodes [scene unit/s²].
     pub acceleration: [DVec3; 4],
-    /// Contribution to the torque about the island's origin, at the nodes.
+    /// Contribution to the torque about [`Span::origin`], at the nodes.
     pub torque: [DVec3; 4],
     /// The vertex on which it acts; `None` for a reaction.
     pub own: Option<Own>,
@@ -111,35 +111,35 @@ pub struct Piece {
 /// The effect of a [`Piece`] on the vertex on which it acts.
 #[derive(Clone, Copy, Debug)]
 pub struct Own {
-    /// Its place among the active ones.
+    /// Index of the vertex among the active ones.
     pub vertex: u32,
-    /// The body whose sphere it is, if it is a sphere's.
+    /// The body whose sphere exerts the force, if a sphere does.
     pub source: Option<u32>,
-    /// Its acceleration at the nodes [scene unit/s²].
+    /// Acceleration of the vertex at the nodes [scene unit/s²].
     pub g: [DVec3; 4],
     /// Contribution to Ω_Q′, at the nodes [rad/s²].
     pub turn: [DVec3; 4],
 }
 
-/// The reaction on a sphere by the vertices that it acts on, without the pieces that begin or end in the step: mass
-/// times acceleration at each sample.
+/// The reaction on a sphere by the vertices that it acts on, without the pieces that begin or end in the step.
 #[derive(Clone, Copy, Debug)]
 pub struct Reaction {
+    /// The body whose sphere it is.
     pub source: u32,
+    /// −Σ m f at each sample [mass · scene unit/s²].
     pub force: [DVec3; 5],
-    /// The power of the reaction if it moved with the vertices instead, at the nodes; for the ledger, and only of bodies
-    /// on paths.
+    /// −Σ m f·r′ of the vertices at the nodes, only for vertices of bodies on paths: for the ledger.
     pub power: [f64; 4],
 }
 
 /// The force of a plane or a push on a vertex.
 #[derive(Clone, Copy, Debug)]
 pub struct Held {
-    /// Number of the plane or push.
+    /// Index of the plane or push.
     pub contact: u32,
-    /// The vertex by its place among the active ones.
+    /// Index of the vertex among the active ones.
     pub vertex: u32,
-    /// Its acceleration at the nodes, without a kink [scene unit/s²].
+    /// Acceleration of the vertex at the nodes, continued smoothly to where the contact does not act [scene unit/s²].
     pub g: [DVec3; 4],
     /// Whether it acts at the start of the step.
     pub starts_inside: bool,
@@ -153,50 +153,51 @@ pub struct Course {
     pub frames: [Frame; 5],
     /// The vertices that something may reach in the step.
     pub active: Active,
-    /// x and u of the others at the samples.
+    /// x and u of the inactive vertices, the others, at the samples.
     pub others: [[Linear; 2]; 5],
     /// Moments of the others at the start.
     pub moments: Moments,
     /// Moments of the active vertices at the start.
     first: Moments,
-    /// Sums over the accelerations of the active vertices at the samples, with the damping that rotates.
+    /// Sums over the accelerations of the active vertices at the samples, including rotating damping.
     gathered: [Gathered; 5],
     /// Sums over the active vertices at the samples.
     sums: [Sums; 5],
-    /// The part of the others' accelerations at the samples that depends on their states: damping that rotates.
+    /// The part of the others' accelerations at the samples that depends on their states: rotating damping.
     coupling: [Linear; 5],
     /// The states of all vertices at the start.
     start: Start,
-    most: Most,
+    maxima: Maxima,
     pub pieces: Vec<Piece>,
     pub reactions: Vec<Reaction>,
     weights: [Dense; 4],
     early: [[Dense; 3]; 3],
+    /// Oscillator and step length of `weights` and `early`.
     known: (Oscillator, f64),
-    /// Effect of the pieces by each sample after the start.
+    /// Effect of the pieces, by sample after the start.
     late: [LateSum; 4],
-    /// Vertices that pieces act on directly, with the effect at each sample after the start.
+    /// Vertices that pieces act on, with the effect on them alone at each sample after the start.
     own: Vec<(u32, [(DVec3, DVec3); 4])>,
     own_before: Vec<(u32, [(DVec3, DVec3); 4])>,
-    /// How far reactions that are found elsewhere move the centre from the start to each sample, and how fast.
+    /// Displacement and change of velocity of the centre from the start to each sample by reactions computed elsewhere.
     given: Option<[Place; 5]>,
-    /// State of the path at each sample.
+    /// Motion on the path at each sample.
     driven: [Driven; 5],
     /// Σ |s| over the spheres that act on the body [1/s²].
     pub stiffness: f64,
-    /// Plane forces of the last evaluation, by plane and vertex.
+    /// Plane forces of the last evaluation, sorted by plane and vertex.
     pub held: Vec<Held>,
-    /// Plane forces of the evaluation before that.
+    /// Plane forces of the previous evaluation.
     pub held_before: Vec<Held>,
     /// Pushes of the last evaluation.
     pub pushed: Vec<Held>,
-    /// Vertices that may cross a rim, a buffer.
+    /// Buffer: vertices that may cross a rim.
     pub crossing: Vec<u32>,
     spheres: Vec<(DVec3, f64)>,
     planes: Vec<(DVec3, f64)>,
 }
 
-/// Effect of all pieces up to a sample, see [`Course::late`].
+/// Effect of all pieces at a sample, see [`Course::late`].
 #[derive(Clone, Copy, Debug)]
 struct LateSum {
     centre: DVec3,
@@ -236,8 +237,8 @@ pub struct Span {
     pub h: f64,
     /// End of the step [s].
     pub end: f64,
-    /// Reference point of angular momentum [scene unit]; `None` if each body's is its own centre, because reactions, which
-    /// act there, are found elsewhere.
+    /// Reference point of angular momentum [scene unit]. `None`: each body's own centre, because reactions, which act
+    /// there, are computed elsewhere.
     pub origin: Option<DVec3>,
     /// Weights for the motion of centres.
     pub ballistic: [Dense; 4],
@@ -250,20 +251,20 @@ impl Span {
         Span { start, h, end, origin, ballistic: ballistic(h), early: early_ballistic(h) }
     }
 
-    /// From the reference point of angular momentum to a body's centre [scene unit].
+    /// Vector from the reference point of angular momentum to a body's centre [scene unit].
     #[inline]
     pub fn arm(&self, centre: DVec3) -> DVec3 {
         self.origin.map_or(DVec3::ZERO, |origin| centre - origin)
     }
 
-    /// Where a body on a path is at the samples.
+    /// The motion of a body on a path at the samples, also stored in `places`.
     pub fn driven(&self, index: usize, paths: &dyn Paths, places: &mut [Place; 5]) -> [Driven; 5] {
         let driven = std::array::from_fn(|look| paths.at(index, self.time(look), look == 3));
         *places = driven.map(|driven: Driven| Place { centre: driven.position, velocity: driven.velocity });
         driven
     }
 
-    /// Time of sample number `look` [s].
+    /// Time of sample `look` [s].
     pub fn time(&self, look: usize) -> f64 {
         match look {
             0 => self.start,
@@ -285,7 +286,7 @@ fn combine_matrices(w: &[f64; 4], v: [DMat3; 4]) -> DMat3 {
 }
 
 impl Course {
-    /// Starts a step from the body's state.
+    /// Begins a step from the body's state.
     pub fn begin(
         &mut self,
         arch: Arch,
@@ -304,7 +305,7 @@ impl Course {
             kernels::by_coordinate(from, into);
         }
         let [x, u] = [&self.start.x, &self.start.u].map(|v| kernels::largest_square(arch, v).sqrt());
-        self.most = Most { x, u, rest: body.shape.extent };
+        self.maxima = Maxima { x, u, rest: body.shape.extent };
         self.pieces.clear();
         self.own.clear();
         self.own_before.clear();
@@ -336,13 +337,13 @@ impl Course {
         }
     }
 
-    /// Finds the vertices that spheres, planes or pushes may reach in the step; they are active. `wide` times what is
-    /// expected of the motion is allowed for; [`Course::strays`] tells whether that was enough.
+    /// Finds the active vertices: those that spheres, planes or pushes may reach in the step. Allows for `wide` times
+    /// the expected motion; [`Course::strays`] reports whether that was enough.
     pub fn select(&mut self, view: View<'_>, acting: &mut Acting, wide: f64) {
         let View { body, field, span, places, arch, .. } = view;
-        let Most { x, u, rest: extent } = self.most;
+        let Maxima { x, u, rest: extent } = self.maxima;
         let farthest = extent + x;
-        // before sums are known, a body's spin is that of its rest shape
+        // the sums are not known yet: use the inertia of the rest shape
         let turning = if body.turns() {
             let axes = self.frames[0].axes;
             let spread = axes * body.shape.spread * axes.transpose();
@@ -433,7 +434,7 @@ impl Course {
         let start = Linear::x();
         let own = |look: usize| {
             let turned = self.frames[look].turned.length();
-            self.others[look][0].difference(&start, &self.most) + turned * self.most.rest
+            self.others[look][0].difference(&start, &self.maxima) + turned * self.maxima.rest
         };
         let own = [0.0, own(1), own(2), own(3)];
         (1..4).any(|look| {
@@ -448,16 +449,17 @@ impl Course {
         })
     }
 
-    /// A first estimate of the centre and the vertices at a node, from the forces at those before it; at the last node, of
-    /// all others anew.
+    /// Estimates the centre and the vertices at a node from the forces at the nodes before it; with the last node, the
+    /// other two are estimated again.
     pub fn predict(&mut self, arch: Arch, body: &Body, span: &Span, node: usize, places: &mut [Place; 5]) {
         let weights = self.early[node - 1];
         let first = if node == 3 { 1 } else { node };
         self.advance(arch, body, span, [&weights, &span.early[node - 1]], (first..node + 1, 1), places);
     }
 
-    /// Updates the centre and the vertices at the samples from the forces last found at the nodes. Returns by how much:
-    /// displacements, and velocities times how long they last [scene unit]. After an evaluation, the end comes first.
+    /// Updates the centre and the vertices at the samples from the last forces at the nodes. Returns the largest change
+    /// of a position, or of a velocity times the time it lasts [scene unit]. After an evaluation, the call for the end
+    /// comes first: it computes the effects of pieces at all nodes.
     pub fn follow(
         &mut self,
         arch: Arch,
@@ -470,14 +472,15 @@ impl Course {
         match looks.end {
             4 => self.add_pieces(body, span, 1..4),
             end if end > MIDDLE => self.add_pieces(body, span, looks.clone()),
-            _ => {} // they are known from the end
+            _ => {} // computed with the end
         }
-        // what is in the middle does not act on the nodes
-        let rounds = if looks.start == MIDDLE { 1 } else { MOST_ROUNDS };
+        // the middle does not act on the nodes
+        let rounds = if looks.start == MIDDLE { 1 } else { MAX_ROUNDS };
         self.advance(arch, body, span, [&weights, &span.ballistic], (looks, rounds), places)
     }
 
-    /// The same with these weights of the vertices and of centres, and with as many corrections of the rotations.
+    /// Like [`Course::follow`], with these weights for vertices and centres and at most `rounds` corrections of the
+    /// rotations.
     fn advance(
         &mut self,
         arch: Arch,
@@ -487,7 +490,8 @@ impl Course {
         (looks, rounds): (std::ops::Range<usize>, usize),
         places: &mut [Place; 5],
     ) -> f64 {
-        // an oscillator turns its velocity into a displacement; nothing bounds that of a centre, so count one second
+        // time that a velocity lasts: an oscillator turns it into a displacement; a centre keeps it, so count one
+        // second
         let swing = 1.0 / body.oscillator.omega.max(2.0 * body.oscillator.damping).max(1.0);
         let mut change: f64 = 0.0;
         let nodes: [&Frame; 4] = std::array::from_fn(|node| &self.frames[node]);
@@ -529,15 +533,15 @@ impl Course {
             }
             let are_others = self.active.len() < body.shape.rest.len();
             if is_coupled {
-                change = larger(change, others[0].difference(&self.others[look][0], &self.most));
-                change = larger(change, swing * others[1].difference(&self.others[look][1], &self.most));
+                change = larger(change, others[0].difference(&self.others[look][0], &self.maxima));
+                change = larger(change, swing * others[1].difference(&self.others[look][1], &self.maxima));
             } else if are_others {
-                change = larger(change, x.difference(&self.others[look][0], &self.most));
-                change = larger(change, swing * u.difference(&self.others[look][1], &self.most));
+                change = larger(change, x.difference(&self.others[look][0], &self.maxima));
+                change = larger(change, swing * u.difference(&self.others[look][1], &self.maxima));
             }
             self.others[look] = others;
 
-            // single-vertex effects are added below; the change of the rest is measured without them
+            // effects on single vertices are added below; the change of the rest is measured without them
             let active = &mut self.active;
             for (vertex, late) in &self.own_before {
                 let (x, u) = late[look - 1];
@@ -566,7 +570,7 @@ impl Course {
                 sums.xu += m * (x.cross(after[1]) + before[0].cross(u));
                 sums.x += m * x;
                 sums.u += m * u;
-                moved.most = [0, 1].map(|k| larger(moved.most[k], after[k].length_squared()));
+                moved.largest = [0, 1].map(|k| larger(moved.largest[k], after[k].length_squared()));
             }
             change = larger(larger(change, far.sqrt()), swing * fast.sqrt());
             if body.turns() || (look == 3 && body.is_free()) {
@@ -590,18 +594,18 @@ impl Course {
                     self.frames[look].sums = sums + self.sums[look];
                 }
             }
-            let [mut far, mut fast] = moved.most.map(f64::sqrt);
+            let [mut far, mut fast] = moved.largest.map(f64::sqrt);
             if is_coupled {
-                // of the others, by two bounds
-                let ([x, u], [x0, u0], most) = (&others, &self.others[0], &self.most);
-                far = larger(far, x.bound(most).min(most.x + x.difference(x0, most)));
-                fast = larger(fast, u.bound(most).min(most.u + u.difference(u0, most)));
+                // the smaller of two bounds of the others
+                let ([x, u], [x0, u0], maxima) = (&others, &self.others[0], &self.maxima);
+                far = larger(far, x.bound(maxima).min(maxima.x + x.difference(x0, maxima)));
+                fast = larger(fast, u.bound(maxima).min(maxima.u + u.difference(u0, maxima)));
             } else if are_others {
-                let most = &self.most;
-                let way_x = (w.xx - 1.0).abs() * most.x + w.xu.abs() * most.u;
-                let way_u = w.ux.abs() * most.x + (w.uu - 1.0).abs() * most.u;
-                far = larger(far, x.bound(most, most.x, way_x));
-                fast = larger(fast, u.bound(most, most.u, way_u));
+                let maxima = &self.maxima;
+                let way_x = (w.xx - 1.0).abs() * maxima.x + w.xu.abs() * maxima.u;
+                let way_u = w.ux.abs() * maxima.x + (w.uu - 1.0).abs() * maxima.u;
+                far = larger(far, x.bound(maxima, maxima.x, way_x));
+                fast = larger(fast, u.bound(maxima, maxima.u, way_u));
             }
             let frame = &mut self.frames[look];
             (frame.extent, frame.speed) = (body.shape.extent + far, fast);
@@ -621,7 +625,7 @@ impl Course {
     }
 
     /// Computes the rotations at samples and the frame's angular velocities there, which depend on each other. Returns the
-    /// larger of `change` and how far this moves points on the frame [scene unit].
+    /// larger of `change` and the largest displacement of a vertex by this [scene unit].
     fn turn(
         &mut self,
         body: &Body,
@@ -659,7 +663,7 @@ impl Course {
         kernels::place(arch, &mut self.active, look, self.frames[look].axes);
     }
 
-    /// Sums the forces on the active vertices at a sample, and adds the damping there beyond −2κ x′.
+    /// Sums the forces on the active vertices at a sample, then adds the part of the damping that is not in −2κ x′.
     pub fn gather(&mut self, arch: Arch, body: &Body, look: usize) {
         if !body.is_free() {
             return;
@@ -680,7 +684,7 @@ impl Course {
         }
     }
 
-    /// Updates what depends on the rotation at a sample.
+    /// Updates the quantities that depend on the rotation at a sample.
     fn orient(&mut self, body: &Body, look: usize) {
         let frame = &mut self.frames[look];
         frame.axes = DMat3::from_quat(frame.rotation);
@@ -710,7 +714,7 @@ impl Course {
         }
     }
 
-    /// Adds the effects of pieces at these samples.
+    /// Computes the effects of pieces at these samples.
     fn add_pieces(&mut self, body: &Body, span: &Span, looks: std::ops::Range<usize>) {
         std::mem::swap(&mut self.own, &mut self.own_before);
         self.late = Default::default();
@@ -719,7 +723,7 @@ impl Course {
             return;
         }
         let per_mass = 1.0 / body.mass();
-        // of the accelerations −Ω_Q′×Q l of all vertices: weights times Ω_Q′, in x and in u, by sample and node
+        // accelerations −Ω_Q′×Q l of all vertices: weights in x and u times Ω_Q′, by sample and node
         let mut turns = [[[DVec3::ZERO; 4]; 2]; 4];
         for piece in &self.pieces {
             let onset = Onset::new(piece.from);
@@ -775,7 +779,7 @@ impl Course {
         }
     }
 
-    /// Response at node 1 + i to an acceleration of a vertex at node 1 + j, `[i][j]`: in x [s²] and in u [s]. The
+    /// `[i][j]`: response at node 1 + i, in x [s²] and in u [s], to an acceleration of a vertex at node 1 + j. The
     /// acceleration acts from the start if `starts` is set, and toggles at each of `crossings`.
     pub fn responses(&self, oscillator: Oscillator, h: f64, starts: bool, crossings: &[f64]) -> [[(f64, f64); 3]; 3] {
         std::array::from_fn(|i| {
@@ -795,12 +799,13 @@ impl Course {
         })
     }
 
-    /// G at a node, for [`Own::turn`].
+    /// G⁻¹ `moment` at a node, for [`Own::turn`] [rad/s²].
     pub fn turn_of(&self, node: usize, moment: DVec3) -> DVec3 {
         solve(resistance(self.frames[node].inner.as_), moment)
     }
 
-    /// The residuals of the cubics through the nodes in the middle of the step.
+    /// The residuals, in the middle of the step, of the cubics through the nodes. Subtracts pieces from the
+    /// accelerations of the vertices there.
     pub fn bends(&mut self, arch: Arch, body: &Body) -> Bends {
         let w = cubic(0.5);
         let nodes: [&Frame; 4] = std::array::from_fn(|node| &self.frames[node]);
@@ -830,14 +835,14 @@ impl Course {
         }
         others.shift += common;
         others.by_rest += drive;
-        let force = larger(others.bound(&self.most), kernels::bend(arch, &self.active, w, common, drive).sqrt());
+        let force = larger(others.bound(&self.maxima), kernels::bend(arch, &self.active, w, common, drive).sqrt());
         let spin = middle.frame_spin - combine(&w, nodes.map(|f| f.frame_spin));
         Bends { force, acceleration: acceleration.length(), spin: spin.length() }
     }
 
-    /// Commits the end of the step as the body's state, with the frame rotated to the best fit of the vertices, which
-    /// keep their positions. Returns its largest displacement and velocity.
-    pub fn end(&mut self, arch: Arch, body: &mut Body, places: &[Place; 5]) -> Most {
+    /// Commits the end of the step as the body's state, and fits the frame to the vertices without moving them. Returns
+    /// the largest displacement and velocity.
+    pub fn end(&mut self, arch: Arch, body: &mut Body, places: &[Place; 5]) -> Maxima {
         let frame = &self.frames[3];
         (body.centre, body.velocity) = (places[3].centre, places[3].velocity);
         (body.rotation, body.spin) = (frame.rotation, frame.momentum);
@@ -856,14 +861,14 @@ impl Course {
             kernels::replace(&mut self.start.x, vertex, x);
             kernels::replace(&mut self.start.u, vertex, u);
         }
-        let most = [(&mut body.x, &mut self.start.x), (&mut body.u, &mut self.start.u)].map(|(into, from)| {
-            // padding does not count
+        let maxima = [(&mut body.x, &mut self.start.x), (&mut body.u, &mut self.start.u)].map(|(into, from)| {
+            // padding lanes do not count
             (into.len()..WIDTH * from.len()).for_each(|i| kernels::replace(from, i, DVec3::ZERO));
             kernels::by_vertex(from, into);
             kernels::largest_square(arch, from).sqrt()
         });
-        let [x, u] = most;
-        Most { x, u, rest: body.shape.extent }
+        let [x, u] = maxima;
+        Maxima { x, u, rest: body.shape.extent }
     }
 }
 
