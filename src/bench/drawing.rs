@@ -82,8 +82,8 @@ impl<'t> Axis<'t> {
     pub fn of_run_times(times: impl Iterator<Item = f64> + Clone) -> Axis<'t> {
         const MARGIN: f64 = 1.5;
         let times = times.filter(|&time| time > 0.0);
-        let (least, most) = (times.clone().fold(f64::INFINITY, f64::min), times.fold(0.0, f64::max));
-        let range = if least <= most { least / MARGIN..most * MARGIN } else { 0.1..10.0 };
+        let (min, max) = (times.clone().fold(f64::INFINITY, f64::min), times.fold(0.0, f64::max));
+        let range = if min <= max { min / MARGIN..max * MARGIN } else { 0.1..10.0 };
         let multiples: &[f64] = if range.end / range.start < 1000.0 { &[1.0, 2.0, 5.0] } else { &[1.0] };
         Axis {
             name: "run time [ms]",
@@ -101,13 +101,13 @@ impl<'t> Axis<'t> {
     }
 }
 
-/// The range of these errors and a tenth of a radius, with some margin.
+/// A range that contains `errors` and a tenth of a radius, with a margin.
 pub fn error_range(errors: impl Iterator<Item = f64> + Clone) -> Range<f64> {
     errors.clone().fold(1e-1, f64::min) / 4.0..errors.fold(1e-1, f64::max) * 2.5
 }
 
 /// Draws two axes, inset from the top and the right end of `panel` [px]. Returns the mapping from a data point to its
-/// place on the panel.
+/// position on the panel [px].
 pub fn draw_axes(
     panel: &Area<'_>,
     top: u32,
@@ -168,7 +168,7 @@ pub enum Marker {
     Polygon(&'static [f64]),
 }
 
-/// The ticks of an axis: the given multiples (1, or 1, 2 and 5 for a short range) of powers of ten within `range`.
+/// The given multiples of powers of ten within `range`.
 pub fn ticks(range: &Range<f64>, multiples: &[f64]) -> Vec<f64> {
     let decades = range.start.log10().floor() as i32..=range.end.log10().ceil() as i32;
     let all = decades.flat_map(|decade| multiples.iter().map(move |multiple| multiple * 10f64.powi(decade)));
@@ -199,7 +199,7 @@ pub fn draw_lines(panel: &Area<'_>, top: u32, right: i32, mut lines: Vec<Line>) 
 
 /// Heights close to those `wanted` (ascending), within `limits`, and at least a label's height apart.
 fn spread(wanted: &[f64], limits: (f64, f64)) -> Vec<f64> {
-    // clusters of touching labels, each as (sum of the heights its first label would want, labels)
+    // clusters of touching labels, each as (sum over its labels of the first label's height that each wants, labels)
     let mut clusters: Vec<(f64, usize)> = vec![];
     let first = |&(sum, labels): &(f64, usize)| {
         let height = LABEL_HEIGHT * (labels - 1) as f64;

@@ -42,8 +42,8 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// The default for a scene: step sizes from 4 to 1/16 of its own, tolerances from 1e-3 to 1e-11 and its own. For free
-    /// bodies, which take longer: step sizes from 2 to 1/8, tolerances from 1e-3 to 1e-8, fewer runs.
+    /// The default for a scene: step sizes from 4 times to 1/16 of its own, tolerances from 1e-3 to 1e-11 and its own.
+    /// For free bodies, which take longer: step sizes from twice to 1/8, tolerances from 1e-3 to 1e-8, fewer runs.
     pub fn of(scene: &Scene) -> Settings {
         let is_coupled = scene.is_coupled();
         let mut tolerances: Vec<f64> =
@@ -66,13 +66,13 @@ impl Settings {
 }
 
 /// A case is not timed again once its runs have taken this long in total.
-const LONGEST: Duration = Duration::from_secs(10);
+const MAX_TIME_PER_CASE: Duration = Duration::from_secs(10);
 /// A tolerance that every step meets.
 const NO_CONTROL: f64 = 1e15;
 /// A vertex with a larger error than this has diverged [radii].
 const DIVERGED: f64 = 1e3;
-/// Upper limit on the instants at which the reference is compared.
-const MOST_INSTANTS: u64 = 1024;
+/// Upper limit on the number of instants at which runs are compared with the reference.
+const MAX_INSTANTS: u64 = 1024;
 
 /// An integrator and its step control.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,7 +81,7 @@ pub enum Scheme {
     Fixed(Integrator),
     /// [`Integrator::Exponential`] with error control: steps are subdivided to meet a tolerance [1/s].
     Controlled {
-        /// In radii per unit of scene time.
+        /// In radii per second of scene time.
         tolerance: f64,
     },
 }
@@ -149,7 +149,8 @@ pub struct Report {
     pub bodies: usize,
     /// Number of vertices.
     pub vertices: u64,
-    /// Distance of the reference from a solution ten times as accurate [radii].
+    /// Distance of the reference from a less accurate one [radii]: with twice the step, and for prescribed paths also
+    /// ten times the tolerance.
     pub agreement: f64,
     /// Ordered by integrator, then by step size or tolerance, descending.
     pub measurements: Vec<Measurement>,
@@ -205,7 +206,7 @@ pub fn measure(scene: &Scene, settings: &Settings, progress: &mut dyn FnMut(f64)
     }
     for round in 0..settings.runs {
         for case in &mut cases {
-            thread.install(|| case.take_times(round, settings))?;
+            thread.install(|| case.time_runs(round, settings))?;
             progress(case.steps);
         }
     }
@@ -225,7 +226,7 @@ pub fn measure(scene: &Scene, settings: &Settings, progress: &mut dyn FnMut(f64)
     Ok(report)
 }
 
-/// In the order of [`Report::measurements`].
+/// The cases, in the order of [`Report::measurements`].
 fn cases(scene: &Scene, settings: &Settings) -> Vec<Case> {
     let steps = scene.steps() as f64;
     let case = |scheme: Scheme, factor: f64| {
@@ -248,15 +249,16 @@ fn cases(scene: &Scene, settings: &Settings) -> Vec<Case> {
 }
 
 impl Case {
-    /// Free bodies come to rest when their motion is small compared with the tolerance: without one, none may.
+    /// A world for one run. Free bodies come to rest when their motion is small compared with the tolerance. Without a
+    /// tolerance they must not, so nothing is skipped.
     fn world(&self) -> Result<World, TooLarge> {
         let skip = !(self.scene.is_coupled() && self.scheme == Scheme::Fixed(Integrator::Exponential));
         World::with_options(self.scene.clone(), Options { skip, ..Options::default() })
     }
 
     /// Performs as many runs as fit into one round's share of the requested time.
-    fn take_times(&mut self, round: usize, settings: &Settings) -> Result<(), TooLarge> {
-        if self.run_times.iter().sum::<f64>() > LONGEST.as_secs_f64() {
+    fn time_runs(&mut self, round: usize, settings: &Settings) -> Result<(), TooLarge> {
+        if self.run_times.iter().sum::<f64>() > MAX_TIME_PER_CASE.as_secs_f64() {
             return Ok(());
         }
         let share = settings.shortest.as_secs_f64() / settings.runs as f64;
@@ -320,15 +322,16 @@ fn try_out(scene: &Scene) -> Result<(), MeasureError> {
 
 /// A reference solution.
 enum Solution {
-    /// For prescribed paths: each vertex by itself.
+    /// For prescribed paths: each vertex separately.
     Vertices(Reference),
     /// For free bodies: all vertices together.
     Particles(Particles),
 }
 
-/// The reference, and its accuracy.
+/// The reference and its accuracy.
 struct Judge {
     reference: Solution,
+    /// See [`Report::agreement`].
     agreement: f64,
     /// Number of scene steps between instants.
     stride: u64,
@@ -337,7 +340,7 @@ struct Judge {
 impl Judge {
     fn new(scene: &Scene) -> Result<Judge, MeasureError> {
         let steps = scene.steps();
-        let stride = steps.div_ceil(MOST_INSTANTS).next_power_of_two();
+        let stride = steps.div_ceil(MAX_INSTANTS).next_power_of_two();
         let instants: Vec<f64> = (0..=steps / stride).map(|k| (k * stride) as f64 * scene.dt).collect();
         let (agreement, reference) = if scene.is_coupled() {
             let (usual, halved) = (Particles::solve(scene, &instants, 1)?, Particles::solve(scene, &instants, 2)?);

@@ -40,9 +40,9 @@ use crate::{
 };
 
 /// A measurement lasts at least this long; the scene is repeated as often as necessary.
-const LEAST: Duration = Duration::from_millis(600);
-/// Frames recorded without simulating are kept in memory up to this size [bytes].
-const KEPT: usize = 256 << 20;
+const MIN_DURATION: Duration = Duration::from_millis(600);
+/// Memory limit for precomputed frames [bytes].
+const MAX_KEPT: usize = 256 << 20;
 
 /// Where frames are sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,13 +86,13 @@ pub struct Measurement {
     pub destination: Destination,
     /// Whether the scene was simulated during the measurement; otherwise its states were computed beforehand.
     pub is_simulated: bool,
-    /// Number of frames made …
+    /// Number of frames simulated or recorded …
     pub frames: u64,
-    /// … and the time taken [s].
+    /// … and the time that this took [s].
     pub seconds: f64,
     /// Size of the file [bytes].
     pub bytes: Option<u64>,
-    /// Size of the positions, normals and arrows in it [bytes].
+    /// Size of the positions, normals and arrows of these frames [bytes].
     pub payload: u64,
     /// Number of entities in the recording.
     pub entities: Option<usize>,
@@ -105,7 +105,7 @@ impl Measurement {
     }
 }
 
-/// Costs other than frames and bytes.
+/// Costs other than frame rates and sizes.
 #[derive(Clone, Debug)]
 pub struct Costs {
     /// How much saving slows down steps.
@@ -166,7 +166,7 @@ struct Bench<'a> {
     settings: Settings,
     schema: Schema,
     frames: Vec<(StepRecord, Frame)>,
-    /// Payload of those frames [bytes].
+    /// Payload of `frames` [bytes].
     payload: u64,
     file: PathBuf,
 }
@@ -187,7 +187,7 @@ impl Bench<'_> {
             kept += frame.memory();
             bench.payload += payload_of(&frame);
             bench.frames.push((step, frame));
-            if kept > KEPT {
+            if kept > MAX_KEPT {
                 break;
             }
         }
@@ -212,7 +212,7 @@ impl Bench<'_> {
             _ => Some(Sinks::open(&destinations).map_err(|error| error.to_string())?),
         };
         let (mut frames, mut seconds, mut bytes, mut entities) = (0, 0.0, None, None);
-        while seconds < LEAST.as_secs_f64() {
+        while seconds < MIN_DURATION.as_secs_f64() {
             let mut world = self.world()?;
             let start = Instant::now();
             if destination == Destination::PlainLog {
@@ -274,14 +274,14 @@ impl Bench<'_> {
         sinks.flush().map_err(|error| error.to_string())
     }
 
-    /// Records the same with the SDK's own functions; returns the size of the file [bytes].
+    /// Records the precomputed states with the SDK's `log()`; returns the size of the file [bytes].
     fn log_plainly(&self) -> Result<u64, String> {
         let (mut extractor, mut surface, mut origins) = (Extractor::default(), Surface::default(), Vec::new());
-        let words = |error: rerun::RecordingStreamError| error.to_string();
-        let recording = RecordingStreamBuilder::new("meldscope_bench").save(&self.file).map_err(words)?;
+        let text = |error: rerun::RecordingStreamError| error.to_string();
+        let recording = RecordingStreamBuilder::new("meldscope_bench").save(&self.file).map_err(text)?;
         for body in &self.schema.bodies {
             let mesh = Mesh3D::update_fields().with_triangle_indices(body.mesh.triangles().iter().copied());
-            recording.log_static(format!("world/bodies/{}/surface", body.name), &mesh).map_err(words)?;
+            recording.log_static(format!("world/bodies/{}/surface", body.name), &mesh).map_err(text)?;
         }
         for (step, frame) in &self.frames {
             recording.set_time_sequence("step", step.summary.at.step as i64);
@@ -290,14 +290,14 @@ impl Bench<'_> {
             for (body, now) in self.schema.bodies.iter().zip(&frame.bodies) {
                 let entity = format!("world/bodies/{}", body.name);
                 let transform = Transform3D::from_translation_rotation(now.centre.as_vec3(), now.rotation.as_quat());
-                recording.log(entity.as_str(), &transform).map_err(words)?;
+                recording.log(entity.as_str(), &transform).map_err(text)?;
                 if !now.is_at_rest {
                     surface.clear();
                     surface.append_in_body(body, now, &mut extractor);
                     let mesh = Mesh3D::update_fields()
                         .with_vertex_positions(surface.positions.iter().copied())
                         .with_vertex_normals(surface.normals.iter().copied());
-                    recording.log(format!("{entity}/surface"), &mesh).map_err(words)?;
+                    recording.log(format!("{entity}/surface"), &mesh).map_err(text)?;
                 }
                 if now.has_forces {
                     extractor.world_positions(body, now, &mut origins);
@@ -311,11 +311,11 @@ impl Bench<'_> {
                     let batch = Arrows3D::update_fields()
                         .with_origins(arrows.origins.iter().copied())
                         .with_vectors(arrows.vectors.iter().copied());
-                    recording.log(forces::entity(term.name), &batch).map_err(words)?;
+                    recording.log(forces::entity(term.name), &batch).map_err(text)?;
                 }
             }
             for (name, value) in [("energy", frame.scalars[0]), ("time", step.summary.at.time)] {
-                recording.log(format!("diagnostics/{name}"), &Scalars::single(value)).map_err(words)?;
+                recording.log(format!("diagnostics/{name}"), &Scalars::single(value)).map_err(text)?;
             }
         }
         recording.flush_blocking().map_err(|error| error.to_string())?;
@@ -324,7 +324,7 @@ impl Bench<'_> {
     }
 }
 
-/// Size of the f32 positions and normals of what moves, and of non-zero arrows [bytes].
+/// Size of the f32 positions and normals of bodies not at rest, and of non-zero arrows [bytes].
 fn payload_of(frame: &Frame) -> u64 {
     let of_body = |now: &BodyFrame| {
         let arrows = now.terms.iter().flat_map(|term| term.accelerations.iter()).filter(|force| *force != DVec3::ZERO);

@@ -1,13 +1,13 @@
-//! An independent solution of a scene, for judging the integrators.
+//! An independent solution of a scene, against which the integrators are compared.
 //!
-//! It uses nothing of [`crate::sim`]. The equation of motion is implemented here a second time, from the model alone.
+//! It uses nothing from [`crate::sim`]. The equation of motion is implemented here a second time, from the model alone.
 //! Pair phases are found by scanning the distances and bisecting. Each vertex is integrated separately by
 //! [extrapolation], restarted wherever the right-hand side jumps (pair phases, pushes, keyframes)
 //! and at every requested instant.
 //!
-//! The weight has a kink at the rim of an influence sphere. Within a step, a vertex inside a sphere keeps the inside
-//! law even where the step takes it out, and vice versa, so the law is smooth over each step. Root finding then locates
-//! the crossing, and the step ends there.
+//! The weight has a kink at the rim of an influence sphere. Within a step, a vertex that starts inside a sphere
+//! keeps the inside law even after leaving it, and vice versa, so the law is smooth over each step. Root finding then
+//! locates the crossing, and the step ends there.
 
 use std::sync::OnceLock;
 
@@ -30,8 +30,8 @@ use crate::{
 /// The accuracy of a reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Accuracy {
-    /// Permitted error of a step: for a displacement in radii of the body; for a velocity, the same times the largest
-    /// rate of the scene [–].
+    /// Permitted error of a step [–]: of a displacement in radii of the body; of a velocity in radii times the largest
+    /// rate of the scene.
     pub tolerance: f64,
     /// The longest step, in units of the inverse of that rate [–]: short enough that a vertex cannot turn twice in it.
     pub longest_step: f64,
@@ -50,7 +50,7 @@ pub enum NoReference {
     /// The solution would take too long.
     #[error(
         "a reference solution would take {evaluations:.0e} evaluations of the equation of motion, more than \
-         {MOST_EVALUATIONS:.0e}: its explicit method follows the fastest motion (omega, damping, alpha, beta), for every \
+         {MAX_EVALUATIONS:.0e}: its explicit method follows the fastest motion (omega, damping, alpha, beta), for every \
          vertex and the whole duration; make the scene softer, smaller or shorter"
     )]
     TooLong {
@@ -59,9 +59,9 @@ pub enum NoReference {
     },
     /// The time of a pair's phase change is ambiguous.
     #[error(
-        "no reference solution can be had: bodies {a} and {b} (counted from 0) come so often, so fast or for so long close \
-         to merge_at, split_at or core_at that it cannot be told when they pass it, from {time:e} s on; move the thresholds \
-         or shorten the scene"
+        "there is no reference solution: bodies {a} and {b} (counted from 0) come close to merge_at, split_at or core_at \
+         so often, so fast or for so long that the times at which they pass it are ambiguous, from {time:e} s on; move \
+         the thresholds or shorten the scene"
     )]
     Undecided {
         /// One body of the pair …
@@ -73,8 +73,8 @@ pub enum NoReference {
     },
     /// The solution for a vertex makes no progress.
     #[error(
-        "no reference solution can be had: a vertex of body {body} (counted from 0) takes too many steps to be followed \
-         beyond {time:e} s; make the scene softer or shorter"
+        "there is no reference solution: a vertex of body {body} (counted from 0) needs too many steps beyond \
+         {time:e} s; make the scene softer or shorter"
     )]
     Stuck {
         /// The vertex's body.
@@ -84,8 +84,8 @@ pub enum NoReference {
     },
     /// The solution for a vertex overflows.
     #[error(
-        "no reference solution can be had: the numbers of a vertex of body {body} (counted from 0) get too large at \
-         {time:e} s; make the scene softer or smaller"
+        "there is no reference solution: the state of a vertex of body {body} (counted from 0) overflows at {time:e} s; \
+         make the scene softer or smaller"
     )]
     TooLarge {
         /// The vertex's body.
@@ -95,9 +95,9 @@ pub enum NoReference {
     },
 }
 
-/// Takes a few minutes.
-const MOST_EVALUATIONS: f64 = 5e9;
-/// For a typical step.
+/// Upper limit on evaluations of the equation of motion: a few minutes.
+const MAX_EVALUATIONS: f64 = 5e9;
+/// Evaluations of the equation of motion in a typical step.
 const EVALUATIONS_PER_STEP: f64 = 40.0;
 /// Relative rounding error of a coordinate after a few operations.
 const ROUNDING: f64 = 8.0 * f64::EPSILON;
@@ -124,7 +124,7 @@ pub struct PhaseChange {
 }
 
 impl Reference {
-    /// The largest error of [`Accuracy::DEFAULT`], in radii of the vertex's body.
+    /// The largest error of a solution with [`Accuracy::DEFAULT`], in radii of the vertex's body.
     pub const ACCURACY: f64 = 1e-11;
 
     /// Solves `scene` for the displacements at `times` [s], which must be ascending and non-negative.
@@ -136,7 +136,7 @@ impl Reference {
         let evaluations = EVALUATIONS_PER_STEP
             * scene.vertex_count() as f64
             * f64::max(times.len() as f64, end * fastest_rate(scene) / accuracy.longest_step);
-        if evaluations > MOST_EVALUATIONS {
+        if evaluations > MAX_EVALUATIONS {
             return Err(NoReference::TooLong { evaluations });
         }
         let histories = histories(scene, end)?;
@@ -183,8 +183,8 @@ impl Reference {
     /// The largest distance of a vertex from its position in another solution of the same scene at the same times
     /// [radii].
     pub fn largest_difference(&self, other: &Reference, scene: &Scene) -> f64 {
-        let places = (0..self.tracks.len()).flat_map(|body| (0..self.times.len()).map(move |k| (body, k)));
-        let apart = places.map(|(body, k)| {
+        let samples = (0..self.tracks.len()).flat_map(|body| (0..self.times.len()).map(move |k| (body, k)));
+        let apart = samples.map(|(body, k)| {
             let found = (0..self.tracks[body].len()).map(|vertex| other.displacement(body, vertex, k));
             self.distance(body, k, found) / scene.bodies[body].radius
         });
@@ -224,20 +224,20 @@ impl History {
     }
 }
 
-/// A visit to another phase that is shorter than this can be missed [s] …
-const SHORTEST_VISIT: f64 = 1e-6;
-/// … if q changes by less than this during it [–].
-const SHORTEST_WAY: f64 = 1e-4;
-/// The largest number of times that a pair is sampled; takes about a second.
-const MOST_SAMPLES: u64 = 10_000_000;
+/// A visit to another phase can be missed if it is shorter than this [s] …
+const MIN_VISIT: f64 = 1e-6;
+/// … and q changes by less than this during it [–].
+const MIN_CHANGE: f64 = 1e-4;
+/// Upper limit on the samples of a pair's distance: about a second.
+const MAX_SAMPLES: u64 = 10_000_000;
 
-/// The histories of all pairs that are ever in another phase than apart, ascending.
+/// The histories of all pairs that are ever in a phase other than apart, ascending.
 fn histories(scene: &Scene, end: f64) -> Result<Vec<History>, NoReference> {
     let pairs = |a| (a + 1..scene.bodies.len()).map(move |b| (a, b));
     let all = (0..scene.bodies.len()).into_par_iter().flat_map_iter(pairs);
     let found = all.map(|(a, b)| history(scene, a, b, end));
-    let is_worth_it = |history: &History| history.first != Phase::Apart || !history.changes.is_empty();
-    found.filter(|history| history.as_ref().map_or(true, is_worth_it)).collect()
+    let is_ever_close = |history: &History| history.first != Phase::Apart || !history.changes.is_empty();
+    found.filter(|history| history.as_ref().map_or(true, is_ever_close)).collect()
 }
 
 fn history(scene: &Scene, a: usize, b: usize, end: f64) -> Result<History, NoReference> {
@@ -256,11 +256,11 @@ fn history(scene: &Scene, a: usize, b: usize, end: f64) -> Result<History, NoRef
     }
     let mut history = History { a, b, first: phase, changes: vec![] };
     if path(one).relative_bounds(path(other), 0.0, end).speed == 0.0 {
-        return Ok(history); // never falls or rises to a threshold, even if it stands on one or two of them
+        return Ok(history); // q is constant, and its phase with it, even if q equals one or two thresholds
     }
     let mut t = 0.0;
     let mut watch = Watch::default();
-    for _ in 0..MOST_SAMPLES {
+    for _ in 0..MAX_SAMPLES {
         if t >= end {
             return Ok(history);
         }
@@ -269,23 +269,24 @@ fn history(scene: &Scene, a: usize, b: usize, end: f64) -> Result<History, NoRef
         let stretch = f64::min(end - t, 0.1);
         let speed = path(one).relative_bounds(path(other), t, t + stretch).speed;
         let safe = if far * radii >= speed * stretch { stretch } else { far * radii / speed };
-        let shortest = f64::min(SHORTEST_VISIT, SHORTEST_WAY * radii / speed);
+        let shortest = f64::min(MIN_VISIT, MIN_CHANGE * radii / speed);
         let mut later = f64::min(end, t + f64::max(safe, shortest));
         if later <= t {
-            break; // too fast for its position to be resolved in time
+            break; // too fast for the resolution of t
         }
-        let places = [one, other].map(|body| path(body).position(0.0).length() + path(body).position(later).length());
-        let doubt = ROUNDING * (1.0 + places.iter().sum::<f64>() / radii);
-        if let Some(fall) = watch.check(&transitions(phase, &thresholds), q(t), q(later), doubt) {
+        let distances =
+            [one, other].map(|body| path(body).position(0.0).length() + path(body).position(later).length());
+        let uncertainty = ROUNDING * (1.0 + distances.iter().sum::<f64>() / radii);
+        if let Some(passage) = watch.check(&transitions(phase, &thresholds), q(t), q(later), uncertainty) {
             let mut earlier = t;
             loop {
                 let middle = 0.5 * (earlier + later);
                 if middle <= earlier || middle >= later {
                     break;
                 }
-                if fall.has_happened(q(middle)) { later = middle } else { earlier = middle }
+                if passage.has_happened(q(middle)) { later = middle } else { earlier = middle }
             }
-            phase = fall.transition.to;
+            phase = passage.transition.to;
             history.changes.push(PhaseChange { time: later, a, b, to: phase });
             watch = Watch::default();
         }
@@ -326,8 +327,8 @@ fn transitions(phase: Phase, thresholds: &crate::model::phase::Thresholds) -> Ve
 
 /// Watches a pair for the end of its current phase.
 ///
-/// Two levels may coincide. A pair on such a level is as well merged as apart, and rounding alone would make it change
-/// forever. It therefore changes only if it reaches the level from a clear distance, or is clearly beyond it.
+/// Two levels may coincide. A pair on such a level could be in either phase, and rounding alone would make it alternate
+/// forever. Its phase therefore changes only if q reaches the level from a clear distance, or is clearly beyond it.
 #[derive(Default)]
 struct Watch {
     /// For each level, whether the pair has been at a clear distance from it since the phase began.
@@ -335,12 +336,12 @@ struct Watch {
 }
 
 /// A level has been passed, or approached to within the tolerance.
-struct Fall {
+struct Passage {
     transition: Transition,
     within: f64,
 }
 
-impl Fall {
+impl Passage {
     fn has_happened(&self, q: f64) -> bool {
         let gap = self.transition.gap(q) - self.within;
         gap < 0.0 || gap == 0.0 && self.transition.on_level
@@ -348,14 +349,14 @@ impl Fall {
 }
 
 impl Watch {
-    /// Checks q at two successive times, with an uncertainty of `doubt`.
-    fn check(&mut self, transitions: &[Transition], before: f64, now: f64, doubt: f64) -> Option<Fall> {
+    /// Checks q at two successive times, with an uncertainty of `uncertainty`.
+    fn check(&mut self, transitions: &[Transition], before: f64, now: f64, uncertainty: f64) -> Option<Passage> {
         for (&transition, was_clear) in transitions.iter().zip(&mut self.was_clear) {
-            *was_clear |= transition.gap(before) > doubt;
+            *was_clear |= transition.gap(before) > uncertainty;
             let gap = transition.gap(now);
-            if gap < -doubt || *was_clear && transition.on_level && gap <= doubt {
+            if gap < -uncertainty || *was_clear && transition.on_level && gap <= uncertainty {
                 // the level itself, unless the pair comes to rest just short of it
-                return Some(Fall { transition, within: f64::max(0.0, gap) });
+                return Some(Passage { transition, within: f64::max(0.0, gap) });
             }
         }
         None
@@ -364,15 +365,15 @@ impl Watch {
 
 // --- influences on a body -------------------------------------------------------------------------------------------
 
-/// A time interval over which the influences on a body do not jump; requested instants are interval ends too.
+/// A time interval over which the influences on a body do not jump; requested instants also end intervals.
 struct Chunk<'a> {
     start: f64,
     end: f64,
-    /// The index of the instant at its end.
+    /// The index of the requested instant at its end, if there is one.
     sample: Option<usize>,
     sources: Vec<Source<'a>>,
     pushes: Vec<&'a Push>,
-    /// Whether the body's own motion has no effect on it.
+    /// Whether the motion of the body's centre has no effect on its displacements.
     is_carried: bool,
 }
 
@@ -518,7 +519,7 @@ impl<'a> Problem<'a> {
         let mut is_at_rest = true;
         for chunk in chunks {
             if chunk.start > 0.0 && self.body.material.response != Response::Rigid {
-                // where the velocity of the centre jumps, vertices stay in motion as they were
+                // where the velocity of the centre jumps, the vertices keep their velocities in the world
                 let kick = path(self.body).kick(chunk.start);
                 vertex.state[3..].iter_mut().zip(kick.to_array()).for_each(|(u, kick)| *u -= kick);
             }
@@ -555,9 +556,9 @@ fn strength(scene: &Scene, law: &PairLaw, phase: Phase, size: f64) -> f64 {
 
 // --- one vertex ------------------------------------------------------------------------------------------------------
 
-/// A step no longer than this, relative to t or 1 s, is always accepted: beyond this only rounding is left.
+/// A step no longer than this, relative to t or 1 s, is always accepted: only rounding errors remain.
 const SHORTEST_STEP: f64 = 1e-12;
-/// Trial steps allowed per longest step, of any length: far more than crossings and halvings need.
+/// Upper limit on trial steps of any length, per longest step: far more than crossings and halvings need.
 const TRIALS_PER_STEP: f64 = 200.0;
 
 /// A vertex whose [`Gap`] is this fraction of the squared radius may be on either side of a rim [–].
@@ -611,7 +612,7 @@ impl Vertex<'_, '_> {
         let mut t = chunk.start;
         let mut turns = 0;
         while t < chunk.end {
-            // A bound that always holds: it catches crossings that are a rounding apart and steps that never grow.
+            // Ends the loop even if crossings are only a rounding error apart or steps never grow.
             self.trials = self.trials.checked_sub(1).ok_or(NoReference::Stuck { body: self.problem.index, time: t })?;
             let left = chunk.end - t;
             let h = if self.step < left { self.step } else { left };
@@ -644,8 +645,8 @@ impl Vertex<'_, '_> {
             }
             if turns > 2 * sides.len() {
                 // The vertex has gone in and out without progress: it touches a rim, or the rim moves along with it. It
-                // is treated as having been all the time where it is a little later, except where the force is too weak
-                // to matter.
+                // is assigned to the side on which it is a little later, but only at a rim itself, where the force is
+                // too weak for the side to matter.
                 let little = h / 1024.0;
                 let end = trial.step(little).end;
                 let touches = |(source, side): (usize, &Side)| {
@@ -757,9 +758,9 @@ struct Trial<'a> {
 
 /// A vertex reaches a rim.
 struct Crossing {
-    /// The start of the step [s].
+    /// Time since the start of the step [s].
     after: f64,
-    /// The state at its start.
+    /// The state at that time.
     end: [f64; 6],
     /// Index into the sources of the chunk.
     source: usize,
@@ -771,14 +772,14 @@ impl Trial<'_> {
         extrapolation::step(&slope, self.t, self.state, &self.slope, h, self.tolerance)
     }
 
-    /// How far the vertex is on its side of a rim, `h` into the step.
+    /// The gap to a rim `h` [s] into the step; positive on the vertex's own side.
     fn margin(&self, source: usize, h: f64, state: &[f64; 6]) -> Gap {
         let Law { body, chunk, sides, rest, .. } = *self.law;
         let Gap { value, rate } = gap(body, &chunk.sources[source], chunk, rest, self.t + h, state);
         if sides[source].is_inside { Gap { value: -value, rate: -rate } } else { Gap { value, rate } }
     }
 
-    /// The first rim that the vertex reaches in the step over `h` that leads to `end`.
+    /// The first rim that the vertex reaches in the step of length `h` [s] that leads to `end`.
     fn first_crossing(&self, mut h: f64, mut end: [f64; 6]) -> Option<Crossing> {
         let mut first = None;
         for source in 0..self.law.chunk.sources.len() {
@@ -789,7 +790,8 @@ impl Trial<'_> {
         first.map(|source| Crossing { after: h, end, source })
     }
 
-    /// When the vertex first reaches the rim of a source in the step over `h` that leads to `end`, and its state then.
+    /// The time [s] into the step of length `h` [s] that leads to `end` at which the vertex first reaches the rim of a
+    /// source, and its state then.
     fn crossing(&self, source: usize, h: f64, end: &[f64; 6]) -> Option<(f64, [f64; 6])> {
         let start = (0.0, self.margin(source, 0.0, self.state));
         let mut last = (h, self.margin(source, h, end));
@@ -800,8 +802,8 @@ impl Trial<'_> {
         };
         let mut inside = start;
         if last.1.value >= 0.0 {
-            // Still on its side, but it may have been beyond in between. That takes a turning point close enough to the
-            // rim.
+            // It ends on its own side, but may have crossed the rim in between. That takes a turning point close enough
+            // to the rim.
             let nearest = f64::min(start.1.value, last.1.value);
             let is_turning = start.1.rate < 0.0 && last.1.rate > 0.0;
             if !is_turning || nearest > 2.0 * h * f64::max(-start.1.rate, last.1.rate) {
@@ -878,5 +880,6 @@ impl Trial<'_> {
     }
 }
 
-/// A timing error of this size [s] at a kink, where the force does not jump, changes a velocity by its square.
+/// Precision of crossing times [s]. The force has a kink there but does not jump, so a timing error changes a velocity
+/// only by the order of its square.
 const CROSSING: f64 = 1e-11;

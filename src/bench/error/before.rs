@@ -1,8 +1,8 @@
-//! What an earlier version of the program measured, to show beside this one's.
+//! Measurements of an earlier version of the program, drawn beside this one's.
 //!
 //! Run times of different machines are not comparable. Those of the earlier version are therefore in units of the run
-//! time of `rk4`, which does the same work at every step, then and now. Its runs are long: a machine that is busy
-//! interrupts them more often than those of error control, and the earlier curve is drawn too far to the right.
+//! time of `rk4`, which does the same work per step in both versions. Its runs are long, so a busy machine interrupts
+//! them more often than those of error control, and the earlier curve is then drawn too far to the right.
 
 use std::sync::LazyLock;
 
@@ -11,10 +11,10 @@ use serde::Deserialize;
 use super::{Report, Scheme};
 use crate::scene::Integrator;
 
-/// The commit of that version: the last one before steps were to follow the tolerance.
+/// The commit of that version: the last one before steps were made cheaper for loose tolerances.
 pub const COMMIT: &str = "d8ab73b";
 
-/// Its measurements of `rk4` and of error control, from `bench error two --csv`: the least of the medians of four runs.
+/// Its measurements of `rk4` and of error control: the smallest medians of four runs of `bench error two --csv`.
 static ROWS: LazyLock<Vec<Row>> = LazyLock::new(|| {
     let text = include_str!("../../../recordings/error_before.csv");
     csv::Reader::from_reader(text.as_bytes()).deserialize().filter_map(Result::ok).collect()

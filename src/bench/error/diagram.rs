@@ -1,4 +1,4 @@
-//! The work-precision diagram: error against run time, one line per integrator, one panel per scene, and that of error
+//! The work-precision diagram: error against run time, one panel per scene, one line per integrator, and one for error
 //! control in an [earlier version](before). The last panel shows actual against requested errors, one line per scene.
 
 use std::ops::Range;
@@ -49,7 +49,7 @@ fn style(scheme: Scheme) -> Style {
 /// # Errors
 /// Errors of the drawing library; none is known to occur.
 pub fn svg(reports: &[Report], machine: &Machine) -> Result<String, String> {
-    let has_control = reports.iter().any(|report| report.asked_and_made().len() > 1);
+    let has_control = reports.iter().any(|report| report.allowed_and_actual().len() > 1);
     let panels = reports.len() + usize::from(has_control);
     let columns = usize::min(panels, 2);
     let rows = panels.div_ceil(columns);
@@ -58,13 +58,13 @@ pub fn svg(reports: &[Report], machine: &Machine) -> Result<String, String> {
         _ => "Work and precision".to_owned(),
     };
     let mut notes = vec![
-        "Error: the largest over time and vertices, against an independent solution.".to_owned(),
+        "Error: the largest over time and vertices, relative to an independent solution.".to_owned(),
         "Run time: of the steps alone, on one thread; median of 5 runs or more.".to_owned(),
         machine.to_string(),
     ];
     if reports.iter().any(|report| !before::curve(report).is_empty()) {
         let note = format!(
-            "Grey: the same at commit {}, by its run time relative to that of rk4 at the scene’s own step, in one run.",
+            "Grey: the stars’ curve at commit {}, with run times scaled by those of rk4 at the scene’s own step.",
             before::COMMIT
         );
         notes.insert(2, note);
@@ -73,8 +73,8 @@ pub fn svg(reports: &[Report], machine: &Machine) -> Result<String, String> {
         size: (PANEL.0 * columns as u32, PANEL.1 * rows as u32),
         title: &title,
         heading: [
-            "Down is more exact, left is faster. From point to point the step is halved, a ring marks the scene’s own.",
-            "Stars: the scene’s own step, divided where a tolerance asks for it, which is tightened from star to star.",
+            "Lower is more accurate, left is faster. Each point halves the step of the previous one; a ring marks the scene’s own.",
+            "Stars: the scene’s own step, divided where the tolerance requires it; each star has a tighter tolerance.",
         ],
         notes: &notes.iter().map(String::as_str).collect::<Vec<_>>(),
     };
@@ -106,26 +106,28 @@ fn draw_control(panel: &Area<'_>, reports: &[Report]) -> Result<(), Failure> {
         RGBColor(230, 159, 0),
         RGBColor(86, 180, 233),
     ];
-    let all = || reports.iter().flat_map(Report::asked_and_made);
-    let floor = |made: f64| made.max(FLOOR);
-    let asked = all().fold(1.0..0.0, |range, (asked, _)| f64::min(range.start, asked)..f64::max(range.end, asked));
-    let made = all()
-        .fold(asked.clone(), |range, (_, made)| f64::min(range.start, floor(made))..f64::max(range.end, floor(made)));
-    let (asked, made) = (asked.start / 2.0..asked.end * 2.0, made.start / 4.0..made.end * 4.0);
-    let axes = [("error allowed by the tolerance [radii]", &asked), ("error made [radii]", &made)];
+    let all = || reports.iter().flat_map(Report::allowed_and_actual);
+    let floor = |actual: f64| actual.max(FLOOR);
+    let allowed =
+        all().fold(1.0..0.0, |range, (allowed, _)| f64::min(range.start, allowed)..f64::max(range.end, allowed));
+    let actual = all().fold(allowed.clone(), |range, (_, actual)| {
+        f64::min(range.start, floor(actual))..f64::max(range.end, floor(actual))
+    });
+    let (allowed, actual) = (allowed.start / 2.0..allowed.end * 2.0, actual.start / 4.0..actual.end * 4.0);
+    let axes = [("error allowed by the tolerance [radii]", &allowed), ("actual error [radii]", &actual)];
     let at = draw_axes(panel, TOP, RIGHT, axes.map(|(name, range)| Axis::of_errors(name, range.clone())))?;
-    write(panel, "The error that is asked for, and the one that is made", (LEFT as i32, TOP as i32 / 2), 24.0, INK)?;
+    write(panel, "Requested and actual error", (LEFT as i32, TOP as i32 / 2), 24.0, INK)?;
     for (share, name) in [(1.0, "as allowed"), (0.01, "a hundredth")] {
-        let inside = |x: f64| (x * share).clamp(made.start, made.end) / share;
-        let [from, to] = [asked.start, asked.end].map(|x| at(inside(x), inside(x) * share));
+        let inside = |x: f64| (x * share).clamp(actual.start, actual.end) / share;
+        let [from, to] = [allowed.start, allowed.end].map(|x| at(inside(x), inside(x) * share));
         panel.draw(&PathElement::new([from, to], GREY))?;
         write(panel, name, (from.0 + 8, from.1 - 14), 16.0, GREY)?;
     }
-    let right = at(asked.end, made.start).0;
+    let right = at(allowed.end, actual.start).0;
     let line = |(index, report): (usize, &Report)| Line {
         name: report.scene.clone(),
         style: Style { color: COLORS[index % COLORS.len()], marker: Marker::Disc, width: 2 },
-        points: report.asked_and_made().into_iter().map(|(asked, made)| at(asked, floor(made))).collect(),
+        points: report.allowed_and_actual().into_iter().map(|(allowed, actual)| at(allowed, floor(actual))).collect(),
     };
     draw_lines(panel, TOP, right, reports.iter().enumerate().map(line).collect())
 }
@@ -153,14 +155,14 @@ fn draw_panel(panel: &Area<'_>, report: &Report, errors: Range<f64>, is_titled: 
         write(panel, &format!("{} and smaller", power_of_ten(floor)), (left + 8, y + 12), 16.0, GREY)?;
     }
 
-    let place = |seconds: f64, error: f64| at(1e3 * seconds, error.clamp(floor.max(errors.start), errors.end));
-    let point = |it: &Measurement| place(it.seconds, it.error.unwrap_or(errors.end));
+    let position = |seconds: f64, error: f64| at(1e3 * seconds, error.clamp(floor.max(errors.start), errors.end));
+    let point = |it: &Measurement| position(it.seconds, it.error.unwrap_or(errors.end));
     let line = |measurements: &[Measurement]| {
         let scheme = measurements.first()?.scheme;
         let is_thesis = scheme == Scheme::Fixed(Integrator::Thesis);
         let name = match scheme.family() {
             name if measurements.iter().any(|it| it.error.is_none()) => format!("{name} (out of bounds)"),
-            name if is_thesis && report.thesis_stands_still().is_some() => format!("{name} (no convergence)"),
+            name if is_thesis && report.thesis_stagnation().is_some() => format!("{name} (no convergence)"),
             name => name.to_owned(),
         };
         Some(Line { name, style: style(scheme), points: measurements.iter().map(point).collect() })
@@ -169,7 +171,7 @@ fn draw_panel(panel: &Area<'_>, report: &Report, errors: Range<f64>, is_titled: 
     let earlier = Line {
         name: format!("exponential, {}", before::COMMIT),
         style: Style { color: GREY, ..style(Scheme::Controlled { tolerance: report.tolerance }) },
-        points: before.iter().map(|&(seconds, error)| place(seconds, error)).collect(),
+        points: before.iter().map(|&(seconds, error)| position(seconds, error)).collect(),
     };
     draw_lines(panel, TOP, right, families.filter_map(line).chain([earlier]).collect())?;
     for it in report.measurements.iter().filter(|it| report.is_at_own_step(it)) {

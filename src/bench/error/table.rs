@@ -54,10 +54,10 @@ fn row(report: &Report, measurement: &Measurement) -> [String; 7] {
     ]
 }
 
-/// What the columns of all tables mean, and the machine they were measured on.
+/// The meaning of the columns of all tables, and the machine on which they were measured.
 pub fn footer(machine: &Machine) -> String {
     format!(
-        "error: the largest over time and vertices, in radii; order: against the step before; \
+        "error: the largest over time and vertices, in radii; order: relative to the previous step size; \
          run time: of the steps alone, median of 5 runs or more\n{machine}"
     )
 }

@@ -6,7 +6,7 @@ use crate::{scene::Integrator, text::significant};
 /// The run time that a scheme needs to stay within an error.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cost {
-    /// The integrator and its step control.
+    /// The integrator.
     pub integrator: Integrator,
     /// See [`Scheme::family`].
     pub family: &'static str,
@@ -74,7 +74,7 @@ impl Report {
             let ms = |seconds: f64| significant(1e3 * seconds);
             let line = match self.cheapest(10f64.powi(-digits)).as_slice() {
                 [] => "none".to_owned(),
-                [only] => format!("{}, {} ms; no other integrator gets there", only.family, ms(only.seconds)),
+                [only] => format!("{}, {} ms; no other integrator reaches it", only.family, ms(only.seconds)),
                 [first, second, ..] => format!(
                     "{}, {} ms; then {}, {} ms, {} times as long",
                     first.family,
@@ -113,9 +113,9 @@ impl Report {
         lines
     }
 
-    /// The errors that the tolerances allow over the whole run, and the actual errors [radii], for runs with error
-    /// control whose error the reference resolves.
-    pub(super) fn asked_and_made(&self) -> Vec<(f64, f64)> {
+    /// The errors that the tolerances allow over the whole run, and the actual errors [radii], of runs with error
+    /// control whose allowed error the reference resolves.
+    pub(super) fn allowed_and_actual(&self) -> Vec<(f64, f64)> {
         let of = |it: &Measurement| match it.scheme {
             Scheme::Controlled { tolerance } => Some((tolerance * self.duration, it.error?)),
             Scheme::Fixed(_) => None,
@@ -125,11 +125,12 @@ impl Report {
 
     /// A sentence that compares the actual error with the requested one.
     fn control_verdict(&self) -> Option<String> {
-        let shares: Vec<f64> = self.asked_and_made().into_iter().map(|(allowed, made)| made / allowed).collect();
+        let shares: Vec<f64> =
+            self.allowed_and_actual().into_iter().map(|(allowed, actual)| actual / allowed).collect();
         let within = shares.iter().filter(|share| (0.01..=1.0).contains(*share)).count();
-        let (least, most) = (shares.iter().copied().reduce(f64::min)?, shares.iter().copied().reduce(f64::max)?);
+        let (min, max) = (shares.iter().copied().reduce(f64::min)?, shares.iter().copied().reduce(f64::max)?);
         Some(format!(
-            "error control: the error is {least:.0e} to {most:.0e} of what the tolerance allows, between 1e-2 and 1 of it at \
+            "error control: the error is {min:.0e} to {max:.0e} of what the tolerance allows, between 1e-2 and 1 of it at \
              {within} of {} tolerances",
             shares.len()
         ))
@@ -146,15 +147,15 @@ impl Report {
         let error = match (this.error, other.error) {
             (Some(this), Some(other)) => ratio(this.max(self.resolution()) / other.max(self.resolution())),
             (None, Some(_)) => "out of bounds".to_owned(),
-            (Some(_), None) => "within bounds, which that is not".to_owned(),
-            (None, None) => "out of bounds, as that".to_owned(),
+            (Some(_), None) => "within bounds, the other not".to_owned(),
+            (None, None) => "out of bounds in both".to_owned(),
         };
         format!("error {error}, time {}", ratio(this.seconds / other.seconds))
     }
 
     /// A sentence on whether the scheme as printed in the thesis converges.
     fn thesis_verdict(&self) -> Option<String> {
-        let (factor, share) = self.thesis_stands_still()?;
+        let (factor, share) = self.thesis_stagnation()?;
         Some(format!(
             "thesis, as printed, does not converge: a step {factor:.0} times smaller leaves {:.0} % of its error",
             100.0 * share
@@ -162,8 +163,8 @@ impl Report {
     }
 
     /// The ratio of the largest to the smallest step size of the scheme as printed, and the fraction of the error that
-    /// remains at the smallest, if that is too much to call it convergent.
-    pub(super) fn thesis_stands_still(&self) -> Option<(f64, f64)> {
+    /// remains at the smallest, if it is too large for the scheme to be convergent.
+    pub(super) fn thesis_stagnation(&self) -> Option<(f64, f64)> {
         let of_thesis = || self.measurements.iter().filter(|it| it.scheme == Scheme::Fixed(Integrator::Thesis));
         let (largest, smallest) = (of_thesis().next()?, of_thesis().next_back()?);
         let share = smallest.error? / largest.error?;

@@ -9,14 +9,14 @@ use crate::{
 /// Scenes with at least this many bodies have a goal for their number of entities.
 const CROWD: usize = 1000;
 
-/// The goals for which there is a measurement. (The requirement that the cost of a checksum depends on the influence,
-/// not on the number of bodies, has no figure; the factor of 10 was chosen here.)
+/// The goals for which there is a measurement. (That the cost of a checksum depends on the influence, not on the
+/// number of bodies, is required without a figure; the factor of 10 was chosen here.)
 pub fn goals(report: &Report) -> Vec<Goal> {
     let saved = |scene: &str, detail: Detail| {
-        let is_it = |m: &&Measurement| {
+        let is_saved = |m: &&Measurement| {
             m.scene == scene && m.detail == detail && m.destination == Destination::File && m.is_simulated
         };
-        report.measurements.iter().find(is_it)
+        report.measurements.iter().find(is_saved)
     };
     let mut goals = vec![];
     // These goals date from before merged surfaces, which now take most of a frame's time.
@@ -53,10 +53,10 @@ pub fn goals(report: &Report) -> Vec<Goal> {
                 100.0 * hashing.checksum / hashing.step,
             ));
         }
-        let what = "a checksum of a pair among thousands that do not affect it, against the pair alone";
+        let what = "a checksum of a pair among thousands that do not affect it, relative to the pair alone";
         goals.push(at_most(what, 10.0, " ×", verifying.among_many()));
         for replaying in &verifying.replaying {
-            let what = format!("{}: a replay against the run", replaying.scene);
+            let what = format!("{}: a replay relative to the run", replaying.scene);
             goals.push(at_most(&what, 1.1, " ×", replaying.ratio()));
         }
     }

@@ -2,10 +2,10 @@
 //!
 //! An endless scene is stepped as fast as possible in alternating blocks, without and with a recorder. Other load and
 //! clock speed vary by more than the measured effect, so each block is compared with its neighbours, and the median of
-//! these ratios is reported. Only the stepping thread is timed. The cost of the recording thread is what it takes from
-//! the simulation: caches, memory bandwidth and cores. If all cores are busy with other work, the recording thread uses
-//! the stepping thread's core, which adds to wall time. The CPU time of the stepping thread is therefore compared as
-//! well, where the system reports it.
+//! these ratios is reported. Only the stepping thread is timed. The recording thread costs the simulation caches,
+//! memory bandwidth and cores. If all cores are busy with other work, the recording thread uses the stepping thread's
+//! core, which adds to wall time. The CPU time of the stepping thread is therefore compared as well, where the system
+//! reports it.
 
 use std::{
     path::Path,
@@ -62,13 +62,13 @@ pub struct Saving {
     pub frames: f64,
 }
 
-/// The quartiles.
+/// Lower quartile, median and upper quartile; NaN if there are no numbers.
 fn quartiles(mut numbers: Vec<f64>) -> [f64; 3] {
     numbers.sort_unstable_by(f64::total_cmp);
     [1, 2, 3].map(|k| numbers.get(k * numbers.len() / 4).copied().unwrap_or(f64::NAN))
 }
 
-/// Measures one way. The recording goes to `file`, which is removed.
+/// Measures one way of saving. The recording goes to `file`, which is removed.
 pub(super) fn measure(way: Way, file: &Path) -> Result<Saving, String> {
     let scene = scenes::pair().map_err(|error| error.to_string())?;
     let mut world = World::new(scene).map_err(|error| error.to_string())?;
@@ -142,8 +142,8 @@ impl Block {
     }
 }
 
-/// CPU time of this thread [s], as Linux counts it: in ticks of some milliseconds.
-fn on_core() -> f64 {
+/// CPU time of this thread [s]. Linux updates it every few milliseconds.
+fn cpu_time() -> f64 {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
     let nanoseconds = text.split(' ').next().and_then(|number| number.parse::<f64>().ok());
     1e-9 * nanoseconds.unwrap_or(0.0)
@@ -153,15 +153,15 @@ type Observe<'a> = &'a mut dyn FnMut(&World, Duration) -> Result<(), String>;
 
 /// Takes steps for the duration of a block, and calls `observe` every [`STEPS`] steps.
 fn block(world: &mut World, observe: Observe<'_>) -> Result<Block, String> {
-    take(world, |world, elapsed| {
+    time_block(world, |world, elapsed| {
         (0..STEPS).for_each(|_| _ = world.step());
         observe(world, elapsed)
     })
 }
 
-/// Like [`block`], but records every step.
+/// Like [`block`], but calls `observe` after every step.
 fn block_of_every_step(world: &mut World, observe: Observe<'_>) -> Result<Block, String> {
-    take(world, |world, elapsed| {
+    time_block(world, |world, elapsed| {
         for _ in 0..STEPS {
             world.step();
             observe(world, elapsed)?;
@@ -170,18 +170,18 @@ fn block_of_every_step(world: &mut World, observe: Observe<'_>) -> Result<Block,
     })
 }
 
-fn take(
+fn time_block(
     world: &mut World,
     mut steps_of: impl FnMut(&mut World, Duration) -> Result<(), String>,
 ) -> Result<Block, String> {
-    let (start, on_core_before) = (Instant::now(), on_core());
+    let (start, cpu_time_before) = (Instant::now(), cpu_time());
     let mut steps = 0;
     loop {
         steps_of(world, start.elapsed())?;
         steps += STEPS;
         let elapsed = start.elapsed();
         if elapsed >= BLOCK {
-            return Ok(Block { steps, seconds: elapsed.as_secs_f64(), on_core: on_core() - on_core_before });
+            return Ok(Block { steps, seconds: elapsed.as_secs_f64(), on_core: cpu_time() - cpu_time_before });
         }
     }
 }

@@ -57,7 +57,7 @@ pub fn pair_among(others: usize) -> Result<Scene, SceneError> {
 /// A scene file with this many bodies in the style of the built-in `crowd`: a field at rest, in which one body in fifty
 /// drifts to its neighbours and back.
 pub fn crowd(bodies: usize) -> String {
-    /// Distance between bodies [radii], at which they do not touch.
+    /// Distance between centres at which bodies do not touch [radii].
     const PITCH: f64 = 2.6;
     let columns = ((1.6 * bodies as f64).sqrt().ceil() as usize).max(1);
     let rows = bodies.div_ceil(columns);

@@ -21,7 +21,7 @@ use crate::{
 const RUNS: usize = 20;
 /// Number of unaffected bodies beside a pair.
 const OTHERS: usize = 4000;
-/// Steps before measuring starts, after which the pushes have ended.
+/// Steps before measuring starts; the pushes have ended by then.
 const WARM: u64 = 10;
 const STEPS: u64 = 50;
 
