@@ -1,4 +1,4 @@
-//! The bodies that are not at rest: those that are awake, and those that sleep because nothing acts on them.
+//! The bodies that are not at rest: awake ones, and those that sleep because nothing acts on them.
 
 use pulp::Arch;
 

@@ -26,16 +26,16 @@ use super::{
 };
 use crate::{geometry::Rest, model::phase::Phase, scene::Scene};
 
-/// How far spheres may move before an active set is chosen anew: no less than this [radii] …
+/// The distance that spheres may move before an active set is selected again: at least this [radii] …
 const SKIN: f64 = 0.1;
-/// … and this many times what they move in a step.
+/// … and at least this many times their travel in a step.
 const SKIN_STEPS: f64 = 3.0;
 
 thread_local! {
     static SCRATCH: RefCell<Scratch> = RefCell::default();
 }
 
-/// Reused from body to body by each thread.
+/// Buffers that each thread reuses from body to body.
 #[derive(Default)]
 struct Scratch {
     interval: Interval,
@@ -52,7 +52,7 @@ struct Scratch {
     exponential: exponential::Scratch,
 }
 
-/// What the integration of a body reads and does not change.
+/// The read-only inputs of the integration of a body.
 #[derive(Clone, Copy)]
 pub(super) struct Context<'a> {
     pub scene: &'a Scene,
@@ -60,31 +60,31 @@ pub(super) struct Context<'a> {
     pub pairs: &'a Pairs,
     pub tracks: &'a Tracks,
     pub arch: Arch,
-    /// Whether what need not be computed is skipped.
+    /// See [`Options::skip`](super::Options::skip).
     pub skip: bool,
     /// Steps taken before this one.
     pub step: u64,
-    /// What the step may take.
+    /// The work budget of the step.
     pub work: &'a Work,
 }
 
-/// How far a neighbour's sphere is from the centre of a body, at the least, and how much it can pull.
+/// Bounds on a neighbour's sphere in a step.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Margin {
-    /// [scene unit]
+    /// Its smallest distance from the centre of the body [scene unit].
     gap: f64,
-    /// [scene unit/s²]
+    /// The largest acceleration that it can cause [scene unit/s²].
     pull: f64,
 }
 
-/// How far from the centre a body can have vertices [scene unit].
+/// Bounds on the vertices of a body.
 #[derive(Clone, Copy, Debug)]
 struct Farthest {
-    /// In the step.
+    /// Their largest distance from the centre in the step [scene unit].
     distance: f64,
-    /// A bound of the acceleration of any by spheres in the step [scene unit/s²].
+    /// Their largest acceleration by spheres in the step [scene unit/s²].
     pull: f64,
-    /// In the step, or later if nothing else acts.
+    /// Their largest distance from the centre in the step, or later if nothing else acts [scene unit].
     later: f64,
 }
 
@@ -99,8 +99,8 @@ impl Phases for &Pairs {
 }
 
 impl<'a> Context<'a> {
-    /// Advances one body, which is the `turn`-th, over `span`; its [`Active::statistics`] says what that took: nothing if
-    /// nothing acted on it.
+    /// Advances one body over `span`, in turn `turn`, and sets its [`Active::statistics`]: no substeps if nothing acted
+    /// on it.
     pub fn advance(&self, active: &mut Active, turn: usize, span: Span) {
         let work = Tally::new(self.work, Some(turn));
         if work.is_over() {
@@ -117,7 +117,8 @@ impl<'a> Context<'a> {
             active.state.state_bounds = StateBounds::of(&active.state.deformation, active.state.oscillator, self.arch);
             active.state.bound += self.force_bound(active, span) * span.length();
             let is_plain = !self.skip || Scheme::of(self.scene.integrator).is_some();
-            let StateBounds { displacement, momentum } = active.state.state_bounds; // without a spring one does not follow from the other
+            // without a spring, neither bounds the other
+            let StateBounds { displacement, momentum } = active.state.state_bounds;
             if is_plain && momentum < REST && displacement < REST && active.state.common.is_zero() {
                 active.state.deformation.clear();
                 active.state.state_bounds = StateBounds::default();
@@ -129,7 +130,7 @@ impl<'a> Context<'a> {
         &self.bodies[index as usize]
     }
 
-    /// A bound of the acceleration of any vertex by anything but its oscillator during `span` [scene unit/s²].
+    /// A bound on the acceleration of any vertex during `span` by all terms except its oscillator [scene unit/s²].
     fn force_bound(&self, active: &Active, span: Span) -> f64 {
         let own = self.own_force(active.body, span);
         if Scheme::of(self.scene.integrator).is_none() {
@@ -140,26 +141,27 @@ impl<'a> Context<'a> {
         own + neighbours.iter().map(|neighbour| neighbour.pull).sum::<f64>()
     }
 
-    /// A bound of the acceleration of any vertex during `span` by what acts wherever other bodies are [scene unit/s²].
+    /// A bound on the acceleration of any vertex during `span` by terms that do not depend on other bodies
+    /// [scene unit/s²].
     pub fn own_force(&self, index: u32, span: Span) -> f64 {
         self.on(index).own_bound(span)
     }
 
-    /// What force terms may know about a body.
+    /// The data about a body that force terms use.
     pub fn on(&self, index: u32) -> On<'a, &'a Pairs> {
         let Body { neighbours, pushes, .. } = self.body(index);
         On { scene: self.scene, index, neighbours, pushes, tracks: self.tracks, phases: self.pairs }
     }
 
-    /// How near the centres of two bodies can come within the step, less what rounding of them can do [scene unit].
+    /// Lower bound on the distance of the centres of two bodies within the step, allowing for rounding [scene unit].
     pub fn nearest(&self, a: u32, b: u32, span: Span) -> f64 {
         self.tracks.motion_bounds(a).nearest(self.tracks.motion_bounds(b), span.length())
     }
 
-    /// Finds the influence spheres that can reach a body's vertices within the step, and how far from the centre it can
-    /// have vertices then. How far vertices get depends on who can pull them, which depends on
-    /// how far they get: found from no pull on. A sphere that cannot reach where the others can pull a vertex cannot be
-    /// the first to do so, so never does.
+    /// Finds the influence spheres that can reach a body's vertices within the step, and bounds the distance of the
+    /// vertices from the centre. That distance depends on which spheres pull, and vice versa: iterate, starting without
+    /// pull. A sphere that does not reach where the others can pull a vertex cannot be the first to pull it farther,
+    /// and so never pulls.
     pub fn find_reachable(&self, active: &mut Active, span: Span) {
         let mut reachable = std::mem::take(&mut active.bounds.reachable);
         SCRATCH.with_borrow_mut(|scratch| {
@@ -177,13 +179,13 @@ impl<'a> Context<'a> {
         active.bounds.reachable = reachable;
     }
 
-    /// Whether a body can have vertices outside of its fat bounds, in the step or when it is left alone after it. NaN needs no
-    /// room: it is found to have diverged.
+    /// Whether vertices may leave the body's fat bounds, in the step or later if nothing else acts. False for NaN,
+    /// which [`Active::has_diverged`] detects.
     pub fn left_fat_bounds(&self, active: &Active) -> bool {
         active.bounds.max_reach > self.body(active.body).fat_bounds.vertices
     }
 
-    /// How far from the centre a body can have vertices.
+    /// Bounds the vertices of a body, and fills `margins` with one entry per neighbour.
     fn farthest(&self, active: &Active, span: Span, margins: &mut Vec<Margin>) -> Farthest {
         let index = active.body;
         let own = *self.tracks.motion_bounds(index);
@@ -196,13 +198,13 @@ impl<'a> Context<'a> {
         if let Some(farthest) = self.farthest_of_steady(active, span)
             && !margins.iter().any(|margin| margin.gap <= farthest)
         {
-            return Farthest { distance: farthest, pull: 0.0, later: farthest }; // it does not stop by itself
+            return Farthest { distance: farthest, pull: 0.0, later: farthest }; // the sine does not decay
         }
         let mut pull = 0.0;
         loop {
             let farthest = own.radius + active.farthest(own_force, pull, span.length());
             let next = margins.iter().filter(|margin| margin.gap <= farthest).map(|margin| margin.pull).sum();
-            // written so that NaN ends it
+            // written so that NaN ends the loop
             if !(next > pull) {
                 return Farthest { distance: farthest, pull, later: farthest.max(own.radius + active.amplitude()) };
             }
@@ -210,8 +212,8 @@ impl<'a> Context<'a> {
         }
     }
 
-    /// How far from its centre a body that follows a sine can have vertices in the step [scene unit], if no sphere acts on
-    /// it and the sine is too fast for bounds of its motion to say anything.
+    /// Largest distance of vertices from the centre in the step [scene unit], if no sphere acts, for a body whose sine
+    /// is so fast that bounds on its motion would be useless; `None` for other bodies.
     fn farthest_of_steady(&self, active: &Active, span: Span) -> Option<f64> {
         if !self.skip || !active.can_sleep() || Scheme::of(self.scene.integrator).is_some() {
             return None;
@@ -222,7 +224,7 @@ impl<'a> Context<'a> {
         Some(self.body(active.body).radius + active.farthest_of_steady(&steady, pushes, span.start, span.length()))
     }
 
-    /// One step, with the phases as they are at its start.
+    /// Takes one step with the phases at its start.
     fn advance_explicitly(
         &self,
         scheme: Scheme,
@@ -232,8 +234,8 @@ impl<'a> Context<'a> {
         work: &Tally<'_>,
     ) -> StepStatistics {
         let (middle, end) = scheme.evaluates_at();
-        // A sphere that ends short of every vertex of a body at rest would wake it for nothing; one in motion may get
-        // anywhere in an inaccurate step.
+        // A body at rest must not be woken by a sphere that reaches none of its vertices. The vertices of a moving body
+        // may get anywhere in an inaccurate step.
         let at_rest = active.is_at_rest();
         let farthest = if at_rest { self.scene.bodies[active.body as usize].radius } else { f64::INFINITY };
         let look = |time, surroundings: &mut Surroundings| {
@@ -256,7 +258,7 @@ impl<'a> Context<'a> {
         let rest = self.body(active.body).rest();
         active.state.deformation.wake_all(rest);
         let active_set = &mut active.state.deformation.active_set;
-        // an explicit step knows nothing within itself: it feels jumps of the velocity at its start
+        // an explicit step cannot resolve jumps of the velocity within it, so they act at its start
         let kicks = self.kicks(active.body, span);
         if kicks != DVec3::ZERO {
             for i in 0..rest.len() {
@@ -269,7 +271,7 @@ impl<'a> Context<'a> {
         StepStatistics { substeps: 1, base: work.done(), ..StepStatistics::default() }
     }
 
-    /// The sum of the jumps of a body's velocity within `span` [s], that at its start included, as its vertices feel them
+    /// The sum of the jumps of a body's velocity within `span`, including its start, as they act on the vertices
     /// [scene unit/s].
     fn kicks(&self, body: u32, span: Span) -> DVec3 {
         let is_kicked = self.tracks.of(body as usize).is_some_and(|mover| mover.kicks > 0.0);
@@ -279,7 +281,7 @@ impl<'a> Context<'a> {
         inside.map(|&t| carry::kick(self.scene, self.tracks, body as usize, t)).sum()
     }
 
-    /// As many intervals as there are jumps in the step, each as exactly as the scene's tolerance asks for.
+    /// Divides the step where something jumps, and integrates each interval to the scene's tolerance.
     fn advance_exponentially(
         &self,
         active: &mut Active,
@@ -290,7 +292,7 @@ impl<'a> Context<'a> {
         let scene = self.scene;
         let index = active.body as usize;
         let now = active.now(self.step, scene.dt, self.arch);
-        // Something acts on each vertex: all are stepped.
+        // Many pushes act on each vertex, so all are stepped.
         let all = self.body(active.body).pushes.many_act(span);
         if !self.skip {
             active.state.deformation.wake_all(self.body(active.body).rest());
@@ -323,7 +325,7 @@ impl<'a> Context<'a> {
         let Scratch { breaks, contributing, touching, acting, local, exponential, .. } = scratch;
         self.find_breaks(active.body, contributing, span, breaks, work);
         if breaks.len() > 2 {
-            // what jumps about a sphere that reaches no vertex divides no step
+            // jumps of spheres that reach no vertex need not divide the step
             touching.clear();
             touching.extend(contributing.iter().filter(|source| self.may_touch(active, source, span)));
             if touching.len() < contributing.len() {
@@ -356,7 +358,7 @@ impl<'a> Context<'a> {
                 index,
                 mesh: &body.mesh,
                 start: part.start,
-                // All whole steps have the same length to the bit, so that weights are computed once.
+                // All whole steps have bit-identical lengths, so that weights are computed once.
                 length: if is_whole { scene.dt } else { part.length() },
                 tracks: self.tracks,
                 is_whole,
@@ -368,7 +370,7 @@ impl<'a> Context<'a> {
             let (common, halvings) = (&mut active.state.common, &mut active.state.halvings);
             let statistics = exponential::advance(&course, control, common, active_set, halvings, exponential);
             if !self.skip {
-                // the naive baseline: every vertex has a state of its own, and nothing in common with others
+                // the naive baseline: every vertex has its own state, and none is shared
                 active.state.deformation.absorb(&mut active.state.common, body.rest(), body.pushes.shared());
             }
             total.substeps += statistics.substeps;
@@ -398,7 +400,7 @@ impl<'a> Context<'a> {
         (0..rest.len()).any(|i| !(rest.position(i).distance(centre) > near))
     }
 
-    /// The ends of the intervals of a step in which nothing about a body jumps.
+    /// Finds the ends of the intervals of a step within which nothing that acts on a body jumps.
     fn find_breaks(&self, index: u32, reachable: &[Neighbour], span: Span, breaks: &mut Vec<f64>, work: &Tally<'_>) {
         breaks.clear();
         breaks.push(span.start);
@@ -418,8 +420,8 @@ impl<'a> Context<'a> {
         breaks.push(span.end);
     }
 
-    /// Sees to it that the active set has every vertex that a sphere can reach within the step, and finds the spheres that can
-    /// reach any of it. It has every vertex if `all`.
+    /// Ensures that the active set contains every vertex that a sphere can reach within the step, or every vertex if
+    /// `all`. Finds the contributing spheres: those that can reach any vertex of the set.
     fn choose_active_set(&self, active: &mut Active, span: Span, all: bool, scratch: &mut Scratch) {
         let Scratch { gaps, centres, moved, deformation, contributing, .. } = scratch;
         let reachable = &active.bounds.reachable;
@@ -433,7 +435,7 @@ impl<'a> Context<'a> {
             (other.centre - own, other.sphere)
         }));
 
-        // How far spheres move relative to rest positions within the step.
+        // Distance that spheres move relative to rest positions within the step.
         let own_force = self.own_force(active.body, span);
         let (_, momentum) = active.state.common.bounds(active.state.oscillator.omega);
         let common = (momentum + own_force * span.length()) * span.length();
@@ -442,7 +444,7 @@ impl<'a> Context<'a> {
         let travel = (this.speed + fastest) * span.length() + common;
         let turned: f64 = pushed.iter().zip(&active.chosen.pushed).map(|(now, then)| (now.x - then).abs()).sum();
 
-        // The active set can get as far from rest as any vertex: a sphere that is farther from all of it does not contribute.
+        // No vertex gets farther than this from rest: a sphere farther from the whole active set does not contribute.
         let swings = active.bounds.farthest - radius;
         let contributes = |clear: f64, moved: f64| !(clear - moved > swings);
         let mut references = active.chosen.references.iter();
@@ -479,7 +481,7 @@ impl<'a> Context<'a> {
         }
         self.arch.dispatch(FindGaps { rest, moved, centres, gaps });
         let now = active.now(self.step, self.scene.dt, self.arch);
-        // no gap is too large where all are chosen
+        // all vertices are selected, whatever their gaps
         let skin = if all { f64::INFINITY } else { active.chosen.skin };
         active.chosen.all = all;
         active.state.deformation.choose_active_set(rest, gaps, skin, now, deformation);
@@ -497,7 +499,7 @@ impl<'a> Context<'a> {
     }
 }
 
-/// See [`find_gaps`]. (A closure would be compiled for the least instruction set.)
+/// See [`find_gaps`]. (A closure would be compiled for the baseline instruction set.)
 struct FindGaps<'a> {
     rest: Rest<'a>,
     moved: &'a [DVec3],
@@ -530,13 +532,13 @@ impl WithSimd for Clearance<'_> {
     }
 }
 
-/// By how much the rest position of each vertex, moved if `moved` says so, is outside of the nearest of the spheres around
-/// `centres` with these radii [scene unit].
+/// Lowers each gap to the distance of the vertex from the nearest sphere, negative inside [scene unit]. Vertices are at
+/// their rest positions, displaced by `moved` unless that is empty; spheres are given by centre and radius.
 #[inline(always)]
 fn find_gaps(rest: Rest<'_>, moved: &[DVec3], centres: &[(DVec3, f64)], gaps: &mut [f64]) {
     let (l, radius) = (rest.mesh.positions(), rest.radius);
     for &(centre, sphere) in centres {
-        // slices of one length, so that the loop below has no bounds to check and is vectorised
+        // slices of equal length, so that the loops need no bounds checks and vectorise
         let n = gaps.len();
         let (lx, ly, lz) = (&l.x[..n], &l.y[..n], &l.z[..n]);
         if moved.is_empty() {
@@ -554,7 +556,8 @@ fn find_gaps(rest: Rest<'_>, moved: &[DVec3], centres: &[(DVec3, f64)], gaps: &m
     }
 }
 
-/// How near a centre is to the nearest rest position of an active set, moved if `moved` says so [scene unit].
+/// Distance of a centre from the nearest rest position of an active set, displaced by `moved` unless that is empty
+/// [scene unit].
 #[inline(always)]
 fn clearance(active_set: &ActiveSet, moved: &[DVec3], centre: DVec3) -> f64 {
     let mut nearest = [f64::INFINITY; LANES];

@@ -70,7 +70,7 @@ pub(super) struct Active {
     pub state: BodyState,
     /// The conditions for which the active set was selected.
     pub chosen: Chosen,
-    /// How far its vertices can get in this step, and which bodies can reach it.
+    /// Bounds on its vertices in this step, and the bodies that can reach it.
     pub bounds: StepBounds,
     /// Statistics of its last step.
     pub statistics: StepStatistics,
@@ -87,11 +87,11 @@ pub(super) struct BodyState {
     pub common_as_of: u64,
     /// The motion of single vertices beyond that.
     pub deformation: Deformation,
-    /// What many pushes do to its vertices.
+    /// The accelerations of its vertices if many pushes act on it.
     pub push_field: PushField,
-    /// How many times the steps of its vertices are halved.
+    /// Number of times that the steps of its vertices are halved.
     pub halvings: u32,
-    /// Bounds over both.
+    /// Bounds over [`BodyState::deformation`], without the shared motion.
     pub state_bounds: StateBounds,
     /// An upper bound of √(|u|² + ω²|x|²) of every vertex, whatever has happened so far: it grows by no more than the
     /// forces that acted on the body [scene unit/s].
@@ -173,7 +173,7 @@ impl Active {
         self.state.deformation.is_empty() && self.state.common.is_zero()
     }
 
-    /// Whether the body may sleep when nothing acts on it: vertices that oscillate must decay.
+    /// Whether the body may sleep when nothing acts on it: without a spring, vertices that move may drift anywhere.
     pub fn can_sleep(&self) -> bool {
         self.state.oscillator.omega > 0.0 || self.is_at_rest()
     }
@@ -224,7 +224,7 @@ impl Active {
         self.state.common.pushed.iter().map(move |&Pushed { x, u }| Pushed { x: xx * x + xu * u, u: ux * x + uu * u })
     }
 
-    /// The time at which its state is wanted.
+    /// The time at which its state is requested.
     pub fn now(&self, step: u64, dt: f64, arch: Arch) -> Now {
         Now { step, dt, oscillator: self.state.oscillator, arch }
     }
@@ -246,8 +246,8 @@ impl Active {
         alike.after(self.state.oscillator, common, h) + own.after(self.state.oscillator, single, h)
     }
 
-    /// The same for a body that follows a sine with the steady response `steady` from time `t` [s] on, if no sphere acts
-    /// on it; `pushes` bounds the accelerations by pushes [scene unit/s²].
+    /// Like [`Active::farthest`], from time `t` [s] on, for a body that follows a sine with the steady response
+    /// `steady`, if no sphere acts on it; `pushes` bounds the accelerations by pushes [scene unit/s²].
     pub fn farthest_of_steady(&self, steady: &Steady, pushes: f64, t: f64, h: f64) -> f64 {
         let (oscillator, from) = (self.state.oscillator, steady.at(t));
         let State { x, u } = self.state.common.carried;
@@ -258,7 +258,7 @@ impl Active {
         steady.largest() + alike.after(oscillator, pushes, h) + own.after(oscillator, 0.0, h)
     }
 
-    /// The bounds of what all vertices share and of what they do not, at the end of the last step.
+    /// Bounds on the shared motion and on the deformation, at the end of the last step.
     fn bounds_now(&self) -> [StateBounds; 2] {
         let omega = self.state.oscillator.omega;
         let (displacement, momentum) = self.state.common.bounds(omega);
@@ -272,8 +272,8 @@ impl Active {
         [alike, own]
     }
 
-    /// Whether its state is one that the equation of motion cannot lead to: not finite, or far beyond the bound
-    /// [`BodyState::bound`]. The margin leaves room for schemes that are merely inaccurate.
+    /// Whether the equation of motion cannot lead to its state: not finite, or far beyond [`BodyState::bound`]. The
+    /// margin leaves room for schemes that are merely inaccurate.
     pub fn has_diverged(&self) -> bool {
         const MARGIN: f64 = 100.0;
         let StateBounds { displacement, momentum } = self.state.state_bounds;
@@ -327,7 +327,7 @@ fn add_push(facing: &Vectors, d: DVec3, pushed: Pushed, displacement: &mut Vecto
     }
 }
 
-/// Bounds over the vertices of a body, from which follows how far they can get in a step.
+/// Bounds over the vertices of a body, from which bounds on their motion in a step follow.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct StateBounds {
     /// Largest |x| [scene unit].
@@ -364,10 +364,10 @@ impl StateBounds {
 mod tests {
     use super::*;
 
-    /// Beside the closed form of a vertex under a constant force: never less than what it does, and from rest at most a
-    /// tenth more than that, where less than a time scale passes.
+    /// Compares the bound with the closed form under a constant force. It is never smaller, and from rest at most a
+    /// tenth larger within a quarter of a time scale.
     #[test]
-    fn a_force_takes_a_vertex_no_farther_than_the_bound() {
+    fn vertices_stay_within_the_bound_under_a_constant_force() {
         for (omega, damping) in [(0.0, 0.0), (12.0, 0.0), (12.0, 1.5), (2.0, 9.0)] {
             let oscillator = Oscillator { omega, damping };
             for (x, u) in [(0.0, 0.0), (0.3, 0.0), (-0.2, 1.5), (0.1, -4.0)] {

@@ -66,15 +66,15 @@ pub struct Scratch {
     states: Vec<Block<2>>,
     /// Amplitudes of these states [scene unit].
     amplitudes_of_states: Vec<[f64; LANES]>,
-    /// For each vertex, its number in `states`; that of a zero for vertices that have only followed the shared motion.
-    places: Vec<u32>,
+    /// For each vertex, its index in `states`; that of a zero for vertices that have only followed the shared motion.
+    slots: Vec<u32>,
     /// Amplitude of each vertex [scene unit].
     amplitudes: Vec<f64>,
     /// The vertices selected for the active set.
     active_set: Vec<u32>,
     /// Those of the active set that are inside no sphere.
     outside: Vec<u32>,
-    /// The vertices that are to be free.
+    /// The vertices that will be free.
     free_vertices: Vec<u32>,
 }
 
@@ -82,12 +82,12 @@ impl Scratch {
     /// The state of a vertex: block and lane.
     #[inline(always)]
     fn state(&self, vertex: usize) -> (&[Lanes; 2], usize) {
-        let place = self.places[vertex] as usize;
-        (&self.states[place / LANES].0, place % LANES)
+        let slot = self.slots[vertex] as usize;
+        (&self.states[slot / LANES].0, slot % LANES)
     }
 }
 
-/// The time at which a state is wanted.
+/// The time at which a state is requested.
 #[derive(Clone, Copy, Debug)]
 pub struct Now {
     /// Steps taken.
@@ -131,8 +131,8 @@ impl Deformation {
         }
         let active_set = &self.active_set.vertices;
         let all = (active_set.get(vertex) == Some(&v)).then_some(vertex);
-        let place = all.or_else(|| active_set.iter().position(|&other| other == v));
-        place.map_or(State::default(), |i| self.active_set.state(i))
+        let slot = all.or_else(|| active_set.iter().position(|&other| other == v));
+        slot.map_or(State::default(), |i| self.active_set.state(i))
     }
 
     /// Adds the states of all vertices at the end of the last step to the arrays.
@@ -200,17 +200,17 @@ impl Deformation {
 
     /// Gathers the states of all vertices and the amplitude of each.
     fn gather(&self, count: usize, now: Now, scratch: &mut Scratch) {
-        let Scratch { states, amplitudes_of_states, places, amplitudes, .. } = scratch;
+        let Scratch { states, amplitudes_of_states, slots, amplitudes, .. } = scratch;
         let Deformation { active_set, free_vertices, .. } = self;
         let flow = free_vertices.flow(now);
         let free_blocks = if flow.is_some() { free_vertices.blocks.all() } else { &[] };
         let first_free = active_set.blocks.all().len();
         let zeros = first_free + free_blocks.len();
         // however the vertices are divided: two blocks may be incomplete
-        let most = count.div_ceil(LANES) + 2;
-        if states.len() < most {
-            states.resize(most, Block([[[0.0; LANES]; 3]; 2]));
-            amplitudes_of_states.resize(most, [0.0; LANES]);
+        let max_blocks = count.div_ceil(LANES) + 2;
+        if states.len() < max_blocks {
+            states.resize(max_blocks, Block([[[0.0; LANES]; 3]; 2]));
+            amplitudes_of_states.resize(max_blocks, [0.0; LANES]);
         }
         now.arch.dispatch(Gather {
             omega: now.oscillator.omega,
@@ -222,8 +222,8 @@ impl Deformation {
         });
         states[zeros] = Block([[[0.0; LANES]; 3]; 2]);
 
-        places.clear();
-        places.resize(count, (zeros * LANES) as u32);
+        slots.clear();
+        slots.resize(count, (zeros * LANES) as u32);
         amplitudes.clear();
         amplitudes.resize(count, 0.0);
         let free = if flow.is_some() { &*free_vertices.vertices } else { &[] };
@@ -231,15 +231,15 @@ impl Deformation {
             for (block, vertices) in (first..).zip(vertices.chunks(LANES)) {
                 let of_block = &amplitudes_of_states[block];
                 for (lane, &vertex) in vertices.iter().enumerate() {
-                    places[vertex as usize] = (block * LANES + lane) as u32;
+                    slots[vertex as usize] = (block * LANES + lane) as u32;
                     amplitudes[vertex as usize] = of_block[lane];
                 }
             }
         }
     }
 
-    /// Selects the active set: the vertices whose `gap` [scene unit], the distance of their rest position from the
-    /// nearest sphere, is no more than `skin` plus their amplitude. The others are free from now on.
+    /// Selects the active set: the vertices whose `gap`, the distance of their rest position from the nearest sphere,
+    /// is no more than `skin` plus their amplitude [scene unit]. The others are free from now on.
     pub fn choose_active_set(&mut self, rest: Rest<'_>, gap: &[f64], skin: f64, now: Now, scratch: &mut Scratch) {
         self.hash_of_kept.forget();
         self.gather(rest.len(), now, scratch);
@@ -365,7 +365,7 @@ impl WithSimd for Gather<'_> {
             if omega == 0.0 {
                 for i in 0..LANES {
                     let rests = [x[i], y[i], z[i], u[i], v[i], w[i]] == [0.0; 6];
-                    amplitudes[i] = if rests { 0.0 } else { f64::INFINITY }; // it may drift anywhere
+                    amplitudes[i] = if rests { 0.0 } else { f64::INFINITY }; // without a spring it may drift anywhere
                 }
                 continue;
             }

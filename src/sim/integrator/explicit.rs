@@ -1,4 +1,4 @@
-//! The explicit schemes: that of the thesis, the one it builds on, and common alternatives.
+//! The explicit schemes: the thesis's, the one it builds on, and common alternatives.
 
 use glam::DVec3;
 
@@ -47,7 +47,7 @@ impl Scheme {
     }
 }
 
-/// A time interval and what acts on a body in it; common to all vertices of the body.
+/// A time interval and the influences on a body in it, common to all vertices of the body.
 #[derive(Clone, Debug, Default)]
 pub struct Interval {
     /// Its length Δt [s].

@@ -1,7 +1,7 @@
-//! How a vertex is advanced over a time interval.
+//! Schemes that advance a vertex over a time interval.
 //!
-//! Vertices do not act on each other, so a scheme is a function of one vertex: from its state at the start and what
-//! acts on it in between to its state at the end. The state is the displacement in body coordinates, `x = r − c − l`,
+//! Vertices do not act on each other, so a scheme is a function of one vertex: its state at the end follows from its
+//! state at the start and the forces in between. The state is the displacement in body coordinates, `x = r − c − l`,
 //! and its velocity.
 //!
 //! | scheme | order | where |
@@ -12,8 +12,8 @@
 //! | [`Rk4`](crate::scene::Integrator::Rk4) | 4 between jumps | [`explicit`] |
 //! | [`Exponential`](crate::scene::Integrator::Exponential) | 5, with error control | [`exponential`] |
 //!
-//! Only `exponential` ends its steps where something jumps. The others keep the phases of the start of the step, as in
-//! their usual form.
+//! Only `exponential` ends its steps where something jumps. The others use the phases at the start of the step
+//! throughout, as in their usual form.
 
 pub mod explicit;
 pub mod exponential;
